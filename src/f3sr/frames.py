@@ -1,0 +1,140 @@
+"""Poses, rotations and the pinhole camera, in the project's one convention.
+
+World: right-handed, +Z up, metres. Camera: OpenCV axes (x right, y down, z forward). ``T_a_b`` maps points of
+frame b into frame a, so inner letters cancel: ``T_world_camera @ T_camera_object``. Pixel (0, 0) is the top-left
+corner of the top-left pixel; pixel centres lie at +0.5. Quaternions are wxyz.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+T_UP_FROM_CAMERA = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+"""World axes (Z up) for a camera that looks horizontally: x right, y forward, z up."""
+
+
+def frozen(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
+    """A C-contiguous read-only array; copies only when ``values`` is writable or of another type."""
+    array = np.ascontiguousarray(values, dtype=dtype)
+    if array.flags.writeable:
+        array = array.copy() if array is values or array.base is not None else array
+        array.setflags(write=False)
+    return array
+
+
+def pose(R: ArrayLike | None = None, t: ArrayLike | None = None) -> Array:
+    """The 4x4 transform ``x -> R x + t``."""
+    T = np.eye(4)
+    if R is not None:
+        T[:3, :3] = R
+    if t is not None:
+        T[:3, 3] = t
+    return T
+
+
+def invert_pose(T: Array) -> Array:
+    """Inverse of a rigid 4x4 transform."""
+    R = T[:3, :3]
+    return pose(R.T, -R.T @ T[:3, 3])
+
+
+def transform(T: Array, points: Array) -> Array:
+    """Apply a 4x4 affine transform to points (..., 3)."""
+    return points @ T[:3, :3].T + T[:3, 3]
+
+
+def rotation_about(axis: ArrayLike, angle: float) -> Array:
+    """Rotation matrix of ``angle`` [rad] about ``axis`` (Rodrigues)."""
+    return rotation_from_vector(np.asarray(axis, float) / np.linalg.norm(axis) * angle)
+
+
+def rotation_from_vector(omega: ArrayLike) -> Array:
+    """Rotation matrix of the rotation vector ``omega`` [rad]: the exponential map of SO(3)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_rotvec(np.asarray(omega, float)).as_matrix())
+
+
+def rotation_between(a: ArrayLike, b: ArrayLike) -> Array:
+    """The shortest rotation that turns direction ``a`` onto direction ``b`` (equation 6's R_g)."""
+    a, b = (np.asarray(v, float) / np.linalg.norm(v) for v in (a, b))
+    axis, cosine = np.cross(a, b), float(a @ b)
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-12:
+        if cosine > 0:
+            return np.eye(3)
+        axis, sine = np.cross(a, np.eye(3)[int(np.argmin(np.abs(a)))]), 0.0
+    return rotation_about(axis, float(np.arctan2(sine, cosine)))
+
+
+def rotation_from_quaternion(wxyz: ArrayLike) -> Array:
+    """Rotation matrix of a quaternion (w, x, y, z); it need not be normalised."""
+    from scipy.spatial.transform import Rotation
+
+    w, x, y, z = np.asarray(wxyz, float)
+    return np.asarray(Rotation.from_quat([x, y, z, w]).as_matrix())
+
+
+def quaternion_from_rotation(R: Array) -> Array:
+    """Quaternion (w, x, y, z) of a rotation matrix, w >= 0."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(R).as_quat(canonical=True)
+    return np.array([w, x, y, z])
+
+
+def rotation_angle(R: Array) -> float:
+    """The angle [rad] of a rotation matrix."""
+    return float(np.arccos(np.clip((np.trace(R) - 1) / 2, -1, 1)))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Camera:
+    """A pinhole camera with an exact, possibly off-centre K.
+
+    ``K`` (3, 3) in pixels, ``T_world_camera`` (4, 4) rigid, ``width`` and ``height`` in pixels.
+    """
+
+    width: int
+    height: int
+    K: Array
+    T_world_camera: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "K", frozen(self.K))
+        object.__setattr__(self, "T_world_camera", frozen(self.T_world_camera))
+
+    @cached_property
+    def T_camera_world(self) -> Array:
+        return invert_pose(self.T_world_camera)
+
+    @property
+    def center(self) -> Array:
+        """The camera's centre in the world (3,) [m]."""
+        return self.T_world_camera[:3, 3]
+
+    def to_camera(self, points_world: Array) -> Array:
+        return transform(self.T_camera_world, points_world)
+
+    def project(self, points_world: Array) -> tuple[Array, Array]:
+        """Pixels (n, 2) and z-depths (n,) [m] of world points (n, 3)."""
+        points_camera = self.to_camera(points_world)
+        z = points_camera[:, 2]
+        homogeneous = points_camera @ self.K.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return homogeneous[:, :2] / homogeneous[:, 2:], z
+
+    def moved(self, T_world_camera: Array) -> Self:
+        return replace(self, T_world_camera=T_world_camera)
+
+    def resized(self, width: int, height: int) -> Self:
+        """The same view sampled with another number of pixels."""
+        scale = np.array([[width / self.width], [height / self.height], [1.0]])
+        return replace(self, width=width, height=height, K=self.K * scale)

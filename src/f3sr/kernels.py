@@ -1,0 +1,88 @@
+"""The numba decorator of the project and its on-disk kernel cache.
+
+Kernels are compiled once per machine and version of the kernel sources. The cache folder's name holds a hash of all
+kernel sources, because numba checks its cache per file and would miss a change in a kernel that another file calls.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+KERNEL_MODULES = ("raster", "contact", "crossings")
+"""Modules of this package that hold numba kernels; each has a ``warm_up()`` that calls every one of them."""
+
+
+def cache_root() -> Path:
+    """``$F3SR_CACHE_DIR``, else f3sr's folder in the XDG cache."""
+    if configured := os.environ.get("F3SR_CACHE_DIR"):
+        return Path(configured)
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "f3sr"
+
+
+def _writable(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+def _source_hash() -> str:
+    here = Path(__file__).parent
+    digest = hashlib.sha256()
+    for name in ("kernels", *KERNEL_MODULES):
+        digest.update((here / f"{name}.py").read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _choose_cache_dir() -> Path:
+    name = f"kernels-{_source_hash()}"
+    wanted = cache_root() / name
+    return wanted if _writable(wanted) else Path(tempfile.gettempdir()) / f"f3sr-{os.getuid()}" / name
+
+
+CACHE_DIR = _choose_cache_dir()
+
+
+def kernel(function: F) -> F:
+    """``njit`` with the project's options: GIL released, cached on disk, IEEE arithmetic for equal bytes."""
+    from numba import config, njit
+
+    config.CACHE_DIR = str(CACHE_DIR)
+    return cast(F, njit(cache=True, nogil=True, fastmath=False, error_model="numpy")(function))
+
+
+def inline_kernel(function: F) -> F:
+    """A small kernel that is inlined into the kernels that call it."""
+    from numba import njit
+
+    return cast(F, njit(inline="always", error_model="numpy")(function))
+
+
+def is_warm() -> bool:
+    """True when every kernel has been compiled for this version of the sources."""
+    return (CACHE_DIR / "warm").exists()
+
+
+def warm_up(say: Callable[[str], None] = lambda _: None) -> float:
+    """Compile what is not in the cache yet, telling ``say`` first. Returns the seconds it took."""
+    import importlib
+
+    if not is_warm():
+        say("compiling kernels, once per machine (about half a minute)")
+    start = time.perf_counter()
+    for name in KERNEL_MODULES:
+        importlib.import_module(f"f3sr.{name}").warm_up()
+    if _writable(CACHE_DIR):
+        (CACHE_DIR / "warm").touch()
+    return time.perf_counter() - start

@@ -1,0 +1,66 @@
+"""What a stage says about its work: measures before and after, decisions taken, and the one accept/rollback guard."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measure:
+    """One number with its unit; ``before`` is None where the quantity did not exist before the stage."""
+
+    name: str
+    after: float
+    before: float | None = None
+    unit: str = ""
+    about: int | None = None
+    """Object id, or None for the whole scene."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decision:
+    """A choice a user should know of: an accepted or rejected step, a fallback, an assumption."""
+
+    choice: str
+    reason: str
+    about: int | None = None
+    """Object id, or None for the whole scene."""
+    fallback: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """The result sheet of one stage."""
+
+    stage: str
+    measures: tuple[Measure, ...] = ()
+    decisions: tuple[Decision, ...] = ()
+
+    @property
+    def fallbacks(self) -> tuple[Decision, ...]:
+        return tuple(d for d in self.decisions if d.fallback)
+
+
+def keep_better(
+    before: T,
+    after: T,
+    *,
+    score: Callable[[T], float],
+    step: str,
+    measure: str,
+    tolerance: float = 0.0,
+    about: int | None = None,
+) -> tuple[T, Decision]:
+    """Keep ``after`` unless it scores more than ``tolerance`` below ``before`` (higher is better)."""
+    was, now = score(before), score(after)
+    accepted = now >= was - tolerance
+    decision = Decision(
+        choice=f"{step}: {'accepted' if accepted else 'rolled back'}",
+        reason=f"{measure} {was:.4f} -> {now:.4f}",
+        about=about,
+    )
+    return (after if accepted else before), decision

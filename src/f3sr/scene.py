@@ -1,0 +1,278 @@
+"""The one immutable value that travels through all stages: photo, camera, ground and objects."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.frames import Array, Camera, frozen, transform
+from f3sr.mesh import ConvexPart, Mesh
+
+GROUND = -1
+"""The id of the ground in supports and contacts."""
+
+Mobility = Literal["dynamic", "fixed"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Photo:
+    """The photo, (height, width, 3) uint8 sRGB."""
+
+    rgb: NDArray[np.uint8]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rgb", frozen(self.rgb, np.uint8))
+
+    @property
+    def width(self) -> int:
+        return self.rgb.shape[1]
+
+    @property
+    def height(self) -> int:
+        return self.rgb.shape[0]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Geometry:
+    """Per-pixel geometry of the photo, in camera axes; its resolution need not be the photo's.
+
+    ``points`` (h, w, 3) [m], meaningful where ``valid`` (h, w); ``normals`` (h, w, 3) unit or None.
+    """
+
+    points: NDArray[np.float32]
+    valid: NDArray[np.bool_]
+    normals: NDArray[np.float32] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", frozen(self.points, np.float32))
+        object.__setattr__(self, "valid", frozen(self.valid, np.bool_))
+        if self.normals is not None:
+            object.__setattr__(self, "normals", frozen(self.normals, np.float32))
+
+    def inside(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Valid geometry pixels (h, w) whose centres fall into a photo-sized mask."""
+        h, w = self.valid.shape
+        rows = ((np.arange(h) + 0.5) * mask.shape[0] / h).astype(int)
+        columns = ((np.arange(w) + 0.5) * mask.shape[1] / w).astype(int)
+        return self.valid & mask[rows][:, columns]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Ground:
+    """The support plane ``normal . x = offset`` in the world; after ``level`` it is z = 0."""
+
+    normal: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    offset: float = 0.0
+    source: str = "provisional"
+    confidence: float = 0.0
+    """In [0, 1]: the share of candidate ground points that lie on the plane."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """How far a stage moved an object: centre of mass [m], turn [rad], scale factor, and why."""
+
+    stage: str
+    translation: tuple[float, float, float]
+    rotation: float
+    scale: float
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Support:
+    """A support of an object: ``id`` of what carries it (GROUND for the ground) and its share of the load."""
+
+    id: int
+    share: float = 1.0
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SceneObject:
+    """One instance: its mask in the photo and its mesh in the world.
+
+    ``mesh`` and ``parts`` are in the asset's own axes and unit; world points are
+    ``T_world_object @ (scale * v)``, with ``T_world_object`` rigid.
+    """
+
+    id: int
+    label: str
+    mask_name: str
+    mask: NDArray[np.bool_]
+    mesh: Mesh
+    T_world_object: Array
+    scale: float = 1.0
+    parts: tuple[ConvexPart, ...] = ()
+    """Collision proxies, same frame and unit as ``mesh``."""
+    mobility: Mobility = "dynamic"
+    density: float = 600.0
+    """[kg/m3]"""
+    friction: float = 0.6
+    rolling_friction: float = 0.001
+    restitution: float = 0.0
+    material: str = "unknown"
+    supports: tuple[Support, ...] = ()
+    supported_by: int | None = None
+    """Id of the main support in the forest, GROUND for the ground, None for nothing known."""
+    motion: tuple[Motion, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mask", frozen(self.mask, np.bool_))
+        object.__setattr__(self, "T_world_object", frozen(self.T_world_object))
+
+    @cached_property
+    def T_world_asset(self) -> Array:
+        """The similarity that maps asset coordinates into the world: T_world_object @ diag(scale)."""
+        T = self.T_world_object.copy()
+        T[:3, :3] *= self.scale
+        return T
+
+    @cached_property
+    def vertices_world(self) -> Array:
+        """(n, 3) [m]"""
+        return frozen(transform(self.T_world_asset, self.mesh.vertices))
+
+    @cached_property
+    def bounds_world(self) -> Array:
+        """(2, 3) [m]"""
+        return np.stack([self.vertices_world.min(0), self.vertices_world.max(0)])
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the world bounding box [m]."""
+        return float(np.linalg.norm(self.bounds_world[1] - self.bounds_world[0]))
+
+    @cached_property
+    def parts_world(self) -> tuple[ConvexPart, ...]:
+        return tuple(part.moved(self.T_world_asset) for part in self.parts)
+
+    def moved(self, T: Array, *, stage: str, reason: str, scale: float = 1.0) -> Self:
+        """Apply the world similarity ``x -> T (scale * x)``, T rigid (4, 4), and note it in ``motion``."""
+        from f3sr.frames import rotation_angle
+
+        R, t = T[:3, :3], T[:3, 3]
+        T_new = np.eye(4)
+        T_new[:3, :3] = R @ self.T_world_object[:3, :3]
+        T_new[:3, 3] = R @ (scale * self.T_world_object[:3, 3]) + t
+        center = self.bounds_world.mean(0)
+        shift = R @ (scale * center) + t - center
+        note = Motion(
+            stage=stage,
+            translation=(float(shift[0]), float(shift[1]), float(shift[2])),
+            rotation=rotation_angle(R),
+            scale=float(scale),
+            reason=reason,
+        )
+        return replace(self, T_world_object=T_new, scale=self.scale * scale, motion=(*self.motion, note))
+
+
+Predicate = Literal[
+    "supported_by",
+    "contains",
+    "inside",
+    "leaning_on",
+    "in_front_of",
+    "behind",
+    "next_to",
+    "touching",
+    "overlaps_2d",
+    "unknown",
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relation:
+    """``subject predicate object`` with a confidence in [0, 1] and the evidence it rests on."""
+
+    subject: int
+    predicate: Predicate
+    object: int
+    confidence: float
+    evidence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneGraph:
+    relations: tuple[Relation, ...] = ()
+    source: str = "provisional"
+
+    def of(self, predicate: Predicate) -> frozenset[tuple[int, int]]:
+        """The (subject, object) pairs of one predicate."""
+        return frozenset((r.subject, r.object) for r in self.relations if r.predicate == predicate)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Excluded:
+    """A mask that is not an object, and why."""
+
+    mask: str
+    reason: str
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Scene:
+    """Everything known after a stage. Object ids, their order (by id) and the photo never change."""
+
+    photo: Photo
+    camera: Camera
+    objects: tuple[SceneObject, ...]
+    ground: Ground = field(default_factory=Ground)
+    ground_mask: NDArray[np.bool_] | None = None
+    geometry: Geometry | None = None
+    graph: SceneGraph = field(default_factory=SceneGraph)
+    excluded: tuple[Excluded, ...] = ()
+
+    def __post_init__(self) -> None:
+        ids = [o.id for o in self.objects]
+        if ids != sorted(set(ids)):
+            raise ValueError(f"objects must be unique and sorted by id, found {ids}")
+        for o in self.objects:
+            if o.mask.shape != (self.photo.height, self.photo.width):
+                raise ValueError(f"mask of object {o.id} is {o.mask.shape}, the photo {self.photo.rgb.shape}")
+
+    def __iter__(self) -> Iterator[SceneObject]:
+        return iter(self.objects)
+
+    def __getitem__(self, id: int) -> SceneObject:
+        return self._by_id[id]
+
+    @cached_property
+    def _by_id(self) -> Mapping[int, SceneObject]:
+        return {o.id: o for o in self.objects}
+
+    def with_objects(self, *changed: SceneObject) -> Self:
+        """The scene with some objects replaced by new values of the same id."""
+        new = {o.id: o for o in changed}
+        if unknown := new.keys() - self._by_id.keys():
+            raise KeyError(f"no objects {sorted(unknown)}; the scene has {sorted(self._by_id)}")
+        return replace(self, objects=tuple(new.get(o.id, o) for o in self.objects))
+
+    def children(self, id: int) -> tuple[int, ...]:
+        """Ids of the objects whose main support is ``id``."""
+        return tuple(o.id for o in self.objects if o.supported_by == id)
+
+    def subtree(self, id: int) -> tuple[int, ...]:
+        """``id`` and everything that rests on it, directly or not."""
+        found = [id]
+        for i in found:
+            found.extend(c for c in self.children(i) if c not in found)
+        return tuple(found)
+
+    def ancestors(self, id: int) -> tuple[int, ...]:
+        """The chain of supports below ``id``, nearest first, without the ground."""
+        chain: list[int] = []
+        while (parent := self[chain[-1] if chain else id].supported_by) not in (None, GROUND, *chain):
+            assert parent is not None
+            chain.append(parent)
+        return tuple(chain)
+
+    @cached_property
+    def diagonal(self) -> float:
+        """Diagonal [m] of the box around all objects."""
+        corners = np.concatenate([o.bounds_world for o in self.objects])
+        return float(np.linalg.norm(np.ptp(corners, axis=0)))
