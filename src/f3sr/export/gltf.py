@@ -1,0 +1,201 @@
+"""Binary glTF: meshes with their appearance, and whole scenes."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.frames import Array
+from f3sr.mesh import Material, Mesh
+from f3sr.scene import SceneObject
+
+T_YUP_ZUP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+"""From the world (Z up) to glTF's axes (Y up)."""
+
+FLOAT, UINT8, UINT32 = 5126, 5121, 5125
+VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
+LINEAR_REPEAT = {"magFilter": 9729, "minFilter": 9729, "wrapS": 10497, "wrapT": 10497}
+
+
+def mesh_to_glb(mesh: Mesh, *, name: str = "mesh") -> bytes:
+    """One mesh in its own frame: no axis flip, faces and vertices in their order, vertices as float32."""
+    glb = GlbBuilder()
+    glb.add_node(name, mesh=glb.add_mesh(mesh, name))
+    return glb.to_bytes()
+
+
+def scene_to_glb(objects: Iterable[SceneObject]) -> bytes:
+    """The whole scene in metres, Y up: one node per object, its id and label in the node's extras."""
+    glb = GlbBuilder()
+    for o in objects:
+        name = safe_name(f"object_{o.id:02d}_{o.label}")
+        mesh = glb.add_mesh(o.mesh.with_vertices(o.scale * o.mesh.vertices), name)
+        glb.add_node(name, mesh=mesh, T=T_YUP_ZUP @ o.T_world_object, extras={"id": o.id, "label": o.label})
+    return glb.to_bytes()
+
+
+def safe_name(text: str, *, longest: int = 60) -> str:
+    """Letters, digits, ``_`` and ``-`` of a text; everything else, and what is too long, is left out."""
+    kept = "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in text[: 4 * longest])
+    return kept[:longest].strip("_") or "unnamed"
+
+
+class GlbBuilder:
+    """Collects meshes and nodes and lays them out as one GLB file; equal calls give equal bytes."""
+
+    def __init__(self) -> None:
+        self._tree: dict[str, list[Any]] = {
+            k: [] for k in ("nodes", "meshes", "materials", "textures", "images", "accessors", "bufferViews")
+        }
+        self._chunks: list[bytes] = []
+        self._offset = 0
+        self._materials: dict[int, int] = {}
+
+    def add_node(
+        self, name: str, *, mesh: int, T: Array | None = None, extras: Mapping[str, Any] | None = None
+    ) -> None:
+        """A root node that shows ``mesh`` under the 4x4 transform T."""
+        node: dict[str, Any] = {"name": name, "mesh": mesh}
+        if T is not None:
+            node["matrix"] = T.T.ravel().tolist()
+        if extras:
+            node["extras"] = dict(extras)
+        self._tree["nodes"].append(node)
+
+    def add_mesh(self, mesh: Mesh, name: str) -> int:
+        """Index of a new glTF mesh, one primitive per run of faces of one material.
+
+        An untextured mesh carries its base colour in its vertex colours and has no material: that is what all
+        readers, trimesh included, agree on.
+        """
+        textured = any(m.texture is not None for m in mesh.materials)
+        primitives = [
+            self._primitive(mesh, faces, mesh.materials[index], textured=textured)
+            for index, faces in _runs(mesh)
+        ]
+        self._tree["meshes"].append({"name": name, "primitives": primitives})
+        return len(self._tree["meshes"]) - 1
+
+    def to_bytes(self) -> bytes:
+        tree: dict[str, Any] = {"asset": {"version": "2.0", "generator": "f3sr"}, "scene": 0}
+        tree["scenes"] = [{"nodes": list(range(len(self._tree["nodes"])))}]
+        tree |= {key: values for key, values in self._tree.items() if values}
+        if self._tree["textures"]:
+            tree["samplers"] = [LINEAR_REPEAT]
+        binary = b"".join(self._chunks)
+        tree["buffers"] = [{"byteLength": len(binary)}]
+        header = json.dumps(tree, separators=(",", ":")).encode()
+        header += b" " * (-len(header) % 4)
+        total = 12 + 8 + len(header) + 8 + len(binary)
+        return b"".join(
+            (
+                struct.pack("<III", 0x46546C67, 2, total),
+                struct.pack("<II", len(header), 0x4E4F534A),
+                header,
+                struct.pack("<II", len(binary), 0x004E4942),
+                binary,
+            )
+        )
+
+    def _primitive(
+        self, mesh: Mesh, faces: NDArray[np.int32] | None, material: Material, *, textured: bool
+    ) -> dict[str, Any]:
+        """One primitive: ``faces`` of one material, or all of the mesh when None."""
+        if faces is None:
+            used, local = np.arange(len(mesh.vertices)), mesh.faces
+        else:
+            used, inverse = np.unique(faces, return_inverse=True)
+            local = inverse.reshape(-1, 3)
+        attributes = {"POSITION": self._accessor(mesh.vertices[used].astype(np.float32), "VEC3", bounds=True)}
+        colors = None if mesh.vertex_colors is None else mesh.vertex_colors[used]
+        primitive: dict[str, Any] = {"attributes": attributes, "mode": 4}
+        if textured:
+            uv = np.zeros((len(used), 2)) if mesh.uv is None else mesh.uv[used] * [1, -1] + [0, 1]
+            attributes["TEXCOORD_0"] = self._accessor(uv.astype(np.float32), "VEC2")
+            primitive["material"] = self._material(material)
+        else:
+            white = np.full((len(used), 3), 255, np.uint8)
+            colors = np.rint((white if colors is None else colors) * material.base_color)
+        if colors is not None:
+            rgba = np.full((len(used), 4), 255, np.uint8)
+            rgba[:, :3] = colors
+            attributes["COLOR_0"] = self._accessor(rgba, "VEC4")
+        primitive["indices"] = self._accessor(local.astype(np.uint32).ravel(), "SCALAR", target=INDEX_BUFFER)
+        return primitive
+
+    def _material(self, material: Material) -> int:
+        """Index of a glTF material; equal values are written once."""
+        key = id(material)
+        if key in self._materials:
+            return self._materials[key]
+        surface: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": 1.0}
+        surface["baseColorFactor"] = [*map(float, material.base_color), 1.0]
+        if material.texture is not None:
+            view = self._view(png_of(material))
+            self._tree["images"].append({"bufferView": view, "mimeType": "image/png"})
+            self._tree["textures"].append({"sampler": 0, "source": len(self._tree["images"]) - 1})
+            surface["baseColorTexture"] = {"index": len(self._tree["textures"]) - 1}
+        self._tree["materials"].append({"pbrMetallicRoughness": surface, "doubleSided": True})
+        self._materials[key] = len(self._tree["materials"]) - 1
+        return self._materials[key]
+
+    def _accessor(
+        self, values: NDArray[Any], kind: str, *, bounds: bool = False, target: int = VERTEX_BUFFER
+    ) -> int:
+        component = {"f": FLOAT, "u": UINT8 if values.dtype == np.uint8 else UINT32}[values.dtype.kind]
+        accessor: dict[str, Any] = {"bufferView": self._view(values.tobytes(), target), "type": kind}
+        accessor |= {"componentType": component, "count": len(values)}
+        if component == UINT8:
+            accessor["normalized"] = True
+        if bounds:
+            accessor |= {"min": values.min(0).tolist(), "max": values.max(0).tolist()}
+        self._tree["accessors"].append(accessor)
+        return len(self._tree["accessors"]) - 1
+
+    def _view(self, data: bytes, target: int | None = None) -> int:
+        view = {"buffer": 0, "byteOffset": self._offset, "byteLength": len(data)}
+        if target is not None:
+            view["target"] = target
+        self._tree["bufferViews"].append(view)
+        self._chunks.append(data + b"\0" * (-len(data) % 4))
+        self._offset += len(self._chunks[-1])
+        return len(self._tree["bufferViews"]) - 1
+
+
+def _runs(mesh: Mesh) -> Iterator[tuple[int, NDArray[np.int32] | None]]:
+    """(material, faces) of each maximal run of faces of one material; faces None: the whole mesh."""
+    material = mesh.face_material
+    assert material is not None
+    starts = np.flatnonzero(np.diff(material, prepend=-1))
+    if len(starts) == 1:
+        yield int(material[0]), None
+        return
+    for start, faces in zip(starts, np.split(mesh.faces, starts[1:]), strict=True):
+        yield int(material[start]), faces
+
+
+_PNGS: WeakKeyDictionary[Material, bytes] = WeakKeyDictionary()
+
+
+def png_of(material: Material) -> bytes:
+    """The texture of a material as PNG, encoded once however many files it goes to."""
+    if material not in _PNGS:
+        assert material.texture is not None
+        _PNGS[material] = encode_png(material.texture)
+    return _PNGS[material]
+
+
+def encode_png(rgb: NDArray[np.uint8]) -> bytes:
+    """PNG bytes of (h, w, 3) uint8."""
+    from PIL import Image
+
+    stream = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(rgb)).save(stream, format="PNG", compress_level=4)
+    return stream.getvalue()
