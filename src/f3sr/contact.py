@@ -1,0 +1,467 @@
+"""Exact relations between convex polytopes and unions of them: depth, forbidden shifts, smallest moves apart.
+
+Everything is read off the facets of one Minkowski difference. ``A`` moved by ``x`` overlaps ``B`` exactly
+when ``normal . x > -height`` for every facet, where the facets are A's faces, B's faces negated, and those
+pairs of edges whose arcs cross on the Gauss map (Gregorius, "The Separating Axis Test between Convex
+Polyhedra", GDC 2013). So the depth is the smallest height, the shifts along a direction that overlap form one
+interval, and the horizontal shifts that overlap form one convex polygon. Lengths are in the polytopes' unit,
+metres when they stand in the world.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from f3sr.frames import Array, frozen, transform
+from f3sr.kernels import kernel
+from f3sr.mesh import ConvexPart
+
+COPLANAR = 1e-7
+"""Triangles merge into one facet when they leave its plane by less than this share of the polytope's size."""
+TOUCH = 1e-9
+"""Overlaps up to this share of the two parts' sizes are contact, not collision. Shifts leave half of it, so
+that rounding cannot turn the contact they end in back into a collision."""
+PARALLEL = 1e-12
+"""Sine below which a facet counts as parallel to a direction: rounding of unit vectors."""
+
+NEVER = (np.inf, -np.inf)
+"""The empty interval."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Polytope:
+    """A convex polytope with what separating-axis tests need, coplanar triangles merged into one facet.
+
+    ``vertices`` (n, 3); outward unit ``normals`` (f, 3) and ``offsets`` (f,): inside is
+    ``normals . x <= offsets``; per edge ``edge_starts`` (e, 3), unit ``edge_directions`` (e, 3) and
+    ``edge_normals`` (e, 2, 3), the facets' normals to its left and right seen from outside, so that
+    left x right points along the edge.
+    """
+
+    vertices: Array
+    normals: Array
+    offsets: Array
+    edge_starts: Array
+    edge_directions: Array
+    edge_normals: Array
+
+    def __post_init__(self) -> None:
+        for name in ("vertices", "normals", "offsets", "edge_starts", "edge_directions", "edge_normals"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    @classmethod
+    def of(cls, part: ConvexPart) -> Self:
+        """The polytope of a convex part: facets from its triangles, edges where two facets meet."""
+        left, right, edges = _adjacent(part.faces)
+        group = _coplanar_groups(part, left, right)
+        normals = _group_normals(part, group)
+        real = group[left] != group[right]
+        start, end = part.vertices[edges[real, 0]], part.vertices[edges[real, 1]]
+        direction = end - start
+        return cls(
+            vertices=part.vertices,
+            normals=normals,
+            offsets=(part.vertices @ normals.T).max(0),
+            edge_starts=start,
+            edge_directions=direction / np.linalg.norm(direction, axis=1, keepdims=True),
+            edge_normals=np.stack([normals[group[left[real]]], normals[group[right[real]]]], axis=1),
+        )
+
+    @cached_property
+    def bounds(self) -> Array:
+        """(2, 3) lowest and highest corner."""
+        return np.stack([self.vertices.min(0), self.vertices.max(0)])
+
+    @cached_property
+    def size(self) -> float:
+        """Diagonal of the bounding box."""
+        return float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
+
+    def shifted(self, t: ArrayLike) -> Self:
+        """The polytope moved by t (3,)."""
+        T = np.eye(4)
+        T[:3, 3] = t
+        return self.moved(T)
+
+    def moved(self, T: Array) -> Self:
+        """The polytope under a similarity T (4, 4) without reflection; facets and edges are carried along."""
+        scale = float(np.cbrt(np.linalg.det(T[:3, :3])))
+        R, t = T[:3, :3] / scale, T[:3, 3]
+        normals = self.normals @ R.T
+        return type(self)(
+            vertices=transform(T, self.vertices),
+            normals=normals,
+            offsets=scale * self.offsets + normals @ t,
+            edge_starts=transform(T, self.edge_starts),
+            edge_directions=self.edge_directions @ R.T,
+            edge_normals=self.edge_normals @ R.T,
+        )
+
+
+Body = Sequence[Polytope]
+"""A body is the union of its convex parts."""
+
+
+# One pair of convex polytopes
+
+
+def overlap_depth(a: Polytope, b: Polytope) -> float:
+    """Length of the smallest move that ends the overlap; <= 0 when apart (then it is no distance)."""
+    _, heights = _face_facets(a, b)
+    depth = heights.min()
+    if depth > 0:
+        depth = min(depth, _edge_facets(a, b)[1].min(initial=np.inf))
+    return float(depth)
+
+
+def forbidden_interval(a: Polytope, b: Polytope, direction: ArrayLike) -> tuple[float, float]:
+    """The open interval (lo, hi) of t where ``a`` moved by ``t * direction`` (3,) collides with ``b``.
+
+    Never: ``NEVER``, whose lo is greater than its hi.
+    """
+    u = np.asarray(direction, float)
+    slack = _touch(a, b) / 2
+    lo, hi = _interval(*_face_facets(a, b), u, slack)
+    if lo >= hi:
+        return NEVER
+    edge_lo, edge_hi = _interval(*_edge_facets(a, b), u, slack)
+    lo, hi = max(lo, edge_lo), min(hi, edge_hi)
+    return (lo, hi) if lo < hi else NEVER
+
+
+def horizontal_escape(a: Polytope, b: Polytope) -> tuple[float, Array]:
+    """The smallest horizontal move of ``a`` out of ``b``: length and direction (2,); zeros when apart.
+
+    Exact: the horizontal shifts that overlap form a convex polygon; its nearest edge is the way out.
+    """
+    normals, heights = facets(a, b)
+    if heights.min() <= _touch(a, b):
+        return 0.0, np.zeros(2)
+    lengths = np.linalg.norm(normals[:, :2], axis=1)
+    usable = lengths > PARALLEL
+    distances = heights[usable] / lengths[usable]
+    nearest = int(np.argmin(distances))
+    return float(distances[nearest]), -normals[usable][nearest, :2] / lengths[usable][nearest]
+
+
+def facets(a: Polytope, b: Polytope) -> tuple[Array, Array]:
+    """Unit normals (k, 3) and heights (k,): ``a`` moved by x overlaps ``b`` iff all ``n . x > -h``."""
+    face_normals, face_heights = _face_facets(a, b)
+    edge_normals, edge_heights = _edge_facets(a, b)
+    return np.concatenate([face_normals, edge_normals]), np.concatenate([face_heights, edge_heights])
+
+
+# Bodies made of several parts
+
+
+def collide(A: Body, B: Body, tolerance: float = 0.0) -> bool:
+    """Equation 10: does some pair of parts overlap deeper than ``tolerance`` (and than mere touching)?"""
+    return any(
+        overlap_depth(A[i], B[j]) > max(tolerance, _touch(A[i], B[j]))
+        for i, j in _boxes_overlap(A, B, (0, 1, 2))
+    )
+
+
+def smallest_shift(A: Body, B: Body, direction: ArrayLike, clearance: float = 0.0) -> float:
+    """Equation 11: the smallest t >= 0 for which A moved by ``t * direction`` is free of B.
+
+    Exact: the first point outside the union of the forbidden intervals of all pairs of parts, also of those
+    that are free at t = 0 and would collide on the way. ``clearance`` (in t, so metres for a unit direction)
+    is the gap that must be left behind A along the direction.
+    """
+    t = 0.0
+    for lo, hi in sorted(_forbidden(A, B, np.asarray(direction, float), beyond=-clearance)):
+        if lo < t < hi + clearance:
+            t = hi + clearance
+    return t
+
+
+def free_travel(A: Body, B: Body, direction: ArrayLike) -> float:
+    """The largest t >= 0 by which A can move along ``direction`` before it collides with B, or inf."""
+    u = np.asarray(direction, float)
+    return max(0.0, min((lo for lo, _ in _forbidden(A, B, u, beyond=0.0)), default=np.inf))
+
+
+def smallest_horizontal_move(A: Body, B: Body) -> Array:
+    """The shortest horizontal move (2,) after which A is free of B, zeros when it is free already.
+
+    Exact: the forbidden moves are a union of convex polygons; the nearest free point is the origin, its foot
+    on an edge or a crossing of two edges, whichever is nearest and inside no polygon.
+    """
+    if not collide(A, B):
+        return np.zeros(2)
+    polygons = [p for i, j in _boxes_overlap(A, B, (2,)) if len(p := _horizontal_slice(A[i], B[j]))]
+    starts = np.cumsum([0, *map(len, polygons)])
+    slack = min(_touch(a, b) for a in A for b in B) / 4
+    return _nearest_free(np.concatenate(polygons), starts.astype(np.int64), slack)
+
+
+def _forbidden(A: Body, B: Body, u: Array, *, beyond: float) -> Iterator[tuple[float, float]]:
+    """The forbidden intervals of all pairs of parts that end after ``beyond``."""
+    for i, j in _boxes_meet(A, B, u, beyond):
+        lo, hi = forbidden_interval(A[i], B[j], u)
+        if lo < hi and hi > beyond:
+            yield lo, hi
+
+
+def _boxes_overlap(A: Body, B: Body, axes: tuple[int, ...]) -> NDArray[np.int64]:
+    """Broad phase: pairs (k, 2) of parts whose bounding boxes overlap in the given axes."""
+    a, b = (np.stack([p.bounds for p in body])[:, :, axes] for body in (A, B))
+    apart = (a[:, None, 1] <= b[None, :, 0]) | (b[None, :, 1] <= a[:, None, 0])
+    return np.argwhere(~apart.any(-1))
+
+
+def _boxes_meet(A: Body, B: Body, u: Array, beyond: float) -> NDArray[np.int64]:
+    """Swept broad phase: pairs (k, 2) of parts whose boxes overlap at some shift t > ``beyond`` along u."""
+    a, b = (np.stack([p.bounds for p in body]) for body in (A, B))
+    low, high = b[None, :, 0] - a[:, None, 1], b[None, :, 1] - a[:, None, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        first, last = np.minimum(low / u, high / u), np.maximum(low / u, high / u)
+    still, within = np.abs(u) <= PARALLEL * np.linalg.norm(u), (low < 0) & (high > 0)
+    first = np.where(still, np.where(within, -np.inf, np.inf), first).max(-1)
+    last = np.where(still, np.where(within, np.inf, -np.inf), last).min(-1)
+    return np.argwhere((first < last) & (last > beyond))
+
+
+# Facets of the Minkowski difference
+
+
+def _touch(a: Polytope, b: Polytope) -> float:
+    return TOUCH * (a.size + b.size)
+
+
+def _face_facets(a: Polytope, b: Polytope) -> tuple[Array, Array]:
+    """Facets whose normal is a face's of a, or the negated one of a face of b."""
+    heights_a = a.offsets - (b.vertices @ a.normals.T).min(0)
+    heights_b = b.offsets - (a.vertices @ b.normals.T).min(0)
+    return np.concatenate([a.normals, -b.normals]), np.concatenate([heights_a, heights_b])
+
+
+def _edge_facets(a: Polytope, b: Polytope) -> tuple[Array, Array]:
+    """Facets spanned by one edge of each."""
+    planes = _edge_planes(
+        a.vertices,
+        a.edge_starts,
+        a.edge_directions,
+        a.edge_normals,
+        b.vertices,
+        b.edge_starts,
+        b.edge_directions,
+        b.edge_normals,
+    )
+    return planes[:, :3], planes[:, 3]
+
+
+@kernel
+def _edge_planes(
+    points_a: Array,
+    starts_a: Array,
+    directions_a: Array,
+    normals_a: Array,
+    points_b: Array,
+    starts_b: Array,
+    directions_b: Array,
+    normals_b: Array,
+) -> Array:
+    """Rows (normal, height) (k, 4) of the edge pairs whose Gauss-map arcs cross, b's arcs negated."""
+    planes = np.empty((len(starts_a) * len(starts_b), 4))
+    k = 0
+    for i in range(len(starts_a)):
+        px, py, pz = directions_a[i]
+        l0x, l0y, l0z = normals_a[i, 0]
+        l1x, l1y, l1z = normals_a[i, 1]
+        for j in range(len(starts_b)):
+            c = normals_b[j, 0, 0] * px + normals_b[j, 0, 1] * py + normals_b[j, 0, 2] * pz
+            d = normals_b[j, 1, 0] * px + normals_b[j, 1, 1] * py + normals_b[j, 1, 2] * pz
+            if c * d >= 0.0:  # b's arc stays on one side of the plane of a's arc
+                continue
+            qx, qy, qz = directions_b[j]
+            e = l0x * qx + l0y * qy + l0z * qz
+            f = l1x * qx + l1y * qy + l1z * qz
+            if (
+                e * f >= 0.0 or c * f >= 0.0
+            ):  # a's arc on one side of b's; or crossing on opposite hemispheres
+                continue
+            nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
+            sine = np.sqrt(nx * nx + ny * ny + nz * nz)
+            if sine < 1e-10:
+                continue
+            if nx * (l0x + l1x) + ny * (l0y + l1y) + nz * (l0z + l1z) < 0.0:  # outward from a
+                sine = -sine
+            nx, ny, nz = nx / sine, ny / sine, nz / sine
+            if abs(sine) > 1e-5:
+                h = nx * (starts_a[i, 0] - starts_b[j, 0])
+                h += ny * (starts_a[i, 1] - starts_b[j, 1])
+                h += nz * (starts_a[i, 2] - starts_b[j, 2])
+            else:  # nearly parallel edges: their normal is uncertain, so take the true support along it
+                high, low = -np.inf, np.inf
+                for m in range(len(points_a)):
+                    high = max(high, points_a[m, 0] * nx + points_a[m, 1] * ny + points_a[m, 2] * nz)
+                for m in range(len(points_b)):
+                    low = min(low, points_b[m, 0] * nx + points_b[m, 1] * ny + points_b[m, 2] * nz)
+                h = high - low
+            planes[k, 0], planes[k, 1], planes[k, 2], planes[k, 3] = nx, ny, nz, h
+            k += 1
+    return planes[:k].copy()
+
+
+def _interval(normals: Array, heights: Array, u: Array, slack: float) -> tuple[float, float]:
+    """Where ``t * u`` lies in all half-spaces ``normals . x > slack - heights``."""
+    speeds, bounds = normals @ u, slack - heights
+    parallel = np.abs(speeds) <= PARALLEL * np.linalg.norm(u)
+    if (bounds[parallel] >= 0).any():
+        return NEVER
+    along, against = (speeds > 0) & ~parallel, (speeds < 0) & ~parallel
+    lo = (bounds[along] / speeds[along]).max(initial=-np.inf)
+    hi = (bounds[against] / speeds[against]).min(initial=np.inf)
+    return float(lo), float(hi)
+
+
+# Horizontal moves: polygons in the plane of shifts
+
+
+def _horizontal_slice(a: Polytope, b: Polytope) -> Array:
+    """The polygon of horizontal shifts where a collides with b: half-planes (k, 3), ``n . x + h > 0``."""
+    normals, heights = facets(a, b)
+    heights = heights - _touch(a, b) / 2
+    lengths = np.linalg.norm(normals[:, :2], axis=1)
+    level = lengths <= PARALLEL
+    if (heights[level] <= 0).any():
+        return np.empty((0, 3))
+    planes = np.column_stack([normals[~level, :2], heights[~level]]) / lengths[~level, None]
+    low, high = b.bounds[0] - a.bounds[1], b.bounds[1] - a.bounds[0]
+    box = np.array([[0, 1, -low[1]], [-1, 0, high[0]], [0, -1, high[1]], [1, 0, -low[0]]])
+    planes = np.concatenate([planes, box])
+    return planes[_polygon_sides(planes)]
+
+
+@kernel
+def _polygon_sides(planes: Array) -> NDArray[np.int64]:
+    """Which half-planes (k, 3) bound their common polygon; the last four are a box around it.
+
+    Sutherland-Hodgman clipping; empty when the half-planes have nothing in common.
+    """
+    k = len(planes)
+    x, y, side = np.empty(k + 8), np.empty(k + 8), np.empty(k + 8, np.int64)
+    x2, y2, side2 = np.empty(k + 8), np.empty(k + 8), np.empty(k + 8, np.int64)
+    left, right, bottom, top = -planes[k - 1, 2], planes[k - 3, 2], -planes[k - 4, 2], planes[k - 2, 2]
+    x[:4] = np.array([left, right, right, left])
+    y[:4] = np.array([bottom, bottom, top, top])
+    side[:4] = np.array([k - 4, k - 3, k - 2, k - 1])
+    n = 4
+    for p in range(k - 4):
+        m = 0
+        for i in range(n):
+            j = (i + 1) % n
+            here = planes[p, 0] * x[i] + planes[p, 1] * y[i] + planes[p, 2]
+            there = planes[p, 0] * x[j] + planes[p, 1] * y[j] + planes[p, 2]
+            if here >= 0.0:
+                x2[m], y2[m], side2[m] = x[i], y[i], side[i]
+                m += 1
+            if (here >= 0.0) != (there >= 0.0):
+                w = here / (here - there)
+                x2[m], y2[m] = x[i] + w * (x[j] - x[i]), y[i] + w * (y[j] - y[i])
+                side2[m] = p if here >= 0.0 else side[i]
+                m += 1
+        x, y, side, x2, y2, side2, n = x2, y2, side2, x, y, side, m
+    return side[:n].copy()
+
+
+@kernel
+def _nearest_free(planes: Array, starts: NDArray[np.int64], slack: float) -> Array:
+    """The point nearest to the origin that lies in no polygon deeper than ``slack``.
+
+    Polygon p has the half-planes ``planes[starts[p]:starts[p + 1]]``, rows (unit normal, height). Candidates:
+    the feet of the origin on the lines, then the crossings of lines nearer than the best foot.
+    """
+    order = np.argsort(np.abs(planes[:, 2]))
+    planes_near = planes[order]
+    best, best_x, best_y = np.inf, 0.0, 0.0
+    for i in range(len(planes)):
+        x, y = -planes_near[i, 2] * planes_near[i, 0], -planes_near[i, 2] * planes_near[i, 1]
+        if _is_free(x, y, planes, starts, slack):
+            best, best_x, best_y = abs(planes_near[i, 2]), x, y
+            break
+    for i in range(len(planes)):
+        ax, ay, ah = planes_near[i]
+        if abs(ah) >= best:
+            break
+        for j in range(i):
+            bx, by, bh = planes_near[j]
+            det = ax * by - ay * bx
+            if abs(det) < 1e-12:
+                continue
+            x, y = (ay * bh - by * ah) / det, (bx * ah - ax * bh) / det
+            distance = np.sqrt(x * x + y * y)
+            if distance < best and _is_free(x, y, planes, starts, slack):
+                best, best_x, best_y = distance, x, y
+    return np.array([best_x, best_y])
+
+
+@kernel
+def _is_free(x: float, y: float, planes: Array, starts: NDArray[np.int64], slack: float) -> bool:
+    for p in range(len(starts) - 1):
+        inside = True
+        for i in range(starts[p], starts[p + 1]):
+            if planes[i, 0] * x + planes[i, 1] * y + planes[i, 2] <= slack:
+                inside = False
+                break
+        if inside:
+            return False
+    return True
+
+
+# Facets and edges of a triangulated convex part
+
+
+def _adjacent(faces: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]:
+    """Per edge of a closed surface: the triangles to its left and right, and its directed ends (e, 2)."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    owner = np.tile(np.arange(len(faces)), 3)
+    forward = np.flatnonzero(edges[:, 0] < edges[:, 1])
+    backward = np.flatnonzero(edges[:, 0] > edges[:, 1])
+    forward = forward[np.lexsort(edges[forward].T)]
+    backward = backward[np.lexsort(edges[backward][:, ::-1].T)]
+    if not np.array_equal(edges[forward], edges[backward][:, ::-1]):
+        raise ValueError(f"a convex part of {len(faces)} faces is not closed")
+    return owner[forward], owner[backward], edges[forward]
+
+
+def _coplanar_groups(
+    part: ConvexPart, left: NDArray[np.int64], right: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Label (m,) per triangle: neighbours share one when the smaller lies in the plane of the larger."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    corners = part.vertices[part.faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(cross, axis=1)
+    large, small = np.where(area[left] >= area[right], (left, right), (right, left))
+    unit = cross[large] / np.maximum(area[large], np.finfo(float).tiny)[:, None]
+    away = np.abs(np.einsum("eki,ei->ek", corners[small] - corners[large][:, :1], unit)).max(1)
+    size = float(np.linalg.norm(np.ptp(part.vertices, axis=0)))
+    same = away <= COPLANAR * size
+    links = coo_array((np.ones(same.sum()), (left[same], right[same])), shape=(len(area), len(area)))
+    return connected_components(links, directed=False)[1].astype(np.int64)
+
+
+def _group_normals(part: ConvexPart, group: NDArray[np.int64]) -> Array:
+    """Outward unit normal (f, 3) of every group of triangles: the direction of their summed area."""
+    corners = part.vertices[part.faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    total = np.stack([np.bincount(group, weights=cross[:, k]) for k in range(3)], axis=1)
+    return total / np.linalg.norm(total, axis=1, keepdims=True)
+
+
+def warm_up() -> None:
+    """Compile every kernel of this module by calling it once."""
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    a = Polytope.of(ConvexPart.hull_of(corners))
+    smallest_horizontal_move([a], [a.shifted((0.1, 0.2, 0.1))])

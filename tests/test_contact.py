@@ -1,0 +1,307 @@
+"""Exact contact: known boxes, an independent Minkowski hull and an LP on seeded hulls, and laws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+from scipy.spatial import ConvexHull
+
+from f3sr import contact
+from f3sr.contact import Polytope
+from f3sr.frames import pose, rotation_about
+from f3sr.mesh import ConvexPart
+
+UP = np.array([0.0, 0, 1])
+SEEDS = range(25)
+
+
+def box(size=(1.0, 1.0, 1.0), center=(0.0, 0.0, 0.0)):
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    return Polytope.of(ConvexPart.hull_of(signs * np.array(size) / 2 + center))
+
+
+def random_hull(rng, n=None, spread=0.4):
+    points = rng.normal(size=(n or rng.integers(4, 30), 3)) * rng.uniform(0.2, 1, 3)
+    return Polytope.of(ConvexPart.hull_of(points + rng.normal(size=3) * spread))
+
+
+def random_body(rng, parts=4):
+    return [random_hull(rng, spread=1.0) for _ in range(parts)]
+
+
+def random_direction(rng):
+    u = rng.normal(size=3)
+    return u / np.linalg.norm(u)
+
+
+def minkowski_planes(a, b):
+    """The oracle: hull of all differences b - a, as normals and offsets; a + x overlaps b iff x is inside."""
+    differences = (b.vertices[None] - a.vertices[:, None]).reshape(-1, 3)
+    equations = ConvexHull(differences).equations
+    return equations[:, :3], -equations[:, 3]
+
+
+def lp_interval(a, b, u):
+    """The oracle by linear programming: extremes of t with a + t u touching b, or None."""
+    na, nb = len(a.vertices), len(b.vertices)
+    equal = np.zeros((5, na + nb + 1))
+    equal[:3, :na], equal[:3, na:-1], equal[:3, -1] = a.vertices.T, -b.vertices.T, u
+    equal[3, :na] = equal[4, na:-1] = 1
+    ends = []
+    for sign in (1, -1):
+        cost = np.zeros(na + nb + 1)
+        cost[-1] = sign
+        bounds = [(0, None)] * (na + nb) + [(None, None)]
+        solution = linprog(cost, A_eq=equal, b_eq=[0, 0, 0, 1, 1], bounds=bounds, method="highs")
+        if not solution.success:
+            return None
+        ends.append(solution.x[-1])
+    return ends
+
+
+# Known answers
+
+
+def test_a_box_has_six_facets_and_twelve_edges():
+    cube = box()
+    assert (len(cube.vertices), len(cube.normals), len(cube.edge_starts)) == (8, 6, 12)
+    assert np.allclose(cube.offsets, 0.5)
+
+
+def test_facets_and_edges_obey_euler_on_random_hulls():
+    for seed in SEEDS:
+        p = random_hull(np.random.default_rng(seed), 40)
+        assert len(p.vertices) - len(p.edge_starts) + len(p.normals) == 2
+        left, right = p.edge_normals[:, 0], p.edge_normals[:, 1]
+        assert (np.einsum("ij,ij->i", np.cross(left, right), p.edge_directions) > 0).all()
+
+
+@pytest.mark.parametrize(("x", "depth"), [(0.9, 0.1), (0.5, 0.5), (0.0, 1.0), (1.0, 0.0), (1.2, -0.2)])
+def test_depth_of_boxes(x, depth):
+    assert contact.overlap_depth(box(), box(center=(x, 0, 0))) == pytest.approx(depth, abs=1e-15)
+
+
+def test_interval_of_boxes():
+    a, b = box(), box(center=(0.2, 0, 3))
+    assert contact.forbidden_interval(a, b, UP) == pytest.approx((2, 4), abs=1e-8)
+    assert contact.forbidden_interval(a, b, 2 * UP) == pytest.approx((1, 2), abs=1e-8)
+    lo, hi = contact.forbidden_interval(a, b, (1.0, 0, 0))
+    assert lo >= hi
+
+
+def test_escape_of_boxes_is_horizontal():
+    a, b = box(), box(size=(1, 3, 1), center=(0.3, 0.1, 0.95))
+    length, direction = contact.horizontal_escape(a, b)
+    assert length == pytest.approx(0.7)
+    assert np.allclose(direction, [-1, 0])
+    assert contact.horizontal_escape(a, box(center=(0, 0, 2))) == (0, pytest.approx([0, 0]))
+
+
+def test_edge_against_edge():
+    """Two boxes turned by 45 degrees about crossing axes touch with one edge each."""
+    a = box().moved(pose(rotation_about([1, 0, 0], np.pi / 4)))
+    b = box().moved(pose(rotation_about([0, 1, 0], np.pi / 4), [0, 0, np.sqrt(2) - 0.01]))
+    assert contact.overlap_depth(a, b) == pytest.approx(0.01, abs=1e-12)
+    assert contact.smallest_shift([b], [a], UP) == pytest.approx(0.01, abs=1e-8)
+
+
+def test_a_shift_passes_through_what_hangs_above():
+    """A gap that is too low for the body is no place to stop; one that is high enough is."""
+    body, floor = [box()], box(size=(5, 5, 1), center=(0, 0, -0.5))
+    assert contact.smallest_shift(body, [floor], UP) == pytest.approx(0.5, abs=1e-8)
+    shelf = [floor, box(size=(5, 5, 0.2), center=(0, 0, 1.0))]
+    assert contact.smallest_shift(body, shelf, UP) == pytest.approx(1.6, abs=1e-8)
+    high_shelf = [floor, box(size=(5, 5, 0.2), center=(0, 0, 1.2))]
+    assert contact.smallest_shift(body, high_shelf, UP) == pytest.approx(0.5, abs=1e-8)
+
+
+def test_clearance_is_left_behind_only():
+    body = [box()]
+    assert contact.smallest_shift(body, [box(center=(0, 0, -1.0))], UP, clearance=0.1) == pytest.approx(0.1)
+    assert contact.smallest_shift(body, [box(center=(0, 0, -1.04))], UP, clearance=0.1) == pytest.approx(0.06)
+    assert contact.smallest_shift(body, [box(center=(0, 0, -1.2))], UP, clearance=0.1) == 0
+    assert contact.smallest_shift(body, [box(center=(0, 0, 1.01))], UP, clearance=0.1) == 0
+
+
+def test_free_travel():
+    body = [box()]
+    assert contact.free_travel(body, [box(center=(3, 0, 0))], (1, 0, 0)) == pytest.approx(2, abs=1e-8)
+    assert contact.free_travel(body, [box(center=(-3, 0, 0))], (1, 0, 0)) == np.inf
+    assert contact.free_travel(body, [box(center=(0.5, 0, 0))], (1, 0, 0)) == 0
+
+
+def test_a_horizontal_move_leaves_a_union_not_a_part():
+    """Out of two overlapping walls at once: the way out of either alone would end in the other."""
+    walls = [box(size=(1, 9, 1)), box(size=(1, 9, 1), center=(0.8, 0, 0))]
+    body = [box(size=(0.2, 0.2, 0.2), center=(0.45, 0, 0))]
+    move = contact.smallest_horizontal_move(body, walls)
+    assert move == pytest.approx([0.95, 0], abs=1e-8)
+    assert np.allclose(contact.smallest_horizontal_move(body, [box(center=(5, 0, 0))]), 0)
+
+
+# Touching and nearly coincident bodies
+
+
+def test_touching_is_no_collision():
+    a, b = box(), box(center=(0, 0, 1))
+    assert not contact.collide([a], [b])
+    assert not contact.collide([a], [b.shifted((0, 0, -1e-10))])
+    assert contact.collide([a], [b.shifted((0, 0, -1e-6))])
+    assert not contact.collide([a], [b.shifted((0, 0, -1e-3))], tolerance=2e-3)
+    assert contact.smallest_shift([b], [a], UP) == 0
+
+
+def test_what_rests_may_slide():
+    R = rotation_about([1, 2, 3], 0.7)
+    a, b = box().moved(pose(R)), box(center=(0, 0, 1)).moved(pose(R))
+    assert contact.free_travel([b], [a], R @ [1, 0, 0]) == np.inf
+    assert contact.free_travel([b], [a], R @ UP) == np.inf
+    assert contact.free_travel([b], [a], -R @ UP) == pytest.approx(0, abs=1e-8)
+
+
+def test_identical_boxes():
+    a = box().moved(pose(rotation_about([3, 1, 2], 1.1)))
+    assert contact.overlap_depth(a, a) == pytest.approx(1)
+    lo, hi = contact.forbidden_interval(a, a, UP)
+    assert lo == pytest.approx(-hi)
+    assert contact.horizontal_escape(a, a)[0] > 0
+
+
+@pytest.mark.parametrize("angle", [1e-3, 1e-6, 1e-9, 1e-12, 1e-15])
+def test_nearly_parallel_boxes(angle):
+    """The depth changes no faster than the turn: nearly parallel edges lose or invent no axis."""
+    a, b = box(), box(center=(0.1, 0.2, 0.9)).moved(pose(rotation_about([1, 1, 1], angle)))
+    assert contact.overlap_depth(a, b) == pytest.approx(0.1, abs=2 * angle + 1e-12)
+
+
+def test_copies_shifted_by_almost_nothing():
+    for seed in SEEDS:
+        rng = np.random.default_rng(seed)
+        a = random_hull(rng, 40)
+        b = a.moved(pose(rotation_about(random_direction(rng), 1e-7), 1e-8 * rng.normal(size=3)))
+        assert contact.overlap_depth(a, b) == pytest.approx(minkowski_planes(a, b)[1].min(), rel=1e-6)
+
+
+# Against independent answers
+
+
+def test_depth_and_escape_against_the_minkowski_hull():
+    overlaps = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        a, b = random_hull(rng), random_hull(rng)
+        normals, offsets = minkowski_planes(a, b)
+        depth = contact.overlap_depth(a, b)
+        assert (depth > 0) == (offsets.min() > 0)
+        length, direction = contact.horizontal_escape(a, b)
+        if depth > 0:
+            overlaps += 1
+            assert depth == pytest.approx(offsets.min(), abs=1e-9)
+            lengths = np.linalg.norm(normals[:, :2], axis=1)
+            assert length == pytest.approx((offsets / lengths).min(), abs=1e-9)
+            move = np.append((length + 1e-6) * direction, 0)
+            assert contact.overlap_depth(a.shifted(move), b) <= 0
+        else:
+            assert length == 0
+    assert 20 < overlaps < 58
+
+
+def test_interval_against_linear_programming():
+    found = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        a, b, u = random_hull(rng), random_hull(rng), random_direction(rng)
+        expected = lp_interval(a, b, u)
+        interval = contact.forbidden_interval(a, b, u)
+        assert (interval[0] < interval[1]) == (expected is not None)
+        if expected is not None:
+            found += 1
+            assert interval == pytest.approx(expected, abs=1e-6)
+    assert found > 15
+
+
+def test_horizontal_move_against_a_sweep_of_directions():
+    """No direction has a shorter way out than the exact move, and one comes close to it."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        A, B = random_body(rng), random_body(rng)
+        move = contact.smallest_horizontal_move(A, B)
+        length = np.linalg.norm(move)
+        if length == 0:
+            assert not contact.collide(A, B)
+            continue
+        assert not contact.collide([p.shifted([*move, 0]) for p in A], B)
+        angles = np.linspace(0, 2 * np.pi, 180, endpoint=False)
+        ways = [contact.smallest_shift(A, B, (np.cos(w), np.sin(w), 0)) for w in angles]
+        toward = contact.smallest_shift(A, B, (*(move / length), 0))
+        assert toward == pytest.approx(length, abs=1e-7)
+        assert min(ways) >= length - 1e-7
+
+
+# Laws
+
+
+def test_moving_both_bodies_changes_nothing():
+    for seed in SEEDS:
+        rng = np.random.default_rng(seed)
+        a, b, u = random_hull(rng), random_hull(rng), random_direction(rng)
+        R = rotation_about(random_direction(rng), rng.uniform(0, 3))
+        T = pose(R, rng.normal(size=3))
+        moved_a, moved_b = a.moved(T), b.moved(T)
+        depth = contact.overlap_depth(a, b)
+        if depth > 0:
+            assert contact.overlap_depth(moved_a, moved_b) == pytest.approx(depth, abs=1e-9)
+        before = contact.forbidden_interval(a, b, u)
+        after = contact.forbidden_interval(moved_a, moved_b, R @ u)
+        assert after == pytest.approx(before, abs=1e-7)
+
+
+def test_a_similarity_carries_facets_along():
+    rng = np.random.default_rng(0)
+    part = ConvexPart.hull_of(rng.normal(size=(20, 3)))
+    T = pose(2.5 * rotation_about([1, 2, 3], 0.8), [1, 2, 3])
+    moved, anew = Polytope.of(part).moved(T), Polytope.of(part.moved(T))
+    for name in ("vertices", "normals", "offsets", "edge_starts", "edge_directions", "edge_normals"):
+        assert np.allclose(getattr(moved, name), getattr(anew, name))
+
+
+def test_swapping_the_bodies_negates_the_interval():
+    for seed in SEEDS:
+        rng = np.random.default_rng(seed)
+        a, b, u = random_hull(rng), random_hull(rng), random_direction(rng)
+        lo, hi = contact.forbidden_interval(b, a, u)
+        assert contact.forbidden_interval(a, b, u) == pytest.approx((-hi, -lo), abs=1e-9)
+
+
+def test_the_smallest_shift_is_free_and_smallest():
+    moved = 0
+    for seed in SEEDS:
+        rng = np.random.default_rng(seed)
+        A, B, u = random_body(rng), random_body(rng), random_direction(rng)
+        t = contact.smallest_shift(A, B, u)
+        assert (t > 0) == contact.collide(A, B)
+        assert not contact.collide([p.shifted((t + 1e-9) * u) for p in A], B)
+        if t > 0:
+            moved += 1
+            assert contact.collide([p.shifted((t - 1e-6) * u) for p in A], B)
+            for s in rng.uniform(0, t - 1e-6, 5):
+                assert contact.collide([p.shifted(s * u) for p in A], B)
+    assert moved > 10
+
+
+def test_free_travel_ends_in_contact():
+    for seed in SEEDS:
+        rng = np.random.default_rng(seed)
+        A, B, u = random_body(rng, 2), random_body(rng, 2), random_direction(rng)
+        A = [p.shifted(-4 * u) for p in A]
+        t = contact.free_travel(A, B, u)
+        if 0 < t < np.inf:
+            assert not contact.collide([p.shifted((t - 1e-9) * u) for p in A], B)
+            assert contact.collide([p.shifted((t + 1e-5) * u) for p in A], B)
+
+
+def test_an_open_surface_is_refused():
+    tetrahedron = ConvexPart.hull_of(np.vstack([np.zeros(3), np.eye(3)]))
+    with pytest.raises(ValueError, match="not closed"):
+        Polytope.of(ConvexPart(vertices=tetrahedron.vertices, faces=tetrahedron.faces[:3]))
