@@ -1,0 +1,84 @@
+"""The pose file of SAM 3D Objects and its conventions, in one place.
+
+The model works in a Z-up local frame inside [-0.5, 0.5]^3. Its GLB export rewrites vertices as (x, z, -y). Poses are
+PyTorch3D row vectors, ``p_camera = (s p_local) @ R(q) + t``, in PyTorch3D camera axes (+X left, +Y up, +Z forward),
+so in column form the rotation is R(q)^T. Hence ``p_opencv = s F R(q)^T A v_glb + F t``.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator
+
+from f3sr.frames import Array, rotation_from_quaternion
+
+LOCAL_FROM_GLB = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+"""A: vertices of the exported GLB back to the model's Z-up frame."""
+OPENCV_FROM_PYTORCH3D = np.diag([-1.0, -1, 1])
+"""F: PyTorch3D camera axes to OpenCV axes."""
+
+
+def _unwrapped(value: Any) -> Any:
+    """The model saves (1, n) tensors; accept them as (n,)."""
+    return value[0] if isinstance(value, list) and len(value) == 1 and isinstance(value[0], list) else value
+
+
+def _triple(value: Any) -> Any:
+    value = _unwrapped(value)
+    value = value[0] if isinstance(value, list) and len(value) == 1 else value
+    return [value] * 3 if isinstance(value, int | float) else value
+
+
+Quaternion = Annotated[list[float], BeforeValidator(_unwrapped), Field(min_length=4, max_length=4)]
+Vector = Annotated[list[float], BeforeValidator(_unwrapped), Field(min_length=3, max_length=3)]
+Scale = Annotated[list[float], BeforeValidator(_triple), Field(min_length=3, max_length=3)]
+
+
+class AssetPose(BaseModel):
+    """One entry: the mask it belongs to, its mesh file and its pose."""
+
+    model_config = ConfigDict(allow_inf_nan=False)
+    mask: str
+    mesh: str
+    rotation: Quaternion
+    translation: Vector
+    scale: Scale
+
+    @field_validator("rotation")
+    @classmethod
+    def _unit(cls, value: list[float]) -> list[float]:
+        if abs(float(np.linalg.norm(value)) - 1) > 0.01:
+            raise ValueError(f"a quaternion of length {np.linalg.norm(value):.3g}, not 1")
+        return value
+
+    @field_validator("scale")
+    @classmethod
+    def _uniform(cls, value: list[float]) -> list[float]:
+        if min(value) <= 0 or max(value) - min(value) > 1e-4 * max(value):
+            raise ValueError(f"scale {value} is not one positive number")
+        return value
+
+    @property
+    def uniform_scale(self) -> float:
+        return float(np.mean(self.scale))
+
+    def camera_pose(self) -> tuple[Array, Array]:
+        """Rotation (3, 3) and translation (3,) of the local frame in OpenCV camera axes."""
+        R = OPENCV_FROM_PYTORCH3D @ rotation_from_quaternion(self.rotation).T
+        return R, OPENCV_FROM_PYTORCH3D @ np.asarray(self.translation)
+
+
+class Poses(BaseModel):
+    """``assets/poses.json``."""
+
+    convention: str = "sam-3d-objects"
+    objects: list[AssetPose] = Field(min_length=1)
+
+    @field_validator("convention")
+    @classmethod
+    def _known(cls, value: str) -> str:
+        if not value.startswith("sam-3d-objects"):
+            raise ValueError(f"convention {value[:60]!r}; known: sam-3d-objects")
+        return value

@@ -1,0 +1,240 @@
+"""align: the camera, then every object, moved so that rendered silhouettes meet the photo's masks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from f3sr import raster
+from f3sr.frames import Array, Camera, invert_pose, pose, rotation_about, rotation_from_vector, transform
+from f3sr.report import Decision, Measure, Report, keep_better
+from f3sr.scene import Scene, SceneObject
+from f3sr.silhouette import LossWeights, Mask, Target, centroid, iou, loss, resample
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlignConfig:
+    resolution: int = 384
+    """Longer image side [px] of the silhouettes compared, range [64, 4096]."""
+    camera: bool = True
+    """Refine the camera first."""
+    objects: bool = True
+    """Refine the objects."""
+    camera_rotation: float = np.deg2rad(3)
+    """Trust region of the camera's turn per axis [rad], range (0, pi/4]."""
+    camera_translation: float = 0.05
+    """Trust region of the camera's move, as a share of its distance to the scene, range (0, .5]."""
+    camera_evaluations: int = 120
+    """Loss evaluations of the camera's search, range [10, 10000]."""
+    yaw_seeds: tuple[float, ...] = tuple(np.deg2rad([-30.0, -15.0, 0.0, 15.0, 30.0]))
+    """Turns about the vertical that a search starts from [rad]."""
+    max_shift: float = 0.35
+    """Largest move in the image plane, as a share of the object's size, range (0, 2]; the report's bound."""
+    max_yaw: float = np.deg2rad(45)
+    """Largest turn about the vertical [rad], range (0, pi]."""
+    max_scale: float = 0.25
+    """Largest change of scale, range (0, 1); the report's bound."""
+    evaluations: int = 120
+    """Loss evaluations per object after the seeds, range [10, 10000]."""
+    prior: tuple[float, float, float, float] = (0.01, 0.01, 0.02, 0.02)
+    """Quadratic priors on shift (over max_shift), yaw (over max_yaw) and scale (over max_scale)."""
+    iou_tolerance: float = 0.0
+    """IoU an accepted step may lose, range [0, .1]."""
+    weights: LossWeights = LossWeights()
+
+
+def align(scene: Scene, config: AlignConfig | None = None) -> tuple[Scene, Report]:
+    """Refine the camera against the union of masks (equation 7), then each object from that camera (8, 9).
+
+    Every step is kept only if its IoU does not drop. An object is compared only where nearer objects leave it visible.
+    """
+    config = config or AlignConfig()
+    decisions: list[Decision] = []
+    before = _ious(scene, config)
+    if config.camera:
+        scene, decision = _align_camera(scene, config)
+        decisions.append(decision)
+    if config.objects:
+        valid = visible_regions(scene)
+        with ThreadPoolExecutor(2) as pool:
+            results = list(pool.map(lambda o: _align_object(o, valid[o.id], scene.camera, config), scene.objects))
+        scene = scene.with_objects(*(o for o, _ in results))
+        decisions += [d for _, d in results]
+    after = _ious(scene, config)
+    measures = [
+        Measure(name="mask IoU", before=b, after=a, about=o.id) for o, b, a in zip(scene, before, after, strict=True)
+    ]
+    mean = Measure(name="mean mask IoU", before=float(np.mean(before)), after=float(np.mean(after)))
+    return scene, Report(stage="align", measures=(mean, *measures), decisions=tuple(decisions))
+
+
+def visible_regions(scene: Scene) -> dict[int, Mask]:
+    """Per object, the pixels (H, W) where its silhouette must agree with its mask: not in a nearer object's mask.
+
+    Nearer is told by the rendered depths where two objects overlap in the picture, else by their median depths; a
+    mask that cannot be ordered is left out of the comparison.
+    """
+    small = _camera_at(scene.camera, 384)
+    depths = {o.id: raster.render([o], small).depth for o in scene}
+    return {
+        o.id: ~np.any(
+            [np.zeros_like(o.mask)] + [p.mask for p in scene if p.id != o.id and _nearer(depths[p.id], depths[o.id])],
+            axis=0,
+        )
+        for o in scene
+    }
+
+
+def _nearer(a: Array, b: Array) -> bool:
+    """Whether depth image a (h, w) lies in front of b, inf where empty; True when unsure."""
+    both = np.isfinite(a) & np.isfinite(b)
+    if np.count_nonzero(both) > 20:
+        return bool(np.median(a[both] - b[both]) < 0)
+    if not np.isfinite(a).any() or not np.isfinite(b).any():
+        return True
+    return bool(np.median(a[np.isfinite(a)]) < np.median(b[np.isfinite(b)]))
+
+
+# --- the camera ---------------------------------------------------------------------------------------------------
+
+
+def _align_camera(scene: Scene, config: AlignConfig) -> tuple[Scene, Decision]:
+    """6-DoF camera about the scene's centre, intrinsics fixed (equation 7), accepted on the mean IoU of instances."""
+    small = _camera_at(scene.camera, config.resolution)
+    target = Target.of(resample(np.any([o.mask for o in scene], axis=0), small.width, small.height))
+    center = scene.camera.to_camera(np.mean([o.bounds_world.mean(0) for o in scene], axis=0)[None])[0]
+    reach = np.array([config.camera_rotation] * 3 + [config.camera_translation * float(np.linalg.norm(center))] * 3)
+    vertices = np.concatenate([o.vertices_world for o in scene])
+    offsets = np.cumsum([0] + [len(o.mesh.vertices) for o in scene])
+    faces = np.concatenate([o.mesh.faces + n for o, n in zip(scene, offsets, strict=False)]).astype(np.int32)
+    weights = replace(config.weights, centroid=0.0, area=0.0)
+
+    def camera_at(x: Array) -> Camera:
+        T_new_old = _about(center, rotation_from_vector(x[:3] * reach[:3]), x[3:] * reach[3:])
+        return small.moved(small.T_world_camera @ invert_pose(T_new_old))
+
+    def objective(x: Array) -> float:
+        camera = camera_at(x)
+        rendered = raster.silhouette(camera.to_camera(vertices), faces, camera.K, camera.width, camera.height)
+        return loss(rendered, target, weights) + 0.01 * float(x @ x)
+
+    x = _minimise(objective, np.zeros(6), evaluations=config.camera_evaluations)
+    moved = replace(scene, camera=scene.camera.moved(camera_at(x).T_world_camera))
+    return keep_better(
+        scene, moved, score=lambda s: float(np.mean(_ious(s, config))), step="camera", measure="mean mask IoU",
+        tolerance=config.iou_tolerance,
+    )  # fmt: skip
+
+
+def _about(center: Array, R: Array, t: Array) -> Array:
+    """x -> R (x - center) + center + t."""
+    return pose(R, center - R @ center + t)
+
+
+# --- objects ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Search:
+    """One object's problem in unit parameters: (shift x, shift y, yaw, scale), each in [-1, 1] inside its bound."""
+
+    object: SceneObject
+    camera: Camera
+    target: Target
+    config: AlignConfig
+
+    @property
+    def reach(self) -> Array:
+        c = self.config
+        shift = c.max_shift * self.object.size
+        return np.array([shift, shift, c.max_yaw, c.max_scale])
+
+    def similarity(self, x: Array) -> tuple[Array, float]:
+        """Equation 8: image-plane shift, yaw and scale about the bounding box's centre, as (rigid T, scale)."""
+        dx, dy, yaw, sigma = x * self.reach
+        center = self.object.bounds_world.mean(0)
+        B_C = self.camera.T_world_camera[:3, :2]
+        R, s = rotation_about([0, 0, 1], yaw), 1 + sigma
+        return pose(R, center + B_C @ [dx, dy] - R @ (s * center)), s
+
+    def silhouette(self, x: Array) -> Mask:
+        T, s = self.similarity(x)
+        vertices = transform(T, s * self.object.vertices_world)
+        c = self.camera
+        return raster.silhouette(c.to_camera(vertices), self.object.mesh.faces, c.K, c.width, c.height)
+
+    def objective(self, x: Array) -> float:
+        inside = np.clip(x, -1, 1)
+        outside = float(np.abs(x - inside).sum())
+        prior = float(np.asarray(self.config.prior) @ inside**2)
+        return loss(self.silhouette(inside), self.target, self.config.weights) + prior + outside
+
+    def seed(self, yaw: float) -> Array:
+        """Closed form from the hard mask: centroid gives the shift, the square root of the area ratio the scale."""
+        x = np.array([0.0, 0.0, yaw / self.config.max_yaw, 0.0])
+        depth = self.camera.to_camera(self.object.bounds_world.mean(0)[None])[0, 2]
+        for _ in range(2):
+            s = self.silhouette(x) & self.target.valid
+            area = np.count_nonzero(s)
+            if area < 16:
+                break
+            step = (self.target.centroid - centroid(s)) * depth / np.diag(self.camera.K)[:2]
+            x[:2] += step / self.reach[:2]
+            x[3] = ((1 + x[3] * self.reach[3]) * np.sqrt(self.target.area / area) - 1) / self.reach[3]
+            x = np.clip(x, -1, 1)
+        return x
+
+
+def _align_object(
+    o: SceneObject, valid: Mask, camera: Camera, config: AlignConfig
+) -> tuple[SceneObject, Decision]:
+    small = _camera_at(camera, config.resolution)
+    mask, region = (resample(m, small.width, small.height) for m in (o.mask, valid))
+    search = _Search(object=o, camera=small, target=Target.of(mask, region), config=config)
+    seeds = [np.zeros(4), *(search.seed(yaw) for yaw in config.yaw_seeds)]
+    start = min(seeds, key=search.objective)
+    x = np.clip(_minimise(search.objective, start, evaluations=config.evaluations), -1, 1)
+    kept, decision = keep_better(
+        np.zeros(4), x, score=lambda p: iou(search.silhouette(p), mask, region), step="object", measure="valid mask IoU",
+        tolerance=config.iou_tolerance, about=o.id,
+    )  # fmt: skip
+    if not kept.any():
+        return o, decision
+    T, s = search.similarity(kept)
+    return o.moved(T, scale=s, stage="align", reason=decision.reason), decision
+
+
+# --- shared -------------------------------------------------------------------------------------------------------
+
+
+def _minimise(objective: Callable[[Array], float], start: Array, *, evaluations: int) -> Array:
+    """Nelder-Mead from a simplex of a fifth of the bounds; the loss of a hard raster is piecewise constant."""
+    from scipy.optimize import minimize
+
+    simplex = np.concatenate([start[None], start + 0.2 * np.eye(len(start))])
+    result = minimize(
+        objective, start, method="Nelder-Mead",
+        options={"initial_simplex": simplex, "maxfev": evaluations, "xatol": 1e-3, "fatol": 1e-4, "adaptive": True},
+    )  # fmt: skip
+    return np.asarray(result.x)
+
+
+def _camera_at(camera: Camera, longest: int) -> Camera:
+    """The camera at no more than ``longest`` pixels on its longer side."""
+    scale = min(1.0, longest / max(camera.width, camera.height))
+    return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+
+
+def _ious(scene: Scene, config: AlignConfig) -> Sequence[float]:
+    """IoU of each object's full silhouette with its mask, at the working resolution."""
+    camera = _camera_at(scene.camera, config.resolution)
+    return [
+        iou(
+            raster.silhouette(camera.to_camera(o.vertices_world), o.mesh.faces, camera.K, camera.width, camera.height),
+            resample(o.mask, camera.width, camera.height),
+        )
+        for o in scene
+    ]

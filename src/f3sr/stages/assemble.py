@@ -1,0 +1,137 @@
+"""assemble: photo, masks, geometry and assets brought into one provisional world; every later stage may be skipped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from f3sr import raster, sam3d
+from f3sr.frames import T_UP_FROM_CAMERA, Array, Camera, pose, transform
+from f3sr.inputs import Inputs, Instance, PosedAsset
+from f3sr.mesh import ConvexPart
+from f3sr.report import Decision, Measure, Report
+from f3sr.scene import Geometry, Scene, SceneGraph, SceneObject
+from f3sr.silhouette import iou, resample
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssembleConfig:
+    max_depth_ratio: float = 1.3
+    """Largest factor, range (1, 10], between an asset's visible depth and the geometry's inside its mask before the
+    asset is moved along its viewing rays. Generators miss depth by up to about 15%; more is another unit."""
+    convention_margin: float = 0.15
+    """Mean IoU, range [0, 1], by which another pose convention must fit the masks better to be warned of."""
+
+
+def assemble(inputs: Inputs, config: AssembleConfig | None = None) -> tuple[Scene, Report]:
+    """Bring everything into one frame: a level camera at the origin, objects where their assets' poses say.
+
+    Assets whose depth contradicts the geometry inside their mask by more than ``max_depth_ratio`` are moved along
+    their viewing rays and scaled alike about the camera centre, which leaves their silhouette as it was.
+    """
+    config = config or AssembleConfig()
+    camera = Camera(
+        width=inputs.photo.width, height=inputs.photo.height, K=inputs.K, T_world_camera=T_UP_FROM_CAMERA
+    )
+    objects = tuple(_provisional_object(i, inputs.assets[i.id], camera) for i in inputs.instances)
+    decisions = [*inputs.decisions, *_check_convention(inputs, camera, objects, config)]
+    measures: list[Measure] = []
+    placed: list[SceneObject] = []
+    for o in objects:
+        ratio = _depth_ratio(o, camera, inputs.geometry)
+        if ratio is not None:
+            measures.append(Measure(name="asset depth / geometry depth", before=ratio, after=ratio, about=o.id))
+            o, decision = _agree_with_geometry(o, ratio, camera, config)
+            decisions += decision
+        placed.append(o)
+    scene = Scene(
+        photo=inputs.photo,
+        camera=camera,
+        geometry=inputs.geometry,
+        ground_mask=inputs.ground_mask,
+        graph=inputs.graph or SceneGraph(),
+        objects=tuple(placed),
+    )
+    return scene, Report(stage="assemble", measures=tuple(measures), decisions=tuple(decisions))
+
+
+def _provisional_object(instance: Instance, asset: PosedAsset, camera: Camera) -> SceneObject:
+    """An object as its asset says, with one hull as its proxy and nothing known of its supports."""
+    return SceneObject(
+        id=instance.id,
+        label=instance.label,
+        mask_name=instance.name,
+        mask=instance.mask,
+        mesh=asset.mesh,
+        T_world_object=camera.T_world_camera @ asset.T_camera_object,
+        scale=asset.scale,
+        parts=(ConvexPart.hull_of(asset.mesh.vertices),),
+    )
+
+
+def _depth_ratio(o: SceneObject, camera: Camera, geometry: Geometry) -> float | None:
+    """Median of rendered depth over geometry depth where the render, the mask and valid geometry meet."""
+    h, w = geometry.valid.shape
+    small = camera.resized(w, h)
+    depth = raster.render([o], small).depth
+    where = geometry.inside(o.mask) & np.isfinite(depth)
+    if not where.any():
+        return None
+    return float(np.median(depth[where] / geometry.points[where][:, 2]))
+
+
+def _agree_with_geometry(
+    o: SceneObject, ratio: float, camera: Camera, config: AssembleConfig
+) -> tuple[SceneObject, tuple[Decision, ...]]:
+    if max(ratio, 1 / ratio) <= config.max_depth_ratio:
+        return o, ()
+    k = 1 / ratio
+    reason = f"the asset's depth is {ratio:.2f} times the geometry's"
+    moved = o.moved(pose(t=(1 - k) * camera.center), scale=k, stage="assemble", reason=reason)
+    return moved, (Decision(choice=f"moved along its viewing rays by {k:.3f}", reason=reason, about=o.id),)
+
+
+def _check_convention(
+    inputs: Inputs, camera: Camera, objects: tuple[SceneObject, ...], config: AssembleConfig
+) -> list[Decision]:
+    """Warn when another known reading of the poses overlaps the masks far better (the declared one is kept)."""
+    declared = float(np.mean([_overlap(o.vertices_world, o, camera) for o in objects]))
+    best, name = declared, "declared"
+    for alternative, vertices in _other_readings(objects, camera).items():
+        mean = float(np.mean([_overlap(v, o, camera) for v, o in zip(vertices, objects, strict=True)]))
+        if mean > best:
+            best, name = mean, alternative
+    if best - declared <= config.convention_margin:
+        return []
+    return [
+        Decision(
+            choice="the declared pose convention is kept, but looks wrong",
+            reason=f"mean silhouette IoU {declared:.2f}; {name} would give {best:.2f}",
+        )
+    ]
+
+
+def _other_readings(objects: tuple[SceneObject, ...], camera: Camera) -> dict[str, list[Array]]:
+    """World vertices under the mistakes that are commonly made with these poses."""
+    flip = np.eye(4)
+    flip[:3, :3] = sam3d.OPENCV_FROM_PYTORCH3D
+    readings: dict[str, list[Array]] = {"the inverse rotation": [], "vertices without the GLB axis swap": [],
+                                        "camera axes without the PyTorch3D flip": []}  # fmt: skip
+    for o in objects:
+        T = camera.T_camera_world @ o.T_world_asset
+        inverse = T.copy()
+        inverse[:3, :3] = flip[:3, :3] @ (flip[:3, :3] @ T[:3, :3]).T
+        swapped = T @ pose(sam3d.LOCAL_FROM_GLB.T)
+        for name, pose_camera in zip(readings, (inverse, swapped, flip @ T), strict=True):
+            readings[name].append(transform(camera.T_world_camera @ pose_camera, o.mesh.vertices))
+    return readings
+
+
+def _overlap(vertices_world: Array, o: SceneObject, camera: Camera) -> float:
+    scale = min(1.0, 256 / max(camera.width, camera.height))
+    small = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+    rendered = raster.silhouette(
+        small.to_camera(vertices_world), o.mesh.faces, small.K, small.width, small.height
+    )
+    return iou(rendered, resample(o.mask, small.width, small.height))

@@ -1,0 +1,176 @@
+"""level: the ground plane found in the geometry, one rotation that turns it up and one shift that puts it at z = 0."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.frames import Array, pose, rotation_angle, rotation_between
+from f3sr.report import Decision, Measure, Report
+from f3sr.scene import Geometry, Ground, Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class LevelConfig:
+    max_points: int = 50_000
+    """Ground points used, range [100, 1e6]; the report samples as many."""
+    hypotheses: int = 400
+    """RANSAC planes tried, range [10, 10000]: with half the points on the plane 400 triples miss it with p < 1e-23."""
+    tolerance: float = 0.01
+    """Distance to a RANSAC plane that counts as on it, as a share of the median ground depth, range (0, .1]."""
+    normal_angle: float = np.deg2rad(35)
+    """Normals within this angle [rad] of the plane's take part in the vote, range (0, pi/2)."""
+    normal_weight: float = 0.55
+    """Lambda of equation 5, range [0, 1], scaled by how much better the normals agree than the points do."""
+    lower_region: float = 0.4
+    """Share of the image height, from below, searched for ground where there is no ground mask, range (0, 1]."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Plane:
+    """``normal . x = offset`` in the camera frame; ``inliers`` is the share of points on it, ``residual`` [m] their
+    root mean square distance."""
+
+    normal: Array
+    offset: float
+    inliers: float
+    residual: float
+
+
+def level(
+    scene: Scene, config: LevelConfig | None = None, *, rng: np.random.Generator | None = None
+) -> tuple[Scene, Report]:
+    """Turn and shift the whole scene, camera included, so that the support surface is z = 0 (equations 4 to 6).
+
+    ``rng`` draws the RANSAC triples. Without any ground point the scene's lowest vertex becomes z = 0, a fallback.
+    """
+    config = config or LevelConfig()
+    rng = rng or np.random.default_rng(0)
+    points, normals, source = _ground_points(scene, config, rng)
+    if len(points) < 3:
+        return _lowest_vertex(scene)
+    plane = fit_plane(points, rng, config)
+    normal_camera, agreement = vote(plane.normal, normals, config)
+    # The offset belongs to the final normal: the plane turns about the middle of its own points.
+    middle = np.median(points[np.abs(points @ plane.normal - plane.offset) < config.tolerance * _depth(points)], axis=0)
+    R_g = rotation_between(scene.camera.T_world_camera[:3, :3] @ normal_camera, [0, 0, 1])
+    T = pose(R_g)
+    T[2, 3] = -(R_g @ (scene.camera.T_world_camera[:3, :3] @ middle + scene.camera.center))[2]
+    ground = Ground(source=source, confidence=plane.inliers)
+    moved = _move_all(scene, T, ground)
+    lowest = min(o.bounds_world[0, 2] for o in moved)
+    report = Report(
+        stage="level",
+        measures=(
+            Measure(name="tilt removed", after=np.degrees(rotation_angle(R_g)), unit="deg"),
+            Measure(name="ground points on the plane", after=100 * plane.inliers, unit="%"),
+            Measure(name="ground residual", after=1000 * plane.residual, unit="mm"),
+            Measure(name="normals that agree", after=100 * agreement, unit="%"),
+            Measure(name="lowest vertex", after=1000 * float(lowest), unit="mm"),
+        ),
+        decisions=(Decision(choice=f"ground plane from {source}", reason=f"{len(points)} points"),),
+    )
+    return moved, report
+
+
+def fit_plane(points: Array, rng: np.random.Generator, config: LevelConfig) -> Plane:
+    """Robust plane through points (n, 3) in camera axes, its normal towards the camera's up (-y) (equation 4).
+
+    RANSAC finds the points on the plane; SVD about their median refines it, twice, so that strays have no weight.
+    """
+    tolerance = config.tolerance * _depth(points)
+    sample = points[rng.choice(len(points), min(len(points), 2000), replace=False)]
+    a, b, c = (points[rng.integers(len(points), size=config.hypotheses)] for _ in range(3))
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 1e-12)
+    offsets = np.einsum("ij,ij->i", normals, a)
+    votes = (np.abs(sample @ normals.T - offsets) < tolerance).sum(0) * (lengths[:, 0] > 1e-12)
+    best = int(np.argmax(votes))
+    normal, offset = normals[best], offsets[best]
+    on_plane = np.abs(points @ normal - offset) < tolerance
+    for _ in range(3):
+        inliers = points[on_plane]
+        center = np.median(inliers, axis=0)
+        normal = np.linalg.svd(inliers - center, full_matrices=False)[2][2]
+        offset = float(normal @ center)
+        distance = np.abs(points @ normal - offset)
+        spread = 1.4826 * float(np.median(distance[on_plane]))
+        on_plane = distance < np.clip(3 * spread, 0.1 * tolerance, tolerance)
+    if normal[1] > 0:
+        normal, offset = -normal, -offset
+    share = float((np.abs(points @ normal - offset) < tolerance).mean())
+    residual = float(np.sqrt(np.mean((points[on_plane] @ normal - offset) ** 2)))
+    return Plane(normal=normal, offset=offset, inliers=share, residual=residual)
+
+
+def vote(normal: Array, normals: Array | None, config: LevelConfig) -> tuple[Array, float]:
+    """Blend the plane's normal with the median of the surface normals that agree with it (equation 5).
+
+    Returns the unit normal and the share of normals within ``normal_angle``. Fewer than half agreeing: no vote.
+    """
+    if normals is None or not len(normals):
+        return normal, 0.0
+    cosines = normals @ normal
+    normals = np.where(cosines[:, None] < 0, -normals, normals)
+    agree = np.abs(cosines) > np.cos(config.normal_angle)
+    share = float(agree.mean())
+    if share < 0.5:
+        return normal, share
+    median = np.median(normals[agree], axis=0)
+    blended = (1 - config.normal_weight) * normal + config.normal_weight * median / np.linalg.norm(median)
+    return blended / np.linalg.norm(blended), share
+
+
+def _ground_points(
+    scene: Scene, config: LevelConfig, rng: np.random.Generator
+) -> tuple[Array, Array | None, str]:
+    """Ground points (n, 3) and normals in the camera frame, and where they come from."""
+    geometry = scene.geometry
+    if geometry is None:
+        return np.zeros((0, 3)), None, "none"
+    if scene.ground_mask is not None and geometry.inside(scene.ground_mask).any():
+        where, source = geometry.inside(scene.ground_mask), "ground mask"
+    else:
+        where, source = _lower_region(scene, geometry, config), "lower image region"
+    index = np.flatnonzero(where.ravel())
+    if len(index) > config.max_points:
+        index = np.sort(rng.choice(index, config.max_points, replace=False))
+    points = geometry.points.reshape(-1, 3)[index].astype(float)
+    if geometry.normals is None:
+        return points, None, source
+    normals = geometry.normals.reshape(-1, 3)[index].astype(float)
+    lengths = np.linalg.norm(normals, axis=1)
+    good = np.isfinite(lengths) & (lengths > 0.5)
+    return points, normals[good] / lengths[good, None], source
+
+
+def _lower_region(scene: Scene, geometry: Geometry, config: LevelConfig) -> NDArray[np.bool_]:
+    objects = np.any([o.mask for o in scene], axis=0)
+    region = np.zeros_like(objects)
+    region[round((1 - config.lower_region) * scene.photo.height) :] = True
+    return geometry.inside(region & ~objects)
+
+
+def _depth(points: Array) -> float:
+    return float(np.median(points[:, 2]))
+
+
+def _move_all(scene: Scene, T: Array, ground: Ground) -> Scene:
+    """Move the camera and every object by one rigid world transform; the picture stays as it was."""
+    camera = scene.camera.moved(T @ scene.camera.T_world_camera)
+    objects = tuple(replace(o, T_world_object=T @ o.T_world_object) for o in scene)
+    return replace(scene, camera=camera, objects=objects, ground=ground)
+
+
+def _lowest_vertex(scene: Scene) -> tuple[Scene, Report]:
+    lowest = min(o.bounds_world[0, 2] for o in scene)
+    moved = _move_all(scene, pose(t=[0, 0, -lowest]), Ground(source="lowest vertex", confidence=0.0))
+    decision = Decision(
+        choice="the lowest vertex is the ground; the camera is taken as level",
+        reason="no valid ground point",
+        fallback=True,
+    )
+    return moved, Report(stage="level", decisions=(decision,))
