@@ -41,6 +41,7 @@ def load_mesh(
     Raises InputError, naming the file, for what cannot be read or is not a finite triangle mesh.
     """
     import trimesh
+    from trimesh.resolvers import FilePathResolver
 
     path = Path(path)
     data = _read_bytes(path)
@@ -49,7 +50,7 @@ def load_mesh(
         _check_gltf(path, data, max_faces=max_faces, max_texture_pixels=max_texture_pixels)
     else:
         _check_side_files(path, data)
-    resolver = None if kind in (".glb", ".gltf") else trimesh.resolvers.FilePathResolver(str(path))
+    resolver = None if kind in (".glb", ".gltf") else FilePathResolver(str(path))
     try:
         scene = trimesh.load_scene(io.BytesIO(data), file_type=kind[1:], resolver=resolver, process=False)
         pieces = [_piece(g) for g in scene.dump() if isinstance(g, trimesh.Trimesh) and len(g.faces)]
@@ -215,7 +216,7 @@ def _vertex_colors(visual: Any, n: int) -> NDArray[np.uint8] | None:
 
 
 def _material(visual: Any) -> Material:
-    """Base colour and texture. An OBJ's diffuse colour counts only without a picture: exporters leave it grey."""
+    """Base colour and texture. An OBJ's diffuse colour does not tint its picture: exporters leave it grey."""
     material = getattr(visual, "material", None)
     if material is None:
         return Material()

@@ -1,0 +1,417 @@
+"""The one MuJoCo model of the product: bodies of objects, settling, and the release that measures rest."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from f3sr.frames import Array, pose, quaternion_from_rotation, rotation_from_quaternion
+from f3sr.mesh import ConvexPart, MassProperties, Mesh, signed_volume, solid_properties
+from f3sr.scene import SceneObject
+
+GROUND_NAME = "ground"
+
+MjSpec = MjModel = MjData = MjsMesh = Any
+"""MuJoCo's classes, which carry no type information."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhysicsConfig:
+    """Contact model and time stepping, chosen for piles that rest (docs: physics)."""
+
+    timestep: float = 0.002
+    """[s], (0, .005]. Contacts need solref[0] >= 2 steps."""
+    gravity: float = -9.81
+    """Along world z [m/s2], <= 0."""
+    impratio: float = 10.0
+    """Friction to normal impedance, >= 1: higher slips less in the elliptic cone."""
+    solref: tuple[float, float] = (0.005, 1.0)
+    """Contact time constant [s], >= 2 steps, and damping ratio. .02 creeps ten times more."""
+    solimp: tuple[float, float, float, float, float] = (0.95, 0.99, 0.0005, 0.5, 2.0)
+    """Contact impedance: least and most in [0, 1), width [m], midpoint, power."""
+    condim: int = 6
+    """Contact dimensions, 4 or 6: 6 adds rolling friction, without which balls never stop."""
+    torsional_friction: float = 0.005
+    """[m], >= 0: friction against spinning about the contact normal."""
+    ground_friction: tuple[float, float, float] = (0.6, 0.005, 0.001)
+    """Sliding, torsional [m] and rolling [m] friction of the ground; a contact takes the larger of two."""
+    margin: float = 2e-4
+    """Contact distance of each body [m], [0, 1e-3]: it keeps soft contact from turning into overlap. MuJoCo
+    adds the margins of two bodies, so that they rest two margins apart."""
+    multiccd: bool = True
+    """Several contact points per pair of parts. Off, stacks explode."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SettleConfig:
+    """When a scene counts as at rest, and how long to wait for it."""
+
+    damping: float = 4.0
+    """[1/s], (0, 50]: velocities lose this rate while settling, never afterwards."""
+    linear_rest: float = 1e-3
+    """[m/s]: a centre of mass slower than this is at rest."""
+    angular_rest: float = 1e-2
+    """[rad/s]"""
+    rest_time: float = 0.2
+    """[s]: how long everything must stay below both."""
+    time_limit: float = 10.0
+    """[s] of damped simulation, all rounds together."""
+    check_time: float = 2.0
+    """[s] of the undamped check after each round."""
+    drift_limit: float = 2e-4
+    """[m]: largest travel of a centre of mass in the check. Collapsed piles creep .1 mm in 5 s."""
+    rounds: int = 4
+    """How often to settle and check again, >= 1."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Body:
+    """An object as the engine sees it, in its own frame, metres, scale baked in."""
+
+    name: str
+    T_world_body: Array
+    fixed: bool
+    mass: float
+    """[kg]"""
+    center: Array
+    """Centre of mass (3,) [m]."""
+    inertia: Array
+    """(3, 3) [kg m2] about the centre of mass."""
+    from_mesh: bool
+    """True when the mass is that of the visual mesh, False when of the union of the parts."""
+    friction: tuple[float, float, float]
+    """Sliding, torsional, rolling."""
+    parts: tuple[ConvexPart, ...]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Settled:
+    """Where the objects came to rest."""
+
+    T_world_object: Mapping[int, Array]
+    """The final pose of every object, fixed ones included; the initial poses when ``exploded``."""
+    at_rest: bool
+    """True when the final poses passed the undamped check."""
+    exploded: bool
+    """True when the state stopped being finite."""
+    seconds: float
+    """Simulated time until rest [s], checks not counted."""
+    max_speed: float
+    """Largest speed of a centre of mass on the way [m/s]."""
+    drift: float
+    """Largest travel of a centre of mass in the last undamped check [m]; infinite when there was none."""
+
+
+class Release(NamedTuple):
+    """What happens when the scene is let go (equations 13 and 14)."""
+
+    K_max: float
+    """Largest total kinetic energy in the first second [J]."""
+    D_max: float
+    """Largest travel of a centre of mass [m]."""
+
+
+def engine() -> Any:
+    """The ``mujoco`` module, imported on first use."""
+    import mujoco
+
+    return mujoco
+
+
+def body_name(id: int) -> str:
+    return f"object_{id:02d}"
+
+
+def body_of(o: SceneObject, config: PhysicsConfig = PhysicsConfig()) -> Body:
+    """The rigid body of an object: mass and inertia of its solid at its density, its parts in metres."""
+    parts = o.parts or (ConvexPart.hull_of(o.mesh.vertices),)
+    solid, from_mesh = _solid(o.mesh, parts)
+    scale = np.diag([o.scale, o.scale, o.scale, 1.0])
+    return Body(
+        name=body_name(o.id),
+        T_world_body=o.T_world_object,
+        fixed=o.mobility == "fixed",
+        mass=o.density * solid.volume * o.scale**3,
+        center=solid.center * o.scale,
+        inertia=o.density * solid.inertia * o.scale**5,
+        from_mesh=from_mesh,
+        friction=(o.friction, config.torsional_friction, o.rolling_friction),
+        parts=tuple(part.moved(scale) for part in parts),
+    )
+
+
+def build_spec(objects: Sequence[SceneObject], config: PhysicsConfig = PhysicsConfig()) -> MjSpec:
+    """The editable MuJoCo model: the ground, and per object a body with one mesh geom per convex part.
+
+    Bodies are named ``object_03``, their geoms and meshes ``object_03_00``; dynamic ones have a free joint of
+    the body's name. The body frame is the object frame.
+    """
+    spec = _empty_spec(config)
+    for o in objects:
+        _add_body(spec, body_of(o, config), config)
+    return spec
+
+
+def settle(
+    objects: Sequence[SceneObject],
+    config: PhysicsConfig = PhysicsConfig(),
+    *,
+    settling: SettleConfig = SettleConfig(),
+) -> Settled:
+    """Let the objects fall, slide and topple until they rest by themselves.
+
+    Damped simulation up to rest, then an undamped release of the final positions; what still moves goes on
+    from where the release ended. A scene that blows up is reported, not raised.
+    """
+    mujoco = engine()
+    model = build_spec(objects, config).compile()
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
+    run = _Settling(model, settling)
+    data, drift, calm = mujoco.MjData(model), np.inf, False
+    with _silent():
+        for _ in range(settling.rounds):
+            run.until_rest(data)
+            data = run.fresh(data)
+            start = data.qpos.copy()
+            drift, calm = run.undamped(data)
+            if calm:
+                data.qpos[:] = start
+            if calm or run.exploded or run.seconds >= settling.time_limit:
+                break
+    return Settled(
+        T_world_object={
+            o.id: o.T_world_object if run.exploded else _pose_of(model, data, o) for o in objects
+        },
+        at_rest=calm and not run.exploded,
+        exploded=run.exploded,
+        seconds=run.seconds,
+        max_speed=run.max_speed,
+        drift=float(drift),
+    )
+
+
+def release(objects: Sequence[SceneObject], *, true_scale: float = 1.0, seconds: float = 5.0) -> Release:
+    """Let the scene go from rest, undamped, and measure it: one protocol for every method (design 5).
+
+    Unlike the product's own model all objects have friction .6, rolling friction .001 and 600 kg/m3 of the
+    visual volume spread evenly over their parts, and lengths are multiplied by ``true_scale``. D is sampled
+    every 10 steps.
+    """
+    mujoco = engine()
+    if not objects:
+        return Release(0.0, 0.0)
+    model = _release_spec(objects, true_scale).compile()
+    data = mujoco.MjData(model)
+    K_max = D_max = 0.0
+    with _silent():
+        mujoco.mj_forward(model, data)
+        centers = data.xipos[1:].copy()
+        for step in range(int(seconds / model.opt.timestep)):
+            mujoco.mj_step(model, data)
+            if step < 500:
+                mujoco.mj_energyVel(model, data)
+                K_max = max(K_max, float(data.energy[1]))
+            if step % 10 == 9:
+                D_max = max(D_max, float(np.linalg.norm(data.xipos[1:] - centers, axis=1).max()))
+    return Release(K_max, D_max)
+
+
+def solid_volume(mesh: Mesh, parts: Sequence[ConvexPart]) -> float:
+    """Volume [m3] by which the release protocol weighs a mesh, in the mesh's frame.
+
+    The least of: the mesh's own volume when closed without welding (split vertices count as open), its
+    hull's, and the sum over the parts.
+    """
+    own = abs(signed_volume(mesh.vertices, mesh.faces)) if _closed_as_stored(mesh) else np.inf
+    hull = ConvexPart.hull_of(mesh.vertices).volume
+    return max(1e-9, min(own, hull, sum(p.volume for p in parts)))
+
+
+def _closed_as_stored(mesh: Mesh) -> bool:
+    """True when every undirected edge belongs to exactly two faces."""
+    f = mesh.faces.astype(np.int64)
+    edges = np.sort(np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]]), axis=1)
+    _, counts = np.unique(edges[:, 0] * (f.max() + 1) + edges[:, 1], return_counts=True)
+    return bool((counts == 2).all())
+
+
+_SOLIDS: WeakKeyDictionary[Mesh, tuple[tuple[ConvexPart, ...], MassProperties, bool]] = WeakKeyDictionary()
+
+
+def _solid(mesh: Mesh, parts: tuple[ConvexPart, ...]) -> tuple[MassProperties, bool]:
+    """``solid_properties``, once per mesh: only its scale and density change from stage to stage."""
+    known = _SOLIDS.get(mesh)
+    if known is None or not (known[2] or known[0] == parts):
+        _SOLIDS[mesh] = known = (parts, *solid_properties(mesh, parts))
+    return known[1], known[2]
+
+
+def _empty_spec(config: PhysicsConfig) -> MjSpec:
+    """Options and the ground plane z = 0."""
+    mujoco = engine()
+    spec = mujoco.MjSpec()
+    spec.compiler.balanceinertia = True  # thin solids: rounding may break the triangle inequality of moments
+    spec.option.timestep = config.timestep
+    spec.option.gravity = [0, 0, config.gravity]
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = config.impratio
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    spec.option.noslip_iterations = 0
+    if not config.multiccd:
+        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MULTICCD)
+    spec.worldbody.add_geom(
+        name=GROUND_NAME,
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[20, 20, 0.1],
+        friction=config.ground_friction,
+        **_contact(config),
+    )
+    return spec
+
+
+def _contact(config: PhysicsConfig) -> dict[str, Any]:
+    return {
+        "condim": config.condim,
+        "solref": config.solref,
+        "solimp": config.solimp,
+        "margin": config.margin,
+    }
+
+
+def _add_body(spec: MjSpec, body: Body, config: PhysicsConfig) -> None:
+    mujoco = engine()
+    T, moment = body.T_world_body, body.inertia
+    node = spec.worldbody.add_body(name=body.name, pos=T[:3, 3], quat=quaternion_from_rotation(T[:3, :3]))
+    if not body.fixed:
+        node.add_freejoint(name=body.name)
+    node.explicitinertial = True
+    node.mass, node.ipos = body.mass, body.center
+    node.fullinertia = [moment[0, 0], moment[1, 1], moment[2, 2], moment[0, 1], moment[0, 2], moment[1, 2]]
+    for k, part in enumerate(body.parts):
+        name = f"{body.name}_{k:02d}"
+        _add_mesh(
+            spec, name, part
+        ).inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # takes thin parts too
+        node.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=name,
+            friction=body.friction,
+            **_contact(config),
+        )
+
+
+def _add_mesh(spec: MjSpec, name: str, part: ConvexPart) -> MjsMesh:
+    return spec.add_mesh(
+        name=name,
+        uservert=part.vertices.astype(np.float32).ravel(),
+        userface=part.faces.astype(np.int32).ravel(),
+    )
+
+
+def _release_spec(objects: Sequence[SceneObject], true_scale: float) -> MjSpec:
+    """The model of the release protocol: bodies in the order of their masks' names, at the origin, with their
+    vertices in world coordinates, mass by density on the geoms."""
+    mujoco = engine()
+    config = PhysicsConfig()
+    spec = _empty_spec(config)
+    spec.compiler.balanceinertia = False
+    for i, o in enumerate(sorted(objects, key=lambda o: o.mask_name)):
+        parts = o.parts_world or (ConvexPart.hull_of(o.vertices_world),)
+        density = (
+            600 * solid_volume(o.mesh.with_vertices(o.vertices_world), parts) / sum(p.volume for p in parts)
+        )
+        body = spec.worldbody.add_body(name=f"o{i}")
+        if o.mobility != "fixed":
+            body.add_freejoint()
+        for k, part in enumerate(parts):
+            _add_mesh(spec, f"m{i}_{k}", part.moved(np.diag([true_scale, true_scale, true_scale, 1.0])))
+            body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_MESH,
+                meshname=f"m{i}_{k}",
+                density=density,
+                friction=config.ground_friction,
+                **_contact(config),
+            )
+    return spec
+
+
+@dataclass(eq=False)
+class _Settling:
+    """The run of ``settle``: steps data and keeps count of time and speed."""
+
+    model: MjModel
+    config: SettleConfig
+    seconds: float = 0.0
+    max_speed: float = 0.0
+    exploded: bool = False
+
+    def until_rest(self, data: MjData) -> None:
+        """Damped steps until all speeds stayed low for ``rest_time`` or the time is up."""
+        mujoco = engine()
+        dt = self.model.opt.timestep
+        calm = 0.0
+        while calm < self.config.rest_time and self.seconds < self.config.time_limit:
+            mujoco.mj_step(self.model, data)
+            data.qvel *= 1 - self.config.damping * dt
+            self.seconds += dt
+            calm = calm + dt if self._slow(data) else 0.0
+            if self.exploded:
+                return
+
+    def undamped(self, data: MjData) -> tuple[float, bool]:
+        """Undamped steps: the largest travel of a centre of mass [m], and whether that counts as rest."""
+        mujoco = engine()
+        mujoco.mj_forward(self.model, data)
+        centers, drift, slow = data.xipos.copy(), 0.0, True
+        for _ in range(round(self.config.check_time / self.model.opt.timestep)):
+            mujoco.mj_step(self.model, data)
+            slow = self._slow(data)
+            drift = max(drift, float(np.linalg.norm(data.xipos - centers, axis=1).max()))
+            if self.exploded or drift > 50 * self.config.drift_limit:
+                return drift, False
+        return drift, slow and drift <= self.config.drift_limit
+
+    def fresh(self, data: MjData) -> MjData:
+        """The same positions with nothing remembered: no velocity, no warm start."""
+        mujoco = engine()
+        new = mujoco.MjData(self.model)
+        new.qpos[:] = data.qpos
+        return new
+
+    def _slow(self, data: MjData) -> bool:
+        """True below both rest speeds; ``cvel`` is (angular, linear) at each free body's centre of mass."""
+        angular, linear = (float(np.linalg.norm(v, axis=1).max()) for v in np.split(data.cvel, 2, axis=1))
+        if not (np.isfinite(angular + linear) and np.isfinite(data.qpos).all()):
+            self.exploded = True
+            return False
+        self.max_speed = max(self.max_speed, linear)
+        return linear < self.config.linear_rest and angular < self.config.angular_rest
+
+
+def _pose_of(model: MjModel, data: MjData, o: SceneObject) -> Array:
+    """The pose (4, 4) of an object's body."""
+    if o.mobility == "fixed":
+        return o.T_world_object
+    q = data.joint(body_name(o.id)).qpos
+    return pose(rotation_from_quaternion(q[3:]), q[:3])
+
+
+@contextmanager
+def _silent() -> Generator[None]:
+    """MuJoCo's warnings go to a log file in the working folder unless somebody takes them."""
+    mujoco = engine()
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(_ignore)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+def _ignore(_: str) -> None: ...

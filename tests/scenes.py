@@ -1,0 +1,92 @@
+"""Tiny scenes for tests: boxes on a plane, with a camera, masks that cover them and no pictures to load."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from f3sr.frames import T_UP_FROM_CAMERA, Array, Camera, pose
+from f3sr.mesh import ConvexPart, Material, Mesh
+from f3sr.scene import GROUND, Ground, Photo, Relation, Scene, SceneGraph, SceneObject, Support
+
+WIDTH, HEIGHT = 64, 48
+
+
+def box_mesh(size: Sequence[float] = (0.1, 0.1, 0.1), *, textured: bool = False) -> Mesh:
+    """A closed box (12 faces) centred at the origin; ``textured``: a texture, vertices split."""
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * np.array(size) / 2
+    hull = ConvexPart.hull_of(corners)
+    if not textured:
+        return Mesh(vertices=hull.vertices, faces=hull.faces)
+    faces = np.arange(36, dtype=np.int32).reshape(-1, 3)
+    uv = np.tile([[0.1, 0.1], [0.9, 0.1], [0.5, 0.8]], (12, 1))
+    texture = np.random.default_rng(0).integers(0, 256, (8, 6, 3), np.uint8)
+    return Mesh(
+        vertices=hull.vertices[hull.faces.ravel()], faces=faces, uv=uv, materials=(Material(texture=texture),)
+    )
+
+
+def box(
+    id: int,
+    *,
+    size: Sequence[float] = (0.1, 0.1, 0.1),
+    at: Sequence[float] = (0.0, 0.0, 0.05),
+    R: Array | None = None,
+    scale: float = 1.0,
+    textured: bool = False,
+    label: str = "box",
+) -> SceneObject:
+    """A box of ``size`` [m] in the world whose asset is 1 / ``scale`` as large, centred at ``at``."""
+    mesh = box_mesh(np.array(size) / scale, textured=textured)
+    mask = np.zeros((HEIGHT, WIDTH), bool)
+    mask[4:40, 2 + 6 * (id % 10) : 8 + 6 * (id % 10)] = True
+    return SceneObject(
+        id=id,
+        label=label,
+        mask_name=f"{id:02d}_box.png",
+        mask=mask,
+        mesh=mesh,
+        T_world_object=pose(R, at),
+        scale=scale,
+        parts=(ConvexPart.hull_of(mesh.vertices),),
+        supports=(Support(id=GROUND),),
+        supported_by=GROUND,
+    )
+
+
+def scene_of(*objects: SceneObject) -> Scene:
+    """A scene around given objects, seen from 1 m away and .3 m up."""
+    K = np.array([[60.0, 0, WIDTH / 2], [0, 60.0, HEIGHT / 2], [0, 0, 1]])
+    T_world_camera = pose(t=[0, -1, 0.3]) @ T_UP_FROM_CAMERA
+    rgb = np.random.default_rng(1).integers(0, 256, (HEIGHT, WIDTH, 3), np.uint8)
+    return Scene(
+        photo=Photo(rgb=rgb),
+        camera=Camera(width=WIDTH, height=HEIGHT, K=K, T_world_camera=T_world_camera),
+        objects=objects,
+        ground=Ground(source="test", confidence=1.0),
+    )
+
+
+def box_stack_scene(count: int = 3) -> Scene:
+    """``count`` boxes of 10, 9, 8... cm on each other, textured in turns, one asset in other units."""
+    boxes, top = [], 0.0
+    for id in range(count):
+        side = 0.1 - 0.01 * id
+        o = box(
+            id,
+            size=(side, side, side),
+            at=(0.003 * id, 0.0, top + side / 2),
+            scale=0.01 if id == 1 else 1.0,
+            textured=id % 2 == 0,
+            label=f"box {id}",
+        )
+        below = GROUND if id == 0 else id - 1
+        boxes.append(replace(o, supports=(Support(id=below),), supported_by=below))
+        top += side
+    relations = tuple(
+        Relation(subject=id, predicate="supported_by", object=id - 1, confidence=1.0, evidence="test")
+        for id in range(1, count)
+    )
+    return replace(scene_of(*boxes), graph=SceneGraph(relations=relations, source="test"))

@@ -1,0 +1,224 @@
+"""Laws of the physics model: one box analytically, rest that is rest, the release against a second writing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from f3sr.frames import rotation_about
+from f3sr.mesh import ConvexPart
+from f3sr.physics import (
+    PhysicsConfig,
+    SettleConfig,
+    body_of,
+    build_spec,
+    release,
+    settle,
+    solid_volume,
+)
+from f3sr.scene import SceneObject
+from scenes import box, box_mesh, box_stack_scene
+
+G = 9.81
+TWO_MARGINS = 2 * PhysicsConfig().margin
+
+
+def settled(objects: tuple[SceneObject, ...]) -> tuple[SceneObject, ...]:
+    result = settle(objects)
+    assert result.at_rest and not result.exploded
+    return tuple(replace(o, T_world_object=result.T_world_object[o.id]) for o in objects)
+
+
+def test_a_dropped_box_comes_to_rest_on_the_plane() -> None:
+    result = settle([box(0, at=(0.2, -0.1, 0.055))])
+    assert result.at_rest and result.seconds < 1 and result.drift < 1e-6
+    assert result.max_speed == pytest.approx(np.sqrt(2 * G * 0.005), rel=0.1)
+    x, y, z = result.T_world_object[0][:3, 3]
+    assert 0.05 - 1e-5 < z < 0.05 + TWO_MARGINS and abs(x - 0.2) < 1e-4 and abs(y + 0.1) < 1e-4
+
+
+def test_a_settled_stack_does_not_move_when_released() -> None:
+    K_max, D_max = release(settled(box_stack_scene(4).objects))
+    assert K_max < 1e-6 and D_max < 1e-4
+
+
+def test_a_raw_gap_shows_in_the_release() -> None:
+    K_max, D_max = release([box(0, at=(0, 0, 0.051))], seconds=1)
+    assert K_max > 1e-3 and D_max == pytest.approx(0.001 - TWO_MARGINS, abs=3e-4)
+
+
+def test_a_box_over_an_edge_falls() -> None:
+    shelf = replace(box(0), mobility="fixed")
+    result = settle([shelf, box(1, at=(0.07, 0, 0.15))])
+    assert result.T_world_object[1][2, 3] < 0.1 and result.max_speed > 0.1
+    assert np.array_equal(result.T_world_object[0], shelf.T_world_object)
+
+
+def test_a_fixed_object_floats_and_does_not_move() -> None:
+    lamp = replace(box(0, at=(0, 0, 1)), mobility="fixed")
+    assert np.array_equal(settle([lamp]).T_world_object[0], lamp.T_world_object)
+    assert release([lamp], seconds=0.1) == (0, 0)
+
+
+def test_kinetic_energy_of_a_free_fall() -> None:
+    K_max, D_max = release([box(0, at=(0, 0, 3))], seconds=0.5)
+    fallen = 0.5 * G * 0.5**2
+    assert K_max == pytest.approx(0.6 * G * fallen, rel=0.01)
+    assert D_max == pytest.approx(fallen, rel=0.01)
+
+
+def test_the_true_scale_scales_the_release() -> None:
+    K_max, D_max = release([box(0, at=(0, 0, 3))], seconds=0.2, true_scale=2)
+    once = release([box(0, at=(0, 0, 3))], seconds=0.2)
+    assert K_max == pytest.approx(8 * once.K_max, rel=1e-5) and D_max == pytest.approx(once.D_max, rel=1e-5)
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.01])
+def test_explicit_inertia_is_that_of_the_box(scale: float) -> None:
+    a, b, c = 0.1, 0.2, 0.3
+    o = replace(box(0, size=(a, b, c), scale=scale), density=800.0)
+    body, m = body_of(o), 800 * a * b * c
+    moments = m / 12 * np.array([b**2 + c**2, a**2 + c**2, a**2 + b**2])
+    assert body.from_mesh and body.mass == pytest.approx(m)
+    assert np.allclose(body.inertia, np.diag(moments), atol=1e-12) and np.allclose(body.center, 0, atol=1e-12)
+    model = build_spec([o]).compile()
+    assert model.body_mass[1] == pytest.approx(m)
+    assert np.allclose(np.sort(model.body_inertia[1]), np.sort(moments))
+
+
+def test_mass_of_an_open_mesh_is_that_of_its_parts() -> None:
+    o = box(0)
+    open_mesh = replace(o.mesh, faces=o.mesh.faces[:-1], face_material=None)
+    body = body_of(replace(o, mesh=open_mesh))
+    assert not body.from_mesh and body.mass == pytest.approx(0.6, rel=1e-5)
+
+
+def test_a_changed_set_of_parts_changes_the_mass_of_an_open_mesh() -> None:
+    o = box(0)
+    o = replace(o, mesh=replace(o.mesh, faces=o.mesh.faces[:-1], face_material=None))
+    half = ConvexPart.hull_of(o.mesh.vertices * [1, 1, 0.5])
+    assert body_of(o).mass == pytest.approx(2 * body_of(replace(o, parts=(half,))).mass, rel=1e-5)
+
+
+def test_an_object_without_parts_collides_with_its_hull() -> None:
+    (bare,) = settled((replace(box(0), parts=()),))
+    assert bare.T_world_object[2, 3] == pytest.approx(0.05, abs=TWO_MARGINS)
+
+
+@pytest.mark.parametrize(("friction", "slides"), [(0.2, True), (0.8, False)])
+def test_friction_decides_whether_a_box_slides_down_a_slope(friction: float, slides: bool) -> None:
+    R = rotation_about([0, 1, 0], np.radians(25))
+    normal = R @ [0, 0, 1]
+    slope = replace(
+        box(0, size=(2, 1, 0.1), at=(0, 0, 1), R=R), mobility="fixed", friction=friction, rolling_friction=0.0
+    )
+    crate = replace(box(1, at=np.array([0, 0, 1]) + 0.1004 * normal, R=R), friction=friction)
+    result = settle([slope, crate], settling=SettleConfig(time_limit=1.0, check_time=0.5, rounds=1))
+    travel = np.linalg.norm(result.T_world_object[1][:3, 3] - crate.T_world_object[:3, 3])
+    assert (travel > 0.1) == slides and result.at_rest != slides
+
+
+def test_a_scene_without_rest_is_reported_within_the_time_limit() -> None:
+    high = [box(0, at=(0, 0, 500))]
+    result = settle(high, settling=SettleConfig(time_limit=0.3, check_time=0.1))
+    assert not result.at_rest and not result.exploded and result.seconds == pytest.approx(0.3, abs=0.01)
+
+
+def test_a_blow_up_is_reported_with_the_initial_poses() -> None:
+    wild = PhysicsConfig(gravity=-1e200)
+    result = settle([box(0)], wild)
+    assert result.exploded and not result.at_rest
+    assert np.array_equal(result.T_world_object[0], box(0).T_world_object)
+
+
+def test_two_runs_give_equal_bytes() -> None:
+    objects = box_stack_scene(3).objects
+    first, second = settle(objects), settle(objects)
+    assert all(first.T_world_object[o.id].tobytes() == second.T_world_object[o.id].tobytes() for o in objects)
+    assert release(objects, seconds=0.3) == release(objects, seconds=0.3)
+
+
+def test_settling_carries_a_turned_frame_along() -> None:
+    """The pose that comes back is that of the object frame, whatever its axes are."""
+    R = rotation_about([1, 2, 3], 1.0)
+    o = box(0, at=(0, 0, 0.051))
+    turned = replace(
+        o,
+        T_world_object=o.T_world_object @ np.block([[R, np.zeros((3, 1))], [np.array([[0, 0, 0, 1]])]]),
+        mesh=o.mesh.with_vertices(o.mesh.vertices @ R),
+        parts=tuple(ConvexPart.hull_of(p.vertices @ R) for p in o.parts),
+    )
+    (a,), (b,) = settled((o,)), settled((turned,))
+    assert np.allclose(a.vertices_world, b.vertices_world, atol=1e-6)
+
+
+def test_no_log_file_is_left(tmp_path: object, monkeypatch: pytest.MonkeyPatch) -> None:
+    from pathlib import Path
+
+    monkeypatch.chdir(str(tmp_path))
+    settle([box(0)], PhysicsConfig(gravity=-1e200))
+    assert not list(Path.cwd().iterdir())
+
+
+def test_solid_volume_counts_split_vertices_as_open() -> None:
+    parts = (ConvexPart.hull_of(box_mesh().vertices),)
+    half = (ConvexPart.hull_of(box_mesh().vertices * [1, 1, 0.5]),)
+    for textured in (False, True):
+        mesh = box_mesh(textured=textured)
+        assert solid_volume(mesh, parts) == pytest.approx(1e-3)
+        assert solid_volume(mesh, half) == pytest.approx(0.5e-3)
+
+
+def test_release_agrees_with_an_independent_writing_of_the_protocol() -> None:
+    """Differential: the protocol as a reader of design.md would write it down, on a stack that falls over."""
+    stack = box_stack_scene(3).objects
+    turned = rotation_about([0, 1, 0], 0.2)
+    T = stack[2].T_world_object.copy()
+    T[:3, :3], T[2, 3] = turned, T[2, 3] + 0.02
+    objects = (*stack[:2], replace(stack[2], T_world_object=T))
+    K_max, D_max = release(objects, seconds=2)
+    expected_K, expected_D = reference_release(objects, seconds=2)
+    assert K_max == pytest.approx(expected_K, rel=1e-3) and D_max == pytest.approx(expected_D, abs=1e-5)
+
+
+def reference_release(objects: tuple[SceneObject, ...], seconds: float) -> tuple[float, float]:
+    import mujoco
+    import trimesh
+
+    spec = mujoco.MjSpec()
+    spec.option.timestep, spec.option.cone, spec.option.impratio = 0.002, mujoco.mjtCone.mjCONE_ELLIPTIC, 10
+    contact = {
+        "friction": [0.6, 0.005, 0.001],
+        "condim": 6,
+        "solref": [0.005, 1],
+        "solimp": [0.95, 0.99, 0.0005, 0.5, 2],
+        "margin": 2e-4,
+    }
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[20, 20, 0.1], **contact)
+    for i, o in enumerate(objects):
+        body = spec.worldbody.add_body(name=f"o{i}")
+        body.add_freejoint()
+        mesh = trimesh.Trimesh(o.vertices_world, o.mesh.faces, process=False)
+        hulls = [trimesh.Trimesh(p.vertices, p.faces, process=False).convex_hull for p in o.parts_world]
+        own = abs(mesh.volume) if mesh.is_watertight else np.inf
+        total = sum(h.volume for h in hulls)
+        density = 600 * min(own, mesh.convex_hull.volume, total) / total
+        for k, h in enumerate(hulls):
+            vertices, faces = np.asarray(h.vertices, np.float32), np.asarray(h.faces, np.int32)
+            spec.add_mesh(name=f"m{i}_{k}", uservert=vertices.ravel(), userface=faces.ravel())
+            kind = mujoco.mjtGeom.mjGEOM_MESH
+            body.add_geom(type=kind, meshname=f"m{i}_{k}", density=density, **contact)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    start, K, D = data.xipos[1:].copy(), 0.0, 0.0
+    for step in range(int(seconds / 0.002)):
+        mujoco.mj_step(model, data)
+        if step < 500:
+            mujoco.mj_energyVel(model, data)
+            K = max(K, float(data.energy[1]))
+        if step % 10 == 9:
+            D = max(D, float(np.linalg.norm(data.xipos[1:] - start, axis=1).max()))
+    return K, D
