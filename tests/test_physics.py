@@ -1,4 +1,4 @@
-"""Laws of the physics model: one box analytically, rest that is rest, the release against a second writing."""
+"""Laws of the physics model: one box analytically, rest, and the release against a second writing."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ def load_mesh(
     resolver = None if kind in (".glb", ".gltf") else FilePathResolver(str(path))
     try:
         scene = trimesh.load_scene(io.BytesIO(data), file_type=kind[1:], resolver=resolver, process=False)
-        pieces = [_piece(g) for g in scene.dump() if isinstance(g, trimesh.Trimesh) and len(g.faces)]
+        pieces = list(_pieces(scene))
     except Exception as error:  # trimesh raises whatever its parsers stumble over
         raise _refused(path, f"an unreadable file ({type(error).__name__}: {error})"[:300]) from error
     if not pieces:
@@ -186,9 +186,18 @@ def _inside(path: Path, name: str) -> Path:
     return side
 
 
-def _piece(geometry: Any) -> _Piece:
-    """Our view of a trimesh.Trimesh."""
-    visual, n = geometry.visual, len(geometry.vertices)
+def _pieces(scene: Any) -> Iterator[_Piece]:
+    """Our view of the triangle meshes of a trimesh.Scene, in its order, each once per node that shows it."""
+    import trimesh
+
+    for geometry in scene.dump():
+        if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
+            # The copies that dump() makes lose vertex colours beside a texture.
+            yield _piece(geometry, scene.geometry[geometry.metadata["name"]].visual)
+
+
+def _piece(geometry: Any, visual: Any) -> _Piece:
+    n = len(geometry.vertices)
     uv = getattr(visual, "uv", None)
     return _Piece(
         vertices=np.array(geometry.vertices, float),

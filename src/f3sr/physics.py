@@ -47,6 +47,9 @@ class PhysicsConfig:
     """Several contact points per pair of parts. Off, stacks explode."""
 
 
+DEFAULT_PHYSICS = PhysicsConfig()
+
+
 @dataclass(frozen=True, kw_only=True)
 class SettleConfig:
     """When a scene counts as at rest, and how long to wait for it."""
@@ -127,7 +130,7 @@ def body_name(id: int) -> str:
     return f"object_{id:02d}"
 
 
-def body_of(o: SceneObject, config: PhysicsConfig = PhysicsConfig()) -> Body:
+def body_of(o: SceneObject, config: PhysicsConfig = DEFAULT_PHYSICS) -> Body:
     """The rigid body of an object: mass and inertia of its solid at its density, its parts in metres."""
     parts = o.parts or (ConvexPart.hull_of(o.mesh.vertices),)
     solid, from_mesh = _solid(o.mesh, parts)
@@ -145,7 +148,7 @@ def body_of(o: SceneObject, config: PhysicsConfig = PhysicsConfig()) -> Body:
     )
 
 
-def build_spec(objects: Sequence[SceneObject], config: PhysicsConfig = PhysicsConfig()) -> MjSpec:
+def build_spec(objects: Sequence[SceneObject], config: PhysicsConfig = DEFAULT_PHYSICS) -> MjSpec:
     """The editable MuJoCo model: the ground, and per object a body with one mesh geom per convex part.
 
     Bodies are named ``object_03``, their geoms and meshes ``object_03_00``; dynamic ones have a free joint of
@@ -159,7 +162,7 @@ def build_spec(objects: Sequence[SceneObject], config: PhysicsConfig = PhysicsCo
 
 def settle(
     objects: Sequence[SceneObject],
-    config: PhysicsConfig = PhysicsConfig(),
+    config: PhysicsConfig = DEFAULT_PHYSICS,
     *,
     settling: SettleConfig = SettleConfig(),
 ) -> Settled:

@@ -1,0 +1,184 @@
+"""MJCF: the scene as a MuJoCo file, the same model as ``physics.build_spec`` with pictures on it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from xml.etree import ElementTree as ET
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.export.gltf import png_of
+from f3sr.export.obj import part_to_obj, to_obj
+from f3sr.frames import Array, Camera, quaternion_from_rotation
+from f3sr.mesh import Mesh
+from f3sr.physics import DEFAULT_PHYSICS, GROUND_NAME, Body, PhysicsConfig, body_of
+from f3sr.scene import SceneObject
+
+VISUAL_GROUP, COLLISION_GROUP = 2, 3
+"""MuJoCo's viewers show groups 0 to 2 from the start."""
+
+LEAST_AREA = 1e-12
+"""[m2]: faces of one material with less than this cannot be seen, and MuJoCo refuses a mesh of them."""
+
+
+def collision_path(id: int, part: int) -> str:
+    """Where a convex part lies in the package."""
+    return f"collision/{id:02d}/{part:02d}.obj"
+
+
+def collision_files(id: int, body: Body) -> Mapping[str, bytes]:
+    """The convex parts of a body, object frame, metres."""
+    return {collision_path(id, k): part_to_obj(part).encode() for k, part in enumerate(body.parts)}
+
+
+def to_mjcf(
+    objects: Sequence[SceneObject], camera: Camera, config: PhysicsConfig = DEFAULT_PHYSICS
+) -> Mapping[str, bytes]:
+    """``scene.xml`` and the visual meshes and textures it names, by relative path.
+
+    It also names the convex parts of ``collision_files``, which belong beside it.
+    """
+    files: dict[str, bytes] = {}
+    root = ET.Element("mujoco", model="scene")
+    ET.SubElement(root, "compiler", angle="radian", balanceinertia="true")
+    _options(root, config)
+    asset, world = ET.SubElement(root, "asset"), ET.SubElement(root, "worldbody")
+    _surroundings(world, camera, config)
+    for o in objects:
+        body = body_of(o, config)
+        node = _body(world, body)
+        for look in _looks(o):
+            files |= look.files
+            _visual(asset, node, look)
+        _collision(asset, node, body, o.id)
+    ET.indent(root)
+    return {"scene.xml": ET.tostring(root) + b"\n", **files}
+
+
+def _options(root: ET.Element, config: PhysicsConfig) -> None:
+    """Engine settings, and the geoms' settings as two classes."""
+    option = ET.SubElement(
+        root,
+        "option",
+        timestep=_text(config.timestep),
+        gravity=_text([0, 0, config.gravity]),
+        cone="elliptic",
+        impratio=_text(config.impratio),
+        integrator="Euler",
+    )
+    ET.SubElement(option, "flag", multiccd="enable" if config.multiccd else "disable")
+    default = ET.SubElement(root, "default")
+    collision = ET.SubElement(default, "default", {"class": "collision"})
+    ET.SubElement(
+        collision,
+        "geom",
+        group=str(COLLISION_GROUP),
+        condim=str(config.condim),
+        solref=_text(config.solref),
+        solimp=_text(config.solimp),
+        margin=_text(config.margin),
+        rgba="0.5 0.6 0.8 0.5",
+    )
+    visual = ET.SubElement(default, "default", {"class": "visual"})
+    ET.SubElement(visual, "geom", group=str(VISUAL_GROUP), contype="0", conaffinity="0", mass="0")
+
+
+def _surroundings(world: ET.Element, camera: Camera, config: PhysicsConfig) -> None:
+    """Light, the photo's camera (its principal point taken as central) and the ground plane."""
+    ET.SubElement(world, "light", directional="true", pos="0 0 3", dir="0.2 0.3 -1")
+    R = camera.T_world_camera[:3, :3]
+    ET.SubElement(
+        world,
+        "camera",
+        name="photo",
+        pos=_text(camera.center),
+        xyaxes=_text([*R[:, 0], *-R[:, 1]]),
+        fovy=_text(float(np.degrees(2 * np.arctan(camera.height / 2 / camera.K[1, 1])))),
+    )
+    plane = ET.SubElement(
+        world, "geom", {"class": "collision"}, name=GROUND_NAME, type="plane", size="20 20 0.1"
+    )
+    plane.attrib |= {"friction": _text(config.ground_friction), "group": "0", "rgba": "0.8 0.8 0.8 1"}
+
+
+def _body(world: ET.Element, body: Body) -> ET.Element:
+    """The body with its free joint and explicit inertia."""
+    T, moment = body.T_world_body, body.inertia
+    quaternion = quaternion_from_rotation(T[:3, :3])
+    node = ET.SubElement(world, "body", name=body.name, pos=_text(T[:3, 3]), quat=_text(quaternion))
+    if not body.fixed:
+        ET.SubElement(node, "freejoint", name=body.name)
+    moments = [moment[0, 0], moment[1, 1], moment[2, 2], moment[0, 1], moment[0, 2], moment[1, 2]]
+    ET.SubElement(node, "inertial", pos=_text(body.center), mass=_text(body.mass), fullinertia=_text(moments))
+    return node
+
+
+def _collision(asset: ET.Element, node: ET.Element, body: Body, id: int) -> None:
+    for k in range(len(body.parts)):
+        name = f"{body.name}_{k:02d}"
+        ET.SubElement(asset, "mesh", name=name, file=collision_path(id, k), inertia="shell")
+        attributes = {"type": "mesh", "mesh": name, "friction": _text(body.friction)}
+        ET.SubElement(node, "geom", {"class": "collision"}, name=name, **attributes)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Look:
+    """The faces of an object that share a material: their files, and their colour."""
+
+    name: str
+    files: Mapping[str, bytes]
+    mesh: str
+    texture: str | None
+    rgb: Sequence[float]
+
+
+def _looks(o: SceneObject) -> Iterator[_Look]:
+    """One visual mesh per material in use. MuJoCo knows no vertex colours: their mean stands for them."""
+    mesh = o.mesh
+    assert mesh.face_material is not None
+    for k in np.unique(mesh.face_material):
+        faces = mesh.faces[mesh.face_material == k]
+        if _area(o.scale * mesh.vertices[faces]) < LEAST_AREA:
+            continue
+        material, stem = mesh.materials[k], f"visual/{o.id:02d}_{k:02d}"
+        files = {f"{stem}.obj": _visual_obj(mesh, faces, o.scale).encode()}
+        texture = None if material.texture is None or mesh.uv is None else f"{stem}.png"
+        if texture is not None:
+            files[texture] = png_of(material)
+        mean = 1.0 if mesh.vertex_colors is None else mesh.vertex_colors[np.unique(faces)].mean(0) / 255
+        rgb = (np.asarray(material.base_color) * mean).tolist()
+        yield _Look(
+            name=f"visual_{o.id:02d}_{k:02d}", files=files, mesh=f"{stem}.obj", texture=texture, rgb=rgb
+        )
+
+
+def _visual_obj(mesh: Mesh, faces: NDArray[np.int32], scale: float) -> str:
+    """The chosen faces in metres; a vertex is repeated where there are fewer than the four MuJoCo wants."""
+    used, inverse = np.unique(faces, return_inverse=True)
+    used = np.concatenate([used, np.repeat(used[-1:], max(0, 4 - len(used)))])
+    uv = None if mesh.uv is None else mesh.uv[used]
+    return to_obj(scale * mesh.vertices[used], inverse.reshape(-1, 3).astype(np.int32), uv)
+
+
+def _area(triangles: Array) -> float:
+    """Of triangles (m, 3, 3)."""
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+
+def _visual(asset: ET.Element, node: ET.Element, look: _Look) -> None:
+    """The mesh, texture and material of a look, and its geom."""
+    ET.SubElement(asset, "mesh", name=look.name, file=look.mesh, inertia="shell")
+    material = ET.SubElement(asset, "material", name=look.name, rgba=_text([*look.rgb, 1]), specular="0")
+    if look.texture is not None:
+        ET.SubElement(asset, "texture", name=look.name, type="2d", file=look.texture)
+        material.set("texture", look.name)
+    attributes = {"type": "mesh", "mesh": look.name, "material": look.name}
+    ET.SubElement(node, "geom", {"class": "visual"}, name=look.name, **attributes)
+
+
+def _text(values: float | Iterable[float] | Array) -> str:
+    """Numbers at full precision."""
+    return " ".join(repr(float(v)) for v in np.atleast_1d(np.asarray(values, float)))

@@ -1,0 +1,283 @@
+"""scene.json, the source of truth of a package: its typed document, and how a scene becomes one."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from pathlib import PurePosixPath
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, model_validator
+
+from f3sr.export.mjcf import collision_path
+from f3sr.frames import Array
+from f3sr.physics import body_of
+from f3sr.scene import GROUND, Mobility, Predicate, Scene, SceneObject
+
+SCHEMA_VERSION = 1
+SCHEMA_FILE = "scene.schema.json"
+
+
+def _safe_path(path: str) -> str:
+    """A relative POSIX path that stays in its folder."""
+    pure = PurePosixPath(path)
+    if (
+        pure.is_absolute()
+        or ".." in pure.parts
+        or "\\" in path
+        or ":" in path
+        or "\0" in path
+        or path in ("", ".")
+    ):
+        raise ValueError("accepted: a relative path inside the package, with forward slashes")
+    return path
+
+
+def _file_name(name: str) -> str:
+    if "/" in name or "\\" in name or name in ("", ".", ".."):
+        raise ValueError("accepted: the bare name of a file")
+    return name
+
+
+def _rigid(T: Matrix4) -> Matrix4:
+    matrix = np.array(T)
+    R = matrix[:3, :3]
+    if not np.allclose(R @ R.T, np.eye(3), atol=1e-5) or np.linalg.det(R) < 0:
+        raise ValueError("accepted: a rigid transform (rotation and translation, no scale, no mirror)")
+    if not np.array_equal(matrix[3], [0, 0, 0, 1]):
+        raise ValueError("accepted: a last row of 0 0 0 1")
+    return T
+
+
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Vector3 = tuple[Number, Number, Number]
+Matrix3 = tuple[Vector3, Vector3, Vector3]
+Row4 = tuple[Number, Number, Number, Number]
+Matrix4 = tuple[Row4, Row4, Row4, Row4]
+RigidMatrix4 = Annotated[Matrix4, AfterValidator(_rigid)]
+Path = Annotated[str, AfterValidator(_safe_path)]
+FileName = Annotated[str, AfterValidator(_file_name)]
+Id = Annotated[int, Field(ge=0, strict=True)]
+IdOrGround = Annotated[int, Field(ge=GROUND, strict=True)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+
+class CameraRecord(_Record):
+    """Pinhole camera: OpenCV axes, pixel centres at +0.5."""
+
+    width: Annotated[int, Field(gt=0)]
+    height: Annotated[int, Field(gt=0)]
+    K: Matrix3
+    T_world_camera: RigidMatrix4
+
+
+class GroundRecord(_Record):
+    """The support plane normal . x = offset in the world."""
+
+    normal: Vector3
+    offset: Number
+    source: str
+    confidence: Share
+
+
+class SupportRecord(_Record):
+    """What carries an object (-1: the ground) and its share of the load."""
+
+    id: IdOrGround
+    share: Share
+
+
+class MotionRecord(_Record):
+    """How a stage moved an object: centre [m], turn [rad], scale factor."""
+
+    stage: str
+    translation: Vector3
+    rotation: Number
+    scale: Positive
+    reason: str
+
+
+class ObjectRecord(_Record):
+    """One object. Lengths in its own frame, metres; world points are T_world_object @ v."""
+
+    id: Id
+    label: str
+    mask: FileName
+    mesh: Path
+    collision: Annotated[tuple[Path, ...], Field(min_length=1)]
+    T_world_object: RigidMatrix4
+    mobility: Mobility
+    mass: Positive
+    inertia: Matrix3
+    """kg m2 about the centre of mass, object axes."""
+    center_of_mass: Vector3
+    density: Positive
+    volume_source: Literal["mesh", "proxies"]
+    friction: NonNegative
+    rolling_friction: NonNegative
+    restitution: Share
+    material: str
+    supports: tuple[SupportRecord, ...]
+    supported_by: IdOrGround | None
+    motion: tuple[MotionRecord, ...]
+
+
+class ExcludedRecord(_Record):
+    """A mask that is not an object, and why."""
+
+    mask: FileName
+    reason: str
+
+
+class RelationRecord(_Record):
+    """``subject predicate object``, by object id."""
+
+    subject: Id
+    predicate: Predicate
+    object: IdOrGround
+    confidence: Share
+    evidence: str
+
+
+class SceneGraphRecord(_Record):
+    relations: tuple[RelationRecord, ...]
+    source: str
+
+
+class SceneDocument(_Record):
+    """scene.json of an f3sr scene package: right-handed world, +Z up, metres, kilograms, radians."""
+
+    model_config = ConfigDict(title="f3sr scene")
+
+    schema_: Annotated[str, Field(alias="$schema")] = SCHEMA_FILE
+    schema_version: Literal[1]
+    units: Literal["m"]
+    up: Literal["z"]
+    quaternion: Literal["wxyz"]
+    camera: CameraRecord
+    ground: GroundRecord
+    objects: tuple[ObjectRecord, ...]
+    excluded: tuple[ExcludedRecord, ...]
+    scene_graph: SceneGraphRecord
+    metrics: dict[str, Number | None]
+    provenance: dict[str, JsonValue]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        """Ids sorted and unique, masks unique, references to ids that exist."""
+        ids = [o.id for o in self.objects]
+        if ids != sorted(set(ids)):
+            raise ValueError(f"object ids {ids}; accepted: unique and ascending")
+        masks = [o.mask for o in self.objects] + [e.mask for e in self.excluded]
+        if len(set(masks)) != len(masks):
+            raise ValueError("a mask occurs twice among objects and excluded")
+        named = {s.id for o in self.objects for s in o.supports} | {GROUND}
+        named |= {o.supported_by for o in self.objects if o.supported_by is not None}
+        named |= {i for r in self.scene_graph.relations for i in (r.subject, r.object)}
+        if unknown := sorted(named - {GROUND, *ids}):
+            raise ValueError(f"references to ids {unknown}; the objects are {ids}")
+        return self
+
+
+def scene_schema() -> dict[str, Any]:
+    """The JSON Schema of scene.json."""
+    schema = SceneDocument.model_json_schema(by_alias=True, mode="validation")
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+def to_document(
+    scene: Scene, *, metrics: Mapping[str, float | None], provenance: Mapping[str, JsonValue]
+) -> SceneDocument:
+    """The scene as its document; measures that are not finite become null."""
+    camera, ground = scene.camera, scene.ground
+    return SceneDocument.model_validate(
+        {
+            "schema_version": SCHEMA_VERSION,
+            "units": "m",
+            "up": "z",
+            "quaternion": "wxyz",
+            "camera": {
+                "width": camera.width,
+                "height": camera.height,
+                "K": camera.K.tolist(),
+                "T_world_camera": camera.T_world_camera.tolist(),
+            },
+            "ground": {
+                "normal": np.asarray(ground.normal, float).tolist(),
+                "offset": float(ground.offset),
+                "source": ground.source,
+                "confidence": float(ground.confidence),
+            },
+            "objects": [_object(o) for o in scene.objects],
+            "excluded": [{"mask": e.mask, "reason": e.reason} for e in scene.excluded],
+            "scene_graph": {
+                "relations": [vars(r) for r in scene.graph.relations],
+                "source": scene.graph.source,
+            },
+            "metrics": {name: _finite(value) for name, value in metrics.items()},
+            "provenance": dict(provenance),
+        }
+    )
+
+
+def to_json(document: SceneDocument) -> bytes:
+    """Text of the document, the same for the same values."""
+    return dump_json(document.model_dump(by_alias=True, mode="json"))
+
+
+def dump_json(value: Any) -> bytes:
+    """Indented JSON with a row of numbers on one line. Strings, free of line breaks, cannot match."""
+    text = json.dumps(value, indent=1, allow_nan=False)
+    return re.sub(r"\[\n[-+.\deE,\s]+\]", lambda row: " ".join(row[0].split()), text).encode() + b"\n"
+
+
+def mesh_path(id: int) -> str:
+    """Where an object's mesh lies in the package."""
+    return f"meshes/{id:02d}.glb"
+
+
+def _object(o: SceneObject) -> dict[str, Any]:
+    body = body_of(o)
+    return {
+        "id": o.id,
+        "label": _well_formed(o.label),
+        "mask": o.mask_name,
+        "mesh": mesh_path(o.id),
+        "collision": [collision_path(o.id, k) for k in range(len(body.parts))],
+        "T_world_object": _list(o.T_world_object),
+        "mobility": o.mobility,
+        "mass": float(body.mass),
+        "inertia": _list(body.inertia),
+        "center_of_mass": _list(body.center),
+        "density": float(o.density),
+        "volume_source": "mesh" if body.from_mesh else "proxies",
+        "friction": float(o.friction),
+        "rolling_friction": float(o.rolling_friction),
+        "restitution": float(o.restitution),
+        "material": _well_formed(o.material),
+        "supports": [{"id": s.id, "share": float(s.share)} for s in o.supports],
+        "supported_by": o.supported_by,
+        "motion": [vars(m) for m in o.motion],
+    }
+
+
+def _list(values: Array) -> Any:
+    return np.asarray(values, float).tolist()
+
+
+def _well_formed(text: str) -> str:
+    """The text itself, unless it holds halves of surrogate pairs, which JSON readers refuse."""
+    return text.encode("utf-8", "replace").decode("utf-8")
+
+
+def _finite(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else float(value)

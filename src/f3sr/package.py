@@ -1,0 +1,339 @@
+"""The scene package on disk: written whole or not at all, and read back with every claim checked."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import JsonValue, ValidationError
+
+import f3sr
+from f3sr.errors import InputError, OutputError
+from f3sr.export.gltf import encode_png, mesh_to_glb, scene_to_glb
+from f3sr.export.mjcf import collision_files, to_mjcf
+from f3sr.export.scene_json import (
+    SCHEMA_FILE,
+    ObjectRecord,
+    SceneDocument,
+    dump_json,
+    mesh_path,
+    scene_schema,
+    to_document,
+    to_json,
+)
+from f3sr.frames import Camera
+from f3sr.mesh import ConvexPart, Mesh
+from f3sr.mesh_io import load_mesh
+from f3sr.physics import DEFAULT_PHYSICS, PhysicsConfig, body_of
+from f3sr.report import Report
+from f3sr.scene import Excluded, Ground, Motion, Photo, Relation, Scene, SceneGraph, SceneObject, Support
+
+__all__ = ["Package", "SceneDocument", "prepare_output", "read_package", "scene_schema", "write_package"]
+
+Masks = Mapping[str, NDArray[np.bool_]]
+"""Photo-sized masks by file name."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Package:
+    """A scene package in memory. Objects have scale 1 and, as a package holds no masks, empty masks."""
+
+    folder: Path
+    document: SceneDocument
+    camera: Camera
+    ground: Ground
+    objects: tuple[SceneObject, ...]
+    graph: SceneGraph
+    excluded: tuple[Excluded, ...]
+
+    def with_masks(self, masks: Masks) -> Package:
+        """The package with the masks of its objects, each (height, width) of the camera."""
+        return replace(self, objects=tuple(_with_mask(o, masks, self.camera) for o in self.objects))
+
+    def to_scene(self, photo: Photo, masks: Masks) -> Scene:
+        """The package as a scene again."""
+        return Scene(
+            photo=photo,
+            camera=self.camera,
+            objects=self.with_masks(masks).objects,
+            ground=self.ground,
+            graph=self.graph,
+            excluded=self.excluded,
+        )
+
+
+def write_package(
+    scene: Scene,
+    out: Path,
+    *,
+    metrics: Mapping[str, float | None] | None = None,
+    provenance: Mapping[str, JsonValue] | None = None,
+    reports: Sequence[Report] = (),
+    seconds: Mapping[str, float] | None = None,
+    pictures: Mapping[str, NDArray[np.uint8]] | None = None,
+    physics: PhysicsConfig = DEFAULT_PHYSICS,
+    overwrite: bool = False,
+) -> Path:
+    """Write the scene as a package to ``out`` and return the folder's full path.
+
+    ``metrics`` by name; ``provenance``: stages, hashes and the like, without paths of this machine or times;
+    ``seconds`` per stage go to report.json with the ``reports``; ``pictures`` (h, w, 3) by name without
+    suffix. ``out`` changes only after everything has been written beside it. Raises OutputError when
+    something else than an f3sr package is there, or one with rollouts and not ``overwrite``.
+    """
+    out = prepare_output(out, overwrite=overwrite)
+    building = _building(out)
+    try:
+        for name, data in _files(
+            scene,
+            metrics=metrics or {},
+            provenance={"f3sr": f3sr.__version__, **(provenance or {})},
+            report=_report(reports, seconds or {}),
+            pictures=pictures or {},
+            physics=physics,
+        ).items():
+            file = building / name
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(data)
+        _commit(building, out)
+    except OSError as error:
+        raise OutputError(f"{out}: could not be written ({error.strerror or error})") from error
+    finally:
+        shutil.rmtree(building, ignore_errors=True)
+    return out
+
+
+def prepare_output(out: Path, *, overwrite: bool = False) -> Path:
+    """Tidy up after an interrupted run, and refuse early a place that ``write_package`` may not take.
+
+    Returns the full path of ``out``.
+    """
+    out = Path(out).resolve()
+    if not out.name:
+        raise OutputError(f"{out}: the root of the file system cannot be a package")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        _recover(out)
+    except OSError as error:
+        raise OutputError(f"{out}: cannot be prepared ({error.strerror or error})") from error
+    if out.exists() and not _is_empty(out):
+        if not is_package(out):
+            raise OutputError(
+                f"{out}: is {_contents(out)}; only an f3sr package or an empty folder is replaced"
+            )
+        if _has_rollouts(out) and not overwrite:
+            raise OutputError(
+                f"{out}: holds rollouts; a package with rollouts is replaced only with --overwrite"
+            )
+    return out
+
+
+def is_package(folder: Path) -> bool:
+    """True when the folder has a scene.json that looks like ours, of whatever version."""
+    try:
+        tree = json.loads((folder / "scene.json").read_bytes())
+    except (OSError, ValueError):
+        return False
+    return isinstance(tree, dict) and {"schema_version", "camera", "objects"} <= tree.keys()
+
+
+def read_package(folder: Path) -> Package:
+    """Read a package; InputError names the file that is missing, malformed or outside the folder."""
+    folder = Path(folder)
+    document = _read_document(folder / "scene.json")
+    camera = Camera(
+        width=document.camera.width,
+        height=document.camera.height,
+        K=np.array(document.camera.K),
+        T_world_camera=np.array(document.camera.T_world_camera),
+    )
+    ground = document.ground
+    return Package(
+        folder=folder,
+        document=document,
+        camera=camera,
+        ground=Ground(
+            normal=np.array(ground.normal),
+            offset=ground.offset,
+            source=ground.source,
+            confidence=ground.confidence,
+        ),
+        objects=tuple(_read_object(folder, record, camera) for record in document.objects),
+        graph=SceneGraph(
+            relations=tuple(Relation(**r.model_dump()) for r in document.scene_graph.relations),
+            source=document.scene_graph.source,
+        ),
+        excluded=tuple(Excluded(mask=e.mask, reason=e.reason) for e in document.excluded),
+    )
+
+
+def _files(
+    scene: Scene,
+    *,
+    metrics: Mapping[str, float | None],
+    provenance: Mapping[str, JsonValue],
+    report: dict[str, Any],
+    pictures: Mapping[str, NDArray[np.uint8]],
+    physics: PhysicsConfig,
+) -> dict[str, bytes]:
+    """Every file of the package by its relative path."""
+    files: dict[str, bytes] = {}
+    for o in scene.objects:
+        mesh = o.mesh.with_vertices(o.scale * o.mesh.vertices)
+        files[mesh_path(o.id)] = mesh_to_glb(mesh, name=f"object_{o.id:02d}")
+        files |= collision_files(o.id, body_of(o, physics))
+    files["scene.glb"] = scene_to_glb(scene.objects)
+    files |= to_mjcf(scene.objects, scene.camera, physics)
+    for name, picture in pictures.items():
+        if not re.fullmatch(r"[\w-]+", name, flags=re.ASCII):
+            raise ValueError(f"picture name {name!r}: only letters, digits, _ and - are accepted")
+        files[f"pictures/{name}.png"] = encode_png(picture)
+    files["report.json"] = dump_json(report)
+    files[SCHEMA_FILE] = dump_json(scene_schema())
+    files["scene.json"] = to_json(to_document(scene, metrics=metrics, provenance=provenance))
+    return files
+
+
+def _report(reports: Sequence[Report], seconds: Mapping[str, float]) -> dict[str, Any]:
+    """Stage reports as plain values; numbers that are not finite become null."""
+    return _plain({"seconds": dict(seconds), "stages": [asdict(report) for report in reports]})
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, (float, np.floating)):
+        return float(value) if np.isfinite(value) else None
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _building(out: Path) -> Path:
+    return out.with_name(f".{out.name}.building")
+
+
+def _previous(out: Path) -> Path:
+    return out.with_name(f".{out.name}.previous")
+
+
+def _recover(out: Path) -> None:
+    """After a crash: drop what was being built, and bring back the old package unless a new one is there."""
+    building, previous = _building(out), _previous(out)
+    if building.exists():
+        shutil.rmtree(building)
+    if previous.exists():
+        if out.exists() and not _is_empty(out):
+            shutil.rmtree(previous)
+        else:
+            _move(previous, out)
+
+
+def _commit(building: Path, out: Path) -> None:
+    """Put the finished folder in place; at every moment one whole package exists under one of the names."""
+    previous = _previous(out)
+    if out.exists() and not _is_empty(out):
+        _move(out, previous)
+    try:
+        _move(building, out)
+    except BaseException:
+        if previous.exists() and not out.exists():
+            _move(previous, out)
+        raise
+    shutil.rmtree(previous, ignore_errors=True)
+
+
+def _move(source: Path, target: Path) -> None:
+    """Rename a folder; an empty folder may be in the way."""
+    if target.exists():
+        target.rmdir()
+    source.rename(target)
+
+
+def _is_empty(folder: Path) -> bool:
+    return folder.is_dir() and not any(folder.iterdir())
+
+
+def _has_rollouts(folder: Path) -> bool:
+    rollouts = folder / "rollouts"
+    return rollouts.is_dir() and not _is_empty(rollouts)
+
+
+def _contents(place: Path) -> str:
+    """What is there, in a few words."""
+    if not place.is_dir():
+        return "a file"
+    names = sorted(p.name for p in place.iterdir())
+    return (
+        f"a folder with {len(names)} other things ({', '.join(names[:3])}{', ...' if len(names) > 3 else ''})"
+    )
+
+
+def _read_document(file: Path) -> SceneDocument:
+    accepted = "the scene.json of an f3sr package, schema_version 1"
+    try:
+        tree = json.loads(file.read_bytes())
+    except OSError:
+        raise InputError(file, found="no such file", accepted=accepted) from None
+    except ValueError as error:
+        raise InputError(file, found=f"no JSON ({error})", accepted=accepted) from None
+    try:
+        return SceneDocument.model_validate(tree)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(map(str, first["loc"])) or "the document"
+        found = f"{error.error_count()} errors, the first at {place}: {first['msg']}"
+        raise InputError(file, found=found, accepted=accepted) from None
+
+
+def _read_object(folder: Path, record: ObjectRecord, camera: Camera) -> SceneObject:
+    return SceneObject(
+        id=record.id,
+        label=record.label,
+        mask_name=record.mask,
+        mask=np.zeros((camera.height, camera.width), bool),
+        mesh=_read_mesh(folder, record.mesh),
+        T_world_object=np.array(record.T_world_object),
+        parts=tuple(_read_part(folder, path) for path in record.collision),
+        mobility=record.mobility,
+        density=record.density,
+        friction=record.friction,
+        rolling_friction=record.rolling_friction,
+        restitution=record.restitution,
+        material=record.material,
+        supports=tuple(Support(id=s.id, share=s.share) for s in record.supports),
+        supported_by=record.supported_by,
+        motion=tuple(Motion(**m.model_dump()) for m in record.motion),
+    )
+
+
+def _read_mesh(folder: Path, path: str) -> Mesh:
+    file = folder / path
+    if not file.resolve().is_relative_to(folder.resolve()):
+        raise InputError(file, found="a path that leaves the package", accepted="files inside the package")
+    return load_mesh(file)
+
+
+def _read_part(folder: Path, path: str) -> ConvexPart:
+    mesh = _read_mesh(folder, path)
+    try:
+        return ConvexPart.hull_of(mesh.vertices)
+    except ValueError as error:
+        raise InputError(folder / path, found=str(error), accepted="a convex part with a volume") from None
+
+
+def _with_mask(o: SceneObject, masks: Masks, camera: Camera) -> SceneObject:
+    if o.mask_name not in masks:
+        raise InputError(o.mask_name, found="no such mask", accepted=f"one of {', '.join(sorted(masks))}")
+    mask = masks[o.mask_name]
+    if mask.shape != (camera.height, camera.width):
+        expected = f"{camera.width} x {camera.height} like the package's camera"
+        raise InputError(o.mask_name, found=f"{mask.shape[1]} x {mask.shape[0]} pixels", accepted=expected)
+    return replace(o, mask=mask)
