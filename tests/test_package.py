@@ -371,6 +371,19 @@ def test_scene_xml_is_the_model_of_the_product(stack: Scene, tmp_path: Path) -> 
     assert {int(theirs.geom_group[k]) for k in visual} == {2} and theirs.ntex == 2
 
 
+def test_scene_xml_shows_the_texture_upright(tmp_path: Path) -> None:
+    """MuJoCo samples row v * height from the first row of its texture: v has to point down the picture."""
+    o = box(0, textured=True)
+    out = write_package(scene_of(o), tmp_path / "out")
+    model = mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
+    texture = o.mesh.materials[0].texture
+    assert texture is not None and o.mesh.uv is not None
+    assert np.array_equal(np.asarray(model.tex_data).reshape(texture.shape), texture)
+    corners = np.asarray(model.mesh_facetexcoord)[:12]
+    shown = np.asarray(model.mesh_texcoord)[corners]
+    assert np.allclose(shown, o.mesh.uv[o.mesh.faces] * [1, -1] + [0, 1], atol=1e-6)
+
+
 def test_scene_xml_takes_tiny_and_degenerate_looks(tmp_path: Path) -> None:
     mesh = box_mesh()
     flat = np.concatenate([mesh.faces, [[0, 0, 1]]])

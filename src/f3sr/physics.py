@@ -68,6 +68,9 @@ class SettleConfig:
     """[s] of the undamped check after each round."""
     drift_limit: float = 2e-4
     """[m]: largest travel of a centre of mass in the check. Collapsed piles creep .1 mm in 5 s."""
+    even_masses: bool = True
+    """Check a second time with each mass spread evenly over the parts, as the release protocol does: a
+    pose can stand with the one centre of mass and tip with the other."""
     rounds: int = 4
     """How often to settle and check again, >= 1."""
 
@@ -160,6 +163,17 @@ def build_spec(objects: Sequence[SceneObject], config: PhysicsConfig = DEFAULT_P
     return spec
 
 
+def _even_spec(objects: Sequence[SceneObject], config: PhysicsConfig) -> MjSpec:
+    """The same model with the masses of the release protocol: spread evenly over the parts."""
+    spec = _empty_spec(config)
+    for o in objects:
+        body = body_of(o, config)
+        mesh = o.mesh.with_vertices(o.scale * o.mesh.vertices)
+        density = o.density * solid_volume(mesh, body.parts) / sum(p.volume for p in body.parts)
+        _add_body(spec, body, config, even_density=density)
+    return spec
+
+
 def settle(
     objects: Sequence[SceneObject],
     config: PhysicsConfig = DEFAULT_PHYSICS,
@@ -173,17 +187,22 @@ def settle(
     """
     mujoco = engine()
     model = build_spec(objects, config).compile()
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
+    checks = [model, _even_spec(objects, config).compile()] if settling.even_masses else [model]
+    for m in checks:
+        m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
     run = _Settling(model, settling)
     data, drift, calm = mujoco.MjData(model), np.inf, False
     with _silent():
         for _ in range(settling.rounds):
             run.until_rest(data)
-            data = run.fresh(data)
-            start = data.qpos.copy()
-            drift, calm = run.undamped(data)
-            if calm:
-                data.qpos[:] = start
+            drift, calm = 0.0, not run.exploded
+            for m in checks:
+                released = run.fresh(m, data)
+                travel, calm = run.undamped(m, released)
+                drift = max(drift, travel)
+                if not calm:
+                    data = run.fresh(model, released)
+                    break
             if calm or run.exploded or run.seconds >= settling.time_limit:
                 break
     return Settled(
@@ -286,27 +305,31 @@ def _contact(config: PhysicsConfig) -> dict[str, Any]:
     }
 
 
-def _add_body(spec: MjSpec, body: Body, config: PhysicsConfig) -> None:
+def _add_body(spec: MjSpec, body: Body, config: PhysicsConfig, *, even_density: float | None = None) -> None:
+    """The body with its explicit inertia, or with the same density in all its parts when one is given."""
     mujoco = engine()
     T, moment = body.T_world_body, body.inertia
     node = spec.worldbody.add_body(name=body.name, pos=T[:3, 3], quat=quaternion_from_rotation(T[:3, :3]))
     if not body.fixed:
         node.add_freejoint(name=body.name)
-    node.explicitinertial = True
-    node.mass, node.ipos = body.mass, body.center
-    node.fullinertia = [moment[0, 0], moment[1, 1], moment[2, 2], moment[0, 1], moment[0, 2], moment[1, 2]]
+    if even_density is None:
+        node.explicitinertial = True
+        node.mass, node.ipos = body.mass, body.center
+        node.fullinertia = [*np.diag(moment), moment[0, 1], moment[0, 2], moment[1, 2]]
     for k, part in enumerate(body.parts):
         name = f"{body.name}_{k:02d}"
-        _add_mesh(
-            spec, name, part
-        ).inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # takes thin parts too
-        node.add_geom(
+        mesh = _add_mesh(spec, name, part)
+        geom = node.add_geom(
             name=name,
             type=mujoco.mjtGeom.mjGEOM_MESH,
             meshname=name,
             friction=body.friction,
             **_contact(config),
         )
+        if even_density is None:
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # takes thin parts too
+        else:
+            geom.density = even_density
 
 
 def _add_mesh(spec: MjSpec, name: str, part: ConvexPart) -> MjsMesh:
@@ -367,23 +390,23 @@ class _Settling:
             if self.exploded:
                 return
 
-    def undamped(self, data: MjData) -> tuple[float, bool]:
+    def undamped(self, model: MjModel, data: MjData) -> tuple[float, bool]:
         """Undamped steps: the largest travel of a centre of mass [m], and whether that counts as rest."""
         mujoco = engine()
-        mujoco.mj_forward(self.model, data)
+        mujoco.mj_forward(model, data)
         centers, drift, slow = data.xipos.copy(), 0.0, True
-        for _ in range(round(self.config.check_time / self.model.opt.timestep)):
-            mujoco.mj_step(self.model, data)
+        for _ in range(round(self.config.check_time / model.opt.timestep)):
+            mujoco.mj_step(model, data)
             slow = self._slow(data)
             drift = max(drift, float(np.linalg.norm(data.xipos - centers, axis=1).max()))
             if self.exploded or drift > 50 * self.config.drift_limit:
                 return drift, False
         return drift, slow and drift <= self.config.drift_limit
 
-    def fresh(self, data: MjData) -> MjData:
+    @staticmethod
+    def fresh(model: MjModel, data: MjData) -> MjData:
         """The same positions with nothing remembered: no velocity, no warm start."""
-        mujoco = engine()
-        new = mujoco.MjData(self.model)
+        new = engine().MjData(model)
         new.qpos[:] = data.qpos
         return new
 
