@@ -1,0 +1,558 @@
+"""Convex collision proxies of a mesh that cover it: no point of the visual surface lies outside their union.
+
+A mesh that is nearly its own hull gets one part. Others are split by CoACD, else by V-HACD, each in a
+subprocess that may be killed: CoACD aborts on some inputs and hangs on others. Every visual triangle is then
+assigned to the part that covers it best, and that part grows to the hull of both; at last every hull is
+simplified outward, to a polytope of few of its own facet planes. All lengths inside are shares of the mesh's
+size (the diagonal of its bounding box), so the result does not depend on the asset's unit.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.errors import InputError
+from f3sr.frames import Array
+from f3sr.kernels import cache_root
+from f3sr.mesh import ConvexPart, Mesh, is_closed, signed_volume, union
+from f3sr.report import Decision
+
+PROXY_VERSION = 1
+"""Part of the cache key; raise it when the same input and config give other parts."""
+GRID = 2.0**-26
+"""Normalised vertices are rounded to this step, so that the asset's unit and place change no byte."""
+
+SAME_FLAT = np.radians(2.0)
+"""Facets turned by less than this [rad] belong to one flat: the noise of generated meshes."""
+
+Faces = NDArray[np.int32]
+Method = Literal["hull", "coacd", "vhacd", "hull-fallback"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProxyConfig:
+    """How meshes become convex parts. Lengths are shares of the mesh's size, times per object and attempt."""
+
+    hull_volume_ratio: float = 0.93
+    """One hull if the closed mesh fills this share of it, in (0, 1]: splitting would add little."""
+    hull_surface_distance: float = 0.02
+    """... and no visual point lies deeper below the hull [size], in (0, .5): keeps dents and handles."""
+    threshold: float = 0.08
+    """CoACD's concavity at which a part is convex enough, in [.01, 1]; at .05 the cap on parts decides the
+    result and the time triples."""
+    max_parts: int = 16
+    """Most parts of CoACD, at least 1: the cost of contact grows with the square."""
+    target_faces: int = 2000
+    """Triangles CoACD sees after decimation, at least 100: as good as 16,000, since parts grow to cover."""
+    resolution: int = 1000
+    """CoACD's surface samples for its concavity, in [1000, 10000]."""
+    mcts_nodes: int = 10
+    """CoACD's cutting planes per axis and node of its tree search, in [10, 40]."""
+    mcts_iterations: int = 60
+    """CoACD's tree search iterations, in [60, 2000]."""
+    mcts_depth: int = 2
+    """How many cuts CoACD looks ahead, in [2, 7]: 3 takes half as long again and gains nothing measurable."""
+    vhacd_parts: int = 32
+    """Most parts of the fallback V-HACD, at least 1: it needs more of them for the same quality."""
+    vhacd_voxels: int = 400_000
+    """V-HACD's voxels: the 7 s of CPU it takes, whatever the mesh."""
+    cpu_limit_s: float = 60.0
+    """Processor seconds after which an attempt is killed, at least 1; an ordinary mesh needs 5."""
+    wall_limit_s: float = 300.0
+    """Seconds after which an attempt is killed even if the machine was busy, above ``cpu_limit_s``."""
+    cover: bool = True
+    """Grow the parts until they cover the visual mesh; off only for comparison."""
+    longest_edge: float = 0.05
+    """Longer visual edges are split before triangles are assigned [size]: slivers must bridge no cavity."""
+    thickness: float = 0.002
+    """How far a simplified hull may stand out from the exact one [size]; makes a can about 27-sided."""
+    max_hull_faces: int = 36
+    """Most facets of a simplified hull, at least 8: up to 68 corners. This outranks ``thickness``."""
+    flat_share: float = 0.02
+    """Facets that face one way and hold this share of a hull's area are kept as one plane, in (0, 1): what an
+    object stands on stays flat."""
+    sheet: float = 0.004
+    """Thickness given to a mesh that spans no volume [size]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proxy:
+    """The convex parts of one mesh, in its frame and unit, and how well they fit."""
+
+    parts: tuple[ConvexPart, ...]
+    method: Method
+    decisions: tuple[Decision, ...] = ()
+    inflation: float | None = None
+    """Volume of the union over the volume of the mesh; None when the mesh is no solid."""
+    outside: float
+    """Largest distance of a visual vertex outside all parts [size]."""
+    cut_short: bool = False
+    """An attempt was killed by its limit, so another run may do better; such a result is never cached."""
+
+
+def decompose(
+    mesh: Mesh,
+    config: ProxyConfig | None = None,
+    *,
+    cache_dir: Path | None = None,
+    name: str = "mesh",
+    about: int | None = None,
+) -> Proxy:
+    """Convex parts of one mesh; ``name`` is told in errors, ``about`` (an object id) in decisions.
+
+    Results are kept by the hash of their input in ``cache_dir``, by default ``proxies`` in f3sr's cache.
+    Raises InputError when there are no faces or a coordinate is not finite, before anything is started.
+    """
+    config = config or ProxyConfig()
+    check(mesh, name)
+    vertices, faces, T_mesh_unit = _normalised(mesh)
+    entry = (cache_dir or cache_root() / "proxies") / f"{_key(vertices, faces, config)}.npz"
+    proxy = _read(entry)
+    if proxy is None:
+        proxy = _decompose_unit(vertices, faces, config)
+        if not proxy.cut_short:
+            _write(entry, proxy)
+    return replace(
+        proxy,
+        parts=tuple(part.moved(T_mesh_unit) for part in proxy.parts),
+        decisions=tuple(replace(d, about=about) for d in proxy.decisions),
+    )
+
+
+def decompose_all(
+    meshes: Sequence[Mesh],
+    config: ProxyConfig | None = None,
+    *,
+    cache_dir: Path | None = None,
+    ids: Sequence[int] | None = None,
+) -> list[Proxy]:
+    """Convex parts of many meshes, one subprocess per processor at a time; ``ids`` name them in decisions."""
+    ids = range(len(meshes)) if ids is None else ids
+    for mesh, id in zip(meshes, ids, strict=True):
+        check(mesh, f"mesh of object {id}")
+
+    def one(mesh: Mesh, id: int) -> Proxy:
+        return decompose(mesh, config, cache_dir=cache_dir, about=id)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return list(pool.map(one, meshes, ids))
+
+
+def check(mesh: Mesh, name: str) -> None:
+    """Refuse what has no surface."""
+    accepted = "a mesh with faces, finite vertices and an extent"
+    if not len(mesh.faces) or not len(mesh.vertices):
+        raise InputError(
+            name, found=f"{len(mesh.vertices)} vertices, {len(mesh.faces)} faces", accepted=accepted
+        )
+    if not np.isfinite(mesh.vertices).all():
+        bad = int((~np.isfinite(mesh.vertices).all(1)).sum())
+        raise InputError(name, found=f"{bad} vertices that are not finite", accepted=accepted)
+    if mesh.diagonal == 0:
+        raise InputError(name, found="all vertices at one point", accepted=accepted)
+
+
+def _normalised(mesh: Mesh) -> tuple[Array, Faces, Array]:
+    """Welded vertices about their box's centre, in units of its diagonal; faces; and the map back (4, 4)."""
+    center, size = mesh.bounds.mean(0), mesh.diagonal
+    rounded = np.round((mesh.vertices - center) / size / GRID) * GRID + 0.0
+    vertices, faces = Mesh(vertices=rounded, faces=mesh.faces).welded
+    T = np.diag([size, size, size, 1.0])
+    T[:3, 3] = center
+    return vertices, faces, T
+
+
+def _decompose_unit(vertices: Array, faces: Faces, config: ProxyConfig) -> Proxy:
+    """Try the methods in turn until one gives parts; every one that fails is told in a decision."""
+    decisions: list[Decision] = []
+    cut_short = False
+    if reason := _is_nearly_convex(vertices, faces, config):
+        method, parts = "hull", _hull_parts(vertices, faces, config)
+        decisions.append(Decision(choice="one hull", reason=reason))
+    else:
+        for attempt in ("coacd", "vhacd"):
+            outcome = _run_worker(attempt, vertices, faces, config)
+            if outcome.parts:
+                method, parts = attempt, outcome.parts
+                break
+            cut_short = cut_short or outcome.cut_short
+            decisions.append(
+                Decision(choice=f"{attempt} gave no parts", reason=outcome.reason, fallback=True)
+            )
+        else:
+            method, parts = "hull-fallback", _hull_parts(vertices, faces, config)
+            decisions.append(Decision(choice="one hull", reason="every decomposition failed", fallback=True))
+    return Proxy(
+        parts=parts,
+        method=method,
+        decisions=tuple(decisions),
+        inflation=_inflation(parts, vertices, faces),
+        outside=float(np.maximum(_outside(parts, vertices).min(1), 0).max()),
+        cut_short=cut_short,
+    )
+
+
+# One hull
+
+
+def _is_nearly_convex(vertices: Array, faces: Faces, config: ProxyConfig) -> str | None:
+    """Why one hull is enough, or None. An open mesh has no volume and is judged by its surface alone."""
+    try:
+        hull = ConvexPart.hull_of(vertices)
+    except ValueError:
+        return "the mesh spans no volume"
+    used = vertices[np.unique(faces)]
+    depth = float(-_outside([hull], used).min())
+    if depth > config.hull_surface_distance:
+        return None
+    reason = f"surface within {depth:.1%} of its size below the hull"
+    if is_closed(faces) and (volume := signed_volume(vertices, faces)) > 0:
+        ratio = volume / hull.volume
+        return f"fills {ratio:.1%} of its hull, {reason}" if ratio >= config.hull_volume_ratio else None
+    return reason
+
+
+def _hull_parts(vertices: Array, faces: Faces, config: ProxyConfig) -> tuple[ConvexPart, ...]:
+    points = vertices[np.unique(faces)]
+    try:
+        return (simplified_outward(points, config),)
+    except ValueError:  # a sheet: give it a thickness along its normal
+        normal = np.linalg.svd(points - points.mean(0), full_matrices=False)[2][2]
+        offset = config.sheet / 2 * normal
+        return (ConvexPart.hull_of(np.concatenate([points - offset, points + offset])),)
+
+
+# Covering the visual mesh
+
+
+def covering(pieces: Sequence[Array], vertices: Array, faces: Faces, config: ProxyConfig) -> list[Array]:
+    """Grow convex pieces, given by their points (k, 3), until every triangle lies in one of them.
+
+    Each triangle goes to the piece it sticks out of least (its farthest vertex counts, the first of equals
+    wins), and that piece becomes the hull of itself and its triangles.
+    """
+    from trimesh.remesh import subdivide_to_size
+
+    split = subdivide_to_size(vertices, faces, max_edge=config.longest_edge, max_iter=20)
+    points, triangles = split[0], split[1]
+    outside = np.maximum(_outside([ConvexPart.hull_of(p) for p in pieces], points), 0)
+    sticks_out = outside[triangles].max(1)
+    owner = sticks_out.argmin(1)
+    uncovered = sticks_out.min(1) > 0
+    return [
+        np.concatenate([piece, points[np.unique(triangles[uncovered & (owner == k)])]])
+        for k, piece in enumerate(pieces)
+    ]
+
+
+def _outside(parts: Sequence[ConvexPart], points: Array) -> Array:
+    """Largest signed distance (n, parts) of points beyond a facet plane of each part; negative inside."""
+    return np.stack([_beyond(points, *_planes(part)) for part in parts], axis=1)
+
+
+def _beyond(points: Array, normals: Array, offsets: Array) -> Array:
+    blocks = np.array_split(points, max(1, points.shape[0] * len(offsets) // 4_000_000))
+    return np.concatenate([(block @ normals.T - offsets).max(1) for block in blocks])
+
+
+def _planes(part: ConvexPart) -> tuple[Array, Array]:
+    """Outward unit normals (m, 3) and offsets (m,) of a part's triangles."""
+    a, b, c = (part.vertices[part.faces[:, k]] for k in range(3))
+    cross = np.cross(b - a, c - a)
+    area = np.linalg.norm(cross, axis=1)
+    real = area > 1e-14
+    normals = cross[real] / area[real, None]
+    return normals, np.einsum("ij,ij->i", normals, a[real])
+
+
+def _inflation(parts: Sequence[ConvexPart], vertices: Array, faces: Faces) -> float | None:
+    if not is_closed(faces) or (volume := signed_volume(vertices, faces)) <= 0:
+        return None
+    return signed_volume(*union(parts)) / volume
+
+
+# Simpler hulls that contain the exact one
+
+
+def simplified_outward(points: Array, config: ProxyConfig, around: ConvexPart | None = None) -> ConvexPart:
+    """A polytope of few facets around points (n, 3), in normalised units; it contains all of them.
+
+    Its planes are the hull's flats, then, one by one, the hull plane that cuts off most of the corner that
+    stands out farthest, until all stand out by less than ``thickness``. Where the points reach a flat of
+    ``around``, the hull of the whole mesh, that plane is taken: all parts of an object end in one base.
+    Raises ValueError when the points span no volume.
+    """
+    hull = ConvexPart.hull_of(points)
+    normals, offsets = _planes(hull)
+    kept_normals, kept_offsets = _first_planes(hull, around, config)
+    for _ in range(config.max_hull_faces - len(kept_offsets)):
+        corners = _corners(kept_normals, kept_offsets, hull)
+        excess = corners @ normals.T - offsets
+        worst = int(excess.argmax())
+        if excess.flat[worst] <= config.thickness:
+            break
+        plane = worst % len(offsets)
+        kept_normals = np.vstack([kept_normals, normals[plane]])
+        kept_offsets = np.append(kept_offsets, offsets[plane])
+    return ConvexPart.hull_of(_merged(_corners(kept_normals, kept_offsets, hull)))
+
+
+def _first_planes(hull: ConvexPart, around: ConvexPart | None, config: ProxyConfig) -> tuple[Array, Array]:
+    """The flats of the whole mesh that a part reaches, then its own ones that face elsewhere."""
+    own = _flats(hull, config.flat_share)
+    own_offsets = (hull.vertices @ own.T).max(0)
+    if around is None:
+        return own, own_offsets
+    shared = _flats(around, config.flat_share)
+    shared_offsets = (around.vertices @ shared.T).max(0)
+    reached = shared_offsets - (hull.vertices @ shared.T).max(0) <= config.thickness
+    shared, shared_offsets = shared[reached], shared_offsets[reached]
+    elsewhere = (own @ shared.T).max(1, initial=-1) < np.cos(SAME_FLAT)
+    return np.vstack([shared, own[elsewhere]]), np.append(shared_offsets, own_offsets[elsewhere])
+
+
+def _flats(hull: ConvexPart, share: float) -> Array:
+    """Mean normals (k, 3) of facets that face nearly the same way and hold ``share`` of the hull's area."""
+    a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
+    cross = np.cross(b - a, c - a)
+    area = np.linalg.norm(cross, axis=1)
+    normals = cross / np.maximum(area, np.finfo(float).tiny)[:, None]
+    left, flats = area.copy(), list[Array]()
+    for seed in np.argsort(-area, kind="stable"):
+        near = (normals @ normals[seed] > np.cos(SAME_FLAT)) & (left > 0)
+        if left[seed] > 0 and left[near].sum() >= share * area.sum():
+            mean = cross[near].sum(0)
+            flats.append(mean / np.linalg.norm(mean))
+            left[near] = 0
+    return np.array(flats).reshape(-1, 3)
+
+
+def _corners(normals: Array, offsets: Array, hull: ConvexPart) -> Array:
+    """Corners (n, 3) of ``normals . x <= offsets``, within a box far around the hull."""
+    from scipy.spatial import HalfspaceIntersection
+
+    low, high = hull.vertices.min(0), hull.vertices.max(0)
+    margin = (high - low).max()
+    box = np.concatenate([np.eye(3), -np.eye(3)])
+    box_offsets = np.concatenate([high + margin, margin - low])
+    halfspaces = np.column_stack([np.vstack([normals, box]), -np.append(offsets, box_offsets)])
+    return np.asarray(HalfspaceIntersection(halfspaces, hull.vertices.mean(0)).intersections)
+
+
+def _merged(points: Array, tolerance: float = 1e-9) -> Array:
+    """Points with all but the first of those within ``tolerance`` left out."""
+    from scipy.spatial import KDTree
+
+    pairs = KDTree(points).query_pairs(tolerance, output_type="ndarray")
+    return np.delete(points, np.unique(pairs[:, 1]), axis=0)
+
+
+# The worker: everything that may abort or hang
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Outcome:
+    parts: tuple[ConvexPart, ...] = ()
+    reason: str = ""
+    cut_short: bool = False
+
+
+def _run_worker(method: str, vertices: Array, faces: Faces, config: ProxyConfig) -> _Outcome:
+    """Split a normalised mesh in a subprocess of our own, killed at its processor or wall limit."""
+    with tempfile.TemporaryDirectory(prefix="f3sr-proxy-") as folder:
+        source, target = Path(folder, "mesh.npz"), Path(folder, "parts.npz")
+        np.savez(source, vertices=vertices, faces=faces)
+        command = [sys.executable, "-m", "f3sr.proxies", method, str(source), str(target), _json(config)]
+        # One thread each: the objects are what runs in parallel, and sums keep their order.
+        environment = os.environ | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+        environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
+        try:
+            done = subprocess.run(
+                command,
+                env=environment,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                timeout=config.wall_limit_s,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            return _Outcome(reason=f"killed after {config.wall_limit_s:g} s", cut_short=True)
+        if done.returncode == 0:
+            with np.load(target) as data:
+                return _Outcome(parts=_unpack(data))
+        return _explain(done.returncode, done.stderr.decode(errors="replace"), config)
+
+
+def _explain(code: int, errors: str, config: ProxyConfig) -> _Outcome:
+    import signal
+
+    if -code in (signal.SIGXCPU, signal.SIGKILL):
+        return _Outcome(reason=f"killed after {config.cpu_limit_s:g} s of processor time", cut_short=True)
+    if code < 0:
+        return _Outcome(reason=f"crashed with {signal.Signals(-code).name}")
+    last = (errors.strip().splitlines() or ["no message"])[-1]
+    return _Outcome(reason=f"failed: {last[:200]}")
+
+
+def _worker(method: str, source: str, target: str, config_json: str) -> None:
+    """The subprocess: read a normalised mesh, split it, cover it, simplify its parts, write them."""
+    import resource
+
+    config = ProxyConfig(**json.loads(config_json))
+    seconds = max(1, round(config.cpu_limit_s))
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    with np.load(source) as data:
+        vertices, faces = data["vertices"], data["faces"]
+    pieces = _with_volume(_SPLITTERS[method](vertices, faces, config))
+    if not pieces:
+        raise ValueError(f"{method} found no part with a volume")
+    if config.cover:
+        pieces = covering(pieces, vertices, faces, config)
+    whole = ConvexPart.hull_of(vertices)
+    parts = _without_hidden([simplified_outward(p, config, whole) for p in pieces])
+    np.savez(target, allow_pickle=False, **_pack(parts))
+
+
+def _with_volume(pieces: Sequence[Array]) -> list[Array]:
+    """The hull corners of pieces (k, 3), leaving out those that span no volume."""
+    solid: list[Array] = []
+    for piece in pieces:
+        try:
+            hull = ConvexPart.hull_of(piece)
+        except ValueError:
+            continue
+        if hull.volume > 1e-9:
+            solid.append(hull.vertices)
+    return solid
+
+
+def _without_hidden(parts: list[ConvexPart]) -> list[ConvexPart]:
+    """Parts that do not lie inside another one, the first of equals kept."""
+    kept: list[ConvexPart] = []
+    for part in sorted(parts, key=lambda p: -p.volume):
+        if not kept or not (_outside(kept, part.vertices).max(0) <= 1e-9).any():
+            kept.append(part)
+    return kept
+
+
+def _split_coacd(vertices: Array, faces: Faces, config: ProxyConfig) -> list[Array]:
+    import coacd
+
+    coacd.set_log_level("error")
+    vertices, faces = _decimated(vertices, faces, config.target_faces)
+    pieces = coacd.run_coacd(
+        coacd.Mesh(vertices, faces),
+        threshold=config.threshold,
+        max_convex_hull=config.max_parts,
+        preprocess_mode="off",
+        resolution=config.resolution,
+        mcts_nodes=config.mcts_nodes,
+        mcts_iterations=config.mcts_iterations,
+        mcts_max_depth=config.mcts_depth,
+        seed=0,
+    )
+    return [np.asarray(points, float) for points, _ in pieces]
+
+
+def _split_vhacd(vertices: Array, faces: Faces, config: ProxyConfig) -> list[Array]:
+    import vhacdx
+
+    pieces = vhacdx.compute_vhacd(
+        vertices,
+        faces.astype(np.uint32),
+        maxConvexHulls=config.vhacd_parts,
+        resolution=config.vhacd_voxels,
+        asyncACD=False,
+    )
+    return [np.asarray(points, float) for points, _ in pieces]
+
+
+_SPLITTERS: Mapping[str, Callable[[Array, Faces, ProxyConfig], list[Array]]] = {
+    "coacd": _split_coacd,
+    "vhacd": _split_vhacd,
+}
+
+
+def _decimated(vertices: Array, faces: Faces, target: int) -> tuple[Array, Faces]:
+    if len(faces) <= target:
+        return vertices, faces
+    import fast_simplification
+
+    result = fast_simplification.simplify(vertices, faces, target_count=target)
+    return np.asarray(result[0], float), np.asarray(result[1], np.int32)
+
+
+# The cache
+
+
+def _key(vertices: Array, faces: Faces, config: ProxyConfig) -> str:
+    digest = hashlib.sha256(f"{PROXY_VERSION} {_json(config)} {vertices.shape} {faces.shape}".encode())
+    digest.update(vertices.tobytes())
+    digest.update(faces.tobytes())
+    return digest.hexdigest()
+
+
+def _json(config: ProxyConfig) -> str:
+    return json.dumps(asdict(config), sort_keys=True)
+
+
+def _pack(parts: Sequence[ConvexPart]) -> dict[str, Array | Faces]:
+    """Parts as arrays that ``_unpack`` reads: all vertices, all faces, and the counts (parts, 2) of each."""
+    return {
+        "vertices": np.concatenate([p.vertices for p in parts]),
+        "faces": np.concatenate([p.faces for p in parts]),
+        "counts": np.array([(len(p.vertices), len(p.faces)) for p in parts], np.int32),
+    }
+
+
+def _unpack(data: Mapping[str, Any]) -> tuple[ConvexPart, ...]:
+    cuts = np.cumsum(data["counts"], axis=0)[:-1]
+    vertices, faces = np.split(data["vertices"], cuts[:, 0]), np.split(data["faces"], cuts[:, 1])
+    return tuple(ConvexPart(vertices=v.copy(), faces=f.copy()) for v, f in zip(vertices, faces, strict=True))
+
+
+def _write(entry: Path, proxy: Proxy) -> None:
+    """Write a cache entry so that a reader sees the whole of it or nothing."""
+    sheet = {
+        "method": proxy.method,
+        "decisions": [asdict(d) for d in proxy.decisions],
+        "inflation": proxy.inflation,
+        "outside": proxy.outside,
+    }
+    entry.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=entry.parent, suffix=".tmp", delete=False) as file:
+        np.savez(file, allow_pickle=False, sheet=np.array(json.dumps(sheet)), **_pack(proxy.parts))
+    Path(file.name).replace(entry)
+
+
+def _read(entry: Path) -> Proxy | None:
+    """The proxy in a cache entry, None when there is none or it is damaged."""
+    try:
+        with np.load(entry) as data:
+            sheet = json.loads(str(data["sheet"]))
+            parts = _unpack(data)
+        decisions = tuple(Decision(**d) for d in sheet.pop("decisions"))
+        if not parts or sheet["method"] not in get_args(Method):
+            return None
+        return Proxy(parts=parts, decisions=decisions, **sheet)
+    except (OSError, EOFError, KeyError, TypeError, ValueError, IndexError, zipfile.BadZipFile):
+        return None
+
+
+if __name__ == "__main__":
+    _worker(*sys.argv[1:])
