@@ -14,11 +14,12 @@ import jsonschema
 import mujoco
 import numpy as np
 import pytest
+from PIL import Image
 import trimesh
 
 from f3sr import package
 from f3sr.errors import InputError, OutputError
-from f3sr.frames import rotation_about, transform
+from f3sr.frames import pose, rotation_about, transform
 from f3sr.mesh import ConvexPart, Material, Mesh
 from f3sr.mesh_io import load_mesh, save_glb
 from f3sr.package import Package, read_package, scene_schema, write_package
@@ -211,10 +212,11 @@ def test_a_package_comes_back(stack: Scene, tmp_path: Path) -> None:
     graphless = replace(stack, excluded=(Excluded(mask="09_person.png", reason="cut by the border"),))
     out = write_package(graphless, tmp_path / "out", metrics={"mIoU": 0.5, "R_pen": float("nan")})
     read = read_package(out)
-    assert isinstance(read, Package) and read.excluded == graphless.excluded and read.graph == stack.graph
+    assert isinstance(read, Package) and read.direct is None
+    assert read.scene.excluded == graphless.excluded and read.scene.graph == stack.graph
     assert read.document.metrics == {"mIoU": 0.5, "R_pen": None}
-    assert np.array_equal(read.camera.K, stack.camera.K) and read.ground.source == "test"
-    for a, b in zip(stack, read.objects, strict=True):
+    assert np.array_equal(read.scene.camera.K, stack.camera.K) and read.scene.ground.source == "test"
+    for a, b in zip(stack, read.scene.objects, strict=True):
         assert (a.id, a.label, a.mask_name, a.supports, a.supported_by) == (
             (b.id, b.label, b.mask_name, b.supports, b.supported_by)
         )
@@ -224,16 +226,22 @@ def test_a_package_comes_back(stack: Scene, tmp_path: Path) -> None:
         assert np.allclose(a.parts_world[0].vertices, b.parts_world[0].vertices, atol=1e-10)
 
 
-def test_masks_come_from_the_caller(stack: Scene, tmp_path: Path) -> None:
-    read = read_package(write_package(stack, tmp_path / "out"))
-    assert not any(o.mask.any() for o in read.objects)
-    masks = {o.mask_name: o.mask for o in stack}
-    scene = read.to_scene(stack.photo, masks)
-    assert all(np.array_equal(scene[o.id].mask, o.mask) for o in stack)
-    with pytest.raises(InputError, match="no such mask"):
-        read.with_masks({})
-    with pytest.raises(InputError, match="3 x 2 pixels"):
-        read.with_masks({name: np.zeros((2, 3), bool) for name in masks})
+def test_photo_masks_and_direct_composition_come_back(stack: Scene, tmp_path: Path) -> None:
+    T = pose(rotation_about([0, 0, 1], 0.1), [0.1, 0, 0])
+    result = stack.with_objects(stack[1].moved(T, scale=1.25, stage="test", reason="test"))
+    read = read_package(write_package(result, tmp_path / "out", direct=stack))
+    assert np.array_equal(read.scene.photo.rgb, stack.photo.rgb)
+    assert all(np.array_equal(read.scene[o.id].mask, o.mask) for o in stack)
+    assert read.direct is not None
+    for o in stack:
+        assert np.abs(read.direct[o.id].vertices_world - o.vertices_world).max() < 1e-7
+
+
+def test_a_mask_of_another_size_is_refused_by_name(stack: Scene, tmp_path: Path) -> None:
+    out = write_package(stack, tmp_path / "out")
+    Image.new("L", (2, 3)).save(out / "masks/00_box.png")
+    with pytest.raises(InputError, match=r"00_box\.png: found 2x3 pixels"):
+        read_package(out)
 
 
 def test_a_stranger_reads_the_same_world(stack: Scene, tmp_path: Path) -> None:
@@ -267,8 +275,8 @@ def test_inertia_is_about_the_centre_of_mass_in_object_axes(tmp_path: Path) -> N
 
 def test_the_released_package_is_the_released_scene(stack: Scene, tmp_path: Path) -> None:
     read = read_package(write_package(stack, tmp_path / "out"))
-    assert release(read.objects, seconds=0.2).K_max < 1e-6
-    assert release(read.objects).D_max < 1e-4
+    assert release(read.scene.objects, seconds=0.2).K_max < 1e-6
+    assert release(read.scene.objects).D_max < 1e-4
 
 
 def test_the_published_schema_is_current_and_holds(stack: Scene, tmp_path: Path) -> None:
@@ -412,7 +420,7 @@ def test_labels_are_text_and_nothing_else(label: str, tmp_path: Path) -> None:
     out = write_package(scene, tmp_path / "out")
     names = sorted(tree(out))
     assert names == sorted(tree(write_package(scene_of(box(3, textured=True)), tmp_path / "plain")))
-    stored = read_package(out).objects[0].label
+    stored = read_package(out).scene.objects[0].label
     assert stored == (label if label != "\ud800" else "?")
     mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
     trimesh.load_scene(out / "scene.glb")
@@ -495,7 +503,7 @@ def test_a_file_in_the_way_is_refused_and_an_empty_folder_used(stack: Scene, tmp
     with pytest.raises(OutputError, match="is a file"):
         write_package(stack, tmp_path / "file")
     (tmp_path / "empty").mkdir()
-    assert read_package(write_package(stack, tmp_path / "empty")).objects
+    assert read_package(write_package(stack, tmp_path / "empty")).scene.objects
     with pytest.raises(OutputError):
         write_package(stack, tmp_path / "file" / "below")
 
@@ -572,7 +580,7 @@ def test_moved_world_moves_only_the_poses(stack: Scene, tmp_path: Path) -> None:
     for name, data in tree(a).items():
         if name.startswith(("meshes", "collision", "visual")):
             assert (b / name).read_bytes() == data
-    for p, q in zip(read_package(a).objects, read_package(b).objects, strict=True):
+    for p, q in zip(read_package(a).scene, read_package(b).scene, strict=True):
         assert np.allclose(transform(T, p.vertices_world), q.vertices_world, atol=1e-12)
         assert q.motion[0].stage == "test"
 

@@ -12,12 +12,12 @@ from typing import Any, Literal, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from f3sr import sam3d
 from f3sr.errors import InputError
 from f3sr.frames import Array, pose
+from f3sr.images import as_rgb, open_image
 from f3sr.mesh import Mesh
 from f3sr.mesh_io import load_mesh
 from f3sr.report import Decision
@@ -29,8 +29,6 @@ Part = Literal["assets", "geometry", "ground", "scene_graph"]
 PARTS: tuple[Part, ...] = ("assets", "geometry", "ground", "scene_graph")
 AssetFrame = Literal["auto", "local", "opencv", "opengl", "pytorch3d"]
 
-MAX_PIXELS = 100_000_000
-"""Largest photo, mask or depth image accepted."""
 MAX_MASK_OVERLAP = 0.05
 """Share of the smaller mask that two masks may overlap by; the pixels then go to the smaller one."""
 MIN_MASK_PIXELS = 16
@@ -147,7 +145,7 @@ class _Reader:
         if len(found) != 1:
             names = ", ".join(p.name for p in found) or "no image"
             raise InputError(self.folder, found=names, accepted="one image.png, image.jpg or image.jpeg")
-        return Photo(rgb=_as_rgb(_open_image(self.note(self.path(found[0].name)))))
+        return Photo(rgb=as_rgb(open_image(self.note(self.path(found[0].name)))))
 
     def instances(self, photo: Photo) -> tuple[Instance, ...]:
         folder = self.folder / "masks"
@@ -175,7 +173,7 @@ class _Reader:
         return ground & ~covered
 
     def _mask(self, path: Path, photo: Photo) -> NDArray[np.bool_]:
-        gray = np.asarray(_open_image(self.note(path)).convert("L"))
+        gray = np.asarray(open_image(self.note(path)).convert("L"))
         if gray.shape != (photo.height, photo.width):
             size = f"{gray.shape[1]}x{gray.shape[0]} pixels"
             raise InputError(path, found=size, accepted=f"the photo's size {photo.width}x{photo.height}")
@@ -264,7 +262,7 @@ class _Reader:
         if path.suffix == ".npy":
             values = _load_npy(self.note(path))
         else:
-            values = np.asarray(_open_image(self.note(path)))
+            values = np.asarray(open_image(self.note(path)))
         if values.ndim != 2:
             raise InputError(path, found=f"an array of shape {values.shape}", accepted="one depth value per pixel")
         h, w = values.shape
@@ -434,28 +432,6 @@ def _mask_ids(folder: Path, stems: Sequence[str]) -> list[tuple[int, str]]:
 
 def _label(text: str) -> str:
     return re.sub(r"[_\s]+", " ", text).strip()
-
-
-def _open_image(path: Path) -> Image.Image:
-    try:
-        with Image.open(path) as image:
-            if image.width * image.height > MAX_PIXELS:
-                raise InputError(
-                    path, found=f"{image.width}x{image.height} pixels", accepted=f"at most {MAX_PIXELS:,} pixels"
-                )
-            image.load()
-            return image.copy()
-    except InputError:
-        raise
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise InputError(path, found=f"no readable image ({error})", accepted="a PNG or JPEG image") from error
-
-
-def _as_rgb(image: Image.Image) -> NDArray[np.uint8]:
-    """8-bit RGB; 16-bit grey is scaled, alpha is ignored."""
-    if image.mode.startswith("I"):
-        image = Image.fromarray((np.asarray(image) / 257).clip(0, 255).astype(np.uint8))
-    return np.asarray(image.convert("RGB"))
 
 
 def _open_npz(path: Path) -> dict[str, NDArray[Any]]:

@@ -29,50 +29,34 @@ from f3sr.export.scene_json import (
     to_json,
 )
 from f3sr.frames import Camera
+from f3sr.images import open_image
 from f3sr.mesh import ConvexPart, Mesh
 from f3sr.mesh_io import load_mesh
 from f3sr.physics import DEFAULT_PHYSICS, PhysicsConfig, body_of
 from f3sr.report import Report
 from f3sr.scene import Excluded, Ground, Motion, Photo, Relation, Scene, SceneGraph, SceneObject, Support
 
+PHOTO = "photo.png"
+MASKS = "masks"
+
 __all__ = ["Package", "SceneDocument", "prepare_output", "read_package", "scene_schema", "write_package"]
-
-Masks = Mapping[str, NDArray[np.bool_]]
-"""Photo-sized masks by file name."""
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Package:
-    """A scene package in memory. Objects have scale 1 and, as a package holds no masks, empty masks."""
+    """A scene package in memory: the scene with objects of scale 1, the levelled input beside it where the package
+    knows it, and the document itself."""
 
     folder: Path
     document: SceneDocument
-    camera: Camera
-    ground: Ground
-    objects: tuple[SceneObject, ...]
-    graph: SceneGraph
-    excluded: tuple[Excluded, ...]
-
-    def with_masks(self, masks: Masks) -> Package:
-        """The package with the masks of its objects, each (height, width) of the camera."""
-        return replace(self, objects=tuple(_with_mask(o, masks, self.camera) for o in self.objects))
-
-    def to_scene(self, photo: Photo, masks: Masks) -> Scene:
-        """The package as a scene again."""
-        return Scene(
-            photo=photo,
-            camera=self.camera,
-            objects=self.with_masks(masks).objects,
-            ground=self.ground,
-            graph=self.graph,
-            excluded=self.excluded,
-        )
+    scene: Scene
+    direct: Scene | None
 
 
 def write_package(
     scene: Scene,
     out: Path,
     *,
+    direct: Scene | None = None,
     metrics: Mapping[str, float | None] | None = None,
     provenance: Mapping[str, JsonValue] | None = None,
     reports: Sequence[Report] = (),
@@ -83,7 +67,7 @@ def write_package(
 ) -> Path:
     """Write the scene as a package to ``out`` and return the folder's full path.
 
-    ``metrics`` by name; ``provenance``: stages, hashes and the like, without paths of this machine or times;
+    ``direct``: the levelled input with the same ids; ``metrics`` by name; ``provenance``: stages, hashes and the like, without paths of this machine or times;
     ``seconds`` per stage go to report.json with the ``reports``; ``pictures`` (h, w, 3) by name without
     suffix. ``out`` changes only after everything has been written beside it. Raises OutputError when
     something else than an f3sr package is there, or one with rollouts and not ``overwrite``.
@@ -93,6 +77,7 @@ def write_package(
     try:
         for name, data in _files(
             scene,
+            direct=direct,
             metrics=metrics or {},
             provenance={"f3sr": f3sr.__version__, **(provenance or {})},
             report=_report(reports, seconds or {}),
@@ -148,35 +133,51 @@ def read_package(folder: Path) -> Package:
     """Read a package; InputError names the file that is missing, malformed or outside the folder."""
     folder = Path(folder)
     document = _read_document(folder / "scene.json")
-    camera = Camera(
-        width=document.camera.width,
-        height=document.camera.height,
-        K=np.array(document.camera.K),
-        T_world_camera=np.array(document.camera.T_world_camera),
-    )
+    size = document.camera.width, document.camera.height
+    photo = Photo(rgb=_read_image(folder, PHOTO, size, "RGB"))
     ground = document.ground
-    return Package(
-        folder=folder,
-        document=document,
-        camera=camera,
+    scene = Scene(
+        photo=photo,
+        camera=Camera(
+            width=size[0],
+            height=size[1],
+            K=np.array(document.camera.K),
+            T_world_camera=np.array(document.camera.T_world_camera),
+        ),
         ground=Ground(
             normal=np.array(ground.normal),
             offset=ground.offset,
             source=ground.source,
             confidence=ground.confidence,
         ),
-        objects=tuple(_read_object(folder, record, camera) for record in document.objects),
+        objects=tuple(_read_object(folder, record, size) for record in document.objects),
         graph=SceneGraph(
             relations=tuple(Relation(**r.model_dump()) for r in document.scene_graph.relations),
             source=document.scene_graph.source,
         ),
         excluded=tuple(Excluded(mask=e.mask, reason=e.reason) for e in document.excluded),
     )
+    return Package(folder=folder, document=document, scene=scene, direct=_direct(document, scene))
+
+
+def _direct(document: SceneDocument, scene: Scene) -> Scene | None:
+    """The levelled input, from the package's meshes."""
+    if document.direct is None:
+        return None
+    return replace(
+        scene,
+        camera=scene.camera.moved(np.array(document.direct.T_world_camera)),
+        objects=tuple(
+            replace(scene[r.id], T_world_object=np.array(r.T_world_object), scale=r.scale, motion=())
+            for r in document.direct.objects
+        ),
+    )
 
 
 def _files(
     scene: Scene,
     *,
+    direct: Scene | None,
     metrics: Mapping[str, float | None],
     provenance: Mapping[str, JsonValue],
     report: dict[str, Any],
@@ -184,9 +185,10 @@ def _files(
     physics: PhysicsConfig,
 ) -> dict[str, bytes]:
     """Every file of the package by its relative path."""
-    files: dict[str, bytes] = {}
+    files = {PHOTO: encode_png(scene.photo.rgb)}
     for o in scene.objects:
         mesh = o.mesh.with_vertices(o.scale * o.mesh.vertices)
+        files[f"{MASKS}/{o.mask_name}"] = encode_png(255 * o.mask.astype(np.uint8))
         files[mesh_path(o.id)] = mesh_to_glb(mesh, name=f"object_{o.id:02d}")
         files |= collision_files(o.id, body_of(o, physics))
     files["scene.glb"] = scene_to_glb(scene.objects)
@@ -197,7 +199,7 @@ def _files(
         files[f"pictures/{name}.png"] = encode_png(picture)
     files["report.json"] = dump_json(report)
     files[SCHEMA_FILE] = dump_json(scene_schema())
-    files["scene.json"] = to_json(to_document(scene, metrics=metrics, provenance=provenance))
+    files["scene.json"] = to_json(to_document(scene, direct=direct, metrics=metrics, provenance=provenance))
     return files
 
 
@@ -293,12 +295,12 @@ def _read_document(file: Path) -> SceneDocument:
         raise InputError(file, found=found, accepted=accepted) from None
 
 
-def _read_object(folder: Path, record: ObjectRecord, camera: Camera) -> SceneObject:
+def _read_object(folder: Path, record: ObjectRecord, size: tuple[int, int]) -> SceneObject:
     return SceneObject(
         id=record.id,
         label=record.label,
         mask_name=record.mask,
-        mask=np.zeros((camera.height, camera.width), bool),
+        mask=_read_image(folder, f"{MASKS}/{record.mask}", size, "L") > 127,
         mesh=_read_mesh(folder, record.mesh),
         T_world_object=np.array(record.T_world_object),
         parts=tuple(_read_part(folder, path) for path in record.collision),
@@ -314,11 +316,27 @@ def _read_object(folder: Path, record: ObjectRecord, camera: Camera) -> SceneObj
     )
 
 
-def _read_mesh(folder: Path, path: str) -> Mesh:
+def _read_image(folder: Path, path: str, size: tuple[int, int], mode: str) -> NDArray[np.uint8]:
+    """An image of the package, (height, width) or (height, width, 3), of the camera's size."""
+    image = np.asarray(open_image(_inside(folder, path)).convert(mode))
+    if image.shape[1::-1] != size:
+        raise InputError(
+            folder / path,
+            found=f"{image.shape[1]}x{image.shape[0]} pixels",
+            accepted=f"the camera's {size[0]}x{size[1]}",
+        )
+    return image
+
+
+def _inside(folder: Path, path: str) -> Path:
     file = folder / path
     if not file.resolve().is_relative_to(folder.resolve()):
         raise InputError(file, found="a path that leaves the package", accepted="files inside the package")
-    return load_mesh(file)
+    return file
+
+
+def _read_mesh(folder: Path, path: str) -> Mesh:
+    return load_mesh(_inside(folder, path))
 
 
 def _read_part(folder: Path, path: str) -> ConvexPart:
@@ -327,13 +345,3 @@ def _read_part(folder: Path, path: str) -> ConvexPart:
         return ConvexPart.hull_of(mesh.vertices)
     except ValueError as error:
         raise InputError(folder / path, found=str(error), accepted="a convex part with a volume") from None
-
-
-def _with_mask(o: SceneObject, masks: Masks, camera: Camera) -> SceneObject:
-    if o.mask_name not in masks:
-        raise InputError(o.mask_name, found="no such mask", accepted=f"one of {', '.join(sorted(masks))}")
-    mask = masks[o.mask_name]
-    if mask.shape != (camera.height, camera.width):
-        expected = f"{camera.width} x {camera.height} like the package's camera"
-        raise InputError(o.mask_name, found=f"{mask.shape[1]} x {mask.shape[0]} pixels", accepted=expected)
-    return replace(o, mask=mask)

@@ -153,6 +153,21 @@ class SceneGraphRecord(_Record):
     source: str
 
 
+class DirectObjectRecord(_Record):
+    """Where the input put an object: world points are ``T_world_object @ (scale * v)`` of the package's mesh."""
+
+    id: Id
+    T_world_object: RigidMatrix4
+    scale: Positive
+
+
+class DirectRecord(_Record):
+    """Direct composition: the input as it came, only levelled, to compare with."""
+
+    T_world_camera: RigidMatrix4
+    objects: tuple[DirectObjectRecord, ...]
+
+
 class SceneDocument(_Record):
     """scene.json of an f3sr scene package: right-handed world, +Z up, metres, kilograms, radians."""
 
@@ -168,6 +183,7 @@ class SceneDocument(_Record):
     objects: tuple[ObjectRecord, ...]
     excluded: tuple[ExcludedRecord, ...]
     scene_graph: SceneGraphRecord
+    direct: DirectRecord | None = None
     metrics: dict[str, Number | None]
     provenance: dict[str, JsonValue]
 
@@ -183,6 +199,8 @@ class SceneDocument(_Record):
         named = {s.id for o in self.objects for s in o.supports} | {GROUND}
         named |= {o.supported_by for o in self.objects if o.supported_by is not None}
         named |= {i for r in self.scene_graph.relations for i in (r.subject, r.object)}
+        if self.direct and [o.id for o in self.direct.objects] != ids:
+            raise ValueError(f"direct composition of other ids than {ids}")
         if unknown := sorted(named - {GROUND, *ids}):
             raise ValueError(f"references to ids {unknown}; the objects are {ids}")
         return self
@@ -195,9 +213,14 @@ def scene_schema() -> dict[str, Any]:
 
 
 def to_document(
-    scene: Scene, *, metrics: Mapping[str, float | None], provenance: Mapping[str, JsonValue]
+    scene: Scene,
+    *,
+    direct: Scene | None,
+    metrics: Mapping[str, float | None],
+    provenance: Mapping[str, JsonValue],
 ) -> SceneDocument:
-    """The scene as its document; measures that are not finite become null."""
+    """The scene as its document, beside where ``direct`` has the same objects; measures that are not finite become
+    null."""
     camera, ground = scene.camera, scene.ground
     return SceneDocument.model_validate(
         {
@@ -223,6 +246,7 @@ def to_document(
                 "relations": [vars(r) for r in scene.graph.relations],
                 "source": scene.graph.source,
             },
+            "direct": _direct(direct, scene) if direct else None,
             "metrics": {name: _finite(value) for name, value in metrics.items()},
             "provenance": dict(provenance),
         }
@@ -267,6 +291,16 @@ def _object(o: SceneObject) -> dict[str, Any]:
         "supports": [{"id": s.id, "share": float(s.share)} for s in o.supports],
         "supported_by": o.supported_by,
         "motion": [vars(m) for m in o.motion],
+    }
+
+
+def _direct(direct: Scene, scene: Scene) -> dict[str, Any]:
+    return {
+        "T_world_camera": _list(direct.camera.T_world_camera),
+        "objects": [
+            {"id": o.id, "T_world_object": _list(o.T_world_object), "scale": o.scale / scene[o.id].scale}
+            for o in direct.objects
+        ],
     }
 
 

@@ -1,0 +1,203 @@
+"""The measures of a scene, defined once: image agreement, penetration, stability, and what those five do not see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr import crossings, physics, raster
+from f3sr.frames import Array, Camera
+from f3sr.mesh import ConvexPart
+from f3sr.scene import Scene, SceneObject
+from f3sr.silhouette import iou
+
+SAMPLES = 20_000
+"""Surface points per object for gaps."""
+PART_SAMPLES = 600
+"""Surface points per convex part for the distance of proxies from their mesh."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measures:
+    """One row of the result table. Lower is better except for mIoU, mIoU_visible and PSNR."""
+
+    n: int
+    """Objects."""
+    excluded: int
+    fixed: int
+    mIoU: float
+    """Mean IoU of full silhouettes with the masks; an excluded mask counts 0."""
+    mIoU_visible: float
+    """Mean IoU of visible pixels (id buffer) with the masks; an excluded mask counts 0."""
+    PSNR: float
+    """Unlit colours against the photo over the union of masks [dB]."""
+    R_pen: float
+    """Equation 12."""
+    N_cross: int
+    K_max_J: float
+    """Largest kinetic energy in the first second after release [J] (equation 13)."""
+    D_max_cm: float
+    """Largest travel of a centre of mass in 5 s [cm] (equation 14)."""
+    gap_pct: float
+    """Distance of the worst floating object to anything, in % of its size."""
+    below_pct: float
+    """Deepest point under the ground, in % of the object's size."""
+    inside: int
+    """Vertices of an object inside another's solid."""
+    proxy_out_pct: float
+    """How far a visual mesh sticks out of its proxy (99.9th percentile), in % of its size; the worst object."""
+    proxy_far_pct: float
+    """Mean distance of a proxy's surface from its mesh, in % of its size; the worst object."""
+
+    def as_dict(self) -> dict[str, float]:
+        return asdict(self)
+
+
+def measure(scene: Scene, *, true_scale: float = 1.0) -> Measures:
+    """All measures of a scene in its present state. ``true_scale`` turns its lengths into true metres for physics."""
+    total = len(scene.objects) + len(scene.excluded)
+    full, visible, psnr = image_agreement(scene)
+    surfaces = [(o.T_world_asset, o.mesh.welded) for o in scene]
+    pen = crossings.penetration([(v @ T[:3, :3].T + T[:3, 3], f) for T, (v, f) in surfaces])
+    K, D = physics.release(scene.objects, true_scale=true_scale)
+    gap, below = gaps(scene.objects)
+    out, far = zip(*(proxy_distances(o) for o in scene), strict=True)
+    return Measures(
+        n=len(scene.objects),
+        excluded=len(scene.excluded),
+        fixed=sum(o.mobility == "fixed" for o in scene),
+        mIoU=sum(full) / total,
+        mIoU_visible=sum(visible) / total,
+        PSNR=psnr,
+        R_pen=pen.r_pen,
+        N_cross=pen.crossings,
+        K_max_J=K,
+        D_max_cm=100 * D,
+        gap_pct=100 * gap,
+        below_pct=100 * below,
+        inside=points_inside(scene.objects),
+        proxy_out_pct=100 * max(out),
+        proxy_far_pct=100 * max(far),
+    )
+
+
+# --- image agreement ----------------------------------------------------------------------------------------------
+
+
+def image_agreement(scene: Scene) -> tuple[list[float], list[float], float]:
+    """IoU of each full silhouette, IoU of each object's visible pixels, and PSNR [dB], at the photo's resolution.
+
+    PSNR compares unlit texture colours with the photo over the union of masks; uncovered mask pixels are black.
+    """
+    fragments = raster.render(scene.objects, scene.camera)
+    full = [iou(full_silhouette(o, scene.camera), o.mask) for o in scene]
+    visible = [iou(fragments.ids == o.id, o.mask) for o in scene]
+    rendered = raster.shade(fragments, scene.objects, filter="nearest")
+    union = np.any([o.mask for o in scene], axis=0)
+    error = rendered[union] - scene.photo.rgb[union] / 255
+    return full, visible, float(-10 * np.log10(max(np.mean(error**2), 1e-12)))
+
+
+def full_silhouette(o: SceneObject, camera: Camera) -> NDArray[np.bool_]:
+    """The object's silhouette (H, W) as if it were alone."""
+    vertices = camera.to_camera(o.vertices_world)
+    return raster.silhouette(vertices, o.mesh.faces, camera.K, camera.width, camera.height)
+
+
+# --- floating, sunken and contained objects -------------------------------------------------------------------------
+
+
+def gaps(objects: Sequence[SceneObject]) -> tuple[float, float]:
+    """The largest gap between an object and whatever is nearest, the ground included, and the deepest point under
+    the ground, both in object sizes."""
+    from scipy.spatial import cKDTree
+
+    points = [np.concatenate([o.vertices_world, sample_surface(o.vertices_world, o.mesh.faces, SAMPLES)]) for o in objects]
+    trees = [cKDTree(p) for p in points]
+    gap = below = 0.0
+    for i, (o, p) in enumerate(zip(objects, points, strict=True)):
+        lowest = float(p[:, 2].min())
+        below = max(below, -lowest / o.size)
+        nearest = [max(0.0, lowest)]
+        nearest += [float(tree.query(p[::7])[0].min()) for j, tree in enumerate(trees) if j != i]
+        gap = max(gap, min(nearest) / o.size)
+    return gap, max(0.0, below)
+
+
+def points_inside(objects: Sequence[SceneObject], stride: int = 40) -> int:
+    """How many vertices (every ``stride``-th) of an object lie in another object's solid; open meshes have none."""
+    total = 0
+    for a in objects:
+        if not a.mesh.is_solid:
+            continue
+        for b in objects:
+            points = b.vertices_world[::stride]
+            low, high = a.bounds_world
+            points = points[np.all((points > low) & (points < high), axis=1)]
+            if b.id != a.id and len(points):
+                vertices, faces = a.mesh.welded
+                local = (points - a.T_world_asset[:3, 3]) @ np.linalg.inv(a.T_world_asset[:3, :3]).T
+                total += int(np.count_nonzero(winding_number(local, vertices, faces) > 0.5))
+    return total
+
+
+def winding_number(points: Array, vertices: Array, faces: NDArray[np.int32]) -> Array:
+    """Generalised winding number of points (n, 3): 1 inside a closed outward surface, 0 outside (van Oosterom and
+    Strackee 1983 for the solid angle of a triangle)."""
+    triangles = vertices[faces]
+    numbers = np.empty(len(points))
+    for k, p in enumerate(points):
+        a, b, c = (triangles[:, i] - p for i in range(3))
+        la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+        numerator = np.einsum("ij,ij->i", a, np.cross(b, c))
+        denominator = (
+            la * lb * lc
+            + np.einsum("ij,ij->i", a, b) * lc
+            + np.einsum("ij,ij->i", b, c) * la
+            + np.einsum("ij,ij->i", c, a) * lb
+        )
+        numbers[k] = np.arctan2(numerator, denominator).sum() / (2 * np.pi)
+    return numbers
+
+
+# --- proxies ------------------------------------------------------------------------------------------------------
+
+
+def proxy_distances(o: SceneObject) -> tuple[float, float]:
+    """How far the mesh sticks out of its proxy and how far the proxy's surface lies from the mesh, in object sizes."""
+    from scipy.spatial import cKDTree
+
+    vertices = o.mesh.vertices[:: max(1, len(o.mesh.vertices) // 4000)]
+    size = o.size / o.scale
+    out = np.min([_outside(vertices, part) for part in o.parts], axis=0)
+    surface = np.concatenate([o.mesh.vertices, sample_surface(o.mesh.vertices, o.mesh.faces, SAMPLES)])
+    samples = np.concatenate([sample_surface(p.vertices, p.faces, PART_SAMPLES) for p in o.parts])
+    covered = np.max([_outside(samples, p) < -1e-4 * size for p in o.parts], axis=0)
+    free = samples[~covered]
+    far = float(cKDTree(surface).query(free)[0].mean()) if len(free) else 0.0
+    return float(np.percentile(np.maximum(out, 0), 99.9)) / size, far / size
+
+
+def _outside(points: Array, part: ConvexPart) -> Array:
+    """Largest signed distance (n,) of points to the part's facet planes; negative inside."""
+    a, b, c = (part.vertices[part.faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1)
+    real = lengths > 1e-12 * max(float(lengths.max()), 1e-300)
+    normals = normals[real] / lengths[real, None]
+    return np.max(points @ normals.T - np.einsum("ij,ij->i", normals, a[real]), axis=1)
+
+
+def sample_surface(vertices: Array, faces: NDArray[np.int32], count: int) -> Array:
+    """``count`` points spread over a surface by area, the same ones every time."""
+    rng = np.random.default_rng(0)
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    chosen = rng.choice(len(faces), count, p=area / area.sum())
+    u, v = rng.random((2, count, 1))
+    flip = u + v > 1
+    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
+    return a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]

@@ -1,0 +1,124 @@
+"""The order of the stages: from inputs to a settled scene with its reports and measures."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Collection
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from f3sr.errors import InputError
+from f3sr.inputs import Inputs
+from f3sr.report import Report
+from f3sr.scene import Scene
+from f3sr.stages.align import AlignConfig, align
+from f3sr.stages.assemble import AssembleConfig, assemble
+from f3sr.stages.evaluate import Evaluation, evaluate
+from f3sr.stages.level import LevelConfig, level
+from f3sr.stages.relate import RelateConfig, relate
+from f3sr.stages.separate import SeparateConfig, separate
+from f3sr.stages.settle import SettleStageConfig, settle
+
+SKIPPABLE = ("level", "align", "align-camera", "align-objects", "relate", "separate", "settle", "evaluate")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """Every stage's settings; ``seed`` feeds the only random choices, the RANSAC triples of ``level``."""
+
+    seed: int = 0
+    assemble: AssembleConfig = field(default_factory=AssembleConfig)
+    level: LevelConfig = field(default_factory=LevelConfig)
+    align: AlignConfig = field(default_factory=AlignConfig)
+    relate: RelateConfig = field(default_factory=RelateConfig)
+    separate: SeparateConfig = field(default_factory=SeparateConfig)
+    settle: SettleStageConfig = field(default_factory=SettleStageConfig)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Reconstruction:
+    """The settled scene, the levelled input it came from, and what every stage says of its work."""
+
+    scene: Scene
+    direct: Scene
+    reports: tuple[Report, ...]
+    seconds: dict[str, float]
+    """Wall time per stage [s]."""
+    config_digest: str
+    """sha256 of the configuration."""
+    evaluation: Evaluation | None = None
+
+
+def reconstruct(
+    inputs: Inputs,
+    config: Config | None = None,
+    *,
+    skip: Collection[str] = (),
+    progress: Callable[[str], None] = lambda _: None,
+) -> Reconstruction:
+    """Run every stage that is not skipped. Any stage but ``assemble`` may be skipped: a valid scene remains."""
+    config = config or Config()
+    run = _Run(skip, progress)
+
+    scene = run.stage("assemble", assemble, inputs, config.assemble)
+    scene = direct = run.stage("level", level, scene, config.level, rng=np.random.default_rng(config.seed))
+    scene = run.stage("align", align, scene, run.align_config(config.align))
+    scene = run.stage("relate", relate, scene, config.relate)
+    scene = run.stage("separate", separate, scene, config.separate)
+    scene = run.stage("settle", settle, scene, config.settle)
+    evaluation = run.timed("evaluate", evaluate, scene, direct)
+
+    return Reconstruction(
+        scene=scene,
+        direct=direct,
+        reports=tuple(run.reports),
+        seconds=run.seconds,
+        config_digest=_digest(config),
+        evaluation=evaluation,
+    )
+
+
+def _digest(config: Config) -> str:
+    values = json.dumps(asdict(config), sort_keys=True, default=str)
+    return hashlib.sha256(values.encode()).hexdigest()
+
+
+class _Run:
+    """Calls stages unless skipped, keeping their reports and times."""
+
+    def __init__(self, skip: Collection[str], progress: Callable[[str], None]) -> None:
+        if unknown := set(skip) - set(SKIPPABLE):
+            raise InputError("--skip", found=", ".join(sorted(unknown)), accepted=", ".join(SKIPPABLE))
+        self.skip, self.progress = frozenset(skip), progress
+        self.reports: list[Report] = []
+        self.seconds: dict[str, float] = {}
+
+    def stage(self, name: str, work: Callable[..., tuple[Scene, Report]], value: Any, *args: Any, **more: Any) -> Scene:
+        """The stage's scene, or ``value`` itself when the stage is skipped."""
+        result = self.timed(name, work, value, *args, **more)
+        if result is None:
+            return value
+        scene, report = result
+        self.reports.append(report)
+        return scene
+
+    def timed(self, name: str, work: Callable[..., Any], *args: Any, **more: Any) -> Any:
+        if name in self.skip:
+            self.progress(f"{name}: skipped")
+            return None
+        start = time.perf_counter()
+        result = work(*args, **more)
+        self.seconds[name] = time.perf_counter() - start
+        self.progress(f"{name}: {self.seconds[name]:.1f} s")
+        return result
+
+    def align_config(self, config: AlignConfig) -> AlignConfig:
+        return replace(
+            config,
+            camera=config.camera and "align-camera" not in self.skip,
+            objects=config.objects and "align-objects" not in self.skip,
+        )

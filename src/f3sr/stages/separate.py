@@ -1,0 +1,232 @@
+"""separate: convex proxies for every object, then the smallest moves after which no two of them overlap."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+import numpy as np
+
+from f3sr import contact, proxies
+from f3sr.contact import Polytope
+from f3sr.frames import Array, pose
+from f3sr.proxies import ProxyConfig
+from f3sr.report import Decision, Measure, Report
+from f3sr.scene import GROUND, Scene, SceneObject
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeparateConfig:
+    proxies: ProxyConfig = field(default_factory=ProxyConfig)
+    clearance: float = 4e-4
+    """Gap left between parted objects [m] (eps_g of equation 11), range [0, .01]: the contact margins of the two
+    bodies added, so that nothing pushes when physics starts."""
+    max_ray_scale: float = 0.1
+    """How far an object may slide along its viewing rays to reach its support, as a share of its distance to the
+    camera, range [0, .5]; 0 turns it off. The right factor lies within .07 of 1 on scenes with known poses."""
+    rounds: int = 16
+    """Most rounds of horizontal parting, range [1, 100]; the report allows 32."""
+
+
+def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene, Report]:
+    """Bring every object onto its support and part what overlaps (equations 10 and 11).
+
+    In forest order an object is brought into contact with its support, with all that rests on it: first along its
+    viewing rays, scaled alike about the camera centre, which leaves the picture as it is; what that cannot reach
+    within its bound by the smallest lift, or by lowering. Then unrelated objects that overlap are parted horizontally by the branches that part below their common support, so
+    that nothing is left behind. What still overlaps is counted, never hidden.
+    """
+    config = config or SeparateConfig()
+    results = proxies.decompose_all([o.mesh for o in scene], config.proxies)
+    scene = scene.with_objects(*(replace(o, parts=r.parts) for o, r in zip(scene, results, strict=True)))
+    decisions = [replace(d, about=o.id) for o, r in zip(scene, results, strict=True) for d in r.decisions]
+    layout = _Layout(scene)
+    before = len(layout.collisions())
+    for _ in range(3):
+        _seat(layout, config)
+        if not _part(layout, config):
+            break
+    _seat(layout, config)
+    left = layout.collisions()
+    decisions += [
+        Decision(choice=f"still overlaps {_name(b)} after separation", reason="no free place found", about=a)
+        for a, b in left
+    ]
+    moved = scene.with_objects(*_moved_objects(layout))
+    measures = [Measure(name="overlapping pairs", before=before, after=len(left))]
+    measures += [
+        Measure(name="moved", after=1000 * layout.travel(o.id), unit="mm", about=o.id) for o in scene
+    ]
+    measures += [
+        Measure(name="scale along viewing rays", after=layout.scale[o.id], before=1.0, about=o.id) for o in scene
+    ]
+    measures += [
+        Measure(name="convex parts", after=len(o.parts), about=o.id) for o in scene
+    ]  # fmt: skip
+    return moved, Report(stage="separate", measures=tuple(measures), decisions=tuple(decisions))
+
+
+class _Layout:
+    """Where the bodies are while they are being moved: polytopes in the world under ``x -> scale x + shift``."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.bodies = {o.id: tuple(Polytope.of(p).moved(o.T_world_asset) for p in o.parts) for o in scene}
+        self.shift: dict[int, Array] = {o.id: np.zeros(3) for o in scene}
+        self.scale: dict[int, float] = {o.id: 1.0 for o in scene}
+
+    def move(self, ids: tuple[int, ...], t: Array, *, scale: float = 1.0) -> None:
+        """Apply ``x -> scale x + t`` to bodies; fixed ones stay."""
+        for id in ids:
+            if self.scene[id].mobility == "fixed":
+                continue
+            self.bodies[id] = _moved(self.bodies[id], t, scale)
+            self.shift[id] = scale * self.shift[id] + t
+            self.scale[id] *= scale
+
+    def along_rays(self, ids: tuple[int, ...], k: float) -> None:
+        """The homothety ``X -> C + k (X - C)`` about the camera centre C: no silhouette changes."""
+        self.move(ids, (1 - k) * self.scene.camera.center, scale=k)
+
+    def travel(self, id: int) -> float:
+        """How far the middle of a body has moved [m]."""
+        middle = self.scene[id].bounds_world.mean(0)
+        return float(np.linalg.norm(self.scale[id] * middle + self.shift[id] - middle))
+
+    def lowest(self, id: int) -> float:
+        return min(float(p.bounds[0, 2]) for p in self.bodies[id])
+
+    def collisions(self) -> list[tuple[int, int]]:
+        """Pairs of ids that overlap, the ground included as the second."""
+        pairs = [(a, b) for a, b in combinations(self.bodies, 2) if contact.collide(self.bodies[a], self.bodies[b])]
+        return pairs + [(id, GROUND) for id in self.bodies if self.lowest(id) < -1e-9]
+
+
+def _seat(layout: _Layout, config: SeparateConfig) -> None:
+    """Bring every object into contact with its support, supports first, with the supported subtree."""
+    for id in _supports_first(layout.scene):
+        if layout.scene[id].supported_by is None:
+            layout.move(layout.scene.subtree(id), max(0.0, config.clearance - layout.lowest(id)) * UP)
+            continue
+        if config.max_ray_scale:
+            layout.along_rays(layout.scene.subtree(id), _contact_scale(layout, id, config))
+        layout.move(layout.scene.subtree(id), -_gap(layout.bodies[id], id, layout, config) * UP)
+
+
+def _gap(body: contact.Body, id: int, layout: _Layout, config: SeparateConfig) -> float:
+    """How far a body hangs over its support and the ground [m]; negative: how far it must rise to be free of them."""
+    lowest = min(float(p.bounds[0, 2]) for p in body) - config.clearance
+    parent = layout.scene[id].supported_by
+    if parent is None or parent == GROUND:
+        return lowest
+    support = layout.bodies[parent]
+    rise = max(contact.smallest_shift(body, support, UP, config.clearance), -lowest)
+    if rise > 0:
+        return -rise
+    return min(contact.free_travel(body, support, -UP) - config.clearance, lowest)
+
+
+def _contact_scale(layout: _Layout, id: int, config: SeparateConfig) -> float:
+    """The k nearest to 1 at which the body, moved along its viewing rays by k, comes to rest on its support.
+
+    Closed form over the ground, k = C_z / (C_z - z_lowest); over an object the first sign change of the gap away
+    from 1, bisected. Without one inside the bound: the bound on the side where the gap shrinks.
+    """
+    C, limit = layout.scene.camera.center, config.max_ray_scale
+    if layout.scene[id].supported_by == GROUND:
+        height = float(C[2]) - layout.lowest(id)
+        k = (float(C[2]) - config.clearance) / height if height > 1e-9 else 1.0
+        return float(np.clip(k, 1 - limit, 1 + limit))
+
+    def gap(k: float) -> float:
+        return _gap(_moved(layout.bodies[id], (1 - k) * C, k), id, layout, config)
+
+    start = gap(1.0)
+    if abs(start) < config.clearance:
+        return 1.0
+    free, step = 1.0, np.copysign(limit / 8, start)
+    for _ in range(8):
+        k = free + step
+        value = gap(k)
+        if value * start <= 0:
+            return _bisected(gap, free, k, start)
+        if abs(value) > 1.5 * abs(start):  # it slides off its support
+            return 1.0
+        free = k
+    return free
+
+
+def _bisected(gap: Callable[[float], float], a: float, b: float, sign: float) -> float:
+    """A root of ``gap`` between a, where it has ``sign``, and b, on the free side, to 1e-4."""
+    while abs(b - a) > 1e-4:
+        middle = (a + b) / 2
+        a, b = (middle, b) if gap(middle) * sign > 0 else (a, middle)
+    return a if sign > 0 else b
+
+
+def _moved(body: contact.Body, t: Array, scale: float) -> tuple[Polytope, ...]:
+    T = pose(scale * np.eye(3), t)
+    return tuple(p.moved(T) for p in body)
+
+
+def _part(layout: _Layout, config: SeparateConfig) -> bool:
+    """Horizontal pass over unrelated pairs; returns whether anything moved."""
+    moved = False
+    for _ in range(config.rounds):
+        busy = False
+        for a, b in _unrelated(layout.scene):
+            escape = contact.smallest_horizontal_move(layout.bodies[a], layout.bodies[b])
+            length = float(np.linalg.norm(escape))
+            if length == 0:
+                continue
+            t = np.append(escape * (1 + config.clearance / length), 0.0)
+            branch_a, branch_b = _branches(layout.scene, a, b)
+            share = _share(layout.scene, a, b)
+            layout.move(layout.scene.subtree(branch_a), share * t)
+            layout.move(layout.scene.subtree(branch_b), (share - 1) * t)
+            busy = moved = True
+        if not busy:
+            break
+    return moved
+
+
+def _share(scene: Scene, a: int, b: int) -> float:
+    """How much of a parting move falls to ``a``: half, all or nothing where the other or it is fixed."""
+    if scene[b].mobility == "fixed":
+        return 1.0
+    return 0.0 if scene[a].mobility == "fixed" else 0.5
+
+
+def _branches(scene: Scene, a: int, b: int) -> tuple[int, int]:
+    """The topmost supports of a and b that are not common to both: what must move to keep both on their supports."""
+    chain_a, chain_b = (a, *scene.ancestors(a)), (b, *scene.ancestors(b))
+    common = set(chain_a) & set(chain_b)
+    return [i for i in chain_a if i not in common][-1], [i for i in chain_b if i not in common][-1]
+
+
+def _unrelated(scene: Scene) -> Iterator[tuple[int, int]]:
+    """Pairs that neither carry nor contain one another."""
+    inside = scene.graph.of("inside") | {(b, a) for a, b in scene.graph.of("contains")}
+    for a, b in combinations([o.id for o in scene], 2):
+        related = a in scene.ancestors(b) or b in scene.ancestors(a) or (a, b) in inside or (b, a) in inside
+        if not related:
+            yield a, b
+
+
+def _supports_first(scene: Scene) -> list[int]:
+    return sorted((o.id for o in scene), key=lambda id: (len(scene.ancestors(id)), id))
+
+
+def _moved_objects(layout: _Layout) -> Iterator[SceneObject]:
+    for o in layout.scene:
+        t, k = layout.shift[o.id], layout.scale[o.id]
+        if t.any() or k != 1:
+            reason = f"onto its support and out of others: {1000 * layout.travel(o.id):.1f} mm, scale {k:.4f}"
+            yield o.moved(pose(t=t), scale=k, stage="separate", reason=reason)
+
+
+def _name(id: int) -> str:
+    return "the ground" if id == GROUND else f"object {id}"

@@ -1,0 +1,61 @@
+"""settle: passive physics until the scene truly rests, undamped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from f3sr import physics
+from f3sr.frames import Array, invert_pose, rotation_angle
+from f3sr.physics import PhysicsConfig, SettleConfig
+from f3sr.report import Decision, Measure, Report
+from f3sr.scene import Scene, SceneObject
+
+
+@dataclass(frozen=True, kw_only=True)
+class SettleStageConfig:
+    physics: PhysicsConfig = field(default_factory=PhysicsConfig)
+    settling: SettleConfig = field(default_factory=SettleConfig)
+
+
+def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene, Report]:
+    """Let the objects come to rest under gravity; how far each one moved is reported.
+
+    A simulation that blows up leaves the scene as it was, a Decision.
+    """
+    config = config or SettleStageConfig()
+    result = physics.settle(scene.objects, config.physics, settling=config.settling)
+    decisions: list[Decision] = []
+    if result.exploded:
+        decisions.append(Decision(choice="poses kept as they were", reason="the simulation blew up", fallback=True))
+    elif not result.at_rest:
+        decisions.append(
+            Decision(
+                choice="kept although not at rest",
+                reason=f"an undamped release still moves {1000 * result.drift:.2f} mm after {result.seconds:.1f} s",
+            )
+        )
+    moved = tuple(_at(o, result.T_world_object[o.id]) for o in scene)
+    measures = [
+        Measure(name="time to rest", after=result.seconds, unit="s"),
+        Measure(name="undamped drift", after=1000 * result.drift, unit="mm"),
+        *(_travel(before, after) for before, after in zip(scene, moved, strict=True)),
+        *(_turn(before, after) for before, after in zip(scene, moved, strict=True)),
+    ]
+    return scene.with_objects(*moved), Report(stage="settle", measures=tuple(measures), decisions=tuple(decisions))
+
+
+def _at(o: SceneObject, T_world_object: Array) -> SceneObject:
+    T = T_world_object @ invert_pose(o.T_world_object)
+    return o if np.array_equal(T_world_object, o.T_world_object) else o.moved(T, stage="settle", reason="came to rest")
+
+
+def _travel(before: SceneObject, after: SceneObject) -> Measure:
+    distance = float(np.linalg.norm(after.bounds_world.mean(0) - before.bounds_world.mean(0)))
+    return Measure(name="moved", after=1000 * distance, unit="mm", about=after.id)
+
+
+def _turn(before: SceneObject, after: SceneObject) -> Measure:
+    R = after.T_world_object[:3, :3] @ before.T_world_object[:3, :3].T
+    return Measure(name="turned", after=np.degrees(rotation_angle(R)), unit="deg", about=after.id)

@@ -1,0 +1,108 @@
+"""Tiny prompted-image folders on disk, with known truth: boxes on a table, seen by a known camera."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from f3sr import raster, sam3d
+from f3sr.frames import Array, Camera, pose, quaternion_from_rotation, rotation_about
+from f3sr.mesh_io import save_glb
+from f3sr.scene import SceneObject
+from scenes import box
+
+WIDTH, HEIGHT = 192, 144
+
+
+def camera() -> Camera:
+    """70 cm away, 40 degrees down, principal point off the centre."""
+    forward = np.array([0.0, np.cos(np.radians(40)), -np.sin(np.radians(40))])
+    right = np.array([1.0, 0, 0])
+    R = np.stack([right, np.cross(forward, right), forward], axis=1)
+    K = np.array([[230.0, 0, 99], [0, 230, 70], [0, 0, 1]])
+    return Camera(width=WIDTH, height=HEIGHT, K=K, T_world_camera=pose(R, -0.75 * forward + [0, 0, 0.04]))
+
+
+def boxes() -> list[SceneObject]:
+    """A stack of two and a box beside it, all at rest."""
+    return [
+        box(2, size=(0.16, 0.12, 0.08), at=(-0.1, 0.0, 0.04), R=rotation_about([0, 0, 1], 0.3), label="big box"),
+        box(5, size=(0.06, 0.06, 0.05), at=(-0.1, 0.0, 0.105), R=rotation_about([0, 0, 1], 0.5), label="small box"),
+        box(7, size=(0.09, 0.07, 0.1), at=(0.13, 0.02, 0.05), R=rotation_about([0, 0, 1], -0.4), label="tall box"),
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    camera: Camera
+    objects: list[SceneObject]
+
+
+def write_folder(folder: Path, *, perturb: float = 0.0, seed: int = 0, objects: list[SceneObject] | None = None) -> Truth:
+    """Write a folder of boxes; assets are off by about ``perturb`` (share of size, and radians of yaw)."""
+    eye, truth = camera(), objects or boxes()
+    fragments = raster.render(truth, eye)
+    (folder / "masks").mkdir(parents=True)
+    (folder / "assets").mkdir()
+    photo = np.full((HEIGHT, WIDTH, 3), (150, 120, 90), np.uint8)
+    rng = np.random.default_rng(seed)
+    entries = []
+    for o in truth:
+        mask = fragments.ids == o.id
+        photo[mask] = rng.integers(40, 220, 3)
+        name = f"{o.id:02d}_{o.label.replace(' ', '_')}"
+        Image.fromarray((255 * mask).astype(np.uint8)).save(folder / "masks" / f"{name}.png")
+        wrong = _perturbed(o, eye, perturb, rng)
+        save_glb(o.mesh.with_vertices(o.mesh.vertices @ sam3d.LOCAL_FROM_GLB), folder / "assets" / f"{o.id:02d}.glb")
+        entries.append(_sam3d_entry(wrong, eye, f"{name}.png"))
+    Image.fromarray(photo).save(folder / "image.png")
+    Image.fromarray((255 * (fragments.ids == raster.EMPTY)).astype(np.uint8)).save(folder / "ground.png")
+    (folder / "assets" / "poses.json").write_text(json.dumps({"convention": "sam-3d-objects", "objects": entries}))
+    np.savez(folder / "geometry.npz", **_geometry(fragments.depth, eye))
+    return Truth(eye, truth)
+
+
+def _perturbed(o: SceneObject, eye: Camera, amount: float, rng: np.random.Generator) -> SceneObject:
+    if not amount:
+        return o
+    center = o.bounds_world.mean(0)
+    yaw = rotation_about([0, 0, 1], amount * rng.choice([-1, 1]))
+    shift = amount * o.size * rng.uniform(-1, 1, 3)
+    s = 1 + amount * rng.uniform(-0.5, 0.5)
+    return o.moved(pose(yaw, center + shift - yaw @ (s * center)), scale=s, stage="test", reason="perturbed")
+
+
+def _sam3d_entry(o: SceneObject, eye: Camera, mask: str) -> dict[str, object]:
+    """The pose of an object in the model's row-vector PyTorch3D convention."""
+    T_camera_object = eye.T_camera_world @ o.T_world_object
+    F = sam3d.OPENCV_FROM_PYTORCH3D
+    R = (F @ T_camera_object[:3, :3]).T
+    return {
+        "mask": mask,
+        "mesh": f"{o.id:02d}.glb",
+        "rotation": quaternion_from_rotation(R).tolist(),
+        "translation": (F @ T_camera_object[:3, 3]).tolist(),
+        "scale": [o.scale] * 3,
+    }
+
+
+def _geometry(depth: Array, eye: Camera) -> dict[str, Array]:
+    """Half-resolution points of objects and table, in camera axes."""
+    columns, rows = np.meshgrid(np.arange(0, WIDTH, 2), np.arange(0, HEIGHT, 2))
+    rays = np.stack([columns + 0.5, rows + 0.5, np.ones_like(rows)], -1) @ np.linalg.inv(eye.K).T
+    R, t = eye.T_world_camera[:3, :3], eye.center
+    table = -t[2] / (rays @ R.T)[..., 2]
+    z = np.where(np.isfinite(depth[::2, ::2]), depth[::2, ::2], table)
+    valid = (z > 0) & (z < 5)
+    normalised = eye.K / [[WIDTH], [HEIGHT], [1]]
+    return {
+        "points": (rays * np.where(valid, z, 0)[..., None]).astype(np.float32),
+        "mask": valid,
+        "intrinsics": normalised,
+    }
+
+

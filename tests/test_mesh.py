@@ -1,0 +1,78 @@
+"""Volumes, inertia and hulls against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from f3sr.frames import pose, rotation_about
+from f3sr.mesh import ConvexPart, Mesh, is_closed, mass_properties, solid_properties, union
+from scenes import box_mesh
+
+
+def of(m: trimesh.Trimesh) -> Mesh:
+    return Mesh(vertices=m.vertices, faces=m.faces)
+
+
+def test_box_mass_properties_are_the_textbook_ones():
+    a, b, c = 0.2, 0.3, 0.5
+    m = trimesh.creation.box((a, b, c))
+    m.apply_translation([1, 2, 3])
+    p = mass_properties(np.asarray(m.vertices), np.asarray(m.faces, np.int32))
+    volume = a * b * c
+    assert p.volume == pytest.approx(volume)
+    assert np.allclose(p.center, [1, 2, 3])
+    expected = volume / 12 * np.diag([b * b + c * c, a * a + c * c, a * a + b * b])
+    assert np.allclose(p.inertia, expected)
+
+
+def test_mass_properties_agree_with_trimesh_on_a_rotated_torus():
+    m = trimesh.creation.torus(0.3, 0.1)
+    m.apply_transform(pose(rotation_about([1, 2, 3], 0.7), [0.4, -1, 2]))
+    ours = mass_properties(np.asarray(m.vertices), np.asarray(m.faces, np.int32))
+    assert ours.volume == pytest.approx(m.volume)
+    assert np.allclose(ours.center, m.center_mass)
+    assert np.allclose(ours.inertia, m.moment_inertia, atol=1e-9)
+
+
+def test_texture_seams_do_not_open_a_solid():
+    split = box_mesh(textured=True)
+    assert len(split.vertices) == 36 and not is_closed(split.faces)
+    assert split.is_solid and len(split.welded[0]) == 8
+
+
+def test_inside_out_and_open_meshes_are_not_solid():
+    m = box_mesh()
+    assert not Mesh(vertices=m.vertices, faces=m.faces[:, ::-1]).is_solid
+    assert not Mesh(vertices=m.vertices, faces=m.faces[1:]).is_solid
+
+
+def test_open_meshes_take_their_mass_from_the_union_of_parts():
+    m = box_mesh((1, 1, 1))
+    half = ConvexPart.hull_of(m.vertices * [0.5, 1, 1])
+    whole = ConvexPart.hull_of(m.vertices)
+    open_mesh = Mesh(vertices=m.vertices, faces=m.faces[1:])
+    properties, from_mesh = solid_properties(open_mesh, [half, whole])
+    assert not from_mesh and properties.volume == pytest.approx(1, rel=1e-5)
+
+
+def test_union_counts_an_overlap_once():
+    a = ConvexPart.hull_of(box_mesh((1, 1, 1)).vertices)
+    b = a.moved(pose(t=[0.5, 0, 0]))
+    vertices, faces = union([a, b])
+    assert mass_properties(vertices, faces).volume == pytest.approx(1.5, rel=1e-5)
+
+
+def test_hull_faces_point_outward_and_flat_points_are_refused():
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    hull = ConvexPart.hull_of(points)
+    assert hull.volume > 0 and is_closed(hull.faces)
+    with pytest.raises(ValueError, match="no volume"):
+        ConvexPart.hull_of(points * [1, 1, 0])
+
+
+def test_values_are_read_only():
+    m = box_mesh()
+    with pytest.raises(ValueError, match="read-only"):
+        m.vertices[0] = 0
