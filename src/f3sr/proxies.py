@@ -56,6 +56,13 @@ class ProxyConfig:
     result and the time triples."""
     max_parts: int = 16
     """Most parts of CoACD, at least 1: the cost of contact grows with the square."""
+    shell_fill: float = 0.5
+    """A mesh that fills less of its hull than this is a shell, in [0, 1]: a bowl, a mug, a pan. What lies in
+    it would float on parts that bridge its curved wall, so shells get finer parts."""
+    shell_threshold: float = 0.05
+    """``threshold`` for shells."""
+    shell_parts: int = 32
+    """``max_parts`` for shells: with 16 a bowl's floor lies 3% of its size too high, with 32 1.8%."""
     target_faces: int = 2000
     """Triangles CoACD sees after decimation, at least 100: as good as 16,000, since parts grow to cover."""
     resolution: int = 1000
@@ -70,9 +77,10 @@ class ProxyConfig:
     """Most parts of the fallback V-HACD, at least 1: it needs more of them for the same quality."""
     vhacd_voxels: int = 400_000
     """V-HACD's voxels: the 7 s of CPU it takes, whatever the mesh."""
-    cpu_limit_s: float = 60.0
-    """Processor seconds after which an attempt is killed, at least 1; an ordinary mesh needs 5."""
-    wall_limit_s: float = 300.0
+    cpu_limit_s: float = 120.0
+    """Processor seconds after which an attempt is killed, at least 1; most meshes need 5, a hollow
+    toy brick 65. Work cut short is lost and not cached, so the limit is generous."""
+    wall_limit_s: float = 600.0
     """Seconds after which an attempt is killed even if the machine was busy, above ``cpu_limit_s``."""
     cover: bool = True
     """Grow the parts until they cover the visual mesh; off only for comparison."""
@@ -454,11 +462,13 @@ def _split_coacd(vertices: Array, faces: Faces, config: ProxyConfig) -> list[Arr
     import coacd
 
     coacd.set_log_level("error")
+    # An open surface has no volume, but its signed sum still tells a wall with two sides from a body.
+    is_shell = signed_volume(vertices, faces) < config.shell_fill * ConvexPart.hull_of(vertices).volume
     vertices, faces = _decimated(vertices, faces, config.target_faces)
     pieces = coacd.run_coacd(
         coacd.Mesh(vertices, faces),
-        threshold=config.threshold,
-        max_convex_hull=config.max_parts,
+        threshold=config.shell_threshold if is_shell else config.threshold,
+        max_convex_hull=config.shell_parts if is_shell else config.max_parts,
         preprocess_mode="off",
         resolution=config.resolution,
         mcts_nodes=config.mcts_nodes,
