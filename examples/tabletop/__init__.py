@@ -1,0 +1,1 @@
+"""How the bundled example is made: shapes, looks, a physics pre-run, a path tracer, and honest damage."""
