@@ -75,6 +75,13 @@ def test_resized_camera_sees_the_same_directions():
     assert np.allclose(small, full * [0.5, 0.25])
 
 
+def test_cropped_camera_sees_the_same_pixels_shifted():
+    points = np.array([[0.1, 0.2, 1.0], [-0.3, 0.1, 2.0]])
+    full, _ = camera().project(points)
+    part, _ = camera().cropped(30, -10, 100, 50).project(points)
+    assert np.allclose(part, full - [30, -10])
+
+
 @given(vectors, vectors)
 def test_moving_world_and_camera_together_changes_no_pixel(omega, t):
     T = pose(rotation_from_vector(omega), t)

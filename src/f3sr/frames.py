@@ -138,3 +138,9 @@ class Camera:
         """The same view sampled with another number of pixels."""
         scale = np.array([[width / self.width], [height / self.height], [1.0]])
         return replace(self, width=width, height=height, K=self.K * scale)
+
+    def cropped(self, x: int, y: int, width: int, height: int) -> Self:
+        """The view of the pixels from column ``x`` and row ``y`` on; it may reach beyond the image."""
+        K = self.K.copy()
+        K[:2, 2] -= [x, y]
+        return replace(self, width=width, height=height, K=K)

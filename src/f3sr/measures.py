@@ -101,6 +101,12 @@ def image_agreement(scene: Scene) -> tuple[list[float], list[float], float]:
     return full, visible, float(-10 * np.log10(max(np.mean(error**2), 1e-12)))
 
 
+def visible_iou(scene: Scene) -> float:
+    """mIoU_visible alone: the mean IoU of visible pixels with the masks."""
+    ids = raster.render(scene.objects, scene.camera).ids
+    return sum(iou(ids == o.id, o.mask) for o in scene) / (len(scene.objects) + len(scene.excluded))
+
+
 def full_silhouette(o: SceneObject, camera: Camera) -> NDArray[np.bool_]:
     """The object's silhouette (H, W) as if it were alone."""
     vertices = camera.to_camera(o.vertices_world)
@@ -121,9 +127,12 @@ def gaps(objects: Sequence[SceneObject]) -> tuple[float, float]:
     for i, (o, p) in enumerate(zip(objects, points, strict=True)):
         lowest = float(p[:, 2].min())
         below = max(below, -lowest / o.size)
-        nearest = [max(0.0, lowest)]
-        nearest += [float(tree.query(p[::7])[0].min()) for j, tree in enumerate(trees) if j != i]
-        gap = max(gap, min(nearest) / o.size)
+        nearest = max(0.0, lowest)
+        for j, tree in enumerate(trees):
+            if j != i and nearest > 0:
+                distances, _ = tree.query(p[::7], distance_upper_bound=nearest)
+                nearest = min(nearest, float(distances.min()))
+        gap = max(gap, nearest / o.size)
     return gap, max(0.0, below)
 
 

@@ -40,6 +40,10 @@ class Report:
     measures: tuple[Measure, ...] = ()
     decisions: tuple[Decision, ...] = ()
 
+    def value(self, name: str) -> float:
+        """The scene-wide measure of that name after the stage."""
+        return next(m.after for m in self.measures if m.name == name and m.about is None)
+
     @property
     def fallbacks(self) -> tuple[Decision, ...]:
         return tuple(d for d in self.decisions if d.fallback)

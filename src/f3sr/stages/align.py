@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from f3sr import raster
+from f3sr.facets import resting_turn
 from f3sr.frames import Array, Camera, invert_pose, pose, rotation_about, rotation_from_vector, transform
+from f3sr.mesh import ConvexPart, mass_properties
 from f3sr.report import Decision, Measure, Report, keep_better
 from f3sr.scene import Scene, SceneObject
 from f3sr.silhouette import LossWeights, Mask, Target, centroid, iou, loss, resample
@@ -18,11 +21,19 @@ from f3sr.silhouette import LossWeights, Mask, Target, centroid, iou, loss, resa
 @dataclass(frozen=True, kw_only=True)
 class AlignConfig:
     resolution: int = 384
-    """Longer image side [px] of the silhouettes compared, range [64, 4096]."""
+    """Longer side [px] of the image the camera is refined in, and of the window around one object, range [64, 4096]."""
     camera: bool = True
     """Refine the camera first."""
     objects: bool = True
     """Refine the objects."""
+    freedom: Literal["image", "support"] = "image"
+    """Objects shift in the image plane and scale about their middle (equation 8), or, where they already rest, shift
+    horizontally and scale about the middle of their base, so that they stay on their support."""
+    max_tilt: float = np.deg2rad(15)
+    """An object is tried on its nearest stable facet when that is within this turn [rad], range [0, pi/2]; 0: never.
+    Generated poses tilt by up to about ten degrees."""
+    tilt_loss: float = 0.02
+    """IoU that standing on a facet may cost, range [0, 1]: physics would turn the object there anyway."""
     camera_rotation: float = np.deg2rad(3)
     """Trust region of the camera's turn per axis [rad], range (0, pi/4]."""
     camera_translation: float = 0.05
@@ -62,7 +73,7 @@ def align(scene: Scene, config: AlignConfig | None = None) -> tuple[Scene, Repor
         with ThreadPoolExecutor(2) as pool:
             results = list(pool.map(lambda o: _align_object(o, valid[o.id], scene.camera, config), scene.objects))
         scene = scene.with_objects(*(o for o, _ in results))
-        decisions += [d for _, d in results]
+        decisions += [d for _, several in results for d in several]
     after = _ious(scene, config)
     measures = [
         Measure(name="mask IoU", before=b, after=a, about=o.id) for o, b, a in zip(scene, before, after, strict=True)
@@ -139,10 +150,11 @@ def _about(center: Array, R: Array, t: Array) -> Array:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Search:
-    """One object's problem in unit parameters: (shift x, shift y, yaw, scale), each in [-1, 1] inside its bound."""
+    """One object's problem in unit parameters: (shift, shift, yaw, scale), each in [-1, 1] inside its bound."""
 
     object: SceneObject
     camera: Camera
+    """Of a window around the object."""
     target: Target
     config: AlignConfig
 
@@ -152,13 +164,23 @@ class _Search:
         shift = c.max_shift * self.object.size
         return np.array([shift, shift, c.max_yaw, c.max_scale])
 
+    @property
+    def basis(self) -> Array:
+        """B_C (3, 2): the directions of the shift in the world."""
+        return self.camera.T_world_camera[:3, :2] if self.config.freedom == "image" else np.eye(3)[:, :2]
+
+    @property
+    def anchor(self) -> Array:
+        """The point (3,) that yaw and scale leave in place."""
+        low, high = self.object.bounds_world
+        middle = (low + high) / 2
+        return middle if self.config.freedom == "image" else np.array([middle[0], middle[1], low[2]])
+
     def similarity(self, x: Array) -> tuple[Array, float]:
-        """Equation 8: image-plane shift, yaw and scale about the bounding box's centre, as (rigid T, scale)."""
+        """Equation 8 as (rigid T, scale)."""
         dx, dy, yaw, sigma = x * self.reach
-        center = self.object.bounds_world.mean(0)
-        B_C = self.camera.T_world_camera[:3, :2]
         R, s = rotation_about([0, 0, 1], yaw), 1 + sigma
-        return pose(R, center + B_C @ [dx, dy] - R @ (s * center)), s
+        return pose(R, self.anchor + self.basis @ [dx, dy] - R @ (s * self.anchor)), s
 
     def silhouette(self, x: Array) -> Mask:
         T, s = self.similarity(x)
@@ -172,39 +194,96 @@ class _Search:
         prior = float(np.asarray(self.config.prior) @ inside**2)
         return loss(self.silhouette(inside), self.target, self.config.weights) + prior + outside
 
+    def iou(self, x: Array) -> float:
+        return iou(self.silhouette(x), self.target.mask, self.target.valid)
+
     def seed(self, yaw: float) -> Array:
         """Closed form from the hard mask: centroid gives the shift, the square root of the area ratio the scale."""
         x = np.array([0.0, 0.0, yaw / self.config.max_yaw, 0.0])
         depth = self.camera.to_camera(self.object.bounds_world.mean(0)[None])[0, 2]
+        # Pixels per unit of shift, so that the same step serves both kinds of freedom.
+        pixels = self.camera.K[:2, :2] @ (self.camera.T_camera_world[:3, :3] @ self.basis)[:2] / depth
         for _ in range(2):
             s = self.silhouette(x) & self.target.valid
             area = np.count_nonzero(s)
             if area < 16:
                 break
-            step = (self.target.centroid - centroid(s)) * depth / np.diag(self.camera.K)[:2]
-            x[:2] += step / self.reach[:2]
+            x[:2] += np.linalg.solve(pixels, self.target.centroid - centroid(s)) / self.reach[:2]
             x[3] = ((1 + x[3] * self.reach[3]) * np.sqrt(self.target.area / area) - 1) / self.reach[3]
             x = np.clip(x, -1, 1)
         return x
 
+    def solve(self) -> Array:
+        """The best seed, polished."""
+        seeds = [np.zeros(4), *(self.seed(yaw) for yaw in self.config.yaw_seeds)]
+        start = min(seeds, key=self.objective)
+        return np.clip(_minimise(self.objective, start, evaluations=self.config.evaluations), -1, 1)
+
 
 def _align_object(
     o: SceneObject, valid: Mask, camera: Camera, config: AlignConfig
-) -> tuple[SceneObject, Decision]:
-    small = _camera_at(camera, config.resolution)
-    mask, region = (resample(m, small.width, small.height) for m in (o.mask, valid))
-    search = _Search(object=o, camera=small, target=Target.of(mask, region), config=config)
-    seeds = [np.zeros(4), *(search.seed(yaw) for yaw in config.yaw_seeds)]
-    start = min(seeds, key=search.objective)
-    x = np.clip(_minimise(search.objective, start, evaluations=config.evaluations), -1, 1)
+) -> tuple[SceneObject, list[Decision]]:
+    """The object where its silhouette fits its mask best, standing on a facet where that is near and fits."""
+    search = _search(o, valid, camera, config)
     kept, decision = keep_better(
-        np.zeros(4), x, score=lambda p: iou(search.silhouette(p), mask, region), step="object", measure="valid mask IoU",
+        np.zeros(4), search.solve(), score=search.iou, step="object", measure="valid mask IoU",
         tolerance=config.iou_tolerance, about=o.id,
     )  # fmt: skip
-    if not kept.any():
-        return o, decision
-    T, s = search.similarity(kept)
-    return o.moved(T, scale=s, stage="align", reason=decision.reason), decision
+    turn = _resting_turn(o, config)
+    if turn is None:
+        return _applied(search, kept, decision), [decision]
+    standing = _search(o.moved(turn, stage="align", reason="onto its nearest stable facet"), valid, camera, config)
+    best = standing.solve()
+    (chosen, x), tilt = keep_better(
+        (search, kept), (standing, best), score=lambda c: c[0].iou(c[1]), step="onto a stable facet",
+        measure="valid mask IoU", tolerance=config.tilt_loss, about=o.id,
+    )  # fmt: skip
+    return _applied(chosen, x, decision), [decision, tilt]
+
+
+def _search(o: SceneObject, valid: Mask, camera: Camera, config: AlignConfig) -> _Search:
+    """The problem of one object, seen in a window around its mask and its render that leaves room for every shift."""
+    pixels, _ = camera.project(o.vertices_world)
+    rows, columns = np.nonzero(o.mask)
+    low = np.minimum(pixels.min(0), [columns.min(), rows.min()])
+    high = np.maximum(pixels.max(0), [columns.max() + 1, rows.max() + 1])
+    limit = np.array([camera.width, camera.height])
+    low, high = np.clip(low, -limit, 2 * limit), np.clip(high, -limit, 2 * limit)
+    margin = 0.15 * (high - low).max()
+    x, y = np.floor(low - margin).astype(int)
+    width, height = np.ceil(high + margin).astype(int) - (x, y)
+    window = _camera_at(camera.cropped(x, y, width, height), config.resolution)
+    inside = (slice(y, y + height), slice(x, x + width))
+    mask, region = (
+        resample(_window(m, inside, fill=fill), window.width, window.height) for m, fill in ((o.mask, False), (valid, True))
+    )
+    return _Search(object=o, camera=window, target=Target.of(mask, region), config=config)
+
+
+def _window(mask: Mask, inside: tuple[slice, slice], *, fill: bool) -> Mask:
+    """A part of a mask that may reach beyond its borders; ``fill`` is what lies there."""
+    (rows, columns), (h, w) = inside, mask.shape
+    out = np.full((rows.stop - rows.start, columns.stop - columns.start), fill)
+    r, c = slice(max(rows.start, 0), min(rows.stop, h)), slice(max(columns.start, 0), min(columns.stop, w))
+    out[r.start - rows.start : r.stop - rows.start, c.start - columns.start : c.stop - columns.start] = mask[r, c]
+    return out
+
+
+def _resting_turn(o: SceneObject, config: AlignConfig) -> Array | None:
+    """The world pose change (4, 4) about the object's middle that puts it on its nearest stable facet, if near."""
+    if not config.max_tilt:
+        return None
+    hull = ConvexPart.hull_of(o.mesh.vertices)
+    solid = o.mesh.welded if o.mesh.is_solid else (hull.vertices, hull.faces)
+    R = resting_turn(hull, mass_properties(*solid).center, o.T_world_object[:3, :3], max_tilt=config.max_tilt)
+    return None if R is None else _about(o.bounds_world.mean(0), R, np.zeros(3))
+
+
+def _applied(search: _Search, x: Array, decision: Decision) -> SceneObject:
+    if not x.any():
+        return search.object
+    T, s = search.similarity(x)
+    return search.object.moved(T, scale=s, stage="align", reason=decision.reason)
 
 
 # --- shared -------------------------------------------------------------------------------------------------------

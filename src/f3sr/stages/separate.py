@@ -1,17 +1,16 @@
-"""separate: convex proxies for every object, then the smallest moves after which no two of them overlap."""
+"""separate: the smallest moves after which every object touches its support and no two overlap."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
-from f3sr import contact, proxies
+from f3sr import contact
 from f3sr.contact import Polytope
 from f3sr.frames import Array, pose
-from f3sr.proxies import ProxyConfig
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import GROUND, Scene, SceneObject
 
@@ -20,7 +19,6 @@ UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, kw_only=True)
 class SeparateConfig:
-    proxies: ProxyConfig = field(default_factory=ProxyConfig)
     clearance: float = 4e-4
     """Gap left between parted objects [m] (eps_g of equation 11), range [0, .01]: the contact margins of the two
     bodies added, so that nothing pushes when physics starts."""
@@ -40,9 +38,6 @@ def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene,
     that nothing is left behind. What still overlaps is counted, never hidden.
     """
     config = config or SeparateConfig()
-    results = proxies.decompose_all([o.mesh for o in scene], config.proxies)
-    scene = scene.with_objects(*(replace(o, parts=r.parts) for o, r in zip(scene, results, strict=True)))
-    decisions = [replace(d, about=o.id) for o, r in zip(scene, results, strict=True) for d in r.decisions]
     layout = _Layout(scene)
     before = len(layout.collisions())
     for _ in range(3):
@@ -51,7 +46,7 @@ def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene,
             break
     _seat(layout, config)
     left = layout.collisions()
-    decisions += [
+    decisions = [
         Decision(choice=f"still overlaps {_name(b)} after separation", reason="no free place found", about=a)
         for a, b in left
     ]
@@ -63,9 +58,6 @@ def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene,
     measures += [
         Measure(name="scale along viewing rays", after=layout.scale[o.id], before=1.0, about=o.id) for o in scene
     ]
-    measures += [
-        Measure(name="convex parts", after=len(o.parts), about=o.id) for o in scene
-    ]  # fmt: skip
     return moved, Report(stage="separate", measures=tuple(measures), decisions=tuple(decisions))
 
 

@@ -38,6 +38,7 @@ def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene
         )
     moved = tuple(_at(o, result.T_world_object[o.id]) for o in scene)
     measures = [
+        Measure(name="at rest", after=float(result.at_rest)),
         Measure(name="time to rest", after=result.seconds, unit="s"),
         Measure(name="undamped drift", after=1000 * result.drift, unit="mm"),
         *(_travel(before, after) for before, after in zip(scene, moved, strict=True)),
