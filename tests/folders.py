@@ -30,9 +30,27 @@ def camera() -> Camera:
 def boxes() -> list[SceneObject]:
     """A stack of two and a box beside it, all at rest."""
     return [
-        box(2, size=(0.16, 0.12, 0.08), at=(-0.1, 0.0, 0.04), R=rotation_about([0, 0, 1], 0.3), label="big box"),
-        box(5, size=(0.06, 0.06, 0.05), at=(-0.1, 0.0, 0.105), R=rotation_about([0, 0, 1], 0.5), label="small box"),
-        box(7, size=(0.09, 0.07, 0.1), at=(0.13, 0.02, 0.05), R=rotation_about([0, 0, 1], -0.4), label="tall box"),
+        box(
+            2,
+            size=(0.16, 0.12, 0.08),
+            at=(-0.1, 0.0, 0.04),
+            R=rotation_about([0, 0, 1], 0.3),
+            label="big box",
+        ),
+        box(
+            5,
+            size=(0.06, 0.06, 0.05),
+            at=(-0.1, 0.0, 0.105),
+            R=rotation_about([0, 0, 1], 0.5),
+            label="small box",
+        ),
+        box(
+            7,
+            size=(0.09, 0.07, 0.1),
+            at=(0.13, 0.02, 0.05),
+            R=rotation_about([0, 0, 1], -0.4),
+            label="tall box",
+        ),
     ]
 
 
@@ -42,7 +60,9 @@ class Truth:
     objects: list[SceneObject]
 
 
-def write_folder(folder: Path, *, perturb: float = 0.0, seed: int = 0, objects: list[SceneObject] | None = None) -> Truth:
+def write_folder(
+    folder: Path, *, perturb: float = 0.0, seed: int = 0, objects: list[SceneObject] | None = None
+) -> Truth:
     """Write a folder of boxes; assets are off by about ``perturb`` (share of size, and radians of yaw)."""
     eye, truth = camera(), objects or boxes()
     fragments = raster.render(truth, eye)
@@ -57,7 +77,10 @@ def write_folder(folder: Path, *, perturb: float = 0.0, seed: int = 0, objects: 
         name = f"{o.id:02d}_{o.label.replace(' ', '_')}"
         Image.fromarray((255 * mask).astype(np.uint8)).save(folder / "masks" / f"{name}.png")
         wrong = _perturbed(o, eye, perturb, rng)
-        save_glb(o.mesh.with_vertices(o.mesh.vertices @ sam3d.LOCAL_FROM_GLB), folder / "assets" / f"{o.id:02d}.glb")
+        save_glb(
+            o.mesh.with_vertices(o.mesh.vertices @ sam3d.LOCAL_FROM_GLB),
+            folder / "assets" / f"{o.id:02d}.glb",
+        )
         entries.append(_sam3d_entry(wrong, eye, f"{name}.png"))
     Image.fromarray(photo).save(folder / "image.png")
     Image.fromarray((255 * (fragments.ids == raster.EMPTY)).astype(np.uint8)).save(folder / "ground.png")
@@ -104,5 +127,3 @@ def _geometry(depth: Array, eye: Camera) -> dict[str, Array]:
         "mask": valid,
         "intrinsics": normalised,
     }
-
-

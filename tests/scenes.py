@@ -23,9 +23,7 @@ def box_mesh(size: Sequence[float] = (0.1, 0.1, 0.1), *, textured: bool = False)
     faces = np.arange(36, dtype=np.int32).reshape(-1, 3)
     uv = np.tile([[0.1, 0.1], [0.9, 0.1], [0.5, 0.8]], (12, 1))
     texture = np.random.default_rng(0).integers(0, 256, (8, 6, 3), np.uint8)
-    return Mesh(
-        vertices=hull.vertices[hull.faces.ravel()], faces=faces, uv=uv, materials=(Material(texture=texture),)
-    )
+    return Mesh(vertices=hull.vertices[hull.faces.ravel()], faces=faces, uv=uv, materials=(Material(texture=texture),))
 
 
 def box(

@@ -111,7 +111,11 @@ def test_ids_without_digits_follow_the_sorted_names(folder: Path):
     for entry, name in zip(entries["objects"], "cab", strict=True):
         entry["mask"] = f"{name}.png"
     (folder / "assets/poses.json").write_text(json.dumps(entries))
-    assert [(i.id, i.name) for i in inputs.read(folder).instances] == [(0, "a.png"), (1, "b.png"), (2, "c.png")]
+    assert [(i.id, i.name) for i in inputs.read(folder).instances] == [
+        (0, "a.png"),
+        (1, "b.png"),
+        (2, "c.png"),
+    ]
 
 
 def test_zero_is_a_valid_id_and_order_is_by_id(folder: Path):
@@ -119,7 +123,8 @@ def test_zero_is_a_valid_id_and_order_is_by_id(folder: Path):
     entries = json.loads((folder / "assets/poses.json").read_text())
     entries["objects"][2]["mask"] = "00000.png"
     (folder / "assets/poses.json").write_text(json.dumps(entries))
-    assert [(i.id, i.label) for i in inputs.read(folder).instances][0] == (0, "")
+    first = inputs.read(folder).instances[0]
+    assert (first.id, first.label) == (0, "")
 
 
 # --- wrong inputs -----------------------------------------------------------------------------------------------
@@ -178,7 +183,8 @@ WRONG: dict[str, tuple[Callable[[Path], None], str, str]] = {
     "focal length zero": (geometry(intrinsics=np.zeros((3, 3))), "geometry.npz", "K ="),
     "no poses for a mask": (poses(lambda d: d["objects"].pop()), "poses.json", "no asset for 07_tall_box.png"),
     "asset without mask": (
-        poses(lambda d: d["objects"].append(d["objects"][0] | {"mask": "99.png"})), "poses.json", "unknown masks 99.png",
+        poses(lambda d: d["objects"].append(d["objects"][0] | {"mask": "99.png"})),
+        "poses.json", "unknown masks 99.png",
     ),
     "two poses for a mask": (poses(lambda d: d["objects"].append(d["objects"][0])), "poses.json", "two poses"),
     "mesh file missing": (entry(mesh="nope.glb"), "nope.glb", "No such file"),

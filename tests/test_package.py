@@ -14,8 +14,8 @@ import jsonschema
 import mujoco
 import numpy as np
 import pytest
-from PIL import Image
 import trimesh
+from PIL import Image
 
 from f3sr import package
 from f3sr.errors import InputError, OutputError
@@ -138,12 +138,7 @@ def glb(tree: dict[str, Any], binary: bytes = b"") -> bytes:
     header += b" " * (-len(header) % 4)
     total = 28 + len(header) + len(binary)
     json_chunk = struct.pack("<II", len(header), 0x4E4F534A) + header
-    return (
-        struct.pack("<III", 0x46546C67, 2, total)
-        + json_chunk
-        + struct.pack("<II", len(binary), 0x4E4942)
-        + binary
-    )
+    return struct.pack("<III", 0x46546C67, 2, total) + json_chunk + struct.pack("<II", len(binary), 0x4E4942) + binary
 
 
 def obj(text: str) -> bytes:
@@ -324,9 +319,7 @@ def box_copy(scene: Scene) -> Scene:
     """Equal values in other objects: no cache may show."""
     return replace(
         scene,
-        objects=tuple(
-            replace(o, mesh=replace(o.mesh, materials=tuple(map(replace, o.mesh.materials)))) for o in scene
-        ),
+        objects=tuple(replace(o, mesh=replace(o.mesh, materials=tuple(map(replace, o.mesh.materials)))) for o in scene),
     )
 
 
@@ -433,9 +426,7 @@ def test_labels_are_text_and_nothing_else(label: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("point", ["mesh_to_glb", "to_mjcf", "to_json", "_commit", "_move"])
-@pytest.mark.parametrize(
-    "error", [RuntimeError("stop"), OSError(28, "No space left on device"), KeyboardInterrupt()]
-)
+@pytest.mark.parametrize("error", [RuntimeError("stop"), OSError(28, "No space left on device"), KeyboardInterrupt()])
 def test_a_failing_write_leaves_the_old_package(
     point: str, error: BaseException, stack: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -482,12 +473,8 @@ def test_a_killed_run_is_tidied_up_by_the_next(stack: Scene, tmp_path: Path) -> 
     assert tree(out) == before and [p.name for p in tmp_path.iterdir()] == ["out"]
 
 
-@pytest.mark.parametrize(
-    "content", [{"notes.txt": "mine"}, {"scene.json": "{}"}, {"scene.json": "[]", "a": ""}]
-)
-def test_a_folder_that_is_no_package_is_not_replaced(
-    content: dict[str, str], stack: Scene, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("content", [{"notes.txt": "mine"}, {"scene.json": "{}"}, {"scene.json": "[]", "a": ""}])
+def test_a_folder_that_is_no_package_is_not_replaced(content: dict[str, str], stack: Scene, tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()
     for name, text in content.items():

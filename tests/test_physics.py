@@ -122,7 +122,7 @@ def test_friction_decides_whether_a_box_slides_down_a_slope(friction: float, sli
 
 def test_a_scene_without_rest_is_reported_within_the_time_limit() -> None:
     high = [box(0, at=(0, 0, 500))]
-    result = settle(high, settling=SettleConfig(time_limit=0.3, check_time=0.1))
+    result = settle(high, settling=SettleConfig(time_limit=0.3, check_time=0.1, rest_time=0.05))
     assert not result.at_rest and not result.exploded and result.seconds == pytest.approx(0.3, abs=0.01)
 
 

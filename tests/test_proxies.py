@@ -196,9 +196,7 @@ def test_pieces_grow_to_cover_and_no_sliver_bridges_them():
     left, right = (ConvexPart.hull_of(points) for points in grown)
     assert left.vertices[:, 0].max() == pytest.approx(0, abs=0.05)
     assert right.vertices[:, 0].min() == pytest.approx(0, abs=0.05)
-    outside = [
-        (surface_points(bar) @ p.normals.T - p.offsets).max(1) for p in map(Polytope.of, (left, right))
-    ]
+    outside = [(surface_points(bar) @ p.normals.T - p.offsets).max(1) for p in map(Polytope.of, (left, right))]
     assert np.min(outside, axis=0).max() < 1e-12
 
 
@@ -258,9 +256,7 @@ def test_a_cache_hit_starts_nothing(cache, bowl, no_subprocess):
     again, box = decompose_all([BOWL, box_mesh()], QUICK, cache_dir=cache, ids=[4, 7])
     assert again.method == bowl.method
     assert again.inflation == bowl.inflation
-    assert all(
-        a.vertices.tobytes() == b.vertices.tobytes() for a, b in zip(again.parts, bowl.parts, strict=True)
-    )
+    assert all(a.vertices.tobytes() == b.vertices.tobytes() for a, b in zip(again.parts, bowl.parts, strict=True))
     assert [d.about for d in box.decisions] == [7]
 
 

@@ -47,9 +47,7 @@ def cast(vertices: Array, faces: NDArray[Any], K: Array, width: int, height: int
     return face, depth, bary
 
 
-def soup(
-    seed: int, n: int = 300, *, low: float = -1.0, large: float = 0.0
-) -> tuple[Array, NDArray[np.int32]]:
+def soup(seed: int, n: int = 300, *, low: float = -1.0, large: float = 0.0) -> tuple[Array, NDArray[np.int32]]:
     """Random triangles of all sizes, many of which cross the near plane or lie behind the camera."""
     rng = np.random.default_rng(seed)
     centers = rng.uniform([-3, -2, low], [3, 2, 6], (n, 1, 3))
@@ -243,9 +241,7 @@ def test_equal_input_in_any_layout_compiles_no_second_kernel():
     vertices.setflags(write=False)
     other = draw(np.asfortranarray(vertices), faces.astype(np.int64)[:, ::-1][:, ::-1], near=NEAR)
     assert same(one, other)
-    assert np.array_equal(
-        silhouette(vertices.tolist(), faces.tolist(), K, 8, 8, near=1), draw_mask_at_1(vertices)
-    )
+    assert np.array_equal(silhouette(vertices.tolist(), faces.tolist(), K, 8, 8, near=1), draw_mask_at_1(vertices))
     for kernel in ("_project", "_cover", "_nearest"):
         assert len(getattr(raster, kernel).signatures) == 1
 
@@ -339,9 +335,7 @@ def test_silhouette_equals_a_ray_caster(seed: int, near: float):
 
 def scene_object(id: int, mesh: Mesh, T: Array | None = None) -> SceneObject:
     mask = np.zeros((HEIGHT, WIDTH), bool)
-    return SceneObject(
-        id=id, label="", mask_name="", mask=mask, mesh=mesh, T_world_object=pose() if T is None else T
-    )
+    return SceneObject(id=id, label="", mask_name="", mask=mask, mesh=mesh, T_world_object=pose() if T is None else T)
 
 
 def solid(id: int, *, at: list[float]) -> SceneObject:
@@ -471,7 +465,5 @@ def test_the_true_scene_covers_its_masks():
     for o, path in zip(objects, sorted((folder / "masks").glob("*.png")), strict=True):
         mask, seen = np.asarray(Image.open(path).convert("L")) > 0, fragments.ids == o.id
         assert (mask & seen).sum() / (mask | seen).sum() > 0.97, path.name
-        alone = silhouette(
-            transform(camera.T_camera_world, o.vertices_world), o.mesh.faces, camera.K, width, height
-        )
+        alone = silhouette(transform(camera.T_camera_world, o.vertices_world), o.mesh.faces, camera.K, width, height)
         assert alone[seen].all()

@@ -153,12 +153,8 @@ def wood(light: str, dark: str, *, along: int, ring: float, reflectance: float =
 def biscuit_box(size: tuple[float, float, float]) -> Look:
     x, y, z = size
     top = Sheet(x / y, "#f2c230", height=900)
-    top.rect((0, 0), (1, 0.16), "#1f4e79").rect((0, 0.16), (1, 0.185), "#ffffff").rect(
-        (0, 0.84), (1, 1), "#1f4e79"
-    )
-    top.text((0.5, 0.08), "OLD  MILL  BAKERY", 0.085, "#ffffff").text(
-        (0.36, 0.37), "Oat", 0.26, "#1f4e79", bold=0.012
-    )
+    top.rect((0, 0), (1, 0.16), "#1f4e79").rect((0, 0.16), (1, 0.185), "#ffffff").rect((0, 0.84), (1, 1), "#1f4e79")
+    top.text((0.5, 0.08), "OLD  MILL  BAKERY", 0.085, "#ffffff").text((0.36, 0.37), "Oat", 0.26, "#1f4e79", bold=0.012)
     top.text((0.42, 0.63), "Biscuits", 0.2, "#1f4e79", bold=0.008)
     for at in ((0.74, 0.34), (0.88, 0.52), (0.77, 0.67)):
         top.disc(at, 0.135, "#8a5a25").disc(at, 0.125, "#c98d46")
@@ -183,11 +179,7 @@ def letter_block(side: float) -> Look:
     inks = ["#c0392b", "#2471a3", "#239b56", "#c0392b", "#2471a3", "#239b56"]
     faces: list[Array] = []
     for letter, ink in zip("R3AFS7", inks, strict=True):
-        sheet = (
-            Sheet(1, "#000000")
-            .rect((0.09, 0.09), (0.91, 0.91), ink)
-            .rect((0.13, 0.13), (0.87, 0.87), "#000000")
-        )
+        sheet = Sheet(1, "#000000").rect((0.09, 0.09), (0.91, 0.91), ink).rect((0.13, 0.13), (0.87, 0.87), "#000000")
         sheet.text((0.5, 0.5), letter, 0.66, ink, bold=0.012)
         faces.append(to_linear(np.asarray(sheet.image, float) / 255))
     grain, paint = wood("#ecd0a0", "#c79a5c", along=0, ring=0.011), six_faces([side] * 3, faces, DULL)
@@ -202,14 +194,10 @@ def letter_block(side: float) -> Look:
 
 def tomato_tin(radius: float, height: float) -> Look:
     label = Sheet(2 * np.pi * radius / height, "#b3211c", height=700)
-    label.rect((0, 0.0), (1, 0.05), "#e8c15a").rect((0, 0.95), (1, 1), "#e8c15a").rect(
-        (0, 0.6), (1, 0.82), "#f7f0dd"
-    )
+    label.rect((0, 0.0), (1, 0.05), "#e8c15a").rect((0, 0.95), (1, 1), "#e8c15a").rect((0, 0.6), (1, 0.82), "#f7f0dd")
     for k in range(2):
         x = 0.25 + 0.5 * k
-        label.text((x, 0.18), "San Pietro", 0.12, "#f3dc9a").text(
-            (x, 0.71), "chopped  400 g", 0.105, "#3c6e2f"
-        )
+        label.text((x, 0.18), "San Pietro", 0.12, "#f3dc9a").text((x, 0.71), "chopped  400 g", 0.105, "#3c6e2f")
         label.text((x, 0.42), "TOMATOES", 0.2, "#ffffff", bold=0.012)
         label.disc((x + 0.25, 0.42), 0.23, "#f7f0dd").disc((x + 0.25, 0.43), 0.19, "#d8321f")
         label.disc((x + 0.232, 0.37), 0.045, "#f07a5c").rect((x + 0.235, 0.215), (x + 0.265, 0.25), "#3c6e2f")
@@ -255,20 +243,14 @@ def dotted_mug(radius: float, height: float) -> Look:
         spots = np.array([color(c) for c in ("#d1495b", "#30638e", "#edae49")])[(row % 3).astype(int)]
         rim = step(z, height - 0.004, 0.0008)
         ear = step(r, radius + 0.0012, 0.001)
-        rgb = mix(
-            mix(white, spots, spot), np.broadcast_to(color("#30638e"), white.shape), np.maximum(rim, ear)
-        )
+        rgb = mix(mix(white, spots, spot), np.broadcast_to(color("#30638e"), white.shape), np.maximum(rim, ear))
         return finish(rgb, GLAZED)
 
     return look
 
 
 def oil_bottle(radius: float, height: float) -> Look:
-    label = (
-        Sheet(2.0, "#f4ecd6", height=600)
-        .rect((0, 0), (1, 0.05), "#7a8f3c")
-        .rect((0, 0.95), (1, 1), "#7a8f3c")
-    )
+    label = Sheet(2.0, "#f4ecd6", height=600).rect((0, 0), (1, 0.05), "#7a8f3c").rect((0, 0.95), (1, 1), "#7a8f3c")
     label.text((0.5, 0.3), "OLIO", 0.27, "#3f4d1c", bold=0.012).text((0.5, 0.57), "d'oliva", 0.19, "#7a8f3c")
     label.text((0.5, 0.82), "750 ml", 0.11, "#3f4d1c")
     for k in range(5):
@@ -311,9 +293,7 @@ def cloth_book(size: tuple[float, float, float], *, title: str, board: float = 0
         .rect((0.06, 0.05), (0.94, 0.95), "#d9b56a")
         .rect((0.068, 0.06), (0.932, 0.94), "#7d2e46")
     )
-    cover.text((0.5, 0.77), title, 0.115, "#e6c67c", bold=0.003).text(
-        (0.5, 0.88), "a short course", 0.05, "#e6c67c"
-    )
+    cover.text((0.5, 0.77), title, 0.115, "#e6c67c", bold=0.003).text((0.5, 0.88), "a short course", 0.05, "#e6c67c")
     for k in range(6):
         cover.disc((0.5, 0.42), 0.21 - 0.036 * k, "#e6c67c" if k % 2 == 0 else "#7d2e46")
     print_ = cover.linear()
@@ -354,9 +334,7 @@ def plain_wall() -> Look:
     """A plastered wall: a soft gradient and a painted lower part."""
 
     def look(points: Array) -> Array:
-        tone = mix(
-            color("#9fb0b4"), color("#c8cfcc"), np.clip(0.5 + 0.35 * points[:, 0] + 0.5 * points[:, 2], 0, 1)
-        )
+        tone = mix(color("#9fb0b4"), color("#c8cfcc"), np.clip(0.5 + 0.35 * points[:, 0] + 0.5 * points[:, 2], 0, 1))
         rgb = tone * (0.95 + 0.1 * noise(points, 0.12))[:, None]
         return finish(rgb, DULL)
 

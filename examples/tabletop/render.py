@@ -71,8 +71,7 @@ class World:
     def __init__(self, things: Sequence[Thing], poses: Sequence[Array]) -> None:
         self.things, self.T_object_world = things, [invert_pose(T) for T in poses]
         placed = [
-            (transform(T, t.triangles[0]), t.triangles[1] @ T[:3, :3].T)
-            for t, T in zip(things, poses, strict=True)
+            (transform(T, t.triangles[0]), t.triangles[1] @ T[:3, :3].T) for t, T in zip(things, poses, strict=True)
         ]
         corners, self.normals = (np.concatenate(a) for a in zip(*placed, strict=True))
         self.owner = np.repeat(np.arange(len(things)), [len(c) for c, _ in placed])
@@ -82,9 +81,7 @@ class World:
 
     def cast(self, origin: Array, direction: Array) -> tuple[NDArray[np.int32], Array, Array, Array]:
         """Triangle (n,) or -1, distance (n,), flat and shading normals (n, 3) on the ray's side."""
-        hit = self.scene.run(
-            origin.astype(np.float32), direction.astype(np.float32), query="INTERSECT", output=1
-        )
+        hit = self.scene.run(origin.astype(np.float32), direction.astype(np.float32), query="INTERSECT", output=1)
         triangle, u, v = hit["primID"], hit["u"][:, None], hit["v"][:, None]
         corner = self.normals[np.maximum(triangle, 0)]
         shading = unit(corner[:, 0] * (1 - u - v) + corner[:, 1] * u + corner[:, 2] * v)
@@ -113,9 +110,7 @@ def rays(camera: Camera, offset: Array | float = 0.5) -> tuple[Array, Array]:
     rows, columns = np.mgrid[0 : camera.height, 0 : camera.width]
     pixel = np.stack([columns, rows], -1).reshape(-1, 2) + offset
     directions = np.column_stack([pixel, np.ones(len(pixel))]) @ np.linalg.inv(camera.K).T
-    return np.broadcast_to(camera.center, directions.shape), unit(
-        directions @ camera.T_world_camera[:3, :3].T
-    )
+    return np.broadcast_to(camera.center, directions.shape), unit(directions @ camera.T_world_camera[:3, :3].T)
 
 
 def first_hits(world: World, camera: Camera) -> tuple[NDArray[np.int64], Array, Array]:
@@ -155,9 +150,7 @@ def trace(world: World, origin: Array, direction: Array, rng: np.random.Generato
         origin = point[take] + NUDGE * flat[keep]
         direct = ~mirrored[:, None] * from_window(world, origin, normal, rng)
         np.add.at(radiance, pixel, weight * direct)
-        glossy = reflect(direction[keep], normal) + 0.9 * roughness[:, None] ** 2 * rng.normal(
-            size=normal.shape
-        )
+        glossy = reflect(direction[keep], normal) + 0.9 * roughness[:, None] ** 2 * rng.normal(size=normal.shape)
         diffuse = normal + unit(rng.normal(size=normal.shape))
         direction = unit(np.where(mirrored[:, None], glossy, diffuse))
     return np.minimum(radiance, BRIGHTEST)
@@ -182,9 +175,7 @@ def sky(direction: Array) -> Array:
 def fresnel(reflectance: Array, cosine: Array, roughness: Array) -> Array:
     """Schlick's reflectance; rough surfaces brighten less towards grazing."""
     limit = np.maximum(1 - 2.2 * roughness, reflectance)
-    return np.where(
-        reflectance > 0, reflectance + (limit - reflectance) * (1 - np.clip(cosine, 0, 1)) ** 5, 0
-    )
+    return np.where(reflectance > 0, reflectance + (limit - reflectance) * (1 - np.clip(cosine, 0, 1)) ** 5, 0)
 
 
 def reflect(direction: Array, normal: Array) -> Array:
@@ -197,20 +188,13 @@ def from_window(world: World, point: Array, normal: Array, rng: np.random.Genera
     to = WINDOW.center + a * WINDOW.u + b * WINDOW.v - point
     distance = np.linalg.norm(to, axis=1)
     to /= distance[:, None]
-    form = (
-        np.maximum(dot(to, normal), 0)
-        * np.maximum(-(to @ WINDOW.normal), 0)
-        * WINDOW.area
-        / (np.pi * distance**2)
-    )
+    form = np.maximum(dot(to, normal), 0) * np.maximum(-(to @ WINDOW.normal), 0) * WINDOW.area / (np.pi * distance**2)
     lit = np.flatnonzero(form > 0)
     form[lit] *= ~world.blocked(point[lit], to[lit], distance[lit])
     return form[:, None] * WINDOW.radiance
 
 
-def photo(
-    poses: Sequence[Array], camera: Camera, *, samples: int, workers: int, seed: int
-) -> NDArray[np.uint8]:
+def photo(poses: Sequence[Array], camera: Camera, *, samples: int, workers: int, seed: int) -> NDArray[np.uint8]:
     """The developed picture (h, w, 3) of the room and the things at their poses."""
     job = partial(_one_sample, camera=camera, seed=seed)
     total = np.zeros((camera.height * camera.width, 3))

@@ -59,9 +59,7 @@ def build(things: Sequence[Thing]) -> Any:
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5, 5, 0.1], condim=4, **contact)
     for i, thing in enumerate(things):
         T = thing.T_start
-        body = spec.worldbody.add_body(
-            name=thing.label, pos=T[:3, 3], quat=quaternion_from_rotation(T[:3, :3])
-        )
+        body = spec.worldbody.add_body(name=thing.label, pos=T[:3, 3], quat=quaternion_from_rotation(T[:3, :3]))
         body.add_freejoint()
         density = thing.mass / sum(float(ConvexHull(part).volume) for part in thing.shape.parts)
         mesh, condim = mujoco.mjtGeom.mjGEOM_MESH, 6 if thing.round else 4

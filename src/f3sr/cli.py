@@ -60,6 +60,8 @@ def reconstruct(
         overwrite: Also replace a package that holds rollouts.
         json: Print one JSON object instead of text.
     """
+    from pydantic import JsonValue
+
     from f3sr import inputs, kernels, package, pictures, pipeline
 
     say = _quiet if json else _say
@@ -72,7 +74,11 @@ def reconstruct(
         out,
         direct=result.direct,
         metrics=result.evaluation.result.as_dict() if result.evaluation else {},
-        provenance={"inputs": given.digests, "config": result.config_digest, "skipped": sorted(_names(skip))},
+        provenance={
+            "inputs": dict[str, JsonValue](given.digests),
+            "config": result.config_digest,
+            "skipped": list[JsonValue](sorted(_names(skip))),
+        },
         reports=result.reports,
         seconds=result.seconds,
         pictures=pictures.pictures_of(result.direct, result.scene),

@@ -163,8 +163,7 @@ def facets(a: Polytope, b: Polytope) -> tuple[Array, Array]:
 def collide(A: Body, B: Body, tolerance: float = 0.0) -> bool:
     """Equation 10: does some pair of parts overlap deeper than ``tolerance`` (and than mere touching)?"""
     return any(
-        overlap_depth(A[i], B[j]) > max(tolerance, _touch(A[i], B[j]))
-        for i, j in _boxes_overlap(A, B, (0, 1, 2))
+        overlap_depth(A[i], B[j]) > max(tolerance, _touch(A[i], B[j])) for i, j in _boxes_overlap(A, B, (0, 1, 2))
     )
 
 
@@ -284,9 +283,7 @@ def _edge_planes(
             qx, qy, qz = directions_b[j]
             e = l0x * qx + l0y * qy + l0z * qz
             f = l1x * qx + l1y * qy + l1z * qz
-            if (
-                e * f >= 0.0 or c * f >= 0.0
-            ):  # a's arc on one side of b's; or crossing on opposite hemispheres
+            if e * f >= 0.0 or c * f >= 0.0:  # a's arc on one side of b's; or crossing on opposite hemispheres
                 continue
             nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
             sine = np.sqrt(nx * nx + ny * ny + nz * nz)
@@ -433,9 +430,7 @@ def _adjacent(faces: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.i
     return owner[forward], owner[backward], edges[forward]
 
 
-def _coplanar_groups(
-    part: ConvexPart, left: NDArray[np.int64], right: NDArray[np.int64]
-) -> NDArray[np.int64]:
+def _coplanar_groups(part: ConvexPart, left: NDArray[np.int64], right: NDArray[np.int64]) -> NDArray[np.int64]:
     """Label (m,) per triangle: neighbours share one when the smaller lies in the plane of the larger."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

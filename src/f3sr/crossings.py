@@ -53,8 +53,8 @@ def refine(vertices: Array, faces: NDArray[np.int32], length: float) -> tuple[Ar
     if solid.status() == mf.Error.NoError and solid.num_tri():
         mesh = solid.refine_to_length(length).to_mesh()
         return np.asarray(mesh.vert_properties[:, :3], float), np.asarray(mesh.tri_verts, np.int32)
-    v, f = trimesh.remesh.subdivide_to_size(vertices, faces, length, max_iter=20)
-    return np.asarray(v, float), np.asarray(f, np.int32)
+    finer = trimesh.remesh.subdivide_to_size(vertices, faces, length, max_iter=20)
+    return np.asarray(finer[0], float), np.asarray(finer[1], np.int32)
 
 
 def count_crossings(a: Array, b: Array, cell: float) -> int:
@@ -113,7 +113,7 @@ def _cross(s: Any, t: Any) -> bool:
             return False
         if max(s[0, k], s[1, k], s[2, k]) < min(t[0, k], t[1, k], t[2, k]):
             return False
-    for e in range(3):
+    for e in range(3):  # noqa: SIM110 - numba compiles no generators
         if _pierces(s[e], s[(e + 1) % 3], t) or _pierces(t[e], t[(e + 1) % 3], s):
             return True
     return False
@@ -135,22 +135,23 @@ def _bins(b: Any, low: Any, high: Any, cells: Any) -> Any:
     """Triangles per grid cell, as starts (n + 1,) into a list of members."""
     box = np.empty(6, np.int64)
     starts = np.zeros(cells[0] * cells[1] * cells[2] + 1, np.int64)
-    for phase in range(2):
-        if phase == 1:
-            starts[1:] = np.cumsum(starts[1:])
-            members = np.empty(starts[-1], np.int64)
-            filled = starts[:-1].copy()
-        for t in range(b.shape[0]):
-            _box(b[t], low, high, cells, box)
-            for i in range(box[0], box[3] + 1):
-                for j in range(box[1], box[4] + 1):
-                    for k in range(box[2], box[5] + 1):
-                        cell = (i * cells[1] + j) * cells[2] + k
-                        if phase == 0:
-                            starts[cell + 1] += 1
-                        else:
-                            members[filled[cell]] = t
-                            filled[cell] += 1
+    for t in range(b.shape[0]):
+        _box(b[t], low, high, cells, box)
+        for i in range(box[0], box[3] + 1):
+            for j in range(box[1], box[4] + 1):
+                for k in range(box[2], box[5] + 1):
+                    starts[(i * cells[1] + j) * cells[2] + k + 1] += 1
+    starts[1:] = np.cumsum(starts[1:])
+    members = np.empty(starts[-1], np.int64)
+    filled = starts[:-1].copy()
+    for t in range(b.shape[0]):
+        _box(b[t], low, high, cells, box)
+        for i in range(box[0], box[3] + 1):
+            for j in range(box[1], box[4] + 1):
+                for k in range(box[2], box[5] + 1):
+                    cell = (i * cells[1] + j) * cells[2] + k
+                    members[filled[cell]] = t
+                    filled[cell] += 1
     return starts, members
 
 

@@ -20,7 +20,9 @@ def open_image(path: Path) -> Image.Image:
         with Image.open(path, formats=("PNG", "JPEG")) as image:
             if image.width * image.height > MAX_PIXELS:
                 raise InputError(
-                    path, found=f"{image.width}x{image.height} pixels", accepted=f"at most {MAX_PIXELS:,} pixels"
+                    path,
+                    found=f"{image.width}x{image.height} pixels",
+                    accepted=f"at most {MAX_PIXELS:,} pixels",
                 )
             image.load()
             return image.copy()

@@ -122,7 +122,9 @@ class _Reader:
         root = self.folder.resolve()
         if Path(relative).is_absolute() or not path.resolve().is_relative_to(root):
             raise InputError(
-                self.folder / base, found=f"the path {relative!r} that leaves the folder", accepted="paths inside it"
+                self.folder / base,
+                found=f"the path {relative!r} that leaves the folder",
+                accepted="paths inside it",
             )
         return path
 
@@ -182,12 +184,15 @@ class _Reader:
         if len(levels) > 2:
             threshold = int(levels.max()) // 2
             self.decide(
-                f"{path.name}: pixels above {threshold} belong to the mask", f"{len(levels)} grey levels, not two"
+                f"{path.name}: pixels above {threshold} belong to the mask",
+                f"{len(levels)} grey levels, not two",
             )
         mask = gray > threshold
         if mask.sum() < MIN_MASK_PIXELS:
             raise InputError(
-                path, found=f"{int(mask.sum())} set pixels", accepted=f"a mask of at least {MIN_MASK_PIXELS} pixels"
+                path,
+                found=f"{int(mask.sum())} set pixels",
+                accepted=f"a mask of at least {MIN_MASK_PIXELS} pixels",
             )
         return mask
 
@@ -210,7 +215,9 @@ class _Reader:
                     )
                 masks[large.id] &= ~shared
                 self.decide(
-                    f"masks: {int(shared.sum())} shared pixels go to {small.name}", f"also in {large.name}", small.id
+                    f"masks: {int(shared.sum())} shared pixels go to {small.name}",
+                    f"also in {large.name}",
+                    small.id,
                 )
         return tuple(Instance(id=i.id, label=i.label, name=i.name, mask=masks[i.id]) for i in instances)
 
@@ -250,7 +257,8 @@ class _Reader:
         if intrinsics is None:
             K = _fit_intrinsics(geometry, photo)
             self.decide(
-                f"camera: focal length {K[0, 0]:.1f} px fitted to the points", "no intrinsics in geometry.npz",
+                f"camera: focal length {K[0, 0]:.1f} px fitted to the points",
+                "no intrinsics in geometry.npz",
                 fallback=True,
             )
             return geometry, K
@@ -259,10 +267,7 @@ class _Reader:
     def _depth_map(self, path: Path, photo: Photo) -> tuple[Geometry, Array]:
         intrinsics_path = self.path("intrinsics.json")
         meta = _parse(intrinsics_path, self._json(intrinsics_path), _Intrinsics)
-        if path.suffix == ".npy":
-            values = _load_npy(self.note(path))
-        else:
-            values = np.asarray(open_image(self.note(path)))
+        values = _load_npy(self.note(path)) if path.suffix == ".npy" else _load_png(self.note(path))
         if values.ndim != 2:
             raise InputError(path, found=f"an array of shape {values.shape}", accepted="one depth value per pixel")
         h, w = values.shape
@@ -307,7 +312,8 @@ class _Reader:
             mesh = load_mesh(self.note(self.path(entry.mesh, base="assets")))
             R, t = entry.camera_pose()
             assets[instance.id] = PosedAsset(
-                mesh=mesh.with_vertices(mesh.vertices @ sam3d.LOCAL_FROM_GLB.T), T_camera_object=pose(R, t),
+                mesh=mesh.with_vertices(mesh.vertices @ sam3d.LOCAL_FROM_GLB.T),
+                T_camera_object=pose(R, t),
                 scale=entry.uniform_scale,
             )
         return assets
@@ -320,9 +326,10 @@ class _Reader:
         for instance in instances:
             path = files.get(Path(instance.name).stem) or by_id.get(instance.id)
             if path is None:
+                names = ", ".join(p.name for p in files.values()) or "none"
                 raise InputError(
                     self.folder / "assets",
-                    found=f"no GLB for mask {instance.name} among {', '.join(p.name for p in files.values()) or 'none'}",
+                    found=f"no GLB for mask {instance.name} among {names}",
                     accepted="one posed GLB per mask, named by the mask's stem or id",
                 )
             mesh = load_mesh(self.note(self.path(f"assets/{path.name}")))
@@ -341,14 +348,7 @@ class _Reader:
             return None
         document = _parse(path, self._json(path), _GivenGraph)
         ids = {i.id for i in instances}
-        relations = [
-            Relation(subject=r.subject, predicate=r.predicate, object=r.object, confidence=r.confidence, evidence="given")
-            for r in document.relations
-        ] + [
-            Relation(subject=r.upper, predicate="supported_by", object=r.lower, confidence=r.confidence,
-                     evidence=f"given: {r.reason}" if r.reason else "given")
-            for r in document.support_relations
-        ]  # fmt: skip
+        relations = document.as_relations()
         for r in relations:
             if r.subject not in ids or r.object not in ids | {GROUND} or r.subject == r.object:
                 raise InputError(
@@ -394,6 +394,26 @@ class _GivenGraph(BaseModel):
     relations: list[_GivenRelation] = []
     support_relations: list[_GivenSupport] = []
 
+    def as_relations(self) -> list[Relation]:
+        given = [
+            Relation(
+                subject=r.subject, predicate=r.predicate, object=r.object, confidence=r.confidence, evidence="given"
+            )
+            for r in self.relations
+        ]
+        for r in self.support_relations:
+            evidence = f"given: {r.reason}" if r.reason else "given"
+            given.append(
+                Relation(
+                    subject=r.upper,
+                    predicate="supported_by",
+                    object=r.lower,
+                    confidence=r.confidence,
+                    evidence=evidence,
+                )
+            )
+        return given
+
 
 def _parse(path: Path, value: object, model: type[M]) -> M:
     try:
@@ -419,7 +439,9 @@ def _mask_ids(folder: Path, stems: Sequence[str]) -> list[tuple[int, str]]:
     if not all(matches):
         without = [s for s, m in zip(stems, matches, strict=True) if not m]
         raise InputError(
-            folder, found=f"names with and without an id ({without[0]}.png)", accepted="ids in all names, or in none"
+            folder,
+            found=f"names with and without an id ({without[0]}.png)",
+            accepted="ids in all names, or in none",
         )
     ids = [(int(m.group(1)), _label(m.group(2))) for m in matches if m]
     seen: dict[int, str] = {}
@@ -442,6 +464,10 @@ def _open_npz(path: Path) -> dict[str, NDArray[Any]]:
         raise InputError(path, found=f"no readable npz ({error})", accepted="an npz archive of arrays") from error
 
 
+def _load_png(path: Path) -> NDArray[Any]:
+    return np.asarray(open_image(path))
+
+
 def _load_npy(path: Path) -> NDArray[Any]:
     try:
         return cast("NDArray[Any]", np.load(path, allow_pickle=False))
@@ -450,7 +476,11 @@ def _load_npy(path: Path) -> NDArray[Any]:
 
 
 def _array(
-    path: Path, data: dict[str, NDArray[Any]], key: str, shape: tuple[int, ...], default: NDArray[Any] | None = None
+    path: Path,
+    data: dict[str, NDArray[Any]],
+    key: str,
+    shape: tuple[int, ...],
+    default: NDArray[Any] | None = None,
 ) -> Any:
     value = data.get(key, default)
     if value is not None and (value.shape != shape or value.dtype.kind not in "fiub"):
@@ -481,11 +511,15 @@ def _posed_frame(path: Path, mesh: Mesh, frame: AssetFrame) -> Array:
             frame = "local"
     if frame == "local":
         raise InputError(
-            path, found="a mesh in its own frame and no poses.json", accepted="poses.json, or a mesh posed in the camera"
+            path,
+            found="a mesh in its own frame and no poses.json",
+            accepted="poses.json, or a mesh posed in the camera",
         )
     if frame == "auto":
         raise InputError(
-            path, found="a posed mesh whose axes cannot be told", accepted="--asset-frame opencv|opengl|pytorch3d"
+            path,
+            found="a posed mesh whose axes cannot be told",
+            accepted="--asset-frame opencv|opengl|pytorch3d",
         )
     return _frame_matrix(path, frame)
 
@@ -506,7 +540,9 @@ def _require_geometry(geometry: Geometry, instance: Instance) -> None:
     count = int(geometry.inside(instance.mask).sum())
     if count == 0:
         raise InputError(
-            f"masks/{instance.name}", found="no valid geometry inside the mask", accepted="at least one valid point"
+            f"masks/{instance.name}",
+            found="no valid geometry inside the mask",
+            accepted="at least one valid point",
         )
 
 

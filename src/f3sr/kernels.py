@@ -58,7 +58,7 @@ def kernel(function: F) -> F:
     """``njit`` with the project's options: GIL released, cached on disk, IEEE arithmetic for equal bytes."""
     from numba import config, njit
 
-    config.CACHE_DIR = str(CACHE_DIR)
+    setattr(config, "CACHE_DIR", str(CACHE_DIR))  # noqa: B010 - numba types it as unknown
     return cast(F, njit(cache=True, nogil=True, fastmath=False, error_model="numpy")(function))
 
 

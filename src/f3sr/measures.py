@@ -119,10 +119,12 @@ def full_silhouette(o: SceneObject, camera: Camera) -> NDArray[np.bool_]:
 def gaps(objects: Sequence[SceneObject]) -> tuple[float, float]:
     """The largest gap between an object and whatever is nearest, the ground included, and the deepest point under
     the ground, both in object sizes."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
-    points = [np.concatenate([o.vertices_world, sample_surface(o.vertices_world, o.mesh.faces, SAMPLES)]) for o in objects]
-    trees = [cKDTree(p) for p in points]
+    points = [
+        np.concatenate([o.vertices_world, sample_surface(o.vertices_world, o.mesh.faces, SAMPLES)]) for o in objects
+    ]
+    trees = [KDTree(p) for p in points]
     gap = below = 0.0
     for i, (o, p) in enumerate(zip(objects, points, strict=True)):
         lowest = float(p[:, 2].min())
@@ -177,7 +179,7 @@ def winding_number(points: Array, vertices: Array, faces: NDArray[np.int32]) -> 
 
 def proxy_distances(o: SceneObject) -> tuple[float, float]:
     """How far the mesh sticks out of its proxy and how far the proxy's surface lies from the mesh, in object sizes."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     vertices = o.mesh.vertices[:: max(1, len(o.mesh.vertices) // 4000)]
     size = o.size / o.scale
@@ -186,7 +188,7 @@ def proxy_distances(o: SceneObject) -> tuple[float, float]:
     samples = np.concatenate([sample_surface(p.vertices, p.faces, PART_SAMPLES) for p in o.parts])
     covered = np.max([_outside(samples, p) < -1e-4 * size for p in o.parts], axis=0)
     free = samples[~covered]
-    far = float(cKDTree(surface).query(free)[0].mean()) if len(free) else 0.0
+    far = float(KDTree(surface).query(free)[0].mean()) if len(free) else 0.0
     return float(np.percentile(np.maximum(out, 0), 99.9)) / size, far / size
 
 

@@ -144,7 +144,8 @@ def signed_volume(vertices: Array, faces: NDArray[np.int32]) -> float:
 
 
 def mass_properties(vertices: Array, faces: NDArray[np.int32]) -> MassProperties:
-    """Exact polyhedral volume, centre and inertia of a closed outward surface (Eberly, "Polyhedral Mass Properties")."""
+    """Exact polyhedral volume, centre and inertia of a closed outward surface (Eberly 2002, "Polyhedral Mass
+    Properties")."""
     origin = vertices.mean(0)
     v = vertices - origin
     a, b, c = (v[faces[:, k]] for k in range(3))
@@ -176,7 +177,8 @@ def union(parts: Sequence[ConvexPart]) -> tuple[Array, NDArray[np.int32]]:
     everything = np.concatenate([p.vertices for p in parts])
     center, size = everything.mean(0), float(np.ptp(everything, axis=0).max())
     solids = [
-        mf.Manifold(mf.Mesh(((p.vertices - center) / size).astype(np.float32), p.faces.astype(np.uint32))) for p in parts
+        mf.Manifold(mf.Mesh(((p.vertices - center) / size).astype(np.float32), p.faces.astype(np.uint32)))
+        for p in parts
     ]
     merged = mf.Manifold.batch_boolean(solids, mf.OpType.Add).to_mesh()
     vertices = np.asarray(merged.vert_properties[:, :3], float) * size + center

@@ -31,9 +31,7 @@ READABLE_EXTENSIONS = re.compile(r"KHR_materials_\w+|EXT_texture_webp")
 """glTF extensions that a file may require: the others change geometry or texture in ways we do not read."""
 
 
-def load_mesh(
-    path: Path, *, max_faces: int = MAX_FACES, max_texture_pixels: int = MAX_TEXTURE_PIXELS
-) -> Mesh:
+def load_mesh(path: Path, *, max_faces: int = MAX_FACES, max_texture_pixels: int = MAX_TEXTURE_PIXELS) -> Mesh:
     """Read a GLB, glTF with everything embedded, OBJ or PLY file as one mesh in the file's own axes.
 
     All geometries of the file come with their node transforms, in the order of
@@ -104,9 +102,7 @@ def _check_gltf(path: Path, data: bytes, *, max_faces: int, max_texture_pixels: 
     except (ValueError, KeyError, IndexError, TypeError, AttributeError, OSError, struct.error) as error:
         raise _refused(path, f"a broken glTF file ({error})"[:300]) from error
     if outside := [str(u) for u in uris if not str(u).startswith("data:")]:
-        raise InputError(
-            path, found=f"a reference to {outside[0][:80]!r}", accepted="glTF with all data embedded"
-        )
+        raise InputError(path, found=f"a reference to {outside[0][:80]!r}", accepted="glTF with all data embedded")
     if unknown := [name for name in required if not READABLE_EXTENSIONS.fullmatch(name)]:
         raise InputError(
             path,
@@ -180,9 +176,7 @@ def _inside(path: Path, name: str) -> Path:
     folder = path.resolve().parent
     side = (folder / name).resolve()
     if not side.is_relative_to(folder) or not side.is_file():
-        raise InputError(
-            path, found=f"a reference to {name[:80]!r}", accepted="files that exist in the same folder"
-        )
+        raise InputError(path, found=f"a reference to {name[:80]!r}", accepted="files that exist in the same folder")
     return side
 
 
@@ -279,14 +273,10 @@ def _joined(pieces: list[_Piece]) -> Mesh:
         uv = np.concatenate([np.zeros((len(p.vertices), 2)) if p.uv is None else p.uv for p in pieces])
     if any(p.colors is not None for p in pieces):
         white = [np.full((len(p.vertices), 3), 255, np.uint8) for p in pieces]
-        colors = np.concatenate(
-            [w if p.colors is None else p.colors for p, w in zip(pieces, white, strict=True)]
-        )
+        colors = np.concatenate([w if p.colors is None else p.colors for p, w in zip(pieces, white, strict=True)])
     return Mesh(
         vertices=np.concatenate([p.vertices for p in pieces]),
-        faces=np.concatenate([p.faces + start for p, start in zip(pieces, starts, strict=False)]).astype(
-            np.int32
-        ),
+        faces=np.concatenate([p.faces + start for p, start in zip(pieces, starts, strict=False)]).astype(np.int32),
         uv=uv,
         vertex_colors=colors,
         materials=tuple(m for _, m in materials.values()),

@@ -41,6 +41,7 @@ MASKS = "masks"
 
 __all__ = ["Package", "SceneDocument", "prepare_output", "read_package", "scene_schema", "write_package"]
 
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Package:
     """A scene package in memory: the scene with objects of scale 1, the levelled input beside it where the package
@@ -67,7 +68,8 @@ def write_package(
 ) -> Path:
     """Write the scene as a package to ``out`` and return the folder's full path.
 
-    ``direct``: the levelled input with the same ids; ``metrics`` by name; ``provenance``: stages, hashes and the like, without paths of this machine or times;
+    ``direct``: the levelled input with the same ids; ``metrics`` by name; ``provenance``:
+    stages, hashes and the like, without paths of this machine or times;
     ``seconds`` per stage go to report.json with the ``reports``; ``pictures`` (h, w, 3) by name without
     suffix. ``out`` changes only after everything has been written beside it. Raises OutputError when
     something else than an f3sr package is there, or one with rollouts and not ``overwrite``.
@@ -110,13 +112,9 @@ def prepare_output(out: Path, *, overwrite: bool = False) -> Path:
         raise OutputError(f"{out}: cannot be prepared ({error.strerror or error})") from error
     if out.exists() and not _is_empty(out):
         if not is_package(out):
-            raise OutputError(
-                f"{out}: is {_contents(out)}; only an f3sr package or an empty folder is replaced"
-            )
+            raise OutputError(f"{out}: is {_contents(out)}; only an f3sr package or an empty folder is replaced")
         if _has_rollouts(out) and not overwrite:
-            raise OutputError(
-                f"{out}: holds rollouts; a package with rollouts is replaced only with --overwrite"
-            )
+            raise OutputError(f"{out}: holds rollouts; a package with rollouts is replaced only with --overwrite")
     return out
 
 
@@ -273,9 +271,7 @@ def _contents(place: Path) -> str:
     if not place.is_dir():
         return "a file"
     names = sorted(p.name for p in place.iterdir())
-    return (
-        f"a folder with {len(names)} other things ({', '.join(names[:3])}{', ...' if len(names) > 3 else ''})"
-    )
+    return f"a folder with {len(names)} other things ({', '.join(names[:3])}{', ...' if len(names) > 3 else ''})"
 
 
 def _read_document(file: Path) -> SceneDocument:

@@ -206,9 +206,7 @@ def settle(
             if calm or run.exploded or run.seconds >= settling.time_limit:
                 break
     return Settled(
-        T_world_object={
-            o.id: o.T_world_object if run.exploded else _pose_of(model, data, o) for o in objects
-        },
+        T_world_object={o.id: o.T_world_object if run.exploded else _pose_of(model, data, o) for o in objects},
         at_rest=calm and not run.exploded,
         exploded=run.exploded,
         seconds=run.seconds,
@@ -349,9 +347,7 @@ def _release_spec(objects: Sequence[SceneObject], true_scale: float) -> MjSpec:
     spec.compiler.balanceinertia = False
     for i, o in enumerate(sorted(objects, key=lambda o: o.mask_name)):
         parts = o.parts_world or (ConvexPart.hull_of(o.vertices_world),)
-        density = (
-            600 * solid_volume(o.mesh.with_vertices(o.vertices_world), parts) / sum(p.volume for p in parts)
-        )
+        density = 600 * solid_volume(o.mesh.with_vertices(o.vertices_world), parts) / sum(p.volume for p in parts)
         body = spec.worldbody.add_body(name=f"o{i}")
         if o.mobility != "fixed":
             body.add_freejoint()
@@ -393,7 +389,7 @@ class _Settling:
         engine().mj_forward(model, data)
         start = before = after = _Snapshot.of(data)
         drift = 0.0
-        for _ in range(round(self.config.check_time / self.config.rest_time)):
+        for _ in range(max(1, round(self.config.check_time / self.config.rest_time))):
             before = after
             for _ in range(self._window):
                 self._step(model, data, 1.0)

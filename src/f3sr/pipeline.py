@@ -41,7 +41,13 @@ class RefineConfig:
     """Most rounds, range [0, 10]; a round that does not improve the picture is undone and ends it."""
     align: AlignConfig = field(
         default_factory=lambda: AlignConfig(
-            camera=False, freedom="support", max_tilt=0.0, max_shift=0.2, max_yaw=0.35, max_scale=0.15, yaw_seeds=(0.0,)
+            camera=False,
+            freedom="support",
+            max_tilt=0.0,
+            max_shift=0.2,
+            max_yaw=0.35,
+            max_scale=0.15,
+            yaw_seeds=(0.0,),
         )
     )
 
@@ -113,18 +119,20 @@ def refine(scene: Scene, config: Config) -> tuple[Scene, Report]:
     for _ in range(config.refine.rounds):
         moved, _ = align(scene, config.refine.align)
         moved, _ = separate(moved, config.separate)
-        moved, rest = settle(moved, config.settle)
-        steady = rest.value("at rest") == 1
-        result, decision = keep_better(
-            scene, moved, score=lambda s: visible_iou(s) if s is not moved or steady else -1.0,
-            step="re-alignment under contact", measure="mIoU_visible",
-        )  # fmt: skip
+        moved, settled = settle(moved, config.settle)
+        gained = visible_iou(moved) if settled.value("at rest") else 0.0
+        (scene, kept), decision = keep_better(
+            (scene, kept), (moved, gained), score=_second, step="re-alignment under contact", measure="mIoU_visible"
+        )
         decisions.append(decision)
-        if result is scene:
+        if scene is not moved:
             break
-        scene, kept = result, visible_iou(result)
     measures = (Measure(name="mIoU_visible", before=before, after=kept),)
     return scene, Report(stage="refine", measures=measures, decisions=tuple(decisions))
+
+
+def _second(pair: tuple[Scene, float]) -> float:
+    return pair[1]
 
 
 def _digest(config: Config) -> str:

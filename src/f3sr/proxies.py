@@ -164,9 +164,7 @@ def check(mesh: Mesh, name: str) -> None:
     """Refuse what has no surface."""
     accepted = "a mesh with faces, finite vertices and an extent"
     if not len(mesh.faces) or not len(mesh.vertices):
-        raise InputError(
-            name, found=f"{len(mesh.vertices)} vertices, {len(mesh.faces)} faces", accepted=accepted
-        )
+        raise InputError(name, found=f"{len(mesh.vertices)} vertices, {len(mesh.faces)} faces", accepted=accepted)
     if not np.isfinite(mesh.vertices).all():
         bad = int((~np.isfinite(mesh.vertices).all(1)).sum())
         raise InputError(name, found=f"{bad} vertices that are not finite", accepted=accepted)
@@ -198,9 +196,7 @@ def _decompose_unit(vertices: Array, faces: Faces, config: ProxyConfig) -> Proxy
                 method, parts = attempt, outcome.parts
                 break
             cut_short = cut_short or outcome.cut_short
-            decisions.append(
-                Decision(choice=f"{attempt} gave no parts", reason=outcome.reason, fallback=True)
-            )
+            decisions.append(Decision(choice=f"{attempt} gave no parts", reason=outcome.reason, fallback=True))
         else:
             method, parts = "hull-fallback", _hull_parts(vertices, faces, config)
             decisions.append(Decision(choice="one hull", reason="every decomposition failed", fallback=True))

@@ -192,9 +192,7 @@ def _fixed(values: ArrayLike, dtype: Any) -> NDArray[Any]:
     return array
 
 
-def _projected(
-    vertices_camera: ArrayLike, K: ArrayLike, height: int, near: float
-) -> tuple[Array, tuple[int, int]]:
+def _projected(vertices_camera: ArrayLike, K: ArrayLike, height: int, near: float) -> tuple[Array, tuple[int, int]]:
     """``points`` of ``_project`` and the range of image rows that they may touch."""
     vertices = _fixed(vertices_camera, np.float64)
     points = np.empty((len(vertices), 5))
@@ -284,9 +282,7 @@ def _in_bands(draw: Callable[[tuple[int, int]], None], rows: tuple[int, int], th
 
 
 @kernel
-def _project(
-    vertices: NDArray[Any], K: NDArray[Any], near: float, points: NDArray[Any]
-) -> tuple[float, float]:
+def _project(vertices: NDArray[Any], K: NDArray[Any], near: float, points: NDArray[Any]) -> tuple[float, float]:
     """Fill ``points`` (n, 5) with p = K v (so p_z = z) and its pixel u, v, the latter only where z >= near.
 
     Returns the lowest and highest v; infinite ones when a vertex lies before the near plane."""
@@ -430,9 +426,7 @@ def _span(edges: Edges, row: Row, first: int, last: int) -> tuple[int, int]:
 
 
 @kernel
-def _cover(
-    points: NDArray[Any], faces: NDArray[Any], near: float, start: int, stop: int, mask: NDArray[Any]
-) -> None:
+def _cover(points: NDArray[Any], faces: NDArray[Any], near: float, start: int, stop: int, mask: NDArray[Any]) -> None:
     """Set ``mask`` (H, W) where a triangle covers the pixel centre, in the rows [start, stop)."""
     width, size = mask.shape[1], float(max(mask.shape))
     for f in range(len(faces)):

@@ -77,8 +77,7 @@ class GlbBuilder:
         """
         textured = any(m.texture is not None for m in mesh.materials)
         primitives = [
-            self._primitive(mesh, faces, mesh.materials[index], textured=textured)
-            for index, faces in _runs(mesh)
+            self._primitive(mesh, faces, mesh.materials[index], textured=textured) for index, faces in _runs(mesh)
         ]
         self._tree["meshes"].append({"name": name, "primitives": primitives})
         return len(self._tree["meshes"]) - 1
@@ -146,9 +145,7 @@ class GlbBuilder:
         self._materials[key] = len(self._tree["materials"]) - 1
         return self._materials[key]
 
-    def _accessor(
-        self, values: NDArray[Any], kind: str, *, bounds: bool = False, target: int = VERTEX_BUFFER
-    ) -> int:
+    def _accessor(self, values: NDArray[Any], kind: str, *, bounds: bool = False, target: int = VERTEX_BUFFER) -> int:
         component = {"f": FLOAT, "u": UINT8 if values.dtype == np.uint8 else UINT32}[values.dtype.kind]
         accessor: dict[str, Any] = {"bufferView": self._view(values.tobytes(), target), "type": kind}
         accessor |= {"componentType": component, "count": len(values)}

@@ -97,9 +97,7 @@ def _surroundings(world: ET.Element, camera: Camera, config: PhysicsConfig) -> N
         xyaxes=_text([*R[:, 0], *-R[:, 1]]),
         fovy=_text(float(np.degrees(2 * np.arctan(camera.height / 2 / camera.K[1, 1])))),
     )
-    plane = ET.SubElement(
-        world, "geom", {"class": "collision"}, name=GROUND_NAME, type="plane", size="20 20 0.1"
-    )
+    plane = ET.SubElement(world, "geom", {"class": "collision"}, name=GROUND_NAME, type="plane", size="20 20 0.1")
     plane.attrib |= {"friction": _text(config.ground_friction), "group": "0", "rgba": "0.8 0.8 0.8 1"}
 
 
@@ -149,9 +147,7 @@ def _looks(o: SceneObject) -> Iterator[_Look]:
             files[texture] = png_of(material)
         mean = 1.0 if mesh.vertex_colors is None else mesh.vertex_colors[np.unique(faces)].mean(0) / 255
         rgb = (np.asarray(material.base_color) * mean).tolist()
-        yield _Look(
-            name=f"visual_{o.id:02d}_{k:02d}", files=files, mesh=f"{stem}.obj", texture=texture, rgb=rgb
-        )
+        yield _Look(name=f"visual_{o.id:02d}_{k:02d}", files=files, mesh=f"{stem}.obj", texture=texture, rgb=rgb)
 
 
 def _visual_obj(mesh: Mesh, faces: NDArray[np.int32], scale: float) -> str:

@@ -24,14 +24,7 @@ SCHEMA_FILE = "scene.schema.json"
 def _safe_path(path: str) -> str:
     """A relative POSIX path that stays in its folder."""
     pure = PurePosixPath(path)
-    if (
-        pure.is_absolute()
-        or ".." in pure.parts
-        or "\\" in path
-        or ":" in path
-        or "\0" in path
-        or path in ("", ".")
-    ):
+    if pure.is_absolute() or ".." in pure.parts or "\\" in path or ":" in path or "\0" in path or path in ("", "."):
         raise ValueError("accepted: a relative path inside the package, with forward slashes")
     return path
 

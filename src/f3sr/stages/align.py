@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -54,7 +55,7 @@ class AlignConfig:
     """Quadratic priors on shift (over max_shift), yaw (over max_yaw) and scale (over max_scale)."""
     iou_tolerance: float = 0.0
     """IoU an accepted step may lose, range [0, .1]."""
-    weights: LossWeights = LossWeights()
+    weights: LossWeights = field(default_factory=LossWeights)
 
 
 def align(scene: Scene, config: AlignConfig | None = None) -> tuple[Scene, Report]:
@@ -70,8 +71,12 @@ def align(scene: Scene, config: AlignConfig | None = None) -> tuple[Scene, Repor
         decisions.append(decision)
     if config.objects:
         valid = visible_regions(scene)
-        with ThreadPoolExecutor(2) as pool:
-            results = list(pool.map(lambda o: _align_object(o, valid[o.id], scene.camera, config), scene.objects))
+
+        def work(o: SceneObject) -> tuple[SceneObject, list[Decision]]:
+            return _align_object(o, valid[o.id], scene.camera, config)
+
+        with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
+            results = list(pool.map(work, scene.objects))
         scene = scene.with_objects(*(o for o, _ in results))
         decisions += [d for _, several in results for d in several]
     after = _ious(scene, config)
@@ -255,7 +260,8 @@ def _search(o: SceneObject, valid: Mask, camera: Camera, config: AlignConfig) ->
     window = _camera_at(camera.cropped(x, y, width, height), config.resolution)
     inside = (slice(y, y + height), slice(x, x + width))
     mask, region = (
-        resample(_window(m, inside, fill=fill), window.width, window.height) for m, fill in ((o.mask, False), (valid, True))
+        resample(_window(m, inside, fill=fill), window.width, window.height)
+        for m, fill in ((o.mask, False), (valid, True))
     )
     return _Search(object=o, camera=window, target=Target.of(mask, region), config=config)
 

@@ -31,9 +31,7 @@ def assemble(inputs: Inputs, config: AssembleConfig | None = None) -> tuple[Scen
     their viewing rays and scaled alike about the camera centre, which leaves their silhouette as it was.
     """
     config = config or AssembleConfig()
-    camera = Camera(
-        width=inputs.photo.width, height=inputs.photo.height, K=inputs.K, T_world_camera=T_UP_FROM_CAMERA
-    )
+    camera = Camera(width=inputs.photo.width, height=inputs.photo.height, K=inputs.K, T_world_camera=T_UP_FROM_CAMERA)
     objects = tuple(_provisional_object(i, inputs.assets[i.id], camera) for i in inputs.instances)
     decisions = [*inputs.decisions, *_check_convention(inputs, camera, objects, config)]
     measures: list[Measure] = []
@@ -131,7 +129,5 @@ def _other_readings(objects: tuple[SceneObject, ...], camera: Camera) -> dict[st
 def _overlap(vertices_world: Array, o: SceneObject, camera: Camera) -> float:
     scale = min(1.0, 256 / max(camera.width, camera.height))
     small = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
-    rendered = raster.silhouette(
-        small.to_camera(vertices_world), o.mesh.faces, small.K, small.width, small.height
-    )
+    rendered = raster.silhouette(small.to_camera(vertices_world), o.mesh.faces, small.K, small.width, small.height)
     return iou(rendered, resample(o.mask, small.width, small.height))

@@ -32,8 +32,6 @@ def direct_composition(levelled: Scene, result: Scene) -> Scene:
     """
     lowest = min(float(o.bounds_world[0, 2]) for o in levelled)
     T = pose(t=[0, 0, -lowest])
-    objects = tuple(
-        replace(o, T_world_object=T @ o.T_world_object, parts=result[o.id].parts) for o in levelled
-    )
+    objects = tuple(replace(o, T_world_object=T @ o.T_world_object, parts=result[o.id].parts) for o in levelled)
     camera = levelled.camera.moved(T @ levelled.camera.T_world_camera)
     return replace(levelled, objects=objects, camera=camera)

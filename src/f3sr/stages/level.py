@@ -53,11 +53,10 @@ def level(
         return _lowest_vertex(scene)
     plane = fit_plane(points, rng, config)
     normal_camera, agreement = vote(plane.normal, normals, config)
-    # The offset belongs to the final normal: the plane turns about the middle of its own points.
-    middle = np.median(points[np.abs(points @ plane.normal - plane.offset) < config.tolerance * _depth(points)], axis=0)
+    on_plane = np.abs(points @ plane.normal - plane.offset) < config.tolerance * _depth(points)
+    height = -float(np.median(points[on_plane] @ normal_camera))
     R_g = rotation_between(scene.camera.T_world_camera[:3, :3] @ normal_camera, [0, 0, 1])
-    T = pose(R_g)
-    T[2, 3] = -(R_g @ (scene.camera.T_world_camera[:3, :3] @ middle + scene.camera.center))[2]
+    T = pose(R_g, [0, 0, height - (R_g @ scene.camera.center)[2]])
     ground = Ground(source=source, confidence=plane.inliers)
     moved = _move_all(scene, T, ground)
     lowest = min(o.bounds_world[0, 2] for o in moved)
@@ -95,7 +94,7 @@ def fit_plane(points: Array, rng: np.random.Generator, config: LevelConfig) -> P
         inliers = points[on_plane]
         center = np.median(inliers, axis=0)
         normal = np.linalg.svd(inliers - center, full_matrices=False)[2][2]
-        offset = float(normal @ center)
+        offset = float(np.median(inliers @ normal))
         distance = np.abs(points @ normal - offset)
         spread = 1.4826 * float(np.median(distance[on_plane]))
         on_plane = distance < np.clip(3 * spread, 0.1 * tolerance, tolerance)
@@ -124,9 +123,7 @@ def vote(normal: Array, normals: Array | None, config: LevelConfig) -> tuple[Arr
     return blended / np.linalg.norm(blended), share
 
 
-def _ground_points(
-    scene: Scene, config: LevelConfig, rng: np.random.Generator
-) -> tuple[Array, Array | None, str]:
+def _ground_points(scene: Scene, config: LevelConfig, rng: np.random.Generator) -> tuple[Array, Array | None, str]:
     """Ground points (n, 3) and normals in the camera frame, and where they come from."""
     geometry = scene.geometry
     if geometry is None:

@@ -23,6 +23,14 @@ class RelateConfig:
     poses miss an object's place by up to a fifth of its size."""
     picture_weight: float = 0.15
     """Weight, in object sizes of vertical gap, of what the photo shows just below the object, range [0, 1]."""
+    full_overlap: float = 0.3
+    """Share of the footprint over a support from which on more overlap says nothing, range (0, 1]."""
+    overlap_weight: float = 0.1
+    """Weight, in object sizes of vertical gap, of lacking overlap, range [0, 1]."""
+    inside_overlap: float = 0.9
+    """Share of the footprint that lies over a container when the object is inside it, range (0, 1]."""
+    inside_depth: float = 0.1
+    """How far an object's lowest point is below the rim of what contains it, in object sizes, range [0, 1]."""
     below_pixels: float = 0.004
     """How far below its mask's lower edge an object's support is looked for, as a share of the image height."""
 
@@ -55,9 +63,13 @@ def relate(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, Rep
         best = chosen[o.id]
         objects.append(replace(o, supported_by=best.parent, supports=(Support(id=best.parent),)))
         runner_up = min((c.cost for c in found if c.child == o.id and c.parent != best.parent), default=None)
-        margin = "" if runner_up is None or best.cost < 0 else f"; the next candidate costs {runner_up - best.cost:.2f} more"
+        margin = (
+            "" if runner_up is None or best.cost < 0 else f"; the next candidate costs {runner_up - best.cost:.2f} more"
+        )
         decisions.append(Decision(choice=f"rests on {_name(best.parent)}", reason=best.evidence + margin, about=o.id))
-    graph = SceneGraph(relations=(*scene.graph.relations, *_relations(chosen.values(), scene)), source=scene.graph.source)
+    graph = SceneGraph(
+        relations=(*scene.graph.relations, *_relations(chosen.values(), scene)), source=scene.graph.source
+    )
     if scene.graph.source == "provisional":
         graph = replace(graph, source="geometry and masks")
     on_ground = sum(o.supported_by == GROUND for o in objects)
@@ -74,7 +86,9 @@ def candidates(o: SceneObject, scene: Scene, config: RelateConfig) -> list[Candi
     below = _below_in_photo(o, scene, config)
     lowest = float(o.bounds_world[0, 2])
     ground_cost = abs(lowest) / o.size + config.picture_weight * (1 - below.get(GROUND, 0.0))
-    evidence = f"lowest point {1000 * lowest:.0f} mm above it, {100 * below.get(GROUND, 0):.0f}% of the mask stands on it"
+    evidence = (
+        f"lowest point {1000 * lowest:.0f} mm above it, {100 * below.get(GROUND, 0):.0f}% of the mask stands on it"
+    )
     found = [Candidate(child=o.id, parent=GROUND, cost=ground_cost, evidence=evidence)]
     for p in scene:
         if p.id != o.id and (candidate := _on_object(o, p, below.get(p.id, 0.0), config)):
@@ -99,7 +113,7 @@ def forest(candidates: Iterable[Candidate]) -> dict[int, Candidate]:
 
 
 def _on_object(o: SceneObject, p: SceneObject, seen_below: float, config: RelateConfig) -> Candidate | None:
-    """Whether ``o`` can rest on ``p``: the least distance from o's underside down to p's upper side where they overlap."""
+    """Whether ``o`` can rest on ``p``, by the least distance from o's underside to p's top where they overlap."""
     low = np.maximum(o.bounds_world[0], p.bounds_world[0])
     high = np.minimum(o.bounds_world[1], p.bounds_world[1])
     if np.any(low[:2] >= high[:2]):
@@ -116,11 +130,14 @@ def _on_object(o: SceneObject, p: SceneObject, seen_below: float, config: Relate
     gap = float(np.percentile((underside - top)[both], 2))
     if abs(gap) > config.max_gap * o.size:
         return None
-    cost = abs(gap) / o.size + config.picture_weight * (1 - seen_below) + 0.1 * max(0.0, 1 - overlap / 0.3)
-    evidence = f"{1000 * gap:.0f} mm above it over {100 * overlap:.0f}% of the footprint, {100 * seen_below:.0f}% of the mask stands on it"
-    # Inside: the parent rises above the child's lowest point around it.
-    rim = float(p.bounds_world[1, 2])
-    inside = rim - float(o.bounds_world[0, 2]) > 0.1 * o.size and overlap > 0.9
+    missing = max(0.0, 1 - overlap / config.full_overlap)
+    cost = abs(gap) / o.size + config.picture_weight * (1 - seen_below) + config.overlap_weight * missing
+    evidence = (
+        f"{1000 * gap:.0f} mm above it over {100 * overlap:.0f}% of the footprint, "
+        f"{100 * seen_below:.0f}% of the mask stands on it"
+    )
+    sunk = float(p.bounds_world[1, 2] - o.bounds_world[0, 2])
+    inside = bool(overlap > config.inside_overlap and sunk > config.inside_depth * o.size)
     return Candidate(child=o.id, parent=p.id, cost=cost, evidence=evidence, inside=inside)
 
 
@@ -152,9 +169,23 @@ def _relations(chosen: Iterable[Candidate], scene: Scene) -> list[Relation]:
         relations.append(Relation(subject=c.child, predicate="supported_by", object=c.parent, confidence=confidence,
                                   evidence=c.evidence))  # fmt: skip
         if c.inside:
-            for subject, predicate, other in ((c.child, "inside", c.parent), (c.parent, "contains", c.child)):
-                relations.append(Relation(subject=subject, predicate=predicate, object=other, confidence=confidence,
-                                          evidence="within the footprint and below the rim"))  # fmt: skip
+            evidence = "within the footprint and below the rim"
+            relations += [
+                Relation(
+                    subject=c.child,
+                    predicate="inside",
+                    object=c.parent,
+                    confidence=confidence,
+                    evidence=evidence,
+                ),
+                Relation(
+                    subject=c.parent,
+                    predicate="contains",
+                    object=c.child,
+                    confidence=confidence,
+                    evidence=evidence,
+                ),
+            ]
     return relations
 
 

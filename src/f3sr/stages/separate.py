@@ -34,8 +34,9 @@ def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene,
 
     In forest order an object is brought into contact with its support, with all that rests on it: first along its
     viewing rays, scaled alike about the camera centre, which leaves the picture as it is; what that cannot reach
-    within its bound by the smallest lift, or by lowering. Then unrelated objects that overlap are parted horizontally by the branches that part below their common support, so
-    that nothing is left behind. What still overlaps is counted, never hidden.
+    within its bound by the smallest lift, or by lowering. Then unrelated objects that overlap are parted horizontally
+    by the branches that part below their common support, so that nothing is left behind. What still overlaps
+    is counted, never hidden.
     """
     config = config or SeparateConfig()
     layout = _Layout(scene)
@@ -52,9 +53,7 @@ def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene,
     ]
     moved = scene.with_objects(*_moved_objects(layout))
     measures = [Measure(name="overlapping pairs", before=before, after=len(left))]
-    measures += [
-        Measure(name="moved", after=1000 * layout.travel(o.id), unit="mm", about=o.id) for o in scene
-    ]
+    measures += [Measure(name="moved", after=1000 * layout.travel(o.id), unit="mm", about=o.id) for o in scene]
     measures += [
         Measure(name="scale along viewing rays", after=layout.scale[o.id], before=1.0, about=o.id) for o in scene
     ]

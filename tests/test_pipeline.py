@@ -1,0 +1,157 @@
+"""The whole way on a tiny folder: ids, skips, order, determinism, the command line."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from f3sr import inputs
+from f3sr.cli import main
+from f3sr.errors import InputError
+from f3sr.measures import visible_iou
+from f3sr.package import read_package
+from f3sr.pipeline import SKIPPABLE, Config, Reconstruction, reconstruct
+from folders import write_folder
+
+IDS = [(2, "02_big_box.png"), (5, "05_small_box.png"), (7, "07_tall_box.png")]
+
+
+@pytest.fixture(scope="module")
+def given(tmp_path_factory: pytest.TempPathFactory) -> inputs.Inputs:
+    folder = tmp_path_factory.mktemp("pipeline") / "input"
+    write_folder(folder, perturb=0.06, seed=3)
+    return inputs.read(folder)
+
+
+@pytest.fixture(scope="module")
+def result(given: inputs.Inputs) -> Reconstruction:
+    return reconstruct(given)
+
+
+def test_the_result_rests_free_and_looks_like_the_photo(result: Reconstruction):
+    assert result.evaluation is not None and result.evaluation.direct is not None
+    ours, direct = result.evaluation.result, result.evaluation.direct
+    assert ours.N_cross == 0 and ours.K_max_J < 1e-5 and ours.D_max_cm < 0.05 and ours.gap_pct < 1
+    assert ours.mIoU_visible > max(0.9, direct.mIoU_visible)
+    assert {o.id: o.supported_by for o in result.scene} == {2: -1, 5: 2, 7: -1}
+
+
+def test_ids_and_masks_survive_every_stage(given: inputs.Inputs, result: Reconstruction):
+    for scene in (result.direct, result.scene):
+        assert [(o.id, o.mask_name) for o in scene] == IDS
+        for o, i in zip(scene, given.instances, strict=True):
+            assert np.array_equal(o.mask, i.mask) and o.label == i.label
+            assert np.array_equal(o.mesh.faces, given.assets[o.id].mesh.faces)
+        assert np.array_equal(scene.photo.rgb, given.photo.rgb)
+
+
+@pytest.mark.parametrize("skip", [s for s in SKIPPABLE if s not in ("evaluate", "refine")])
+def test_each_skipped_stage_leaves_a_valid_scene(given: inputs.Inputs, skip: str):
+    quick = replace(Config(), refine=replace(Config().refine, rounds=0))
+    result = reconstruct(given, quick, skip=[skip, "evaluate"])
+    assert [(o.id, o.mask_name) for o in result.scene] == IDS
+    assert all(o.parts and np.isfinite(o.T_world_object).all() for o in result.scene)
+    assert skip not in [r.stage for r in result.reports]
+    assert visible_iou(result.scene) > 0.2
+
+
+def test_everything_skipped_is_direct_composition(given: inputs.Inputs):
+    result = reconstruct(given, skip=[s for s in SKIPPABLE if s != "level"])
+    assert all(np.array_equal(o.T_world_object, result.direct[o.id].T_world_object) for o in result.scene)
+
+
+def test_unknown_stages_are_refused(given: inputs.Inputs):
+    with pytest.raises(InputError, match="polish"):
+        reconstruct(given, skip=["polish"])
+
+
+def test_order_of_masks_and_names_of_files_change_nothing(result: Reconstruction, tmp_path: Path):
+    folder = tmp_path / "input"
+    write_folder(folder, perturb=0.06, seed=3)
+    document = json.loads((folder / "assets/poses.json").read_text())
+    document["objects"].reverse()
+    for o in document["objects"]:
+        new = f"x{o['mesh']}"
+        (folder / "assets" / o["mesh"]).rename(folder / "assets" / new)
+        o["mesh"] = new
+    (folder / "assets/poses.json").write_text(json.dumps(document))
+    again = reconstruct(inputs.read(folder), skip=["evaluate"])
+    for o in again.scene:
+        assert np.array_equal(o.T_world_object, result.scene[o.id].T_world_object)
+        assert o.scale == result.scene[o.id].scale
+
+
+def test_motion_notes_add_up_to_the_way_from_input_to_result(result: Reconstruction):
+    for o in result.scene:
+        scale = np.prod([m.scale for m in o.motion])
+        assert o.scale == pytest.approx(result.direct[o.id].scale * scale)
+        assert {m.stage for m in o.motion} <= {"align", "separate", "settle"}
+
+
+def test_reports_carry_units_and_reasons(result: Reconstruction):
+    assert [r.stage for r in result.reports] == [
+        "assemble", "level", "align", "relate", "decompose", "separate", "settle", "refine",
+    ]  # fmt: skip
+    for report in result.reports:
+        assert all(np.isfinite(m.after) for m in report.measures)
+        assert all(d.choice and d.reason for d in report.decisions)
+
+
+# --- the command line ---------------------------------------------------------------------------------------
+
+
+def test_the_command_line_from_folder_to_numbers(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    out = tmp_path / "package"
+    assert main(["reconstruct", str(folder), "-o", str(out), "--skip", "refine"]) == 0
+    printed = capsys.readouterr().out
+    assert "direct composition" in printed and str(out) in printed
+    assert {"scene.json", "scene.glb", "scene.xml", "report.json", "photo.png"} <= {p.name for p in out.iterdir()}
+    assert sorted(p.name for p in (out / "pictures").iterdir()) == [
+        "overlay_after.png", "overlay_before.png", "render_after.png", "render_before.png", "side_after.png",
+        "side_before.png",
+    ]  # fmt: skip
+    document = json.loads((out / "scene.json").read_text())
+    assert [o["id"] for o in document["objects"]] == [2, 5, 7]
+
+    assert main(["evaluate", str(out), "--json"]) == 0
+    table = json.loads(capsys.readouterr().out)
+    for name, value in document["metrics"].items():
+        tolerance = 0.15 if name == "proxy_far_pct" else 1e-3  # a few thousand random samples
+        assert table["f3sr"][name] == pytest.approx(value, rel=tolerance, abs=1e-4), name
+    assert table["direct composition"]["n"] == 3
+    assert read_package(out).direct is not None
+
+    model = mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    start = data.xipos.copy()
+    for _ in range(round(5 / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    assert model.njnt == 3 and np.abs(data.xipos - start).max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["reconstruct", "absent", "-o", "out"], 2, "nothing there"),
+        (["reconstruct", "{folder}", "-o", "{out}", "--skip", "polish"], 2, "polish"),
+        (["reconstruct", "{folder}", "-o", "{out}", "--ignore", "photo"], 2, "photo"),
+        (["reconstruct", "{folder}", "-o", "{out}", "--asset-frame", "left"], 2, "left"),
+        (["reconstruct", "{folder}", "-o", "{folder}"], 1, "only an f3sr package or an empty folder"),
+        (["evaluate", "{folder}"], 2, "scene.json"),
+        (["evaluate", "{folder}", "--true-scale", "-1"], 2, "positive"),
+    ],
+)
+def test_wrong_calls_end_with_one_line_and_their_exit_code(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], code: int, message: str
+):
+    out = tmp_path / "out"
+    assert main([a.format(folder=folder, out=out) for a in arguments]) == code
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1 and error.startswith("f3sr: ")
+    assert not out.exists()

@@ -1,0 +1,328 @@
+"""What every stage promises, on small scenes with known truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from f3sr import inputs, raster
+from f3sr.frames import T_UP_FROM_CAMERA, invert_pose, pose, rotation_about, rotation_from_vector
+from f3sr.measures import measure, visible_iou
+from f3sr.mesh import ConvexPart
+from f3sr.scene import GROUND, Geometry, Scene
+from f3sr.stages.align import AlignConfig, align, visible_regions
+from f3sr.stages.assemble import assemble
+from f3sr.stages.decompose import decompose
+from f3sr.stages.evaluate import direct_composition, evaluate
+from f3sr.stages.level import LevelConfig, fit_plane, level, vote
+from f3sr.stages.relate import Candidate, forest, relate
+from f3sr.stages.separate import SeparateConfig, separate
+from f3sr.stages.settle import settle
+from folders import boxes, camera, write_folder
+from scenes import box, box_stack_scene, scene_of
+
+
+@pytest.fixture(scope="module")
+def exact(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """An exact input, assembled."""
+    folder = tmp_path_factory.mktemp("exact") / "input"
+    write_folder(folder)
+    return assemble(inputs.read(folder))[0]
+
+
+@pytest.fixture(scope="module")
+def wrong(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """Assets off by 6%, levelled."""
+    folder = tmp_path_factory.mktemp("wrong") / "input"
+    write_folder(folder, perturb=0.06, seed=3)
+    return level(assemble(inputs.read(folder))[0])[0]
+
+
+def moved_world(scene: Scene, T: np.ndarray) -> Scene:
+    objects = tuple(replace(o, T_world_object=T @ o.T_world_object) for o in scene)
+    return replace(scene, objects=objects, camera=scene.camera.moved(T @ scene.camera.T_world_camera))
+
+
+# --- assemble -----------------------------------------------------------------------------------------------
+
+
+def test_assembled_assets_project_onto_their_masks(exact: Scene):
+    assert visible_iou(exact) == 1
+
+
+def test_assets_in_another_unit_come_to_the_depth_of_the_geometry(exact: Scene, tmp_path):
+    import json
+
+    write_folder(tmp_path / "input")
+    poses = tmp_path / "input/assets/poses.json"
+    document = json.loads(poses.read_text())
+    for o in document["objects"]:
+        o["translation"] = [10 * x for x in o["translation"]]
+        o["scale"] = [10 * x for x in o["scale"]]
+    poses.write_text(json.dumps(document))
+    scene, report = assemble(inputs.read(tmp_path / "input"))
+    assert sum("viewing rays" in d.choice for d in report.decisions) == 3
+    for o in scene:
+        assert o.scale == pytest.approx(exact[o.id].scale, rel=0.02)
+    assert visible_iou(scene) > 0.98
+
+
+def test_a_wrong_quaternion_convention_is_warned_of(tmp_path):
+    import json
+
+    planks = [
+        box(k, size=(0.25, 0.03, 0.02), at=(0.1 * k - 0.1, 0, 0.01), R=rotation_about([0, 0, 1], 1.2 - 0.2 * k))
+        for k in range(3)
+    ]
+    write_folder(tmp_path / "input", objects=planks)
+    poses = tmp_path / "input/assets/poses.json"
+    document = json.loads(poses.read_text())
+    for o in document["objects"]:
+        o["rotation"] = [o["rotation"][0], *(-x for x in o["rotation"][1:])]
+    poses.write_text(json.dumps(document))
+    _, report = assemble(inputs.read(tmp_path / "input"))
+    assert any("looks wrong" in d.choice and "inverse rotation" in d.reason for d in report.decisions)
+
+
+# --- level --------------------------------------------------------------------------------------------------
+
+
+def test_level_finds_the_true_camera(exact: Scene):
+    scene, report = level(exact)
+    up = scene.camera.T_world_camera[:3, :3].T @ [0, 0, 1]
+    true_up = camera().T_world_camera[:3, :3].T @ [0, 0, 1]
+    assert np.degrees(np.arccos(up @ true_up)) < 0.01
+    assert scene.camera.center[2] == pytest.approx(camera().center[2], abs=1e-4)
+    assert report.value("ground residual") < 0.1 and scene.ground.confidence > 0.99
+
+
+def test_level_changes_no_pixel(exact: Scene):
+    before = raster.render(exact.objects, exact.camera)
+    scene, _ = level(exact)
+    after = raster.render(scene.objects, scene.camera)
+    assert np.mean(before.ids != after.ids) < 1e-3
+
+
+def test_strays_metres_away_tilt_nothing():
+    rng = np.random.default_rng(0)
+    plane = np.column_stack([rng.uniform(-1, 1, (5000, 2)), np.zeros(5000)]) + rng.normal(0, 0.003, (5000, 3))
+    R = rotation_about([1, 0, 0], 2.2)
+    points = plane @ R.T + [0, 0.2, 1.5]
+    strays = rng.uniform([-3, -3, 0.5], [3, 3, 9], (2500, 3))
+    fitted = fit_plane(np.concatenate([points, strays]), rng, LevelConfig())
+    normal = R @ [0, 0, 1] * np.sign(-(R @ [0, 0, 1])[1])
+    assert np.degrees(np.arccos(np.clip(fitted.normal @ normal, -1, 1))) < 0.1
+    assert fitted.normal[1] < 0 and fitted.offset == pytest.approx(normal @ [0, 0.2, 1.5], abs=1e-3)
+
+
+def test_the_vote_blends_agreeing_normals_only():
+    normal = np.array([0.0, -1, 0])
+    tilted = rotation_about([1, 0, 0], np.radians(2)) @ normal
+    far = rotation_about([1, 0, 0], np.radians(60)) @ normal
+    voted, share = vote(normal, np.array([tilted] * 8 + [far] * 2), LevelConfig())
+    expected = (1 - 0.55) * normal + 0.55 * tilted
+    assert share == 0.8 and np.allclose(voted, expected / np.linalg.norm(expected))
+    assert np.allclose(vote(normal, np.array([far] * 8 + [tilted] * 2), LevelConfig())[0], normal)
+    assert np.allclose(vote(normal, -np.array([tilted] * 10), LevelConfig())[0], voted)
+
+
+def test_without_any_ground_the_lowest_vertex_is_the_ground(exact: Scene):
+    nothing = Geometry(points=np.zeros((4, 4, 3)), valid=np.zeros((4, 4), bool))
+    scene, report = level(replace(exact, geometry=nothing))
+    assert min(o.bounds_world[0, 2] for o in scene) == pytest.approx(0, abs=1e-9)
+    assert report.fallbacks
+
+
+# --- align --------------------------------------------------------------------------------------------------
+
+
+def test_align_recovers_perturbed_assets(wrong: Scene):
+    scene, report = align(wrong)
+    assert visible_iou(wrong) < 0.9
+    assert visible_iou(scene) > 0.95
+    assert all(m.after >= m.before - 0.02 for m in report.measures if m.before is not None)
+
+
+def test_align_leaves_a_perfect_scene_almost_alone(exact: Scene):
+    levelled, _ = level(exact)
+    scene, _ = align(levelled)
+    assert visible_iou(scene) > 0.97
+
+
+def test_align_never_accepts_what_the_picture_does_not_like(wrong: Scene):
+    scene, _ = align(wrong, AlignConfig(evaluations=10, camera_evaluations=10, max_tilt=0.0))
+    assert visible_iou(scene) >= visible_iou(wrong)
+
+
+def test_regions_of_nearer_objects_are_left_out():
+    near, far = box(0, at=(0.0, -0.2, 0.05)), box(1, at=(0.0, 0.2, 0.05))
+    scene = scene_of(near, far)
+    valid = visible_regions(scene)
+    assert valid[0].all()
+    assert not valid[1][near.mask].any() and valid[1][~near.mask].all()
+
+
+# --- relate -------------------------------------------------------------------------------------------------
+
+
+def test_relate_finds_the_stack(exact: Scene):
+    scene, report = relate(level(exact)[0])
+    assert {o.id: o.supported_by for o in scene} == {2: GROUND, 5: 2, 7: GROUND}
+    assert scene.graph.of("supported_by") == {(2, GROUND), (5, 2), (7, GROUND)}
+    assert len(report.decisions) == 3
+
+
+def test_relate_sees_what_is_in_a_bowl():
+    import trimesh
+
+    from f3sr.mesh import Mesh
+
+    profile = np.array([(0, 0), (0.05, 0), (0.12, 0.06), (0.115, 0.06), (0.05, 0.008), (0, 0.008)])
+    revolved = trimesh.creation.revolve(profile, sections=48)
+    bowl = replace(
+        box(0), mesh=Mesh(vertices=revolved.vertices, faces=revolved.faces), T_world_object=np.eye(4),
+        parts=(ConvexPart.hull_of(np.asarray(revolved.vertices)),),
+    )  # fmt: skip
+    block = box(1, size=(0.03, 0.03, 0.03), at=(0, 0, 0.024))
+    scene, _ = relate(scene_of(bowl, block))
+    assert scene[1].supported_by == 0
+    assert (1, 0) in scene.graph.of("inside") and (0, 1) in scene.graph.of("contains")
+
+
+def test_given_relations_come_first(exact: Scene):
+    from f3sr.scene import Relation, SceneGraph
+
+    given = Relation(subject=7, predicate="supported_by", object=2, confidence=0.9, evidence="given")
+    scene, _ = relate(replace(level(exact)[0], graph=SceneGraph(relations=(given,), source="scene_graph.json")))
+    assert scene[7].supported_by == 2 and scene.graph.source == "scene_graph.json"
+
+
+def test_a_forest_has_one_parent_each_and_no_cycle():
+    def edge(child: int, parent: int, cost: float) -> Candidate:
+        return Candidate(child=child, parent=parent, cost=cost, evidence="")
+
+    chosen = forest(
+        [
+            edge(0, 1, 0.1),
+            edge(1, 2, 0.2),
+            edge(2, 0, 0.15),
+            edge(1, GROUND, 0.5),
+            edge(2, GROUND, 0.4),
+            edge(0, 2, 0.3),
+        ]
+    )
+    assert {c: e.parent for c, e in chosen.items()} == {0: 1, 2: 0, 1: GROUND}
+
+
+# --- separate and settle ------------------------------------------------------------------------------------
+
+
+def overlapping_stack() -> Scene:
+    """The upper box sunk 2 cm into the lower, the lower 1 cm into the ground, a third 1 cm into its side."""
+    low = box(0, size=(0.2, 0.2, 0.1), at=(0, 0, 0.04))
+    up = replace(box(1, size=(0.08, 0.08, 0.08), at=(0.01, 0, 0.11)), supported_by=0)
+    side = box(2, size=(0.1, 0.1, 0.1), at=(0.14, 0, 0.05))
+    return scene_of(low, up, side)
+
+
+@pytest.mark.parametrize("rays", [0.0, 0.1])
+def test_separate_leaves_contact_but_no_overlap(rays: float):
+    scene, report = separate(overlapping_stack(), SeparateConfig(max_ray_scale=rays))
+    assert report.value("overlapping pairs") == 0
+    low, up, side = scene
+    assert low.bounds_world[0, 2] == pytest.approx(4e-4, abs=1e-5)
+    assert up.bounds_world[0, 2] == pytest.approx(low.bounds_world[1, 2] + 4e-4, abs=1e-4)
+    assert measure(scene).N_cross == 0
+    assert side.bounds_world[0, 0] - low.bounds_world[1, 0] == pytest.approx(4e-4, abs=1e-4)
+
+
+def test_moving_along_viewing_rays_changes_no_silhouette():
+    before = overlapping_stack()
+    after, _ = separate(before.with_objects(replace(before[2], T_world_object=pose(t=[0.4, 0, 0.05]))))
+    for o in after.objects[:2]:
+        a, b = (raster.silhouette(s.camera.to_camera(s[o.id].vertices_world), o.mesh.faces, s.camera.K, 64, 48)
+                for s in (before, after))  # fmt: skip
+        assert np.mean(a != b) < 2e-3
+        assert after[o.id].scale != 1
+
+
+def test_plain_lift_is_exact_and_carries_the_stack():
+    scene, _ = separate(overlapping_stack(), SeparateConfig(max_ray_scale=0.0))
+    moved = {o.id: o.T_world_object[:3, 3] - overlapping_stack()[o.id].T_world_object[:3, 3] for o in scene}
+    assert moved[0][2] == pytest.approx(0.01 + 4e-4, abs=1e-7)
+    assert moved[1][2] == pytest.approx(0.03 + 8e-4, abs=1e-6)
+    assert moved[1][:2] == pytest.approx(moved[0][:2], abs=1e-12), "what rests on an object goes with it"
+
+
+def test_floating_objects_come_down_onto_their_support():
+    floating = replace(box(1, size=(0.05, 0.05, 0.05), at=(0, 0, 0.2)), supported_by=0)
+    scene, _ = separate(scene_of(box(0), floating), SeparateConfig(max_ray_scale=0.0))
+    assert scene[1].bounds_world[0, 2] == pytest.approx(0.1 + 8e-4, abs=1e-5)
+
+
+def test_fixed_objects_do_not_move():
+    scene = overlapping_stack()
+    fixed = replace(scene[2], mobility="fixed")
+    after, _ = separate(scene.with_objects(fixed))
+    assert np.array_equal(after[2].T_world_object, fixed.T_world_object)
+
+
+def test_order_of_ids_does_not_matter_to_separation():
+    scene = overlapping_stack()
+    names = {0: 9, 1: 4, 2: 1}
+    renamed = [replace(o, id=names[o.id], supported_by=names.get(o.supported_by, o.supported_by)) for o in scene]
+    other = replace(scene, objects=tuple(sorted(renamed, key=lambda o: o.id)))
+    a, b = separate(scene)[0], separate(other)[0]
+    for o in a:
+        assert np.allclose(o.T_world_object, b[names[o.id]].T_world_object, atol=1e-6)
+
+
+def test_settle_brings_a_tilted_box_to_rest_and_says_how_far():
+    tilted = box(0, at=(0, 0, 0.08), R=rotation_about([1, 0, 0], 0.2))
+    scene, report = settle(scene_of(tilted))
+    assert report.value("at rest") == 1
+    assert scene[0].bounds_world[0, 2] == pytest.approx(0, abs=6e-4)
+    assert scene[0].motion[-1].stage == "settle" and scene[0].motion[-1].rotation == pytest.approx(0.2, abs=0.02)
+    result = measure(scene)
+    assert result.K_max_J < 1e-6 and result.D_max_cm < 0.01
+
+
+def test_decompose_covers_every_vertex(wrong: Scene):
+    scene, report = decompose(wrong)
+    assert measure(scene).proxy_out_pct < 1e-6
+    assert all(m.after == 1 for m in report.measures if m.name == "convex parts")
+
+
+# --- laws over stages -----------------------------------------------------------------------------------------
+
+
+def test_rotating_the_world_changes_no_image(wrong: Scene):
+    T = pose(rotation_from_vector([0.4, -1.0, 2.0]), [3, -2, 1])
+    turned = moved_world(wrong, T)
+    a, b = (raster.render(s.objects, s.camera) for s in (wrong, turned))
+    assert np.mean(a.ids != b.ids) < 1e-3
+    back = moved_world(turned, invert_pose(T))
+    assert np.allclose(back[2].T_world_object, wrong[2].T_world_object, atol=1e-9)
+
+
+def test_level_does_not_depend_on_the_provisional_world(exact: Scene):
+    T = pose(T_UP_FROM_CAMERA[:3, :3] @ rotation_from_vector([0.1, 0.2, 0.3]))
+    a, b = level(exact)[0], level(moved_world(exact, T))[0]
+    assert a.camera.center[2] == pytest.approx(b.camera.center[2], abs=1e-9)
+    for o in a:
+        assert o.bounds_world[:, 2] == pytest.approx(b[o.id].bounds_world[:, 2], abs=1e-6)
+
+
+def test_direct_composition_is_the_input_with_its_lowest_vertex_on_the_ground(wrong: Scene):
+    direct = direct_composition(wrong, decompose(wrong)[0])
+    assert min(o.bounds_world[0, 2] for o in direct) == pytest.approx(0, abs=1e-12)
+    assert visible_iou(direct) == pytest.approx(visible_iou(wrong), abs=1e-3)
+    both = evaluate(box_stack_scene(), None)
+    assert both.direct is None and both.result.n == 3
+
+
+def test_boxes_of_the_test_folder_are_at_rest():
+    scene = scene_of(*boxes())
+    assert measure(scene).N_cross == 0
