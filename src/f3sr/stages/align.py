@@ -35,8 +35,9 @@ class AlignConfig:
     Generated poses tilt by up to about ten degrees."""
     tilt_loss: float = 0.02
     """IoU that standing on a facet may cost, range [0, 1]: physics would turn the object there anyway."""
-    camera_rotation: float = np.deg2rad(3)
-    """Trust region of the camera's turn per axis [rad], range (0, pi/4]."""
+    camera_rotation: float = np.deg2rad(1)
+    """Trust region of the camera's turn per axis [rad], range (0, pi/4]. The ground tells gravity to half a degree
+    (.34 in the mean of ten known scenes); three degrees of freedom here made that 1.2 and gained .002 mIoU."""
     camera_translation: float = 0.05
     """Trust region of the camera's move, as a share of its distance to the scene, range (0, .5]."""
     camera_evaluations: int = 120
