@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+import PIL.Image
 from numpy.typing import NDArray
 
 from f3sr import raster
@@ -20,6 +21,7 @@ MASK_ONLY, RENDER_ONLY, BOTH = (230, 60, 50), (60, 190, 80), (70, 110, 235)
 def pictures_of(before: Scene, after: Scene) -> Mapping[str, Image]:
     """What a package shows of a reconstruction, by file stem."""
     return {
+        "sheet": sheet(before, after),
         "overlay_before": overlay(before),
         "overlay_after": overlay(after),
         "render_before": composite(before),
@@ -27,6 +29,24 @@ def pictures_of(before: Scene, after: Scene) -> Mapping[str, Image]:
         "side_before": side_view(before),
         "side_after": side_view(after),
     }
+
+
+def sheet(before: Scene, after: Scene, *, width: int = 1800) -> Image:
+    """Everything at a glance: the photo, masks against renders before and after; below, both from the side."""
+    top = [before.photo.rgb, overlay(before), overlay(after)]
+    bottom = [side_view(s, width=1440, height=480) for s in (before, after)]
+    return np.concatenate([_row(top, width), _row(bottom, width)])
+
+
+def _row(pictures: Sequence[Image], width: int, gap: int = 8) -> Image:
+    """Pictures of one size beside each other, white gaps between them, ``width`` pixels wide."""
+    each = (width - gap * (len(pictures) - 1)) // len(pictures)
+    height = round(each * pictures[0].shape[0] / pictures[0].shape[1])
+    row = np.full((height + gap, width, 3), 255, np.uint8)
+    for k, picture in enumerate(pictures):
+        resized = PIL.Image.fromarray(picture).resize((each, height), PIL.Image.Resampling.LANCZOS)
+        row[:height, k * (each + gap) : k * (each + gap) + each] = np.asarray(resized)
+    return row
 
 
 def overlay(scene: Scene) -> Image:
@@ -82,9 +102,9 @@ def side_camera(scene: Scene, *, width: int, height: int) -> Camera:
     R = np.stack([np.cross(down, forward), down, forward], axis=1)
     distance = 8 * float(np.linalg.norm(high - low))
     eye = np.array([middle[0], middle[1], 0.0]) - distance * forward
-    span = 1.1 * max(float(np.linalg.norm((high - low)[:2])), float(high[2] - low[2]) * width / height)
+    span = 1.15 * max(float(np.linalg.norm((high - low)[:2])), float(high[2] - low[2]) * width / height)
     focal = width * distance / span
-    K = np.array([[focal, 0, width / 2], [0, focal, 0.85 * height], [0, 0, 1]])
+    K = np.array([[focal, 0, width / 2], [0, focal, 0.9 * height], [0, 0, 1]])
     return Camera(width=width, height=height, K=K, T_world_camera=pose(R, eye))
 
 

@@ -82,7 +82,16 @@ def _options(root: ET.Element, config: PhysicsConfig) -> None:
         rgba="0.5 0.6 0.8 0.5",
     )
     visual = ET.SubElement(default, "default", {"class": "visual"})
-    ET.SubElement(visual, "geom", group=str(VISUAL_GROUP), contype="0", conaffinity="0", mass="0")
+    # Visual geoms touch nothing; their friction is stated all the same, so that no geom carries MuJoCo's default of 1.
+    ET.SubElement(
+        visual,
+        "geom",
+        group=str(VISUAL_GROUP),
+        contype="0",
+        conaffinity="0",
+        mass="0",
+        friction=_text(config.ground_friction),
+    )
 
 
 def _surroundings(world: ET.Element, camera: Camera, config: PhysicsConfig) -> None:
