@@ -138,7 +138,7 @@ def test_the_command_line_from_folder_to_numbers(folder: Path, tmp_path: Path, c
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["reconstruct", "absent", "-o", "out"], 2, "nothing there"),
+        (["reconstruct", "{out}/absent", "-o", "{out}"], 2, "nothing there"),
         (["reconstruct", "{folder}", "-o", "{out}", "--skip", "polish"], 2, "polish"),
         (["reconstruct", "{folder}", "-o", "{out}", "--ignore", "photo"], 2, "photo"),
         (["reconstruct", "{folder}", "-o", "{out}", "--asset-frame", "left"], 2, "left"),

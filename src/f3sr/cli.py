@@ -66,7 +66,7 @@ def reconstruct(
 
     say = _quiet if json else _say
     package.prepare_output(out, overwrite=overwrite)
-    given = inputs.read(folder, ignore=_parts(ignore, inputs.PARTS), asset_frame=_frame(asset_frame))
+    given = inputs.read(folder, ignore=_names(ignore), asset_frame=asset_frame)
     kernels.warm_up(say)
     result = pipeline.reconstruct(given, skip=_names(skip), progress=say)
     written = package.write_package(
@@ -136,20 +136,6 @@ def demo(out: Out = Path("out/demo"), overwrite: bool = False) -> None:
 
 def _names(text: str) -> list[str]:
     return [name.strip() for name in text.split(",") if name.strip()]
-
-
-def _parts(text: str, known: Sequence[Any]) -> list[Any]:
-    names = _names(text)
-    if unknown := [n for n in names if n not in known]:
-        raise InputError("--ignore", found=", ".join(unknown), accepted=", ".join(known))
-    return names
-
-
-def _frame(name: str) -> Any:
-    known = ("auto", "opencv", "opengl", "pytorch3d")
-    if name not in known:
-        raise InputError("--asset-frame", found=name, accepted=", ".join(known))
-    return name
 
 
 def _table(evaluation: Any) -> dict[str, dict[str, float]]:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import crossings, physics, raster
+from f3sr.contact import Polytope
 from f3sr.frames import Array, Camera
-from f3sr.mesh import ConvexPart
 from f3sr.scene import Scene, SceneObject
 from f3sr.silhouette import iou
 
@@ -200,25 +200,21 @@ def proxy_distances(o: SceneObject) -> tuple[float, float]:
     """How far the mesh sticks out of its proxy and how far the proxy's surface lies from the mesh, in object sizes."""
     from scipy.spatial import KDTree
 
+    parts = [Polytope.of(part) for part in o.parts]
     vertices = o.mesh.vertices[:: max(1, len(o.mesh.vertices) // 4000)]
     size = o.size / o.scale
-    out = np.min([_outside(vertices, part) for part in o.parts], axis=0)
+    out = np.min([_outside(vertices, part) for part in parts], axis=0)
     surface = np.concatenate([o.mesh.vertices, sample_surface(o.mesh.vertices, o.mesh.faces, SAMPLES)])
     samples = np.concatenate([sample_surface(p.vertices, p.faces, PART_SAMPLES) for p in o.parts])
-    covered = np.max([_outside(samples, p) < -1e-4 * size for p in o.parts], axis=0)
+    covered = np.max([_outside(samples, part) < -1e-4 * size for part in parts], axis=0)
     free = samples[~covered]
     far = float(KDTree(surface).query(free)[0].mean()) if len(free) else 0.0
     return float(np.percentile(np.maximum(out, 0), 99.9)) / size, far / size
 
 
-def _outside(points: Array, part: ConvexPart) -> Array:
+def _outside(points: Array, part: Polytope) -> Array:
     """Largest signed distance (n,) of points to the part's facet planes; negative inside."""
-    a, b, c = (part.vertices[part.faces[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
-    lengths = np.linalg.norm(normals, axis=1)
-    real = lengths > 1e-12 * max(float(lengths.max()), 1e-300)
-    normals = normals[real] / lengths[real, None]
-    return np.max(points @ normals.T - np.einsum("ij,ij->i", normals, a[real]), axis=1)
+    return np.max(points @ part.normals.T - part.offsets, axis=1)
 
 
 def sample_surface(vertices: Array, faces: NDArray[np.int32], count: int) -> Array:

@@ -1,0 +1,122 @@
+"""Masks: which pixels belong to which object, ids and labels from file names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.errors import InputError
+from f3sr.folder import InputFolder
+from f3sr.images import open_image
+from f3sr.scene import Photo
+
+MAX_OVERLAP = 0.05
+"""Share of the smaller mask that two masks may overlap by; the pixels then go to the smaller one."""
+MIN_PIXELS = 16
+"""A smaller mask holds no usable silhouette."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Instance:
+    """One masked object of the photo."""
+
+    id: int
+    label: str
+    name: str
+    """File name of the mask."""
+    mask: NDArray[np.bool_]
+
+
+def read_instances(folder: InputFolder, photo: Photo) -> tuple[Instance, ...]:
+    """The objects by id, their masks disjoint."""
+    place = folder.path("masks")
+    names = sorted(p.name for p in place.glob("*.png")) if place.is_dir() else []
+    if not names:
+        raise InputError(place, found="no masks", accepted="masks/*.png, one binary mask per object")
+    ids = _ids(place, [Path(name).stem for name in names])
+    instances = [
+        Instance(id=id, label=label, name=name, mask=read_mask(folder, f"masks/{name}", photo))
+        for name, (id, label) in zip(names, ids, strict=True)
+    ]
+    return _disjoint(folder, sorted(instances, key=lambda i: i.id))
+
+
+def read_mask(folder: InputFolder, relative: str, photo: Photo) -> NDArray[np.bool_]:
+    """A binary mask (H, W); grey levels between are cut in the middle."""
+    path = folder.file(relative)
+    gray = np.asarray(open_image(path).convert("L"))
+    if gray.shape != (photo.height, photo.width):
+        size = f"{gray.shape[1]}x{gray.shape[0]} pixels"
+        raise InputError(path, found=size, accepted=f"the photo's size {photo.width}x{photo.height}")
+    levels = np.unique(gray)
+    threshold = 0
+    if len(levels) > 2:
+        threshold = int(levels.max()) // 2
+        folder.decide(
+            f"{path.name}: pixels above {threshold} belong to the mask",
+            f"{len(levels)} grey levels, not two",
+        )
+    mask = gray > threshold
+    if mask.sum() < MIN_PIXELS:
+        raise InputError(
+            path,
+            found=f"{int(mask.sum())} set pixels",
+            accepted=f"a mask of at least {MIN_PIXELS} pixels",
+        )
+    return mask
+
+
+def _disjoint(folder: InputFolder, instances: list[Instance]) -> tuple[Instance, ...]:
+    """Overlapping pixels go to the smaller mask where the overlap is small; a larger one is an error."""
+    area = {i.id: int(i.mask.sum()) for i in instances}
+    masks = {i.id: i.mask.copy() for i in instances}
+    for k, a in enumerate(instances):
+        for b in instances[k + 1 :]:
+            shared = a.mask & b.mask
+            if not shared.any():
+                continue
+            small, large = sorted((a, b), key=lambda i: (area[i.id], i.id))
+            share = shared.sum() / area[small.id]
+            if share >= MAX_OVERLAP:
+                raise InputError(
+                    folder.root / "masks" / small.name,
+                    found=f"{100 * share:.0f}% of it also in {large.name}",
+                    accepted=f"masks that overlap by less than {100 * MAX_OVERLAP:.0f}% of the smaller",
+                )
+            masks[large.id] &= ~shared
+            folder.decide(
+                f"masks: {int(shared.sum())} shared pixels go to {small.name}",
+                f"also in {large.name}",
+                small.id,
+            )
+    return tuple(Instance(id=i.id, label=i.label, name=i.name, mask=masks[i.id]) for i in instances)
+
+
+def _ids(folder: Path, stems: Sequence[str]) -> list[tuple[int, str]]:
+    """Ids and labels from file stems: leading digits are the id, the rest the label."""
+    matches = [re.match(r"(\d+)(.*)", s, re.DOTALL) for s in stems]
+    if not any(matches):
+        return [(k, _label(s)) for k, s in enumerate(stems)]
+    if not all(matches):
+        without = [s for s, m in zip(stems, matches, strict=True) if not m]
+        raise InputError(
+            folder,
+            found=f"names with and without an id ({without[0]}.png)",
+            accepted="ids in all names, or in none",
+        )
+    ids = [(int(m.group(1)), _label(m.group(2))) for m in matches if m]
+    seen: dict[int, str] = {}
+    for stem, (id, _) in zip(stems, ids, strict=True):
+        if id in seen:
+            raise InputError(folder, found=f"id {id} twice ({seen[id]}.png, {stem}.png)", accepted="unique ids")
+        seen[id] = stem
+    return ids
+
+
+def _label(text: str) -> str:
+    return re.sub(r"[_\s]+", " ", text).strip()
