@@ -112,8 +112,8 @@ def test_the_command_line_from_folder_to_numbers(folder: Path, tmp_path: Path, c
     assert "direct composition" in printed and str(out) in printed
     assert {"scene.json", "scene.glb", "scene.xml", "report.json", "photo.png"} <= {p.name for p in out.iterdir()}
     assert sorted(p.name for p in (out / "pictures").iterdir()) == [
-        "overlay_after.png", "overlay_before.png", "render_after.png", "render_before.png", "sheet.png", "side_after.png",
-        "side_before.png",
+        "overlay_after.png", "overlay_before.png", "render_after.png", "render_before.png", "sheet.png",
+        "side_after.png", "side_before.png",
     ]  # fmt: skip
     document = json.loads((out / "scene.json").read_text())
     assert [o["id"] for o in document["objects"]] == [2, 5, 7]

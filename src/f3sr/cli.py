@@ -63,12 +63,14 @@ def reconstruct(
     from pydantic import JsonValue
 
     from f3sr import inputs, kernels, package, pictures, pipeline
+    from f3sr.cache import Store
 
     say = _quiet if json else _say
     package.prepare_output(out, overwrite=overwrite)
     given = inputs.read(folder, ignore=_names(ignore), asset_frame=asset_frame)
     kernels.warm_up(say)
-    result = pipeline.reconstruct(given, skip=_names(skip), progress=say)
+    store = Store(kernels.cache_root() / "stages")
+    result = pipeline.reconstruct(given, skip=_names(skip), store=store, progress=say)
     written = package.write_package(
         result.scene,
         out,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 
 from f3sr.assets import ASSET_FRAMES, PosedAsset, read_assets
+from f3sr.cache import digest
 from f3sr.errors import InputError
 from f3sr.folder import InputFolder
 from f3sr.frames import Array
@@ -39,6 +40,12 @@ class Inputs:
     decisions: tuple[Decision, ...] = ()
     digests: dict[str, str] = field(default_factory=dict[str, str])
     """sha256 of every file read, by its path relative to the folder."""
+    asset_frame: str = "auto"
+
+    @property
+    def key(self) -> str:
+        """Names everything these inputs were read from: equal keys, equal inputs."""
+        return digest(self.digests, self.asset_frame)
 
 
 def read(folder: str | Path, *, ignore: Collection[str] = (), asset_frame: str = "auto") -> Inputs:
@@ -76,6 +83,7 @@ def read(folder: str | Path, *, ignore: Collection[str] = (), asset_frame: str =
         graph=graph,
         decisions=tuple(source.decisions),
         digests=dict(sorted(source.digests.items())),
+        asset_frame=asset_frame,
     )
 
 

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-import time
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
 
-import numpy as np
-
-from f3sr.errors import InputError
+from f3sr.cache import Store, digest
 from f3sr.inputs import Inputs
 from f3sr.measures import visible_iou
 from f3sr.proxies import ProxyConfig
 from f3sr.report import Decision, Measure, Report, keep_better
+from f3sr.runner import Progress, Runner
 from f3sr.scene import Scene
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.assemble import AssembleConfig, assemble
@@ -54,9 +49,8 @@ class RefineConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    """Every stage's settings; ``seed`` feeds the only random choices, the RANSAC triples of ``level``."""
+    """Every stage's settings."""
 
-    seed: int = 0
     assemble: AssembleConfig = field(default_factory=AssembleConfig)
     level: LevelConfig = field(default_factory=LevelConfig)
     align: AlignConfig = field(default_factory=AlignConfig)
@@ -75,7 +69,9 @@ class Reconstruction:
     direct: Scene
     reports: tuple[Report, ...]
     seconds: dict[str, float]
-    """Wall time per stage [s]."""
+    """Wall time [s] of every stage that was run."""
+    resumed: tuple[str, ...]
+    """Stages whose results came from the store."""
     config_digest: str
     """sha256 of the configuration."""
     evaluation: Evaluation | None = None
@@ -86,28 +82,34 @@ def reconstruct(
     config: Config | None = None,
     *,
     skip: Collection[str] = (),
-    progress: Callable[[str], None] = lambda _: None,
+    store: Store | None = None,
+    progress: Progress = lambda _: None,
 ) -> Reconstruction:
-    """Run every stage that is not skipped. Any stage but ``assemble`` may be skipped: a valid scene remains."""
-    config = config or Config()
-    run = _Run(skip, progress)
+    """Run every stage that is not skipped. Any stage but ``assemble`` may be skipped: a valid scene remains.
 
-    scene = run.stage("assemble", assemble, inputs, config.assemble)
-    scene = direct = run.stage("level", level, scene, config.level, rng=np.random.default_rng(config.seed))
-    scene = run.stage("align", align, scene, run.align_config(config.align))
+    Stages whose results are in ``store`` are not done again. ``progress`` is told of every stage.
+    """
+    config = config or Config()
+    key = digest(inputs.key, asdict(config.assemble))
+    run = Runner(key, skip=skip, skippable=SKIPPABLE, store=store, progress=progress)
+
+    scene = run.start("assemble", lambda: assemble(inputs, config.assemble))
+    scene = direct = run.stage("level", level, scene, config.level)
+    scene = run.stage("align", align, scene, _without(config.align, skip))
     scene = run.stage("relate", relate, scene, config.relate)
     scene = run.stage("decompose", decompose, scene, config.decompose)
     scene = run.stage("separate", separate, scene, config.separate)
     scene = run.stage("settle", settle, scene, config.settle)
     scene = run.stage("refine", refine, scene, config)
-    evaluation = run.timed("evaluate", evaluate, scene, direct)
+    evaluation = run.value("evaluate", lambda: evaluate(scene, direct), Evaluation.restored, Evaluation.stored)
 
     return Reconstruction(
         scene=scene,
         direct=direct,
         reports=tuple(run.reports),
         seconds=run.seconds,
-        config_digest=_digest(config),
+        resumed=tuple(run.resumed),
+        config_digest=digest(asdict(config)),
         evaluation=evaluation,
     )
 
@@ -131,47 +133,13 @@ def refine(scene: Scene, config: Config) -> tuple[Scene, Report]:
     return scene, Report(stage="refine", measures=measures, decisions=tuple(decisions))
 
 
+def _without(config: AlignConfig, skip: Collection[str]) -> AlignConfig:
+    return replace(
+        config,
+        camera=config.camera and "align-camera" not in skip,
+        objects=config.objects and "align-objects" not in skip,
+    )
+
+
 def _second(pair: tuple[Scene, float]) -> float:
     return pair[1]
-
-
-def _digest(config: Config) -> str:
-    values = json.dumps(asdict(config), sort_keys=True, default=str)
-    return hashlib.sha256(values.encode()).hexdigest()
-
-
-class _Run:
-    """Calls stages unless skipped, keeping their reports and times."""
-
-    def __init__(self, skip: Collection[str], progress: Callable[[str], None]) -> None:
-        if unknown := set(skip) - set(SKIPPABLE):
-            raise InputError("--skip", found=", ".join(sorted(unknown)), accepted=", ".join(SKIPPABLE))
-        self.skip, self.progress = frozenset(skip), progress
-        self.reports: list[Report] = []
-        self.seconds: dict[str, float] = {}
-
-    def stage(self, name: str, work: Callable[..., tuple[Scene, Report]], value: Any, *args: Any, **more: Any) -> Scene:
-        """The stage's scene, or ``value`` itself when the stage is skipped."""
-        result = self.timed(name, work, value, *args, **more)
-        if result is None:
-            return value
-        scene, report = result
-        self.reports.append(report)
-        return scene
-
-    def timed(self, name: str, work: Callable[..., Any], *args: Any, **more: Any) -> Any:
-        if name in self.skip:
-            self.progress(f"{name}: skipped")
-            return None
-        start = time.perf_counter()
-        result = work(*args, **more)
-        self.seconds[name] = time.perf_counter() - start
-        self.progress(f"{name}: {self.seconds[name]:.1f} s")
-        return result
-
-    def align_config(self, config: AlignConfig) -> AlignConfig:
-        return replace(
-            config,
-            camera=config.camera and "align-camera" not in self.skip,
-            objects=config.objects and "align-objects" not in self.skip,
-        )

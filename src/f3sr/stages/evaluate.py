@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Self
 
 from f3sr.frames import pose
 from f3sr.measures import Measures, measure
@@ -15,6 +16,15 @@ class Evaluation:
 
     result: Measures
     direct: Measures | None
+
+    def stored(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """As plain values, for a store."""
+        return {"result": asdict(self.result), "direct": asdict(self.direct) if self.direct else None}, {}
+
+    @classmethod
+    def restored(cls, document: dict[str, Any], _: dict[str, Any]) -> Self:
+        direct = document["direct"]
+        return cls(result=Measures(**document["result"]), direct=Measures(**direct) if direct else None)
 
 
 def evaluate(scene: Scene, direct: Scene | None, *, true_scale: float = 1.0) -> Evaluation:

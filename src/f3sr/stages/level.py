@@ -14,6 +14,8 @@ from f3sr.scene import Geometry, Ground, Scene
 
 @dataclass(frozen=True, kw_only=True)
 class LevelConfig:
+    seed: int = 0
+    """Of the RANSAC triples, any integer from 0 on."""
     max_points: int = 50_000
     """Ground points used, range [100, 1e6]; the report samples as many."""
     hypotheses: int = 400
@@ -39,15 +41,13 @@ class Plane:
     residual: float
 
 
-def level(
-    scene: Scene, config: LevelConfig | None = None, *, rng: np.random.Generator | None = None
-) -> tuple[Scene, Report]:
+def level(scene: Scene, config: LevelConfig | None = None) -> tuple[Scene, Report]:
     """Turn and shift the whole scene, camera included, so that the support surface is z = 0 (equations 4 to 6).
 
-    ``rng`` draws the RANSAC triples. Without any ground point the scene's lowest vertex becomes z = 0, a fallback.
+    Without any ground point the scene's lowest vertex becomes z = 0, a fallback.
     """
     config = config or LevelConfig()
-    rng = rng or np.random.default_rng(0)
+    rng = np.random.default_rng(config.seed)
     points, normals, source = _ground_points(scene, config, rng)
     if len(points) < 3:
         return _lowest_vertex(scene)

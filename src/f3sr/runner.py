@@ -1,0 +1,95 @@
+"""Runs the stages of one reconstruction: skips, resumes from stored results, keeps reports and times."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import asdict
+from typing import Any, TypeVar
+
+from f3sr import scene_state
+from f3sr.cache import Arrays, Store, code_version, digest
+from f3sr.errors import InputError
+from f3sr.report import Decision, Measure, Report
+from f3sr.scene import Scene
+
+T = TypeVar("T")
+Progress = Callable[[str], None]
+
+
+class Runner:
+    """Calls stage after stage. A stage's key hashes the code, the key before it, its name and its configuration, so a
+    stored result is taken exactly when everything it depends on is the same."""
+
+    def __init__(
+        self, key: str, *, skip: Collection[str], skippable: Sequence[str], store: Store | None, progress: Progress
+    ) -> None:
+        if unknown := sorted(set(skip) - set(skippable)):
+            raise InputError("--skip", found=", ".join(unknown), accepted=", ".join(skippable))
+        self.skip, self.store, self.progress = frozenset(skip), store, progress
+        self.key = digest(key, code_version())
+        self.reports: list[Report] = []
+        self.seconds: dict[str, float] = {}
+        self.resumed: list[str] = []
+        """Stages whose results were taken from the store."""
+
+    def start(self, name: str, work: Callable[[], tuple[Scene, Report]]) -> Scene:
+        """The first stage: always run, as it holds what the store does not."""
+        scene, report = self._timed(name, work)
+        self.reports.append(report)
+        return scene
+
+    def stage(
+        self, name: str, work: Callable[..., tuple[Scene, Report]], scene: Scene, config: Any, **more: Any
+    ) -> Scene:
+        """The scene after the stage; ``scene`` itself when the stage is skipped."""
+
+        def restored(document: Any, arrays: Arrays) -> tuple[Scene, Report]:
+            return scene_state.unpack(scene, document["scene"], arrays), _report(document["report"])
+
+        def stored(result: tuple[Scene, Report]) -> tuple[Any, Arrays]:
+            document, arrays = scene_state.pack(result[0])
+            return {"scene": document, "report": asdict(result[1])}, arrays
+
+        result = self.value(name, lambda: work(scene, config, **more), restored, stored, config)
+        if result is None:
+            return scene
+        self.reports.append(result[1])
+        return result[0]
+
+    def value(
+        self,
+        name: str,
+        work: Callable[[], T],
+        restored: Callable[[Any, Arrays], T],
+        stored: Callable[[T], tuple[Any, Arrays]],
+        config: Any = None,
+    ) -> T | None:
+        """A result from the store, else from ``work``; None when the stage is skipped."""
+        self.key = digest(self.key, name, name in self.skip, asdict(config) if config is not None else None)
+        if name in self.skip:
+            self.progress(f"{name}: skipped")
+            return None
+        if self.store and (found := self.store.load(self.key)):
+            self.resumed.append(name)
+            self.progress(f"{name}: from the cache")
+            return restored(*found)
+        result = self._timed(name, work)
+        if self.store:
+            self.store.save(self.key, *stored(result))
+        return result
+
+    def _timed(self, name: str, work: Callable[[], T]) -> T:
+        start = time.perf_counter()
+        result = work()
+        self.seconds[name] = time.perf_counter() - start
+        self.progress(f"{name}: {self.seconds[name]:.1f} s")
+        return result
+
+
+def _report(document: dict[str, Any]) -> Report:
+    return Report(
+        stage=document["stage"],
+        measures=tuple(Measure(**m) for m in document["measures"]),
+        decisions=tuple(Decision(**d) for d in document["decisions"]),
+    )

@@ -1,0 +1,75 @@
+"""What stages change in a scene, as plain JSON and arrays: everything but the photo, the masks and the meshes."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.frames import Array
+from f3sr.mesh import ConvexPart
+from f3sr.scene import Ground, Motion, Relation, Scene, SceneGraph, SceneObject, Support
+
+Arrays = dict[str, NDArray[Any]]
+PLAIN = ("mobility", "density", "friction", "rolling_friction", "restitution", "material", "supported_by", "scale")
+"""Fields of an object that JSON holds as they are."""
+
+
+def pack(scene: Scene) -> tuple[dict[str, Any], Arrays]:
+    """The changeable state of a scene; floats survive JSON exactly, as Python writes their shortest exact form."""
+    arrays: Arrays = {"T_world_camera": scene.camera.T_world_camera}
+    for o in scene:
+        arrays[f"T/{o.id}"] = o.T_world_object
+        for k, part in enumerate(o.parts):
+            arrays[f"vertices/{o.id}/{k}"] = part.vertices
+            arrays[f"faces/{o.id}/{k}"] = part.faces
+    ground = scene.ground
+    document = {
+        "ground": {
+            "normal": np.asarray(ground.normal, float).tolist(),
+            "offset": float(ground.offset),
+            "source": ground.source,
+            "confidence": float(ground.confidence),
+        },
+        "graph": {"source": scene.graph.source, "relations": [asdict(r) for r in scene.graph.relations]},
+        "objects": {str(o.id): _pack_object(o) for o in scene},
+    }
+    return document, arrays
+
+
+def unpack(base: Scene, document: dict[str, Any], arrays: Arrays) -> Scene:
+    """The state put back onto the scene it was derived from: same ids, photo, masks and meshes."""
+    ground, graph = document["ground"], document["graph"]
+    return replace(
+        base,
+        camera=base.camera.moved(arrays["T_world_camera"]),
+        ground=Ground(**ground | {"normal": np.array(ground["normal"])}),
+        graph=SceneGraph(source=graph["source"], relations=tuple(Relation(**r) for r in graph["relations"])),
+        objects=tuple(_unpack_object(o, document["objects"][str(o.id)], arrays) for o in base),
+    )
+
+
+def _pack_object(o: SceneObject) -> dict[str, Any]:
+    return {
+        "plain": {name: getattr(o, name) for name in PLAIN},
+        "parts": len(o.parts),
+        "supports": [asdict(s) for s in o.supports],
+        "motion": [asdict(m) for m in o.motion],
+    }
+
+
+def _unpack_object(o: SceneObject, state: dict[str, Any], arrays: Arrays) -> SceneObject:
+    def part(k: int) -> ConvexPart:
+        return ConvexPart(vertices=arrays[f"vertices/{o.id}/{k}"], faces=arrays[f"faces/{o.id}/{k}"])
+
+    T: Array = arrays[f"T/{o.id}"]
+    return replace(
+        o,
+        T_world_object=T,
+        parts=tuple(part(k) for k in range(state["parts"])),
+        supports=tuple(Support(**s) for s in state["supports"]),
+        motion=tuple(Motion(**m | {"translation": tuple(m["translation"])}) for m in state["motion"]),
+        **state["plain"],
+    )

@@ -1,0 +1,99 @@
+"""Stored results: exact round trips, keys that name all they depend on, resumed runs equal to cold ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from f3sr import inputs, scene_state
+from f3sr.cache import Store, digest
+from f3sr.pipeline import Config, reconstruct
+from f3sr.scene import Motion
+from folders import write_folder
+from scenes import box_stack_scene
+
+STAGES = ("level", "align", "relate", "decompose", "separate", "settle", "refine", "evaluate")
+
+
+@pytest.fixture(scope="module")
+def given(tmp_path_factory: pytest.TempPathFactory) -> inputs.Inputs:
+    folder = tmp_path_factory.mktemp("cache") / "input"
+    write_folder(folder, perturb=0.05, seed=1)
+    return inputs.read(folder)
+
+
+def test_a_scene_comes_back_exactly(tmp_path: Path):
+    base = box_stack_scene()
+    note = Motion(stage="test", translation=(0.1, 1 / 3, 0.0), rotation=0.7, scale=1.1, reason='ü "quoted"')
+    changed = base.with_objects(replace(base[1], scale=1 / 3, supported_by=None, motion=(note,), friction=0.123))
+    store = Store(tmp_path)
+    store.save("key", *scene_state.pack(changed))
+    found = store.load("key")
+    assert found is not None
+    scene = scene_state.unpack(base, *found)
+    for a, b in zip(changed, scene, strict=True):
+        assert np.array_equal(a.T_world_object, b.T_world_object) and a.scale == b.scale and a.motion == b.motion
+        assert a.supported_by == b.supported_by and a.supports == b.supports and a.friction == b.friction
+        assert all(np.array_equal(p.vertices, q.vertices) for p, q in zip(a.parts, b.parts, strict=True))
+    assert scene.graph == changed.graph and np.array_equal(scene.camera.T_world_camera, changed.camera.T_world_camera)
+
+
+def test_damaged_and_missing_entries_are_none_and_made_anew(tmp_path: Path):
+    store = Store(tmp_path)
+    assert store.load("key") is None
+    store.save("key", {"a": 1.5}, {"x": np.arange(3)})
+    data = (tmp_path / "key.npz").read_bytes()
+    for spoiled in (b"", data[: len(data) // 2], data.replace(b"1.5", b"9.5")):
+        (tmp_path / "key.npz").write_bytes(spoiled)
+        assert store.load("key") is None
+    store.save("key", {"a": 1.5}, {"x": np.arange(3)})
+    found = store.load("key")
+    assert found is not None and found[0] == {"a": 1.5} and np.array_equal(found[1]["x"], [0, 1, 2])
+    assert [p.name for p in tmp_path.iterdir()] == ["key.npz"]
+
+
+def test_a_store_that_cannot_write_keeps_nothing(tmp_path: Path):
+    (tmp_path / "file").write_text("")
+    store = Store(tmp_path / "file" / "below")
+    store.save("key", {}, {})
+    assert store.load("key") is None
+
+
+def test_resumed_runs_give_exactly_what_cold_ones_give(given: inputs.Inputs, tmp_path: Path):
+    store = Store(tmp_path)
+    cold = reconstruct(given, store=store)
+    assert cold.resumed == ()
+    part_way = sorted(tmp_path.iterdir(), key=lambda p: p.stat().st_mtime_ns)[4:]
+    for p in part_way:
+        p.unlink()
+    for expected in (STAGES[:4], STAGES):
+        again = reconstruct(given, store=store)
+        assert again.resumed == expected
+        assert again.reports == cold.reports and again.evaluation == cold.evaluation
+        for o in cold.scene:
+            assert np.array_equal(o.T_world_object, again.scene[o.id].T_world_object)
+            assert o.motion == again.scene[o.id].motion
+
+
+def test_a_changed_setting_repeats_its_stage_and_what_follows(given: inputs.Inputs, tmp_path: Path):
+    store = Store(tmp_path)
+    quick = replace(Config(), refine=replace(Config().refine, rounds=0))
+    reconstruct(given, quick, store=store, skip=["evaluate"])
+    other = replace(quick, separate=replace(quick.separate, clearance=1e-3))
+    assert reconstruct(given, other, store=store, skip=["evaluate"]).resumed == STAGES[:4]
+    assert reconstruct(given, quick, store=store, skip=["evaluate", "relate"]).resumed == STAGES[:2]
+
+
+def test_keys_name_every_byte_read(tmp_path: Path):
+    write_folder(tmp_path / "a")
+    write_folder(tmp_path / "b")
+    key = inputs.read(tmp_path / "a").key
+    assert inputs.read(tmp_path / "b").key == key, "the place does not matter"
+    assert inputs.read(tmp_path / "a", ignore=["ground"]).key != key
+    path = tmp_path / "b/assets/poses.json"
+    path.write_bytes(path.read_bytes() + b" ")
+    assert inputs.read(tmp_path / "b").key != key
+    assert digest(1, "2") != digest("1", 2)
