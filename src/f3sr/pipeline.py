@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import asdict, dataclass, field, replace
 
+import numpy as np
+
 from f3sr.cache import Store, digest
+from f3sr.frames import rotation_angle
 from f3sr.inputs import Inputs
 from f3sr.measures import visible_iou
 from f3sr.proxies import ProxyConfig
 from f3sr.report import Decision, Measure, Report, keep_better
 from f3sr.runner import Progress, Runner
-from f3sr.scene import Scene
+from f3sr.scene import Scene, SceneObject
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.assemble import AssembleConfig, assemble
 from f3sr.stages.decompose import decompose
@@ -29,8 +32,14 @@ SKIPPABLE = (
 
 @dataclass(frozen=True, kw_only=True)
 class RefineConfig:
-    """Re-alignment of objects that already rest: they turn about the vertical, shift horizontally and scale about
-    their base, then are separated and settled again."""
+    """What is tried again once everything rests, and kept where the picture gains.
+
+    Objects that toppled are stood on their nearest stable facet before physics. Then all are re-aligned under contact:
+    they turn about the vertical, shift horizontally and scale about their base, and are separated and settled again.
+    """
+
+    topple: float = np.deg2rad(20)
+    """A turn while settling from which on an object has toppled [rad], range (0, pi]; the report's instability."""
 
     rounds: int = 2
     """Most rounds, range [0, 10]; a round that does not improve the picture is undone and ends it."""
@@ -98,9 +107,9 @@ def reconstruct(
     scene = run.stage("align", align, scene, _without(config.align, skip))
     scene = run.stage("relate", relate, scene, config.relate)
     scene = run.stage("decompose", decompose, scene, config.decompose)
-    scene = run.stage("separate", separate, scene, config.separate)
+    scene = parted = run.stage("separate", separate, scene, config.separate)
     scene = run.stage("settle", settle, scene, config.settle)
-    scene = run.stage("refine", refine, scene, config)
+    scene = run.stage("refine", refine, scene, config, parted=parted)
     evaluation = run.value("evaluate", lambda: evaluate(scene, direct), Evaluation.restored, Evaluation.stored)
 
     return Reconstruction(
@@ -114,23 +123,45 @@ def reconstruct(
     )
 
 
-def refine(scene: Scene, config: Config) -> tuple[Scene, Report]:
-    """Align again what rests, under contact, and keep it where the picture gains and the scene still rests."""
-    decisions: list[Decision] = []
-    before = kept = visible_iou(scene)
+def refine(scene: Scene, config: Config, *, parted: Scene) -> tuple[Scene, Report]:
+    """Stand up what toppled since ``parted``, then align again what rests, each kept where the picture gains."""
+    before = visible_iou(scene)
+    scene, decisions = _stand_up(scene, parted, config)
     for _ in range(config.refine.rounds):
         moved, _ = align(scene, config.refine.align)
-        moved, _ = separate(moved, config.separate)
-        moved, settled = settle(moved, config.settle)
-        gained = visible_iou(moved) if settled.value("at rest") else 0.0
-        (scene, kept), decision = keep_better(
-            (scene, kept), (moved, gained), score=_second, step="re-alignment under contact", measure="mIoU_visible"
-        )
+        kept, decision = _settled_again(scene, moved, "re-alignment under contact", config)
         decisions.append(decision)
-        if scene is not moved:
+        if kept is scene:
             break
-    measures = (Measure(name="mIoU_visible", before=before, after=kept),)
+        scene = kept
+    measures = (Measure(name="mIoU_visible", before=before, after=visible_iou(scene)),)
     return scene, Report(stage="refine", measures=measures, decisions=tuple(decisions))
+
+
+def _stand_up(scene: Scene, parted: Scene, config: Config) -> tuple[Scene, list[Decision]]:
+    """Put what toppled on its nearest stable facet, whatever that costs its own silhouette, and settle anew."""
+    toppled = [o.id for o in scene if _turn(parted[o.id], o) > config.refine.topple]
+    if not toppled:
+        return scene, []
+    upright, _ = align(parted, replace(config.align, camera=False, tilt_loss=1.0), only=toppled)
+    step = f"standing up what toppled ({', '.join(map(str, toppled))})"
+    kept, decision = _settled_again(scene, upright, step, config)
+    return kept, [decision]
+
+
+def _settled_again(scene: Scene, moved: Scene, step: str, config: Config) -> tuple[Scene, Decision]:
+    """``moved``, separated and settled, where it rests and shows more of the photo than ``scene``, else ``scene``."""
+    moved, _ = separate(moved, config.separate)
+    moved, settled = settle(moved, config.settle)
+    gained = visible_iou(moved) if settled.value("at rest") else 0.0
+    (kept, _), decision = keep_better(
+        (scene, visible_iou(scene)), (moved, gained), score=_second, step=step, measure="mIoU_visible"
+    )
+    return kept, decision
+
+
+def _turn(a: SceneObject, b: SceneObject) -> float:
+    return rotation_angle(b.T_world_object[:3, :3] @ a.T_world_object[:3, :3].T)
 
 
 def _without(config: AlignConfig, skip: Collection[str]) -> AlignConfig:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -30,9 +30,9 @@ class AlignConfig:
     freedom: Literal["image", "support"] = "image"
     """Objects shift in the image plane and scale about their middle (equation 8), or, where they already rest, shift
     horizontally and scale about the middle of their base, so that they stay on their support."""
-    max_tilt: float = np.deg2rad(15)
+    max_tilt: float = np.deg2rad(25)
     """An object is tried on its nearest stable facet when that is within this turn [rad], range [0, pi/2]; 0: never.
-    Generated poses tilt by up to about ten degrees."""
+    Generated poses tilt by up to twenty degrees; the picture guards what is turned."""
     tilt_loss: float = 0.02
     """IoU that standing on a facet may cost, range [0, 1]: physics would turn the object there anyway."""
     camera_rotation: float = np.deg2rad(1)
@@ -59,10 +59,13 @@ class AlignConfig:
     weights: LossWeights = field(default_factory=LossWeights)
 
 
-def align(scene: Scene, config: AlignConfig | None = None) -> tuple[Scene, Report]:
+def align(
+    scene: Scene, config: AlignConfig | None = None, *, only: Collection[int] | None = None
+) -> tuple[Scene, Report]:
     """Refine the camera against the union of masks (equation 7), then each object from that camera (8, 9).
 
     Every step is kept only if its IoU does not drop. An object is compared only where nearer objects leave it visible.
+    ``only`` names the objects to refine, all by default.
     """
     config = config or AlignConfig()
     decisions: list[Decision] = []
@@ -77,7 +80,7 @@ def align(scene: Scene, config: AlignConfig | None = None) -> tuple[Scene, Repor
             return _align_object(o, valid[o.id], scene.camera, config)
 
         with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
-            results = list(pool.map(work, scene.objects))
+            results = list(pool.map(work, [o for o in scene if only is None or o.id in only]))
         scene = scene.with_objects(*(o for o, _ in results))
         decisions += [d for _, several in results for d in several]
     after = _ious(scene, config)

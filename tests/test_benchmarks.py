@@ -1,0 +1,86 @@
+"""Laws of the benchmark's comparison: regressions show in both directions, and a baseline loses nothing by itself."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+FOLDER = Path(__file__).parents[1] / "benchmarks"
+
+
+def load(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"benchmarks_{name}", FOLDER / f"{name}.py")
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+baseline = load("baseline")
+
+
+def group(**values: tuple[float, str, float]):
+    measures = {
+        name: baseline.Expected(value=value, direction=direction, tolerance=tolerance, unit="u", why="because")
+        for name, (value, direction, tolerance) in values.items()
+    }
+    return baseline.Group(scenes=("a", "b"), measures=measures)
+
+
+@pytest.fixture
+def expected():
+    return group(mIoU=(0.9, "higher", 0.01), K_max_J=(0.002, "lower", 0.001))
+
+
+def test_within_tolerance_there_is_nothing_to_say(expected) -> None:
+    comparison = baseline.compare(expected, {"mIoU": 0.892, "K_max_J": 0.0029, "unlisted": 5.0})
+    assert comparison == baseline.Comparison(problems=(), gains=())
+
+
+@pytest.mark.parametrize(("name", "worse", "better"), [("mIoU", 0.88, 0.92), ("K_max_J", 0.0031, 0.0009)])
+def test_beyond_tolerance_worse_is_a_problem_and_better_a_gain(
+    expected, name: str, worse: float, better: float
+) -> None:
+    means = {"mIoU": 0.9, "K_max_J": 0.002}
+    bad = baseline.compare(expected, {**means, name: worse})
+    good = baseline.compare(expected, {**means, name: better})
+    assert [line.split()[0] for line in bad.problems] == [name] and not bad.gains
+    assert [line.split()[0] for line in good.gains] == [name] and not good.problems
+
+
+def test_a_tolerance_of_zero_allows_the_value_itself() -> None:
+    crossings = group(N_cross=(0.0, "lower", 0.0))
+    assert not baseline.compare(crossings, {"N_cross": 0.0}).problems
+    assert baseline.compare(crossings, {"N_cross": 0.1}).problems
+
+
+@pytest.mark.parametrize("value", [None, math.nan, math.inf, -math.inf])
+def test_a_missing_or_meaningless_measure_is_an_error(expected, value: float | None) -> None:
+    means = {"mIoU": 0.9} if value is None else {"mIoU": 0.9, "K_max_J": value}
+    (problem,) = baseline.compare(expected, means).problems
+    assert problem.startswith("K_max_J: missing" if value is None else "K_max_J: not finite")
+    with pytest.raises(ValueError, match="K_max_J"):
+        baseline.updated(expected, means)
+
+
+def test_update_changes_values_only(expected, tmp_path: Path) -> None:
+    new = baseline.updated(expected, {"mIoU": 0.912345, "K_max_J": 0.5, "unlisted": 1.0})
+    assert new == group(mIoU=(0.9123, "higher", 0.01), K_max_J=(0.5, "lower", 0.001))
+    file = tmp_path / "baseline.json"
+    baseline.write({"rendered": new}, file)
+    assert baseline.read(file) == {"rendered": new}
+
+
+def test_the_committed_baseline_is_whole() -> None:
+    for name, kept in baseline.read().items():
+        assert kept.scenes, name
+        for measure, expected in kept.measures.items():
+            assert expected.direction in ("higher", "lower"), measure
+            assert expected.tolerance >= 0 and math.isfinite(expected.value) and expected.why, measure
+        assert not baseline.compare(kept, {m: e.value for m, e in kept.measures.items()}).problems
