@@ -60,6 +60,12 @@ def test_a_tolerance_of_zero_allows_the_value_itself() -> None:
     assert baseline.compare(crossings, {"N_cross": 0.1}).problems
 
 
+def test_rounding_of_kept_values_is_no_regression() -> None:
+    thirds = group(fixed=(0.0, "lower", 0.0), n=(0.0, "higher", 0.0))
+    means = {"fixed": 1 / 3, "n": 20 / 3}
+    assert baseline.compare(baseline.updated(thirds, means), means) == baseline.Comparison(problems=(), gains=())
+
+
 @pytest.mark.parametrize("value", [None, math.nan, math.inf, -math.inf])
 def test_a_missing_or_meaningless_measure_is_an_error(expected, value: float | None) -> None:
     means = {"mIoU": 0.9} if value is None else {"mIoU": 0.9, "K_max_J": value}

@@ -1,0 +1,56 @@
+"""Run the f3sr command line as it is and note where its time goes around the stages.
+
+usage: timed_cli.py TIMES.json reconstruct FOLDER -o OUT --json
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+Steps = dict[str, dict[str, float]]
+"""``wall`` and ``cpu`` seconds by step; cpu includes ended child processes."""
+
+
+def main() -> int:
+    """Exit code of the command; the steps go to the file named first."""
+    steps: Steps = {}
+    modules = _timed(_modules, "import", steps)()
+    for step, module, name in (
+        ("read", "inputs", "read"),
+        ("kernels", "kernels", "warm_up"),
+        ("stages", "pipeline", "reconstruct"),
+        ("decompose", "pipeline", "decompose"),
+        ("pictures", "pictures", "pictures_of"),
+        ("package", "package", "write_package"),
+    ):
+        setattr(modules[module], name, _timed(getattr(modules[module], name), step, steps))
+    code = modules["cli"].main(sys.argv[2:])
+    Path(sys.argv[1]).write_text(json.dumps(steps))
+    return code
+
+
+def _modules() -> dict[str, Any]:
+    names = ("cli", "inputs", "kernels", "package", "pictures", "pipeline")
+    return {name: importlib.import_module(f"f3sr.{name}") for name in names}
+
+
+def _timed(work: Callable[..., Any], step: str, steps: Steps) -> Callable[..., Any]:
+    def run(*args: Any, **more: Any) -> Any:
+        wall, cpu = time.perf_counter(), sum(os.times()[:4])
+        try:
+            return work(*args, **more)
+        finally:
+            steps[step] = {"wall": time.perf_counter() - wall, "cpu": sum(os.times()[:4]) - cpu}
+
+    return run
+
+
+if __name__ == "__main__":
+    sys.exit(main())
