@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -164,6 +165,36 @@ def remove(*names: str) -> Callable[[Path], None]:
     return lambda f: [(f / n).unlink() for n in names] and None
 
 
+def replaced(name: str, make: Callable[[Path], None]) -> Callable[[Path], None]:
+    def apply(folder: Path) -> None:
+        (folder / name).unlink()
+        make(folder / name)
+
+    return apply
+
+
+def flat_mesh(folder: Path) -> None:
+    from f3sr.mesh_io import load_mesh, save_glb
+
+    mesh = load_mesh(folder / "assets/02.glb")
+    save_glb(mesh.with_vertices(mesh.vertices * [1, 1, 0]), folder / "assets/02.glb")
+
+
+def on_one_ray(folder: Path) -> None:
+    points = np.zeros((HEIGHT // 2, WIDTH // 2, 3), np.float32) + np.array([0, 0, 1], np.float32)
+    geometry(points=points, intrinsics=None)(folder)
+
+
+def bomb(folder: Path) -> None:
+    """A header that claims 4 GB, deflated to nothing much."""
+    import zipfile
+
+    with zipfile.ZipFile(folder / "geometry.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        with archive.open("points.npy", "w", force_zip64=True) as file:
+            for _ in range(2100):
+                file.write(bytes(1_000_000))
+
+
 EMPTY = np.zeros((HEIGHT, WIDTH))
 
 WRONG: dict[str, tuple[Callable[[Path], None], str, str]] = {
@@ -187,6 +218,23 @@ WRONG: dict[str, tuple[Callable[[Path], None], str, str]] = {
         "poses.json", "unknown masks 99.png",
     ),
     "two poses for a mask": (poses(lambda d: d["objects"].append(d["objects"][0])), "poses.json", "two poses"),
+    "focal length in pixels": (geometry(intrinsics=camera().K), "geometry.npz", "44160"),
+    "focal length negative": (geometry(intrinsics=np.diag([-1.0, 1, 1])), "geometry.npz", "K ="),
+    "a bomb of points": (bomb, "geometry.npz", "bytes of arrays"),
+    "points on one ray": (on_one_ray, "geometry.npz", "one line of sight"),
+    "id too long": (mask("99999999999999999999_x.png", EMPTY + 255), "masks", "the id of"),
+    "mask of another kind": (write("masks/08_x.jpg", b""), "masks", "08_x.jpg"),
+    "photo is a pipe": (replaced("image.png", os.mkfifo), "image.png", "no regular file"),
+    "photo links to itself": (replaced("image.png", lambda p: p.symlink_to(p.name)), "input", "image.png"),
+    "mesh name with NUL": (entry(mesh="a\0b.glb"), "assets", "path"),
+    "mesh name with a lone surrogate": (entry(mesh="\ud800.glb"), "assets", "path"),
+    "mask name with a path": (entry(mask="/etc/02_big_box.png"), "poses.json", "mask"),
+    "scale tiny": (entry(scale=[1e-30] * 3), "poses.json", "an object 2 of"),
+    "scale huge": (entry(scale=[1e30] * 3), "poses.json", "an object 2 of"),
+    "a number of 6000 digits": (
+        write("assets/poses.json", b'{"a": ' + b"9" * 6000 + b"}"), "poses.json", "no valid JSON",
+    ),
+    "flat mesh": (flat_mesh, "02.glb", "flat"),
     "mesh file missing": (entry(mesh="nope.glb"), "nope.glb", "No such file"),
     "mesh path escapes": (entry(mesh="../../../etc/passwd"), "assets", "leaves the folder"),
     "absolute mesh path": (entry(mesh="/etc/passwd"), "assets", "leaves the folder"),

@@ -13,10 +13,12 @@ from f3sr import sam3d
 from f3sr.errors import InputError
 from f3sr.folder import InputFolder
 from f3sr.frames import Array, pose
-from f3sr.mesh import Mesh
+from f3sr.mesh import ConvexPart, Mesh
 from f3sr.mesh_io import load_mesh
 from f3sr.point_maps import camera_frame
 
+MIN_SIZE, MAX_SIZE = 1e-3, 1e3
+"""Sizes of objects accepted, in metres of the geometry: single-precision files and contact margins end there."""
 ASSET_FRAMES = ("auto", "opencv", "opengl", "pytorch3d")
 
 
@@ -35,15 +37,37 @@ def read_assets(folder: InputFolder, masks: Mapping[int, str], frame: str) -> di
         raise InputError(
             folder.root / "assets", found="no assets", accepted="assets/poses.json with GLBs, or one posed GLB per mask"
         )
-    if folder.has("assets/poses.json"):
-        return _sam3d_assets(folder, masks)
-    return _posed_assets(folder, masks, frame)
+    given = folder.has("assets/poses.json")
+    assets = _sam3d_assets(folder, masks) if given else _posed_assets(folder, masks, frame)
+    _require_size(folder.path("assets/poses.json" if given else "assets"), assets)
+    return assets
+
+
+def _solid_enough(path: Path, mesh: Mesh) -> Mesh:
+    """The mesh, if it can have a place and a volume in a scene."""
+    try:
+        ConvexPart.hull_of(mesh.vertices)
+    except ValueError as error:
+        raise InputError(
+            path, found="a flat mesh without any thickness", accepted="a mesh that spans a volume"
+        ) from error
+    return mesh
+
+
+def _require_size(path: Path, assets: Mapping[int, PosedAsset]) -> None:
+    """Every object between MIN_SIZE and MAX_SIZE: beyond them is another unit, or a mistake."""
+    for id, asset in assets.items():
+        size = asset.scale * asset.mesh.diagonal
+        if not MIN_SIZE <= size <= MAX_SIZE:
+            raise InputError(
+                path, found=f"an object {id} of {size:.3g} m", accepted=f"objects of {MIN_SIZE} to {MAX_SIZE:.0f} m"
+            )
 
 
 def _sam3d_assets(folder: InputFolder, masks: Mapping[int, str]) -> dict[int, PosedAsset]:
     path = folder.path("assets/poses.json")
     document = folder.document("assets/poses.json", sam3d.Poses)
-    by_mask = {Path(p.mask).name: p for p in document.objects}
+    by_mask = {p.mask: p for p in document.objects}
     if len(by_mask) != len(document.objects):
         raise InputError(path, found="two poses for one mask", accepted="one pose per mask")
     names = set(masks.values())
@@ -54,7 +78,8 @@ def _sam3d_assets(folder: InputFolder, masks: Mapping[int, str]) -> dict[int, Po
     assets: dict[int, PosedAsset] = {}
     for id, name in masks.items():
         entry = by_mask[name]
-        mesh = load_mesh(folder.file(entry.mesh, base="assets"))
+        file = folder.file(entry.mesh, base="assets")
+        mesh = _solid_enough(file, load_mesh(file))
         R, t = entry.camera_pose()
         assets[id] = PosedAsset(
             mesh=mesh.with_vertices(mesh.vertices @ sam3d.LOCAL_FROM_GLB.T),
@@ -78,7 +103,7 @@ def _posed_assets(folder: InputFolder, masks: Mapping[int, str], frame: str) -> 
                 found=f"no GLB for mask {name} among {names}",
                 accepted="one posed GLB per mask, named by the mask's stem or id",
             )
-        mesh = load_mesh(folder.file(f"assets/{path.name}"))
+        mesh = _solid_enough(path, load_mesh(folder.file(f"assets/{path.name}")))
         vertices = mesh.vertices @ _posed_frame(path, mesh, frame).T
         center = (vertices.min(0) + vertices.max(0)) / 2
         assets[id] = PosedAsset(

@@ -29,7 +29,11 @@ class InputFolder:
     def path(self, relative: str, *, base: str = "") -> Path:
         """A path of the folder; one that leaves it is refused."""
         path = self.root / base / relative
-        if Path(relative).is_absolute() or not path.resolve().is_relative_to(self.root.resolve()):
+        try:
+            inside = not Path(relative).is_absolute() and path.resolve().is_relative_to(self.root.resolve())
+        except (OSError, ValueError, RuntimeError) as error:  # NUL bytes, lone surrogates, loops of links
+            raise InputError(self.root / base, found=f"the path {relative!r}", accepted="a usable path") from error
+        if not inside:
             raise InputError(
                 self.root / base, found=f"the path {relative!r} that leaves the folder", accepted="paths inside it"
             )
@@ -39,6 +43,8 @@ class InputFolder:
         """A readable file of the folder, its sha256 noted."""
         path = self.path(relative, base=base)
         try:
+            if path.exists() and not path.is_file():
+                raise InputError(path, found="no regular file", accepted="a readable file")
             data = path.read_bytes()
         except OSError as error:
             raise InputError(path, found=error.strerror or "unreadable", accepted="a readable file") from error
@@ -53,7 +59,7 @@ class InputFolder:
         path = self.file(relative)
         try:
             value = json.loads(path.read_text("utf-8"))
-        except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        except (ValueError, RecursionError) as error:
             raise InputError(path, found=f"no valid JSON ({error})", accepted="a JSON document") from error
         try:
             return model.model_validate(value)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageOps
 
 from f3sr.errors import InputError
 
@@ -15,9 +16,10 @@ MAX_PIXELS = 100_000_000
 
 
 def open_image(path: Path) -> Image.Image:
-    """A decoded PNG or JPEG image; InputError when it is unreadable or too large."""
+    """A decoded PNG or JPEG image, turned as its EXIF orientation says; InputError when unreadable or too large."""
     try:
-        with Image.open(path, formats=("PNG", "JPEG")) as image:
+        with warnings.catch_warnings(), Image.open(path, formats=("PNG", "JPEG")) as image:
+            warnings.simplefilter("ignore")  # PIL's own, lower limit
             if image.width * image.height > MAX_PIXELS:
                 raise InputError(
                     path,
@@ -25,8 +27,8 @@ def open_image(path: Path) -> Image.Image:
                     accepted=f"at most {MAX_PIXELS:,} pixels",
                 )
             image.load()
-            return image.copy()
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+            return ImageOps.exif_transpose(image)
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, RuntimeError) as error:
         raise InputError(path, found=f"no readable image ({error})", accepted="a PNG or JPEG image") from error
 
 

@@ -17,6 +17,8 @@ from f3sr.scene import Photo
 
 MAX_OVERLAP = 0.05
 """Share of the smaller mask that two masks may overlap by; the pixels then go to the smaller one."""
+MAX_ID_DIGITS = 8
+"""Longer numbers are hashes or dates, not ids."""
 MIN_PIXELS = 16
 """A smaller mask holds no usable silhouette."""
 
@@ -35,7 +37,9 @@ class Instance:
 def read_instances(folder: InputFolder, photo: Photo) -> tuple[Instance, ...]:
     """The objects by id, their masks disjoint."""
     place = folder.path("masks")
-    names = sorted(p.name for p in place.glob("*.png")) if place.is_dir() else []
+    names = sorted(p.name for p in place.iterdir() if not p.name.startswith(".")) if place.is_dir() else []
+    if strange := [name for name in names if not name.endswith(".png")]:
+        raise InputError(place, found=strange[0], accepted="nothing but *.png files")
     if not names:
         raise InputError(place, found="no masks", accepted="masks/*.png, one binary mask per object")
     ids = _ids(place, [Path(name).stem for name in names])
@@ -109,6 +113,8 @@ def _ids(folder: Path, stems: Sequence[str]) -> list[tuple[int, str]]:
             found=f"names with and without an id ({without[0]}.png)",
             accepted="ids in all names, or in none",
         )
+    if long := [s for s, m in zip(stems, matches, strict=True) if m and len(m.group(1).lstrip("0")) > MAX_ID_DIGITS]:
+        raise InputError(folder, found=f"the id of {long[0]}.png", accepted=f"ids of at most {MAX_ID_DIGITS} digits")
     ids = [(int(m.group(1)), _label(m.group(2))) for m in matches if m]
     seen: dict[int, str] = {}
     for stem, (id, _) in zip(stems, ids, strict=True):

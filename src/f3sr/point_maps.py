@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,15 @@ from f3sr.frames import Array
 from f3sr.images import open_image
 from f3sr.sam3d import OPENCV_FROM_PYTORCH3D
 from f3sr.scene import Geometry, Photo
+
+KEYS = ("points", "pointmap", "pcd", "mask", "normal", "intrinsics", "coordinate_system")
+"""Arrays of geometry.npz that mean something here."""
+MAX_BYTES = 2_000_000_000
+"""Most bytes these may inflate to: points and normals of a photo of the largest size accepted, in half precision."""
+MIN_FOCAL, MAX_FOCAL = 0.1, 30.0
+"""Focal lengths accepted, in longer image sides: from wider than any rectilinear lens to a 1000 mm telephoto."""
+
+Row = tuple[float, float, float]
 
 CAMERA_FRAMES = {
     "opencv": np.eye(3),
@@ -61,48 +71,58 @@ def _point_map(folder: InputFolder, photo: Photo) -> tuple[Geometry, Array]:
     _require_valid(path, geometry)
     intrinsics = _array(path, data, "intrinsics", (3, 3))
     if intrinsics is None:
-        K = _fit_intrinsics(geometry, photo)
+        K = _checked_K(path, _fit_intrinsics(path, geometry, photo), photo)
         folder.decide(
             f"camera: focal length {K[0, 0]:.1f} px fitted to the points",
             "no intrinsics in geometry.npz",
             fallback=True,
         )
         return geometry, K
-    return geometry, _checked_K(path, intrinsics.astype(float) * [[photo.width], [photo.height], [1]])
+    return geometry, _checked_K(path, intrinsics.astype(float) * [[photo.width], [photo.height], [1]], photo)
 
 
 def _depth_map(folder: InputFolder, name: str, photo: Photo) -> tuple[Geometry, Array]:
     meta = folder.document("intrinsics.json", _Intrinsics)
     path = folder.file(name)
     values = _load_npy(path) if path.suffix == ".npy" else _load_png(path)
-    if values.ndim != 2:
-        raise InputError(path, found=f"an array of shape {values.shape}", accepted="one depth value per pixel")
+    if values.ndim != 2 or values.dtype.kind not in "fiu" or not values.size:
+        raise InputError(path, found=f"an array {values.shape} of {values.dtype}", accepted="(h, w) numbers")
     h, w = values.shape
     if meta.width and meta.height and (w / h) * (meta.height / meta.width) != 1:
         raise InputError(path, found=f"{w}x{h} pixels", accepted=f"the aspect of {meta.width}x{meta.height}")
     width, height = meta.width or w, meta.height or h
-    K = _checked_K(folder.path("intrinsics.json"), np.asarray(meta.K, float))
+    K_depth = np.asarray(meta.K, float)
+    K = _checked_K(
+        folder.path("intrinsics.json"), K_depth * [[photo.width / width], [photo.height / height], [1]], photo
+    )
     depth = values.astype(float) * meta.depth_scale
     valid = np.isfinite(depth) & (depth > 0)
-    rays = _pixel_rays(K * [[w / width], [h / height], [1]], w, h)
+    rays = _pixel_rays(K_depth * [[w / width], [h / height], [1]], w, h)
     points = np.where(valid[..., None], rays * np.where(valid, depth, 0)[..., None], 0)
     geometry = Geometry(points=points.astype(np.float32), valid=valid)
     _require_valid(path, geometry)
-    return geometry, K * [[photo.width / width], [photo.height / height], [1]]
+    return geometry, K
 
 
 class _Intrinsics(BaseModel):
     model_config = ConfigDict(allow_inf_nan=False)
-    K: list[list[float]] = Field(min_length=3, max_length=3)
-    width: int | None = Field(default=None, gt=0)
-    height: int | None = Field(default=None, gt=0)
+    K: tuple[Row, Row, Row]
+    width: int | None = Field(default=None, gt=0, le=100_000)
+    height: int | None = Field(default=None, gt=0, le=100_000)
     depth_scale: float = Field(default=0.001, gt=0)
 
 
 def _open_npz(path: Path) -> dict[str, NDArray[Any]]:
+    """The arrays this module reads; others are left alone. Sizes are checked before anything is inflated."""
     try:
+        with zipfile.ZipFile(path) as archive:
+            size = sum(i.file_size for i in archive.infolist() if Path(i.filename).stem in KEYS)
+        if size > MAX_BYTES:
+            raise InputError(path, found=f"{size:,} bytes of arrays", accepted=f"at most {MAX_BYTES:,}")
         with np.load(path, allow_pickle=False) as archive:
-            return {k: archive[k] for k in archive.files}
+            return {k: archive[k] for k in archive.files if k in KEYS}
+    except InputError:
+        raise
     except Exception as error:  # numpy and zipfile raise many kinds for a broken archive
         raise InputError(path, found=f"no readable npz ({error})", accepted="an npz archive of arrays") from error
 
@@ -113,8 +133,11 @@ def _load_png(path: Path) -> NDArray[Any]:
 
 def _load_npy(path: Path) -> NDArray[Any]:
     try:
-        return cast("NDArray[Any]", np.load(path, allow_pickle=False))
-    except (OSError, ValueError, EOFError) as error:
+        values = np.load(path, mmap_mode="r", allow_pickle=False)
+        if not isinstance(values, np.ndarray):
+            raise ValueError("an archive of arrays")
+        return values
+    except (OSError, ValueError, EOFError, MemoryError, OverflowError) as error:
         raise InputError(path, found=f"no readable npy ({error})", accepted="a 2-D array of numbers") from error
 
 
@@ -138,10 +161,19 @@ def camera_frame(where: Path, name: str) -> Array:
     return CAMERA_FRAMES[name]
 
 
-def _checked_K(path: Path, K: Array) -> Array:
-    ok = K.shape == (3, 3) and np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0
-    if not ok or not np.allclose(K[[1, 2, 2, 2], [0, 0, 1, 2]], [0, 0, 0, 1]):
-        raise InputError(path, found=f"K = {K.tolist()}", accepted="[[fx, s, cx], [0, fy, cy], [0, 0, 1]], fx, fy > 0")
+def _checked_K(path: Path, K: Array, photo: Photo) -> Array:
+    """K in pixels of the photo, with focal lengths that some lens has."""
+    longest = max(photo.width, photo.height)
+    low, high = MIN_FOCAL * longest, MAX_FOCAL * longest
+    ok = np.isfinite(K).all() and np.allclose(K[[1, 2, 2, 2], [0, 0, 1, 2]], [0, 0, 0, 1])
+    if not ok or not (low <= K[0, 0] <= high and low <= K[1, 1] <= high):
+        rows = ", ".join(str([float(f"{x:.4g}") for x in row]) for row in K)
+        raise InputError(
+            path,
+            found=f"K = [{rows}] in pixels of the photo",
+            accepted=f"[[fx, s, cx], [0, fy, cy], [0, 0, 1]] with fx, fy from {low:.0f} to {high:.0f} px "
+            "(in geometry.npz divided by the photo's width and height)",
+        )
     return K
 
 
@@ -157,13 +189,15 @@ def _pixel_rays(K: Array, width: int, height: int) -> Array:
     return pixels @ np.linalg.inv(K).T
 
 
-def _fit_intrinsics(geometry: Geometry, photo: Photo) -> Array:
+def _fit_intrinsics(path: Path, geometry: Geometry, photo: Photo) -> Array:
     """Focal length from X/Z and Y/Z of the points, principal point at the centre (robust least squares)."""
     h, w = geometry.valid.shape
     pixels = _pixel_rays(np.array([[1, 0, w / 2], [0, 1, h / 2], [0, 0, 1.0]]), w, h)[geometry.valid][:, :2]
     points = geometry.points[geometry.valid].astype(float)
     slopes = points[:, :2] / points[:, 2:]
     use = np.abs(slopes) > 0.05
+    if not use.any():
+        raise InputError(path, found="no intrinsics, and points on one line of sight", accepted="intrinsics (3, 3)")
     focal = float(np.median((pixels / np.where(use, slopes, np.nan))[use]))
     fx, fy = focal * photo.width / w, focal * photo.height / h
     return np.array([[fx, 0, photo.width / 2], [0, fy, photo.height / 2], [0, 0, 1]])

@@ -40,7 +40,7 @@ class AssetPose(BaseModel):
     """One entry: the mask it belongs to, its mesh file and its pose."""
 
     model_config = ConfigDict(allow_inf_nan=False)
-    mask: str
+    mask: Annotated[str, Field(pattern=r"^[^/\\\x00]+$")]
     mesh: str
     rotation: Quaternion
     translation: Vector
