@@ -189,10 +189,11 @@ def bomb(folder: Path) -> None:
     """A header that claims 4 GB, deflated to nothing much."""
     import zipfile
 
-    with zipfile.ZipFile(folder / "geometry.npz", "w", zipfile.ZIP_DEFLATED) as archive:
-        with archive.open("points.npy", "w", force_zip64=True) as file:
-            for _ in range(2100):
-                file.write(bytes(1_000_000))
+    path = folder / "geometry.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        archive.writestr("points.npy", bytes(1_000_000))
+    data = path.read_bytes()
+    path.write_bytes(data.replace((1_000_000).to_bytes(4, "little"), (4_000_000_000).to_bytes(4, "little")))
 
 
 EMPTY = np.zeros((HEIGHT, WIDTH))

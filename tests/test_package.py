@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import struct
 from collections.abc import Callable
 from dataclasses import replace
@@ -465,12 +466,50 @@ def test_a_killed_run_is_tidied_up_by_the_next(stack: Scene, tmp_path: Path) -> 
     out.rename(tmp_path / ".out.previous")  # killed between the two renames
     (tmp_path / ".out.building").mkdir()
     (tmp_path / ".out.building" / "half").write_text("")
+    (tmp_path / ".out.building" / package.MARKER).write_text("999999999")
     assert package.prepare_output(out) == out
     assert tree(out) == before and [p.name for p in tmp_path.iterdir()] == ["out"]
-    (tmp_path / ".out.previous").mkdir()  # killed before the old one was deleted
-    (tmp_path / ".out.previous" / "scene.json").write_text("{}")
+    (tmp_path / ".out.previous").mkdir()  # killed while the old one was being deleted
+    (tmp_path / ".out.previous" / "scene.json").write_bytes((out / "scene.json").read_bytes())
     package.prepare_output(out)
     assert tree(out) == before and [p.name for p in tmp_path.iterdir()] == ["out"]
+    shutil.copytree(out, tmp_path / ".out.building")  # killed when all was written, before the renames
+    package.prepare_output(out)
+    assert tree(out) == before and [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("name", [".out.building", ".out.previous"])
+def test_folders_of_others_in_the_way_are_left_alone(name: str, stack: Scene, tmp_path: Path) -> None:
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "precious").write_text("mine")
+    with pytest.raises(OutputError, match="in the way"):
+        write_package(stack, tmp_path / "out")
+    assert (tmp_path / name / "precious").read_text() == "mine" and not (tmp_path / "out").exists()
+
+
+def test_a_second_writer_is_told_so(stack: Scene, tmp_path: Path) -> None:
+    building = tmp_path / ".out.building"
+    building.mkdir()
+    (building / package.MARKER).write_text(str(os.getpid()))
+    with pytest.raises(OutputError, match="another run is writing it"):
+        write_package(stack, tmp_path / "out")
+    assert (building / package.MARKER).exists()
+
+
+def test_foreign_files_in_a_package_are_not_thrown_away(stack: Scene, tmp_path: Path) -> None:
+    out = write_package(stack, tmp_path / "out")
+    (out / "notes.txt").write_text("mine")
+    with pytest.raises(OutputError, match=r"notes\.txt"):
+        write_package(stack, out, overwrite=True)
+    assert (out / "notes.txt").read_text() == "mine"
+
+
+def test_input_and_output_may_not_hold_one_another(tmp_path: Path) -> None:
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    for out, inputs in (("a", "a"), ("a", "a/b"), ("a/b", "a")):
+        with pytest.raises(OutputError, match="may not hold"):
+            package.prepare_output(tmp_path / out, inputs=tmp_path / inputs)
+    assert package.prepare_output(tmp_path / "a" / "b", inputs=tmp_path / "c")
 
 
 @pytest.mark.parametrize("content", [{"notes.txt": "mine"}, {"scene.json": "{}"}, {"scene.json": "[]", "a": ""}])

@@ -138,11 +138,12 @@ def test_the_command_line_from_folder_to_numbers(folder: Path, tmp_path: Path, c
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["reconstruct", "{out}/absent", "-o", "{out}"], 2, "nothing there"),
+        (["reconstruct", "{folder}-absent", "-o", "{out}"], 2, "nothing there"),
         (["reconstruct", "{folder}", "-o", "{out}", "--skip", "polish"], 2, "polish"),
         (["reconstruct", "{folder}", "-o", "{out}", "--ignore", "photo"], 2, "photo"),
         (["reconstruct", "{folder}", "-o", "{out}", "--asset-frame", "left"], 2, "left"),
-        (["reconstruct", "{folder}", "-o", "{folder}"], 1, "only an f3sr package or an empty folder"),
+        (["reconstruct", "{folder}", "-o", "{folder}"], 1, "may not hold one another"),
+        (["reconstruct", "{folder}", "-o", "{folder}/.."], 1, "may not hold one another"),
         (["evaluate", "{folder}"], 2, "scene.json"),
         (["evaluate", "{folder}", "--true-scale", "-1"], 2, "positive"),
     ],

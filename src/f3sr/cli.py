@@ -53,8 +53,8 @@ def reconstruct(
     Args:
         folder: Holds image.png|jpg, masks/*.png, geometry.npz (or depth and intrinsics.json), assets/, ground.png.
         out: Where the package goes; an older f3sr package there is replaced.
-        skip: Stages to leave out, comma separated: level, align, align-camera, align-objects, relate, separate,
-            settle, evaluate.
+        skip: Stages to leave out, comma separated: level, align, align-camera, align-objects, relate, decompose,
+            separate, settle, refine, evaluate.
         ignore: Parts of the input to treat as absent, comma separated: assets, geometry, ground, scene_graph.
         asset_frame: Axes of posed GLBs that come without poses.json: auto, opencv, opengl or pytorch3d.
         overwrite: Also replace a package that holds rollouts.
@@ -66,7 +66,7 @@ def reconstruct(
     from f3sr.cache import Store
 
     say = _quiet if json else _say
-    package.prepare_output(out, overwrite=overwrite)
+    package.prepare_output(out, inputs=folder, overwrite=overwrite)
     given = inputs.read(folder, ignore=_names(ignore), asset_frame=asset_frame)
     kernels.warm_up(say)
     store = Store(kernels.cache_root() / "stages")
@@ -110,8 +110,8 @@ def evaluate(package: Folder, /, true_scale: float = 1.0, json: bool = False) ->
     from f3sr.package import read_package
     from f3sr.stages.evaluate import evaluate as measure_both
 
-    if not true_scale > 0:
-        raise InputError("--true-scale", found=str(true_scale), accepted="a positive number")
+    if not 1e-3 <= true_scale <= 1e3:
+        raise InputError("--true-scale", found=str(true_scale), accepted="a positive number from 0.001 to 1000")
     content = read_package(package)
     kernels.warm_up(_quiet if json else _say)
     table = _table(measure_both(content.scene, content.direct, true_scale=true_scale))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 from collections.abc import Mapping, Sequence
@@ -38,6 +39,13 @@ from f3sr.scene import Excluded, Ground, Motion, Photo, Relation, Scene, SceneGr
 
 PHOTO = "photo.png"
 MASKS = "masks"
+MARKER = ".f3sr-building"
+"""In a folder that is being built; without it a folder of that name is somebody else's."""
+TOP_LEVEL = {
+    *("scene.json", SCHEMA_FILE, "scene.glb", "scene.xml", "report.json", PHOTO),
+    *(MASKS, "meshes", "collision", "visual", "pictures", "rollouts"),
+}
+"""Everything that a package holds."""
 
 __all__ = ["Package", "SceneDocument", "prepare_output", "read_package", "scene_schema", "write_package"]
 
@@ -76,6 +84,7 @@ def write_package(
     """
     out = prepare_output(out, overwrite=overwrite)
     building = _building(out)
+    _begin(building)
     try:
         for name, data in _files(
             scene,
@@ -89,6 +98,7 @@ def write_package(
             file = building / name
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(data)
+        (building / MARKER).unlink()
         _commit(building, out)
     except OSError as error:
         raise OutputError(f"{out}: could not be written ({error.strerror or error})") from error
@@ -97,12 +107,16 @@ def write_package(
     return out
 
 
-def prepare_output(out: Path, *, overwrite: bool = False) -> Path:
+def prepare_output(out: Path, *, inputs: Path | None = None, overwrite: bool = False) -> Path:
     """Tidy up after an interrupted run, and refuse early a place that ``write_package`` may not take.
 
-    Returns the full path of ``out``.
+    ``inputs`` is the folder a run reads: neither may lie inside the other. Returns the full path of ``out``.
     """
     out = Path(out).resolve()
+    if inputs is not None:
+        source = Path(inputs).resolve()
+        if out.is_relative_to(source) or source.is_relative_to(out):
+            raise OutputError(f"{out}: the output and the input folder {source} may not hold one another")
     if not out.name:
         raise OutputError(f"{out}: the root of the file system cannot be a package")
     try:
@@ -113,6 +127,8 @@ def prepare_output(out: Path, *, overwrite: bool = False) -> Path:
     if out.exists() and not _is_empty(out):
         if not is_package(out):
             raise OutputError(f"{out}: is {_contents(out)}; only an f3sr package or an empty folder is replaced")
+        if strangers := _strangers(out):
+            raise OutputError(f"{out}: holds {strangers[0]}, which f3sr did not write; move it away first")
         if _has_rollouts(out) and not overwrite:
             raise OutputError(f"{out}: holds rollouts; a package with rollouts is replaced only with --overwrite")
     return out
@@ -124,7 +140,10 @@ def is_package(folder: Path) -> bool:
         tree = json.loads((folder / "scene.json").read_bytes())
     except (OSError, ValueError):
         return False
-    return isinstance(tree, dict) and {"schema_version", "camera", "objects"} <= tree.keys()
+    if not isinstance(tree, dict) or tree.get("$schema") != SCHEMA_FILE:
+        return False
+    provenance = tree.get("provenance")
+    return isinstance(provenance, dict) and "f3sr" in provenance
 
 
 def read_package(folder: Path) -> Package:
@@ -227,13 +246,39 @@ def _previous(out: Path) -> Path:
 def _recover(out: Path) -> None:
     """After a crash: drop what was being built, and bring back the old package unless a new one is there."""
     building, previous = _building(out), _previous(out)
-    if building.exists():
+    if (building / MARKER).exists():
+        if _alive(building / MARKER):
+            raise OutputError(f"{out}: another run is writing it right now")
         shutil.rmtree(building)
+    elif is_package(building):  # complete, but killed before its rename
+        _discard(building)
+    elif building.exists():
+        raise OutputError(f"{building}: is in the way and not f3sr's; move it away first")
+    if previous.exists() and not is_package(previous):
+        raise OutputError(f"{previous}: is in the way and no f3sr package; move it away first")
     if previous.exists():
         if out.exists() and not _is_empty(out):
-            shutil.rmtree(previous)
+            _discard(previous)
         else:
             _move(previous, out)
+
+
+def _alive(marker: Path) -> bool:
+    """Whether the process that wrote the marker still runs on this machine."""
+    try:
+        os.kill(int(marker.read_text()), 0)
+    except (OSError, ValueError):
+        return False
+    return True
+
+
+def _begin(building: Path) -> None:
+    """Claim the place to build in; only one process can make the folder."""
+    try:
+        building.mkdir(parents=True)
+    except FileExistsError:
+        raise OutputError(f"{building}: another run is writing it right now") from None
+    (building / MARKER).write_text(str(os.getpid()))
 
 
 def _commit(building: Path, out: Path) -> None:
@@ -247,7 +292,16 @@ def _commit(building: Path, out: Path) -> None:
         if previous.exists() and not out.exists():
             _move(previous, out)
         raise
-    shutil.rmtree(previous, ignore_errors=True)
+    if previous.exists():
+        _discard(previous)
+
+
+def _discard(folder: Path) -> None:
+    """Delete a package, what tells that it is one last, so that a killed deletion can go on."""
+    for path in folder.iterdir():
+        if path.name != "scene.json":
+            shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
+    shutil.rmtree(folder)
 
 
 def _move(source: Path, target: Path) -> None:
@@ -264,6 +318,11 @@ def _is_empty(folder: Path) -> bool:
 def _has_rollouts(folder: Path) -> bool:
     rollouts = folder / "rollouts"
     return rollouts.is_dir() and not _is_empty(rollouts)
+
+
+def _strangers(out: Path) -> list[str]:
+    """Top-level names in a package that f3sr does not write."""
+    return sorted(p.name for p in out.iterdir() if p.name not in TOP_LEVEL)
 
 
 def _contents(place: Path) -> str:

@@ -217,7 +217,7 @@ class _Search:
             area = np.count_nonzero(s)
             if area < 16:
                 break
-            x[:2] += np.linalg.solve(pixels, self.target.centroid - centroid(s)) / self.reach[:2]
+            x[:2] += np.linalg.lstsq(pixels, self.target.centroid - centroid(s))[0] / self.reach[:2]
             x[3] = ((1 + x[3] * self.reach[3]) * np.sqrt(self.target.area / area) - 1) / self.reach[3]
             x = np.clip(x, -1, 1)
         return x

@@ -34,6 +34,7 @@ def assemble(inputs: Inputs, config: AssembleConfig | None = None) -> tuple[Scen
     camera = Camera(width=inputs.photo.width, height=inputs.photo.height, K=inputs.K, T_world_camera=T_UP_FROM_CAMERA)
     objects = tuple(_provisional_object(i, inputs.assets[i.id], camera) for i in inputs.instances)
     decisions = [*inputs.decisions, *_check_convention(inputs, camera, objects, config)]
+    decisions += [d for o in objects if (d := _check_place(o, camera))]
     measures: list[Measure] = []
     placed: list[SceneObject] = []
     for o in objects:
@@ -90,6 +91,18 @@ def _agree_with_geometry(
     return moved, (Decision(choice=f"moved along its viewing rays by {k:.3f}", reason=reason, about=o.id),)
 
 
+def _check_place(o: SceneObject, camera: Camera) -> Decision | None:
+    """A warning where the asset does not even touch its mask: its pose, or the axes it is given in, is wrong."""
+    if _overlap(o.vertices_world, o, camera) > 0:
+        return None
+    return Decision(
+        choice="kept, but its pose looks wrong",
+        reason="its silhouette does not touch its mask",
+        about=o.id,
+        fallback=True,
+    )
+
+
 def _check_convention(
     inputs: Inputs, camera: Camera, objects: tuple[SceneObject, ...], config: AssembleConfig
 ) -> list[Decision]:
@@ -106,6 +119,7 @@ def _check_convention(
         Decision(
             choice="the declared pose convention is kept, but looks wrong",
             reason=f"mean silhouette IoU {declared:.2f}; {name} would give {best:.2f}",
+            fallback=True,
         )
     ]
 
