@@ -326,3 +326,17 @@ def test_direct_composition_is_the_input_with_its_lowest_vertex_on_the_ground(wr
 def test_boxes_of_the_test_folder_are_at_rest():
     scene = scene_of(*boxes())
     assert measure(scene).N_cross == 0
+
+
+def test_supports_after_settling_are_what_really_carries():
+    """A beam across two blocks, claimed to lie on the ground, and a box beside, claimed to lie on the beam."""
+    left, right = (box(k, size=(0.1, 0.1, 0.1), at=(x, 0, 0.0504)) for k, x in ((0, -0.2), (1, 0.2)))
+    beam = box(2, size=(0.6, 0.08, 0.04), at=(0.05, 0, 0.1212))
+    beside = replace(box(3, at=(0, 0.4, 0.0504)), supported_by=2)
+    scene, report = settle(scene_of(left, right, beam, beside))
+    shares = {s.id: s.share for s in scene[2].supports}
+    # Levers: the centre is .25 m from the left block's middle and .15 m from the right one's.
+    assert scene[2].supported_by == 1 and set(shares) == {0, 1}
+    assert shares[1] == pytest.approx(0.625, abs=0.07)
+    assert scene[3].supported_by == GROUND and [s.id for s in scene[0].supports] == [GROUND]
+    assert any("rests on 1, not on -1" in d.choice for d in report.decisions)

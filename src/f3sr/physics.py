@@ -12,7 +12,7 @@ import numpy as np
 
 from f3sr.frames import Array, pose, quaternion_from_rotation, rotation_from_quaternion
 from f3sr.mesh import ConvexPart, MassProperties, Mesh, signed_volume, solid_properties
-from f3sr.scene import SceneObject
+from f3sr.scene import GROUND, SceneObject
 
 GROUND_NAME = "ground"
 
@@ -111,6 +111,8 @@ class Settled:
     """Largest speed of a centre of mass on the way [m/s]."""
     drift: float
     """Largest travel of a centre of mass in the last undamped check [m]; infinite when there was none."""
+    loads: Mapping[tuple[int, int], float]
+    """(carried, carrier) ids, the ground GROUND, to the net upward force between them [N]; empty when ``exploded``."""
 
 
 class Release(NamedTuple):
@@ -212,7 +214,28 @@ def settle(
         seconds=run.seconds,
         max_speed=run.max_speed,
         drift=float(drift),
+        loads={} if run.exploded else contact_loads(model, data, [o.id for o in objects]),
     )
+
+
+def contact_loads(model: MjModel, data: MjData, ids: Sequence[int]) -> dict[tuple[int, int], float]:
+    """Who carries whom in a state: (carried, carrier) to the net upward contact force [N], positive entries only.
+
+    Body k + 1 of the model is the object ``ids[k]``; the world is the ground.
+    """
+    mujoco = engine()
+    mujoco.mj_forward(model, data)
+    names = [GROUND, *ids]
+    lift: dict[tuple[int, int], float] = {}
+    wrench = np.zeros(6)
+    for k in range(data.ncon):
+        contact = data.contact[k]
+        mujoco.mj_contactForce(model, data, k, wrench)
+        upward = float((contact.frame.reshape(3, 3).T @ wrench[:3])[2])  # on the second geom's body
+        first, second = (names[model.geom_bodyid[g]] for g in contact.geom)
+        lift[second, first] = lift.get((second, first), 0.0) + upward
+        lift[first, second] = lift.get((first, second), 0.0) - upward
+    return {(a, b): force for (a, b), force in lift.items() if force > 0 and a != GROUND and a != b}
 
 
 def release(objects: Sequence[SceneObject], *, true_scale: float = 1.0, seconds: float = 5.0) -> Release:

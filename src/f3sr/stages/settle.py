@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -10,13 +11,15 @@ from f3sr import physics
 from f3sr.frames import Array, invert_pose, rotation_angle
 from f3sr.physics import PhysicsConfig, SettleConfig
 from f3sr.report import Decision, Measure, Report
-from f3sr.scene import Scene, SceneObject
+from f3sr.scene import Scene, SceneObject, Support
 
 
 @dataclass(frozen=True, kw_only=True)
 class SettleStageConfig:
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     settling: SettleConfig = field(default_factory=SettleConfig)
+    min_share: float = 0.05
+    """Share of an object's load from which on something counts as its support, range [0, 1)."""
 
 
 def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene, Report]:
@@ -37,6 +40,9 @@ def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene
             )
         )
     moved = tuple(_at(o, result.T_world_object[o.id]) for o in scene)
+    if result.at_rest:
+        moved = tuple(_carried(o, result.loads, config.min_share) for o in moved)
+        decisions += _changed_supports(scene.objects, moved)
     measures = [
         Measure(name="at rest", after=float(result.at_rest)),
         Measure(name="time to rest", after=result.seconds, unit="s"),
@@ -45,6 +51,30 @@ def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene
         *(_turn(before, after) for before, after in zip(scene, moved, strict=True)),
     ]
     return scene.with_objects(*moved), Report(stage="settle", measures=tuple(measures), decisions=tuple(decisions))
+
+
+def _carried(o: SceneObject, loads: Mapping[tuple[int, int], float], min_share: float) -> SceneObject:
+    """The object with the supports that really carry it, the strongest first; as it was when nothing does."""
+    forces = {carrier: force for (carried, carrier), force in loads.items() if carried == o.id}
+    total = sum(forces.values())
+    shares = {id: force / total for id, force in forces.items() if force >= min_share * total}
+    if not shares:
+        return o
+    ordered = sorted(shares, key=lambda id: (-shares[id], id))
+    supports = tuple(Support(id=id, share=shares[id] / sum(shares.values())) for id in ordered)
+    return replace(o, supports=supports, supported_by=ordered[0])
+
+
+def _changed_supports(before: Sequence[SceneObject], after: Sequence[SceneObject]) -> list[Decision]:
+    return [
+        Decision(
+            choice=f"rests on {b.supported_by}, not on {a.supported_by} as the photo suggested",
+            reason=", ".join(f"{s.id}: {100 * s.share:.0f}% of the load" for s in b.supports),
+            about=b.id,
+        )
+        for a, b in zip(before, after, strict=True)
+        if a.supported_by != b.supported_by
+    ]
 
 
 def _at(o: SceneObject, T_world_object: Array) -> SceneObject:
