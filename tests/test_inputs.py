@@ -254,6 +254,7 @@ WRONG: dict[str, tuple[Callable[[Path], None], str, str]] = {
     "graph names a stranger": (
         write("scene_graph.json", b'{"support_relations": [{"upper": 2, "lower": 44}]}'), "scene_graph.json", "44",
     ),
+    "graph with a typing error": (write("scene_graph.json", b'{"realtions": []}'), "scene_graph.json", "neither"),
     "graph of itself": (
         write("scene_graph.json", b'{"relations": [{"subject": 2, "predicate": "inside", "object": 2}]}'),
         "scene_graph.json", "2 inside 2",

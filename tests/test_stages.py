@@ -199,6 +199,18 @@ def test_given_relations_come_first(exact: Scene):
     assert scene[7].supported_by == 2 and scene.graph.source == "scene_graph.json"
 
 
+def test_a_given_circle_is_opened_and_said(exact: Scene):
+    from f3sr.scene import Relation, SceneGraph
+
+    circle = tuple(
+        Relation(subject=a, predicate="supported_by", object=b, confidence=c, evidence="given")
+        for a, b, c in ((2, 5, 0.9), (5, 2, 0.8))
+    )
+    scene, report = relate(replace(level(exact)[0], graph=SceneGraph(relations=circle, source="given")))
+    assert scene[2].supported_by == 5 and scene[5].supported_by == GROUND
+    assert [d.about for d in report.decisions if "dropped" in d.choice] == [5]
+
+
 def test_a_forest_has_one_parent_each_and_no_cycle():
     def edge(child: int, parent: int, cost: float) -> Candidate:
         return Candidate(child=child, parent=parent, cost=cost, evidence="")

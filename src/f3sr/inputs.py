@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, model_validator
 
 from f3sr.assets import ASSET_FRAMES, PosedAsset, read_assets
 from f3sr.cache import digest
@@ -159,6 +159,12 @@ class _GivenSupport(BaseModel):
 class _GivenGraph(BaseModel):
     relations: list[_GivenRelation] = []
     support_relations: list[_GivenSupport] = []
+
+    @model_validator(mode="after")
+    def _says_something(self) -> Self:
+        if not self.model_fields_set:
+            raise ValueError("neither relations nor support_relations")
+        return self
 
     def as_relations(self) -> list[Relation]:
         given = [

@@ -11,6 +11,7 @@ import os
 import tempfile
 import time
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -20,12 +21,14 @@ KERNEL_MODULES = ("raster", "contact", "crossings")
 """Modules of this package that hold numba kernels; each has a ``warm_up()`` that calls every one of them."""
 
 
+@cache
 def cache_root() -> Path:
-    """``$F3SR_CACHE_DIR``, else f3sr's folder in the XDG cache."""
-    if configured := os.environ.get("F3SR_CACHE_DIR"):
-        return Path(configured)
+    """``$F3SR_CACHE_DIR``, else f3sr's folder in the XDG cache; a temporary one where that cannot be written to."""
     base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "f3sr"
+    wanted = Path(base) / "f3sr" if base else Path.home() / ".cache" / "f3sr"
+    if configured := os.environ.get("F3SR_CACHE_DIR"):
+        wanted = Path(configured)
+    return wanted if _writable(wanted) else Path(tempfile.gettempdir()) / f"f3sr-{os.getuid()}"
 
 
 def _writable(folder: Path) -> bool:
@@ -45,13 +48,7 @@ def _source_hash() -> str:
     return digest.hexdigest()[:16]
 
 
-def _choose_cache_dir() -> Path:
-    name = f"kernels-{_source_hash()}"
-    wanted = cache_root() / name
-    return wanted if _writable(wanted) else Path(tempfile.gettempdir()) / f"f3sr-{os.getuid()}" / name
-
-
-CACHE_DIR = _choose_cache_dir()
+CACHE_DIR = cache_root() / f"kernels-{_source_hash()}"
 
 
 def kernel(function: F) -> F:

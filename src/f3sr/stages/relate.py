@@ -59,6 +59,12 @@ def relate(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, Rep
     chosen = forest([*given, *found])
     objects: list[SceneObject] = []
     decisions: list[Decision] = []
+    for c in given:
+        if chosen[c.child].parent != c.parent:
+            reason = "it would close a circle, or another given support is surer"
+            decisions.append(
+                Decision(choice=f"given support by {_name(c.parent)} dropped", reason=reason, about=c.child)
+            )
     for o in scene:
         best = chosen[o.id]
         objects.append(replace(o, supported_by=best.parent, supports=(Support(id=best.parent),)))
