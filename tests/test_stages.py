@@ -145,6 +145,24 @@ def test_align_recovers_perturbed_assets(wrong: Scene):
     assert all(m.after >= m.before - 0.02 for m in report.measures if m.before is not None)
 
 
+def test_align_of_a_heavy_mesh_is_that_of_its_outline_and_keeps_the_mesh(wrong: Scene):
+    import trimesh
+
+    from f3sr.mesh import Mesh
+
+    def heavy(o):
+        v, f = o.mesh.vertices, o.mesh.faces
+        for _ in range(5):
+            v, f = trimesh.remesh.subdivide(v, f)
+        return replace(o, mesh=Mesh(vertices=v, faces=f))
+
+    big = wrong.with_objects(*(heavy(o) for o in wrong))
+    scene, _ = align(big, AlignConfig(max_faces=1000, camera=False))
+    light, _ = align(wrong, AlignConfig(camera=False))
+    assert all(o.mesh is big[o.id].mesh for o in scene)
+    assert visible_iou(scene) == pytest.approx(visible_iou(light), abs=0.02)
+
+
 def test_align_leaves_a_perfect_scene_almost_alone(exact: Scene):
     levelled, _ = level(exact)
     scene, _ = align(levelled)
