@@ -139,6 +139,11 @@ class Camera:
         scale = np.array([[width / self.width], [height / self.height], [1.0]])
         return replace(self, width=width, height=height, K=self.K * scale)
 
+    def limited(self, longest: int) -> Self:
+        """The same view with at most ``longest`` pixels on its longer side."""
+        scale = min(1.0, longest / max(self.width, self.height))
+        return self.resized(max(1, round(self.width * scale)), max(1, round(self.height * scale)))
+
     def cropped(self, x: int, y: int, width: int, height: int) -> Self:
         """The view of the pixels from column ``x`` and row ``y`` on; it may reach beyond the image."""
         K = self.K.copy()

@@ -112,7 +112,7 @@ def visible_regions(scene: Scene) -> dict[int, Mask]:
     Nearer is told by the rendered depths where two objects overlap in the picture, else by their median depths; a
     mask that cannot be ordered is left out of the comparison.
     """
-    small = _camera_at(scene.camera, 384)
+    small = scene.camera.limited(384)
     depths = {o.id: raster.render([o], small).depth for o in scene}
     return {
         o.id: ~np.any(
@@ -138,7 +138,7 @@ def _nearer(a: Array, b: Array) -> bool:
 
 def _align_camera(scene: Scene, config: AlignConfig) -> tuple[Scene, Decision]:
     """6-DoF camera about the scene's centre, intrinsics fixed (equation 7), accepted on the mean IoU of instances."""
-    small = _camera_at(scene.camera, config.resolution)
+    small = scene.camera.limited(config.resolution)
     target = Target.of(resample(np.any([o.mask for o in scene], axis=0), small.width, small.height))
     center = scene.camera.to_camera(np.mean([o.bounds_world.mean(0) for o in scene], axis=0)[None])[0]
     reach = np.array([config.camera_rotation] * 3 + [config.camera_translation * float(np.linalg.norm(center))] * 3)
@@ -276,7 +276,7 @@ def _search(o: SceneObject, valid: Mask, camera: Camera, config: AlignConfig) ->
     margin = 0.15 * (high - low).max()
     x, y = np.floor(low - margin).astype(int)
     width, height = np.ceil(high + margin).astype(int) - (x, y)
-    window = _camera_at(camera.cropped(x, y, width, height), config.resolution)
+    window = camera.cropped(x, y, width, height).limited(config.resolution)
     inside = (slice(y, y + height), slice(x, x + width))
     mask, region = (
         resample(_window(m, inside, fill=fill), window.width, window.height)
@@ -326,15 +326,9 @@ def _minimise(objective: Callable[[Array], float], start: Array, *, evaluations:
     return np.asarray(result.x)
 
 
-def _camera_at(camera: Camera, longest: int) -> Camera:
-    """The camera at no more than ``longest`` pixels on its longer side."""
-    scale = min(1.0, longest / max(camera.width, camera.height))
-    return camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
-
-
 def _ious(scene: Scene, config: AlignConfig) -> Sequence[float]:
     """IoU of each object's full silhouette with its mask, at the working resolution."""
-    camera = _camera_at(scene.camera, config.resolution)
+    camera = scene.camera.limited(config.resolution)
     return [
         iou(
             raster.silhouette(camera.to_camera(o.vertices_world), o.mesh.faces, camera.K, camera.width, camera.height),

@@ -141,7 +141,6 @@ def _other_readings(objects: tuple[SceneObject, ...], camera: Camera) -> dict[st
 
 
 def _overlap(vertices_world: Array, o: SceneObject, camera: Camera) -> float:
-    scale = min(1.0, 256 / max(camera.width, camera.height))
-    small = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+    small = camera.limited(256)
     rendered = raster.silhouette(small.to_camera(vertices_world), o.mesh.faces, small.K, small.width, small.height)
     return iou(rendered, resample(o.mask, small.width, small.height))
