@@ -60,6 +60,12 @@ def test_each_skipped_stage_leaves_a_valid_scene(given: inputs.Inputs, skip: str
     assert visible_iou(result.scene) > 0.2
 
 
+@pytest.mark.parametrize("skip", ["align", "align-objects", "separate", "settle"])
+def test_refine_does_not_bring_back_what_was_skipped(given: inputs.Inputs, skip: str):
+    result = reconstruct(given, skip=[skip, "evaluate"])
+    assert "refine" not in [r.stage for r in result.reports]
+
+
 def test_everything_skipped_is_direct_composition(given: inputs.Inputs):
     result = reconstruct(given, skip=[s for s in SKIPPABLE if s != "level"])
     assert all(np.array_equal(o.T_world_object, result.direct[o.id].T_world_object) for o in result.scene)

@@ -28,6 +28,8 @@ SKIPPABLE = (
     *("level", "align", "align-camera", "align-objects", "relate", "decompose", "separate", "settle"),
     *("refine", "evaluate"),
 )
+REPEATED_BY_REFINE = {"align", "align-objects", "separate", "settle"}
+"""Stages that ``refine`` does again: without one of them there is no refining either."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,11 +97,14 @@ def reconstruct(
     progress: Progress = lambda _: None,
 ) -> Reconstruction:
     """Run every stage that is not skipped. Any stage but ``assemble`` may be skipped: a valid scene remains.
+    ``refine`` repeats alignment, separation and settling, so it goes with any of them.
 
     Stages whose results are in ``store`` are not done again. ``progress`` is told of every stage.
     """
     config = config or Config()
     key = digest(inputs.key, asdict(config.assemble))
+    if REPEATED_BY_REFINE & set(skip):
+        skip = {*skip, "refine"}
     run = Runner(key, skip=skip, skippable=SKIPPABLE, store=store, progress=progress)
 
     scene = run.start("assemble", lambda: assemble(inputs, config.assemble))
