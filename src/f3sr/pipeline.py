@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
@@ -78,6 +78,8 @@ class Reconstruction:
 
     scene: Scene
     direct: Scene
+    scenes: Mapping[str, Scene]
+    """The scene after every stage that was not skipped, in order; they share photo, masks and meshes."""
     reports: tuple[Report, ...]
     seconds: dict[str, float]
     """Wall time [s] of every stage that was run."""
@@ -120,6 +122,7 @@ def reconstruct(
     return Reconstruction(
         scene=scene,
         direct=direct,
+        scenes=run.scenes,
         reports=tuple(run.reports),
         seconds=run.seconds,
         resumed=tuple(run.resumed),

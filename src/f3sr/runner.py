@@ -29,6 +29,8 @@ class Runner:
         self.skip, self.store, self.progress = frozenset(skip), store, progress
         self.key = digest(key, code_version())
         self.reports: list[Report] = []
+        self.scenes: dict[str, Scene] = {}
+        """The scene after every stage that was not skipped."""
         self.seconds: dict[str, float] = {}
         self.resumed: list[str] = []
         """Stages whose results were taken from the store."""
@@ -36,8 +38,7 @@ class Runner:
     def start(self, name: str, work: Callable[[], tuple[Scene, Report]]) -> Scene:
         """The first stage: always run, as it holds what the store does not."""
         scene, report = self._timed(name, work)
-        self.reports.append(report)
-        return scene
+        return self._keep(name, scene, report)
 
     def stage(
         self, name: str, work: Callable[..., tuple[Scene, Report]], scene: Scene, config: Any, **more: Any
@@ -52,10 +53,12 @@ class Runner:
             return {"scene": document, "report": asdict(result[1])}, arrays
 
         result = self.value(name, lambda: work(scene, config, **more), restored, stored, config)
-        if result is None:
-            return scene
-        self.reports.append(result[1])
-        return result[0]
+        return scene if result is None else self._keep(name, *result)
+
+    def _keep(self, name: str, scene: Scene, report: Report) -> Scene:
+        self.scenes[name] = scene
+        self.reports.append(report)
+        return scene
 
     def value(
         self,
