@@ -38,11 +38,12 @@ from f3sr.report import Report
 from f3sr.scene import Excluded, Ground, Motion, Photo, Relation, Scene, SceneGraph, SceneObject, Support
 
 PHOTO = "photo.png"
+PAGE = "report.html"
 MASKS = "masks"
 MARKER = ".f3sr-building"
 """In a folder that is being built; without it a folder of that name is somebody else's."""
 TOP_LEVEL = {
-    *("scene.json", SCHEMA_FILE, "scene.glb", "scene.xml", "report.json", PHOTO),
+    *("scene.json", SCHEMA_FILE, "scene.glb", "scene.xml", "report.json", PAGE, PHOTO),
     *(MASKS, "meshes", "collision", "visual", "pictures", "rollouts"),
 }
 """Everything that a package holds."""
@@ -71,6 +72,7 @@ def write_package(
     reports: Sequence[Report] = (),
     seconds: Mapping[str, float] | None = None,
     pictures: Mapping[str, NDArray[np.uint8]] | None = None,
+    page: bytes | None = None,
     physics: PhysicsConfig = DEFAULT_PHYSICS,
     overwrite: bool = False,
 ) -> Path:
@@ -79,7 +81,7 @@ def write_package(
     ``direct``: the levelled input with the same ids; ``metrics`` by name; ``provenance``:
     stages, hashes and the like, without paths of this machine or times;
     ``seconds`` per stage go to report.json with the ``reports``; ``pictures`` (h, w, 3) by name without
-    suffix. ``out`` changes only after everything has been written beside it. Raises OutputError when
+    suffix; ``page`` is report.html. ``out`` changes only after everything has been written beside it. Raises OutputError when
     something else than an f3sr package is there, or one with rollouts and not ``overwrite``.
     """
     out = prepare_output(out, overwrite=overwrite)
@@ -93,6 +95,7 @@ def write_package(
             provenance={"f3sr": f3sr.__version__, **(provenance or {})},
             report=_report(reports, seconds or {}),
             pictures=pictures or {},
+            page=page,
             physics=physics,
         ).items():
             file = building / name
@@ -199,6 +202,7 @@ def _files(
     provenance: Mapping[str, JsonValue],
     report: dict[str, Any],
     pictures: Mapping[str, NDArray[np.uint8]],
+    page: bytes | None,
     physics: PhysicsConfig,
 ) -> dict[str, bytes]:
     """Every file of the package by its relative path."""
@@ -215,6 +219,8 @@ def _files(
             raise ValueError(f"picture name {name!r}: only letters, digits, _ and - are accepted")
         files[f"pictures/{name}.png"] = encode_png(picture)
     files["report.json"] = dump_json(report)
+    if page is not None:
+        files[PAGE] = page
     files[SCHEMA_FILE] = dump_json(scene_schema())
     files["scene.json"] = to_json(to_document(scene, direct=direct, metrics=metrics, provenance=provenance))
     return files
