@@ -81,8 +81,8 @@ def write_package(
     ``direct``: the levelled input with the same ids; ``metrics`` by name; ``provenance``:
     stages, hashes and the like, without paths of this machine or times;
     ``seconds`` per stage go to report.json with the ``reports``; ``pictures`` (h, w, 3) by name without
-    suffix; ``page`` is report.html. ``out`` changes only after everything has been written beside it. Raises OutputError when
-    something else than an f3sr package is there, or one with rollouts and not ``overwrite``.
+    suffix; ``page`` is report.html. ``out`` changes only after everything has been written beside it.
+    Raises OutputError when something else than an f3sr package is there, or one with rollouts and not ``overwrite``.
     """
     out = prepare_output(out, overwrite=overwrite)
     building = _building(out)
