@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 
 from f3sr.cache import Store, digest
 from f3sr.frames import rotation_angle
@@ -15,6 +18,7 @@ from f3sr.proxies import ProxyConfig
 from f3sr.report import Decision, Measure, Report, keep_better
 from f3sr.runner import Progress, Runner
 from f3sr.scene import Scene, SceneObject
+from f3sr.settings import settings
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.assemble import AssembleConfig, assemble
 from f3sr.stages.decompose import decompose
@@ -32,7 +36,7 @@ REPEATED_BY_REFINE = {"align", "align-objects", "separate", "settle"}
 """Stages that ``refine`` does again: without one of them there is no refining either."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@settings
 class RefineConfig:
     """What is tried again once everything rests, and kept where the picture gains.
 
@@ -40,11 +44,11 @@ class RefineConfig:
     they turn about the vertical, shift horizontally and scale about their base, and are separated and settled again.
     """
 
-    topple: float = np.deg2rad(20)
-    """A turn while settling from which on an object has toppled [rad], range (0, pi]; the report's instability."""
+    topple: Annotated[float, Interval(gt=0, le=np.pi)] = math.radians(20)
+    """A turn while settling from which on an object has toppled [rad]; the report's instability."""
 
-    rounds: int = 2
-    """Most rounds, range [0, 10]; a round that does not improve the picture is undone and ends it."""
+    rounds: Annotated[int, Interval(ge=0, le=10)] = 2
+    """Most rounds; a round that does not improve the picture is undone and ends it."""
     align: AlignConfig = field(
         default_factory=lambda: AlignConfig(
             camera=False,
@@ -58,7 +62,7 @@ class RefineConfig:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@settings
 class Config:
     """Every stage's settings."""
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 
 from f3sr import raster, sam3d
 from f3sr.frames import T_UP_FROM_CAMERA, Array, Camera, pose, transform
@@ -12,16 +13,17 @@ from f3sr.inputs import Inputs, Instance, PosedAsset
 from f3sr.mesh import ConvexPart
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Geometry, Scene, SceneGraph, SceneObject
+from f3sr.settings import settings
 from f3sr.silhouette import iou, resample
 
 
-@dataclass(frozen=True, kw_only=True)
+@settings
 class AssembleConfig:
-    max_depth_ratio: float = 1.3
-    """Largest factor, range (1, 10], between an asset's visible depth and the geometry's inside its mask before the
+    max_depth_ratio: Annotated[float, Interval(gt=1, le=10)] = 1.3
+    """Largest factor between an asset's visible depth and the geometry's inside its mask before the
     asset is moved along its viewing rays. Generators miss depth by up to about 15%; more is another unit."""
-    convention_margin: float = 0.15
-    """Mean IoU, range [0, 1], by which another pose convention must fit the masks better to be warned of."""
+    convention_margin: Annotated[float, Interval(ge=0, le=1)] = 0.15
+    """Mean IoU by which another pose convention must fit the masks better to be warned of."""
 
 
 def assemble(inputs: Inputs, config: AssembleConfig | None = None) -> tuple[Scene, Report]:
