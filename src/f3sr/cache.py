@@ -8,10 +8,12 @@ import os
 import tempfile
 from functools import cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
+
+from f3sr.kernels import cache_root
 
 Arrays = dict[str, NDArray[Any]]
 DOCUMENT = "document.json"
@@ -38,6 +40,11 @@ class Store:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+
+    @classmethod
+    def default(cls) -> Self:
+        """Where the command line keeps its results: ``stages`` in f3sr's cache."""
+        return cls(cache_root() / "stages")
 
     def load(self, key: str) -> tuple[Any, Arrays] | None:
         """The document and arrays stored under ``key``; None when there are none, or only damaged ones."""

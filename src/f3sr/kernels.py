@@ -7,13 +7,15 @@ kernel sources, because numba checks its cache per file and would miss a change 
 from __future__ import annotations
 
 import hashlib
+import importlib
 import os
 import tempfile
-import time
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
+
+from f3sr.progress import Progress, silent, timed
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -71,15 +73,10 @@ def is_warm() -> bool:
     return (CACHE_DIR / "warm").exists()
 
 
-def warm_up(say: Callable[[str], None] = lambda _: None) -> float:
-    """Compile what is not in the cache yet, telling ``say`` first. Returns the seconds it took."""
-    import importlib
-
-    if not is_warm():
-        say("compiling kernels, once per machine (about half a minute)")
-    start = time.perf_counter()
-    for name in KERNEL_MODULES:
-        importlib.import_module(f"f3sr.{name}").warm_up()
+def warm_up(progress: Progress = silent) -> None:
+    """Compile what is not in the cache yet, half a minute once per machine; otherwise load it."""
+    with timed("kernels" if is_warm() else "compiling kernels, once per machine", progress):
+        for name in KERNEL_MODULES:
+            importlib.import_module(f"f3sr.{name}").warm_up()
     if _writable(CACHE_DIR):
         (CACHE_DIR / "warm").touch()
-    return time.perf_counter() - start

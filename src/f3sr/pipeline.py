@@ -9,16 +9,18 @@ from typing import Annotated
 
 import numpy as np
 from annotated_types import Interval
+from pydantic import JsonValue
 
 from f3sr.cache import Store, digest
 from f3sr.frames import rotation_angle
 from f3sr.inputs import Inputs
 from f3sr.measures import visible_iou
+from f3sr.progress import Progress, silent
 from f3sr.proxies import ProxyConfig
 from f3sr.report import Decision, Measure, Report, keep_better
-from f3sr.runner import Progress, Runner
+from f3sr.runner import Runner
 from f3sr.scene import Scene, SceneObject
-from f3sr.settings import settings
+from f3sr.settings import changed, settings
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.assemble import AssembleConfig, assemble
 from f3sr.stages.decompose import decompose
@@ -89,8 +91,9 @@ class Reconstruction:
     """Wall time [s] of every stage that was run."""
     resumed: tuple[str, ...]
     """Stages whose results came from the store."""
-    config_digest: str
-    """sha256 of the configuration."""
+    config: Config
+    provenance: Mapping[str, JsonValue]
+    """What the result was made from: digests of inputs and settings, settings that are not defaults, skipped stages."""
     evaluation: Evaluation | None = None
 
 
@@ -100,7 +103,7 @@ def reconstruct(
     *,
     skip: Collection[str] = (),
     store: Store | None = None,
-    progress: Progress = lambda _: None,
+    progress: Progress = silent,
 ) -> Reconstruction:
     """Run every stage that is not skipped. Any stage but ``assemble`` may be skipped: a valid scene remains.
     ``refine`` repeats alignment, separation and settling, so it goes with any of them.
@@ -130,7 +133,13 @@ def reconstruct(
         reports=tuple(run.reports),
         seconds=run.seconds,
         resumed=tuple(run.resumed),
-        config_digest=digest(asdict(config)),
+        config=config,
+        provenance={
+            "inputs": dict[str, JsonValue](inputs.digests),
+            "config": digest(asdict(config)),
+            "settings": changed(config, Config()),
+            "skipped": list[JsonValue](sorted(skip)),
+        },
         evaluation=evaluation,
     )
 

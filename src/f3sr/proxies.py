@@ -162,6 +162,15 @@ def decompose_all(
         return list(pool.map(one, meshes, ids))
 
 
+def split(mesh: Mesh, method: Literal["coacd", "vhacd"], config: ProxyConfig | None = None) -> int:
+    """How many parts one method alone finds; RuntimeError with the reason where it finds none."""
+    vertices, faces, _ = _normalised(mesh)
+    outcome = _run_worker(method, vertices, faces, config or ProxyConfig())
+    if not outcome.parts:
+        raise RuntimeError(outcome.reason)
+    return len(outcome.parts)
+
+
 def check(mesh: Mesh, name: str) -> None:
     """Refuse what has no surface."""
     accepted = "a mesh with faces, finite vertices and an extent"
