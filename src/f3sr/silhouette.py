@@ -1,4 +1,4 @@
-"""Silhouettes against masks: overlap, distance fields and the losses of equations 7 and 9."""
+"""Silhouettes against masks: overlap, targets and the losses of equations 7 and 9 with their derivatives."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
+from f3sr import contour
+from f3sr.contour import MISMATCH, MOMENT_X, MOMENT_Y, VALID, Integrals
 from f3sr.frames import Array
+from f3sr.levenberg import Local
 from f3sr.settings import settings
 
 Mask = NDArray[np.bool_]
@@ -31,36 +34,6 @@ def resample(mask: Mask, width: int, height: int) -> Mask:
     return mask[rows][:, columns]
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Target:
-    """A mask prepared for comparison: what the losses need of it, computed once.
-
-    ``mask``, ``valid`` (h, w); ``distance`` (h, w) is D: the distance to the mask, 0 inside, over the longer image
-    side. ``area`` [px] and ``centroid`` (2,) [px] are of the valid mask.
-    """
-
-    mask: Mask
-    valid: Mask
-    distance: NDArray[np.float32]
-    area: float
-    centroid: Array
-
-    @classmethod
-    def of(cls, mask: Mask, valid: Mask | None = None) -> Target:
-        from scipy.ndimage import distance_transform_edt
-
-        valid = np.ones_like(mask) if valid is None else valid
-        visible = mask & valid
-        outside = np.asarray(distance_transform_edt(~mask), np.float32) / max(mask.shape)
-        return cls(
-            mask=mask,
-            valid=valid,
-            distance=outside,
-            area=float(max(visible.sum(), 1)),
-            centroid=centroid(visible),
-        )
-
-
 @settings
 class LossWeights:
     """Weights of equations 7 and 9; the L1 and distance terms are per mask pixel, so that scenes compare."""
@@ -73,19 +46,70 @@ class LossWeights:
     """lambda_a."""
 
 
-def loss(silhouette: Mask, target: Target, weights: LossWeights) -> float:
-    """Equation 9 without its priors, over the valid region; equation 7 with zero centroid and area weights."""
-    s = silhouette & target.valid
-    area = float(np.count_nonzero(s))
-    mismatch = np.count_nonzero(s ^ (target.mask & target.valid)) / target.area
-    leak = float(target.distance[s].sum()) / target.area
-    value = mismatch + weights.distance * leak
-    if weights.centroid and area:
-        offset = (centroid(s) - target.centroid) / max(s.shape)
-        value += weights.centroid * float(offset @ offset)
-    if weights.area:
-        value += weights.area * float(np.log(max(area, 1.0) / target.area) ** 2)
-    return value
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Target:
+    """A mask prepared for comparison: what the losses need of it, computed once.
+
+    ``mask``, ``valid`` (h, w); ``area`` [px] and ``centroid`` (2,) [px] are of the valid mask; ``fields`` are what is
+    integrated over a silhouette.
+    """
+
+    mask: Mask
+    valid: Mask
+    area: float
+    centroid: Array
+    weights: LossWeights
+    fields: contour.Fields
+
+    @classmethod
+    def of(cls, mask: Mask, valid: Mask | None = None, weights: LossWeights | None = None) -> Target:
+        """``valid`` (h, w), everywhere by default, is where a silhouette is compared with the mask.
+
+        With D the distance to the mask over the longer image side (0 inside), the L1 and distance terms of a
+        silhouette S are a constant plus the sum over S of ``valid (1 - 2 mask + lambda_dt D)``. The curvature of the
+        L1 term at a distance d from the mask's outline is that of |d|: 1 / |d| (iteratively reweighted squares), |d|
+        at least a pixel; that of the distance term, outside, lambda_dt over the longer side.
+        """
+        from scipy.ndimage import distance_transform_edt
+
+        valid = np.ones_like(mask) if valid is None else valid
+        weights = weights or LossWeights()
+        outside, inside = (np.asarray(distance_transform_edt(m), np.float32) for m in (~mask, mask))
+        leak = np.float32(weights.distance / max(mask.shape))
+        stiffness = 1 / np.maximum(outside + inside, 1) + np.where(mask, np.float32(0), leak)
+        visible = mask & valid
+        return cls(
+            mask=mask,
+            valid=valid,
+            area=float(max(np.count_nonzero(visible), 1)),
+            centroid=centroid(visible),
+            weights=weights,
+            fields=contour.Fields(
+                valid=valid.astype(np.float32),
+                mismatch=valid * (1 - 2 * mask.astype(np.float32) + leak * outside),
+                stiffness=valid * stiffness,
+            ),
+        )
+
+
+def loss(integrals: Integrals, target: Target) -> Local:
+    """Equation 9 without its priors, over the valid region, with derivatives; equation 7 where the weights of centroid
+    and area are zero. The terms of centroid and area have Gauss-Newton curvatures."""
+    F, G, weights = integrals.value, integrals.gradient, target.weights
+    area = max(float(F[VALID]), 1.0)
+    middle = F[[MOMENT_X, MOMENT_Y]] / area
+    side = max(target.mask.shape)
+    offset = (middle - target.centroid) / side
+    d_offset = (G[[MOMENT_X, MOMENT_Y]] - np.outer(middle, G[VALID])) / (area * side)
+    ratio, d_ratio = np.log(area / target.area), G[VALID] / area
+    lambda_c, lambda_a = weights.centroid, weights.area
+    return Local(
+        value=1 + float(F[MISMATCH]) / target.area + lambda_c * float(offset @ offset) + lambda_a * float(ratio**2),
+        gradient=G[MISMATCH] / target.area + 2 * lambda_c * offset @ d_offset + 2 * lambda_a * ratio * d_ratio,
+        curvature=integrals.curvature / target.area
+        + 2 * lambda_c * d_offset.T @ d_offset
+        + 2 * lambda_a * np.outer(d_ratio, d_ratio),
+    )
 
 
 def centroid(mask: Mask) -> Array:
