@@ -17,7 +17,7 @@ from typing import Any, TypeVar, cast
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-KERNEL_MODULES = ("raster", "contact", "crossings")
+KERNEL_MODULES = ("raster", "contact", "crossings", "inside")
 """Modules of this package that hold numba kernels; each has a ``warm_up()`` that calls every one of them."""
 
 
