@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
@@ -19,7 +19,7 @@ from f3sr.mesh import ConvexPart, Mesh, mass_properties
 from f3sr.report import Decision, Measure, Report, keep_better
 from f3sr.scene import Scene, SceneObject
 from f3sr.settings import settings
-from f3sr.silhouette import LossWeights, Mask, Target, centroid, iou, loss, resample
+from f3sr.silhouette import LossWeights, Mask, Target, centroid, iou, loss, resample, union_of
 
 Turn = Annotated[float, Interval(ge=-np.pi, le=np.pi)]
 Weight = Annotated[float, Interval(ge=0, le=10)]
@@ -84,10 +84,10 @@ def align(
         scene, decision = _align_camera(scene, config)
         decisions.append(decision)
     if config.objects:
-        valid = visible_regions(scene)
+        nearer = nearer_objects(scene)
 
         def work(o: SceneObject) -> tuple[SceneObject, list[Decision]]:
-            return _align_object(o, valid[o.id], scene.camera, config)
+            return _align_object(o, visible_region(o, nearer[o.id]), scene.camera, config)
 
         with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
             results = list(pool.map(work, [o for o in scene if only is None or o.id in only]))
@@ -113,21 +113,17 @@ def _outlined(o: SceneObject, max_faces: int) -> SceneObject:
     return replace(o, mesh=Mesh(vertices=np.asarray(light[0], float), faces=np.asarray(light[1], np.int32)))
 
 
-def visible_regions(scene: Scene) -> dict[int, Mask]:
-    """Per object, the pixels (H, W) where its silhouette must agree with its mask: not in a nearer object's mask.
-
-    Nearer is told by the rendered depths where two objects overlap in the picture, else by their median depths; a
-    mask that cannot be ordered is left out of the comparison.
-    """
+def nearer_objects(scene: Scene) -> dict[int, list[SceneObject]]:
+    """Per object, those that may hide it: told by the rendered depths where two objects overlap in the picture, else by
+    their median depths. Two that cannot be ordered may hide each other."""
     small = scene.camera.limited(384)
     depths = {o.id: raster.render([o], small).depth for o in scene}
-    return {
-        o.id: ~np.any(
-            [np.zeros_like(o.mask)] + [p.mask for p in scene if p.id != o.id and _nearer(depths[p.id], depths[o.id])],
-            axis=0,
-        )
-        for o in scene
-    }
+    return {o.id: [p for p in scene if p.id != o.id and _nearer(depths[p.id], depths[o.id])] for o in scene}
+
+
+def visible_region(o: SceneObject, nearer: Iterable[SceneObject]) -> Mask:
+    """The pixels (H, W) where an object's silhouette must agree with its mask: not in a nearer object's mask."""
+    return ~union_of((p.mask for p in nearer), o.mask.shape)
 
 
 def _nearer(a: Array, b: Array) -> bool:
@@ -146,7 +142,9 @@ def _nearer(a: Array, b: Array) -> bool:
 def _align_camera(scene: Scene, config: AlignConfig) -> tuple[Scene, Decision]:
     """6-DoF camera about the scene's centre, intrinsics fixed (equation 7), accepted on the mean IoU of instances."""
     small = scene.camera.limited(config.resolution)
-    target = Target.of(resample(np.any([o.mask for o in scene], axis=0), small.width, small.height))
+    target = Target.of(
+        resample(union_of((o.mask for o in scene), (scene.photo.height, scene.photo.width)), small.width, small.height)
+    )
     center = scene.camera.to_camera(np.mean([o.bounds_world.mean(0) for o in scene], axis=0)[None])[0]
     reach = np.array([config.camera_rotation] * 3 + [config.camera_translation * float(np.linalg.norm(center))] * 3)
     vertices = np.concatenate([o.vertices_world for o in scene])
@@ -275,9 +273,9 @@ def _align_object(
 def _search(o: SceneObject, valid: Mask, camera: Camera, config: AlignConfig) -> _Search:
     """The problem of one object, seen in a window around its mask and its render that leaves room for every shift."""
     pixels, _ = camera.project(o.vertices_world)
-    rows, columns = np.nonzero(o.mask)
-    low = np.minimum(pixels.min(0), [columns.min(), rows.min()])
-    high = np.maximum(pixels.max(0), [columns.max() + 1, rows.max() + 1])
+    rows, columns = (np.flatnonzero(o.mask.any(axis=axis)) for axis in (1, 0))
+    low = np.minimum(pixels.min(0), [columns[0], rows[0]])
+    high = np.maximum(pixels.max(0), [columns[-1] + 1, rows[-1] + 1])
     limit = np.array([camera.width, camera.height])
     low, high = np.clip(low, -limit, 2 * limit), np.clip(high, -limit, 2 * limit)
     margin = 0.15 * (high - low).max()
