@@ -212,7 +212,7 @@ def _sum_outline(
     curvature: Array,
 ) -> None:
     """Add what the outline contributes: sub-pixel parts of the values, the boundary integrals, the curvature."""
-    along, over = int(upright), int(not upright)
+    over = int(not upright)
     parameters = len(velocities)
     J = np.empty(parameters)
     w = np.empty(5)

@@ -19,7 +19,7 @@ from f3sr.progress import Progress, silent, timed
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-KERNEL_MODULES = ("raster", "contact", "crossings", "inside")
+KERNEL_MODULES = ("raster", "contour", "contact", "crossings", "inside")
 """Modules of this package that hold numba kernels; each has a ``warm_up()`` that calls every one of them."""
 
 

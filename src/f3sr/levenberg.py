@@ -24,6 +24,14 @@ class Local:
     gradient: Array
     curvature: Array
 
+    def plus_squares(self, weights: Array, x: Array) -> Local:
+        """The objective with a quadratic prior sum(weights * x^2) added."""
+        return Local(
+            value=self.value + float(weights @ x**2),
+            gradient=self.gradient + 2 * weights * x,
+            curvature=self.curvature + np.diag(2 * weights),
+        )
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Minimum:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from f3sr import contour
+from f3sr import contour, raster
 from f3sr.contour import MISMATCH, MOMENT_X, MOMENT_Y, VALID, Integrals
-from f3sr.frames import Array
+from f3sr.frames import Array, Camera, transform
 from f3sr.levenberg import Local
 from f3sr.settings import settings
 
@@ -95,10 +95,40 @@ class Target:
             weights=weights,
             fields=contour.Fields(
                 valid=valid.astype(np.float32),
-                mismatch=valid * (1 - 2 * mask.astype(np.float32) + leak * outside),
-                stiffness=valid * stiffness,
+                mismatch=(valid * (1 - 2 * mask.astype(np.float32) + leak * outside)).astype(np.float32),
+                stiffness=(valid * stiffness).astype(np.float32),
             ),
         )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Surface:
+    """Triangles in the world and their edges: what silhouettes are drawn from."""
+
+    vertices: Array
+    faces: NDArray[np.int32]
+    edges: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, meshes: Sequence[tuple[Array, NDArray[np.int32]]]) -> Surface:
+        """Several meshes, vertices (n, 3) [m] and faces (m, 3) each, as one."""
+        starts = np.cumsum([0] + [len(v) for v, _ in meshes])
+        faces = np.concatenate([f + n for (_, f), n in zip(meshes, starts, strict=False)]).astype(np.int32)
+        return cls(vertices=np.concatenate([v for v, _ in meshes]), faces=faces, edges=contour.unique_edges(faces))
+
+    def moved(self, T: Array, scale: float) -> Surface:
+        return replace(self, vertices=transform(T, scale * self.vertices))
+
+    def silhouette(self, camera: Camera) -> Mask:
+        """(h, w) pixels whose centres it covers."""
+        points = camera.to_camera(self.vertices)
+        return raster.silhouette(points, self.faces, camera.K, camera.width, camera.height)
+
+    def integrals(self, camera: Camera, fields: contour.Fields, velocities: Array) -> Integrals:
+        """``contour.integrate`` over the silhouette; ``velocities`` (p, 3, 4) in camera axes."""
+        points = camera.to_camera(self.vertices)
+        mask = raster.silhouette(points, self.faces, camera.K, camera.width, camera.height)
+        return contour.integrate(points, self.edges, mask, camera.K, fields, velocities, near=raster.NEAR)
 
 
 def loss(integrals: Integrals, target: Target) -> Local:

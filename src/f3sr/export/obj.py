@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from f3sr.frames import Array
 from f3sr.mesh import ConvexPart
 
-
 BLOCK = 20_000
 """Rows that are written at a time."""
 

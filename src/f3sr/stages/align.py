@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
@@ -14,12 +14,17 @@ from annotated_types import Interval, Len
 
 from f3sr import raster
 from f3sr.facets import resting_turn
-from f3sr.frames import Array, Camera, invert_pose, pose, rotation_about, rotation_from_vector, transform
+from f3sr.frames import Array, Camera, pose
+from f3sr.freedom import CameraFreedom, ObjectFreedom
+from f3sr.levenberg import Local, Minimum, minimise
 from f3sr.mesh import ConvexPart, Mesh, mass_properties
 from f3sr.report import Decision, Measure, Report, keep_better
 from f3sr.scene import Scene, SceneObject
 from f3sr.settings import settings
-from f3sr.silhouette import LossWeights, Mask, Target, centroid, iou, loss, resample, union_of
+from f3sr.silhouette import LossWeights, Mask, Surface, Target, centroid, iou, loss, resample, union_of
+
+SMALLEST_AREA = 16
+"""Pixels of a silhouette below which its centre and area say nothing."""
 
 Turn = Annotated[float, Interval(ge=-np.pi, le=np.pi)]
 Weight = Annotated[float, Interval(ge=0, le=10)]
@@ -48,8 +53,10 @@ class AlignConfig:
     (.34 in the mean of ten known scenes); three degrees of freedom here made that 1.2 and gained .002 mIoU."""
     camera_translation: Annotated[float, Interval(gt=0, le=0.5)] = 0.05
     """Trust region of the camera's move, as a share of its distance to the scene."""
-    camera_evaluations: Annotated[int, Interval(ge=10, le=10000)] = 120
-    """Loss evaluations of the camera's search."""
+    camera_iterations: Annotated[int, Interval(ge=1, le=1000)] = 25
+    """Steps tried by the camera's search."""
+    camera_prior: Annotated[float, Interval(ge=0, le=10)] = 0.01
+    """Quadratic prior on the camera's motion over its trust region."""
     yaw_seeds: Annotated[tuple[Turn, ...], Len(1, 64)] = tuple(math.radians(a) for a in (-30, -15, 0, 15, 30))
     """Turns about the vertical that a search starts from [rad]."""
     max_shift: Annotated[float, Interval(gt=0, le=2)] = 0.35
@@ -58,10 +65,14 @@ class AlignConfig:
     """Largest turn about the vertical [rad]."""
     max_scale: Annotated[float, Interval(gt=0, lt=1)] = 0.25
     """Largest change of scale; the report's bound."""
-    evaluations: Annotated[int, Interval(ge=10, le=10000)] = 120
-    """Loss evaluations per object after the seeds."""
-    prior: tuple[Weight, Weight, Weight, Weight] = (0.01, 0.01, 0.02, 0.02)
-    """Quadratic priors on shift (over max_shift), yaw (over max_yaw) and scale (over max_scale)."""
+    polish_tilt: Annotated[float, Interval(ge=0, le=np.pi / 4)] = 0.0
+    """Largest tilt about each horizontal axis [rad]."""
+    kept_seeds: Annotated[int, Interval(ge=1, le=64)] = 3
+    """Seeds that are refined, the best first."""
+    iterations: Annotated[int, Interval(ge=1, le=1000)] = 16
+    """Steps tried by the final search; each seed gets half of them."""
+    prior: tuple[Weight, Weight, Weight, Weight, Weight, Weight] = (0.01, 0.01, 0.02, 0.02, 0.02, 0.02)
+    """Quadratic priors on the shifts, yaw, two tilts and scale, each over its bound."""
     iou_tolerance: Annotated[float, Interval(ge=0, le=0.1)] = 0.0
     """IoU an accepted step may lose."""
     weights: LossWeights = field(default_factory=LossWeights)
@@ -142,27 +153,21 @@ def _nearer(a: Array, b: Array) -> bool:
 def _align_camera(scene: Scene, config: AlignConfig) -> tuple[Scene, Decision]:
     """6-DoF camera about the scene's centre, intrinsics fixed (equation 7), accepted on the mean IoU of instances."""
     small = scene.camera.limited(config.resolution)
-    target = Target.of(
-        resample(union_of((o.mask for o in scene), (scene.photo.height, scene.photo.width)), small.width, small.height)
-    )
+    masks = (resample(o.mask, small.width, small.height) for o in scene)
+    union = union_of(masks, (small.height, small.width))
+    target = Target.of(union, weights=replace(config.weights, centroid=0.0, area=0.0))
     center = scene.camera.to_camera(np.mean([o.bounds_world.mean(0) for o in scene], axis=0)[None])[0]
     reach = np.array([config.camera_rotation] * 3 + [config.camera_translation * float(np.linalg.norm(center))] * 3)
-    vertices = np.concatenate([o.vertices_world for o in scene])
-    offsets = np.cumsum([0] + [len(o.mesh.vertices) for o in scene])
-    faces = np.concatenate([o.mesh.faces + n for o, n in zip(scene, offsets, strict=False)]).astype(np.int32)
-    weights = replace(config.weights, centroid=0.0, area=0.0)
+    freedom = CameraFreedom(camera=small, center=center, reach=reach)
+    surface = Surface.of([(o.vertices_world, o.mesh.faces) for o in scene])
 
-    def camera_at(x: Array) -> Camera:
-        T_new_old = _about(center, rotation_from_vector(x[:3] * reach[:3]), x[3:] * reach[3:])
-        return small.moved(small.T_world_camera @ invert_pose(T_new_old))
+    def objective(u: Array) -> Local:
+        camera = freedom.at(u)
+        fit = loss(surface.integrals(camera, target.fields, freedom.velocities(u)), target)
+        return fit.plus_squares(np.full(6, config.camera_prior), u)
 
-    def objective(x: Array) -> float:
-        camera = camera_at(x)
-        rendered = raster.silhouette(camera.to_camera(vertices), faces, camera.K, camera.width, camera.height)
-        return loss(rendered, target, weights) + 0.01 * float(x @ x)
-
-    x = _minimise(objective, np.zeros(6), evaluations=config.camera_evaluations)
-    moved = replace(scene, camera=scene.camera.moved(camera_at(x).T_world_camera))
+    best = minimise(objective, np.zeros(6), bounds=(-np.ones(6), np.ones(6)), iterations=config.camera_iterations)
+    moved = replace(scene, camera=scene.camera.moved(freedom.at(best.x).T_world_camera))
     return keep_better(
         scene, moved, score=lambda s: float(np.mean(_ious(s, config))), step="camera", measure="mean mask IoU",
         tolerance=config.iou_tolerance,
@@ -179,74 +184,59 @@ def _about(center: Array, R: Array, t: Array) -> Array:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Search:
-    """One object's problem in unit parameters: (shift, shift, yaw, scale), each in [-1, 1] inside its bound."""
+    """One object's problem: where in its freedom its silhouette fits its mask best."""
 
     object: SceneObject
     camera: Camera
     """Of a window around the object."""
     target: Target
+    freedom: ObjectFreedom
+    surface: Surface
     config: AlignConfig
 
-    @property
-    def reach(self) -> Array:
-        c = self.config
-        shift = c.max_shift * self.object.size
-        return np.array([shift, shift, c.max_yaw, c.max_scale])
+    def _shown(self, u: Array) -> Surface:
+        T, s = self.freedom.similarity(u)
+        return self.surface.moved(T, s)
 
-    @property
-    def basis(self) -> Array:
-        """B_C (3, 2): the directions of the shift in the world."""
-        return self.camera.T_world_camera[:3, :2] if self.config.freedom == "image" else np.eye(3)[:, :2]
+    def silhouette(self, u: Array) -> Mask:
+        return self._shown(u).silhouette(self.camera)
 
-    @property
-    def anchor(self) -> Array:
-        """The point (3,) that yaw and scale leave in place."""
-        low, high = self.object.bounds_world
-        middle = (low + high) / 2
-        return middle if self.config.freedom == "image" else np.array([middle[0], middle[1], low[2]])
+    def objective(self, u: Array) -> Local:
+        velocities = self.freedom.velocities(u, self.camera)
+        fit = loss(self._shown(u).integrals(self.camera, self.target.fields, velocities), self.target)
+        return fit.plus_squares(np.asarray(self.config.prior), u)
 
-    def similarity(self, x: Array) -> tuple[Array, float]:
-        """Equation 8 as (rigid T, scale)."""
-        dx, dy, yaw, sigma = x * self.reach
-        R, s = rotation_about([0, 0, 1], yaw), 1 + sigma
-        return pose(R, self.anchor + self.basis @ [dx, dy] - R @ (s * self.anchor)), s
-
-    def silhouette(self, x: Array) -> Mask:
-        T, s = self.similarity(x)
-        vertices = transform(T, s * self.object.vertices_world)
-        c = self.camera
-        return raster.silhouette(c.to_camera(vertices), self.object.mesh.faces, c.K, c.width, c.height)
-
-    def objective(self, x: Array) -> float:
-        inside = np.clip(x, -1, 1)
-        outside = float(np.abs(x - inside).sum())
-        prior = float(np.asarray(self.config.prior) @ inside**2)
-        return loss(self.silhouette(inside), self.target, self.config.weights) + prior + outside
-
-    def iou(self, x: Array) -> float:
-        return iou(self.silhouette(x), self.target.mask, self.target.valid)
+    def iou(self, u: Array) -> float:
+        return iou(self.silhouette(u), self.target.mask, self.target.valid)
 
     def seed(self, yaw: float) -> Array:
         """Closed form from the hard mask: centroid gives the shift, the square root of the area ratio the scale."""
-        x = np.array([0.0, 0.0, yaw / self.config.max_yaw, 0.0])
+        reach = self.freedom.reach
+        u = np.array([0.0, 0, yaw / reach[2], 0, 0, 0])
         depth = self.camera.to_camera(self.object.bounds_world.mean(0)[None])[0, 2]
         # Pixels per unit of shift, so that the same step serves both kinds of freedom.
-        pixels = self.camera.K[:2, :2] @ (self.camera.T_camera_world[:3, :3] @ self.basis)[:2] / depth
+        pixels = self.camera.K[:2, :2] @ (self.camera.T_camera_world[:3, :3] @ self.freedom.basis)[:2] / depth
         for _ in range(2):
-            s = self.silhouette(x) & self.target.valid
+            s = self.silhouette(u) & self.target.valid
             area = np.count_nonzero(s)
-            if area < 16:
+            if area < SMALLEST_AREA:
                 break
-            x[:2] += np.linalg.lstsq(pixels, self.target.centroid - centroid(s))[0] / self.reach[:2]
-            x[3] = ((1 + x[3] * self.reach[3]) * np.sqrt(self.target.area / area) - 1) / self.reach[3]
-            x = np.clip(x, -1, 1)
-        return x
+            u[:2] += np.linalg.lstsq(pixels, self.target.centroid - centroid(s))[0] / reach[:2]
+            u[5] = ((1 + u[5] * reach[5]) * np.sqrt(self.target.area / area) - 1) / reach[5]
+            u = np.clip(u, -1, 1)
+        return u
 
     def solve(self) -> Array:
-        """The best seed, polished."""
-        seeds = [np.zeros(4), *(self.seed(yaw) for yaw in self.config.yaw_seeds)]
-        start = min(seeds, key=self.objective)
-        return np.clip(_minimise(self.objective, start, evaluations=self.config.evaluations), -1, 1)
+        """The best of the refined seeds, polished."""
+        seeds = [np.zeros(6), *(self.seed(yaw) for yaw in self.config.yaw_seeds)]
+        ranked = sorted(seeds, key=lambda u: self.objective(u).value)
+        refined = [self._refined(u, self.config.iterations // 2) for u in ranked[: self.config.kept_seeds]]
+        best = min(refined, key=lambda m: m.value)
+        return self._refined(best.x, self.config.iterations).x
+
+    def _refined(self, u: Array, iterations: int) -> Minimum:
+        free = (self.freedom.reach > 0).astype(float)
+        return minimise(self.objective, u, bounds=(-free, free), iterations=iterations)
 
 
 def _align_object(
@@ -255,7 +245,7 @@ def _align_object(
     """The object where its silhouette fits its mask best, standing on a facet where that is near and fits."""
     search = _search(o, valid, camera, config)
     kept, decision = keep_better(
-        np.zeros(4), search.solve(), score=search.iou, step="object", measure="valid mask IoU",
+        np.zeros(6), search.solve(), score=search.iou, step="object", measure="valid mask IoU",
         tolerance=config.iou_tolerance, about=o.id,
     )  # fmt: skip
     turn = _resting_turn(o, config)
@@ -287,7 +277,26 @@ def _search(o: SceneObject, valid: Mask, camera: Camera, config: AlignConfig) ->
         resample(_window(m, inside, fill=fill), window.width, window.height)
         for m, fill in ((o.mask, False), (valid, True))
     )
-    return _Search(object=o, camera=window, target=Target.of(mask, region), config=config)
+    return _Search(
+        object=o,
+        camera=window,
+        target=Target.of(mask, region, config.weights),
+        freedom=_freedom(o, camera, config),
+        surface=Surface.of([(o.vertices_world, o.mesh.faces)]),
+        config=config,
+    )
+
+
+def _freedom(o: SceneObject, camera: Camera, config: AlignConfig) -> ObjectFreedom:
+    low, high = o.bounds_world
+    middle = (low + high) / 2
+    shift = config.max_shift * o.size
+    in_image = config.freedom == "image"
+    return ObjectFreedom(
+        anchor=middle if in_image else np.array([middle[0], middle[1], low[2]]),
+        basis=camera.T_world_camera[:3, :2] if in_image else np.eye(3)[:, :2],
+        reach=np.array([shift, shift, config.max_yaw, config.polish_tilt, config.polish_tilt, config.max_scale]),
+    )
 
 
 def _window(mask: Mask, inside: tuple[slice, slice], *, fill: bool) -> Mask:
@@ -312,23 +321,11 @@ def _resting_turn(o: SceneObject, config: AlignConfig) -> Array | None:
 def _applied(search: _Search, x: Array, decision: Decision) -> SceneObject:
     if not x.any():
         return search.object
-    T, s = search.similarity(x)
+    T, s = search.freedom.similarity(x)
     return search.object.moved(T, scale=s, stage="align", reason=decision.reason)
 
 
 # --- shared -------------------------------------------------------------------------------------------------------
-
-
-def _minimise(objective: Callable[[Array], float], start: Array, *, evaluations: int) -> Array:
-    """Nelder-Mead from a simplex of a fifth of the bounds; the loss of a hard raster is piecewise constant."""
-    from scipy.optimize import minimize
-
-    simplex = np.concatenate([start[None], start + 0.2 * np.eye(len(start))])
-    result = minimize(
-        objective, start, method="Nelder-Mead",
-        options={"initial_simplex": simplex, "maxfev": evaluations, "xatol": 1e-3, "fatol": 1e-4, "adaptive": True},
-    )  # fmt: skip
-    return np.asarray(result.x)
 
 
 def _ious(scene: Scene, config: AlignConfig) -> Sequence[float]:
