@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import Positional, arg
 
+from f3sr import interrupts
 from f3sr.errors import F3srError, InputError
 
 Folder = Positional[Path]
@@ -32,10 +34,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(2, str(error))
     except F3srError as error:
         return _fail(1, str(error))
+    except BrokenPipeError:
+        return _fail(1, f"nobody reads the output; {interrupts.state()}")
     except OSError as error:
         return _fail(1, f"{error.filename or 'system'}: {error.strerror or error}")
     except KeyboardInterrupt:
-        return _fail(1, "interrupted; nothing was written")
+        return _fail(1, f"interrupted; {interrupts.state()}")
     return 0
 
 
@@ -180,8 +184,24 @@ def _fail(code: int, message: str) -> int:
 
 
 def run() -> None:
-    """Console script. Names that a terminal's encoding lacks are escaped, not fatal."""
+    """The whole life of the process. Names that a terminal's encoding lacks are escaped, not fatal."""
+    interrupts.watch()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    sys.exit(main())
+    try:
+        code = main()
+    except SystemExit as end:  # --help and wrong arguments
+        code = end.code if isinstance(end.code, int) else 1
+    sys.exit(_flushed(code))
+
+
+def _flushed(code: int) -> int:
+    """The exit code once all output is out; a closed pipe or a full disk behind it is told in one line."""
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        try:
+            stream.flush()
+        except OSError as error:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # or Python tries, and complains, again
+            code = code or _fail(1, f"the output could not be written ({error.strerror}); {interrupts.state()}")
+    return code
