@@ -18,7 +18,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from f3sr import package
+from f3sr import package, place
 from f3sr.errors import InputError, OutputError
 from f3sr.frames import pose, rotation_about, transform
 from f3sr.mesh import ConvexPart, Material, Mesh
@@ -426,7 +426,7 @@ def test_labels_are_text_and_nothing_else(label: str, tmp_path: Path) -> None:
 # --- whole or not at all ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("point", ["mesh_to_glb", "to_mjcf", "to_json", "_commit", "_move"])
+@pytest.mark.parametrize("point", ["mesh_to_glb", "to_mjcf", "to_json", "_replace", "_move"])
 @pytest.mark.parametrize("error", [RuntimeError("stop"), OSError(28, "No space left on device"), KeyboardInterrupt()])
 def test_a_failing_write_leaves_the_old_package(
     point: str, error: BaseException, stack: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -437,7 +437,7 @@ def test_a_failing_write_leaves_the_old_package(
     def fail(*_: Any, **__: Any) -> Any:
         raise error
 
-    monkeypatch.setattr(package, point, fail)
+    monkeypatch.setattr(place if point.startswith("_") else package, point, fail)
     with pytest.raises(OutputError if isinstance(error, OSError) else type(error)):
         write_package(box_stack_scene(2), out)
     assert tree(out) == before and [p.name for p in tmp_path.iterdir()] == ["out"]
@@ -447,14 +447,14 @@ def test_a_failing_second_rename_brings_the_old_package_back(
     stack: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = write_package(stack, tmp_path / "out")
-    before, move = tree(out), package._move
+    before, move = tree(out), place._move
 
     def fail(source: Path, target: Path) -> None:
         if source.name.endswith(".building"):
             raise OSError(5, "Input/output error")
         move(source, target)
 
-    monkeypatch.setattr(package, "_move", fail)
+    monkeypatch.setattr(place, "_move", fail)
     with pytest.raises(OutputError, match="Input/output"):
         write_package(box_stack_scene(2), out)
     assert tree(out) == before and [p.name for p in tmp_path.iterdir()] == ["out"]
@@ -466,7 +466,7 @@ def test_a_killed_run_is_tidied_up_by_the_next(stack: Scene, tmp_path: Path) -> 
     out.rename(tmp_path / ".out.previous")  # killed between the two renames
     (tmp_path / ".out.building").mkdir()
     (tmp_path / ".out.building" / "half").write_text("")
-    (tmp_path / ".out.building" / package.MARKER).write_text("999999999")
+    (tmp_path / ".out.building" / place.MARKER).write_text("")
     assert package.prepare_output(out) == out
     assert tree(out) == before and [p.name for p in tmp_path.iterdir()] == ["out"]
     (tmp_path / ".out.previous").mkdir()  # killed while the old one was being deleted
@@ -488,12 +488,14 @@ def test_folders_of_others_in_the_way_are_left_alone(name: str, stack: Scene, tm
 
 
 def test_a_second_writer_is_told_so(stack: Scene, tmp_path: Path) -> None:
-    building = tmp_path / ".out.building"
-    building.mkdir()
-    (building / package.MARKER).write_text(str(os.getpid()))
-    with pytest.raises(OutputError, match="another run is writing it"):
-        write_package(stack, tmp_path / "out")
-    assert (building / package.MARKER).exists()
+    out = tmp_path / "out"
+    with place.claimed(out, overwrite=False) as first:
+        for attempt in (write_package, lambda _, out: package.prepare_output(out)):
+            with pytest.raises(OutputError, match="another run is writing it"):
+                attempt(stack, out)
+        assert (first.folder / place.MARKER).exists()
+    assert not list(tmp_path.iterdir())
+    assert write_package(stack, out).exists()
 
 
 def test_foreign_files_in_a_package_are_not_thrown_away(stack: Scene, tmp_path: Path) -> None:
