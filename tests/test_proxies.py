@@ -101,7 +101,7 @@ def no_subprocess(monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("a subprocess was started")
 
-    monkeypatch.setattr(subprocess, "run", refuse)
+    monkeypatch.setattr(subprocess, "Popen", refuse)
 
 
 # One hull
@@ -241,7 +241,7 @@ def test_a_crash_of_coacd_falls_back_to_vhacd(tmp_path, monkeypatch):
 
     def crash_first(method, *rest):
         if method == "coacd":
-            return proxies._explain(-6, "", rest[-1])
+            return proxies._explain(-6, "", rest[2])
         return run(method, *rest)
 
     monkeypatch.setattr(proxies, "_run_worker", crash_first)

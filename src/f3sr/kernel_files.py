@@ -1,7 +1,7 @@
 """Compiled kernels on disk: one file per kernel and signature, whole or absent, its digest checked before it is run.
 
-numba's own cache keeps an index that two processes overwrite for each other, and unpickles whatever the disk gives back:
-a damaged file fails every run, or runs. Here a file that cannot be trusted is one that is not there.
+numba's own cache keeps an index that two processes overwrite for each other, and unpickles whatever the disk gives: a
+damaged file fails every run, or is run. Here a file that cannot be trusted is one that is not there.
 """
 
 from __future__ import annotations
@@ -10,14 +10,15 @@ import contextlib
 import hashlib
 import pickle
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numba
 from numba.core.compiler import CompileResult
 
-from f3sr.cache import write_whole
+from f3sr.cache import PART, STALE_S, write_whole
 
 SUFFIX = ".kernel"
 DIGEST = hashlib.sha256().digest_size
@@ -39,7 +40,7 @@ class KernelFiles:
         """The compiled kernel for a signature, None where there is none to trust."""
         target_context.refresh()
         data = read(self._path(sig, target_context.codegen()))
-        return data and CompileResult._rebuild(target_context, *pickle.loads(data))
+        return data and cast(Any, CompileResult)._rebuild(target_context, *pickle.loads(data))
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a compiled kernel; a folder that cannot be written to keeps nothing, and that is all."""
@@ -69,7 +70,8 @@ def read(file: Path) -> bytes | None:
 def discard_damaged(folder: Path) -> int:
     """Delete the files that cannot be trusted; how many there were."""
     damaged = [file for file in folder.glob(f"*{SUFFIX}") if read(file) is None]
-    for file in damaged:
+    stale = [f for f in folder.glob(f"*{PART}") if time.time() - f.stat().st_mtime > STALE_S]
+    for file in damaged + stale:
         with contextlib.suppress(OSError):
             file.unlink()
     return len(damaged)

@@ -2,8 +2,8 @@
 
 A package is built in ``.OUT.building`` beside its place, then OUT is renamed to ``.OUT.previous``, ``.OUT.building`` to
 OUT, and the previous one deleted. At every moment one whole package, old or new, has one of these names, and the next
-run brings it back to OUT. One process at a time: it holds a lock on the folder that it builds, which the kernel ends with
-the process; the lock stays on the folder through its rename.
+run brings it back to OUT. One process at a time: it holds a lock on the folder that it builds, which the kernel ends
+with the process; the lock stays on the folder through its rename.
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ def _locked(folder: Path, out: Path) -> int:
 def _is_open(folder: Path, descriptor: int) -> bool:
     """Whether the path still names the opened folder."""
     try:
-        return os.path.samestat(os.stat(folder, follow_symlinks=False), os.fstat(descriptor))
+        return os.path.samestat(folder.lstat(), os.fstat(descriptor))
     except OSError:
         return False
 
