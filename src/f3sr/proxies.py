@@ -441,11 +441,12 @@ def _wait(
     process: subprocess.Popen[bytes], mesh: bytes, limit_s: float, cancelled: threading.Event | None
 ) -> tuple[bytes, bytes]:
     """Output and errors of a worker; TimeoutExpired at the limit, CancelledError when all is called off."""
-    deadline = time.monotonic() + limit_s
+    deadline, first = time.monotonic() + limit_s, mesh
     while True:
         try:
-            return process.communicate(mesh, timeout=max(0.0, min(LOOK_UP_S, deadline - time.monotonic())))
+            return process.communicate(first, timeout=max(0.0, min(LOOK_UP_S, deadline - time.monotonic())))
         except subprocess.TimeoutExpired:
+            first = None  # it has been taken over, and is sent on by the next call
             if cancelled is not None and cancelled.is_set():
                 raise CancelledError from None
             if time.monotonic() >= deadline:
