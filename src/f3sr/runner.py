@@ -19,7 +19,8 @@ Progress = Callable[[str], None]
 
 class Runner:
     """Calls stage after stage. A stage's key hashes the code, the key before it, its name and its configuration, so a
-    stored result is taken exactly when everything it depends on is the same."""
+    stored result is taken exactly when everything it depends on is the same. What a limit on time has cut short depends
+    on more than that: neither it nor what follows from it is stored."""
 
     def __init__(
         self, key: str, *, skip: Collection[str], skippable: Sequence[str], store: Store | None, progress: Progress
@@ -35,11 +36,6 @@ class Runner:
         self.resumed: list[str] = []
         """Stages whose results were taken from the store."""
 
-    def start(self, name: str, work: Callable[[], tuple[Scene, Report]]) -> Scene:
-        """The first stage: always run, as it holds what the store does not."""
-        scene, report = self._timed(name, work)
-        return self._keep(name, scene, report)
-
     def stage(
         self, name: str, work: Callable[..., tuple[Scene, Report]], scene: Scene, config: Any, **more: Any
     ) -> Scene:
@@ -48,11 +44,17 @@ class Runner:
         def restored(document: Any, arrays: Arrays) -> tuple[Scene, Report]:
             return scene_state.unpack(scene, document["scene"], arrays), _report(document["report"])
 
+        def worked() -> tuple[Scene, Report]:
+            changed, report = work(scene, config, **more)
+            if report.cut_short:
+                self.store = None
+            return changed, report
+
         def stored(result: tuple[Scene, Report]) -> tuple[Any, Arrays]:
             document, arrays = scene_state.pack(result[0])
             return {"scene": document, "report": asdict(result[1])}, arrays
 
-        result = self.value(name, lambda: work(scene, config, **more), restored, stored, config)
+        result = self.value(name, worked, restored, stored, config)
         return scene if result is None else self._keep(name, *result)
 
     def _keep(self, name: str, scene: Scene, report: Report) -> Scene:
@@ -77,16 +79,12 @@ class Runner:
             self.resumed.append(name)
             self.progress(f"{name}: from the cache")
             return restored(*found)
-        result = self._timed(name, work)
-        if self.store:
-            self.store.save(self.key, *stored(result))
-        return result
-
-    def _timed(self, name: str, work: Callable[[], T]) -> T:
         start = time.perf_counter()
         result = work()
         self.seconds[name] = time.perf_counter() - start
-        self.progress(f"{name}: {self.seconds[name]:.1f} s")
+        if self.store:
+            self.store.save(self.key, *stored(result))
+        self.progress(f"{name}: {self.seconds[name]:.1f} s")  # once it is stored: what is said to be done stays done
         return result
 
 
