@@ -6,15 +6,12 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 
 from f3sr import inputs
-from f3sr.cli import main
 from f3sr.errors import InputError
 from f3sr.measures import visible_iou
-from f3sr.package import read_package
 from f3sr.pipeline import SKIPPABLE, Config, Reconstruction, reconstruct
 from folders import write_folder
 
@@ -106,59 +103,3 @@ def test_reports_carry_units_and_reasons(result: Reconstruction):
     for report in result.reports:
         assert all(np.isfinite(m.after) for m in report.measures)
         assert all(d.choice and d.reason for d in report.decisions)
-
-
-# --- the command line ---------------------------------------------------------------------------------------
-
-
-def test_the_command_line_from_folder_to_numbers(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    out = tmp_path / "package"
-    assert main(["reconstruct", str(folder), "-o", str(out), "--skip", "refine"]) == 0
-    printed = capsys.readouterr().out
-    assert "direct composition" in printed and str(out) in printed
-    assert {"scene.json", "scene.glb", "scene.xml", "report.json", "photo.png"} <= {p.name for p in out.iterdir()}
-    assert sorted(p.name for p in (out / "pictures").iterdir()) == [
-        "overlay_after.png", "overlay_before.png", "render_after.png", "render_before.png", "sheet.png",
-        "side_after.png", "side_before.png",
-    ]  # fmt: skip
-    document = json.loads((out / "scene.json").read_text())
-    assert [o["id"] for o in document["objects"]] == [2, 5, 7]
-
-    assert main(["evaluate", str(out), "--json"]) == 0
-    table = json.loads(capsys.readouterr().out)
-    for name, value in document["metrics"].items():
-        tolerance = 0.15 if name == "proxy_far_pct" else 1e-3  # a few thousand random samples
-        assert table["f3sr"][name] == pytest.approx(value, rel=tolerance, abs=1e-4), name
-    assert table["direct composition"]["n"] == 3
-    assert read_package(out).direct is not None
-
-    model = mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    start = data.xipos.copy()
-    for _ in range(round(5 / model.opt.timestep)):
-        mujoco.mj_step(model, data)
-    assert model.njnt == 3 and np.abs(data.xipos - start).max() < 1e-3
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code", "message"),
-    [
-        (["reconstruct", "{folder}-absent", "-o", "{out}"], 2, "nothing there"),
-        (["reconstruct", "{folder}", "-o", "{out}", "--skip", "polish"], 2, "polish"),
-        (["reconstruct", "{folder}", "-o", "{out}", "--ignore", "photo"], 2, "photo"),
-        (["reconstruct", "{folder}", "-o", "{out}", "--asset-frame", "left"], 2, "left"),
-        (["reconstruct", "{folder}", "-o", "{folder}"], 1, "may not hold one another"),
-        (["reconstruct", "{folder}", "-o", "{folder}/.."], 1, "may not hold one another"),
-        (["evaluate", "{folder}"], 2, "scene.json"),
-        (["evaluate", "{folder}", "--true-scale", "-1"], 2, "positive"),
-    ],
-)
-def test_wrong_calls_end_with_one_line_and_their_exit_code(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], code: int, message: str
-):
-    out = tmp_path / "out"
-    assert main([a.format(folder=folder, out=out) for a in arguments]) == code
-    error = capsys.readouterr().err
-    assert message in error and error.count("\n") == 1 and error.startswith("f3sr: ")
-    assert not out.exists()

@@ -11,17 +11,23 @@ from typing import Any
 __version__ = "0.1.0"
 
 _PUBLIC = {
-    "read_inputs": "f3sr.inputs",
-    "InputError": "f3sr.errors",
-    "Config": "f3sr.pipeline",
-    "reconstruct": "f3sr.pipeline",
-    "read_package": "f3sr.package",
-    "write_package": "f3sr.package",
-    "evaluate": "f3sr.stages.evaluate",
+    "GROUND": "f3sr.scene",
     "Camera": "f3sr.frames",
+    "Config": "f3sr.pipeline",
+    "F3srError": "f3sr.errors",
+    "InputError": "f3sr.errors",
     "Mesh": "f3sr.mesh",
+    "OutputError": "f3sr.errors",
+    "Reconstruction": "f3sr.pipeline",
     "Scene": "f3sr.scene",
     "SceneObject": "f3sr.scene",
+    "Store": "f3sr.cache",
+    "deliver": "f3sr.deliver",
+    "evaluate": "f3sr.stages.evaluate",
+    "read_inputs": "f3sr.inputs",
+    "read_package": "f3sr.package",
+    "reconstruct": "f3sr.pipeline",
+    "write_package": "f3sr.package",
 }
 
 __all__ = ["__version__", *sorted(_PUBLIC)]  # pyright: ignore[reportUnsupportedDunderAll]

@@ -11,12 +11,13 @@ import tempfile
 import time
 from functools import cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import interrupts
+from f3sr.kernels import cache_root
 
 Arrays = dict[str, NDArray[Any]]
 DOCUMENT = "document.json"
@@ -59,6 +60,11 @@ class Store:
 
     def __init__(self, folder: Path, *, share: float = 0.9) -> None:
         self.folder, self.share = folder, share
+
+    @classmethod
+    def default(cls) -> Self:
+        """Where the command line keeps its results: ``stages`` in f3sr's cache."""
+        return cls(cache_root() / "stages")
 
     def load(self, key: str) -> tuple[Any, Arrays] | None:
         """The document and arrays stored under ``key``; None when there are none, or only damaged ones."""

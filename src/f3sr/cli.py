@@ -22,7 +22,13 @@ Out = Annotated[Path, arg(aliases=["-o"])]
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
-    commands: dict[str, Callable[..., Any]] = {"reconstruct": reconstruct, "evaluate": evaluate, "demo": demo}
+    commands: dict[str, Callable[..., Any]] = {
+        "reconstruct": reconstruct,
+        "evaluate": evaluate,
+        "demo": demo,
+        "config": config,
+        "doctor": doctor,
+    }
     try:
         tyro.extras.subcommand_cli_from_dict(
             commands,
@@ -50,6 +56,7 @@ def reconstruct(
     skip: str = "",
     ignore: str = "",
     asset_frame: str = "auto",
+    config: Path | None = None,
     overwrite: bool = False,
     json: bool = False,
 ) -> None:
@@ -62,45 +69,33 @@ def reconstruct(
             separate, settle, refine, evaluate.
         ignore: Parts of the input to treat as absent, comma separated: assets, geometry, ground, scene_graph.
         asset_frame: Axes of posed GLBs that come without poses.json: auto, opencv, opengl or pytorch3d.
+        config: TOML file of settings; those it does not name stay as ``f3sr config`` prints them.
         overwrite: Also replace a package that holds rollouts.
         json: Print one JSON object instead of text.
     """
-    from pydantic import JsonValue
-
-    from f3sr import inputs, kernels, package, pictures, pipeline
+    from f3sr import console, inputs, kernels, package, pipeline, settings
     from f3sr.cache import Store
+    from f3sr.deliver import deliver
+    from f3sr.progress import timed
 
-    say = _quiet if json else _say
     package.prepare_output(out, inputs=folder, overwrite=overwrite)
-    given = inputs.read(folder, ignore=_names(ignore), asset_frame=asset_frame)
-    kernels.warm_up(say)
-    store = Store(kernels.cache_root() / "stages")
-    result = pipeline.reconstruct(given, skip=_names(skip), store=store, progress=say)
-    written = package.write_package(
-        result.scene,
-        out,
-        direct=result.direct,
-        metrics=result.evaluation.result.as_dict() if result.evaluation else {},
-        provenance={
-            "inputs": dict[str, JsonValue](given.digests),
-            "config": result.config_digest,
-            "skipped": list[JsonValue](sorted(_names(skip))),
-        },
-        reports=result.reports,
-        seconds=result.seconds,
-        pictures=pictures.pictures_of(result.direct, result.scene),
-        overwrite=overwrite,
-    )
+    chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
+    with console.steps_shown(quiet=json) as progress:
+        with timed("read", progress):
+            given = inputs.read(folder, ignore=_names(ignore), asset_frame=asset_frame)
+        kernels.warm_up(progress)
+        result = pipeline.reconstruct(given, chosen, skip=_names(skip), store=Store.default(), progress=progress)
+        written = deliver(result, out, overwrite=overwrite, progress=progress)
     if json:
-        print(_json({"package": str(written), "seconds": result.seconds, **_table(result.evaluation)}))
+        print(_json({"package": str(written), "seconds": result.seconds, **_columns(result.evaluation)}))
         return
     for report in result.reports:
         for decision in report.fallbacks:
             about = f" (object {decision.about})" if decision.about is not None else ""
-            say(f"fallback in {report.stage}{about}: {decision.choice}; {decision.reason}")
-    _print_table(_table(result.evaluation))
-    say(f"package:  {written}")
-    say(f"pictures: {written / 'pictures'}")
+            console.say(f"fallback in {report.stage}{about}: {decision.choice}; {decision.reason}")
+    console.print_measures(_columns(result.evaluation))
+    console.say(f"package:  {written}")
+    console.say(f"pictures: {written / 'pictures'}")
 
 
 def evaluate(package: Folder, /, true_scale: float = 1.0, json: bool = False) -> None:
@@ -111,19 +106,22 @@ def evaluate(package: Folder, /, true_scale: float = 1.0, json: bool = False) ->
         true_scale: Factor from the scene's lengths to true metres, where it is known; physics depends on it.
         json: Print one JSON object instead of a table.
     """
-    from f3sr import kernels
+    from f3sr import console, kernels
     from f3sr.package import read_package
+    from f3sr.progress import timed
     from f3sr.stages.evaluate import evaluate as measure_both
 
     if not 1e-3 <= true_scale <= 1e3:
         raise InputError("--true-scale", found=str(true_scale), accepted="a positive number from 0.001 to 1000")
     content = read_package(package)
-    kernels.warm_up(_quiet if json else _say)
-    table = _table(measure_both(content.scene, content.direct, true_scale=true_scale))
+    with console.steps_shown(quiet=json) as progress:
+        kernels.warm_up(progress)
+        with timed("evaluate", progress):
+            columns = _columns(measure_both(content.scene, content.direct, true_scale=true_scale))
     if json:
-        print(_json(table))
+        print(_json(columns))
     else:
-        _print_table(table)
+        console.print_measures(columns)
 
 
 def demo(out: Out = Path("out/demo"), overwrite: bool = False) -> None:
@@ -138,6 +136,33 @@ def demo(out: Out = Path("out/demo"), overwrite: bool = False) -> None:
     reconstruct(example.folder(), out=out, overwrite=overwrite)
 
 
+def config() -> None:
+    """Print the default settings as TOML, each with its unit, range and meaning; for ``reconstruct --config``."""
+    from f3sr import pipeline, settings
+
+    print(settings.describe(pipeline.Config()), end="")
+
+
+def doctor(json: bool = False) -> None:
+    """Try out every part on this machine and say what works and what does not; exit code 1 where something fails.
+
+    Args:
+        json: Print one JSON object instead of text.
+    """
+    from dataclasses import asdict
+
+    from f3sr import console
+    from f3sr.doctor import examine
+
+    checks = examine()
+    if json:
+        print(_json({"checks": [asdict(check) for check in checks]}))
+    else:
+        console.print_table([(c.state, c.group, c.name, c.found) for c in checks], header=("",) * 4)
+    if failed := [check.name for check in checks if check.state == "failed"]:
+        raise F3srError(f"does not work here: {', '.join(failed)}")
+
+
 # --- words and tables ---------------------------------------------------------------------------------------------
 
 
@@ -145,33 +170,10 @@ def _names(text: str) -> list[str]:
     return [name.strip() for name in text.split(",") if name.strip()]
 
 
-def _table(evaluation: Any) -> dict[str, dict[str, float]]:
+def _columns(evaluation: Any) -> dict[str, dict[str, float]]:
     """The measures of direct composition, where known, and of the result, by column name."""
     columns = {"direct composition": evaluation.direct, "f3sr": evaluation.result} if evaluation else {}
     return {name: measures.as_dict() for name, measures in columns.items() if measures}
-
-
-def _print_table(table: dict[str, dict[str, float]]) -> None:
-    if not table:
-        return
-    from rich.console import Console
-    from rich.table import Table
-
-    view = Table(box=None, padding=(0, 2, 0, 0))
-    view.add_column("")
-    for row in table:
-        view.add_column(row, justify="right")
-    for name in next(iter(table.values())):
-        view.add_row(name, *(f"{row[name]:.4g}" for row in table.values()))
-    Console(highlight=False).print(view)
-
-
-def _say(text: str) -> None:
-    print(text, flush=True)
-
-
-def _quiet(text: str) -> None:
-    del text
 
 
 def _json(value: object) -> str:

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import importlib
 import os
 import shutil
 import tempfile
-import time
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
+
+from f3sr.progress import Progress, silent, timed
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -85,23 +87,21 @@ def is_warm() -> bool:
     return bool(names) and all((CACHE_DIR / name).exists() for name in names)
 
 
-def warm_up(say: Callable[[str], None] = lambda _: None) -> float:
-    """Compile what is not in the cache yet, telling ``say`` first. Returns the seconds it took."""
-    import importlib
+def warm_up(progress: Progress = silent) -> None:
+    """Compile what is not in the cache yet, half a minute once per machine; otherwise load it.
 
+    A damaged file of the cache is told, discarded and made anew."""
     from f3sr.cache import write_whole
     from f3sr.kernel_files import SUFFIX, discard_damaged
 
-    start = time.perf_counter()
+    step = "kernels" if is_warm() else "compiling kernels, once per machine"
     if damaged := discard_damaged(CACHE_DIR):
-        say(f"{damaged} damaged files in {CACHE_DIR}: discarded, their kernels are compiled again")
-    elif not is_warm():
-        say("compiling kernels, once per machine (about half a minute)")
-    for name in KERNEL_MODULES:
-        importlib.import_module(f"f3sr.{name}").warm_up()
+        step = f"compiling kernels again, as {damaged} damaged files were found and discarded"
+    with timed(step, progress):
+        for name in KERNEL_MODULES:
+            importlib.import_module(f"f3sr.{name}").warm_up()
     write_whole(WARM, "\n".join(sorted(file.name for file in CACHE_DIR.glob(f"*{SUFFIX}"))).encode())
     _discard_old_versions()
-    return time.perf_counter() - start
 
 
 def _discard_old_versions() -> None:

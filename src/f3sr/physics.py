@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from annotated_types import Interval
 
 from f3sr.frames import Array, pose, quaternion_from_rotation, rotation_from_quaternion
 from f3sr.mesh import ConvexPart, MassProperties, Mesh, signed_volume, solid_properties
 from f3sr.scene import GROUND, SceneObject
+from f3sr.settings import settings
 
 GROUND_NAME = "ground"
 
@@ -20,59 +22,74 @@ MjSpec = MjModel = MjData = MjsMesh = Any
 """MuJoCo's classes, which carry no type information."""
 
 
-@dataclass(frozen=True, kw_only=True)
+Share = Annotated[float, Interval(ge=0, lt=1)]
+Length = Annotated[float, Interval(gt=0, le=1)]
+Power = Annotated[float, Interval(ge=1, le=10)]
+Friction = Annotated[float, Interval(ge=0, le=10)]
+
+
+@settings
 class PhysicsConfig:
     """Contact model and time stepping, chosen for piles that rest (docs: physics)."""
 
-    timestep: float = 0.002
-    """[s], (0, .005]. Contacts need solref[0] >= 2 steps."""
-    gravity: float = -9.81
-    """Along world z [m/s2], <= 0."""
-    impratio: float = 10.0
-    """Friction to normal impedance, >= 1: higher slips less in the elliptic cone."""
-    solref: tuple[float, float] = (0.005, 1.0)
-    """Contact time constant [s], >= 2 steps, and damping ratio. .02 creeps ten times more."""
-    solimp: tuple[float, float, float, float, float] = (0.95, 0.99, 0.0005, 0.5, 2.0)
-    """Contact impedance: least and most in [0, 1), width [m], midpoint, power."""
-    condim: int = 6
-    """Contact dimensions, 4 or 6: 6 adds rolling friction, without which balls never stop."""
-    torsional_friction: float = 0.005
-    """[m], >= 0: friction against spinning about the contact normal."""
-    ground_friction: tuple[float, float, float] = (0.6, 0.005, 0.001)
+    timestep: Annotated[float, Interval(gt=0, le=0.005)] = 0.002
+    """[s], at most half of solref's first value."""
+    gravity: Annotated[float, Interval(ge=-100, le=0)] = -9.81
+    """Along world z [m/s2]."""
+    impratio: Annotated[float, Interval(ge=1, le=100)] = 10.0
+    """Friction to normal impedance: higher slips less in the elliptic cone."""
+    solref: tuple[Length, Annotated[float, Interval(gt=0, le=10)]] = (0.005, 1.0)
+    """Contact time constant [s], at least two time steps, and damping ratio. .02 creeps ten times more."""
+    solimp: tuple[Share, Share, Length, Share, Power] = (0.95, 0.99, 0.0005, 0.5, 2.0)
+    """Contact impedance: least, most, width [m], midpoint, power."""
+    condim: Literal[4, 6] = 6
+    """Contact dimensions: 6 adds rolling friction, without which balls never stop."""
+    torsional_friction: Annotated[float, Interval(ge=0, le=1)] = 0.005
+    """[m]: friction against spinning about the contact normal."""
+    ground_friction: tuple[Friction, Friction, Friction] = (0.6, 0.005, 0.001)
     """Sliding, torsional [m] and rolling [m] friction of the ground; a contact takes the larger of two."""
-    margin: float = 2e-4
-    """Contact distance of each body [m], [0, 1e-3]: it keeps soft contact from turning into overlap. MuJoCo
+    margin: Annotated[float, Interval(ge=0, le=1e-3)] = 2e-4
+    """Contact distance of each body [m]: it keeps soft contact from turning into overlap. MuJoCo
     adds the margins of two bodies, so that they rest two margins apart."""
     multiccd: bool = True
     """Several contact points per pair of parts. Off, stacks explode."""
+
+    def __post_init__(self) -> None:
+        if self.solref[0] < 2 * self.timestep:
+            raise ValueError("solref whose first value is at least two time steps")
+        if self.solimp[0] > self.solimp[1]:
+            raise ValueError("solimp whose first value is at most its second")
 
 
 DEFAULT_PHYSICS = PhysicsConfig()
 
 
-@dataclass(frozen=True, kw_only=True)
+@settings
 class SettleConfig:
     """When a scene counts as at rest, and how long to wait for it."""
 
-    damping: float = 4.0
-    """[1/s], (0, 50]: velocities lose this rate while settling, never afterwards."""
-    linear_rest: float = 1e-3
+    damping: Annotated[float, Interval(gt=0, le=50)] = 4.0
+    """[1/s]: velocities lose this rate while settling, never afterwards."""
+    linear_rest: Annotated[float, Interval(gt=0, le=1)] = 1e-3
     """[m/s]: a centre of mass slower than this is at rest."""
-    angular_rest: float = 1e-2
-    """[rad/s]"""
-    rest_time: float = 0.2
-    """[s], (0, 2]: speeds are averaged over this time, so that contacts that chatter by micrometres count as still."""
-    time_limit: float = 10.0
+    angular_rest: Annotated[float, Interval(gt=0, le=10)] = 1e-2
+    """[rad/s]: a body that turns slower than this is at rest."""
+    rest_time: Annotated[float, Interval(gt=0, le=2)] = 0.2
+    """[s]: speeds are averaged over this time, so that contacts that chatter by micrometres count as still."""
+    time_limit: Annotated[float, Interval(gt=0, le=600)] = 10.0
     """[s] of damped simulation, all rounds together."""
-    check_time: float = 2.0
+    check_time: Annotated[float, Interval(gt=0, le=60)] = 2.0
     """[s] of the undamped check after each round."""
-    drift_limit: float = 2e-4
+    drift_limit: Annotated[float, Interval(gt=0, le=0.1)] = 2e-4
     """[m]: largest travel of a centre of mass in the check. Collapsed piles creep .1 mm in 5 s."""
     even_masses: bool = True
     """Check a second time with each mass spread evenly over the parts, as the release protocol does: a
     pose can stand with the one centre of mass and tip with the other."""
-    rounds: int = 4
-    """How often to settle and check again, >= 1."""
+    rounds: Annotated[int, Interval(ge=1, le=100)] = 4
+    """How often to settle and check again."""
+
+
+DEFAULT_SETTLING = SettleConfig()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -180,7 +197,7 @@ def settle(
     objects: Sequence[SceneObject],
     config: PhysicsConfig = DEFAULT_PHYSICS,
     *,
-    settling: SettleConfig = SettleConfig(),
+    settling: SettleConfig = DEFAULT_SETTLING,
 ) -> Settled:
     """Let the objects fall, slide and topple until they rest by themselves.
 

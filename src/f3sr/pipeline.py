@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
+from pydantic import JsonValue
 
 from f3sr.cache import Store, digest
 from f3sr.frames import rotation_angle
 from f3sr.inputs import Inputs
 from f3sr.measures import visible_iou
+from f3sr.progress import Progress, silent
 from f3sr.proxies import ProxyConfig
 from f3sr.report import Decision, Measure, Report, keep_better
-from f3sr.runner import Progress, Runner
+from f3sr.runner import Runner
 from f3sr.scene import Scene, SceneObject
+from f3sr.settings import changed, settings
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.assemble import AssembleConfig, as_given, assemble
 from f3sr.stages.decompose import decompose
@@ -32,7 +38,7 @@ REPEATED_BY_REFINE = {"align", "align-objects", "separate", "settle"}
 """Stages that ``refine`` does again: without one of them there is no refining either."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@settings
 class RefineConfig:
     """What is tried again once everything rests, and kept where the picture gains.
 
@@ -40,11 +46,11 @@ class RefineConfig:
     they turn about the vertical, shift horizontally and scale about their base, and are separated and settled again.
     """
 
-    topple: float = np.deg2rad(20)
-    """A turn while settling from which on an object has toppled [rad], range (0, pi]; the report's instability."""
+    topple: Annotated[float, Interval(gt=0, le=np.pi)] = math.radians(20)
+    """A turn while settling from which on an object has toppled [rad]; the report's instability."""
 
-    rounds: int = 2
-    """Most rounds, range [0, 10]; a round that does not improve the picture is undone and ends it."""
+    rounds: Annotated[int, Interval(ge=0, le=10)] = 2
+    """Most rounds; a round that does not improve the picture is undone and ends it."""
     align: AlignConfig = field(
         default_factory=lambda: AlignConfig(
             camera=False,
@@ -58,7 +64,7 @@ class RefineConfig:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@settings
 class Config:
     """Every stage's settings."""
 
@@ -85,8 +91,9 @@ class Reconstruction:
     """Wall time [s] of every stage that was run."""
     resumed: tuple[str, ...]
     """Stages whose results came from the store."""
-    config_digest: str
-    """sha256 of the configuration."""
+    config: Config
+    provenance: Mapping[str, JsonValue]
+    """What the result was made from: digests of inputs and settings, settings that are not defaults, skipped stages."""
     evaluation: Evaluation | None = None
 
 
@@ -96,7 +103,7 @@ def reconstruct(
     *,
     skip: Collection[str] = (),
     store: Store | None = None,
-    progress: Progress = lambda _: None,
+    progress: Progress = silent,
 ) -> Reconstruction:
     """Run every stage that is not skipped. Any stage but ``assemble`` may be skipped: a valid scene remains.
     ``refine`` repeats alignment, separation and settling, so it goes with any of them.
@@ -108,7 +115,7 @@ def reconstruct(
         skip = {*skip, "refine"}
     run = Runner(inputs.key, skip=skip, skippable=SKIPPABLE, store=store, progress=progress)
 
-    scene = run.stage("assemble", assemble, as_given(inputs), config.assemble, inputs=inputs)
+    scene = run.stage("assemble", lambda _, config: assemble(inputs, config), as_given(inputs), config.assemble)
     scene = direct = run.stage("level", level, scene, config.level)
     scene = run.stage("align", align, scene, _without(config.align, skip))
     scene = run.stage("relate", relate, scene, config.relate)
@@ -125,7 +132,13 @@ def reconstruct(
         reports=tuple(run.reports),
         seconds=run.seconds,
         resumed=tuple(run.resumed),
-        config_digest=digest(asdict(config)),
+        config=config,
+        provenance={
+            "inputs": dict[str, JsonValue](inputs.digests),
+            "config": digest(asdict(config)),
+            "settings": changed(config, Config()),
+            "skipped": list[JsonValue](sorted(skip)),
+        },
         evaluation=evaluation,
     )
 

@@ -21,9 +21,10 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
 from f3sr import interrupts
@@ -33,6 +34,7 @@ from f3sr.frames import Array
 from f3sr.kernels import cache_root
 from f3sr.mesh import ConvexPart, Mesh, is_closed, signed_volume, union
 from f3sr.report import Decision
+from f3sr.settings import settings
 
 PROXY_VERSION = 1
 """Part of the cache key; raise it when the same input and config give other parts."""
@@ -51,57 +53,57 @@ Faces = NDArray[np.int32]
 Method = Literal["hull", "coacd", "vhacd", "hull-fallback"]
 
 
-@dataclass(frozen=True, kw_only=True)
+@settings
 class ProxyConfig:
     """How meshes become convex parts. Lengths are shares of the mesh's size, times per object and attempt."""
 
-    hull_volume_ratio: float = 0.93
-    """One hull if the closed mesh fills this share of it, in (0, 1]: splitting would add little."""
-    hull_surface_distance: float = 0.02
-    """... and no visual point lies deeper below the hull [size], in (0, .5): keeps dents and handles."""
-    threshold: float = 0.08
-    """CoACD's concavity at which a part is convex enough, in [.01, 1]; at .05 the cap on parts decides the
+    hull_volume_ratio: Annotated[float, Interval(gt=0, le=1)] = 0.93
+    """One hull if the closed mesh fills this share of it: splitting would add little."""
+    hull_surface_distance: Annotated[float, Interval(gt=0, lt=0.5)] = 0.02
+    """... and no visual point lies deeper below the hull [size]: keeps dents and handles."""
+    threshold: Annotated[float, Interval(ge=0.01, le=1)] = 0.08
+    """CoACD's concavity at which a part is convex enough; at .05 the cap on parts decides the
     result and the time triples."""
-    max_parts: int = 16
-    """Most parts of CoACD, at least 1: the cost of contact grows with the square."""
-    shell_fill: float = 0.5
-    """A mesh that fills less of its hull than this is a shell, in [0, 1]: a bowl, a mug, a pan. What lies in
+    max_parts: Annotated[int, Interval(ge=1, le=256)] = 16
+    """Most parts of CoACD: the cost of contact grows with the square."""
+    shell_fill: Annotated[float, Interval(ge=0, le=1)] = 0.5
+    """A mesh that fills less of its hull than this is a shell: a bowl, a mug, a pan. What lies in
     it would float on parts that bridge its curved wall, so shells get finer parts."""
-    shell_threshold: float = 0.05
+    shell_threshold: Annotated[float, Interval(ge=0.01, le=1)] = 0.05
     """``threshold`` for shells."""
-    shell_parts: int = 32
+    shell_parts: Annotated[int, Interval(ge=1, le=256)] = 32
     """``max_parts`` for shells: with 16 a bowl's floor lies 3% of its size too high, with 32 1.8%."""
-    target_faces: int = 2000
-    """Triangles CoACD sees after decimation, at least 100: as good as 16,000, since parts grow to cover."""
-    resolution: int = 1000
-    """CoACD's surface samples for its concavity, in [1000, 10000]."""
-    mcts_nodes: int = 10
-    """CoACD's cutting planes per axis and node of its tree search, in [10, 40]."""
-    mcts_iterations: int = 60
-    """CoACD's tree search iterations, in [60, 2000]."""
-    mcts_depth: int = 2
-    """How many cuts CoACD looks ahead, in [2, 7]: 3 takes half as long again and gains nothing measurable."""
-    vhacd_parts: int = 32
-    """Most parts of the fallback V-HACD, at least 1: it needs more of them for the same quality."""
-    vhacd_voxels: int = 400_000
+    target_faces: Annotated[int, Interval(ge=100, le=100_000)] = 2000
+    """Triangles CoACD sees after decimation: as good as 16,000, since parts grow to cover."""
+    resolution: Annotated[int, Interval(ge=1000, le=10000)] = 1000
+    """CoACD's surface samples for its concavity."""
+    mcts_nodes: Annotated[int, Interval(ge=10, le=40)] = 10
+    """CoACD's cutting planes per axis and node of its tree search."""
+    mcts_iterations: Annotated[int, Interval(ge=60, le=2000)] = 60
+    """CoACD's tree search iterations."""
+    mcts_depth: Annotated[int, Interval(ge=2, le=7)] = 2
+    """How many cuts CoACD looks ahead: 3 takes half as long again and gains nothing measurable."""
+    vhacd_parts: Annotated[int, Interval(ge=1, le=256)] = 32
+    """Most parts of the fallback V-HACD: it needs more of them for the same quality."""
+    vhacd_voxels: Annotated[int, Interval(ge=10_000, le=100_000_000)] = 400_000
     """V-HACD's voxels: the 7 s of CPU it takes, whatever the mesh."""
-    cpu_limit_s: float = 120.0
-    """Processor seconds after which an attempt is killed, at least 1; most meshes need 5, a hollow
+    cpu_limit_s: Annotated[float, Interval(gt=0, le=36_000)] = 120.0
+    """Processor time [s] after which an attempt is killed; most meshes need 5, a hollow
     toy brick 65. Work cut short is lost and not cached, so the limit is generous."""
-    wall_limit_s: float = 600.0
-    """Seconds after which an attempt is killed even if the machine was busy, above ``cpu_limit_s``."""
+    wall_limit_s: Annotated[float, Interval(gt=0, le=36_000)] = 600.0
+    """Time [s] after which an attempt is killed even if the machine was busy."""
     cover: bool = True
     """Grow the parts until they cover the visual mesh; off only for comparison."""
-    longest_edge: float = 0.05
+    longest_edge: Annotated[float, Interval(gt=0, le=1)] = 0.05
     """Longer visual edges are split before triangles are assigned [size]: slivers must bridge no cavity."""
-    thickness: float = 0.002
+    thickness: Annotated[float, Interval(ge=0, le=0.1)] = 0.002
     """How far a simplified hull may stand out from the exact one [size]; makes a can about 27-sided."""
-    max_hull_faces: int = 36
-    """Most facets of a simplified hull, at least 8: up to 68 corners. This outranks ``thickness``."""
-    flat_share: float = 0.02
-    """Facets that face one way and hold this share of a hull's area are kept as one plane, in (0, 1): what an
+    max_hull_faces: Annotated[int, Interval(ge=8, le=1000)] = 36
+    """Most facets of a simplified hull: up to 68 corners. This outranks ``thickness``."""
+    flat_share: Annotated[float, Interval(gt=0, lt=1)] = 0.02
+    """Facets that face one way and hold this share of a hull's area are kept as one plane: what an
     object stands on stays flat."""
-    sheet: float = 0.004
+    sheet: Annotated[float, Interval(gt=0, le=0.1)] = 0.004
     """Thickness given to a mesh that spans no volume [size]."""
 
 
@@ -174,6 +176,15 @@ def decompose_all(
         except BaseException:  # a failure or Ctrl-C: leaving the pool waits for its threads, and they for workers
             cancelled.set()
             raise
+
+
+def split(mesh: Mesh, method: Literal["coacd", "vhacd"], config: ProxyConfig | None = None) -> int:
+    """How many parts one method alone finds; RuntimeError with the reason where it finds none."""
+    vertices, faces, _ = _normalised(mesh)
+    outcome = _run_worker(method, vertices, faces, config or ProxyConfig())
+    if not outcome.parts:
+        raise RuntimeError(outcome.reason)
+    return len(outcome.parts)
 
 
 def check(mesh: Mesh, name: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict
 from typing import Any, TypeVar
@@ -10,11 +9,11 @@ from typing import Any, TypeVar
 from f3sr import scene_state
 from f3sr.cache import Arrays, Store, code_version, digest
 from f3sr.errors import InputError
+from f3sr.progress import Progress, Step, timed
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene
 
 T = TypeVar("T")
-Progress = Callable[[str], None]
 
 
 class Runner:
@@ -73,19 +72,22 @@ class Runner:
         """A result from the store, else from ``work``; None when the stage is skipped."""
         self.key = digest(self.key, name, name in self.skip, asdict(config) if config is not None else None)
         if name in self.skip:
-            self.progress(f"{name}: skipped")
+            self.progress(Step(name=name, state="skipped"))
             return None
         if self.store and (found := self.store.load(self.key)):
             self.resumed.append(name)
-            self.progress(f"{name}: from the cache")
+            self.progress(Step(name=name, state="resumed"))
             return restored(*found)
-        start = time.perf_counter()
-        result = work()
-        self.seconds[name] = time.perf_counter() - start
-        if self.store:
-            self.store.save(self.key, *stored(result))
-        self.progress(f"{name}: {self.seconds[name]:.1f} s")  # once it is stored: what is said to be done stays done
+        with timed(name, self._told):
+            result = work()
+            if self.store:  # first of all: what is said to be done stays done
+                self.store.save(self.key, *stored(result))
         return result
+
+    def _told(self, step: Step) -> None:
+        if step.state == "done":
+            self.seconds[step.name] = step.seconds
+        self.progress(step)
 
 
 def _report(document: dict[str, Any]) -> Report:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
 from f3sr.frames import Array
+from f3sr.settings import settings
 
 Mask = NDArray[np.bool_]
 
@@ -58,16 +61,16 @@ class Target:
         )
 
 
-@dataclass(frozen=True, kw_only=True)
+@settings
 class LossWeights:
     """Weights of equations 7 and 9; the L1 and distance terms are per mask pixel, so that scenes compare."""
 
-    distance: float = 1.0
-    """lambda_dt, range [0, 10]."""
-    centroid: float = 4.0
-    """lambda_c, range [0, 100]; centroids in shares of the longer image side."""
-    area: float = 0.1
-    """lambda_a, range [0, 10]."""
+    distance: Annotated[float, Interval(ge=0, le=10)] = 1.0
+    """lambda_dt."""
+    centroid: Annotated[float, Interval(ge=0, le=100)] = 4.0
+    """lambda_c; centroids in shares of the longer image side."""
+    area: Annotated[float, Interval(ge=0, le=10)] = 0.1
+    """lambda_a."""
 
 
 def loss(silhouette: Mask, target: Target, weights: LossWeights) -> float:

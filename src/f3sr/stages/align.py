@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from annotated_types import Interval, Len
 
 from f3sr import raster
 from f3sr.facets import resting_turn
@@ -16,13 +18,17 @@ from f3sr.frames import Array, Camera, invert_pose, pose, rotation_about, rotati
 from f3sr.mesh import ConvexPart, Mesh, mass_properties
 from f3sr.report import Decision, Measure, Report, keep_better
 from f3sr.scene import Scene, SceneObject
+from f3sr.settings import settings
 from f3sr.silhouette import LossWeights, Mask, Target, centroid, iou, loss, resample
 
+Turn = Annotated[float, Interval(ge=-np.pi, le=np.pi)]
+Weight = Annotated[float, Interval(ge=0, le=10)]
 
-@dataclass(frozen=True, kw_only=True)
+
+@settings
 class AlignConfig:
-    resolution: int = 384
-    """Longer side [px] of the image the camera is refined in, and of the window around one object, range [64, 4096]."""
+    resolution: Annotated[int, Interval(ge=64, le=4096)] = 384
+    """Longer side [px] of the image the camera is refined in, and of the window around one object."""
     camera: bool = True
     """Refine the camera first."""
     objects: bool = True
@@ -30,35 +36,36 @@ class AlignConfig:
     freedom: Literal["image", "support"] = "image"
     """Objects shift in the image plane and scale about their middle (equation 8), or, where they already rest, shift
     horizontally and scale about the middle of their base, so that they stay on their support."""
-    max_tilt: float = np.deg2rad(25)
-    """An object is tried on its nearest stable facet when that is within this turn [rad], range [0, pi/2]; 0: never.
+    max_tilt: Annotated[float, Interval(ge=0, le=np.pi / 2)] = math.radians(25)
+    """An object is tried on its nearest stable facet when that is within this turn [rad]; 0: never.
     Generated poses tilt by up to twenty degrees; the picture guards what is turned."""
-    tilt_loss: float = 0.02
-    """IoU that standing on a facet may cost, range [0, 1]: physics would turn the object there anyway."""
-    max_faces: int = 40_000
-    """Larger meshes are simplified to as many faces for the search, range [1000, 1e7]."""
-    camera_rotation: float = np.deg2rad(1)
-    """Trust region of the camera's turn per axis [rad], range (0, pi/4]. The ground tells gravity to half a degree
+    tilt_loss: Annotated[float, Interval(ge=0, le=1)] = 0.02
+    """IoU that standing on a facet may cost: physics would turn the object there anyway."""
+    max_faces: Annotated[int, Interval(ge=1000, le=10_000_000)] = 40_000
+    """Larger meshes are simplified to as many faces for the search."""
+    camera_rotation: Annotated[float, Interval(gt=0, le=np.pi / 4)] = math.radians(1)
+    """Trust region of the camera's turn per axis [rad]. The ground tells gravity to half a degree
     (.34 in the mean of ten known scenes); three degrees of freedom here made that 1.2 and gained .002 mIoU."""
-    camera_translation: float = 0.05
-    """Trust region of the camera's move, as a share of its distance to the scene, range (0, .5]."""
-    camera_evaluations: int = 120
-    """Loss evaluations of the camera's search, range [10, 10000]."""
-    yaw_seeds: tuple[float, ...] = tuple(np.deg2rad([-30.0, -15.0, 0.0, 15.0, 30.0]))
+    camera_translation: Annotated[float, Interval(gt=0, le=0.5)] = 0.05
+    """Trust region of the camera's move, as a share of its distance to the scene."""
+    camera_evaluations: Annotated[int, Interval(ge=10, le=10000)] = 120
+    """Loss evaluations of the camera's search."""
+    yaw_seeds: Annotated[tuple[Turn, ...], Len(1, 64)] = tuple(math.radians(a) for a in (-30, -15, 0, 15, 30))
     """Turns about the vertical that a search starts from [rad]."""
-    max_shift: float = 0.35
-    """Largest move in the image plane, as a share of the object's size, range (0, 2]; the report's bound."""
-    max_yaw: float = np.deg2rad(45)
-    """Largest turn about the vertical [rad], range (0, pi]."""
-    max_scale: float = 0.25
-    """Largest change of scale, range (0, 1); the report's bound."""
-    evaluations: int = 120
-    """Loss evaluations per object after the seeds, range [10, 10000]."""
-    prior: tuple[float, float, float, float] = (0.01, 0.01, 0.02, 0.02)
+    max_shift: Annotated[float, Interval(gt=0, le=2)] = 0.35
+    """Largest move in the image plane, as a share of the object's size; the report's bound."""
+    max_yaw: Annotated[float, Interval(gt=0, le=np.pi)] = math.radians(45)
+    """Largest turn about the vertical [rad]."""
+    max_scale: Annotated[float, Interval(gt=0, lt=1)] = 0.25
+    """Largest change of scale; the report's bound."""
+    evaluations: Annotated[int, Interval(ge=10, le=10000)] = 120
+    """Loss evaluations per object after the seeds."""
+    prior: tuple[Weight, Weight, Weight, Weight] = (0.01, 0.01, 0.02, 0.02)
     """Quadratic priors on shift (over max_shift), yaw (over max_yaw) and scale (over max_scale)."""
-    iou_tolerance: float = 0.0
-    """IoU an accepted step may lose, range [0, .1]."""
+    iou_tolerance: Annotated[float, Interval(ge=0, le=0.1)] = 0.0
+    """IoU an accepted step may lose."""
     weights: LossWeights = field(default_factory=LossWeights)
+    """Of the loss that silhouettes are compared by."""
 
 
 def align(

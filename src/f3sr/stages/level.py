@@ -2,32 +2,36 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
 from f3sr.frames import Array, pose, rotation_angle, rotation_between
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Geometry, Ground, Scene
+from f3sr.settings import settings
 
 
-@dataclass(frozen=True, kw_only=True)
+@settings
 class LevelConfig:
-    seed: int = 0
-    """Of the RANSAC triples, any integer from 0 on."""
-    max_points: int = 50_000
-    """Ground points used, range [100, 1e6]; the report samples as many."""
-    hypotheses: int = 400
-    """RANSAC planes tried, range [10, 10000]: with half the points on the plane 400 triples miss it with p < 1e-23."""
-    tolerance: float = 0.01
-    """Distance to a RANSAC plane that counts as on it, as a share of the median ground depth, range (0, .1]."""
-    normal_angle: float = np.deg2rad(35)
-    """Normals within this angle [rad] of the plane's take part in the vote, range (0, pi/2)."""
-    normal_weight: float = 0.55
-    """Lambda of equation 5, range [0, 1], scaled by how much better the normals agree than the points do."""
-    lower_region: float = 0.4
-    """Share of the image height, from below, searched for ground where there is no ground mask, range (0, 1]."""
+    seed: Annotated[int, Interval(ge=0)] = 0
+    """Of the RANSAC triples."""
+    max_points: Annotated[int, Interval(ge=100, le=1_000_000)] = 50_000
+    """Ground points used; the report samples as many."""
+    hypotheses: Annotated[int, Interval(ge=10, le=10000)] = 400
+    """RANSAC planes tried: with half the points on the plane 400 triples miss it with p < 1e-23."""
+    tolerance: Annotated[float, Interval(gt=0, le=0.1)] = 0.01
+    """Distance to a RANSAC plane that counts as on it, as a share of the median ground depth."""
+    normal_angle: Annotated[float, Interval(gt=0, lt=np.pi / 2)] = math.radians(35)
+    """Normals within this angle [rad] of the plane's take part in the vote."""
+    normal_weight: Annotated[float, Interval(ge=0, le=1)] = 0.55
+    """Lambda of equation 5, scaled by how much better the normals agree than the points do."""
+    lower_region: Annotated[float, Interval(gt=0, le=1)] = 0.4
+    """Share of the image height, from below, searched for ground where there is no ground mask."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -4,34 +4,37 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 
 from f3sr import heights
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import GROUND, Relation, Scene, SceneGraph, SceneObject, Support
+from f3sr.settings import settings
 
 
-@dataclass(frozen=True, kw_only=True)
+@settings
 class RelateConfig:
-    cells: int = 48
-    """Grid cells along an object's longer horizontal side for height maps, range [8, 512]."""
-    min_overlap: float = 0.03
-    """Share of the object's footprint that must lie over a support, range (0, 1)."""
-    max_gap: float = 0.25
-    """Largest vertical gap or depth between an object and its support, in object sizes, range (0, 1]: generated
+    cells: Annotated[int, Interval(ge=8, le=512)] = 48
+    """Grid cells along an object's longer horizontal side for height maps."""
+    min_overlap: Annotated[float, Interval(gt=0, lt=1)] = 0.03
+    """Share of the object's footprint that must lie over a support."""
+    max_gap: Annotated[float, Interval(gt=0, le=1)] = 0.25
+    """Largest vertical gap or depth between an object and its support, in object sizes: generated
     poses miss an object's place by up to a fifth of its size."""
-    picture_weight: float = 0.15
-    """Weight, in object sizes of vertical gap, of what the photo shows just below the object, range [0, 1]."""
-    full_overlap: float = 0.3
-    """Share of the footprint over a support from which on more overlap says nothing, range (0, 1]."""
-    overlap_weight: float = 0.1
-    """Weight, in object sizes of vertical gap, of lacking overlap, range [0, 1]."""
-    inside_overlap: float = 0.9
-    """Share of the footprint that lies over a container when the object is inside it, range (0, 1]."""
-    inside_depth: float = 0.1
-    """How far an object's lowest point is below the rim of what contains it, in object sizes, range [0, 1]."""
-    below_pixels: float = 0.004
+    picture_weight: Annotated[float, Interval(ge=0, le=1)] = 0.15
+    """Weight, in object sizes of vertical gap, of what the photo shows just below the object."""
+    full_overlap: Annotated[float, Interval(gt=0, le=1)] = 0.3
+    """Share of the footprint over a support from which on more overlap says nothing."""
+    overlap_weight: Annotated[float, Interval(ge=0, le=1)] = 0.1
+    """Weight, in object sizes of vertical gap, of lacking overlap."""
+    inside_overlap: Annotated[float, Interval(gt=0, le=1)] = 0.9
+    """Share of the footprint that lies over a container when the object is inside it."""
+    inside_depth: Annotated[float, Interval(ge=0, le=1)] = 0.1
+    """How far an object's lowest point is below the rim of what contains it, in object sizes."""
+    below_pixels: Annotated[float, Interval(gt=0, le=0.1)] = 0.004
     """How far below its mask's lower edge an object's support is looked for, as a share of the image height."""
 
 

@@ -3,30 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from itertools import combinations
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 
 from f3sr import contact
 from f3sr.contact import Polytope
 from f3sr.frames import Array, pose
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import GROUND, Scene, SceneObject
+from f3sr.settings import settings
 
 UP = np.array([0.0, 0.0, 1.0])
 
 
-@dataclass(frozen=True, kw_only=True)
+@settings
 class SeparateConfig:
-    clearance: float = 4e-4
-    """Gap left between parted objects [m] (eps_g of equation 11), range [0, .01]: the contact margins of the two
+    clearance: Annotated[float, Interval(ge=0, le=0.01)] = 4e-4
+    """Gap left between parted objects [m] (eps_g of equation 11): the contact margins of the two
     bodies added, so that nothing pushes when physics starts."""
-    max_ray_scale: float = 0.1
+    max_ray_scale: Annotated[float, Interval(ge=0, le=0.5)] = 0.1
     """How far an object may slide along its viewing rays to reach its support, as a share of its distance to the
-    camera, range [0, .5]; 0 turns it off. The right factor lies within .07 of 1 on scenes with known poses."""
-    rounds: int = 16
-    """Most rounds of horizontal parting, range [1, 100]; the report allows 32."""
+    camera; 0 turns it off. The right factor lies within .07 of 1 on scenes with known poses."""
+    rounds: Annotated[int, Interval(ge=1, le=100)] = 16
+    """Most rounds of horizontal parting; the report allows 32."""
 
 
 def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene, Report]:

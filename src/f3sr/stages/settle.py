@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 
 from f3sr import physics
 from f3sr.frames import Array, invert_pose, rotation_angle
 from f3sr.physics import PhysicsConfig, SettleConfig
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene, SceneObject, Support
+from f3sr.settings import settings
 
 
-@dataclass(frozen=True, kw_only=True)
+@settings
 class SettleStageConfig:
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     settling: SettleConfig = field(default_factory=SettleConfig)
-    min_share: float = 0.05
-    """Share of an object's load from which on something counts as its support, range [0, 1)."""
+    min_share: Annotated[float, Interval(ge=0, lt=1)] = 0.05
+    """Share of an object's load from which on something counts as its support."""
 
 
 def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene, Report]:

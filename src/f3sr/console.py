@@ -1,0 +1,79 @@
+"""What the command line shows: the steps of a run while they go on, and tables."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from f3sr import interrupts
+from f3sr.progress import Progress, Step, silent
+
+CURSOR_BACK = b"\r\x1b[K\x1b[?25h"
+"""What a terminal needs when the bar ends in the middle: an empty line and its cursor."""
+
+
+def say(text: str) -> None:
+    print(text, flush=True)
+
+
+@contextmanager
+def steps_shown(*, quiet: bool = False) -> Generator[Progress]:
+    """Tells the steps of a run, a line for each that is done; on a terminal also the one that goes on, with a clock."""
+    if quiet:
+        yield silent
+    elif sys.stdout.isatty():
+        yield from _with_a_clock()
+    else:
+        yield _tell_ended
+
+
+def _tell_ended(step: Step) -> None:
+    if step.state != "started":
+        say(str(step))
+
+
+def _with_a_clock() -> Generator[Progress]:
+    from rich.progress import Progress as Bar
+    from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
+    bar = Bar(*columns, transient=True, console=_console())
+    with interrupts.undone(lambda: bar, lambda _: os.write(1, CURSOR_BACK)), bar:
+        task = bar.add_task("starting")
+
+        def tell(step: Step) -> None:
+            if step.state == "started":
+                bar.reset(task, description=step.name)
+            else:
+                bar.console.print(Text(str(step)))
+
+        yield tell
+
+
+def print_measures(columns: Mapping[str, Mapping[str, float]]) -> None:
+    """Measures by row, scenes by column."""
+    names = list(next(iter(columns.values()), {}))
+    rows = [(name, *(f"{column[name]:.4g}" for column in columns.values())) for name in names]
+    if rows:
+        print_table(rows, header=("", *columns), numbers=True)
+
+
+def print_table(rows: Sequence[Sequence[str]], *, header: Sequence[str], numbers: bool = False) -> None:
+    """Plain text in columns; with ``numbers`` all but the first are right-aligned."""
+    view = Table(box=None, padding=(0, 2, 0, 0), show_header=any(header))
+    for k, name in enumerate(header):
+        view.add_column(Text(name), justify="right" if numbers and k else "left", overflow="fold")
+    for row in rows:
+        view.add_row(*map(Text, row))
+    _console().print(view)
+
+
+def _console() -> Console:
+    """As wide as the terminal; where there is none, lines are not wrapped."""
+    return Console(highlight=False, width=None if sys.stdout.isatty() else 200)

@@ -1,0 +1,32 @@
+"""deliver: a reconstruction written as a package, with its pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from f3sr import package, pictures
+from f3sr.pipeline import Reconstruction
+from f3sr.progress import Progress, silent, timed
+
+
+def deliver(result: Reconstruction, out: str | Path, *, overwrite: bool = False, progress: Progress = silent) -> Path:
+    """Write the scene package (docs: conventions) to ``out`` and return the folder's full path.
+
+    An older f3sr package there is replaced, one with rollouts only with ``overwrite``; what goes wrong on the way
+    leaves it as it was. Raises OutputError when something else is there, or when it cannot be written.
+    """
+    with timed("pictures", progress):
+        shown = pictures.pictures_of(result.direct, result.scene)
+    with timed("package", progress):
+        return package.write_package(
+            result.scene,
+            Path(out),
+            direct=result.direct,
+            metrics=result.evaluation.result.as_dict() if result.evaluation else {},
+            provenance=result.provenance,
+            reports=result.reports,
+            seconds=result.seconds,
+            pictures=shown,
+            physics=result.config.settle.physics,
+            overwrite=overwrite,
+        )

@@ -1,0 +1,209 @@
+"""doctor: what works on this machine and what does not, each part tried out on something tiny."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+import f3sr
+from f3sr import kernels
+from f3sr.mesh import ConvexPart, Mesh
+
+State = Literal["ok", "missing", "failed"]
+
+LITTLE_MEMORY = 4.0
+"""Memory [GB] that the largest stated scene, twenty objects of 200,000 triangles, needs."""
+LITTLE_DISK = 2.0
+"""Free space [GB] below which caches may not fit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """One line of the doctor's answer. ``missing`` is something optional, ``failed`` something that f3sr needs."""
+
+    group: str
+    name: str
+    state: State
+    found: str
+
+
+def examine() -> list[Check]:
+    """Everything there is to know of this installation and machine."""
+    return [*_installed(), *_extras(), *_parts(), *_machine(), *_caches()]
+
+
+# --- what is installed --------------------------------------------------------------------------------------------
+
+
+def _installed() -> Iterator[Check]:
+    python = platform.python_version()
+    yield _check("installed", "Python", f"{python}, {platform.platform()}", ok=sys.version_info >= (3, 11))
+    yield _check("installed", "f3sr", f3sr.__version__)
+    for name in _requirements(None):
+        version = _version(name)
+        yield _check("installed", name, version or "not installed: pip install f3sr", ok=bool(version))
+
+
+def _extras() -> Iterator[Check]:
+    """Which of the optional groups of packages are complete."""
+    for extra in metadata.metadata("f3sr").get_all("Provides-Extra") or []:
+        absent = [name for name in _requirements(extra) if not _version(name)]
+        found = f'without {", ".join(absent)}: pip install "f3sr[{extra}]"' if absent else "complete"
+        yield Check(group="extras", name=extra, state="missing" if absent else "ok", found=found)
+
+
+def _requirements(extra: str | None) -> list[str]:
+    """Names of the packages that f3sr, or one of its extras, asks for."""
+    names: list[str] = []
+    for line in metadata.requires("f3sr") or []:
+        asked = re.search(r"""extra\s*==\s*['"]([^'"]+)""", line)
+        if (asked.group(1) if asked else None) == extra:
+            names += re.findall(r"^[\w.-]+", line)
+    return names
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+# --- parts tried out ----------------------------------------------------------------------------------------------
+
+
+def _parts() -> Iterator[Check]:
+    yield _check("geometry", "given", "geometry.npz, or depth.png|npy with intrinsics.json")
+    yield Check(
+        group="geometry", name="from the photo", state="missing", found="not in this version: give one of these"
+    )
+    yield _tried("assets", "given", _glb_round_trip)
+    yield Check(group="assets", name="from the photo", state="missing", found="not in this version: they must be given")
+    yield _tried("decomposition", "CoACD", lambda: _decomposed("coacd"))
+    yield _tried("decomposition", "V-HACD", lambda: _decomposed("vhacd"))
+    yield _tried("physics", "MuJoCo", _dropped)
+    yield _tried("solids", "manifold3d", _united)
+
+
+def _tried(group: str, name: str, probe: Callable[[], str]) -> Check:
+    """A probe's answer; whatever it raises is the finding."""
+    try:
+        return _check(group, name, probe())
+    except Exception as error:
+        return _check(group, name, f"{type(error).__name__}: {error}".splitlines()[0], ok=False)
+
+
+def _glb_round_trip() -> str:
+    from f3sr.mesh_io import load_mesh, save_glb
+
+    with tempfile.TemporaryDirectory(prefix="f3sr-doctor-") as folder:
+        file = Path(folder, "box.glb")
+        save_glb(_l_shape(), file)
+        return f"GLB read and written, {len(load_mesh(file).faces)} triangles"
+
+
+def _decomposed(method: Literal["coacd", "vhacd"]) -> str:
+    from f3sr import proxies
+
+    return f"an L in {proxies.split(_l_shape(), method)} parts, in a process of its own"
+
+
+def _dropped() -> str:
+    from f3sr import physics
+    from f3sr.scene import SceneObject
+
+    box = _box((0.1, 0.1, 0.1))
+    T = np.eye(4)
+    T[2, 3] = 0.06
+    mask = np.ones((1, 1), bool)
+    fallen = physics.settle(
+        [SceneObject(id=0, label="", mask_name="", mask=mask, mesh=box, T_world_object=T, parts=_hulls(box))]
+    )
+    height = fallen.T_world_object[0][2, 3]
+    if not fallen.at_rest or abs(height - 0.05) > 1e-3:
+        raise RuntimeError(f"a box dropped on the ground ended {1000 * height:.1f} mm high instead of 50")
+    return f"{_version('mujoco-core')}, a dropped box came to rest"
+
+
+def _united() -> str:
+    from f3sr.mesh import signed_volume, union
+
+    low, high = _box((0.1, 0.1, 0.1)), _box((0.1, 0.1, 0.1), at=(0.05, 0, 0))
+    vertices, faces = union([*_hulls(low), *_hulls(high)])
+    volume = signed_volume(vertices, faces)
+    if abs(volume - 1.5e-3) > 1e-6:
+        raise RuntimeError(f"two half overlapping boxes have {1e3 * volume:.4f} l instead of 1.5")
+    return "volume of a union right"
+
+
+def _box(size: tuple[float, float, float], at: tuple[float, float, float] = (0, 0, 0)) -> Mesh:
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    part = ConvexPart.hull_of(corners * size + at)
+    return Mesh(vertices=part.vertices, faces=part.faces)
+
+
+def _l_shape() -> Mesh:
+    from f3sr.mesh import union
+
+    vertices, faces = union([*_hulls(_box((0.2, 0.1, 0.05))), *_hulls(_box((0.05, 0.1, 0.2), at=(-0.075, 0, 0.075)))])
+    return Mesh(vertices=vertices, faces=faces)
+
+
+def _hulls(mesh: Mesh) -> tuple[ConvexPart, ...]:
+    return (ConvexPart.hull_of(mesh.vertices),)
+
+
+# --- the machine --------------------------------------------------------------------------------------------------
+
+
+def _machine() -> Iterator[Check]:
+    yield _check("machine", "cores", f"{usable_cores()} of {os.cpu_count()}")
+    memory = usable_memory()
+    found = f"{memory:.1f} GB" + ("" if memory >= LITTLE_MEMORY else f", large scenes need {LITTLE_MEMORY:.0f}")
+    yield Check(group="machine", name="memory", state="ok" if memory >= LITTLE_MEMORY else "missing", found=found)
+    yield _space("temporary files", Path(tempfile.gettempdir()))
+
+
+def usable_cores() -> int:
+    """Processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def usable_memory() -> float:
+    """Memory [GB] of the machine, or what a container leaves of it."""
+    total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
+    try:
+        return min(total, int(Path("/sys/fs/cgroup/memory.max").read_text()) / 1e9)
+    except (OSError, ValueError):
+        return total
+
+
+def _caches() -> Iterator[Check]:
+    root = kernels.cache_root()
+    yield _space("folder", root, group="cache")
+    compiled = "compiled" if kernels.is_warm() else "not compiled yet: the first run takes half a minute longer"
+    yield _check("cache", "kernels", compiled)
+    for name in ("stages", "proxies"):
+        files = [f for f in (root / name).rglob("*") if f.is_file()]
+        yield _check("cache", name, f"{len(files)} files, {sum(f.stat().st_size for f in files) / 1e6:.0f} MB")
+
+
+def _space(name: str, folder: Path, *, group: str = "machine") -> Check:
+    free = shutil.disk_usage(folder).free / 1e9
+    found = f"{folder}, {free:.1f} GB free" + ("" if free >= LITTLE_DISK else ", which is little")
+    return Check(group=group, name=name, state="ok" if free >= LITTLE_DISK else "missing", found=found)
+
+
+def _check(group: str, name: str, found: str, *, ok: bool = True) -> Check:
+    return Check(group=group, name=name, state="ok" if ok else "failed", found=found)

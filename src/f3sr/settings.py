@@ -1,0 +1,156 @@
+"""What a user may set: configurations whose values are checked, read from TOML and shown with unit and meaning."""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, field, fields, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar, cast, dataclass_transform
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+
+from f3sr.errors import InputError
+
+T = TypeVar("T")
+
+LARGEST_FILE = 1_000_000
+"""Bytes of the largest configuration file that is read."""
+
+LONGEST_SHOWN = 80
+"""Characters of a wrong value that an error repeats."""
+
+BOUNDS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
+"""Names of bounds in JSON Schema."""
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(field,))
+def settings(cls: type[T]) -> type[T]:
+    """An immutable dataclass whose values are checked when it is made: types strictly, ranges as ``annotated_types``
+    give them. The docstring below a field is its meaning, with its unit in brackets. Raises pydantic's ValidationError,
+    a ValueError."""
+    checks = ConfigDict(
+        extra="forbid",
+        strict=True,
+        allow_inf_nan=False,
+        validate_default=True,
+        use_attribute_docstrings=True,
+    )
+    return cast(type[T], dataclass(cls, frozen=True, kw_only=True, config=checks))
+
+
+def read(file: Path, defaults: T) -> T:
+    """``defaults`` with what a TOML file sets; InputError names the file, the key, what it holds and what it may."""
+    accepted = "a TOML file of settings, as `f3sr config` prints one"
+    try:
+        if file.stat().st_size > LARGEST_FILE:
+            raise InputError(file, found=f"{file.stat().st_size:,} bytes", accepted=f"at most {LARGEST_FILE:,}")
+        given = tomllib.loads(file.read_text("utf-8"))
+    except OSError as error:
+        raise InputError(file, found=f"no readable file ({error.strerror})", accepted=accepted) from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(file, found=f"no TOML ({error})", accepted=accepted) from None
+    complete = json.dumps(_overlaid(asdict(cast(Any, defaults)), given), default=str)
+    try:
+        return cast(T, TypeAdapter(type(defaults)).validate_json(complete))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        raise _input_error(file, first, defaults, given) from None
+
+
+def describe(config: object) -> str:
+    """A configuration as TOML, every value with its unit, range and meaning: what ``read`` reads."""
+    return "\n".join(_lines(config, "")) + "\n"
+
+
+def changed(config: object, defaults: object) -> dict[str, Any]:
+    """The values that differ from the defaults, by dotted name."""
+    values, standard = dict(_leaves(config)), dict(_leaves(defaults))
+    return {name: value for name, value in values.items() if value != standard[name]}
+
+
+def _overlaid(base: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """``base`` with given values in place of its own, table by table."""
+    result = dict(base)
+    for name, value in given.items():
+        old = base.get(name)
+        result[name] = _overlaid(old, value) if isinstance(old, dict) and isinstance(value, dict) else value
+    return result
+
+
+def _input_error(file: Path, error: Any, defaults: object, given: Any) -> InputError:
+    """The first thing that is wrong in a file, in the words of an InputError."""
+    at, node, value = defaults, dict[str, Any](), given
+    path: list[str] = []
+    for step in map(str, error["loc"]):
+        if not is_dataclass(at):
+            break
+        table, path = ".".join(path), [*path, step]
+        value = value.get(step)
+        if step not in (known := [f.name for f in fields(at)]):
+            where = f"in [{table}]" if table else "the tables"
+            return InputError(file, found=f"unknown {'.'.join(path)}", accepted=f"{where} {', '.join(known)}")
+        at, node = getattr(at, step), _property(at, step)
+    name = ".".join(path) or "the file"
+    if error["type"] == "value_error":
+        return InputError(file, found=f"{name} = {_shown(value)}", accepted=str(error["ctx"]["error"]))
+    accepted = f"a table [{name}]" if is_dataclass(at) else _range(node)
+    return InputError(file, found=f"{name} = {_shown(value)}", accepted=accepted)
+
+
+def _shown(value: object) -> str:
+    text = json.dumps(value, default=str)
+    return text if len(text) <= LONGEST_SHOWN else text[:LONGEST_SHOWN] + "..."
+
+
+def _lines(config: object, path: str) -> Iterator[str]:
+    """A table: its values first, then the tables inside it, as TOML wants it."""
+    tables = [f.name for f in fields(cast(Any, config)) if is_dataclass(getattr(config, f.name))]
+    if len(tables) < len(fields(cast(Any, config))):
+        yield f"[{path}]"
+    for f in fields(cast(Any, config)):
+        if f.name not in tables:
+            node = _property(config, f.name)
+            meaning = " ".join(str(node.get("description", "")).split())
+            yield f"# {meaning}" if meaning else "#"
+            yield f"# {_range(node)}"
+            yield f"{f.name} = {json.dumps(getattr(config, f.name))}"
+            yield ""
+    for name in tables:
+        yield from _lines(getattr(config, name), f"{path}.{name}" if path else name)
+
+
+def _leaves(config: object, path: str = "") -> Iterator[tuple[str, Any]]:
+    for f in fields(cast(Any, config)):
+        value = getattr(config, f.name)
+        name = f"{path}.{f.name}" if path else f.name
+        if is_dataclass(value):
+            yield from _leaves(value, name)
+        else:
+            yield name, value
+
+
+def _property(config: object, name: str) -> dict[str, Any]:
+    """The JSON Schema of one setting."""
+    return TypeAdapter(type(config)).json_schema()["properties"][name]
+
+
+def _range(node: Mapping[str, Any]) -> str:
+    """What a setting accepts, in words."""
+    if "enum" in node:
+        return "one of " + ", ".join(map(json.dumps, node["enum"]))
+    if node["type"] == "boolean":
+        return "true or false"
+    if node["type"] == "array":
+        items = node.get("prefixItems")
+        each = [_range(item) for item in items or [node["items"]]]
+        if len(set(each)) > 1:
+            return "; ".join(each)
+        counts = sorted({node.get("minItems", 0), node.get("maxItems", math.inf)})
+        return f"{' to '.join(map(str, counts))} values, each {each[0]}"
+    kind = {"integer": "a whole number", "number": "a number", "string": "a text"}[node["type"]]
+    bounds = [f"{sign} {node[name]:.8g}" for name, sign in BOUNDS.items() if name in node]
+    return " ".join([kind, " and ".join(bounds)]).strip()

@@ -1,0 +1,96 @@
+"""Laws of the settings: what is shown reads back, what is out of range never runs, errors say where and what."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from f3sr import settings
+from f3sr.errors import InputError
+from f3sr.pipeline import Config
+from f3sr.stages.align import AlignConfig
+
+PAGE = Path(__file__).parents[1] / "docs" / "settings.toml"
+
+
+def written(folder: Path, text: str) -> Path:
+    file = folder / "settings.toml"
+    file.write_text(text)
+    return file
+
+
+def test_the_printed_defaults_read_back_as_the_defaults(tmp_path: Path) -> None:
+    assert settings.read(written(tmp_path, settings.describe(Config())), Config()) == Config()
+
+
+def test_the_page_of_settings_is_what_the_program_prints() -> None:
+    assert PAGE.read_text() == settings.describe(Config()), "f3sr config > docs/settings.toml"
+
+
+def test_a_file_changes_what_it_names_and_nothing_else(tmp_path: Path) -> None:
+    file = written(tmp_path, "[align]\nmax_yaw = 1\n[refine.align]\nmax_yaw = 0.5\n")
+    config = settings.read(file, Config())
+    assert config.align == replace(Config().align, max_yaw=1.0)
+    assert config.refine.align == replace(Config().refine.align, max_yaw=0.5)
+    assert settings.changed(config, Config()) == {"align.max_yaw": 1.0, "refine.align.max_yaw": 0.5}
+
+
+def leaves(tree: dict[str, Any], path: str = "") -> list[tuple[str, str]]:
+    tables = [(name, value) for name, value in tree.items() if isinstance(value, dict)]
+    own = [(path, name) for name, value in tree.items() if not isinstance(value, dict)]
+    return own + [leaf for name, value in tables for leaf in leaves(value, f"{path}.{name}".strip("."))]
+
+
+@pytest.mark.parametrize("value", ['"1"', "1e999", "-1e9", "nan", "[]", "{ a = 1 }", "1979-05-27"])
+def test_no_setting_takes_nonsense(tmp_path: Path, value: str) -> None:
+    for table, name in leaves(asdict(Config())):
+        with pytest.raises(InputError) as caught:
+            settings.read(written(tmp_path, f"[{table}]\n{name} = {value}\n"), Config())
+        message = str(caught.value)
+        assert f"{table}.{name} = " in message and "accepted: " in message and "\n" not in message
+
+
+def test_every_setting_says_its_meaning_and_its_range() -> None:
+    lines = settings.describe(Config()).splitlines()
+    for k, line in enumerate(lines):
+        if " = " in line and not line.startswith("#"):
+            assert len(lines[k - 2]) > 8 and lines[k - 1].startswith("# "), line
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[align]\nmaxyaw = 1", "unknown align.maxyaw; accepted: in [align] resolution, camera"),
+        ("[aling]\nmax_yaw = 1", "unknown aling; accepted: the tables assemble, level"),
+        ("align = 3", "align = 3; accepted: a table [align]"),
+        ("[align]\nmax_yaw = 9", "align.max_yaw = 9; accepted: a number > 0 and <= 3.1415927"),
+        ("[align]\nfreedom = 'air'", 'align.freedom = "air"; accepted: one of "image", "support"'),
+        ("[align]\ncamera = 1", "align.camera = 1; accepted: true or false"),
+        ("[settle.physics]\ntimestep = 0.005", "accepted: solref whose first value is at least two time steps"),
+        ("[align]\nmax_yaw = 1\nmax_yaw = 2", "no TOML"),
+        ("\x00", "no TOML"),
+        ("a = " + "[" * 100_000, "no TOML"),
+        ("# " + "x" * 1_000_001, "bytes; accepted: at most 1,000,000"),
+    ],
+)
+def test_an_error_names_file_key_value_and_what_is_accepted(tmp_path: Path, text: str, said: str) -> None:
+    file = written(tmp_path, text)
+    with pytest.raises(InputError) as caught:
+        settings.read(file, Config())
+    assert str(caught.value).startswith(f"{file}: found ") and said in str(caught.value)
+
+
+@pytest.mark.parametrize("place", [".", "missing.toml"])
+def test_what_is_no_file_is_an_input_error(tmp_path: Path, place: str) -> None:
+    with pytest.raises(InputError, match="no readable file"):
+        settings.read(tmp_path / place, Config())
+
+
+def test_settings_made_in_python_are_checked_too() -> None:
+    with pytest.raises(ValueError, match="max_yaw"):
+        AlignConfig(max_yaw=9.0)
+    with pytest.raises(ValueError, match="max_yaw"):
+        replace(AlignConfig(), max_yaw=-1.0)
