@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import hashlib
 import io
 import json
 import os
 import tempfile
-import time
 from functools import cache
 from pathlib import Path
 from typing import Any, Self, cast
@@ -24,8 +24,6 @@ DOCUMENT = "document.json"
 DEFAULT_LIMIT_GB = 5.0
 PART = ".part"
 """Suffix of a file that is being written."""
-STALE_S = 3600.0
-"""Age from which on a file that is being written is one that a killed process left [s]."""
 
 
 def digest(*values: Any) -> str:
@@ -97,12 +95,8 @@ class Store:
         """
         room = self.share * limit_bytes()
         for file, status in sorted(_files(self.folder), key=lambda pair: -pair[1].st_mtime_ns):
-            if file.suffix == PART:
-                doomed = time.time() - status.st_mtime > STALE_S
-            else:
-                room -= status.st_size
-                doomed = room < 0
-            if doomed:
+            room -= status.st_size
+            if room < 0 or (file.suffix == PART and is_orphan(file)):
                 with contextlib.suppress(OSError):
                     file.unlink()
 
@@ -115,12 +109,25 @@ def write_whole(file: Path, data: bytes) -> None:
             file.parent.mkdir(parents=True, exist_ok=True)
             handle, part = tempfile.mkstemp(dir=file.parent, suffix=PART)
             with os.fdopen(handle, "wb") as stream:
+                with contextlib.suppress(OSError):  # a file system without locks
+                    fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 stream.write(data)
-            Path(part).replace(file)
+                stream.flush()
+                Path(part).replace(file)
         except OSError:
             if part:
                 with contextlib.suppress(OSError):
                     Path(part).unlink()
+
+
+def is_orphan(part: Path) -> bool:
+    """Whether the process that was writing the file is gone, and its lock with it."""
+    try:
+        with part.open("rb") as stream:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return True
+    except OSError:
+        return False
 
 
 def _files(folder: Path) -> list[tuple[Path, os.stat_result]]:

@@ -10,7 +10,6 @@ import contextlib
 import hashlib
 import pickle
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
@@ -18,7 +17,7 @@ from typing import Any, cast
 import numba
 from numba.core.compiler import CompileResult
 
-from f3sr.cache import PART, STALE_S, write_whole
+from f3sr.cache import PART, is_orphan, write_whole
 
 SUFFIX = ".kernel"
 DIGEST = hashlib.sha256().digest_size
@@ -70,8 +69,8 @@ def read(file: Path) -> bytes | None:
 def discard_damaged(folder: Path) -> int:
     """Delete the files that cannot be trusted; how many there were."""
     damaged = [file for file in folder.glob(f"*{SUFFIX}") if read(file) is None]
-    stale = [f for f in folder.glob(f"*{PART}") if time.time() - f.stat().st_mtime > STALE_S]
-    for file in damaged + stale:
+    orphans = [file for file in folder.glob(f"*{PART}") if is_orphan(file)]
+    for file in damaged + orphans:
         with contextlib.suppress(OSError):
             file.unlink()
     return len(damaged)

@@ -115,7 +115,7 @@ def reconstruct(
         skip = {*skip, "refine"}
     run = Runner(inputs.key, skip=skip, skippable=SKIPPABLE, store=store, progress=progress)
 
-    scene = run.stage("assemble", lambda _, config: assemble(inputs, config), as_given(inputs), config.assemble)
+    scene = run.stage("assemble", _assembled, as_given(inputs), config.assemble, inputs=inputs)
     scene = direct = run.stage("level", level, scene, config.level)
     scene = run.stage("align", align, scene, _without(config.align, skip))
     scene = run.stage("relate", relate, scene, config.relate)
@@ -141,6 +141,10 @@ def reconstruct(
         },
         evaluation=evaluation,
     )
+
+
+def _assembled(_: Scene, config: AssembleConfig, *, inputs: Inputs) -> tuple[Scene, Report]:
+    return assemble(inputs, config)
 
 
 def refine(scene: Scene, config: Config, *, parted: Scene) -> tuple[Scene, Report]:

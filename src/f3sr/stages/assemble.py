@@ -57,7 +57,7 @@ def assemble(inputs: Inputs, config: AssembleConfig | None = None) -> tuple[Scen
     measures: list[Measure] = []
     placed: list[SceneObject] = []
     for o in objects:
-        ratio = _depth_ratio(o, camera, scene.geometry)
+        ratio = _depth_ratio(o, camera, inputs.geometry)
         if ratio is not None:
             measures.append(Measure(name="asset depth / geometry depth", before=ratio, after=ratio, about=o.id))
             o, decision = _agree_with_geometry(o, ratio, camera, config)
