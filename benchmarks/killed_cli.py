@@ -1,8 +1,8 @@
 """Run the f3sr command line as it is, tell a harness where it is, and ``kill -9`` itself at an exact point.
 
 usage: killed_cli.py POINT NOTES reconstruct FOLDER -o OUT. NOTES is an open file descriptor that gets ``begin STAGE``
-and ``end STAGE`` lines. POINT is ``none``, ``STAGE:count`` or one of KILLS with a count: that call, of a Python function
-inside the stage or of the kind, is never made.
+and ``end STAGE`` lines. POINT is ``none``, ``STAGE:count`` or one of KILLS with a count: that call, of a function in
+the stage or of the kind, is never made.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def main() -> None:
 
 
 def _noted(work: Callable[..., Any], name: str, notes: int, calls: int) -> Callable[..., Any]:
-    """``refine`` calls other stages: only the outermost is told. With ``calls``, the function call of that number kills."""
+    """``refine`` calls other stages: only the outermost is told. With ``calls``, the call of that number kills."""
 
     def run(*args: Any, **more: Any) -> Any:
         if _inside:
@@ -88,7 +88,7 @@ def _before(owner: Any, name: str, applies: Callable[..., bool], count: int) -> 
 
 def _kill_storing(count: int) -> None:
     """A stage's result is half written in the store."""
-    _before(Path, "replace", lambda _, target: Path(target).suffix == ".npz", count)
+    _before(Path, "replace", lambda _, target: Path(target).parent.name == "stages", count)
 
 
 def _kill_stored(count: int) -> None:

@@ -97,7 +97,8 @@ class Kills:
         self.cache.mkdir(parents=True)
         for compiled in kernels:
             shutil.copytree(compiled, self.cache / compiled.name)
-        self.new, self.old = self._reference("new"), self._reference("old", "--skip", "align,refine,evaluate")
+        self.new = self._reference("new", self.options)
+        self.old = self._reference("old", ("--skip", "align,settle,evaluate", "--ignore", "ground"))
         self.stage_seconds = json.loads((self.work / "new" / "report.json").read_text())["seconds"]
 
     def trial(self, point: Point) -> Trial:
@@ -119,11 +120,11 @@ class Kills:
         self._finish(trial, place)
         return trial
 
-    def _reference(self, name: str, *options: str) -> dict[str, str]:
+    def _reference(self, name: str, options: tuple[str, ...]) -> dict[str, str]:
         """A run of its own on an empty cache; the digests of its files."""
         cache = self.work / f"cache_{name}"
         self._copy_kernels(cache)
-        done = self._command("none", self.work / name, cache, *options).wait()
+        done = self._command("none", self.work / name, cache, options).wait()
         assert done == 0, f"the {name} run ended with {done}"
         return digests(self.work / name)
 
@@ -132,10 +133,12 @@ class Kills:
         for compiled in self.cache.glob("kernels-*"):
             shutil.copytree(compiled, cache / compiled.name)
 
-    def _command(self, point: str, out: Path, cache: Path, *options: str, notes: int = 1) -> subprocess.Popen[bytes]:
+    def _command(
+        self, point: str, out: Path, cache: Path, options: tuple[str, ...], notes: int = 1
+    ) -> subprocess.Popen[bytes]:
         command = [sys.executable, str(HERE / "killed_cli.py"), point, str(notes), "reconstruct", str(self.folder)]
         return subprocess.Popen(
-            [*command, "-o", str(out), *self.options, *options],
+            [*command, "-o", str(out), *options],
             env={**os.environ, "F3SR_CACHE_DIR": str(cache)},
             stdout=(self.work / "log").open("w"),
             stderr=(self.work / "errors").open("w"),
@@ -146,7 +149,7 @@ class Kills:
         """Start a run and kill it at the point; the last it told of itself."""
         ear, mouth = os.pipe()
         exact = ":" in point.name
-        process = self._command(point.name if exact else "none", out, self.cache, notes=mouth)
+        process = self._command(point.name if exact else "none", out, self.cache, self.options, mouth)
         os.close(mouth)
         told = "start"
         with os.fdopen(ear) as lines:
@@ -166,7 +169,8 @@ class Kills:
         """Stages that the killed run said were done, and the one it was killed for having stored."""
         said = (self.work / "log").read_text()
         stored = landed.removeprefix("end ") if point.name.startswith("stored") else ""
-        return [stage for stage in STAGES if f"{stage}: " in said or stage == stored]
+        told = {line.partition(": ")[0] for line in said.splitlines() if not line.endswith(": skipped")}
+        return [stage for stage in STAGES if stage in told or stage == stored]
 
     def _look(self, out: Path) -> str:
         if not out.exists():
@@ -189,7 +193,7 @@ class Kills:
             shutil.rmtree(target, ignore_errors=True)
             shutil.copytree(source, target)
         start = time.perf_counter()
-        code = self._command("none", copy / "out", cache).wait()
+        code = self._command("none", copy / "out", cache, self.options).wait()
         trial.seconds = time.perf_counter() - start
         said = (self.work / "log").read_text()
         trial.resumed = [stage for stage in STAGES if f"{stage}: from the cache" in said]
