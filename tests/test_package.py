@@ -167,8 +167,16 @@ BROKEN = {
         "reference to 'a.png'",
     ),
     "bomb.glb": (
-        glb({"asset": ASSET, "accessors": [{"count": 10**12, "type": "VEC3"}]}),
-        "1000000000000 elements",
+        glb(
+            {
+                "asset": ASSET,
+                "scenes": [{"nodes": [0]}],
+                "nodes": [{"mesh": 0}],
+                "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+                "accessors": [{"count": 3 * 10**12, "type": "VEC3", "componentType": 5126}],
+            }
+        ),
+        "1000000000000 faces",
     ),
     "draco.glb": (glb({"asset": ASSET, "extensionsRequired": ["KHR_draco_mesh_compression"]}), "KHR_draco"),
     "list.glb": (glb({"asset": ASSET, "meshes": [[1]], "materials": 3}), "broken glTF|unreadable"),

@@ -67,8 +67,8 @@ def reconstruct(
     from f3sr.cache import Store
 
     say = _quiet if json else _say
-    package.prepare_output(out, inputs=folder, overwrite=overwrite)
     given = inputs.read(folder, ignore=_names(ignore), asset_frame=asset_frame)
+    package.prepare_output(out, inputs=folder, overwrite=overwrite)
     kernels.warm_up(say)
     store = Store(kernels.cache_root() / "stages")
     result = pipeline.reconstruct(given, skip=_names(skip), store=store, progress=say)

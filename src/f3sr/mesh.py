@@ -54,6 +54,21 @@ class Mesh:
 
         return replace(self, vertices=vertices)
 
+    def without_unused(self) -> Self:
+        """The same triangles without vertices that none of them uses: a stray one would count as the mesh's extent."""
+        from dataclasses import replace
+
+        used = np.unique(self.faces)
+        if len(used) == len(self.vertices):
+            return self
+        return replace(
+            self,
+            vertices=self.vertices[used],
+            faces=np.searchsorted(used, self.faces).astype(np.int32),
+            uv=None if self.uv is None else self.uv[used],
+            vertex_colors=None if self.vertex_colors is None else self.vertex_colors[used],
+        )
+
     @cached_property
     def bounds(self) -> Array:
         """(2, 3) lowest and highest corner."""
@@ -134,6 +149,54 @@ def is_closed(faces: NDArray[np.int32]) -> bool:
     forward, backward = edges[:, 0] * n + edges[:, 1], edges[:, 1] * n + edges[:, 0]
     forward.sort()
     return bool(np.all(forward[1:] != forward[:-1])) and bool(np.array_equal(forward, np.sort(backward)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flaws:
+    """What keeps a welded surface from being a clean solid, counted."""
+
+    degenerate: int
+    """Triangles of no area."""
+    doubled: int
+    """Triangles whose corners another triangle has too."""
+    open: int
+    """Edges of a single triangle."""
+    shared: int
+    """Edges of more than two triangles."""
+    turned: int
+    """Edges that their two triangles run through in the same direction."""
+
+    def __str__(self) -> str:
+        named = {
+            "triangles of no area": self.degenerate,
+            "doubled triangles": self.doubled,
+            "open edges": self.open,
+            "edges of more than two triangles": self.shared,
+            "edges between triangles that face opposite sides": self.turned,
+        }
+        return ", ".join(f"{count:,} {name}" for name, count in named.items() if count) or "facing inward"
+
+
+def surface_flaws(mesh: Mesh) -> Flaws:
+    """Count the flaws of the welded surface of a mesh."""
+    vertices, faces = mesh.welded
+    flat = len(mesh.faces) - len(faces)
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    corners = np.sort(faces, axis=1).astype(np.int64)
+    doubled = len(corners) - len(np.unique(corners, axis=0))
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    n = len(vertices)
+    keys, counts = np.unique(edges.min(1) * n + edges.max(1), return_counts=True)
+    forward = np.searchsorted(keys, edges.min(1) * n + edges.max(1))[edges[:, 0] < edges[:, 1]]
+    ahead = np.bincount(forward, minlength=len(keys))
+    return Flaws(
+        degenerate=flat + int((areas == 0).sum()),
+        doubled=doubled,
+        open=int((counts == 1).sum()),
+        shared=int((counts > 2).sum()),
+        turned=int(((counts == 2) & (ahead != 1)).sum()),
+    )
 
 
 def signed_volume(vertices: Array, faces: NDArray[np.int32]) -> float:

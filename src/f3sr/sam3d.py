@@ -39,7 +39,7 @@ Scale = Annotated[list[float], BeforeValidator(_triple), Field(min_length=3, max
 class AssetPose(BaseModel):
     """One entry: the mask it belongs to, its mesh file and its pose."""
 
-    model_config = ConfigDict(allow_inf_nan=False)
+    model_config = ConfigDict(allow_inf_nan=False, strict=True)
     mask: Annotated[str, Field(pattern=r"^[^/\\\x00]+$")]
     mesh: str
     rotation: Quaternion
@@ -57,7 +57,7 @@ class AssetPose(BaseModel):
     @classmethod
     def _uniform(cls, value: list[float]) -> list[float]:
         if min(value) <= 0 or max(value) - min(value) > 1e-4 * max(value):
-            raise ValueError(f"scale {value} is not one positive number")
+            raise ValueError(f"scale {[float(f'{v:.3g}') for v in value]} is not one positive number")
         return value
 
     @property
@@ -73,6 +73,7 @@ class AssetPose(BaseModel):
 class Poses(BaseModel):
     """``assets/poses.json``."""
 
+    model_config = ConfigDict(strict=True)
     convention: str = "sam-3d-objects"
     objects: list[AssetPose] = Field(min_length=1)
 
