@@ -82,7 +82,9 @@ def write_variants(place: Path) -> dict[str, Path]:
     """Five small folders that hold every kind of file that is accepted."""
     textured = folders.boxes(textured=True)
     for name in VARIANTS:
-        folders.write_folder(place / name, perturb=0.05, seed=3, objects=textured if name in ("poses", "full") else None)
+        folders.write_folder(
+            place / name, perturb=0.05, seed=3, objects=textured if name in ("poses", "full") else None
+        )
     folders.to_depth(place / "depth")
     folders.to_posed(place / "posed")
     folders.add_graph(place / "graph")

@@ -25,12 +25,40 @@ Mutation = Callable[[Path, Rng], str]
 HOSTILE: list[Any] = [
     *(None, True, False, 0, 1, -1, 2, 3, 255, 65536, 2**31 - 1, 2**31, 2**32 - 1, 2**53 + 1, 2**63, 10**40, -(10**9)),
     *(0.0, -0.0, 0.5, 1e-300, 1e-30, 1e-12, 1e12, 1e30, 1e300, -1e300, float("nan"), float("inf"), float("-inf")),
-    *("", "x", "1.0", "NaN", "../../etc/passwd", "/etc/passwd", "a\0b", "\ud800", "\x1b[31mred\x07", "x" * 5000, "a\nb"),
+    *(
+        "",
+        "x",
+        "1.0",
+        "NaN",
+        "../../etc/passwd",
+        "/etc/passwd",
+        "a\0b",
+        "\ud800",
+        "\x1b[31mred\x07",
+        "x" * 5000,
+        "a\nb",
+    ),
     *("\u202egnp.exe", "data:,", "data:application/octet-stream;base64,AAAA", "data:x;base64,%%%", "file:///dev/zero"),
     *([], {}, [[]], [1, 2, 3], [[1, 2, 3]], [None] * 3, {"a": 1}, [0.0] * 4, [1] * 1000),
 ]
 NAMES = [
-    *("x", "99_new", "099", "2", "02", "00", "ä ö", "a\nb", "\x1b[31m", "\u202egnp", "-rf", "n" * 240, ".hidden", "con", "%s"),
+    *(
+        "x",
+        "99_new",
+        "099",
+        "2",
+        "02",
+        "00",
+        "ä ö",
+        "a\nb",
+        "\x1b[31m",
+        "\u202egnp",
+        "-rf",
+        "n" * 240,
+        ".hidden",
+        "con",
+        "%s",
+    ),
     *("02_BIG_BOX", "image", "poses", "٣", "²", "1e5", "0x10"),
 ]
 """File stems."""
@@ -112,7 +140,9 @@ def same_kind_swap(folder: Path, rng: Rng) -> str:
 
 def rename(folder: Path, rng: Rng) -> str:
     path = pick(rng, files_of(folder))
-    suffix = path.suffix if rng.random() < 0.7 else pick(rng, [".png", ".PNG", ".glb", ".jpg", ".json", ".npz", "", ".txt"])
+    suffix = (
+        path.suffix if rng.random() < 0.7 else pick(rng, [".png", ".PNG", ".glb", ".jpg", ".json", ".npz", "", ".txt"])
+    )
     target = path.with_name(f"{pick(rng, NAMES)}{suffix}")
     if rng.random() < 0.3:
         target = target.parent.parent / target.name if target.parent != folder else folder / "masks" / target.name
@@ -142,7 +172,9 @@ def empty(folder: Path, rng: Rng) -> str:
 def special_file(folder: Path, rng: Rng) -> str:
     """Links, pipes, sockets and folders where files are meant."""
     path = pick(rng, files_of(folder))
-    kind = pick(rng, ["self", "outside", "/dev/zero", "/dev/null", "folder", "fifo", "socket", "dangling", "inside", "dir"])
+    kind = pick(
+        rng, ["self", "outside", "/dev/zero", "/dev/null", "folder", "fifo", "socket", "dangling", "inside", "dir"]
+    )
     data = path.read_bytes()
     path.unlink()
     if kind == "folder":
@@ -442,7 +474,11 @@ def change_chunks(data: bytes, rng: Rng) -> tuple[bytes, str]:
     elif kind == "add":
         bomb = zlib.compress(bytes(30_000_000))
         more = [(b"tEXt", b"a\0b"), (b"zTXt", b"a\0\0" + bomb), (b"iCCP", b"a\0\0" + bomb), (b"tRNS", b"\0\0")]
-        more += [(b"acTL", struct.pack(">II", 5, 0)), (b"PLTE", bytes(5)), (b"eXIf", b"MM\0*\0\0\0\x08\0\x01" + bytes(20))]
+        more += [
+            (b"acTL", struct.pack(">II", 5, 0)),
+            (b"PLTE", bytes(5)),
+            (b"eXIf", b"MM\0*\0\0\0\x08\0\x01" + bytes(20)),
+        ]
         more += [(b"iTXt", b"a\0\1\0\0\0" + bomb), (b"gAMA", bytes(4)), (b"pHYs", bytes(9)), (b"ABCD", b"x")]
         chunks.insert(1, pick(rng, more))
     else:
@@ -458,7 +494,9 @@ def change_chunks(data: bytes, rng: Rng) -> tuple[bytes, str]:
 def change_pixels(data: bytes, rng: Rng) -> tuple[bytes, str]:
     image = Image.open(io.BytesIO(data))
     values = np.asarray(image).copy()
-    kind = pick(rng, ["invert", "zero", "full", "noise", "shift", "crop", "size", "mode", "mode", "format", "turn", "thin"])
+    kind = pick(
+        rng, ["invert", "zero", "full", "noise", "shift", "crop", "size", "mode", "mode", "format", "turn", "thin"]
+    )
     if values.dtype == bool:
         values = values.astype(np.uint8) * 255
     top = 65535 if values.dtype.itemsize > 1 else 255
@@ -539,13 +577,21 @@ def npz_inside(folder: Path, rng: Rng) -> str:
 
 
 def _change_array(data: dict[str, Any], key: str, rng: Rng) -> str:
-    kind = pick(rng, ["values", "values", "values", "scale", "type", "shape", "drop", "object", "order", "block", "add"])
+    kind = pick(
+        rng, ["values", "values", "values", "scale", "type", "shape", "drop", "object", "order", "block", "add"]
+    )
     values = data[key]
     if kind == "values" and values.dtype.kind == "f":
         where = rng.random(values.shape) < pick(rng, [0.001, 0.1, 0.99, 1.0])
-        data[key] = np.where(where, pick(rng, [np.nan, np.inf, -np.inf, 0, 1e30, -1, 1e-30, 1]), values).astype(values.dtype)
+        data[key] = np.where(where, pick(rng, [np.nan, np.inf, -np.inf, 0, 1e30, -1, 1e-30, 1]), values).astype(
+            values.dtype
+        )
     elif kind == "values":
-        data[key] = np.zeros_like(values) if rng.random() < 0.5 else np.full_like(values, 1 if values.dtype.kind != "U" else "left")
+        data[key] = (
+            np.zeros_like(values)
+            if rng.random() < 0.5
+            else np.full_like(values, 1 if values.dtype.kind != "U" else "left")
+        )
     elif kind == "scale" and values.dtype.kind == "f":
         with np.errstate(over="ignore"):
             data[key] = values * values.dtype.type(pick(rng, [-1, 1e-3, 1e3, 1e-12, 1e12, 1e30, 0.5, 2]))
@@ -559,7 +605,17 @@ def _change_array(data: dict[str, Any], key: str, rng: Rng) -> str:
                 data[key] = np.zeros(values.shape, name)
         return f"type {name}"
     elif kind == "shape":
-        data[key] = pick(rng, [values.T, values[None], values[:1], values[:0], values.ravel(), values[..., :2] if values.ndim else values])
+        data[key] = pick(
+            rng,
+            [
+                values.T,
+                values[None],
+                values[:1],
+                values[:0],
+                values.ravel(),
+                values[..., :2] if values.ndim else values,
+            ],
+        )
     elif kind == "drop":
         del data[key]
     elif kind == "object":

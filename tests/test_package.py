@@ -176,7 +176,7 @@ BROKEN = {
                 "accessors": [{"count": 3 * 10**12, "type": "VEC3", "componentType": 5126}],
             }
         ),
-        "1000000000000 faces",
+        "1,000,000,000,000 faces",
     ),
     "draco.glb": (glb({"asset": ASSET, "extensionsRequired": ["KHR_draco_mesh_compression"]}), "KHR_draco"),
     "list.glb": (glb({"asset": ASSET, "meshes": [[1]], "materials": 3}), "broken glTF|unreadable"),

@@ -28,6 +28,12 @@ class OutputError(F3srError):
     """The place where results should go cannot take them."""
 
 
+def reason(error: OSError | ValueError | RuntimeError) -> str:
+    """What the system says of a failed access, in the middle of a sentence."""
+    text = (getattr(error, "strerror", None) or "unreadable").strip()
+    return text[:1].lower() + text[1:]
+
+
 def printable(text: str) -> str:
     """The text with everything escaped that would move a cursor, turn the writing direction or not show at all."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

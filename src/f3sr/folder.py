@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import stat
 import unicodedata
 from pathlib import Path
@@ -12,13 +13,16 @@ from typing import TypeVar
 from pydantic import BaseModel, ValidationError
 
 from f3sr import strict_json
-from f3sr.errors import InputError, printable
+from f3sr.errors import InputError, printable, reason
 from f3sr.report import Decision
 
 MAX_FILE_BYTES = 2_000_000_000
 """Largest file read: points and normals of the largest photo in half precision fit."""
 MAX_JSON_BYTES = 10_000_000
 """Largest JSON document: poses of a thousand objects take 400 kB."""
+
+MAX_PATH = 500
+"""Longest path in a document, in characters: what messages can show and file systems hold."""
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -33,8 +37,7 @@ class InputFolder:
                 raise InputError(root, found="a file" if root.exists() else "nothing there", accepted=accepted)
             next(root.iterdir(), None)
         except (OSError, ValueError) as error:
-            found = getattr(error, "strerror", None) or str(error)
-            raise InputError(root, found=found, accepted=accepted) from error
+            raise InputError(root, found=reason(error), accepted=accepted) from error
         self.root = root
         self.decisions: list[Decision] = []
         self.digests: dict[str, str] = {}
@@ -42,10 +45,15 @@ class InputFolder:
     def path(self, relative: str, *, base: str = "") -> Path:
         """A path of the folder; one that leaves it is refused."""
         path = self.root / base / relative
+        if len(relative) > MAX_PATH:
+            found, accepted = f"a path of {len(relative)} characters", f"at most {MAX_PATH}"
+            raise InputError(self.root / base, found=found, accepted=accepted)
         try:
             inside = not Path(relative).is_absolute() and path.resolve().is_relative_to(self.root.resolve())
         except (OSError, ValueError, RuntimeError) as error:  # NUL bytes, lone surrogates, loops of links
-            raise InputError(self.root / base, found=f"the path {relative!r}", accepted="a usable path") from error
+            raise InputError(
+                self.root / base, found=f"the path {relative!r} that leads nowhere", accepted="a path inside it"
+            ) from error
         if not inside:
             raise InputError(
                 self.root / base, found=f"the path {relative!r} that leaves the folder", accepted="paths inside it"
@@ -64,7 +72,7 @@ class InputFolder:
             with path.open("rb") as file:
                 digest = hashlib.file_digest(file, "sha256").hexdigest()
         except OSError as error:
-            raise InputError(path, found=error.strerror or "unreadable", accepted="a readable file") from error
+            raise InputError(path, found=reason(error), accepted="a readable file") from error
         self.digests[path.relative_to(self.root).as_posix()] = digest
         return path
 
@@ -83,7 +91,7 @@ class InputFolder:
         except FileNotFoundError:
             return []
         except OSError as error:
-            raise InputError(place, found=error.strerror or "unreadable", accepted="a readable folder") from error
+            raise InputError(place, found=reason(error), accepted="a readable folder") from error
         seen: dict[str, str] = {}
         for name in names:
             if not name.isprintable() or "\\" in name:
@@ -105,11 +113,8 @@ class InputFolder:
         try:
             return model.model_validate(value)
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(p) for p in first["loc"]) or "the document"
-            message = first["msg"].removeprefix("Value error, ")
-            accepted = f"an object with {', '.join(model.model_fields)}"
-            raise InputError(path, found=f"{where}: {message}", accepted=accepted) from error
+            found, accepted = _problem(error, ", ".join(model.model_fields))
+            raise InputError(path, found=found, accepted=accepted) from error
 
     def decide(self, choice: str, reason: str, about: int | None = None, *, fallback: bool = False) -> None:
         self.decisions.append(
@@ -121,3 +126,18 @@ def _kind(mode: int) -> str:
     """What is there instead of a regular file."""
     kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
     return kinds.get(stat.S_IFMT(mode), "a device")
+
+
+def _problem(error: ValidationError, fields: str) -> tuple[str, str]:
+    """What a document holds, and what is accepted, of the first thing that is wrong with it."""
+    first = error.errors(include_url=False)[0]
+    where, message = ".".join(map(str, first["loc"])) or "the document", first["msg"]
+    if first["type"] == "missing":
+        return f"no {where}", f"an object with {fields}"
+    if first["type"] == "value_error":
+        found, _, accepted = message.removeprefix("Value error, ").partition("; accepted: ")
+        return f"{where}: {found}", accepted or f"an object with {fields}"
+    if first["type"] in ("model_type", "dict_type"):
+        return f"{where} = {first['input']!r:.60}", "an object" if first["loc"] else f"an object with {fields}"
+    wanted = re.sub(r"^(Input should be|(Value|List|String) should have) | after validation", "", message)
+    return f"{where} = {first['input']!r:.60}", wanted

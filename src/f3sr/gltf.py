@@ -241,10 +241,10 @@ def _require_size(path: Path, reader: _Reader, shown: list[tuple[_Primitive, Arr
     faces = sum(reader.count(p.attributes.get("POSITION") if p.indices is None else p.indices) for p, _ in shown) // 3
     for name, count, most in (("faces", faces, max_faces), ("vertices", vertices, 3 * max_faces)):
         if count > most:
-            raise InputError(path, found=f"{count} {name}", accepted=f"at most {most} {name}")
+            raise InputError(path, found=f"{count:,} {name}", accepted=f"at most {most:,}")
     pixels, most = reader.texture_pixels(shown), reader.max_texture_pixels
     if pixels > most:
-        raise InputError(path, found=f"textures of {pixels} pixels", accepted=f"at most {most} pixels")
+        raise InputError(path, found=f"textures of {pixels:,} pixels", accepted=f"at most {most:,}")
 
 
 # --- what it describes --------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
-from f3sr.errors import InputError
+from f3sr.errors import InputError, reason
 
 MAX_PIXELS = 100_000_000
 """Largest photo, mask or depth image accepted."""
@@ -35,7 +35,7 @@ def open_image(path: Path) -> Image.Image:
             file.seek(0)
             return decode_image(file, ("PNG", "JPEG"))
     except OSError as error:
-        raise InputError(path, found=error.strerror or "unreadable", accepted="a readable file") from error
+        raise InputError(path, found=reason(error), accepted="a readable file") from error
     except ValueError as error:
         raise InputError(path, found=f"no readable image: {error}", accepted=ACCEPTED) from error
 

@@ -200,7 +200,7 @@ class _GivenGraph(BaseModel):
     @model_validator(mode="after")
     def _says_something(self) -> Self:
         if not self.model_fields_set:
-            raise ValueError("neither relations nor support_relations")
+            raise ValueError("neither relations nor support_relations; accepted: at least one of them")
         return self
 
     def as_relations(self) -> list[Relation]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.errors import InputError
+from f3sr.errors import InputError, reason
 from f3sr.export.gltf import mesh_to_glb
 from f3sr.gltf import Piece, read_gltf
 from f3sr.mesh import Material, Mesh
@@ -20,6 +20,8 @@ from f3sr.mesh import Material, Mesh
 FORMATS = (".glb", ".gltf", ".obj", ".ply")
 MAX_FACES = 5_000_000
 """Of one file, twenty times what generators make; and a third of its vertices, for every face may have its own."""
+MAX_COORDINATE = 1e15
+"""Largest coordinate: single precision holds its square."""
 MAX_TEXTURE_PIXELS = 8192 * 8192
 """Over all base colour textures of one file."""
 
@@ -59,7 +61,7 @@ def _read_bytes(path: Path) -> bytes:
     except FileNotFoundError:
         raise _refused(path, "no such file") from None
     except OSError as error:
-        raise _refused(path, f"an unreadable file ({error.strerror})") from error
+        raise _refused(path, f"an unreadable file ({reason(error)})") from error
 
 
 def _refused(path: Path, found: str) -> InputError:
@@ -160,19 +162,21 @@ def _material(visual: Any) -> Material:
 def _check_pieces(path: Path, pieces: list[Piece], *, max_faces: int, max_texture_pixels: int) -> None:
     count = sum(len(p.faces) for p in pieces)
     if count > max_faces:
-        raise InputError(path, found=f"{count} faces", accepted=f"at most {max_faces}")
+        raise InputError(path, found=f"{count:,} faces", accepted=f"at most {max_faces:,}")
     pixels = sum({id(p.material): _pixels(p.material) for p in pieces}.values())
     if pixels > max_texture_pixels:
         raise _too_many_pixels(path, pixels, max_texture_pixels)
     for p in pieces:
-        if not np.isfinite(p.vertices).all() or not (p.uv is None or np.isfinite(p.uv).all()):
-            raise InputError(path, found="vertices that are NaN or infinite", accepted="finite coordinates")
+        numbers = [p.vertices] if p.uv is None else [p.vertices, p.uv]
+        if not all((np.abs(v) <= MAX_COORDINATE).all() for v in numbers):  # NaN is not
+            found = f"coordinates that are NaN, infinite or beyond {MAX_COORDINATE:.0e}"
+            raise InputError(path, found=found, accepted="finite coordinates")
         if p.faces.min() < 0 or p.faces.max() >= len(p.vertices):
             raise InputError(path, found="faces of vertices that do not exist", accepted="a consistent mesh")
 
 
 def _too_many_pixels(path: Path, found: int, accepted: int) -> InputError:
-    return InputError(path, found=f"textures of {found} pixels", accepted=f"at most {accepted} pixels")
+    return InputError(path, found=f"textures of {found:,} pixels", accepted=f"at most {accepted:,}")
 
 
 def _pixels(material: Material) -> int:

@@ -188,8 +188,8 @@ def _checked_K(path: Path, K: Array, photo: Photo) -> Array:
         raise InputError(
             path,
             found=f"K = [{rows}] in pixels of the photo",
-            accepted=f"[[fx, s, cx], [0, fy, cy], [0, 0, 1]] with fx, fy from {low:.0f} to {high:.0f} px "
-            "(in geometry.npz divided by the photo's width and height)",
+            accepted=f"[[fx, s, cx], [0, fy, cy], [0, 0, 1]] with fx, fy from {low:.0f} to {high:.0f} px, the rest "
+            f"within {MAX_CENTER * longest:.0f} px (in geometry.npz divided by the photo's width and height)",
         )
     return K
 

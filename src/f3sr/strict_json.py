@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from typing import Any
 
-
 MAX_DIGITS = 400
 """Longest whole number: no float is longer."""
 
