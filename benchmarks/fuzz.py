@@ -13,6 +13,7 @@ import os
 import resource
 import shutil
 import signal
+import stat
 import sys
 import tempfile
 import time
@@ -32,7 +33,9 @@ import folders  # noqa: E402
 import mutations  # noqa: E402
 
 LIMIT_S = 30.0
-"""A run that takes longer [s] hangs."""
+"""Most processor time of a run and all it starts [s]: what it takes on a calm machine, or a little more."""
+WALL_LIMIT_S = 150.0
+"""A run that takes longer hangs [s], however busy the machine is."""
 MEMORY_MB = 2000
 """Most resident memory of a run."""
 ADDRESS_SPACE = 16 << 30
@@ -50,6 +53,7 @@ class Verdict:
     kind: str
     detail: str
     seconds: float
+    cpu: float
     peak_mb: float
 
     @property
@@ -111,11 +115,11 @@ def run_case(case: int, seed: int, originals: dict[str, Path], box: Path, kept: 
     changes = mutations.mutate(box / "input", rng)
     before = snapshot(box)
     start = time.perf_counter()
-    status, peak = _in_a_process(box)
+    status, cpu, peak = _in_a_process(box)
     seconds = time.perf_counter() - start
     kind, detail = judge(box, status, before)
-    if seconds > LIMIT_S:
-        kind, detail = "slow", f"{seconds:.1f} s"
+    if cpu > LIMIT_S or seconds > WALL_LIMIT_S:
+        kind, detail = "slow", f"{cpu:.1f} s of processor time, {seconds:.1f} s"
     elif peak > MEMORY_MB:
         kind, detail = "memory", f"{peak:.0f} MB"
     verdict = Verdict(
@@ -125,6 +129,7 @@ def run_case(case: int, seed: int, originals: dict[str, Path], box: Path, kept: 
         kind=kind,
         detail=detail,
         seconds=round(seconds, 2),
+        cpu=round(cpu, 2),
         peak_mb=round(peak),
     )
     if verdict.is_finding:
@@ -160,11 +165,12 @@ def judge(box: Path, status: int, before: dict[str, Any]) -> tuple[str, str]:
 
 
 def snapshot(box: Path) -> dict[str, Any]:
-    """Kind, size and time of everything below a folder."""
+    """Kind, size and time of change of everything below a folder; a folder is what it holds."""
     found: dict[str, Any] = {}
     for path in sorted(box.rglob("*")):
         s = path.lstat()
-        found[path.relative_to(box).as_posix()] = (s.st_mode, s.st_size if path.is_file() else 0, s.st_mtime_ns)
+        is_folder = stat.S_ISDIR(s.st_mode)
+        found[path.relative_to(box).as_posix()] = (s.st_mode, *(() if is_folder else (s.st_size, s.st_mtime_ns)))
     return found
 
 
@@ -174,7 +180,7 @@ def summary(verdicts: list[Verdict], seed: int, seconds: float) -> dict[str, Any
     for v in verdicts:
         for kind in {kind for kind, _ in v.changes}:
             by_change[kind][v.kind] += 1
-    slowest = sorted(verdicts, key=lambda v: -v.seconds)[:5]
+    slowest = sorted(verdicts, key=lambda v: -v.cpu)[:5]
     return {
         "seed": seed,
         "cases": len(verdicts),
@@ -183,6 +189,9 @@ def summary(verdicts: list[Verdict], seed: int, seconds: float) -> dict[str, Any
         "findings": [v.case for v in verdicts if v.is_finding],
         "by_change": {name: dict(count) for name, count in by_change.items()},
         "by_variant": {name: Counter(v.kind for v in verdicts if v.variant == name) for name in VARIANTS},
+        "slowest_s": max((v.seconds for v in verdicts), default=0),
+        "slowest_cpu_s": max((v.cpu for v in verdicts), default=0),
+        "slowest_rejection_s": max((v.seconds for v in verdicts if v.kind == "rejected"), default=0),
         "peak_mb": max((v.peak_mb for v in verdicts), default=0),
         "slowest": [asdict(v) for v in slowest],
     }
@@ -208,14 +217,14 @@ def _forget_cache_folder() -> None:
     kernels.cache_root.cache_clear()
 
 
-def _in_a_process(box: Path) -> tuple[int, float]:
-    """Wait status and peak memory [MB] of the command on box/input, killed at the limit."""
+def _in_a_process(box: Path) -> tuple[int, float, float]:
+    """Wait status, processor time [s] and peak memory [MB] of the command on box/input, killed at the limit."""
     sys.stdout.flush()
     sys.stderr.flush()
     pid = os.fork()
     if pid == 0:
         os._exit(_child(box))
-    deadline = time.monotonic() + LIMIT_S + 5
+    deadline = time.monotonic() + WALL_LIMIT_S + 1
     while True:
         done, status, usage = os.wait4(pid, os.WNOHANG)
         if done:
@@ -228,7 +237,7 @@ def _in_a_process(box: Path) -> tuple[int, float]:
         time.sleep(0.01)
     with contextlib.suppress(ProcessLookupError):
         os.killpg(pid, signal.SIGKILL)  # what it may have left running
-    return status, usage.ru_maxrss / 1024
+    return status, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024
 
 
 def _child(box: Path) -> int:

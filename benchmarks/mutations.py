@@ -1,4 +1,4 @@
-"""Seeded damage to input folders: bytes, files, and values inside JSON, GLB, PNG and npz that stay well formed around."""
+"""Seeded damage to input folders: bytes, files, and values inside JSON, GLB, PNG and npz that stay well formed."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ NAMES = [
         "con",
         "%s",
     ),
-    *("02_BIG_BOX", "image", "poses", "٣", "²", "1e5", "0x10"),
+    *("02_BIG_BOX", "08\\x", "7_c:d", "image", "poses", "٣", "²", "1e5", "0x10"),
 ]
 """File stems."""
 INTEGERS = [0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF]

@@ -297,15 +297,16 @@ def vertices(change: Callable[[np.ndarray], np.ndarray]) -> Spoil:
     return apply
 
 
-def numbers(key: str, kind: str, value: float) -> Spoil:
-    """The first number of the positions or indices, as it is in the file."""
+def numbers(key: str, kind: str, value: Any) -> Spoil:
+    """The first numbers of the positions or indices, as they are in the file."""
 
     def apply(folder: Path) -> None:
         tree, binary = read_glb((folder / "assets/02.glb").read_bytes())
         primitive = tree["meshes"][0]["primitives"][0]
         index = primitive["indices"] if key == "indices" else primitive["attributes"][key]
         start = tree["bufferViews"][tree["accessors"][index]["bufferView"]]["byteOffset"]
-        binary = binary[:start] + np.array(value, kind).tobytes() + binary[start + 4 :]
+        data = np.array(value, kind).tobytes()
+        binary = binary[:start] + data + binary[start + len(data) :]
         (folder / "assets/02.glb").write_bytes(glb(tree, binary))
 
     return apply
@@ -553,6 +554,8 @@ WRONG: dict[str, tuple[Spoil, str, str]] = {
     "a matrix of 1e300": (nodes({"mesh": 0, "matrix": [1e300, 0, 0, 0] * 4}), "02.glb", "beyond"),
     "a vertex that is NaN": (numbers("POSITION", "<f4", np.nan), "02.glb", "NaN, infinite"),
     "a vertex a million metres away": (numbers("POSITION", "<f4", 1e6), "poses.json", "an object of"),
+    "a mesh like a hair": (vertices(lambda v: v * [1, 1e-6, 1e-6]), "poses.json", "thinner than"),
+    "triangles of no area": (numbers("indices", "<u4", [k // 3 % 8 for k in range(36)]), "02.glb", "no triangle that has an area"),
     "a flat mesh": (vertices(lambda v: v * [1, 1, 0]), "02.glb", "flat"),
     "a mesh that is a point": (vertices(lambda v: v * 0), "02.glb", "flat"),
     "a texture that claims 20,000 x 20,000 pixels": (textured(png_header(20_000, 20_000)), "02.glb", "too many pixels"),

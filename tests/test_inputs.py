@@ -17,7 +17,7 @@ import pytest
 from PIL import Image
 
 import broken_inputs
-from broken_inputs import BIG, WRONG, Spoil, broken
+from broken_inputs import BIG, WRONG, Spoil, broken, in_order
 from f3sr import inputs
 from f3sr.cli import main
 from f3sr.errors import InputError
@@ -146,6 +146,12 @@ def transparent(pixels: np.ndarray) -> np.ndarray:
     return np.dstack([pixels, np.full(pixels.shape[:2], 7, np.uint8)])
 
 
+def soft(pixels: np.ndarray) -> np.ndarray:
+    """Bright levels where the mask is, dark ones elsewhere."""
+    noise = np.random.default_rng(0).integers(0, 9, pixels.shape)
+    return np.where(pixels > 0, 255 - noise, noise).astype(np.uint8)
+
+
 def cut_out(pixels: np.ndarray) -> np.ndarray:
     """The mask in the alpha channel of a white picture."""
     return np.dstack([np.full((*pixels.shape, 3), 255, np.uint8), pixels])
@@ -233,10 +239,9 @@ ODD: dict[str, tuple[Spoil, str | None]] = {
     "a mask of zeros and ones": (picture(f"masks/{BIG}", lambda p: (p > 0).astype(np.uint8)), None),
     "a mask in the alpha channel": (picture(f"masks/{BIG}", cut_out), "alpha channel is the mask"),
     "a palette mask": (palette(f"masks/{BIG}"), None),
-    "a soft mask": (picture(f"masks/{BIG}", lambda p: np.where(p > 0, 250 - np.arange(p.size).reshape(p.shape) % 9, 3).astype(np.uint8)), "grey levels"),
+    "a soft mask": (picture(f"masks/{BIG}", soft), "grey levels"),
     "files of others": (
-        broken_inputs.in_order(*(broken_inputs.write(n, b"x") for n in ("notes.txt", "masks/.DS_Store", "assets/a.md"))),
-        None,
+        in_order(*(broken_inputs.write(n, b"x") for n in ("notes.txt", "masks/.DS_Store", "assets/a.md"))), None,
     ),
     "JSON with a byte order mark": (
         lambda f: (f / "assets/poses.json").write_text((f / "assets/poses.json").read_text(), "utf-8-sig"), None,
@@ -255,7 +260,7 @@ ODD: dict[str, tuple[Spoil, str | None]] = {
     "a mesh with triangles twice": (faces(lambda f: np.concatenate([f, f])), "12 doubled triangles"),
     "a mesh with triangles of no area": (faces(lambda f: np.concatenate([f, f[:, [0, 0, 1]]])), "12 triangles of no"),
     "an edge of three triangles": (mesh(fin), "edges of more than two triangles"),
-    "an inner layer": (mesh(layered), None),
+    "an inner layer": (mesh(layered), "1 layer or more within another"),
     "a vertex of no triangle": (mesh(stray), "1 vertices left out"),
     "5000 nodes in a chain": (broken_inputs.gltf(ranks(5000)), None),
     "a mesh in a data URI": (embedded, None),

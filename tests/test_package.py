@@ -568,7 +568,7 @@ SPOILS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "absolute path": (lambda t: t["objects"][1].update(collision=["/etc/passwd"]), "objects.1.collision.0"),
     "mask with a folder": (lambda t: t["objects"][0].update(mask="a/b.png"), "objects.0.mask"),
     "scaled pose": (lambda t: t["objects"][0]["T_world_object"][0].__setitem__(0, 2.0), "rigid"),
-    "not a number": (lambda t: t["objects"][0].update(mass=float("nan")), "mass"),
+    "not a number": (lambda t: t["objects"][0].update(mass=float("nan")), "NaN"),
     "twice an id": (lambda t: t["objects"][1].update(id=0), "unique"),
     "unknown support": (lambda t: t["objects"][1].update(supported_by=7), "7"),
     "mask twice": (lambda t: t["excluded"].append({"mask": t["objects"][0]["mask"], "reason": ""}), "twice"),

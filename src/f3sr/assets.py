@@ -19,6 +19,8 @@ from f3sr.point_maps import camera_frame
 
 MIN_SIZE, MAX_SIZE = 1e-3, 1e3
 """Sizes of objects accepted, in metres of the geometry: single-precision files and contact margins end there."""
+MIN_FILL = 1e-9
+"""Smallest volume of a mesh's hull, in cubes of its diagonal: a hair of 1 m that is 30 micrometres thick."""
 MAX_SCENE_FACES = 20_000_000
 """Of all meshes together."""
 MAX_SCENE_TEXTURE_PIXELS = 400_000_000
@@ -53,6 +55,7 @@ def read_assets(folder: InputFolder, masks: Mapping[int, str], frame: str) -> di
     _require_total(place, [a.mesh for a in assets.values()])
     for id, asset in assets.items():
         require_size(asset.source, masks[id], asset)
+        _require_thickness(asset.source, masks[id], asset.mesh)
         _describe(folder, id, asset.mesh)
     return assets
 
@@ -90,12 +93,21 @@ def _mesh(folder: InputFolder, id: int, relative: str) -> Mesh:
 
 
 def _flatness(mesh: Mesh) -> str | None:
-    """Why a mesh has no place in a scene: it spans no volume, or less than rounding leaves of it."""
+    """Why a mesh has no place in a scene: it spans no volume, or its triangles no area."""
     try:
         ConvexPart.hull_of(mesh.vertices)
     except ValueError:
         return "a flat mesh without any thickness"
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    if not np.cross(b - a, c - a).any():
+        return "no triangle that has an area"
     return None
+
+
+def _require_thickness(path: Path, mask: str, mesh: Mesh) -> None:
+    if ConvexPart.hull_of(mesh.vertices).volume < MIN_FILL * mesh.diagonal**3:
+        found = f"a mesh for {mask} thinner than single precision can tell"
+        raise InputError(path, found=found, accepted="a mesh that spans a volume")
 
 
 def _describe(folder: InputFolder, id: int, mesh: Mesh) -> None:

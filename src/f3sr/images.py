@@ -22,6 +22,8 @@ ACCEPTED = f"a PNG or JPEG image of at most {MAX_PIXELS:,} pixels"
 def open_image(path: Path) -> Image.Image:
     """A decoded PNG or JPEG image, turned as its EXIF orientation says; InputError when unreadable or too large."""
     try:
+        if path.exists() and not path.is_file():  # reading a pipe would wait forever
+            raise InputError(path, found="no regular file", accepted="a readable file")
         with path.open("rb") as file:
             image = decode_image(file, ("PNG", "JPEG"), size_only=True)
             if image.width * image.height > MAX_PIXELS or min(image.size) < MIN_SIDE:
