@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import Positional, arg
 
-from f3sr.errors import F3srError, InputError
+from f3sr.errors import F3srError, InputError, printable
 
 Folder = Positional[Path]
 Out = Annotated[Path, arg(aliases=["-o"])]
@@ -175,7 +175,7 @@ def _json(value: object) -> str:
 
 
 def _fail(code: int, message: str) -> int:
-    print(f"f3sr: {message}", file=sys.stderr)
+    print(f"f3sr: {printable(message)}", file=sys.stderr)
     return code
 
 

@@ -21,6 +21,8 @@ MIN_VALID = 100
 """Fewest valid pixels of geometry: fewer show no ground and no objects."""
 MIN_DEPTH, MAX_DEPTH = 0.01, 10_000.0
 """The median depth accepted, in metres of the geometry: from a macro lens to a landscape."""
+MIN_NEAR, MAX_FAR = 0.001, 100_000.0
+"""Depth and coordinates of single points [m]; what lies nearer or farther, often a sky, is left out."""
 MAX_CENTER = 30.0
 """How far the principal point may lie from the image's corner, in longer image sides: far crops of a photo."""
 KEYS = ("points", "pointmap", "pcd", "mask", "normal", "intrinsics", "coordinate_system")
@@ -222,9 +224,9 @@ def _usable(
             found=f"a median depth of {median:.3g} m",
             accepted=f"{MIN_DEPTH} to {MAX_DEPTH:,.0f} m (check the unit)",
         )
-    near = valid & (depth >= MIN_DEPTH / 10) & (np.abs(points).max(2) <= 10 * MAX_DEPTH)
+    near = valid & (depth >= MIN_NEAR) & (np.abs(points).max(2) <= MAX_FAR)
     if (lost := int(valid.sum() - near.sum())) > 0:
-        reason = f"nearer than {1000 * MIN_DEPTH / 10:.0f} mm or farther than {MAX_DEPTH / 100:.0f} km"
+        reason = f"nearer than {MIN_NEAR} m or farther than {MAX_FAR:,.0f} m"
         folder.decide(f"{path.name}: {lost} points left out", reason)
     if near.sum() < MIN_VALID:
         raise InputError(path, found=f"{int(near.sum())} valid pixels", accepted=f"at least {MIN_VALID}")
