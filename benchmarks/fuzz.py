@@ -64,7 +64,8 @@ class Verdict:
 def main() -> int:
     args = _arguments()
     started = time.perf_counter()
-    with tempfile.TemporaryDirectory(prefix="f3sr-fuzz-") as place:
+    args.out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix="f3sr-fuzz-") as place, (args.out / "verdicts.jsonl").open("w") as log:
         originals = write_variants(Path(place) / "originals")
         _load()
         os.environ["F3SR_CACHE_DIR"] = f"{place}/cache"
@@ -74,6 +75,7 @@ def main() -> int:
         for case in cases:
             verdict = run_case(case, args.seed, originals, Path(place) / "box", args.out)
             verdicts.append(verdict)
+            print(json.dumps(asdict(verdict)), file=log, flush=True)
             if verdict.is_finding or args.case is not None:
                 print(json.dumps(asdict(verdict)), file=sys.stderr, flush=True)
             if len(verdicts) % 100 == 0:

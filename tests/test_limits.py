@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import ast
 import importlib
+from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 PAGE = Path(__file__).parents[1] / "docs" / "limits.md"
@@ -56,9 +58,9 @@ LIMITS = {
 """By section: what is limited, and the constant that holds the limit."""
 HEAD = """# Limits
 
-What enters is refused beyond these limits, with one error that names the file, before any work starts; what that looks like
-is in [broken inputs](broken_inputs.md). All are at most unless the table says otherwise. The tests make this page from the
-code's constants: `python tests/test_limits.py` writes it anew.
+What enters is refused beyond these limits, with one error that names the file, before any work starts; what that looks
+like is in [broken inputs](broken_inputs.md). All are at most unless the table says otherwise. The tests make this page
+from the code's constants: `python tests/test_limits.py` writes it anew.
 """
 
 
@@ -78,16 +80,20 @@ def _number(constant: str) -> str:
 
 
 def _reason(constant: str) -> str:
-    """The string below the constant's assignment, as one paragraph."""
     module, name = constant.split(".")
-    source = (Path(importlib.import_module("f3sr").__file__ or "").parent / f"{module}.py").read_text()
-    body = ast.parse(source).body
-    for k, statement in enumerate(body[:-1]):
-        below = body[k + 1]
-        if isinstance(statement, ast.Assign) and name in {n.id for n in ast.walk(statement) if isinstance(n, ast.Name)}:
-            assert isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant), f"{constant} has no reason"
-            return " ".join(str(below.value.value).split())
-    raise AssertionError(f"{constant} is not assigned")
+    return _constants(module)[name]
+
+
+@cache
+def _constants(module: str) -> dict[str, str]:
+    """The names that a module assigns, and the string below each assignment as one paragraph."""
+    body = ast.parse(Path(importlib.import_module(f"f3sr.{module}").__file__ or "").read_text()).body
+    found: dict[str, str] = {}
+    for statement, below in pairwise(body):
+        if isinstance(statement, ast.Assign) and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
+            reason = " ".join(str(below.value.value).split())
+            found |= {n.id: reason for target in statement.targets for n in ast.walk(target) if isinstance(n, ast.Name)}
+    return found
 
 
 def test_the_page_of_limits_is_current():
@@ -96,13 +102,9 @@ def test_the_page_of_limits_is_current():
 
 def test_every_limit_of_the_readers_is_on_the_page():
     listed = {constant for limits in LIMITS.values() for _, constant in limits}
-    for module in {constant.split(".")[0] for constant in listed}:
-        names = vars(importlib.import_module(f"f3sr.{module}"))
-        own = (Path(importlib.import_module("f3sr").__file__ or "").parent / f"{module}.py").read_text()
-        found = {
-            f"{module}.{n}" for n in names if n.startswith(("MAX_", "MIN_")) and f"\n{n}" in own or f", {n} =" in own
-        }
-        assert {f for f in found if f.split(".")[1].startswith(("MAX_", "MIN_"))} <= listed
+    modules = {constant.split(".")[0] for constant in listed}
+    found = {f"{m}.{n}" for m in modules for n in _constants(m) if n.startswith(("MAX_", "MIN_"))}
+    assert found == listed
 
 
 if __name__ == "__main__":

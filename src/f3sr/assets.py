@@ -22,7 +22,7 @@ MIN_SIZE, MAX_SIZE = 1e-3, 1e3
 MIN_FILL = 1e-9
 """Smallest volume of a mesh's hull, in cubes of its diagonal: a hair of 1 m that is 30 micrometres thick."""
 MAX_SCENE_FACES = 20_000_000
-"""Of all meshes together."""
+"""Of all meshes together: a hundred objects of 200,000 triangles."""
 MAX_SCENE_TEXTURE_PIXELS = 400_000_000
 """Of all textures together: 1.2 GB decoded."""
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".fbx")

@@ -27,9 +27,9 @@ PARTS: tuple[str, ...] = get_args(Part)
 PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 MAX_RELATIONS = 10_000
-"""Most relations of a kind in scene_graph.json."""
+"""Most relations of a kind in scene_graph.json: every pair of a hundred objects, both ways."""
 MAX_REASON = 1000
-"""Most characters of a relation's reason, which goes into the package."""
+"""Most characters of a relation's reason, which goes into the package and its report."""
 MAX_DISAGREEMENT = 10_000.0
 """Largest factor between an asset's depth and the geometry's inside its mask: millimetres for metres are repaired,
 anything beyond is no unit."""

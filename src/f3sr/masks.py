@@ -17,13 +17,14 @@ from f3sr.images import open_image
 from f3sr.scene import Photo
 
 MAX_OVERLAP = 0.05
-"""Share of the smaller mask that two masks may overlap by; the pixels then go to the smaller one."""
+"""Share of the smaller mask that two masks may overlap by: more than the uncertain pixels of a border are two
+opinions on an object. Shared pixels go to the smaller mask."""
 MAX_ID_DIGITS = 8
 """Longer numbers are hashes or dates, not ids."""
 MIN_PIXELS = 16
 """A smaller mask holds no usable silhouette."""
 MAX_OBJECTS = 500
-"""Most masks of one photo."""
+"""Most masks of one photo: more is an over-segmentation, not objects."""
 MAX_MASK_PIXELS = 2_000_000_000
 """Pixels of all masks together, a byte each: 166 masks of a 12 megapixel photo."""
 

@@ -19,11 +19,11 @@ from f3sr.mesh import Material, Mesh
 
 FORMATS = (".glb", ".gltf", ".obj", ".ply")
 MAX_FACES = 5_000_000
-"""Of one file, twenty times what generators make; and a third of its vertices, for every face may have its own."""
+"""Of one file: twenty times what generators make. Vertices may be three times as many, for faces may share none."""
 MAX_COORDINATE = 1e15
 """Largest coordinate: single precision holds its square."""
 MAX_TEXTURE_PIXELS = 8192 * 8192
-"""Over all base colour textures of one file."""
+"""Over all base colour textures of one file: a single one of the largest size that graphics cards must take."""
 
 
 def load_mesh(path: Path, *, max_faces: int = MAX_FACES, max_texture_pixels: int = MAX_TEXTURE_PIXELS) -> Mesh:
