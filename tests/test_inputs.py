@@ -252,6 +252,9 @@ ODD: dict[str, tuple[Spoil, str | None]] = {
     "a sky 1000 km away": (
         broken_inputs.geometry(points=lambda p: np.where(np.indices(p.shape)[0] < 3, np.float32(1e6), p)), "left out",
     ),
+    "geometry of another aspect": (
+        broken_inputs.geometry(points=lambda p: p[::2], mask=lambda m: m[::2]), "stretched over the photo",
+    ),
     "points in double precision": (broken_inputs.geometry(points=lambda p: p.astype(float)), None),
     "an npz with other arrays": (broken_inputs.geometry(extra=np.array([{}], object)), None),
     "an open mesh": (faces(lambda f: f[1:]), "3 open edges"),

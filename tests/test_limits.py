@@ -39,6 +39,7 @@ LIMITS = {
         ("coordinate of a point [m]", "point_maps.MAX_FAR"),
         ("focal length [longer image sides], at least", "point_maps.MIN_FOCAL"),
         ("focal length [longer image sides]", "point_maps.MAX_FOCAL"),
+        ("aspect over the photo's, either way, before a decision says so", "point_maps.MAX_STRETCH"),
         ("principal point and skew [longer image sides]", "point_maps.MAX_CENTER"),
     ],
     "Meshes": [

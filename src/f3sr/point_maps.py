@@ -25,6 +25,8 @@ MIN_NEAR, MAX_FAR = 0.001, 100_000.0
 """Depth and coordinates of single points [m]; what lies nearer or farther, often a sky, is left out."""
 MAX_CENTER = 30.0
 """How far the principal point may lie from the image's corner, in longer image sides: far crops of a photo."""
+MAX_STRETCH = 1.1
+"""Aspect of the geometry over the photo's, either way, from which on a decision tells of it: networks round to tiles."""
 KEYS = ("points", "pointmap", "pcd", "mask", "normal", "intrinsics", "coordinate_system")
 """Arrays of geometry.npz that mean something here."""
 MAX_BYTES = 2_000_000_000
@@ -56,9 +58,15 @@ def read_geometry(folder: InputFolder, photo: Photo) -> tuple[Geometry, Array]:
         raise InputError(folder.root, found=f"geometry.npz and {depths[0]}", accepted="one of the two")
     if len(depths) > 1:
         raise InputError(folder.root, found="depth.png and depth.npy", accepted="one of the two")
-    if depths:
-        return _depth_map(folder, depths[0], photo)
-    return _point_map(folder, photo)
+    geometry, K = _depth_map(folder, depths[0], photo) if depths else _point_map(folder, photo)
+    h, w = geometry.valid.shape
+    if not 1 / MAX_STRETCH <= (w * photo.height) / (h * photo.width) <= MAX_STRETCH:
+        folder.decide(
+            f"geometry of {w}x{h} pixels is stretched over the photo",
+            f"the photo has {photo.width}x{photo.height}",
+            fallback=True,
+        )
+    return geometry, K
 
 
 def _point_map(folder: InputFolder, photo: Photo) -> tuple[Geometry, Array]:
