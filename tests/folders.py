@@ -27,8 +27,8 @@ def camera() -> Camera:
     return Camera(width=WIDTH, height=HEIGHT, K=K, T_world_camera=pose(R, -0.75 * forward + [0, 0, 0.04]))
 
 
-def boxes() -> list[SceneObject]:
-    """A stack of two and a box beside it, all at rest."""
+def boxes(*, textured: bool = False) -> list[SceneObject]:
+    """A stack of two and a box beside it, all at rest; the first with a texture on demand."""
     return [
         box(
             2,
@@ -36,6 +36,7 @@ def boxes() -> list[SceneObject]:
             at=(-0.1, 0.0, 0.04),
             R=rotation_about([0, 0, 1], 0.3),
             label="big box",
+            textured=textured,
         ),
         box(
             5,
@@ -127,3 +128,34 @@ def _geometry(depth: Array, eye: Camera) -> dict[str, Array]:
         "mask": valid,
         "intrinsics": normalised,
     }
+
+
+def to_depth(folder: Path) -> None:
+    """A 16-bit depth.png with intrinsics.json instead of geometry.npz."""
+    with np.load(folder / "geometry.npz") as archive:
+        depth, valid = archive["points"][..., 2], archive["mask"]
+    (folder / "geometry.npz").unlink()
+    Image.fromarray(np.where(valid, depth / 0.001, 0).astype(np.uint16)).save(folder / "depth.png")
+    K = camera().K * [[0.5], [0.5], [1]]
+    meta = {"width": WIDTH // 2, "height": HEIGHT // 2, "K": K.tolist(), "depth_scale": 0.001}
+    (folder / "intrinsics.json").write_text(json.dumps(meta))
+
+
+def to_posed(folder: Path) -> None:
+    """GLBs posed in OpenGL camera axes instead of poses.json."""
+    (folder / "assets" / "poses.json").unlink()
+    for o in boxes():
+        opengl = camera().to_camera(o.vertices_world) * [1, -1, -1]
+        save_glb(o.mesh.with_vertices(opengl), folder / "assets" / f"{o.id:02d}.glb")
+
+
+def add_graph(folder: Path) -> None:
+    """Relations that hold between the boxes."""
+    graph = {
+        "relations": [{"subject": 7, "predicate": "next_to", "object": 2, "confidence": 0.9}],
+        "support_relations": [
+            {"upper": 5, "lower": 2, "confidence": 0.9, "reason": "on it"},
+            {"upper": 2, "lower": -1},
+        ],
+    }
+    (folder / "scene_graph.json").write_text(json.dumps(graph))

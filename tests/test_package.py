@@ -167,8 +167,16 @@ BROKEN = {
         "reference to 'a.png'",
     ),
     "bomb.glb": (
-        glb({"asset": ASSET, "accessors": [{"count": 10**12, "type": "VEC3"}]}),
-        "1000000000000 elements",
+        glb(
+            {
+                "asset": ASSET,
+                "scenes": [{"nodes": [0]}],
+                "nodes": [{"mesh": 0}],
+                "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+                "accessors": [{"count": 3 * 10**12, "type": "VEC3", "componentType": 5126}],
+            }
+        ),
+        "1,000,000,000,000 faces",
     ),
     "draco.glb": (glb({"asset": ASSET, "extensionsRequired": ["KHR_draco_mesh_compression"]}), "KHR_draco"),
     "list.glb": (glb({"asset": ASSET, "meshes": [[1]], "materials": 3}), "broken glTF|unreadable"),
@@ -562,7 +570,7 @@ SPOILS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "absolute path": (lambda t: t["objects"][1].update(collision=["/etc/passwd"]), "objects.1.collision.0"),
     "mask with a folder": (lambda t: t["objects"][0].update(mask="a/b.png"), "objects.0.mask"),
     "scaled pose": (lambda t: t["objects"][0]["T_world_object"][0].__setitem__(0, 2.0), "rigid"),
-    "not a number": (lambda t: t["objects"][0].update(mass=float("nan")), "mass"),
+    "not a number": (lambda t: t["objects"][0].update(mass=float("nan")), "NaN"),
     "twice an id": (lambda t: t["objects"][1].update(id=0), "unique"),
     "unknown support": (lambda t: t["objects"][1].update(supported_by=7), "7"),
     "mask twice": (lambda t: t["excluded"].append({"mask": t["objects"][0]["mask"], "reason": ""}), "twice"),

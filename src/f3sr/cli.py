@@ -14,7 +14,7 @@ import tyro
 from tyro.conf import Positional, arg
 
 from f3sr import interrupts
-from f3sr.errors import F3srError, InputError
+from f3sr.errors import F3srError, InputError, printable
 
 Folder = Positional[Path]
 Out = Annotated[Path, arg(aliases=["-o"])]
@@ -78,11 +78,11 @@ def reconstruct(
     from f3sr.deliver import deliver
     from f3sr.progress import timed
 
-    package.prepare_output(out, inputs=folder, overwrite=overwrite)
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
     with console.steps_shown(quiet=json) as progress:
         with timed("read", progress):
             given = inputs.read(folder, ignore=_names(ignore), asset_frame=asset_frame)
+        package.prepare_output(out, inputs=folder, overwrite=overwrite)
         kernels.warm_up(progress)
         result = pipeline.reconstruct(given, chosen, skip=_names(skip), store=Store.default(), progress=progress)
         written = deliver(result, out, overwrite=overwrite, progress=progress)
@@ -181,7 +181,7 @@ def _json(value: object) -> str:
 
 
 def _fail(code: int, message: str) -> int:
-    print(f"f3sr: {message}", file=sys.stderr)
+    print(f"f3sr: {printable(message)}", file=sys.stderr)
     return code
 
 

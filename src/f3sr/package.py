@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -14,7 +13,8 @@ from numpy.typing import NDArray
 from pydantic import JsonValue, ValidationError
 
 import f3sr
-from f3sr.errors import InputError
+from f3sr import strict_json
+from f3sr.errors import InputError, reason
 from f3sr.export.gltf import encode_png, mesh_to_glb, scene_to_glb
 from f3sr.export.mjcf import collision_files, to_mjcf
 from f3sr.export.scene_json import (
@@ -184,9 +184,11 @@ def _plain(value: Any) -> Any:
 def _read_document(file: Path) -> SceneDocument:
     accepted = "the scene.json of an f3sr package, schema_version 1"
     try:
-        tree = json.loads(file.read_bytes())
-    except OSError:
-        raise InputError(file, found="no such file", accepted=accepted) from None
+        if file.exists() and not file.is_file():  # reading a pipe would wait forever
+            raise InputError(file, found="no regular file", accepted=accepted)
+        tree = strict_json.loads(file.read_bytes())
+    except OSError as error:
+        raise InputError(file, found=reason(error), accepted=accepted) from None
     except ValueError as error:
         raise InputError(file, found=f"no JSON ({error})", accepted=accepted) from None
     try:
@@ -233,7 +235,11 @@ def _read_image(folder: Path, path: str, size: tuple[int, int], mode: str) -> ND
 
 def _inside(folder: Path, path: str) -> Path:
     file = folder / path
-    if not file.resolve().is_relative_to(folder.resolve()):
+    try:
+        inside = file.resolve().is_relative_to(folder.resolve())
+    except (OSError, ValueError, RuntimeError):  # NUL bytes, loops of links
+        raise InputError(folder, found=f"the path {path!r} that leads nowhere", accepted="files inside it") from None
+    if not inside:
         raise InputError(file, found="a path that leaves the package", accepted="files inside the package")
     return file
 

@@ -56,7 +56,8 @@ NO_SURFACE = 0.5
 open shells as many as their rims."""
 
 Faces = NDArray[np.int32]
-Method = Literal["hull", "coacd", "vhacd", "hull-fallback"]
+Split = Literal["coacd", "vhacd"]
+Method = Literal["hull", Split, "hull-fallback"]
 
 
 @settings
@@ -187,7 +188,7 @@ def decompose_all(
             raise
 
 
-def split(mesh: Mesh, method: Literal["coacd", "vhacd"], config: ProxyConfig | None = None) -> int:
+def split(mesh: Mesh, method: Split, config: ProxyConfig | None = None) -> int:
     """How many parts one method alone finds; RuntimeError with the reason where it finds none."""
     vertices, faces, _ = _normalised(mesh)
     outcome = _run_worker(method, vertices, faces, config or ProxyConfig())
@@ -228,9 +229,9 @@ def _decompose_unit(
         method, parts = "hull", _hull_parts(vertices, faces, config)
         decisions.append(Decision(choice="one hull", reason=reason))
     else:
-        attempts = ["coacd", "vhacd"]
+        attempts: tuple[Split, ...] = ("coacd", "vhacd")
         if reason := _is_no_body(vertices, faces, config):
-            attempts.remove("coacd")
+            attempts = ("vhacd",)
             decisions.append(Decision(choice="split by V-HACD, not by CoACD", reason=reason, fallback=True))
         for attempt in attempts:
             outcome = _run_worker(attempt, vertices, faces, config, cancelled)
