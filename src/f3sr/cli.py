@@ -65,6 +65,7 @@ def reconstruct(
 
     from f3sr import inputs, kernels, package, pictures, pipeline
     from f3sr.cache import Store
+    from f3sr.page import report_page
 
     say = _quiet if json else _say
     package.prepare_output(out, inputs=folder, overwrite=overwrite)
@@ -85,6 +86,7 @@ def reconstruct(
         reports=result.reports,
         seconds=result.seconds,
         pictures=pictures.pictures_of(result.direct, result.scene),
+        page=report_page(result),
         overwrite=overwrite,
     )
     if json:
@@ -96,7 +98,7 @@ def reconstruct(
             say(f"fallback in {report.stage}{about}: {decision.choice}; {decision.reason}")
     _print_table(_table(result.evaluation))
     say(f"package:  {written}")
-    say(f"pictures: {written / 'pictures'}")
+    say(f"report:   {written / package.PAGE}")
 
 
 def evaluate(package: Folder, /, true_scale: float = 1.0, json: bool = False) -> None:

@@ -165,9 +165,7 @@ def measure_with_details(scene: Scene, *, true_scale: float = 1.0) -> tuple[Meas
 
 def _overlap(pair: crossings.Crossing, objects: Sequence[SceneObject]) -> Overlap:
     low, high = pair.bounds
-    return Overlap(
-        a=objects[pair.a].id, b=objects[pair.b].id, crossings=pair.count, low=_point(low), high=_point(high)
-    )
+    return Overlap(a=objects[pair.a].id, b=objects[pair.b].id, crossings=pair.count, low=_point(low), high=_point(high))
 
 
 def _point(p: Array) -> Point:
@@ -235,7 +233,8 @@ def gaps_of(objects: Sequence[SceneObject]) -> tuple[Gap, ...]:
                 distances, hits = tree.query(p[::7], distance_upper_bound=distance)
                 k = int(np.argmin(distances))
                 if distances[k] < distance:
-                    nearest, distance, start, end = objects[j].id, float(distances[k]), p[7 * k], tree.data[hits[k]]
+                    nearest, distance = objects[j].id, float(distances[k])
+                    start, end = p[7 * k], points[j][int(np.asarray(hits)[k])]
         gaps.append(
             Gap(
                 id=o.id,

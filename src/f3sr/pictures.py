@@ -26,6 +26,10 @@ TINT = 0.55
 SWAPPED = 0.4
 """Brightness where an object is drawn over another's mask, so that swapped ids show."""
 GROUND_LINE = (40, 170, 60)
+MUCH_LARGER = 2.5
+"""How many times larger two states together may be than one alone for it to be shown at their common scale."""
+FRAME = 1.2
+"""Size of a side view over that of what it shows."""
 PAPER = 245
 """Grey behind a scene without its photo."""
 
@@ -57,9 +61,9 @@ def pictures_of(before: Scene, after: Scene) -> Mapping[str, Image]:
     """What a package shows of a reconstruction, by file stem."""
     backdrop = Backdrop.of(after)
     overlays = [overlay(s, backdrop) for s in (before, after)]
-    sides = [side_view(s) for s in (before, after)]
+    sides = _sides(before, after, width=960, height=540)
     return {
-        "sheet": sheet(backdrop, overlays, [side_view(s, width=1440, height=480) for s in (before, after)]),
+        "sheet": sheet(backdrop, overlays, _sides(before, after, width=1440, height=480)),
         "overlay_before": overlays[0],
         "overlay_after": overlays[1],
         "render_before": composite(before, backdrop),
@@ -108,19 +112,25 @@ def composite(scene: Scene, backdrop: Backdrop | None = None) -> Image:
     return _textured(scene, backdrop.camera(scene), backdrop.rgb)
 
 
-def side_view(scene: Scene, *, width: int = 960, height: int = 540) -> Image:
-    """The scene from the side, level with it, the line z = 0 green: what floats or sinks shows."""
-    camera = side_camera(scene, width=width, height=height)
-    picture = _textured(scene, camera, np.full((height, width, 3), PAPER, np.uint8))
-    row = ground_row(scene, camera)
-    if 0 < row < height:
+def _sides(before: Scene, after: Scene, *, width: int, height: int) -> list[Image]:
+    return [
+        side_view(s, camera)
+        for s, camera in zip((before, after), side_cameras(before, after, width, height), strict=True)
+    ]
+
+
+def side_view(scene: Scene, camera: Camera, *, ground: bool = True) -> Image:
+    """The scene as a side camera sees it, the line z = 0 green: what floats or sinks shows."""
+    picture = _textured(scene, camera, np.full((camera.height, camera.width, 3), PAPER, np.uint8))
+    row = ground_row(camera)
+    if ground and 0 < row < camera.height:
         picture[max(0, row - 1) : row + 1] = GROUND_LINE
     return picture
 
 
 def turned_view(scene: Scene, *, turn: float, width: int, height: int) -> Image:
     """The scene alone, its camera turned about the vertical through its middle by ``turn`` [rad]."""
-    middle = _middle(scene)
+    middle = _box(scene).mean(0)
     c, s = np.cos(turn), np.sin(turn)
     R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     T = pose(R, middle - R @ middle) @ scene.camera.T_world_camera
@@ -128,35 +138,41 @@ def turned_view(scene: Scene, *, turn: float, width: int, height: int) -> Image:
     return _textured(scene, camera, np.full((height, width, 3), PAPER, np.uint8))
 
 
-def side_camera(scene: Scene, *, width: int, height: int) -> Camera:
-    """A camera at ground level, 90 degrees to the side of the photo's, far enough away to look almost parallel.
+def side_cameras(before: Scene, after: Scene, width: int, height: int) -> tuple[Camera, Camera]:
+    """One side camera for two states of a scene, so that they compare; two where one state is so much larger that
+    nothing would be seen of the other."""
+    sizes = [np.linalg.norm(np.ptp(_box(*scenes), axis=0)) for scenes in ((before,), (after,), (before, after))]
+    if sizes[2] > MUCH_LARGER * min(sizes):
+        return side_camera(before, width=width, height=height), side_camera(after, width=width, height=height)
+    both = side_camera(after, before, width=width, height=height)
+    return both, both
 
-    A scene that is not near the ground, as an input that nobody levelled, is looked at from the height of its lowest
-    point instead.
+
+def side_camera(scene: Scene, *others: Scene, width: int, height: int, ground: bool = True) -> Camera:
+    """A camera 90 degrees to the side of the photo's, level, far enough away to look almost parallel.
+
+    It stands at the height of the ground, or of the lowest point where there is no ground yet, and sees all of the
+    scene and ``others``.
     """
-    low, high = _box(scene)
-    middle = (low + high) / 2
     forward = scene.camera.T_world_camera[:3, 0] * [1, 1, 0]
     forward = -forward / np.linalg.norm(forward)
     down = np.array([0.0, 0, -1])
     R = np.stack([np.cross(down, forward), down, forward], axis=1)
-    tall = float(high[2] - low[2])
-    base = 0.0 if abs(low[2]) < tall else float(low[2])
+    seen = np.concatenate([o.vertices_world @ R for s in (scene, *others) for o in s])
+    low, high = seen.min(0), seen.max(0)
+    base = 0.0 if ground else high[1]
+    bottom, top = max(base, high[1]), min(base, low[1])
     distance = 8 * float(np.linalg.norm(high - low))
-    eye = np.array([middle[0], middle[1], base]) - distance * forward
-    above, below = max(float(high[2]) - base, tall), max(0.0, base - float(low[2]))
-    horizon = min(0.9, above / (above + below + 0.02 * tall)) if below else 0.9
-    needed = max(above / horizon, below / (1 - horizon)) * width / height
-    span = 1.15 * max(float(np.linalg.norm((high - low)[:2])), needed)
-    focal = width * distance / span
-    K = np.array([[focal, 0, width / 2], [0, focal, horizon * height], [0, 0, 1]])
+    eye = R @ [(low[0] + high[0]) / 2, base, (low[2] + high[2]) / 2 - distance]
+    focal = distance / FRAME / max((high[0] - low[0]) / width, (bottom - top) / height)
+    horizon = height / 2 + focal * (2 * base - bottom - top) / 2 / distance
+    K = np.array([[focal, 0, width / 2], [0, focal, horizon], [0, 0, 1]])
     return Camera(width=width, height=height, K=K, T_world_camera=pose(R, eye))
 
 
-def ground_row(scene: Scene, camera: Camera) -> int:
-    """The pixel row of the ground below the middle of the scene, in a side view; it may lie outside."""
-    pixels, _ = camera.project((_middle(scene) * [1, 1, 0])[None])
-    return int(pixels[0, 1])
+def ground_row(camera: Camera) -> int:
+    """The pixel row of z = 0 in a side view: its camera stands at that height and is level."""
+    return int(camera.K[1, 2])
 
 
 def resized(picture: Image, width: int, height: int) -> Image:
@@ -176,14 +192,10 @@ def _textured(scene: Scene, camera: Camera, behind: Image) -> Image:
     return picture
 
 
-def _box(scene: Scene) -> Array:
+def _box(*scenes: Scene) -> Array:
     """(2, 3) around all objects [m]."""
-    corners = np.concatenate([o.bounds_world for o in scene])
+    corners = np.concatenate([o.bounds_world for scene in scenes for o in scene])
     return np.stack([corners.min(0), corners.max(0)])
-
-
-def _middle(scene: Scene) -> Array:
-    return _box(scene).mean(0)
 
 
 def _borders(ids: NDArray[np.int32]) -> NDArray[np.bool_]:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from string import Template
 
+from f3sr.errors import OutputError
 from f3sr.page.compare import compare
 from f3sr.page.decisions import decisions
 from f3sr.page.graph import graph
@@ -49,12 +50,15 @@ def report_page(result: Reconstruction) -> bytes:
         page = _page(Material(result, sizes))
         if len(page) <= LARGEST_PAGE:
             return page
-    raise ValueError(f"the smallest report page is {len(page)} bytes, at most {LARGEST_PAGE} are allowed")
+    raise OutputError(f"report.html: would have more than {LARGEST_PAGE:,} bytes with the smallest pictures")
 
 
 def _page(m: Material) -> bytes:
     style, script = _part("page.css"), _part("viewer.js")
-    policy = f"default-src 'none'; img-src data:; style-src {_hash(style)}; script-src {_hash(script)}; base-uri 'none'; form-action 'none'"
+    policy = (
+        f"default-src 'none'; img-src data:; style-src {_hash(style)}; script-src {_hash(script)}; "
+        "base-uri 'none'; form-action 'none'"
+    )
     links = el("nav", (el("a", title, href=f"#{id}") for id, title, _ in SECTIONS), aria_label="Sections")
     sections = [el("section", el("h2", title), make(m), id=id) for id, title, make in SECTIONS]
     text = Template(_part("page.html")).substitute(
@@ -62,7 +66,7 @@ def _page(m: Material) -> bytes:
         title=join(f"f3sr: {verdict(m)}"),
         style=style,
         script=script,
-        body=join(head(m), links, el("main", sections)),
+        body=join(head(m, links), el("main", sections)),
     )
     return text.encode("utf-8")
 

@@ -14,7 +14,7 @@ from f3sr.page.images import figure, img
 from f3sr.page.markup import Child, Markup, el, join
 from f3sr.page.material import Material, look_alike
 from f3sr.page.words import counted, length, name_of, share
-from f3sr.pictures import composite, ground_row, side_camera, side_view
+from f3sr.pictures import composite, ground_row, side_camera, side_cameras, side_view
 from f3sr.scene import GROUND, Scene
 
 SIDE = (720, 420)
@@ -66,26 +66,31 @@ def _front(m: Material) -> list[Markup]:
 
 def _sides(m: Material) -> list[Markup]:
     given = join(
-        el("b", "Input as it came"), ". It knows no ground: z = 0 is the height of its camera, and gaps are not defined."
+        el("b", "Input as it came"),
+        ". It knows no ground: z = 0 is the height of its camera, and gaps are not defined.",
     )
+    width, height = SIDE
+    level = side_camera(m.given, width=width, height=height, ground=False)
+    cameras = side_cameras(m.direct, m.scene, width, height)
     return [
-        side_figure(m.given, [], given, ground=False),
-        side_figure(m.direct, marks(m.direct_details, m.direct), _caption("Direct composition", m.direct_details, m)),
-        side_figure(m.scene, marks(m.details, m.scene), _caption("Ours", m.details, m)),
+        side_figure(m.given, level, [], given, ground=False),
+        side_figure(
+            m.direct, cameras[0], marks(m.direct_details, m.direct), _caption("Direct composition", m.direct_details)
+        ),
+        side_figure(m.scene, cameras[1], marks(m.details, m.scene), _caption("Ours", m.details)),
     ]
 
 
-def side_figure(scene: Scene, wrong: Sequence[Mark], caption: Child, *, ground: bool = True) -> Markup:
-    """The side view with numbered red boxes, and what they mean below."""
-    width, height = SIDE
-    camera = side_camera(scene, width=width, height=height)
-    boxes = [_box(mark, camera, letter) for letter, mark in zip("ABCDEFGHI", wrong, strict=False)]
-    view = join(img(side_view(scene, width=width, height=height), "Side view"))
-    row = ground_row(scene, camera)
-    if ground and 0 < row < height:
-        boxes.insert(0, el("text", "z = 0", x=6, y=row - 8, class_="zero"))
-    lines = el("svg", boxes, viewBox=f"0 0 {width} {height}", class_="marks", aria_hidden="true")
-    words = el("ol", (el("li", el("b", letter), " ", mark.words) for letter, mark in zip("ABCDEFGHI", wrong, strict=False)))
+def side_figure(scene: Scene, camera: Camera, wrong: Sequence[Mark], caption: Child, *, ground: bool = True) -> Markup:
+    """The side view with lettered red boxes, and what they mean below."""
+    lettered = list(zip("ABCDEFGHI", wrong, strict=False))
+    boxes = [_box(mark, camera, letter) for letter, mark in lettered]
+    if ground:
+        boxes.insert(0, el("text", "z = 0", x=6, y=ground_row(camera) + 20, class_="zero"))
+    size = f"0 0 {camera.width} {camera.height}"
+    lines = el("svg", boxes, viewBox=size, class_="marks", aria_hidden="true")
+    words = el("ol", (el("li", el("b", letter), " ", mark.words) for letter, mark in lettered))
+    view = img(side_view(scene, camera, ground=ground), "Side view")
     return figure(el("div", view, lines, class_="marked"), join(caption, words if wrong else None))
 
 
@@ -94,6 +99,7 @@ def marks(details: Details | None, scene: Scene) -> list[Mark]:
     if details is None:
         return []
     gaps = sorted((g for g in details.gaps if g.distance >= SHOWN_SHARE * g.size), key=lambda g: -g.distance / g.size)
+    gaps = [g for k, g in enumerate(gaps) if (g.nearest, g.id) not in {(h.id, h.nearest) for h in gaps[:k]}]
     sunk = sorted((g for g in details.gaps if g.below >= SHOWN_SHARE * g.size), key=lambda g: -g.below / g.size)
     overlaps = sorted(details.overlaps, key=lambda o: -o.crossings)
     return [
@@ -136,7 +142,7 @@ def _box(mark: Mark, camera: Camera, letter: str) -> Markup:
     return join(el("rect", x=x, y=y, width=w, height=h), el("text", letter, x=x, y=f"{at:.1f}"))
 
 
-def _caption(name: str, details: Details | None, m: Material) -> Markup:
+def _caption(name: str, details: Details | None) -> Markup:
     title = el("b", name)
     if details is None:
         return join(title, ". Gaps and penetrations were not measured.")

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from f3sr.page.markup import Markup, clean, el, join
 from f3sr.page.material import Material
 from f3sr.scene import GROUND, Scene
 
-BOX = (112, 46)
+BOX = (106, 46)
 """Width and height of an object's box [px]."""
-STEP = (132, 104)
+STEP = (120, 104)
 """From box to box, and from row to row."""
-LABEL = 14
+LABEL = 13
 """Characters of a line in a box."""
 EDGE = 12
 """Room around the drawing."""
@@ -22,18 +22,25 @@ EDGE = 12
 
 @dataclass(frozen=True)
 class Spot:
-    """The middle of an object's box."""
+    """The middle of an object's box, in steps from the upper left one."""
 
     x: float
     y: float
 
+    @property
+    def px(self) -> float:
+        return EDGE + STEP[0] * (self.x + 0.5)
+
+    @property
+    def py(self) -> float:
+        return EDGE + BOX[1] / 2 + STEP[1] * self.y
+
 
 def graph(m: Material) -> Markup:
     scene = m.scene
-    rows = _rows(scene)
-    spots = _spots(rows)
-    width = 2 * EDGE + STEP[0] * max(len(row) for row in rows)
-    height = 2 * EDGE + STEP[1] * len(rows) + 20
+    spots = _spots(scene)
+    width = 2 * EDGE + STEP[0] * (max(s.x for s in spots.values()) + 1)
+    height = 2 * EDGE + STEP[1] * (max(s.y for s in spots.values()) + 1) + 20
     floor = height - EDGE - 20
     ground = join(
         el("line", x1=EDGE, x2=width - EDGE, y1=floor, y2=floor, class_="floor"),
@@ -54,7 +61,12 @@ def graph(m: Material) -> Markup:
         class_="graph",
     )
     return join(
-        el("p", "An edge leads down to what carries the box above; its number is the share of the load. ", _note(scene), class_="fine"),
+        el(
+            "p",
+            "An edge leads down to what carries the box above; its number is the share of the load. ",
+            _note(scene),
+            class_="fine",
+        ),
         el("div", drawing, class_="scroll", tabindex="0"),
     )
 
@@ -66,7 +78,11 @@ def _note(scene: Scene) -> str:
 
 def _sentence(scene: Scene) -> str:
     """The drawing in words."""
-    carried = (f"{o.id} on {', '.join('ground' if s.id == GROUND else str(s.id) for s in o.supports)}" for o in scene if o.supports)
+    carried = (
+        f"{o.id} on {', '.join('ground' if s.id == GROUND else str(s.id) for s in o.supports)}"
+        for o in scene
+        if o.supports
+    )
     return "Supports: " + "; ".join(carried)
 
 
@@ -80,36 +96,33 @@ def levels(scene: Scene) -> Mapping[int, int]:
     return level
 
 
-def _rows(scene: Scene) -> list[list[int]]:
-    """Ids from left to right, the top row first; an object stands near what carries it."""
+def _spots(scene: Scene) -> dict[int, Spot]:
+    """Where boxes stand, in steps: every object above the middle of those it carries most of, nothing above others."""
     level = levels(scene)
-    ground_first = [[id for id in level if level[id] == k] for k in sorted(set(level.values()))]
-    place = {id: float(k) for k, id in enumerate(ground_first[0])}
-    for row in ground_first[1:]:
-        for id in row:
-            carriers = [place[s.id] for s in scene[id].supports if s.id in place]
-            place[id] = sum(carriers) / len(carriers) if carriers else 0.0
-        row.sort(key=lambda id: (place[id], id))
-    return ground_first[::-1]
+    carrier = {o.id: max(o.supports, key=lambda s: s.share).id if o.supports else None for o in scene}
+    carried = {id: [c for c in level if carrier[c] == id and level[c] > level[id]] for id in level}
+    spots: dict[int, Spot] = {}
+    free = 0.0
 
+    def place(id: int) -> float:
+        nonlocal free
+        xs = [place(c) for c in carried[id]]
+        if not xs:
+            free += 1
+        x = (xs[0] + xs[-1]) / 2 if xs else free - 1
+        spots[id] = Spot(x, max(level.values()) - level[id])
+        return x
 
-def _spots(rows: Sequence[Sequence[int]]) -> dict[int, Spot]:
-    """Rows are centred above each other."""
-    widest = max(len(row) for row in rows)
-    return {
-        id: Spot(
-            EDGE + STEP[0] * (k + 0.5 + (widest - len(row)) / 2),
-            EDGE + BOX[1] / 2 + STEP[1] * r,
-        )
-        for r, row in enumerate(rows)
-        for k, id in enumerate(row)
-    }
+    for id in level:
+        if not any(id in children for children in carried.values()):
+            place(id)
+    return spots
 
 
 def _edge(spots: Mapping[int, Spot], child: int, carrier: int, share: float, floor: float) -> Markup:
     start = spots[child]
-    x2, y2 = (start.x, floor) if carrier == GROUND else (spots[carrier].x, spots[carrier].y - BOX[1] / 2)
-    x1, y1 = start.x, start.y + BOX[1] / 2
+    x2, y2 = (start.px, floor) if carrier == GROUND else (spots[carrier].px, spots[carrier].py - BOX[1] / 2)
+    x1, y1 = start.px, start.py + BOX[1] / 2
     line = el("line", x1=x1, y1=y1, x2=x2, y2=y2, stroke_width=f"{1 + 2.5 * share:.2f}", class_="edge")
     words = el("text", f"{100 * share:.0f} %", x=x1 + 0.3 * (x2 - x1) + 4, y=y1 + 0.3 * (y2 - y1) + 8, class_="share")
     return join(line, words)
@@ -119,10 +132,14 @@ def _box(spot: Spot, scene: Scene, id: int) -> Markup:
     o = scene[id]
     kind = "box" if o.supports else "box loose"
     kind += " fixed" if o.mobility == "fixed" else ""
-    x, y = spot.x - BOX[0] / 2, spot.y - BOX[1] / 2
+    x, y = spot.px - BOX[0] / 2, spot.py - BOX[1] / 2
     lines = textwrap.wrap(f"{o.id} {clean(o.label)}", LABEL, max_lines=2, placeholder="…") or [str(o.id)]
-    first = spot.y + 5 - 8 * (len(lines) - 1)
-    words = (el("text", text, x=spot.x, y=first + 16 * k) for k, text in enumerate(lines))
+    first = spot.py + 5 - 8 * (len(lines) - 1)
+    words = (el("text", text, x=spot.px, y=first + 16 * k) for k, text in enumerate(lines))
     return el(
-        "g", el("title", f"{o.id} {o.label}"), el("rect", x=x, y=y, width=BOX[0], height=BOX[1], rx=3), words, class_=kind
+        "g",
+        el("title", f"{o.id} {o.label}"),
+        el("rect", x=x, y=y, width=BOX[0], height=BOX[1], rx=3),
+        words,
+        class_=kind,
     )

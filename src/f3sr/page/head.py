@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from f3sr.page.images import figure, img
 from f3sr.page.markup import Child, Markup, el, join
 from f3sr.page.material import Material, look_alike
-from f3sr.page.words import about, counted, length, listed, name_of, share
-from f3sr.pipeline import SKIPPABLE
+from f3sr.page.words import about, counted, length, listed, name_of, ratio, share
+from f3sr.pipeline import SKIPPABLE, RefineConfig
+from f3sr.scene import SceneObject
 
+TIPPED = RefineConfig().topple
+FAR_OFF = 0.5
+"""Visible IoU under which an object is not where the photo shows it."""
 REST_TRAVEL = 0.1
 """Largest travel of a centre of mass in 5 s of undamped physics [cm] that is called rest here."""
 
 
-def head(m: Material) -> Markup:
+def head(m: Material, links: Markup) -> Markup:
     photo = img(m.backdrop.rgb, "The photo")
     size = f"{m.scene.photo.width} × {m.scene.photo.height} px"
     return el(
@@ -23,6 +29,7 @@ def head(m: Material) -> Markup:
             el("h1", verdict(m)),
             _summary(m),
             warnings(m),
+            links,
         ),
         figure(photo, join("Photo, ", size)),
     )
@@ -81,11 +88,56 @@ def warnings(m: Material) -> Markup:
         for d in report.fallbacks
     ]
     notes += [el("li", el("b", "Excluded"), " mask ", el("bdi", e.mask), ": ", e.reason) for e in m.scene.excluded]
+    notes += _off_their_masks(m)
+    notes += _tipped(m)
     if skipped := skipped_stages(m):
         notes.append(el("li", el("b", "Skipped"), f": {listed(skipped)}"))
     if not notes:
-        return el("p", "No fallback was needed, no stage was skipped, no mask was left out.", class_="fine")
+        return el(
+            "p", "No fallback, no skipped stage, no excluded mask, no object off its mask or tipped.", class_="fine"
+        )
     return el("ul", notes, class_="warnings")
+
+
+def _off_their_masks(m: Material) -> list[Child]:
+    """Objects that the photo shows elsewhere."""
+    off = [o for o in m.details.objects if o.IoU_visible < FAR_OFF] if m.details else []
+    return [
+        el(
+            "li",
+            el("b", "Off its mask"),
+            ": ",
+            el("bdi", name_of(o.id, m.scene)),
+            ", visible IoU ",
+            ratio(o.IoU_visible),
+        )
+        for o in off
+    ]
+
+
+def _tipped(m: Material) -> list[Child]:
+    """Objects that physics turned over after they were put in place."""
+    placed = m.result.scenes.get("separate")
+    if placed is None:
+        return []
+    leans = ((o, _lean(placed[o.id], o)) for o in m.scene)
+    return [
+        el(
+            "li",
+            el("b", "Tipped"),
+            ": ",
+            el("bdi", name_of(o.id, m.scene)),
+            f", by {np.degrees(lean):.0f}° since separate",
+        )
+        for o, lean in leans
+        if lean > TIPPED
+    ]
+
+
+def _lean(a: SceneObject, b: SceneObject) -> float:
+    """The angle [rad] between the vertical and where b's pose took it from a's: turns about the vertical are none."""
+    R = b.T_world_object[:3, :3] @ a.T_world_object[:3, :3].T
+    return float(np.arccos(np.clip(R[2, 2], -1, 1)))
 
 
 def skipped_stages(m: Material) -> list[str]:

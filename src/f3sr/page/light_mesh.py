@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,7 +50,8 @@ def _collapsed(mesh: Mesh, faces: int) -> tuple[NDArray[np.float64], Indices]:
     triangles = np.ascontiguousarray(triangles[(a != b) & (b != c) & (c != a)], np.int32)
     middle, size = places.mean(0), max(float(np.ptp(places, axis=0).max()), 1e-300)
     unit = np.ascontiguousarray((places - middle) / size, np.float32)
-    _, _, collapses = fast_simplification.simplify(unit, triangles, target_count=faces, return_collapses=True)
+    simplify: Any = fast_simplification.simplify  # its annotations forget what it returns
+    _, _, collapses = simplify(unit, triangles, target_count=faces, return_collapses=True)
     points, _, became = fast_simplification.replay_simplification(unit, triangles, collapses)
     return np.asarray(points, float) * size + middle, np.asarray(became, np.int64)[weld]
 

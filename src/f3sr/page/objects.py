@@ -11,7 +11,7 @@ from f3sr.measures import ObjectMeasures
 from f3sr.page.images import img
 from f3sr.page.markup import Child, Markup, el, join
 from f3sr.page.material import Material, by_id
-from f3sr.page.words import length, name_of, number, quantity, share
+from f3sr.page.words import counted, length, name_of, number, quantity, ratio, share
 from f3sr.physics import body_of
 from f3sr.pictures import resized
 from f3sr.scene import Motion, SceneObject
@@ -22,8 +22,10 @@ MARGIN = 0.1
 """Of a thumbnail around its mask, as a share of the mask's longer side."""
 OUTSIDE = 0.25
 """Brightness of a thumbnail's pixels that are not the object's."""
-NO_TURN, NO_SCALE = np.radians(0.05), 5e-4
-"""Turns [rad] and changes of scale that are not worth a word."""
+NO_SHIFT, NO_TURN, NO_SCALE = 1e-4, np.radians(0.1), 1e-3
+"""Shifts [m], turns [rad] and changes of scale that are not worth a word."""
+LOST = 0.05
+"""A fall of the visible IoU that is marked."""
 INFLATION = "proxy volume / mesh volume"
 
 
@@ -53,12 +55,12 @@ def _row(
         _moved(o),
         _iou(before.get(o.id), after.get(o.id)),
         _proxy(o, after.get(o.id), inflation),
-        join(quantity(body_of(o).mass, "kg", digits=3), el("div", "fixed", class_="tag") if o.mobility == "fixed" else None),
+        _mass(o),
         _supports(o, m),
     )
     name = el("span", el("b", o.id), " ", el("bdi", o.label), el("small", el("bdi", o.mask_name)), class_="name")
     head = el("th", el("div", img(thumbnail(o, m), "", class_="thumb"), name, class_="who"), scope="row")
-    return el("tr", head, (el("td", c, data_title=t) for t, c in zip(titles[1:], cells, strict=True)), id=f"object-{o.id}")
+    return el("tr", head, (el("td", el("div", c), data_title=t) for t, c in zip(titles[1:], cells, strict=True)))
 
 
 def thumbnail(o: SceneObject, m: Material) -> NDArray[np.uint8]:
@@ -76,36 +78,52 @@ def thumbnail(o: SceneObject, m: Material) -> NDArray[np.uint8]:
 
 
 def _moved(o: SceneObject) -> Child:
+    """A line per motion: stage, how far, why; motions too small to matter are only counted."""
+    told = [(x, how) for x in o.motion if (how := _how_far(x))]
+    rest = len(o.motion) - len(told)
     if not o.motion:
         return el("span", "not moved", class_="quiet")
-    return el("ul", (el("li", _motion(x)) for x in o.motion), class_="moves")
+    lines = [
+        el("div", el("dt", x.stage), el("dd", how), el("dd", el("bdi", x.reason), class_="quiet")) for x, how in told
+    ]
+    small = f"{number(1000 * NO_SHIFT, digits=1)} mm and {number(float(np.degrees(NO_TURN)), digits=1)}°"
+    note = el("p", f"and {counted(rest, 'motion')} under {small}", class_="quiet") if rest else None
+    return join(el("dl", lines, class_="moves") if lines else None, note)
 
 
-def _motion(x: Motion) -> Markup:
-    """``align 42 mm, 31°, ×1.04`` and why."""
-    how = [length(float(np.linalg.norm(x.translation)))]
-    if x.rotation > NO_TURN:
-        how.append(f"{number(float(np.degrees(x.rotation)), digits=2)}°")
-    if abs(x.scale - 1) > NO_SCALE:
-        how.append(f"×{x.scale:.3f}")
-    return join(el("b", x.stage), f" {', '.join(how)} ", el("span", x.reason, class_="quiet"))
+def _how_far(x: Motion) -> str:
+    """``42 mm, 31°, ×1.040``: only what is worth a word."""
+    distance = float(np.linalg.norm(x.translation))
+    parts = (
+        length(distance) if distance > NO_SHIFT else None,
+        f"{number(float(np.degrees(x.rotation)), digits=2)}°" if x.rotation > NO_TURN else None,
+        f"×{x.scale:.3f}" if abs(x.scale - 1) > NO_SCALE else None,
+    )
+    return ", ".join(p for p in parts if p)
 
 
 def _iou(before: ObjectMeasures | None, after: ObjectMeasures | None) -> Child:
     if after is None:
         return el("span", "not measured", class_="quiet")
-    was = join(quantity(before.IoU_visible, digits=3), " → ") if before else None
-    return join(was, el("b", quantity(after.IoU_visible, digits=3)))
+    was = join(ratio(before.IoU_visible), " → ") if before else None
+    lost = before is not None and after.IoU_visible < before.IoU_visible - LOST
+    mark = el("span", " ▼ worse", class_="worse") if lost else None
+    return join(el("span", was, el("b", ratio(after.IoU_visible)), class_="pair"), mark)
 
 
 def _proxy(o: SceneObject, measured: ObjectMeasures | None, inflation: float | None) -> Child:
-    lines: list[Child] = [f"{len(o.parts)} part{'s' if len(o.parts) != 1 else ''}"]
+    lines: list[Child] = [counted(len(o.parts), "part")]
     if inflation is not None:
         lines.append(join("volume ×", quantity(inflation, digits=3)))
     if measured:
         lines.append(f"{share(measured.proxy_out)} outside")
         lines.append(f"{share(measured.proxy_far)} off")
-    return el("ul", (el("li", x) for x in lines), class_="lines")
+    return el("ul", (el("li", x) for x in lines), class_="proxy")
+
+
+def _mass(o: SceneObject) -> Child:
+    fixed = el("div", "fixed", class_="tag") if o.mobility == "fixed" else None
+    return join(quantity(body_of(o).mass, "kg", digits=3), fixed)
 
 
 def _supports(o: SceneObject, m: Material) -> Child:

@@ -20,6 +20,10 @@ class Score:
     meaning: str
     better: Literal["higher", "lower"] | None
     unit: str = ""
+    digits: int = 4
+    """Significant ones."""
+    noise: float = 0.0
+    """Differences up to this are no difference."""
 
 
 MAIN = (
@@ -27,7 +31,7 @@ MAIN = (
         field="mIoU",
         title="mIoU",
         better="higher",
-        meaning="How well full silhouettes meet their masks, 1 is perfect. An object that others hide scores less here.",
+        meaning="How well full silhouettes meet their masks, 1 is perfect; what is hidden in the photo scores less.",
     ),
     Score(
         field="PSNR",
@@ -47,6 +51,8 @@ MAIN = (
         title="K_max",
         better="lower",
         unit="J",
+        digits=3,
+        noise=1e-6,
         meaning="Largest kinetic energy in the first second after release: what would jump.",
     ),
     Score(
@@ -54,6 +60,8 @@ MAIN = (
         title="D_max",
         better="lower",
         unit="cm",
+        digits=3,
+        noise=1e-3,
         meaning="Largest travel of any object in 5 s of undamped physics: what would not stay.",
     ),
 )
@@ -77,6 +85,7 @@ OTHERS = (
         title="worst gap",
         better="lower",
         unit="%",
+        digits=3,
         meaning="Distance of the worst floating object to anything, of its size.",
     ),
     Score(
@@ -84,6 +93,8 @@ OTHERS = (
         title="under ground",
         better="lower",
         unit="%",
+        digits=3,
+        noise=1e-3,
         meaning="Deepest point under z = 0, of the object's size.",
     ),
     Score(field="inside", title="points inside", better="lower", meaning="Vertices of one object in another's solid."),
@@ -92,6 +103,8 @@ OTHERS = (
         title="mesh outside proxy",
         better="lower",
         unit="%",
+        digits=3,
+        noise=1e-3,
         meaning="How far a mesh sticks out of its collision parts, of its size; the worst object.",
     ),
     Score(
@@ -99,6 +112,7 @@ OTHERS = (
         title="proxy off mesh",
         better="lower",
         unit="%",
+        digits=3,
         meaning="Mean distance of collision parts from their mesh, of its size; the worst object.",
     ),
     Score(field="n", title="objects", better=None, meaning="Masks with an object."),
@@ -118,20 +132,17 @@ def scores(m: Material) -> Markup:
             "Both are measured alike, undamped, from the state in the package.",
             class_="fine",
         ),
-        _table(MAIN, ours, direct),
-        _table(OTHERS, ours, direct, class_="minor"),
+        el("table", _head(), _rows(MAIN, ours, direct), _rows(OTHERS, ours, direct, class_="minor"), class_="scores"),
     )
 
 
-def _table(rows: tuple[Score, ...], ours: Measures, direct: Measures | None, class_: str = "") -> Markup:
-    titles = ("Measure", "Direct", "Ours", "Change")
-    kinds = ("", "num", "num", "")
-    return el(
-        "table",
-        el("thead", el("tr", (el("th", t, class_=k or None, scope="col") for t, k in zip(titles, kinds, strict=True)))),
-        el("tbody", (_row(row, ours, direct) for row in rows)),
-        class_=f"scores {class_}".strip(),
-    )
+def _head() -> Markup:
+    titles = (("Measure", None), ("Direct", "num"), ("Ours", "num"), ("Change", None))
+    return el("thead", el("tr", (el("th", title, class_=kind, scope="col") for title, kind in titles)))
+
+
+def _rows(rows: tuple[Score, ...], ours: Measures, direct: Measures | None, **attributes: str) -> Markup:
+    return el("tbody", (_row(row, ours, direct) for row in rows), **attributes)
 
 
 def _row(score: Score, ours: Measures, direct: Measures | None) -> Markup:
@@ -140,19 +151,19 @@ def _row(score: Score, ours: Measures, direct: Measures | None) -> Markup:
     return el(
         "tr",
         el("th", el("b", score.title), " ", el("span", score.meaning, class_="meaning"), scope="row"),
-        el("td", quantity(before, score.unit), class_="num"),
-        el("td", quantity(after, score.unit), class_="num ours"),
-        el("td", change(before, after, score.better)),
+        el("td", quantity(before, score.unit, digits=score.digits), class_="num"),
+        el("td", quantity(after, score.unit, digits=score.digits), class_="num ours"),
+        el("td", change(before, after, score)),
     )
 
 
-def change(before: float | None, after: float, better: Literal["higher", "lower"] | None) -> Child:
+def change(before: float | None, after: float, score: Score) -> Child:
     """Better or worse as a sign and a word, not as a colour alone; what reads the same is the same."""
-    if before is None or better is None:
+    if before is None or score.better is None:
         return None
-    if number(before) == number(after):
+    if abs(before - after) <= score.noise or number(before, digits=score.digits) == number(after, digits=score.digits):
         return el("span", "= same", class_="same")
-    gained = (after > before) == (better == "higher")
+    gained = (after > before) == (score.better == "higher")
     sign = "▲" if after > before else "▼"
     word = "better" if gained else "worse"
     return el("span", f"{sign} {word}", class_=word)

@@ -85,10 +85,7 @@ def _object_measures(measures: Sequence[Measure], scene: Scene) -> Child:
         el(
             "tr",
             el("th", about(id, scene), scope="row"),
-            (
-                el("td", _before_after(x) if (x := found.get((id, n))) else quantity(None), class_="num")
-                for n in names
-            ),
+            (el("td", _before_after(x) if (x := found.get((id, n))) else quantity(None), class_="num") for n in names),
         )
         for id in dict.fromkeys(x.about for x in measures)
     )

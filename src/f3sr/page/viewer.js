@@ -119,9 +119,9 @@
   const step = [1, 2, 5, 10].map((k) => k * power).find((s) => s >= radius / 6) || power;
   const grid = (() => {
     const n = 24, cx = Math.round(middle[0] / step) * step, cy = Math.round(middle[1] / step) * step, points = [];
-    for (let k = -n; k <= n; k++) {
-      points.push(cx + k * step, cy - n * step, 0, cx + k * step, cy + n * step, 0);
-      points.push(cx - n * step, cy + k * step, 0, cx + n * step, cy + k * step, 0);
+    for (let i = -n; i <= n; i++) for (let j = -n; j < n; j++) { // cell by cell: long lines past the camera are clipped badly
+      points.push(cx + i * step, cy + j * step, 0, cx + i * step, cy + (j + 1) * step, 0);
+      points.push(cx + j * step, cy + i * step, 0, cx + (j + 1) * step, cy + i * step, 0);
     }
     const vao = gl.createVertexArray();
     gl.bindVertexArray(vao);

@@ -25,6 +25,14 @@ FACES_EACH = (400, 60_000)
 TEXTURE_QUALITY = 80
 LARGEST = 32767
 """Vertices are 16-bit: a mesh's box is cut into 65534 steps per side."""
+HELP = (
+    "Drag to turn, two fingers or Shift to move, pinch or wheel (after a click) to zoom; "
+    "keys: arrows, +, −, 0, 1, 2, 3."
+)
+STILL = (
+    "Ours, the photo's camera turned 35° about the scene. This is a still picture: "
+    "the view that turns needs scripts and WebGL 2."
+)
 STILL_TURN = np.radians(35)
 """How far the still picture's camera is turned from the photo's [rad]."""
 
@@ -50,7 +58,6 @@ def viewer(m: Material) -> Markup:
     """The view with its buttons; a still picture where it cannot be."""
     camera = m.backdrop.camera(m.scene)
     still = turned_view(m.scene, turn=STILL_TURN, width=camera.width, height=camera.height)
-    sentence = "Ours, the photo's camera turned 35° about the scene. This is a still: the view to turn needs WebGL 2 and scripts."
     modes = (("direct", "Direct"), ("ours", "Ours"), ("proxies", "Proxies"))
     buttons = el(
         "div",
@@ -61,18 +68,24 @@ def viewer(m: Material) -> Markup:
         role="toolbar",
         aria_label="3-D view",
     )
-    help_text = "Drag to turn, two fingers or Shift to move, pinch or wheel (after a click) to zoom; keys: arrows, +, −, 0, 1, 2, 3."
     stage = el(
         "div",
         img(m.backdrop.rgb, "", class_="behind"),
-        el("canvas", tabindex="0", aria_label="The scene in 3-D; " + help_text),
+        el("canvas", tabindex="0", aria_label="The scene in 3-D; " + HELP),
         el("div", class_="names", aria_hidden="true"),
         id="view-stage",
     )
     return el(
         "div",
-        el("div", buttons, stage, el("p", help_text, " ", el("span", id="grid-step"), class_="fine"), id="view-live", hidden=True),
-        figure(img(still, "The scene from another side"), sentence, id="view-still"),
+        el(
+            "div",
+            buttons,
+            stage,
+            el("p", HELP, " ", el("span", id="grid-step"), class_="fine"),
+            id="view-live",
+            hidden=True,
+        ),
+        figure(img(still, "The scene from another side"), STILL, id="view-still"),
         el("script", payload(m), type="application/json", id="scene-data"),
         id="viewer",
     )

@@ -14,15 +14,14 @@ SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def number(value: float, *, digits: int = 4) -> str:
-    """``digits`` significant digits; powers of ten outside 0.001 to 99999."""
+    """``digits`` significant digits, whole numbers as they are; powers of ten outside 0.001 to 99999."""
     if not np.isfinite(value):
         return NO_VALUE
-    if value == 0:
-        return "0"
+    if value == int(value) and abs(value) < 1e5:
+        return f"{int(value)}".replace("-", "−")
     if 1e-3 <= abs(value) < 1e5:
         decimals = max(0, digits - 1 - int(np.floor(np.log10(abs(value)))))
-        text = f"{value:.{decimals}f}"
-        return (text.rstrip("0").rstrip(".") if "." in text else text).replace("-", "−")
+        return f"{value:.{decimals}f}".replace("-", "−")
     mantissa, exponent = f"{value:.{min(digits, 2) - 1}e}".split("e")
     return f"{mantissa}·10{str(int(exponent)).translate(SUPERSCRIPTS)}".replace("-", "−")
 
@@ -35,13 +34,25 @@ def quantity(value: float | None, unit: str = "", *, digits: int = 4) -> Markup:
     return join(shown, Markup("&#8239;"), el("span", unit, class_="unit")) if unit else shown
 
 
+def ratio(value: float) -> Markup:
+    """A number between 0 and 1 with three decimals, so that a column of them lines up."""
+    return el("data", f"{value:.3f}", value=repr(float(value)))
+
+
 def length(meters: float) -> str:
     """A length in mm, or in m from one metre on."""
-    return f"{number(meters, digits=3)} m" if abs(meters) >= 1 else f"{number(1000 * meters, digits=2)} mm"
+    if abs(meters) >= 1:
+        return f"{number(meters, digits=3)} m"
+    return f"{_small(1000 * meters)} mm"
 
 
 def share(value: float) -> str:
-    return f"{number(100 * value, digits=2)} %"
+    return f"{_small(100 * value)} %"
+
+
+def _small(value: float) -> str:
+    """Two digits; what is smaller than anyone asks for is less than that."""
+    return "< 0.01" if 0 < value < 0.01 else number(value, digits=2)
 
 
 def name_of(id: int, scene: Scene) -> str:
