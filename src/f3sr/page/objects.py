@@ -39,7 +39,7 @@ def objects(m: Material) -> Markup:
         "table",
         el("thead", el("tr", (el("th", t, scope="col") for t in titles))),
         el("tbody", (_row(o, m, titles, before, after, inflation.get(o.id)) for o in m.scene)),
-        class_="cards",
+        class_="cards objects",
     )
 
 
