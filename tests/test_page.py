@@ -167,7 +167,7 @@ def test_two_runs_give_the_same_bytes_also_from_the_store(given: inputs.Inputs, 
 
 
 def test_nothing_of_this_machine_or_time_is_on_the_page(result: Reconstruction, text: str):
-    slow = replace(result, seconds={k: 1234.5 for k in result.seconds}, resumed=("level",), config_digest="0" * 64)
+    slow = replace(result, seconds=dict.fromkeys(result.seconds, 1234.5), resumed=("level",), config_digest="0" * 64)
     assert report_page(slow) == text.encode()
     assert str(Path.cwd()) not in text and str(Path.home()) + "/" not in text
 
@@ -301,7 +301,7 @@ def test_a_lighter_mesh_keeps_its_shape_and_its_texture_in_place():
     away_from_poles = np.abs(light.vertices[:, 2]) < 0.9
     assert np.abs(across - expected)[away_from_poles].max() < 0.05
     spans = np.ptp(light.uv[light.faces], axis=1)
-    assert spans[:, 0].max() < 0.5  # no triangle reaches across the seam of the texture
+    assert spans[:, 0].max() < 0.7  # none reaches across the seam (0.99); around a pole they are wide
     welded, _ = light.welded
     assert len(welded) < len(light.vertices)  # the seam is still closed: both its sides share their places
 
