@@ -31,6 +31,8 @@ from f3sr.page import LARGEST_PAGE, report_page
 from f3sr.page.graph import levels
 from f3sr.page.light_mesh import lightened
 from f3sr.page.markup import Markup, clean, el
+from f3sr.page.material import Material
+from f3sr.page.objects import moves
 from f3sr.page.scores import MAIN, OTHERS
 from f3sr.page.words import number
 from f3sr.pipeline import SKIPPABLE, Reconstruction, reconstruct
@@ -134,14 +136,24 @@ def test_every_measure_has_a_row():
     assert [s.title for s in MAIN] == ["mIoU", "PSNR", "R_pen", "K_max", "D_max"]
 
 
-def test_every_decision_and_motion_is_told(result: Reconstruction, text: str):
+def test_every_decision_is_told(result: Reconstruction, text: str):
     plain = html.unescape(re.sub(r"<[^>]+>", "", text[text.index('id="decisions"') :]))
     for report in result.reports:
         assert all(d.choice in plain and d.reason in plain for d in report.decisions)
-    row = text[text.index('id="objects"') : text.index('id="supports"')]
-    assert row.count("<dt>") + sum(int(n) for n in re.findall(r"and (\d+) motion", row)) == sum(
-        len(o.motion) for o in result.scene
-    )
+
+
+def test_moves_are_what_each_stage_did(result: Reconstruction, text: str):
+    m = Material(result, page.SIZES[0])
+    for o in result.scene:
+        found = moves(m, o.id)
+        assert [x.stage for x in found] == list(dict.fromkeys(x.stage for x in o.motion))
+        assert np.prod([x.scale for x in found]) == pytest.approx(o.scale / result.direct[o.id].scale)
+        settled = next(x for x in found if x.stage == "settle")
+        told = next(r for r in result.reports if r.stage == "settle").measures
+        turned = next(x.after for x in told if x.name == "turned" and x.about == o.id)
+        assert np.degrees(settled.turn) == pytest.approx(turned, abs=1e-6)
+    section = text[text.index('id="objects"') : text.index('id="supports"')]
+    assert section.count("<dt>") == sum(len(moves(m, o.id)) for o in result.scene) > 0
 
 
 @pytest.mark.parametrize(
@@ -270,8 +282,8 @@ def test_boxes_tell_what_is_wrong():
 
     text = report_page(bare(scene, evaluation=evaluate(scene, scene))).decode()
     section = re.sub(r"<[^>]+>", "", text[text.index('id="compare"') : text.index('id="view"')])
-    assert re.search(r"gap 42 mm below 3 red mug", section) and "0 and 5 overlap" in section
-    assert "1 pair penetrates" in text and "worst gap 42 mm" in text
+    assert re.search(r"gap 42.mm below 3 red mug", section) and "0 and 5 overlap" in section
+    assert "1 pair penetrates" in text and "worst gap 42\u00a0mm" in text
 
 
 # --- size and light meshes ------------------------------------------------------------------------------------

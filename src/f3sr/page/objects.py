@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from f3sr.frames import rotation_angle, transform
 from f3sr.measures import ObjectMeasures
 from f3sr.page.images import img
 from f3sr.page.markup import Child, Markup, el, join
@@ -52,7 +55,7 @@ def _row(
     inflation: float | None,
 ) -> Markup:
     cells = (
-        _moved(o),
+        _moved(moves(m, o.id)),
         _iou(before.get(o.id), after.get(o.id)),
         _proxy(o, after.get(o.id), inflation),
         _mass(o),
@@ -77,29 +80,65 @@ def thumbnail(o: SceneObject, m: Material) -> NDArray[np.uint8]:
     return resized(picture, max(1, round(scale * picture.shape[1])), max(1, round(scale * picture.shape[0])))
 
 
-def _moved(o: SceneObject) -> Child:
-    """A line per motion: stage, how far, why; motions too small to matter are only counted."""
-    told = [(x, how) for x in o.motion if (how := _how_far(x))]
-    rest = len(o.motion) - len(told)
-    if not o.motion:
-        return el("span", "not moved", class_="quiet")
+@dataclass(frozen=True, kw_only=True)
+class Move:
+    """What one stage did to an object: shift of its middle [m], turn [rad], factor of its size, and why."""
+
+    stage: str
+    shift: float
+    turn: float
+    scale: float
+    reasons: tuple[str, ...]
+
+
+def moves(m: Material, id: int) -> list[Move]:
+    """The stages that moved an object, in order. Levelling moves all as one and is no move."""
+    found: list[Move] = []
+    for (_, a), (stage, b) in pairwise(m.result.scenes.items()):
+        before, after = a[id], b[id]
+        notes = after.motion[len(before.motion) :]
+        if notes:
+            middle = before.mesh.bounds.mean(0)
+            way = transform(after.T_world_asset, middle) - transform(before.T_world_asset, middle)
+            R = after.T_world_object[:3, :3] @ before.T_world_object[:3, :3].T
+            found.append(
+                Move(
+                    stage=stage,
+                    shift=float(np.linalg.norm(way)),
+                    turn=rotation_angle(R),
+                    scale=after.scale / before.scale,
+                    reasons=tuple(dict.fromkeys(x.reason for x in notes if _matters(x))),
+                )
+            )
+    return found
+
+
+def _matters(x: Motion) -> bool:
+    return float(np.linalg.norm(x.translation)) > NO_SHIFT or x.rotation > NO_TURN or abs(x.scale - 1) > NO_SCALE
+
+
+def _moved(found: Sequence[Move]) -> Child:
+    """A line per stage: how far, and why."""
     lines = [
-        el("div", el("dt", x.stage), el("dd", how), el("dd", el("bdi", x.reason), class_="quiet")) for x, how in told
+        el(
+            "div",
+            el("dt", x.stage),
+            el("dd", _how_far(x)),
+            el("dd", (el("div", el("bdi", reason)) for reason in x.reasons), class_="quiet"),
+        )
+        for x in found
     ]
-    small = f"{number(1000 * NO_SHIFT, digits=1)} mm and {number(float(np.degrees(NO_TURN)), digits=1)}°"
-    note = el("p", f"and {counted(rest, 'motion')} under {small}", class_="quiet") if rest else None
-    return join(el("dl", lines, class_="moves") if lines else None, note)
+    return el("dl", lines, class_="moves") if lines else el("span", "not moved", class_="quiet")
 
 
-def _how_far(x: Motion) -> str:
+def _how_far(x: Move) -> str:
     """``42 mm, 31°, ×1.040``: only what is worth a word."""
-    distance = float(np.linalg.norm(x.translation))
     parts = (
-        length(distance) if distance > NO_SHIFT else None,
-        f"{number(float(np.degrees(x.rotation)), digits=2)}°" if x.rotation > NO_TURN else None,
+        length(x.shift) if x.shift > NO_SHIFT else None,
+        f"{number(float(np.degrees(x.turn)), digits=2)}°" if x.turn > NO_TURN else None,
         f"×{x.scale:.3f}" if abs(x.scale - 1) > NO_SCALE else None,
     )
-    return ", ".join(p for p in parts if p)
+    return ", ".join(p for p in parts if p) or f"under {number(1000 * NO_SHIFT)} mm"
 
 
 def _iou(before: ObjectMeasures | None, after: ObjectMeasures | None) -> Child:

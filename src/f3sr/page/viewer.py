@@ -27,7 +27,7 @@ LARGEST = 32767
 """Vertices are 16-bit: a mesh's box is cut into 65534 steps per side."""
 HELP = (
     "Drag to turn, two fingers or Shift to move, pinch or wheel (after a click) to zoom; "
-    "keys: arrows, +, −, 0, 1, 2, 3."
+    "keys: arrows, +, −, 0, 1, 2, 3. Input is levelled: direct composition."
 )
 STILL = (
     "Ours, the photo's camera turned 35° about the scene. This is a still picture: "
@@ -58,7 +58,7 @@ def viewer(m: Material) -> Markup:
     """The view with its buttons; a still picture where it cannot be."""
     camera = m.backdrop.camera(m.scene)
     still = turned_view(m.scene, turn=STILL_TURN, width=camera.width, height=camera.height)
-    modes = (("direct", "Direct"), ("ours", "Ours"), ("proxies", "Proxies"))
+    modes = (("direct", "Input"), ("ours", "Ours"), ("proxies", "Proxies"))
     buttons = el(
         "div",
         el("span", (_button(label, f"mode-{mode}", mode == "ours") for mode, label in modes), class_="group"),

@@ -10,6 +10,7 @@ from f3sr.page.markup import Child, Markup, el, join
 from f3sr.scene import GROUND, Scene
 
 NO_VALUE = "–"
+NBSP = "\u00a0"
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -42,17 +43,17 @@ def ratio(value: float) -> Markup:
 def length(meters: float) -> str:
     """A length in mm, or in m from one metre on."""
     if abs(meters) >= 1:
-        return f"{number(meters, digits=3)} m"
-    return f"{_small(1000 * meters)} mm"
+        return f"{number(meters, digits=3)}{NBSP}m"
+    return f"{_small(1000 * meters)}{NBSP}mm"
 
 
 def share(value: float) -> str:
-    return f"{_small(100 * value)} %"
+    return f"{_small(100 * value)}{NBSP}%"
 
 
 def _small(value: float) -> str:
     """Two digits; what is smaller than anyone asks for is less than that."""
-    return "< 0.01" if 0 < value < 0.01 else number(value, digits=2)
+    return f"<{NBSP}0.01" if 0 < value < 0.01 else number(value, digits=2)
 
 
 def name_of(id: int, scene: Scene) -> str:
