@@ -139,7 +139,8 @@ def test_every_measure_has_a_row():
 def test_every_decision_is_told(result: Reconstruction, text: str):
     plain = html.unescape(re.sub(r"<[^>]+>", "", text[text.index('id="decisions"') :]))
     for report in result.reports:
-        assert all(d.choice in plain and d.reason in plain for d in report.decisions)
+        for d in report.decisions:
+            assert all(t.replace(" -> ", " → ") in plain for t in (d.choice, d.reason))
 
 
 def test_moves_are_what_each_stage_did(result: Reconstruction, text: str):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from f3sr.page.markup import Markup, el, join
 from f3sr.page.material import Material
-from f3sr.page.words import about, counted
+from f3sr.page.words import about, counted, told
 from f3sr.report import Decision, Report
 from f3sr.scene import Scene
 
@@ -31,7 +31,7 @@ def _row(d: Decision, scene: Scene) -> Markup:
     return el(
         "tr",
         el("th", about(d.about, scene), scope="row"),
-        el("td", mark, el("bdi", d.choice)),
-        el("td", el("bdi", d.reason)),
+        el("td", mark, told(d.choice)),
+        el("td", told(d.reason)),
         class_="fell" if d.fallback else None,
     )

@@ -7,7 +7,7 @@ import numpy as np
 from f3sr.page.images import figure, img
 from f3sr.page.markup import Child, Markup, el, join
 from f3sr.page.material import Material, look_alike
-from f3sr.page.words import about, counted, length, listed, name_of, ratio, share
+from f3sr.page.words import about, counted, length, listed, name_of, ratio, share, told
 from f3sr.pipeline import SKIPPABLE, RefineConfig
 from f3sr.scene import SceneObject
 
@@ -83,7 +83,16 @@ def _summary(m: Material) -> Child:
 def warnings(m: Material) -> Markup:
     """Fallbacks first, then what was left out."""
     notes: list[Child] = [
-        el("li", el("b", "Fallback"), f" in {report.stage}, ", about(d.about, m.scene), ": ", d.choice, "; ", d.reason)
+        el(
+            "li",
+            el("b", "Fallback"),
+            f" in {report.stage}, ",
+            about(d.about, m.scene),
+            ": ",
+            told(d.choice),
+            "; ",
+            told(d.reason),
+        )
         for report in m.result.reports
         for d in report.fallbacks
     ]

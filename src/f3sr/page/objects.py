@@ -14,7 +14,7 @@ from f3sr.measures import ObjectMeasures
 from f3sr.page.images import img
 from f3sr.page.markup import Child, Markup, el, join
 from f3sr.page.material import Material, by_id
-from f3sr.page.words import counted, length, name_of, number, quantity, ratio, share
+from f3sr.page.words import counted, length, name_of, number, quantity, ratio, share, told
 from f3sr.physics import body_of
 from f3sr.pictures import resized
 from f3sr.scene import Motion, SceneObject
@@ -120,12 +120,7 @@ def _matters(x: Motion) -> bool:
 def _moved(found: Sequence[Move]) -> Child:
     """A line per stage: how far, and why."""
     lines = [
-        el(
-            "div",
-            el("dt", x.stage),
-            el("dd", _how_far(x)),
-            el("dd", (el("div", el("bdi", reason)) for reason in x.reasons), class_="quiet"),
-        )
+        (el("dt", x.stage), el("dd", _how_far(x), " ", el("span", told("; ".join(x.reasons)), class_="quiet")))
         for x in found
     ]
     return el("dl", lines, class_="moves") if lines else el("span", "not moved", class_="quiet")
@@ -146,7 +141,7 @@ def _iou(before: ObjectMeasures | None, after: ObjectMeasures | None) -> Child:
         return el("span", "not measured", class_="quiet")
     was = join(ratio(before.IoU_visible), " → ") if before else None
     lost = before is not None and after.IoU_visible < before.IoU_visible - LOST
-    mark = el("span", " ▼ worse", class_="worse") if lost else None
+    mark = el("div", "▼ worse", class_="worse") if lost else None
     return join(el("span", was, el("b", ratio(after.IoU_visible)), class_="pair"), mark)
 
 
@@ -162,7 +157,7 @@ def _proxy(o: SceneObject, measured: ObjectMeasures | None, inflation: float | N
 
 def _mass(o: SceneObject) -> Child:
     fixed = el("div", "fixed", class_="tag") if o.mobility == "fixed" else None
-    return join(quantity(body_of(o).mass, "kg", digits=3), fixed)
+    return join(el("span", quantity(body_of(o).mass, "kg", digits=3), class_="pair"), fixed)
 
 
 def _supports(o: SceneObject, m: Material) -> Child:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from f3sr.page.images import figure
 from f3sr.page.markup import Child, Markup, el, join
 from f3sr.page.material import Material, look_alike
-from f3sr.page.words import about, counted, quantity
+from f3sr.page.words import about, counted, quantity, told
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene
 
@@ -111,4 +111,4 @@ def _decisions(report: Report, scene: Scene) -> Child:
 def line(d: Decision, scene: Scene) -> Markup:
     mark = el("b", "Fallback ", class_="fallback") if d.fallback else None
     where = join(about(d.about, scene), ": ") if d.about is not None else None
-    return join(mark, where, el("bdi", d.choice), " ", el("span", d.reason, class_="quiet"))
+    return join(mark, where, told(d.choice), " ", el("span", told(d.reason), class_="quiet"))

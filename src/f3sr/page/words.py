@@ -68,6 +68,11 @@ def about(id: int | None, scene: Scene) -> Child:
     return el("span", "scene", class_="quiet") if id is None else el("bdi", name_of(id, scene))
 
 
+def told(text: str) -> Markup:
+    """A stage's own words; they may be written in any direction."""
+    return el("bdi", text.replace(" -> ", " → "))
+
+
 def counted(n: int, one: str, many: str | None = None) -> str:
     return f"{n} {one if n == 1 else many or one + 's'}"
 
