@@ -95,7 +95,7 @@ def reconstruct(
             console.say(f"fallback in {report.stage}{about}: {decision.choice}; {decision.reason}")
     console.print_measures(_columns(result.evaluation))
     console.say(f"package:  {written}")
-    console.say(f"pictures: {written / 'pictures'}")
+    console.say(f"report:   {written / package.PAGE}")
 
 
 def evaluate(package: Folder, /, true_scale: float = 1.0, json: bool = False) -> None:
