@@ -36,12 +36,23 @@ def penetration(surfaces: Sequence[tuple[Array, NDArray[np.int32]]]) -> Penetrat
     diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
     length = EDGE_LENGTH * diagonal
     refined = [refine(v, f, length) for v, f in surfaces]
-    triangles = [np.ascontiguousarray(v[f]) for v, f in refined]
+    boxes = [np.stack([v.min(0), v.max(0)]) for v, _ in refined]
     mean_edge = float(np.concatenate([_edge_lengths(v, f) for v, f in refined]).mean())
-    total = sum(
-        count_crossings(a, b, 1.5 * length) for k, a in enumerate(triangles) for b in triangles[:k]
-    )  # fmt: skip
+    total = 0
+    for k, a in enumerate(refined):
+        for n, b in enumerate(refined[:k]):
+            low, high = np.maximum(boxes[k][0], boxes[n][0]), np.minimum(boxes[k][1], boxes[n][1])
+            if np.all(low < high):
+                total += count_crossings(_within(a, low, high), _within(b, low, high), 1.5 * length)
     return Penetration(r_pen=total * mean_edge / diagonal, crossings=total, mean_edge=mean_edge, diagonal=diagonal)
+
+
+def _within(surface: tuple[Array, NDArray[np.int32]], low: Array, high: Array) -> Array:
+    """The triangles (n, 3, 3) of a surface whose boxes meet a box."""
+    vertices, faces = surface
+    beyond = (vertices < low).astype(np.uint8) + 2 * (vertices > high).astype(np.uint8)
+    apart = np.bitwise_and.reduce(beyond[faces], axis=1).any(1)
+    return vertices[faces[~apart]]
 
 
 def refine(vertices: Array, faces: NDArray[np.int32], length: float) -> tuple[Array, NDArray[np.int32]]:

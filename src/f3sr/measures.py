@@ -163,16 +163,16 @@ def gaps(objects: Sequence[SceneObject]) -> tuple[float, float]:
 
 def points_inside(objects: Sequence[SceneObject], stride: int = 40) -> int:
     """How many vertices (every ``stride``-th) of an object lie in another object's solid; open meshes have none."""
+    samples = {o.id: o.vertices_world[::stride].copy() for o in objects}
     total = 0
     for a in objects:
         if not a.mesh.is_solid:
             continue
-        for b in objects:
-            points = b.vertices_world[::stride]
-            low, high = a.bounds_world
+        vertices, faces = a.mesh.welded
+        low, high = a.bounds_world
+        for id, points in samples.items():
             points = points[np.all((points > low) & (points < high), axis=1)]
-            if b.id != a.id and len(points):
-                vertices, faces = a.mesh.welded
+            if id != a.id and len(points):
                 local = (points - a.T_world_asset[:3, 3]) @ np.linalg.inv(a.T_world_asset[:3, :3]).T
                 total += int(np.count_nonzero(winding_number(local, vertices, faces) > 0))
     return total

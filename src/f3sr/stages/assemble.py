@@ -9,7 +9,6 @@ import numpy as np
 from f3sr import raster, sam3d
 from f3sr.frames import T_UP_FROM_CAMERA, Array, Camera, pose, transform
 from f3sr.inputs import Inputs, Instance, PosedAsset
-from f3sr.mesh import ConvexPart
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Geometry, Scene, SceneGraph, SceneObject
 from f3sr.silhouette import iou, resample
@@ -65,7 +64,7 @@ def _provisional_object(instance: Instance, asset: PosedAsset, camera: Camera) -
         mesh=asset.mesh,
         T_world_object=camera.T_world_camera @ asset.T_camera_object,
         scale=asset.scale,
-        parts=(ConvexPart.hull_of(asset.mesh.vertices),),
+        parts=(asset.mesh.hull,),
     )
 
 
