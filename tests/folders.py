@@ -62,14 +62,19 @@ class Truth:
 
 
 def write_folder(
-    folder: Path, *, perturb: float = 0.0, seed: int = 0, objects: list[SceneObject] | None = None
+    folder: Path,
+    *,
+    perturb: float = 0.0,
+    seed: int = 0,
+    objects: list[SceneObject] | None = None,
+    eye: Camera | None = None,
 ) -> Truth:
     """Write a folder of boxes; assets are off by about ``perturb`` (share of size, and radians of yaw)."""
-    eye, truth = camera(), objects or boxes()
+    eye, truth = eye or camera(), objects or boxes()
     fragments = raster.render(truth, eye)
     (folder / "masks").mkdir(parents=True)
     (folder / "assets").mkdir()
-    photo = np.full((HEIGHT, WIDTH, 3), (150, 120, 90), np.uint8)
+    photo = np.full((eye.height, eye.width, 3), (150, 120, 90), np.uint8)
     rng = np.random.default_rng(seed)
     entries = []
     for o in truth:
@@ -116,13 +121,13 @@ def _sam3d_entry(o: SceneObject, eye: Camera, mask: str) -> dict[str, object]:
 
 def _geometry(depth: Array, eye: Camera) -> dict[str, Array]:
     """Half-resolution points of objects and table, in camera axes."""
-    columns, rows = np.meshgrid(np.arange(0, WIDTH, 2), np.arange(0, HEIGHT, 2))
+    columns, rows = np.meshgrid(np.arange(0, eye.width, 2), np.arange(0, eye.height, 2))
     rays = np.stack([columns + 0.5, rows + 0.5, np.ones_like(rows)], -1) @ np.linalg.inv(eye.K).T
     R, t = eye.T_world_camera[:3, :3], eye.center
     table = -t[2] / (rays @ R.T)[..., 2]
     z = np.where(np.isfinite(depth[::2, ::2]), depth[::2, ::2], table)
     valid = (z > 0) & (z < 5)
-    normalised = eye.K / [[WIDTH], [HEIGHT], [1]]
+    normalised = eye.K / [[eye.width], [eye.height], [1]]
     return {
         "points": (rays * np.where(valid, z, 0)[..., None]).astype(np.float32),
         "mask": valid,

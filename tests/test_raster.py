@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from f3sr import raster
 from f3sr.frames import Array, Camera, pose, rotation_from_vector, transform
 from f3sr.mesh import Material, Mesh
-from f3sr.raster import EMPTY, Fragments, rasterize, render, shade, silhouette
+from f3sr.raster import EMPTY, Fragments, rasterize, render, shade, silhouette, strips, visible_ids
 from f3sr.scene import SceneObject
 
 SHARED = Path(__file__).parents[2] / "shared"
@@ -233,6 +233,19 @@ def test_order_of_faces_and_number_of_threads_change_no_byte():
     for threads in (2, 3, 8, 1000):
         assert same(one, rasterize(vertices, faces, ids, K, WIDTH, HEIGHT, threads=threads))
         assert np.array_equal(mask, silhouette(vertices, faces, K, WIDTH, HEIGHT, threads=threads))
+
+
+def test_strips_together_are_the_whole_picture():
+    objects = [solid(4, at=[-0.1, 0.02, 1.0]), solid(9, at=[0.05, -0.03, 1.2])]
+    whole = render(objects, CAMERA)
+    for pixels in (1, 7 * CAMERA.width, 10**9):
+        found = list(strips(objects, CAMERA, pixels=pixels))
+        assert [rows.start for rows, _ in found] == [0, *(rows.stop for rows, _ in found[:-1])]
+        for name in ("face", "depth", "bary", "ids"):
+            together = np.concatenate([getattr(fragments, name) for _, fragments in found])
+            assert together.tobytes() == getattr(whole, name).tobytes()
+    assert len(np.unique(whole.ids)) == 3
+    assert np.array_equal(visible_ids(objects, CAMERA), whole.ids)
 
 
 def test_equal_input_in_any_layout_compiles_no_second_kernel():

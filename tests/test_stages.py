@@ -12,7 +12,7 @@ from f3sr.frames import T_UP_FROM_CAMERA, invert_pose, pose, rotation_about, rot
 from f3sr.measures import measure, visible_iou
 from f3sr.mesh import ConvexPart
 from f3sr.scene import GROUND, Geometry, Scene
-from f3sr.stages.align import AlignConfig, align, visible_regions
+from f3sr.stages.align import AlignConfig, align, nearer_objects, visible_region
 from f3sr.stages.assemble import assemble
 from f3sr.stages.decompose import decompose
 from f3sr.stages.evaluate import direct_composition, evaluate
@@ -195,7 +195,7 @@ def test_align_never_accepts_what_the_picture_does_not_like(wrong: Scene):
 def test_regions_of_nearer_objects_are_left_out():
     near, far = box(0, at=(0.0, -0.2, 0.05)), box(1, at=(0.0, 0.2, 0.05))
     scene = scene_of(near, far)
-    valid = visible_regions(scene)
+    valid = {id: visible_region(scene[id], nearer) for id, nearer in nearer_objects(scene).items()}
     assert valid[0].all()
     assert not valid[1][near.mask].any() and valid[1][~near.mask].all()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,16 +49,34 @@ def penetration(surfaces: Sequence[tuple[Array, NDArray[np.int32]]]) -> Penetrat
     diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
     length = EDGE_LENGTH * diagonal
     refined = [refine(v, f, length) for v, f in surfaces]
-    triangles = [np.ascontiguousarray(v[f]) for v, f in refined]
+    boxes = [np.stack([v.min(0), v.max(0)]) for v, _ in refined]
     mean_edge = float(np.concatenate([_edge_lengths(v, f) for v, f in refined]).mean())
     found = [
-        (a, b, *crossings_of(triangles[a], triangles[b], 1.5 * length)) for a in range(len(triangles)) for b in range(a)
+        (a, b, *crossings_of(_within(refined[a], low, high), _within(refined[b], low, high), 1.5 * length))
+        for a, b, low, high in _meeting(boxes)
     ]
     pairs = tuple(Crossing(a=b, b=a, count=count, bounds=bounds) for a, b, count, bounds in found if count)
     total = sum(pair.count for pair in pairs)
     return Penetration(
         r_pen=total * mean_edge / diagonal, crossings=total, mean_edge=mean_edge, diagonal=diagonal, pairs=pairs
     )
+
+
+def _meeting(boxes: Sequence[Array]) -> Iterator[tuple[int, int, Array, Array]]:
+    """Pairs of boxes (2, 3) that overlap, the later one first, and the corners of what they share."""
+    for a, box in enumerate(boxes):
+        for b, other in enumerate(boxes[:a]):
+            low, high = np.maximum(box[0], other[0]), np.minimum(box[1], other[1])
+            if np.all(low < high):
+                yield a, b, low, high
+
+
+def _within(surface: tuple[Array, NDArray[np.int32]], low: Array, high: Array) -> Array:
+    """The triangles (n, 3, 3) of a surface whose boxes meet a box."""
+    vertices, faces = surface
+    beyond = (vertices < low).astype(np.uint8) + 2 * (vertices > high).astype(np.uint8)
+    apart = np.bitwise_and.reduce(beyond[faces], axis=1).any(1)
+    return vertices[faces[~apart]]
 
 
 def refine(vertices: Array, faces: NDArray[np.int32], length: float) -> tuple[Array, NDArray[np.int32]]:

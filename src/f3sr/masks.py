@@ -39,6 +39,9 @@ class Instance:
     """File name of the mask."""
     mask: NDArray[np.bool_]
 
+    def __post_init__(self) -> None:
+        self.mask.setflags(write=False)  # what cannot change is shared, not copied
+
 
 def read_instances(folder: InputFolder, photo: Photo) -> tuple[Instance, ...]:
     """The objects by id, their masks disjoint."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +11,9 @@ from numpy.typing import NDArray
 from f3sr import crossings, physics, raster
 from f3sr.contact import Polytope
 from f3sr.frames import Array, Camera
+from f3sr.inside import winding_number
 from f3sr.scene import GROUND, Scene, SceneObject
-from f3sr.silhouette import iou
+from f3sr.silhouette import iou, union_of
 
 Point = tuple[float, float, float]
 """A place in the world [m]."""
@@ -128,7 +128,7 @@ def measure_with_details(scene: Scene, *, true_scale: float = 1.0) -> tuple[Meas
     """``measure``, and what it found per object and where."""
     total = len(scene.objects) + len(scene.excluded)
     full, visible, psnr = image_agreement(scene)
-    full_exact, visible_exact, _ = image_agreement(scene, "centres")
+    full_exact, visible_exact = exact_agreement(scene)
     surfaces = [(o.T_world_asset, o.mesh.welded) for o in scene]
     pen = crossings.penetration([(v @ T[:3, :3].T + T[:3, 3], f) for T, (v, f) in surfaces])
     K, D = physics.release(scene.objects, true_scale=true_scale)
@@ -175,35 +175,39 @@ def _point(p: Array) -> Point:
 # --- image agreement ----------------------------------------------------------------------------------------------
 
 
-Grid = Literal["protocol", "centres"]
-"""Where images are compared. ``protocol``: the referee's grid, every second pixel against the ray through its upper
-left corner, so half a pixel of shift lowers every score alike. ``centres``: every pixel at its centre, exact."""
-
-
-def image_agreement(scene: Scene, grid: Grid = "protocol") -> tuple[list[float], list[float], float]:
+def image_agreement(scene: Scene) -> tuple[list[float], list[float], float]:
     """IoU of each full silhouette, IoU of each object's visible pixels, and PSNR [dB] over the union of masks.
 
-    PSNR compares unlit texture colours with the photo; uncovered mask pixels are black.
+    On the referee's grid: every second pixel against the ray through its upper left corner, so half a pixel of shift
+    lowers every score alike. PSNR compares unlit texture colours with the photo; uncovered mask pixels are black.
     """
-    camera, pick = scene.camera, slice(None)
-    if grid == "protocol":
-        half = camera.K * [[0.5], [0.5], [1]]
-        camera = replace(camera, width=camera.width // 2, height=camera.height // 2, K=half)
-        pick = slice(1, None, 2)
-    rows, columns = (slice(pick.start, 2 * n if pick.step else None, pick.step) for n in (camera.height, camera.width))
+    camera = scene.camera
+    half = camera.K * [[0.5], [0.5], [1]]
+    camera = replace(camera, width=camera.width // 2, height=camera.height // 2, K=half)
+    rows, columns = slice(1, 2 * camera.height, 2), slice(1, 2 * camera.width, 2)
     masks = {o.id: o.mask[rows, columns] for o in scene}
-    fragments = raster.render(scene.objects, camera)
+    photo, union = scene.photo.rgb[rows, columns], union_of(masks.values(), (camera.height, camera.width))
+    ids = np.empty(union.shape, np.int32)
+    errors: list[Array] = []
+    for strip, fragments in raster.strips(scene.objects, camera):
+        ids[strip] = fragments.ids
+        rendered = raster.shade(fragments, scene.objects, filter="nearest")
+        errors.append(rendered[union[strip]] - photo[strip][union[strip]] / 255)
     full = [iou(full_silhouette(o, camera), masks[o.id]) for o in scene]
-    visible = [iou(fragments.ids == o.id, masks[o.id]) for o in scene]
-    rendered = raster.shade(fragments, scene.objects, filter="nearest")
-    union = np.any(list(masks.values()), axis=0)
-    error = rendered[union] - scene.photo.rgb[rows, columns][union] / 255
-    return full, visible, float(-10 * np.log10(max(np.mean(error**2), 1e-12)))
+    visible = [iou(ids == o.id, masks[o.id]) for o in scene]
+    return full, visible, float(-10 * np.log10(max(np.mean(np.concatenate(errors) ** 2), 1e-12)))
+
+
+def exact_agreement(scene: Scene) -> tuple[list[float], list[float]]:
+    """IoU of each full silhouette, and of each object's visible pixels, exact: every pixel at its centre."""
+    full = [iou(full_silhouette(o, scene.camera), o.mask) for o in scene]
+    ids = raster.visible_ids(scene.objects, scene.camera)
+    return full, [iou(ids == o.id, o.mask) for o in scene]
 
 
 def visible_iou(scene: Scene) -> float:
     """mIoU_visible alone, at the pixel centres: the mean IoU of visible pixels with the masks."""
-    ids = raster.render(scene.objects, scene.camera).ids
+    ids = raster.visible_ids(scene.objects, scene.camera)
     return sum(iou(ids == o.id, o.mask) for o in scene) / (len(scene.objects) + len(scene.excluded))
 
 
@@ -252,38 +256,19 @@ def gaps_of(objects: Sequence[SceneObject]) -> tuple[Gap, ...]:
 
 def points_inside(objects: Sequence[SceneObject], stride: int = 40) -> int:
     """How many vertices (every ``stride``-th) of an object lie in another object's solid; open meshes have none."""
+    samples = {o.id: o.vertices_world[::stride].copy() for o in objects}
     total = 0
     for a in objects:
         if not a.mesh.is_solid:
             continue
-        for b in objects:
-            points = b.vertices_world[::stride]
-            low, high = a.bounds_world
+        vertices, faces = a.mesh.welded
+        low, high = a.bounds_world
+        for id, points in samples.items():
             points = points[np.all((points > low) & (points < high), axis=1)]
-            if b.id != a.id and len(points):
-                vertices, faces = a.mesh.welded
+            if id != a.id and len(points):
                 local = (points - a.T_world_asset[:3, 3]) @ np.linalg.inv(a.T_world_asset[:3, :3]).T
-                total += int(np.count_nonzero(winding_number(local, vertices, faces) > 0.5))
+                total += int(np.count_nonzero(winding_number(local, vertices, faces) > 0))
     return total
-
-
-def winding_number(points: Array, vertices: Array, faces: NDArray[np.int32]) -> Array:
-    """Generalised winding number of points (n, 3): 1 inside a closed outward surface, 0 outside (van Oosterom and
-    Strackee 1983 for the solid angle of a triangle)."""
-    triangles = vertices[faces]
-    numbers = np.empty(len(points))
-    for k, p in enumerate(points):
-        a, b, c = (triangles[:, i] - p for i in range(3))
-        la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
-        numerator = np.einsum("ij,ij->i", a, np.cross(b, c))
-        denominator = (
-            la * lb * lc
-            + np.einsum("ij,ij->i", a, b) * lc
-            + np.einsum("ij,ij->i", b, c) * la
-            + np.einsum("ij,ij->i", c, a) * lb
-        )
-        numbers[k] = np.arctan2(numerator, denominator).sum() / (2 * np.pi)
-    return numbers
 
 
 # --- proxies ------------------------------------------------------------------------------------------------------

@@ -88,6 +88,11 @@ class Mesh:
         return unique, np.ascontiguousarray(faces[(a != b) & (b != c) & (c != a)])
 
     @cached_property
+    def hull(self) -> ConvexPart:
+        """The convex hull of all vertices. Raises ValueError when they span no volume."""
+        return ConvexPart.hull_of(self.vertices)
+
+    @cached_property
     def is_solid(self) -> bool:
         """True when the welded surface is closed, consistently wound and outward, no shell in another facing the same
         way, so that it has a volume."""

