@@ -414,6 +414,34 @@ def test_the_view_draws_turns_switches_and_comes_back(opened: Any):
 
 
 @pytest.mark.timeout(120)
+def test_fingers_turn_and_pinch(browser: Any, text: str, tmp_path: Path):
+    (tmp_path / "report.html").write_text(text)
+    context = browser.new_context(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
+    view = context.new_page()
+    view.goto((tmp_path / "report.html").as_uri())
+    view.locator("#view-stage").scroll_into_view_if_needed()
+    view.click("#photo-behind")
+    hand = context.new_cdp_session(view)
+    place = view.locator("#view-stage canvas").bounding_box()
+    x, y = place["x"] + place["width"] / 2, place["y"] + place["height"] / 2
+
+    def drag(*ways: tuple[float, float, float, float]) -> None:
+        for kind, k in (("touchStart", 0.0), ("touchMove", 0.5), ("touchMove", 1.0)):
+            points = [{"x": a + k * (c - a), "y": b + k * (d - b), "id": i} for i, (a, b, c, d) in enumerate(ways)]
+            hand.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+        hand.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+
+    start, top = picture(view), view.evaluate("scrollY")
+    drag((x, y, x + 80, y - 20))
+    turned = picture(view)
+    assert np.abs(turned - start).mean() > 2 and view.evaluate("scrollY") == top
+    drag((x - 20, y, x - 90, y), (x + 20, y, x + 90, y))
+    near = picture(view)
+    assert np.abs(near - turned).mean() > 2
+    context.close()
+
+
+@pytest.mark.timeout(120)
 def test_the_view_starts_where_the_photo_was_taken(opened: Any, result: Reconstruction):
     from f3sr import raster
 

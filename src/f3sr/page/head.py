@@ -8,6 +8,7 @@ from f3sr.page.images import figure, img
 from f3sr.page.markup import Child, Markup, el, join
 from f3sr.page.material import Material, look_alike
 from f3sr.page.words import about, counted, length, listed, name_of, ratio, share, told
+from f3sr.physics import DEFAULT_PHYSICS
 from f3sr.pipeline import SKIPPABLE, RefineConfig
 from f3sr.scene import SceneObject
 
@@ -70,7 +71,7 @@ def _summary(m: Material) -> Child:
         if worst.distance > 0:
             of = f"The worst gap is {share(worst.distance / worst.size)} of the size of "
             parts += [of, el("bdi", name_of(worst.id, m.scene)), ", to ", el("bdi", name_of(worst.nearest, m.scene))]
-            parts += [". Contacts rest 0.4 mm apart: that is the physics engine's contact margin. "]
+            parts += [f". Contacts rest {length(2 * DEFAULT_PHYSICS.margin)} apart, the physics engine's margin. "]
         sunk = max(m.details.gaps, key=lambda g: g.below)
         if sunk.below > 0:
             parts += [el("bdi", name_of(sunk.id, m.scene)), f" reaches {length(sunk.below)} under the ground. "]
@@ -133,7 +134,7 @@ def _tipped(m: Material) -> list[Child]:
     return [
         el(
             "li",
-            el("b", "Tipped"),
+            el("b", "Tipped or rolled"),
             ": ",
             el("bdi", name_of(o.id, m.scene)),
             f", by {np.degrees(lean):.0f}° since separate",
