@@ -22,7 +22,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import IO, Annotated, Any, Literal, cast
+from typing import IO, Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Interval
@@ -467,9 +467,7 @@ def _run_worker(
     with tempfile.TemporaryFile() as mesh, tempfile.TemporaryFile() as answer, tempfile.TemporaryFile() as errors:
         np.savez(mesh, vertices=vertices, faces=faces)
         mesh.seek(0)
-        with interrupts.undone(
-            lambda: _start(method, config, {"stdin": mesh, "stdout": answer, "stderr": errors}), subprocess.Popen.kill
-        ) as process:
+        with interrupts.undone(lambda: _start(method, config, mesh, answer, errors), subprocess.Popen.kill) as process:
             try:
                 _wait(process, config.wall_limit_s, cancelled)
             except subprocess.TimeoutExpired:
@@ -485,14 +483,15 @@ def _run_worker(
         return _explain(process.returncode, errors.read().decode(errors="replace"), config)
 
 
-def _start(method: str, config: ProxyConfig, streams: Mapping[str, IO[bytes]]) -> subprocess.Popen[bytes]:
+def _start(method: str, config: ProxyConfig, *streams: IO[bytes]) -> subprocess.Popen[bytes]:
     """A worker in a process group of its own, as it is ours to end it when the user presses Ctrl-C. Its streams are
     files without a name: there is nothing to tidy up after ``kill -9``."""
     # One thread each: the objects are what runs in parallel, and sums keep their order.
     environment = os.environ | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
     command = [sys.executable, "-m", "f3sr.proxies", method, _json(config), str(os.getpid())]
-    return subprocess.Popen(command, env=environment, process_group=0, text=False, **cast(Any, streams))
+    stdin, stdout, stderr = streams
+    return subprocess.Popen(command, env=environment, process_group=0, stdin=stdin, stdout=stdout, stderr=stderr)
 
 
 def _wait(process: subprocess.Popen[bytes], limit_s: float, cancelled: threading.Event | None) -> None:
