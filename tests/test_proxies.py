@@ -291,6 +291,18 @@ def test_a_crash_of_coacd_falls_back_to_vhacd(tmp_path, monkeypatch):
     assert distance_outside(proxy, surface_points(L_SHAPE)).max() < 1e-7
 
 
+def test_a_large_mesh_reaches_the_worker_and_its_answer_us(tmp_path):
+    """More than a pipe holds, to a worker that starts slowly."""
+    vertices, faces = L_SHAPE.vertices, L_SHAPE.faces
+    for _ in range(5):
+        from trimesh.remesh import subdivide
+
+        vertices, faces = subdivide(vertices, faces)
+    mesh = Mesh(vertices=vertices, faces=faces.astype(np.int32))
+    assert mesh.vertices.nbytes > 200_000
+    assert decompose(mesh, replace(QUICK, wall_limit_s=60), cache_dir=tmp_path).method == "coacd"
+
+
 def test_a_cache_hit_starts_nothing(cache, bowl, no_subprocess):
     again, box = decompose_all([BOWL, box_mesh()], QUICK, cache_dir=cache, ids=[4, 7])
     assert again.method == bowl.method

@@ -15,13 +15,14 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import IO, Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Interval
@@ -464,42 +465,44 @@ def _run_worker(
     method: str, vertices: Array, faces: Faces, config: ProxyConfig, cancelled: threading.Event | None = None
 ) -> _Outcome:
     """Split a normalised mesh in a subprocess of our own, killed at its processor or wall limit."""
-    mesh = io.BytesIO()
-    np.savez(mesh, vertices=vertices, faces=faces)
-    with interrupts.undone(lambda: _start(method, config), subprocess.Popen.kill) as process:
-        try:
-            output, errors = _wait(process, mesh.getvalue(), config.wall_limit_s, cancelled)
-        except subprocess.TimeoutExpired:
-            return _Outcome(reason=f"killed after {config.wall_limit_s:g} s", cut_short=True)
-        finally:
-            process.kill()
-            process.communicate()
-    if process.returncode == 0:
-        with np.load(io.BytesIO(output), allow_pickle=False) as data:
-            return _Outcome(parts=_unpack(data))
-    return _explain(process.returncode, errors.decode(errors="replace"), config)
+    with tempfile.TemporaryFile() as mesh, tempfile.TemporaryFile() as answer, tempfile.TemporaryFile() as errors:
+        np.savez(mesh, vertices=vertices, faces=faces)
+        mesh.seek(0)
+        with interrupts.undone(lambda: _start(method, config, mesh, answer, errors), subprocess.Popen.kill) as process:
+            try:
+                _wait(process, config.wall_limit_s, cancelled)
+            except subprocess.TimeoutExpired:
+                return _Outcome(reason=f"killed after {config.wall_limit_s:g} s", cut_short=True)
+            finally:
+                process.kill()
+                process.wait()
+        if process.returncode == 0:
+            answer.seek(0)
+            with np.load(answer, allow_pickle=False) as data:
+                return _Outcome(parts=_unpack(data))
+        errors.seek(0)
+        return _explain(process.returncode, errors.read().decode(errors="replace"), config)
 
 
-def _start(method: str, config: ProxyConfig) -> subprocess.Popen[bytes]:
-    """A worker in a process group of its own, as it is ours to end it when the user presses Ctrl-C."""
+def _start(method: str, config: ProxyConfig, *streams: IO[bytes]) -> subprocess.Popen[bytes]:
+    """A worker in a process group of its own, as it is ours to end it when the user presses Ctrl-C. Its streams are
+    files without a name: there is nothing to tidy up after ``kill -9``."""
     # One thread each: the objects are what runs in parallel, and sums keep their order.
     environment = os.environ | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
     command = [sys.executable, "-m", "f3sr.proxies", method, _json(config), str(os.getpid())]
-    pipe = subprocess.PIPE
-    return subprocess.Popen(command, env=environment, stdin=pipe, stdout=pipe, stderr=pipe, process_group=0)
+    stdin, stdout, stderr = streams
+    return subprocess.Popen(command, env=environment, process_group=0, stdin=stdin, stdout=stdout, stderr=stderr)
 
 
-def _wait(
-    process: subprocess.Popen[bytes], mesh: bytes, limit_s: float, cancelled: threading.Event | None
-) -> tuple[bytes, bytes]:
-    """Output and errors of a worker; TimeoutExpired at the limit, CancelledError when all is called off."""
-    deadline, first = time.monotonic() + limit_s, mesh
+def _wait(process: subprocess.Popen[bytes], limit_s: float, cancelled: threading.Event | None) -> None:
+    """Until a worker ends; TimeoutExpired at the limit, CancelledError when all is called off."""
+    deadline = time.monotonic() + limit_s
     while True:
         try:
-            return process.communicate(first, timeout=max(0.0, min(LOOK_UP_S, deadline - time.monotonic())))
+            process.wait(timeout=max(0.0, min(LOOK_UP_S, deadline - time.monotonic())))
+            return
         except subprocess.TimeoutExpired:
-            first = None  # it has been taken over, and is sent on by the next call
             if cancelled is not None and cancelled.is_set():
                 raise CancelledError from None
             if time.monotonic() >= deadline:
