@@ -26,7 +26,7 @@ MIN_NEAR, MAX_FAR = 0.001, 100_000.0
 MAX_CENTER = 30.0
 """How far the principal point may lie from the image's corner, in longer image sides: far crops of a photo."""
 MAX_STRETCH = 1.1
-"""Aspect of the geometry over the photo's, either way, from which on a decision tells of it: networks round to tiles."""
+"""Aspect of the geometry over the photo's, either way, that passes without a decision: networks round to tiles."""
 KEYS = ("points", "pointmap", "pcd", "mask", "normal", "intrinsics", "coordinate_system")
 """Arrays of geometry.npz that mean something here."""
 MAX_BYTES = 2_000_000_000
