@@ -338,6 +338,10 @@ def encoded(kind: str) -> bytes:
     return out.getvalue()
 
 
+def layers(count: int) -> Spoil:
+    return gltf(lambda t: t.update(nodes=[{"mesh": 0}] * count, scenes=[{"nodes": list(range(count))}]))
+
+
 def nodes(*given: dict[str, Any]) -> Spoil:
     return gltf(lambda t: t.update(nodes=list(given), scenes=[{"nodes": [0]}]))
 
@@ -556,6 +560,7 @@ WRONG: dict[str, tuple[Spoil, str, str]] = {
     "a vertex a million metres away": (numbers("POSITION", "<f4", 1e6), "poses.json", "an object of"),
     "a mesh like a hair": (vertices(lambda v: v * [1, 1e-6, 1e-6]), "poses.json", "thinner than"),
     "triangles of no area": (numbers("indices", "<u4", [k // 3 % 8 for k in range(36)]), "02.glb", "no triangle that has an area"),
+    "a mesh of 300 layers": (layers(300), "02.glb", "times its diagonal squared"),
     "a flat mesh": (vertices(lambda v: v * [1, 1, 0]), "02.glb", "flat"),
     "a mesh that is a point": (vertices(lambda v: v * 0), "02.glb", "flat"),
     "a texture that claims 20,000 x 20,000 pixels": (textured(png_header(20_000, 20_000)), "02.glb", "too many pixels"),
