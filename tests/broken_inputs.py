@@ -635,18 +635,15 @@ def broken(name: str, place: Path) -> list[str]:
     return ["reconstruct", "input", "-o", "new/out"]
 
 
-def _write_table() -> None:
-    """All messages of this table, each from a folder of its own."""
+def said(name: str) -> str:
+    """What the command says of a broken folder."""
     from f3sr.cli import main
 
-    messages: dict[str, str] = {}
-    for name in WRONG:
-        errors = io.StringIO()
-        with tempfile.TemporaryDirectory() as place, contextlib.chdir(place), contextlib.redirect_stderr(errors):
-            main(broken(name, Path(place)))
-        messages[name] = errors.getvalue().strip()
-    TABLE.write_text(table(messages))
+    errors = io.StringIO()
+    with tempfile.TemporaryDirectory() as place, contextlib.chdir(place), contextlib.redirect_stderr(errors):
+        main(broken(name, Path(place)))
+    return errors.getvalue().strip()
 
 
 if __name__ == "__main__":
-    _write_table()
+    TABLE.write_text(table({name: said(name) for name in WRONG}))
