@@ -605,6 +605,7 @@ def _change_array(data: dict[str, Any], key: str, rng: Rng) -> str:
                 data[key] = np.zeros(values.shape, name)
         return f"type {name}"
     elif kind == "shape":
+        values = np.atleast_1d(values)
         data[key] = pick(
             rng,
             [

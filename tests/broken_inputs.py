@@ -338,6 +338,10 @@ def encoded(kind: str) -> bytes:
     return out.getvalue()
 
 
+def layers(count: int) -> Spoil:
+    return gltf(lambda t: t.update(nodes=[{"mesh": 0}] * count, scenes=[{"nodes": list(range(count))}]))
+
+
 def nodes(*given: dict[str, Any]) -> Spoil:
     return gltf(lambda t: t.update(nodes=list(given), scenes=[{"nodes": [0]}]))
 
@@ -462,6 +466,7 @@ WRONG: dict[str, tuple[Spoil, str, str]] = {
     "K of text": (intrinsics(K=[["200", "0", "50"], ["0", "200", "40"], ["0", "0", "1"]]), "intrinsics.json", "K.0.0"),
     "K of truth values": (intrinsics(K=[[True, 0, 50], [0, 200, 40], [0, 0, 1]]), "intrinsics.json", "K.0.0"),
     "K with NaN": (intrinsics(K=[[float("nan"), 0, 50], [0, 200, 40], [0, 0, 1]]), "intrinsics.json", "NaN"),
+    "K of 1e308": (intrinsics(K=[[1e308, 0, 50], [0, 200, 40], [0, 0, 1]]), "intrinsics.json", "K ="),
     "K of two rows": (intrinsics(K=[[200, 0, 50], [0, 200, 40]]), "intrinsics.json", "K = [["),
     "K of a width of -1": (intrinsics(width=-1), "intrinsics.json", "width"),
     # poses.json
@@ -488,6 +493,8 @@ WRONG: dict[str, tuple[Spoil, str, str]] = {
     "a list where an object is meant": (write("assets/poses.json", b"[]"), "poses.json", "the document"),
     "an unknown convention": (poses(lambda d: d.update(convention="mine")), "poses.json", "mine"),
     "a quaternion too long": (entry(rotation=[1, 0, 0, 1]), "poses.json", "quaternion"),
+    "a quaternion of 1e200": (entry(rotation=[1e200] * 4), "poses.json", "quaternion"),
+    "a whole number of 400 digits": (entry(translation=[0, 0, 10**399]), "poses.json", "translation.2"),
     "a quaternion of three numbers": (entry(rotation=[1, 0, 0]), "poses.json", "rotation"),
     "a quaternion of text": (entry(rotation=["1", "0", "0", "0"]), "poses.json", "rotation.0"),
     "a scale of zero": (entry(scale=[0, 0, 0]), "poses.json", "scale"),
@@ -495,6 +502,7 @@ WRONG: dict[str, tuple[Spoil, str, str]] = {
     "a scale that is not uniform": (entry(scale=[1, 1, 2]), "poses.json", "scale"),
     "a scale of true": (entry(scale=True), "poses.json", "scale"),
     "a scale of 1e-12": (entry(scale=[1e-12] * 3), "poses.json", "an object of"),
+    "a scale of 1e308": (entry(scale=[1e308] * 3), "poses.json", "an object of"),
     "a scale of 1e12": (entry(scale=[1e12] * 3), "poses.json", "an object of"),
     "a translation with NaN": (entry(translation=[0, 0, float("nan")]), "poses.json", "NaN"),
     "a translation of 1e999": (
@@ -551,11 +559,15 @@ WRONG: dict[str, tuple[Spoil, str, str]] = {
     "nodes in a circle": (nodes({"mesh": 0, "children": [1]}, {"children": [0]}), "02.glb", "reached twice"),
     "a node shown twice": (nodes({"children": [1, 1]}, {"mesh": 0}), "02.glb", "reached twice"),
     "a matrix of 15 numbers": (nodes({"mesh": 0, "matrix": [1.0] * 15}), "02.glb", "matrix"),
+    "nodes that scale by 1e200 twice": (
+        nodes({"scale": [1e200] * 3, "children": [1]}, {"mesh": 0, "scale": [1e200] * 3}), "02.glb", "beyond",
+    ),
     "a matrix of 1e300": (nodes({"mesh": 0, "matrix": [1e300, 0, 0, 0] * 4}), "02.glb", "beyond"),
     "a vertex that is NaN": (numbers("POSITION", "<f4", np.nan), "02.glb", "NaN, infinite"),
     "a vertex a million metres away": (numbers("POSITION", "<f4", 1e6), "poses.json", "an object of"),
     "a mesh like a hair": (vertices(lambda v: v * [1, 1e-6, 1e-6]), "poses.json", "thinner than"),
     "triangles of no area": (numbers("indices", "<u4", [k // 3 % 8 for k in range(36)]), "02.glb", "no triangle that has an area"),
+    "a mesh of 300 layers": (layers(300), "02.glb", "times its diagonal squared"),
     "a flat mesh": (vertices(lambda v: v * [1, 1, 0]), "02.glb", "flat"),
     "a mesh that is a point": (vertices(lambda v: v * 0), "02.glb", "flat"),
     "a texture that claims 20,000 x 20,000 pixels": (textured(png_header(20_000, 20_000)), "02.glb", "too many pixels"),
@@ -623,18 +635,15 @@ def broken(name: str, place: Path) -> list[str]:
     return ["reconstruct", "input", "-o", "new/out"]
 
 
-def _write_table() -> None:
-    """All messages of this table, each from a folder of its own."""
+def said(name: str) -> str:
+    """What the command says of a broken folder."""
     from f3sr.cli import main
 
-    messages: dict[str, str] = {}
-    for name in WRONG:
-        errors = io.StringIO()
-        with tempfile.TemporaryDirectory() as place, contextlib.chdir(place), contextlib.redirect_stderr(errors):
-            main(broken(name, Path(place)))
-        messages[name] = errors.getvalue().strip()
-    TABLE.write_text(table(messages))
+    errors = io.StringIO()
+    with tempfile.TemporaryDirectory() as place, contextlib.chdir(place), contextlib.redirect_stderr(errors):
+        main(broken(name, Path(place)))
+    return errors.getvalue().strip()
 
 
 if __name__ == "__main__":
-    _write_table()
+    TABLE.write_text(table({name: said(name) for name in WRONG}))

@@ -53,6 +53,7 @@ LIMITS = {
         ("size of an object [m], at least", "assets.MIN_SIZE"),
         ("size of an object [m]", "assets.MAX_SIZE"),
         ("volume of a mesh's hull [cubes of its diagonal], at least", "assets.MIN_FILL"),
+        ("area of a mesh [squares of its diagonal]", "assets.MAX_FOLDS"),
         ("asset depth over geometry depth, either way", "inputs.MAX_DISAGREEMENT"),
     ],
 }

@@ -21,6 +21,9 @@ MIN_SIZE, MAX_SIZE = 1e-3, 1e3
 """Sizes of objects accepted, in metres of the geometry: single-precision files and contact margins end there."""
 MIN_FILL = 1e-9
 """Smallest volume of a mesh's hull, in cubes of its diagonal: a hair of 1 m that is 30 micrometres thick."""
+MAX_FOLDS = 200.0
+"""Largest area of a mesh in squares of its diagonal. A box has up to 2, the generated meshes we have up to 3; a soup of
+hundreds of layers is no object, and measuring its penetration would cost memory by its area."""
 MAX_SCENE_FACES = 20_000_000
 """Of all meshes together: a hundred objects of 200,000 triangles."""
 MAX_SCENE_TEXTURE_PIXELS = 400_000_000
@@ -87,21 +90,24 @@ def _mesh(folder: InputFolder, id: int, relative: str) -> Mesh:
     used = mesh.without_unused()
     if count := len(mesh.vertices) - len(used.vertices):
         folder.decide(f"{file.name}: {count} vertices left out", "no triangle uses them", id)
-    if reason := _flatness(used):
-        raise InputError(file, found=reason, accepted="a mesh that spans a volume")
+    _require_solidity(file, used)
     return used
 
 
-def _flatness(mesh: Mesh) -> str | None:
-    """Why a mesh has no place in a scene: it spans no volume, or its triangles no area."""
+def _require_solidity(path: Path, mesh: Mesh) -> None:
+    """A mesh has a place in a scene if it spans a volume and its triangles have an area, not far too much of it."""
+    accepted = "a mesh that spans a volume"
     try:
         ConvexPart.hull_of(mesh.vertices)
-    except ValueError:
-        return "a flat mesh without any thickness"
+    except ValueError as error:
+        raise InputError(path, found="a flat mesh without any thickness", accepted=accepted) from error
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    if not np.cross(b - a, c - a).any():
-        return "no triangle that has an area"
-    return None
+    folds = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2) / mesh.diagonal**2
+    if not folds:
+        raise InputError(path, found="no triangle that has an area", accepted=accepted)
+    if folds > MAX_FOLDS:
+        found, accepted = f"a surface of {folds:,.0f} times its diagonal squared", f"at most {MAX_FOLDS:.0f} times"
+        raise InputError(path, found=found, accepted=accepted)
 
 
 def _require_thickness(path: Path, mask: str, mesh: Mesh) -> None:

@@ -67,9 +67,9 @@ def read_gltf(path: Path, data: bytes, *, max_faces: int, max_texture_pixels: in
         document = _document(tree)
         _require_plain(path, document)
         reader = _Reader(document, binary, max_texture_pixels=max_texture_pixels)
-        shown = list(reader.shown())
-        _require_size(path, reader, shown, max_faces)
         with np.errstate(all="ignore"):  # numbers beyond the floats' range become infinite, which is refused
+            shown = list(reader.shown())
+            _require_size(path, reader, shown, max_faces)
             return [reader.piece(primitive, T_file_node) for primitive, T_file_node in shown]
     except _BrokenError as error:
         raise InputError(path, found=f"a broken glTF file ({error})", accepted="a valid GLB or glTF 2 file") from error

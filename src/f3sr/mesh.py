@@ -187,26 +187,26 @@ class Flaws:
 
 
 def surface_flaws(mesh: Mesh) -> Flaws:
-    """Count the flaws of the welded surface of a mesh."""
+    """Count the flaws of the welded surface of a mesh; a solid has none but triangles of no area."""
     vertices, faces = mesh.welded
-    flat = len(mesh.faces) - len(faces)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
-    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    corners = np.sort(faces, axis=1).astype(np.int64)
-    doubled = len(corners) - len(np.unique(corners, axis=0))
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    degenerate = len(mesh.faces) - int(np.cross(b - a, c - a).any(1).sum())
+    if mesh.is_solid:
+        return Flaws(degenerate=degenerate, doubled=0, open=0, shared=0, turned=0, layers=False)
     n = len(vertices)
-    keys, counts = np.unique(edges.min(1) * n + edges.max(1), return_counts=True)
-    forward = np.searchsorted(keys, edges.min(1) * n + edges.max(1))[edges[:, 0] < edges[:, 1]]
-    ahead = np.bincount(forward, minlength=len(keys))
-    closed = is_closed(faces) and signed_volume(vertices, faces) > 0
+    low, middle, high = np.sort(faces, axis=1).astype(np.int64).T
+    _, pair = np.unique(low * n + middle, return_inverse=True)
+    doubled = len(faces) - len(np.unique(pair * n + high))
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    keys, edge, counts = np.unique(edges.min(1) * n + edges.max(1), return_inverse=True, return_counts=True)
+    ahead = np.bincount(edge[edges[:, 0] < edges[:, 1]], minlength=len(keys))
     return Flaws(
-        degenerate=flat + int((areas == 0).sum()),
+        degenerate=degenerate,
         doubled=doubled,
         open=int((counts == 1).sum()),
         shared=int((counts > 2).sum()),
         turned=int(((counts == 2) & (ahead != 1)).sum()),
-        layers=closed and has_layers(vertices, faces),
+        layers=is_closed(faces) and signed_volume(vertices, faces) > 0,  # what else keeps it from being solid
     )
 
 

@@ -26,7 +26,7 @@ MIN_NEAR, MAX_FAR = 0.001, 100_000.0
 MAX_CENTER = 30.0
 """How far the principal point may lie from the image's corner, in longer image sides: far crops of a photo."""
 MAX_STRETCH = 1.1
-"""Aspect of the geometry over the photo's, from which on a decision tells of it: networks round to tiles."""
+"""Aspect of the geometry over the photo's, either way, that passes without a decision: networks round to tiles."""
 KEYS = ("points", "pointmap", "pcd", "mask", "normal", "intrinsics", "coordinate_system")
 """Arrays of geometry.npz that mean something here."""
 MAX_BYTES = 2_000_000_000
@@ -94,7 +94,7 @@ def _point_map(folder: InputFolder, photo: Photo) -> tuple[Geometry, Array]:
             fallback=True,
         )
         return geometry, K
-    return geometry, _checked_K(path, intrinsics.astype(float) * [[photo.width], [photo.height], [1]], photo)
+    return geometry, _checked_K(path, _scaled(intrinsics.astype(float), photo.width, photo.height), photo)
 
 
 def _depth_map(folder: InputFolder, name: str, photo: Photo) -> tuple[Geometry, Array]:
@@ -109,9 +109,8 @@ def _depth_map(folder: InputFolder, name: str, photo: Photo) -> tuple[Geometry, 
         raise InputError(path, found=f"{w}x{h} pixels", accepted=f"the aspect of {meta.width}x{meta.height}")
     width, height = meta.width or w, meta.height or h
     K_depth = np.asarray(meta.K, float)
-    K = _checked_K(
-        folder.path("intrinsics.json"), K_depth * [[photo.width / width], [photo.height / height], [1]], photo
-    )
+    K_photo = _scaled(K_depth, photo.width / width, photo.height / height)
+    K = _checked_K(folder.path("intrinsics.json"), K_photo, photo)
     with np.errstate(over="ignore"):  # what overflows is infinite, so invalid
         depth = values.astype(float) * meta.depth_scale
     depth = np.where(np.isfinite(depth), depth, 0)
@@ -185,6 +184,12 @@ def camera_frame(where: Path, name: str) -> Array:
     if name not in CAMERA_FRAMES:
         raise InputError(where, found=f"camera frame {name!r}", accepted=", ".join(CAMERA_FRAMES))
     return CAMERA_FRAMES[name]
+
+
+def _scaled(K: Array, x: float, y: float) -> Array:
+    """K for an image x times as wide and y times as high; what overflows is refused as infinite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return K * [[x], [y], [1]]
 
 
 def _checked_K(path: Path, K: Array, photo: Photo) -> Array:

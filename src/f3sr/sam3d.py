@@ -7,6 +7,7 @@ so in column form the rotation is R(q)^T. Hence ``p_opencv = s F R(q)^T A v_glb 
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any
 
 import numpy as np
@@ -56,8 +57,8 @@ class AssetPose(BaseModel):
     @field_validator("rotation")
     @classmethod
     def _unit(cls, value: list[float]) -> list[float]:
-        if abs(float(np.linalg.norm(value)) - 1) > 0.01:
-            raise ValueError(f"a quaternion of length {np.linalg.norm(value):.3g}; accepted: wxyz of length 1")
+        if abs(math.hypot(*value) - 1) > 0.01:
+            raise ValueError(f"a quaternion of length {math.hypot(*value):.3g}; accepted: wxyz of length 1")
         return value
 
     @field_validator("scale")
@@ -71,7 +72,7 @@ class AssetPose(BaseModel):
 
     @property
     def uniform_scale(self) -> float:
-        return float(np.mean(self.scale))
+        return sum(self.scale) / 3
 
     def camera_pose(self) -> tuple[Array, Array]:
         """Rotation (3, 3) and translation (3,) of the local frame in OpenCV camera axes."""
