@@ -513,7 +513,10 @@ WRONG: dict[str, tuple[Spoil, str, str]] = {
     ),
     "a translation of null": (entry(translation=[0, 0, None]), "poses.json", "translation.2"),
     "a pose behind the camera": (far_pose(-0.7), "poses.json", "behind the camera"),
-    "a pose a million metres away": (far_pose(1e6), "poses.json", "at depth 1e+06 m"),
+    "a pose a billion metres to the side": (
+        poses(lambda d: d["objects"][0]["translation"].__setitem__(0, 1e9)), "poses.json", "times its own size away",
+    ),
+    "a pose ten kilometres away": (far_pose(1e4), "poses.json", "at depth 1e+04 m"),
     "a mesh file that is missing": (entry(mesh="nope.glb"), "nope.glb", "no such file"),
     "a mesh path with ../": (entry(mesh="../../../etc/passwd"), "assets", "leaves the folder"),
     "an absolute mesh path": (entry(mesh="/etc/passwd"), "assets", "leaves the folder"),

@@ -54,6 +54,7 @@ LIMITS = {
         ("size of an object [m]", "assets.MAX_SIZE"),
         ("volume of a mesh's hull [cubes of its diagonal], at least", "assets.MIN_FILL"),
         ("area of a mesh [squares of its diagonal]", "assets.MAX_FOLDS"),
+        ("distance of an object [its own sizes]", "inputs.MAX_DISTANCE"),
         ("asset depth over geometry depth, either way", "inputs.MAX_DISAGREEMENT"),
     ],
 }

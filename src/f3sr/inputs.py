@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,6 +31,9 @@ MAX_RELATIONS = 10_000
 """Most relations of a kind in scene_graph.json: every pair of a hundred objects, both ways."""
 MAX_REASON = 1000
 """Most characters of a relation's reason, which goes into the package and its report."""
+MAX_DISTANCE = 100_000.0
+"""Largest distance of an object from the camera, in its own sizes: rounding leaves it no shape from far beyond, and no
+pixel shows it."""
 MAX_DISAGREEMENT = 10_000.0
 """Largest factor between an asset's depth and the geometry's inside its mask: millimetres for metres are repaired,
 anything beyond is no unit."""
@@ -129,12 +133,19 @@ def _require_agreement(
     """Every asset in front of the camera, in a unit that can be the geometry's, of a size that can be simulated."""
     for i in instances:
         asset = assets[i.id]
-        depth = float(transform(asset.T_camera_object, asset.scale * asset.mesh.bounds.mean(0))[2])
+        x, y, depth = map(float, transform(asset.T_camera_object, asset.scale * asset.mesh.bounds.mean(0)))
         if depth <= 0:
             raise InputError(
                 asset.source,
                 found=f"the mesh for {i.name} behind the camera (depth {depth:.3g} m)",
                 accepted="meshes in front of it, and the pose convention or --asset-frame they are in",
+            )
+        sizes = math.hypot(x, y, depth) / (asset.scale * asset.mesh.diagonal)
+        if sizes > MAX_DISTANCE:
+            raise InputError(
+                asset.source,
+                found=f"the mesh for {i.name} {sizes:.3g} times its own size away from the camera",
+                accepted=f"at most {MAX_DISTANCE:,.0f} times",
             )
         measured = float(np.median(geometry.points[geometry.inside(i.mask)][:, 2]))
         if not 1 / MAX_DISAGREEMENT <= depth / measured <= MAX_DISAGREEMENT:
