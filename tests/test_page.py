@@ -66,7 +66,7 @@ def bare(scene: Scene, **changes: Any) -> Reconstruction:
     """A result that no stage has touched but the first."""
     report = Report(stage="assemble")
     values: dict[str, Any] = {"scene": scene, "direct": scene, "scenes": {"assemble": scene}, "reports": (report,)}
-    return Reconstruction(**{**values, "seconds": {}, "resumed": (), "config_digest": "", **changes})
+    return Reconstruction(**{**values, "seconds": {}, "resumed": (), "config": Config(), "provenance": {}, **changes})
 
 
 class Tags(HTMLParser):
@@ -180,7 +180,9 @@ def test_two_runs_give_the_same_bytes_also_from_the_store(given: inputs.Inputs, 
 
 
 def test_nothing_of_this_machine_or_time_is_on_the_page(result: Reconstruction, text: str):
-    slow = replace(result, seconds=dict.fromkeys(result.seconds, 1234.5), resumed=("level",), config_digest="0" * 64)
+    slow = replace(
+        result, seconds=dict.fromkeys(result.seconds, 1234.5), resumed=("level",), provenance={"config": "0" * 64}
+    )
     assert report_page(slow) == text.encode()
     assert str(Path.cwd()) not in text and str(Path.home()) + "/" not in text
 
