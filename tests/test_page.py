@@ -35,7 +35,7 @@ from f3sr.page.material import Material
 from f3sr.page.objects import moves
 from f3sr.page.scores import MAIN, OTHERS
 from f3sr.page.words import number
-from f3sr.pipeline import SKIPPABLE, Reconstruction, reconstruct
+from f3sr.pipeline import SKIPPABLE, Config, Reconstruction, reconstruct
 from f3sr.report import Decision, Report
 from f3sr.scene import GROUND, Excluded, Scene, Support
 from folders import write_folder
