@@ -31,6 +31,7 @@ sys.path.insert(0, str(BENCHMARKS))
 
 import kills  # noqa: E402
 
+IN_PROC = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at threads and children in /proc")
 INTERRUPTED = "f3sr: interrupted; nothing was written\n"
 TO_WORKERS = ("--skip", "level,align,relate")
 QUICK = ("--skip", "align,refine,evaluate")
@@ -82,9 +83,13 @@ def soon(is_so: Callable[[], object], seconds: float) -> bool:
 # --- signals --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("after", [0.15, 0.4, 1.0])
+@IN_PROC
+@pytest.mark.parametrize("after", [0.0, 0.1, 0.3, 1.0])
 def test_ctrl_c_while_starting_ends_at_once_with_one_line(after: float, cache: Path, tmp_path: Path):
     process = start("demo", "-o", tmp_path / "out", cache=cache)
+    tasks = Path(f"/proc/{process.pid}/task")
+    assert soon(lambda: len(list(tasks.iterdir())) > 1, 60), "a second thread waits for signals"
+    assert after or "numpy" not in Path(f"/proc/{process.pid}/maps").read_text(), "before anything heavy is imported"
     time.sleep(after)
     process.send_signal(signal.SIGINT)
     began = time.monotonic()
@@ -93,7 +98,7 @@ def test_ctrl_c_while_starting_ends_at_once_with_one_line(after: float, cache: P
     assert time.monotonic() - began < 1 and not (tmp_path / "out").exists()
 
 
-@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks for workers in /proc")
+@IN_PROC
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_no_worker_outlives_a_run_that_is_ended(number: signal.Signals, cache: Path, tmp_path: Path):
     process = start("reconstruct", example.folder(), "-o", tmp_path / "out", *TO_WORKERS, cache=cache)
@@ -119,12 +124,15 @@ def test_a_signal_during_compilation_ends_at_once(tmp_path: Path, folder: Path):
     assert not (tmp_path / "out").exists()
 
 
-def test_nohup_is_respected():
-    code = "import signal, sys; signal.signal(signal.SIGHUP, signal.SIG_IGN); from f3sr.__main__ import run; run()"
-    process = subprocess.Popen([sys.executable, "-c", code, "config"], stdout=subprocess.DEVNULL)
-    time.sleep(0.2)
+def test_nohup_is_respected(cache: Path):
+    def ignore() -> None:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+
+    process = start("config", cache=cache, preexec_fn=ignore)
+    time.sleep(0.3)
     process.send_signal(signal.SIGHUP)
-    assert process.wait() == 0
+    process.communicate()
+    assert process.returncode == 0
 
 
 # --- the output's reader -----------------------------------------------------------------------------------------
