@@ -267,6 +267,15 @@ def test_crumbs_do_not_make_a_body_a_pile():
     assert proxies._is_no_body(vertices, faces, QUICK) is None
 
 
+def test_a_dozen_scattered_triangles_are_no_body():
+    """CoACD is lost for two minutes in as few as these."""
+    rng = np.random.default_rng(0)
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    faces = np.array([rng.choice(8, 3, replace=False) + 8 * k for k in range(12)], np.int32)
+    vertices = np.tile(corners, (12, 1)) + rng.normal(0, 1e-3, (96, 3))
+    assert proxies._is_no_body(vertices, faces, QUICK)
+
+
 def test_triangles_that_share_corners_but_no_edges_are_no_body():
     rng = np.random.default_rng(0)
     vertices = rng.uniform(size=(100, 3))

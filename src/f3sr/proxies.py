@@ -50,8 +50,6 @@ LOOK_UP_S = 0.2
 PR_SET_PDEATHSIG = 1
 """From Linux' sys/prctl.h."""
 
-FEW_FACES = 100
-"""Up to so many triangles any mesh is split quickly."""
 NO_SURFACE = 0.5
 """Share of triangle edges without exactly one neighbour from which on triangles form no surface; real assets have 0,
 open shells as many as their rims."""
@@ -284,7 +282,7 @@ def _is_no_body(vertices: Array, faces: Faces, config: ProxyConfig) -> str | Non
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     _, sides = np.unique(edges, axis=0, return_counts=True)
     apart = 1 - 2 * float((sides == 2).sum()) / len(edges)
-    if len(faces) > FEW_FACES and apart > NO_SURFACE:
+    if apart > NO_SURFACE:
         return f"{apart:.0%} of the triangles' edges are not shared by two triangles"
     return None
 
