@@ -1,11 +1,13 @@
 """Builds the input folders of the size benchmark from a seed: detailed meshes, photo-like textures, any photo size.
 
 usage: large_scene.py FOLDER '{"objects": 20, "faces": 200000, "texture": 2048, "width": 4000, "height": 3000}'
+       large_scene.py FOLDER '{"enlarged": 11}'
 """
 
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
@@ -20,6 +22,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
+from f3sr import example
 from f3sr.frames import Array, Camera, transform
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
@@ -221,5 +224,30 @@ def holed(vertices: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:
     return faces[np.linalg.norm(vertices[faces].mean(1) - lowest, axis=1) > 0.04 * size]
 
 
+def enlarge(folder: Path, factor: int) -> None:
+    """Write the bundled example with a photo and masks of ``factor`` times its width and height, unless it is there."""
+    source = example.folder()
+    if (folder / "meta.json").exists():
+        return
+    shutil.copytree(source, folder, ignore=shutil.ignore_patterns("*.png", "image.jpg", "meta.json"))
+    for path in (source / "image.jpg", source / "ground.png", *sorted((source / "masks").iterdir())):
+        target = folder / path.relative_to(source)
+        target.parent.mkdir(exist_ok=True)
+        with Image.open(path) as image:
+            size = (factor * image.width, factor * image.height)
+            image.resize(size, Image.Resampling.NEAREST if path.suffix == ".png" else Image.Resampling.BICUBIC).save(
+                target
+            )
+    shutil.copy(source / "meta.json", folder)
+
+
+def main() -> None:
+    folder, case = Path(sys.argv[1]), json.loads(sys.argv[2])
+    if "enlarged" in case:
+        enlarge(folder, case["enlarged"])
+    else:
+        write(folder, Size(**case))
+
+
 if __name__ == "__main__":
-    write(Path(sys.argv[1]), Size(**json.loads(sys.argv[2])))
+    main()

@@ -14,8 +14,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-EVERY_S = 0.1
-"""Time between samples: reading a large process takes a few milliseconds."""
+EVERY_S, SHARE = 0.1, 0.03
+"""Time between samples, longer where sampling would take more than this share of a processor: the kernel walks all
+pages of a process to tell what it holds."""
 MB = 1e6
 TICK = 1 / os.sysconf("SC_CLK_TCK")
 
@@ -56,8 +57,8 @@ class Watched:
 
     def busy(self, start: float, end: float) -> float:
         """Processor time [s] of the tree between two times."""
-        before, after = ([s.cpu for s in self.samples if s.time <= t] for t in (start, end))
-        return after[-1] - before[-1] if before and after else 0.0
+        before, after = (max((s.cpu for s in self.samples if s.time <= t), default=0.0) for t in (start, end))
+        return after - before
 
 
 def watch(
@@ -86,7 +87,7 @@ def _sample(
     process: subprocess.Popen[str], start: float, watched: Watched, marks: dict[str, Callable[[], bool]]
 ) -> None:
     while process.returncode is None:
-        now = time.perf_counter() - start
+        now, before = time.perf_counter() - start, time.thread_time()
         sizes = {pid: size for pid in _tree(process.pid) if (size := _proportional(pid))}
         main = sizes.get(process.pid, 0.0)
         cpu = sum(map(_processor_time, sizes))
@@ -95,7 +96,8 @@ def _sample(
         for name in [name for name, holds in marks.items() if holds()]:
             watched.marks[name] = now
             del marks[name]
-        time.sleep(EVERY_S)
+        spent = time.thread_time() - before
+        time.sleep(max(EVERY_S, spent / SHARE))
 
 
 def _tree(pid: int) -> list[int]:

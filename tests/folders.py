@@ -27,8 +27,8 @@ def camera() -> Camera:
     return Camera(width=WIDTH, height=HEIGHT, K=K, T_world_camera=pose(R, -0.75 * forward + [0, 0, 0.04]))
 
 
-def boxes() -> list[SceneObject]:
-    """A stack of two and a box beside it, all at rest."""
+def boxes(*, textured: bool = False) -> list[SceneObject]:
+    """A stack of two and a box beside it, all at rest; the first with a texture on demand."""
     return [
         box(
             2,
@@ -36,6 +36,7 @@ def boxes() -> list[SceneObject]:
             at=(-0.1, 0.0, 0.04),
             R=rotation_about([0, 0, 1], 0.3),
             label="big box",
+            textured=textured,
         ),
         box(
             5,
@@ -61,14 +62,19 @@ class Truth:
 
 
 def write_folder(
-    folder: Path, *, perturb: float = 0.0, seed: int = 0, objects: list[SceneObject] | None = None
+    folder: Path,
+    *,
+    perturb: float = 0.0,
+    seed: int = 0,
+    objects: list[SceneObject] | None = None,
+    eye: Camera | None = None,
 ) -> Truth:
     """Write a folder of boxes; assets are off by about ``perturb`` (share of size, and radians of yaw)."""
-    eye, truth = camera(), objects or boxes()
+    eye, truth = eye or camera(), objects or boxes()
     fragments = raster.render(truth, eye)
     (folder / "masks").mkdir(parents=True)
     (folder / "assets").mkdir()
-    photo = np.full((HEIGHT, WIDTH, 3), (150, 120, 90), np.uint8)
+    photo = np.full((eye.height, eye.width, 3), (150, 120, 90), np.uint8)
     rng = np.random.default_rng(seed)
     entries = []
     for o in truth:
@@ -115,15 +121,46 @@ def _sam3d_entry(o: SceneObject, eye: Camera, mask: str) -> dict[str, object]:
 
 def _geometry(depth: Array, eye: Camera) -> dict[str, Array]:
     """Half-resolution points of objects and table, in camera axes."""
-    columns, rows = np.meshgrid(np.arange(0, WIDTH, 2), np.arange(0, HEIGHT, 2))
+    columns, rows = np.meshgrid(np.arange(0, eye.width, 2), np.arange(0, eye.height, 2))
     rays = np.stack([columns + 0.5, rows + 0.5, np.ones_like(rows)], -1) @ np.linalg.inv(eye.K).T
     R, t = eye.T_world_camera[:3, :3], eye.center
     table = -t[2] / (rays @ R.T)[..., 2]
     z = np.where(np.isfinite(depth[::2, ::2]), depth[::2, ::2], table)
     valid = (z > 0) & (z < 5)
-    normalised = eye.K / [[WIDTH], [HEIGHT], [1]]
+    normalised = eye.K / [[eye.width], [eye.height], [1]]
     return {
         "points": (rays * np.where(valid, z, 0)[..., None]).astype(np.float32),
         "mask": valid,
         "intrinsics": normalised,
     }
+
+
+def to_depth(folder: Path) -> None:
+    """A 16-bit depth.png with intrinsics.json instead of geometry.npz."""
+    with np.load(folder / "geometry.npz") as archive:
+        depth, valid = archive["points"][..., 2], archive["mask"]
+    (folder / "geometry.npz").unlink()
+    Image.fromarray(np.where(valid, depth / 0.001, 0).astype(np.uint16)).save(folder / "depth.png")
+    K = camera().K * [[0.5], [0.5], [1]]
+    meta = {"width": WIDTH // 2, "height": HEIGHT // 2, "K": K.tolist(), "depth_scale": 0.001}
+    (folder / "intrinsics.json").write_text(json.dumps(meta))
+
+
+def to_posed(folder: Path) -> None:
+    """GLBs posed in OpenGL camera axes instead of poses.json."""
+    (folder / "assets" / "poses.json").unlink()
+    for o in boxes():
+        opengl = camera().to_camera(o.vertices_world) * [1, -1, -1]
+        save_glb(o.mesh.with_vertices(opengl), folder / "assets" / f"{o.id:02d}.glb")
+
+
+def add_graph(folder: Path) -> None:
+    """Relations that hold between the boxes."""
+    graph = {
+        "relations": [{"subject": 7, "predicate": "next_to", "object": 2, "confidence": 0.9}],
+        "support_relations": [
+            {"upper": 5, "lower": 2, "confidence": 0.9, "reason": "on it"},
+            {"upper": 2, "lower": -1},
+        ],
+    }
+    (folder / "scene_graph.json").write_text(json.dumps(graph))

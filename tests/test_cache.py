@@ -15,7 +15,7 @@ from f3sr.scene import Motion
 from folders import write_folder
 from scenes import box_stack_scene
 
-STAGES = ("level", "align", "relate", "decompose", "separate", "settle", "refine", "evaluate")
+STAGES = ("assemble", "level", "align", "relate", "decompose", "separate", "settle", "refine", "evaluate")
 
 
 @pytest.fixture(scope="module")
@@ -66,10 +66,10 @@ def test_resumed_runs_give_exactly_what_cold_ones_give(given: inputs.Inputs, tmp
     store = Store(tmp_path)
     cold = reconstruct(given, store=store)
     assert cold.resumed == ()
-    part_way = sorted(tmp_path.iterdir(), key=lambda p: p.stat().st_mtime_ns)[4:]
+    part_way = sorted(tmp_path.iterdir(), key=lambda p: p.stat().st_mtime_ns)[5:]
     for p in part_way:
         p.unlink()
-    for expected in (STAGES[:4], STAGES):
+    for expected in (STAGES[:5], STAGES):
         again = reconstruct(given, store=store)
         assert again.resumed == expected
         assert again.reports == cold.reports and again.evaluation == cold.evaluation
@@ -83,8 +83,8 @@ def test_a_changed_setting_repeats_its_stage_and_what_follows(given: inputs.Inpu
     quick = replace(Config(), refine=replace(Config().refine, rounds=0))
     reconstruct(given, quick, store=store, skip=["evaluate"])
     other = replace(quick, separate=replace(quick.separate, clearance=1e-3))
-    assert reconstruct(given, other, store=store, skip=["evaluate"]).resumed == STAGES[:4]
-    assert reconstruct(given, quick, store=store, skip=["evaluate", "relate"]).resumed == STAGES[:2]
+    assert reconstruct(given, other, store=store, skip=["evaluate"]).resumed == STAGES[:5]
+    assert reconstruct(given, quick, store=store, skip=["evaluate", "relate"]).resumed == STAGES[:3]
 
 
 def test_keys_name_every_byte_read(tmp_path: Path):

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from f3sr.frames import pose, rotation_about
-from f3sr.mesh import ConvexPart, Mesh, is_closed, mass_properties, solid_properties, union
+from f3sr.mesh import ConvexPart, Mesh, is_closed, mass_properties, solid_properties, surface_flaws, union
 from scenes import box_mesh
 
 
@@ -76,3 +76,47 @@ def test_values_are_read_only():
     m = box_mesh()
     with pytest.raises(ValueError, match="read-only"):
         m.vertices[0] = 0
+
+
+def joined(*meshes: Mesh) -> Mesh:
+    starts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
+    return Mesh(
+        vertices=np.concatenate([m.vertices for m in meshes]),
+        faces=np.concatenate([m.faces + s for m, s in zip(meshes, starts, strict=False)]),
+    )
+
+
+def test_a_layer_within_another_counts_no_space_twice():
+    outer, inner = box_mesh((1, 1, 1)), box_mesh((0.5, 0.5, 0.5))
+    hollow = Mesh(vertices=inner.vertices, faces=inner.faces[:, ::-1])
+    beside = inner.with_vertices(inner.vertices + np.array([2, 0, 0]))
+    hull = [ConvexPart.hull_of(outer.vertices)]
+    for other, volume, from_mesh in ((inner, 1.0, False), (hollow, 0.875, True), (beside, 1.125, True)):
+        properties, used_mesh = solid_properties(joined(outer, other), hull)
+        assert used_mesh == from_mesh and properties.volume == pytest.approx(volume, rel=1e-5)
+    assert surface_flaws(joined(outer, inner)).layers and not surface_flaws(joined(outer, beside)).layers
+
+
+def test_flaws_are_counted():
+    m = box_mesh()
+    assert str(surface_flaws(m)) == "facing inward"  # no flaw found: what else keeps it from being a solid
+    doubled = surface_flaws(
+        Mesh(vertices=m.vertices, faces=np.concatenate([m.faces, m.faces[:2], m.faces[:1, [0, 0, 1]]]))
+    )
+    assert (doubled.doubled, doubled.degenerate, doubled.open, doubled.shared) == (2, 1, 0, 5)
+    assert surface_flaws(Mesh(vertices=m.vertices, faces=m.faces[1:])).open == 3
+    turned = np.concatenate([m.faces[:1, ::-1], m.faces[1:]])
+    assert surface_flaws(Mesh(vertices=m.vertices, faces=turned)).turned == 3
+
+
+def test_unused_vertices_go_and_triangles_stay():
+    m = box_mesh(textured=True)
+    stray = Mesh(
+        vertices=np.concatenate([[[9, 9, 9]], m.vertices, [[7, 7, 7]]]),
+        faces=m.faces + 1,
+        uv=np.concatenate([[[0, 0]], m.uv, [[0, 0]]]),
+        materials=m.materials,
+    )
+    used = stray.without_unused()
+    assert np.array_equal(used.vertices, m.vertices) and np.array_equal(used.uv, m.uv)
+    assert np.array_equal(used.faces, m.faces) and m.without_unused() is m

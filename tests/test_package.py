@@ -18,7 +18,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from f3sr import package
+from f3sr import package, place
 from f3sr.errors import InputError, OutputError
 from f3sr.frames import pose, rotation_about, transform
 from f3sr.mesh import ConvexPart, Material, Mesh
@@ -167,8 +167,16 @@ BROKEN = {
         "reference to 'a.png'",
     ),
     "bomb.glb": (
-        glb({"asset": ASSET, "accessors": [{"count": 10**12, "type": "VEC3"}]}),
-        "1000000000000 elements",
+        glb(
+            {
+                "asset": ASSET,
+                "scenes": [{"nodes": [0]}],
+                "nodes": [{"mesh": 0}],
+                "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+                "accessors": [{"count": 3 * 10**12, "type": "VEC3", "componentType": 5126}],
+            }
+        ),
+        "1,000,000,000,000 faces",
     ),
     "draco.glb": (glb({"asset": ASSET, "extensionsRequired": ["KHR_draco_mesh_compression"]}), "KHR_draco"),
     "list.glb": (glb({"asset": ASSET, "meshes": [[1]], "materials": 3}), "broken glTF|unreadable"),
@@ -426,7 +434,7 @@ def test_labels_are_text_and_nothing_else(label: str, tmp_path: Path) -> None:
 # --- whole or not at all ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("point", ["mesh_to_glb", "to_mjcf", "to_json", "_commit", "_move"])
+@pytest.mark.parametrize("point", ["mesh_to_glb", "to_mjcf", "to_json", "_replace", "_move"])
 @pytest.mark.parametrize("error", [RuntimeError("stop"), OSError(28, "No space left on device"), KeyboardInterrupt()])
 def test_a_failing_write_leaves_the_old_package(
     point: str, error: BaseException, stack: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -437,7 +445,7 @@ def test_a_failing_write_leaves_the_old_package(
     def fail(*_: Any, **__: Any) -> Any:
         raise error
 
-    monkeypatch.setattr(package, point, fail)
+    monkeypatch.setattr(place if point.startswith("_") else package, point, fail)
     with pytest.raises(OutputError if isinstance(error, OSError) else type(error)):
         write_package(box_stack_scene(2), out)
     assert tree(out) == before and [p.name for p in tmp_path.iterdir()] == ["out"]
@@ -447,14 +455,14 @@ def test_a_failing_second_rename_brings_the_old_package_back(
     stack: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = write_package(stack, tmp_path / "out")
-    before, move = tree(out), package._move
+    before, move = tree(out), place._move
 
     def fail(source: Path, target: Path) -> None:
         if source.name.endswith(".building"):
             raise OSError(5, "Input/output error")
         move(source, target)
 
-    monkeypatch.setattr(package, "_move", fail)
+    monkeypatch.setattr(place, "_move", fail)
     with pytest.raises(OutputError, match="Input/output"):
         write_package(box_stack_scene(2), out)
     assert tree(out) == before and [p.name for p in tmp_path.iterdir()] == ["out"]
@@ -466,7 +474,7 @@ def test_a_killed_run_is_tidied_up_by_the_next(stack: Scene, tmp_path: Path) -> 
     out.rename(tmp_path / ".out.previous")  # killed between the two renames
     (tmp_path / ".out.building").mkdir()
     (tmp_path / ".out.building" / "half").write_text("")
-    (tmp_path / ".out.building" / package.MARKER).write_text("999999999")
+    (tmp_path / ".out.building" / place.MARKER).write_text("")
     assert package.prepare_output(out) == out
     assert tree(out) == before and [p.name for p in tmp_path.iterdir()] == ["out"]
     (tmp_path / ".out.previous").mkdir()  # killed while the old one was being deleted
@@ -488,12 +496,14 @@ def test_folders_of_others_in_the_way_are_left_alone(name: str, stack: Scene, tm
 
 
 def test_a_second_writer_is_told_so(stack: Scene, tmp_path: Path) -> None:
-    building = tmp_path / ".out.building"
-    building.mkdir()
-    (building / package.MARKER).write_text(str(os.getpid()))
-    with pytest.raises(OutputError, match="another run is writing it"):
-        write_package(stack, tmp_path / "out")
-    assert (building / package.MARKER).exists()
+    out = tmp_path / "out"
+    with place.claimed(out, overwrite=False) as first:
+        for attempt in (write_package, lambda _, out: package.prepare_output(out)):
+            with pytest.raises(OutputError, match="another run is writing it"):
+                attempt(stack, out)
+        assert (first.folder / place.MARKER).exists()
+    assert not list(tmp_path.iterdir())
+    assert write_package(stack, out).exists()
 
 
 def test_foreign_files_in_a_package_are_not_thrown_away(stack: Scene, tmp_path: Path) -> None:
@@ -560,7 +570,7 @@ SPOILS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "absolute path": (lambda t: t["objects"][1].update(collision=["/etc/passwd"]), "objects.1.collision.0"),
     "mask with a folder": (lambda t: t["objects"][0].update(mask="a/b.png"), "objects.0.mask"),
     "scaled pose": (lambda t: t["objects"][0]["T_world_object"][0].__setitem__(0, 2.0), "rigid"),
-    "not a number": (lambda t: t["objects"][0].update(mass=float("nan")), "mass"),
+    "not a number": (lambda t: t["objects"][0].update(mass=float("nan")), "NaN"),
     "twice an id": (lambda t: t["objects"][1].update(id=0), "unique"),
     "unknown support": (lambda t: t["objects"][1].update(supported_by=7), "7"),
     "mask twice": (lambda t: t["excluded"].append({"mask": t["objects"][0]["mask"], "reason": ""}), "twice"),

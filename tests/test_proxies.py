@@ -101,7 +101,7 @@ def no_subprocess(monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("a subprocess was started")
 
-    monkeypatch.setattr(subprocess, "run", refuse)
+    monkeypatch.setattr(subprocess, "Popen", refuse)
 
 
 # One hull
@@ -236,12 +236,60 @@ def test_a_worker_over_its_wall_limit_is_killed(tmp_path):
     assert "killed after 0.05 s" in proxy.decisions[0].reason
 
 
+def pile(count, size):
+    """Tetrahedra here and there in the unit cube."""
+    rng = np.random.default_rng(0)
+    corners = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1.0)])
+    faces = np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)], np.int32)
+    vertices = [corners * size + rng.uniform(0, 1 - size, 3) for _ in range(count)]
+    return Mesh(vertices=np.concatenate(vertices), faces=np.concatenate([faces + 4 * k for k in range(count)]))
+
+
+def test_a_pile_of_pieces_is_not_given_to_coacd(tmp_path, monkeypatch):
+    tried = []
+    run = proxies._run_worker
+
+    def note(method, *rest):
+        tried.append(method)
+        return run(method, *rest)
+
+    monkeypatch.setattr(proxies, "_run_worker", note)
+    proxy = decompose(pile(40, 0.3), replace(QUICK, vhacd_voxels=20_000), cache_dir=tmp_path)
+    assert tried == ["vhacd"] and proxy.method == "vhacd" and proxy.outside < 1e-7
+    assert [(d.fallback, d.reason) for d in proxy.decisions] == [(True, "as scattered as 40 loose pieces")]
+    assert list(tmp_path.iterdir()), "the choice is the same in every run, so it is kept"
+
+
+def test_crumbs_do_not_make_a_body_a_pile():
+    crumbs = pile(100, 0.005)
+    vertices = np.concatenate([BOWL.vertices, crumbs.vertices])
+    faces = np.concatenate([BOWL.faces, crumbs.faces + len(BOWL.vertices)])
+    assert proxies._is_no_body(vertices, faces, QUICK) is None
+
+
+def test_a_dozen_scattered_triangles_are_no_body():
+    """CoACD is lost for two minutes in as few as these."""
+    rng = np.random.default_rng(0)
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    faces = np.array([rng.choice(8, 3, replace=False) + 8 * k for k in range(12)], np.int32)
+    vertices = np.tile(corners, (12, 1)) + rng.normal(0, 1e-3, (96, 3))
+    assert proxies._is_no_body(vertices, faces, QUICK)
+
+
+def test_triangles_that_share_corners_but_no_edges_are_no_body():
+    rng = np.random.default_rng(0)
+    vertices = rng.uniform(size=(100, 3))
+    faces = np.array([rng.choice(100, 3, replace=False) for _ in range(300)], np.int32)
+    assert "not shared by two" in (proxies._is_no_body(vertices, faces, QUICK) or "")
+    assert proxies._is_no_body(CAN.vertices, CAN.faces, QUICK) is None
+
+
 def test_a_crash_of_coacd_falls_back_to_vhacd(tmp_path, monkeypatch):
     run = proxies._run_worker
 
     def crash_first(method, *rest):
         if method == "coacd":
-            return proxies._explain(-6, "", rest[-1])
+            return proxies._explain(-6, "", rest[2])
         return run(method, *rest)
 
     monkeypatch.setattr(proxies, "_run_worker", crash_first)
@@ -250,6 +298,18 @@ def test_a_crash_of_coacd_falls_back_to_vhacd(tmp_path, monkeypatch):
     assert not proxy.cut_short
     assert [(d.fallback, d.reason) for d in proxy.decisions] == [(True, "crashed with SIGABRT")]
     assert distance_outside(proxy, surface_points(L_SHAPE)).max() < 1e-7
+
+
+def test_a_large_mesh_reaches_the_worker_and_its_answer_us(tmp_path):
+    """More than a pipe holds, to a worker that starts slowly."""
+    vertices, faces = L_SHAPE.vertices, L_SHAPE.faces
+    for _ in range(5):
+        from trimesh.remesh import subdivide
+
+        vertices, faces = subdivide(vertices, faces)
+    mesh = Mesh(vertices=vertices, faces=faces.astype(np.int32))
+    assert mesh.vertices.nbytes > 200_000
+    assert decompose(mesh, replace(QUICK, wall_limit_s=60), cache_dir=tmp_path).method == "coacd"
 
 
 def test_a_cache_hit_starts_nothing(cache, bowl, no_subprocess):

@@ -117,6 +117,24 @@ def test_strays_metres_away_tilt_nothing():
     assert fitted.normal[1] < 0 and fitted.offset == pytest.approx(normal @ [0, 0.2, 1.5], abs=1e-3)
 
 
+def test_the_camera_is_on_the_upper_side_of_the_ground_and_a_photo_upside_down_is_told(exact: Scene):
+    """A camera turned by half a turn about its axis sees the same scene; up is where the visible side faces."""
+    points = exact.geometry.points * np.array([-1, -1, 1], np.float32)
+    turned = replace(
+        exact,
+        geometry=replace(exact.geometry, points=points),
+        objects=tuple(
+            replace(o, T_world_object=pose(rotation_about([0, 1, 0], np.pi)) @ o.T_world_object) for o in exact
+        ),
+    )
+    levelled, report = level(turned)
+    assert any("upside down" in d.choice and d.fallback for d in report.decisions)
+    assert levelled.camera.center[2] > 0
+    expected, report = level(exact)
+    assert not report.fallbacks
+    assert np.allclose([o.bounds_world[:, 2] for o in levelled], [o.bounds_world[:, 2] for o in expected], atol=1e-4)
+
+
 def test_the_vote_blends_agreeing_normals_only():
     normal = np.array([0.0, -1, 0])
     tilted = rotation_about([1, 0, 0], np.radians(2)) @ normal

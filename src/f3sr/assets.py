@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,13 +13,25 @@ from f3sr import sam3d
 from f3sr.errors import InputError
 from f3sr.folder import InputFolder
 from f3sr.frames import Array, pose
-from f3sr.mesh import ConvexPart, Mesh
+from f3sr.mesh import ConvexPart, Mesh, surface_flaws
 from f3sr.mesh_io import load_mesh
 from f3sr.point_maps import camera_frame
 
 MIN_SIZE, MAX_SIZE = 1e-3, 1e3
 """Sizes of objects accepted, in metres of the geometry: single-precision files and contact margins end there."""
+MIN_FILL = 1e-9
+"""Smallest volume of a mesh's hull, in cubes of its diagonal: a hair of 1 m that is 30 micrometres thick."""
+MAX_FOLDS = 200.0
+"""Largest area of a mesh in squares of its diagonal. A box has up to 2, the generated meshes we have up to 3; a soup of
+hundreds of layers is no object, and measuring its penetration would cost memory by its area."""
+MAX_SCENE_FACES = 20_000_000
+"""Of all meshes together: a hundred objects of 200,000 triangles."""
+MAX_SCENE_TEXTURE_PIXELS = 400_000_000
+"""Of all textures together: 1.2 GB decoded."""
+MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".fbx")
+"""Files in assets/ that look like an object's mesh: each must belong to a mask."""
 ASSET_FRAMES = ("auto", "opencv", "opengl", "pytorch3d")
+ONE_PER_MASK = "one mesh per mask"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -29,42 +41,92 @@ class PosedAsset:
     mesh: Mesh
     T_camera_object: Array
     scale: float
+    source: Path
+    """The file that says where the mesh stands."""
 
 
 def read_assets(folder: InputFolder, masks: Mapping[int, str], frame: str) -> dict[int, PosedAsset]:
     """One asset per object; ``masks`` gives each id's mask file name, ``frame`` the axes of GLBs without poses.json."""
-    if not folder.path("assets").is_dir():
-        raise InputError(
-            folder.root / "assets", found="no assets", accepted="assets/poses.json with GLBs, or one posed GLB per mask"
-        )
+    place = folder.path("assets")
+    if not folder.has("assets"):
+        raise InputError(place, found="no assets", accepted="assets/poses.json with GLBs, or one posed GLB per mask")
+    names = folder.names("assets")
     given = folder.has("assets/poses.json")
-    assets = _sam3d_assets(folder, masks) if given else _posed_assets(folder, masks, frame)
-    _require_size(folder.path("assets/poses.json" if given else "assets"), assets)
+    assets, used = _sam3d_assets(folder, masks) if given else _posed_assets(folder, names, masks, frame)
+    if extra := [n for n in names if Path(n).suffix.lower() in MESH_SUFFIXES and n not in used]:
+        raise InputError(folder.path(f"assets/{extra[0]}"), found="a mesh of no mask", accepted=ONE_PER_MASK)
+    _require_total(place, [a.mesh for a in assets.values()])
+    for id, asset in assets.items():
+        require_size(asset.source, masks[id], asset)
+        _require_thickness(asset.source, masks[id], asset.mesh)
+        _describe(folder, id, asset.mesh)
     return assets
 
 
-def _solid_enough(path: Path, mesh: Mesh) -> Mesh:
-    """The mesh, if it can have a place and a volume in a scene."""
+def require_size(path: Path, mask: str, asset: PosedAsset, *, factor: float = 1.0) -> None:
+    """An object between MIN_SIZE and MAX_SIZE, also after scaling by a factor: beyond is another unit, or a mistake."""
+    size = factor * asset.scale * asset.mesh.diagonal
+    if not MIN_SIZE <= size <= MAX_SIZE:
+        raise InputError(
+            path, found=f"an object of {size:.3g} m for {mask}", accepted=f"objects of {MIN_SIZE} to {MAX_SIZE:.0f} m"
+        )
+
+
+def _require_total(place: Path, meshes: Sequence[Mesh]) -> None:
+    faces = sum(len(m.faces) for m in meshes)
+    textures = [t for m in meshes for material in m.materials if (t := material.texture) is not None]
+    pixels = sum(t.shape[0] * t.shape[1] for t in textures)
+    for what, count, most in (("faces", faces, MAX_SCENE_FACES), ("texture pixels", pixels, MAX_SCENE_TEXTURE_PIXELS)):
+        if count > most:
+            raise InputError(place, found=f"{count:,} {what} in all meshes", accepted=f"at most {most:,}")
+
+
+def _mesh(folder: InputFolder, id: int, relative: str) -> Mesh:
+    """The mesh of a GLB below assets/, if it can have a place and a volume in a scene."""
+    file = folder.file(relative, base="assets")
+    if file.suffix.lower() != ".glb":
+        raise InputError(file, found=f"a file of type {file.suffix!r}", accepted="a GLB file")
+    mesh = load_mesh(file)
+    used = mesh.without_unused()
+    if count := len(mesh.vertices) - len(used.vertices):
+        folder.decide(f"{file.name}: {count} vertices left out", "no triangle uses them", id)
+    _require_solidity(file, used)
+    return used
+
+
+def _require_solidity(path: Path, mesh: Mesh) -> None:
+    """A mesh has a place in a scene if it spans a volume and its triangles have an area, not far too much of it."""
+    accepted = "a mesh that spans a volume"
     try:
         ConvexPart.hull_of(mesh.vertices)
     except ValueError as error:
-        raise InputError(
-            path, found="a flat mesh without any thickness", accepted="a mesh that spans a volume"
-        ) from error
-    return mesh
+        raise InputError(path, found="a flat mesh without any thickness", accepted=accepted) from error
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    folds = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2) / mesh.diagonal**2
+    if not folds:
+        raise InputError(path, found="no triangle that has an area", accepted=accepted)
+    if folds > MAX_FOLDS:
+        found, accepted = f"a surface of {folds:,.0f} times its diagonal squared", f"at most {MAX_FOLDS:.0f} times"
+        raise InputError(path, found=found, accepted=accepted)
 
 
-def _require_size(path: Path, assets: Mapping[int, PosedAsset]) -> None:
-    """Every object between MIN_SIZE and MAX_SIZE: beyond them is another unit, or a mistake."""
-    for id, asset in assets.items():
-        size = asset.scale * asset.mesh.diagonal
-        if not MIN_SIZE <= size <= MAX_SIZE:
-            raise InputError(
-                path, found=f"an object {id} of {size:.3g} m", accepted=f"objects of {MIN_SIZE} to {MAX_SIZE:.0f} m"
-            )
+def _require_thickness(path: Path, mask: str, mesh: Mesh) -> None:
+    if ConvexPart.hull_of(mesh.vertices).volume < MIN_FILL * mesh.diagonal**3:
+        found = f"a mesh for {mask} thinner than single precision can tell"
+        raise InputError(path, found=found, accepted="a mesh that spans a volume")
 
 
-def _sam3d_assets(folder: InputFolder, masks: Mapping[int, str]) -> dict[int, PosedAsset]:
+def _describe(folder: InputFolder, id: int, mesh: Mesh) -> None:
+    """Say why a mesh is no solid: then its mass comes from its collision parts."""
+    flaws = surface_flaws(mesh)
+    if not mesh.is_solid:
+        folder.decide("its volume is that of its collision parts", f"the mesh is no closed solid ({flaws})", id)
+    elif flaws.degenerate or flaws.doubled:
+        folder.decide("kept as it is", f"the mesh has {flaws}", id)
+
+
+def _sam3d_assets(folder: InputFolder, masks: Mapping[int, str]) -> tuple[dict[int, PosedAsset], set[str]]:
+    """Assets by id, and the names of the files used."""
     path = folder.path("assets/poses.json")
     document = folder.document("assets/poses.json", sam3d.Poses)
     by_mask = {p.mask: p for p in document.objects}
@@ -78,38 +140,47 @@ def _sam3d_assets(folder: InputFolder, masks: Mapping[int, str]) -> dict[int, Po
     assets: dict[int, PosedAsset] = {}
     for id, name in masks.items():
         entry = by_mask[name]
-        file = folder.file(entry.mesh, base="assets")
-        mesh = _solid_enough(file, load_mesh(file))
+        mesh = _mesh(folder, id, entry.mesh)
         R, t = entry.camera_pose()
         assets[id] = PosedAsset(
             mesh=mesh.with_vertices(mesh.vertices @ sam3d.LOCAL_FROM_GLB.T),
             T_camera_object=pose(R, t),
             scale=entry.uniform_scale,
+            source=path,
         )
-    return assets
+    return assets, {Path(p.mesh).name for p in document.objects}
 
 
-def _posed_assets(folder: InputFolder, masks: Mapping[int, str], frame: str) -> dict[int, PosedAsset]:
+def _posed_assets(
+    folder: InputFolder, names: Sequence[str], masks: Mapping[int, str], frame: str
+) -> tuple[dict[int, PosedAsset], set[str]]:
     """GLBs whose vertices already are in a camera frame, one per mask, found by the mask's stem or id."""
-    files = {p.stem: p for p in sorted((folder.root / "assets").glob("*.glb"))}
-    by_id = {int(d.group()): p for stem, p in files.items() if (d := re.match(r"\d+", stem))}
+    files = [n for n in names if n.lower().endswith(".glb")]
     assets: dict[int, PosedAsset] = {}
-    for id, name in masks.items():
-        path = files.get(Path(name).stem) or by_id.get(id)
-        if path is None:
-            names = ", ".join(p.name for p in files.values()) or "none"
+    used: set[str] = set()
+    for id, mask in masks.items():
+        own = [n for n in files if Path(n).stem == Path(mask).stem] or [n for n in files if _leading_id(n) == id]
+        if len(own) != 1:
+            found = f"{', '.join(own)} for mask {mask}" if own else f"no GLB for mask {mask} among {', '.join(files)}"
             raise InputError(
-                folder.root / "assets",
-                found=f"no GLB for mask {name} among {names}",
-                accepted="one posed GLB per mask, named by the mask's stem or id",
+                folder.path("assets"),
+                found=found,
+                accepted="one posed GLB per mask, named by the mask's stem or id (or poses.json)",
             )
-        mesh = _solid_enough(path, load_mesh(folder.file(f"assets/{path.name}")))
+        path = folder.path(f"assets/{own[0]}")
+        mesh = _mesh(folder, id, own[0])
         vertices = mesh.vertices @ _posed_frame(path, mesh, frame).T
         center = (vertices.min(0) + vertices.max(0)) / 2
         assets[id] = PosedAsset(
-            mesh=mesh.with_vertices(vertices - center), T_camera_object=pose(np.eye(3), center), scale=1.0
+            mesh=mesh.with_vertices(vertices - center), T_camera_object=pose(np.eye(3), center), scale=1.0, source=path
         )
-    return assets
+        used.add(own[0])
+    return assets, used
+
+
+def _leading_id(name: str) -> int | None:
+    digits = re.match(r"[0-9]+", name)
+    return int(digits.group()) if digits else None
 
 
 def _posed_frame(path: Path, mesh: Mesh, frame: str) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -12,7 +13,8 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import Positional, arg
 
-from f3sr.errors import F3srError, InputError
+from f3sr import interrupts
+from f3sr.errors import F3srError, InputError, printable
 
 Folder = Positional[Path]
 Out = Annotated[Path, arg(aliases=["-o"])]
@@ -38,10 +40,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(2, str(error))
     except F3srError as error:
         return _fail(1, str(error))
+    except BrokenPipeError:
+        return _fail(1, f"nobody reads the output; {interrupts.state()}")
     except OSError as error:
         return _fail(1, f"{error.filename or 'system'}: {error.strerror or error}")
     except KeyboardInterrupt:
-        return _fail(1, "interrupted; nothing was written")
+        return _fail(1, f"interrupted; {interrupts.state()}")
     return 0
 
 
@@ -74,11 +78,11 @@ def reconstruct(
     from f3sr.deliver import deliver
     from f3sr.progress import timed
 
-    package.prepare_output(out, inputs=folder, overwrite=overwrite)
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
     with console.steps_shown(quiet=json) as progress:
         with timed("read", progress):
             given = inputs.read(folder, ignore=_names(ignore), asset_frame=asset_frame)
+        package.prepare_output(out, inputs=folder, overwrite=overwrite)
         kernels.warm_up(progress)
         result = pipeline.reconstruct(given, chosen, skip=_names(skip), store=Store.default(), progress=progress)
         written = deliver(result, out, overwrite=overwrite, progress=progress)
@@ -91,7 +95,7 @@ def reconstruct(
             console.say(f"fallback in {report.stage}{about}: {decision.choice}; {decision.reason}")
     console.print_measures(_columns(result.evaluation))
     console.say(f"package:  {written}")
-    console.say(f"pictures: {written / 'pictures'}")
+    console.say(f"report:   {written / package.PAGE}")
 
 
 def evaluate(package: Folder, /, true_scale: float = 1.0, json: bool = False) -> None:
@@ -177,13 +181,29 @@ def _json(value: object) -> str:
 
 
 def _fail(code: int, message: str) -> int:
-    print(f"f3sr: {message}", file=sys.stderr)
+    print(f"f3sr: {printable(message)}", file=sys.stderr)
     return code
 
 
 def run() -> None:
-    """Console script. Names that a terminal's encoding lacks are escaped, not fatal."""
+    """The whole life of the process. Names that a terminal's encoding lacks are escaped, not fatal."""
+    interrupts.watch()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    sys.exit(main())
+    try:
+        code = main()
+    except SystemExit as end:  # --help and wrong arguments
+        code = end.code if isinstance(end.code, int) else 1
+    sys.exit(_flushed(code))
+
+
+def _flushed(code: int) -> int:
+    """The exit code once all output is out; a closed pipe or a full disk behind it is told in one line."""
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        try:
+            stream.flush()
+        except OSError as error:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # or Python tries, and complains, again
+            code = code or _fail(1, f"the output could not be written ({error.strerror}); {interrupts.state()}")
+    return code

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
@@ -10,7 +11,11 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from f3sr import interrupts
 from f3sr.progress import Progress, Step, silent
+
+CURSOR_BACK = b"\r\x1b[K\x1b[?25h"
+"""What a terminal needs when the bar ends in the middle: an empty line and its cursor."""
 
 
 def say(text: str) -> None:
@@ -38,7 +43,8 @@ def _with_a_clock() -> Generator[Progress]:
     from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
     columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
-    with Bar(*columns, transient=True, console=_console()) as bar:
+    bar = Bar(*columns, transient=True, console=_console())
+    with interrupts.undone(lambda: bar, lambda _: os.write(1, CURSOR_BACK)), bar:
         task = bar.add_task("starting")
 
         def tell(step: Step) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,18 @@ EDGE_LENGTH = 0.01
 """Target edge length as a share of the scene's diagonal (equation 12's protocol)."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Crossing:
+    """Where the surfaces ``a`` and ``b`` (by index) pierce each other: ``count`` pairs of triangles, all inside the
+    box ``bounds`` (2, 3) [m]."""
+
+    a: int
+    b: int
+    count: int
+    bounds: Array
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Penetration:
     """Equation 12: ``r_pen`` = ``crossings`` * ``mean_edge`` [m] / ``diagonal`` [m]."""
 
@@ -24,6 +35,8 @@ class Penetration:
     crossings: int
     mean_edge: float
     diagonal: float
+    pairs: tuple[Crossing, ...]
+    """The pairs of surfaces that cross at all."""
 
 
 def penetration(surfaces: Sequence[tuple[Array, NDArray[np.int32]]]) -> Penetration:
@@ -36,12 +49,34 @@ def penetration(surfaces: Sequence[tuple[Array, NDArray[np.int32]]]) -> Penetrat
     diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
     length = EDGE_LENGTH * diagonal
     refined = [refine(v, f, length) for v, f in surfaces]
-    triangles = [np.ascontiguousarray(v[f]) for v, f in refined]
+    boxes = [np.stack([v.min(0), v.max(0)]) for v, _ in refined]
     mean_edge = float(np.concatenate([_edge_lengths(v, f) for v, f in refined]).mean())
-    total = sum(
-        count_crossings(a, b, 1.5 * length) for k, a in enumerate(triangles) for b in triangles[:k]
-    )  # fmt: skip
-    return Penetration(r_pen=total * mean_edge / diagonal, crossings=total, mean_edge=mean_edge, diagonal=diagonal)
+    found = [
+        (a, b, *crossings_of(_within(refined[a], low, high), _within(refined[b], low, high), 1.5 * length))
+        for a, b, low, high in _meeting(boxes)
+    ]
+    pairs = tuple(Crossing(a=b, b=a, count=count, bounds=bounds) for a, b, count, bounds in found if count)
+    total = sum(pair.count for pair in pairs)
+    return Penetration(
+        r_pen=total * mean_edge / diagonal, crossings=total, mean_edge=mean_edge, diagonal=diagonal, pairs=pairs
+    )
+
+
+def _meeting(boxes: Sequence[Array]) -> Iterator[tuple[int, int, Array, Array]]:
+    """Pairs of boxes (2, 3) that overlap, the later one first, and the corners of what they share."""
+    for a, box in enumerate(boxes):
+        for b, other in enumerate(boxes[:a]):
+            low, high = np.maximum(box[0], other[0]), np.minimum(box[1], other[1])
+            if np.all(low < high):
+                yield a, b, low, high
+
+
+def _within(surface: tuple[Array, NDArray[np.int32]], low: Array, high: Array) -> Array:
+    """The triangles (n, 3, 3) of a surface whose boxes meet a box."""
+    vertices, faces = surface
+    beyond = (vertices < low).astype(np.uint8) + 2 * (vertices > high).astype(np.uint8)
+    apart = np.bitwise_and.reduce(beyond[faces], axis=1).any(1)
+    return vertices[faces[~apart]]
 
 
 def refine(vertices: Array, faces: NDArray[np.int32], length: float) -> tuple[Array, NDArray[np.int32]]:
@@ -57,27 +92,30 @@ def refine(vertices: Array, faces: NDArray[np.int32], length: float) -> tuple[Ar
     return np.asarray(finer[0], float), np.asarray(finer[1], np.int32)
 
 
-def count_crossings(a: Array, b: Array, cell: float) -> int:
-    """Pairs of triangles, one of a (n, 3, 3) and one of b (m, 3, 3), where an edge of one strictly pierces the other.
+def crossings_of(a: Array, b: Array, cell: float) -> tuple[int, Array]:
+    """Pairs of triangles, one of a (n, 3, 3) and one of b (m, 3, 3), where an edge of one strictly pierces the other:
+    how many, and the box (2, 3) around where such pairs meet.
 
-    ``cell`` [m] is the width of the grid that finds near pairs; any positive value gives the same count.
+    ``cell`` [m] is the width of the grid that finds near pairs; any positive value gives the same answer.
     """
+    bounds = np.array([[np.inf] * 3, [-np.inf] * 3])
     if not len(a) or not len(b):
-        return 0
+        return 0, bounds
     low = np.maximum(a.min((0, 1)), b.min((0, 1)))
     high = np.minimum(a.max((0, 1)), b.max((0, 1)))
     if np.any(low >= high):
-        return 0
+        return 0, bounds
     a, b = (t[np.all(t.max(1) >= low, 1) & np.all(t.min(1) <= high, 1)] for t in (a, b))
     cells = np.clip(((high - low) / cell).astype(np.int64) + 1, 1, 256)
     starts, members = _bins(np.ascontiguousarray(b), low, high, cells)
-    return int(_count(np.ascontiguousarray(a), np.ascontiguousarray(b), low, high, cells, starts, members))
+    a, b = np.ascontiguousarray(a), np.ascontiguousarray(b)
+    return int(_count(a, b, low, high, cells, starts, members, bounds)), bounds
 
 
 def warm_up() -> None:
     """Compile every kernel of this module."""
     t = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]])
-    count_crossings(t, t[:, :, [2, 0, 1]] + 0.1, 0.5)
+    crossings_of(t, t[:, :, [2, 0, 1]] + 0.1, 0.5)
 
 
 def _edge_lengths(vertices: Array, faces: NDArray[np.int32]) -> Array:
@@ -157,8 +195,17 @@ def _bins(b: Any, low: Any, high: Any, cells: Any) -> Any:
 
 
 @kernel
-def _count(a: Any, b: Any, low: Any, high: Any, cells: Any, starts: Any, members: Any) -> int:
-    """Crossing pairs; each pair is tested once, in the first cell that both share."""
+def _meet(s: Any, t: Any, bounds: Any) -> None:
+    """Let ``bounds`` (2, 3) take in the box that two triangles share."""
+    for k in range(3):
+        low = max(min(s[0, k], s[1, k], s[2, k]), min(t[0, k], t[1, k], t[2, k]))
+        high = min(max(s[0, k], s[1, k], s[2, k]), max(t[0, k], t[1, k], t[2, k]))
+        bounds[0, k], bounds[1, k] = min(bounds[0, k], low), max(bounds[1, k], high)
+
+
+@kernel
+def _count(a: Any, b: Any, low: Any, high: Any, cells: Any, starts: Any, members: Any, bounds: Any) -> int:
+    """Crossing pairs; each pair is tested once, in the first cell that both share. ``bounds`` grows around them."""
     seen = np.full(b.shape[0], -1, np.int64)
     box = np.empty(6, np.int64)
     total = 0
@@ -174,4 +221,5 @@ def _count(a: Any, b: Any, low: Any, high: Any, cells: Any, starts: Any, members
                             seen[s] = t
                             if _cross(a[t], b[s]):
                                 total += 1
+                                _meet(a[t], b[s], bounds)
     return total

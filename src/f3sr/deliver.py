@@ -1,10 +1,11 @@
-"""deliver: a reconstruction written as a package, with its pictures."""
+"""deliver: a reconstruction written as a package, with its pictures and its report."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from f3sr import package, pictures
+from f3sr.page import report_page
 from f3sr.pipeline import Reconstruction
 from f3sr.progress import Progress, silent, timed
 
@@ -17,6 +18,8 @@ def deliver(result: Reconstruction, out: str | Path, *, overwrite: bool = False,
     """
     with timed("pictures", progress):
         shown = pictures.pictures_of(result.direct, result.scene)
+    with timed("report", progress):
+        page = report_page(result)
     with timed("package", progress):
         return package.write_package(
             result.scene,
@@ -27,6 +30,7 @@ def deliver(result: Reconstruction, out: str | Path, *, overwrite: bool = False,
             reports=result.reports,
             seconds=result.seconds,
             pictures=shown,
+            page=page,
             physics=result.config.settle.physics,
             overwrite=overwrite,
         )

@@ -4,18 +4,36 @@ from __future__ import annotations
 
 from pathlib import Path
 
+LONGEST = 300
+"""Characters of what was found that a message holds."""
+
 
 class F3srError(Exception):
-    """Base of every error that f3sr raises on purpose."""
+    """Base of every error that f3sr raises on purpose; its message is one line that any terminal can show."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(printable(message))
 
 
 class InputError(F3srError):
     """Something that was handed in is wrong: one file, what was found in it, what is accepted."""
 
     def __init__(self, where: str | Path, *, found: str, accepted: str) -> None:
-        self.where, self.found, self.accepted = str(where), found, accepted
-        super().__init__(f"{where}: found {found}; accepted: {accepted}")
+        self.where, self.accepted = str(where), accepted
+        self.found = found if len(found) <= LONGEST else found[: LONGEST - 3] + "..."
+        super().__init__(f"{where}: found {self.found}; accepted: {accepted}")
 
 
 class OutputError(F3srError):
     """The place where results should go cannot take them."""
+
+
+def reason(error: OSError | ValueError | RuntimeError) -> str:
+    """What the system says of a failed access, in the middle of a sentence."""
+    text = (getattr(error, "strerror", None) or "unreadable").strip()
+    return text[:1].lower() + text[1:]
+
+
+def printable(text: str) -> str:
+    """The text with everything escaped that would move a cursor, turn the writing direction or not show at all."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

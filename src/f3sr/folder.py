@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 import hashlib
-import json
+import os
+import re
+import stat
+import unicodedata
 from pathlib import Path
 from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from f3sr.errors import InputError
+from f3sr import strict_json
+from f3sr.errors import InputError, printable, reason
 from f3sr.report import Decision
+
+MAX_FILE_BYTES = 2_000_000_000
+"""Largest file read: points and normals of the largest photo in half precision fit."""
+MAX_JSON_BYTES = 10_000_000
+"""Largest JSON document: poses of a thousand objects take 400 kB."""
+
+MAX_PATH = 500
+"""Longest path in a document, in characters: what messages can show and file systems hold."""
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -19,9 +31,13 @@ class InputFolder:
     """Opens files of one folder by relative path and remembers what it read."""
 
     def __init__(self, root: Path) -> None:
-        if not root.is_dir():
-            found = "a file" if root.exists() else "nothing there"
-            raise InputError(root, found=found, accepted="a folder with image.png|jpg and masks/*.png")
+        accepted = "a folder with image.png|jpg and masks/*.png"
+        try:
+            if not root.is_dir():
+                raise InputError(root, found="a file" if root.exists() else "nothing there", accepted=accepted)
+            next(root.iterdir(), None)
+        except (OSError, ValueError) as error:
+            raise InputError(root, found=reason(error), accepted=accepted) from error
         self.root = root
         self.decisions: list[Decision] = []
         self.digests: dict[str, str] = {}
@@ -29,45 +45,99 @@ class InputFolder:
     def path(self, relative: str, *, base: str = "") -> Path:
         """A path of the folder; one that leaves it is refused."""
         path = self.root / base / relative
+        if len(relative) > MAX_PATH:
+            found, accepted = f"a path of {len(relative)} characters", f"at most {MAX_PATH}"
+            raise InputError(self.root / base, found=found, accepted=accepted)
         try:
             inside = not Path(relative).is_absolute() and path.resolve().is_relative_to(self.root.resolve())
         except (OSError, ValueError, RuntimeError) as error:  # NUL bytes, lone surrogates, loops of links
-            raise InputError(self.root / base, found=f"the path {relative!r}", accepted="a usable path") from error
+            raise InputError(
+                self.root / base, found=f"the path {relative!r} that leads nowhere", accepted="a path inside it"
+            ) from error
         if not inside:
             raise InputError(
                 self.root / base, found=f"the path {relative!r} that leaves the folder", accepted="paths inside it"
             )
         return path
 
-    def file(self, relative: str, *, base: str = "") -> Path:
-        """A readable file of the folder, its sha256 noted."""
+    def file(self, relative: str, *, base: str = "", most: int = MAX_FILE_BYTES) -> Path:
+        """A readable file of the folder of at most so many bytes, its sha256 noted."""
         path = self.path(relative, base=base)
         try:
-            if path.exists() and not path.is_file():
-                raise InputError(path, found="no regular file", accepted="a readable file")
-            data = path.read_bytes()
+            kind = path.stat()
+            if not stat.S_ISREG(kind.st_mode):
+                raise InputError(path, found=_kind(kind.st_mode), accepted="a readable file")
+            if kind.st_size > most:
+                raise InputError(path, found=f"{kind.st_size:,} bytes", accepted=f"at most {most:,} bytes")
+            with path.open("rb") as file:
+                digest = hashlib.file_digest(file, "sha256").hexdigest()
         except OSError as error:
-            raise InputError(path, found=error.strerror or "unreadable", accepted="a readable file") from error
-        self.digests[path.relative_to(self.root).as_posix()] = hashlib.sha256(data).hexdigest()
+            raise InputError(path, found=reason(error), accepted="a readable file") from error
+        self.digests[path.relative_to(self.root).as_posix()] = digest
         return path
 
     def has(self, relative: str) -> bool:
-        return (self.root / relative).exists()
+        """Whether something of that name is there, be it a broken link."""
+        return os.path.lexists(self.root / relative)
+
+    def names(self, relative: str = "") -> list[str]:
+        """The names in a folder, sorted, without hidden ones; empty when there is no such folder.
+
+        Names become labels and files of the package, so each must be text that every system can show and tell apart.
+        """
+        place = self.path(relative)
+        try:
+            names = sorted(p.name for p in place.iterdir() if not p.name.startswith("."))
+        except FileNotFoundError:
+            return []
+        except OSError as error:
+            raise InputError(place, found=reason(error), accepted="a readable folder") from error
+        seen: dict[str, str] = {}
+        for name in names:
+            if not name.isprintable() or "\\" in name:
+                raise InputError(place, found=f"the name {name!r}", accepted="printable names without backslash")
+            key = unicodedata.normalize("NFC", name).casefold()
+            if key in seen:
+                found = f"{seen[key]} and {name}"
+                raise InputError(place, found=found, accepted="names that differ by more than upper and lower case")
+            seen[key] = name
+        return names
 
     def document(self, relative: str, model: type[M]) -> M:
         """A JSON file, validated."""
-        path = self.file(relative)
+        path = self.file(relative, most=MAX_JSON_BYTES)
         try:
-            value = json.loads(path.read_text("utf-8"))
-        except (ValueError, RecursionError) as error:
+            value = strict_json.loads(path.read_bytes())
+        except ValueError as error:
             raise InputError(path, found=f"no valid JSON ({error})", accepted="a JSON document") from error
         try:
             return model.model_validate(value)
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(p) for p in first["loc"]) or "the document"
-            accepted = f"an object with {', '.join(model.model_fields)}"
-            raise InputError(path, found=f"{where}: {first['msg']}", accepted=accepted) from error
+            found, accepted = _problem(error, ", ".join(model.model_fields))
+            raise InputError(path, found=found, accepted=accepted) from error
 
     def decide(self, choice: str, reason: str, about: int | None = None, *, fallback: bool = False) -> None:
-        self.decisions.append(Decision(choice=choice, reason=reason, about=about, fallback=fallback))
+        self.decisions.append(
+            Decision(choice=printable(choice), reason=printable(reason), about=about, fallback=fallback)
+        )
+
+
+def _kind(mode: int) -> str:
+    """What is there instead of a regular file."""
+    kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
+    return kinds.get(stat.S_IFMT(mode), "a device")
+
+
+def _problem(error: ValidationError, fields: str) -> tuple[str, str]:
+    """What a document holds, and what is accepted, of the first thing that is wrong with it."""
+    first = error.errors(include_url=False)[0]
+    where, message = ".".join(map(str, first["loc"])) or "the document", first["msg"]
+    if first["type"] == "missing":
+        return f"no {where}", f"an object with {fields}"
+    if first["type"] == "value_error":
+        found, _, accepted = message.removeprefix("Value error, ").partition("; accepted: ")
+        return f"{where}: {found}", accepted or f"an object with {fields}"
+    if first["type"] in ("model_type", "dict_type"):
+        return f"{where} = {first['input']!r:.60}", "an object" if first["loc"] else f"an object with {fields}"
+    wanted = re.sub(r"^(Input should be|(Value|List|String) should have) | after validation", "", message)
+    return f"{where} = {first['input']!r:.60}", wanted

@@ -4,32 +4,66 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
-from f3sr.errors import InputError
+from f3sr.errors import InputError, reason
 
 MAX_PIXELS = 100_000_000
-"""Largest photo, mask or depth image accepted."""
+"""Largest photo, mask or depth image: twice what cameras of full format give, 300 MB decoded."""
+MIN_SIDE = 16
+"""Shortest side of a photo, mask or depth image: less shows no scene."""
+ACCEPTED = f"a PNG or JPEG image of at most {MAX_PIXELS:,} pixels"
 
 
 def open_image(path: Path) -> Image.Image:
     """A decoded PNG or JPEG image, turned as its EXIF orientation says; InputError when unreadable or too large."""
     try:
-        with warnings.catch_warnings(), Image.open(path, formats=("PNG", "JPEG")) as image:
-            warnings.simplefilter("ignore")  # PIL's own, lower limit
-            if image.width * image.height > MAX_PIXELS:
+        if path.exists() and not path.is_file():  # reading a pipe would wait forever
+            raise InputError(path, found="no regular file", accepted="a readable file")
+        with path.open("rb") as file:
+            image = decode_image(file, ("PNG", "JPEG"), size_only=True)
+            if image.width * image.height > MAX_PIXELS or min(image.size) < MIN_SIDE:
                 raise InputError(
                     path,
                     found=f"{image.width}x{image.height} pixels",
-                    accepted=f"at most {MAX_PIXELS:,} pixels",
+                    accepted=f"sides of at least {MIN_SIDE}, and at most {MAX_PIXELS:,} pixels",
                 )
+            if image.format == "PNG" and getattr(image, "is_animated", False):
+                raise InputError(path, found="an animation", accepted="a still image")
+            file.seek(0)
+            return decode_image(file, ("PNG", "JPEG"))
+    except OSError as error:
+        raise InputError(path, found=reason(error), accepted="a readable file") from error
+    except ValueError as error:
+        raise InputError(path, found=f"no readable image: {error}", accepted=ACCEPTED) from error
+
+
+def decode_image(file: IO[bytes], formats: tuple[str, ...], *, size_only: bool = False) -> Image.Image:
+    """A PIL image, upright by its EXIF orientation; with ``size_only`` only its header is read.
+
+    Raises ValueError for whatever is wrong with it. PIL's own warnings are off.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            image = Image.open(file, formats=formats)
+            if size_only:
+                return image
             image.load()
             return ImageOps.exif_transpose(image)
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, RuntimeError) as error:
-        raise InputError(path, found=f"no readable image ({error})", accepted="a PNG or JPEG image") from error
+        except Exception as error:  # PIL raises many kinds for a broken file
+            raise ValueError(_words(error)) from error
+
+
+def _words(error: Exception) -> str:
+    """What is wrong, without PIL's own words: they name memory addresses and change with its version."""
+    if isinstance(error, Image.DecompressionBombError):
+        return "too many pixels"
+    return "another format" if isinstance(error, Image.UnidentifiedImageError) else "damaged"
 
 
 def as_rgb(image: Image.Image) -> NDArray[np.uint8]:

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, Self, get_args
+from typing import Annotated, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from f3sr.assets import ASSET_FRAMES, PosedAsset, read_assets
+from f3sr.assets import ASSET_FRAMES, PosedAsset, read_assets, require_size
 from f3sr.cache import digest
 from f3sr.errors import InputError
 from f3sr.folder import InputFolder
-from f3sr.frames import Array
+from f3sr.frames import Array, transform
 from f3sr.images import as_rgb, open_image
 from f3sr.masks import Instance, read_instances, read_mask
 from f3sr.point_maps import read_geometry
@@ -24,6 +25,18 @@ from f3sr.scene import GROUND, Geometry, Photo, Predicate, Relation, SceneGraph
 
 Part = Literal["assets", "geometry", "ground", "scene_graph"]
 PARTS: tuple[str, ...] = get_args(Part)
+PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
+STRICT = ConfigDict(strict=True, allow_inf_nan=False)
+MAX_RELATIONS = 10_000
+"""Most relations of a kind in scene_graph.json: every pair of a hundred objects, both ways."""
+MAX_REASON = 1000
+"""Most characters of a relation's reason, which goes into the package and its report."""
+MAX_DISTANCE = 100_000.0
+"""Largest distance of an object from the camera, in its own sizes: rounding leaves it no shape from far beyond, and no
+pixel shows it."""
+MAX_DISAGREEMENT = 10_000.0
+"""Largest factor between an asset's depth and the geometry's inside its mask: millimetres for metres are repaired,
+anything beyond is no unit."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -62,10 +75,11 @@ def read(folder: str | Path, *, ignore: Collection[str] = (), asset_frame: str =
     if "geometry" in ignore:
         raise InputError(source.root, found="no geometry", accepted="geometry (there is no monocular back end yet)")
     geometry, K = read_geometry(source, photo)
-    _require_inside(geometry, instances)
+    _require_inside(source, geometry, instances)
     if "assets" in ignore:
         raise InputError(source.root, found="no assets", accepted="assets (nothing makes meshes here yet)")
     assets = read_assets(source, {i.id: i.name for i in instances}, asset_frame)
+    _require_agreement(source, geometry, instances, assets)
     ground_mask = graph = None
     if "ground" not in ignore and source.has("ground.png"):
         ground_mask = _ground_mask(source, photo, instances)
@@ -96,21 +110,52 @@ def _require_known(what: str, names: Collection[str], known: Sequence[str]) -> N
 
 
 def _photo(folder: InputFolder) -> Photo:
-    names = [p.name for p in sorted(folder.root.glob("image.*")) if p.suffix.lower() in (".png", ".jpg", ".jpeg")]
+    names = sorted(p.name for p in folder.root.iterdir() if p.stem == "image" and p.suffix.lower() in PHOTO_SUFFIXES)
     if len(names) != 1:
         found = ", ".join(names) or "no image"
         raise InputError(folder.root, found=found, accepted="one image.png, image.jpg or image.jpeg")
     return Photo(rgb=as_rgb(open_image(folder.file(names[0]))))
 
 
-def _require_inside(geometry: Geometry, instances: Sequence[Instance]) -> None:
+def _require_inside(folder: InputFolder, geometry: Geometry, instances: Sequence[Instance]) -> None:
     for instance in instances:
         if not geometry.inside(instance.mask).any():
             raise InputError(
-                f"masks/{instance.name}",
+                folder.path(f"masks/{instance.name}"),
                 found="no valid geometry inside the mask",
                 accepted="at least one valid point",
             )
+
+
+def _require_agreement(
+    folder: InputFolder, geometry: Geometry, instances: Sequence[Instance], assets: Mapping[int, PosedAsset]
+) -> None:
+    """Every asset in front of the camera, in a unit that can be the geometry's, of a size that can be simulated."""
+    for i in instances:
+        asset = assets[i.id]
+        x, y, depth = map(float, transform(asset.T_camera_object, asset.scale * asset.mesh.bounds.mean(0)))
+        if depth <= 0:
+            raise InputError(
+                asset.source,
+                found=f"the mesh for {i.name} behind the camera (depth {depth:.3g} m)",
+                accepted="meshes in front of it, and the pose convention or --asset-frame they are in",
+            )
+        sizes = math.hypot(x, y, depth) / (asset.scale * asset.mesh.diagonal)
+        if sizes > MAX_DISTANCE:
+            raise InputError(
+                asset.source,
+                found=f"the mesh for {i.name} {sizes:.3g} times its own size away from the camera",
+                accepted=f"at most {MAX_DISTANCE:,.0f} times",
+            )
+        measured = float(np.median(geometry.points[geometry.inside(i.mask)][:, 2]))
+        if not 1 / MAX_DISAGREEMENT <= depth / measured <= MAX_DISAGREEMENT:
+            raise InputError(
+                asset.source,
+                found=f"the mesh for {i.name} at depth {depth:.3g} m, the geometry in its mask at {measured:.3g} m",
+                accepted="the same unit in both",
+            )
+        require_size(asset.source, i.name, asset, factor=min(1.0, measured / depth))
+        require_size(asset.source, i.name, asset, factor=max(1.0, measured / depth))
 
 
 def _ground_mask(folder: InputFolder, photo: Photo, instances: Sequence[Instance]) -> NDArray[np.bool_]:
@@ -143,6 +188,7 @@ def _scene_graph(folder: InputFolder, instances: Sequence[Instance]) -> SceneGra
 
 
 class _GivenRelation(BaseModel):
+    model_config = STRICT
     subject: int
     predicate: Predicate
     object: int
@@ -150,20 +196,22 @@ class _GivenRelation(BaseModel):
 
 
 class _GivenSupport(BaseModel):
+    model_config = STRICT
     upper: int
     lower: int
     confidence: float = Field(default=1.0, ge=0, le=1)
-    reason: str = ""
+    reason: Annotated[str, Field(max_length=MAX_REASON)] = ""
 
 
 class _GivenGraph(BaseModel):
-    relations: list[_GivenRelation] = []
-    support_relations: list[_GivenSupport] = []
+    model_config = STRICT
+    relations: Annotated[list[_GivenRelation], Field(max_length=MAX_RELATIONS)] = []
+    support_relations: Annotated[list[_GivenSupport], Field(max_length=MAX_RELATIONS)] = []
 
     @model_validator(mode="after")
     def _says_something(self) -> Self:
         if not self.model_fields_set:
-            raise ValueError("neither relations nor support_relations")
+            raise ValueError("neither relations nor support_relations; accepted: at least one of them")
         return self
 
     def as_relations(self) -> list[Relation]:

@@ -64,28 +64,37 @@ def _height(x: float, y: float, t: Any) -> float:
 
 
 @kernel
+def _box(t: Any, low: Any, width: Any, side: int, box: Any) -> None:
+    """First and last cell, along x and along y, that a triangle may lie over."""
+    for k in range(2):
+        box[k] = _cell(min(t[0, k], t[1, k], t[2, k]), low[k], width[k], side)
+        box[2 + k] = _cell(max(t[0, k], t[1, k], t[2, k]), low[k], width[k], side)
+
+
+@kernel
+def _bins(triangles: Any, low: Any, width: Any, side: int) -> Any:
+    """Triangles per cell, as starts (side * side + 1,) into a list of members."""
+    box, starts = np.empty(4, np.int64), np.zeros(side * side + 1, np.int64)
+    for f in range(len(triangles)):
+        _box(triangles[f], low, width, side, box)
+        for i in range(box[0], box[2] + 1):
+            for j in range(box[1], box[3] + 1):
+                starts[i * side + j + 1] += 1
+    starts = np.cumsum(starts)
+    members, filled = np.empty(starts[-1], np.int64), starts.copy()
+    for f in range(len(triangles)):
+        _box(triangles[f], low, width, side, box)
+        for i in range(box[0], box[2] + 1):
+            for j in range(box[1], box[3] + 1):
+                members[filled[i * side + j]] = f
+                filled[i * side + j] += 1
+    return starts, members
+
+
+@kernel
 def _count(points: Any, triangles: Any, low: Any, width: Any, side: int, number: Any) -> None:
     """Add up the crossings of every point's ray, over the triangles of its cell."""
-    starts = np.zeros(side * side + 1, np.int64)
-    for fill in range(2):
-        if fill:
-            starts = np.cumsum(starts)
-            members, filled = np.empty(starts[-1], np.int64), starts.copy()
-        else:
-            members, filled = np.empty(0, np.int64), starts
-        for f in range(len(triangles)):
-            t = triangles[f]
-            i0 = _cell(min(t[0, 0], t[1, 0], t[2, 0]), low[0], width[0], side)
-            i1 = _cell(max(t[0, 0], t[1, 0], t[2, 0]), low[0], width[0], side)
-            j0 = _cell(min(t[0, 1], t[1, 1], t[2, 1]), low[1], width[1], side)
-            j1 = _cell(max(t[0, 1], t[1, 1], t[2, 1]), low[1], width[1], side)
-            for i in range(i0, i1 + 1):
-                for j in range(j0, j1 + 1):
-                    if fill:
-                        members[filled[i * side + j]] = f
-                        filled[i * side + j] += 1
-                    else:
-                        starts[i * side + j + 1] += 1
+    starts, members = _bins(triangles, low, width, side)
     for k in range(len(points)):
         x, y, z = points[k, 0], points[k, 1], points[k, 2]
         cell = _cell(x, low[0], width[0], side) * side + _cell(y, low[1], width[1], side)

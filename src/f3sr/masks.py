@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +17,16 @@ from f3sr.images import open_image
 from f3sr.scene import Photo
 
 MAX_OVERLAP = 0.05
-"""Share of the smaller mask that two masks may overlap by; the pixels then go to the smaller one."""
+"""Share of the smaller mask that two masks may overlap by: more than the uncertain pixels of a border are two
+opinions on an object. Shared pixels go to the smaller mask."""
 MAX_ID_DIGITS = 8
 """Longer numbers are hashes or dates, not ids."""
 MIN_PIXELS = 16
 """A smaller mask holds no usable silhouette."""
+MAX_OBJECTS = 500
+"""Most masks of one photo: more is an over-segmentation, not objects."""
+MAX_MASK_PIXELS = 2_000_000_000
+"""Pixels of all masks together, a byte each: 166 masks of a 12 megapixel photo."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -33,15 +39,21 @@ class Instance:
     """File name of the mask."""
     mask: NDArray[np.bool_]
 
+    def __post_init__(self) -> None:
+        self.mask.setflags(write=False)  # what cannot change is shared, not copied
+
 
 def read_instances(folder: InputFolder, photo: Photo) -> tuple[Instance, ...]:
     """The objects by id, their masks disjoint."""
     place = folder.path("masks")
-    names = sorted(p.name for p in place.iterdir() if not p.name.startswith(".")) if place.is_dir() else []
+    names = folder.names("masks")
     if strange := [name for name in names if not name.endswith(".png")]:
         raise InputError(place, found=strange[0], accepted="nothing but *.png files")
     if not names:
         raise InputError(place, found="no masks", accepted="masks/*.png, one binary mask per object")
+    most = min(MAX_OBJECTS, MAX_MASK_PIXELS // (photo.width * photo.height))
+    if len(names) > most:
+        raise InputError(place, found=f"{len(names)} masks", accepted=f"at most {most} for a photo of this size")
     ids = _ids(place, [Path(name).stem for name in names])
     instances = [
         Instance(id=id, label=label, name=name, mask=read_mask(folder, f"masks/{name}", photo))
@@ -53,7 +65,7 @@ def read_instances(folder: InputFolder, photo: Photo) -> tuple[Instance, ...]:
 def read_mask(folder: InputFolder, relative: str, photo: Photo) -> NDArray[np.bool_]:
     """A binary mask (H, W); grey levels between are cut in the middle."""
     path = folder.file(relative)
-    gray = np.asarray(open_image(path).convert("L"))
+    gray = _levels(folder, path)
     if gray.shape != (photo.height, photo.width):
         size = f"{gray.shape[1]}x{gray.shape[0]} pixels"
         raise InputError(path, found=size, accepted=f"the photo's size {photo.width}x{photo.height}")
@@ -75,14 +87,25 @@ def read_mask(folder: InputFolder, relative: str, photo: Photo) -> NDArray[np.bo
     return mask
 
 
+def _levels(folder: InputFolder, path: Path) -> NDArray[Any]:
+    """Grey levels (h, w) of a mask picture; a cut-out holds its mask in the alpha channel."""
+    image = open_image(path)
+    if "A" in image.getbands() and len(np.unique(alpha := np.asarray(image.getchannel("A")))) > 1:
+        folder.decide(f"{path.name}: its alpha channel is the mask", "a picture with transparent pixels")
+        return alpha
+    return np.asarray(image) if image.mode.startswith("I") else np.asarray(image.convert("L"))  # I: 16 bits
+
+
 def _disjoint(folder: InputFolder, instances: list[Instance]) -> tuple[Instance, ...]:
     """Overlapping pixels go to the smaller mask where the overlap is small; a larger one is an error."""
+    if not _overlap(instances):
+        return tuple(instances)
     area = {i.id: int(i.mask.sum()) for i in instances}
     masks = {i.id: i.mask.copy() for i in instances}
+    boxes = {i.id: _box(i.mask) for i in instances}
     for k, a in enumerate(instances):
         for b in instances[k + 1 :]:
-            shared = a.mask & b.mask
-            if not shared.any():
+            if not _meet(boxes[a.id], boxes[b.id]) or not (shared := a.mask & b.mask).any():
                 continue
             small, large = sorted((a, b), key=lambda i: (area[i.id], i.id))
             share = shared.sum() / area[small.id]
@@ -98,12 +121,36 @@ def _disjoint(folder: InputFolder, instances: list[Instance]) -> tuple[Instance,
                 f"also in {large.name}",
                 small.id,
             )
+    for i in instances:
+        if masks[i.id].sum() < MIN_PIXELS:
+            found = f"{int(masks[i.id].sum())} pixels that no smaller mask holds"
+            raise InputError(folder.root / "masks" / i.name, found=found, accepted=f"at least {MIN_PIXELS}")
     return tuple(Instance(id=i.id, label=i.label, name=i.name, mask=masks[i.id]) for i in instances)
+
+
+def _overlap(instances: Sequence[Instance]) -> bool:
+    """Whether any pixel lies in two masks."""
+    covered = np.zeros_like(instances[0].mask)
+    for i in instances:
+        if (covered & i.mask).any():
+            return True
+        covered |= i.mask
+    return False
+
+
+def _box(mask: NDArray[np.bool_]) -> tuple[int, int, int, int]:
+    """First and last row, first and last column of a mask."""
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    return int(rows[0]), int(rows[-1]), int(columns[0]), int(columns[-1])
+
+
+def _meet(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> bool:
+    return a[0] <= b[1] and b[0] <= a[1] and a[2] <= b[3] and b[2] <= a[3]
 
 
 def _ids(folder: Path, stems: Sequence[str]) -> list[tuple[int, str]]:
     """Ids and labels from file stems: leading digits are the id, the rest the label."""
-    matches = [re.match(r"(\d+)(.*)", s, re.DOTALL) for s in stems]
+    matches = [re.match(r"([0-9]+)(.*)", s, re.DOTALL) for s in stems]
     if not any(matches):
         return [(k, _label(s)) for k, s in enumerate(stems)]
     if not all(matches):

@@ -12,9 +12,11 @@ from f3sr import crossings, physics, raster
 from f3sr.contact import Polytope
 from f3sr.frames import Array, Camera
 from f3sr.inside import winding_number
-from f3sr.scene import Scene, SceneObject
+from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.silhouette import iou, union_of
 
+Point = tuple[float, float, float]
+"""A place in the world [m]."""
 SAMPLES = 20_000
 """Surface points per object for gaps."""
 PART_SAMPLES = 600
@@ -60,17 +62,79 @@ class Measures:
         return asdict(self)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Gap:
+    """The way from an object to whatever is nearest: zero where it touches.
+
+    ``below`` is how deep the object's lowest point lies under the ground.
+    """
+
+    id: int
+    nearest: int
+    """Id of what is nearest, GROUND for the ground."""
+    distance: float
+    """[m]"""
+    below: float
+    """[m]"""
+    size: float
+    """The object's [m], which ``gap_pct`` and ``below_pct`` are shares of."""
+    start: Point
+    """The object's point that is nearest [m]."""
+    end: Point
+    """The point it is nearest to [m]."""
+    lowest: Point
+    """The object's lowest point [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Overlap:
+    """Where two objects pierce each other: pairs of triangles, all between the corners ``low`` and ``high`` [m]."""
+
+    a: int
+    b: int
+    crossings: int
+    low: Point
+    high: Point
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectMeasures:
+    """What the scene's measures are made of, for one object."""
+
+    id: int
+    IoU: float
+    IoU_visible: float
+    proxy_out: float
+    """How far the mesh sticks out of its proxy, as a share of its size."""
+    proxy_far: float
+    """Mean distance of the proxy's surface from the mesh, as a share of its size."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Details:
+    """Per object, and with places: what ``Measures`` only sums up."""
+
+    objects: tuple[ObjectMeasures, ...]
+    gaps: tuple[Gap, ...]
+    overlaps: tuple[Overlap, ...]
+
+
 def measure(scene: Scene, *, true_scale: float = 1.0) -> Measures:
     """All measures of a scene in its present state. ``true_scale`` turns its lengths into true metres for physics."""
+    return measure_with_details(scene, true_scale=true_scale)[0]
+
+
+def measure_with_details(scene: Scene, *, true_scale: float = 1.0) -> tuple[Measures, Details]:
+    """``measure``, and what it found per object and where."""
     total = len(scene.objects) + len(scene.excluded)
     full, visible, psnr = image_agreement(scene)
     full_exact, visible_exact = exact_agreement(scene)
     surfaces = [(o.T_world_asset, o.mesh.welded) for o in scene]
     pen = crossings.penetration([(v @ T[:3, :3].T + T[:3, 3], f) for T, (v, f) in surfaces])
     K, D = physics.release(scene.objects, true_scale=true_scale)
-    gap, below = gaps(scene.objects)
+    gaps = gaps_of(scene.objects)
     out, far = zip(*(proxy_distances(o) for o in scene), strict=True)
-    return Measures(
+    measures = Measures(
         n=len(scene.objects),
         excluded=len(scene.excluded),
         fixed=sum(o.mobility == "fixed" for o in scene),
@@ -83,12 +147,29 @@ def measure(scene: Scene, *, true_scale: float = 1.0) -> Measures:
         N_cross=pen.crossings,
         K_max_J=K,
         D_max_cm=100 * D,
-        gap_pct=100 * gap,
-        below_pct=100 * below,
+        gap_pct=100 * max(g.distance / g.size for g in gaps),
+        below_pct=100 * max(g.below / g.size for g in gaps),
         inside=points_inside(scene.objects),
         proxy_out_pct=100 * max(out),
         proxy_far_pct=100 * max(far),
     )
+    return measures, Details(
+        objects=tuple(
+            ObjectMeasures(id=o.id, IoU=f, IoU_visible=v, proxy_out=out, proxy_far=far)
+            for o, f, v, out, far in zip(scene, full, visible, out, far, strict=True)
+        ),
+        gaps=gaps,
+        overlaps=tuple(_overlap(pair, scene.objects) for pair in pen.pairs),
+    )
+
+
+def _overlap(pair: crossings.Crossing, objects: Sequence[SceneObject]) -> Overlap:
+    low, high = pair.bounds
+    return Overlap(a=objects[pair.a].id, b=objects[pair.b].id, crossings=pair.count, low=_point(low), high=_point(high))
+
+
+def _point(p: Array) -> Point:
+    return float(p[0]), float(p[1]), float(p[2])
 
 
 # --- image agreement ----------------------------------------------------------------------------------------------
@@ -139,40 +220,52 @@ def full_silhouette(o: SceneObject, camera: Camera) -> NDArray[np.bool_]:
 # --- floating, sunken and contained objects -------------------------------------------------------------------------
 
 
-def gaps(objects: Sequence[SceneObject]) -> tuple[float, float]:
-    """The largest gap between an object and whatever is nearest, the ground included, and the deepest point under
-    the ground, both in object sizes."""
+def gaps_of(objects: Sequence[SceneObject]) -> tuple[Gap, ...]:
+    """Per object the gap to whatever is nearest, the ground included, and how deep it reaches under the ground."""
     from scipy.spatial import KDTree
 
     points = [
         np.concatenate([o.vertices_world, sample_surface(o.vertices_world, o.mesh.faces, SAMPLES)]) for o in objects
     ]
     trees = [KDTree(p) for p in points]
-    gap = below = 0.0
+    gaps: list[Gap] = []
     for i, (o, p) in enumerate(zip(objects, points, strict=True)):
-        lowest = float(p[:, 2].min())
-        below = max(below, -lowest / o.size)
-        nearest = max(0.0, lowest)
+        lowest = p[np.argmin(p[:, 2])]
+        nearest, distance, start, end = GROUND, max(0.0, float(lowest[2])), lowest, lowest * [1, 1, 0]
         for j, tree in enumerate(trees):
-            if j != i and nearest > 0:
-                distances, _ = tree.query(p[::7], distance_upper_bound=nearest)
-                nearest = min(nearest, float(distances.min()))
-        gap = max(gap, nearest / o.size)
-    return gap, max(0.0, below)
+            if j != i and distance > 0:
+                distances, hits = tree.query(p[::7], distance_upper_bound=distance)
+                k = int(np.argmin(distances))
+                if distances[k] < distance:
+                    nearest, distance = objects[j].id, float(distances[k])
+                    start, end = p[7 * k], points[j][int(np.asarray(hits)[k])]
+        gaps.append(
+            Gap(
+                id=o.id,
+                nearest=nearest,
+                distance=distance,
+                below=max(0.0, -float(lowest[2])),
+                size=o.size,
+                start=_point(start),
+                end=_point(end),
+                lowest=_point(lowest),
+            )
+        )
+    return tuple(gaps)
 
 
 def points_inside(objects: Sequence[SceneObject], stride: int = 40) -> int:
     """How many vertices (every ``stride``-th) of an object lie in another object's solid; open meshes have none."""
+    samples = {o.id: o.vertices_world[::stride].copy() for o in objects}
     total = 0
     for a in objects:
         if not a.mesh.is_solid:
             continue
-        for b in objects:
-            points = b.vertices_world[::stride]
-            low, high = a.bounds_world
+        vertices, faces = a.mesh.welded
+        low, high = a.bounds_world
+        for id, points in samples.items():
             points = points[np.all((points > low) & (points < high), axis=1)]
-            if b.id != a.id and len(points):
-                vertices, faces = a.mesh.welded
+            if id != a.id and len(points):
                 local = (points - a.T_world_asset[:3, 3]) @ np.linalg.inv(a.T_world_asset[:3, :3]).T
                 total += int(np.count_nonzero(winding_number(local, vertices, faces) > 0))
     return total

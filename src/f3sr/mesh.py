@@ -54,6 +54,21 @@ class Mesh:
 
         return replace(self, vertices=vertices)
 
+    def without_unused(self) -> Self:
+        """The same triangles without vertices that none of them uses: a stray one would count as the mesh's extent."""
+        from dataclasses import replace
+
+        used = np.unique(self.faces)
+        if len(used) == len(self.vertices):
+            return self
+        return replace(
+            self,
+            vertices=self.vertices[used],
+            faces=np.searchsorted(used, self.faces).astype(np.int32),
+            uv=None if self.uv is None else self.uv[used],
+            vertex_colors=None if self.vertex_colors is None else self.vertex_colors[used],
+        )
+
     @cached_property
     def bounds(self) -> Array:
         """(2, 3) lowest and highest corner."""
@@ -73,10 +88,16 @@ class Mesh:
         return unique, np.ascontiguousarray(faces[(a != b) & (b != c) & (c != a)])
 
     @cached_property
+    def hull(self) -> ConvexPart:
+        """The convex hull of all vertices. Raises ValueError when they span no volume."""
+        return ConvexPart.hull_of(self.vertices)
+
+    @cached_property
     def is_solid(self) -> bool:
-        """True when the welded surface is closed, consistently wound and outward, so that it has a volume."""
+        """True when the welded surface is closed, consistently wound and outward, no shell in another facing the same
+        way, so that it has a volume."""
         vertices, faces = self.welded
-        return is_closed(faces) and signed_volume(vertices, faces) > 0
+        return is_closed(faces) and signed_volume(vertices, faces) > 0 and not has_layers(vertices, faces)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -136,11 +157,93 @@ def is_closed(faces: NDArray[np.int32]) -> bool:
     return bool(np.all(forward[1:] != forward[:-1])) and bool(np.array_equal(forward, np.sort(backward)))
 
 
+@dataclass(frozen=True, kw_only=True)
+class Flaws:
+    """What keeps a welded surface from being a clean solid, counted."""
+
+    degenerate: int
+    """Triangles of no area."""
+    doubled: int
+    """Triangles whose corners another triangle has too."""
+    open: int
+    """Edges of a single triangle."""
+    shared: int
+    """Edges of more than two triangles."""
+    turned: int
+    """Edges that their two triangles run through in the same direction."""
+    layers: bool
+    """Shells lie in one another, facing the same way."""
+
+    def __str__(self) -> str:
+        named = {
+            "triangles of no area": self.degenerate,
+            "doubled triangles": self.doubled,
+            "open edges": self.open,
+            "edges of more than two triangles": self.shared,
+            "edges between triangles that face opposite sides": self.turned,
+            "layer or more within another": int(self.layers),
+        }
+        return ", ".join(f"{count:,} {name}" for name, count in named.items() if count) or "facing inward"
+
+
+def surface_flaws(mesh: Mesh) -> Flaws:
+    """Count the flaws of the welded surface of a mesh; a solid has none but triangles of no area."""
+    vertices, faces = mesh.welded
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    degenerate = len(mesh.faces) - int(np.cross(b - a, c - a).any(1).sum())
+    if mesh.is_solid:
+        return Flaws(degenerate=degenerate, doubled=0, open=0, shared=0, turned=0, layers=False)
+    n = len(vertices)
+    low, middle, high = np.sort(faces, axis=1).astype(np.int64).T
+    _, pair = np.unique(low * n + middle, return_inverse=True)
+    doubled = len(faces) - len(np.unique(pair * n + high))
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    keys, edge, counts = np.unique(edges.min(1) * n + edges.max(1), return_inverse=True, return_counts=True)
+    ahead = np.bincount(edge[edges[:, 0] < edges[:, 1]], minlength=len(keys))
+    return Flaws(
+        degenerate=degenerate,
+        doubled=doubled,
+        open=int((counts == 1).sum()),
+        shared=int((counts > 2).sum()),
+        turned=int(((counts == 2) & (ahead != 1)).sum()),
+        layers=is_closed(faces) and signed_volume(vertices, faces) > 0,  # what else keeps it from being solid
+    )
+
+
 def signed_volume(vertices: Array, faces: NDArray[np.int32]) -> float:
     """Volume enclosed by a closed outward surface (divergence theorem)."""
     v = vertices - vertices.mean(0)
     a, b, c = (v[faces[:, k]] for k in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+
+
+def has_layers(vertices: Array, faces: NDArray[np.int32]) -> bool:
+    """Whether outward shells of a closed surface overlap by more than a thousandth: their sum counts space twice."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    n = len(vertices)
+    links = coo_matrix((np.ones(2 * len(faces)), (faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel())), (n, n))
+    count, shell_of_vertex = connected_components(links, directed=False)
+    if count == 1:
+        return False
+    shell = shell_of_vertex[faces[:, 0]]
+    a, b, c = ((vertices - vertices.mean(0))[faces[:, k]] for k in range(3))
+    volumes = np.bincount(shell, np.einsum("ij,ij->i", a, np.cross(b, c)) / 6, count)
+    outward = np.flatnonzero(volumes > 0)
+    shells = [_submesh(vertices, faces[shell == k]) for k in outward]
+    return len(shells) > 1 and _united_volume(shells) < 0.999 * volumes[outward].sum()
+
+
+def _submesh(vertices: Array, faces: NDArray[np.int32]) -> tuple[Array, NDArray[np.int32]]:
+    used = np.unique(faces)
+    return vertices[used], np.searchsorted(used, faces).astype(np.int32)
+
+
+def _united_volume(solids: Sequence[tuple[Array, NDArray[np.int32]]]) -> float:
+    """Volume of the union of closed surfaces."""
+    vertices, faces = _united(solids)
+    return signed_volume(vertices, faces)
 
 
 def mass_properties(vertices: Array, faces: NDArray[np.int32]) -> MassProperties:
@@ -171,15 +274,16 @@ def solid_properties(mesh: Mesh, parts: Sequence[ConvexPart]) -> tuple[MassPrope
 
 def union(parts: Sequence[ConvexPart]) -> tuple[Array, NDArray[np.int32]]:
     """Vertices and faces of the boolean union of convex parts (manifold3d)."""
+    return _united([(p.vertices, p.faces) for p in parts])
+
+
+def _united(solids: Sequence[tuple[Array, NDArray[np.int32]]]) -> tuple[Array, NDArray[np.int32]]:
     import manifold3d as mf
 
     # Manifold works in single precision for input meshes: centre and scale to keep its full resolution.
-    everything = np.concatenate([p.vertices for p in parts])
+    everything = np.concatenate([v for v, _ in solids])
     center, size = everything.mean(0), float(np.ptp(everything, axis=0).max())
-    solids = [
-        mf.Manifold(mf.Mesh(((p.vertices - center) / size).astype(np.float32), p.faces.astype(np.uint32)))
-        for p in parts
-    ]
-    merged = mf.Manifold.batch_boolean(solids, mf.OpType.Add).to_mesh()
+    manifolds = [mf.Manifold(mf.Mesh(((v - center) / size).astype(np.float32), f.astype(np.uint32))) for v, f in solids]
+    merged = mf.Manifold.batch_boolean(manifolds, mf.OpType.Add).to_mesh()
     vertices = np.asarray(merged.vert_properties[:, :3], float) * size + center
     return vertices, np.asarray(merged.tri_verts, np.int32)

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import json
-import os
 import re
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -16,7 +13,8 @@ from numpy.typing import NDArray
 from pydantic import JsonValue, ValidationError
 
 import f3sr
-from f3sr.errors import InputError, OutputError
+from f3sr import strict_json
+from f3sr.errors import InputError, reason
 from f3sr.export.gltf import encode_png, encode_pngs, mesh_to_glb, scene_to_glb
 from f3sr.export.mjcf import collision_files, to_mjcf
 from f3sr.export.scene_json import (
@@ -34,21 +32,11 @@ from f3sr.images import open_image
 from f3sr.mesh import ConvexPart, Mesh
 from f3sr.mesh_io import load_mesh
 from f3sr.physics import DEFAULT_PHYSICS, PhysicsConfig, body_of
+from f3sr.place import MASKS, PAGE, PHOTO, claimed, is_package, prepare_output
 from f3sr.report import Report
 from f3sr.scene import Excluded, Ground, Motion, Photo, Relation, Scene, SceneGraph, SceneObject, Support
 
-PHOTO = "photo.png"
-PAGE = "report.html"
-MASKS = "masks"
-MARKER = ".f3sr-building"
-"""In a folder that is being built; without it a folder of that name is somebody else's."""
-TOP_LEVEL = {
-    *("scene.json", SCHEMA_FILE, "scene.glb", "scene.xml", "report.json", PAGE, PHOTO),
-    *(MASKS, "meshes", "collision", "visual", "pictures", "rollouts"),
-}
-"""Everything that a package holds."""
-
-__all__ = ["Package", "SceneDocument", "prepare_output", "read_package", "scene_schema", "write_package"]
+__all__ = ["Package", "SceneDocument", "is_package", "prepare_output", "read_package", "scene_schema", "write_package"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -84,10 +72,8 @@ def write_package(
     suffix; ``page`` is report.html. ``out`` changes only after everything has been written beside it.
     Raises OutputError when something else than an f3sr package is there, or one with rollouts and not ``overwrite``.
     """
-    out = prepare_output(out, overwrite=overwrite)
-    building = _building(out)
-    _begin(building)
-    try:
+    out = Path(out).resolve()
+    with claimed(out, overwrite=overwrite) as claim:
         for name, data in _files(
             scene,
             direct=direct,
@@ -98,55 +84,9 @@ def write_package(
             page=page,
             physics=physics,
         ):
-            file = building / name
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_bytes(data)
-        (building / MARKER).unlink()
-        _commit(building, out)
-    except OSError as error:
-        raise OutputError(f"{out}: could not be written ({error.strerror or error})") from error
-    finally:
-        shutil.rmtree(building, ignore_errors=True)
+            claim.write(name, data)
+        claim.commit()
     return out
-
-
-def prepare_output(out: Path, *, inputs: Path | None = None, overwrite: bool = False) -> Path:
-    """Tidy up after an interrupted run, and refuse early a place that ``write_package`` may not take.
-
-    ``inputs`` is the folder a run reads: neither may lie inside the other. Returns the full path of ``out``.
-    """
-    out = Path(out).resolve()
-    if inputs is not None:
-        source = Path(inputs).resolve()
-        if out.is_relative_to(source) or source.is_relative_to(out):
-            raise OutputError(f"{out}: the output and the input folder {source} may not hold one another")
-    if not out.name:
-        raise OutputError(f"{out}: the root of the file system cannot be a package")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        _recover(out)
-    except OSError as error:
-        raise OutputError(f"{out}: cannot be prepared ({error.strerror or error})") from error
-    if out.exists() and not _is_empty(out):
-        if not is_package(out):
-            raise OutputError(f"{out}: is {_contents(out)}; only an f3sr package or an empty folder is replaced")
-        if strangers := _strangers(out):
-            raise OutputError(f"{out}: holds {strangers[0]}, which f3sr did not write; move it away first")
-        if _has_rollouts(out) and not overwrite:
-            raise OutputError(f"{out}: holds rollouts; a package with rollouts is replaced only with --overwrite")
-    return out
-
-
-def is_package(folder: Path) -> bool:
-    """True when the folder has a scene.json that looks like ours, of whatever version."""
-    try:
-        tree = json.loads((folder / "scene.json").read_bytes())
-    except (OSError, ValueError):
-        return False
-    if not isinstance(tree, dict) or tree.get("$schema") != SCHEMA_FILE:
-        return False
-    provenance = tree.get("provenance")
-    return isinstance(provenance, dict) and "f3sr" in provenance
 
 
 def read_package(folder: Path) -> Package:
@@ -241,110 +181,14 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _building(out: Path) -> Path:
-    return out.with_name(f".{out.name}.building")
-
-
-def _previous(out: Path) -> Path:
-    return out.with_name(f".{out.name}.previous")
-
-
-def _recover(out: Path) -> None:
-    """After a crash: drop what was being built, and bring back the old package unless a new one is there."""
-    building, previous = _building(out), _previous(out)
-    if (building / MARKER).exists():
-        if _alive(building / MARKER):
-            raise OutputError(f"{out}: another run is writing it right now")
-        shutil.rmtree(building)
-    elif is_package(building):  # complete, but killed before its rename
-        _discard(building)
-    elif building.exists():
-        raise OutputError(f"{building}: is in the way and not f3sr's; move it away first")
-    if previous.exists() and not is_package(previous):
-        raise OutputError(f"{previous}: is in the way and no f3sr package; move it away first")
-    if previous.exists():
-        if out.exists() and not _is_empty(out):
-            _discard(previous)
-        else:
-            _move(previous, out)
-
-
-def _alive(marker: Path) -> bool:
-    """Whether the process that wrote the marker still runs on this machine."""
-    try:
-        os.kill(int(marker.read_text()), 0)
-    except (OSError, ValueError):
-        return False
-    return True
-
-
-def _begin(building: Path) -> None:
-    """Claim the place to build in; only one process can make the folder."""
-    try:
-        building.mkdir(parents=True)
-    except FileExistsError:
-        raise OutputError(f"{building}: another run is writing it right now") from None
-    (building / MARKER).write_text(str(os.getpid()))
-
-
-def _commit(building: Path, out: Path) -> None:
-    """Put the finished folder in place; at every moment one whole package exists under one of the names."""
-    previous = _previous(out)
-    if out.exists() and not _is_empty(out):
-        _move(out, previous)
-    try:
-        _move(building, out)
-    except BaseException:
-        if previous.exists() and not out.exists():
-            _move(previous, out)
-        raise
-    if previous.exists():
-        _discard(previous)
-
-
-def _discard(folder: Path) -> None:
-    """Delete a package, what tells that it is one last, so that a killed deletion can go on."""
-    for path in folder.iterdir():
-        if path.name != "scene.json":
-            shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
-    shutil.rmtree(folder)
-
-
-def _move(source: Path, target: Path) -> None:
-    """Rename a folder; an empty folder may be in the way."""
-    if target.exists():
-        target.rmdir()
-    source.rename(target)
-
-
-def _is_empty(folder: Path) -> bool:
-    return folder.is_dir() and not any(folder.iterdir())
-
-
-def _has_rollouts(folder: Path) -> bool:
-    rollouts = folder / "rollouts"
-    return rollouts.is_dir() and not _is_empty(rollouts)
-
-
-def _strangers(out: Path) -> list[str]:
-    """Top-level names in a package that f3sr does not write."""
-    return sorted(p.name for p in out.iterdir() if p.name not in TOP_LEVEL)
-
-
-def _contents(place: Path) -> str:
-    """What is there, in a few words."""
-    if not place.is_dir():
-        return "a file"
-    names = sorted(p.name for p in place.iterdir())
-    return f"a folder with {len(names)} other things ({', '.join(names[:3])}{', ...' if len(names) > 3 else ''})"
-
-
 def _read_document(file: Path) -> SceneDocument:
     accepted = "the scene.json of an f3sr package, schema_version 1"
     try:
-        tree = json.loads(file.read_bytes())
-    except OSError:
-        raise InputError(file, found="no such file", accepted=accepted) from None
+        if file.exists() and not file.is_file():  # reading a pipe would wait forever
+            raise InputError(file, found="no regular file", accepted=accepted)
+        tree = strict_json.loads(file.read_bytes())
+    except OSError as error:
+        raise InputError(file, found=reason(error), accepted=accepted) from None
     except ValueError as error:
         raise InputError(file, found=f"no JSON ({error})", accepted=accepted) from None
     try:
@@ -391,7 +235,11 @@ def _read_image(folder: Path, path: str, size: tuple[int, int], mode: str) -> ND
 
 def _inside(folder: Path, path: str) -> Path:
     file = folder / path
-    if not file.resolve().is_relative_to(folder.resolve()):
+    try:
+        inside = file.resolve().is_relative_to(folder.resolve())
+    except (OSError, ValueError, RuntimeError):  # NUL bytes, loops of links
+        raise InputError(folder, found=f"the path {path!r} that leads nowhere", accepted="files inside it") from None
+    if not inside:
         raise InputError(file, found="a path that leaves the package", accepted="files inside the package")
     return file
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import PIL.Image
@@ -11,31 +13,69 @@ from numpy.typing import NDArray
 from f3sr import raster
 from f3sr.frames import Array, Camera, pose
 from f3sr.scene import Scene
+from f3sr.silhouette import resample
 
 Image = NDArray[np.uint8]
 
+LONGEST = 1600
+"""Longest side [px] of a package's pictures; a larger photo is drawn smaller."""
 MASK_ONLY, RENDER_ONLY, BOTH = (230, 60, 50), (60, 190, 80), (70, 110, 235)
 """The report's colours: photo mask red, render green, overlap blue."""
+TINT = 0.55
+"""Share of those colours over the greyed photo."""
+SWAPPED = 0.4
+"""Brightness where an object is drawn over another's mask, so that swapped ids show."""
+GROUND_LINE = (40, 170, 60)
+MUCH_LARGER = 2.5
+"""How many times larger two states together may be than one alone for it to be shown at their common scale."""
+FRAME = 1.2
+"""Size of a side view over that of what it shows."""
+PAPER = 245
+"""Grey behind a scene without its photo."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Backdrop:
+    """The photo and the masks at the size that pictures are drawn in: the same for every stage's scene.
+
+    ``rgb`` (h, w, 3); ``wanted`` (h, w): the id of the mask at every pixel, EMPTY where there is none.
+    """
+
+    rgb: Image
+    wanted: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, scene: Scene, longest: int = LONGEST) -> Self:
+        camera = scene.camera.limited(longest)
+        wanted = np.full((camera.height, camera.width), raster.EMPTY, np.int32)
+        for o in scene:
+            wanted[resample(o.mask, camera.width, camera.height)] = o.id
+        return cls(rgb=resized(scene.photo.rgb, camera.width, camera.height), wanted=wanted)
+
+    def camera(self, scene: Scene) -> Camera:
+        """The scene's camera with the backdrop's pixels."""
+        return scene.camera.resized(self.rgb.shape[1], self.rgb.shape[0])
 
 
 def pictures_of(before: Scene, after: Scene) -> Mapping[str, Image]:
     """What a package shows of a reconstruction, by file stem."""
+    backdrop = Backdrop.of(after)
+    overlays = [overlay(s, backdrop) for s in (before, after)]
+    sides = _sides(before, after, width=960, height=540)
     return {
-        "sheet": sheet(before, after),
-        "overlay_before": overlay(before),
-        "overlay_after": overlay(after),
-        "render_before": composite(before),
-        "render_after": composite(after),
-        "side_before": side_view(before),
-        "side_after": side_view(after),
+        "sheet": sheet(backdrop, overlays, _sides(before, after, width=1440, height=480)),
+        "overlay_before": overlays[0],
+        "overlay_after": overlays[1],
+        "render_before": composite(before, backdrop),
+        "render_after": composite(after, backdrop),
+        "side_before": sides[0],
+        "side_after": sides[1],
     }
 
 
-def sheet(before: Scene, after: Scene, *, width: int = 1800) -> Image:
+def sheet(backdrop: Backdrop, overlays: Sequence[Image], sides: Sequence[Image], *, width: int = 1800) -> Image:
     """Everything at a glance: the photo, masks against renders before and after; below, both from the side."""
-    top = [before.photo.rgb, overlay(before), overlay(after)]
-    bottom = [side_view(s, width=1440, height=480) for s in (before, after)]
-    return np.concatenate([_row(top, width), _row(bottom, width)])
+    return np.concatenate([_row([backdrop.rgb, *overlays], width), _row(sides, width)])
 
 
 def _row(pictures: Sequence[Image], width: int, gap: int = 8) -> Image:
@@ -44,74 +84,118 @@ def _row(pictures: Sequence[Image], width: int, gap: int = 8) -> Image:
     height = round(each * pictures[0].shape[0] / pictures[0].shape[1])
     row = np.full((height + gap, width, 3), 255, np.uint8)
     for k, picture in enumerate(pictures):
-        resized = PIL.Image.fromarray(picture).resize((each, height), PIL.Image.Resampling.LANCZOS)
-        row[:height, k * (each + gap) : k * (each + gap) + each] = np.asarray(resized)
+        row[:height, k * (each + gap) : k * (each + gap) + each] = resized(picture, each, height)
     return row
 
 
-def overlay(scene: Scene) -> Image:
+def overlay(scene: Scene, backdrop: Backdrop | None = None) -> Image:
     """Masks against visible renders over the greyed photo: red only mask, green only render, blue both; what lies
     between two objects' pixels is drawn dark, so that swapped ids show."""
-    ids = raster.render(scene.objects, scene.camera).ids
-    wanted = np.full(ids.shape, raster.EMPTY, np.int32)
-    for o in scene:
-        wanted[o.mask] = o.id
-    photo = scene.photo.rgb.mean(axis=2, keepdims=True).repeat(3, axis=2)
+    backdrop = backdrop or Backdrop.of(scene)
+    ids, wanted = raster.render(scene.objects, backdrop.camera(scene)).ids, backdrop.wanted
     has_mask, has_render = wanted != raster.EMPTY, ids != raster.EMPTY
-    picture = photo.copy()
-    for where, color in (
-        (has_mask & ~has_render, MASK_ONLY),
-        (has_render & ~has_mask, RENDER_ONLY),
-        (has_mask & has_render, BOTH),
-    ):
-        picture[where] = 0.45 * photo[where] + 0.55 * np.array(color)
-    picture[has_mask & has_render & (wanted != ids)] *= 0.4
+    kind = has_mask + 2 * has_render.astype(np.uint8)
+    kind[has_mask & has_render & (wanted != ids)] = 4
+    colors = np.array([(0, 0, 0), MASK_ONLY, RENDER_ONLY, BOTH, np.multiply(SWAPPED, BOTH)], np.float32)
+    share = np.array([0, TINT, TINT, TINT, TINT], np.float32)
+    light = np.array([1, 1 - TINT, 1 - TINT, 1 - TINT, (1 - TINT) * SWAPPED], np.float32)
+    grey = backdrop.rgb.mean(axis=2, dtype=np.float32) * light[kind]
+    picture = (share[:, None] * colors)[kind]
+    picture += grey[..., None]
     picture[_borders(ids) & has_render] = 255
     return picture.round().astype(np.uint8)
 
 
-def composite(scene: Scene) -> Image:
+def composite(scene: Scene, backdrop: Backdrop | None = None) -> Image:
     """The textured, unlit render over the photo."""
-    fragments = raster.render(scene.objects, scene.camera)
-    colors = raster.shade(fragments, scene.objects)
-    covered = (fragments.ids != raster.EMPTY)[..., None]
-    return np.where(covered, (255 * colors).round(), scene.photo.rgb).astype(np.uint8)
+    backdrop = backdrop or Backdrop.of(scene)
+    return _textured(scene, backdrop.camera(scene), backdrop.rgb)
 
 
-def side_view(scene: Scene, *, width: int = 960, height: int = 540) -> Image:
-    """The scene from the side, level with it, the line z = 0 green: what floats or sinks shows."""
-    camera = side_camera(scene, width=width, height=height)
-    fragments = raster.render(scene.objects, camera)
-    picture = np.full((height, width, 3), 245, np.uint8)
-    covered = fragments.ids != raster.EMPTY
-    picture[covered] = (255 * raster.shade(fragments, scene.objects)).round()[covered]
-    ends, _ = camera.project(np.array([[0.0, 0, 0], [0, 0, 1e-6]]) + _ground_point(scene))
-    row = int(np.clip(ends[0, 1], 0, height - 1))
-    picture[max(0, row - 1) : row + 1] = (40, 170, 60)
+def _sides(before: Scene, after: Scene, *, width: int, height: int) -> list[Image]:
+    return [
+        side_view(s, camera)
+        for s, camera in zip((before, after), side_cameras(before, after, width, height), strict=True)
+    ]
+
+
+def side_view(scene: Scene, camera: Camera, *, ground: bool = True) -> Image:
+    """The scene as a side camera sees it, the line z = 0 green: what floats or sinks shows."""
+    picture = _textured(scene, camera, np.full((camera.height, camera.width, 3), PAPER, np.uint8))
+    row = ground_row(camera)
+    if ground and 0 < row < camera.height:
+        picture[max(0, row - 1) : row + 1] = GROUND_LINE
     return picture
 
 
-def side_camera(scene: Scene, *, width: int, height: int) -> Camera:
-    """A camera at ground level, 90 degrees to the side of the photo's, far enough away to look almost parallel."""
-    corners = np.concatenate([o.bounds_world for o in scene])
-    low, high = corners.min(0), corners.max(0)
-    middle = (low + high) / 2
+def turned_view(scene: Scene, *, turn: float, width: int, height: int) -> Image:
+    """The scene alone, its camera turned about the vertical through its middle by ``turn`` [rad]."""
+    middle = _box(scene).mean(0)
+    c, s = np.cos(turn), np.sin(turn)
+    R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    T = pose(R, middle - R @ middle) @ scene.camera.T_world_camera
+    camera = scene.camera.resized(width, height).moved(T)
+    return _textured(scene, camera, np.full((height, width, 3), PAPER, np.uint8))
+
+
+def side_cameras(before: Scene, after: Scene, width: int, height: int) -> tuple[Camera, Camera]:
+    """One side camera for two states of a scene, so that they compare; two where one state is so much larger that
+    nothing would be seen of the other."""
+    sizes = [np.linalg.norm(np.ptp(_box(*scenes), axis=0)) for scenes in ((before,), (after,), (before, after))]
+    if sizes[2] > MUCH_LARGER * min(sizes):
+        return side_camera(before, width=width, height=height), side_camera(after, width=width, height=height)
+    both = side_camera(after, before, width=width, height=height)
+    return both, both
+
+
+def side_camera(scene: Scene, *others: Scene, width: int, height: int, ground: bool = True) -> Camera:
+    """A camera 90 degrees to the side of the photo's, level, far enough away to look almost parallel.
+
+    It stands at the height of the ground, or of the lowest point where there is no ground yet, and sees all of the
+    scene and ``others``.
+    """
     forward = scene.camera.T_world_camera[:3, 0] * [1, 1, 0]
     forward = -forward / np.linalg.norm(forward)
     down = np.array([0.0, 0, -1])
     R = np.stack([np.cross(down, forward), down, forward], axis=1)
+    seen = np.concatenate([o.vertices_world @ R for s in (scene, *others) for o in s])
+    low, high = seen.min(0), seen.max(0)
+    base = 0.0 if ground else high[1]
+    bottom, top = max(base, high[1]), min(base, low[1])
     distance = 8 * float(np.linalg.norm(high - low))
-    eye = np.array([middle[0], middle[1], 0.0]) - distance * forward
-    span = 1.15 * max(float(np.linalg.norm((high - low)[:2])), float(high[2] - low[2]) * width / height)
-    focal = width * distance / span
-    K = np.array([[focal, 0, width / 2], [0, focal, 0.9 * height], [0, 0, 1]])
+    eye = R @ [(low[0] + high[0]) / 2, base, (low[2] + high[2]) / 2 - distance]
+    focal = distance / FRAME / max((high[0] - low[0]) / width, (bottom - top) / height)
+    horizon = height / 2 + focal * (2 * base - bottom - top) / 2 / distance
+    K = np.array([[focal, 0, width / 2], [0, focal, horizon], [0, 0, 1]])
     return Camera(width=width, height=height, K=K, T_world_camera=pose(R, eye))
 
 
-def _ground_point(scene: Scene) -> Array:
-    """A point of the ground below the middle of the scene (3,)."""
-    corners = np.concatenate([o.bounds_world for o in scene])
-    return (corners.min(0) + corners.max(0)) / 2 * [1, 1, 0]
+def ground_row(camera: Camera) -> int:
+    """The pixel row of z = 0 in a side view: its camera stands at that height and is level."""
+    return int(camera.K[1, 2])
+
+
+def resized(picture: Image, width: int, height: int) -> Image:
+    """The picture with other pixels, filtered."""
+    if picture.shape[:2] == (height, width):
+        return picture
+    image = PIL.Image.fromarray(picture)
+    return np.asarray(image.resize((width, height), PIL.Image.Resampling.LANCZOS, reducing_gap=3.0))
+
+
+def _textured(scene: Scene, camera: Camera, behind: Image) -> Image:
+    """The textured, unlit render over a picture of the camera's size."""
+    fragments = raster.render(scene.objects, camera)
+    covered = fragments.ids != raster.EMPTY
+    picture = behind.copy()
+    picture[covered] = (255 * raster.shade(fragments, scene.objects)[covered]).round()
+    return picture
+
+
+def _box(*scenes: Scene) -> Array:
+    """(2, 3) around all objects [m]."""
+    corners = np.concatenate([o.bounds_world for scene in scenes for o in scene])
+    return np.stack([corners.min(0), corners.max(0)])
 
 
 def _borders(ids: NDArray[np.int32]) -> NDArray[np.bool_]:

@@ -22,7 +22,7 @@ from f3sr.runner import Runner
 from f3sr.scene import Scene, SceneObject
 from f3sr.settings import changed, settings
 from f3sr.stages.align import AlignConfig, align
-from f3sr.stages.assemble import AssembleConfig, assemble
+from f3sr.stages.assemble import AssembleConfig, as_given, assemble
 from f3sr.stages.decompose import decompose
 from f3sr.stages.evaluate import Evaluation, evaluate
 from f3sr.stages.level import LevelConfig, level
@@ -111,12 +111,11 @@ def reconstruct(
     Stages whose results are in ``store`` are not done again. ``progress`` is told of every stage.
     """
     config = config or Config()
-    key = digest(inputs.key, asdict(config.assemble))
     if REPEATED_BY_REFINE & set(skip):
         skip = {*skip, "refine"}
-    run = Runner(key, skip=skip, skippable=SKIPPABLE, store=store, progress=progress)
+    run = Runner(inputs.key, skip=skip, skippable=SKIPPABLE, store=store, progress=progress)
 
-    scene = run.start("assemble", lambda: assemble(inputs, config.assemble))
+    scene = run.stage("assemble", _assembled, as_given(inputs), config.assemble, inputs=inputs)
     scene = direct = run.stage("level", level, scene, config.level)
     scene = run.stage("align", align, scene, _without(config.align, skip))
     scene = run.stage("relate", relate, scene, config.relate)
@@ -142,6 +141,10 @@ def reconstruct(
         },
         evaluation=evaluation,
     )
+
+
+def _assembled(_: Scene, config: AssembleConfig, *, inputs: Inputs) -> tuple[Scene, Report]:
+    return assemble(inputs, config)
 
 
 def refine(scene: Scene, config: Config, *, parted: Scene) -> tuple[Scene, Report]:

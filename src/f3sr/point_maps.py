@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,20 @@ from pydantic import BaseModel, ConfigDict, Field
 from f3sr.errors import InputError
 from f3sr.folder import InputFolder
 from f3sr.frames import Array
-from f3sr.images import open_image
+from f3sr.images import MAX_PIXELS, open_image
 from f3sr.sam3d import OPENCV_FROM_PYTORCH3D
 from f3sr.scene import Geometry, Photo
 
+MIN_VALID = 100
+"""Fewest valid pixels of geometry: fewer show no ground and no objects."""
+MIN_DEPTH, MAX_DEPTH = 0.01, 10_000.0
+"""The median depth accepted, in metres of the geometry: from a macro lens to a landscape."""
+MIN_NEAR, MAX_FAR = 0.001, 100_000.0
+"""Depth and coordinates of single points [m]; what lies nearer or farther, often a sky, is left out."""
+MAX_CENTER = 30.0
+"""How far the principal point may lie from the image's corner, in longer image sides: far crops of a photo."""
+MAX_STRETCH = 1.1
+"""Aspect of the geometry over the photo's, either way, that passes without a decision: networks round to tiles."""
 KEYS = ("points", "pointmap", "pcd", "mask", "normal", "intrinsics", "coordinate_system")
 """Arrays of geometry.npz that mean something here."""
 MAX_BYTES = 2_000_000_000
@@ -24,7 +34,7 @@ MAX_BYTES = 2_000_000_000
 MIN_FOCAL, MAX_FOCAL = 0.1, 30.0
 """Focal lengths accepted, in longer image sides: from wider than any rectilinear lens to a 1000 mm telephoto."""
 
-Row = tuple[float, float, float]
+Row = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 CAMERA_FRAMES = {
     "opencv": np.eye(3),
@@ -48,9 +58,15 @@ def read_geometry(folder: InputFolder, photo: Photo) -> tuple[Geometry, Array]:
         raise InputError(folder.root, found=f"geometry.npz and {depths[0]}", accepted="one of the two")
     if len(depths) > 1:
         raise InputError(folder.root, found="depth.png and depth.npy", accepted="one of the two")
-    if depths:
-        return _depth_map(folder, depths[0], photo)
-    return _point_map(folder, photo)
+    geometry, K = _depth_map(folder, depths[0], photo) if depths else _point_map(folder, photo)
+    h, w = geometry.valid.shape
+    if not 1 / MAX_STRETCH <= (w * photo.height) / (h * photo.width) <= MAX_STRETCH:
+        folder.decide(
+            f"geometry of {w}x{h} pixels is stretched over the photo",
+            f"the photo has {photo.width}x{photo.height}",
+            fallback=True,
+        )
+    return geometry, K
 
 
 def _point_map(folder: InputFolder, photo: Photo) -> tuple[Geometry, Array]:
@@ -60,15 +76,15 @@ def _point_map(folder: InputFolder, photo: Photo) -> tuple[Geometry, Array]:
     if points is None or points.ndim != 3 or points.shape[2] != 3 or points.dtype.kind != "f":
         found = ", ".join(f"{k} {v.shape} {v.dtype}" for k, v in data.items())
         raise InputError(path, found=found or "nothing", accepted="points (h, w, 3) of floats")
+    _require_pixels(path, points)
     to_camera = camera_frame(path, str(data.get("coordinate_system", "opencv")))
     valid = _array(path, data, "mask", points.shape[:2], default=np.ones(points.shape[:2], bool)) > 0
-    points = points.astype(np.float32) @ to_camera.T.astype(np.float32)
-    valid = valid & np.isfinite(points).all(2) & (points[..., 2] > 0)
+    points, finite = _turned(points, to_camera)
+    valid = _usable(folder, path, points[..., 2], points, valid & finite)
     normals = _array(path, data, "normal", points.shape)
     if normals is not None:
-        normals = normals.astype(np.float32) @ to_camera.T.astype(np.float32)
+        normals, _ = _turned(np.where(np.abs(normals) <= 1.5, normals, 0), to_camera)
     geometry = Geometry(points=np.where(valid[..., None], points, 0), valid=valid, normals=normals)
-    _require_valid(path, geometry)
     intrinsics = _array(path, data, "intrinsics", (3, 3))
     if intrinsics is None:
         K = _checked_K(path, _fit_intrinsics(path, geometry, photo), photo)
@@ -78,7 +94,7 @@ def _point_map(folder: InputFolder, photo: Photo) -> tuple[Geometry, Array]:
             fallback=True,
         )
         return geometry, K
-    return geometry, _checked_K(path, intrinsics.astype(float) * [[photo.width], [photo.height], [1]], photo)
+    return geometry, _checked_K(path, _scaled(intrinsics.astype(float), photo.width, photo.height), photo)
 
 
 def _depth_map(folder: InputFolder, name: str, photo: Photo) -> tuple[Geometry, Array]:
@@ -87,26 +103,26 @@ def _depth_map(folder: InputFolder, name: str, photo: Photo) -> tuple[Geometry, 
     values = _load_npy(path) if path.suffix == ".npy" else _load_png(path)
     if values.ndim != 2 or values.dtype.kind not in "fiu" or not values.size:
         raise InputError(path, found=f"an array {values.shape} of {values.dtype}", accepted="(h, w) numbers")
+    _require_pixels(path, values)
     h, w = values.shape
-    if meta.width and meta.height and (w / h) * (meta.height / meta.width) != 1:
+    if meta.width and meta.height and abs(w * meta.height - h * meta.width) > max(meta.width, meta.height):
         raise InputError(path, found=f"{w}x{h} pixels", accepted=f"the aspect of {meta.width}x{meta.height}")
     width, height = meta.width or w, meta.height or h
     K_depth = np.asarray(meta.K, float)
-    K = _checked_K(
-        folder.path("intrinsics.json"), K_depth * [[photo.width / width], [photo.height / height], [1]], photo
-    )
-    depth = values.astype(float) * meta.depth_scale
-    valid = np.isfinite(depth) & (depth > 0)
+    K_photo = _scaled(K_depth, photo.width / width, photo.height / height)
+    K = _checked_K(folder.path("intrinsics.json"), K_photo, photo)
+    with np.errstate(over="ignore"):  # what overflows is infinite, so invalid
+        depth = values.astype(float) * meta.depth_scale
+    depth = np.where(np.isfinite(depth), depth, 0)
     rays = _pixel_rays(K_depth * [[w / width], [h / height], [1]], w, h)
-    points = np.where(valid[..., None], rays * np.where(valid, depth, 0)[..., None], 0)
-    geometry = Geometry(points=points.astype(np.float32), valid=valid)
-    _require_valid(path, geometry)
-    return geometry, K
+    valid = _usable(folder, path, depth, depth[..., None], depth > 0)
+    points = rays * np.where(valid, depth, 0)[..., None]
+    return Geometry(points=points.astype(np.float32), valid=valid), K
 
 
 class _Intrinsics(BaseModel):
-    model_config = ConfigDict(allow_inf_nan=False)
-    K: tuple[Row, Row, Row]
+    model_config = ConfigDict(allow_inf_nan=False, strict=True)
+    K: Annotated[list[Row], Field(min_length=3, max_length=3)]
     width: int | None = Field(default=None, gt=0, le=100_000)
     height: int | None = Field(default=None, gt=0, le=100_000)
     depth_scale: float = Field(default=0.001, gt=0)
@@ -120,15 +136,24 @@ def _open_npz(path: Path) -> dict[str, NDArray[Any]]:
         if size > MAX_BYTES:
             raise InputError(path, found=f"{size:,} bytes of arrays", accepted=f"at most {MAX_BYTES:,}")
         with np.load(path, allow_pickle=False) as archive:
-            return {k: archive[k] for k in archive.files if k in KEYS}
+            data = {k: archive[k] for k in archive.files if k in KEYS}
+        if any(not isinstance(v, np.ndarray) for v in data.values()):
+            raise ValueError("a member that is no array")
+        return data
     except InputError:
         raise
     except Exception as error:  # numpy and zipfile raise many kinds for a broken archive
-        raise InputError(path, found=f"no readable npz ({error})", accepted="an npz archive of arrays") from error
+        found = "Python objects" if "pickle" in str(error) else "no readable npz"
+        raise InputError(path, found=found, accepted="an npz archive of arrays of numbers") from error
 
 
 def _load_png(path: Path) -> NDArray[Any]:
-    return np.asarray(open_image(path))
+    image = open_image(path)
+    if not image.mode.startswith("I"):
+        raise InputError(
+            path, found=f"pixels of kind {image.mode}, at most 8 bits a channel", accepted="16-bit grey depth"
+        )
+    return np.asarray(image)
 
 
 def _load_npy(path: Path) -> NDArray[Any]:
@@ -138,7 +163,7 @@ def _load_npy(path: Path) -> NDArray[Any]:
             raise ValueError("an archive of arrays")
         return values
     except (OSError, ValueError, EOFError, MemoryError, OverflowError) as error:
-        raise InputError(path, found=f"no readable npy ({error})", accepted="a 2-D array of numbers") from error
+        raise InputError(path, found="no readable npy", accepted="a 2-D array of numbers") from error
 
 
 def _array(
@@ -161,25 +186,64 @@ def camera_frame(where: Path, name: str) -> Array:
     return CAMERA_FRAMES[name]
 
 
+def _scaled(K: Array, x: float, y: float) -> Array:
+    """K for an image x times as wide and y times as high; what overflows is refused as infinite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return K * [[x], [y], [1]]
+
+
 def _checked_K(path: Path, K: Array, photo: Photo) -> Array:
     """K in pixels of the photo, with focal lengths that some lens has."""
     longest = max(photo.width, photo.height)
     low, high = MIN_FOCAL * longest, MAX_FOCAL * longest
     ok = np.isfinite(K).all() and np.allclose(K[[1, 2, 2, 2], [0, 0, 1, 2]], [0, 0, 0, 1])
-    if not ok or not (low <= K[0, 0] <= high and low <= K[1, 1] <= high):
+    far = np.abs(K[:2, 1:]).max(initial=0, where=[[True, True], [False, True]]) > MAX_CENTER * longest
+    if not ok or far or not (low <= K[0, 0] <= high and low <= K[1, 1] <= high):
         rows = ", ".join(str([float(f"{x:.4g}") for x in row]) for row in K)
         raise InputError(
             path,
             found=f"K = [{rows}] in pixels of the photo",
-            accepted=f"[[fx, s, cx], [0, fy, cy], [0, 0, 1]] with fx, fy from {low:.0f} to {high:.0f} px "
-            "(in geometry.npz divided by the photo's width and height)",
+            accepted=f"[[fx, s, cx], [0, fy, cy], [0, 0, 1]] with fx, fy from {low:.0f} to {high:.0f} px, the rest "
+            f"within {MAX_CENTER * longest:.0f} px (in geometry.npz divided by the photo's width and height)",
         )
     return K
 
 
-def _require_valid(path: Path, geometry: Geometry) -> None:
-    if not geometry.valid.any():
+def _require_pixels(path: Path, values: NDArray[Any]) -> None:
+    h, w = values.shape[:2]
+    if h * w > MAX_PIXELS:
+        raise InputError(path, found=f"{w}x{h} pixels", accepted=f"at most {MAX_PIXELS:,} pixels")
+
+
+def _turned(vectors: NDArray[Any], R: Array) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Vectors (h, w, 3) turned by R, zero where they are not finite, and where they are finite (h, w)."""
+    with np.errstate(over="ignore"):
+        vectors = vectors.astype(np.float32)
+    finite = np.asarray(np.isfinite(vectors).all(2))
+    return np.where(finite[..., None], vectors, 0) @ R.T.astype(np.float32), finite
+
+
+def _usable(
+    folder: InputFolder, path: Path, depth: NDArray[Any], points: NDArray[Any], valid: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """The valid pixels (h, w) within reach: enough of them, and of a unit that a photo can have."""
+    valid = valid & (depth > 0)
+    if not valid.any():
         raise InputError(path, found="no valid depth", accepted="finite points in front of the camera")
+    median = float(np.median(depth[valid]))
+    if not MIN_DEPTH <= median <= MAX_DEPTH:
+        raise InputError(
+            path,
+            found=f"a median depth of {median:.3g} m",
+            accepted=f"{MIN_DEPTH} to {MAX_DEPTH:,.0f} m (check the unit)",
+        )
+    near = valid & (depth >= MIN_NEAR) & (np.abs(points).max(2) <= MAX_FAR)
+    if (lost := int(valid.sum() - near.sum())) > 0:
+        reason = f"nearer than {MIN_NEAR} m or farther than {MAX_FAR:,.0f} m"
+        folder.decide(f"{path.name}: {lost} points left out", reason)
+    if near.sum() < MIN_VALID:
+        raise InputError(path, found=f"{int(near.sum())} valid pixels", accepted=f"at least {MIN_VALID}")
+    return near
 
 
 def _pixel_rays(K: Array, width: int, height: int) -> Array:

@@ -10,22 +10,26 @@ size (the diagonal of its bounding box), so the result does not depend on the as
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import subprocess
 import sys
 import tempfile
-import zipfile
+import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import IO, Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
+from f3sr import interrupts
+from f3sr.cache import Arrays, Store
 from f3sr.errors import InputError
 from f3sr.frames import Array
 from f3sr.kernels import cache_root
@@ -41,8 +45,18 @@ GRID = 2.0**-26
 SAME_FLAT = np.radians(2.0)
 """Facets turned by less than this [rad] belong to one flat: the noise of generated meshes."""
 
+LOOK_UP_S = 0.2
+"""How often a thread that waits for a worker looks whether all has been called off [s]."""
+PR_SET_PDEATHSIG = 1
+"""From Linux' sys/prctl.h."""
+
+NO_SURFACE = 0.5
+"""Share of triangle edges without exactly one neighbour from which on triangles form no surface; real assets have 0,
+open shells as many as their rims."""
+
 Faces = NDArray[np.int32]
-Method = Literal["hull", "coacd", "vhacd", "hull-fallback"]
+Split = Literal["coacd", "vhacd"]
+Method = Literal["hull", Split, "hull-fallback"]
 
 
 @settings
@@ -75,6 +89,9 @@ class ProxyConfig:
     """CoACD's tree search iterations."""
     mcts_depth: Annotated[int, Interval(ge=2, le=7)] = 2
     """How many cuts CoACD looks ahead: 3 takes half as long again and gains nothing measurable."""
+    max_pieces: Annotated[float, Interval(ge=1, le=10_000)] = 20.0
+    """Loose pieces, those of equal area counting as one each and crumbs hardly at all, from which on CoACD is not
+    tried: 25 boxes stuck into each other take it 80 s, 400 loose triangles 100 s."""
     vhacd_parts: Annotated[int, Interval(ge=1, le=256)] = 32
     """Most parts of the fallback V-HACD: it needs more of them for the same quality."""
     vhacd_voxels: Annotated[int, Interval(ge=10_000, le=100_000_000)] = 400_000
@@ -121,21 +138,24 @@ def decompose(
     cache_dir: Path | None = None,
     name: str = "mesh",
     about: int | None = None,
+    cancelled: threading.Event | None = None,
 ) -> Proxy:
     """Convex parts of one mesh; ``name`` is told in errors, ``about`` (an object id) in decisions.
 
     Results are kept by the hash of their input in ``cache_dir``, by default ``proxies`` in f3sr's cache.
+    Another thread may set ``cancelled``: the worker is killed and CancelledError raised.
     Raises InputError when there are no faces or a coordinate is not finite, before anything is started.
     """
     config = config or ProxyConfig()
     check(mesh, name)
     vertices, faces, T_mesh_unit = _normalised(mesh)
-    entry = (cache_dir or cache_root() / "proxies") / f"{_key(vertices, faces, config)}.npz"
-    proxy = _read(entry)
-    if proxy is None:
-        proxy = _decompose_unit(vertices, faces, config)
+    store, key = Store(cache_dir or cache_root() / "proxies", share=0.1), _key(vertices, faces, config)
+    if found := store.load(key):
+        proxy = _restored(*found)
+    else:
+        proxy = _decompose_unit(vertices, faces, config, cancelled)
         if not proxy.cut_short:
-            _write(entry, proxy)
+            store.save(key, *_stored(proxy))
     return replace(
         proxy,
         parts=tuple(part.moved(T_mesh_unit) for part in proxy.parts),
@@ -156,13 +176,18 @@ def decompose_all(
         check(mesh, f"mesh of object {id}")
 
     def one(mesh: Mesh, id: int) -> Proxy:
-        return decompose(mesh, config, cache_dir=cache_dir, about=id)
+        return decompose(mesh, config, cache_dir=cache_dir, about=id, cancelled=cancelled)
 
+    cancelled = threading.Event()
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return list(pool.map(one, meshes, ids))
+        try:
+            return list(pool.map(one, meshes, ids))
+        except BaseException:  # a failure or Ctrl-C: leaving the pool waits for its threads, and they for workers
+            cancelled.set()
+            raise
 
 
-def split(mesh: Mesh, method: Literal["coacd", "vhacd"], config: ProxyConfig | None = None) -> int:
+def split(mesh: Mesh, method: Split, config: ProxyConfig | None = None) -> int:
     """How many parts one method alone finds; RuntimeError with the reason where it finds none."""
     vertices, faces, _ = _normalised(mesh)
     outcome = _run_worker(method, vertices, faces, config or ProxyConfig())
@@ -193,7 +218,9 @@ def _normalised(mesh: Mesh) -> tuple[Array, Faces, Array]:
     return vertices, faces, T
 
 
-def _decompose_unit(vertices: Array, faces: Faces, config: ProxyConfig) -> Proxy:
+def _decompose_unit(
+    vertices: Array, faces: Faces, config: ProxyConfig, cancelled: threading.Event | None = None
+) -> Proxy:
     """Try the methods in turn until one gives parts; every one that fails is told in a decision."""
     decisions: list[Decision] = []
     cut_short = False
@@ -201,8 +228,12 @@ def _decompose_unit(vertices: Array, faces: Faces, config: ProxyConfig) -> Proxy
         method, parts = "hull", _hull_parts(vertices, faces, config)
         decisions.append(Decision(choice="one hull", reason=reason))
     else:
-        for attempt in ("coacd", "vhacd"):
-            outcome = _run_worker(attempt, vertices, faces, config)
+        attempts: tuple[Split, ...] = ("coacd", "vhacd")
+        if reason := _is_no_body(vertices, faces, config):
+            attempts = ("vhacd",)
+            decisions.append(Decision(choice="split by V-HACD, not by CoACD", reason=reason, fallback=True))
+        for attempt in attempts:
+            outcome = _run_worker(attempt, vertices, faces, config, cancelled)
             if outcome.parts:
                 method, parts = attempt, outcome.parts
                 break
@@ -240,6 +271,34 @@ def _is_nearly_convex(vertices: Array, faces: Faces, config: ProxyConfig) -> str
         ratio = volume / hull.volume
         return f"fills {ratio:.1%} of its hull, {reason}" if ratio >= config.hull_volume_ratio else None
     return reason
+
+
+def _is_no_body(vertices: Array, faces: Faces, config: ProxyConfig) -> str | None:
+    """Why a search for cuts would get lost in the mesh, or None: known beforehand and by counting, not by a limit on
+    time, so that every run decides alike."""
+    pieces = _effective_pieces(vertices, faces)
+    if pieces > config.max_pieces:
+        return f"as scattered as {pieces:.0f} loose pieces"
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    _, sides = np.unique(edges, axis=0, return_counts=True)
+    apart = 1 - 2 * float((sides == 2).sum()) / len(edges)
+    if apart > NO_SURFACE:
+        return f"{apart:.0%} of the triangles' edges are not shared by two triangles"
+    return None
+
+
+def _effective_pieces(vertices: Array, faces: Faces) -> float:
+    """1 / the sum of squared shares of the area that connected pieces hold: n for n equal ones."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    a, b = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()
+    links = coo_array((np.ones(len(a), bool), (a, b)), shape=(len(vertices), len(vertices)))
+    piece = connected_components(links, directed=False)[1][faces[:, 0]]
+    corners = vertices[faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    held = np.bincount(piece, area) / area.sum()
+    return 1 / float((held**2).sum())
 
 
 def _hull_parts(vertices: Array, faces: Faces, config: ProxyConfig) -> tuple[ConvexPart, ...]:
@@ -400,30 +459,52 @@ class _Outcome:
     cut_short: bool = False
 
 
-def _run_worker(method: str, vertices: Array, faces: Faces, config: ProxyConfig) -> _Outcome:
+def _run_worker(
+    method: str, vertices: Array, faces: Faces, config: ProxyConfig, cancelled: threading.Event | None = None
+) -> _Outcome:
     """Split a normalised mesh in a subprocess of our own, killed at its processor or wall limit."""
-    with tempfile.TemporaryDirectory(prefix="f3sr-proxy-") as folder:
-        source, target = Path(folder, "mesh.npz"), Path(folder, "parts.npz")
-        np.savez(source, vertices=vertices, faces=faces)
-        command = [sys.executable, "-m", "f3sr.proxies", method, str(source), str(target), _json(config)]
-        # One thread each: the objects are what runs in parallel, and sums keep their order.
-        environment = os.environ | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-        environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
-        try:
-            done = subprocess.run(
-                command,
-                env=environment,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                timeout=config.wall_limit_s,
-                check=False,
-            )
-        except subprocess.TimeoutExpired:
-            return _Outcome(reason=f"killed after {config.wall_limit_s:g} s", cut_short=True)
-        if done.returncode == 0:
-            with np.load(target) as data:
+    with tempfile.TemporaryFile() as mesh, tempfile.TemporaryFile() as answer, tempfile.TemporaryFile() as errors:
+        np.savez(mesh, vertices=vertices, faces=faces)
+        mesh.seek(0)
+        with interrupts.undone(lambda: _start(method, config, mesh, answer, errors), subprocess.Popen.kill) as process:
+            try:
+                _wait(process, config.wall_limit_s, cancelled)
+            except subprocess.TimeoutExpired:
+                return _Outcome(reason=f"killed after {config.wall_limit_s:g} s", cut_short=True)
+            finally:
+                process.kill()
+                process.wait()
+        if process.returncode == 0:
+            answer.seek(0)
+            with np.load(answer, allow_pickle=False) as data:
                 return _Outcome(parts=_unpack(data))
-        return _explain(done.returncode, done.stderr.decode(errors="replace"), config)
+        errors.seek(0)
+        return _explain(process.returncode, errors.read().decode(errors="replace"), config)
+
+
+def _start(method: str, config: ProxyConfig, *streams: IO[bytes]) -> subprocess.Popen[bytes]:
+    """A worker in a process group of its own, as it is ours to end it when the user presses Ctrl-C. Its streams are
+    files without a name: there is nothing to tidy up after ``kill -9``."""
+    # One thread each: the objects are what runs in parallel, and sums keep their order.
+    environment = os.environ | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
+    command = [sys.executable, "-m", "f3sr.proxies", method, _json(config), str(os.getpid())]
+    stdin, stdout, stderr = streams
+    return subprocess.Popen(command, env=environment, process_group=0, stdin=stdin, stdout=stdout, stderr=stderr)
+
+
+def _wait(process: subprocess.Popen[bytes], limit_s: float, cancelled: threading.Event | None) -> None:
+    """Until a worker ends; TimeoutExpired at the limit, CancelledError when all is called off."""
+    deadline = time.monotonic() + limit_s
+    while True:
+        try:
+            process.wait(timeout=max(0.0, min(LOOK_UP_S, deadline - time.monotonic())))
+            return
+        except subprocess.TimeoutExpired:
+            if cancelled is not None and cancelled.is_set():
+                raise CancelledError from None
+            if time.monotonic() >= deadline:
+                raise
 
 
 def _explain(code: int, errors: str, config: ProxyConfig) -> _Outcome:
@@ -437,16 +518,19 @@ def _explain(code: int, errors: str, config: ProxyConfig) -> _Outcome:
     return _Outcome(reason=f"failed: {last[:200]}")
 
 
-def _worker(method: str, source: str, target: str, config_json: str) -> None:
+def _worker(method: str, config_json: str, parent: str) -> None:
     """The subprocess: read a normalised mesh, split it, cover it, simplify its parts, write them."""
     import resource
 
+    _die_with(int(parent))
     config = ProxyConfig(**json.loads(config_json))
     seconds = max(1, round(config.cpu_limit_s))
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    with np.load(source) as data:
+    with np.load(io.BytesIO(sys.stdin.buffer.read()), allow_pickle=False) as data:
         vertices, faces = data["vertices"], data["faces"]
+    answer = os.dup(1)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for the words of the libraries
     pieces = _with_volume(_SPLITTERS[method](vertices, faces, config))
     if not pieces:
         raise ValueError(f"{method} found no part with a volume")
@@ -454,7 +538,22 @@ def _worker(method: str, source: str, target: str, config_json: str) -> None:
         pieces = covering(pieces, vertices, faces, config)
     whole = ConvexPart.hull_of(vertices)
     parts = _without_hidden([simplified_outward(p, config, whole) for p in pieces])
-    np.savez(target, allow_pickle=False, **_pack(parts))
+    with os.fdopen(answer, "wb") as stream:
+        archive = io.BytesIO()
+        np.savez(archive, allow_pickle=False, **_pack(parts))
+        stream.write(archive.getvalue())
+
+
+def _die_with(parent: int) -> None:
+    """Let the kernel kill this process when its parent is gone, be it by ``kill -9``. Elsewhere than on Linux the limit
+    on processor time does."""
+    import ctypes
+    import signal
+
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        raise SystemExit("the parent is gone")
 
 
 def _with_volume(pieces: Sequence[Array]) -> list[Array]:
@@ -542,7 +641,7 @@ def _json(config: ProxyConfig) -> str:
     return json.dumps(asdict(config), sort_keys=True)
 
 
-def _pack(parts: Sequence[ConvexPart]) -> dict[str, Array | Faces]:
+def _pack(parts: Sequence[ConvexPart]) -> Arrays:
     """Parts as arrays that ``_unpack`` reads: all vertices, all faces, and the counts (parts, 2) of each."""
     return {
         "vertices": np.concatenate([p.vertices for p in parts]),
@@ -557,32 +656,19 @@ def _unpack(data: Mapping[str, Any]) -> tuple[ConvexPart, ...]:
     return tuple(ConvexPart(vertices=v.copy(), faces=f.copy()) for v, f in zip(vertices, faces, strict=True))
 
 
-def _write(entry: Path, proxy: Proxy) -> None:
-    """Write a cache entry so that a reader sees the whole of it or nothing."""
+def _stored(proxy: Proxy) -> tuple[dict[str, Any], Arrays]:
     sheet = {
         "method": proxy.method,
         "decisions": [asdict(d) for d in proxy.decisions],
         "inflation": proxy.inflation,
         "outside": proxy.outside,
     }
-    entry.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=entry.parent, suffix=".tmp", delete=False) as file:
-        np.savez(file, allow_pickle=False, sheet=np.array(json.dumps(sheet)), **_pack(proxy.parts))
-    Path(file.name).replace(entry)
+    return sheet, _pack(proxy.parts)
 
 
-def _read(entry: Path) -> Proxy | None:
-    """The proxy in a cache entry, None when there is none or it is damaged."""
-    try:
-        with np.load(entry) as data:
-            sheet = json.loads(str(data["sheet"]))
-            parts = _unpack(data)
-        decisions = tuple(Decision(**d) for d in sheet.pop("decisions"))
-        if not parts or sheet["method"] not in get_args(Method):
-            return None
-        return Proxy(parts=parts, decisions=decisions, **sheet)
-    except (OSError, EOFError, KeyError, TypeError, ValueError, IndexError, zipfile.BadZipFile):
-        return None
+def _restored(sheet: dict[str, Any], arrays: Arrays) -> Proxy:
+    decisions = tuple(Decision(**d) for d in sheet.pop("decisions"))
+    return Proxy(parts=_unpack(arrays), decisions=decisions, **sheet)
 
 
 if __name__ == "__main__":

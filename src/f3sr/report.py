@@ -39,6 +39,8 @@ class Report:
     stage: str
     measures: tuple[Measure, ...] = ()
     decisions: tuple[Decision, ...] = ()
+    cut_short: bool = False
+    """A limit on time cut some of the work: another run may do better, so the result is not stored."""
 
     def value(self, name: str) -> float:
         """The scene-wide measure of that name after the stage."""

@@ -18,7 +18,8 @@ T = TypeVar("T")
 
 class Runner:
     """Calls stage after stage. A stage's key hashes the code, the key before it, its name and its configuration, so a
-    stored result is taken exactly when everything it depends on is the same."""
+    stored result is taken exactly when everything it depends on is the same. What a limit on time has cut short depends
+    on more than that: neither it nor what follows from it is stored."""
 
     def __init__(
         self, key: str, *, skip: Collection[str], skippable: Sequence[str], store: Store | None, progress: Progress
@@ -34,11 +35,6 @@ class Runner:
         self.resumed: list[str] = []
         """Stages whose results were taken from the store."""
 
-    def start(self, name: str, work: Callable[[], tuple[Scene, Report]]) -> Scene:
-        """The first stage: always run, as it holds what the store does not."""
-        scene, report = self._timed(name, work)
-        return self._keep(name, scene, report)
-
     def stage(
         self, name: str, work: Callable[..., tuple[Scene, Report]], scene: Scene, config: Any, **more: Any
     ) -> Scene:
@@ -47,11 +43,17 @@ class Runner:
         def restored(document: Any, arrays: Arrays) -> tuple[Scene, Report]:
             return scene_state.unpack(scene, document["scene"], arrays), _report(document["report"])
 
+        def worked() -> tuple[Scene, Report]:
+            changed, report = work(scene, config, **more)
+            if report.cut_short:
+                self.store = None
+            return changed, report
+
         def stored(result: tuple[Scene, Report]) -> tuple[Any, Arrays]:
             document, arrays = scene_state.pack(result[0])
             return {"scene": document, "report": asdict(result[1])}, arrays
 
-        result = self.value(name, lambda: work(scene, config, **more), restored, stored, config)
+        result = self.value(name, worked, restored, stored, config)
         return scene if result is None else self._keep(name, *result)
 
     def _keep(self, name: str, scene: Scene, report: Report) -> Scene:
@@ -76,14 +78,11 @@ class Runner:
             self.resumed.append(name)
             self.progress(Step(name=name, state="resumed"))
             return restored(*found)
-        result = self._timed(name, work)
-        if self.store:
-            self.store.save(self.key, *stored(result))
-        return result
-
-    def _timed(self, name: str, work: Callable[[], T]) -> T:
         with timed(name, self._told):
-            return work()
+            result = work()
+            if self.store:  # first of all: what is said to be done stays done
+                self.store.save(self.key, *stored(result))
+        return result
 
     def _told(self, step: Step) -> None:
         if step.state == "done":

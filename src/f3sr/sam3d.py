@@ -7,6 +7,7 @@ so in column form the rotation is R(q)^T. Hence ``p_opencv = s F R(q)^T A v_glb 
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any
 
 import numpy as np
@@ -39,30 +40,39 @@ Scale = Annotated[list[float], BeforeValidator(_triple), Field(min_length=3, max
 class AssetPose(BaseModel):
     """One entry: the mask it belongs to, its mesh file and its pose."""
 
-    model_config = ConfigDict(allow_inf_nan=False)
-    mask: Annotated[str, Field(pattern=r"^[^/\\\x00]+$")]
+    model_config = ConfigDict(allow_inf_nan=False, strict=True)
+    mask: str
     mesh: str
     rotation: Quaternion
     translation: Vector
     scale: Scale
 
+    @field_validator("mask")
+    @classmethod
+    def _bare(cls, value: str) -> str:
+        if not value or set(value) & set("/\\\0"):
+            raise ValueError(f"{value[:60]!r}; accepted: the bare name of a mask file")
+        return value
+
     @field_validator("rotation")
     @classmethod
     def _unit(cls, value: list[float]) -> list[float]:
-        if abs(float(np.linalg.norm(value)) - 1) > 0.01:
-            raise ValueError(f"a quaternion of length {np.linalg.norm(value):.3g}, not 1")
+        if abs(math.hypot(*value) - 1) > 0.01:
+            raise ValueError(f"a quaternion of length {math.hypot(*value):.3g}; accepted: wxyz of length 1")
         return value
 
     @field_validator("scale")
     @classmethod
     def _uniform(cls, value: list[float]) -> list[float]:
         if min(value) <= 0 or max(value) - min(value) > 1e-4 * max(value):
-            raise ValueError(f"scale {value} is not one positive number")
+            raise ValueError(
+                f"{[float(f'{v:.3g}') for v in value]}; accepted: one positive number, or three that are equal"
+            )
         return value
 
     @property
     def uniform_scale(self) -> float:
-        return float(np.mean(self.scale))
+        return sum(self.scale) / 3
 
     def camera_pose(self) -> tuple[Array, Array]:
         """Rotation (3, 3) and translation (3,) of the local frame in OpenCV camera axes."""
@@ -73,6 +83,7 @@ class AssetPose(BaseModel):
 class Poses(BaseModel):
     """``assets/poses.json``."""
 
+    model_config = ConfigDict(strict=True)
     convention: str = "sam-3d-objects"
     objects: list[AssetPose] = Field(min_length=1)
 
@@ -80,5 +91,5 @@ class Poses(BaseModel):
     @classmethod
     def _known(cls, value: str) -> str:
         if not value.startswith("sam-3d-objects"):
-            raise ValueError(f"convention {value[:60]!r}; known: sam-3d-objects")
+            raise ValueError(f"convention {value[:60]!r}; accepted: sam-3d-objects")
         return value

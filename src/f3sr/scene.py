@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal, Self
+from weakref import ReferenceType, ref
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,15 +133,21 @@ class SceneObject:
         T[:3, :3] *= self.scale
         return T
 
-    @cached_property
+    @property
     def vertices_world(self) -> Array:
-        """(n, 3) [m]"""
-        return frozen(transform(self.T_world_asset, self.mesh.vertices))
+        """(n, 3) [m]; made anew unless somebody still holds it, for the scenes of all stages stay in memory."""
+        known: ReferenceType[Array] | None = self.__dict__.get("_vertices_world")
+        vertices = known() if known else None
+        if vertices is None:
+            vertices = frozen(transform(self.T_world_asset, self.mesh.vertices))
+            object.__setattr__(self, "_vertices_world", ref(vertices))
+        return vertices
 
     @cached_property
     def bounds_world(self) -> Array:
         """(2, 3) [m]"""
-        return np.stack([self.vertices_world.min(0), self.vertices_world.max(0)])
+        vertices = self.vertices_world
+        return np.stack([vertices.min(0), vertices.max(0)])
 
     @property
     def size(self) -> float:

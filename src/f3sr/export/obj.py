@@ -33,7 +33,7 @@ def to_obj(vertices: Array, faces: NDArray[np.int32], uv: Array | None = None) -
 
 
 def _rows(line: str, values: NDArray[Any]) -> Iterator[str]:
-    """``values`` (n, k), row by row in a line of k places; a block at a time, each in one go, which is twice as fast."""
+    """``values`` (n, k), row by row in a line of k places; many rows in one go, which is twice as fast."""
     for start in range(0, len(values), BLOCK):
         block = values[start : start + BLOCK]
         yield line * len(block) % tuple(block.ravel().tolist())

@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from annotated_types import Interval, Len
@@ -17,7 +18,7 @@ from f3sr.facets import resting_turn
 from f3sr.frames import Array, Camera, pose
 from f3sr.freedom import CameraFreedom, ObjectFreedom
 from f3sr.levenberg import Local, Minimum, minimise
-from f3sr.mesh import ConvexPart, Mesh, mass_properties
+from f3sr.mesh import Mesh, mass_properties
 from f3sr.report import Decision, Measure, Report, keep_better
 from f3sr.scene import Scene, SceneObject
 from f3sr.settings import settings
@@ -113,15 +114,25 @@ def align(
     return scene, Report(stage="align", measures=(mean, *measures), decisions=tuple(decisions))
 
 
+_OUTLINES: WeakKeyDictionary[Mesh, dict[int, Mesh]] = WeakKeyDictionary()
+
+
 def _outlined(o: SceneObject, max_faces: int) -> SceneObject:
     """The object with a mesh light enough to draw hundreds of times; its silhouette is all that is compared."""
     if len(o.mesh.faces) <= max_faces:
         return o
+    known = _OUTLINES.setdefault(o.mesh, {})
+    if max_faces not in known:
+        known[max_faces] = _simplified(o.mesh, max_faces)
+    return replace(o, mesh=known[max_faces])
+
+
+def _simplified(mesh: Mesh, max_faces: int) -> Mesh:
     import fast_simplification
 
-    vertices, faces = o.mesh.welded
+    vertices, faces = mesh.welded
     light = fast_simplification.simplify(vertices, faces, target_count=max_faces)
-    return replace(o, mesh=Mesh(vertices=np.asarray(light[0], float), faces=np.asarray(light[1], np.int32)))
+    return Mesh(vertices=np.asarray(light[0], float), faces=np.asarray(light[1], np.int32))
 
 
 def nearer_objects(scene: Scene) -> dict[int, list[SceneObject]]:
@@ -312,7 +323,7 @@ def _resting_turn(o: SceneObject, config: AlignConfig) -> Array | None:
     """The world pose change (4, 4) about the object's middle that puts it on its nearest stable facet, if near."""
     if not config.max_tilt:
         return None
-    hull = ConvexPart.hull_of(o.mesh.vertices)
+    hull = o.mesh.hull
     solid = o.mesh.welded if o.mesh.is_solid else (hull.vertices, hull.faces)
     R = resting_turn(hull, mass_properties(*solid).center, o.T_world_object[:3, :3], max_tilt=config.max_tilt)
     return None if R is None else _about(o.bounds_world.mean(0), R, np.zeros(3))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -10,7 +11,6 @@ from annotated_types import Interval
 from f3sr import raster, sam3d
 from f3sr.frames import T_UP_FROM_CAMERA, Array, Camera, pose, transform
 from f3sr.inputs import Inputs, Instance, PosedAsset
-from f3sr.mesh import ConvexPart
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Geometry, Scene, SceneGraph, SceneObject
 from f3sr.settings import settings
@@ -26,16 +26,32 @@ class AssembleConfig:
     """Mean IoU by which another pose convention must fit the masks better to be warned of."""
 
 
+def as_given(inputs: Inputs) -> Scene:
+    """The inputs as a scene, nothing checked or moved: the photo, its camera at the origin, objects where their assets'
+    poses say, without proxies."""
+    camera = Camera(width=inputs.photo.width, height=inputs.photo.height, K=inputs.K, T_world_camera=T_UP_FROM_CAMERA)
+    return Scene(
+        photo=inputs.photo,
+        camera=camera,
+        geometry=inputs.geometry,
+        ground_mask=inputs.ground_mask,
+        graph=inputs.graph or SceneGraph(),
+        objects=tuple(_given_object(i, inputs.assets[i.id], camera) for i in inputs.instances),
+    )
+
+
 def assemble(inputs: Inputs, config: AssembleConfig | None = None) -> tuple[Scene, Report]:
     """Bring everything into one frame: a level camera at the origin, objects where their assets' poses say.
 
     Assets whose depth contradicts the geometry inside their mask by more than ``max_depth_ratio`` are moved along
-    their viewing rays and scaled alike about the camera centre, which leaves their silhouette as it was.
+    their viewing rays and scaled alike about the camera centre, which leaves their silhouette as it was. Everything
+    gets one hull as its provisional proxy.
     """
     config = config or AssembleConfig()
-    camera = Camera(width=inputs.photo.width, height=inputs.photo.height, K=inputs.K, T_world_camera=T_UP_FROM_CAMERA)
-    objects = tuple(_provisional_object(i, inputs.assets[i.id], camera) for i in inputs.instances)
-    decisions = [*inputs.decisions, *_check_convention(inputs, camera, objects, config)]
+    scene = as_given(inputs)
+    camera = scene.camera
+    objects = tuple(replace(o, parts=(o.mesh.hull,)) for o in scene)
+    decisions = [*inputs.decisions, *_check_convention(camera, objects, config)]
     decisions += [d for o in objects if (d := _check_place(o, camera))]
     measures: list[Measure] = []
     placed: list[SceneObject] = []
@@ -46,19 +62,12 @@ def assemble(inputs: Inputs, config: AssembleConfig | None = None) -> tuple[Scen
             o, decision = _agree_with_geometry(o, ratio, camera, config)
             decisions += decision
         placed.append(o)
-    scene = Scene(
-        photo=inputs.photo,
-        camera=camera,
-        geometry=inputs.geometry,
-        ground_mask=inputs.ground_mask,
-        graph=inputs.graph or SceneGraph(),
-        objects=tuple(placed),
-    )
+    scene = scene.with_objects(*placed)
     return scene, Report(stage="assemble", measures=tuple(measures), decisions=tuple(decisions))
 
 
-def _provisional_object(instance: Instance, asset: PosedAsset, camera: Camera) -> SceneObject:
-    """An object as its asset says, with one hull as its proxy and nothing known of its supports."""
+def _given_object(instance: Instance, asset: PosedAsset, camera: Camera) -> SceneObject:
+    """An object as its asset says, with nothing known of its supports."""
     return SceneObject(
         id=instance.id,
         label=instance.label,
@@ -67,7 +76,6 @@ def _provisional_object(instance: Instance, asset: PosedAsset, camera: Camera) -
         mesh=asset.mesh,
         T_world_object=camera.T_world_camera @ asset.T_camera_object,
         scale=asset.scale,
-        parts=(ConvexPart.hull_of(asset.mesh.vertices),),
     )
 
 
@@ -105,9 +113,7 @@ def _check_place(o: SceneObject, camera: Camera) -> Decision | None:
     )
 
 
-def _check_convention(
-    inputs: Inputs, camera: Camera, objects: tuple[SceneObject, ...], config: AssembleConfig
-) -> list[Decision]:
+def _check_convention(camera: Camera, objects: tuple[SceneObject, ...], config: AssembleConfig) -> list[Decision]:
     """Warn when another known reading of the poses overlaps the masks far better (the declared one is kept)."""
     declared = float(np.mean([_overlap(o.vertices_world, o, camera) for o in objects]))
     best, name = declared, "declared"

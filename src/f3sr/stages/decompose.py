@@ -22,4 +22,5 @@ def decompose(scene: Scene, config: ProxyConfig | None = None) -> tuple[Scene, R
     ]
     decisions = [replace(d, about=o.id) for o, r in pairs for d in r.decisions]
     scene = scene.with_objects(*(replace(o, parts=r.parts) for o, r in pairs))
-    return scene, Report(stage="decompose", measures=tuple(measures), decisions=tuple(decisions))
+    cut_short = any(r.cut_short for r in results)
+    return scene, Report(stage="decompose", measures=tuple(measures), decisions=tuple(decisions), cut_short=cut_short)

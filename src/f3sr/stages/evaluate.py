@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Self
 
 from f3sr.frames import pose
-from f3sr.measures import Measures, measure
+from f3sr.measures import Details, Gap, Measures, ObjectMeasures, Overlap, measure_with_details
 from f3sr.scene import Scene
 
 
@@ -16,23 +16,44 @@ class Evaluation:
 
     result: Measures
     direct: Measures | None
+    result_details: Details
+    direct_details: Details | None
 
     def stored(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """As plain values, for a store."""
-        return {"result": asdict(self.result), "direct": asdict(self.direct) if self.direct else None}, {}
+        return asdict(self), {}
 
     @classmethod
     def restored(cls, document: dict[str, Any], _: dict[str, Any]) -> Self:
-        direct = document["direct"]
-        return cls(result=Measures(**document["result"]), direct=Measures(**direct) if direct else None)
+        direct, details = document["direct"], document["direct_details"]
+        return cls(
+            result=Measures(**document["result"]),
+            direct=Measures(**direct) if direct else None,
+            result_details=_details(document["result_details"]),
+            direct_details=_details(details) if details else None,
+        )
 
 
 def evaluate(scene: Scene, direct: Scene | None, *, true_scale: float = 1.0) -> Evaluation:
     """Measure ``scene`` and ``direct``, the levelled but otherwise untouched input, with the same proxies."""
-    return Evaluation(
-        result=measure(scene, true_scale=true_scale),
-        direct=direct and measure(direct_composition(direct, scene), true_scale=true_scale),
+    result, result_details = measure_with_details(scene, true_scale=true_scale)
+    if direct is None:
+        return Evaluation(result=result, direct=None, result_details=result_details, direct_details=None)
+    beside, details = measure_with_details(direct_composition(direct, scene), true_scale=true_scale)
+    return Evaluation(result=result, direct=beside, result_details=result_details, direct_details=details)
+
+
+def _details(document: dict[str, Any]) -> Details:
+    return Details(
+        objects=tuple(ObjectMeasures(**o) for o in document["objects"]),
+        gaps=tuple(Gap(**_with_points(g)) for g in document["gaps"]),
+        overlaps=tuple(Overlap(**_with_points(o)) for o in document["overlaps"]),
     )
+
+
+def _with_points(document: dict[str, Any]) -> dict[str, Any]:
+    """JSON's lists are points."""
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in document.items()}
 
 
 def direct_composition(levelled: Scene, result: Scene) -> Scene:

@@ -74,13 +74,17 @@ def level(scene: Scene, config: LevelConfig | None = None) -> tuple[Scene, Repor
             Measure(name="normals that agree", after=100 * agreement, unit="%"),
             Measure(name="lowest vertex", after=1000 * float(lowest), unit="mm"),
         ),
-        decisions=(Decision(choice=f"ground plane from {source}", reason=f"{len(points)} points"),),
+        decisions=(
+            Decision(choice=f"ground plane from {source}", reason=f"{len(points)} points"),
+            *_upside_down(plane),
+        ),
     )
     return moved, report
 
 
 def fit_plane(points: Array, rng: np.random.Generator, config: LevelConfig) -> Plane:
-    """Robust plane through points (n, 3) in camera axes, its normal towards the camera's up (-y) (equation 4).
+    """Robust plane through points (n, 3) in camera axes, its normal towards the camera, which sees its upper side
+    (equation 4).
 
     RANSAC finds the points on the plane; SVD about their median refines it, twice, so that strays have no weight.
     """
@@ -103,11 +107,19 @@ def fit_plane(points: Array, rng: np.random.Generator, config: LevelConfig) -> P
         distance = np.abs(points @ normal - offset)
         spread = 1.4826 * float(np.median(distance[on_plane]))
         on_plane = distance < np.clip(3 * spread, 0.1 * tolerance, tolerance)
-    if normal[1] > 0:
+    if offset > 0:
         normal, offset = -normal, -offset
     share = float((np.abs(points @ normal - offset) < tolerance).mean())
     residual = float(np.sqrt(np.mean((points[on_plane] @ normal - offset) ** 2)))
     return Plane(normal=normal, offset=offset, inliers=share, residual=residual)
+
+
+def _upside_down(plane: Plane) -> list[Decision]:
+    """A warning where up in the scene is down in the photo."""
+    if plane.normal[1] <= 0:
+        return []
+    reason = "the ground's upper side, which the camera sees, faces the photo's lower edge"
+    return [Decision(choice="the photo is taken as upside down, or as looking up", reason=reason, fallback=True)]
 
 
 def vote(normal: Array, normals: Array | None, config: LevelConfig) -> tuple[Array, float]:

@@ -1,0 +1,91 @@
+"""How a command ends early: Ctrl-C, SIGTERM and SIGHUP undo what is half done, say so in one line and exit with 1.
+
+A signal must end the process wherever it is: in an import, in compiled code, in a thread that waits. So no exception
+travels through it: a thread of its own waits for the signal, for work under ``held`` to be over, undoes what is
+registered by ``undone`` and exits. It says what is on disk, as ``wrote`` told it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import threading
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, TypeVar
+
+if TYPE_CHECKING:
+    from pathlib import Path  # not while the process starts: every millisecond before ``watch`` counts
+
+T = TypeVar("T")
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+PATIENCE_S = 1.5
+"""How long work under ``held`` may keep a signal waiting [s]; then the next run has to tidy up."""
+
+_disk = threading.RLock()
+_undo: dict[object, Callable[[], object]] = {}
+_written: list[Path] = []
+_watching: list[threading.Thread] = []
+
+
+def watch() -> None:
+    """End this process on the signals, except those it was told to ignore (``nohup``). Once, from the main thread."""
+    if _watching:
+        return
+    ear, mouth = os.pipe()
+    os.set_blocking(mouth, False)
+    signal.set_wakeup_fd(mouth, warn_on_full_buffer=False)
+    for number in SIGNALS:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _heard)
+    _watching.append(threading.Thread(target=_end_on_signal, args=[ear], name="f3sr-signals", daemon=True))
+    _watching[0].start()
+
+
+@contextmanager
+def held() -> Generator[None]:
+    """Work on disk that a signal does not cut: short steps only."""
+    with _disk:
+        yield
+
+
+@contextmanager
+def undone(start: Callable[[], T], undo: Callable[[T], object]) -> Generator[T]:
+    """What ``start`` makes; ``undo`` is called on it if a signal ends the process before the block is left.
+
+    Undoing must bear that other threads go on until the process is gone."""
+    token = object()
+    with _disk:
+        made = start()
+        _undo[token] = lambda: undo(made)
+    try:
+        yield made
+    finally:
+        del _undo[token]
+
+
+def wrote(place: Path) -> None:
+    """A result is in its place, whatever happens now."""
+    _written.append(place)
+
+
+def state() -> str:
+    """What this process has left on disk, in words."""
+    return f"{_written[-1]} is complete" if _written else "nothing was written"
+
+
+def _heard(*_: Any) -> None:
+    """The signal's number is in the pipe already."""
+
+
+def _end_on_signal(ear: int) -> None:
+    os.read(ear, 1)
+    _disk.acquire(timeout=PATIENCE_S)  # a disk that hangs must not hang the user too
+    for undo in list(_undo.values()):
+        with contextlib.suppress(Exception):
+            undo()
+    with contextlib.suppress(OSError):
+        os.write(2, f"f3sr: interrupted; {state()}\n".encode())
+    os._exit(1)

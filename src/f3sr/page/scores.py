@@ -1,0 +1,169 @@
+"""The measures, with direct composition beside: what each means and which way is better."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from f3sr.measures import Measures
+from f3sr.page.markup import Child, Markup, el, join
+from f3sr.page.material import Material
+from f3sr.page.words import number, quantity
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """One row: a field of ``Measures`` and how it is shown."""
+
+    field: str
+    title: str
+    meaning: str
+    better: Literal["higher", "lower"] | None
+    unit: str = ""
+    digits: int = 4
+    """Significant ones."""
+    noise: float = 0.0
+    """Differences up to this are no difference."""
+
+
+MAIN = (
+    Score(
+        field="mIoU",
+        title="mIoU",
+        better="higher",
+        meaning="How well full silhouettes meet their masks, 1 is perfect; what is hidden in the photo scores less.",
+    ),
+    Score(
+        field="PSNR",
+        title="PSNR",
+        better="higher",
+        unit="dB",
+        meaning="How well unlit texture colours meet the photo inside the masks; 20 dB is good, light and shade cost.",
+    ),
+    Score(
+        field="R_pen",
+        title="R_pen",
+        better="lower",
+        meaning="How much surfaces pierce each other: length of crossings over the scene's diagonal; 0 is free.",
+    ),
+    Score(
+        field="K_max_J",
+        title="K_max",
+        better="lower",
+        unit="J",
+        digits=3,
+        noise=1e-6,
+        meaning="Largest kinetic energy in the first second after release: what would jump.",
+    ),
+    Score(
+        field="D_max_cm",
+        title="D_max",
+        better="lower",
+        unit="cm",
+        digits=3,
+        noise=1e-3,
+        meaning="Largest travel of any object in 5 s of undamped physics: what would not stay.",
+    ),
+)
+OTHERS = (
+    Score(
+        field="mIoU_visible",
+        title="mIoU visible",
+        better="higher",
+        meaning="The same as mIoU with only the pixels that are seen in the whole scene.",
+    ),
+    Score(
+        field="mIoU_exact",
+        title="mIoU exact",
+        better="higher",
+        meaning="mIoU at pixel centres; the protocol's grid is half a pixel off.",
+    ),
+    Score(field="mIoU_visible_exact", title="mIoU visible exact", better="higher", meaning="mIoU visible likewise."),
+    Score(field="N_cross", title="N_cross", better="lower", meaning="Pairs of triangles behind R_pen."),
+    Score(
+        field="gap_pct",
+        title="worst gap",
+        better="lower",
+        unit="%",
+        digits=3,
+        meaning="Distance of the worst floating object to anything, of its size.",
+    ),
+    Score(
+        field="below_pct",
+        title="under ground",
+        better="lower",
+        unit="%",
+        digits=3,
+        noise=1e-3,
+        meaning="Deepest point under z = 0, of the object's size.",
+    ),
+    Score(field="inside", title="points inside", better="lower", meaning="Vertices of one object in another's solid."),
+    Score(
+        field="proxy_out_pct",
+        title="mesh outside proxy",
+        better="lower",
+        unit="%",
+        digits=3,
+        noise=1e-3,
+        meaning="How far a mesh sticks out of its collision parts, of its size; the worst object.",
+    ),
+    Score(
+        field="proxy_far_pct",
+        title="proxy off mesh",
+        better="lower",
+        unit="%",
+        digits=3,
+        meaning="Mean distance of collision parts from their mesh, of its size; the worst object.",
+    ),
+    Score(field="n", title="objects", better=None, meaning="Masks with an object."),
+    Score(field="fixed", title="fixed", better=None, meaning="Objects that physics does not move."),
+    Score(field="excluded", title="excluded", better=None, meaning="Masks without an object; each counts 0 in mIoU."),
+)
+
+
+def scores(m: Material) -> Markup:
+    if m.result.evaluation is None:
+        return el("p", "Not measured: the stage evaluate was skipped.", class_="fine")
+    ours, direct = m.result.evaluation.result, m.result.evaluation.direct
+    return join(
+        el(
+            "p",
+            "Direct composition is the input as it came, levelled, its lowest point on the ground. ",
+            "Both are measured alike, undamped, from the state in the package.",
+            class_="fine",
+        ),
+        el("table", _head(), _rows(MAIN, ours, direct), _rows(OTHERS, ours, direct, class_="minor"), class_="scores"),
+    )
+
+
+def _head() -> Markup:
+    titles = (("Measure", None), ("Direct", "num"), ("Ours", "num"), ("Change", None))
+    return el("thead", el("tr", (el("th", title, class_=kind, scope="col") for title, kind in titles)))
+
+
+def _rows(rows: tuple[Score, ...], ours: Measures, direct: Measures | None, **attributes: str) -> Markup:
+    return el("tbody", (_row(row, ours, direct) for row in rows), **attributes)
+
+
+def _row(score: Score, ours: Measures, direct: Measures | None) -> Markup:
+    after = float(getattr(ours, score.field))
+    before = None if direct is None else float(getattr(direct, score.field))
+    return el(
+        "tr",
+        el("th", el("b", score.title), " ", el("span", score.meaning, class_="meaning"), scope="row"),
+        el("td", quantity(before, score.unit, digits=score.digits), class_="num"),
+        el("td", quantity(after, score.unit, digits=score.digits), class_="num ours"),
+        el("td", change(before, after, score)),
+    )
+
+
+def change(before: float | None, after: float, score: Score) -> Child:
+    """Better or worse as a sign and a word, not as a colour alone; what reads the same is the same."""
+    if before is None or score.better is None:
+        return None
+    if abs(before - after) <= score.noise or number(before, digits=score.digits) == number(after, digits=score.digits):
+        return el("span", "= same", class_="same")
+    gained = (after > before) == (score.better == "higher")
+    sign = "▲" if after > before else "▼"
+    word = "better" if gained else "worse"
+    return el("span", f"{sign} {word}", class_=word)

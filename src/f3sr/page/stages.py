@@ -1,0 +1,114 @@
+"""Every stage: masks against renders before and after, what it measured, what it decided."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from f3sr.page.images import figure
+from f3sr.page.markup import Child, Markup, el, join
+from f3sr.page.material import Material, look_alike
+from f3sr.page.words import about, counted, quantity, told
+from f3sr.report import Decision, Measure, Report
+from f3sr.scene import Scene
+
+PURPOSE = {
+    "assemble": "Brings photo, masks, geometry and meshes into one camera frame.",
+    "level": "Finds the ground and turns the scene upright.",
+    "align": "Moves the camera, then each object, so that silhouettes meet their masks.",
+    "relate": "Finds who rests on whom.",
+    "decompose": "Covers every mesh with convex collision parts.",
+    "separate": "Brings objects to their supports along viewing rays and parts those that overlap.",
+    "settle": "Lets physics bring everything to rest.",
+    "refine": "Stands up what toppled and aligns what rests once more.",
+}
+
+
+def stages(m: Material) -> Markup:
+    legend = el(
+        "p",
+        "Masks against visible renders over the greyed photo: ",
+        el("span", "red", class_="key mask"),
+        " photo mask only, ",
+        el("span", "green", class_="key render"),
+        " render only, ",
+        el("span", "blue", class_="key both"),
+        " both, dark blue another object's mask; white lines part objects.",
+        class_="fine",
+    )
+    parts: list[Markup] = []
+    before: Scene | None = None
+    for number, report in enumerate(m.result.reports, start=1):
+        after = m.result.scenes[report.stage]
+        parts.append(stage(m, number, report, before, after))
+        before = after
+    return join(legend, parts)
+
+
+def stage(m: Material, number: int, report: Report, before: Scene | None, after: Scene) -> Markup:
+    return el(
+        "article",
+        el("h3", f"{number} {report.stage}"),
+        el("p", PURPOSE.get(report.stage), class_="fine"),
+        _pictures(m, report.stage, before, after),
+        _scene_measures([x for x in report.measures if x.about is None]),
+        _object_measures([x for x in report.measures if x.about is not None], after),
+        _decisions(report, after),
+        class_="stage",
+    )
+
+
+def _pictures(m: Material, name: str, before: Scene | None, after: Scene) -> Child:
+    """Both overlays, or a sentence where the stage leaves the picture as it was."""
+    if before is None:
+        return el("div", figure(m.overlay(after, f"After {name}"), "After: the input as it came"), class_="row")
+    if look_alike(before, after):
+        return el("p", "The picture stays as it was: no object moves before the camera.", class_="fine")
+    shown = (("before", before), ("after", after))
+    return el("div", (figure(m.overlay(s, f"{w} {name}"), w.capitalize()) for w, s in shown), class_="row")
+
+
+def _scene_measures(measures: Sequence[Measure]) -> Child:
+    if not measures:
+        return None
+    rows = (el("tr", el("th", x.name, scope="row"), el("td", _before_after(x), class_="num")) for x in measures)
+    return el("table", el("tbody", rows), class_="plain")
+
+
+def _object_measures(measures: Sequence[Measure], scene: Scene) -> Child:
+    """One row per object, one column per measure."""
+    if not measures:
+        return None
+    names = list(dict.fromkeys(x.name for x in measures))
+    found = {(x.about, x.name): x for x in measures}
+    head = el("tr", el("th", "Object", scope="col"), (el("th", n, class_="num", scope="col") for n in names))
+    rows = (
+        el(
+            "tr",
+            el("th", about(id, scene), scope="row"),
+            (el("td", _before_after(x) if (x := found.get((id, n))) else quantity(None), class_="num") for n in names),
+        )
+        for id in dict.fromkeys(x.about for x in measures)
+    )
+    table = el("table", el("thead", head), el("tbody", rows), class_="plain")
+    return el("details", el("summary", f"Per object: {', '.join(names)}"), table)
+
+
+def _before_after(x: Measure) -> Markup:
+    after = quantity(x.after, x.unit)
+    return after if x.before is None else join(quantity(x.before, x.unit), " → ", after)
+
+
+def _decisions(report: Report, scene: Scene) -> Child:
+    """What concerns the whole scene, and fallbacks; the rest stands in its own section."""
+    shown = [d for d in report.decisions if d.about is None or d.fallback]
+    rest = len(report.decisions) - len(shown)
+    link = el("a", f"{counted(rest, 'decision')} on single objects", href=f"#decisions-{report.stage}")
+    if not shown and not rest:
+        return None
+    return el("ul", (el("li", line(d, scene)) for d in shown), el("li", link) if rest else None, class_="decisions")
+
+
+def line(d: Decision, scene: Scene) -> Markup:
+    mark = el("b", "Fallback ", class_="fallback") if d.fallback else None
+    where = join(about(d.about, scene), ": ") if d.about is not None else None
+    return join(mark, where, told(d.choice), " ", el("span", told(d.reason), class_="quiet"))

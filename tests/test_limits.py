@@ -1,0 +1,114 @@
+"""docs/limits.md says what the code says: limits and their reasons, read from the constants and the lines below them.
+
+``python tests/test_limits.py`` writes the page anew.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+PAGE = Path(__file__).parents[1] / "docs" / "limits.md"
+LIMITS = {
+    "Files": [
+        ("size of a file [bytes]", "folder.MAX_FILE_BYTES"),
+        ("size of a JSON document [bytes]", "folder.MAX_JSON_BYTES"),
+        ("length of a path in a document", "folder.MAX_PATH"),
+        ("digits of a whole number in JSON", "strict_json.MAX_DIGITS"),
+        ("relations of a kind in scene_graph.json", "inputs.MAX_RELATIONS"),
+        ("characters of a relation's reason", "inputs.MAX_REASON"),
+    ],
+    "Photo and masks": [
+        ("pixels of an image", "images.MAX_PIXELS"),
+        ("shortest side of an image [px], at least", "images.MIN_SIDE"),
+        ("masks", "masks.MAX_OBJECTS"),
+        ("pixels of all masks together", "masks.MAX_MASK_PIXELS"),
+        ("set pixels of a mask, at least", "masks.MIN_PIXELS"),
+        ("overlap of two masks, below", "masks.MAX_OVERLAP"),
+        ("digits of an id", "masks.MAX_ID_DIGITS"),
+    ],
+    "Geometry": [
+        ("bytes of the arrays in geometry.npz", "point_maps.MAX_BYTES"),
+        ("valid pixels, at least", "point_maps.MIN_VALID"),
+        ("median depth [m], at least", "point_maps.MIN_DEPTH"),
+        ("median depth [m]", "point_maps.MAX_DEPTH"),
+        ("depth of a point [m], at least", "point_maps.MIN_NEAR"),
+        ("coordinate of a point [m]", "point_maps.MAX_FAR"),
+        ("focal length [longer image sides], at least", "point_maps.MIN_FOCAL"),
+        ("focal length [longer image sides]", "point_maps.MAX_FOCAL"),
+        ("aspect over the photo's, either way, before a decision says so", "point_maps.MAX_STRETCH"),
+        ("principal point and skew [longer image sides]", "point_maps.MAX_CENTER"),
+    ],
+    "Meshes": [
+        ("faces of a file", "mesh_io.MAX_FACES"),
+        ("texture pixels of a file", "mesh_io.MAX_TEXTURE_PIXELS"),
+        ("coordinate in a file", "mesh_io.MAX_COORDINATE"),
+        ("nodes, and primitives shown, of a file", "gltf.MAX_PARTS"),
+        ("bytes of a glTF file's JSON", "gltf.MAX_TREE_BYTES"),
+        ("faces of all meshes together", "assets.MAX_SCENE_FACES"),
+        ("texture pixels of all meshes together", "assets.MAX_SCENE_TEXTURE_PIXELS"),
+        ("size of an object [m], at least", "assets.MIN_SIZE"),
+        ("size of an object [m]", "assets.MAX_SIZE"),
+        ("volume of a mesh's hull [cubes of its diagonal], at least", "assets.MIN_FILL"),
+        ("area of a mesh [squares of its diagonal]", "assets.MAX_FOLDS"),
+        ("distance of an object [its own sizes]", "inputs.MAX_DISTANCE"),
+        ("asset depth over geometry depth, either way", "inputs.MAX_DISAGREEMENT"),
+    ],
+}
+"""By section: what is limited, and the constant that holds the limit."""
+HEAD = """# Limits
+
+What enters is refused beyond these limits, with one error that names the file, before any work starts; what that looks
+like is in [broken inputs](broken_inputs.md). All are at most unless the table says otherwise. The tests make this page
+from the code's constants: `python tests/test_limits.py` writes it anew.
+"""
+
+
+def page() -> str:
+    parts = [HEAD]
+    for section, limits in LIMITS.items():
+        parts.append(f"\n## {section}\n\n| what | limit | why | constant |\n| --- | --- | --- | --- |\n")
+        for what, constant in limits:
+            parts.append(f"| {what} | {_number(constant)} | {_reason(constant)} | `{constant}` |\n")
+    return "".join(parts)
+
+
+def _number(constant: str) -> str:
+    module, name = constant.split(".")
+    value = getattr(importlib.import_module(f"f3sr.{module}"), name)
+    return f"{value:,}" if isinstance(value, int) else f"{value:,g}" if 1e-3 <= value < 1e9 else f"{value:.0e}"
+
+
+def _reason(constant: str) -> str:
+    module, name = constant.split(".")
+    return _constants(module)[name]
+
+
+@cache
+def _constants(module: str) -> dict[str, str]:
+    """The names that a module assigns, and the string below each assignment as one paragraph."""
+    body = ast.parse(Path(importlib.import_module(f"f3sr.{module}").__file__ or "").read_text()).body
+    found: dict[str, str] = {}
+    for statement, below in pairwise(body):
+        if isinstance(statement, ast.Assign) and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
+            reason = " ".join(str(below.value.value).split())
+            found |= {n.id: reason for target in statement.targets for n in ast.walk(target) if isinstance(n, ast.Name)}
+    return found
+
+
+def test_the_page_of_limits_is_current():
+    assert PAGE.read_text() == page(), "run: python tests/test_limits.py"
+
+
+def test_every_limit_of_the_readers_is_on_the_page():
+    listed = {constant for limits in LIMITS.values() for _, constant in limits}
+    modules = {constant.split(".")[0] for constant in listed}
+    found = {f"{m}.{n}" for m in modules for n in _constants(m) if n.startswith(("MAX_", "MIN_"))}
+    assert found == listed
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page())

@@ -1,0 +1,65 @@
+"""How much memory a run of middling size may take: nothing is held per object, stage and pixel that need not be."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import manifold3d as mf
+import numpy as np
+import pytest
+
+from f3sr.frames import rotation_about
+from f3sr.mesh import Material, Mesh
+from f3sr.scene import SceneObject
+from folders import camera, write_folder
+from scenes import box
+
+FACES, TEXTURE = 50_000, 1024
+PEAK_MB = 800
+"""Of the whole process, compiled kernels included: measured 720. One more picture of floats at the photo's
+size (72 MB), or a second copy of every texture and mesh, breaks it."""
+
+SCRIPT = """
+import sys
+from f3sr.cli import main
+code = main(sys.argv[1:])
+status = open("/proc/self/status").read()
+print("peak", status.split("VmHWM:")[1].split()[0])
+sys.exit(code)
+"""
+
+
+def dense_box(id: int, x: float) -> SceneObject:
+    """A box of 50,000 triangles with a noisy texture, standing on the table at ``x`` [m]."""
+    size = np.array([0.09, 0.07, 0.08 + 0.01 * id])
+    solid = mf.Manifold.cube(size.tolist(), True).refine(int(np.sqrt(FACES / 12)) + 1).to_mesh()
+    vertices = np.asarray(solid.vert_properties[:, :3], float)
+    texture = np.random.default_rng(id).integers(0, 256, (TEXTURE, TEXTURE, 3), np.uint8)
+    mesh = Mesh(
+        vertices=vertices,
+        faces=np.asarray(solid.tri_verts, np.int32),
+        uv=vertices[:, :2] / size[:2] + 0.5,
+        materials=(Material(texture=texture),),
+    )
+    shown = box(id, size=size.tolist(), at=(x, 0.0, size[2] / 2), R=rotation_about([0, 0, 1], 0.2 * id))
+    assert len(mesh.faces) >= FACES
+    return SceneObject(**{**{k: getattr(shown, k) for k in shown.__dataclass_fields__}, "mesh": mesh})
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read from Linux's /proc")
+def test_peak_memory_of_a_run_of_middling_size(tmp_path: Path) -> None:
+    objects = [dense_box(id, x) for id, x in enumerate((-0.21, -0.07, 0.07, 0.21))]
+    write_folder(tmp_path / "input", perturb=0.02, objects=objects, eye=camera().resized(2000, 1500))
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT, "reconstruct", str(tmp_path / "input"), "-o", str(tmp_path / "out")],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    peak_mb = int(done.stdout.rsplit("peak ", 1)[1]) * 1024 / 1e6
+    assert peak_mb < PEAK_MB
