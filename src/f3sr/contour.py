@@ -1,0 +1,264 @@
+"""Integrals over a silhouette, with their exact derivatives, from where its outline crosses the pixel grid.
+
+Every term of the losses (equations 7 and 9) is a function of five integrals over the silhouette S,
+
+    F_k = integral over S of w_k(x),   w = (1, valid, valid x, valid y, valid (1 - 2 mask + lambda D)).
+
+When the points of the surface move, an integral changes by what its outline sweeps (Reynolds' transport theorem):
+
+    dF_k/dtheta = integral over the outline of w_k (v . n) ds,
+
+n the outward normal in the image, v = d(image point)/d(theta). The outline is sampled where it crosses the lines
+through the pixel centres. As |n_x| ds = dy and |n_y| ds = dx, crossings with rows weighted by |n_x| and crossings
+with columns weighted by |n_y| measure ds = (n_x^2 + n_y^2) ds without a direction that either is blind to.
+
+A crossing lies between two neighbouring pixel centres of which one is inside the hard mask and the other is not: it
+is the crossing of a projected edge with the line between the two that lies farthest out. Nothing needs to be known of
+neighbourhood, orientation or depth of the triangles, so soups, open shells and unions of objects do as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.frames import Array
+from f3sr.kernels import inline_kernel, kernel
+
+AREA, VALID, MOMENT_X, MOMENT_Y, MISMATCH = range(5)
+"""Rows of ``Integrals.value`` and ``Integrals.gradient``."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Fields:
+    """What is integrated, by pixel (h, w) float32: ``valid``, ``mismatch`` and ``stiffness``, the weight of the
+    curvature."""
+
+    valid: NDArray[np.float32]
+    mismatch: NDArray[np.float32]
+    stiffness: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Integrals:
+    """``value`` (5,), ``gradient`` (5, p) and ``curvature`` (p, p), the sum over the outline of stiffness * J J^T with
+    J = v . n."""
+
+    value: Array
+    gradient: Array
+    curvature: Array
+
+
+def unique_edges(faces: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Every edge (e, 2) of some triangles once."""
+    pairs = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    return np.unique(pairs, axis=0).astype(np.int32)
+
+
+def integrate(
+    points_camera: Array,
+    edges: NDArray[np.int32],
+    mask: NDArray[np.bool_],
+    K: Array,
+    fields: Fields,
+    velocities: Array,
+    *,
+    near: float,
+) -> Integrals:
+    """The integrals over a silhouette and their derivatives.
+
+    ``points_camera`` (n, 3) [m] with ``edges`` (e, 2), drawn as ``mask`` (h, w) by the camera of ``K`` [px].
+    ``velocities`` (p, 3, 4) [m per unit of each parameter] are affine fields in camera axes: a point X moves by
+    ``velocity @ (X, 1)``. Edges that reach behind ``near`` are left out, and, rightly, what the image's border cuts.
+    """
+    pixels, inverse_depth = _projected(points_camera, K, near)
+    value, gradient, curvature = np.zeros(5), np.zeros((5, len(velocities))), np.zeros((len(velocities),) * 2)
+    _sum_inside(mask, fields.valid, fields.mismatch, value)
+    for upright in (False, True):
+        outline = _outline(pixels, inverse_depth, edges, mask, upright=upright)
+        _sum_outline(
+            *outline, pixels, inverse_depth, edges, K, velocities, upright,
+            fields.valid, fields.mismatch, fields.stiffness, value, gradient, curvature,
+        )  # fmt: skip
+    return Integrals(value=value, gradient=gradient, curvature=curvature)
+
+
+def _projected(points_camera: Array, K: Array, near: float) -> tuple[Array, Array]:
+    """Pixels (n, 2) and inverse depths (n,) [1/m], the latter 0 for what is not in front of ``near``."""
+    z = points_camera[:, 2]
+    inverse_depth = np.where(z > near, 1 / np.maximum(z, near), 0.0)
+    pixels = (points_camera[:, :2] * inverse_depth[:, None]) @ K[:2, :2].T + K[:2, 2]
+    return np.ascontiguousarray(pixels), inverse_depth
+
+
+def _outline(
+    pixels: Array, inverse_depth: Array, edges: NDArray[np.int32], mask: NDArray[np.bool_], *, upright: bool
+) -> tuple[NDArray[np.int32], NDArray[np.int32], Array]:
+    """Where the outline crosses the rows of pixel centres, or, ``upright``, the columns.
+
+    For every boundary between neighbouring pixels that some edge crosses: (c, 3) row, column and direction (1 where the
+    inside comes first) of the boundary, (c,) the edge, and (c,) the place of the crossing along the line [px].
+    """
+    cells = np.empty((_count_boundaries(mask, upright), 3), np.int32)
+    crossed, place = np.empty(len(cells), np.int32), np.empty(len(cells))
+    owner = np.full(mask.shape, -1, np.int32)
+    found = _cross(pixels, inverse_depth, edges, mask, upright, owner, cells, crossed, place)
+    return cells[:found], crossed[:found], place[:found]
+
+
+def warm_up() -> None:
+    """Call every kernel once, with the types that the product uses."""
+    points = np.array([[0.0, 0, 1], [3, 0, 1], [0, 3, 1]])
+    edges = unique_edges(np.array([[0, 1, 2]], np.int32))
+    ones = np.ones((4, 4), np.float32)
+    mask = np.tri(4, 4, -1, bool)[::-1]
+    fields = Fields(valid=ones, mismatch=ones, stiffness=ones)
+    integrate(points, edges, mask, np.eye(3), fields, np.zeros((1, 3, 4)), near=0.1)
+
+
+@kernel
+def _sum_inside(
+    mask: NDArray[np.bool_], valid: NDArray[np.float32], mismatch: NDArray[np.float32], value: Array
+) -> None:
+    """Add the sums over the pixels of the hard mask."""
+    for r in range(mask.shape[0]):
+        for c in range(mask.shape[1]):
+            if mask[r, c]:
+                v = float(valid[r, c])
+                value[AREA] += 1
+                value[VALID] += v
+                value[MOMENT_X] += v * (c + 0.5)
+                value[MOMENT_Y] += v * (r + 0.5)
+                value[MISMATCH] += mismatch[r, c]
+
+
+@kernel
+def _count_boundaries(mask: NDArray[np.bool_], upright: bool) -> int:
+    """Neighbours along rows, or, ``upright``, along columns, of which one is inside."""
+    down, right = int(upright), int(not upright)
+    count = 0
+    for r in range(mask.shape[0] - down):
+        for c in range(mask.shape[1] - right):
+            count += mask[r, c] != mask[r + down, c + right]
+    return count
+
+
+@kernel
+def _cross(
+    pixels: Array,
+    inverse_depth: Array,
+    edges: NDArray[np.int32],
+    mask: NDArray[np.bool_],
+    upright: bool,
+    owner: NDArray[np.int32],
+    cells: NDArray[np.int32],
+    crossed: NDArray[np.int32],
+    place: Array,
+) -> int:
+    """Fill ``cells``, ``crossed`` and ``place`` of ``_outline``; returns how many. ``owner`` is -1 everywhere."""
+    along, over = int(upright), int(not upright)
+    down, right = int(upright), int(not upright)
+    lines, steps = mask.shape[1 - over], mask.shape[1 - along] - 1
+    found = 0
+    for e in range(len(edges)):
+        a, b = edges[e, 0], edges[e, 1]
+        if inverse_depth[a] == 0 or inverse_depth[b] == 0:
+            continue
+        if pixels[a, over] > pixels[b, over]:
+            a, b = b, a
+        start, end = pixels[a, over], pixels[b, over]
+        if end < 0.5 or start > lines:
+            continue
+        first = max(0, int(np.ceil(start - 0.5)))
+        last = min(lines - 1, int(np.ceil(end - 0.5)) - 1)
+        for line in range(first, last + 1):
+            t = (line + 0.5 - start) / (end - start)
+            u = pixels[a, along] + t * (pixels[b, along] - pixels[a, along])
+            if not 0.5 <= u < steps + 0.5:
+                continue
+            step = int(u - 0.5)
+            r, c = (step, line) if upright else (line, step)
+            if mask[r, c] == mask[r + down, c + right]:
+                continue
+            direction = 1 if mask[r, c] else -1
+            k = owner[r, c]
+            if k < 0:
+                k = owner[r, c] = found
+                cells[k, 0], cells[k, 1], cells[k, 2] = r, c, direction
+                found += 1
+            elif direction * u <= direction * place[k]:
+                continue
+            crossed[k], place[k] = e, u
+    return found
+
+
+@kernel
+def _sum_outline(
+    cells: NDArray[np.int32],
+    crossed: NDArray[np.int32],
+    place: Array,
+    pixels: Array,
+    inverse_depth: Array,
+    edges: NDArray[np.int32],
+    K: Array,
+    velocities: Array,
+    upright: bool,
+    valid: NDArray[np.float32],
+    mismatch: NDArray[np.float32],
+    stiffness: NDArray[np.float32],
+    value: Array,
+    gradient: Array,
+    curvature: Array,
+) -> None:
+    """Add what the outline contributes: sub-pixel parts of the values, the boundary integrals, the curvature."""
+    over = int(not upright)
+    parameters = len(velocities)
+    J = np.empty(parameters)
+    w = np.empty(5)
+    for k in range(len(cells)):
+        a, b = edges[crossed[k], 0], edges[crossed[k], 1]
+        r, c, direction = cells[k, 0], cells[k, 1], cells[k, 2]
+        nx, ny = _normal(pixels[a], pixels[b])
+        n_along = ny if upright else nx
+        if n_along * direction < 0:
+            nx, ny, n_along = -nx, -ny, -n_along
+        ds = abs(n_along)
+
+        beyond = place[k] - ((r if upright else c) + 1)
+        pr, pc = (r + int(beyond >= 0), c) if upright else (r, c + int(beyond >= 0))
+        x, y = (c + 0.5, place[k]) if upright else (place[k], r + 0.5)
+        v = float(valid[pr, pc])
+        w[AREA], w[VALID], w[MOMENT_X], w[MOMENT_Y], w[MISMATCH] = 1.0, v, v * x, v * y, mismatch[pr, pc]
+        for f in range(5):
+            value[f] += ds * ds * direction * beyond * w[f]
+
+        line = (c if upright else r) + 0.5
+        t = (line - pixels[a, over]) / (pixels[b, over] - pixels[a, over])
+        z = 1 / (inverse_depth[a] + t * (inverse_depth[b] - inverse_depth[a]))
+        Y = (y - K[1, 2]) * z / K[1, 1]
+        X = ((x - K[0, 2]) * z - K[0, 1] * Y) / K[0, 0]
+        for p in range(parameters):
+            M = velocities[p]
+            dX = M[0, 0] * X + M[0, 1] * Y + M[0, 2] * z + M[0, 3]
+            dY = M[1, 0] * X + M[1, 1] * Y + M[1, 2] * z + M[1, 3]
+            dz = M[2, 0] * X + M[2, 1] * Y + M[2, 2] * z + M[2, 3]
+            qx, qy = (dX - X * dz / z) / z, (dY - Y * dz / z) / z
+            J[p] = nx * (K[0, 0] * qx + K[0, 1] * qy) + ny * K[1, 1] * qy
+            for f in range(5):
+                gradient[f, p] += ds * J[p] * w[f]
+        h = ds * stiffness[pr, pc]
+        for p in range(parameters):
+            for q in range(parameters):
+                curvature[p, q] += h * J[p] * J[q]
+
+
+@inline_kernel
+def _normal(a: Array, b: Array) -> tuple[float, float]:
+    """A unit normal (2,) of the line through two pixels; that of a row where they are one."""
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    length = np.sqrt(dx * dx + dy * dy)
+    if length == 0:
+        return 0.0, 0.0
+    return dy / length, -dx / length

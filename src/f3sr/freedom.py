@@ -1,0 +1,107 @@
+"""How things may move while they are aligned: parameters in a unit box, the poses they stand for, and the velocities
+that changing them gives to points in camera axes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from f3sr.frames import Array, Camera, pose, rotation_from_vector
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ObjectFreedom:
+    """Equation 8, extended by tilt: x -> R s (x - anchor) + anchor + B a, in the world.
+
+    Parameters u (6,) in [-1, 1], times ``reach``: two shifts a [m] along the columns of ``basis`` (3, 2), yaw about +Z
+    and two tilts about X and Y [rad], together the rotation vector of R, and s - 1. A reach of 0 takes a freedom away.
+    ``anchor`` (3,) [m] is the point that rotation and scale leave in place.
+    """
+
+    anchor: Array
+    basis: Array
+    reach: Array
+
+    def similarity(self, u: Array) -> tuple[Array, float]:
+        """The rigid (4, 4) T and the scale s of x -> T (s x)."""
+        a, omega, s = self._values(u)
+        R = rotation_from_vector(omega)
+        return pose(R, self.anchor + self.basis @ a - R @ (s * self.anchor)), s
+
+    def velocities(self, u: Array, camera: Camera) -> Array:
+        """(6, 3, 4): how points of the moved object, in camera axes, move with each parameter."""
+        a, omega, s = self._values(u)
+        center = self.anchor + self.basis @ a
+        turns = _left_jacobian(omega)[:, [2, 0, 1]].T
+        fields = [
+            *(_field(shift=b) for b in self.basis.T),
+            *(_field(turn=axis, about=center) for axis in turns),
+            _field(growth=1 / s, about=center),
+        ]
+        return np.array([r * _in_camera(f, camera) for r, f in zip(self.reach, fields, strict=True)])
+
+    def _values(self, u: Array) -> tuple[Array, Array, float]:
+        v = self.reach * u
+        return v[:2], v[[3, 4, 2]], 1 + float(v[5])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CameraFreedom:
+    """Six degrees of freedom about the scene's centre, so that turning and shifting decouple.
+
+    Parameters u (6,) in [-1, 1], times ``reach``: a rotation vector [rad] and a shift [m] of the scene in camera axes,
+    x -> R (x - center) + center + t, with ``center`` (3,) [m] in the axes of ``camera``, the one it starts from.
+    """
+
+    camera: Camera
+    center: Array
+    reach: Array
+
+    def at(self, u: Array) -> Camera:
+        """The camera that sees the scene so."""
+        v = self.reach * u
+        R = rotation_from_vector(v[:3])
+        T_old_new = pose(R.T, self.center - R.T @ (self.center + v[3:]))
+        return self.camera.moved(self.camera.T_world_camera @ T_old_new)
+
+    def velocities(self, u: Array) -> Array:
+        """(6, 3, 4): how points in the axes of the moved camera move with each parameter."""
+        v = self.reach * u
+        center = self.center + v[3:]
+        fields = [
+            *(_field(turn=axis, about=center) for axis in _left_jacobian(v[:3]).T),
+            *(_field(shift=axis) for axis in np.eye(3)),
+        ]
+        return self.reach[:, None, None] * np.array(fields)
+
+
+def _field(
+    *, shift: Array | None = None, turn: Array | None = None, growth: float = 0.0, about: Array | None = None
+) -> Array:
+    """The affine velocity (3, 4) of x -> shift + (turn x + growth) (x - about)."""
+    L = growth * np.eye(3) + (_cross(turn) if turn is not None else 0)
+    t = np.zeros(3) if shift is None else np.asarray(shift, float)
+    return np.column_stack([L, t if about is None else t - L @ about])
+
+
+def _in_camera(field: Array, camera: Camera) -> Array:
+    """A velocity of world points (3, 4) as one of points in camera axes."""
+    R, eye = camera.T_camera_world[:3, :3], camera.center
+    L = R @ field[:, :3] @ R.T
+    return np.column_stack([L, R @ (field[:, :3] @ eye + field[:, 3])])
+
+
+def _left_jacobian(omega: Array) -> Array:
+    """(3, 3): a change d of a rotation vector turns by ``J d`` after the rotation (Sola et al. 2018, equation 145)."""
+    angle = float(np.linalg.norm(omega))
+    W = _cross(omega)
+    if angle < 1e-6:
+        return np.eye(3) + W / 2
+    return np.eye(3) + (1 - np.cos(angle)) / angle**2 * W + (angle - np.sin(angle)) / angle**3 * W @ W
+
+
+def _cross(a: Array) -> Array:
+    """(3, 3): the matrix of x -> a x x."""
+    x, y, z = a
+    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
