@@ -235,7 +235,8 @@ def _decompose_unit(
         attempts: tuple[Split, ...] = ("coacd", "vhacd")
         if reason := _is_no_body(vertices, faces, config):
             attempts = ("vhacd",)
-            decisions.append(Decision(choice="split by V-HACD, not by CoACD", reason=reason, fallback=True))
+            config = replace(config, vhacd_voxels=min(config.vhacd_voxels, SCATTERED_VOXELS))
+            decisions.append(Decision(choice="split by V-HACD, coarsely, not by CoACD", reason=reason, fallback=True))
         for attempt in attempts:
             outcome = _run_worker(attempt, vertices, faces, config, cancelled)
             if outcome.parts:
