@@ -12,7 +12,7 @@ from f3sr.frames import T_UP_FROM_CAMERA, invert_pose, pose, rotation_about, rot
 from f3sr.measures import measure, visible_iou
 from f3sr.mesh import ConvexPart
 from f3sr.scene import GROUND, Geometry, Scene
-from f3sr.stages.align import AlignConfig, align, nearer_objects, visible_region
+from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.assemble import assemble
 from f3sr.stages.decompose import decompose
 from f3sr.stages.evaluate import direct_composition, evaluate
@@ -20,6 +20,7 @@ from f3sr.stages.level import LevelConfig, fit_plane, level, vote
 from f3sr.stages.relate import Candidate, forest, relate
 from f3sr.stages.separate import SeparateConfig, separate
 from f3sr.stages.settle import settle
+from f3sr.visibility import nearer_objects, visible_region
 from folders import boxes, camera, write_folder
 from scenes import box, box_stack_scene, scene_of
 
@@ -188,7 +189,7 @@ def test_align_leaves_a_perfect_scene_almost_alone(exact: Scene):
 
 
 def test_align_never_accepts_what_the_picture_does_not_like(wrong: Scene):
-    scene, _ = align(wrong, AlignConfig(evaluations=10, camera_evaluations=10, max_tilt=0.0))
+    scene, _ = align(wrong, AlignConfig(iterations=2, camera_iterations=2, max_tilt=0.0))
     assert visible_iou(scene) >= visible_iou(wrong)
 
 

@@ -13,7 +13,7 @@ from f3sr import sam3d
 from f3sr.errors import InputError
 from f3sr.folder import InputFolder
 from f3sr.frames import Array, pose
-from f3sr.mesh import ConvexPart, Mesh, surface_flaws
+from f3sr.mesh import Mesh, surface_flaws
 from f3sr.mesh_io import load_mesh
 from f3sr.point_maps import camera_frame
 
@@ -98,7 +98,7 @@ def _require_solidity(path: Path, mesh: Mesh) -> None:
     """A mesh has a place in a scene if it spans a volume and its triangles have an area, not far too much of it."""
     accepted = "a mesh that spans a volume"
     try:
-        ConvexPart.hull_of(mesh.vertices)
+        _ = mesh.hull
     except ValueError as error:
         raise InputError(path, found="a flat mesh without any thickness", accepted=accepted) from error
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
@@ -111,7 +111,7 @@ def _require_solidity(path: Path, mesh: Mesh) -> None:
 
 
 def _require_thickness(path: Path, mask: str, mesh: Mesh) -> None:
-    if ConvexPart.hull_of(mesh.vertices).volume < MIN_FILL * mesh.diagonal**3:
+    if mesh.hull.volume < MIN_FILL * mesh.diagonal**3:
         found = f"a mesh for {mask} thinner than single precision can tell"
         raise InputError(path, found=found, accepted="a mesh that spans a volume")
 

@@ -8,12 +8,12 @@ When the points of the surface move, an integral changes by what its outline swe
 
     dF_k/dtheta = integral over the outline of w_k (v . n) ds,
 
-n the outward normal in the image, v = d(image point)/d(theta). The outline is sampled where it crosses the lines through
-the pixel centres. With n on the unit circle, |n_x| ds = dy and |n_y| ds = dx, so crossings with rows weighted by |n_x| and
-crossings with columns weighted by |n_y| measure ds = (n_x^2 + n_y^2) ds without a direction that either is blind to.
+n the outward normal in the image, v = d(image point)/d(theta). The outline is sampled where it crosses the lines
+through the pixel centres. As |n_x| ds = dy and |n_y| ds = dx, crossings with rows weighted by |n_x| and crossings
+with columns weighted by |n_y| measure ds = (n_x^2 + n_y^2) ds without a direction that either is blind to.
 
-A crossing lies between two neighbouring pixel centres of which one is inside the hard mask and the other is not: it is the
-crossing of a projected edge with the line between the two that lies farthest out. Nothing needs to be known of
+A crossing lies between two neighbouring pixel centres of which one is inside the hard mask and the other is not: it
+is the crossing of a projected edge with the line between the two that lies farthest out. Nothing needs to be known of
 neighbourhood, orientation or depth of the triangles, so soups, open shells and unions of objects do as well.
 """
 
@@ -43,7 +43,8 @@ class Fields:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Integrals:
-    """``value`` (5,), ``gradient`` (5, p) and ``curvature`` (p, p): sum of stiffness * J J^T over the outline, J = v . n."""
+    """``value`` (5,), ``gradient`` (5, p) and ``curvature`` (p, p), the sum over the outline of stiffness * J J^T with
+    J = v . n."""
 
     value: Array
     gradient: Array
@@ -70,7 +71,7 @@ def integrate(
 
     ``points_camera`` (n, 3) [m] with ``edges`` (e, 2), drawn as ``mask`` (h, w) by the camera of ``K`` [px].
     ``velocities`` (p, 3, 4) [m per unit of each parameter] are affine fields in camera axes: a point X moves by
-    ``velocity @ (X, 1)``. Edges that reach behind ``near`` are left out, as is, rightly, what the border of the image cuts.
+    ``velocity @ (X, 1)``. Edges that reach behind ``near`` are left out, and, rightly, what the image's border cuts.
     """
     pixels, inverse_depth = _projected(points_camera, K, near)
     value, gradient, curvature = np.zeros(5), np.zeros((5, len(velocities))), np.zeros((len(velocities),) * 2)

@@ -161,7 +161,7 @@ def _l_shape() -> Mesh:
 
 
 def _hulls(mesh: Mesh) -> tuple[ConvexPart, ...]:
-    return (ConvexPart.hull_of(mesh.vertices),)
+    return (mesh.hull,)
 
 
 # --- the machine --------------------------------------------------------------------------------------------------

@@ -1,5 +1,5 @@
-"""How things may move while they are aligned: parameters in a unit box, the poses they stand for, and the velocities that
-changing them gives to points in camera axes."""
+"""How things may move while they are aligned: parameters in a unit box, the poses they stand for, and the velocities
+that changing them gives to points in camera axes."""
 
 from __future__ import annotations
 
@@ -80,10 +80,7 @@ def _field(
     *, shift: Array | None = None, turn: Array | None = None, growth: float = 0.0, about: Array | None = None
 ) -> Array:
     """The affine velocity (3, 4) of x -> shift + (turn x + growth) (x - about)."""
-    L = growth * np.eye(3)
-    if turn is not None:
-        x, y, z = turn
-        L = L + np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    L = growth * np.eye(3) + (_cross(turn) if turn is not None else 0)
     t = np.zeros(3) if shift is None else np.asarray(shift, float)
     return np.column_stack([L, t if about is None else t - L @ about])
 
@@ -98,8 +95,13 @@ def _in_camera(field: Array, camera: Camera) -> Array:
 def _left_jacobian(omega: Array) -> Array:
     """(3, 3): a change d of a rotation vector turns by ``J d`` after the rotation (Sola et al. 2018, equation 145)."""
     angle = float(np.linalg.norm(omega))
-    x, y, z = omega
-    W = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    W = _cross(omega)
     if angle < 1e-6:
         return np.eye(3) + W / 2
     return np.eye(3) + (1 - np.cos(angle)) / angle**2 * W + (angle - np.sin(angle)) / angle**3 * W @ W
+
+
+def _cross(a: Array) -> Array:
+    """(3, 3): the matrix of x -> a x x."""
+    x, y, z = a
+    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

@@ -251,6 +251,6 @@ def _read_mesh(folder: Path, path: str) -> Mesh:
 def _read_part(folder: Path, path: str) -> ConvexPart:
     mesh = _read_mesh(folder, path)
     try:
-        return ConvexPart.hull_of(mesh.vertices)
+        return mesh.hull
     except ValueError as error:
         raise InputError(folder / path, found=str(error), accepted="a convex part with a volume") from None

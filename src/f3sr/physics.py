@@ -288,7 +288,7 @@ def solid_volume(mesh: Mesh, parts: Sequence[ConvexPart]) -> float:
     hull's, and the sum over the parts.
     """
     own = abs(signed_volume(mesh.vertices, mesh.faces)) if _closed_as_stored(mesh) else np.inf
-    hull = ConvexPart.hull_of(mesh.vertices).volume
+    hull = mesh.hull.volume
     return max(1e-9, min(own, hull, sum(p.volume for p in parts)))
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Annotated, Literal
 from weakref import WeakKeyDictionary
 
@@ -17,15 +17,13 @@ from f3sr import raster
 from f3sr.facets import resting_turn
 from f3sr.frames import Array, Camera, pose
 from f3sr.freedom import CameraFreedom, ObjectFreedom
-from f3sr.levenberg import Local, Minimum, minimise
 from f3sr.mesh import Mesh, mass_properties
 from f3sr.report import Decision, Measure, Report, keep_better
 from f3sr.scene import Scene, SceneObject
 from f3sr.settings import settings
-from f3sr.silhouette import LossWeights, Mask, Surface, Target, centroid, iou, loss, resample, union_of
-
-SMALLEST_AREA = 16
-"""Pixels of a silhouette below which its centre and area say nothing."""
+from f3sr.silhouette import LossWeights, Mask, Surface, Target, iou, resample, union_of
+from f3sr.silhouette_fit import CameraFit, ObjectFit, object_fit
+from f3sr.visibility import nearer_objects, visible_region
 
 Turn = Annotated[float, Interval(ge=-np.pi, le=np.pi)]
 Weight = Annotated[float, Interval(ge=0, le=10)]
@@ -135,29 +133,6 @@ def _simplified(mesh: Mesh, max_faces: int) -> Mesh:
     return Mesh(vertices=np.asarray(light[0], float), faces=np.asarray(light[1], np.int32))
 
 
-def nearer_objects(scene: Scene) -> dict[int, list[SceneObject]]:
-    """Per object, those that may hide it: told by the rendered depths where two objects overlap in the picture, else by
-    their median depths. Two that cannot be ordered may hide each other."""
-    small = scene.camera.limited(384)
-    depths = {o.id: raster.render([o], small).depth for o in scene}
-    return {o.id: [p for p in scene if p.id != o.id and _nearer(depths[p.id], depths[o.id])] for o in scene}
-
-
-def visible_region(o: SceneObject, nearer: Iterable[SceneObject]) -> Mask:
-    """The pixels (H, W) where an object's silhouette must agree with its mask: not in a nearer object's mask."""
-    return ~union_of((p.mask for p in nearer), o.mask.shape)
-
-
-def _nearer(a: Array, b: Array) -> bool:
-    """Whether depth image a (h, w) lies in front of b, inf where empty; True when unsure."""
-    both = np.isfinite(a) & np.isfinite(b)
-    if np.count_nonzero(both) > 20:
-        return bool(np.median(a[both] - b[both]) < 0)
-    if not np.isfinite(a).any() or not np.isfinite(b).any():
-        return True
-    return bool(np.median(a[np.isfinite(a)]) < np.median(b[np.isfinite(b)]))
-
-
 # --- the camera ---------------------------------------------------------------------------------------------------
 
 
@@ -169,133 +144,55 @@ def _align_camera(scene: Scene, config: AlignConfig) -> tuple[Scene, Decision]:
     target = Target.of(union, weights=replace(config.weights, centroid=0.0, area=0.0))
     center = scene.camera.to_camera(np.mean([o.bounds_world.mean(0) for o in scene], axis=0)[None])[0]
     reach = np.array([config.camera_rotation] * 3 + [config.camera_translation * float(np.linalg.norm(center))] * 3)
-    freedom = CameraFreedom(camera=small, center=center, reach=reach)
-    surface = Surface.of([(o.vertices_world, o.mesh.faces) for o in scene])
-
-    def objective(u: Array) -> Local:
-        camera = freedom.at(u)
-        fit = loss(surface.integrals(camera, target.fields, freedom.velocities(u)), target)
-        return fit.plus_squares(np.full(6, config.camera_prior), u)
-
-    best = minimise(objective, np.zeros(6), bounds=(-np.ones(6), np.ones(6)), iterations=config.camera_iterations)
-    moved = replace(scene, camera=scene.camera.moved(freedom.at(best.x).T_world_camera))
+    fit = CameraFit(
+        surface=Surface.of([(o.vertices_world, o.mesh.faces) for o in scene]),
+        target=target,
+        freedom=CameraFreedom(camera=small, center=center, reach=reach),
+        prior=config.camera_prior,
+    )
+    found = fit.best(iterations=config.camera_iterations)
+    moved = replace(scene, camera=scene.camera.moved(found.T_world_camera))
     return keep_better(
         scene, moved, score=lambda s: float(np.mean(_ious(s, config))), step="camera", measure="mean mask IoU",
         tolerance=config.iou_tolerance,
     )  # fmt: skip
 
 
-def _about(center: Array, R: Array, t: Array) -> Array:
-    """x -> R (x - center) + center + t."""
-    return pose(R, center - R @ center + t)
-
-
 # --- objects ------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Search:
-    """One object's problem: where in its freedom its silhouette fits its mask best."""
-
-    object: SceneObject
-    camera: Camera
-    """Of a window around the object."""
-    target: Target
-    freedom: ObjectFreedom
-    surface: Surface
-    config: AlignConfig
-
-    def _shown(self, u: Array) -> Surface:
-        T, s = self.freedom.similarity(u)
-        return self.surface.moved(T, s)
-
-    def silhouette(self, u: Array) -> Mask:
-        return self._shown(u).silhouette(self.camera)
-
-    def objective(self, u: Array) -> Local:
-        velocities = self.freedom.velocities(u, self.camera)
-        fit = loss(self._shown(u).integrals(self.camera, self.target.fields, velocities), self.target)
-        return fit.plus_squares(np.asarray(self.config.prior), u)
-
-    def iou(self, u: Array) -> float:
-        return iou(self.silhouette(u), self.target.mask, self.target.valid)
-
-    def seed(self, yaw: float) -> Array:
-        """Closed form from the hard mask: centroid gives the shift, the square root of the area ratio the scale."""
-        reach = self.freedom.reach
-        u = np.array([0.0, 0, yaw / reach[2], 0, 0, 0])
-        depth = self.camera.to_camera(self.object.bounds_world.mean(0)[None])[0, 2]
-        # Pixels per unit of shift, so that the same step serves both kinds of freedom.
-        pixels = self.camera.K[:2, :2] @ (self.camera.T_camera_world[:3, :3] @ self.freedom.basis)[:2] / depth
-        for _ in range(2):
-            s = self.silhouette(u) & self.target.valid
-            area = np.count_nonzero(s)
-            if area < SMALLEST_AREA:
-                break
-            u[:2] += np.linalg.lstsq(pixels, self.target.centroid - centroid(s))[0] / reach[:2]
-            u[5] = ((1 + u[5] * reach[5]) * np.sqrt(self.target.area / area) - 1) / reach[5]
-            u = np.clip(u, -1, 1)
-        return u
-
-    def solve(self) -> Array:
-        """The best of the refined seeds, polished."""
-        seeds = [np.zeros(6), *(self.seed(yaw) for yaw in self.config.yaw_seeds)]
-        ranked = sorted(seeds, key=lambda u: self.objective(u).value)
-        refined = [self._refined(u, self.config.iterations // 2) for u in ranked[: self.config.kept_seeds]]
-        best = min(refined, key=lambda m: m.value)
-        return self._refined(best.x, self.config.iterations).x
-
-    def _refined(self, u: Array, iterations: int) -> Minimum:
-        free = (self.freedom.reach > 0).astype(float)
-        return minimise(self.objective, u, bounds=(-free, free), iterations=iterations)
 
 
 def _align_object(
     o: SceneObject, valid: Mask, camera: Camera, config: AlignConfig
 ) -> tuple[SceneObject, list[Decision]]:
     """The object where its silhouette fits its mask best, standing on a facet where that is near and fits."""
-    search = _search(o, valid, camera, config)
+    fit = _fit(o, valid, camera, config)
     kept, decision = keep_better(
-        np.zeros(6), search.solve(), score=search.iou, step="object", measure="valid mask IoU",
+        np.zeros(6), _best(fit, config), score=fit.iou, step="object", measure="valid mask IoU",
         tolerance=config.iou_tolerance, about=o.id,
     )  # fmt: skip
     turn = _resting_turn(o, config)
     if turn is None:
-        return _applied(search, kept, decision), [decision]
-    standing = _search(o.moved(turn, stage="align", reason="onto its nearest stable facet"), valid, camera, config)
-    best = standing.solve()
-    (chosen, x), tilt = keep_better(
-        (search, kept), (standing, best), score=lambda c: c[0].iou(c[1]), step="onto a stable facet",
+        return _applied(o, fit, kept, decision), [decision]
+    turned = o.moved(turn, stage="align", reason="onto its nearest stable facet")
+    standing = _fit(turned, valid, camera, config)
+    best = _best(standing, config)
+    (chosen, fit, x), tilt = keep_better(
+        (o, fit, kept), (turned, standing, best), score=lambda c: c[1].iou(c[2]), step="onto a stable facet",
         measure="valid mask IoU", tolerance=config.tilt_loss, about=o.id,
     )  # fmt: skip
-    return _applied(chosen, x, decision), [decision, tilt]
+    return _applied(chosen, fit, x, decision), [decision, tilt]
 
 
-def _search(o: SceneObject, valid: Mask, camera: Camera, config: AlignConfig) -> _Search:
-    """The problem of one object, seen in a window around its mask and its render that leaves room for every shift."""
-    pixels, _ = camera.project(o.vertices_world)
-    rows, columns = (np.flatnonzero(o.mask.any(axis=axis)) for axis in (1, 0))
-    low = np.minimum(pixels.min(0), [columns[0], rows[0]])
-    high = np.maximum(pixels.max(0), [columns[-1] + 1, rows[-1] + 1])
-    limit = np.array([camera.width, camera.height])
-    low, high = np.clip(low, -limit, 2 * limit), np.clip(high, -limit, 2 * limit)
-    margin = 0.15 * (high - low).max()
-    x, y = np.floor(low - margin).astype(int)
-    width, height = np.ceil(high + margin).astype(int) - (x, y)
-    window = camera.cropped(x, y, width, height).limited(config.resolution)
-    inside = (slice(y, y + height), slice(x, x + width))
-    mask, region = (
-        resample(_window(m, inside, fill=fill), window.width, window.height)
-        for m, fill in ((o.mask, False), (valid, True))
+def _fit(o: SceneObject, valid: Mask, camera: Camera, config: AlignConfig) -> ObjectFit:
+    freedom = _freedom(o, camera, config)
+    return object_fit(
+        o, valid, camera, freedom, resolution=config.resolution, weights=config.weights, prior=config.prior
     )
-    return _Search(
-        object=o,
-        camera=window,
-        target=Target.of(mask, region, config.weights),
-        freedom=_freedom(o, camera, config),
-        surface=Surface.of([(o.vertices_world, o.mesh.faces)]),
-        config=config,
-    )
+
+
+def _best(fit: ObjectFit, config: AlignConfig) -> Array:
+    u = fit.best(config.yaw_seeds, kept=config.kept_seeds, iterations=config.iterations).x
+    return fit.refined(u, iterations=config.iterations, tilt=True).x if config.polish_tilt else u
 
 
 def _freedom(o: SceneObject, camera: Camera, config: AlignConfig) -> ObjectFreedom:
@@ -310,15 +207,6 @@ def _freedom(o: SceneObject, camera: Camera, config: AlignConfig) -> ObjectFreed
     )
 
 
-def _window(mask: Mask, inside: tuple[slice, slice], *, fill: bool) -> Mask:
-    """A part of a mask that may reach beyond its borders; ``fill`` is what lies there."""
-    (rows, columns), (h, w) = inside, mask.shape
-    out = np.full((rows.stop - rows.start, columns.stop - columns.start), fill)
-    r, c = slice(max(rows.start, 0), min(rows.stop, h)), slice(max(columns.start, 0), min(columns.stop, w))
-    out[r.start - rows.start : r.stop - rows.start, c.start - columns.start : c.stop - columns.start] = mask[r, c]
-    return out
-
-
 def _resting_turn(o: SceneObject, config: AlignConfig) -> Array | None:
     """The world pose change (4, 4) about the object's middle that puts it on its nearest stable facet, if near."""
     if not config.max_tilt:
@@ -326,14 +214,15 @@ def _resting_turn(o: SceneObject, config: AlignConfig) -> Array | None:
     hull = o.mesh.hull
     solid = o.mesh.welded if o.mesh.is_solid else (hull.vertices, hull.faces)
     R = resting_turn(hull, mass_properties(*solid).center, o.T_world_object[:3, :3], max_tilt=config.max_tilt)
-    return None if R is None else _about(o.bounds_world.mean(0), R, np.zeros(3))
+    middle = o.bounds_world.mean(0)
+    return None if R is None else pose(R, middle - R @ middle)
 
 
-def _applied(search: _Search, x: Array, decision: Decision) -> SceneObject:
+def _applied(o: SceneObject, fit: ObjectFit, x: Array, decision: Decision) -> SceneObject:
     if not x.any():
-        return search.object
-    T, s = search.freedom.similarity(x)
-    return search.object.moved(T, scale=s, stage="align", reason=decision.reason)
+        return o
+    T, s = fit.freedom.similarity(x)
+    return o.moved(T, scale=s, stage="align", reason=decision.reason)
 
 
 # --- shared -------------------------------------------------------------------------------------------------------

@@ -1,0 +1,151 @@
+"""The two problems of alignment: where in its freedom an object, or a camera, fits the masks best."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from f3sr.frames import Array, Camera
+from f3sr.freedom import CameraFreedom, ObjectFreedom
+from f3sr.levenberg import Local, Minimum, minimise
+from f3sr.scene import SceneObject
+from f3sr.silhouette import LossWeights, Mask, Surface, Target, centroid, iou, loss, resample
+
+SMALLEST_AREA = 16
+"""Pixels of a silhouette below which its centre and area say nothing."""
+MARGIN = 0.15
+"""Of the window's longer side, around what is compared: room for an object to move in."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ObjectFit:
+    """One object against its mask: equation 9 over the parameters u (6,) in [-1, 1] of its ``freedom``.
+
+    ``camera`` sees a window around the object; ``prior`` (6,) weighs the squares of u.
+    """
+
+    surface: Surface
+    camera: Camera
+    target: Target
+    freedom: ObjectFreedom
+    prior: Array
+
+    def shown(self, u: Array) -> Surface:
+        T, s = self.freedom.similarity(u)
+        return self.surface.moved(T, s)
+
+    def silhouette(self, u: Array) -> Mask:
+        return self.shown(u).silhouette(self.camera)
+
+    def iou(self, u: Array) -> float:
+        """With the mask, where that can be seen."""
+        return iou(self.silhouette(u), self.target.mask, self.target.valid)
+
+    def objective(self, u: Array) -> Local:
+        velocities = self.freedom.velocities(u, self.camera)
+        fit = loss(self.shown(u).integrals(self.camera, self.target.fields, velocities), self.target)
+        return fit.plus_squares(self.prior, u)
+
+    def seed(self, yaw: float) -> Array:
+        """A start (6,) with a yaw [rad], in closed form from the hard mask: its centroid gives the shift, the square
+        root of the ratio of areas the scale."""
+        reach = self.freedom.reach
+        u = np.array([0.0, 0, yaw / reach[2], 0, 0, 0])
+        depth = self.camera.to_camera(self.freedom.anchor[None])[0, 2]
+        pixels_per_shift = self.camera.K[:2, :2] @ (self.camera.T_camera_world[:3, :3] @ self.freedom.basis)[:2] / depth
+        for _ in range(2):
+            s = self.silhouette(u) & self.target.valid
+            area = np.count_nonzero(s)
+            if area < SMALLEST_AREA:
+                break
+            u[:2] += np.linalg.lstsq(pixels_per_shift, self.target.centroid - centroid(s))[0] / reach[:2]
+            u[5] = ((1 + u[5] * reach[5]) * np.sqrt(self.target.area / area) - 1) / reach[5]
+            u = np.clip(u, -1, 1)
+        return u
+
+    def refined(self, u: Array, *, iterations: int, tilt: bool = False) -> Minimum:
+        """The best near a start (6,), tilt held where it is or freed."""
+        most = (self.freedom.reach > 0).astype(float)
+        low, high = -most, most
+        if not tilt:
+            low[3:5] = high[3:5] = u[3:5]
+        return minimise(self.objective, u, bounds=(low, high), iterations=iterations)
+
+    def best(self, yaws: Iterable[float], *, kept: int, iterations: int) -> Minimum:
+        """The best of the seeds with these yaws [rad] and of where the object is, the first ``kept`` refined."""
+        seeds = [np.zeros(6), *(self.seed(yaw) for yaw in yaws)]
+        ranked = sorted(seeds, key=lambda u: self.objective(u).value)
+        refined = [self.refined(u, iterations=iterations // 2) for u in ranked[:kept]]
+        return self.refined(min(refined, key=lambda m: m.value).x, iterations=iterations)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CameraFit:
+    """The union of all objects against the union of all masks: equation 7 over u (6,) of the camera's ``freedom``."""
+
+    surface: Surface
+    target: Target
+    freedom: CameraFreedom
+    prior: float
+
+    def objective(self, u: Array) -> Local:
+        integrals = self.surface.integrals(self.freedom.at(u), self.target.fields, self.freedom.velocities(u))
+        return loss(integrals, self.target).plus_squares(np.full(6, self.prior), u)
+
+    def best(self, *, iterations: int) -> Camera:
+        ones = np.ones(6)
+        return self.freedom.at(minimise(self.objective, 0 * ones, bounds=(-ones, ones), iterations=iterations).x)
+
+
+def object_fit(
+    o: SceneObject,
+    valid: Mask,
+    camera: Camera,
+    freedom: ObjectFreedom,
+    *,
+    resolution: int,
+    weights: LossWeights,
+    prior: Sequence[float],
+) -> ObjectFit:
+    """The fit of one object in a window around its mask and its render, of at most ``resolution`` pixels a side.
+
+    ``valid`` (H, W) is where the object can be compared; beyond the photo everything is.
+    """
+    x, y, width, height = _window(o, camera)
+    window = camera.cropped(x, y, width, height).limited(resolution)
+    mask, region = (
+        resample(_cut(m, slice(y, y + height), slice(x, x + width), fill=fill), window.width, window.height)
+        for m, fill in ((o.mask, False), (valid, True))
+    )
+    return ObjectFit(
+        surface=Surface.of([(o.vertices_world, o.mesh.faces)]),
+        camera=window,
+        target=Target.of(mask, region, weights),
+        freedom=freedom,
+        prior=np.asarray(prior),
+    )
+
+
+def _window(o: SceneObject, camera: Camera) -> tuple[int, int, int, int]:
+    """Column, row, width and height of the pixels around an object's mask and its render, with room to move."""
+    pixels, _ = camera.project(o.vertices_world)
+    rows, columns = (np.flatnonzero(o.mask.any(axis=axis)) for axis in (1, 0))
+    low = np.minimum(pixels.min(0), [columns[0], rows[0]])
+    high = np.maximum(pixels.max(0), [columns[-1] + 1, rows[-1] + 1])
+    limit = np.array([camera.width, camera.height])
+    low, high = np.clip(low, -limit, 2 * limit), np.clip(high, -limit, 2 * limit)
+    margin = MARGIN * (high - low).max()
+    x, y = np.floor(low - margin).astype(int)
+    width, height = np.ceil(high + margin).astype(int) - (x, y)
+    return x, y, width, height
+
+
+def _cut(mask: Mask, rows: slice, columns: slice, *, fill: bool) -> Mask:
+    """A part of a mask that may reach beyond its borders; ``fill`` is what lies there."""
+    h, w = mask.shape
+    out = np.full((rows.stop - rows.start, columns.stop - columns.start), fill)
+    r, c = slice(max(rows.start, 0), min(rows.stop, h)), slice(max(columns.start, 0), min(columns.stop, w))
+    out[r.start - rows.start : r.stop - rows.start, c.start - columns.start : c.stop - columns.start] = mask[r, c]
+    return out

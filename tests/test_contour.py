@@ -1,0 +1,166 @@
+"""Laws of the silhouette integrals: values, derivatives against central differences, and a search that arrives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.ndimage import distance_transform_edt
+
+from f3sr import contour, raster
+from f3sr.frames import Array, Camera, pose, rotation_from_vector, transform
+from f3sr.freedom import CameraFreedom, ObjectFreedom
+from f3sr.levenberg import Local, minimise
+
+R = rotation_from_vector([0.5, 0.3, 0.2])
+RING = trimesh.creation.torus(0.3, 0.1, major_sections=48, minor_sections=24)
+BOX = trimesh.creation.box((0.5, 0.3, 0.4))
+MESHES = {
+    "ring": (np.asarray(RING.vertices)[:, [0, 2, 1]] @ R.T + [0, 0, 0.1], np.asarray(RING.faces, np.int32)),
+    "box": (np.asarray(BOX.vertices) @ R.T, np.asarray(BOX.faces, np.int32)),
+}
+
+
+def camera(pixels: int) -> Camera:
+    """1.5 m away, a little off the middle."""
+    K = np.array([[1.1 * pixels, 0, 0.5 * pixels], [0, 1.1 * pixels, 0.48 * pixels], [0, 0, 1]])
+    forward = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    return Camera(width=pixels, height=pixels, K=K, T_world_camera=pose(forward, [0.03, -1.5, 0.02]))
+
+
+def fields(mask: np.ndarray) -> contour.Fields:
+    """Those of the report's loss against a mask."""
+    outside, inside = distance_transform_edt(~mask), distance_transform_edt(mask)
+    leak = 1 / max(mask.shape)
+    return contour.Fields(
+        valid=np.ones(mask.shape, np.float32),
+        mismatch=(1 - 2.0 * mask + leak * outside).astype(np.float32),
+        stiffness=(1 / np.maximum(outside + inside, 1) + leak * ~mask).astype(np.float32),
+    )
+
+
+class Problem:
+    """One mesh, moved, against the mask of the mesh where it is."""
+
+    def __init__(self, name: str, pixels: int) -> None:
+        self.vertices, self.faces = MESHES[name]
+        self.camera, self.edges = camera(pixels), contour.unique_edges(self.faces)
+        self.freedom = ObjectFreedom(
+            anchor=self.vertices.mean(0),
+            basis=self.camera.T_world_camera[:3, :2],
+            reach=np.array([0.3, 0.3, 0.6, 0.3, 0.3, 0.3]),
+        )
+        self.mask = self.silhouette(np.zeros(6))
+        self.fields = fields(self.mask)
+
+    def points(self, u: Array) -> Array:
+        T, s = self.freedom.similarity(u)
+        return self.camera.to_camera(transform(T, s * self.vertices))
+
+    def silhouette(self, u: Array) -> np.ndarray:
+        c = self.camera
+        return raster.silhouette(self.points(u), self.faces, c.K, c.width, c.height)
+
+    def integrals(self, u: Array) -> contour.Integrals:
+        velocities = self.freedom.velocities(u, self.camera)
+        return contour.integrate(
+            self.points(u), self.edges, self.silhouette(u), self.camera.K, self.fields, velocities, near=raster.NEAR
+        )
+
+    def objective(self, u: Array) -> Local:
+        found = self.integrals(u)
+        area = np.count_nonzero(self.mask)
+        return Local(
+            value=1 + found.value[contour.MISMATCH] / area,
+            gradient=found.gradient[contour.MISMATCH] / area,
+            curvature=found.curvature / area,
+        )
+
+
+@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize(("pixels", "tolerance"), [(256, 0.04), (512, 0.015), (1024, 0.01)])
+def test_gradients_are_those_of_central_differences(name: str, pixels: int, tolerance: float) -> None:
+    problem = Problem(name, pixels)
+    u, h = np.array([0.2, -0.1, 0.3, 0.1, -0.2, 0.15]), 6 / pixels
+    values = [[problem.integrals(u + sign * h * e).value for sign in (1, -1)] for e in np.eye(6)]
+    expected = np.array([(a - b) / (2 * h) for a, b in values]).T
+    found = problem.integrals(u).gradient
+    for k in range(5):
+        assert np.linalg.norm(found[k] - expected[k]) < tolerance * np.linalg.norm(expected[k]), k
+
+
+def test_areas_are_right_to_a_fraction_of_a_pixel() -> None:
+    """A square that faces the camera, anywhere between the pixels."""
+    edges = contour.unique_edges(np.array([[0, 1, 2], [0, 2, 3]], np.int32))
+    for side, shift in ((20.0, 0.0), (20.3, 0.17), (17.71, 0.63)):
+        corners = np.array([[0, 0], [side, 0], [side, side], [0, side]]) + 5 + shift
+        points = np.column_stack([corners, np.ones(4)])
+        mask = raster.silhouette(points, np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.eye(3), 40, 40)
+        ones = np.ones((40, 40), np.float32)
+        found = contour.integrate(
+            points, edges, mask, np.eye(3), contour.Fields(valid=ones, mismatch=ones, stiffness=ones),
+            np.zeros((0, 3, 4)), near=0.1,
+        )  # fmt: skip
+        area = found.value[contour.AREA]
+        assert area == pytest.approx(side**2, abs=1.0)
+        middle = found.value[[contour.MOMENT_X, contour.MOMENT_Y]] / area
+        assert middle == pytest.approx(np.full(2, 5 + shift + side / 2), abs=0.05)
+
+
+def test_the_camera_and_the_world_moved_together_change_nothing() -> None:
+    problem = Problem("ring", 256)
+    u = np.array([0.2, -0.1, 0.3, 0.0, 0.0, 0.15])
+    before = problem.integrals(u)
+    T = pose(rotation_from_vector([0, 0, 1.0]), [0.4, -0.3, 0])
+    problem.vertices = transform(T, problem.vertices)
+    problem.camera = problem.camera.moved(T @ problem.camera.T_world_camera)
+    problem.freedom = ObjectFreedom(
+        anchor=transform(T, problem.freedom.anchor),
+        basis=T[:3, :3] @ problem.freedom.basis,
+        reach=problem.freedom.reach,
+    )
+    after = problem.integrals(u)
+    assert np.allclose(before.value, after.value, rtol=1e-6)
+    assert np.allclose(before.gradient[:, [0, 1, 2, 5]], after.gradient[:, [0, 1, 2, 5]], rtol=1e-5, atol=1e-3)
+
+
+def test_tessellation_changes_next_to_nothing() -> None:
+    problem = Problem("box", 256)
+    coarse = problem.integrals(np.full(6, 0.1))
+    finer = trimesh.remesh.subdivide(*trimesh.remesh.subdivide(problem.vertices, problem.faces))
+    problem.vertices, problem.faces = np.asarray(finer[0]), np.asarray(finer[1], np.int32)
+    problem.edges = contour.unique_edges(problem.faces)
+    fine = problem.integrals(np.full(6, 0.1))
+    assert np.allclose(coarse.value, fine.value, rtol=1e-9)
+    assert np.allclose(coarse.gradient, fine.gradient, rtol=1e-6, atol=1e-6)
+
+
+def test_the_camera_s_velocities_are_those_of_its_points() -> None:
+    freedom = CameraFreedom(camera=camera(64), center=np.array([0.1, 0.2, 1.4]), reach=np.full(6, 0.3))
+    X, u, h = np.array([[0.3, 0.2, 0.1]]), np.linspace(-0.5, 0.6, 6), 1e-5
+    at = freedom.at(u).to_camera(X)[0]
+    for k, e in enumerate(np.eye(6)):
+        expected = (freedom.at(u + h * e).to_camera(X) - freedom.at(u - h * e).to_camera(X))[0] / (2 * h)
+        assert np.allclose(freedom.velocities(u)[k] @ [*at, 1], expected, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_a_search_finds_the_mask_again(name: str) -> None:
+    problem = Problem(name, 256)
+    start = np.array([0.25, -0.2, 0.3, 0.0, 0.0, -0.3])
+    free = np.array([1.0, 1, 1, 0, 0, 1])
+    found = minimise(problem.objective, start, bounds=(-free, free), iterations=40)
+    both = problem.silhouette(found.x)
+    assert (both & problem.mask).sum() / (both | problem.mask).sum() > 0.98 and found.evaluations <= 41
+
+
+def test_a_search_stays_in_its_box() -> None:
+    """The nearest corner of a paraboloid whose middle lies outside."""
+    middle = np.array([2.0, -3.0, 0.25])
+
+    def bowl(x: Array) -> Local:
+        d = x - middle
+        return Local(value=float(d @ d), gradient=2 * d, curvature=2 * np.eye(3))
+
+    found = minimise(bowl, np.zeros(3), bounds=(-np.ones(3), np.ones(3)))
+    assert np.allclose(found.x, [1, -1, 0.25], atol=1e-3)
