@@ -4,17 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
+from f3sr.contour import MOMENT_X, MOMENT_Y, VALID, Integrals
 from f3sr.frames import Array, Camera
 from f3sr.freedom import CameraFreedom, ObjectFreedom
-from f3sr.levenberg import Local, Minimum, minimise
+from f3sr.levenberg import Local, Minimum, descent, minimise
 from f3sr.scene import SceneObject
-from f3sr.silhouette import LossWeights, Mask, Surface, Target, centroid, iou, loss, resample
+from f3sr.searches import Search, together
+from f3sr.silhouette import LossWeights, Mask, Surface, Target, iou, loss, resample
+
+R = TypeVar("R")
 
 SMALLEST_AREA = 16
 """Pixels of a silhouette below which its centre and area say nothing."""
+SEED_STEPS = 2
+"""Closed-form corrections of a seed: the second finds what perspective made of the first."""
 MARGIN = 0.15
 """Of the window's longer side, around what is compared: room for an object to move in."""
 
@@ -43,42 +50,64 @@ class ObjectFit:
         """With the mask, where that can be seen."""
         return iou(self.silhouette(u), self.target.mask, self.target.valid)
 
-    def objective(self, u: Array) -> Local:
-        velocities = self.freedom.velocities(u, self.camera)
-        fit = loss(self.shown(u).integrals(self.camera, self.target.fields, velocities), self.target)
-        return fit.plus_squares(self.prior, u)
+    def integrals(self, u: Array) -> Integrals:
+        """Over the silhouette, with their derivatives by u."""
+        return self.shown(u).integrals(self.camera, self.target.fields, self.freedom.velocities(u, self.camera))
 
-    def seed(self, yaw: float) -> Array:
-        """A start (6,) with a yaw [rad], in closed form from the hard mask: its centroid gives the shift, the square
-        root of the ratio of areas the scale."""
+    def objective(self, u: Array, integrals: Integrals) -> Local:
+        return loss(integrals, self.target).plus_squares(self.prior, u)
+
+    def best(self, yaws: Iterable[float], *, kept: int, iterations: int) -> FitSearch[Minimum]:
+        """The best of the seeds with these yaws [rad] and of where the object is, the first ``kept`` refined."""
+        starts = [np.zeros(6), *(yield from together([self.seed(yaw) for yaw in yaws]))]
+        found = yield [(self, u) for u in starts]
+        values = [self.objective(u, f).value for u, f in zip(starts, found, strict=True)]
+        ranked = [starts[k] for k in np.argsort(values, kind="stable")]
+        refined = yield from together([self.refined(u, iterations=iterations // 2) for u in ranked[:kept]])
+        return (yield from self.refined(min(refined, key=lambda m: m.value).x, iterations=iterations))
+
+    def seed(self, yaw: float) -> FitSearch[Array]:
+        """A start (6,) with a yaw [rad], in closed form: the centroid gives the shift, the square root of the ratio of
+        areas the scale."""
         reach = self.freedom.reach
         u = np.array([0.0, 0, yaw / reach[2], 0, 0, 0])
         depth = self.camera.to_camera(self.freedom.anchor[None])[0, 2]
         pixels_per_shift = self.camera.K[:2, :2] @ (self.camera.T_camera_world[:3, :3] @ self.freedom.basis)[:2] / depth
-        for _ in range(2):
-            s = self.silhouette(u) & self.target.valid
-            area = np.count_nonzero(s)
+        for _ in range(SEED_STEPS):
+            (found,) = yield [(self, u)]
+            area = found.value[VALID]
             if area < SMALLEST_AREA:
                 break
-            u[:2] += np.linalg.lstsq(pixels_per_shift, self.target.centroid - centroid(s))[0] / reach[:2]
+            offset = self.target.centroid - found.value[[MOMENT_X, MOMENT_Y]] / area
+            u = u.copy()
+            u[:2] += np.linalg.lstsq(pixels_per_shift, offset)[0] / reach[:2]
             u[5] = ((1 + u[5] * reach[5]) * np.sqrt(self.target.area / area) - 1) / reach[5]
             u = np.clip(u, -1, 1)
         return u
 
-    def refined(self, u: Array, *, iterations: int, tilt: bool = False) -> Minimum:
+    def refined(self, u: Array, *, iterations: int, tilt: bool = False) -> FitSearch[Minimum]:
         """The best near a start (6,), tilt held where it is or freed."""
         most = (self.freedom.reach > 0).astype(float)
         low, high = -most, most
         if not tilt:
             low[3:5] = high[3:5] = u[3:5]
-        return minimise(self.objective, u, bounds=(low, high), iterations=iterations)
+        search = descent(u, bounds=(low, high), iterations=iterations)
+        try:
+            points = next(search)
+            while True:
+                found = yield [(self, u) for u in points]
+                points = search.send([self.objective(u, f) for u, f in zip(points, found, strict=True)])
+        except StopIteration as end:
+            return end.value
 
-    def best(self, yaws: Iterable[float], *, kept: int, iterations: int) -> Minimum:
-        """The best of the seeds with these yaws [rad] and of where the object is, the first ``kept`` refined."""
-        seeds = [np.zeros(6), *(self.seed(yaw) for yaw in yaws)]
-        ranked = sorted(seeds, key=lambda u: self.objective(u).value)
-        refined = [self.refined(u, iterations=iterations // 2) for u in ranked[:kept]]
-        return self.refined(min(refined, key=lambda m: m.value).x, iterations=iterations)
+
+FitSearch = Search[tuple[ObjectFit, Array], Integrals, R]
+"""A search that asks for the integrals of fits at parameters (6,)."""
+
+
+def one_by_one(questions: Sequence[tuple[ObjectFit, Array]]) -> list[Integrals]:
+    """The answers to a search, on this processor."""
+    return [fit.integrals(u) for fit, u in questions]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

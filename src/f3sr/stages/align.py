@@ -20,9 +20,10 @@ from f3sr.freedom import CameraFreedom, ObjectFreedom
 from f3sr.mesh import Mesh, mass_properties
 from f3sr.report import Decision, Measure, Report, keep_better
 from f3sr.scene import Scene, SceneObject
+from f3sr.searches import answered
 from f3sr.settings import settings
 from f3sr.silhouette import LossWeights, Mask, Surface, Target, iou, resample, union_of
-from f3sr.silhouette_fit import CameraFit, ObjectFit, object_fit
+from f3sr.silhouette_fit import CameraFit, FitSearch, ObjectFit, object_fit, one_by_one
 from f3sr.visibility import nearer_objects, visible_region
 
 Turn = Annotated[float, Interval(ge=-np.pi, le=np.pi)]
@@ -97,7 +98,7 @@ def align(
         nearer = nearer_objects(scene)
 
         def work(o: SceneObject) -> tuple[SceneObject, list[Decision]]:
-            return _align_object(o, visible_region(o, nearer[o.id]), scene.camera, config)
+            return answered(_align_object(o, visible_region(o, nearer[o.id]), scene.camera, config), one_by_one)
 
         with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
             results = list(pool.map(work, [o for o in scene if only is None or o.id in only]))
@@ -163,11 +164,11 @@ def _align_camera(scene: Scene, config: AlignConfig) -> tuple[Scene, Decision]:
 
 def _align_object(
     o: SceneObject, valid: Mask, camera: Camera, config: AlignConfig
-) -> tuple[SceneObject, list[Decision]]:
+) -> FitSearch[tuple[SceneObject, list[Decision]]]:
     """The object where its silhouette fits its mask best, standing on a facet where that is near and fits."""
     fit = _fit(o, valid, camera, config)
     kept, decision = keep_better(
-        np.zeros(6), _best(fit, config), score=fit.iou, step="object", measure="valid mask IoU",
+        np.zeros(6), (yield from _best(fit, config)), score=fit.iou, step="object", measure="valid mask IoU",
         tolerance=config.iou_tolerance, about=o.id,
     )  # fmt: skip
     turn = _resting_turn(o, config)
@@ -175,7 +176,7 @@ def _align_object(
         return _applied(o, fit, kept, decision), [decision]
     turned = o.moved(turn, stage="align", reason="onto its nearest stable facet")
     standing = _fit(turned, valid, camera, config)
-    best = _best(standing, config)
+    best = yield from _best(standing, config)
     (chosen, fit, x), tilt = keep_better(
         (o, fit, kept), (turned, standing, best), score=lambda c: c[1].iou(c[2]), step="onto a stable facet",
         measure="valid mask IoU", tolerance=config.tilt_loss, about=o.id,
@@ -190,9 +191,11 @@ def _fit(o: SceneObject, valid: Mask, camera: Camera, config: AlignConfig) -> Ob
     )
 
 
-def _best(fit: ObjectFit, config: AlignConfig) -> Array:
-    u = fit.best(config.yaw_seeds, kept=config.kept_seeds, iterations=config.iterations).x
-    return fit.refined(u, iterations=config.iterations, tilt=True).x if config.polish_tilt else u
+def _best(fit: ObjectFit, config: AlignConfig) -> FitSearch[Array]:
+    found = yield from fit.best(config.yaw_seeds, kept=config.kept_seeds, iterations=config.iterations)
+    if config.polish_tilt:
+        found = yield from fit.refined(found.x, iterations=config.iterations, tilt=True)
+    return found.x
 
 
 def _freedom(o: SceneObject, camera: Camera, config: AlignConfig) -> ObjectFreedom:
