@@ -131,6 +131,13 @@ class Camera:
         with np.errstate(divide="ignore", invalid="ignore"):
             return homogeneous[:, :2] / homogeneous[:, 2:], z
 
+    def homothety(self, k: float) -> Array:
+        """The T (4, 4) with which x -> T (k x) is X -> C + k (X - C) about the camera's centre C.
+
+        Every point stays on its viewing ray, so no silhouette changes.
+        """
+        return pose(t=(1 - k) * self.center)
+
     def moved(self, T_world_camera: Array) -> Self:
         return replace(self, T_world_camera=T_world_camera)
 

@@ -25,6 +25,16 @@ class Local:
     gradient: Array
     curvature: Array
 
+    def __add__(self, other: Local) -> Local:
+        return Local(
+            value=self.value + other.value,
+            gradient=self.gradient + other.gradient,
+            curvature=self.curvature + other.curvature,
+        )
+
+    def weighted(self, weight: float) -> Local:
+        return Local(value=weight * self.value, gradient=weight * self.gradient, curvature=weight * self.curvature)
+
     def plus_squares(self, weights: Array, x: Array) -> Local:
         """The objective with a quadratic prior sum(weights * x^2) added."""
         return Local(

@@ -69,6 +69,12 @@ class Mesh:
             vertex_colors=None if self.vertex_colors is None else self.vertex_colors[used],
         )
 
+    @property
+    def has_detail(self) -> bool:
+        """Whether its colours differ from place to place."""
+        textured = self.uv is not None and any(m.texture is not None and m.texture.size > 4 for m in self.materials)
+        return textured or self.vertex_colors is not None
+
     @cached_property
     def bounds(self) -> Array:
         """(2, 3) lowest and highest corner."""

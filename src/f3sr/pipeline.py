@@ -22,6 +22,7 @@ from f3sr.runner import Runner
 from f3sr.scene import Scene, SceneObject
 from f3sr.settings import changed, settings
 from f3sr.stages.align import AlignConfig, align
+from f3sr.stages.align.config import DepthConfig, FacetConfig, TiltConfig
 from f3sr.stages.assemble import AssembleConfig, as_given, assemble
 from f3sr.stages.decompose import decompose
 from f3sr.stages.evaluate import Evaluation, evaluate
@@ -48,18 +49,21 @@ class RefineConfig:
 
     topple: Annotated[float, Interval(gt=0, le=np.pi)] = math.radians(20)
     """A turn while settling from which on an object has toppled [rad]; the report's instability."""
-
+    upright: Annotated[float, Interval(gt=0, le=np.pi / 2)] = math.radians(25)
+    """It is stood on a stable facet within this turn [rad]."""
     rounds: Annotated[int, Interval(ge=0, le=10)] = 2
     """Most rounds; a round that does not improve the picture is undone and ends it."""
     align: AlignConfig = field(
         default_factory=lambda: AlignConfig(
             camera=False,
             freedom="support",
-            max_tilt=0.0,
             max_shift=0.2,
             max_yaw=0.35,
             max_scale=0.15,
             yaw_seeds=(0.0,),
+            tilt=TiltConfig(enabled=False),
+            facets=FacetConfig(enabled=False),
+            depth=DepthConfig(enabled=False),
         )
     )
 
@@ -167,7 +171,8 @@ def _stand_up(scene: Scene, parted: Scene, config: Config) -> tuple[Scene, list[
     toppled = [o.id for o in scene if _turn(parted[o.id], o) > config.refine.topple]
     if not toppled:
         return scene, []
-    upright, _ = align(parted, replace(config.align, camera=False, tilt_loss=1.0), only=toppled)
+    on_a_facet = FacetConfig(most=config.refine.upright, loss=1.0)
+    upright, _ = align(parted, replace(config.align, camera=False, facets=on_a_facet), only=toppled)
     step = f"standing up what toppled ({', '.join(map(str, toppled))})"
     kept, decision = _settled_again(scene, upright, step, config)
     return kept, [decision]

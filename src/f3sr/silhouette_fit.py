@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -14,16 +14,19 @@ from f3sr.freedom import CameraFreedom, ObjectFreedom
 from f3sr.levenberg import Local, Minimum, descent, minimise
 from f3sr.scene import SceneObject
 from f3sr.searches import Search, together
-from f3sr.silhouette import LossWeights, Mask, Surface, Target, iou, loss, resample
+from f3sr.silhouette import LossWeights, Mask, Surface, Target, iou, loss
+from f3sr.window import sampled, window_around
 
 R = TypeVar("R")
 
+EQUATION_8 = np.array([1, 1, 1, 0, 0, 1.0])
+"""The report's freedom: shifts, yaw and scale."""
+EVERYTHING = np.ones(6)
+"""Tilt as well."""
 SMALLEST_AREA = 16
 """Pixels of a silhouette below which its centre and area say nothing."""
 SEED_STEPS = 2
 """Closed-form corrections of a seed: the second finds what perspective made of the first."""
-MARGIN = 0.15
-"""Of the window's longer side, around what is compared: room for an object to move in."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -85,20 +88,25 @@ class ObjectFit:
             u = np.clip(u, -1, 1)
         return u
 
-    def refined(self, u: Array, *, iterations: int, tilt: bool = False) -> FitSearch[Minimum]:
-        """The best near a start (6,), tilt held where it is or freed."""
-        most = (self.freedom.reach > 0).astype(float)
-        low, high = -most, most
-        if not tilt:
-            low[3:5] = high[3:5] = u[3:5]
+    def refined(
+        self, u: Array, *, iterations: int, free: Array = EQUATION_8, also: Callable[[Array], Local] | None = None
+    ) -> FitSearch[Minimum]:
+        """The best near a start (6,) that keeps what is not ``free`` (6,); ``also`` adds to the objective."""
+        reach = free * (self.freedom.reach > 0)
+        low, high = np.where(reach, -1.0, u), np.where(reach, 1.0, u)
         search = descent(u, bounds=(low, high), iterations=iterations)
         try:
             points = next(search)
             while True:
                 found = yield [(self, u) for u in points]
-                points = search.send([self.objective(u, f) for u, f in zip(points, found, strict=True)])
+                local = [self.objective(u, f) for u, f in zip(points, found, strict=True)]
+                points = search.send([f + also(u) for f, u in zip(local, points, strict=True)] if also else local)
         except StopIteration as end:
             return end.value
+
+    def after(self, T: Array, freedom: ObjectFreedom) -> ObjectFit:
+        """The same problem once the object has been moved by the rigid T (4, 4)."""
+        return replace(self, surface=self.surface.moved(T, 1.0), freedom=freedom)
 
 
 FitSearch = Search[tuple[ObjectFit, Array], Integrals, R]
@@ -142,12 +150,8 @@ def object_fit(
 
     ``valid`` (H, W) is where the object can be compared; beyond the photo everything is.
     """
-    x, y, width, height = _window(o, camera)
-    window = camera.cropped(x, y, width, height).limited(resolution)
-    mask, region = (
-        resample(_cut(m, slice(y, y + height), slice(x, x + width), fill=fill), window.width, window.height)
-        for m, fill in ((o.mask, False), (valid, True))
-    )
+    window = window_around(o, camera, resolution)
+    mask, region = (sampled(m, camera, window, fill=fill) for m, fill in ((o.mask, False), (valid, True)))
     return ObjectFit(
         surface=Surface.of([(o.vertices_world, o.mesh.faces)]),
         camera=window,
@@ -155,26 +159,3 @@ def object_fit(
         freedom=freedom,
         prior=np.asarray(prior),
     )
-
-
-def _window(o: SceneObject, camera: Camera) -> tuple[int, int, int, int]:
-    """Column, row, width and height of the pixels around an object's mask and its render, with room to move."""
-    pixels, _ = camera.project(o.vertices_world)
-    rows, columns = (np.flatnonzero(o.mask.any(axis=axis)) for axis in (1, 0))
-    low = np.minimum(pixels.min(0), [columns[0], rows[0]])
-    high = np.maximum(pixels.max(0), [columns[-1] + 1, rows[-1] + 1])
-    limit = np.array([camera.width, camera.height])
-    low, high = np.clip(low, -limit, 2 * limit), np.clip(high, -limit, 2 * limit)
-    margin = MARGIN * (high - low).max()
-    x, y = np.floor(low - margin).astype(int)
-    width, height = np.ceil(high + margin).astype(int) - (x, y)
-    return x, y, width, height
-
-
-def _cut(mask: Mask, rows: slice, columns: slice, *, fill: bool) -> Mask:
-    """A part of a mask that may reach beyond its borders; ``fill`` is what lies there."""
-    h, w = mask.shape
-    out = np.full((rows.stop - rows.start, columns.stop - columns.start), fill)
-    r, c = slice(max(rows.start, 0), min(rows.stop, h)), slice(max(columns.start, 0), min(columns.stop, w))
-    out[r.start - rows.start : r.stop - rows.start, c.start - columns.start : c.stop - columns.start] = mask[r, c]
-    return out

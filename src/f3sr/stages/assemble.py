@@ -97,7 +97,7 @@ def _agree_with_geometry(
         return o, ()
     k = 1 / ratio
     reason = f"the asset's depth is {ratio:.2f} times the geometry's"
-    moved = o.moved(pose(t=(1 - k) * camera.center), scale=k, stage="assemble", reason=reason)
+    moved = o.moved(camera.homothety(k), scale=k, stage="assemble", reason=reason)
     return moved, (Decision(choice=f"moved along its viewing rays by {k:.3f}", reason=reason, about=o.id),)
 
 

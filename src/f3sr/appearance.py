@@ -1,0 +1,123 @@
+"""What a photo's colours say of an object's turn, where its silhouette is blind: a can, a bottle, a ball."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr import raster
+from f3sr.frames import Array, Camera
+from f3sr.levenberg import Local
+from f3sr.scene import Photo, SceneObject
+from f3sr.silhouette import Mask
+from f3sr.window import sampled
+
+FINE, COARSE = 0.7, 8.0
+"""Widths [px] of the Gaussians between which detail is compared: noise is finer, shading and shadows are coarser."""
+ENOUGH = 100
+"""Pixels below which no correlation is told."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Appearance:
+    """The photo's detail (h, w, 3) where it shows an object, in a window with a ``camera``."""
+
+    detail: NDArray[np.float32]
+    shown: Mask
+    camera: Camera
+
+    @classmethod
+    def of(cls, photo: Photo, camera: Camera, window: Camera, shown: Mask) -> Appearance:
+        """``shown`` (h, w): the window's pixels that show the object. ``camera`` is the one of the whole photo."""
+        rgb = sampled(photo.rgb, camera, window, fill=0).astype(np.float32) / np.float32(255)
+        return cls(detail=_detail(rgb, shown), shown=shown, camera=window)
+
+    def correlation(self, o: SceneObject) -> float:
+        """Of the photo's detail with that of the object's textured render, in [-1, 1]; 0 where little is in common."""
+        rendered, both, _ = self._rendered(o)
+        if np.count_nonzero(both) < ENOUGH:
+            return 0.0
+        return float((_unit(self.detail[both]) * _unit(rendered[both])).sum())
+
+    def mismatch(self, o: SceneObject, velocities: Array) -> Local:
+        """1 - correlation, with derivatives by parameters that move the surface by ``velocities`` (p, 3, 4).
+
+        With unit vectors a of the photo's detail and b of the render's it is |a - b|^2 / 2. A pixel's colour changes
+        by -grad(b) . (motion of the surface seen there), so its Gauss-Newton terms are those of direct image alignment
+        (Baker and Matthews, "Lucas-Kanade 20 years on", 2004), the change of b along b taken out by the unit length.
+        """
+        rendered, both, depth = self._rendered(o)
+        p = len(velocities)
+        if np.count_nonzero(both) < ENOUGH:
+            return Local(value=1.0, gradient=np.zeros(p), curvature=np.zeros((p, p)))
+        a, norm = _unit(self.detail[both]), _length(rendered[both])
+        b = _unit(rendered[both])
+        flow = _flow(np.argwhere(both), depth[both], self.camera.K, velocities)
+        inside = _inner(both)[both]
+        dy, dx = (np.gradient(rendered, axis=k)[both] * inside[:, None] for k in (0, 1))
+        change = -(flow[:, :, 0, None] * dx + flow[:, :, 1, None] * dy) / norm
+        change -= change.mean(1, keepdims=True)
+        change = change.reshape(p, -1)
+        flat = b.reshape(-1)
+        change -= np.outer(change @ flat, flat)
+        return Local(
+            value=1 - float((a * b).sum()),
+            gradient=-change @ a.reshape(-1),
+            curvature=change @ change.T,
+        )
+
+    def _rendered(self, o: SceneObject) -> tuple[NDArray[np.float32], Mask, Array]:
+        """Detail (h, w, 3) of the render, where it can be compared (h, w), and its depth (h, w)."""
+        fragments = raster.render([o], self.camera)
+        covered = fragments.ids != raster.EMPTY
+        rgb = raster.shade(fragments, [o]).astype(np.float32)
+        return _detail(rgb, covered), covered & self.shown, fragments.depth
+
+
+def _flow(pixels: NDArray[np.int64], depth: Array, K: Array, velocities: Array) -> Array:
+    """(p, n, 2) [px]: how the surface seen at pixels (n, 2), row and column, at some depths (n,) moves in the image."""
+    y, x = pixels.T + 0.5
+    Y = (y - K[1, 2]) / K[1, 1]
+    X = (x - K[0, 2] - K[0, 1] * Y) / K[0, 0]
+    points = np.stack([X * depth, Y * depth, depth, np.ones_like(depth)])
+    d = velocities @ points
+    u, v = (d[:, 0] - X * d[:, 2]) / depth, (d[:, 1] - Y * d[:, 2]) / depth
+    return np.stack([K[0, 0] * u + K[0, 1] * v, K[1, 1] * v], axis=-1)
+
+
+def _unit(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Pixels' colours (n, 3) without their mean, together of length 1."""
+    return (values - values.mean(0)) / _length(values)
+
+
+def _length(values: NDArray[np.float32]) -> float:
+    return max(float(np.linalg.norm(values - values.mean(0))), 1e-9)
+
+
+def _inner(where: Mask) -> Mask:
+    """Pixels whose four neighbours are there too."""
+    inner = np.zeros_like(where)
+    inner[1:-1, 1:-1] = where[1:-1, 1:-1] & where[:-2, 1:-1] & where[2:, 1:-1] & where[1:-1, :-2] & where[1:-1, 2:]
+    return inner
+
+
+def _detail(rgb: NDArray[np.float32], where: Mask) -> NDArray[np.float32]:
+    """Colours between two blurs, each over the given pixels only."""
+    return _blurred(rgb, where, FINE) - _blurred(rgb, where, COARSE)
+
+
+def _blurred(rgb: NDArray[np.float32], where: Mask, sigma: float) -> NDArray[np.float32]:
+    from scipy.ndimage import gaussian_filter
+
+    weight = where.astype(np.float32)
+    total = gaussian_filter(weight, sigma, mode="constant")[..., None]
+    colors = gaussian_filter(rgb * weight[..., None], (sigma, sigma, 0), mode="constant")
+    return np.where(where[..., None], colors / np.maximum(total, 1e-6), 0).astype(np.float32)
+
+
+def principal_axes(o: SceneObject) -> Array:
+    """Unit axes (3, 3), as rows, of an object's hull in the world, by its vertices' spread."""
+    vertices = o.mesh.hull.vertices @ o.T_world_object[:3, :3].T
+    return np.linalg.svd(vertices - vertices.mean(0), full_matrices=False)[2]

@@ -1,0 +1,91 @@
+"""align: the camera, then every object, moved so that rendered silhouettes meet the photo's masks."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from f3sr import raster
+from f3sr.mesh import Mesh
+from f3sr.report import Decision, Measure, Report
+from f3sr.scene import Scene, SceneObject
+from f3sr.searches import answered
+from f3sr.silhouette import iou, resample
+from f3sr.silhouette_fit import one_by_one
+from f3sr.stages.align.camera import align_camera
+from f3sr.stages.align.config import AlignConfig as AlignConfig
+from f3sr.stages.align.objects import View, align_object
+from f3sr.visibility import nearer_objects, visible_region
+
+
+def align(
+    scene: Scene, config: AlignConfig | None = None, *, only: Collection[int] | None = None
+) -> tuple[Scene, Report]:
+    """Refine the camera against the union of masks (equation 7), then each object from that camera (8, 9).
+
+    Every step is kept only if its IoU does not drop. An object is compared only where nearer objects leave it visible.
+    ``only`` names the objects to refine, all by default.
+    """
+    config = config or AlignConfig()
+    full, scene = scene, scene.with_objects(*(_outlined(o, config.max_faces) for o in scene))
+    decisions: list[Decision] = []
+    before = _ious(scene, config)
+    if config.camera:
+        scene, decision = align_camera(scene, config, score=lambda s: float(np.mean(_ious(s, config))))
+        decisions.append(decision)
+    if config.objects:
+        nearer = nearer_objects(scene)
+
+        def work(o: SceneObject) -> tuple[SceneObject, list[Decision]]:
+            view = View(scene=scene, valid=visible_region(o, nearer[o.id]), textured=full[o.id].mesh)
+            return answered(align_object(o, view, config), one_by_one)
+
+        with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
+            results = list(pool.map(work, [o for o in scene if only is None or o.id in only]))
+        scene = scene.with_objects(*(o for o, _ in results))
+        decisions += [d for _, several in results for d in several]
+    after = _ious(scene, config)
+    measures = [
+        Measure(name="mask IoU", before=b, after=a, about=o.id) for o, b, a in zip(scene, before, after, strict=True)
+    ]
+    mean = Measure(name="mean mask IoU", before=float(np.mean(before)), after=float(np.mean(after)))
+    scene = scene.with_objects(*(replace(o, mesh=full[o.id].mesh) for o in scene))
+    return scene, Report(stage="align", measures=(mean, *measures), decisions=tuple(decisions))
+
+
+_OUTLINES: WeakKeyDictionary[Mesh, dict[int, Mesh]] = WeakKeyDictionary()
+
+
+def _outlined(o: SceneObject, max_faces: int) -> SceneObject:
+    """The object with a mesh light enough to draw hundreds of times; its silhouette is all that is compared."""
+    if len(o.mesh.faces) <= max_faces:
+        return o
+    known = _OUTLINES.setdefault(o.mesh, {})
+    if max_faces not in known:
+        known[max_faces] = _simplified(o.mesh, max_faces)
+    return replace(o, mesh=known[max_faces])
+
+
+def _simplified(mesh: Mesh, max_faces: int) -> Mesh:
+    import fast_simplification
+
+    vertices, faces = mesh.welded
+    light = fast_simplification.simplify(vertices, faces, target_count=max_faces)
+    return Mesh(vertices=np.asarray(light[0], float), faces=np.asarray(light[1], np.int32))
+
+
+def _ious(scene: Scene, config: AlignConfig) -> Sequence[float]:
+    """IoU of each object's full silhouette with its mask, at the working resolution."""
+    camera = scene.camera.limited(config.resolution)
+    return [
+        iou(
+            raster.silhouette(camera.to_camera(o.vertices_world), o.mesh.faces, camera.K, camera.width, camera.height),
+            resample(o.mask, camera.width, camera.height),
+        )
+        for o in scene
+    ]

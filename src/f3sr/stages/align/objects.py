@@ -1,0 +1,343 @@
+"""One object from the accepted camera: equation 9 over equation 8's freedom, then the extensions.
+
+Every phase ends with a guard and leaves the object as it was where it did not gain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from f3sr import raster
+from f3sr.appearance import Appearance, principal_axes
+from f3sr.depth_evidence import DepthEvidence
+from f3sr.facets import resting_turn
+from f3sr.frames import Array, pose, rotation_about
+from f3sr.freedom import ObjectFreedom
+from f3sr.levenberg import Local
+from f3sr.mesh import Mesh, mass_properties
+from f3sr.report import Decision, keep_better
+from f3sr.scene import Scene, SceneObject
+from f3sr.silhouette import Mask
+from f3sr.silhouette_fit import EQUATION_8, EVERYTHING, SMALLEST_AREA, FitSearch, ObjectFit, object_fit
+from f3sr.stages.align.config import AlignConfig
+from f3sr.window import sampled, window_around
+
+UP = np.array([0.0, 0, 1])
+NEAR_VERTICAL = 0.9
+"""Cosine to the vertical from which on an axis is taken for it."""
+BLIND_TURN = np.radians(16)
+"""The turn that a silhouette is tried at: a smaller one is hidden by what is wrong of a shape [rad]."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class View:
+    """What the photo shows of one object: ``valid`` (H, W) is where nearer objects leave it visible."""
+
+    scene: Scene
+    valid: Mask
+    textured: Mesh
+    """The object's own mesh, which the one that silhouettes are drawn from may be a lighter copy of."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Placed:
+    """An object on its way: ``base`` moved by the parameters ``u`` (6,) of the freedom of ``fit``."""
+
+    base: SceneObject
+    fit: ObjectFit
+    u: Array
+
+    @property
+    def iou(self) -> float:
+        return self.fit.iou(self.u)
+
+    def at(self, u: Array, *, reason: str = "") -> SceneObject:
+        T, s = self.fit.freedom.similarity(u)
+        return self.base.moved(T, scale=s, stage="align", reason=reason)
+
+    @cached_property
+    def object(self) -> SceneObject:
+        return self.at(self.u)
+
+    def moved(self, u: Array) -> _Placed:
+        return replace(self, u=u)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Evidence:
+    """What speaks of the object beside its mask; None where there is none."""
+
+    depth: DepthEvidence | None
+    appearance: Appearance | None
+
+
+_Phase = Callable[[_Placed, _Evidence, View, AlignConfig], FitSearch[tuple[_Placed, list[Decision]]]]
+
+
+def align_object(o: SceneObject, view: View, config: AlignConfig) -> FitSearch[tuple[SceneObject, list[Decision]]]:
+    """The object where its silhouette fits its mask best, and whatever the extensions make better."""
+    if reason := _not_comparable(o, view):
+        return o, [Decision(choice="kept as it came", reason=reason, about=o.id, fallback=True)]
+    fit = object_fit(
+        o, view.valid, view.scene.camera, _freedom(o, view, config),
+        resolution=config.resolution, weights=config.weights, prior=config.prior,
+    )  # fmt: skip
+    placed = came = _Placed(base=o, fit=fit, u=np.zeros(6))
+    evidence = _evidence(o, view, config)
+    decisions: list[Decision] = []
+    for phase in _phases(evidence, config):
+        placed, more = yield from phase(placed, evidence, view, config)
+        decisions += more
+        if placed.iou < config.least_iou:
+            reason = f"its mask and its mesh do not show the same thing: valid mask IoU {placed.iou:.2f} at best"
+            return o, [Decision(choice="kept as it came", reason=reason, about=o.id, fallback=True)]
+    if placed is came:
+        return o, decisions
+    was, now = came.iou, placed.iou
+    return _as_one_motion(o, placed.object, reason=f"valid mask IoU {was:.4f} -> {now:.4f}"), decisions
+
+
+def _phases(evidence: _Evidence, config: AlignConfig) -> list[_Phase]:
+    wanted: list[tuple[_Phase, bool]] = [
+        (_fitted, True),
+        (_polished, config.tilt.enabled or evidence.appearance is not None),
+        (_standing, config.facets.enabled),
+        (_at_its_depth, evidence.depth is not None and config.depth.enabled),
+    ]
+    return [phase for phase, is_on in wanted if is_on]
+
+
+def _not_comparable(o: SceneObject, view: View) -> str | None:
+    """Why an object and its mask cannot be compared at all."""
+    camera = view.scene.camera
+    pixels, z = camera.project(o.vertices_world)
+    if z.min() <= raster.NEAR:
+        return "it reaches behind the camera"
+    if np.any(pixels.max(0) < 0) or np.any(pixels.min(0) > [camera.width, camera.height]):
+        return "it lies outside of the picture"
+    if np.count_nonzero(o.mask & view.valid) < SMALLEST_AREA:
+        return "nearer objects hide all of its mask"
+    return None
+
+
+def _freedom(o: SceneObject, view: View, config: AlignConfig) -> ObjectFreedom:
+    low, high = o.bounds_world
+    middle = (low + high) / 2
+    shift = config.max_shift * o.size
+    tilt = config.tilt.most if config.tilt.enabled else 0.0
+    in_image = config.freedom == "image"
+    return ObjectFreedom(
+        anchor=middle if in_image else np.array([middle[0], middle[1], low[2]]),
+        basis=view.scene.camera.T_world_camera[:3, :2] if in_image else np.eye(3)[:, :2],
+        reach=np.array([shift, shift, config.max_yaw, tilt, tilt, config.max_scale]),
+    )
+
+
+def _evidence(o: SceneObject, view: View, config: AlignConfig) -> _Evidence:
+    scene, camera = view.scene, view.scene.camera
+    window = window_around(o, camera, config.appearance.resolution)
+    shown = sampled(o.mask & view.valid, camera, window, fill=False)
+    return _Evidence(
+        depth=DepthEvidence.of(scene.geometry, camera, window, shown) if scene.geometry else None,
+        appearance=(
+            Appearance.of(scene.photo, camera, window, shown)
+            if config.appearance.enabled and view.textured.has_detail
+            else None
+        ),
+    )
+
+
+# --- phases ---------------------------------------------------------------------------------------------------------
+
+
+def _fitted(placed: _Placed, _: _Evidence, __: View, config: AlignConfig) -> FitSearch[tuple[_Placed, list[Decision]]]:
+    """Equations 8 and 9: the best of several seeds."""
+    found = yield from placed.fit.best(config.yaw_seeds, kept=config.kept_seeds, iterations=config.iterations)
+    kept, decision = keep_better(
+        placed, placed.moved(found.x), score=_iou, step="object", measure="valid mask IoU",
+        tolerance=config.iou_tolerance, about=placed.base.id,
+    )  # fmt: skip
+    return kept, [decision]
+
+
+def _polished(
+    placed: _Placed, evidence: _Evidence, view: View, config: AlignConfig
+) -> FitSearch[tuple[_Placed, list[Decision]]]:
+    """All degrees of freedom together, silhouette and appearance, also from the turn that the photo's detail tells."""
+    free = EVERYTHING if config.tilt.enabled else EQUATION_8
+    was = _scores(placed, evidence, view, config)
+    best, now = placed, was
+    for start in (placed, *_turned(placed, was.correlation, evidence, view, config)):
+        also = _mismatch(start, evidence, view, config)
+        found = yield from start.fit.refined(start.u, iterations=config.iterations, free=free, also=also)
+        scores = _scores(start.moved(found.x), evidence, view, config)
+        if scores.total > now.total and scores.iou >= was.iou - config.appearance.loss and scores.agrees(was):
+            best, now = start.moved(found.x), scores
+    decision = Decision(
+        choice=f"tilt and detail: {'rolled back' if best is placed else 'accepted'}", reason=was.told(now),
+        about=placed.base.id,
+    )  # fmt: skip
+    return best, [decision]
+
+
+def _turned(placed: _Placed, correlation: float, evidence: _Evidence, view: View, config: AlignConfig) -> list[_Placed]:
+    """The object turned about the vertical, or an axis its silhouette is blind to, to where the photo's detail fits
+    far better; none where no turn does."""
+    appearance, settings = evidence.appearance, config.appearance
+    if appearance is None:
+        return []
+    o, count = placed.object, round(settings.search / settings.step)
+    for axis in (UP, *_blind_axes(placed, view, config)):
+        turns = [_about_middle(o, axis, k * settings.step) for k in range(-count, count + 1) if k]
+        scores = [appearance.correlation(_textured(_turned_by(o, T), view)) for T in turns]
+        best = int(np.argmax(scores))
+        if scores[best] >= correlation + settings.gain:
+            return [_after(placed, turns[best], view, config)]
+    return []
+
+
+def _standing(
+    placed: _Placed, evidence: _Evidence, view: View, config: AlignConfig
+) -> FitSearch[tuple[_Placed, list[Decision]]]:
+    """On the nearest stable facet, where that is near and the picture does not mind."""
+    turn = _resting_turn(placed.object, config.facets.most)
+    if turn is None:
+        return placed, []
+    standing = _after(placed, turn, view, config)
+    also = _mismatch(standing, evidence, view, config)
+    found = yield from standing.fit.refined(standing.u, iterations=config.iterations, also=also)
+    kept, decision = keep_better(
+        placed, standing.moved(found.x), score=_iou, step="onto a stable facet", measure="valid mask IoU",
+        tolerance=config.facets.loss, about=placed.base.id,
+    )  # fmt: skip
+    return kept, [decision]
+
+
+def _at_its_depth(
+    placed: _Placed, evidence: _Evidence, view: View, config: AlignConfig
+) -> FitSearch[tuple[_Placed, list[Decision]]]:
+    """Along its viewing rays to where the geometry sees it; no silhouette changes."""
+    yield from ()
+    assert evidence.depth is not None
+    camera, limits = view.scene.camera, config.depth
+    was = evidence.depth.residual(placed.object)
+    if was.pixels < limits.pixels or was.spread > limits.spread:
+        return placed, []
+    k = float(np.clip(np.exp(-was.median), 1 - limits.most, 1 + limits.most))
+    T = camera.homothety(k)
+    moved = _after(placed, T, view, config, scale=k)
+    now = evidence.depth.residual(moved.object)
+    kept, decision = keep_better(
+        (placed, was), (moved, now), score=lambda c: -c[1].size, step=f"moved along its viewing rays by {k:.3f}",
+        measure="minus median depth residual", about=placed.base.id,
+    )  # fmt: skip
+    return kept[0], [decision]
+
+
+# --- parts of phases --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Scores:
+    """IoU with the valid mask, correlation with the photo, spread of depth about the geometry's; 0 where unknown."""
+
+    iou: float
+    correlation: float
+    spread: float
+    config: AlignConfig
+
+    @property
+    def total(self) -> float:
+        return self.iou + self.config.appearance.weight * self.correlation
+
+    def agrees(self, before: _Scores) -> bool:
+        """Whether the geometry has no more to say against it than ``before``, or no more than its noise."""
+        return self.spread <= max(before.spread, self.config.tilt.spread)
+
+    def told(self, after: _Scores) -> str:
+        return (
+            f"valid mask IoU {self.iou:.4f} -> {after.iou:.4f}, correlation with the photo {self.correlation:.2f} -> "
+            f"{after.correlation:.2f}, spread of depth {self.spread:.4f} -> {after.spread:.4f}"
+        )
+
+
+def _scores(placed: _Placed, evidence: _Evidence, view: View, config: AlignConfig) -> _Scores:
+    o = placed.object
+    return _Scores(
+        iou=placed.iou,
+        correlation=evidence.appearance.correlation(_textured(o, view)) if evidence.appearance else 0.0,
+        spread=evidence.depth.residual(o).spread if evidence.depth else 0.0,
+        config=config,
+    )
+
+
+def _iou(placed: _Placed) -> float:
+    return placed.iou
+
+
+def _mismatch(placed: _Placed, evidence: _Evidence, view: View, config: AlignConfig) -> Callable[[Array], Local] | None:
+    """The appearance's term of the objective."""
+    appearance, weight = evidence.appearance, config.appearance.weight
+    if appearance is None or not weight:
+        return None
+    camera = view.scene.camera
+
+    def local(u: Array) -> Local:
+        velocities = placed.fit.freedom.velocities(u, camera)
+        return appearance.mismatch(_textured(placed.at(u), view), velocities).weighted(weight)
+
+    return local
+
+
+def _after(placed: _Placed, T: Array, view: View, config: AlignConfig, *, scale: float = 1.0) -> _Placed:
+    """The object moved by x -> T (scale x) from where it is, a new start of its freedom."""
+    base = placed.object.moved(T, scale=scale, stage="align", reason="")
+    T_u, s_u = placed.fit.freedom.similarity(placed.u)
+    surface = placed.fit.surface.moved(T_u, s_u).moved(T, scale)
+    fit = replace(placed.fit, surface=surface, freedom=_freedom(base, view, config))
+    return _Placed(base=base, fit=fit, u=np.zeros(6))
+
+
+def _blind_axes(placed: _Placed, view: View, config: AlignConfig) -> Iterator[Array]:
+    """Own axes (3,), not near the vertical, about which the silhouette does not see a turn to either side."""
+    o, least = placed.object, placed.iou - config.appearance.blind
+    for axis in principal_axes(o):
+        if abs(axis @ UP) < NEAR_VERTICAL:
+            turned = (_after(placed, _about_middle(o, axis, sign * BLIND_TURN), view, config) for sign in (-1, 1))
+            if all(t.iou >= least for t in turned):
+                yield axis
+
+
+def _about_middle(o: SceneObject, axis: Array, angle: float) -> Array:
+    """The turn (4, 4) about an axis through an object's middle."""
+    R, middle = rotation_about(axis, angle), o.bounds_world.mean(0)
+    return pose(R, middle - R @ middle)
+
+
+def _turned_by(o: SceneObject, T: Array) -> SceneObject:
+    return o.moved(T, stage="align", reason="")
+
+
+def _textured(o: SceneObject, view: View) -> SceneObject:
+    return o if o.mesh is view.textured else replace(o, mesh=view.textured)
+
+
+def _resting_turn(o: SceneObject, most: float) -> Array | None:
+    """The world pose change (4, 4) about the object's middle that puts it on its nearest stable facet, if near."""
+    hull = o.mesh.hull
+    solid = o.mesh.welded if o.mesh.is_solid else (hull.vertices, hull.faces)
+    R = resting_turn(hull, mass_properties(*solid).center, o.T_world_object[:3, :3], max_tilt=most)
+    middle = o.bounds_world.mean(0)
+    return None if R is None else pose(R, middle - R @ middle)
+
+
+def _as_one_motion(before: SceneObject, after: SceneObject, *, reason: str) -> SceneObject:
+    """``before``, moved to where ``after`` is, with one note of it."""
+    scale = after.scale / before.scale
+    R = after.T_world_object[:3, :3] @ before.T_world_object[:3, :3].T
+    T = pose(R, after.T_world_object[:3, 3] - R @ (scale * before.T_world_object[:3, 3]))
+    return before.moved(T, scale=scale, stage="align", reason=reason)
