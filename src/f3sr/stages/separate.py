@@ -43,15 +43,17 @@ class SeparateConfig:
 def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene, Report]:
     """Bring every object onto its support and part what overlaps (equations 10 and 11).
 
-    In forest order an object is brought into contact with its support, with all that rests on it: along its viewing
-    rays, scaled alike about the camera centre, which leaves the picture as it is, and by the smallest lift, or by
-    lowering, each as far as is likely by what is known of distances and of the picture. Then unrelated objects that
+    First all objects together are moved along their viewing rays to where half of them would sink into the ground.
+    In forest order an object is then brought into contact with its support, with all that rests on it: along its
+    viewing rays, scaled alike about the camera centre, which leaves the picture as it is, and by the smallest lift, or
+    by lowering, each as far as is likely by what is known of distances and of the picture. Then unrelated objects that
     overlap are parted horizontally by the branches that part below their common support, so that nothing is left
     behind. What still overlaps is counted, never hidden.
     """
     config = config or SeparateConfig()
     layout = _Layout(scene)
     before = len(layout.collisions())
+    layout.along_rays(tuple(layout.bodies), _common_scale(layout, config))
     for _ in range(3):
         _seat(layout, config)
         if not _part(layout, config):
@@ -129,6 +131,21 @@ def _gap(body: contact.Body, id: int, layout: _Layout, config: SeparateConfig) -
     if rise > 0:
         return -rise
     return min(contact.free_travel(body, support, -UP) - config.clearance, lowest)
+
+
+def _common_scale(layout: _Layout, config: SeparateConfig) -> float:
+    """The k by which all objects together are moved along their viewing rays, so that half of those on the ground
+    would have to come nearer to reach it and half go farther: how high the camera stands is one number for all."""
+    scales = [_ground_scale(layout, o.id, config) for o in layout.scene if o.supported_by == GROUND]
+    limit = config.max_ray_scale
+    return float(np.clip(np.median(scales), 1 - limit, 1 + limit)) if scales else 1.0
+
+
+def _ground_scale(layout: _Layout, id: int, config: SeparateConfig) -> float:
+    """The k at which a body, moved along its viewing rays, rests on the ground: C_z / (C_z - z_lowest)."""
+    eye = float(layout.scene.camera.center[2])
+    height = eye - layout.lowest(id)
+    return (eye - config.clearance) / height if height > 1e-9 else 1.0
 
 
 def _contact_scale(layout: _Layout, id: int, config: SeparateConfig) -> float:
