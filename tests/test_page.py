@@ -526,6 +526,16 @@ def test_nothing_is_wider_than_the_screen(opened: Any, width: int):
 
 
 @pytest.mark.timeout(120)
+@pytest.mark.parametrize("width", [320, 390, 1280])
+def test_both_panels_of_an_object_stand_beside_each_other_and_are_large_enough(opened: Any, width: int):
+    opened.set_viewport_size({"width": width, "height": 844})
+    for k in range(opened.locator(".panel").count()):
+        left, right = (opened.locator(".panel").nth(k).locator("img").nth(i).bounding_box() for i in (0, 1))
+        assert left["y"] == right["y"] and left["x"] + left["width"] <= right["x"]
+        assert left["width"] == pytest.approx(right["width"], abs=1) and left["width"] > 0.37 * min(width, 390)
+
+
+@pytest.mark.timeout(120)
 def test_print_shows_a_still_and_opens_what_is_folded(opened: Any):
     opened.emulate_media(media="print")
     assert opened.locator("#view-still").is_visible() and not opened.locator("#view-live").is_visible()

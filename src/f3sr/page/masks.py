@@ -40,7 +40,7 @@ class Card:
 def masks(m: Material) -> Markup:
     found = sorted(cards(m), key=lambda c: (c.ours, c.o.id))
     first, rest = found[:SHOWN_AT_ONCE], found[SHOWN_AT_ONCE:]
-    folded = el("details", el("summary", f"{counted(len(rest), 'more object')}, that fit better"), _grid(rest, m))
+    folded = el("details", el("summary", f"{counted(len(rest), 'more object')}, which fit better"), _grid(rest, m))
     return join(
         el(
             "p",
