@@ -12,7 +12,6 @@ import pytest
 
 from f3sr import inputs, raster
 from f3sr.foreign_camera import (
-    OVERLAP_ONLY,
     ForeignCameraConfig,
     InstancesFit,
     fitted_camera,
@@ -133,9 +132,9 @@ def test_the_loss_is_one_minus_iou_and_its_gradient_that_of_central_differences(
     s, u, h = scene(), np.array([0.3, -0.2, 0.25, 0.2, -0.3, 0.15]), 0.02
     fit = InstancesFit(
         surfaces=tuple(Surface.of([(o.vertices_world, o.mesh.faces)]) for o in s),
-        targets=tuple(Target.of(o.mask, weights=OVERLAP_ONLY) for o in s),
+        targets=tuple(Target.of(o.mask) for o in s),
         freedom=freedom(s, turn=math.radians(8), way=0.15),
-    )
+    ).without_distances()
     here = fit.objective(u, iou_loss)
     assert here.value == pytest.approx(1 - mean_iou(s, fit.freedom.at(u)), abs=2e-3)
     expected = [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -18,9 +18,8 @@ from f3sr.measures import full_silhouette
 from f3sr.report import Decision
 from f3sr.scene import Scene
 from f3sr.settings import settings
-from f3sr.silhouette import LossWeights, Surface, Target, iou, loss, resample
+from f3sr.silhouette import Surface, Target, iou, loss, resample
 
-OVERLAP_ONLY = LossWeights(distance=0.0, centroid=0.0, area=0.0)
 Term = Callable[[Integrals, Target], Local]
 """What one object adds to the objective."""
 
@@ -45,27 +44,30 @@ def fitted_camera(scene: Scene, config: ForeignCameraConfig | None = None) -> tu
     First every object's loss (equation 9 without priors), which pulls from afar, then 1 - IoU itself.
     """
     config = config or ForeignCameraConfig()
-    far, near = (_fit(scene, weights, config) for weights in (LossWeights(), OVERLAP_ONLY))
-    if not far.targets:
+    fit = _fit(scene, config)
+    if not fit.targets:
         return scene.camera, Decision(
             choice="camera as given", reason="no object has a mask to fit it to", fallback=True
         )
-    pulled = far.best(np.zeros(6), loss, iterations=config.iterations)
-    polished = near.best(pulled, iou_loss, iterations=config.iterations)
-    cameras = [scene.camera, *(_seen_from(scene, far.freedom.at(u)) for u in (pulled, polished))]
+    given = np.zeros(6)
+    pulled = fit.best(given, loss, iterations=config.iterations)
+    near = fit.without_distances()
+    start = min((given, pulled), key=lambda u: near.objective(u, iou_loss).value)
+    polished = near.best(start, iou_loss, iterations=config.iterations)
+    cameras = [scene.camera, *(scene.camera.moved(fit.freedom.at(u).T_world_camera) for u in (pulled, polished))]
     scores = [mean_iou(scene, camera) for camera in cameras]
     best = int(np.argmax(scores))
     reason = f"mIoU {scores[0]:.4f} -> {max(scores[1:]):.4f}"
     if best == 0:
         return scene.camera, Decision(choice="camera as given", reason=f"{reason}, fitted")
     return cameras[best], Decision(
-        choice="camera fitted", reason=f"{reason}, {_way(scene, cameras[best], far.freedom)}"
+        choice="camera fitted", reason=f"{reason}, {_way(scene, cameras[best], fit.freedom)}"
     )
 
 
 def mean_iou(scene: Scene, camera: Camera) -> float:
-    """Mean IoU of full silhouettes with the masks, as ``camera`` sees the scene."""
-    return float(np.mean([iou(full_silhouette(o, camera), o.mask) for o in scene]))
+    """Mean IoU of full silhouettes with the masks, as ``camera`` sees the scene; an excluded mask counts 0."""
+    return sum(iou(full_silhouette(o, camera), o.mask) for o in scene) / (len(scene.objects) + len(scene.excluded))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -75,6 +77,15 @@ class InstancesFit:
     surfaces: tuple[Surface, ...]
     targets: tuple[Target, ...]
     freedom: CameraFreedom
+
+    def without_distances(self) -> InstancesFit:
+        """The same where a silhouette pays alike for every pixel outside its mask, near or far."""
+
+        def alike(t: Target) -> Target:
+            mismatch = np.where(t.mask, np.float32(-1), np.float32(1))
+            return replace(t, fields=replace(t.fields, mismatch=mismatch))
+
+        return replace(self, targets=tuple(map(alike, self.targets)))
 
     def objective(self, u: Array, term: Term) -> Local:
         camera, velocities = self.freedom.at(u), self.freedom.velocities(u)
@@ -94,8 +105,9 @@ class InstancesFit:
 
 
 def iou_loss(integrals: Integrals, target: Target) -> Local:
-    """1 - IoU with its derivatives. With areas A of the silhouette and M of the mask and L the area where only one
-    is, IoU = (A + M - L) / (A + M + L); ``target`` has no weight on distance, so that its mismatch is L - M."""
+    """1 - IoU with its derivatives: with areas A of the silhouette and M of the mask and L the area where only one is,
+    IoU = (A + M - L) / (A + M + L). The curvature is that of L alone. ``target`` is one without distances, so that its
+    mismatch is L - M."""
     A, dA = float(integrals.value[AREA]), integrals.gradient[AREA]
     L, dL = target.area + float(integrals.value[MISMATCH]), integrals.gradient[MISMATCH]
     both, total = A + target.area, A + target.area + L
@@ -106,7 +118,7 @@ def iou_loss(integrals: Integrals, target: Target) -> Local:
     )
 
 
-def _fit(scene: Scene, weights: LossWeights, config: ForeignCameraConfig) -> InstancesFit:
+def _fit(scene: Scene, config: ForeignCameraConfig) -> InstancesFit:
     """The problem at the search's resolution, without objects whose masks have no pixel there."""
     small = scene.camera.limited(config.resolution)
     masks = [(o, resample(o.mask, small.width, small.height)) for o in scene]
@@ -116,13 +128,9 @@ def _fit(scene: Scene, weights: LossWeights, config: ForeignCameraConfig) -> Ins
     shift = config.max_translation * float(np.linalg.norm(center))
     return InstancesFit(
         surfaces=tuple(Surface.of([(o.vertices_world, o.mesh.faces)]) for o, _ in shown),
-        targets=tuple(Target.of(mask, weights=weights) for _, mask in shown),
+        targets=tuple(Target.of(mask) for _, mask in shown),
         freedom=CameraFreedom(camera=small, center=center, reach=np.array([config.max_rotation] * 3 + [shift] * 3)),
     )
-
-
-def _seen_from(scene: Scene, camera: Camera) -> Camera:
-    return scene.camera.moved(camera.T_world_camera)
 
 
 def _way(scene: Scene, camera: Camera, freedom: CameraFreedom) -> str:
