@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from f3sr import inputs, raster
 from f3sr.foreign_camera import (
@@ -21,6 +22,8 @@ from f3sr.foreign_camera import (
 from f3sr.frames import Camera, rotation_about
 from f3sr.freedom import CameraFreedom
 from f3sr.measures import IMAGE_MEASURES, Measures, measure
+from f3sr.mesh import Mesh
+from f3sr.outlines import outlined
 from f3sr.pipeline import SKIPPABLE, composed_directly, reconstruct
 from f3sr.scene import Photo, Scene
 from f3sr.silhouette import Surface, Target, iou
@@ -126,6 +129,19 @@ def test_masks_without_a_pixel_are_left_out():
     empty = s.with_objects(*(replace(o, mask=np.zeros_like(o.mask)) for o in s))
     kept, decision = fitted_camera(empty)
     assert kept is s.camera and decision.fallback
+
+
+def test_heavy_meshes_are_searched_light_and_judged_whole():
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.06)
+    mesh = Mesh(vertices=np.asarray(ball.vertices), faces=np.asarray(ball.faces, np.int32))
+    heavy = [replace(o, mesh=mesh, scale=1.0) for o in boxes()]
+    shown = [replace(o, mask=silhouette(o, EYE)) for o in heavy]
+    s = disturbed(replace(scene(), objects=tuple(shown)), np.array([0.3, -0.4, 0.2, -0.3, 0.2, 0.4]))
+    light = outlined(s.objects[0], 1000)
+    assert len(light.mesh.faces) <= 1000 < len(mesh.faces) and outlined(light, 1000) is light
+    assert outlined(s.objects[1], 1000).mesh is light.mesh
+    found, decision = fitted_camera(s, ForeignCameraConfig(max_faces=1000))
+    assert mean_iou(s, found) > 0.98 and f"-> {mean_iou(s, found):.4f}" in decision.reason
 
 
 def test_the_loss_is_one_minus_iou_and_its_gradient_that_of_central_differences():

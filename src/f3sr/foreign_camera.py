@@ -15,6 +15,7 @@ from f3sr.frames import Array, Camera, rotation_angle
 from f3sr.freedom import CameraFreedom
 from f3sr.levenberg import Local, minimise
 from f3sr.measures import full_silhouette
+from f3sr.outlines import outlined
 from f3sr.report import Decision
 from f3sr.scene import Scene
 from f3sr.settings import settings
@@ -33,6 +34,8 @@ class ForeignCameraConfig:
     """Trust region of its move per axis, as a share of its distance to the scene."""
     resolution: Annotated[int, Interval(ge=64, le=4096)] = 512
     """Longer side [px] of the image it is searched in; it is judged in the photo's own."""
+    max_faces: Annotated[int, Interval(ge=1000, le=10_000_000)] = 40_000
+    """Larger meshes are simplified to as many faces for the search, as for align."""
     iterations: Annotated[int, Interval(ge=1, le=1000)] = 40
     """Steps tried by each of the two searches."""
 
@@ -122,7 +125,7 @@ def _fit(scene: Scene, config: ForeignCameraConfig) -> InstancesFit:
     """The problem at the search's resolution, without objects whose masks have no pixel there."""
     small = scene.camera.limited(config.resolution)
     masks = [(o, resample(o.mask, small.width, small.height)) for o in scene]
-    shown = [(o, mask) for o, mask in masks if mask.any()]
+    shown = [(outlined(o, config.max_faces), mask) for o, mask in masks if mask.any()]
     middle = np.median([o.bounds_world.mean(0) for o in scene], axis=0)
     center = scene.camera.to_camera(middle[None])[0]
     shift = config.max_translation * float(np.linalg.norm(center))
