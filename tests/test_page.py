@@ -23,8 +23,8 @@ import f3sr.page as page
 from f3sr import inputs
 from f3sr.cache import Store
 from f3sr.crossings import penetration
-from f3sr.frames import rotation_about
-from f3sr.measures import IMAGE_MEASURES, Measures, measure, measure_with_details
+from f3sr.frames import pose, rotation_about
+from f3sr.measures import IMAGE_MEASURES, Measures, full_silhouette, measure, measure_with_details
 from f3sr.mesh import Material as Appearance
 from f3sr.mesh import Mesh
 from f3sr.page import LARGEST_PAGE, report_page
@@ -157,6 +157,15 @@ def test_every_object_has_its_panels_worst_first_with_the_numbers_they_show(resu
     assert alts == expected
     shown = [float(v) for v in re.findall(r'<data value="([^"]+)"', section)]
     assert set(shown) >= {x for p in found.values() for x in p.ious[:2]}
+
+
+def test_an_object_that_fits_worse_than_it_came_is_marked():
+    given = scene_of(box(0), box(3, at=(0.3, 0, 0.05)))
+    given = given.with_objects(*(replace(o, mask=full_silhouette(o, given.camera)) for o in given))
+    moved = given.with_objects(given[3].moved(pose(t=(0.03, 0, 0)), stage="settle", reason="pushed"))
+    text = report_page(bare(moved, direct=given)).decode()
+    section = text[text.index('id="masks"') : text.index('id="view"')]
+    assert section.count("▼ worse") == 1 and section.index("3 box") < section.index("▼ worse") < section.index("0 box")
 
 
 def test_many_objects_have_small_panels_and_fold():

@@ -40,19 +40,9 @@ class Card:
 def masks(m: Material) -> Markup:
     found = sorted(cards(m), key=lambda c: (c.ours, c.o.id))
     first, rest = found[:SHOWN_AT_ONCE], found[SHOWN_AT_ONCE:]
-    folded = el("details", el("summary", f"{counted(len(rest), 'more object')}, which fit better"), _grid(rest, m))
+    folded = el("details", el("summary", f"{counted(len(rest), 'more object')}, fitting better"), _grid(rest, m))
     return join(
-        el(
-            "p",
-            "Photo masks against renders over the greyed photo: ",
-            el("span", "red", class_="key mask"),
-            " photo mask only, ",
-            el("span", "green", class_="key render"),
-            " render only, ",
-            el("span", "blue", class_="key both"),
-            " both; white lines part objects, dark is another object's mask.",
-            class_="fine",
-        ),
+        legend(),
         el("h3", "The whole scene"),
         el("div", _whole(m), class_="row"),
         el("h3", "Every object alone, the worst first"),
@@ -66,6 +56,21 @@ def masks(m: Material) -> Markup:
         ),
         _grid(first, m),
         folded if rest else None,
+    )
+
+
+def legend() -> Markup:
+    """What the colours of whole scenes mean."""
+    return el(
+        "p",
+        "Masks against visible renders over the greyed photo: ",
+        el("span", "red", class_="key mask"),
+        " photo mask only, ",
+        el("span", "green", class_="key render"),
+        " render only, ",
+        el("span", "blue", class_="key both"),
+        " both, dark blue another object's mask; white lines part objects.",
+        class_="fine",
     )
 
 
@@ -100,6 +105,8 @@ def _card(c: Card, scene: Scene) -> Markup:
 
 def _note(c: Card) -> Child:
     parts: list[Child] = []
+    if c.ours < c.panels.ious[0] - SAME:
+        parts.append(el("span", "▼ worse", class_="worse"))
     if len(c.panels.ious) > 2 and abs(c.panels.ious[2] - c.ours) > SAME:
         parts.append(join("after align ", ratio(c.panels.ious[2])))
     if c.panels.hidden[1] >= LEAST_HIDDEN:
