@@ -26,7 +26,9 @@ GROUPS = {"rendered": "scenes/*", "real": "real/ycb_table_*"}
 
 Numbers = dict[str, float]
 Row = dict[str, Any]
-"""One scene: its group, ``f3sr`` and ``direct composition`` measures, ``stages`` [s]."""
+"""One scene: its group, measures of every one of SIDES, ``stages`` [s]."""
+SIDES = ("direct composition", "direct composition, fitted camera", "f3sr")
+"""The second has only measures of the picture; the others are those of the first."""
 
 
 def main() -> int:
@@ -88,7 +90,7 @@ def measure_one(folder: Path, out: Path, objects: Path, kept: Sequence[Path]) ->
     """Reconstruct one scene into ``out`` and measure it, against the truth where that is known."""
     with caches.fresh(*kept) as cache:
         finished = process.reconstruct(folder, out, environment={"F3SR_CACHE_DIR": str(cache)})
-    ours, direct = finished.answer["f3sr"], finished.answer["direct composition"]
+    direct, fitted, ours = (finished.answer[side] for side in SIDES)
     stages: Numbers = finished.answer["seconds"]
     if (folder / "truth.json").exists() and objects.is_dir():
         truth = process.run(["truth.py", folder, out, objects], out.with_suffix(".truth.log")).answer
@@ -97,14 +99,15 @@ def measure_one(folder: Path, out: Path, objects: Path, kept: Sequence[Path]) ->
     ours["warm_s"] = finished.wall - stages["decompose"]
     ours["cpu_s"] = finished.cpu - finished.answer["decompose_cpu"]
     ours["peak_mb"] = finished.peak_mb
-    return {"f3sr": ours, "direct composition": direct, "stages": stages}
+    seen = {measure: fitted[measure] for measure in tables.PICTURE}
+    return {**dict(zip(SIDES, (direct, seen, ours), strict=True)), "stages": stages}
 
 
 def means_of(rows: list[Row]) -> dict[str, Numbers]:
     """The mean over scenes of every measure that all of them have, for each side and the stages."""
     return {
         side: {key: fmean(r[side][key] for r in rows) for key in rows[0][side] if all(key in r[side] for r in rows)}
-        for side in ("f3sr", "direct composition", "stages")
+        for side in (*SIDES, "stages")
         if rows
     }
 

@@ -12,22 +12,26 @@ COLUMNS = (
     *("centre_pct", "chamfer_pct", "support_precision", "support_recall", "wall_s", "cpu_s", "peak_mb"),
 )
 """Of the table with a line per scene; the others are in the table of means and in results.json."""
+PICTURE = ("mIoU", "mIoU_visible", "PSNR", "mIoU_exact", "mIoU_visible_exact")
+"""Those that depend on the camera: all that direct composition has of a fitted one."""
 SHORT = {"mIoU_visible": "visible", "support_precision": "sup.prec", "support_recall": "sup.rec"}
 
 Table = list[list[str]]
 
 
 def print_results(rows: Mapping[str, Any], means: Mapping[str, Any]) -> None:
-    """Scenes, then means with direct composition beside, then mean seconds per step."""
+    """Scenes, then means with direct composition beside, as its own and a fitted camera see it, then mean seconds per
+    step."""
     print()
     show([["scene", *(SHORT.get(c, c) for c in COLUMNS)], *([n, *_cells(r["f3sr"], COLUMNS)] for n, r in rows.items())])
     for group, sides in means.items():
         if not sides:
             continue
         count = sum(r["group"] == group for r in rows.values())
-        direct, ours = sides["direct composition"], sides["f3sr"]
+        columns = [sides[side] for side in ("direct composition", "direct composition, fitted camera", "f3sr")]
         print(f"\nmeans over {count} {group} scenes")
-        show([["", "direct", "f3sr"], *([k, *_cells(direct, [k]), *_cells(ours, [k])] for k in ours)])
+        header = ["", "direct", "fitted", "f3sr"]
+        show([header, *([k, *(cell for side in columns for cell in _cells(side, [k]))] for k in sides["f3sr"])])
         print(f"\nmean seconds, {group}")
         show([[step, f"{s:.2f}"] for step, s in sides["stages"].items()])
     print()

@@ -83,6 +83,27 @@ def test_update_changes_values_only(expected, tmp_path: Path) -> None:
     assert baseline.read(file) == {"rendered": new}
 
 
+def test_means_are_printed_for_direct_composition_with_both_cameras(capsys: pytest.CaptureFixture[str]) -> None:
+    from f3sr.measures import IMAGE_MEASURES
+
+    sys.path.insert(0, str(FOLDER))
+    try:
+        tables = load("tables")
+    finally:
+        sys.path.remove(str(FOLDER))
+    assert tables.PICTURE == IMAGE_MEASURES
+    row = {
+        "group": "real",
+        "f3sr": {"mIoU": 0.9, "R_pen": 0.0},
+        "direct composition": {"mIoU": 0.7, "R_pen": 1.0},
+        "direct composition, fitted camera": {"mIoU": 0.75},
+        "stages": {"align": 1.0},
+    }
+    tables.print_results({"a": row}, {"real": row})
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["mIoU", "0.7", "0.75", "0.9"] in lines and ["R_pen", "1", "-", "0"] in lines
+
+
 def test_the_committed_baseline_is_whole() -> None:
     for name, kept in baseline.read().items():
         assert kept.scenes, name

@@ -14,8 +14,10 @@ import pytest
 
 from f3sr import doctor, settings
 from f3sr.cli import main
+from f3sr.measures import IMAGE_MEASURES
 from f3sr.package import read_package
 from f3sr.pipeline import Config
+from folders import write_folder
 
 
 def test_the_command_line_from_folder_to_numbers(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
@@ -36,8 +38,12 @@ def test_the_command_line_from_folder_to_numbers(folder: Path, tmp_path: Path, c
     for name, value in document["metrics"].items():
         tolerance = 0.15 if name == "proxy_far_pct" else 1e-3  # a few thousand random samples
         assert table["f3sr"][name] == pytest.approx(value, rel=tolerance, abs=1e-4), name
+    assert list(table) == ["direct composition", "direct composition, fitted camera", "f3sr"]
     assert table["direct composition"]["n"] == 3
-    assert read_package(out).direct is not None
+    report = json.loads((out / "report.json").read_text())
+    assert list(report["measures"]) == list(table) and report["measures"]["f3sr"] == document["metrics"]
+    assert report["stages"][-1]["stage"] == "evaluate" and "camera" in report["stages"][-1]["decisions"][0]["choice"]
+    assert read_package(out).direct is not None and read_package(out).camera_aligned
 
     model = mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
     data = mujoco.MjData(model)
@@ -46,6 +52,30 @@ def test_the_command_line_from_folder_to_numbers(folder: Path, tmp_path: Path, c
     for _ in range(round(5 / model.opt.timestep)):
         mujoco.mj_step(model, data)
     assert model.njnt == 3 and np.abs(data.xipos - start).max() < 1e-3
+
+
+def test_a_raw_folder_is_measured_with_and_without_a_fitted_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    write_folder(tmp_path / "input", perturb=0.12, seed=5)
+    assert main(["evaluate", str(tmp_path / "input"), "--json"]) == 0
+    table = json.loads(capsys.readouterr().out)
+    given, fitted = table["direct composition"], table["direct composition, fitted camera"]
+    assert len(table) == 2 and fitted["mIoU_exact"] > given["mIoU_exact"]
+    assert all(fitted[name] == given[name] for name in given.keys() - set(IMAGE_MEASURES))
+
+
+def test_a_package_that_was_not_aligned_is_foreign(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    write_folder(tmp_path / "input", perturb=0.12, seed=5)
+    out = str(tmp_path / "package")
+    assert main(["reconstruct", str(tmp_path / "input"), "-o", out, "--skip", "align,evaluate"]) == 0
+    capsys.readouterr()
+    assert main(["evaluate", out, "--json"]) == 0
+    table = json.loads(capsys.readouterr().out)
+    assert list(table)[2:] == ["f3sr", "f3sr, fitted camera"]
+    assert table["f3sr, fitted camera"]["mIoU_exact"] > table["f3sr"]["mIoU_exact"]
+    assert main(["evaluate", out]) == 0
+    assert "fitted camera" in capsys.readouterr().out
+    assert main(["evaluate", out, "--ignore", "ground"]) == 2
+    assert "only with a prompted-image folder" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -57,7 +87,8 @@ def test_the_command_line_from_folder_to_numbers(folder: Path, tmp_path: Path, c
         (["reconstruct", "{folder}", "-o", "{out}", "--asset-frame", "left"], 2, "left"),
         (["reconstruct", "{folder}", "-o", "{folder}"], 1, "may not hold one another"),
         (["reconstruct", "{folder}", "-o", "{folder}/.."], 1, "may not hold one another"),
-        (["evaluate", "{folder}"], 2, "scene.json"),
+        (["evaluate", "{folder}/masks"], 2, "scene.json"),
+        (["evaluate", "{folder}", "--ignore", "photo"], 2, "photo"),
         (["evaluate", "{folder}", "--true-scale", "-1"], 2, "positive"),
     ],
 )

@@ -23,14 +23,15 @@ import f3sr.page as page
 from f3sr import inputs
 from f3sr.cache import Store
 from f3sr.crossings import penetration
-from f3sr.frames import rotation_about
-from f3sr.measures import Measures, measure, measure_with_details
+from f3sr.frames import pose, rotation_about
+from f3sr.measures import IMAGE_MEASURES, Measures, full_silhouette, measure, measure_with_details
 from f3sr.mesh import Material as Appearance
 from f3sr.mesh import Mesh
 from f3sr.page import LARGEST_PAGE, report_page
 from f3sr.page.graph import levels
 from f3sr.page.light_mesh import lightened
 from f3sr.page.markup import Markup, clean, el
+from f3sr.page.masks import cards
 from f3sr.page.material import Material
 from f3sr.page.objects import moves
 from f3sr.page.scores import MAIN, OTHERS
@@ -41,7 +42,7 @@ from f3sr.scene import GROUND, Excluded, Scene, Support
 from folders import write_folder
 from scenes import box, box_stack_scene, scene_of
 
-SECTIONS = ["measures", "compare", "view", "objects", "supports", "stages", "decisions"]
+SECTIONS = ["measures", "compare", "masks", "view", "objects", "supports", "stages", "decisions"]
 HOSTILE = "</script></title><img src=x onerror=alert(1)>\"' style='x' \u202e\0\ud800 {{7*7}} $policy"
 
 
@@ -127,8 +128,60 @@ def test_numbers_are_those_of_the_evaluation(result: Reconstruction, text: str):
     section = text[text.index('id="measures"') : text.index('id="compare"')]
     shown = [float(v) for v in re.findall(r'<data value="([^"]+)"', section)]
     fields_ = [s.field for s in (*MAIN, *OTHERS)]
-    columns = result.evaluation.direct, result.evaluation.result
-    assert shown == [float(getattr(m, f)) for f in fields_ for m in columns]
+    evaluation, fitted = result.evaluation, result.evaluation.direct_fitted
+    assert fitted and evaluation.direct and evaluation.result_fitted is None
+    expected: list[float] = []
+    for f in fields_:
+        columns = evaluation.direct, *([fitted.measures] if f in IMAGE_MEASURES else []), evaluation.result
+        expected += [float(getattr(m, f)) for m in columns]
+    assert shown == expected
+    assert html.unescape(section).count(fitted.decision.reason.replace(" -> ", " → ")) == 1
+
+
+def test_a_result_that_was_not_aligned_has_a_second_column_of_its_own(given: inputs.Inputs):
+    result = reconstruct(given, skip=["align", "settle", "refine"])
+    text = report_page(result).decode()
+    section = text[text.index('id="measures"') : text.index('id="compare"')]
+    assert section.count("fitted <data") == 2 * len(IMAGE_MEASURES)
+    masks = text[text.index('id="masks"') : text.index('id="view"')]
+    assert "not aligned either" in masks and "after align" not in masks
+
+
+def test_every_object_has_its_panels_worst_first_with_the_numbers_they_show(result: Reconstruction, text: str):
+    m = Material(result, page.SIZES[0])
+    section = text[text.index('id="masks"') : text.index('id="view"')]
+    found = {c.o.id: c.panels for c in cards(m)}
+    ordered = sorted(found, key=lambda id: found[id].ious[1])
+    alts = re.findall(r'alt="(\d+) [^"]*, (input|ours): IoU ([\d.]+)"', section)
+    expected = [(str(i), s, f"{found[i].ious[k]:.3f}") for i in ordered for k, s in enumerate(("input", "ours"))]
+    assert alts == expected
+    shown = [float(v) for v in re.findall(r'<data value="([^"]+)"', section)]
+    assert set(shown) >= {x for p in found.values() for x in p.ious[:2]}
+
+
+def test_an_object_that_fits_worse_than_it_came_is_marked():
+    given = scene_of(box(0), box(3, at=(0.3, 0, 0.05)))
+    given = given.with_objects(*(replace(o, mask=full_silhouette(o, given.camera)) for o in given))
+    moved = given.with_objects(given[3].moved(pose(t=(0.03, 0, 0)), stage="settle", reason="pushed"))
+    text = report_page(bare(moved, direct=given)).decode()
+    section = text[text.index('id="masks"') : text.index('id="view"')]
+    assert section.count("▼ worse") == 1 and section.index("3 box") < section.index("▼ worse") < section.index("0 box")
+
+
+def test_many_objects_have_small_panels_and_fold():
+    """Sixty objects: the first twelve are open, the rest folds; no panel is larger than its share."""
+    columns = [box(k, at=(0.13 * (k % 10) - 0.6, 0.2 * (k // 10), 0.05), textured=True) for k in range(60)]
+    result = bare(scene_of(*columns))
+    text = report_page(result)
+    assert len(text) <= LARGEST_PAGE
+    section = text.decode()
+    section = section[section.index('id="masks"') : section.index('id="view"')]
+    assert section.count('class="panel"') == 60 and section.index("<details>") > section.index('class="panel"')
+    assert section[: section.index("<details>")].count('class="panel"') == 12 and "48 more objects" in section
+    sides = [max(p.shape) for c in cards(Material(result, page.SIZES[0])) for p in c.panels.pictures]
+    assert len(sides) == 120 and max(sides) ** 2 * len(sides) <= 1.01 * page.SIZES[0].panels
+    panels = section[section.index("Every object alone") :]
+    assert len(panels) < 2.5 * page.SIZES[0].panels / 4  # even noise, the worst photo, stays bounded
 
 
 def test_every_measure_has_a_row():
@@ -479,6 +532,16 @@ def test_nothing_is_wider_than_the_screen(opened: Any, width: int):
         width,
     )
     assert wide == []
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize("width", [320, 390, 1280])
+def test_both_panels_of_an_object_stand_beside_each_other_and_are_large_enough(opened: Any, width: int):
+    opened.set_viewport_size({"width": width, "height": 844})
+    for k in range(opened.locator(".panel").count()):
+        left, right = (opened.locator(".panel").nth(k).locator("img").nth(i).bounding_box() for i in (0, 1))
+        assert left["y"] == right["y"] and left["x"] + left["width"] <= right["x"]
+        assert left["width"] == pytest.approx(right["width"], abs=1) and left["width"] > 0.37 * min(width, 390)
 
 
 @pytest.mark.timeout(120)

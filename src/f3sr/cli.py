@@ -98,26 +98,51 @@ def reconstruct(
     console.say(f"report:   {written / package.PAGE}")
 
 
-def evaluate(package: Folder, /, true_scale: float = 1.0, json: bool = False) -> None:
-    """Measure a scene package, with direct composition (the levelled input as it came) beside it.
+def evaluate(
+    folder: Folder,
+    /,
+    true_scale: float = 1.0,
+    ignore: str = "",
+    asset_frame: str = "auto",
+    config: Path | None = None,
+    json: bool = False,
+) -> None:
+    """Measure a scene package beside direct composition, or direct composition alone from a prompted-image folder.
+
+    Direct composition is the input as it came, levelled. It, and any package whose camera f3sr did not align, is
+    measured twice: seen by the camera that came with it, and by one that is fitted to its own masks.
 
     Args:
-        package: A folder that ``f3sr reconstruct`` wrote.
+        folder: A package that ``f3sr reconstruct`` wrote, or the input of one.
         true_scale: Factor from the scene's lengths to true metres, where it is known; physics depends on it.
+        ignore: Parts of an input to treat as absent, as for ``reconstruct``.
+        asset_frame: Axes of an input's posed GLBs, as for ``reconstruct``.
+        config: TOML file of settings, as for ``reconstruct``; a package needs only those of [evaluate].
         json: Print one JSON object instead of a table.
     """
-    from f3sr import console, kernels
+    from f3sr import console, inputs, kernels, pipeline, settings
+    from f3sr.cache import Store
     from f3sr.package import read_package
     from f3sr.progress import timed
-    from f3sr.stages.evaluate import evaluate as measure_both
+    from f3sr.stages import evaluate as stage
 
     if not 1e-3 <= true_scale <= 1e3:
         raise InputError("--true-scale", found=str(true_scale), accepted="a positive number from 0.001 to 1000")
-    content = read_package(package)
+    chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
     with console.steps_shown(quiet=json) as progress:
-        kernels.warm_up(progress)
+        if _is_input(folder):
+            given = inputs.read(folder, ignore=_names(ignore), asset_frame=asset_frame)
+            kernels.warm_up(progress)
+            scene = pipeline.composed_directly(given, chosen, store=Store.default(), progress=progress)
+            direct, foreign, name = None, True, stage.DIRECT
+        else:
+            _refuse_for_packages(ignore, asset_frame)
+            content = read_package(folder)
+            kernels.warm_up(progress)
+            scene, direct, foreign, name = content.scene, content.direct, not content.camera_aligned, "f3sr"
         with timed("evaluate", progress):
-            columns = _columns(measure_both(content.scene, content.direct, true_scale=true_scale))
+            measured = stage.evaluate(scene, direct, chosen.evaluate, foreign=foreign, true_scale=true_scale)
+    columns = _columns(measured, name)
     if json:
         print(_json(columns))
     else:
@@ -170,10 +195,20 @@ def _names(text: str) -> list[str]:
     return [name.strip() for name in text.split(",") if name.strip()]
 
 
-def _columns(evaluation: Any) -> dict[str, dict[str, float]]:
-    """The measures of direct composition, where known, and of the result, by column name."""
-    columns = {"direct composition": evaluation.direct, "f3sr": evaluation.result} if evaluation else {}
-    return {name: measures.as_dict() for name, measures in columns.items() if measures}
+def _is_input(folder: Path) -> bool:
+    """Whether this is meant to be a prompted-image folder; packages have masks too."""
+    return (folder / "masks").is_dir() and not (folder / "scene.json").exists()
+
+
+def _refuse_for_packages(ignore: str, asset_frame: str) -> None:
+    for option, given in (("--ignore", ignore), ("--asset-frame", "" if asset_frame == "auto" else asset_frame)):
+        if given:
+            raise InputError(option, found=given, accepted="only with a prompted-image folder, not with a package")
+
+
+def _columns(evaluation: Any, name: str = "f3sr") -> dict[str, dict[str, float]]:
+    """The measures of direct composition, where known, and of the result, by title."""
+    return {title: measures.as_dict() for title, measures in evaluation.rows(name).items()} if evaluation else {}
 
 
 def _json(value: object) -> str:

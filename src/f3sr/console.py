@@ -61,7 +61,7 @@ def print_measures(columns: Mapping[str, Mapping[str, float]]) -> None:
     names = list(next(iter(columns.values()), {}))
     rows = [(name, *(f"{column[name]:.4g}" for column in columns.values())) for name in names]
     if rows:
-        print_table(rows, header=("", *columns), numbers=True)
+        print_table(rows, header=("", *(name.replace(", ", ",\n") for name in columns)), numbers=True)
 
 
 def print_table(rows: Sequence[Sequence[str]], *, header: Sequence[str], numbers: bool = False) -> None:

@@ -16,6 +16,7 @@ def deliver(result: Reconstruction, out: str | Path, *, overwrite: bool = False,
     An older f3sr package there is replaced, one with rollouts only with ``overwrite``; what goes wrong on the way
     leaves it as it was. Raises OutputError when something else is there, or when it cannot be written.
     """
+    evaluation = result.evaluation
     with timed("pictures", progress):
         shown = pictures.pictures_of(result.direct, result.scene)
     with timed("report", progress):
@@ -25,9 +26,10 @@ def deliver(result: Reconstruction, out: str | Path, *, overwrite: bool = False,
             result.scene,
             Path(out),
             direct=result.direct,
-            metrics=result.evaluation.result.as_dict() if result.evaluation else {},
+            metrics=evaluation.result.as_dict() if evaluation else {},
             provenance=result.provenance,
-            reports=result.reports,
+            reports=(*result.reports, *([evaluation.report] if evaluation else [])),
+            rows={title: row.as_dict() for title, row in evaluation.rows().items()} if evaluation else {},
             seconds=result.seconds,
             pictures=shown,
             page=page,

@@ -19,6 +19,8 @@ Point = tuple[float, float, float]
 """A place in the world [m]."""
 SAMPLES = 20_000
 """Surface points per object for gaps."""
+IMAGE_MEASURES = ("mIoU", "mIoU_visible", "PSNR", "mIoU_exact", "mIoU_visible_exact")
+"""Those that depend on the camera; all others do not."""
 PART_SAMPLES = 600
 """Surface points per convex part for the distance of proxies from their mesh."""
 
@@ -126,9 +128,7 @@ def measure(scene: Scene, *, true_scale: float = 1.0) -> Measures:
 
 def measure_with_details(scene: Scene, *, true_scale: float = 1.0) -> tuple[Measures, Details]:
     """``measure``, and what it found per object and where."""
-    total = len(scene.objects) + len(scene.excluded)
-    full, visible, psnr = image_agreement(scene)
-    full_exact, visible_exact = exact_agreement(scene)
+    image, full, visible = _seen(scene)
     surfaces = [(o.T_world_asset, o.mesh.welded) for o in scene]
     pen = crossings.penetration([(v @ T[:3, :3].T + T[:3, 3], f) for T, (v, f) in surfaces])
     K, D = physics.release(scene.objects, true_scale=true_scale)
@@ -138,11 +138,7 @@ def measure_with_details(scene: Scene, *, true_scale: float = 1.0) -> tuple[Meas
         n=len(scene.objects),
         excluded=len(scene.excluded),
         fixed=sum(o.mobility == "fixed" for o in scene),
-        mIoU=sum(full) / total,
-        mIoU_visible=sum(visible) / total,
-        PSNR=psnr,
-        mIoU_exact=sum(full_exact) / total,
-        mIoU_visible_exact=sum(visible_exact) / total,
+        **image,
         R_pen=pen.r_pen,
         N_cross=pen.crossings,
         K_max_J=K,
@@ -163,6 +159,12 @@ def measure_with_details(scene: Scene, *, true_scale: float = 1.0) -> tuple[Meas
     )
 
 
+def seen_by(camera: Camera, scene: Scene, measures: Measures) -> Measures:
+    """The ``measures`` of a scene as another camera sees it: only what is measured in the picture is measured anew."""
+    image, _, _ = _seen(replace(scene, camera=camera))
+    return replace(measures, **image)
+
+
 def _overlap(pair: crossings.Crossing, objects: Sequence[SceneObject]) -> Overlap:
     low, high = pair.bounds
     return Overlap(a=objects[pair.a].id, b=objects[pair.b].id, crossings=pair.count, low=_point(low), high=_point(high))
@@ -173,6 +175,15 @@ def _point(p: Array) -> Point:
 
 
 # --- image agreement ----------------------------------------------------------------------------------------------
+
+
+def _seen(scene: Scene) -> tuple[dict[str, float], list[float], list[float]]:
+    """The IMAGE_MEASURES by name; per object the IoU of its full silhouette and of its visible pixels."""
+    total = len(scene.objects) + len(scene.excluded)
+    full, visible, psnr = image_agreement(scene)
+    full_exact, visible_exact = exact_agreement(scene)
+    values = sum(full) / total, sum(visible) / total, psnr, sum(full_exact) / total, sum(visible_exact) / total
+    return dict(zip(IMAGE_MEASURES, values, strict=True)), full, visible
 
 
 def image_agreement(scene: Scene) -> tuple[list[float], list[float], float]:

@@ -49,6 +49,11 @@ class Package:
     scene: Scene
     direct: Scene | None
 
+    @property
+    def camera_aligned(self) -> bool:
+        """Whether the package says that f3sr aligned its camera; else the scene is foreign."""
+        return self.document.provenance.get("camera_aligned") is True
+
 
 def write_package(
     scene: Scene,
@@ -58,6 +63,7 @@ def write_package(
     metrics: Mapping[str, float | None] | None = None,
     provenance: Mapping[str, JsonValue] | None = None,
     reports: Sequence[Report] = (),
+    rows: Mapping[str, Mapping[str, float]] | None = None,
     seconds: Mapping[str, float] | None = None,
     pictures: Mapping[str, NDArray[np.uint8]] | None = None,
     page: bytes | None = None,
@@ -68,7 +74,8 @@ def write_package(
 
     ``direct``: the levelled input with the same ids; ``metrics`` by name; ``provenance``:
     stages, hashes and the like, without paths of this machine or times;
-    ``seconds`` per stage go to report.json with the ``reports``; ``pictures`` (h, w, 3) by name without
+    ``seconds`` per stage go to report.json with the ``reports`` and the ``rows`` of measures, direct composition's
+    among them, by title; ``pictures`` (h, w, 3) by name without
     suffix; ``page`` is report.html. ``out`` changes only after everything has been written beside it.
     Raises OutputError when something else than an f3sr package is there, or one with rollouts and not ``overwrite``.
     """
@@ -79,7 +86,7 @@ def write_package(
             direct=direct,
             metrics=metrics or {},
             provenance={"f3sr": f3sr.__version__, **(provenance or {})},
-            report=_report(reports, seconds or {}),
+            report=_report(reports, rows or {}, seconds or {}),
             pictures=pictures or {},
             page=page,
             physics=physics,
@@ -166,9 +173,11 @@ def _files(
     yield "scene.json", to_json(to_document(scene, direct=direct, metrics=metrics, provenance=provenance))
 
 
-def _report(reports: Sequence[Report], seconds: Mapping[str, float]) -> dict[str, Any]:
-    """Stage reports as plain values; numbers that are not finite become null."""
-    return _plain({"seconds": dict(seconds), "stages": [asdict(report) for report in reports]})
+def _report(
+    reports: Sequence[Report], rows: Mapping[str, Mapping[str, float]], seconds: Mapping[str, float]
+) -> dict[str, Any]:
+    """Stage reports and measures as plain values; numbers that are not finite become null."""
+    return _plain({"seconds": seconds, "measures": rows, "stages": [asdict(report) for report in reports]})
 
 
 def _plain(value: Any) -> Any:

@@ -25,7 +25,7 @@ from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.align.config import DepthConfig, FacetConfig, TiltConfig
 from f3sr.stages.assemble import AssembleConfig, as_given, assemble
 from f3sr.stages.decompose import decompose
-from f3sr.stages.evaluate import Evaluation, evaluate
+from f3sr.stages.evaluate import EvaluateConfig, Evaluation, direct_composition, evaluate
 from f3sr.stages.level import LevelConfig, level
 from f3sr.stages.relate import RelateConfig, relate
 from f3sr.stages.separate import SeparateConfig, separate
@@ -80,6 +80,7 @@ class Config:
     separate: SeparateConfig = field(default_factory=SeparateConfig)
     settle: SettleStageConfig = field(default_factory=SettleStageConfig)
     refine: RefineConfig = field(default_factory=lambda: RefineConfig())
+    evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -127,7 +128,14 @@ def reconstruct(
     scene = parted = run.stage("separate", separate, scene, config.separate)
     scene = run.stage("settle", settle, scene, config.settle)
     scene = run.stage("refine", refine, scene, config, parted=parted)
-    evaluation = run.value("evaluate", lambda: evaluate(scene, direct), Evaluation.restored, Evaluation.stored)
+    aligned = _without(config.align, skip).camera and "align" not in skip
+    evaluation = run.value(
+        "evaluate",
+        lambda: evaluate(scene, direct, config.evaluate, foreign=not aligned),
+        Evaluation.restored,
+        Evaluation.stored,
+        config.evaluate,
+    )
 
     return Reconstruction(
         scene=scene,
@@ -142,9 +150,19 @@ def reconstruct(
             "config": digest(asdict(config)),
             "settings": changed(config, Config()),
             "skipped": list[JsonValue](sorted(skip)),
+            "camera_aligned": aligned,
         },
         evaluation=evaluation,
     )
+
+
+def composed_directly(
+    inputs: Inputs, config: Config | None = None, *, store: Store | None = None, progress: Progress = silent
+) -> Scene:
+    """Direct composition of some inputs, with proxies: they are only assembled and levelled."""
+    needless = [stage for stage in SKIPPABLE if stage not in ("level", "decompose")]
+    result = reconstruct(inputs, config, skip=needless, store=store, progress=progress)
+    return direct_composition(result.direct, result.scene)
 
 
 def _assembled(_: Scene, config: AssembleConfig, *, inputs: Inputs) -> tuple[Scene, Report]:

@@ -14,6 +14,7 @@ from f3sr.page.decisions import decisions
 from f3sr.page.graph import graph
 from f3sr.page.head import head, verdict
 from f3sr.page.markup import Child, Markup, el, join
+from f3sr.page.masks import masks
 from f3sr.page.material import Material, Sizes
 from f3sr.page.objects import objects
 from f3sr.page.scores import scores
@@ -26,15 +27,16 @@ __all__ = ["LARGEST_PAGE", "report_page"]
 LARGEST_PAGE = 15 * 10**6
 """Bytes."""
 SIZES = (
-    Sizes(picture=960, faces=240_000, texture=512),
-    Sizes(picture=800, faces=100_000, texture=256),
-    Sizes(picture=640, faces=40_000, texture=128),
-    Sizes(picture=400, faces=8_000, texture=32),
+    Sizes(picture=960, panels=6_000_000, faces=240_000, texture=512),
+    Sizes(picture=800, panels=4_000_000, faces=100_000, texture=256),
+    Sizes(picture=640, panels=2_000_000, faces=40_000, texture=128),
+    Sizes(picture=400, panels=1_000_000, faces=8_000, texture=32),
 )
 """Tried in order until the page is small enough."""
 SECTIONS: tuple[tuple[str, str, Callable[[Material], Child]], ...] = (
     ("measures", "Measures", scores),
     ("compare", "Before and after", compare),
+    ("masks", "Masks", masks),
     ("view", "3-D view", viewer),
     ("objects", "Objects", objects),
     ("supports", "Supports", graph),

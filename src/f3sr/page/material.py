@@ -26,6 +26,8 @@ class Sizes:
 
     picture: int
     """Longest side of pictures [px]."""
+    panels: int
+    """Pixels of all single objects' panels together, as if they were square."""
     faces: int
     """Triangles of all meshes in the 3-D view together."""
     texture: int

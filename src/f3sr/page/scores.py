@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from f3sr.measures import Measures
+from f3sr.measures import IMAGE_MEASURES, Measures
 from f3sr.page.markup import Child, Markup, el, join
 from f3sr.page.material import Material
-from f3sr.page.words import number, quantity
+from f3sr.page.words import number, quantity, told
+from f3sr.stages.evaluate import Evaluation, Fitted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +125,7 @@ OTHERS = (
 def scores(m: Material) -> Markup:
     if m.result.evaluation is None:
         return el("p", "Not measured: the stage evaluate was skipped.", class_="fine")
-    ours, direct = m.result.evaluation.result, m.result.evaluation.direct
+    evaluation = m.result.evaluation
     return join(
         el(
             "p",
@@ -132,8 +133,22 @@ def scores(m: Material) -> Markup:
             "Both are measured alike, undamped, from the state in the package.",
             class_="fine",
         ),
-        el("table", _head(), _rows(MAIN, ours, direct), _rows(OTHERS, ours, direct, class_="minor"), class_="scores"),
+        el("table", _head(), _rows(MAIN, evaluation), _rows(OTHERS, evaluation, class_="minor"), class_="scores"),
+        _cameras(evaluation),
     )
+
+
+def _cameras(evaluation: Evaluation) -> Child:
+    """What the numbers called fitted are."""
+    decisions = evaluation.report.decisions
+    if not decisions:
+        return None
+    words = (
+        "Fitted: the same scene seen by a camera of its own, fitted to its masks inside bounds and then held. "
+        "That is the report's protocol for scenes that are not aligned; only what is measured in the picture changes."
+    )
+    found = (el("li", told(d.choice), " ", el("span", told(d.reason), class_="quiet")) for d in decisions)
+    return join(el("p", words, class_="fine"), el("ul", found, class_="decisions"))
 
 
 def _head() -> Markup:
@@ -141,20 +156,34 @@ def _head() -> Markup:
     return el("thead", el("tr", (el("th", title, class_=kind, scope="col") for title, kind in titles)))
 
 
-def _rows(rows: tuple[Score, ...], ours: Measures, direct: Measures | None, **attributes: str) -> Markup:
-    return el("tbody", (_row(row, ours, direct) for row in rows), **attributes)
+def _rows(rows: tuple[Score, ...], evaluation: Evaluation, **attributes: str) -> Markup:
+    return el("tbody", (_row(row, evaluation) for row in rows), **attributes)
 
 
-def _row(score: Score, ours: Measures, direct: Measures | None) -> Markup:
-    after = float(getattr(ours, score.field))
-    before = None if direct is None else float(getattr(direct, score.field))
+def _row(score: Score, evaluation: Evaluation) -> Markup:
+    before, after = _value(evaluation.direct, score), float(getattr(evaluation.result, score.field))
     return el(
         "tr",
         el("th", el("b", score.title), " ", el("span", score.meaning, class_="meaning"), scope="row"),
-        el("td", quantity(before, score.unit, digits=score.digits), class_="num"),
-        el("td", quantity(after, score.unit, digits=score.digits), class_="num ours"),
+        el("td", _shown(before, score), _fitted(evaluation.direct_fitted, score), class_="num"),
+        el("td", _shown(after, score), _fitted(evaluation.result_fitted, score), class_="num ours"),
         el("td", change(before, after, score)),
     )
+
+
+def _value(measures: Measures | None, score: Score) -> float | None:
+    return None if measures is None else float(getattr(measures, score.field))
+
+
+def _shown(value: float | None, score: Score) -> Markup:
+    return quantity(value, score.unit, digits=score.digits)
+
+
+def _fitted(fitted: Fitted | None, score: Score) -> Child:
+    """The same as a fitted camera sees it, where that makes a difference."""
+    if fitted is None or score.field not in IMAGE_MEASURES:
+        return None
+    return el("span", "fitted ", _shown(_value(fitted.measures, score), score), class_="fitted")
 
 
 def change(before: float | None, after: float, score: Score) -> Child:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from f3sr.page.images import figure
 from f3sr.page.markup import Child, Markup, el, join
+from f3sr.page.masks import legend
 from f3sr.page.material import Material, look_alike
 from f3sr.page.words import about, counted, quantity, told
 from f3sr.report import Decision, Measure, Report
@@ -24,24 +25,13 @@ PURPOSE = {
 
 
 def stages(m: Material) -> Markup:
-    legend = el(
-        "p",
-        "Masks against visible renders over the greyed photo: ",
-        el("span", "red", class_="key mask"),
-        " photo mask only, ",
-        el("span", "green", class_="key render"),
-        " render only, ",
-        el("span", "blue", class_="key both"),
-        " both, dark blue another object's mask; white lines part objects.",
-        class_="fine",
-    )
     parts: list[Markup] = []
     before: Scene | None = None
     for number, report in enumerate(m.result.reports, start=1):
         after = m.result.scenes[report.stage]
         parts.append(stage(m, number, report, before, after))
         before = after
-    return join(legend, parts)
+    return join(legend(), parts)
 
 
 def stage(m: Material, number: int, report: Report, before: Scene | None, after: Scene) -> Markup:

@@ -2,22 +2,50 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Self
 
+from f3sr.foreign_camera import ForeignCameraConfig, fitted_camera
 from f3sr.frames import pose
-from f3sr.measures import Details, Gap, Measures, ObjectMeasures, Overlap, measure_with_details
+from f3sr.measures import Details, Gap, Measures, ObjectMeasures, Overlap, measure_with_details, seen_by
+from f3sr.report import Decision, Report
 from f3sr.scene import Scene
+from f3sr.settings import settings
+
+DIRECT, FITTED = "direct composition", "fitted camera"
+"""In titles of rows."""
+
+
+@settings
+class EvaluateConfig:
+    foreign_camera: ForeignCameraConfig = field(default_factory=ForeignCameraConfig)
+    """Of the camera that scenes which f3sr did not align are seen by in a second row."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fitted:
+    """The measures of a scene seen by a camera of its own, fitted to its masks inside bounds and then held."""
+
+    measures: Measures
+    """Those of the picture are measured anew, the others are the scene's."""
+    T_world_camera: tuple[tuple[float, ...], ...]
+    """(4, 4)"""
+    decision: Decision
 
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluation:
-    """The measures of a result and of direct composition, None where the input is not known."""
+    """The measures of a result and of direct composition, None where the input is not known.
+
+    Scenes whose camera f3sr did not align have two rows: seen by the camera they came with, and by a fitted one."""
 
     result: Measures
     direct: Measures | None
     result_details: Details
     direct_details: Details | None
+    result_fitted: Fitted | None = None
+    """None where the result's camera is aligned."""
+    direct_fitted: Fitted | None = None
 
     def stored(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """As plain values, for a store."""
@@ -31,16 +59,81 @@ class Evaluation:
             direct=Measures(**direct) if direct else None,
             result_details=_details(document["result_details"]),
             direct_details=_details(details) if details else None,
+            result_fitted=_fitted(document["result_fitted"]),
+            direct_fitted=_fitted(document["direct_fitted"]),
         )
 
+    def rows(self, name: str = "f3sr") -> dict[str, Measures]:
+        """Every row of the result table by its title, the result's own, ``name``, last."""
+        rows: dict[str, Measures] = {}
+        for title, measures, fitted in (
+            (DIRECT, self.direct, self.direct_fitted),
+            (name, self.result, self.result_fitted),
+        ):
+            rows |= {title: measures} if measures else {}
+            rows |= {f"{title}, {FITTED}": fitted.measures} if fitted else {}
+        return rows
 
-def evaluate(scene: Scene, direct: Scene | None, *, true_scale: float = 1.0) -> Evaluation:
-    """Measure ``scene`` and ``direct``, the levelled but otherwise untouched input, with the same proxies."""
+    @property
+    def report(self) -> Report:
+        """What came of fitting cameras."""
+        fitted = (self.direct_fitted, self.result_fitted)
+        return Report(stage="evaluate", decisions=tuple(f.decision for f in fitted if f))
+
+
+def evaluate(
+    scene: Scene,
+    direct: Scene | None,
+    config: EvaluateConfig | None = None,
+    *,
+    foreign: bool = False,
+    true_scale: float = 1.0,
+) -> Evaluation:
+    """Measure ``scene`` and ``direct``, the levelled but otherwise untouched input, with the same proxies.
+
+    Direct composition, and ``scene`` where it is ``foreign`` (its camera was not aligned), are measured twice: as the
+    camera that came with them sees them, and as one that is fitted to their own masks, the report's protocol for
+    scenes of others."""
+    config = config or EvaluateConfig()
     result, result_details = measure_with_details(scene, true_scale=true_scale)
+    result_fitted = _seen_by_its_own(scene, result, "the result", config) if foreign else None
     if direct is None:
-        return Evaluation(result=result, direct=None, result_details=result_details, direct_details=None)
-    beside, details = measure_with_details(direct_composition(direct, scene), true_scale=true_scale)
-    return Evaluation(result=result, direct=beside, result_details=result_details, direct_details=details)
+        return Evaluation(
+            result=result,
+            direct=None,
+            result_details=result_details,
+            direct_details=None,
+            result_fitted=result_fitted,
+        )
+    composed = direct_composition(direct, scene)
+    beside, details = measure_with_details(composed, true_scale=true_scale)
+    return Evaluation(
+        result=result,
+        direct=beside,
+        result_details=result_details,
+        direct_details=details,
+        result_fitted=result_fitted,
+        direct_fitted=_seen_by_its_own(composed, beside, DIRECT, config),
+    )
+
+
+def _seen_by_its_own(scene: Scene, measures: Measures, name: str, config: EvaluateConfig) -> Fitted:
+    camera, decision = fitted_camera(scene, config.foreign_camera)
+    return Fitted(
+        measures=seen_by(camera, scene, measures),
+        T_world_camera=tuple(tuple(row) for row in camera.T_world_camera.tolist()),
+        decision=replace(decision, choice=f"{name}: {decision.choice}"),
+    )
+
+
+def _fitted(document: dict[str, Any] | None) -> Fitted | None:
+    if document is None:
+        return None
+    return Fitted(
+        measures=Measures(**document["measures"]),
+        T_world_camera=tuple(map(tuple, document["T_world_camera"])),
+        decision=Decision(**document["decision"]),
+    )
 
 
 def _details(document: dict[str, Any]) -> Details:

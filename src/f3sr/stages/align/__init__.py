@@ -6,12 +6,11 @@ import os
 from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from f3sr import raster
-from f3sr.mesh import Mesh
+from f3sr.outlines import outlined
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene, SceneObject
 from f3sr.searches import answered
@@ -32,7 +31,7 @@ def align(
     ``only`` names the objects to refine, all by default.
     """
     config = config or AlignConfig()
-    full, scene = scene, scene.with_objects(*(_outlined(o, config.max_faces) for o in scene))
+    full, scene = scene, scene.with_objects(*(outlined(o, config.max_faces) for o in scene))
     decisions: list[Decision] = []
     before = _ious(scene, config)
     if config.camera:
@@ -56,27 +55,6 @@ def align(
     mean = Measure(name="mean mask IoU", before=float(np.mean(before)), after=float(np.mean(after)))
     scene = scene.with_objects(*(replace(o, mesh=full[o.id].mesh) for o in scene))
     return scene, Report(stage="align", measures=(mean, *measures), decisions=tuple(decisions))
-
-
-_OUTLINES: WeakKeyDictionary[Mesh, dict[int, Mesh]] = WeakKeyDictionary()
-
-
-def _outlined(o: SceneObject, max_faces: int) -> SceneObject:
-    """The object with a mesh light enough to draw hundreds of times; its silhouette is all that is compared."""
-    if len(o.mesh.faces) <= max_faces:
-        return o
-    known = _OUTLINES.setdefault(o.mesh, {})
-    if max_faces not in known:
-        known[max_faces] = _simplified(o.mesh, max_faces)
-    return replace(o, mesh=known[max_faces])
-
-
-def _simplified(mesh: Mesh, max_faces: int) -> Mesh:
-    import fast_simplification
-
-    vertices, faces = mesh.welded
-    light = fast_simplification.simplify(vertices, faces, target_count=max_faces)
-    return Mesh(vertices=np.asarray(light[0], float), faces=np.asarray(light[1], np.int32))
 
 
 def _ious(scene: Scene, config: AlignConfig) -> Sequence[float]:
