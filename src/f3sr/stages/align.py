@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Collection, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import field, replace
 from typing import Annotated, Literal
 from weakref import WeakKeyDictionary
@@ -14,16 +12,16 @@ import numpy as np
 from annotated_types import Interval, Len
 
 from f3sr import raster
+from f3sr.devices import Device, results_of
 from f3sr.facets import resting_turn
 from f3sr.frames import Array, Camera, pose
 from f3sr.freedom import CameraFreedom, ObjectFreedom
 from f3sr.mesh import Mesh, mass_properties
 from f3sr.report import Decision, Measure, Report, keep_better
 from f3sr.scene import Scene, SceneObject
-from f3sr.searches import answered
 from f3sr.settings import settings
 from f3sr.silhouette import LossWeights, Mask, Surface, Target, iou, resample, union_of
-from f3sr.silhouette_fit import CameraFit, FitSearch, ObjectFit, object_fit, one_by_one
+from f3sr.silhouette_fit import CameraFit, FitSearch, ObjectFit, object_fit
 from f3sr.visibility import nearer_objects, visible_region
 
 Turn = Annotated[float, Interval(ge=-np.pi, le=np.pi)]
@@ -77,6 +75,9 @@ class AlignConfig:
     """IoU an accepted step may lose."""
     weights: LossWeights = field(default_factory=LossWeights)
     """Of the loss that silhouettes are compared by."""
+    device: Device = "auto"
+    """Where objects are compared with their masks: the CPU's kernels, a GPU through torch, torch on the CPU (a check,
+    slower), or what works best here."""
 
 
 def align(
@@ -97,11 +98,12 @@ def align(
     if config.objects:
         nearer = nearer_objects(scene)
 
-        def work(o: SceneObject) -> tuple[SceneObject, list[Decision]]:
-            return answered(_align_object(o, visible_region(o, nearer[o.id]), scene.camera, config), one_by_one)
+        def search(o: SceneObject) -> FitSearch[tuple[SceneObject, list[Decision]]]:
+            return (yield from _align_object(o, visible_region(o, nearer[o.id]), scene.camera, config))
 
-        with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
-            results = list(pool.map(work, [o for o in scene if only is None or o.id in only]))
+        chosen = [o for o in scene if only is None or o.id in only]
+        results, told = results_of(map(search, chosen), config.device)
+        decisions += told
         scene = scene.with_objects(*(o for o, _ in results))
         decisions += [d for _, several in results for d in several]
     after = _ious(scene, config)
