@@ -186,6 +186,17 @@ def test_the_batch_changes_nothing(monkeypatch: pytest.MonkeyPatch):
 
 
 @needs_torch
+def test_no_tensor_is_left_to_the_default_device():
+    """On a GPU a tensor made without naming the device would lie on the CPU; here it would lie on none, and raise."""
+    import torch
+
+    questions = list(made().values())
+    with torch.device("meta"):
+        found = open_torch("torch-cpu").answers(questions)
+    assert_close(one_by_one(questions), found, 1e-4, list(made()))
+
+
+@needs_torch
 def test_a_surface_goes_to_the_device_once():
     from f3sr.torch_silhouette import TorchIntegrals
 
