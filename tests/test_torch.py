@@ -110,10 +110,11 @@ def test_torch_agrees_with_the_kernels_on_all_kinds_of_meshes_at_once():
 
 def masks_agree(fits: Sequence[ObjectFit]) -> list[bool]:
     """Whether a fit's hard mask is that of the kernels."""
-    from f3sr import torch_silhouette as twin
+    from f3sr.torch_twin.batch import Batch, Stock
+    from f3sr.torch_twin.mask import hard_mask, projected
 
-    batch = twin._Batch.of(twin._Stock.empty("cpu").with_fits(fits), [(fit, np.zeros(6)) for fit in fits])
-    found = twin._mask(twin._projected(batch), batch).numpy()
+    batch = Batch.of(Stock.empty("cpu").with_fits(fits), [(fit, np.zeros(6)) for fit in fits])
+    found = hard_mask(projected(batch), batch).numpy()
     expected = [fit.silhouette(np.zeros(6)) for fit in fits]
     return [
         np.array_equal(m[: e.shape[0], : e.shape[1]], e) and np.count_nonzero(m) == np.count_nonzero(e)
@@ -170,7 +171,7 @@ def test_torch_agrees_with_the_kernels_on_real_meshes(shared_data: Path):
 @needs_torch
 def test_the_batch_changes_nothing(monkeypatch: pytest.MonkeyPatch):
     """Not its order, nor what else is in it, nor where it is split; and a second time gives the same bytes."""
-    from f3sr import torch_silhouette
+    from f3sr.torch_twin import integrals
 
     questions = made()
     names, asked = list(questions), list(questions.values())
@@ -181,7 +182,7 @@ def test_the_batch_changes_nothing(monkeypatch: pytest.MonkeyPatch):
     for a, b in zip(together, answers(asked), strict=True):
         assert a.value.tobytes() == b.value.tobytes() and a.gradient.tobytes() == b.gradient.tobytes()
         assert a.curvature.tobytes() == b.curvature.tobytes()
-    monkeypatch.setattr(torch_silhouette, "LARGEST_BATCH", 3000)
+    monkeypatch.setattr(integrals, "LARGEST_BATCH", 3000)
     assert_close(together, answers(asked), 1e-12, names)
 
 
@@ -198,7 +199,7 @@ def test_no_tensor_is_left_to_the_default_device():
 
 @needs_torch
 def test_a_surface_goes_to_the_device_once():
-    from f3sr.torch_silhouette import TorchIntegrals
+    from f3sr.torch_twin.integrals import TorchIntegrals
 
     (ring, u), (box, _), *_ = made().values()
     answers = TorchIntegrals("cpu")
@@ -352,7 +353,7 @@ assert "torch" not in sys.modules
 
 @needs_torch
 def test_a_device_that_computes_wrongly_is_not_opened(monkeypatch: pytest.MonkeyPatch):
-    from f3sr.torch_silhouette import TorchIntegrals
+    from f3sr.torch_twin.integrals import TorchIntegrals
 
     def doubled(self: TorchIntegrals, questions: Sequence[Question]) -> list[Integrals]:
         return [Integrals(value=2 * f.value, gradient=f.gradient, curvature=f.curvature) for f in one_by_one(questions)]

@@ -153,7 +153,7 @@ def open_torch(device: TorchDevice) -> Opened:
     if why := why_no_torch() if device == "torch-cpu" else why_no_cuda():
         raise DeviceError(why)
     try:
-        from f3sr.torch_silhouette import TorchIntegrals, name_of
+        from f3sr.torch_twin.integrals import TorchIntegrals, name_of
 
         place = "cpu" if device == "torch-cpu" else "cuda"
         opened = Opened(name=name_of(place), answers=TorchIntegrals(place))
