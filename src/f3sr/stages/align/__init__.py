@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 
 from f3sr import raster
+from f3sr.devices import results_of
 from f3sr.outlines import outlined
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene, SceneObject
-from f3sr.searches import answered
 from f3sr.silhouette import iou, resample
-from f3sr.silhouette_fit import one_by_one
+from f3sr.silhouette_fit import FitSearch
 from f3sr.stages.align.camera import align_camera
 from f3sr.stages.align.config import AlignConfig as AlignConfig
 from f3sr.stages.align.objects import View, align_object
@@ -40,12 +38,13 @@ def align(
     if config.objects:
         nearer = nearer_objects(scene)
 
-        def work(o: SceneObject) -> tuple[SceneObject, list[Decision]]:
+        def search(o: SceneObject) -> FitSearch[tuple[SceneObject, list[Decision]]]:
             view = View(scene=scene, valid=visible_region(o, nearer[o.id]), textured=full[o.id].mesh)
-            return answered(align_object(o, view, config), one_by_one)
+            return (yield from align_object(o, view, config))
 
-        with ThreadPoolExecutor(min(8, os.cpu_count() or 1)) as pool:
-            results = list(pool.map(work, [o for o in scene if only is None or o.id in only]))
+        chosen = [o for o in scene if only is None or o.id in only]
+        results, told = results_of(map(search, chosen), config.device)
+        decisions += told
         scene = scene.with_objects(*(o for o, _ in results))
         decisions += [d for _, several in results for d in several]
     after = _ious(scene, config)

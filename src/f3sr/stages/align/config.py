@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Interval, Len
 
+from f3sr.devices import Device
 from f3sr.settings import settings
 from f3sr.silhouette import LossWeights
 
@@ -125,6 +126,9 @@ class AlignConfig:
     """Below it a mask and a mesh, fitted, do not show the same thing: the object stays as it came."""
     weights: LossWeights = field(default_factory=LossWeights)
     """Of the loss that silhouettes are compared by."""
+    device: Device = "auto"
+    """Where silhouettes are compared with masks: the CPU's kernels, a GPU through torch, torch on the CPU (a check,
+    slower), or what works best here."""
     camera_step: CameraConfig = field(default_factory=CameraConfig)
     tilt: TiltConfig = field(default_factory=TiltConfig)
     appearance: AppearanceConfig = field(default_factory=AppearanceConfig)
