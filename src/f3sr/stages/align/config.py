@@ -74,7 +74,7 @@ class FacetConfig:
     most: Annotated[float, Interval(gt=0, le=np.pi / 2)] = math.radians(10)
     """Turns up to this are tried [rad]: tilts are known to a few degrees by then."""
     loss: Share = 0.005
-    """IoU that standing on a facet may cost."""
+    """What standing on a facet may cost of IoU and weighted correlation."""
 
 
 @settings

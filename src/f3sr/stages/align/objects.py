@@ -210,11 +210,13 @@ def _standing(
     standing = _after(placed, turn, view, config)
     also = _mismatch(standing, evidence, view, config)
     found = yield from standing.fit.refined(standing.u, iterations=config.iterations, also=also)
-    kept, decision = keep_better(
-        placed, standing.moved(found.x), score=_iou, step="onto a stable facet", measure="valid mask IoU",
-        tolerance=config.facets.loss, about=placed.base.id,
+    was, now = (_scores(p, evidence, view, config) for p in (placed, standing.moved(found.x)))
+    is_kept = now.total >= was.total - config.facets.loss
+    decision = Decision(
+        choice=f"onto a stable facet: {'accepted' if is_kept else 'rolled back'}", reason=was.told(now),
+        about=placed.base.id,
     )  # fmt: skip
-    return kept, [decision]
+    return (standing.moved(found.x) if is_kept else placed), [decision]
 
 
 def _at_its_depth(

@@ -1,0 +1,299 @@
+"""What alignment finds again of scenes that were rendered from known places, and when it lets things be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from f3sr import raster
+from f3sr.appearance import Appearance
+from f3sr.depth_evidence import DepthEvidence
+from f3sr.frames import T_UP_FROM_CAMERA, Array, Camera, pose, rotation_about, rotation_angle
+from f3sr.freedom import ObjectFreedom
+from f3sr.mesh import Mesh
+from f3sr.scene import Geometry, Photo, Scene, SceneObject
+from f3sr.searches import answered, together
+from f3sr.stages.align import AlignConfig, align
+from f3sr.stages.align.config import AppearanceConfig, DepthConfig, FacetConfig, TiltConfig
+from f3sr.window import sampled, window_around
+
+WIDTH, HEIGHT = 320, 240
+K = np.array([[300.0, 0, 158], [0, 300, 121], [0, 0, 1]])
+CAMERA = Camera(
+    width=WIDTH, height=HEIGHT, K=K,
+    T_world_camera=pose(rotation_about([1, 0, 0], -0.45), [0, -0.9, 0.5]) @ T_UP_FROM_CAMERA,
+)  # fmt: skip
+OBJECTS_ONLY = AlignConfig(camera=False)
+PLAIN = replace(
+    OBJECTS_ONLY,
+    tilt=TiltConfig(enabled=False),
+    appearance=AppearanceConfig(enabled=False),
+    facets=FacetConfig(enabled=False),
+    depth=DepthConfig(enabled=False),
+)
+"""Equations 8 and 9 without any extension."""
+
+
+def painted(shape: trimesh.Trimesh, *, rounds: int = 3) -> Mesh:
+    """A finely split mesh with a pattern that looks different from every side."""
+    for _ in range(rounds):
+        shape = shape.subdivide()
+    v = np.asarray(shape.vertices)
+    x, y, z = (v / np.ptp(v, axis=0)).T
+    waves = np.stack([np.sin(9 * x + 4 * y), np.sin(8 * y - 5 * z + 1), np.sin(7 * z + 6 * x + 2)], axis=1)
+    return Mesh(
+        vertices=v, faces=np.asarray(shape.faces, np.int32), vertex_colors=(127 + 120 * waves).round().astype(np.uint8)
+    )
+
+
+CAN = painted(trimesh.creation.cylinder(0.06, 0.14, sections=48))
+BALL = painted(trimesh.creation.icosphere(subdivisions=2, radius=0.07), rounds=2)
+BOX = painted(trimesh.creation.box((0.10, 0.16, 0.12)), rounds=5)
+
+
+def thing(id: int, mesh: Mesh, at: tuple[float, float, float], *, yaw: float = 0.3) -> SceneObject:
+    return SceneObject(
+        id=id, label="thing", mask_name=f"{id:02d}.png", mask=np.zeros((HEIGHT, WIDTH), bool), mesh=mesh,
+        T_world_object=pose(rotation_about([0, 0, 1], yaw), at),
+    )  # fmt: skip
+
+
+def photographed(*objects: SceneObject) -> Scene:
+    """The scene with the photo, the masks and the geometry that its camera would see."""
+    fragments = raster.render(objects, CAMERA)
+    rgb = (255 * raster.shade(fragments, objects)).round().astype(np.uint8)
+    seen = np.isfinite(fragments.depth)
+    y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
+    depth = np.where(seen, fragments.depth, 0)
+    points = np.stack([(x - K[0, 2]) / K[0, 0] * depth, (y - K[1, 2]) / K[1, 1] * depth, depth], axis=-1)
+    return Scene(
+        photo=Photo(rgb=rgb), camera=CAMERA, geometry=Geometry(points=points.astype(np.float32), valid=seen),
+        objects=tuple(replace(o, mask=fragments.ids == o.id) for o in objects),
+    )  # fmt: skip
+
+
+def disturbed(o: SceneObject, axis: Array, angle: float, *, shift: float = 0.0, scale: float = 1.0) -> SceneObject:
+    """Turned and scaled about its middle, and shifted along the picture."""
+    R, middle = rotation_about(axis, angle), o.bounds_world.mean(0)
+    T = pose(R, middle - R @ (scale * middle) + shift * CAMERA.T_world_camera[:3, 0])
+    return o.moved(T, scale=scale, stage="test", reason="disturbed")
+
+
+def turn_between(a: SceneObject, b: SceneObject) -> float:
+    """[deg]"""
+    return float(np.degrees(rotation_angle(a.T_world_object[:3, :3] @ b.T_world_object[:3, :3].T)))
+
+
+def aligned(scene: Scene, o: SceneObject, config: AlignConfig = OBJECTS_ONLY) -> SceneObject:
+    return align(scene.with_objects(o), config)[0][o.id]
+
+
+UP = np.array([0.0, 0, 1])
+SIDEWAYS = np.array([1.0, 0, 0])
+
+
+def test_the_report_s_freedom_finds_shift_yaw_and_scale() -> None:
+    scene = photographed(thing(0, BOX, (0, 0, 0.06)))
+    wrong = disturbed(scene[0], UP, np.radians(12), shift=0.02, scale=1.08)
+    found = aligned(scene, wrong, PLAIN)
+    assert turn_between(found, scene[0]) < 2
+    assert found.scale == pytest.approx(1, abs=0.01)
+    assert np.linalg.norm(found.bounds_world.mean(0) - scene[0].bounds_world.mean(0)) < 0.004
+
+
+@pytest.mark.parametrize("mesh", [CAN, BALL], ids=["can", "ball"])
+def test_the_photo_s_detail_tells_what_a_silhouette_is_blind_to(mesh: Mesh) -> None:
+    scene = photographed(thing(0, mesh, (0, 0, 0.07)))
+    wrong = disturbed(scene[0], UP, np.radians(25), shift=0.01)
+    assert turn_between(aligned(scene, wrong), scene[0]) < 3
+    assert turn_between(aligned(scene, wrong, PLAIN), scene[0]) > 10
+
+
+def test_a_can_that_lies_is_turned_about_its_own_axis() -> None:
+    lying = disturbed(thing(0, CAN, (0, 0, 0.06)), SIDEWAYS, np.pi / 2)
+    scene = photographed(lying)
+    wrong = disturbed(scene[0], lying.T_world_object[:3, 2], np.radians(24))
+    assert turn_between(aligned(scene, wrong), scene[0]) < 4
+
+
+def test_tilt_is_found_only_where_it_is_switched_on() -> None:
+    scene = photographed(thing(0, BOX, (0, 0, 0.06)))
+    wrong = disturbed(scene[0], SIDEWAYS, np.radians(6))
+    no_facet = replace(OBJECTS_ONLY, facets=FacetConfig(enabled=False))
+    assert turn_between(aligned(scene, wrong, no_facet), scene[0]) < 1.5
+    assert turn_between(aligned(scene, wrong, replace(PLAIN)), scene[0]) > 4
+
+
+def test_a_tilted_box_is_stood_on_its_facet() -> None:
+    scene = photographed(thing(0, BOX, (0, 0, 0.06)))
+    wrong = disturbed(scene[0], SIDEWAYS, np.radians(6))
+    found = aligned(scene, wrong, replace(PLAIN, facets=FacetConfig()))
+    assert found.T_world_object[2, 2] == pytest.approx(1, abs=1e-6)
+
+
+def test_distance_comes_from_the_geometry() -> None:
+    scene = photographed(thing(0, BALL, (0, 0, 0.07)))
+    T = CAMERA.homothety(1.08)
+    wrong = scene[0].moved(T, scale=1.08, stage="test", reason="farther, and as large to the eye")
+    found = aligned(scene, wrong)
+    assert found.scale == pytest.approx(1, abs=0.01)
+    blind = align(replace(scene.with_objects(wrong), geometry=None), OBJECTS_ONLY)[0][0]
+    assert blind.scale == pytest.approx(1.08, abs=0.02)
+
+
+def test_a_geometry_that_does_not_know_moves_nothing() -> None:
+    scene = photographed(thing(0, BALL, (0, 0, 0.07)))
+    assert scene.geometry
+    noise = np.random.default_rng(0).uniform(0.7, 1.5, scene.geometry.valid.shape)[..., None]
+    vague = replace(scene, geometry=replace(scene.geometry, points=(scene.geometry.points * noise).astype(np.float32)))
+    _, report = align(vague, OBJECTS_ONLY)
+    assert not [d for d in report.decisions if "viewing rays" in d.choice]
+
+
+# --- what cannot be aligned ----------------------------------------------------------------------------------------
+
+
+def _of_another(scene: Scene) -> SceneObject:
+    return replace(scene[0], mask=np.roll(scene[1].mask, 60, axis=1))
+
+
+BAD = {
+    "it reaches behind the camera": lambda s: s[0].moved(pose(t=[0, -1.0, 0.4]), stage="test", reason=""),
+    "it lies outside of the picture": lambda s: s[0].moved(pose(t=[-3.0, 0, 0]), stage="test", reason=""),
+    "do not show the same thing": _of_another,
+}
+
+
+@pytest.mark.parametrize("why", BAD)
+def test_what_cannot_be_aligned_stays_as_it_came_and_says_why(why: str) -> None:
+    scene = photographed(thing(0, BOX, (-0.25, 0.1, 0.06)), thing(1, CAN, (0.1, 0, 0.07)))
+    bad, other = BAD[why](scene), disturbed(scene[1], UP, 0.0, shift=0.02)
+    after, report = align(scene.with_objects(bad, other), OBJECTS_ONLY)
+    assert after[0] is bad or np.array_equal(after[0].T_world_object, bad.T_world_object)
+    assert after[0].scale == bad.scale
+    assert any(d.about == 0 and d.fallback and why in d.reason for d in report.decisions)
+    assert np.linalg.norm(after[1].bounds_world.mean(0) - scene[1].bounds_world.mean(0)) < 0.005
+
+
+def test_an_object_that_nearer_ones_hide_stays_as_it_came() -> None:
+    near, far = thing(0, BOX, (0, -0.2, 0.06)), thing(1, CAN, (0, 0.3, 0.07))
+    scene = photographed(near, far)
+    hidden = replace(scene[1], mask=scene[0].mask)
+    after, report = align(scene.with_objects(hidden), OBJECTS_ONLY)
+    assert np.array_equal(after[1].T_world_object, hidden.T_world_object)
+    assert any(d.about == 1 and d.fallback and "nearer objects hide" in d.reason for d in report.decisions)
+
+
+def test_no_object_gets_a_worse_silhouette() -> None:
+    scene = photographed(
+        thing(0, BOX, (-0.15, 0, 0.06)), thing(1, CAN, (0.0, 0.12, 0.07)), thing(2, BALL, (0.15, 0, 0.07))
+    )
+    _, report = align(scene)
+    most = AlignConfig().facets.loss
+    assert all(m.after >= m.before - most for m in report.measures if m.before is not None and m.about is not None)
+
+
+# --- laws ------------------------------------------------------------------------------------------------------------
+
+
+def test_camera_and_world_moved_together_change_nothing() -> None:
+    scene = photographed(thing(0, BOX, (-0.1, 0, 0.06)), thing(1, CAN, (0.1, 0.1, 0.07)))
+    wrong = scene.with_objects(*(disturbed(o, UP, 0.15, shift=0.01) for o in scene))
+    T = pose(rotation_about(UP, 1.1), [0.3, -0.2, 0])
+    objects = tuple(o.moved(T, stage="test", reason="") for o in wrong)
+    turned = replace(wrong, camera=CAMERA.moved(T @ CAMERA.T_world_camera), objects=objects)
+    for a, b in zip(align(wrong, OBJECTS_ONLY)[0], align(turned, OBJECTS_ONLY)[0], strict=True):
+        assert np.allclose(T @ [*a.bounds_world.mean(0), 1], [*b.bounds_world.mean(0), 1], atol=5e-4)
+        assert turn_between(a.moved(T, stage="test", reason=""), b) < 0.5
+
+
+def test_the_order_of_ids_changes_nothing() -> None:
+    places = [(BOX, (-0.1, 0, 0.06)), (CAN, (0.1, 0.1, 0.07))]
+    scene = photographed(*(thing(k, m, at) for k, (m, at) in enumerate(places)))
+    swapped = photographed(*(thing(k, m, at) for k, (m, at) in enumerate(reversed(places))))
+    first, second = (
+        align(s.with_objects(*(disturbed(o, UP, 0.15) for o in s)), OBJECTS_ONLY)[0] for s in (scene, swapped)
+    )
+    for id in (0, 1):
+        assert np.allclose(first[id].T_world_asset, second[1 - id].T_world_asset, atol=1e-12)
+
+
+# --- parts -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_appearance_s_gradient_is_that_of_central_differences() -> None:
+    scene = photographed(thing(0, BALL, (0, 0, 0.07)))
+    o = scene[0]
+    window = window_around(o, CAMERA, 160)
+    appearance = Appearance.of(scene.photo, CAMERA, window, sampled(o.mask, CAMERA, window, fill=False))
+    freedom = ObjectFreedom(
+        anchor=o.bounds_world.mean(0),
+        basis=CAMERA.T_world_camera[:3, :2],
+        reach=np.array([0.02, 0.02, 0.3, 0.3, 0.3, 0.2]),
+    )
+
+    def at(u: Array) -> SceneObject:
+        T, s = freedom.similarity(u)
+        return o.moved(T, scale=s, stage="test", reason="")
+
+    u, h = np.array([0.1, -0.1, 0.15, -0.1, 0.1, 0.1]), 0.04
+    velocities = freedom.velocities(u, CAMERA)
+    found = appearance.mismatch(at(u), velocities)
+    expected = np.array([
+        (appearance.mismatch(at(u + h * e), velocities).value - appearance.mismatch(at(u - h * e), velocities).value)
+        for e in np.eye(6)
+    ]) / (2 * h)  # fmt: skip
+    turns = slice(2, 5)  # the others also move the region that is compared, which the gradient takes as fixed
+    assert np.allclose(found.gradient[turns], expected[turns], rtol=0.05, atol=0.01)
+    assert np.linalg.norm(found.gradient - expected) < 0.2 * np.linalg.norm(expected)
+    assert found.value == pytest.approx(1 - appearance.correlation(at(u)))
+    assert appearance.correlation(o) > 0.98
+    assert np.linalg.eigvalsh(found.curvature).min() > -1e-9
+
+
+def test_a_depth_residual_is_the_log_of_the_homothety() -> None:
+    scene = photographed(thing(0, BALL, (0, 0, 0.07)))
+    o = scene[0]
+    window = window_around(o, CAMERA, 128)
+    assert scene.geometry
+    evidence = DepthEvidence.of(scene.geometry, CAMERA, window, sampled(o.mask, CAMERA, window, fill=False))
+    farther = o.moved(CAMERA.homothety(1.05), scale=1.05, stage="test", reason="")
+    assert evidence.residual(o).size < 2e-3
+    assert evidence.residual(farther).median == pytest.approx(np.log(1.05), abs=1e-3)
+    away = o.moved(pose(t=[5.0, 0, 0]), stage="test", reason="")
+    assert evidence.residual(away).pixels == 0
+
+
+def test_a_window_shows_what_the_photo_shows_there() -> None:
+    image = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
+    assert np.array_equal(sampled(image, CAMERA, CAMERA, fill=-1), image)
+    part = CAMERA.cropped(-5, 200, 50, 60)
+    seen = sampled(image, CAMERA, part, fill=-1)
+    assert np.array_equal(seen[:40, 5:], image[200:, :45])
+    assert (seen[40:] == -1).all() and (seen[:, :5] == -1).all()
+    coarse = image[::2, ::2]
+    assert np.array_equal(sampled(coarse, CAMERA, CAMERA.resized(WIDTH // 2, HEIGHT // 2), fill=-1), coarse)
+
+
+def test_searches_together_are_those_alone() -> None:
+    asked: list[list[int]] = []
+
+    def search(start: int, steps: int):
+        total = 0
+        for k in range(steps):
+            a, b = yield [start + k, start - k]
+            total += a * b
+        return total
+
+    def squares(questions: list[int]) -> list[int]:
+        asked.append(list(questions))
+        return [q * q for q in questions]
+
+    alone = [answered(search(*args), squares) for args in ((5, 3), (7, 0), (2, 1))]
+    asked.clear()
+    assert answered(together([search(5, 3), search(7, 0), search(2, 1)]), squares) == alone
+    assert asked == [[5, 5, 2, 2], [6, 4], [7, 3]]
+    assert answered(together([]), squares) == []
