@@ -91,7 +91,10 @@ class ObjectFit:
         low, high = -most, most
         if not tilt:
             low[3:5] = high[3:5] = u[3:5]
-        search = descent(u, bounds=(low, high), iterations=iterations)
+        return (yield from self.told(descent(u, bounds=(low, high), iterations=iterations)))
+
+    def told(self, search: Search[Array, Local, R]) -> FitSearch[R]:
+        """A search over parameters (6,), told this fit's objective from the integrals that are asked for."""
         try:
             points = next(search)
             while True:
