@@ -1,4 +1,4 @@
-"""The report's own search for an object's pose, kept as the peer to compare with: Adam on translation, yaw and scale."""
+"""The report's own search for an object's pose, kept as a peer: Adam on translation, then yaw, then scale."""
 
 from __future__ import annotations
 
