@@ -49,20 +49,20 @@ def basins(args: argparse.Namespace) -> dict[str, Means]:
     config = AlignConfig(camera=False)
     runs = list(basin.run(args.data / "objects", starts=args.starts, config=config))
     _write(args.out / "basin.json", [asdict(r) for r in runs])
-    lines = [["start", "target", "arrived", "median", "least", "before", "reachable", "evaluations", "CPU ms", "of"]]
-    means: Means = {}
+    header = ["start", "target", "arrived", "arrived as seen", "median", "least", "before", "reachable"]
+    lines, means = [[*header, "evaluations", "CPU ms", "starts"]], Means()
     for kind in basin.KINDS:
-        of = [r for r in runs if r.kind == kind.name]
-        means[kind.key] = fmean(r.after > basin.ARRIVED for r in of)
+        of = [r for r in runs if r.kind == kind.key]
         ends = [r.after for r in of]
-        shown = [kind.target, means[kind.key], median(ends), min(ends), median(r.before for r in of)]
-        shown += [fmean(r.reachable for r in of)]
+        means[kind.key] = fmean(end > basin.ARRIVED for end in ends)
+        shares = [kind.target, means[kind.key], fmean(r.seen > basin.ARRIVED for r in of), median(ends), min(ends)]
+        shares += [median(r.before for r in of), fmean(r.reachable for r in of)]
         work = [fmean(r.evaluations for r in of), 1e3 * fmean(r.cpu for r in of), len(of)]
-        lines.append([kind.name, *(f"{v:.3f}" for v in shown), *(f"{v:.0f}" for v in work)])
+        lines.append([kind.name, *(f"{v:.3f}" for v in shares), *(f"{v:.0f}" for v in work)])
     tables.show(lines)
     for r in runs:
         if r.after <= basin.ARRIVED:
-            print(f"missed: {r.mesh} {r.kind}, seed {r.seed}: {r.before:.3f} -> {r.after:.3f}")
+            print(f"missed: {r.mesh}, {r.kind}, seed {r.seed}: {r.before:.3f} -> {r.after:.3f}, as seen {r.seen:.3f}")
     return {"basin": means}
 
 

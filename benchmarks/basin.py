@@ -22,7 +22,7 @@ from f3sr.measures import full_silhouette
 from f3sr.mesh import Mesh, mass_properties
 from f3sr.mesh_io import load_mesh
 from f3sr.scene import Photo, Scene, SceneObject
-from f3sr.silhouette import Mask, iou
+from f3sr.silhouette import Mask, iou, union_of
 from f3sr.stages.align import AlignConfig, align
 
 MESHES = (
@@ -78,6 +78,8 @@ class Run:
     before: float
     """IoU with the true mask."""
     after: float
+    seen: float
+    """The same, where nothing hides the object: all that a search can know."""
     reachable: bool
     """The true pose lies inside the product's bounds around the start."""
     evaluations: int
@@ -102,16 +104,18 @@ def one(mesh: Mesh, name: str, kind: Start, seed: int, config: AlignConfig) -> R
     hiding = _hiding(truth, whole, camera, kind.hidden, rng)
     start, reachable = disturbed(truth, kind, camera, rng, config)
     photo = Photo(rgb=np.zeros((camera.height, camera.width, 3), np.uint8))
-    visible = whole & ~np.any([h.mask for h in hiding], axis=0)
-    scene = Scene(photo=photo, camera=camera, objects=(replace(start, mask=visible), *hiding))
+    free = ~union_of((h.mask for h in hiding), whole.shape)
+    scene = Scene(photo=photo, camera=camera, objects=(replace(start, mask=whole & free), *hiding))
     with looks.counted() as work:
         aligned, _ = align(scene, config, only=[start.id])
+    end = full_silhouette(aligned[start.id], camera)
     return Run(
-        kind=kind.name,
+        kind=kind.key,
         mesh=name,
         seed=seed,
         before=iou(full_silhouette(start, camera), whole),
-        after=iou(full_silhouette(aligned[start.id], camera), whole),
+        after=iou(end, whole),
+        seen=iou(end, whole, free),
         reachable=reachable,
         evaluations=work.evaluations,
         cpu=work.cpu,
