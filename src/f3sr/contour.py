@@ -203,7 +203,7 @@ def _choose(
                 for j in range(min(left, right), max(left, right) + 1):
                     near |= mixed[i, j]
         chosen[found, 0], chosen[found, 1] = a, b
-        found += near
+        found += int(near)
     return found
 
 
