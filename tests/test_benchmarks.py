@@ -83,8 +83,9 @@ def test_update_changes_values_only(expected, tmp_path: Path) -> None:
     assert baseline.read(file) == {"rendered": new}
 
 
-def test_the_committed_baseline_is_whole() -> None:
-    for name, kept in baseline.read().items():
+@pytest.mark.parametrize("file", ["baseline.json", "alignment.json"])
+def test_the_committed_baselines_are_whole(file: str) -> None:
+    for name, kept in baseline.read(FOLDER / file).items():
         assert kept.scenes, name
         for measure, expected in kept.measures.items():
             assert expected.direction in ("higher", "lower"), measure
