@@ -47,11 +47,16 @@ def main() -> int:
         print(f"\n## {part}", flush=True)
         found |= {"basin": basins, "variants": side_by_side, "cost": costs}[part](args)
     (args.out / "results.json").write_text(json.dumps(found, indent=1) + "\n")
-    return judge(found, update=args.update)
+    present = {*find(args.data), *(file.stem for file in (args.data / "objects").glob("*.glb"))}
+    return judge(found, present, update=args.update)
 
 
 def basins(args: argparse.Namespace) -> dict[str, Means]:
-    """How many starts of every kind arrive."""
+    """How many starts of every kind arrive; judged only with as many of them as the baseline has."""
+    if missing := [name for name in basin.MESHES if not (args.data / "objects" / f"{name}.glb").exists()]:
+        print(f"left out, as they are not in {args.data / 'objects'}: {', '.join(missing)}")
+    if len(missing) == len(basin.MESHES):
+        return {}
     config = AlignConfig(camera=False)
     runs = list(basin.run(args.data / "objects", starts=args.starts, config=config))
     _write(args.out / "basin.json", [asdict(r) for r in runs])
@@ -69,7 +74,7 @@ def basins(args: argparse.Namespace) -> dict[str, Means]:
     for r in runs:
         if r.after <= basin.ARRIVED:
             print(f"missed: {r.mesh}, {r.kind}, seed {r.seed}: {r.before:.3f} -> {r.after:.3f}, as seen {r.seen:.3f}")
-    return {"basin": means}
+    return {"basin": means} if args.starts == basin.STARTS else {}
 
 
 def side_by_side(args: argparse.Namespace) -> dict[str, Means]:
@@ -77,7 +82,7 @@ def side_by_side(args: argparse.Namespace) -> dict[str, Means]:
     found: dict[str, Means] = {}
     folders = find(args.data)
     chosen = {name: variants.VARIANTS[name] for name in args.variants or variants.VARIANTS}
-    for group in {group for group, _ in folders.values()}:
+    for group in dict.fromkeys(group for group, _ in folders.values()):
         rows: dict[str, list[variants.Row]] = {name: [] for name in chosen}
         true: list[float | None] = []
         for name, (of, folder) in folders.items():
@@ -138,11 +143,16 @@ def costs(args: argparse.Namespace) -> dict[str, Means]:
     return {"cost": means}
 
 
-def judge(found: dict[str, Means], *, update: bool) -> int:
-    """Print what became better or worse than the baseline, or write the new one; returns the exit code."""
+def judge(found: dict[str, Means], present: set[str], *, update: bool) -> int:
+    """Print what became better or worse than the baseline, or write the new one; returns the exit code.
+
+    A group whose scenes or meshes are not all ``present`` is not judged."""
     groups, problems = baseline.read(BASELINE), False
     for name, group in groups.items():
         if name not in found:
+            continue
+        if missing := [scene for scene in group.scenes if scene not in present]:
+            print(f"{name}: not judged without {', '.join(missing)}")
             continue
         if update:
             groups[name] = baseline.updated(group, found[name])
@@ -150,6 +160,8 @@ def judge(found: dict[str, Means], *, update: bool) -> int:
         comparison = baseline.compare(group, found[name])
         for line in (*comparison.problems, *comparison.gains):
             print(f"{name}: {line}")
+        if not comparison.problems:
+            print(f"{name}: no regression")
         problems |= bool(comparison.problems)
     if update:
         baseline.write(groups, BASELINE)
