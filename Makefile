@@ -19,6 +19,7 @@ check: $(VENV)/.dev
 
 bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/run.py
+	$(BIN)/python benchmarks/alignment.py
 
 docs: $(VENV)/.docs
 	$(BIN)/mkdocs build --strict

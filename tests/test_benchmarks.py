@@ -104,8 +104,9 @@ def test_means_are_printed_for_direct_composition_with_both_cameras(capsys: pyte
     assert ["mIoU", "0.7", "0.75", "0.9"] in lines and ["R_pen", "1", "-", "0"] in lines
 
 
-def test_the_committed_baseline_is_whole() -> None:
-    for name, kept in baseline.read().items():
+@pytest.mark.parametrize("file", ["baseline.json", "alignment.json"])
+def test_the_committed_baselines_are_whole(file: str) -> None:
+    for name, kept in baseline.read(FOLDER / file).items():
         assert kept.scenes, name
         for measure, expected in kept.measures.items():
             assert expected.direction in ("higher", "lower"), measure

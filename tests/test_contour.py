@@ -164,3 +164,36 @@ def test_a_search_stays_in_its_box() -> None:
 
     found = minimise(bowl, np.zeros(3), bounds=(-np.ones(3), np.ones(3)))
     assert np.allclose(found.x, [1, -1, 0.25], atol=1e-3)
+
+
+def soup() -> tuple[Array, np.ndarray]:
+    """Long and short triangles."""
+    rng = np.random.default_rng(3)
+    sizes = rng.choice([0.02, 0.1, 0.6], (300, 1, 1))
+    corners = rng.uniform(-0.7, 0.7, (300, 1, 3)) + sizes * rng.normal(size=(300, 3, 3))
+    return corners.reshape(-1, 3), np.arange(900, dtype=np.int32).reshape(-1, 3)
+
+
+def ball() -> tuple[Array, np.ndarray]:
+    """Most of its edges project far inside its outline."""
+    mesh = trimesh.creation.icosphere(subdivisions=4, radius=0.5)
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32)
+
+
+@pytest.mark.parametrize(("shape", "shift"), [(soup, 0.0), (soup, 0.4), *((ball, s) for s in np.linspace(0, 0.6, 13))])
+@pytest.mark.parametrize(("width", "height"), [(97, 64), (8, 200), (1, 9), (161, 161)])
+def test_edges_that_are_sorted_out_cross_no_outline(shape, shift: float, width: int, height: int) -> None:
+    vertices, faces = shape()
+    points, edges = vertices + np.array([shift, -0.3 * shift, 1.2]), contour.unique_edges(faces)
+    K = np.array([[160.0, 0, width / 2], [0, 160, height / 2], [0, 0, 1]])
+    mask = raster.silhouette(points, faces[::3] if shape is soup else faces, K, width, height)
+    pixels, inverse_depth = np.empty((len(points), 2)), np.empty(len(points))
+    contour._project(points, K, raster.NEAR, pixels, inverse_depth)
+    chosen = contour._at_outline(pixels, inverse_depth, edges, mask)
+    assert len(chosen) < len(edges)
+    for upright in (False, True):
+        (cells, crossed, place), (few, by, at) = (
+            contour._outline(pixels, inverse_depth, e, mask, upright=upright) for e in (edges, chosen)
+        )
+        assert np.array_equal(cells, few) and np.array_equal(place, at)
+        assert np.array_equal(edges[crossed], chosen[by])

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from f3sr import raster
 from f3sr.frames import Array, Camera
 from f3sr.levenberg import Local
+from f3sr.mesh import mass_properties
 from f3sr.scene import Photo, SceneObject
 from f3sr.silhouette import Mask
 from f3sr.window import sampled
@@ -118,6 +119,7 @@ def _blurred(rgb: NDArray[np.float32], where: Mask, sigma: float) -> NDArray[np.
 
 
 def principal_axes(o: SceneObject) -> Array:
-    """Unit axes (3, 3), as rows, of an object's hull in the world, by its vertices' spread."""
-    vertices = o.mesh.hull.vertices @ o.T_world_object[:3, :3].T
-    return np.linalg.svd(vertices - vertices.mean(0), full_matrices=False)[2]
+    """Unit axes (3, 3), as rows, of the inertia of an object's hull in the world."""
+    hull = o.mesh.hull
+    axes = np.linalg.eigh(mass_properties(hull.vertices, hull.faces).inertia)[1]
+    return (o.T_world_object[:3, :3] @ axes).T

@@ -29,6 +29,8 @@ from f3sr.kernels import inline_kernel, kernel
 
 AREA, VALID, MOMENT_X, MOMENT_Y, MISMATCH = range(5)
 """Rows of ``Integrals.value`` and ``Integrals.gradient``."""
+TILE = 8
+"""Pixels along a side of the tiles that edges are sorted out by: about an edge's length, where meshes are fine."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -53,8 +55,9 @@ class Integrals:
 
 def unique_edges(faces: NDArray[np.int32]) -> NDArray[np.int32]:
     """Every edge (e, 2) of some triangles once."""
-    pairs = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    return np.unique(pairs, axis=0).astype(np.int32)
+    pairs = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1).astype(np.int64)
+    base = pairs[:, 1].max(initial=0) + 1
+    return np.column_stack(np.divmod(np.unique(pairs[:, 0] * base + pairs[:, 1]), base)).astype(np.int32)
 
 
 def integrate(
@@ -73,7 +76,9 @@ def integrate(
     ``velocities`` (p, 3, 4) [m per unit of each parameter] are affine fields in camera axes: a point X moves by
     ``velocity @ (X, 1)``. Edges that reach behind ``near`` are left out, and, rightly, what the image's border cuts.
     """
-    pixels, inverse_depth = _projected(points_camera, K, near)
+    pixels, inverse_depth = np.empty((len(points_camera), 2)), np.empty(len(points_camera))
+    _project(np.ascontiguousarray(points_camera), K, near, pixels, inverse_depth)
+    edges = _at_outline(pixels, inverse_depth, edges, mask)
     value, gradient, curvature = np.zeros(5), np.zeros((5, len(velocities))), np.zeros((len(velocities),) * 2)
     _sum_inside(mask, fields.valid, fields.mismatch, value)
     for upright in (False, True):
@@ -85,12 +90,21 @@ def integrate(
     return Integrals(value=value, gradient=gradient, curvature=curvature)
 
 
-def _projected(points_camera: Array, K: Array, near: float) -> tuple[Array, Array]:
-    """Pixels (n, 2) and inverse depths (n,) [1/m], the latter 0 for what is not in front of ``near``."""
-    z = points_camera[:, 2]
-    inverse_depth = np.where(z > near, 1 / np.maximum(z, near), 0.0)
-    pixels = (points_camera[:, :2] * inverse_depth[:, None]) @ K[:2, :2].T + K[:2, 2]
-    return np.ascontiguousarray(pixels), inverse_depth
+def _at_outline(
+    pixels: Array, inverse_depth: Array, edges: NDArray[np.int32], mask: NDArray[np.bool_]
+) -> NDArray[np.int32]:
+    """The edges (k, 2) that may cross the outline, in their order: most lie inside the silhouette."""
+    # Tile i, j holds the places between the pixel centres from (i, j) * TILE to one tile farther, these included.
+    rows, columns = (max(1, -(-(n - 1) // TILE)) for n in mask.shape)
+    inside = np.zeros((rows, columns), np.int32)
+    _count_in_tiles(mask, inside)
+    heights, widths = (
+        np.minimum(np.arange(k) * TILE + TILE + 1, n) - np.arange(k) * TILE
+        for k, n in zip((rows, columns), mask.shape, strict=True)
+    )
+    mixed = (inside > 0) & (inside < np.outer(heights, widths))
+    chosen = np.empty((len(edges), 2), np.int32)
+    return chosen[: _choose(pixels, inverse_depth, edges, mixed, chosen)]
 
 
 def _outline(
@@ -132,6 +146,71 @@ def _sum_inside(
                 value[MOMENT_X] += v * (c + 0.5)
                 value[MOMENT_Y] += v * (r + 0.5)
                 value[MISMATCH] += mismatch[r, c]
+
+
+@kernel
+def _project(points_camera: Array, K: Array, near: float, pixels: Array, inverse_depth: Array) -> None:
+    """Fill pixels (n, 2) and inverse depths (n,) [1/m], the latter 0 for what is not in front of ``near``."""
+    for i in range(len(points_camera)):
+        z = points_camera[i, 2]
+        w = 1 / z if z > near else 0.0
+        x, y = points_camera[i, 0] * w, points_camera[i, 1] * w
+        inverse_depth[i] = w
+        pixels[i, 0] = K[0, 0] * x + K[0, 1] * y + K[0, 2]
+        pixels[i, 1] = K[1, 0] * x + K[1, 1] * y + K[1, 2]
+
+
+@kernel
+def _count_in_tiles(mask: NDArray[np.bool_], inside: NDArray[np.int32]) -> None:
+    """Add to ``inside`` (rows, columns) the pixels of the mask in every tile; its last row and column are shared."""
+    rows, columns = inside.shape
+    for r in range(mask.shape[0]):
+        i = min(r // TILE, rows - 1)
+        above = r % TILE == 0 and 0 < r <= i * TILE
+        for j in range(columns):
+            count = 0
+            for c in range(j * TILE, min(j * TILE + TILE + 1, mask.shape[1])):
+                count += mask[r, c]
+            inside[i, j] += count
+            if above:
+                inside[i - 1, j] += count
+
+
+@kernel
+def _choose(
+    pixels: Array,
+    inverse_depth: Array,
+    edges: NDArray[np.int32],
+    mixed: NDArray[np.bool_],
+    chosen: NDArray[np.int32],
+) -> int:
+    """Fill ``chosen`` with the edges whose bounding box touches a mixed tile; returns how many.
+
+    Written without a branch on what is found there, which no processor foresees."""
+    tiles = np.empty((len(pixels), 2), np.int32)
+    for n in range(len(pixels)):
+        tiles[n, 0] = _tile(pixels[n, 1], mixed.shape[0])
+        tiles[n, 1] = _tile(pixels[n, 0], mixed.shape[1])
+    found = 0
+    for e in range(len(edges)):
+        a, b = edges[e, 0], edges[e, 1]
+        if inverse_depth[a] == 0 or inverse_depth[b] == 0:
+            continue
+        top, left, bottom, right = tiles[a, 0], tiles[a, 1], tiles[b, 0], tiles[b, 1]
+        near = mixed[top, left] | mixed[top, right] | mixed[bottom, left] | mixed[bottom, right]
+        if abs(top - bottom) > 1 or abs(left - right) > 1:
+            for i in range(min(top, bottom), max(top, bottom) + 1):
+                for j in range(min(left, right), max(left, right) + 1):
+                    near |= mixed[i, j]
+        chosen[found, 0], chosen[found, 1] = a, b
+        found += int(near)
+    return found
+
+
+@inline_kernel
+def _tile(place: float, count: int) -> int:
+    """Which of ``count`` tiles along a side holds a place [px], the nearest for one beyond them."""
+    return int(min(max((place - 0.5) / TILE, 0.0), count - 1.0))
 
 
 @kernel

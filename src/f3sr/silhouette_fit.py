@@ -94,7 +94,10 @@ class ObjectFit:
         """The best near a start (6,) that keeps what is not ``free`` (6,); ``also`` adds to the objective."""
         reach = free * (self.freedom.reach > 0)
         low, high = np.where(reach, -1.0, u), np.where(reach, 1.0, u)
-        search = descent(u, bounds=(low, high), iterations=iterations)
+        return (yield from self.told(descent(u, bounds=(low, high), iterations=iterations), also))
+
+    def told(self, search: Search[Array, Local, R], also: Callable[[Array], Local] | None = None) -> FitSearch[R]:
+        """A search over parameters (6,), told this fit's objective from the integrals that are asked for."""
         try:
             points = next(search)
             while True:

@@ -38,6 +38,7 @@ class TiltConfig:
     """An extension of equation 8 by a full rotation, kept where the picture gains and the geometry does not object."""
 
     enabled: bool = True
+    """Tilt is searched."""
     most: Annotated[float, Interval(gt=0, le=np.pi / 4)] = 0.15
     """Largest tilt about each horizontal axis [rad]; generated poses tilt by up to ten degrees."""
     spread: Annotated[float, Interval(ge=0, le=1)] = 0.01
@@ -50,6 +51,7 @@ class AppearanceConfig:
     """The photo's detail against the textured render's: tells the turn of what a silhouette cannot tell."""
 
     enabled: bool = True
+    """Detail is compared, where an object has a texture or colours by vertex."""
     resolution: Annotated[int, Interval(ge=32, le=1024)] = 128
     """Longer side [px] of the window that is compared."""
     weight: Weight = 0.1
@@ -71,6 +73,7 @@ class FacetConfig:
     """Objects are tried on their nearest stable facet; the picture guards what is turned."""
 
     enabled: bool = True
+    """Facets are tried."""
     most: Annotated[float, Interval(gt=0, le=np.pi / 2)] = math.radians(10)
     """Turns up to this are tried [rad]: tilts are known to a few degrees by then."""
     loss: Share = 0.005
@@ -82,6 +85,7 @@ class DepthConfig:
     """An object is moved along its viewing rays, silhouette unchanged, to where the geometry sees it."""
 
     enabled: bool = True
+    """Objects are moved so, where the photo has a geometry."""
     most: Annotated[float, Interval(gt=0, lt=1)] = 0.2
     """Largest move, as a share of the distance."""
     pixels: Annotated[int, Interval(ge=1, le=100_000)] = 50
@@ -100,16 +104,19 @@ class AlignConfig:
     """Refine the camera first."""
     objects: bool = True
     """Refine the objects."""
+    method: Literal["exact", "report"] = "exact"
+    """How objects are searched: Levenberg-Marquardt from closed-form seeds and the extensions below, or the report's
+    staged Adam against whole masks without any, to compare with."""
     freedom: Literal["image", "support"] = "image"
     """Objects shift in the image plane and scale about their middle (equation 8), or, where they already rest, shift
     horizontally and scale about the middle of their base, so that they stay on their support."""
-    max_faces: Annotated[int, Interval(ge=1000, le=10_000_000)] = 40_000
+    max_faces: Annotated[int, Interval(ge=1000, le=10_000_000)] = 8_000
     """Larger meshes are simplified to as many faces for the search."""
     yaw_seeds: Annotated[tuple[Turn, ...], Len(1, 64)] = tuple(math.radians(a) for a in (-30, -15, 0, 15, 30))
     """Turns about the vertical that a search starts from [rad]."""
-    kept_seeds: Annotated[int, Interval(ge=1, le=64)] = 3
+    kept_seeds: Annotated[int, Interval(ge=1, le=64)] = 2
     """Seeds that are refined, the best first."""
-    iterations: Annotated[int, Interval(ge=1, le=1000)] = 16
+    iterations: Annotated[int, Interval(ge=1, le=1000)] = 12
     """Steps tried by the final search; each seed gets half of them."""
     max_shift: Annotated[float, Interval(gt=0, le=2)] = 0.35
     """Largest move in the image plane, as a share of the object's size; the report's bound."""

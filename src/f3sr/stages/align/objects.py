@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from f3sr import raster
+from f3sr import raster, staged
 from f3sr.appearance import Appearance, principal_axes
 from f3sr.depth_evidence import DepthEvidence
 from f3sr.facets import resting_turn
@@ -80,6 +80,8 @@ _Phase = Callable[[_Placed, _Evidence, View, AlignConfig], FitSearch[tuple[_Plac
 
 def align_object(o: SceneObject, view: View, config: AlignConfig) -> FitSearch[tuple[SceneObject, list[Decision]]]:
     """The object where its silhouette fits its mask best, and whatever the extensions make better."""
+    if config.method == "report":
+        return (yield from staged.align_object(o, view.scene.camera, resolution=config.resolution))
     if reason := _not_comparable(o, view):
         return o, [Decision(choice="kept as it came", reason=reason, about=o.id, fallback=True)]
     fit = object_fit(
@@ -204,7 +206,7 @@ def _standing(
     placed: _Placed, evidence: _Evidence, view: View, config: AlignConfig
 ) -> FitSearch[tuple[_Placed, list[Decision]]]:
     """On the nearest stable facet, where that is near and the picture does not mind."""
-    turn = _resting_turn(placed.object, config.facets.most)
+    turn = _resting_turn(_textured(placed.object, view), config.facets.most)
     if turn is None:
         return placed, []
     standing = _after(placed, turn, view, config)
@@ -307,7 +309,7 @@ def _after(placed: _Placed, T: Array, view: View, config: AlignConfig, *, scale:
 def _blind_axes(placed: _Placed, view: View, config: AlignConfig) -> Iterator[Array]:
     """Own axes (3,), not near the vertical, about which the silhouette does not see a turn to either side."""
     o, least = placed.object, placed.iou - config.appearance.blind
-    for axis in principal_axes(o):
+    for axis in principal_axes(_textured(o, view)):
         if abs(axis @ UP) < NEAR_VERTICAL:
             turned = (_after(placed, _about_middle(o, axis, sign * BLIND_TURN), view, config) for sign in (-1, 1))
             if all(t.iou >= least for t in turned):
