@@ -17,7 +17,7 @@ from f3sr.mesh import Mesh
 from f3sr.scene import Geometry, Photo, Scene, SceneObject
 from f3sr.searches import answered, together
 from f3sr.stages.align import AlignConfig, align
-from f3sr.stages.align.config import AppearanceConfig, DepthConfig, FacetConfig, TiltConfig
+from f3sr.stages.align.config import AppearanceConfig, CameraConfig, DepthConfig, FacetConfig, TiltConfig
 from f3sr.window import sampled, window_around
 
 WIDTH, HEIGHT = 320, 240
@@ -73,6 +73,12 @@ def photographed(*objects: SceneObject) -> Scene:
         photo=Photo(rgb=rgb), camera=CAMERA, geometry=Geometry(points=points.astype(np.float32), valid=seen),
         objects=tuple(replace(o, mask=fragments.ids == o.id) for o in objects),
     )  # fmt: skip
+
+
+def three_things() -> Scene:
+    return photographed(
+        thing(0, BOX, (-0.15, 0, 0.06)), thing(1, CAN, (0.0, 0.12, 0.07)), thing(2, BALL, (0.15, 0, 0.07))
+    )
 
 
 def disturbed(o: SceneObject, axis: Array, angle: float, *, shift: float = 0.0, scale: float = 1.0) -> SceneObject:
@@ -153,6 +159,41 @@ def test_a_geometry_that_does_not_know_moves_nothing() -> None:
     assert not [d for d in report.decisions if "viewing rays" in d.choice]
 
 
+def _seen_by(scene: Scene, camera: Camera) -> Scene:
+    return replace(scene, camera=camera, geometry=None)
+
+
+def test_a_camera_that_is_off_is_found_again() -> None:
+    scene = three_things()
+    T = pose(rotation_about([0.3, 1, 0.2], np.radians(0.8)), [0.01, -0.008, 0.006])
+    wrong = _seen_by(scene, CAMERA.moved(CAMERA.T_world_camera @ T))
+    found, report = align(wrong, AlignConfig(objects=False))
+    assert report.value("mean mask IoU") > 0.97
+    assert np.linalg.norm(found.camera.center - CAMERA.center) < 0.01
+
+
+def test_a_focal_length_that_is_off_is_found_where_that_is_switched_on() -> None:
+    scene = three_things()
+    wrong = _seen_by(scene, CAMERA.zoomed(1.05))
+    still = AlignConfig(objects=False, camera_step=CameraConfig(translation=1e-6, rotation=1e-6))
+    assert align(wrong, still)[0].camera.K[0, 0] == wrong.camera.K[0, 0]
+    found, _ = align(wrong, replace(still, camera_step=replace(still.camera_step, focal=True)))
+    assert found.camera.K[0, 0] == pytest.approx(CAMERA.K[0, 0], rel=0.005)
+
+
+def test_a_camera_that_the_geometry_contradicts_is_not_taken() -> None:
+    """Objects that came too large ask for a camera farther away, which their depths speak against."""
+    scene = three_things()
+    grown = scene.with_objects(
+        *(o.moved(pose(t=-0.08 * o.bounds_world.mean(0)), scale=1.08, stage="test", reason="") for o in scene)
+    )
+    seen, report = align(grown, AlignConfig(objects=False))
+    assert seen.camera is grown.camera
+    assert "camera: rolled back" in [d.choice for d in report.decisions]
+    unknown, _ = align(replace(grown, geometry=None), AlignConfig(objects=False))
+    assert unknown.camera is not grown.camera
+
+
 # --- what cannot be aligned ----------------------------------------------------------------------------------------
 
 
@@ -188,9 +229,7 @@ def test_an_object_that_nearer_ones_hide_stays_as_it_came() -> None:
 
 
 def test_no_object_gets_a_worse_silhouette() -> None:
-    scene = photographed(
-        thing(0, BOX, (-0.15, 0, 0.06)), thing(1, CAN, (0.0, 0.12, 0.07)), thing(2, BALL, (0.15, 0, 0.07))
-    )
+    scene = three_things()
     _, report = align(scene)
     most = AlignConfig().facets.loss
     assert all(m.after >= m.before - most for m in report.measures if m.before is not None and m.about is not None)

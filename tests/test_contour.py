@@ -144,6 +144,18 @@ def test_the_camera_s_velocities_are_those_of_its_points() -> None:
         assert np.allclose(freedom.velocities(u)[k] @ [*at, 1], expected, atol=1e-8)
 
 
+def test_a_longer_focal_length_moves_pixels_as_its_velocity_says() -> None:
+    freedom = CameraFreedom(camera=camera(64), center=np.array([0.1, 0.2, 1.4]), reach=np.full(7, 0.3))
+    X, u, h = np.array([[0.3, 0.2, 0.1]]), np.linspace(-0.5, 0.6, 7), 1e-6
+    e = np.eye(7)[6]
+    expected = (freedom.at(u + h * e).project(X)[0] - freedom.at(u - h * e).project(X)[0])[0] / (2 * h)
+    here = freedom.at(u)
+    x, y, z = here.to_camera(X)[0]
+    dx, dy, dz = freedom.velocities(u)[6] @ [x, y, z, 1]
+    assert dz == 0
+    assert np.allclose([here.K[0, 0] * dx / z, here.K[1, 1] * dy / z], expected, rtol=1e-6)
+
+
 @pytest.mark.parametrize("name", MESHES)
 def test_a_search_finds_the_mask_again(name: str) -> None:
     problem = Problem(name, 256)

@@ -141,6 +141,12 @@ class Camera:
     def moved(self, T_world_camera: Array) -> Self:
         return replace(self, T_world_camera=T_world_camera)
 
+    def zoomed(self, factor: float) -> Self:
+        """The same place and pixels with ``factor`` times the focal lengths."""
+        K = self.K.copy()
+        K[:2, :2] *= factor
+        return replace(self, K=K)
+
     def resized(self, width: int, height: int) -> Self:
         """The same view sampled with another number of pixels."""
         scale = np.array([[width / self.width], [height / self.height], [1.0]])

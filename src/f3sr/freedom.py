@@ -48,10 +48,11 @@ class ObjectFreedom:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CameraFreedom:
-    """Six degrees of freedom about the scene's centre, so that turning and shifting decouple.
+    """Six degrees of freedom about the scene's centre, so that turning and shifting decouple, or seven.
 
     Parameters u (6,) in [-1, 1], times ``reach``: a rotation vector [rad] and a shift [m] of the scene in camera axes,
-    x -> R (x - center) + center + t, with ``center`` (3,) [m] in the axes of ``camera``, the one it starts from.
+    x -> R (x - center) + center + t, with ``center`` (3,) [m] in the axes of ``camera``, the one it starts from. A
+    seventh is the logarithm of the factor on the focal lengths.
     """
 
     camera: Camera
@@ -62,18 +63,21 @@ class CameraFreedom:
         """The camera that sees the scene so."""
         v = self.reach * u
         R = rotation_from_vector(v[:3])
-        T_old_new = pose(R.T, self.center - R.T @ (self.center + v[3:]))
-        return self.camera.moved(self.camera.T_world_camera @ T_old_new)
+        T_old_new = pose(R.T, self.center - R.T @ (self.center + v[3:6]))
+        moved = self.camera.moved(self.camera.T_world_camera @ T_old_new)
+        return moved.zoomed(float(np.exp(v[6]))) if len(v) > 6 else moved
 
     def velocities(self, u: Array) -> Array:
-        """(6, 3, 4): how points in the axes of the moved camera move with each parameter."""
+        """(6, 3, 4), or 7: how points in the axes of the moved camera move with each parameter; a longer focal length
+        moves a picture as if its points moved away from the axis."""
         v = self.reach * u
-        center = self.center + v[3:]
+        center = self.center + v[3:6]
         fields = [
             *(_field(turn=axis, about=center) for axis in _left_jacobian(v[:3]).T),
             *(_field(shift=axis) for axis in np.eye(3)),
+            np.diag([1.0, 1, 0, 0])[:3],
         ]
-        return self.reach[:, None, None] * np.array(fields)
+        return self.reach[:, None, None] * np.array(fields[: len(v)])
 
 
 def _field(

@@ -123,7 +123,7 @@ def one_by_one(questions: Sequence[tuple[ObjectFit, Array]]) -> list[Integrals]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CameraFit:
-    """The union of all objects against the union of all masks: equation 7 over u (6,) of the camera's ``freedom``."""
+    """All objects against all masks, as one: equation 7 over the parameters u (p,) of its ``freedom``."""
 
     surface: Surface
     target: Target
@@ -132,10 +132,10 @@ class CameraFit:
 
     def objective(self, u: Array) -> Local:
         integrals = self.surface.integrals(self.freedom.at(u), self.target.fields, self.freedom.velocities(u))
-        return loss(integrals, self.target).plus_squares(np.full(6, self.prior), u)
+        return loss(integrals, self.target).plus_squares(np.full(len(u), self.prior), u)
 
     def best(self, *, iterations: int) -> Camera:
-        ones = np.ones(6)
+        ones = np.ones_like(self.freedom.reach)
         return self.freedom.at(minimise(self.objective, 0 * ones, bounds=(-ones, ones), iterations=iterations).x)
 
 

@@ -33,8 +33,7 @@ def align(
     decisions: list[Decision] = []
     before = _ious(scene, config)
     if config.camera:
-        scene, decision = align_camera(scene, config, score=lambda s: float(np.mean(_ious(s, config))))
-        decisions.append(decision)
+        scene, decisions = align_camera(scene, config, score=lambda s: float(np.mean(_ious(s, config))))
     if config.objects:
         nearer = nearer_objects(scene)
 

@@ -1,38 +1,108 @@
-"""The camera against the union of all masks (equation 7)."""
+"""The camera against the union of all masks (equation 7), guarded by the instances and by the geometry."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from f3sr.depth_evidence import DepthEvidence
+from f3sr.frames import Camera, transform
 from f3sr.freedom import CameraFreedom
-from f3sr.report import Decision, keep_better
-from f3sr.scene import Scene
+from f3sr.report import Decision
+from f3sr.scene import Geometry, Scene
 from f3sr.silhouette import Surface, Target, resample, union_of
 from f3sr.silhouette_fit import CameraFit
 from f3sr.stages.align.config import AlignConfig
+from f3sr.window import sampled
+
+Score = Callable[[Scene], float]
 
 
-def align_camera(scene: Scene, config: AlignConfig, *, score: Callable[[Scene], float]) -> tuple[Scene, Decision]:
-    """Six degrees of freedom about the scene's centre, intrinsics fixed, accepted on ``score``, the instances' mIoU."""
+def align_camera(scene: Scene, config: AlignConfig, *, score: Score) -> tuple[Scene, list[Decision]]:
+    """Six degrees of freedom about the scene's centre, then, where that is wanted, the focal length with them.
+
+    Each step is kept where ``score``, the instances' mIoU, does not drop and the geometry, which sits in the camera's
+    axes, fits the objects, for the focal length the ground too, no worse than before.
+    """
+    moved = _with(scene, _fitted(scene, config, focal=False))
+    scene, decision = _judged(scene, moved, "camera", config, score)
+    if not config.camera_step.focal:
+        return scene, [decision]
+    zoomed = _with(scene, _fitted(scene, config, focal=True))
+    scene, focal = _judged(scene, zoomed, "focal length", config, score)
+    return scene, [decision, focal]
+
+
+def _fitted(scene: Scene, config: AlignConfig, *, focal: bool) -> Camera:
     step = config.camera_step
     small = scene.camera.limited(config.resolution)
     masks = (resample(o.mask, small.width, small.height) for o in scene)
     union = union_of(masks, (small.height, small.width))
     center = small.to_camera(np.mean([o.bounds_world.mean(0) for o in scene], axis=0)[None])[0]
-    distance = float(np.linalg.norm(center))
+    shift = step.translation * float(np.linalg.norm(center))
+    reach = [step.rotation] * 3 + [shift] * 3 + [step.focal_range] * focal
     fit = CameraFit(
         surface=Surface.of([(o.vertices_world, o.mesh.faces) for o in scene]),
         target=Target.of(union, weights=replace(config.weights, centroid=0.0, area=0.0)),
-        freedom=CameraFreedom(
-            camera=small, center=center, reach=np.array([step.rotation] * 3 + [step.translation * distance] * 3)
-        ),
+        freedom=CameraFreedom(camera=small, center=center, reach=np.array(reach)),
         prior=step.prior,
     )
-    found = fit.best(iterations=step.iterations)
-    moved = replace(scene, camera=scene.camera.moved(found.T_world_camera))
-    return keep_better(
-        scene, moved, score=score, step="camera", measure="mean mask IoU", tolerance=config.iou_tolerance
+    return fit.best(iterations=step.iterations).resized(scene.camera.width, scene.camera.height)
+
+
+def _with(scene: Scene, camera: Camera) -> Scene:
+    """The scene seen by another camera; its geometry keeps its depths and goes with the focal length."""
+    zoom = camera.K[0, 0] / scene.camera.K[0, 0]
+    geometry = scene.geometry
+    if geometry and zoom != 1:
+        geometry = replace(geometry, points=geometry.points / np.array([zoom, zoom, 1], np.float32))
+    return replace(scene, camera=camera, geometry=geometry)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Agreement:
+    """The instances' mean IoU, and how far the geometry is off: depths of objects as a share of the distance, its
+    ground from z = 0 [m]; 0 where nothing is known."""
+
+    iou: float
+    depth: float
+    ground: float
+
+
+def _judged(scene: Scene, moved: Scene, step: str, config: AlignConfig, score: Score) -> tuple[Scene, Decision]:
+    was, now = (
+        _Agreement(iou=score(s), depth=_depth_residual(s, config), ground=_ground_residual(s)) for s in (scene, moved)
     )
+    is_better = now.iou >= was.iou - config.iou_tolerance and now.depth <= was.depth
+    if step != "camera":
+        is_better = is_better and now.iou > was.iou and now.ground <= was.ground
+    decision = Decision(
+        choice=f"{step}: {'accepted' if is_better else 'rolled back'}",
+        reason=f"mean mask IoU {was.iou:.4f} -> {now.iou:.4f}, median depth residual {was.depth:.4f} -> {now.depth:.4f}"
+        f" of the distance, ground {1000 * was.ground:.1f} -> {1000 * now.ground:.1f} mm off",
+    )
+    return (moved if is_better else scene), decision
+
+
+def _depth_residual(scene: Scene, config: AlignConfig) -> float:
+    """The median over objects of how far their depths are from the geometry's."""
+    if not scene.geometry:
+        return 0.0
+    small = scene.camera.limited(config.camera_step.evidence)
+    sizes: list[float] = []
+    for o in scene:
+        shown = sampled(o.mask, scene.camera, small, fill=False)
+        sizes.append(DepthEvidence.of(scene.geometry, scene.camera, small, shown).residual(o).size)
+    known = [size for size in sizes if np.isfinite(size)]
+    return float(np.median(known)) if known else 0.0
+
+
+def _ground_residual(scene: Scene) -> float:
+    """The median distance of the geometry's ground points from z = 0 [m]."""
+    geometry: Geometry | None = scene.geometry
+    if not geometry or scene.ground_mask is None:
+        return 0.0
+    points = geometry.points[geometry.inside(scene.ground_mask)].astype(float)
+    return float(np.median(np.abs(transform(scene.camera.T_world_camera, points)[:, 2]))) if len(points) else 0.0
