@@ -17,6 +17,8 @@ from f3sr.window import sampled
 
 FINE, COARSE = 0.7, 8.0
 """Widths [px] of the Gaussians between which detail is compared: noise is finer, shading and shadows are coarser."""
+TRUNCATED = 2.5
+"""Standard deviations at which those Gaussians end."""
 ENOUGH = 100
 """Pixels below which no correlation is told."""
 
@@ -110,12 +112,12 @@ def _detail(rgb: NDArray[np.float32], where: Mask) -> NDArray[np.float32]:
 
 
 def _blurred(rgb: NDArray[np.float32], where: Mask, sigma: float) -> NDArray[np.float32]:
+    """Colours under a Gaussian that counts the given pixels only (normalised convolution, Knutsson and Westin 1993)."""
     from scipy.ndimage import gaussian_filter
 
-    weight = where.astype(np.float32)
-    total = gaussian_filter(weight, sigma, mode="constant")[..., None]
-    colors = gaussian_filter(rgb * weight[..., None], (sigma, sigma, 0), mode="constant")
-    return np.where(where[..., None], colors / np.maximum(total, 1e-6), 0).astype(np.float32)
+    weighted = np.concatenate([rgb, np.ones_like(rgb[..., :1])], axis=2) * where[..., None]
+    sums = gaussian_filter(weighted, (sigma, sigma, 0), mode="constant", truncate=TRUNCATED)
+    return np.where(where[..., None], sums[..., :3] / np.maximum(sums[..., 3:], 1e-6), 0)
 
 
 def principal_axes(o: SceneObject) -> Array:
