@@ -218,8 +218,13 @@ def exact_agreement(scene: Scene) -> tuple[list[float], list[float]]:
 
 def visible_iou(scene: Scene) -> float:
     """mIoU_visible alone, at the pixel centres: the mean IoU of visible pixels with the masks."""
+    return sum(visible_ious(scene).values()) / (len(scene.objects) + len(scene.excluded))
+
+
+def visible_ious(scene: Scene) -> dict[int, float]:
+    """The IoU of every object's visible pixels with its mask, at the pixel centres, by id."""
     ids = raster.visible_ids(scene.objects, scene.camera)
-    return sum(iou(ids == o.id, o.mask) for o in scene) / (len(scene.objects) + len(scene.excluded))
+    return {o.id: iou(ids == o.id, o.mask) for o in scene}
 
 
 def full_silhouette(o: SceneObject, camera: Camera) -> NDArray[np.bool_]:

@@ -126,8 +126,8 @@ class Settled:
     """Simulated time until rest [s], checks not counted."""
     max_speed: float
     """Largest speed of a centre of mass on the way [m/s]."""
-    drift: float
-    """Largest travel of a centre of mass in the last undamped check [m]; infinite when there was none."""
+    drifts: Mapping[int, float]
+    """Largest travel of every centre of mass in the last undamped check [m]; infinite when there was none."""
     loads: Mapping[tuple[int, int], float]
     """(carried, carrier) ids, the ground GROUND, to the net upward force between them [N]; empty when ``exploded``."""
 
@@ -210,15 +210,16 @@ def settle(
     for m in checks:
         m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
     run = _Settling(model, settling)
-    data, drift, calm = mujoco.MjData(model), np.inf, False
+    data, calm = mujoco.MjData(model), False
+    drifts = np.full(len(objects), np.inf)
     with _silent():
         for _ in range(settling.rounds):
             run.until_rest(data)
-            drift, calm = 0.0, not run.exploded
+            drifts, calm = np.zeros(len(objects)), not run.exploded
             for m in checks:
                 released = run.fresh(m, data)
-                travel, calm = run.undamped(m, released)
-                drift = max(drift, travel)
+                travels, calm = run.undamped(m, released)
+                drifts = np.maximum(drifts, travels)
                 if not calm:
                     data = run.fresh(model, released)
                     break
@@ -230,7 +231,7 @@ def settle(
         exploded=run.exploded,
         seconds=run.seconds,
         max_speed=run.max_speed,
-        drift=float(drift),
+        drifts={o.id: float(d) for o, d in zip(objects, drifts, strict=True)},
         loads={} if run.exploded else contact_loads(model, data, [o.id for o in objects]),
     )
 
@@ -424,20 +425,20 @@ class _Settling:
             if self._slow(before, _Snapshot.of(data)):
                 return
 
-    def undamped(self, model: MjModel, data: MjData) -> tuple[float, bool]:
-        """Undamped steps: the largest travel of a centre of mass [m], and whether that counts as rest."""
+    def undamped(self, model: MjModel, data: MjData) -> tuple[Array, bool]:
+        """Undamped steps: the largest travel of every centre of mass (n,) [m], and whether all that counts as rest."""
         engine().mj_forward(model, data)
         start = before = after = _Snapshot.of(data)
-        drift = 0.0
+        drifts = np.zeros(model.nbody - 1)
         for _ in range(max(1, round(self.config.check_time / self.config.rest_time))):
             before = after
             for _ in range(self._window):
                 self._step(model, data, 1.0)
-                drift = max(drift, float(np.linalg.norm(data.xipos - start.centers, axis=1).max()))
+                drifts = np.maximum(drifts, np.linalg.norm(data.xipos - start.centers, axis=1)[1:])
             after = _Snapshot.of(data)
-            if self.exploded or drift > 50 * self.config.drift_limit:
-                return drift, False
-        return drift, self._slow(before, after) and drift <= self.config.drift_limit
+            if self.exploded or drifts.max() > 50 * self.config.drift_limit:
+                return drifts, False
+        return drifts, self._slow(before, after) and bool(drifts.max() <= self.config.drift_limit)
 
     @staticmethod
     def fresh(model: MjModel, data: MjData) -> MjData:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Annotated
 
@@ -14,7 +14,7 @@ from pydantic import JsonValue
 from f3sr.cache import Store, digest
 from f3sr.frames import rotation_angle
 from f3sr.inputs import Inputs
-from f3sr.measures import visible_iou
+from f3sr.measures import visible_iou, visible_ious
 from f3sr.progress import Progress, silent
 from f3sr.proxies import ProxyConfig
 from f3sr.report import Decision, Measure, Report, keep_better
@@ -174,9 +174,11 @@ def refine(scene: Scene, config: Config, *, parted: Scene) -> tuple[Scene, Repor
     before = visible_iou(scene)
     scene, decisions = _stand_up(scene, parted, config)
     for _ in range(config.refine.rounds):
-        moved, _ = align(scene, config.refine.align)
-        kept, decision = _settled_again(scene, moved, "re-alignment under contact", config)
+        kept, decision, gained = _aligned_again(scene, [o.id for o in scene], config)
         decisions.append(decision)
+        if kept is scene and gained:
+            kept, decision, _ = _aligned_again(scene, gained, config)
+            decisions.append(decision)
         if kept is scene:
             break
         scene = kept
@@ -192,18 +194,41 @@ def _stand_up(scene: Scene, parted: Scene, config: Config) -> tuple[Scene, list[
     on_a_facet = FacetConfig(most=config.refine.upright, loss=1.0)
     upright, _ = align(parted, replace(config.align, camera=False, facets=on_a_facet), only=toppled)
     step = f"standing up what toppled ({', '.join(map(str, toppled))})"
-    kept, decision = _settled_again(scene, upright, step, config)
+    tried, settled = _settled_again(upright, config)
+    kept, decision = _kept_at_rest(scene, tried, settled, step)
     return kept, [decision]
 
 
-def _settled_again(scene: Scene, moved: Scene, step: str, config: Config) -> tuple[Scene, Decision]:
-    """``moved``, separated and settled, where it rests and shows more of the photo than ``scene``, else ``scene``."""
+def _aligned_again(scene: Scene, among: Sequence[int], config: Config) -> tuple[Scene, Decision, list[int]]:
+    """Some objects re-aligned, all settled, where the picture gains; and which of them would gain on their own: those
+    that show more of their masks, without what will not rest and all that carries it or is carried by it."""
+    moved, _ = align(scene, config.refine.align, only=among)
+    tried, settled = _settled_again(moved, config)
+    step = "re-alignment under contact"
+    if len(among) < len(scene.objects):
+        step += f" of {', '.join(map(str, among))} alone"
+    kept, decision = _kept_at_rest(scene, tried, settled, step)
+    limit = 1000 * config.settle.settling.drift_limit
+    drifts = {m.about: m.after for m in settled.measures if m.name == "undamped drift"}
+    restless = [o.id for o in tried if drifts[o.id] > limit]
+    bound = {k for id in restless for k in (*tried.ancestors(id), *tried.subtree(id), *scene.ancestors(id))}
+    was, now = visible_ious(scene), visible_ious(tried)
+    return kept, decision, [id for id in among if now[id] > was[id] and id not in bound]
+
+
+def _settled_again(moved: Scene, config: Config) -> tuple[Scene, Report]:
+    """A changed scene, separated and settled."""
     moved, _ = separate(moved, config.separate)
-    moved, settled = settle(moved, config.settle)
-    gained = visible_iou(moved) if settled.value("at rest") else 0.0
-    (kept, _), decision = keep_better(
-        (scene, visible_iou(scene)), (moved, gained), score=_second, step=step, measure="mIoU_visible"
-    )
+    return settle(moved, config.settle)
+
+
+def _kept_at_rest(scene: Scene, tried: Scene, settled: Report, step: str) -> tuple[Scene, Decision]:
+    """``tried`` where it rests and shows more of the photo than ``scene``, else ``scene``."""
+    was, now = visible_iou(scene), visible_iou(tried)
+    if not settled.value("at rest"):
+        reason = f"mIoU_visible {was:.4f} -> {now:.4f}, but it does not come to rest"
+        return scene, Decision(choice=f"{step}: rolled back", reason=reason)
+    (kept, _), decision = keep_better((scene, was), (tried, now), score=_second, step=step, measure="mIoU_visible")
     return kept, decision
 
 

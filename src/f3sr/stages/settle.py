@@ -32,6 +32,7 @@ def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene
     """
     config = config or SettleStageConfig()
     result = physics.settle(scene.objects, config.physics, settling=config.settling)
+    drift = max(result.drifts.values())
     decisions: list[Decision] = []
     if result.exploded:
         decisions.append(Decision(choice="poses kept as they were", reason="the simulation blew up", fallback=True))
@@ -39,7 +40,7 @@ def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene
         decisions.append(
             Decision(
                 choice="kept although not at rest",
-                reason=f"an undamped release still moves {1000 * result.drift:.2f} mm after {result.seconds:.1f} s",
+                reason=f"an undamped release still moves {1000 * drift:.2f} mm after {result.seconds:.1f} s",
             )
         )
     moved = tuple(_at(o, result.T_world_object[o.id]) for o in scene)
@@ -49,7 +50,8 @@ def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene
     measures = [
         Measure(name="at rest", after=float(result.at_rest)),
         Measure(name="time to rest", after=result.seconds, unit="s"),
-        Measure(name="undamped drift", after=1000 * result.drift, unit="mm"),
+        Measure(name="undamped drift", after=1000 * drift, unit="mm"),
+        *(Measure(name="undamped drift", after=1000 * result.drifts[o.id], unit="mm", about=o.id) for o in scene),
         *(_travel(before, after) for before, after in zip(scene, moved, strict=True)),
         *(_turn(before, after) for before, after in zip(scene, moved, strict=True)),
     ]
