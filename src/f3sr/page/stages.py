@@ -80,7 +80,8 @@ def _object_measures(measures: Sequence[Measure], scene: Scene) -> Child:
         for id in dict.fromkeys(x.about for x in measures)
     )
     table = el("table", el("thead", head), el("tbody", rows), class_="plain")
-    return el("details", el("summary", f"Per object: {', '.join(names)}"), el("div", table, class_="scroll", tabindex="0"))
+    summary = el("summary", f"Per object: {', '.join(names)}")
+    return el("details", summary, el("div", table, class_="scroll", tabindex="0"))
 
 
 def _before_after(x: Measure) -> Markup:
