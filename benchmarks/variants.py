@@ -41,6 +41,12 @@ VARIANTS: Mapping[str, Step] = {
     "report": _configured(method="report"),
     "skip align-objects": _configured(objects=False),
     "ours": _configured(),
+    "ours, equations 8 and 9": _configured(
+        tilt=TiltConfig(enabled=False),
+        appearance=AppearanceConfig(enabled=False),
+        facets=FacetConfig(enabled=False),
+        depth=DepthConfig(enabled=False),
+    ),
     "ours, no camera": _configured(camera=False),
     "ours, no tilt": _configured(tilt=TiltConfig(enabled=False)),
     "ours, no detail": _configured(appearance=AppearanceConfig(enabled=False)),

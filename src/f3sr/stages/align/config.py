@@ -66,6 +66,8 @@ class AppearanceConfig:
     """Turns to either side that are searched [rad]."""
     step: Annotated[float, Interval(gt=0, le=np.pi / 4)] = math.radians(8)
     """Between two of them [rad]: detail of that window moves by a few pixels, from where the final search arrives."""
+    known: Share = 0.7
+    """Correlation from which on no other turn is tried."""
     blind: Share = 0.02
     """A silhouette is blind to a turn about an own axis that costs it no more IoU than this."""
     gain: Share = 0.03

@@ -190,7 +190,7 @@ def _turned(placed: _Placed, correlation: float, evidence: _Evidence, view: View
     """The object turned about the vertical, or an axis its silhouette is blind to, to where the photo's detail fits
     far better; none where no turn does."""
     appearance, settings = evidence.appearance, config.appearance
-    if appearance is None:
+    if appearance is None or correlation >= settings.known:
         return []
     o, count = placed.object, round(settings.search / settings.step)
     for axis in (UP, *_blind_axes(placed, view, config)):
@@ -211,7 +211,7 @@ def _standing(
         return placed, []
     standing = _after(placed, turn, view, config)
     also = _mismatch(standing, evidence, view, config)
-    found = yield from standing.fit.refined(standing.u, iterations=config.iterations, also=also)
+    found = yield from standing.fit.refined(standing.u, iterations=config.iterations // 2, also=also)
     was, now = (_scores(p, evidence, view, config) for p in (placed, standing.moved(found.x)))
     is_kept = now.total >= was.total - config.facets.loss
     decision = Decision(
