@@ -156,7 +156,8 @@ def test_a_geometry_that_does_not_know_moves_nothing() -> None:
     noise = np.random.default_rng(0).uniform(0.7, 1.5, scene.geometry.valid.shape)[..., None]
     vague = replace(scene, geometry=replace(scene.geometry, points=(scene.geometry.points * noise).astype(np.float32)))
     _, report = align(vague, OBJECTS_ONLY)
-    assert not [d for d in report.decisions if "viewing rays" in d.choice]
+    assert not [d for d in report.decisions if "distance: accepted" in d.choice]
+    assert any("does not tell its distance" in d.choice for d in report.decisions)
 
 
 def _seen_by(scene: Scene, camera: Camera) -> Scene:
@@ -233,6 +234,21 @@ def test_no_object_gets_a_worse_silhouette() -> None:
     _, report = align(scene)
     most = AlignConfig().facets.loss
     assert all(m.after >= m.before - most for m in report.measures if m.before is not None and m.about is not None)
+
+
+def test_what_the_border_of_the_photo_cuts_is_not_squeezed_into_it() -> None:
+    whole = thing(0, BOX, (-0.54, 0.05, 0.06))
+    scene = photographed(whole)
+    assert scene[0].mask[:, 0].any(), "the box is cut by the left border"
+    found = aligned(scene, disturbed(scene[0], UP, np.radians(4), shift=0.01), PLAIN)
+    assert found.scale == pytest.approx(1, abs=0.03)
+    assert np.linalg.norm(found.bounds_world.mean(0) - whole.bounds_world.mean(0)) < 0.015
+
+
+def test_a_search_narrower_than_its_step_still_looks_to_both_sides() -> None:
+    scene = photographed(thing(0, CAN, (0, 0, 0.07)))
+    narrow = replace(OBJECTS_ONLY, appearance=AppearanceConfig(search=0.02, step=0.1))
+    assert turn_between(aligned(scene, disturbed(scene[0], UP, 0.1), narrow), scene[0]) < 2
 
 
 # --- laws ------------------------------------------------------------------------------------------------------------

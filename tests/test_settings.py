@@ -35,6 +35,8 @@ def test_a_file_changes_what_it_names_and_nothing_else(tmp_path: Path) -> None:
     config = settings.read(file, Config())
     assert config.align == replace(Config().align, max_yaw=1.0)
     assert config.refine.align == replace(Config().refine.align, max_yaw=0.5)
+    seeds = replace(Config(), align=AlignConfig(yaw_seeds=(0.0,)))
+    assert settings.changed(seeds, Config()) == {"align.yaw_seeds": [0.0]}  # as JSON has it
     assert settings.changed(config, Config()) == {"align.max_yaw": 1.0, "refine.align.max_yaw": 0.5}
 
 

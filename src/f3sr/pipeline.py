@@ -127,7 +127,7 @@ def reconstruct(
     scene = run.stage("decompose", decompose, scene, config.decompose)
     scene = parted = run.stage("separate", separate, scene, config.separate)
     scene = run.stage("settle", settle, scene, config.settle)
-    scene = run.stage("refine", refine, scene, config, parted=parted)
+    scene = run.stage("refine", refine, scene, config, parted=parted, rests=_rests(run.reports))
     aligned = _without(config.align, skip).camera and "align" not in skip
     evaluation = run.value(
         "evaluate",
@@ -169,66 +169,84 @@ def _assembled(_: Scene, config: AssembleConfig, *, inputs: Inputs) -> tuple[Sce
     return assemble(inputs, config)
 
 
-def refine(scene: Scene, config: Config, *, parted: Scene) -> tuple[Scene, Report]:
-    """Stand up what toppled since ``parted``, then align again what rests, each kept where the picture gains."""
+def _rests(reports: Sequence[Report]) -> bool:
+    """Whether the last settling ended at rest."""
+    settled = [report for report in reports if report.stage == "settle"]
+    return bool(settled) and bool(settled[-1].value("at rest"))
+
+
+@dataclass(frozen=True, eq=False)
+class _Settled:
+    """A scene after settling, and whether it came to rest."""
+
+    scene: Scene
+    rests: bool
+    drifts: Mapping[int | None, float] = field(default_factory=dict[int | None, float])
+    """Travel of each object in the undamped check [mm]."""
+
+
+def refine(scene: Scene, config: Config, *, parted: Scene, rests: bool) -> tuple[Scene, Report]:
+    """Stand up what toppled since ``parted``, then align again what rests, each kept where the picture gains and, once
+    the scene rests (``rests``: from the start), still rests."""
     before = visible_iou(scene)
-    scene, decisions = _stand_up(scene, parted, config)
+    state, decisions = _stand_up(_Settled(scene, rests), parted, config)
     for _ in range(config.refine.rounds):
-        kept, decision, gained = _aligned_again(scene, [o.id for o in scene], config)
+        kept, decision, gained = _aligned_again(state, [o.id for o in scene], config)
         decisions.append(decision)
-        if kept is scene and gained:
-            kept, decision, _ = _aligned_again(scene, gained, config)
+        if kept is state and gained:
+            kept, decision, _ = _aligned_again(state, gained, config)
             decisions.append(decision)
-        if kept is scene:
+        if kept is state:
             break
-        scene = kept
-    measures = (Measure(name="mIoU_visible", before=before, after=visible_iou(scene)),)
-    return scene, Report(stage="refine", measures=measures, decisions=tuple(decisions))
+        state = kept
+    measures = (Measure(name="mIoU_visible", before=before, after=visible_iou(state.scene)),)
+    return state.scene, Report(stage="refine", measures=measures, decisions=tuple(decisions))
 
 
-def _stand_up(scene: Scene, parted: Scene, config: Config) -> tuple[Scene, list[Decision]]:
+def _stand_up(state: _Settled, parted: Scene, config: Config) -> tuple[_Settled, list[Decision]]:
     """Put what toppled on its nearest stable facet, whatever that costs its own silhouette, and settle anew."""
-    toppled = [o.id for o in scene if _turn(parted[o.id], o) > config.refine.topple]
+    toppled = [o.id for o in state.scene if _turn(parted[o.id], o) > config.refine.topple]
     if not toppled:
-        return scene, []
+        return state, []
     on_a_facet = FacetConfig(most=config.refine.upright, loss=1.0)
     upright, _ = align(parted, replace(config.align, camera=False, facets=on_a_facet), only=toppled)
-    step = f"standing up what toppled ({', '.join(map(str, toppled))})"
-    tried, settled = _settled_again(upright, config)
-    kept, decision = _kept_at_rest(scene, tried, settled, step)
+    step = f"standing up what toppled: object {', '.join(map(str, toppled))}"
+    kept, decision = _better(state, _settled_again(upright, config), step)
     return kept, [decision]
 
 
-def _aligned_again(scene: Scene, among: Sequence[int], config: Config) -> tuple[Scene, Decision, list[int]]:
+def _aligned_again(state: _Settled, among: Sequence[int], config: Config) -> tuple[_Settled, Decision, list[int]]:
     """Some objects re-aligned, all settled, where the picture gains; and which of them would gain on their own: those
     that show more of their masks, without what will not rest and all that carries it or is carried by it."""
+    scene = state.scene
     moved, _ = align(scene, config.refine.align, only=among)
-    tried, settled = _settled_again(moved, config)
+    tried = _settled_again(moved, config)
     step = "re-alignment under contact"
     if len(among) < len(scene.objects):
         step += f" of {', '.join(map(str, among))} alone"
-    kept, decision = _kept_at_rest(scene, tried, settled, step)
+    kept, decision = _better(state, tried, step)
     limit = 1000 * config.settle.settling.drift_limit
-    drifts = {m.about: m.after for m in settled.measures if m.name == "undamped drift"}
-    restless = [o.id for o in tried if drifts[o.id] > limit]
-    bound = {k for id in restless for k in (*tried.ancestors(id), *tried.subtree(id), *scene.ancestors(id))}
-    was, now = visible_ious(scene), visible_ious(tried)
+    restless = [o.id for o in scene if tried.drifts[o.id] > limit]
+    bound = {k for id in restless for k in (*tried.scene.ancestors(id), *tried.scene.subtree(id), *scene.ancestors(id))}
+    was, now = visible_ious(scene), visible_ious(tried.scene)
     return kept, decision, [id for id in among if now[id] > was[id] and id not in bound]
 
 
-def _settled_again(moved: Scene, config: Config) -> tuple[Scene, Report]:
+def _settled_again(moved: Scene, config: Config) -> _Settled:
     """A changed scene, separated and settled."""
     moved, _ = separate(moved, config.separate)
-    return settle(moved, config.settle)
+    moved, report = settle(moved, config.settle)
+    drifts = {m.about: m.after for m in report.measures if m.name == "undamped drift"}
+    return _Settled(moved, bool(report.value("at rest")), drifts)
 
 
-def _kept_at_rest(scene: Scene, tried: Scene, settled: Report, step: str) -> tuple[Scene, Decision]:
-    """``tried`` where it rests and shows more of the photo than ``scene``, else ``scene``."""
-    was, now = visible_iou(scene), visible_iou(tried)
-    if not settled.value("at rest"):
+def _better(state: _Settled, tried: _Settled, step: str) -> tuple[_Settled, Decision]:
+    """``tried`` where it shows more of the photo, and rests unless ``state`` does not either, else ``state``."""
+    was, now = visible_iou(state.scene), visible_iou(tried.scene)
+    if state.rests and not tried.rests:
         reason = f"mIoU_visible {was:.4f} -> {now:.4f}, but it does not come to rest"
-        return scene, Decision(choice=f"{step}: rolled back", reason=reason)
-    (kept, _), decision = keep_better((scene, was), (tried, now), score=_second, step=step, measure="mIoU_visible")
+        return state, Decision(choice=f"{step}: rolled back", reason=reason)
+    (kept, _), decision = keep_better((state, was), (tried, now), score=_second, step=step, measure="mIoU_visible")
     return kept, decision
 
 
@@ -244,5 +262,5 @@ def _without(config: AlignConfig, skip: Collection[str]) -> AlignConfig:
     )
 
 
-def _second(pair: tuple[Scene, float]) -> float:
+def _second(pair: tuple[_Settled, float]) -> float:
     return pair[1]

@@ -67,9 +67,13 @@ def describe(config: object) -> str:
 
 
 def changed(config: object, defaults: object) -> dict[str, Any]:
-    """The values that differ from the defaults, by dotted name."""
+    """The values that differ from the defaults, by dotted name, as JSON has them: tuples are lists."""
     values, standard = dict(_leaves(config)), dict(_leaves(defaults))
-    return {name: value for name, value in values.items() if value != standard[name]}
+    return {
+        name: list(value) if isinstance(value, tuple) else value
+        for name, value in values.items()
+        if value != standard[name]
+    }
 
 
 def _overlaid(base: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:

@@ -151,10 +151,10 @@ def object_fit(
 ) -> ObjectFit:
     """The fit of one object in a window around its mask and its render, of at most ``resolution`` pixels a side.
 
-    ``valid`` (H, W) is where the object can be compared; beyond the photo everything is.
+    ``valid`` (H, W) is where the object can be compared; beyond the photo nothing is: it was not seen there.
     """
     window = window_around(o, camera, resolution)
-    mask, region = (sampled(m, camera, window, fill=fill) for m, fill in ((o.mask, False), (valid, True)))
+    mask, region = (sampled(m, camera, window, fill=False) for m in (o.mask, valid))
     return ObjectFit(
         surface=Surface.of([(o.vertices_world, o.mesh.faces)]),
         camera=window,

@@ -192,7 +192,7 @@ def _turned(placed: _Placed, correlation: float, evidence: _Evidence, view: View
     appearance, settings = evidence.appearance, config.appearance
     if appearance is None or correlation >= settings.known:
         return []
-    o, count = placed.object, round(settings.search / settings.step)
+    o, count = placed.object, max(1, round(settings.search / settings.step))
     for axis in (UP, *_blind_axes(placed, view, config)):
         turns = [_about_middle(o, axis, k * settings.step) for k in range(-count, count + 1) if k]
         scores = [appearance.correlation(_textured(_turned_by(o, T), view)) for T in turns]
@@ -230,16 +230,19 @@ def _at_its_depth(
     camera, limits = view.scene.camera, config.depth
     was = evidence.depth.residual(placed.object)
     if was.pixels < limits.pixels or was.spread > limits.spread:
-        return placed, []
+        reason = f"{was.pixels} pixels in common, depths spread by {100 * was.spread:.1f} % of the distance"
+        return placed, [Decision(choice="the geometry does not tell its distance", reason=reason, about=placed.base.id)]
     k = float(np.clip(np.exp(-was.median), 1 - limits.most, 1 + limits.most))
     T = camera.homothety(k)
     moved = _after(placed, T, view, config, scale=k)
     now = evidence.depth.residual(moved.object)
     kept, decision = keep_better(
-        (placed, was), (moved, now), score=lambda c: -c[1].size, step=f"moved along its viewing rays by {k:.3f}",
-        measure="minus median depth residual", about=placed.base.id,
+        (placed, was), (moved, now), score=lambda c: -c[1].size, step="to the geometry's distance",
+        measure="", about=placed.base.id,
     )  # fmt: skip
-    return kept[0], [decision]
+    bound = ", the bound" if abs(k - 1) >= limits.most - 1e-9 else ""
+    told = f"distance times {k:.3f}{bound}; depths {100 * was.size:.2f} -> {100 * now.size:.2f} % off"
+    return kept[0], [replace(decision, reason=told)]
 
 
 # --- parts of phases --------------------------------------------------------------------------------------------------
