@@ -370,3 +370,11 @@ def test_the_doctor_knows_the_devices(monkeypatch: pytest.MonkeyPatch):
     gpu(monkeypatch, one_by_one)
     check = doctor._torch("cuda")
     assert check.state == "ok" and check.found.startswith("a GPU")
+
+
+def test_a_device_that_cannot_work_is_refused_before_any_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(devices, "_torch_version", lambda: None)
+    with pytest.raises(InputError, match=r"refine\.align\.device.*torch is not installed"):
+        devices.require("torch-cpu", "refine.align.device")
+    for device in ("auto", "cpu"):
+        devices.require(device, "align.device")

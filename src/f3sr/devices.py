@@ -104,10 +104,15 @@ def _fallback(why: str) -> Decision:
     return Decision(choice="objects: silhouettes computed on the CPU", reason=f"the GPU failed: {why}", fallback=True)
 
 
-def _unusable(device: Device, why: str) -> InputError:
-    return InputError(
-        "align.device", found=f'"{device}", but {why}', accepted='"auto", "cpu", or what f3sr doctor finds able'
-    )
+def require(device: Device, setting: str) -> None:
+    """Refuse a device that was asked for by a ``setting`` and plainly cannot work here, before any work starts."""
+    why = {"cuda": why_no_cuda, "torch-cpu": why_no_torch}.get(device, lambda: None)()
+    if why:
+        raise _unusable(device, why, setting)
+
+
+def _unusable(device: Device, why: str, setting: str = "align.device") -> InputError:
+    return InputError(setting, found=f'"{device}", but {why}', accepted='"auto", "cpu", or what f3sr doctor finds able')
 
 
 # --- devices of torch ---------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ import numpy as np
 from annotated_types import Interval
 from pydantic import JsonValue
 
+from f3sr import devices
 from f3sr.cache import Store, digest
 from f3sr.frames import rotation_angle
 from f3sr.inputs import Inputs
@@ -118,6 +119,8 @@ def reconstruct(
     config = config or Config()
     if REPEATED_BY_REFINE & set(skip):
         skip = {*skip, "refine"}
+    devices.require(config.align.device, "align.device")
+    devices.require(config.refine.align.device, "refine.align.device")
     run = Runner(inputs.key, skip=skip, skippable=SKIPPABLE, store=store, progress=progress)
 
     scene = run.stage("assemble", _assembled, as_given(inputs), config.assemble, inputs=inputs)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from f3sr.measures import visible_ious
 from f3sr.page.images import figure, img
 from f3sr.page.markup import Child, Markup, el, join
 from f3sr.page.material import Material, look_alike
@@ -15,6 +16,8 @@ from f3sr.scene import SceneObject
 TIPPED = RefineConfig().topple
 FAR_OFF = 0.5
 """Visible IoU under which an object is not where the photo shows it."""
+PAID = 0.1
+"""Visible IoU that an object may lose after align before that is said."""
 REST_TRAVEL = 0.1
 """Largest travel of a centre of mass in 5 s of undamped physics [cm] that is called rest here."""
 
@@ -99,12 +102,15 @@ def warnings(m: Material) -> Markup:
     ]
     notes += [el("li", el("b", "Excluded"), " mask ", el("bdi", e.mask), ": ", e.reason) for e in m.scene.excluded]
     notes += _off_their_masks(m)
+    notes += _paid(m)
     notes += _tipped(m)
     if skipped := skipped_stages(m):
         notes.append(el("li", el("b", "Skipped"), f": {listed(skipped)}"))
     if not notes:
         return el(
-            "p", "No fallback, no skipped stage, no excluded mask, no object off its mask or tipped.", class_="fine"
+            "p",
+            "No fallback, no skipped stage, no excluded mask, no object off its mask, moved away from it or tipped.",
+            class_="fine",
         )
     return el("ul", notes, class_="warnings")
 
@@ -122,6 +128,29 @@ def _off_their_masks(m: Material) -> list[Child]:
             ratio(o.IoU_visible),
         )
         for o in off
+    ]
+
+
+def _paid(m: Material) -> list[Child]:
+    """Objects that contact and physics moved away from where they fitted their masks."""
+    aligned = m.result.scenes.get("align")
+    if aligned is None or not m.details:
+        return []
+    before, after = visible_ious(aligned), visible_ious(m.scene)
+    return [
+        el(
+            "li",
+            el("b", "Moved off its mask by contact"),
+            ": ",
+            el("bdi", name_of(id, m.scene)),
+            ", visible IoU ",
+            ratio(before[id]),
+            " after align, ",
+            ratio(after[id]),
+            " in the result",
+        )
+        for id in after
+        if before[id] - after[id] > PAID
     ]
 
 
