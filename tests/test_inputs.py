@@ -263,7 +263,7 @@ ODD: dict[str, tuple[Spoil, str | None]] = {
     "a mesh with triangles twice": (faces(lambda f: np.concatenate([f, f])), "12 doubled triangles"),
     "a mesh with triangles of no area": (faces(lambda f: np.concatenate([f, f[:, [0, 0, 1]]])), "12 triangles of no"),
     "an edge of three triangles": (mesh(fin), "edges of more than two triangles"),
-    "an inner layer": (mesh(layered), "1 layer or more within another"),
+    "an inner layer": (mesh(layered), "1 layer or fold within itself"),
     "a vertex of no triangle": (mesh(stray), "1 vertices left out"),
     "5000 nodes in a chain": (broken_inputs.gltf(ranks(5000)), None),
     "a mesh in a data URI": (embedded, None),

@@ -7,7 +7,16 @@ import pytest
 import trimesh
 
 from f3sr.frames import pose, rotation_about
-from f3sr.mesh import ConvexPart, Mesh, is_closed, mass_properties, solid_properties, surface_flaws, union
+from f3sr.mesh import (
+    ConvexPart,
+    Mesh,
+    is_closed,
+    mass_properties,
+    signed_volume,
+    solid_properties,
+    surface_flaws,
+    union,
+)
 from scenes import box_mesh
 
 
@@ -120,3 +129,17 @@ def test_unused_vertices_go_and_triangles_stay():
     used = stray.without_unused()
     assert np.array_equal(used.vertices, m.vertices) and np.array_equal(used.uv, m.uv)
     assert np.array_equal(used.faces, m.faces) and m.without_unused() is m
+
+
+def test_a_surface_that_no_body_could_have_is_no_solid() -> None:
+    """A crumpled box: closed, of positive volume, but crossing itself so that a principal moment is negative."""
+    box = box_mesh()
+    vertices, faces = box.welded
+    for seed in range(2000):
+        crumpled = vertices + np.random.default_rng(seed).normal(0, 0.1, vertices.shape)
+        moments = np.linalg.eigvalsh(mass_properties(crumpled, faces).inertia)
+        if signed_volume(crumpled, faces) > 0 and moments[0] < 0:
+            mesh = Mesh(vertices=crumpled, faces=faces)
+            assert not mesh.is_solid and surface_flaws(mesh).layers
+            return
+    pytest.fail("no such box was found")

@@ -101,9 +101,11 @@ class Mesh:
     @cached_property
     def is_solid(self) -> bool:
         """True when the welded surface is closed, consistently wound and outward, no shell in another facing the same
-        way, so that it has a volume."""
+        way, and does not cross itself so much that no body could have its inertia: then it has a volume."""
         vertices, faces = self.welded
-        return is_closed(faces) and signed_volume(vertices, faces) > 0 and not has_layers(vertices, faces)
+        if not is_closed(faces) or signed_volume(vertices, faces) <= 0 or has_layers(vertices, faces):
+            return False
+        return mass_properties(vertices, faces).is_possible
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -151,6 +153,12 @@ class MassProperties:
     center: Array
     inertia: Array
 
+    @property
+    def is_possible(self) -> bool:
+        """Whether some body has that inertia: principal moments are positive, none exceeds the sum of the others."""
+        a, b, c = np.linalg.eigvalsh(self.inertia)
+        return bool(a > 0 and a + b >= c * (1 - 1e-9))
+
 
 def is_closed(faces: NDArray[np.int32]) -> bool:
     """True when every directed edge occurs once and its reverse once."""
@@ -187,7 +195,7 @@ class Flaws:
             "open edges": self.open,
             "edges of more than two triangles": self.shared,
             "edges between triangles that face opposite sides": self.turned,
-            "layer or more within another": int(self.layers),
+            "layer or fold within itself": int(self.layers),
         }
         return ", ".join(f"{count:,} {name}" for name, count in named.items() if count) or "facing inward"
 
