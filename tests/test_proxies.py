@@ -349,3 +349,14 @@ def test_what_has_no_surface_is_refused_first(tmp_path, no_subprocess, vertices,
     mesh = Mesh(vertices=vertices, faces=faces.astype(np.int32))
     with pytest.raises(InputError, match=found):
         decompose_all([box_mesh(), mesh], cache_dir=tmp_path)
+
+
+def test_a_crumpled_mesh_of_few_triangles_is_known_beforehand() -> None:
+    from f3sr.proxies import _crossed_share, _is_no_body
+    from scenes import box_mesh
+
+    vertices, faces = box_mesh().welded
+    assert _crossed_share(vertices, faces) == 0 and _is_no_body(vertices, faces, ProxyConfig()) is None
+    shuffled = np.random.default_rng(1).normal(0, 0.05, vertices.shape)
+    assert _crossed_share(shuffled, faces) > 0.3
+    assert "pierced" in (_is_no_body(shuffled, faces, ProxyConfig()) or "")
