@@ -16,6 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+UP = np.array([0.0, 0.0, 1.0])
+"""Against gravity, in the world."""
 T_UP_FROM_CAMERA = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """World axes (Z up) for a camera that looks horizontally: x right, y forward, z up."""
 

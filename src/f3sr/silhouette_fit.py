@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -106,10 +106,6 @@ class ObjectFit:
                 points = search.send([f + also(u) for f, u in zip(local, points, strict=True)] if also else local)
         except StopIteration as end:
             return end.value
-
-    def after(self, T: Array, freedom: ObjectFreedom) -> ObjectFit:
-        """The same problem once the object has been moved by the rigid T (4, 4)."""
-        return replace(self, surface=self.surface.moved(T, 1.0), freedom=freedom)
 
 
 FitSearch = Search[tuple[ObjectFit, Array], Integrals, R]

@@ -11,12 +11,11 @@ from annotated_types import Interval
 
 from f3sr import contact
 from f3sr.contact import Polytope
-from f3sr.frames import Array, pose
+from f3sr.frames import UP, Array, pose
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.settings import settings
 
-UP = np.array([0.0, 0.0, 1.0])
 RAY_STEPS = 10
 """Places to either side that are tried along the viewing rays before the best is refined."""
 

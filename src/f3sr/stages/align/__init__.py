@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from f3sr import raster
 from f3sr.devices import results_of
+from f3sr.measures import full_silhouette
 from f3sr.outlines import outlined
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene, SceneObject
@@ -25,7 +25,7 @@ def align(
 ) -> tuple[Scene, Report]:
     """Refine the camera against the union of masks (equation 7), then each object from that camera (8, 9).
 
-    Every step is kept only if its IoU does not drop. An object is compared only where nearer objects leave it visible.
+    Every step has a guard of its own. An object is compared only where nearer objects leave it visible.
     ``only`` names the objects to refine, all by default.
     """
     config = config or AlignConfig()
@@ -58,10 +58,4 @@ def align(
 def _ious(scene: Scene, config: AlignConfig) -> Sequence[float]:
     """IoU of each object's full silhouette with its mask, at the working resolution."""
     camera = scene.camera.limited(config.resolution)
-    return [
-        iou(
-            raster.silhouette(camera.to_camera(o.vertices_world), o.mesh.faces, camera.K, camera.width, camera.height),
-            resample(o.mask, camera.width, camera.height),
-        )
-        for o in scene
-    ]
+    return [iou(full_silhouette(o, camera), resample(o.mask, camera.width, camera.height)) for o in scene]

@@ -15,7 +15,7 @@ from f3sr import raster, staged
 from f3sr.appearance import Appearance, principal_axes
 from f3sr.depth_evidence import DepthEvidence
 from f3sr.facets import resting_turn
-from f3sr.frames import Array, pose, rotation_about
+from f3sr.frames import UP, Array, pose, rotation_about
 from f3sr.freedom import ObjectFreedom
 from f3sr.levenberg import Local
 from f3sr.mesh import Mesh, mass_properties
@@ -26,7 +26,6 @@ from f3sr.silhouette_fit import EQUATION_8, EVERYTHING, SMALLEST_AREA, FitSearch
 from f3sr.stages.align.config import AlignConfig
 from f3sr.window import sampled, window_around
 
-UP = np.array([0.0, 0, 1])
 NEAR_VERTICAL = 0.9
 """Cosine to the vertical from which on an axis is taken for it."""
 BLIND_TURN = np.radians(16)
@@ -194,7 +193,7 @@ def _turned(placed: _Placed, correlation: float, evidence: _Evidence, view: View
         return []
     o, count = placed.object, max(1, round(settings.search / settings.step))
     for axis in (UP, *_blind_axes(placed, view, config)):
-        turns = [_about_middle(o, axis, k * settings.step) for k in range(-count, count + 1) if k]
+        turns = [_about_middle(o, rotation_about(axis, k * settings.step)) for k in range(-count, count + 1) if k]
         scores = [appearance.correlation(_textured(_turned_by(o, T), view)) for T in turns]
         best = int(np.argmax(scores))
         if scores[best] >= correlation + settings.gain:
@@ -314,14 +313,17 @@ def _blind_axes(placed: _Placed, view: View, config: AlignConfig) -> Iterator[Ar
     o, least = placed.object, placed.iou - config.appearance.blind
     for axis in principal_axes(_textured(o, view)):
         if abs(axis @ UP) < NEAR_VERTICAL:
-            turned = (_after(placed, _about_middle(o, axis, sign * BLIND_TURN), view, config) for sign in (-1, 1))
+            turned = (
+                _after(placed, _about_middle(o, rotation_about(axis, sign * BLIND_TURN)), view, config)
+                for sign in (-1, 1)
+            )
             if all(t.iou >= least for t in turned):
                 yield axis
 
 
-def _about_middle(o: SceneObject, axis: Array, angle: float) -> Array:
-    """The turn (4, 4) about an axis through an object's middle."""
-    R, middle = rotation_about(axis, angle), o.bounds_world.mean(0)
+def _about_middle(o: SceneObject, R: Array) -> Array:
+    """The turn (4, 4) by R (3, 3) about an object's middle."""
+    middle = o.bounds_world.mean(0)
     return pose(R, middle - R @ middle)
 
 
@@ -338,8 +340,7 @@ def _resting_turn(o: SceneObject, most: float) -> Array | None:
     hull = o.mesh.hull
     solid = o.mesh.welded if o.mesh.is_solid else (hull.vertices, hull.faces)
     R = resting_turn(hull, mass_properties(*solid).center, o.T_world_object[:3, :3], max_tilt=most)
-    middle = o.bounds_world.mean(0)
-    return None if R is None else pose(R, middle - R @ middle)
+    return None if R is None else _about_middle(o, R)
 
 
 def _as_one_motion(before: SceneObject, after: SceneObject, *, reason: str) -> SceneObject:
