@@ -29,6 +29,12 @@ class Grid:
         columns, rows = (max(1, int(np.ceil((high[k] - low[k]) / cell))) for k in (0, 1))
         return cls(origin=(float(low[0]), float(low[1])), cell=cell, rows=rows, columns=columns)
 
+    def points(self, z: Array) -> Array:
+        """The middles (n, 3) of the cells whose height (rows, columns) is finite."""
+        row, column = np.nonzero(np.isfinite(z))
+        x, y = (self.origin[k] + self.cell * (i + 0.5) for k, i in enumerate((column, row)))
+        return np.column_stack([x, y, z[row, column]]).astype(np.float64)
+
 
 def upper(vertices: Array, faces: NDArray[np.int32], grid: Grid) -> Array:
     """Height z (rows, columns) of the highest surface over each cell's middle, nan where there is none."""

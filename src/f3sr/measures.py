@@ -294,12 +294,12 @@ def proxy_distances(o: SceneObject) -> tuple[float, float]:
     """How far the mesh sticks out of its proxy and how far the proxy's surface lies from the mesh, in object sizes."""
     from scipy.spatial import KDTree
 
-    parts = [Polytope.of(part) for part in o.parts]
+    parts = [Polytope.of(part) for part in o.colliders]
     vertices = o.mesh.vertices[:: max(1, len(o.mesh.vertices) // 4000)]
     size = o.size / o.scale
     out = np.min([_outside(vertices, part) for part in parts], axis=0)
     surface = np.concatenate([o.mesh.vertices, sample_surface(o.mesh.vertices, o.mesh.faces, SAMPLES)])
-    samples = np.concatenate([sample_surface(p.vertices, p.faces, PART_SAMPLES) for p in o.parts])
+    samples = np.concatenate([sample_surface(p.vertices, p.faces, PART_SAMPLES) for p in o.colliders])
     covered = np.max([_outside(samples, part) < -1e-4 * size for part in parts], axis=0)
     free = samples[~covered]
     far = float(KDTree(surface).query(free)[0].mean()) if len(free) else 0.0

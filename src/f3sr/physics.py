@@ -166,7 +166,7 @@ def body_of(o: SceneObject, config: PhysicsConfig = DEFAULT_PHYSICS) -> Body:
         inertia=o.density * solid.inertia * o.scale**5,
         from_mesh=from_mesh,
         friction=(o.friction, config.torsional_friction, o.rolling_friction),
-        parts=tuple(part.moved(scale) for part in parts),
+        parts=tuple(part.moved(scale) for part in (*parts, *o.footing)),
     )
 
 
@@ -387,7 +387,7 @@ def _release_spec(objects: Sequence[SceneObject], true_scale: float) -> MjSpec:
     spec = _empty_spec(config)
     spec.compiler.balanceinertia = False
     for i, o in enumerate(sorted(objects, key=lambda o: o.mask_name)):
-        parts = o.parts_world or (ConvexPart.hull_of(o.vertices_world),)
+        parts = o.colliders_world or (ConvexPart.hull_of(o.vertices_world),)
         density = 600 * solid_volume(o.mesh.with_vertices(o.vertices_world), parts) / sum(p.volume for p in parts)
         body = spec.worldbody.add_body(name=f"o{i}")
         if o.mobility != "fixed":

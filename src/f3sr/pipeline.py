@@ -2,35 +2,30 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Annotated
 
-import numpy as np
-from annotated_types import Interval
 from pydantic import JsonValue
 
 from f3sr import devices
 from f3sr.cache import Store, digest
-from f3sr.frames import rotation_angle
 from f3sr.inputs import Inputs
-from f3sr.measures import visible_iou, visible_ious
 from f3sr.progress import Progress, silent
 from f3sr.proxies import ProxyConfig
-from f3sr.report import Decision, Measure, Report, keep_better
+from f3sr.refinement import RefineConfig, Rested, refine
+from f3sr.report import Report
 from f3sr.runner import Runner
-from f3sr.scene import Scene, SceneObject
+from f3sr.scene import Scene
 from f3sr.settings import changed, settings
 from f3sr.stages.align import AlignConfig, align
-from f3sr.stages.align.config import DepthConfig, FacetConfig, TiltConfig
+from f3sr.stages.align.config import FacetConfig
 from f3sr.stages.assemble import AssembleConfig, as_given, assemble
 from f3sr.stages.decompose import decompose
 from f3sr.stages.evaluate import EvaluateConfig, Evaluation, direct_composition, evaluate
 from f3sr.stages.level import LevelConfig, level
 from f3sr.stages.relate import RelateConfig, relate
 from f3sr.stages.separate import SeparateConfig, separate
-from f3sr.stages.settle import SettleStageConfig, settle
+from f3sr.stages.settle import SettleStageConfig, restless, settle
 
 SKIPPABLE = (
     *("level", "align", "align-camera", "align-objects", "relate", "decompose", "separate", "settle"),
@@ -38,35 +33,6 @@ SKIPPABLE = (
 )
 REPEATED_BY_REFINE = {"align", "align-objects", "separate", "settle"}
 """Stages that ``refine`` does again: without one of them there is no refining either."""
-
-
-@settings
-class RefineConfig:
-    """What is tried again once everything rests, and kept where the picture gains.
-
-    Objects that toppled are stood on their nearest stable facet before physics. Then all are re-aligned under contact:
-    they turn about the vertical, shift horizontally and scale about their base, and are separated and settled again.
-    """
-
-    topple: Annotated[float, Interval(gt=0, le=np.pi)] = math.radians(20)
-    """A turn while settling from which on an object has toppled [rad]; the report's instability."""
-    upright: Annotated[float, Interval(gt=0, le=np.pi / 2)] = math.radians(25)
-    """It is stood on a stable facet within this turn [rad]."""
-    rounds: Annotated[int, Interval(ge=0, le=10)] = 2
-    """Most rounds; a round that does not improve the picture is undone and ends it."""
-    align: AlignConfig = field(
-        default_factory=lambda: AlignConfig(
-            camera=False,
-            freedom="support",
-            max_shift=0.2,
-            max_yaw=0.35,
-            max_scale=0.15,
-            yaw_seeds=(0.0,),
-            tilt=TiltConfig(enabled=False),
-            facets=FacetConfig(enabled=False),
-            depth=DepthConfig(enabled=False),
-        )
-    )
 
 
 @settings
@@ -80,7 +46,7 @@ class Config:
     decompose: ProxyConfig = field(default_factory=ProxyConfig)
     separate: SeparateConfig = field(default_factory=SeparateConfig)
     settle: SettleStageConfig = field(default_factory=SettleStageConfig)
-    refine: RefineConfig = field(default_factory=lambda: RefineConfig())
+    refine: RefineConfig = field(default_factory=RefineConfig)
     evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
 
 
@@ -130,7 +96,7 @@ def reconstruct(
     scene = run.stage("decompose", decompose, scene, config.decompose)
     scene = parted = run.stage("separate", separate, scene, config.separate)
     scene = run.stage("settle", settle, scene, config.settle)
-    scene = run.stage("refine", refine, scene, config, parted=parted, rests=_rests(run.reports))
+    scene = run.stage("refine", _refined, scene, config, parted=parted, settled=run.reports[-1])
     aligned = _without(config.align, skip).camera and "align" not in skip
     evaluation = run.value(
         "evaluate",
@@ -172,89 +138,22 @@ def _assembled(_: Scene, config: AssembleConfig, *, inputs: Inputs) -> tuple[Sce
     return assemble(inputs, config)
 
 
-def _rests(reports: Sequence[Report]) -> bool:
-    """Whether the last settling ended at rest."""
-    settled = [report for report in reports if report.stage == "settle"]
-    return bool(settled) and bool(settled[-1].value("at rest"))
+def _refined(scene: Scene, config: Config, *, parted: Scene, settled: Report) -> tuple[Scene, Report]:
+    """``refine`` with this pipeline's stages."""
+    on_a_facet = replace(config.align, camera=False, facets=FacetConfig(most=config.refine.upright, loss=1.0))
 
+    def again(moved: Scene) -> Rested:
+        moved, _ = separate(moved, config.separate)
+        moved, report = settle(moved, config.settle)
+        return Rested(scene=moved, restless=restless(report, config.settle))
 
-@dataclass(frozen=True, eq=False)
-class _Settled:
-    """A scene after settling, and whether it came to rest."""
-
-    scene: Scene
-    rests: bool
-    drifts: Mapping[int | None, float] = field(default_factory=dict[int | None, float])
-    """Travel of each object in the undamped check [mm]."""
-
-
-def refine(scene: Scene, config: Config, *, parted: Scene, rests: bool) -> tuple[Scene, Report]:
-    """Stand up what toppled since ``parted``, then align again what rests, each kept where the picture gains and, once
-    the scene rests (``rests``: from the start), still rests."""
-    before = visible_iou(scene)
-    state, decisions = _stand_up(_Settled(scene, rests), parted, config)
-    for _ in range(config.refine.rounds):
-        kept, decision, gained = _aligned_again(state, [o.id for o in scene], config)
-        decisions.append(decision)
-        if kept is state and gained:
-            kept, decision, _ = _aligned_again(state, gained, config)
-            decisions.append(decision)
-        if kept is state:
-            break
-        state = kept
-    measures = (Measure(name="mIoU_visible", before=before, after=visible_iou(state.scene)),)
-    return state.scene, Report(stage="refine", measures=measures, decisions=tuple(decisions))
-
-
-def _stand_up(state: _Settled, parted: Scene, config: Config) -> tuple[_Settled, list[Decision]]:
-    """Put what toppled on its nearest stable facet, whatever that costs its own silhouette, and settle anew."""
-    toppled = [o.id for o in state.scene if _turn(parted[o.id], o) > config.refine.topple]
-    if not toppled:
-        return state, []
-    on_a_facet = FacetConfig(most=config.refine.upright, loss=1.0)
-    upright, _ = align(parted, replace(config.align, camera=False, facets=on_a_facet), only=toppled)
-    step = f"standing up what toppled: object {', '.join(map(str, toppled))}"
-    kept, decision = _better(state, _settled_again(upright, config), step)
-    return kept, [decision]
-
-
-def _aligned_again(state: _Settled, among: Sequence[int], config: Config) -> tuple[_Settled, Decision, list[int]]:
-    """Some objects re-aligned, all settled, where the picture gains; and which of them would gain on their own: those
-    that show more of their masks, without what will not rest and all that carries it or is carried by it."""
-    scene = state.scene
-    moved, _ = align(scene, config.refine.align, only=among)
-    tried = _settled_again(moved, config)
-    step = "re-alignment under contact"
-    if len(among) < len(scene.objects):
-        step += f" of {', '.join(map(str, among))} alone"
-    kept, decision = _better(state, tried, step)
-    limit = 1000 * config.settle.settling.drift_limit
-    restless = [o.id for o in scene if tried.drifts[o.id] > limit]
-    bound = {k for id in restless for k in (*tried.scene.ancestors(id), *tried.scene.subtree(id), *scene.ancestors(id))}
-    was, now = visible_ious(scene), visible_ious(tried.scene)
-    return kept, decision, [id for id in among if now[id] > was[id] and id not in bound]
-
-
-def _settled_again(moved: Scene, config: Config) -> _Settled:
-    """A changed scene, separated and settled."""
-    moved, _ = separate(moved, config.separate)
-    moved, report = settle(moved, config.settle)
-    drifts = {m.about: m.after for m in report.measures if m.name == "undamped drift"}
-    return _Settled(moved, bool(report.value("at rest")), drifts)
-
-
-def _better(state: _Settled, tried: _Settled, step: str) -> tuple[_Settled, Decision]:
-    """``tried`` where it shows more of the photo, and rests unless ``state`` does not either, else ``state``."""
-    was, now = visible_iou(state.scene), visible_iou(tried.scene)
-    if state.rests and not tried.rests:
-        reason = f"mIoU_visible {was:.4f} -> {now:.4f}, but it does not come to rest"
-        return state, Decision(choice=f"{step}: rolled back", reason=reason)
-    (kept, _), decision = keep_better((state, was), (tried, now), score=_second, step=step, measure="mIoU_visible")
-    return kept, decision
-
-
-def _turn(a: SceneObject, b: SceneObject) -> float:
-    return rotation_angle(b.T_world_object[:3, :3] @ a.T_world_object[:3, :3].T)
+    return refine(
+        Rested(scene=scene, restless=restless(settled, config.settle)),
+        config.refine,
+        parted=parted,
+        stood_up=lambda scene, ids: again(align(scene, on_a_facet, only=ids)[0]),
+        realigned=lambda scene, ids: again(align(scene, config.refine.align, only=ids)[0]),
+    )
 
 
 def _without(config: AlignConfig, skip: Collection[str]) -> AlignConfig:
@@ -263,7 +162,3 @@ def _without(config: AlignConfig, skip: Collection[str]) -> AlignConfig:
         camera=config.camera and "align-camera" not in skip,
         objects=config.objects and "align-objects" not in skip,
     )
-
-
-def _second(pair: tuple[_Settled, float]) -> float:
-    return pair[1]

@@ -110,6 +110,8 @@ class SceneObject:
     scale: float = 1.0
     parts: tuple[ConvexPart, ...] = ()
     """Collision proxies, same frame and unit as ``mesh``."""
+    footing: tuple[ConvexPart, ...] = ()
+    """Collision geometry added under the mesh, so that it stands as the photo shows it; same frame and unit."""
     mobility: Mobility = "dynamic"
     density: float = 600.0
     """[kg/m3]"""
@@ -154,9 +156,14 @@ class SceneObject:
         """Diagonal of the world bounding box [m]."""
         return float(np.linalg.norm(self.bounds_world[1] - self.bounds_world[0]))
 
+    @property
+    def colliders(self) -> tuple[ConvexPart, ...]:
+        """All that touches, in the asset's frame: proxies and footing."""
+        return (*self.parts, *self.footing)
+
     @cached_property
-    def parts_world(self) -> tuple[ConvexPart, ...]:
-        return tuple(part.moved(self.T_world_asset) for part in self.parts)
+    def colliders_world(self) -> tuple[ConvexPart, ...]:
+        return tuple(part.moved(self.T_world_asset) for part in self.colliders)
 
     def moved(self, T: Array, *, stage: str, reason: str, scale: float = 1.0) -> Self:
         """Apply the world similarity ``x -> T (scale * x)``, T rigid (4, 4), and note it in ``motion``."""

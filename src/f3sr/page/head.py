@@ -10,7 +10,8 @@ from f3sr.page.markup import Child, Markup, el, join
 from f3sr.page.material import Material, look_alike
 from f3sr.page.words import about, counted, length, listed, name_of, ratio, share, told
 from f3sr.physics import DEFAULT_PHYSICS
-from f3sr.pipeline import SKIPPABLE, RefineConfig
+from f3sr.pipeline import SKIPPABLE
+from f3sr.refinement import RefineConfig
 from f3sr.scene import SceneObject
 
 TIPPED = RefineConfig().topple

@@ -129,7 +129,7 @@ def _object(o: SceneObject, direct: SceneObject, faces: int, textures: _Textures
         "id": o.id,
         "label": clean(o.label),
         "mesh": packed_mesh(lightened(o.mesh, faces), textures.index),
-        "parts": packed_parts(o.parts),
+        "parts": packed_parts(o.colliders),
         "direct": direct.T_world_asset.ravel().tolist(),
         "ours": o.T_world_asset.ravel().tolist(),
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import field, replace
 from itertools import combinations
 from typing import Annotated
 
@@ -11,9 +12,12 @@ from annotated_types import Interval
 
 from f3sr import contact
 from f3sr.contact import Polytope
+from f3sr.footing import GROUND_PLANE, FootingConfig, Plane, footing, support_plane
 from f3sr.frames import UP, Array, pose
+from f3sr.mesh import ConvexPart
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import GROUND, Scene, SceneObject
+from f3sr.sensitivity import loss_matrix
 from f3sr.settings import settings
 
 RAY_STEPS = 10
@@ -33,10 +37,12 @@ class SeparateConfig:
     deviation; .009 between the objects of ten known scenes after alignment)."""
     unknown_depth_sigma: Annotated[float, Interval(gt=0, le=1)] = 0.03
     """The same where it has none (.022 of the poses of generated assets)."""
-    lift_sigma: Annotated[float, Interval(gt=0, le=1)] = 0.01
-    """How well an object's place in the picture is known, as a share of its size: what lifting or lowering costs."""
+    picture_sigma: Annotated[float, Interval(gt=0, le=1)] = 0.02
+    """How well an object's place in the picture is known, as the IoU with its mask that lifting or lowering it costs:
+    more trust in the picture costs places in depth, less costs the picture without places gained."""
     rounds: Annotated[int, Interval(ge=1, le=100)] = 16
     """Most rounds of horizontal parting; the report allows 32."""
+    footing: FootingConfig = field(default_factory=FootingConfig)
 
 
 def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene, Report]:
@@ -47,9 +53,11 @@ def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene,
     viewing rays, scaled alike about the camera centre, which leaves the picture as it is, and by the smallest lift, or
     by lowering, each as far as is likely by what is known of distances and of the picture. Then unrelated objects that
     overlap are parted horizontally by the branches that part below their common support, so that nothing is left
-    behind. What still overlaps is counted, never hidden.
+    behind. At last a nearly flat underside gets a footing, so that physics leaves the object as it stands. What still
+    overlaps is counted, never hidden.
     """
     config = config or SeparateConfig()
+    scene = scene.with_objects(*(replace(o, footing=()) for o in scene if o.footing))
     layout = _Layout(scene)
     before = len(layout.collisions())
     layout.along_rays(tuple(layout.bodies), _common_scale(layout, config))
@@ -58,12 +66,13 @@ def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene,
         if not _part(layout, config):
             break
     _seat(layout, config)
+    decisions = _stand(layout, config) if config.footing.enabled else []
     left = layout.collisions()
-    decisions = [
+    decisions += [
         Decision(choice=f"still overlaps {_name(b)} after separation", reason="no free place found", about=a)
         for a, b in left
     ]
-    moved = scene.with_objects(*_moved_objects(layout))
+    moved = scene.with_objects(*(layout.object(o.id) for o in scene))
     measures = [Measure(name="overlapping pairs", before=before, after=len(left))]
     measures += [Measure(name="moved", after=1000 * layout.travel(o.id), unit="mm", about=o.id) for o in scene]
     measures += [
@@ -77,7 +86,8 @@ class _Layout:
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self.bodies = {o.id: tuple(Polytope.of(p).moved(o.T_world_asset) for p in o.parts) for o in scene}
+        self.bodies = {o.id: _polytopes(o, o.parts) for o in scene}
+        self.footings: dict[int, tuple[ConvexPart, ...]] = {}
         self.shift: dict[int, Array] = {o.id: np.zeros(3) for o in scene}
         self.scale: dict[int, float] = {o.id: 1.0 for o in scene}
 
@@ -94,13 +104,39 @@ class _Layout:
         """The homothety ``X -> C + k (X - C)`` about the camera centre C: no silhouette changes."""
         self.move(ids, (1 - k) * self.scene.camera.center, scale=k)
 
+    def object(self, id: int) -> SceneObject:
+        """The scene's object where its body is now."""
+        o, t, k = self.scene[id], self.shift[id], self.scale[id]
+        if t.any() or k != 1:
+            reason = f"onto its support and out of others: {1000 * self.travel(id):.1f} mm, scale {k:.4f}"
+            o = o.moved(pose(t=t), scale=k, stage="separate", reason=reason)
+        return replace(o, footing=self.footings.get(id, ()))
+
+    def carriers(self, id: int) -> tuple[Polytope, ...]:
+        """All that carries a body but the ground."""
+        return tuple(p for s in self.scene[id].supports if s.id != GROUND for p in self.bodies[s.id])
+
+    def stand(self, id: int, wedges: tuple[ConvexPart, ...]) -> None:
+        """Put a body on a footing (asset frame)."""
+        self.footings[id] = wedges
+        self.bodies[id] = _polytopes(self.object(id), (*self.scene[id].parts, *wedges))
+
     def travel(self, id: int) -> float:
         """How far the middle of a body has moved [m]."""
         middle = self.scene[id].bounds_world.mean(0)
         return float(np.linalg.norm(self.scale[id] * middle + self.shift[id] - middle))
 
+    def loss(self, id: int) -> Array:
+        """What the picture feels of a body's shifts: W (3, 3), d' W d the square of the IoU it loses."""
+        o = self.scene[id]
+        return loss_matrix(o.mask, self.scene.camera, self.scale[id] * o.bounds_world.mean(0) + self.shift[id])
+
     def lowest(self, id: int) -> float:
         return min(float(p.bounds[0, 2]) for p in self.bodies[id])
+
+    def collisions_of(self, id: int) -> set[int]:
+        """Other bodies that a body overlaps."""
+        return {k for k in self.bodies if k != id and contact.collide(self.bodies[id], self.bodies[k])}
 
     def collisions(self) -> list[tuple[int, int]]:
         """Pairs of ids that overlap, the ground included as the second."""
@@ -122,14 +158,51 @@ def _seat(layout: _Layout, config: SeparateConfig) -> None:
 def _gap(body: contact.Body, id: int, layout: _Layout, config: SeparateConfig) -> float:
     """How far a body hangs over its support and the ground [m]; negative: how far it must rise to be free of them."""
     lowest = min(float(p.bounds[0, 2]) for p in body) - config.clearance
-    parent = layout.scene[id].supported_by
-    if parent is None or parent == GROUND:
+    carriers = layout.carriers(id)
+    if not carriers:
         return lowest
-    support = layout.bodies[parent]
-    rise = max(contact.smallest_shift(body, support, UP, config.clearance), -lowest)
+    rise = max(contact.smallest_shift(body, carriers, UP, config.clearance), -lowest)
     if rise > 0:
         return -rise
-    return min(contact.free_travel(body, support, -UP) - config.clearance, lowest)
+    return min(contact.free_travel(body, carriers, -UP) - config.clearance, lowest)
+
+
+def _stand(layout: _Layout, config: SeparateConfig) -> list[Decision]:
+    """Give every object that needs one a footing on what is below it, supports first."""
+    decisions: list[Decision] = []
+    for id in _supports_first(layout.scene):
+        o = layout.object(id)
+        plane = _plane_below(layout, o, config.footing)
+        wedges = footing(o, plane, config.footing) if plane and o.mobility == "dynamic" else ()
+        if not wedges:
+            continue
+        was = layout.collisions_of(id)
+        layout.stand(id, wedges)
+        if layout.collisions_of(id) - was - {s.id for s in o.supports}:
+            layout.stand(id, ())
+            continue
+        layout.move(layout.scene.subtree(id), -_gap(layout.bodies[id], id, layout, config) * UP)
+        decisions.append(_footing_decision(o, wedges))
+    return decisions
+
+
+def _footing_decision(o: SceneObject, wedges: tuple[ConvexPart, ...]) -> Decision:
+    height = max(float(np.ptp(w.moved(o.T_world_asset).vertices[:, 2])) for w in wedges)
+    reason = (
+        f"its underside, which no photo shows, is uneven or turned against what it stands on: up to "
+        f"{1000 * height:.1f} mm ({100 * height / o.size:.1f} % of its size) added below it, for contact only"
+    )
+    return Decision(choice="given a footing", reason=reason, about=o.id)
+
+
+def _plane_below(layout: _Layout, o: SceneObject, config: FootingConfig) -> Plane | None:
+    """What a flat underside would rest on."""
+    if o.supported_by is None:
+        return None
+    if o.supported_by == GROUND:
+        return GROUND_PLANE
+    below = [layout.object(s.id).colliders_world for s in o.supports if s.id != GROUND]
+    return support_plane(o, [part for parts in below for part in parts], config)
 
 
 def _common_scale(layout: _Layout, config: SeparateConfig) -> float:
@@ -150,11 +223,11 @@ def _ground_scale(layout: _Layout, id: int, config: SeparateConfig) -> float:
 def _contact_scale(layout: _Layout, id: int, config: SeparateConfig) -> float:
     """The k by which the body is moved along its viewing rays before it is lifted or lowered onto its support.
 
-    It is the most likely one: distances are known to ``depth_sigma`` and places in the picture to ``lift_sigma`` of
-    the object's size, so k has the least (log k / depth_sigma)^2 + (gap(k) / (lift_sigma size))^2 within its bound.
-    Over the ground gap(k) is linear.
+    It is the most likely one: distances are known to ``depth_sigma`` and places in the picture to ``picture_sigma``,
+    so k has the least (log k / depth_sigma)^2 + (loss(gap(k)) / picture_sigma)^2 within its bound, where loss is the
+    IoU that the lift costs. Over the ground gap(k) is linear.
     """
-    limit, size = config.max_ray_scale, layout.scale[id] * layout.scene[id].size
+    limit, loss = config.max_ray_scale, float(np.sqrt(layout.loss(id)[2, 2]))
     sigma = config.depth_sigma if layout.scene.geometry else config.unknown_depth_sigma
     C, body = layout.scene.camera.center, layout.bodies[id]
     on_the_ground = layout.scene[id].supported_by == GROUND
@@ -165,7 +238,7 @@ def _contact_scale(layout: _Layout, id: int, config: SeparateConfig) -> float:
         return _gap(_moved(body, (1 - k) * C, k), id, layout, config)
 
     def cost(k: float) -> float:
-        return float(np.log(k) / sigma) ** 2 + (gap(k) / (config.lift_sigma * size)) ** 2
+        return float(np.log(k) / sigma) ** 2 + (loss * gap(k) / config.picture_sigma) ** 2
 
     tried = np.linspace(1 - limit, 1 + limit, 2 * RAY_STEPS + 1)
     best = int(np.argmin([cost(float(k)) for k in tried]))
@@ -188,6 +261,10 @@ def _least(cost: Callable[[float], float], a: float, b: float) -> float:
             d = a + ratio * (b - a)
             at_d = cost(d)
     return (a + b) / 2
+
+
+def _polytopes(o: SceneObject, parts: tuple[ConvexPart, ...]) -> tuple[Polytope, ...]:
+    return tuple(Polytope.of(p).moved(o.T_world_asset) for p in parts)
 
 
 def _moved(body: contact.Body, t: Array, scale: float) -> tuple[Polytope, ...]:
@@ -241,14 +318,6 @@ def _unrelated(scene: Scene) -> Iterator[tuple[int, int]]:
 
 def _supports_first(scene: Scene) -> list[int]:
     return sorted((o.id for o in scene), key=lambda id: (len(scene.ancestors(id)), id))
-
-
-def _moved_objects(layout: _Layout) -> Iterator[SceneObject]:
-    for o in layout.scene:
-        t, k = layout.shift[o.id], layout.scale[o.id]
-        if t.any() or k != 1:
-            reason = f"onto its support and out of others: {1000 * layout.travel(o.id):.1f} mm, scale {k:.4f}"
-            yield o.moved(pose(t=t), scale=k, stage="separate", reason=reason)
 
 
 def _name(id: int) -> str:

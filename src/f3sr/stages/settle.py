@@ -16,6 +16,9 @@ from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene, SceneObject, Support
 from f3sr.settings import settings
 
+DRIFT = "undamped drift"
+"""The measure of how far a centre of mass moves in the undamped check."""
+
 
 @settings
 class SettleStageConfig:
@@ -50,12 +53,20 @@ def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene
     measures = [
         Measure(name="at rest", after=float(result.at_rest)),
         Measure(name="time to rest", after=result.seconds, unit="s"),
-        Measure(name="undamped drift", after=1000 * drift, unit="mm"),
-        *(Measure(name="undamped drift", after=1000 * result.drifts[o.id], unit="mm", about=o.id) for o in scene),
+        Measure(name=DRIFT, after=1000 * drift, unit="mm"),
+        *(Measure(name=DRIFT, after=1000 * result.drifts[o.id], unit="mm", about=o.id) for o in scene),
         *(_travel(before, after) for before, after in zip(scene, moved, strict=True)),
         *(_turn(before, after) for before, after in zip(scene, moved, strict=True)),
     ]
     return scene.with_objects(*moved), Report(stage="settle", measures=tuple(measures), decisions=tuple(decisions))
+
+
+def restless(report: Report, config: SettleStageConfig) -> frozenset[int]:
+    """Ids of the objects that do not rest after ``settle``, by its report."""
+    drifts = {m.about: m.after for m in report.measures if m.name == DRIFT and m.about is not None}
+    limit = 1000 * config.settling.drift_limit
+    moving = frozenset(id for id, drift in drifts.items() if not drift <= limit)
+    return moving if moving or report.value("at rest") else frozenset(drifts)
 
 
 def _carried(o: SceneObject, loads: Mapping[tuple[int, int], float], min_share: float) -> SceneObject:

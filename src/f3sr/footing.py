@@ -1,0 +1,219 @@
+"""Footings: thin wedges of collision geometry under an underside that is nearly flat, so that an object stands on its
+support the way the photo shows it.
+
+No photo shows an underside, so a generated one is a guess: it is commonly turned by some degrees against the body it
+belongs to. Physics would tip the object onto it, against the picture. A footing fills what is missing between the
+underside and the plane below. Round things get none and can still roll.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, cast
+
+import numpy as np
+from annotated_types import Interval
+from numpy.typing import NDArray
+
+from f3sr import heights
+from f3sr.facets import stable_normals
+from f3sr.frames import Array, transform
+from f3sr.mesh import ConvexPart
+from f3sr.physics import body_of
+from f3sr.scene import SceneObject
+from f3sr.settings import settings
+
+
+@settings
+class FootingConfig:
+    enabled: bool = True
+    max_turn: Annotated[float, Interval(gt=0, le=0.7)] = 0.22
+    """Largest angle [rad] between the support and the facet an object would fall onto; generated undersides are off by
+    up to 12 degrees."""
+    max_height: Annotated[float, Interval(ge=0, le=0.2)] = 0.03
+    """Largest mean height of what is filled in, as a share of the object's size: beyond, it would look afloat."""
+    flat: Annotated[float, Interval(gt=0, le=0.1)] = 0.01
+    """What lies this near to that facet's plane belongs to the underside, as a share of the object's size."""
+    min_area: Annotated[float, Interval(ge=0, le=1)] = 0.15
+    """Least area of the underside's outline as a share of the object's, both seen from above: less is round (a ball has
+    .07), or too small to stand on."""
+    min_margin: Annotated[float, Interval(ge=0, le=0.5)] = 0.05
+    """By how much [rad] the object could be tilted on its footing before it falls."""
+    cells: Annotated[int, Interval(ge=8, le=512)] = 48
+    """Cells along the longer side of the underside's height map."""
+    pieces: Annotated[int, Interval(ge=1, le=64)] = 8
+    """Most pieces, one for every patch of the underside: a chair has four legs."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Plane:
+    """``normal . x = offset`` in the world, the normal upward."""
+
+    normal: Array
+    offset: float
+
+    def heights(self, points: Array) -> Array:
+        """Signed distance (n,) of points (n, 3) above the plane [m]."""
+        return points @ self.normal - self.offset
+
+    def below(self, points: Array, height: float) -> Array:
+        """Points (n, 3) moved vertically until they are ``height`` above the plane."""
+        z = (self.offset + height - points[:, :2] @ self.normal[:2]) / self.normal[2]
+        return np.column_stack([points[:, :2], z])
+
+
+GROUND_PLANE = Plane(normal=np.array([0.0, 0.0, 1.0]), offset=0.0)
+
+
+def footing(o: SceneObject, plane: Plane, config: FootingConfig) -> tuple[ConvexPart, ...]:
+    """The wedges (asset frame) that let an object stand as it is on a plane below it; none where it needs none, is
+    round, would fall anyway, or where more than ``max_height`` would have to be filled in."""
+    hull = o.mesh.hull.moved(o.T_world_asset)
+    underside = _Underside.of(o, hull, plane, config)
+    if underside is None:
+        return ()
+    lowest = float(plane.heights(hull.vertices).min())
+    missing = plane.heights(underside.corners) - lowest
+    if not len(missing) or missing.mean() > config.max_height * o.size or missing.max() <= GRAIN * o.size:
+        return ()
+    if not underside.carries(plane, lowest, config):
+        return ()
+    T_asset_world: Array = np.linalg.inv(o.T_world_asset).astype(np.float64)
+    return tuple(
+        ConvexPart.hull_of(np.concatenate([patch, plane.below(patch, lowest)])).moved(T_asset_world)
+        for patch in underside.patches(config.pieces)
+    )
+
+
+def support_plane(o: SceneObject, tops: Sequence[ConvexPart], config: FootingConfig) -> Plane | None:
+    """The plane on which a flat underside of ``o`` would come to rest on what is below it: of the hull of the upper
+    surfaces of ``tops`` (world) under its outline, the facet under its centre of mass; None when there is none or it
+    is steep."""
+    underside = _Underside.of(o, o.mesh.hull.moved(o.T_world_asset), GROUND_PLANE, config)
+    if underside is None or not tops:
+        return None
+    vertices = np.concatenate([p.vertices for p in tops])
+    starts = np.cumsum([0, *(len(p.vertices) for p in tops)])
+    faces = np.concatenate([p.faces + start for p, start in zip(tops, starts, strict=False)])
+    top = heights.upper(vertices, faces, underside.grid)
+    try:
+        hull = ConvexPart.hull_of(underside.grid.points(np.where(underside.cells, top, np.nan)))
+    except ValueError:
+        return None
+    return _facet_above(hull, underside.center, config)
+
+
+def _facet_above(hull: ConvexPart, center: Array, config: FootingConfig) -> Plane | None:
+    """The upper facet of a hull that a vertical line through ``center`` meets."""
+    a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    met = normals[:, 2] > np.cos(config.max_turn)
+    for p, q in ((a, b), (b, c), (c, a)):
+        met &= (q - p)[:, 0] * (center[1] - p[:, 1]) - (q - p)[:, 1] * (center[0] - p[:, 0]) >= 0
+    if not met.any():
+        return None
+    k = int(np.argmax(met))
+    return Plane(normal=normals[k], offset=float(normals[k] @ a[k]))
+
+
+def _facet_below(hull: ConvexPart, center: Array, plane: Plane, config: FootingConfig) -> Plane | None:
+    """The stable facet the body would fall onto, as a plane with an upward normal; None when it is far."""
+    normals = stable_normals(hull, center)
+    if not len(normals):
+        return None
+    normal = -normals[int(np.argmin(normals @ plane.normal))]
+    if normal @ plane.normal < np.cos(config.max_turn):
+        return None
+    return Plane(normal=normal, offset=float((hull.vertices @ normal).min()))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Underside:
+    """What of a body lies on the facet it would fall onto, in the cells of a height map from below."""
+
+    grid: heights.Grid
+    cells: NDArray[np.bool_]
+    """Which cells (rows, columns) belong to it."""
+    corners: Array
+    """Their corners (4 n, 3) in the world."""
+    patch: NDArray[np.int64]
+    """To which connected patch each corner belongs (4 n,), from 1."""
+    center: Array
+    """The body's centre of mass (3,)."""
+    outline: _Outline
+    """Of the whole body."""
+
+    @classmethod
+    def of(cls, o: SceneObject, hull: ConvexPart, plane: Plane, config: FootingConfig) -> _Underside | None:
+        """The underside of ``o``, whose ``hull`` is in the world; None where no stable facet is near."""
+        from scipy.ndimage import label
+
+        center = transform(o.T_world_object, body_of(o).center[None])[0]
+        facet = _facet_below(hull, center, plane, config)
+        if facet is None:
+            return None
+        low, high = o.bounds_world
+        grid = heights.Grid.over(low, high, float((high - low)[:2].max()) / config.cells)
+        z = heights.lower(o.vertices_world, o.mesh.faces, grid)
+        points = grid.points(z)
+        on_it = facet.heights(points) <= config.flat * o.size
+        cells = np.isfinite(z)
+        cells[cells] = on_it
+        patches, _ = cast(tuple[NDArray[np.int64], int], label(cells, np.ones((3, 3))))
+        half = 0.5 * grid.cell * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+        return cls(
+            grid=grid,
+            cells=cells,
+            corners=(points[on_it, None] + half).reshape(-1, 3),
+            patch=np.repeat(patches[cells], len(half)),
+            center=center,
+            outline=_Outline.of(hull.vertices),
+        )
+
+    def carries(self, plane: Plane, lowest: float, config: FootingConfig) -> bool:
+        """Whether the body stands on it, were all of it ``lowest`` above the plane."""
+        outline = _Outline.of(self.corners)
+        height = float(self.center[2] - plane.below(self.center[None], lowest)[0, 2])
+        stands = outline.depth(self.center) >= np.tan(config.min_margin) * height
+        return stands and outline.area >= config.min_area * self.outline.area
+
+    def patches(self, most: int) -> list[Array]:
+        """The outermost points (k, 3) of every patch, the largest ``most`` of them."""
+        sizes = np.bincount(self.patch)
+        largest = np.argsort(-sizes, kind="stable")[:most]
+        return [_outermost(self.corners[self.patch == k]) for k in sorted(largest) if sizes[k]]
+
+
+def _outermost(points: Array) -> Array:
+    """Those of points (n, 3) that reach farthest in one of ``SIDES`` horizontal directions."""
+    angles = np.arange(SIDES) * 2 * np.pi / SIDES
+    reach = points[:, :2] @ np.array([np.cos(angles), np.sin(angles)])
+    return points[np.unique(reach.argmax(0))]
+
+
+GRAIN = 1e-3
+"""What is missing under an underside that is flat but for this share of the object's size is not worth a footing."""
+SIDES = 16
+"""Corners of a footing's outline: contacts cost with them, and a circle's outline is within 2 % of its radius."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Outline:
+    """The convex outline of points seen from above: unit outward normals (k, 2), offsets (k,), area [m2]."""
+
+    normals: Array
+    offsets: Array
+    area: float
+
+    @classmethod
+    def of(cls, points: Array) -> _Outline:
+        from scipy.spatial import ConvexHull
+
+        hull = ConvexHull(points[:, :2])
+        return cls(normals=hull.equations[:, :2], offsets=-hull.equations[:, 2], area=float(hull.volume))
+
+    def depth(self, point: Array) -> float:
+        """How far inside the outline a point (3,) lies [m]; negative outside."""
+        return float((self.offsets - self.normals @ point[:2]).min())

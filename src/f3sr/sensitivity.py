@@ -1,0 +1,27 @@
+"""How much of its mask an object loses when it moves: what the picture feels of a displacement."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.frames import Array, Camera
+
+
+def loss_per_pixel(mask: NDArray[np.bool_]) -> Array:
+    """IoU lost per pixel of shift to the right and downward (2,), for small shifts: of a silhouette A and itself
+    shifted by d, 1 - IoU = |A xor (A + d)| / |A or (A + d)|, where every border pixel across d counts once."""
+    across = np.count_nonzero(mask[:, 1:] != mask[:, :-1]), np.count_nonzero(mask[1:] != mask[:-1])
+    return np.array(across) / max(1, np.count_nonzero(mask))
+
+
+def loss_matrix(mask: NDArray[np.bool_], camera: Camera, point: Array) -> Array:
+    """W (3, 3) [1/m2] with d' W d the squared IoU that an object at ``point`` (3,) loses by a small shift d (3,) in the
+    world; singular along the viewing ray. Zero for a point that is not in front of the camera."""
+    x, y, z = camera.to_camera(point[None])[0]
+    if z <= 0:
+        return np.zeros((3, 3))
+    fx, fy = camera.K[0, 0], camera.K[1, 1]
+    pixels = np.array([[fx / z, 0, -fx * x / z**2], [0, fy / z, -fy * y / z**2]]) @ camera.T_camera_world[:3, :3]
+    weighted = loss_per_pixel(mask)[:, None] * pixels
+    return weighted.T @ weighted
