@@ -17,7 +17,6 @@ from f3sr.mesh import ConvexPart
 from f3sr.patches import find_contacts
 from f3sr.scene import GROUND, SceneObject
 from f3sr.statics import FALLS, StaticBody, bodies_of, contact_loads, contacts_of, stability
-from scenes import box
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 stacks = importlib.import_module("stacks")

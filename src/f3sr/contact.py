@@ -40,8 +40,8 @@ class Polytope:
 
     ``vertices`` (n, 3); outward unit ``normals`` (f, 3) and ``offsets`` (f,): inside is
     ``normals . x <= offsets``; per edge ``edge_starts`` (e, 3), unit ``edge_directions`` (e, 3),
-    ``edge_lengths`` (e,) and ``edge_normals`` (e, 2, 3), the facets' normals to its left and right seen from outside, so that
-    left x right points along the edge.
+    ``edge_lengths`` (e,) and ``edge_normals`` (e, 2, 3), the facets' normals to its left and right seen from
+    outside, so that left x right points along the edge.
     """
 
     vertices: Array

@@ -22,7 +22,7 @@ from f3sr.mesh import ConvexPart
 from f3sr.scene import GROUND
 
 REACH = 6e-4
-"""Surfaces nearer than this touch [m]: bodies are left .4 mm apart, and what closes by moving .2 mm counts as at rest."""
+"""Surfaces nearer than this touch [m]: bodies are left .4 mm apart, and what closes by moving .2 mm is at rest."""
 FACE_FIRST = 0.05
 """An axis across two edges replaces that of a face when it separates by this share of the reach more: the normals of
 nearly parallel edges are noise."""
@@ -132,7 +132,8 @@ def _apart(a: Array, b: Array, reach: float) -> bool:
 
 def _near(a: Array, b: Array, reach: float) -> NDArray[np.bool_]:
     """Pairs (n, m) of parts whose boxes come within reach of each other."""
-    return ((a[:, None, 0] <= b[None, :, 1] + reach) & (b[None, :, 0] <= a[:, None, 1] + reach)).all(-1)
+    near = (a[:, None, 0] <= b[None, :, 1] + reach) & (b[None, :, 0] <= a[:, None, 1] + reach)
+    return np.logical_and.reduce(near, axis=-1)
 
 
 def _between(a: Polytope, b: Polytope, reach: float) -> _Patch | None:

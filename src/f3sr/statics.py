@@ -244,9 +244,8 @@ class Balance:
         rough = {GROUND: ground_friction, **{b.id: b.friction for b in bodies}}
         if friction is not None:
             rough = dict.fromkeys(rough, friction)
-        self.friction = np.array(
-            [max(rough[a], rough[b]) for a, b in zip(self.contacts.upper.tolist(), self.contacts.lower.tolist())]
-        )
+        pairs = zip(self.contacts.upper.tolist(), self.contacts.lower.tolist(), strict=True)
+        self.friction = np.array([max(rough[a], rough[b]) for a, b in pairs])
         self.sizes = np.array([b.size for b in self.group])
         self.masses = np.array([b.mass for b in self.group])
         self.edges = self._cone_edges()
@@ -282,7 +281,8 @@ class Balance:
             rows = 6 * body[:, None, None] + np.arange(6)
             columns = EDGES * on[:, None, None] + np.arange(EDGES)[:, None]
             values = np.concatenate([force, moment], axis=2)
-            blocks.append((values.ravel(), *(x.ravel() for x in np.broadcast_arrays(rows, columns))))
+            rows, columns = np.broadcast_arrays(rows, columns)
+            blocks.append((values.ravel(), rows.ravel(), columns.ravel()))
         values, rows, columns = (np.concatenate(x) for x in zip(*blocks, strict=True)) if blocks else ([], [], [])
         return csc_array((values, (rows, columns)), shape=(6 * len(self.group), EDGES * len(self.contacts)))
 
@@ -386,13 +386,13 @@ class Balance:
 def least_forces(wrenches: Any, wanted: Array) -> Array:
     """f >= 0 with the least ``|f|^2 + STIFF |wrenches f - wanted|^2``.
 
-    Newton's method on the dual, whose gradient is piecewise linear: f is the positive part of ``wrenches.T @ l``.
+    Newton's method on the dual, whose gradient is piecewise linear: f is the positive part of the multipliers' wrenches.
     """
     multipliers = np.zeros(len(wanted))
 
-    def dual(l: Array) -> tuple[float, Array]:
-        f = np.maximum(wrenches.T @ l, 0)
-        return float(wanted @ l - f @ f / 2 - l @ l / (2 * STIFF)), f
+    def dual(at: Array) -> tuple[float, Array]:
+        f = np.maximum(wrenches.T @ at, 0)
+        return float(wanted @ at - f @ f / 2 - at @ at / (2 * STIFF)), f
 
     value, f = dual(multipliers)
     for _ in range(100):
