@@ -11,6 +11,7 @@ from f3sr import contact
 from f3sr.contact import Polytope
 from f3sr.frames import UP, Array, pose, rotation_about
 from f3sr.mesh import ConvexPart, Mesh, union
+from f3sr.patches import Contacts, find_contacts
 from f3sr.scene import GROUND, SceneObject
 
 CLEARANCE = 4e-4
@@ -74,6 +75,12 @@ def stack(seed: int, *, count: tuple[int, int] = (3, 5), spread: float = 0.04) -
         lift = CLEARANCE - low
         raised = [p.shifted(lift * UP) for p in parts]
         lift += contact.smallest_shift(raised, below, UP, CLEARANCE) if below else 0.0
-        objects.append(replace(o, T_world_object=pose(t=lift * UP) @ T, supported_by=id - 1 if id else GROUND))
+        objects.append(replace(o, T_world_object=pose(t=lift * UP) @ T))
         below += world_parts(objects[-1])
-    return tuple(objects)
+    touching = find_contacts({o.id: world_parts(o) for o in objects})
+    return tuple(replace(o, supported_by=_under(o.id, touching)) for o in objects)
+
+
+def _under(id: int, contacts: Contacts) -> int:
+    """What a body rests on: what it touches below itself, the ground last."""
+    return max((lower for upper, lower in contacts.pairs if upper == id), default=GROUND)

@@ -199,10 +199,22 @@ def smallest_horizontal_move(A: Body, B: Body) -> Array:
     """
     if not collide(A, B):
         return np.zeros(2)
-    polygons = [p for i, j in _boxes_overlap(A, B, (2,)) if len(p := _horizontal_slice(A[i], B[j]))]
-    starts = np.cumsum([0, *map(len, polygons)])
     slack = min(_touch(a, b) for a in A for b in B) / 4
-    return _nearest_free(np.concatenate(polygons), starts.astype(np.int64), slack)
+    return nearest_free(forbidden_polygons(A, B), slack)
+
+
+def forbidden_polygons(A: Body, B: Body) -> list[Array]:
+    """The horizontal moves of A that collide with B: convex polygons, one for each pair of parts that can meet.
+
+    Each is given by its sides (k, 3), rows ``(n, h)`` with unit n (2,): inside is ``n . x + h > 0`` for all.
+    """
+    return [p for i, j in _boxes_overlap(A, B, (2,)) if len(p := _horizontal_slice(A[i], B[j]))]
+
+
+def nearest_free(polygons: Sequence[Array], slack: float) -> Array:
+    """The point (2,) nearest to the origin that lies in none of the polygons deeper than ``slack``."""
+    starts = np.cumsum([0, *map(len, polygons)]).astype(np.int64)
+    return _nearest_free(np.concatenate(polygons), starts, slack)
 
 
 def _forbidden(A: Body, B: Body, u: Array, *, beyond: float) -> Iterator[tuple[float, float]]:

@@ -31,7 +31,7 @@ TOLERANCE = 1e-3
 """Tangent to which the least tilt is known."""
 MOVES = 0.01
 """A body whose part in a virtual motion is smaller than this share of the largest does not move."""
-STIFF = 1e8
+STIFF = 1e7
 """What a wrench that is not balanced costs against contact forces, both in weights: see ``contact_forces``."""
 
 FALLS = -np.pi / 2
@@ -138,7 +138,7 @@ def stability(
     margin, first = np.pi / 2, frozenset[int]()
     moving: set[int] = set()
     needs_friction = False
-    for group in _islands(bodies, contacts):
+    for group in islands(bodies, contacts):
         balance = Balance(group, bodies, contacts, ground_friction)
         least, leaders = balance.margin()
         if least < margin:
@@ -165,7 +165,7 @@ def stands(
 ) -> bool:
     """Whether the bodies stand under untilted gravity: one linear programme per island, the quickest answer."""
     contacts = contacts_of(bodies) if contacts is None else contacts
-    return all(Balance(group, bodies, contacts, ground_friction).stands() for group in _islands(bodies, contacts))
+    return all(Balance(group, bodies, contacts, ground_friction).stands() for group in islands(bodies, contacts))
 
 
 def contact_loads(
@@ -199,13 +199,13 @@ def contact_forces(
     Where none balance, they leave the least unbalanced.
     """
     forces = np.zeros((len(contacts), 3))
-    for group in _islands(bodies, contacts):
+    for group in islands(bodies, contacts):
         balance = Balance(group, bodies, contacts, ground_friction)
         forces[balance.rows] = balance.forces(np.array(tilt), center)
     return GRAVITY * forces
 
 
-def _islands(bodies: Sequence[StaticBody], contacts: Contacts) -> Iterator[tuple[StaticBody, ...]]:
+def islands(bodies: Sequence[StaticBody], contacts: Contacts) -> Iterator[tuple[StaticBody, ...]]:
     """Groups of movable bodies that touch each other, directly or through others that are movable."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -235,8 +235,10 @@ class Balance:
         ground_friction: float,
         *,
         friction: float | None = None,
+        edges: int = EDGES,
     ) -> None:
         self.group = tuple(group)
+        self.edge_count = edges
         self.place = {b.id: k for k, b in enumerate(self.group)}
         members = np.array([b.id for b in self.group])
         self.rows = np.flatnonzero(np.isin(contacts.upper, members) | np.isin(contacts.lower, members))
@@ -253,8 +255,8 @@ class Balance:
         self.wrenches = self._wrenches()
 
     def _cone_edges(self) -> Array:
-        """(k, EDGES, 3): forces with a normal part of 1 along the edges of every contact's pyramid."""
-        angles = 2 * np.pi * np.arange(EDGES) / EDGES
+        """(k, e, 3): forces with a normal part of 1 along the edges of every contact's pyramid."""
+        angles = 2 * np.pi * np.arange(self.edge_count) / self.edge_count
         around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         frames = np.array([tangents(n) for n in self.contacts.normals]).reshape(-1, 2, 3)
         return self.contacts.normals[:, None] + self.friction[:, None, None] * (around @ frames)
@@ -266,7 +268,7 @@ class Balance:
         return np.array([np.sqrt(mass.get(a, mass.get(b, 1.0)) * mass.get(b, mass.get(a, 1.0))) for a, b in pairs])
 
     def _wrenches(self) -> Any:
-        """Sparse (6 n, k EDGES)."""
+        """Sparse (6 n, k e)."""
         from scipy.sparse import csc_array
 
         blocks: list[tuple[Array, NDArray[np.int64], NDArray[np.int64]]] = []
@@ -279,12 +281,13 @@ class Balance:
             arm = self.contacts.points[on] - np.array([b.centers[0] for b in self.group])[body]
             moment = np.cross(arm[:, None] / self.sizes[body][:, None, None], force)
             rows = 6 * body[:, None, None] + np.arange(6)
-            columns = EDGES * on[:, None, None] + np.arange(EDGES)[:, None]
+            columns = self.edge_count * on[:, None, None] + np.arange(self.edge_count)[:, None]
             values = np.concatenate([force, moment], axis=2)
             rows, columns = np.broadcast_arrays(rows, columns)
             blocks.append((values.ravel(), rows.ravel(), columns.ravel()))
         values, rows, columns = (np.concatenate(x) for x in zip(*blocks, strict=True)) if blocks else ([], [], [])
-        return csc_array((values, (rows, columns)), shape=(6 * len(self.group), EDGES * len(self.contacts)))
+        shape = (6 * len(self.group), self.edge_count * len(self.contacts))
+        return csc_array((values, (rows, columns)), shape=shape)
 
     @property
     def choices(self) -> int:
@@ -378,39 +381,75 @@ class Balance:
 
     def forces(self, tilt: Array, center: int = 0) -> Array:
         """(k, 3) [kg] forces of least squares on the upper bodies."""
+        return self.eased(tilt, center)[0]
+
+    def eased(self, tilt: Array, center: int = 0) -> tuple[Array, float]:
+        """These forces, and what they leave unbalanced: the length of the wrench, in weights and sizes."""
         upright, lean = self.weights(center)
-        f = least_forces(self.wrenches, upright + lean @ tilt)
-        return np.einsum("ke,keq,k->kq", f.reshape(-1, EDGES), self.edges, self.units)
+        wanted = upright + lean @ tilt
+        f = least_forces(self.wrenches, wanted)
+        return self._on_upper(f), float(np.linalg.norm(self.wrenches @ f - wanted))
+
+    def _on_upper(self, f: Array) -> Array:
+        return np.einsum("ke,keq,k->kq", f.reshape(-1, self.edge_count), self.edges, self.units)
 
 
 def least_forces(wrenches: Any, wanted: Array) -> Array:
     """f >= 0 with the least ``|f|^2 + STIFF |wrenches f - wanted|^2``.
 
-    Newton's method on the dual, whose gradient is piecewise linear: f is the positive part of the multipliers' wrenches.
+    Newton's method on the dual, whose gradient is piecewise linear: f is the positive part of ``wrenches.T`` times the
+    multipliers. The stiffness grows by steps, each from where the last one ended.
     """
     multipliers = np.zeros(len(wanted))
+    for stiffness in 10.0 ** np.arange(0, np.log10(STIFF) + 1):
+        multipliers = _ascend(wrenches, wanted, multipliers, stiffness)
+    return np.maximum(wrenches.T @ multipliers, 0)
 
-    def dual(at: Array) -> tuple[float, Array]:
-        f = np.maximum(wrenches.T @ at, 0)
-        return float(wanted @ at - f @ f / 2 - at @ at / (2 * STIFF)), f
 
-    value, f = dual(multipliers)
-    for _ in range(100):
-        gradient = wanted - wrenches @ f - multipliers / STIFF
-        if np.abs(gradient).max() < 1e-9:
+def _ascend(wrenches: Any, wanted: Array, at: Array, stiffness: float) -> Array:
+    """Where the dual ``wanted . l - |f|^2 / 2 - |l|^2 / (2 stiffness)`` is largest, from ``at``."""
+    dense = wrenches.toarray()
+    pull = dense.T @ at
+    for _ in range(50):
+        f = np.maximum(pull, 0)
+        gradient = wanted - dense @ f - at / stiffness
+        if np.abs(gradient).max() < 1e-10:
             break
-        active = wrenches[:, (f > 0) | (wrenches.T @ multipliers >= 0)]
-        step = np.linalg.solve((active @ active.T).toarray() + np.eye(len(wanted)) / STIFF, gradient)
-        size = 1.0
-        while size > 1e-6:
-            better, forces = dual(multipliers + size * step)
-            if better >= value + 1e-4 * size * (gradient @ step):
-                break
-            size /= 2
+        active = dense[:, pull > 0]
+        step = np.linalg.solve(active @ active.T + np.eye(len(at)) / stiffness, gradient)
+        along = dense.T @ step
+        size = _line_search(pull, along, float(wanted @ step), at, step, stiffness)
+        at, pull = at + size * step, pull + size * along
+        if size == 0:
+            break
+    return at
+
+
+def _line_search(pull: Array, along: Array, gain: float, at: Array, step: Array, stiffness: float) -> float:
+    """Where the dual is largest along a step: its slope falls from positive and is linear between breakpoints."""
+
+    def slope(t: float) -> float:
+        return gain - float(along @ np.maximum(pull + t * along, 0)) - float(step @ (at + t * step)) / stiffness
+
+    if slope(0.0) <= 0:
+        return 0.0
+    if slope(1.0) >= 0:
+        low, high = 1.0, 1.0
+        while slope(high) > 0 and high < 1e9:
+            low, high = high, 2 * high
+    else:
+        low, high = 0.0, 1.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        breaks = -pull / along
+    breaks = np.sort(breaks[(breaks > low) & (breaks < high)])
+    while len(breaks):
+        middle = float(breaks[len(breaks) // 2])
+        if slope(middle) > 0:
+            low, breaks = middle, breaks[len(breaks) // 2 + 1 :]
         else:
-            break
-        multipliers, value, f = multipliers + size * step, better, forces
-    return f
+            high, breaks = middle, breaks[: len(breaks) // 2]
+    first, last = slope(low), slope(high)
+    return low + (high - low) * first / (first - last) if first > last else low
 
 
 def _signed_distance(corners: Array) -> tuple[float, Array]:
