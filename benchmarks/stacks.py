@@ -60,8 +60,13 @@ def world_parts(o: SceneObject) -> tuple[Polytope, ...]:
     return tuple(Polytope.of(p) for p in o.parts_world)
 
 
-def stack(seed: int, *, count: tuple[int, int] = (3, 5), spread: float = 0.04) -> tuple[SceneObject, ...]:
-    """Bodies with middles up to ``spread`` off the axis, turned at random, each lifted out of those below."""
+def stack(
+    seed: int, *, count: tuple[int, int] = (3, 5), spread: float = 0.04, tilt: float = 0.0
+) -> tuple[SceneObject, ...]:
+    """Bodies with middles up to ``spread`` off the axis, turned at random, each lifted out of those below.
+
+    ``tilt``: largest angle [rad] between their axes and the vertical.
+    """
     rng = np.random.default_rng(seed)
     objects: list[SceneObject] = []
     below: list[Polytope] = []
@@ -69,6 +74,9 @@ def stack(seed: int, *, count: tuple[int, int] = (3, 5), spread: float = 0.04) -
         kind = str(rng.choice(KINDS))
         shift = np.zeros(2) if id == 0 else rng.uniform(-spread, spread, 2)
         T = pose(rotation_about(UP, float(rng.uniform(0, 2 * np.pi))), np.r_[shift, 0])
+        if tilt:
+            axis = np.r_[rng.normal(size=2), 0.0]
+            T = T @ pose(rotation_about(axis, float(rng.uniform(0, tilt))))
         o = thing(id, kind, T)
         parts = world_parts(o)
         low = min(p.bounds[0, 2] for p in parts)

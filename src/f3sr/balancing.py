@@ -19,9 +19,17 @@ from annotated_types import Interval
 from f3sr import contact
 from f3sr.frames import UP, Array, pose
 from f3sr.physics import DEFAULT_PHYSICS
-from f3sr.scene import GROUND
 from f3sr.settings import settings
-from f3sr.statics import Balance, StaticBody, contacts_of, islands, stability
+from f3sr.statics import (
+    Balance,
+    StaticBody,
+    carried,
+    chain_below,
+    contacts_of,
+    islands,
+    stability,
+    supports_first,
+)
 
 DIRECTIONS = 6
 """Of tilted gravity. The tilts are so large that all smaller ones in between are balanced too."""
@@ -37,6 +45,8 @@ UNBALANCED = 1e3
 """What a wrench that is left unbalanced costs against shifts, in weights and sizes."""
 BALANCED = 1e-5
 """Wrench [weights and sizes] that counts as none."""
+BETTER = 0.99
+"""Share of the unbalanced wrench that a round must be below to be worth it."""
 
 
 @settings
@@ -115,32 +125,15 @@ class _State:
         ground_friction: float,
     ) -> None:
         self.bodies = {b.id: b for b in bodies}
-        self.supports = supports
+        self.supports = {b.id: supports.get(b.id) for b in bodies}
         self.config = config
         self.clearance = clearance
         self.ground_friction = ground_friction
         self.roots = {b.id: _root(weights.get(b.id, np.eye(2) / b.size**2)) for b in bodies}
         self.bounds = {b.id: max_shifts.get(b.id, config.max_shift * b.size) for b in bodies}
         self.shifts = {b.id: np.zeros(3) for b in bodies}
-        self.order = sorted(self.bodies, key=lambda id: (len(self.below(id)), id))
+        self.order = supports_first(self.supports)
         self.overlapping = {pair for pair in combinations(self.bodies, 2) if self.collide(*pair)}
-
-    # The forest of supports
-
-    def below(self, id: int) -> tuple[int, ...]:
-        """The chain of supports, nearest first, without the ground."""
-        chain: list[int] = []
-        at = self.supports.get(id)
-        while at is not None and at != GROUND and at not in (id, *chain):
-            chain.append(at)
-            at = self.supports.get(at)
-        return tuple(chain)
-
-    def carried(self, id: int) -> frozenset[int]:
-        """The body and all that it carries."""
-        return frozenset(i for i in self.bodies if i == id or id in self.below(i))
-
-    # Moving
 
     def move(self, ids: frozenset[int] | tuple[int, ...], t: Array) -> None:
         for id in ids:
@@ -172,10 +165,10 @@ class _State:
 
     def seat(self, id: int) -> None:
         """Raise or lower a body, with what it carries, until it rests on its support or on what it meets before."""
-        body, ids = self.bodies[id], self.carried(id)
+        body, ids = self.bodies[id], carried(id, self.supports)
         if body.fixed:
             return
-        chain = [p for i in self.below(id) for p in self.bodies[i].parts]
+        chain = [p for i in chain_below(id, self.supports) for p in self.bodies[i].parts]
         over_ground = min(float(p.bounds[0, 2]) for p in body.parts) - self.clearance
         rise = contact.smallest_shift(body.parts, chain, UP, self.clearance) if chain else 0.0
         rise = max(rise, -over_ground)
@@ -192,8 +185,10 @@ class _State:
         better = False
         for programme in programmes:
             steps = programme.solve()
+            if max(np.abs(d).max() for d in steps.values()) < SEATED:
+                continue
             for share in (1.0, 0.5, 0.25, 0.1):
-                if self.attempt({id: share * d for id, d in steps.items()}, programme.unbalanced):
+                if self.attempt({id: share * d for id, d in steps.items()}, programme.mean):
                     better = True
                     break
         return better
@@ -203,14 +198,14 @@ class _State:
         kept_bodies, kept_shifts = dict(self.bodies), dict(self.shifts)
         for id in self.order:
             if id in steps:
-                carrier = next((i for i in self.below(id) if i in steps), None)
+                carrier = next((i for i in chain_below(id, self.supports) if i in steps), None)
                 own = steps[id] - (steps[carrier] if carrier is not None else 0.0)
-                self.move(self.carried(id), np.r_[own, 0.0])
+                self.move(carried(id, self.supports), np.r_[own, 0.0])
         self.seat_all()
-        after = max((p.unbalanced for p in self.programmes() if not steps.keys().isdisjoint(p.ids)), default=0.0)
+        after = max((p.mean for p in self.programmes() if not steps.keys().isdisjoint(p.ids)), default=0.0)
         dropped = any(abs((self.shifts[i] - kept_shifts[i])[2]) > self.bounds[i] for i in self.bodies)
         overlaps = any(self.collide(*p) for p in combinations(self.bodies, 2) if p not in self.overlapping)
-        if after < max(0.95 * before, BALANCED) and not dropped and not overlaps:
+        if after < max(BETTER * before, BALANCED) and not dropped and not overlaps:
             return True
         self.bodies, self.shifts = kept_bodies, kept_shifts
         return False
@@ -260,6 +255,7 @@ class _Programme:
         eased = [balance.eased(*case) for case in self.cases]
         self.forces = [forces for forces, _ in eased]
         self.unbalanced = max(left for _, left in eased)
+        self.mean = float(np.mean([left for _, left in eased]))
 
     def solve(self) -> dict[int, Array]:
         """Horizontal steps (2,) [m] per id."""
@@ -345,7 +341,9 @@ class _Programme:
 
         for i, id in enumerate(self.ids):
             so_far, size = state.shifts[id][:2], self.balance.sizes[i]
-            carrier = next((self.balance.place[c] for c in state.below(id) if c in self.balance.place), None)
+            carrier = next(
+                (self.balance.place[c] for c in chain_below(id, state.supports) if c in self.balance.place), None
+            )
             for e in around:
                 row, limit = self._measured(i, e)
                 rows.append(row)

@@ -476,6 +476,28 @@ def _signed_distance(corners: Array) -> tuple[float, Array]:
     return 0.0, np.array([side[1], -side[0]]) if lengths[nearest] else np.array([1.0, 0.0])
 
 
+# The forest of supports
+
+
+def chain_below(id: int, supports: Mapping[int, int | None]) -> tuple[int, ...]:
+    """What carries a body, nearest first, without the ground."""
+    chain: list[int] = []
+    at = supports.get(id)
+    while at is not None and at != GROUND and at not in (id, *chain):
+        chain.append(at)
+        at = supports.get(at)
+    return tuple(chain)
+
+
+def carried(id: int, supports: Mapping[int, int | None]) -> frozenset[int]:
+    """A body and all that it carries, directly or not."""
+    return frozenset(i for i in supports if i == id or id in chain_below(i, supports))
+
+
+def supports_first(supports: Mapping[int, int | None]) -> list[int]:
+    return sorted(supports, key=lambda id: (len(chain_below(id, supports)), id))
+
+
 # Single bodies with what they carry
 
 
@@ -486,13 +508,13 @@ def _single_margins(
 
     Contacts that press on that thing from above hold it no better and are left out.
     """
-    carried = _carried_by(contacts, forces)
+    load_on = _load_on(contacts, forces)
     margins: dict[int, float] = {}
     for b in bodies:
         if b.fixed:
             continue
-        members = {b.id, *carried(b.id)}
-        whole = _rigid([m for m in bodies if m.id in members], b.id)
+        members = {b.id, *load_on(b.id)}
+        whole = rigid([m for m in bodies if m.id in members], b.id)
         inner = np.isin(contacts.upper, list(members)) & np.isin(contacts.lower, list(members))
         upward = np.where(np.isin(contacts.upper, list(members)), 1, -1) * contacts.normals[:, 2] > -1e-3
         outer = contacts.of(~inner & upward)
@@ -505,7 +527,7 @@ def _single_margins(
     return margins
 
 
-def _carried_by(contacts: Contacts, forces: Array) -> Any:
+def _load_on(contacts: Contacts, forces: Array) -> Any:
     """A function from an id to the ids it carries, directly or not: those with at least half their load on it."""
     up: dict[tuple[int, int], float] = {}
     for a, b, force in zip(contacts.upper.tolist(), contacts.lower.tolist(), forces[:, 2].tolist(), strict=True):
@@ -531,8 +553,8 @@ def _carried_by(contacts: Contacts, forces: Array) -> Any:
     return all_on
 
 
-def _rigid(members: Sequence[StaticBody], id: int) -> StaticBody:
-    """Movable bodies as one."""
+def rigid(members: Sequence[StaticBody], id: int) -> StaticBody:
+    """Movable bodies as one, with an id and friction of one of them."""
     free = [m for m in members if not m.fixed]
     masses = np.array([m.mass for m in free])
     n = max(len(m.centers) for m in free)
