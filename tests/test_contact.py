@@ -262,7 +262,7 @@ def test_a_similarity_carries_facets_along():
     part = ConvexPart.hull_of(rng.normal(size=(20, 3)))
     T = pose(2.5 * rotation_about([1, 2, 3], 0.8), [1, 2, 3])
     moved, anew = Polytope.of(part).moved(T), Polytope.of(part.moved(T))
-    for name in ("vertices", "normals", "offsets", "edge_starts", "edge_directions", "edge_normals"):
+    for name in ("vertices", "normals", "offsets", "edge_starts", "edge_directions", "edge_lengths", "edge_normals"):
         assert np.allclose(getattr(moved, name), getattr(anew, name))
 
 

@@ -39,9 +39,9 @@ class Polytope:
     """A convex polytope with what separating-axis tests need, coplanar triangles merged into one facet.
 
     ``vertices`` (n, 3); outward unit ``normals`` (f, 3) and ``offsets`` (f,): inside is
-    ``normals . x <= offsets``; per edge ``edge_starts`` (e, 3), unit ``edge_directions`` (e, 3) and
-    ``edge_normals`` (e, 2, 3), the facets' normals to its left and right seen from outside, so that
-    left x right points along the edge.
+    ``normals . x <= offsets``; per edge ``edge_starts`` (e, 3), unit ``edge_directions`` (e, 3),
+    ``edge_lengths`` (e,) and ``edge_normals`` (e, 2, 3), the facets' normals to its left and right seen from
+    outside, so that left x right points along the edge.
     """
 
     vertices: Array
@@ -49,10 +49,11 @@ class Polytope:
     offsets: Array
     edge_starts: Array
     edge_directions: Array
+    edge_lengths: Array
     edge_normals: Array
 
     def __post_init__(self) -> None:
-        for name in ("vertices", "normals", "offsets", "edge_starts", "edge_directions", "edge_normals"):
+        for name in self.__dataclass_fields__:
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @classmethod
@@ -64,12 +65,14 @@ class Polytope:
         real = group[left] != group[right]
         start, end = part.vertices[edges[real, 0]], part.vertices[edges[real, 1]]
         direction = end - start
+        length = np.linalg.norm(direction, axis=1)
         return cls(
             vertices=part.vertices,
             normals=normals,
             offsets=(part.vertices @ normals.T).max(0),
             edge_starts=start,
-            edge_directions=direction / np.linalg.norm(direction, axis=1, keepdims=True),
+            edge_directions=direction / length[:, None],
+            edge_lengths=length,
             edge_normals=np.stack([normals[group[left[real]]], normals[group[right[real]]]], axis=1),
         )
 
@@ -100,6 +103,7 @@ class Polytope:
             offsets=scale * self.offsets + normals @ t,
             edge_starts=transform(T, self.edge_starts),
             edge_directions=self.edge_directions @ R.T,
+            edge_lengths=scale * self.edge_lengths,
             edge_normals=self.edge_normals @ R.T,
         )
 
@@ -113,7 +117,7 @@ Body = Sequence[Polytope]
 
 def overlap_depth(a: Polytope, b: Polytope) -> float:
     """Length of the smallest move that ends the overlap; <= 0 when apart (then it is no distance)."""
-    _, heights = _face_facets(a, b)
+    _, heights = face_facets(a, b)
     depth = heights.min()
     if depth > 0:
         depth = min(depth, _edge_facets(a, b)[1].min(initial=np.inf))
@@ -127,7 +131,7 @@ def forbidden_interval(a: Polytope, b: Polytope, direction: ArrayLike) -> tuple[
     """
     u = np.asarray(direction, float)
     slack = _touch(a, b) / 2
-    lo, hi = _interval(*_face_facets(a, b), u, slack)
+    lo, hi = _interval(*face_facets(a, b), u, slack)
     if lo >= hi:
         return NEVER
     edge_lo, edge_hi = _interval(*_edge_facets(a, b), u, slack)
@@ -152,7 +156,7 @@ def horizontal_escape(a: Polytope, b: Polytope) -> tuple[float, Array]:
 
 def facets(a: Polytope, b: Polytope) -> tuple[Array, Array]:
     """Unit normals (k, 3) and heights (k,): ``a`` moved by x overlaps ``b`` iff all ``n . x > -h``."""
-    face_normals, face_heights = _face_facets(a, b)
+    face_normals, face_heights = face_facets(a, b)
     edge_normals, edge_heights = _edge_facets(a, b)
     return np.concatenate([face_normals, edge_normals]), np.concatenate([face_heights, edge_heights])
 
@@ -195,10 +199,22 @@ def smallest_horizontal_move(A: Body, B: Body) -> Array:
     """
     if not collide(A, B):
         return np.zeros(2)
-    polygons = [p for i, j in _boxes_overlap(A, B, (2,)) if len(p := _horizontal_slice(A[i], B[j]))]
-    starts = np.cumsum([0, *map(len, polygons)])
     slack = min(_touch(a, b) for a in A for b in B) / 4
-    return _nearest_free(np.concatenate(polygons), starts.astype(np.int64), slack)
+    return nearest_free(forbidden_polygons(A, B), slack)
+
+
+def forbidden_polygons(A: Body, B: Body) -> list[Array]:
+    """The horizontal moves of A that collide with B: convex polygons, one for each pair of parts that can meet.
+
+    Each is given by its sides (k, 3), rows ``(n, h)`` with unit n (2,): inside is ``n . x + h > 0`` for all.
+    """
+    return [p for i, j in _boxes_overlap(A, B, (2,)) if len(p := _horizontal_slice(A[i], B[j]))]
+
+
+def nearest_free(polygons: Sequence[Array], slack: float) -> Array:
+    """The point (2,) nearest to the origin that lies in none of the polygons deeper than ``slack``."""
+    starts = np.cumsum([0, *map(len, polygons)]).astype(np.int64)
+    return _nearest_free(np.concatenate(polygons), starts, slack)
 
 
 def _forbidden(A: Body, B: Body, u: Array, *, beyond: float) -> Iterator[tuple[float, float]]:
@@ -235,7 +251,7 @@ def _touch(a: Polytope, b: Polytope) -> float:
     return TOUCH * (a.size + b.size)
 
 
-def _face_facets(a: Polytope, b: Polytope) -> tuple[Array, Array]:
+def face_facets(a: Polytope, b: Polytope) -> tuple[Array, Array]:
     """Facets whose normal is a face's of a, or the negated one of a face of b."""
     heights_a = a.offsets - (b.vertices @ a.normals.T).min(0)
     heights_b = b.offsets - (a.vertices @ b.normals.T).min(0)

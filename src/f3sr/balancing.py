@@ -1,0 +1,371 @@
+"""The smallest shifts after which bodies stand: contact forces and shifts in one linear programme, repeated.
+
+Where a body is out of balance, its weight acts beyond its contacts. Shifts of the bodies move weights, and contact
+points follow the bodies whose edges they lie on, so that to first order the equations of balance are linear in forces
+and shifts together. The programme finds the smallest weighted shifts that balance gravity tilted by a wanted margin in
+all directions; then every body is placed on its support anew, contacts are found anew, and so on until it stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Interval
+
+from f3sr import contact
+from f3sr.frames import UP, Array, pose
+from f3sr.physics import DEFAULT_PHYSICS
+from f3sr.settings import settings
+from f3sr.statics import (
+    Balance,
+    StaticBody,
+    carried,
+    chain_below,
+    contacts_of,
+    islands,
+    stability,
+    supports_first,
+)
+
+DIRECTIONS = 6
+"""Of tilted gravity. The tilts are so large that all smaller ones in between are balanced too."""
+CONE_EDGES = 4
+"""Of friction pyramids while shifts are sought: fewer edges have less friction, so this is on the safe side."""
+SIDES = 16
+"""Of the polygons that stand for circles of shifts."""
+CUTS = 3
+"""How often a programme is solved: each time the polygons that measure shifts get a side where the last one ended."""
+SEATED = 1e-7
+"""Heights [m] that differ by less are the same: ten times what rounding leaves of a clearance."""
+UNBALANCED = 1e3
+"""What a wrench that is left unbalanced costs against shifts, in weights and sizes."""
+BALANCED = 1e-5
+"""Wrench [weights and sizes] that counts as none."""
+BETTER = 0.99
+"""Share of the unbalanced wrench that a round must be below to be worth it."""
+
+
+@settings
+class BalanceConfig:
+    """How bodies are shifted until they stand."""
+
+    margin: Annotated[float, Interval(ge=0, le=0.5)] = 0.03
+    """Least tilt of gravity [rad] that they shall bear: what proxies and masses are wrong by."""
+    max_shift: Annotated[float, Interval(ge=0, le=1)] = 0.15
+    """Largest shift, as a share of a body's size, where the caller sets none."""
+    max_step: Annotated[float, Interval(gt=0, le=1)] = 0.08
+    """Largest shift against its support in one round, as a share of a body's size: contacts are found anew after."""
+    rounds: Annotated[int, Interval(ge=1, le=100)] = 10
+    """Most rounds."""
+
+
+DEFAULT_BALANCE = BalanceConfig()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Balanced:
+    """Where the bodies are to be shifted, and how they stand before and after. Margins as in ``Stability``."""
+
+    shifts: Mapping[int, Array]
+    """(3,) [m] of every body that moves; zero for the others."""
+    before: float
+    after: float
+    """Margins of the whole scene [rad]."""
+    unbalanced: frozenset[int]
+    """Bodies that move without tilt even after the shifts."""
+    below_margin: frozenset[int]
+    """Bodies on islands that stand, but by less than the wanted margin."""
+    rounds: int
+
+    @property
+    def success(self) -> bool:
+        return not self.unbalanced and not self.below_margin
+
+
+def balance(
+    bodies: Sequence[StaticBody],
+    supports: Mapping[int, int | None],
+    config: BalanceConfig = DEFAULT_BALANCE,
+    *,
+    clearance: float = 4e-4,
+    weights: Mapping[int, Array] | None = None,
+    max_shifts: Mapping[int, float] | None = None,
+    ground_friction: float = DEFAULT_PHYSICS.ground_friction[0],
+) -> Balanced:
+    """Shift bodies, each with what it carries, so that all stand with the wanted margin.
+
+    ``supports``: the main support of every body, GROUND or None. ``weights``: (2, 2) positive definite per id, the cost
+    d' W d of its being d [m] off in x and y; by default 1 / size^2. ``max_shifts`` [m] per id bound how far it may go.
+    What is minimised is the sum of the square roots of these costs, so few bodies move.
+    """
+    state = _State(bodies, supports, config, clearance, weights or {}, max_shifts or {}, ground_friction)
+    before = stability(bodies, ground_friction=ground_friction, per_body=False).margin
+    state.seat_all()
+    rounds = 0
+    while rounds < config.rounds and state.improve():
+        rounds += 1
+    return state.result(before, rounds)
+
+
+class _State:
+    """Bodies while they are being shifted."""
+
+    def __init__(
+        self,
+        bodies: Sequence[StaticBody],
+        supports: Mapping[int, int | None],
+        config: BalanceConfig,
+        clearance: float,
+        weights: Mapping[int, Array],
+        max_shifts: Mapping[int, float],
+        ground_friction: float,
+    ) -> None:
+        self.bodies = {b.id: b for b in bodies}
+        self.supports = {b.id: supports.get(b.id) for b in bodies}
+        self.config = config
+        self.clearance = clearance
+        self.ground_friction = ground_friction
+        self.roots = {b.id: _root(weights.get(b.id, np.eye(2) / b.size**2)) for b in bodies}
+        self.bounds = {b.id: max_shifts.get(b.id, config.max_shift * b.size) for b in bodies}
+        self.shifts = {b.id: np.zeros(3) for b in bodies}
+        self.order = supports_first(self.supports)
+        self.overlapping = {pair for pair in combinations(self.bodies, 2) if self.collide(*pair)}
+
+    def move(self, ids: frozenset[int] | tuple[int, ...], t: Array) -> None:
+        for id in ids:
+            if not self.bodies[id].fixed:
+                self.bodies[id] = self.bodies[id].moved(pose(t=t))
+                self.shifts[id] = self.shifts[id] + t
+
+    def collide(self, a: int, b: int) -> bool:
+        return contact.collide(self.bodies[a].parts, self.bodies[b].parts)
+
+    def beside(self, ids: Sequence[int]) -> Iterator[tuple[int, int, Array]]:
+        """Pairs of bodies, one of ``ids``, that shifts could bring together, and the sides (k, 3) to stay beyond.
+
+        Rows ``(n, h)``: the first's shift less the second's must keep ``n . x + h <= 0``.
+        """
+        for a, b in combinations(self.bodies, 2):
+            if (a not in ids and b not in ids) or (a, b) in self.overlapping:
+                continue
+            far = self.config.max_step * (self.bodies[a].size + self.bodies[b].size)
+            polygons = contact.forbidden_polygons(self.bodies[a].parts, self.bodies[b].parts)
+            sides = np.array([p[int(np.argmin(p[:, 2]))] for p in polygons]).reshape(-1, 3)
+            sides = sides[(sides[:, 2] > -far) & (sides[:, 2] <= 0)]
+            if len(sides):
+                yield a, b, sides
+
+    def seat_all(self) -> None:
+        for id in self.order:
+            self.seat(id)
+
+    def seat(self, id: int) -> None:
+        """Raise or lower a body, with what it carries, until it rests on its support or on what it meets before."""
+        body, ids = self.bodies[id], carried(id, self.supports)
+        if body.fixed:
+            return
+        chain = [p for i in chain_below(id, self.supports) for p in self.bodies[i].parts]
+        over_ground = min(float(p.bounds[0, 2]) for p in body.parts) - self.clearance
+        rise = contact.smallest_shift(body.parts, chain, UP, self.clearance) if chain else 0.0
+        rise = max(rise, -over_ground)
+        if rise <= 0 and self.supports.get(id) is not None:
+            others = [p for i, b in self.bodies.items() if i not in ids for p in b.parts]
+            drop = contact.free_travel(body.parts, others, -UP) - self.clearance if others else np.inf
+            rise = -max(0.0, min(drop, over_ground))
+        if abs(rise) > SEATED:
+            self.move(ids, rise * UP)
+
+    def improve(self) -> bool:
+        """One round: shifts for every island that does not stand with the margin; False when nothing got better."""
+        programmes = [p for p in self.programmes() if p.unbalanced > BALANCED]
+        better = False
+        for programme in programmes:
+            steps = programme.solve()
+            if max(np.abs(d).max() for d in steps.values()) < SEATED:
+                continue
+            for share in (1.0, 0.5, 0.25, 0.1):
+                if self.attempt({id: share * d for id, d in steps.items()}, programme.mean):
+                    better = True
+                    break
+        return better
+
+    def attempt(self, steps: Mapping[int, Array], before: float) -> bool:
+        """Shift by horizontal steps (2,) and seat; kept where it balances more, drops nothing and overlaps no more."""
+        kept_bodies, kept_shifts = dict(self.bodies), dict(self.shifts)
+        for id in self.order:
+            if id in steps:
+                carrier = next((i for i in chain_below(id, self.supports) if i in steps), None)
+                own = steps[id] - (steps[carrier] if carrier is not None else 0.0)
+                self.move(carried(id, self.supports), np.r_[own, 0.0])
+        self.seat_all()
+        after = max((p.mean for p in self.programmes() if not steps.keys().isdisjoint(p.ids)), default=0.0)
+        dropped = any(abs((self.shifts[i] - kept_shifts[i])[2]) > self.bounds[i] for i in self.bodies)
+        overlaps = any(self.collide(*p) for p in combinations(self.bodies, 2) if p not in self.overlapping)
+        if after < max(BETTER * before, BALANCED) and not dropped and not overlaps:
+            return True
+        self.bodies, self.shifts = kept_bodies, kept_shifts
+        return False
+
+    def programmes(self) -> list[_Programme]:
+        bodies = tuple(self.bodies.values())
+        contacts = contacts_of(bodies)
+        return [
+            _Programme(Balance(g, bodies, contacts, self.ground_friction, edges=CONE_EDGES), self)
+            for g in islands(bodies, contacts)
+        ]
+
+    def result(self, before: float, rounds: int) -> Balanced:
+        bodies = tuple(self.bodies.values())
+        contacts = contacts_of(bodies)
+        wanted = self.config.margin - 1e-3
+        unbalanced: frozenset[int] = frozenset()
+        below: frozenset[int] = frozenset()
+        margins = [np.pi / 2]
+        for group in islands(bodies, contacts):
+            balance = Balance(group, bodies, contacts, self.ground_friction)
+            margins.append(balance.margin()[0])
+            if margins[-1] < 0:
+                unbalanced |= balance.moving()
+            elif margins[-1] < wanted:
+                below |= {b.id for b in group}
+        return Balanced(
+            shifts=self.shifts,
+            before=before,
+            after=min(margins),
+            unbalanced=unbalanced,
+            below_margin=below,
+            rounds=rounds,
+        )
+
+
+class _Programme:
+    """The linear programme of one island: shifts (2,) per body and forces for every tilt of gravity."""
+
+    def __init__(self, balance: Balance, state: _State) -> None:
+        self.balance, self.state = balance, state
+        self.ids = [b.id for b in balance.group]
+        reach = np.tan(state.config.margin) / np.cos(np.pi / DIRECTIONS)
+        angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+        tilts = reach * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        self.cases = [(tilt, c) for tilt in tilts for c in range(balance.choices)]
+        eased = [balance.eased(*case) for case in self.cases]
+        self.forces = [forces for forces, _ in eased]
+        self.unbalanced = max(left for _, left in eased)
+        self.mean = float(np.mean([left for _, left in eased]))
+
+    def solve(self) -> dict[int, Array]:
+        """Horizontal steps (2,) [m] per id."""
+        from scipy.optimize import linprog
+        from scipy.sparse import block_diag, csc_array, eye_array, hstack
+
+        rows, n = self.balance.wrenches.shape
+        count, shifts = len(self.cases), 2 * len(self.ids)
+        slacked = hstack([self.balance.wrenches, eye_array(rows), -eye_array(rows)])
+        moved = np.concatenate([self._moments(forces) for forces in self.forces])
+        equal = hstack([block_diag([slacked] * count), csc_array(moved), csc_array((len(moved), len(self.ids)))])
+        wanted = np.concatenate([w + lean @ tilt for tilt, c in self.cases for w, lean in [self.balance.weights(c)]])
+        free = count * (n + 2 * rows)
+        slack = np.tile(np.r_[np.zeros(n), np.full(2 * rows, UNBALANCED / count)], count)
+        cost = np.r_[slack, np.zeros(shifts), np.ones(len(self.ids))]
+        bounds = np.array([[0, np.inf]] * free + [[-np.inf, np.inf]] * shifts + [[0, np.inf]] * len(self.ids))
+        below, limits = self._bounds()
+        steps = np.zeros((len(self.ids), 2))
+        for _ in range(CUTS):
+            solution = linprog(
+                cost,
+                A_eq=equal.tocsc(),
+                b_eq=wanted,
+                A_ub=hstack([csc_array((len(limits), free)), csc_array(below)], format="csc"),
+                b_ub=limits,
+                bounds=bounds,
+                method="highs",
+            )
+            if solution.status != 0:
+                break
+            steps = solution.x[free : free + shifts].reshape(-1, 2)
+            more = [self._measured(i, self._weighed(i, step)) for i, step in enumerate(steps)]
+            below, limits = np.vstack([below, *(r for r, _ in more)]), np.r_[limits, [limit for _, limit in more]]
+        return dict(zip(self.ids, steps, strict=True))
+
+    def _weighed(self, i: int, step: Array) -> Array:
+        """The shift of a body after a step, in the measure of its weight."""
+        id = self.ids[i]
+        return self.state.roots[id] @ (self.state.shifts[id][:2] + step)
+
+    def _measured(self, i: int, toward: Array) -> tuple[Array, float]:
+        """The row and limit by which a body's cost is at least its weighed shift along a direction."""
+        length = float(np.linalg.norm(toward))
+        e = toward / length if length > 1e-9 else np.array([1.0, 0.0])
+        row = np.zeros(3 * len(self.ids))
+        row[2 * i : 2 * i + 2] = e @ self.state.roots[self.ids[i]]
+        row[2 * len(self.ids) + i] = -1
+        return row, -float(e @ self._weighed(i, np.zeros(2)))
+
+    def _moments(self, forces: Array) -> Array:
+        """(6 n, 2 n): how the wrenches of given forces (k, 3) change with the bodies' shifts."""
+        balance = self.balance
+        change = np.zeros((len(self.ids), 6, len(self.ids), 2))
+        sides = ((balance.contacts.upper.tolist(), 1.0), (balance.contacts.lower.tolist(), -1.0))
+        follow = balance.contacts.follow
+        for k, force in enumerate(forces):
+            points = {ids[k]: f for (ids, _), f in zip(sides, (follow[k], np.eye(3) - follow[k]), strict=True)}
+            for ids, sign in sides:
+                if (i := balance.place.get(ids[k])) is None:
+                    continue
+                unit = sign / (balance.masses[i] * balance.sizes[i])
+                turning = -_skew(force)  # arm x force = -force x arm
+                for id, f in points.items():
+                    if (j := balance.place.get(id)) is not None:
+                        change[i, 3:, j] += unit * (turning @ f)[:, :2]
+                change[i, 3:, i] -= unit * turning[:, :2]
+        return change.reshape(6 * len(self.ids), 2 * len(self.ids))
+
+    def _bounds(self) -> tuple[Array, Array]:
+        """Rows (k, 2 n + n) and limits (k,): costs, farthest shifts, largest steps, and no shift into each other."""
+        state, n = self.state, len(self.ids)
+        angles = 2 * np.pi * np.arange(SIDES) / SIDES
+        around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        rows: list[Array] = []
+        limits: list[float] = []
+
+        def bound(parts: Mapping[int, Array], limit: float) -> None:
+            row = np.zeros(3 * n)
+            for j, part in parts.items():
+                row[2 * j : 2 * j + 2] += part
+            rows.append(row)
+            limits.append(limit)
+
+        for i, id in enumerate(self.ids):
+            so_far, size = state.shifts[id][:2], self.balance.sizes[i]
+            carrier = next(
+                (self.balance.place[c] for c in chain_below(id, state.supports) if c in self.balance.place), None
+            )
+            for e in around:
+                row, limit = self._measured(i, e)
+                rows.append(row)
+                limits.append(limit)
+                bound({i: e}, state.bounds[id] - float(e @ so_far))
+                against = {i: e} if carrier is None else {i: e, carrier: -e}
+                bound(against, state.config.max_step * size)
+        place = self.balance.place
+        for a, b, sides in state.beside(self.ids):
+            for side in sides:
+                bound({place[id]: sign * side[:2] for id, sign in ((a, 1), (b, -1)) if id in place}, -float(side[2]))
+        return np.array(rows), np.array(limits)
+
+
+def _root(W: Array) -> Array:
+    """The symmetric square root of a positive definite (2, 2)."""
+    values, vectors = np.linalg.eigh(np.asarray(W, float))
+    if values[0] <= 0:
+        raise ValueError(f"a weight that is positive definite, not one of eigenvalues {values}")
+    return vectors @ np.diag(np.sqrt(values)) @ vectors.T
+
+
+def _skew(v: Array) -> Array:
+    """(3, 3): _skew(v) @ w is v x w."""
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])

@@ -1,0 +1,286 @@
+"""How one body comes to lie on what is held still: it turns about its contacts until its weight is between them.
+
+Quasi-static and without slip: while the centre of mass is not above the polygon of its contact points, the body turns
+about the side or corner of that polygon that is nearest, the way that lowers the centre, until it meets something new.
+No mass, friction or speed enters, so the same start always ends in the same place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Interval
+
+from f3sr import contact
+from f3sr.contact import Polytope
+from f3sr.frames import UP, Array, pose, rotation_about, rotation_angle
+from f3sr.patches import REACH, find_contacts, hull_corners
+from f3sr.physics import DEFAULT_PHYSICS
+from f3sr.settings import settings
+from f3sr.statics import Balance, StaticBody, carried, contacts_of, rigid, supports_first
+
+STEP = np.radians(2.0)
+"""Largest turn [rad] between two looks at what is in the way: thin things are not turned through."""
+SHARP = 1e-6
+"""Turn [rad] to which the next contact is found."""
+MEETS = 1e-7
+"""Height [m] that a turned body may have to be raised without having met something."""
+TOUCHING = 3e-6
+"""Gap [m] that counts as contact while landing; what is left at the end closes by as little."""
+TRIES = 4
+"""Shifts tried before a body that tips is given up."""
+EVENTS = 200
+"""Most contacts met: a round thing rolls from facet to facet."""
+JAMMED = 3
+"""So many turns in a row that end where they begin: it is held from the side."""
+STEEP = 0.2
+"""Cosine between up and a contact's normal below which it carries nothing: the body leans there."""
+
+
+@settings
+class LandingConfig:
+    """How far a body may go to lie down. What would have to go farther stays where it is."""
+
+    max_turn: Annotated[float, Interval(ge=0, le=3.2)] = 0.26
+    """Largest turn on the way [rad]: farther is toppling, not lying down."""
+    max_drop: Annotated[float, Interval(ge=0, le=10)] = 0.5
+    """How far it may hang over what it lies down on, as a share of its size."""
+    max_shift: Annotated[float, Interval(ge=0, le=1)] = 0.0
+    """How far it may be shifted first where it would tip over an edge, as a share of its size."""
+    margin: Annotated[float, Interval(ge=0, le=0.5)] = 0.03
+    """How far inside that edge a shift brings its weight: tangent of the tilt it then bears."""
+
+
+DEFAULT_LANDING = LandingConfig()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Landing:
+    """Where a body comes to lie."""
+
+    T: Array
+    """(4, 4) rigid motion of the world that takes it there."""
+    turn: float
+    """[rad] between its orientations before and after."""
+    shift: float
+    """[m] that it was shifted before."""
+    stands: bool
+    """It is balanced there by friction."""
+    tipped: bool
+    """It would have gone farther than allowed; ``T`` then leaves it where it was."""
+
+
+def land(
+    body: StaticBody,
+    surroundings: Sequence[StaticBody],
+    config: LandingConfig = DEFAULT_LANDING,
+    *,
+    clearance: float = 4e-4,
+    ground_friction: float = DEFAULT_PHYSICS.ground_friction[0],
+) -> Landing:
+    """Lower a body onto what is below, and let it turn until it is supported, ``clearance`` [m] above it.
+
+    Where it would tip over an edge it is shifted over it, as far as ``config`` allows, and tried again.
+    """
+    shift = np.zeros(2)
+    for _ in range(TRIES):
+        fall = _Fall(body, surroundings, ground_friction, shift)
+        if fall.lie_down(config):
+            fall.rise(clearance)
+            T = fall.motion
+            length = float(np.linalg.norm(shift))
+            return Landing(T=T, turn=rotation_angle(T[:3, :3]), shift=length, stands=fall.stands(REACH), tipped=False)
+        shift = shift + fall.way_in(config.margin)
+        if not fall.missing or np.linalg.norm(shift) > config.max_shift * body.size:
+            break
+    return Landing(T=np.eye(4), turn=0.0, shift=0.0, stands=False, tipped=True)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Landed:
+    """Where all bodies come to lie, one after the other."""
+
+    motions: Mapping[int, Array]
+    """(4, 4) rigid motion of the world per id."""
+    landings: Mapping[int, Landing]
+    """How each body came to lie, with what it carries, after all below it had."""
+
+
+def land_all(
+    bodies: Sequence[StaticBody],
+    supports: Mapping[int, int | None],
+    config: LandingConfig = DEFAULT_LANDING,
+    *,
+    clearance: float = 4e-4,
+    ground_friction: float = DEFAULT_PHYSICS.ground_friction[0],
+) -> Landed:
+    """Land every movable body with what it carries as one rigid thing, supports first, all others held still.
+
+    ``supports``: what each body rests on, None for those that stay where they are with what they carry. What
+    overlaps at the start is raised out of it.
+    """
+    now = {b.id: b for b in bodies}
+    motions = {b.id: np.eye(4) for b in bodies}
+    landings: dict[int, Landing] = {}
+    for id in supports_first(supports):
+        if now[id].fixed or supports[id] is None:
+            continue
+        members = {i for i in carried(id, supports) if not now[i].fixed}
+        found = land(
+            rigid([now[i] for i in sorted(members)], id),
+            [b for i, b in now.items() if i not in members],
+            config,
+            clearance=clearance,
+            ground_friction=ground_friction,
+        )
+        landings[id] = found
+        for i in members:
+            now[i] = now[i].moved(found.T)
+            motions[i] = found.T @ motions[i]
+    return Landed(motions=motions, landings=landings)
+
+
+class _Fall:
+    """A body on its way, and what is held still around it."""
+
+    def __init__(
+        self, body: StaticBody, surroundings: Sequence[StaticBody], ground_friction: float, shift: Array
+    ) -> None:
+        self.body = body
+        self.surroundings = [replace(b, fixed=True) for b in surroundings]
+        self.around = [p for b in surroundings for p in b.parts]
+        self.ground_friction = ground_friction
+        self.motion = pose(t=np.r_[shift, 0.0])
+        self.turned = 0.0
+        self.missing: list[tuple[float, Array]] = []
+        """Per pivot: how high the centre of mass was above it [m], and its horizontal way (2,) to it [m]."""
+
+    def lie_down(self, config: LandingConfig) -> bool:
+        """Come down and turn until supported; False where that is farther than allowed."""
+        farthest = config.max_drop * self.body.size
+        self.rise(0.0)
+        if self.motion[2, 3] > farthest or self.lower() > farthest:
+            return False
+        jammed = 0
+        for _ in range(EVENTS):
+            if (pivot := self.pivot()) is None or jammed == JAMMED:
+                return True
+            point, axis = pivot
+            across = np.cross(UP, axis)
+            across /= max(float(np.linalg.norm(across)), 1e-12)
+            arm = self.center - point
+            self.missing.append((float(arm[2]), -float(arm @ across) * across[:2]))
+            jammed = 0 if self.turn(point, axis) > 2 * SHARP else jammed + 1
+            if self.turned > config.max_turn:
+                return False
+        return False
+
+    def way_in(self, margin: float) -> Array:
+        """The shift (2,) that would have brought the centre over the nearest pivot, and by the margin inside it."""
+        if not self.missing:
+            return np.zeros(2)
+        height, way = min(self.missing, key=lambda m: float(np.linalg.norm(m[1])))
+        length = float(np.linalg.norm(way))
+        return way * (1 + margin * max(height, 0.0) / length) if length > 1e-9 else np.zeros(2)
+
+    @property
+    def parts(self) -> tuple[Polytope, ...]:
+        return tuple(p.moved(self.motion) for p in self.body.parts)
+
+    @property
+    def center(self) -> Array:
+        return self.motion[:3, :3] @ self.body.centers[0] + self.motion[:3, 3]
+
+    def lower(self) -> float:
+        """Bring it down until it touches, and say how far."""
+        parts = self.parts
+        drop = min(
+            min(float(p.bounds[0, 2]) for p in parts),
+            contact.free_travel(parts, self.around, -UP) if self.around else np.inf,
+        )
+        self.motion = pose(t=-drop * UP) @ self.motion
+        return drop
+
+    def rise(self, clearance: float) -> None:
+        """Raise it until it is free of everything with the clearance."""
+        self.motion = pose(t=max(0.0, self._lift(self.parts, clearance)) * UP) @ self.motion
+
+    def _lift(self, parts: Sequence[Polytope], clearance: float = 0.0) -> float:
+        lift = contact.smallest_shift(parts, self.around, UP, clearance) if self.around else 0.0
+        return max(lift, clearance - min(float(p.bounds[0, 2]) for p in parts))
+
+    def stands(self, reach: float) -> bool:
+        """Whether forces at contacts within reach, with friction, balance it."""
+        everything = [self.body.moved(self.motion), *self.surroundings]
+        contacts = contacts_of(everything, reach=reach)
+        return Balance(everything[:1], everything, contacts, self.ground_friction).stands()
+
+    def pivot(self) -> tuple[Array, Array] | None:
+        """A point and a unit axis to turn about so that the centre of mass sinks; None when it is supported."""
+        everything: Mapping[int, Sequence[Polytope]] = {0: self.parts, 1: self.around}
+        found = find_contacts(everything if self.around else {0: self.parts}, reach=TOUCHING)
+        sign = np.where(found.upper == 0, 1.0, -1.0)
+        mine, upward = (found.upper == 0) | (found.lower == 0), sign * found.normals[:, 2]
+        points = found.points[mine & (upward > STEEP)]
+        if not len(points):
+            return None
+        corners = points[hull_corners(points[:, :2], TOUCHING)]
+        out = _way_out(corners, self.center)
+        leans = bool((mine & (np.abs(upward) <= STEEP)).any())
+        return None if out is None or (leans and self.stands(TOUCHING)) else out
+
+    def turn(self, point: Array, axis: Array) -> float:
+        """Turn about an axis until something new is met, at most one step; how far."""
+        here = self.motion
+
+        def turned(angle: float) -> Array:
+            R = rotation_about(axis, angle)
+            return pose(R, point - R @ point) @ here
+
+        def free(angle: float) -> bool:
+            return self._lift([p.moved(turned(angle)) for p in self.body.parts]) <= MEETS + angle * TOUCHING
+
+        low, high = 0.0, STEP
+        if free(high):
+            low = high
+        else:
+            while high - low > SHARP:
+                middle = (low + high) / 2
+                low, high = (middle, high) if free(middle) else (low, middle)
+            low = high  # the new contact, not the gap before it
+        self.motion = turned(low)
+        self.turned += low
+        self.rise(0.0)
+        self.lower()
+        return low
+
+
+def _way_out(corners: Array, center: Array) -> tuple[Array, Array] | None:
+    """The nearest side or corner (point, axis) of a support polygon (k, 3) that does not hold the centre."""
+    c = center[:2]
+    if len(corners) > 2:
+        starts, ends = corners[:, :2], np.roll(corners[:, :2], -1, axis=0)
+        along = ends - starts
+        left = along[:, 0] * (c[1] - starts[:, 1]) - along[:, 1] * (c[0] - starts[:, 0])
+        if (left >= -1e-9 * np.linalg.norm(along, axis=1)).all():
+            return None
+    best, feature = np.inf, (corners[0], corners[0])
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        d = b[:2] - a[:2]
+        w = float(np.clip((c - a[:2]) @ d / max(d @ d, 1e-300), 0, 1))
+        distance = float(np.linalg.norm(c - a[:2] - w * d))
+        if distance < best:
+            best, feature = distance, (a, b) if 0 < w < 1 else ((a, a) if w == 0 else (b, b))
+    a, b = feature
+    axis = b - a
+    if not axis.any():  # a corner: the axis is level and across the way to the centre
+        axis = np.array([-(c - a[:2])[1], (c - a[:2])[0], 0.0])
+    length = float(np.linalg.norm(axis))
+    if length < 1e-12:
+        return None
+    axis = axis / length
+    sinks = np.cross(axis, center - a)[2]  # the centre's vertical speed
+    return (a, axis) if sinks < 0 else (a, -axis)

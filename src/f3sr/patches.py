@@ -1,0 +1,307 @@
+"""Where resting bodies touch: contact patches between unions of convex parts and the ground, without a simulator.
+
+Two convex parts whose surfaces are at most ``reach`` apart along the axis that separates them best touch wherever their
+gap along that axis is within reach. That is where one part, moved by ``reach`` along the axis, overlaps the other, so
+the patch is the projection of a convex polytope, and its corners are ends of edges of one part clipped by the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import combinations
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.contact import Body, Polytope, face_facets, facets
+from f3sr.frames import UP, Array, frozen
+from f3sr.kernels import kernel
+from f3sr.mesh import ConvexPart
+from f3sr.scene import GROUND
+
+REACH = 6e-4
+"""Surfaces nearer than this touch [m]: bodies are left .4 mm apart, and what closes by moving .2 mm is at rest."""
+FACE_FIRST = 0.05
+"""An axis across two edges replaces that of a face when it separates by this share of the reach more: the normals of
+nearly parallel edges are noise."""
+ONE_PLANE = np.radians(1.0)
+"""Patches whose normals differ by less [rad] and which lie within reach of one plane are one patch."""
+STEEP = 0.05
+"""Sine of the angle between an edge and the face that ends it below which the end is taken to stay on the edge: it
+would run along the edge more than twenty times as fast as the bodies move."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Contacts:
+    """Corners of contact patches, one row each.
+
+    ``upper`` and ``lower`` (k,) are ids of the bodies, ``lower`` GROUND for the ground; ``points`` (k, 3) [m];
+    ``normals`` (k, 3) unit, from lower to upper. ``follow`` (k, 3, 3): when the bodies move by small shifts a point
+    moves by ``follow @ shift_upper + (1 - follow) @ shift_lower``.
+    """
+
+    upper: NDArray[np.int64]
+    lower: NDArray[np.int64]
+    points: Array
+    normals: Array
+    follow: Array
+
+    def __post_init__(self) -> None:
+        for name in ("points", "normals", "follow"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        assert self.follow.shape == (len(self), 3, 3)
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def of(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Self:
+        """Some of the rows."""
+        return type(self)(
+            upper=self.upper[rows],
+            lower=self.lower[rows],
+            points=self.points[rows],
+            normals=self.normals[rows],
+            follow=self.follow[rows],
+        )
+
+    @property
+    def pairs(self) -> frozenset[tuple[int, int]]:
+        """(upper, lower) ids that touch."""
+        return frozenset(zip(self.upper.tolist(), self.lower.tolist(), strict=True))
+
+
+def find_contacts(bodies: Mapping[int, Body], *, reach: float = REACH, ground: bool = True) -> Contacts:
+    """All contacts between bodies, given by id with their parts in the world, and with the ground z = 0."""
+    rows = list(_rows(bodies, reach, ground))
+    owners = np.array([r.owners for r in rows], np.int64).reshape(-1, 2)
+    counts = [len(r.patch.points) for r in rows]
+    upper, lower = np.repeat(owners, counts, axis=0).T
+    return Contacts(
+        upper=upper,
+        lower=lower,
+        points=np.concatenate([np.empty((0, 3)), *(r.patch.points for r in rows)]),
+        normals=np.repeat(np.array([r.patch.normal for r in rows]).reshape(-1, 3), counts, axis=0),
+        follow=np.concatenate([np.empty((0, 3, 3)), *(r.patch.follow for r in rows)]),
+    )
+
+
+class _Patch(NamedTuple):
+    """One normal (3,), and corners (k, 3) with how they follow the upper body (k, 3, 3)."""
+
+    normal: Array
+    points: Array
+    follow: Array
+
+
+class _Row(NamedTuple):
+    owners: tuple[int, int]
+    patch: _Patch
+
+
+def _rows(bodies: Mapping[int, Body], reach: float, ground: bool) -> Iterator[_Row]:
+    boxes = {id: np.stack([p.bounds for p in parts]) for id, parts in bodies.items()}
+    for a, b in combinations(bodies, 2):
+        if _apart(_around(boxes[a]), _around(boxes[b]), reach):
+            continue
+        patches = [
+            patch
+            for i, j in np.argwhere(_near(boxes[a], boxes[b], reach))
+            if (patch := _between(bodies[a][i], bodies[b][j], reach))
+        ]
+        if not patches:
+            continue
+        upward = sum(p.normal[2] * len(p.points) for p in patches) >= 0
+        if not upward:
+            patches = [_Patch(-p.normal, p.points, np.eye(3) - p.follow) for p in patches]
+        yield from (_Row((a, b) if upward else (b, a), patch) for patch in _merged(patches, reach))
+    if ground:
+        for id, parts in bodies.items():
+            patches = [p for part in parts if (p := _on_ground(part, reach))]
+            yield from (_Row((id, GROUND), patch) for patch in _merged(patches, reach))
+
+
+def _around(boxes: Array) -> Array:
+    return np.stack([boxes[:, 0].min(0), boxes[:, 1].max(0)])
+
+
+def _apart(a: Array, b: Array, reach: float) -> bool:
+    return bool(((a[0] > b[1] + reach) | (b[0] > a[1] + reach)).any())
+
+
+def _near(a: Array, b: Array, reach: float) -> NDArray[np.bool_]:
+    """Pairs (n, m) of parts whose boxes come within reach of each other."""
+    near = (a[:, None, 0] <= b[None, :, 1] + reach) & (b[None, :, 0] <= a[:, None, 1] + reach)
+    return np.logical_and.reduce(near, axis=-1)
+
+
+def _between(a: Polytope, b: Polytope, reach: float) -> _Patch | None:
+    """The patch of two convex parts, its normal from b to a; None when they are further apart than reach."""
+    normals, heights = face_facets(a, b)
+    faces = len(normals)
+    if heights.min() < -reach:
+        return None
+    normals, heights = facets(a, b)
+    best = int(np.argmin(heights[:faces]))
+    if len(heights) > faces and heights[faces:].min() < heights[best] - FACE_FIRST * reach:
+        best = faces + int(np.argmin(heights[faces:]))
+    if heights[best] < -reach:
+        return None
+    n = np.ascontiguousarray(normals[best])
+    rows = _patch_corners(
+        reach * n,
+        a.edge_starts,
+        a.edge_directions,
+        a.edge_lengths,
+        a.normals,
+        a.offsets,
+        b.edge_starts,
+        b.edge_directions,
+        b.edge_lengths,
+        b.normals,
+        b.offsets,
+    )
+    if not len(rows):
+        return None
+    return _Patch(-n, rows[:, :3] - reach / 2 * n, rows[:, 3:].reshape(-1, 3, 3))
+
+
+def _on_ground(part: Polytope, reach: float) -> _Patch | None:
+    if part.bounds[0, 2] > reach:
+        return None
+    starts, ends = part.edge_starts, part.edge_starts + part.edge_lengths[:, None] * part.edge_directions
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossing = starts + ((reach - starts[:, 2]) / (ends[:, 2] - starts[:, 2]))[:, None] * (ends - starts)
+    crosses = (starts[:, 2] > reach) != (ends[:, 2] > reach)
+    points = np.concatenate([part.vertices[part.vertices[:, 2] <= reach], crossing[crosses]])
+    points[:, 2] = 0
+    return _Patch(UP, points, np.tile(np.eye(3), (len(points), 1, 1)))
+
+
+def _merged(patches: list[_Patch], reach: float) -> Iterator[_Patch]:
+    """Patches in one plane as one, each reduced to the corners of its hull."""
+    patches = sorted(patches, key=lambda p: -len(p.points))
+    while patches:
+        n, middle = patches[0].normal, patches[0].points.mean(0)
+        same = [
+            bool(p.normal @ n > np.cos(ONE_PLANE) and (np.abs((p.points - middle) @ n) < reach).all()) for p in patches
+        ]
+        group = [p for p, s in zip(patches, same, strict=True) if s] or patches[:1]
+        patches = [p for p, s in zip(patches, same, strict=True) if not s and p is not patches[0]]
+        points, follow = np.concatenate([p.points for p in group]), np.concatenate([p.follow for p in group])
+        if np.ptp(points, axis=0).max() < reach:  # no larger than what is not told apart: a point
+            yield _Patch(n, points.mean(0)[None], follow.mean(0)[None])
+            continue
+        u, v = tangents(n)
+        corners = hull_corners(np.stack([points @ u, points @ v], axis=1), reach / 100)
+        yield _Patch(n, points[corners], follow[corners])
+
+
+def tangents(n: Array) -> tuple[Array, Array]:
+    """Two unit vectors that make a right-handed frame with unit n (3,)."""
+    other = np.eye(3)[int(np.argmin(np.abs(n)))]
+    u = np.cross(other, n)
+    u /= np.linalg.norm(u)
+    return u, np.cross(n, u)
+
+
+# Kernels
+
+
+@kernel
+def _patch_corners(
+    shift: Array,
+    starts_a: Array,
+    directions_a: Array,
+    lengths_a: Array,
+    normals_a: Array,
+    offsets_a: Array,
+    starts_b: Array,
+    directions_b: Array,
+    lengths_b: Array,
+    normals_b: Array,
+    offsets_b: Array,
+) -> Array:
+    """Corners of the overlap of a moved by ``shift`` with b: rows (point, how it follows a) (k, 12)."""
+    rows = np.empty((2 * (len(starts_a) + len(starts_b)), 12))
+    k = 0
+    for side in range(2):
+        if side == 0:
+            starts, directions, lengths, normals = starts_a + shift, directions_a, lengths_a, normals_b
+            offsets = offsets_b
+        else:
+            starts, directions, lengths, normals = starts_b + 0.0, directions_b, lengths_b, normals_a
+            offsets = offsets_a + (normals_a[:, 0] * shift[0] + normals_a[:, 1] * shift[1] + normals_a[:, 2] * shift[2])
+        for i in range(len(starts)):
+            first, last, face_first, face_last = 0.0, lengths[i], -1, -1
+            slack = 1e-9 * (lengths[i] + 1e-3)
+            for m in range(len(normals)):
+                at = -offsets[m]
+                speed = 0.0
+                for c in range(3):
+                    at += normals[m, c] * starts[i, c]
+                    speed += normals[m, c] * directions[i, c]
+                if abs(speed) < 1e-9:
+                    if at > slack:
+                        last = -1.0
+                elif speed > 0.0:
+                    t = -at / speed
+                    if t < last:
+                        last, face_last = t, m
+                else:
+                    t = -at / speed
+                    if t > first:
+                        first, face_first = t, m
+                if first > last + slack:
+                    break
+            if first > last + slack:
+                continue
+            for end in range(2):
+                t, face = (first, face_first) if end == 0 else (last, face_last)
+                for c in range(3):
+                    rows[k, c] = starts[i, c] + t * directions[i, c]
+                speed = 0.0
+                if face >= 0:
+                    for c in range(3):
+                        speed += normals[face, c] * directions[i, c]
+                own = 1.0 if side == 0 else 0.0
+                for c in range(3):
+                    for d in range(3):
+                        f = 0.0
+                        if face >= 0 and abs(speed) > STEEP:
+                            f = directions[i, c] * normals[face, d] / speed
+                        same = own if c == d else 0.0
+                        rows[k, 3 + 3 * c + d] = same - f if side == 0 else same + f
+                k += 1
+    return rows[:k].copy()
+
+
+@kernel
+def hull_corners(points: Array, tolerance: float) -> NDArray[np.int64]:
+    """Indices of the corners of the convex hull of points (k, 2); a corner less than ``tolerance`` out is left out."""
+    order = np.argsort(points[:, 0] + 1e-9 * points[:, 1])
+    hull = np.empty(2 * len(points) + 2, np.int64)
+    k = 0
+    for turn in range(2):
+        floor = k + 1
+        for q in range(len(order)):
+            i = order[q] if turn == 0 else order[len(order) - 1 - q]
+            while k > floor:
+                p, r = hull[k - 2], hull[k - 1]
+                ax, ay = points[i, 0] - points[p, 0], points[i, 1] - points[p, 1]
+                bx, by = points[r, 0] - points[p, 0], points[r, 1] - points[p, 1]
+                if ax * by - ay * bx < -tolerance * np.sqrt(ax * ax + ay * ay):
+                    break
+                k -= 1
+            hull[k] = i
+            k += 1
+        k -= 1
+    return hull[: max(k, 1)].copy()
+
+
+def warm_up() -> None:
+    """Compile every kernel of this module by calling it once."""
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    a = Polytope.of(ConvexPart.hull_of(corners))
+    find_contacts({0: [a], 1: [a.shifted((0.1, 0.1, 0.9))]})
