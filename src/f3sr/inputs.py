@@ -217,7 +217,12 @@ class _GivenGraph(BaseModel):
     def as_relations(self) -> list[Relation]:
         given = [
             Relation(
-                subject=r.subject, predicate=r.predicate, object=r.object, confidence=r.confidence, evidence="given"
+                subject=r.subject,
+                predicate=r.predicate,
+                object=r.object,
+                confidence=r.confidence,
+                evidence="given",
+                source="given",
             )
             for r in self.relations
         ]
@@ -230,6 +235,7 @@ class _GivenGraph(BaseModel):
                     object=r.lower,
                     confidence=r.confidence,
                     evidence=evidence,
+                    source="given",
                 )
             )
         return given

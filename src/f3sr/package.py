@@ -34,7 +34,7 @@ from f3sr.mesh_io import load_mesh
 from f3sr.physics import DEFAULT_PHYSICS, PhysicsConfig, body_of
 from f3sr.place import MASKS, PAGE, PHOTO, claimed, is_package, prepare_output
 from f3sr.report import Report
-from f3sr.scene import Excluded, Ground, Motion, Photo, Relation, Scene, SceneGraph, SceneObject, Support
+from f3sr.scene import Excluded, Ground, Motion, Node, Photo, Relation, Scene, SceneGraph, SceneObject, Support
 
 __all__ = ["Package", "SceneDocument", "is_package", "prepare_output", "read_package", "scene_schema", "write_package"]
 
@@ -121,6 +121,7 @@ def read_package(folder: Path) -> Package:
         graph=SceneGraph(
             relations=tuple(Relation(**r.model_dump()) for r in document.scene_graph.relations),
             source=document.scene_graph.source,
+            nodes=tuple(Node(**n.model_dump()) for n in document.scene_graph.nodes),
         ),
         excluded=tuple(Excluded(mask=e.mask, reason=e.reason) for e in document.excluded),
     )

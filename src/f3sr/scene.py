@@ -199,21 +199,42 @@ Predicate = Literal[
 ]
 
 
+RelationSource = Literal["found", "given"]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Relation:
-    """``subject predicate object`` with a confidence in [0, 1] and the evidence it rests on."""
+    """``subject predicate object`` with a confidence in [0, 1] and the evidence it rests on.
+
+    Only supports name the ground, as the object. Relations with an inverse come both ways, symmetric ones once, the
+    lower id first.
+    """
 
     subject: int
     predicate: Predicate
     object: int
     confidence: float
     evidence: str
+    source: RelationSource = "found"
+    """``given`` where scene_graph.json says it and geometry does not contradict."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Node:
+    """An object of the scene graph in words. ``visibility`` in [0, 1]: the share of its rendered silhouette that no
+    other object hides and the photo's border does not cut."""
+
+    id: int
+    label: str
+    description: str
+    visibility: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class SceneGraph:
     relations: tuple[Relation, ...] = ()
     source: str = "provisional"
+    nodes: tuple[Node, ...] = ()
 
     def of(self, predicate: Predicate) -> frozenset[tuple[int, int]]:
         """The (subject, object) pairs of one predicate."""

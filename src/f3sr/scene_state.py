@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from f3sr.frames import Array
 from f3sr.mesh import ConvexPart
-from f3sr.scene import Ground, Motion, Relation, Scene, SceneGraph, SceneObject, Support
+from f3sr.scene import Ground, Motion, Node, Relation, Scene, SceneGraph, SceneObject, Support
 
 Arrays = dict[str, NDArray[Any]]
 PLAIN = ("mobility", "density", "friction", "rolling_friction", "restitution", "material", "supported_by", "scale")
@@ -33,7 +33,7 @@ def pack(scene: Scene) -> tuple[dict[str, Any], Arrays]:
             "source": ground.source,
             "confidence": float(ground.confidence),
         },
-        "graph": {"source": scene.graph.source, "relations": [asdict(r) for r in scene.graph.relations]},
+        "graph": asdict(scene.graph),
         "objects": {str(o.id): _pack_object(o) for o in scene},
     }
     return document, arrays
@@ -46,7 +46,11 @@ def unpack(base: Scene, document: dict[str, Any], arrays: Arrays) -> Scene:
         base,
         camera=base.camera.moved(arrays["T_world_camera"]),
         ground=Ground(**ground | {"normal": np.array(ground["normal"])}),
-        graph=SceneGraph(source=graph["source"], relations=tuple(Relation(**r) for r in graph["relations"])),
+        graph=SceneGraph(
+            source=graph["source"],
+            relations=tuple(Relation(**r) for r in graph["relations"]),
+            nodes=tuple(Node(**n) for n in graph["nodes"]),
+        ),
         objects=tuple(_unpack_object(o, document["objects"][str(o.id)], arrays) for o in base),
     )
 

@@ -15,7 +15,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, mo
 from f3sr.export.mjcf import collision_path
 from f3sr.frames import Array
 from f3sr.physics import body_of
-from f3sr.scene import GROUND, Mobility, Predicate, Scene, SceneObject
+from f3sr.scene import GROUND, Mobility, Predicate, RelationSource, Scene, SceneObject
 
 SCHEMA_VERSION = 1
 SCHEMA_FILE = "scene.schema.json"
@@ -139,11 +139,26 @@ class RelationRecord(_Record):
     object: IdOrGround
     confidence: Share
     evidence: str
+    source: RelationSource = "found"
+    """``given`` where scene_graph.json says it and geometry does not contradict."""
+
+
+class NodeRecord(_Record):
+    """An object in words, and the share of its rendered silhouette that nothing hides or cuts."""
+
+    id: Id
+    label: str
+    description: str
+    visibility: Share
 
 
 class SceneGraphRecord(_Record):
+    """Relations with an inverse (inside, contains; in_front_of, behind) come both ways, symmetric ones (next_to,
+    touching, overlaps_2d) once, the lower id first; only supported_by names the ground, -1, as its object."""
+
     relations: tuple[RelationRecord, ...]
     source: str
+    nodes: tuple[NodeRecord, ...] = ()
 
 
 class DirectObjectRecord(_Record):
@@ -192,6 +207,7 @@ class SceneDocument(_Record):
         named = {s.id for o in self.objects for s in o.supports} | {GROUND}
         named |= {o.supported_by for o in self.objects if o.supported_by is not None}
         named |= {i for r in self.scene_graph.relations for i in (r.subject, r.object)}
+        named |= {n.id for n in self.scene_graph.nodes}
         if self.direct and [o.id for o in self.direct.objects] != ids:
             raise ValueError(f"direct composition of other ids than {ids}")
         if unknown := sorted(named - {GROUND, *ids}):
@@ -236,8 +252,9 @@ def to_document(
             "objects": [_object(o) for o in scene.objects],
             "excluded": [{"mask": e.mask, "reason": e.reason} for e in scene.excluded],
             "scene_graph": {
-                "relations": [vars(r) for r in scene.graph.relations],
+                "relations": [vars(r) | {"evidence": _well_formed(r.evidence)} for r in scene.graph.relations],
                 "source": scene.graph.source,
+                "nodes": [vars(n) | {"label": _well_formed(n.label)} for n in scene.graph.nodes],
             },
             "direct": _direct(direct, scene) if direct else None,
             "metrics": {name: _finite(value) for name, value in metrics.items()},

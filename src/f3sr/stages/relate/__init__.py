@@ -1,0 +1,229 @@
+"""relate: the scene graph. Who rests on whom and all other relations, told from geometry, masks and depth alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from f3sr.report import Decision, Measure, Report
+from f3sr.scene import GROUND, Relation, Scene, SceneGraph, SceneObject
+from f3sr.stages.relate.beside import Nearest, nearest, next_to, touching
+from f3sr.stages.relate.config import RelateConfig
+from f3sr.stages.relate.given import FIRST, Given, canonical, held_against, with_given
+from f3sr.stages.relate.inside import inside
+from f3sr.stages.relate.known import Known, name_of
+from f3sr.stages.relate.leaning import leaning, rests_on
+from f3sr.stages.relate.nodes import nodes
+from f3sr.stages.relate.order import depth_order, ids_of, overlaps
+from f3sr.stages.relate.shares import Carried, carried, without_circles
+from f3sr.stages.relate.supports import Candidate, candidates, forest, likelihood
+from f3sr.stages.relate.unseen import hangs
+
+__all__ = ["Candidate", "RelateConfig", "describe", "forest", "relate"]
+
+FROM_GEOMETRY = "geometry and masks"
+Found = Mapping[int, Sequence[Candidate]]
+
+
+def relate(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, Report]:
+    """Name every object's supports and build the scene graph.
+
+    The support forest has one parent each and no cycles, the likeliest candidates first; given supports that geometry
+    allows come before all found here. The ground is a candidate for every object, however far below: what floats over
+    nothing will come down to it, unless it must hang on something unseen; that stays fixed where it is.
+    """
+    known = Known.of(scene, config or RelateConfig())
+    found = {o.id: candidates(o, known) for o in scene}
+    given = held_against(scene.graph, found, known)
+    chosen = forest([*given.supports, *(c for cs in found.values() for c in cs)])
+    resting = _resting(chosen, found, given, known)
+    unseen = {o.id: why for o in scene if (why := _unseen(o, chosen[o.id], found[o.id], known))}
+    objects = tuple(_supported(o, resting[o.id], o.id in unseen) for o in scene)
+    related = scene.with_objects(*objects)
+    graph = _graph(related, resting, chosen, found, given, known, exact=False)
+    decisions = [*given.decisions, *_circles(given, chosen)]
+    for o in related:
+        decisions += _said(o, chosen[o.id], found[o.id], unseen.get(o.id))
+    report = Report(stage="relate", measures=_measures(related, given), decisions=tuple(decisions))
+    return replace(related, graph=graph), report
+
+
+def describe(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, Report]:
+    """The scene graph of a scene at rest: the supports are those that the objects have, from contact forces, contact is
+    that of the proxies. No object changes; given relations that no longer hold are told and left out."""
+    known = Known.of(scene, config or RelateConfig())
+    found = {o.id: candidates(o, known) for o in scene}
+    given = held_against(scene.graph, found, known)
+    chosen = {o.id: _main(o, found[o.id]) for o in scene if o.supported_by is not None}
+    resting = {id: carried(c, found[id], known) for id, c in chosen.items()}
+    graph = _graph(scene, resting, chosen, found, given, known, exact=True)
+    carriers = {(o.id, s.id) for o in scene for s in o.supports}
+    lost = [c for c in given.supports if (c.child, c.parent) not in carriers]
+    decisions = [
+        Decision(
+            choice=f"given support by {name_of(c.parent)} carries nothing at rest", reason=c.evidence, about=c.child
+        )
+        for c in lost
+    ]
+    report = Report(stage="describe", measures=_measures(scene, given), decisions=(*given.decisions, *decisions))
+    return replace(scene, graph=graph), report
+
+
+def _resting(chosen: Mapping[int, Candidate], found: Found, given: Given, known: Known) -> dict[int, Carried]:
+    """What carries every object; nothing is carried by what rests on it."""
+    above = rests_on({id: [c.parent] for id, c in chosen.items()})
+    resting: dict[int, Carried] = {}
+    for id, c in chosen.items():
+        others = [other for other in found[id] if other.parent != c.parent and other.parent not in above[id]]
+        named = {g.parent for g in given.supports if g.child == id}
+        resting[id] = carried(c, others, known, given=named)
+    return without_circles(resting)
+
+
+def _unseen(o: SceneObject, chosen: Candidate, found: Sequence[Candidate], known: Known) -> str | None:
+    """Why an object rests on something unseen; what is given to rest on something does not."""
+    return hangs(o, found, known) if chosen.parent == GROUND and chosen.cost >= 0 else None
+
+
+def _supported(o: SceneObject, resting: Carried, unseen: bool) -> SceneObject:
+    if unseen:
+        return replace(o, supported_by=None, supports=(), mobility="fixed")
+    return replace(o, supported_by=resting.patches[0].id, supports=resting.supports)
+
+
+def _main(o: SceneObject, found: Sequence[Candidate]) -> Candidate:
+    """The main support that an object has, with the contact found here if there is one."""
+    assert o.supported_by is not None
+    unknown = Candidate(child=o.id, parent=o.supported_by, cost=0.0, evidence="")
+    same = next((c for c in found if c.parent == o.supported_by), unknown)
+    return replace(same, contact=replace(same.contact, k=1.0))
+
+
+def _graph(
+    scene: Scene,
+    resting: Mapping[int, Carried],
+    chosen: Mapping[int, Candidate],
+    found: Found,
+    given: Given,
+    known: Known,
+    *,
+    exact: bool,
+) -> SceneGraph:
+    """All relations of a scene whose objects have their supports; ``exact``: at rest, with proxies."""
+    above = rests_on({o.id: [s.id for s in o.supports] for o in scene})
+    near = nearest(known, exact=exact)
+    relations = _support_relations(scene, chosen, found, given, near if exact else None, known)
+    for o in scene:
+        contacts = {c.parent: c.contact.k for c in found[o.id]}
+        for p in known.near[o.id]:
+            if p not in above[o.id] and (pair := inside(o.id, p, 1.0 if exact else contacts.get(p, 1.0), known)):
+                relations += pair
+    related = {(a, b) for b in above for a in above[b]} | ids_of(relations, "inside")
+    carried_ones = {id: c for id, c in resting.items() if scene[id].supports}
+    relations += leaning(carried_ones, near, above, known)
+    relations += touching(near, known, exact=exact)
+    relations += next_to(near, related, known)
+    relations += overlaps(known)
+    relations += depth_order(known, related)
+    source = scene.graph.source if given.count else FROM_GEOMETRY
+    return SceneGraph(relations=with_given(relations, given.relations), source=source, nodes=nodes(known))
+
+
+def _support_relations(
+    scene: Scene,
+    chosen: Mapping[int, Candidate],
+    found: Found,
+    given: Given,
+    near: Mapping[tuple[int, int], Nearest] | None,
+    known: Known,
+) -> list[Relation]:
+    """One per support; ``near`` where all rests: then contact is what makes them sure."""
+    named = {(c.child, c.parent): c for c in given.supports}
+    relations: list[Relation] = []
+    for o in scene:
+        for s in o.supports:
+            told = named.get((o.id, s.id)) or next((c for c in found[o.id] if c.parent == s.id), None)
+            evidence = f"carries {100 * s.share:.0f}% of it"
+            if near is not None:
+                confidence = 1.0 if _touch(o.id, s.id, near, known) else 0.5
+            elif s.id == o.supported_by:
+                confidence = likelihood(chosen[o.id], found[o.id])
+            else:
+                confidence = 0.5
+            if (o.id, s.id) in named:
+                confidence = FIRST - named[o.id, s.id].cost
+            relations.append(
+                Relation(
+                    subject=o.id,
+                    predicate="supported_by",
+                    object=s.id,
+                    confidence=confidence,
+                    evidence=f"{evidence}: {told.evidence}" if told and told.evidence and near is None else evidence,
+                    source="given" if (o.id, s.id) in named else "found",
+                )
+            )
+    return relations
+
+
+def _touch(a: int, b: int, near: Mapping[tuple[int, int], Nearest], known: Known) -> bool:
+    """Whether the proxies of two objects, or of one and the ground, touch."""
+    if b == GROUND:
+        o = known.scene[a]
+        return min(float(p.vertices[:, 2].min()) for p in o.parts_world) <= known.config.contact
+    n = near.get((min(a, b), max(a, b)))
+    return n is not None and n.exact
+
+
+def _circles(given: Given, chosen: Mapping[int, Candidate]) -> list[Decision]:
+    """Given supports that were not followed though geometry allows them: the first of a child's is its main one."""
+    first: dict[int, Candidate] = {}
+    for c in sorted(given.supports, key=lambda c: (c.cost, c.parent)):
+        first.setdefault(c.child, c)
+    return [
+        Decision(
+            choice=f"given support by {name_of(c.parent)} dropped",
+            reason="it would close a circle with surer given supports",
+            about=c.child,
+        )
+        for id, c in sorted(first.items())
+        if chosen[id].parent != c.parent
+    ]
+
+
+def _said(o: SceneObject, chosen: Candidate, found: Sequence[Candidate], unseen: str | None) -> list[Decision]:
+    """What an object rests on and why, and where that is not what was found here."""
+    if unseen:
+        return [Decision(choice="rests on something unseen, kept fixed where it is", reason=unseen, about=o.id)]
+    further = [f"{name_of(s.id)} ({100 * s.share:.0f}%)" for s in o.supports[1:]]
+    choice = f"rests on {name_of(chosen.parent)}" + (f", also on {', '.join(further)}" if further else "")
+    best = min(found, key=lambda c: (c.cost, c.parent))
+    if chosen.cost < 0 and best.parent != chosen.parent:
+        return [
+            Decision(choice=choice, reason=chosen.evidence, about=o.id),
+            Decision(
+                choice=f"rests on {name_of(chosen.parent)} as given, not on {name_of(best.parent)} as found",
+                reason=f"found: {best.evidence}",
+                about=o.id,
+            ),
+        ]
+    rivals = [c for c in found if c.parent != chosen.parent]
+    runner_up = min(rivals, key=lambda c: (c.cost, c.parent), default=None)
+    against = f"; {name_of(runner_up.parent)}: {100 * likelihood(runner_up, found):.2g}% likely" if runner_up else ""
+    return [Decision(choice=choice, reason=chosen.evidence + against, about=o.id)]
+
+
+def _measures(scene: Scene, given: Given) -> tuple[Measure, ...]:
+    on_ground = sum(o.supported_by == GROUND for o in scene)
+    unseen = sum(o.supported_by is None for o in scene)
+    measures = [
+        Measure(name="objects on the ground", after=on_ground),
+        Measure(name="objects on objects", after=len(scene.objects) - on_ground - unseen),
+        Measure(name="objects on something unseen", after=unseen),
+    ]
+    if given.count:
+        kept = len(given.supports) + len(canonical(given.relations))
+        measures += [
+            Measure(name="given relations", after=given.count),
+            Measure(name="given relations that geometry allows", after=kept),
+        ]
+    return tuple(measures)

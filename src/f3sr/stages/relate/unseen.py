@@ -1,0 +1,51 @@
+"""What rests on something that nobody sees: high above the ground and all else, where the depth can be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from f3sr.scene import GROUND, SceneObject
+from f3sr.silhouette import resample
+from f3sr.stages.relate.known import Known
+from f3sr.stages.relate.supports import Candidate
+
+
+def hangs(o: SceneObject, found: Sequence[Candidate], known: Known) -> str | None:
+    """Why an object rests on something unseen, in figures; None where it need not.
+
+    Generated poses can be far off: only where the photo's own geometry agrees with the object's depth is it believed.
+    """
+    config, mine = known.config, known.surfaces[o.id]
+    if any(c.parent != GROUND for c in found):
+        return None
+    height, eye = mine.lowest, known.plan.eye
+    farther = height / (eye - height) if eye > height else np.inf
+    if height <= config.unseen_height * o.size or farther <= config.unseen_scale:
+        return None
+    off = depth_error(o, known)
+    if off is None or off > config.unseen_agreement:
+        return None
+    reach = "no distance" if np.isinf(farther) else f"only {100 * farther:.0f}% farther away"
+    return (
+        f"{1000 * height:.0f} mm above the ground, {height / o.size:.1f} of its sizes, nothing else is below, and it "
+        f"would reach the ground at {reach}, while the photo's geometry agrees with its depth to {100 * off:.0f}%"
+    )
+
+
+def depth_error(o: SceneObject, known: Known) -> float | None:
+    """How far an object's median visible depth is from that of the photo's geometry in its mask, as a share; None
+    without geometry there."""
+    geometry, view = known.scene.geometry, known.picture.views[o.id]
+    if geometry is None or not view.pixels:
+        return None
+    h, w = known.picture.labels.shape
+    rows, columns = (
+        ((np.arange(n) + 0.5) * m / n).astype(int) for n, m in zip((h, w), geometry.valid.shape, strict=True)
+    )
+    z = np.where(geometry.valid, geometry.points[:, :, 2], np.nan)[rows][:, columns]
+    there = (resample(o.mask, w, h) & np.isfinite(z))[view.window] & view.covers
+    if not there.any():
+        return None
+    return float(abs(np.log(np.median(view.depth[there]) / np.median(z[view.window][there]))))
