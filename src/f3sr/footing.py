@@ -80,8 +80,9 @@ def footing(o: SceneObject, plane: Plane, config: FootingConfig) -> tuple[Convex
     if not underside.carries(plane, lowest, config):
         return ()
     T_asset_world: Array = np.linalg.inv(o.T_world_asset).astype(np.float64)
+    into = np.array([0.0, 0.0, GRAIN * o.size])  # none is without volume where the underside meets the plane
     return tuple(
-        ConvexPart.hull_of(np.concatenate([patch, plane.below(patch, lowest)])).moved(T_asset_world)
+        ConvexPart.hull_of(np.concatenate([patch + into, plane.below(patch, lowest)])).moved(T_asset_world)
         for patch in underside.patches(config.pieces)
     )
 

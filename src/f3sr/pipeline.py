@@ -23,13 +23,13 @@ from f3sr.stages.assemble import AssembleConfig, as_given, assemble
 from f3sr.stages.decompose import decompose
 from f3sr.stages.evaluate import EvaluateConfig, Evaluation, direct_composition, evaluate
 from f3sr.stages.level import LevelConfig, level
-from f3sr.stages.relate import RelateConfig, relate
+from f3sr.stages.relate import RelateConfig, describe, relate
 from f3sr.stages.separate import SeparateConfig, separate
 from f3sr.stages.settle import SettleStageConfig, restless, settle
 
 SKIPPABLE = (
     *("level", "align", "align-camera", "align-objects", "relate", "decompose", "separate", "settle"),
-    *("refine", "evaluate"),
+    *("refine", "describe", "evaluate"),
 )
 REPEATED_BY_REFINE = {"align", "align-objects", "separate", "settle"}
 """Stages that ``refine`` does again: without one of them there is no refining either."""
@@ -97,6 +97,7 @@ def reconstruct(
     scene = parted = run.stage("separate", separate, scene, config.separate)
     scene = run.stage("settle", settle, scene, config.settle)
     scene = run.stage("refine", _refined, scene, config, parted=parted, settled=run.reports[-1])
+    scene = run.stage("describe", describe, scene, config.relate)
     aligned = _without(config.align, skip).camera and "align" not in skip
     evaluation = run.value(
         "evaluate",

@@ -10,16 +10,21 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 
-from f3sr import contact
+from f3sr import contact, landing, parting, statics
 from f3sr.contact import Polytope
 from f3sr.footing import GROUND_PLANE, FootingConfig, Plane, footing, support_plane
-from f3sr.frames import UP, Array, pose
+from f3sr.frames import UP, Array, pose, transform
+from f3sr.landing import LandingConfig
 from f3sr.mesh import ConvexPart
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.sensitivity import loss_matrix
 from f3sr.settings import settings
 
+STILL = 1e-3
+"""Turn [rad] that is not worth laying an object down."""
+UNFELT = 0.1
+"""IoU that a move by its own size costs an object in directions which the picture does not feel."""
 RAY_STEPS = 10
 """Places to either side that are tried along the viewing rays before the best is refined."""
 
@@ -43,6 +48,7 @@ class SeparateConfig:
     rounds: Annotated[int, Interval(ge=1, le=100)] = 16
     """Most rounds of horizontal parting; the report allows 32."""
     footing: FootingConfig = field(default_factory=FootingConfig)
+    landing: LandingConfig = field(default_factory=lambda: LandingConfig(max_turn=0.5, max_shift=0.1))
 
 
 def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene, Report]:
@@ -66,7 +72,7 @@ def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene,
         if not _part(layout, config):
             break
     _seat(layout, config)
-    decisions = _stand(layout, config) if config.footing.enabled else []
+    decisions = _stand(layout, config)
     left = layout.collisions()
     decisions += [
         Decision(choice=f"still overlaps {_name(b)} after separation", reason="no free place found", about=a)
@@ -82,7 +88,7 @@ def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene,
 
 
 class _Layout:
-    """Where the bodies are while they are being moved: polytopes in the world under ``x -> scale x + shift``."""
+    """Where the bodies are while they are being moved: polytopes in the world under ``x -> scale R x + shift``."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -90,6 +96,7 @@ class _Layout:
         self.footings: dict[int, tuple[ConvexPart, ...]] = {}
         self.shift: dict[int, Array] = {o.id: np.zeros(3) for o in scene}
         self.scale: dict[int, float] = {o.id: 1.0 for o in scene}
+        self.rotation: dict[int, Array] = {o.id: np.eye(3) for o in scene}
 
     def move(self, ids: tuple[int, ...], t: Array, *, scale: float = 1.0) -> None:
         """Apply ``x -> scale x + t`` to bodies; fixed ones stay."""
@@ -100,21 +107,30 @@ class _Layout:
             self.shift[id] = scale * self.shift[id] + t
             self.scale[id] *= scale
 
+    def turn(self, ids: tuple[int, ...], T: Array) -> None:
+        """Apply a rigid motion (4, 4) to bodies; fixed ones stay."""
+        for id in ids:
+            if self.scene[id].mobility == "fixed":
+                continue
+            self.bodies[id] = tuple(p.moved(T) for p in self.bodies[id])
+            self.shift[id] = transform(T, self.shift[id][None])[0]
+            self.rotation[id] = T[:3, :3] @ self.rotation[id]
+
     def along_rays(self, ids: tuple[int, ...], k: float) -> None:
         """The homothety ``X -> C + k (X - C)`` about the camera centre C: no silhouette changes."""
         self.move(ids, (1 - k) * self.scene.camera.center, scale=k)
 
     def object(self, id: int) -> SceneObject:
         """The scene's object where its body is now."""
-        o, t, k = self.scene[id], self.shift[id], self.scale[id]
-        if t.any() or k != 1:
+        o, t, k, R = self.scene[id], self.shift[id], self.scale[id], self.rotation[id]
+        if t.any() or k != 1 or (np.eye(3) != R).any():
             reason = f"onto its support and out of others: {1000 * self.travel(id):.1f} mm, scale {k:.4f}"
-            o = o.moved(pose(t=t), scale=k, stage="separate", reason=reason)
+            o = o.moved(pose(R, t), scale=k, stage="separate", reason=reason)
         return replace(o, footing=self.footings.get(id, ()))
 
     def carriers(self, id: int) -> tuple[Polytope, ...]:
         """All that carries a body but the ground."""
-        return tuple(p for s in self.scene[id].supports if s.id != GROUND for p in self.bodies[s.id])
+        return tuple(p for k in _supports(self.scene[id]) if k != GROUND for p in self.bodies[k])
 
     def stand(self, id: int, wedges: tuple[ConvexPart, ...]) -> None:
         """Put a body on a footing (asset frame)."""
@@ -124,12 +140,16 @@ class _Layout:
     def travel(self, id: int) -> float:
         """How far the middle of a body has moved [m]."""
         middle = self.scene[id].bounds_world.mean(0)
-        return float(np.linalg.norm(self.scale[id] * middle + self.shift[id] - middle))
+        return float(np.linalg.norm(self.place(id, middle) - middle))
+
+    def place(self, id: int, point: Array) -> Array:
+        """Where a point (3,) of a body is now."""
+        return self.scale[id] * (self.rotation[id] @ point) + self.shift[id]
 
     def loss(self, id: int) -> Array:
         """What the picture feels of a body's shifts: W (3, 3), d' W d the square of the IoU it loses."""
         o = self.scene[id]
-        return loss_matrix(o.mask, self.scene.camera, self.scale[id] * o.bounds_world.mean(0) + self.shift[id])
+        return loss_matrix(o.mask, self.scene.camera, self.place(id, o.bounds_world.mean(0)))
 
     def lowest(self, id: int) -> float:
         return min(float(p.bounds[0, 2]) for p in self.bodies[id])
@@ -168,22 +188,54 @@ def _gap(body: contact.Body, id: int, layout: _Layout, config: SeparateConfig) -
 
 
 def _stand(layout: _Layout, config: SeparateConfig) -> list[Decision]:
-    """Give every object that needs one a footing on what is below it, supports first."""
+    """Let every object stand before physics, supports first: as it is, on a footing, or turned until it lies."""
     decisions: list[Decision] = []
     for id in _supports_first(layout.scene):
         o = layout.object(id)
-        plane = _plane_below(layout, o, config.footing)
-        wedges = footing(o, plane, config.footing) if plane and o.mobility == "dynamic" else ()
-        if not wedges:
+        if o.mobility == "fixed" or o.supported_by is None:
             continue
-        was = layout.collisions_of(id)
-        layout.stand(id, wedges)
-        if layout.collisions_of(id) - was - {s.id for s in o.supports}:
-            layout.stand(id, ())
-            continue
-        layout.move(layout.scene.subtree(id), -_gap(layout.bodies[id], id, layout, config) * UP)
-        decisions.append(_footing_decision(o, wedges))
+        decision = _put_on_a_footing(layout, o, config) or _lie_down(layout, o, config)
+        if decision:
+            decisions.append(decision)
     return decisions
+
+
+def _put_on_a_footing(layout: _Layout, o: SceneObject, config: SeparateConfig) -> Decision | None:
+    plane = _plane_below(layout, o, config.footing)
+    wedges = footing(o, plane, config.footing) if plane and config.footing.enabled else ()
+    if not wedges:
+        return None
+    was = layout.collisions_of(o.id)
+    layout.stand(o.id, wedges)
+    if layout.collisions_of(o.id) - was - set(_supports(o)):
+        layout.stand(o.id, ())
+        return None
+    layout.move(layout.scene.subtree(o.id), -_gap(layout.bodies[o.id], o.id, layout, config) * UP)
+    return _footing_decision(o, wedges)
+
+
+def _lie_down(layout: _Layout, o: SceneObject, config: SeparateConfig) -> Decision | None:
+    """Turn an object, with all it carries, about its contacts until it lies; on the ground it keeps its place."""
+    members = layout.scene.subtree(o.id)
+    bodies = {b.id: b for b in statics.bodies_of([layout.object(k.id) for k in layout.scene], parts=layout.bodies)}
+    whole = statics.rigid([bodies[k] for k in members], o.id)
+    found = landing.land(
+        whole, [bodies[k] for k in bodies if k not in members], config.landing, clearance=config.clearance
+    )
+    if found.tipped or found.turn < STILL:
+        return None
+    was = {k: layout.collisions_of(k) for k in members}
+    layout.turn(members, found.T)
+    if o.supported_by == GROUND:
+        back = whole.centers[0] - transform(found.T, whole.centers[:1])[0]
+        layout.move(members, np.append(back[:2], 0.0))
+        if any(layout.collisions_of(k) - was[k] - set(members) for k in members):
+            layout.move(members, np.append(-back[:2], 0.0))
+    return Decision(
+        choice=f"laid down by {np.degrees(found.turn):.1f} degrees",
+        reason="so that its weight is between its contacts before physics starts",
+        about=o.id,
+    )
 
 
 def _footing_decision(o: SceneObject, wedges: tuple[ConvexPart, ...]) -> Decision:
@@ -201,7 +253,7 @@ def _plane_below(layout: _Layout, o: SceneObject, config: FootingConfig) -> Plan
         return None
     if o.supported_by == GROUND:
         return GROUND_PLANE
-    below = [layout.object(s.id).colliders_world for s in o.supports if s.id != GROUND]
+    below = [layout.object(k).colliders_world for k in _supports(o) if k != GROUND]
     return support_plane(o, [part for parts in below for part in parts], config)
 
 
@@ -273,47 +325,53 @@ def _moved(body: contact.Body, t: Array, scale: float) -> tuple[Polytope, ...]:
 
 
 def _part(layout: _Layout, config: SeparateConfig) -> bool:
-    """Horizontal pass over unrelated pairs; returns whether anything moved."""
+    """Part all unrelated pairs that overlap by one joint horizontal move, the one that the picture feels least; what an
+    object carries goes with it. Returns whether anything moved."""
     moved = False
     for _ in range(config.rounds):
-        busy = False
-        for a, b in _unrelated(layout.scene):
-            escape = contact.smallest_horizontal_move(layout.bodies[a], layout.bodies[b])
-            length = float(np.linalg.norm(escape))
-            if length == 0:
-                continue
-            t = np.append(escape * (1 + config.clearance / length), 0.0)
-            branch_a, branch_b = _branches(layout.scene, a, b)
-            share = _share(layout.scene, a, b)
-            layout.move(layout.scene.subtree(branch_a), share * t)
-            layout.move(layout.scene.subtree(branch_b), (share - 1) * t)
-            busy = moved = True
-        if not busy:
+        pairs = [(a, b) for a, b in _unrelated(layout.scene) if contact.collide(layout.bodies[a], layout.bodies[b])]
+        if not pairs:
+            break
+        found = parting.part(
+            layout.bodies,
+            pairs,
+            {o.id: _weight(layout, o.id) for o in layout.scene if o.mobility == "dynamic"},
+            carriers={o.id: None if o.supported_by == GROUND else o.supported_by for o in layout.scene},
+            clearance=config.clearance,
+        )
+        for id, shift in found.own.items():
+            layout.move(layout.scene.subtree(id), np.append(shift, 0.0))
+            moved = moved or bool(shift.any())
+        if len(found.unsolved) == len(pairs):
             break
     return moved
 
 
-def _share(scene: Scene, a: int, b: int) -> float:
-    """How much of a parting move falls to ``a``: half, all or nothing where the other or it is fixed."""
-    if scene[b].mobility == "fixed":
-        return 1.0
-    return 0.0 if scene[a].mobility == "fixed" else 0.5
-
-
-def _branches(scene: Scene, a: int, b: int) -> tuple[int, int]:
-    """The topmost supports of a and b that are not common to both: what must move to keep both on their supports."""
-    chain_a, chain_b = (a, *scene.ancestors(a)), (b, *scene.ancestors(b))
-    common = set(chain_a) & set(chain_b)
-    return [i for i in chain_a if i not in common][-1], [i for i in chain_b if i not in common][-1]
+def _weight(layout: _Layout, id: int) -> Array:
+    """What moving a body with all it carries costs (2, 2): the IoU that they lose, and a little per length."""
+    felt = sum((layout.loss(k)[:2, :2] for k in layout.scene.subtree(id)), np.zeros((2, 2)))
+    return felt + np.eye(2) * (UNFELT / layout.scene[id].size) ** 2
 
 
 def _unrelated(scene: Scene) -> Iterator[tuple[int, int]]:
     """Pairs that neither carry nor contain one another."""
     inside = scene.graph.of("inside") | {(b, a) for a, b in scene.graph.of("contains")}
     for a, b in combinations([o.id for o in scene], 2):
-        related = a in scene.ancestors(b) or b in scene.ancestors(a) or (a, b) in inside or (b, a) in inside
+        carried = a in _carriers(scene, b) or b in _carriers(scene, a)
+        related = carried or (a, b) in inside or (b, a) in inside
         if not related:
             yield a, b
+
+
+def _carriers(scene: Scene, id: int) -> set[int]:
+    """All that carries an object, directly or not."""
+    return {*scene.ancestors(id), *_supports(scene[id])}
+
+
+def _supports(o: SceneObject) -> list[int]:
+    """Ids of what an object rests on, its place in the forest included."""
+    main = () if o.supported_by is None else (o.supported_by,)
+    return sorted({*main, *(s.id for s in o.supports)})
 
 
 def _supports_first(scene: Scene) -> list[int]:

@@ -182,11 +182,7 @@ class Surfaces:
         return np.where(on, self.low[row, column], np.nan)
 
     def _points(self, z: Array) -> Array:
-        row, column = np.nonzero(self.footprint)
-        x0, y0 = self.grid.origin
-        return np.column_stack(
-            [x0 + (column + 0.5) * self.grid.cell, y0 + (row + 0.5) * self.grid.cell, z[row, column]]
-        )
+        return self.grid.points(np.where(self.footprint, z, np.nan))
 
 
 def surfaces_of(scene: Scene, plan: Plan, cells: int) -> Mapping[int, Surfaces]:

@@ -1,0 +1,126 @@
+"""Footings: what stands as the photo shows it on an underside that is turned, and what is left to fall or roll."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import box, scene_of
+
+from f3sr.footing import GROUND_PLANE, FootingConfig, Plane, footing, support_plane
+from f3sr.frames import pose, rotation_about, rotation_angle
+from f3sr.mesh import ConvexPart, Mesh
+from f3sr.physics import settle
+from f3sr.scene import SceneObject
+from f3sr.stages.separate import SeparateConfig, separate
+
+CONFIG = FootingConfig()
+
+
+def slanted(angle: float, *, height: float = 0.15) -> SceneObject:
+    """A box of .1 x .1 m that stands upright on an underside turned by ``angle`` about y, its lowest edge on z = 0."""
+    rise = 0.05 * np.tan(angle)
+    corners = [[x, y, -height / 2 + rise * (1 + x / 0.05) if z < 0 else height / 2]
+               for x in (-0.05, 0.05) for y in (-0.05, 0.05) for z in (-1, 1)]  # fmt: skip
+    return shaped(np.array(corners), at=(0, 0, height / 2))
+
+
+def shaped(points: np.ndarray, *, at: tuple[float, float, float]) -> SceneObject:
+    hull = ConvexPart.hull_of(points)
+    mesh = Mesh(vertices=hull.vertices, faces=hull.faces)
+    return replace(box(0), mesh=mesh, parts=(hull,), T_world_object=pose(t=at))
+
+
+def turned_by_physics(o: SceneObject) -> float:
+    after = settle([o]).T_world_object[o.id]
+    return np.degrees(rotation_angle(after[:3, :3] @ o.T_world_object[:3, :3].T))
+
+
+def test_what_stands_on_a_slanted_underside_keeps_its_pose_with_a_footing_and_tips_without():
+    o = slanted(np.radians(5))
+    wedges = footing(o, GROUND_PLANE, CONFIG)
+    assert len(wedges) == 1
+    assert turned_by_physics(o) == pytest.approx(5, abs=0.5)
+    assert turned_by_physics(replace(o, footing=wedges)) < 0.2
+
+
+def test_a_footing_reaches_the_plane_and_not_below():
+    for plane in (GROUND_PLANE, Plane(normal=rotation_about([0, 1, 0], -0.03)[:, 2], offset=-0.03)):
+        o = slanted(np.radians(5))
+        (wedge,) = footing(o, plane, CONFIG)
+        heights = plane.heights(wedge.moved(o.T_world_asset).vertices)
+        lowest = plane.heights(o.vertices_world).min()
+        assert heights.min() == pytest.approx(lowest, abs=1e-9)
+        assert np.sum(heights < lowest + 1e-9) >= 4, "it stands on a face, not on an edge"
+
+
+@pytest.mark.parametrize(
+    "o",
+    [
+        pytest.param(box(0), id="flat already"),
+        pytest.param(slanted(np.radians(14)), id="turned too far"),
+        pytest.param(slanted(np.radians(9), height=1.0), id="would fall upright"),
+        pytest.param(shaped(0.05 * np.random.default_rng(0).normal(size=(400, 3)), at=(0, 0, 0.2)), id="a cloud"),
+    ],
+)
+def test_none_where_none_helps(o: SceneObject):
+    assert footing(o, GROUND_PLANE, CONFIG) == ()
+
+
+def test_a_ball_can_still_roll():
+    directions = np.random.default_rng(3).normal(size=(3000, 3))
+    ball = shaped(0.05 * directions / np.linalg.norm(directions, axis=1, keepdims=True), at=(0, 0, 0.05))
+    assert footing(ball, GROUND_PLANE, CONFIG) == ()
+
+
+def test_every_leg_gets_its_own_piece():
+    """A stool whose legs differ in length by 2 %: nothing is filled in between them."""
+    seat = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (0.18, 0.2)])
+    parts = [ConvexPart.hull_of(seat)]
+    for k, (x, y) in enumerate([(-0.08, -0.08), (-0.08, 0.08), (0.08, -0.08), (0.08, 0.08)]):
+        leg = [[x + dx, y + dy, z] for dx in (-0.02, 0.02) for dy in (-0.02, 0.02) for z in (0.002 * (k == 3), 0.19)]
+        parts.append(ConvexPart.hull_of(np.array(leg)))
+    starts = np.cumsum([0, *(len(p.vertices) for p in parts)])
+    mesh = Mesh(
+        vertices=np.concatenate([p.vertices for p in parts]),
+        faces=np.concatenate([p.faces + s for p, s in zip(parts, starts, strict=False)]),
+    )
+    stool = replace(box(0), mesh=mesh, parts=tuple(parts), T_world_object=pose())
+    wedges = footing(stool, GROUND_PLANE, CONFIG)
+    assert len(wedges) == 4
+    assert all(np.ptp(w.vertices[:, :2], axis=0).max() < 0.06 for w in wedges)
+    assert turned_by_physics(replace(stool, footing=wedges)) < 0.1
+
+
+def test_the_plane_below_is_the_top_of_what_carries():
+    tilt = rotation_about([0, 1, 0], 0.06)
+    slab = box(1, size=(0.3, 0.3, 0.05), R=tilt, at=(0, 0, 0))
+    plane = support_plane(box(0, at=(0, 0, 0.1)), slab.colliders_world, CONFIG)
+    assert plane is not None
+    assert plane.normal == pytest.approx(tilt[:, 2], abs=1e-5)
+    assert plane.heights((tilt @ [[0.01], [0.02], [0.025]]).T)[0] == pytest.approx(0, abs=1e-5)
+
+
+def test_a_stack_of_slanted_boxes_stands_as_it_is_seen():
+    low = replace(slanted(np.radians(4)), id=0)
+    top = replace(slanted(np.radians(-6)), id=1, supported_by=0, supports=(), T_world_object=pose(t=[0, 0, 0.24]))
+    scene, report = separate(scene_of(low, top), SeparateConfig(max_ray_scale=0.0))
+    assert report.value("overlapping pairs") == 0
+    assert [d.about for d in report.decisions if d.choice == "given a footing"] == [0, 1]
+    after = settle(scene.objects)
+    assert after.at_rest
+    for o in scene:
+        turn = rotation_angle(after.T_world_object[o.id][:3, :3] @ o.T_world_object[:3, :3].T)
+        assert np.degrees(turn) < 0.3
+    again, _ = separate(scene, SeparateConfig(max_ray_scale=0.0))
+    assert [len(o.footing) for o in again] == [1, 1], "footings are made anew, not added up"
+
+
+def test_without_footings_an_object_is_laid_down_in_its_place():
+    o = slanted(np.radians(5))
+    config = SeparateConfig(max_ray_scale=0.0, footing=FootingConfig(enabled=False))
+    scene, report = separate(scene_of(o), config)
+    assert [d.choice for d in report.decisions] == ["laid down by 5.0 degrees"]
+    assert turned_by_physics(scene[0]) < 0.1
+    assert np.linalg.norm(scene[0].bounds_world.mean(0)[:2] - o.bounds_world.mean(0)[:2]) < 0.01
