@@ -32,6 +32,10 @@ from tabletop.settle import settle
 WIDTH, HEIGHT = 960, 720
 FILLS = 0.86
 """Share of the picture that the objects' box spans."""
+AIMED = 6
+"""Times that the camera is turned to what it saw in the middle."""
+OFF_CENTER = (4.0, -3.0)
+"""Of the principal point [px]: estimated geometry has it in the middle, and takes what it misses for a turn."""
 MIN_PIXELS = 60
 """What shows less has no mask and is no object: nobody would prompt for it."""
 FINE, FINER = 28, 60
@@ -115,17 +119,23 @@ def object_of(id: int, mesh: Mesh, T_world_object: Array) -> SceneObject:
 def viewpoint(stage: Stage, objects: Sequence[SceneObject]) -> Camera:
     """A camera before the objects, a little to the side, whose focal length fills the picture with them."""
     points = np.concatenate([o.vertices_world for o in objects])
-    middle = (points.min(0) + points.max(0)) / 2
-    eye = np.array([middle[0] + 0.18 * stage.distance, points[:, 1].min() - 0.8 * stage.distance, stage.height])
-    forward = (middle - eye) / np.linalg.norm(middle - eye)
-    right = np.cross(forward, UP) / np.linalg.norm(np.cross(forward, UP))
-    T = pose(np.stack([right, np.cross(forward, right), forward], axis=1), eye)
-    local = transform(invert_pose(T), points)
-    x, y = local[:, 0] / local[:, 2], local[:, 1] / local[:, 2]
+    target = (points.min(0) + points.max(0)) / 2
+    eye = np.array([target[0] + 0.18 * stage.distance, points[:, 1].min() - 0.8 * stage.distance, stage.height])
+    for _ in range(AIMED):
+        T = looking(eye, target)
+        local = transform(invert_pose(T), points)
+        x, y = local[:, 0] / local[:, 2], local[:, 1] / local[:, 2]
+        target = transform(T, np.array([[(x.min() + x.max()) / 2, (y.min() + y.max()) / 2, 1.0]]))[0]
     focal = FILLS * min(WIDTH / np.ptp(x), HEIGHT / np.ptp(y))
-    center = np.array([WIDTH, HEIGHT]) / 2 - focal * np.array([x.min() + x.max(), y.min() + y.max()]) / 2
-    K = np.array([[focal, 0, center[0]], [0, focal, center[1]], [0, 0, 1]])
+    K = np.array([[focal, 0, WIDTH / 2 + OFF_CENTER[0]], [0, focal, HEIGHT / 2 + OFF_CENTER[1]], [0, 0, 1]])
     return Camera(width=WIDTH, height=HEIGHT, K=K, T_world_camera=T)
+
+
+def looking(eye: Array, target: Array) -> Array:
+    """The pose of a level camera that looks from one point at another."""
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, UP) / np.linalg.norm(np.cross(forward, UP))
+    return pose(np.stack([right, np.cross(forward, right), forward], axis=1), eye)
 
 
 def background(camera: Camera, wall: float) -> tuple[Array, NDArray[np.bool_]]:
