@@ -69,7 +69,7 @@ def main() -> int:
 
 
 def released(package: Path, offsets: Offsets, seconds: float) -> dict[str, float]:
-    """The largest travel of every object's centre of mass [cm] by name, released from rest, nothing damped or asleep."""
+    """The largest travel of every centre of mass [cm] by the object's name, released from rest, undamped, none asleep."""
     import sapien
     from sapien import physx
 
