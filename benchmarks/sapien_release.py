@@ -69,7 +69,7 @@ def main() -> int:
 
 
 def released(package: Path, offsets: Offsets, seconds: float) -> dict[str, float]:
-    """The largest travel of every centre of mass [cm] by the object's name, released from rest, undamped, none asleep."""
+    """The largest travel of every centre of mass [cm] by object, released from rest, none of them damped or asleep."""
     import sapien
     from sapien import physx
 
