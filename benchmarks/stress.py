@@ -100,11 +100,11 @@ def one(case: str, seed: int, out: Path, kept: Sequence[Path]) -> Row:
 def grow(args: argparse.Namespace, kernels: Path) -> int:
     """A column of processor seconds per number of objects, nothing cached but compiled kernels."""
     columns: dict[str, Row] = {}
-    for count in GROWTH:
+    for count in args.counts:
         print(f"{count} objects ...", end=" ", flush=True)
         columns[str(count)] = one(f"mixed_{count}", args.seeds[0], args.out, (kernels,))
         print(said(columns[str(count)]), flush=True)
-    _keep(args.out / "growth.json", columns)
+        _keep(args.out / "growth.json", columns)
     steps = [s for s in STAGES if any(s in c["cpu"] for c in columns.values())]
     lines = [["processor seconds", *columns]]
     lines += [[step, *(f"{c['cpu'].get(step, 0):.1f}" for c in columns.values())] for step in steps]
@@ -161,7 +161,8 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("cases", nargs="*", default=list(CASES), metavar="CASE", help=", ".join(CASES))
     parser.add_argument("--seeds", nargs="+", type=int, default=[0], metavar="N")
-    parser.add_argument("--growth", action="store_true", help="only the growth table: 5, 10, 20, 50 objects, cold")
+    parser.add_argument("--growth", action="store_true", help="only the growth table, cold")
+    parser.add_argument("--counts", nargs="+", type=int, default=list(GROWTH), choices=GROWTH, metavar="N")
     parser.add_argument("--out", type=Path, default=REPO / "out" / "bench" / "stress", help="inputs, packages, tables")
     args = parser.parse_args()
     if unknown := sorted(set(args.cases) - set(CASES)):
