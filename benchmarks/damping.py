@@ -63,6 +63,9 @@ def main() -> int:
     rates = {arm: rates_of([trial[arm] for trial in kept.rows.values()]) for arm in ARMS}
     _show(rates, len(kept.rows))
     chart({arm: rate["unstable_pct"] for arm, rate in rates.items()}, args.out / "damping.png")
+    if len(kept.rows) < TRIALS:
+        print(f"not judged with less than {TRIALS} trials")
+        return 0
     return bench.judge({f"damping: {arm}": rate for arm, rate in rates.items()}, set(folders), update=args.update)
 
 
