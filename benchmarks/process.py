@@ -70,17 +70,19 @@ def run(arguments: Sequence[str | Path], log: Path, *, environment: Mapping[str,
         raise RunError(f"{script} printed no JSON: {error}") from error
 
 
-def reconstruct(folder: Path, out: Path, *, environment: Mapping[str, str]) -> Finished:
+def reconstruct(
+    folder: Path, out: Path, *, environment: Mapping[str, str], options: Sequence[str | Path] = ()
+) -> Finished:
     """Run ``f3sr reconstruct``. ``answer["seconds"]`` gets the steps around the stages too, in their order, and
-    ``answer["decompose_cpu"]`` the processor time [s] of the one stage whose time depends on a cache we keep."""
+    ``answer["cpu"]`` the processor time [s] of all steps; that of ``decompose`` depends on a cache we keep."""
     times = out.with_suffix(".times")
     times.unlink(missing_ok=True)
-    arguments = ["timed_cli.py", times, "reconstruct", folder, "-o", out, "--json", "--overwrite"]
+    arguments = ["timed_cli.py", times, "reconstruct", folder, "-o", out, "--json", "--overwrite", *options]
     finished = run(arguments, out.with_suffix(".log"), environment=environment)
     steps, stages = json.loads(times.read_text()), finished.answer["seconds"]
     wall = {name: step["wall"] for name, step in steps.items()}
     around = {name: wall[name] for name in BEFORE + AFTER}
-    finished.answer["decompose_cpu"] = steps.get("decompose", {"cpu": 0.0})["cpu"]
+    finished.answer["cpu"] = {"decompose": 0.0, **{name: step["cpu"] for name, step in steps.items()}}
     finished.answer["seconds"] = {
         "process, arguments": finished.wall - wall["stages"] - sum(around.values()),
         **{name: around[name] for name in BEFORE},

@@ -1,4 +1,4 @@
-"""Run the f3sr command line as it is and note where its time goes around the stages.
+"""Run the f3sr command line as it is and note where its time goes, in the stages and around them.
 
 usage: timed_cli.py TIMES.json reconstruct FOLDER -o OUT --json
 """
@@ -26,11 +26,11 @@ def main() -> int:
         ("read", "inputs", "read"),
         ("kernels", "kernels", "warm_up"),
         ("stages", "pipeline", "reconstruct"),
-        ("decompose", "pipeline", "decompose"),
         ("pictures", "pictures", "pictures_of"),
         ("package", "package", "write_package"),
     ):
         setattr(modules[module], name, _timed(getattr(modules[module], name), step, steps))
+    modules["pipeline"].reconstruct = _telling(modules["pipeline"].reconstruct, steps)
     code = modules["cli"].main(sys.argv[2:])
     Path(sys.argv[1]).write_text(json.dumps(steps))
     return code
@@ -48,6 +48,25 @@ def _timed(work: Callable[..., Any], step: str, steps: Steps) -> Callable[..., A
             return work(*args, **more)
         finally:
             steps[step] = {"wall": time.perf_counter() - wall, "cpu": sum(os.times()[:4]) - cpu}
+
+    return run
+
+
+def _telling(reconstruct: Callable[..., Any], steps: Steps) -> Callable[..., Any]:
+    """Notes every stage that is done, as ``progress`` is told of it."""
+
+    def run(*args: Any, progress: Callable[[Any], None], **more: Any) -> Any:
+        began = 0.0
+
+        def told(step: Any) -> None:
+            nonlocal began
+            if step.state == "started":
+                began = sum(os.times()[:4])
+            elif step.state == "done":
+                steps[step.name] = {"wall": step.seconds, "cpu": sum(os.times()[:4]) - began}
+            progress(step)
+
+        return reconstruct(*args, progress=told, **more)
 
     return run
 
