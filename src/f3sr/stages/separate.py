@@ -25,6 +25,8 @@ STILL = 1e-3
 """Turn [rad] that is not worth laying an object down."""
 UNFELT = 0.1
 """IoU that a move by its own size costs an object in directions which the picture does not feel."""
+PASSES = 3
+"""Most times that objects are seated and then parted, which may take them off their supports again."""
 RAY_STEPS = 10
 """Places to either side that are tried along the viewing rays before the best is refined."""
 
@@ -45,6 +47,9 @@ class SeparateConfig:
     picture_sigma: Annotated[float, Interval(gt=0, le=1)] = 0.02
     """How well an object's place in the picture is known, as the IoU with its mask that lifting or lowering it costs:
     more trust in the picture costs places in depth, less costs the picture without places gained."""
+    slide_sigma: Annotated[float, Interval(gt=0, le=10)] = 0.25
+    """How well its place on another object is known, as a share of its size: moving along the viewing rays must not
+    take it over the edge of what it rests on."""
     rounds: Annotated[int, Interval(ge=1, le=100)] = 16
     """Most rounds of horizontal parting; the report allows 32."""
     footing: FootingConfig = field(default_factory=FootingConfig)
@@ -66,12 +71,13 @@ def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene,
     scene = scene.with_objects(*(replace(o, footing=()) for o in scene if o.footing))
     layout = _Layout(scene)
     before = len(layout.collisions())
-    layout.along_rays(tuple(layout.bodies), _common_scale(layout, config))
-    for _ in range(3):
+    layout.all_along_rays(_common_scale(layout, config))
+    for _ in range(PASSES):
         _seat(layout, config)
         if not _part(layout, config):
             break
-    _seat(layout, config)
+    else:
+        _seat(layout, config)
     decisions = _stand(layout, config)
     left = layout.collisions()
     decisions += [
@@ -97,6 +103,8 @@ class _Layout:
         self.shift: dict[int, Array] = {o.id: np.zeros(3) for o in scene}
         self.scale: dict[int, float] = {o.id: 1.0 for o in scene}
         self.rotation: dict[int, Array] = {o.id: np.eye(3) for o in scene}
+        self.common = 1.0
+        """What all were scaled by at the start."""
 
     def move(self, ids: tuple[int, ...], t: Array, *, scale: float = 1.0) -> None:
         """Apply ``x -> scale x + t`` to bodies; fixed ones stay."""
@@ -136,6 +144,21 @@ class _Layout:
         """Put a body on a footing (asset frame)."""
         self.footings[id] = wedges
         self.bodies[id] = _polytopes(self.object(id), (*self.scene[id].parts, *wedges))
+
+    def all_along_rays(self, k: float) -> None:
+        """Move the whole scene; it uses up nobody's way along the rays."""
+        self.along_rays(tuple(self.bodies), k)
+        self.common = k
+
+    def rays_left(self, id: int, limit: float) -> tuple[float, float]:
+        """The least and largest k that keep a body within ``limit`` of where it was along its viewing rays."""
+        used = self.scale[id] / self.common
+        return min(1.0, (1 - limit) / used), max(1.0, (1 + limit) / used)
+
+    def distance(self, id: int) -> float:
+        """From the camera to the middle of a body [m]."""
+        place = self.place(id, self.scene[id].bounds_world.mean(0))
+        return float(np.linalg.norm(place - self.scene.camera.center))
 
     def travel(self, id: int) -> float:
         """How far the middle of a body has moved [m]."""
@@ -277,12 +300,13 @@ def _contact_scale(layout: _Layout, id: int, config: SeparateConfig) -> float:
 
     It is the most likely one: distances are known to ``depth_sigma`` and places in the picture to ``picture_sigma``,
     so k has the least (log k / depth_sigma)^2 + (loss(gap(k)) / picture_sigma)^2 within its bound, where loss is the
-    IoU that the lift costs. Over the ground gap(k) is linear.
+    IoU that the lift costs; on another object a third term holds it in place. Over the ground gap(k) is linear.
     """
-    limit, loss = config.max_ray_scale, float(np.sqrt(layout.loss(id)[2, 2]))
+    loss = float(np.sqrt(layout.loss(id)[2, 2]))
     sigma = config.depth_sigma if layout.scene.geometry else config.unknown_depth_sigma
     C, body = layout.scene.camera.center, layout.bodies[id]
     on_the_ground = layout.scene[id].supported_by == GROUND
+    slide = 0.0 if on_the_ground else layout.distance(id) / (config.slide_sigma * layout.scene[id].size)
 
     def gap(k: float) -> float:
         if on_the_ground:
@@ -290,12 +314,13 @@ def _contact_scale(layout: _Layout, id: int, config: SeparateConfig) -> float:
         return _gap(_moved(body, (1 - k) * C, k), id, layout, config)
 
     def cost(k: float) -> float:
-        return float(np.log(k) / sigma) ** 2 + (loss * gap(k) / config.picture_sigma) ** 2
+        lifted = loss * gap(k) / config.picture_sigma
+        return float(np.log(k) / sigma) ** 2 + (slide * (k - 1)) ** 2 + lifted**2
 
-    tried = np.linspace(1 - limit, 1 + limit, 2 * RAY_STEPS + 1)
+    low, high = layout.rays_left(id, config.max_ray_scale)
+    tried = np.linspace(low, high, 2 * RAY_STEPS + 1)
     best = int(np.argmin([cost(float(k)) for k in tried]))
-    low, high = tried[max(best - 1, 0)], tried[min(best + 1, len(tried) - 1)]
-    return _least(cost, float(low), float(high))
+    return _least(cost, float(tried[max(best - 1, 0)]), float(tried[min(best + 1, len(tried) - 1)]))
 
 
 def _least(cost: Callable[[float], float], a: float, b: float) -> float:
