@@ -1,0 +1,91 @@
+"""Convex hulls in normalised units: their planes, their volume, and how far points lie outside them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from f3sr.frames import Array
+from f3sr.mesh import ConvexPart
+
+SMALLEST_VOLUME = 1e-12
+"""Of a part, in cubes of the mesh's size: a thousandth of the size squared by a millionth. Thinner is rounding."""
+SMALLEST_FACET = 1e-14
+"""Twice the area of a facet whose normal is still trusted [squares of the size]."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Hull:
+    """The convex hull of some points: its corners (n, 3), facet planes ``normals . x <= offsets`` and volume."""
+
+    corners: Array
+    normals: Array
+    offsets: Array
+    volume: float
+    area: float
+
+
+def hull_of(points: Array) -> Hull | None:
+    """The hull of points (n, 3); None when they span no volume."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    if len(points) < 4:
+        return None
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError):
+        return None
+    if hull.volume < SMALLEST_VOLUME:
+        return None
+    planes = hull.equations
+    return Hull(
+        corners=points[np.sort(hull.vertices)],
+        normals=planes[:, :3],
+        offsets=-planes[:, 3],
+        volume=float(hull.volume),
+        area=float(hull.area),
+    )
+
+
+def volume_of(points: Array) -> float:
+    """Of the hull of points (n, 3), 0 when they span none."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    if len(points) < 4:
+        return 0.0
+    try:
+        return float(ConvexHull(points).volume)
+    except (QhullError, ValueError):
+        return 0.0
+
+
+def outside(parts: Sequence[ConvexPart], points: Array) -> Array:
+    """Largest signed distance (n, parts) of points beyond a facet plane of each part; negative inside."""
+    return np.stack([beyond(points, *planes(part)) for part in parts], axis=1)
+
+
+def beyond(points: Array, normals: Array, offsets: Array) -> Array:
+    """Largest signed distance (n,) of points beyond one of some planes."""
+    blocks = np.array_split(points, max(1, points.shape[0] * len(offsets) // 4_000_000))
+    return np.concatenate([(block @ normals.T - offsets).max(1) for block in blocks])
+
+
+def planes(part: ConvexPart) -> tuple[Array, Array]:
+    """Outward unit normals (m, 3) and offsets (m,) of a part's triangles."""
+    a, b, c = (part.vertices[part.faces[:, k]] for k in range(3))
+    cross = np.cross(b - a, c - a)
+    area = np.linalg.norm(cross, axis=1)
+    real = area > SMALLEST_FACET
+    normals = cross[real] / area[real, None]
+    return normals, np.einsum("ij,ij->i", normals, a[real])
+
+
+def without_hidden(parts: Sequence[ConvexPart]) -> list[ConvexPart]:
+    """Parts that do not lie inside another one, the first of equals kept."""
+    kept: list[ConvexPart] = []
+    for part in sorted(parts, key=lambda p: -p.volume):
+        if not kept or not (outside(kept, part.vertices).max(0) <= 1e-9).any():
+            kept.append(part)
+    return kept

@@ -1,0 +1,123 @@
+"""The convex parts of one normalised mesh, and how well they fit it: cut up, joined again, simplified outward."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from f3sr.frames import Array
+from f3sr.mesh import ConvexPart, is_closed, signed_volume
+from f3sr.proxies import fit
+from f3sr.proxies.config import ProxyConfig
+from f3sr.proxies.cuts import Piece, cut_up
+from f3sr.proxies.fit import Excess
+from f3sr.proxies.hulls import Hull, hull_of, outside, planes, without_hidden
+from f3sr.proxies.joins import joined
+from f3sr.proxies.simplify import flats_of, simplified_outward
+from f3sr.proxies.surface import Faces, samples_of, surroundings, weighted
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fitted:
+    """Convex parts and how well they fit the mesh."""
+
+    parts: tuple[ConvexPart, ...]
+    inflation: float | None
+    outside: float
+    excess: Excess
+
+
+def nearly_convex(vertices: Array, faces: Faces, config: ProxyConfig) -> str | None:
+    """Why one hull is enough, or None. An open mesh has no volume and is judged by its surface alone."""
+    try:
+        hull = ConvexPart.hull_of(vertices)
+    except ValueError:
+        return "the mesh spans no volume"
+    used = vertices[np.unique(faces)]
+    some = used[:: max(1, len(used) // 2000)]
+    depth = -min(float(outside([hull], chunk).min()) for chunk in np.array_split(some, 1 + len(some) // 100))
+    if depth > config.tolerance:
+        return None
+    reason = f"surface within {depth:.1%} of its size below the hull"
+    if is_closed(faces) and (volume := signed_volume(vertices, faces)) > 0:
+        ratio = volume / hull.volume
+        return f"fills {ratio:.1%} of its hull, {reason}" if ratio >= config.hull_volume_ratio else None
+    return reason
+
+
+def one_hull(vertices: Array, faces: Faces, config: ProxyConfig) -> Fitted:
+    points = vertices[np.unique(faces)]
+    try:
+        part = simplified_outward(points, config, most=config.lone_hull_faces)
+    except ValueError:
+        part = ConvexPart.hull_of(_thickened(points, config))
+    return _fitted([part], vertices, faces, fit.excess([part], vertices, faces, None, config.probe))
+
+
+def several(vertices: Array, faces: Faces, config: ProxyConfig) -> Fitted:
+    """Parts that hold all of the surface, and those of the solid below it that cuts lay bare."""
+    around = surroundings(vertices, faces, config)
+    samples = samples_of(vertices, faces, config.samples)
+    samples = samples.chosen(around.is_reached(samples.points, samples.normals, config.probe))
+    whole = ConvexPart.hull_of(vertices)
+    samples = weighted(samples, planes(whole), config)
+    simplified = decimated(vertices, faces, config.target_faces)
+    # An open surface has no volume, but its signed sum still tells a wall with two sides from a body.
+    is_shell = signed_volume(vertices, faces) < config.shell_fill * whole.volume
+
+    def cut(most: int) -> list[Hull]:
+        return _hulls(cut_up(vertices, faces, simplified, samples, around, config, most, is_shell=is_shell), config)
+
+    hulls = joined(cut(round(config.surplus * config.max_parts)), samples, config, is_shell=is_shell)
+    if len(hulls) > config.max_parts:  # what is left are no neighbours
+        hulls = cut(config.max_parts)
+    base = flats_of(whole, config)
+    parts = without_hidden(
+        [simplified_outward(h.corners, config, base, most=_most_faces(hulls, config)) for h in hulls]
+    )
+    excess = fit.excess(parts, vertices, faces, around, config.probe)
+    return _fitted(parts, vertices, faces, replace(excess, floor=fit.floor_excess(parts, samples)))
+
+
+def _most_faces(hulls: Sequence[Hull], config: ProxyConfig) -> int:
+    return config.lone_hull_faces if len(hulls) == 1 else config.max_hull_faces
+
+
+def _hulls(pieces: Sequence[Piece], config: ProxyConfig) -> list[Hull]:
+    """Of pieces; one that spans no volume, as a single layer of triangles does, gets a thickness."""
+    found: list[Hull] = []
+    for piece in pieces:
+        points = np.concatenate([piece.triangles.reshape(-1, 3), piece.core])
+        hull = piece.hull or hull_of(_thickened(points, config))
+        if hull is None:
+            raise ValueError("a piece of the mesh spans no volume")
+        found.append(hull)
+    return found
+
+
+def _thickened(points: Array, config: ProxyConfig) -> Array:
+    """A sheet with a thickness along its normal."""
+    normal = np.linalg.svd(points - points.mean(0), full_matrices=False)[2][2]
+    offset = config.sheet / 2 * normal
+    return np.concatenate([points - offset, points + offset])
+
+
+def _fitted(parts: Sequence[ConvexPart], vertices: Array, faces: Faces, excess: Excess) -> Fitted:
+    return Fitted(
+        parts=tuple(parts),
+        inflation=fit.inflation(parts, vertices, faces),
+        outside=fit.largest_outside(parts, vertices[np.unique(faces)]),
+        excess=excess,
+    )
+
+
+def decimated(vertices: Array, faces: Faces, target: int) -> tuple[Array, Faces]:
+    """A simpler surface of at most about ``target`` triangles."""
+    if len(faces) <= target:
+        return vertices, faces
+    import fast_simplification
+
+    result = fast_simplification.simplify(vertices, faces, target_count=target)
+    return np.asarray(result[0], float), np.asarray(result[1], np.int32)
