@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from f3sr.frames import Array
 from f3sr.proxies.config import ProxyConfig
-from f3sr.proxies.hulls import Hull, hull_of, volume_of
-from f3sr.proxies.surface import CORE_STEP, Faces, Samples, Surroundings, stand_off
+from f3sr.proxies.hulls import Hull, bulk, hull_of
+from f3sr.proxies.surface import CORE_STEP, Samples, Subject, stand_off
 
 MIN_TOUCHED = 3
 """Samples that a part must stand off too far from before it is cut: one or two are noise."""
@@ -27,6 +27,9 @@ LEVELS = (0.05, 0.5, 0.95)
 """Quantiles of the height of surface that faces along a direction, just above which a cut is tried: floors."""
 FACING = 0.85
 """Cosine from which on surface faces a direction."""
+LAYER = 0.003
+"""A hull counts as much thicker, on all sides [size]: slices across a bowl save what is below its rim, but they are
+full discs, each to be cut again."""
 ALIKE = 0.985
 """Cosine from which on two directions are one."""
 USELESS = 0.98
@@ -77,14 +80,18 @@ class Piece:
     hull: Hull | None
     off: Array
     """How far the hull stands off the samples [size]."""
+    bare: Array
+    """How far points of the hull's surface lie off the mesh [size]: a ring cut into slices is still filled by them."""
 
-    @classmethod
-    def of(cls, triangles: Array, outline: Array, core: Array, samples: Samples) -> Piece:
-        hull = hull_of(np.concatenate([np.unique(triangles.reshape(-1, 3), axis=0), core]))
-        off = np.zeros(len(samples.points))
-        if hull is not None and len(off):
-            off = stand_off(samples, hull.normals, hull.offsets)
-        return cls(triangles=triangles, outline=Outline.of(outline), core=core, samples=samples, hull=hull, off=off)
+    def urgency(self, subject: Subject, tolerance: float) -> float:
+        """Volume between the hull and the surface, beyond the tolerance."""
+        off = np.maximum(self.off - tolerance, 0).sum() / subject.density
+        if self.hull is None:
+            return float(off)
+        return float(off + np.maximum(self.bare - tolerance, 0).mean() * self.hull.area)
+
+    def is_close(self, tolerance: float) -> bool:
+        return max(np.count_nonzero(off > tolerance) for off in (self.off, self.bare)) < MIN_TOUCHED
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -93,47 +100,51 @@ class Cut:
 
     normal: Array
     offset: float
-    volume: float
+    bulk: float
 
 
-def cut_up(
-    vertices: Array,
-    faces: Faces,
-    simplified: tuple[Array, Faces],
-    samples: Samples,
-    around: Surroundings,
-    config: ProxyConfig,
-    most: int,
-    *,
-    is_shell: bool,
-) -> list[Piece]:
-    """At most ``most`` pieces of a mesh; ``samples`` are those that can be touched. Once a mesh that is no shell has
-    its few parts, only what stands off loosely is cut."""
-    reach = around.cell * CORE_STEP / 2
+def cut_up(subject: Subject, config: ProxyConfig, most: int, *, is_shell: bool) -> list[Piece]:
+    """At most ``most`` pieces of a mesh. Once a mesh that is no shell has its few parts, only what stands off loosely
+    is cut."""
     few = most if is_shell else round(config.surplus * config.few_parts)
     loose = replace(config, tolerance=config.loose_tolerance)
-    whole = Piece.of(vertices[faces], simplified[0][simplified[1]], around.core, samples)
-    queue, done, count = [(-_urgency(whole, config), 0, whole)], list[Piece](), 0
+    whole = _piece(subject, config, subject.triangles, subject.simplified, subject.around.core, subject.samples)
+    queue, done, count = [(0.0, 0, whole)], list[Piece](), 0
     while queue and len(queue) + len(done) < most:
         _, _, piece = heapq.heappop(queue)
-        halves = _halved(piece, reach, config if len(queue) + len(done) + 1 < few else loose)
+        halves = _halved(piece, subject, config if len(queue) + len(done) + 1 < few else loose)
         if halves is None:
             done.append(piece)
             continue
         for half in halves:
             count += 1
-            heapq.heappush(queue, (-_urgency(half, config), count, half))
+            heapq.heappush(queue, (-half.urgency(subject, config.tolerance), count, half))
     return done + [piece for *_, piece in sorted(queue)]
 
 
-def _urgency(piece: Piece, config: ProxyConfig) -> float:
-    return float(np.maximum(piece.off - config.tolerance, 0).sum())
+def _piece(
+    subject: Subject, config: ProxyConfig, triangles: Array, outline: Array, core: Array, samples: Samples
+) -> Piece:
+    hull = hull_of(np.concatenate([np.unique(triangles.reshape(-1, 3), axis=0), core]))
+    off = np.zeros(len(samples.points))
+    if hull is not None and len(off):
+        off = stand_off(samples, hull.normals, hull.offsets)
+    return Piece(
+        triangles=triangles,
+        outline=Outline.of(outline),
+        core=core,
+        samples=samples,
+        hull=hull,
+        off=off,
+        bare=np.zeros(0) if hull is None else subject.bare(hull, config),
+    )
 
 
-def _halved(piece: Piece, reach: float, config: ProxyConfig) -> tuple[Piece, Piece] | None:
+def _halved(piece: Piece, subject: Subject, config: ProxyConfig) -> tuple[Piece, Piece] | None:
     """Both sides of the best cut; None where nothing stands off too far or no cut leaves surface on both."""
-    if np.count_nonzero(piece.off > config.tolerance) < MIN_TOUCHED:
+    if piece.is_close(config.tolerance):
         return None
+    reach = subject.around.cell * CORE_STEP / 2
     cut = best_cut(piece, reach, config)
     if cut is None:
         return None
@@ -143,9 +154,8 @@ def _halved(piece: Piece, reach: float, config: ProxyConfig) -> tuple[Piece, Pie
     outline = clipped(piece.outline.triangles, u, offset, 0.0)
     if not all(map(len, (*surface, *outline))):
         return None
-    core = _parted(piece.core, u, offset, reach)
-    sides = zip(surface, outline, core, (below, ~below), strict=True)
-    first, second = (Piece.of(s, o, c, piece.samples.chosen(which)) for s, o, c, which in sides)
+    sides = zip(surface, outline, _parted(piece.core, u, offset, reach), (below, ~below), strict=True)
+    first, second = (_piece(subject, config, s, o, c, piece.samples.chosen(which)) for s, o, c, which in sides)
     return first, second
 
 
@@ -188,12 +198,12 @@ def best_cut(piece: Piece, reach: float, config: ProxyConfig) -> Cut | None:
     the next saves most."""
     directions = _directions(piece, config)
     best = _least(piece, directions, reach, config)
-    if best is None or piece.hull is None or best.volume <= USELESS * piece.hull.volume:
+    if best is None or piece.hull is None or best.bulk <= USELESS * (piece.hull.volume + LAYER * piece.hull.area):
         return best
-    if np.count_nonzero(piece.off > HOLLOW) < MIN_TOUCHED:
+    if piece.is_close(HOLLOW):
         return best
     ahead = (_looked_ahead(piece, u, directions, reach) for u in directions)
-    return min((best, *ahead), key=lambda cut: cut.volume)
+    return min((best, *ahead), key=lambda cut: cut.bulk)
 
 
 def _least(piece: Piece, directions: Array, reach: float, config: ProxyConfig) -> Cut | None:
@@ -201,8 +211,8 @@ def _least(piece: Piece, directions: Array, reach: float, config: ProxyConfig) -
     for u in directions:
         offsets = _offsets(piece, u, config)
         for offset, volume in zip(offsets, _volumes(piece.outline, piece.core, u, offsets, reach), strict=True):
-            if best is None or volume < best.volume * (1 - 1e-6):
-                best = Cut(normal=u, offset=float(offset), volume=volume)
+            if best is None or volume < best.bulk * (1 - 1e-6):
+                best = Cut(normal=u, offset=float(offset), bulk=volume)
     return best
 
 
@@ -211,7 +221,11 @@ def _volumes(outline: Outline, core: Array, u: Array, offsets: Array, reach: flo
     for offset, sides in zip(offsets, outline.halves(u, offsets), strict=True):
         if len(core):
             sides = tuple(map(np.concatenate, zip(sides, _parted(core, u, offset, reach), strict=True)))
-        yield sum(map(volume_of, sides))
+        yield sum(map(_bulk, sides))
+
+
+def _bulk(points: Array) -> float:
+    return bulk(points, LAYER)
 
 
 def _looked_ahead(piece: Piece, u: Array, directions: Array, reach: float) -> Cut:
@@ -224,13 +238,13 @@ def _looked_ahead(piece: Piece, u: Array, directions: Array, reach: float) -> Cu
         if not len(half):
             continue
         outline = Outline.of(half)
-        least = volume_of(np.concatenate([outline.corners, core]))
+        least = _bulk(np.concatenate([outline.corners, core]))
         for w in directions:
             across = outline.corners @ w
             offsets = across.min() + np.ptp(across) * np.array(AHEAD)
             least = min(least, *_volumes(outline, core, w, offsets, reach))
         total += least
-    return Cut(normal=u, offset=offset, volume=total)
+    return Cut(normal=u, offset=offset, bulk=total)
 
 
 def _directions(piece: Piece, config: ProxyConfig) -> Array:

@@ -10,12 +10,10 @@ import numpy as np
 from f3sr.frames import Array
 from f3sr.mesh import ConvexPart, is_closed, signed_volume, union
 from f3sr.proxies.hulls import outside, planes
-from f3sr.proxies.surface import Faces, Samples, Surroundings, samples_of, stand_off
+from f3sr.proxies.surface import Faces, Nearest, Samples, Surroundings, samples_of, stand_off
 
 PART_POINTS = 20_000
 """Points spread over all parts by area, at which the excess is measured."""
-MESH_POINTS = 30_000
-"""Points on the mesh whose triangles may be the nearest ones."""
 HIDDEN = 1e-6
 """Depth below the surface of another part from which on a point does not show [size]."""
 
@@ -45,22 +43,20 @@ def largest_outside(parts: Sequence[ConvexPart], vertices: Array) -> float:
     return float(np.maximum(outside(parts, vertices).min(1), 0).max())
 
 
-def excess(
-    parts: Sequence[ConvexPart], vertices: Array, faces: Faces, around: Surroundings | None, probe: float
-) -> Excess:
+def excess(parts: Sequence[ConvexPart], nearest: Nearest, around: Surroundings | None, probe: float) -> Excess:
     """Measured at points of the parts that lie in no other part and, where ``around`` is given, can be touched by a
     ball of radius ``probe``."""
     corners = np.concatenate([p.vertices for p in parts])
     starts = np.cumsum([0, *(len(p.vertices) for p in parts[:-1])])
     triangles = np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=True)]).astype(np.int32)
-    samples = samples_of(corners, triangles, PART_POINTS)
+    samples = samples_of(corners[triangles], PART_POINTS)
     shown = ~_hidden(parts, samples.points)
     if around is not None:
         shown &= around.is_reached(samples.points, samples.normals, probe)
     points = samples.points[shown]
     if not len(points):
         return Excess(mean=0.0, most=0.0, largest=0.0, at=(0.0, 0.0, 0.0))
-    far = distance(points, vertices, faces)
+    far = nearest.distance(points)
     x, y, z = map(float, points[int(far.argmax())])
     return Excess(mean=float(far.mean()), most=float(np.quantile(far, 0.99)), largest=float(far.max()), at=(x, y, z))
 
@@ -88,31 +84,3 @@ def _hidden(parts: Sequence[ConvexPart], points: Array) -> Array:
         near = np.flatnonzero(np.all((points > low) & (points < high), axis=1))
         hidden[near] |= outside([part], points[near])[:, 0] < -HIDDEN if len(near) else False
     return hidden
-
-
-def distance(points: Array, vertices: Array, faces: Faces, *, candidates: int = 4) -> Array:
-    """Of points (n, 3) from the surface, to the triangles of the nearest few of many points on it."""
-    from scipy.spatial import KDTree
-
-    on = samples_of(vertices, faces, MESH_POINTS)
-    _, near = KDTree(on.points).query(points, candidates)
-    found = [_to_triangles(points, vertices[faces[on.triangle[near[:, k]]]]) for k in range(candidates)]
-    return np.min(found, axis=0)
-
-
-def _to_triangles(p: Array, triangles: Array) -> Array:
-    """Distances (n,) of points (n, 3), each to its triangle (n, 3, 3): to the plane where it lies over the inside, else
-    to the nearest edge."""
-    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    normal = np.cross(b - a, c - a)
-    length = np.maximum(np.linalg.norm(normal, axis=1), np.finfo(float).tiny)
-    sides = ((a, b), (b, c), (c, a))
-    over = np.all([np.einsum("ij,ij->i", np.cross(e - s, p - s), normal) >= 0 for s, e in sides], axis=0)
-    to_plane = np.abs(np.einsum("ij,ij->i", normal, p - a)) / length
-    return np.where(over, to_plane, np.min([_to_segments(p, s, e) for s, e in sides], axis=0))
-
-
-def _to_segments(p: Array, start: Array, end: Array) -> Array:
-    along = end - start
-    t = np.einsum("ij,ij->i", p - start, along) / np.maximum(np.einsum("ij,ij->i", along, along), np.finfo(float).tiny)
-    return np.linalg.norm(p - start - np.clip(t, 0, 1)[:, None] * along, axis=1)

@@ -18,11 +18,13 @@ SMALLEST_FACET = 1e-14
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Hull:
-    """The convex hull of some points: its corners (n, 3), facet planes ``normals . x <= offsets`` and volume."""
+    """The convex hull of some points: its corners (n, 3), its facets as planes ``normals . x <= offsets`` and as
+    triangles (m, 3, 3), and its volume."""
 
     corners: Array
     normals: Array
     offsets: Array
+    triangles: Array
     volume: float
     area: float
 
@@ -44,21 +46,23 @@ def hull_of(points: Array) -> Hull | None:
         corners=points[np.sort(hull.vertices)],
         normals=planes[:, :3],
         offsets=-planes[:, 3],
+        triangles=points[hull.simplices],
         volume=float(hull.volume),
         area=float(hull.area),
     )
 
 
-def volume_of(points: Array) -> float:
-    """Of the hull of points (n, 3), 0 when they span none."""
+def bulk(points: Array, layer: float) -> float:
+    """The volume of the hull of points (n, 3) with a layer around it; 0 where it has none."""
     from scipy.spatial import ConvexHull, QhullError
 
     if len(points) < 4:
         return 0.0
     try:
-        return float(ConvexHull(points).volume)
+        hull = ConvexHull(points)
     except (QhullError, ValueError):
         return 0.0
+    return float(hull.volume + layer * hull.area)
 
 
 def outside(parts: Sequence[ConvexPart], points: Array) -> Array:

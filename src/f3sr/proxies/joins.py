@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from f3sr.frames import Array
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.cuts import MIN_TOUCHED
 from f3sr.proxies.hulls import Hull, hull_of
-from f3sr.proxies.surface import Samples, stand_off
+from f3sr.proxies.surface import Samples, Subject, stand_off
 
 NEXT_TO = 1e-3
 """How far apart the boxes of neighbours lie at most [size]."""
@@ -24,17 +24,19 @@ class Joined:
     hull: Hull
     off: float
     added: float = 0.0
+    is_looked_over: bool = True
+    """Whether ``off`` tells of the hull's own surface as well, not only of the samples in it."""
 
     @property
     def box(self) -> tuple[Array, Array]:
         return self.hull.corners.min(0), self.hull.corners.max(0)
 
 
-def joined(hulls: Sequence[Hull], samples: Samples, config: ProxyConfig, *, is_shell: bool) -> list[Hull]:
+def joined(hulls: Sequence[Hull], subject: Subject, config: ProxyConfig, *, is_shell: bool) -> list[Hull]:
     """Fewer hulls that hold all the given ones: joined within ``tolerance`` wherever that can be, within
     ``loose_tolerance`` down to ``few_parts`` where the mesh is no shell, and down to ``max_parts`` at any price."""
-    state = _Joining([Joined(hull=h, off=_off(h, samples)) for h in hulls], samples, config)
-    state.join(lambda count, off: off <= config.tolerance)
+    state = _Joining([Joined(hull=h, off=_off(h, subject.samples)) for h in hulls], subject, config)
+    state.join(lambda count, off: off <= config.tolerance, by_volume=True)
     if not is_shell:
         state.join(lambda count, off: off <= config.loose_tolerance and count > config.few_parts)
     state.join(lambda count, off: count > config.max_parts)
@@ -44,22 +46,37 @@ def joined(hulls: Sequence[Hull], samples: Samples, config: ProxyConfig, *, is_s
 class _Joining:
     """Parts by number, and what joining two neighbours would give."""
 
-    def __init__(self, parts: Sequence[Joined], samples: Samples, config: ProxyConfig) -> None:
+    def __init__(self, parts: Sequence[Joined], subject: Subject, config: ProxyConfig) -> None:
         self.parts = dict(enumerate(parts))
-        self._samples, self._config = samples, config
+        self._subject, self._config = subject, config
         self._pairs: dict[tuple[int, int], Joined] = {}
         self._next = len(parts)
         for b in self.parts:
             self._look_around(b, range(b))
 
-    def join(self, may: Callable[[int, float], bool]) -> None:
-        """The pair that adds least, again and again, of those that may be joined given the number of parts and how far
-        their hull stands off."""
+    def join(self, may: Callable[[int, float], bool], *, by_volume: bool = False) -> None:
+        """The pair that adds least volume, else the one that stands off least, again and again, of those that may be
+        joined given the number of parts and how far their hull stands off."""
         while True:
-            allowed = [(p.added, pair) for pair, p in self._pairs.items() if may(len(self.parts), self._price(pair))]
+            prices = {pair: self._price(pair) for pair in self._pairs}
+            allowed = [
+                (p.added if by_volume else prices[pair], p.added, pair)
+                for pair, p in self._pairs.items()
+                if may(len(self.parts), prices[pair])
+            ]
             if not allowed:
                 return
-            self._replace(min(allowed)[1])
+            pair = min(allowed)[2]
+            if self._pairs[pair].is_looked_over:
+                self._replace(pair)
+            else:
+                self._look_over(pair)
+
+    def _look_over(self, pair: tuple[int, int]) -> None:
+        """A look at the hull itself costs more than at the samples in it: it is taken when the pair comes first."""
+        both = self._pairs[pair]
+        bare = _but_a_few(self._subject.bare(both.hull, self._config))
+        self._pairs[pair] = replace(both, off=max(both.off, bare), is_looked_over=True)
 
     def _price(self, pair: tuple[int, int]) -> float:
         """How far the joined hull stands off; nothing where that is no farther than one of the two did."""
@@ -91,7 +108,7 @@ class _Joining:
         added = hull.volume - first.volume - second.volume
         if added > self._config.loose_tolerance * hull.area:
             return None
-        return Joined(hull=hull, off=_off(hull, self._samples), added=added)
+        return Joined(hull=hull, off=_off(hull, self._subject.samples), added=added, is_looked_over=False)
 
 
 def _off(hull: Hull, samples: Samples) -> float:
@@ -100,4 +117,9 @@ def _off(hull: Hull, samples: Samples) -> float:
     near = samples.chosen(np.all((samples.points >= low) & (samples.points <= high), axis=1))
     held = near.chosen((near.points @ hull.normals.T - hull.offsets).max(1, initial=-1) <= 1e-9)
     off = stand_off(held, hull.normals, hull.offsets) if len(held.points) else np.zeros(0)
+    return _but_a_few(off)
+
+
+def _but_a_few(off: Array) -> float:
+    """The largest but for the few that are noise."""
     return float(np.partition(off, -MIN_TOUCHED)[-MIN_TOUCHED]) if len(off) >= MIN_TOUCHED else 0.0

@@ -11,7 +11,7 @@ from f3sr.mesh import ConvexPart
 from f3sr.proxies import fit
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.split import Fitted, decimated
-from f3sr.proxies.surface import Faces, surroundings
+from f3sr.proxies.surface import Faces, Nearest, surroundings
 
 COACD = {
     "threshold": 0.05,
@@ -39,7 +39,7 @@ def several(vertices: Array, faces: Faces, config: ProxyConfig) -> Fitted:
         parts=parts,
         inflation=fit.inflation(parts, vertices, faces),
         outside=fit.largest_outside(parts, vertices[np.unique(faces)]),
-        excess=fit.excess(parts, vertices, faces, around, config.probe),
+        excess=fit.excess(parts, Nearest.on(vertices, faces), around, config.probe),
     )
 
 

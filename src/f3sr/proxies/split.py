@@ -16,7 +16,7 @@ from f3sr.proxies.fit import Excess
 from f3sr.proxies.hulls import Hull, hull_of, outside, planes, without_hidden
 from f3sr.proxies.joins import joined
 from f3sr.proxies.simplify import flats_of, simplified_outward
-from f3sr.proxies.surface import Faces, samples_of, surroundings, weighted
+from f3sr.proxies.surface import Faces, Nearest, Subject, area_of, samples_of, surroundings, weighted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,32 +53,44 @@ def one_hull(vertices: Array, faces: Faces, config: ProxyConfig) -> Fitted:
         part = simplified_outward(points, config, most=config.lone_hull_faces)
     except ValueError:
         part = ConvexPart.hull_of(_thickened(points, config))
-    return _fitted([part], vertices, faces, fit.excess([part], vertices, faces, None, config.probe))
+    return _fitted([part], vertices, faces, fit.excess([part], Nearest.on(vertices, faces), None, config.probe))
 
 
 def several(vertices: Array, faces: Faces, config: ProxyConfig) -> Fitted:
     """Parts that hold all of the surface, and those of the solid below it that cuts lay bare."""
-    around = surroundings(vertices, faces, config)
-    samples = samples_of(vertices, faces, config.samples)
-    samples = samples.chosen(around.is_reached(samples.points, samples.normals, config.probe))
     whole = ConvexPart.hull_of(vertices)
-    samples = weighted(samples, planes(whole), config)
-    simplified = decimated(vertices, faces, config.target_faces)
+    subject = subject_of(vertices, faces, whole, config)
     # An open surface has no volume, but its signed sum still tells a wall with two sides from a body.
     is_shell = signed_volume(vertices, faces) < config.shell_fill * whole.volume
 
     def cut(most: int) -> list[Hull]:
-        return _hulls(cut_up(vertices, faces, simplified, samples, around, config, most, is_shell=is_shell), config)
+        return _hulls(cut_up(subject, config, most, is_shell=is_shell), config)
 
-    hulls = joined(cut(round(config.surplus * config.max_parts)), samples, config, is_shell=is_shell)
+    hulls = joined(cut(round(config.surplus * config.max_parts)), subject, config, is_shell=is_shell)
     if len(hulls) > config.max_parts:  # what is left are no neighbours
         hulls = cut(config.max_parts)
     base = flats_of(whole, config)
     parts = without_hidden(
         [simplified_outward(h.corners, config, base, most=_most_faces(hulls, config)) for h in hulls]
     )
-    excess = fit.excess(parts, vertices, faces, around, config.probe)
-    return _fitted(parts, vertices, faces, replace(excess, floor=fit.floor_excess(parts, samples)))
+    excess = fit.excess(parts, subject.nearest, subject.around, config.probe)
+    return _fitted(parts, vertices, faces, replace(excess, floor=fit.floor_excess(parts, subject.samples)))
+
+
+def subject_of(vertices: Array, faces: Faces, whole: ConvexPart, config: ProxyConfig) -> Subject:
+    """All that cutting needs to know of a mesh with its hull ``whole``."""
+    around = surroundings(vertices, faces, config)
+    samples = samples_of(vertices[faces], config.samples)
+    touched = samples.chosen(around.is_reached(samples.points, samples.normals, config.probe))
+    simpler = decimated(vertices, faces, config.target_faces)
+    return Subject(
+        triangles=vertices[faces],
+        simplified=simpler[0][simpler[1]],
+        samples=weighted(touched, planes(whole), config),
+        density=config.samples / area_of(vertices[faces]),
+        around=around,
+        nearest=Nearest.on(vertices, faces),
+    )
 
 
 def _most_faces(hulls: Sequence[Hull], config: ProxyConfig) -> int:

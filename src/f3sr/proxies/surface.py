@@ -6,12 +6,14 @@ All in normalised units: the diagonal of the mesh's box is 1.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.frames import Array
 from f3sr.proxies.config import ProxyConfig
+from f3sr.proxies.hulls import Hull
 
 GRID_CELLS = 600_000
 """Most cells of the grid over a mesh's box: at a hundredth of the diagonal a cube has 200,000."""
@@ -23,6 +25,12 @@ CORE_DEPTH = 4.5
 """Cells that core points lie below the surface at least: moved onto a cut, up to half a step, they stay inside."""
 STEEPEST = 0.25
 """Cosine between a sample's normal and a facet's up to which the facet is what covers the sample."""
+NEAREST_POINTS = 30_000
+"""Points on the surface whose triangles may be the nearest ones."""
+NEAREST_FEW = 4
+"""How many of them are tried."""
+HULL_POINTS = 150
+"""Points of a single hull's surface at which it is looked how far they lie off the mesh."""
 CAVITY_DEPTH = 0.03
 """Depth below the hull of the mesh from which on surface belongs to a cavity [size]."""
 CAVITY_SHARE = 0.03
@@ -71,14 +79,61 @@ class Surroundings:
         return self.clearance[tuple(where.T)] * self.cell >= probe - self.cell
 
 
-def samples_of(vertices: Array, faces: Faces, count: int) -> Samples:
-    """``count`` points spread by area, in the order of the triangles, the same ones every time."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Nearest:
+    """The nearest triangles to points: those of the nearest few of many points on the surface."""
+
+    triangles: Array
+    samples: Samples
+    tree: Any
+
+    @classmethod
+    def on(cls, vertices: Array, faces: Faces) -> Nearest:
+        from scipy.spatial import KDTree
+
+        samples = samples_of(vertices[faces], NEAREST_POINTS)
+        return cls(triangles=vertices[faces], samples=samples, tree=KDTree(samples.points))
+
+    def distance(self, points: Array) -> Array:
+        """Of points (n, 3) from the surface (n,)."""
+        _, near = self.tree.query(points, NEAREST_FEW)
+        found = [_to_triangles(points, self.triangles[self.samples.triangle[near[:, k]]]) for k in range(NEAREST_FEW)]
+        return np.min(found, axis=0)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Subject:
+    """A mesh to be covered: its triangles (n, 3, 3) exactly and simplified, those samples that can be touched and
+    how many of them there are per area, what is around it, and what is nearest."""
+
+    triangles: Array
+    simplified: Array
+    samples: Samples
+    density: float
+    around: Surroundings
+    nearest: Nearest
+
+    def bare(self, hull: Hull, config: ProxyConfig) -> Array:
+        """How far points of a hull's surface lie off the mesh (n,) that could be touched if nothing else covered
+        them; each counts as ``hull.area / n`` of it."""
+        points = samples_of(hull.triangles, HULL_POINTS)
+        inward = np.einsum("ij,ij->i", points.normals, points.points - hull.corners.mean(0)) < 0
+        normals = np.where(inward[:, None], -points.normals, points.normals)
+        touched = self.around.is_reached(points.points, normals, config.probe)
+        off = np.zeros(HULL_POINTS)
+        if touched.any():
+            off[touched] = self.nearest.distance(points.points[touched])
+        return off
+
+
+def samples_of(triangles: Array, count: int) -> Samples:
+    """``count`` points spread over triangles (n, 3, 3) by area, in their order, the same ones every time."""
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     cross = np.cross(b - a, c - a)
     area = np.linalg.norm(cross, axis=1)
     reached = np.cumsum(area)
     triangle = np.searchsorted(reached, (np.arange(count) + 0.5) / count * reached[-1])
-    triangle = np.minimum(triangle, len(faces) - 1)
+    triangle = np.minimum(triangle, len(triangles) - 1)
     u, v = np.random.default_rng(0).random((2, count, 1))
     flip = u + v > 1
     u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
@@ -107,10 +162,15 @@ def surroundings(vertices: Array, faces: Faces, config: ProxyConfig) -> Surround
 
 
 def _cell(vertices: Array, faces: Faces, config: ProxyConfig) -> float:
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
+    area = area_of(vertices[faces])
     box = float(np.prod(np.ptp(vertices, axis=0) + 2 * config.probe))
     return max(config.cell, (box / GRID_CELLS) ** (1 / 3), (4 * area / DENSE_POINTS) ** 0.5)
+
+
+def area_of(triangles: Array) -> float:
+    """Of triangles (n, 3, 3)."""
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
 
 
 def _dense(vertices: Array, faces: Faces, step: float) -> Array:
@@ -148,3 +208,21 @@ def weighted(samples: Samples, hull: tuple[Array, Array], config: ProxyConfig) -
         return samples
     facing = np.where(deep, np.maximum(samples.normals @ opening / length, 0), 0)
     return replace(samples, weight=1 + (config.floor_weight - 1) * facing**FLOOR_POWER)
+
+
+def _to_triangles(p: Array, triangles: Array) -> Array:
+    """Distances (n,) of points (n, 3), each to its triangle (n, 3, 3): to the plane where it lies over the inside, else
+    to the nearest edge."""
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    normal = np.cross(b - a, c - a)
+    length = np.maximum(np.linalg.norm(normal, axis=1), np.finfo(float).tiny)
+    sides = ((a, b), (b, c), (c, a))
+    over = np.all([np.einsum("ij,ij->i", np.cross(e - s, p - s), normal) >= 0 for s, e in sides], axis=0)
+    to_plane = np.abs(np.einsum("ij,ij->i", normal, p - a)) / length
+    return np.where(over, to_plane, np.min([_to_segments(p, s, e) for s, e in sides], axis=0))
+
+
+def _to_segments(p: Array, start: Array, end: Array) -> Array:
+    along = end - start
+    t = np.einsum("ij,ij->i", p - start, along) / np.maximum(np.einsum("ij,ij->i", along, along), np.finfo(float).tiny)
+    return np.linalg.norm(p - start - np.clip(t, 0, 1)[:, None] * along, axis=1)
