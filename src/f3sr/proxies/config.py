@@ -21,10 +21,10 @@ class ProxyConfig:
     """How far a part may stand off the surface where something can touch it [size]. A mesh that lies nowhere deeper
     below its hull gets one part. Halving it doubles the parts of a bowl."""
     loose_tolerance: Annotated[float, Interval(ge=0.0005, le=0.2)] = 0.01
-    """The same for the parts beyond ``few_parts`` of a mesh that is no shell: they are joined again up to here."""
+    """The same for a mesh that is no shell once it has ``few_parts``; with twice as many parts twice as much is let
+    be, and so on, down to ``tolerance``: the cost of contact grows with the square of their number."""
     few_parts: Annotated[int, Interval(ge=1, le=256)] = 16
-    """Parts of a mesh that is no shell from which on ``loose_tolerance`` is enough: the cost of contact grows with the
-    square of their number."""
+    """Parts for which ``loose_tolerance`` is meant."""
     max_parts: Annotated[int, Interval(ge=1, le=256)] = 64
     """Most parts, whatever the excess: a bowl of curved walls needs them all."""
     shell_fill: Annotated[float, Interval(ge=0, le=1)] = 0.5
@@ -54,9 +54,11 @@ class ProxyConfig:
     thickness: Annotated[float, Interval(ge=0, le=0.1)] = 0.002
     """How far a simplified hull may stand out from the exact one [size]; makes a can about 27-sided."""
     max_hull_faces: Annotated[int, Interval(ge=8, le=1000)] = 36
-    """Most facets of a simplified hull: up to 68 corners. This outranks ``thickness``."""
+    """Most facets of a simplified hull among many: up to 68 corners. This outranks ``thickness``."""
     lone_hull_faces: Annotated[int, Interval(ge=8, le=1000)] = 96
-    """The same where one hull is all: a ball of 36 facets would stand on corners 1.6% of its size high."""
+    """Most facets of a hull that is alone: a ball of 36 facets would stand on corners 1.6% of its size high."""
+    facet_budget: Annotated[int, Interval(ge=8, le=100_000)] = 384
+    """Facets of all hulls together that are shared between the two limits: seven hulls may have 54 each."""
     flat_share: Annotated[float, Interval(gt=0, lt=1)] = 0.02
     """Facets that face one way and hold this share of a hull's area are kept as one plane: what an object stands on
     stays flat."""
@@ -64,3 +66,13 @@ class ProxyConfig:
     """Thickness given to a mesh that spans no volume [size]."""
     inflation_limit: Annotated[float, Interval(ge=1, le=100)] = 1.4
     """Volume of the parts over that of the mesh above which a decision names the object."""
+
+    def most_faces(self, parts: int) -> int:
+        """Most facets of each of so many hulls."""
+        return min(max(self.max_hull_faces, self.facet_budget // parts), max(self.max_hull_faces, self.lone_hull_faces))
+
+    def allowed(self, parts: float, *, is_shell: bool) -> float:
+        """How far a hull may stand off in a mesh of so many parts [size]."""
+        if is_shell:
+            return self.tolerance
+        return max(self.tolerance, self.loose_tolerance * parts / self.few_parts)

@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 
 from f3sr.frames import Array
 from f3sr.proxies.config import ProxyConfig
-from f3sr.proxies.hulls import Hull, bulk, hull_of
+from f3sr.proxies.hulls import Hull, bulk, hull_of, outermost, spread
 from f3sr.proxies.surface import CORE_STEP, Samples, Subject, stand_off
 
 MIN_TOUCHED = 3
-"""Samples that a part must stand off too far from before it is cut: one or two are noise."""
-STEPS = 8
+"""Samples that are no longer noise, of a hull's surface or of what faces one way."""
+STRAY = 8
+"""Samples of the mesh's surface, of thousands, that a piece may stand off too far from."""
+STEPS = 6
 """Cuts across a piece that are tried at even distances."""
 LEVELS = (0.05, 0.5, 0.95)
 """Quantiles of the height of surface that faces along a direction, just above which a cut is tried: floors."""
@@ -36,8 +38,14 @@ USELESS = 0.98
 """Share of the volume that a cut must leave at most; else it is chosen by what the next one can save."""
 HOLLOW = 0.05
 """How far a piece must stand off for that: dents save little volume anyway [size]."""
+FINALISTS = 8
+"""Cuts that are compared by all points."""
 AHEAD = (0.3, 0.5, 0.7)
 """Where across a half the next cut is tried."""
+
+
+AROUND = spread(128)
+"""Directions in which the outermost points of a body are kept for a first look at its hull."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -91,7 +99,8 @@ class Piece:
         return float(off + np.maximum(self.bare - tolerance, 0).mean() * self.hull.area)
 
     def is_close(self, tolerance: float) -> bool:
-        return max(np.count_nonzero(off > tolerance) for off in (self.off, self.bare)) < MIN_TOUCHED
+        stray = np.count_nonzero(self.off > tolerance) < STRAY
+        return stray and np.count_nonzero(self.bare > tolerance) < MIN_TOUCHED
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -104,15 +113,13 @@ class Cut:
 
 
 def cut_up(subject: Subject, config: ProxyConfig, most: int, *, is_shell: bool) -> list[Piece]:
-    """At most ``most`` pieces of a mesh. Once a mesh that is no shell has its few parts, only what stands off loosely
-    is cut."""
-    few = most if is_shell else round(config.surplus * config.few_parts)
-    loose = replace(config, tolerance=config.loose_tolerance)
+    """At most ``most`` pieces of a mesh, ``surplus`` times as many as are wanted in the end."""
     whole = _piece(subject, config, subject.triangles, subject.simplified, subject.around.core, subject.samples)
     queue, done, count = [(0.0, 0, whole)], list[Piece](), 0
     while queue and len(queue) + len(done) < most:
         _, _, piece = heapq.heappop(queue)
-        halves = _halved(piece, subject, config if len(queue) + len(done) + 1 < few else loose)
+        wanted = (len(queue) + len(done) + 1) / config.surplus
+        halves = _halved(piece, subject, replace(config, tolerance=config.allowed(wanted, is_shell=is_shell)))
         if halves is None:
             done.append(piece)
             continue
@@ -207,25 +214,32 @@ def best_cut(piece: Piece, reach: float, config: ProxyConfig) -> Cut | None:
 
 
 def _least(piece: Piece, directions: Array, reach: float, config: ProxyConfig) -> Cut | None:
-    best: Cut | None = None
+    """Of all cuts by their outermost points, then of the best few by all points."""
+    cuts: list[Cut] = []
     for u in directions:
         offsets = _offsets(piece, u, config)
-        for offset, volume in zip(offsets, _volumes(piece.outline, piece.core, u, offsets, reach), strict=True):
-            if best is None or volume < best.bulk * (1 - 1e-6):
-                best = Cut(normal=u, offset=float(offset), bulk=volume)
-    return best
+        bulks = _bulks(piece.outline, piece.core, u, offsets, reach, few=True)
+        cuts += [Cut(normal=u, offset=float(o), bulk=b) for o, b in zip(offsets, bulks, strict=True)]
+    finalists = sorted(cuts, key=lambda cut: cut.bulk)[:FINALISTS]
+    exact = [
+        replace(cut, bulk=next(_bulks(piece.outline, piece.core, cut.normal, np.array([cut.offset]), reach)))
+        for cut in finalists
+    ]
+    return min(exact, key=lambda cut: cut.bulk, default=None)
 
 
-def _volumes(outline: Outline, core: Array, u: Array, offsets: Array, reach: float) -> Iterator[float]:
-    """Of the hulls of both sides together, for cuts at some offsets."""
+def _bulks(
+    outline: Outline, core: Array, u: Array, offsets: Array, reach: float, *, few: bool = False
+) -> Iterator[float]:
+    """Of the hulls of both sides together, for cuts at some offsets; of ``few`` of their points where that will do."""
     for offset, sides in zip(offsets, outline.halves(u, offsets), strict=True):
         if len(core):
             sides = tuple(map(np.concatenate, zip(sides, _parted(core, u, offset, reach), strict=True)))
-        yield sum(map(_bulk, sides))
+        yield sum(bulk(_first_look(side, u) if few else side, LAYER) for side in sides)
 
 
-def _bulk(points: Array) -> float:
-    return bulk(points, LAYER)
+def _first_look(points: Array, u: Array) -> Array:
+    return outermost(points, np.concatenate([AROUND, [u, -u]]))
 
 
 def _looked_ahead(piece: Piece, u: Array, directions: Array, reach: float) -> Cut:
@@ -238,11 +252,11 @@ def _looked_ahead(piece: Piece, u: Array, directions: Array, reach: float) -> Cu
         if not len(half):
             continue
         outline = Outline.of(half)
-        least = _bulk(np.concatenate([outline.corners, core]))
+        least = bulk(_first_look(np.concatenate([outline.corners, core]), u), LAYER)
         for w in directions:
             across = outline.corners @ w
             offsets = across.min() + np.ptp(across) * np.array(AHEAD)
-            least = min(least, *_volumes(outline, core, w, offsets, reach))
+            least = min(least, *_bulks(outline, core, w, offsets, reach, few=True))
         total += least
     return Cut(normal=u, offset=offset, bulk=total)
 

@@ -6,20 +6,26 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from f3sr.frames import Array
 from f3sr.mesh import ConvexPart
 
 SMALLEST_VOLUME = 1e-12
 """Of a part, in cubes of the mesh's size: a thousandth of the size squared by a millionth. Thinner is rounding."""
+FEW_PLANES = 300
+"""Facets up to which all of them count."""
+TURN = 0.1
+"""Facets turned by less than about this [rad] are alike: a ball's are then .1% of its size too far out."""
 SMALLEST_FACET = 1e-14
 """Twice the area of a facet whose normal is still trusted [squares of the size]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Hull:
-    """The convex hull of some points: its corners (n, 3), its facets as planes ``normals . x <= offsets`` and as
-    triangles (m, 3, 3), and its volume."""
+    """The convex hull of some points: its corners (n, 3), its facets as triangles (m, 3, 3), its volume and area, and
+    the planes ``normals . x <= offsets`` of its facets, of those turned alike the largest: a few hundred also where
+    the hull of a round body has thousands, and what they bound is a little larger."""
 
     corners: Array
     normals: Array
@@ -41,7 +47,7 @@ def hull_of(points: Array) -> Hull | None:
         return None
     if hull.volume < SMALLEST_VOLUME:
         return None
-    planes = hull.equations
+    planes = hull.equations[_of_each_turn(hull.equations[:, :3], points[hull.simplices])]
     return Hull(
         corners=points[np.sort(hull.vertices)],
         normals=planes[:, :3],
@@ -50,6 +56,31 @@ def hull_of(points: Array) -> Hull | None:
         volume=float(hull.volume),
         area=float(hull.area),
     )
+
+
+def _of_each_turn(normals: Array, triangles: Array) -> NDArray[np.int64]:
+    """The largest facet of those whose normals lie in one cell of a grid, in the order of the cells."""
+    if len(normals) <= FEW_PLANES:
+        return np.arange(len(normals))
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    order = np.argsort(-np.linalg.norm(np.cross(b - a, c - a), axis=1), kind="stable")
+    cells = np.round(normals[order] / TURN).astype(np.int64)
+    return order[np.unique(cells, axis=0, return_index=True)[1]]
+
+
+def spread(count: int) -> Array:
+    """Directions (count, 3) all around, evenly: a spiral of golden angles."""
+    z = 1 - (2 * np.arange(count) + 1) / count
+    turn = np.arange(count) * np.pi * (3 - np.sqrt(5))
+    radius = np.sqrt(1 - z * z)
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1)
+
+
+def outermost(points: Array, directions: Array) -> Array:
+    """Those of points (n, 3) that lie outermost in one of the directions (m, 3); all where they are few."""
+    if len(points) <= 2 * len(directions):
+        return points
+    return points[np.unique((points @ directions.T).argmax(0))]
 
 
 def bulk(points: Array, layer: float) -> float:

@@ -10,9 +10,12 @@ import numpy as np
 from f3sr.frames import Array
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.cuts import MIN_TOUCHED
-from f3sr.proxies.hulls import Hull, hull_of
+from f3sr.proxies.hulls import Hull, hull_of, outermost, spread
 from f3sr.proxies.surface import Samples, Subject, stand_off
 
+AROUND = spread(500)
+"""Directions in which the corners of a joined hull are kept while it is only thought of: a ball's are then .1% of its
+size too far in."""
 NEXT_TO = 1e-3
 """How far apart the boxes of neighbours lie at most [size]."""
 
@@ -33,12 +36,11 @@ class Joined:
 
 
 def joined(hulls: Sequence[Hull], subject: Subject, config: ProxyConfig, *, is_shell: bool) -> list[Hull]:
-    """Fewer hulls that hold all the given ones: joined within ``tolerance`` wherever that can be, within
-    ``loose_tolerance`` down to ``few_parts`` where the mesh is no shell, and down to ``max_parts`` at any price."""
+    """Fewer hulls that hold all the given ones: joined within ``tolerance`` wherever that can be, then as far as their
+    number allows, and down to ``max_parts`` at any price."""
     state = _Joining([Joined(hull=h, off=_off(h, subject.samples)) for h in hulls], subject, config)
     state.join(lambda count, off: off <= config.tolerance, by_volume=True)
-    if not is_shell:
-        state.join(lambda count, off: off <= config.loose_tolerance and count > config.few_parts)
+    state.join(lambda count, off: off <= config.allowed(count, is_shell=is_shell))
     state.join(lambda count, off: count > config.max_parts)
     return [part.hull for part in state.parts.values()]
 
@@ -85,6 +87,8 @@ class _Joining:
 
     def _replace(self, pair: tuple[int, int]) -> None:
         part = self._pairs[pair]
+        exact = hull_of(np.concatenate([self.parts[k].hull.corners for k in pair]))
+        part = part if exact is None else replace(part, hull=exact)
         for k in pair:
             del self.parts[k]
         self._pairs = {other: p for other, p in self._pairs.items() if not set(pair) & set(other)}
@@ -102,7 +106,7 @@ class _Joining:
     def _together(self, a: int, b: int) -> Joined | None:
         """One hull for both; None where its new volume is more than a layer as thick as the loose tolerance."""
         first, second = self.parts[a].hull, self.parts[b].hull
-        hull = hull_of(np.concatenate([first.corners, second.corners]))
+        hull = hull_of(outermost(np.concatenate([first.corners, second.corners]), AROUND))
         if hull is None:
             return None
         added = hull.volume - first.volume - second.volume

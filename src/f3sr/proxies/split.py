@@ -18,6 +18,9 @@ from f3sr.proxies.joins import joined
 from f3sr.proxies.simplify import flats_of, simplified_outward
 from f3sr.proxies.surface import Faces, Nearest, Subject, area_of, samples_of, surroundings, weighted
 
+STRAY_SHARE = 0.02
+"""Of the vertices of a mesh that is nearly its own hull, those that may lie deeper: the seam of a ball."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Fitted:
@@ -37,7 +40,8 @@ def nearly_convex(vertices: Array, faces: Faces, config: ProxyConfig) -> str | N
         return "the mesh spans no volume"
     used = vertices[np.unique(faces)]
     some = used[:: max(1, len(used) // 2000)]
-    depth = -min(float(outside([hull], chunk).min()) for chunk in np.array_split(some, 1 + len(some) // 100))
+    below = -np.concatenate([outside([hull], chunk)[:, 0] for chunk in np.array_split(some, 1 + len(some) // 100)])
+    depth = float(np.quantile(below, 1 - STRAY_SHARE))
     if depth > config.tolerance:
         return None
     reason = f"surface within {depth:.1%} of its size below the hull"
@@ -50,7 +54,7 @@ def nearly_convex(vertices: Array, faces: Faces, config: ProxyConfig) -> str | N
 def one_hull(vertices: Array, faces: Faces, config: ProxyConfig) -> Fitted:
     points = vertices[np.unique(faces)]
     try:
-        part = simplified_outward(points, config, most=config.lone_hull_faces)
+        part = simplified_outward(points, config, most=config.most_faces(1))
     except ValueError:
         part = ConvexPart.hull_of(_thickened(points, config))
     return _fitted([part], vertices, faces, fit.excess([part], Nearest.on(vertices, faces), None, config.probe))
@@ -71,7 +75,7 @@ def several(vertices: Array, faces: Faces, config: ProxyConfig) -> Fitted:
         hulls = cut(config.max_parts)
     base = flats_of(whole, config)
     parts = without_hidden(
-        [simplified_outward(h.corners, config, base, most=_most_faces(hulls, config)) for h in hulls]
+        [simplified_outward(h.corners, config, base, most=config.most_faces(len(hulls))) for h in hulls]
     )
     excess = fit.excess(parts, subject.nearest, subject.around, config.probe)
     return _fitted(parts, vertices, faces, replace(excess, floor=fit.floor_excess(parts, subject.samples)))
@@ -91,10 +95,6 @@ def subject_of(vertices: Array, faces: Faces, whole: ConvexPart, config: ProxyCo
         around=around,
         nearest=Nearest.on(vertices, faces),
     )
-
-
-def _most_faces(hulls: Sequence[Hull], config: ProxyConfig) -> int:
-    return config.lone_hull_faces if len(hulls) == 1 else config.max_hull_faces
 
 
 def _hulls(pieces: Sequence[Piece], config: ProxyConfig) -> list[Hull]:

@@ -19,9 +19,9 @@ GRID_CELLS = 600_000
 """Most cells of the grid over a mesh's box: at a hundredth of the diagonal a cube has 200,000."""
 DENSE_POINTS = 3_000_000
 """Most points that mark the surface in the grid; meshes folded into many layers get a coarser grid."""
-CORE_STEP = 3
+CORE_STEP = 4
 """Every how many cells along each axis a point of the solid core is kept."""
-CORE_DEPTH = 4.5
+CORE_DEPTH = 5.0
 """Cells that core points lie below the surface at least: moved onto a cut, up to half a step, they stay inside."""
 STEEPEST = 0.25
 """Cosine between a sample's normal and a facet's up to which the facet is what covers the sample."""
