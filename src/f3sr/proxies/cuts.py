@@ -37,7 +37,9 @@ ALIKE = 0.985
 USELESS = 0.98
 """Share of the volume that a cut must leave at most; else it is chosen by what the next one can save."""
 HOLLOW = 0.05
-"""How far a piece must stand off for that: dents save little volume anyway [size]."""
+"""How far a piece must stand off for that, dents save little volume anyway [size], ..."""
+HOLLOW_SHARE = 0.1
+"""... and over how much of its surface or of its hull's."""
 FINALISTS = 8
 """Cuts that are compared by all points."""
 AHEAD = (0.3, 0.5, 0.7)
@@ -97,6 +99,10 @@ class Piece:
         if self.hull is None:
             return float(off)
         return float(off + np.maximum(self.bare - tolerance, 0).mean() * self.hull.area)
+
+    @property
+    def is_hollow(self) -> bool:
+        return any(len(off) and float((off > HOLLOW).mean()) > HOLLOW_SHARE for off in (self.off, self.bare))
 
     def is_close(self, tolerance: float) -> bool:
         stray = np.count_nonzero(self.off > tolerance) < STRAY
@@ -207,7 +213,7 @@ def best_cut(piece: Piece, reach: float, config: ProxyConfig) -> Cut | None:
     best = _least(piece, directions, reach, config)
     if best is None or piece.hull is None or best.bulk <= USELESS * (piece.hull.volume + LAYER * piece.hull.area):
         return best
-    if piece.is_close(HOLLOW):
+    if not piece.is_hollow:
         return best
     ahead = (_looked_ahead(piece, u, directions, reach) for u in directions)
     return min((best, *ahead), key=lambda cut: cut.bulk)
