@@ -26,13 +26,13 @@ from f3sr.kernels import cache_root
 from f3sr.mesh import ConvexPart, Mesh
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.fit import Excess
-from f3sr.proxies.split import Fitted, nearly_convex, one_hull
+from f3sr.proxies.parts import Fitted, nearly_convex, one_hull
 from f3sr.proxies.store import key_of, packed, unpacked
 from f3sr.proxies.surface import Faces
 from f3sr.proxies.worker import run_worker
 from f3sr.report import Decision
 
-__all__ = ["Excess", "Proxy", "ProxyConfig", "check", "decompose", "decompose_all"]
+__all__ = ["Excess", "Proxy", "ProxyConfig", "check", "decompose", "decompose_all", "split"]
 
 GRID = 2.0**-26
 """Normalised vertices are rounded to this step, so that the asset's unit and place change no byte."""
@@ -113,6 +113,15 @@ def decompose_all(
         except BaseException:  # a failure or Ctrl-C: leaving the pool waits for its threads, and they for workers
             cancelled.set()
             raise
+
+
+def split(mesh: Mesh, config: ProxyConfig | None = None) -> int:
+    """How many parts a worker of its own finds; RuntimeError with the reason where it finds none."""
+    vertices, faces, _ = _normalised(mesh)
+    outcome = run_worker(vertices, faces, config or ProxyConfig())
+    if not outcome.fitted:
+        raise RuntimeError(outcome.reason)
+    return len(outcome.fitted.parts)
 
 
 def check(mesh: Mesh, name: str) -> None:

@@ -105,8 +105,8 @@ class Piece:
         return any(len(off) and float((off > HOLLOW).mean()) > HOLLOW_SHARE for off in (self.off, self.bare))
 
     def is_close(self, tolerance: float) -> bool:
-        stray = np.count_nonzero(self.off > tolerance) < STRAY
-        return stray and np.count_nonzero(self.bare > tolerance) < MIN_TOUCHED
+        off, bare = (int(np.count_nonzero(x > tolerance)) for x in (self.off, self.bare))
+        return off < STRAY and bare < MIN_TOUCHED
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

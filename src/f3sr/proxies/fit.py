@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from f3sr.frames import Array
 from f3sr.mesh import ConvexPart, is_closed, signed_volume, union
@@ -77,7 +78,7 @@ def floor_excess(parts: Sequence[ConvexPart], samples: Samples) -> float | None:
     return float(np.quantile(off, 0.99)) if len(off) else None
 
 
-def _hidden(parts: Sequence[ConvexPart], points: Array) -> Array:
+def _hidden(parts: Sequence[ConvexPart], points: Array) -> NDArray[np.bool_]:
     hidden = np.zeros(len(points), bool)
     for part in parts:
         low, high = part.vertices.min(0), part.vertices.max(0)

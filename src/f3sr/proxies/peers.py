@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -10,10 +11,10 @@ from f3sr.frames import Array
 from f3sr.mesh import ConvexPart
 from f3sr.proxies import fit
 from f3sr.proxies.config import ProxyConfig
-from f3sr.proxies.split import Fitted, decimated
+from f3sr.proxies.parts import Fitted, decimated
 from f3sr.proxies.surface import Faces, Nearest, surroundings
 
-COACD = {
+COACD: dict[str, Any] = {
     "threshold": 0.05,
     "max_convex_hull": 32,
     "preprocess_mode": "off",
@@ -24,7 +25,7 @@ COACD = {
     "seed": 0,
 }
 """Settings of CoACD: its default concavity, on a simplified mesh, its search as small as it takes."""
-VHACD = {"maxConvexHulls": 32, "resolution": 400_000, "asyncACD": False}
+VHACD: dict[str, Any] = {"maxConvexHulls": 32, "resolution": 400_000, "asyncACD": False}
 """Settings of V-HACD: its default resolution."""
 
 

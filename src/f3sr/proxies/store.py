@@ -15,7 +15,7 @@ from f3sr.frames import Array
 from f3sr.mesh import ConvexPart
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.fit import Excess
-from f3sr.proxies.split import Fitted
+from f3sr.proxies.parts import Fitted
 from f3sr.proxies.surface import Faces
 
 PROXY_VERSION = 3

@@ -35,8 +35,9 @@ CAVITY_DEPTH = 0.03
 """Depth below the hull of the mesh from which on surface belongs to a cavity [size]."""
 CAVITY_SHARE = 0.03
 """Least share of the surface that makes a cavity."""
-CAVITY_LEAN = 0.2
-"""Least length of the mean normal of its surface: that of a hole through the mesh is 0, of half a sphere .5."""
+CAVITY_LEAN = 0.12
+"""Least length of the mean normal of its surface: that of a hole through the mesh is 0, of a tall mug .15, of half a
+sphere .5."""
 FLOOR_POWER = 4
 """Of the cosine to the opening: surface turned by 45 degrees has a quarter of the weight."""
 
@@ -145,19 +146,20 @@ def samples_of(triangles: Array, count: int) -> Samples:
 def surroundings(vertices: Array, faces: Faces, config: ProxyConfig) -> Surroundings:
     """Open space is what can be walked to from outside, cell by cell, without touching the surface; the rest is
     solid, be the mesh closed or not."""
-    from scipy.ndimage import binary_dilation, distance_transform_edt, label
+    import scipy.ndimage
 
+    image: Any = scipy.ndimage
     cell = _cell(vertices, faces, config)
     low = vertices.min(0) - (config.probe + 4 * cell)
     shape = np.ceil((vertices.max(0) + config.probe + 4 * cell - low) / cell).astype(int) + 1
     occupied = np.zeros(shape, bool)
     occupied[tuple(((_dense(vertices, faces, 0.9 * cell) - low) / cell).astype(int).T)] = True
     # One cell thicker: points a cell apart may leave a gap that a path from face to face of cells slips through.
-    regions = label(~binary_dilation(occupied))[0]
+    regions = image.label(~image.binary_dilation(occupied))[0]
     is_open = regions == regions[0, 0, 0]
-    deep = np.argwhere(distance_transform_edt(~is_open) >= CORE_DEPTH)
+    deep = np.argwhere(image.distance_transform_edt(~is_open) >= CORE_DEPTH)
     core = low + (deep[(deep % CORE_STEP == 0).all(1)] + 0.5) * cell
-    clearance = np.asarray(distance_transform_edt(binary_dilation(is_open)), np.float32)
+    clearance = np.asarray(image.distance_transform_edt(image.binary_dilation(is_open)), np.float32)
     return Surroundings(clearance=clearance, low=low, cell=cell, core=core)
 
 
