@@ -54,7 +54,8 @@ class ProxyConfig:
     thickness: Annotated[float, Interval(ge=0, le=0.1)] = 0.002
     """How far a simplified hull may stand out from the exact one [size]; makes a can about 27-sided."""
     max_hull_faces: Annotated[int, Interval(ge=8, le=1000)] = 36
-    """Most facets of a simplified hull among many: up to 68 corners. This outranks ``thickness``."""
+    """Most facets of a simplified hull among many: up to 68 corners. This outranks ``thickness``, and
+    ``loose_tolerance`` outranks it up to twice as many."""
     lone_hull_faces: Annotated[int, Interval(ge=8, le=1000)] = 96
     """Most facets of a hull that is alone: a ball of 36 facets would stand on corners 1.6% of its size high."""
     facet_budget: Annotated[int, Interval(ge=8, le=100_000)] = 384

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from f3sr.frames import Array
 from f3sr.mesh import ConvexPart
 
-SMALLEST_VOLUME = 1e-12
-"""Of a part, in cubes of the mesh's size: a thousandth of the size squared by a millionth. Thinner is rounding."""
+THINNEST = 1e-5
+"""Volume over area of a hull that is more than a sheet [size]."""
 FEW_PLANES = 300
 """Facets up to which all of them count."""
 TURN = 0.1
@@ -36,7 +36,7 @@ class Hull:
 
 
 def hull_of(points: Array) -> Hull | None:
-    """The hull of points (n, 3); None when they span no volume."""
+    """The hull of points (n, 3); None when they span hardly a volume."""
     from scipy.spatial import ConvexHull, QhullError
 
     if len(points) < 4:
@@ -45,7 +45,7 @@ def hull_of(points: Array) -> Hull | None:
         hull = ConvexHull(points)
     except (QhullError, ValueError):
         return None
-    if hull.volume < SMALLEST_VOLUME:
+    if hull.volume < THINNEST * hull.area:
         return None
     planes = hull.equations[_of_each_turn(hull.equations[:, :3], points[hull.simplices])]
     return Hull(

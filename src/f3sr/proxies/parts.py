@@ -20,6 +20,8 @@ from f3sr.proxies.surface import Faces, Nearest, Subject, area_of, samples_of, s
 
 STRAY_SHARE = 0.02
 """Of the vertices of a mesh that is nearly its own hull, those that may lie deeper: the seam of a ball."""
+LARGEST_HOLE = 0.02
+"""Share of its area that an open mesh may lack where its hull is taken for it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +35,8 @@ class Fitted:
 
 
 def nearly_convex(vertices: Array, faces: Faces, config: ProxyConfig) -> str | None:
-    """Why one hull is enough, or None. An open mesh has no volume and is judged by its surface alone."""
+    """Why one hull is enough, or None. An open mesh has no volume and is judged by its surface alone, unless so much
+    of it is missing that it may hold something."""
     try:
         hull = ConvexPart.hull_of(vertices)
     except ValueError:
@@ -48,7 +51,13 @@ def nearly_convex(vertices: Array, faces: Faces, config: ProxyConfig) -> str | N
     if is_closed(faces) and (volume := signed_volume(vertices, faces)) > 0:
         ratio = volume / hull.volume
         return f"fills {ratio:.1%} of its hull, {reason}" if ratio >= config.hull_volume_ratio else None
-    return reason
+    return reason if _missing_share(vertices[faces]) <= LARGEST_HOLE else None
+
+
+def _missing_share(triangles: Array) -> float:
+    """How much a surface lacks to be closed, seen from its best side: the normals of a closed one add up to nothing."""
+    cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    return float(np.linalg.norm(cross.sum(0)) / np.linalg.norm(cross, axis=1).sum())
 
 
 def one_hull(vertices: Array, faces: Faces, config: ProxyConfig) -> Fitted:

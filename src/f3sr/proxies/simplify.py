@@ -23,23 +23,28 @@ def simplified_outward(
     """A polytope of few facets around points (n, 3), in normalised units; it contains all of them.
 
     Its planes are the hull's flats, then, one by one, the hull plane that cuts off most of the corner that
-    stands out farthest, until all stand out by less than ``thickness`` or it has ``most`` facets. Where the points
-    reach one of ``base``, the flats of the whole mesh, that plane is taken: all parts of an object end in one base.
-    Raises ValueError when the points span no volume.
+    stands out farthest, until all stand out by less than ``thickness`` or, with ``most`` facets, by less than
+    ``loose_tolerance``; twice ``most`` are never exceeded. Where the points reach one of ``base``, the flats of the
+    whole mesh, that plane is taken: all parts of an object end in one base.
+    A hull too thin for that stays as it is. Raises ValueError when the points span no volume.
     """
     hull = ConvexPart.hull_of(points)
     normals, offsets = planes(hull)
-    kept_normals, kept_offsets = _first_planes(hull, base, config)
-    for _ in range((most or config.max_hull_faces) - len(kept_offsets)):
+    most = most or config.max_hull_faces
+    kept_normals, kept_offsets = (x[: most // 2] for x in _first_planes(hull, base, config))
+    while True:
         corners = _corners(kept_normals, kept_offsets, hull)
+        if corners is None:
+            return hull
         excess = corners @ normals.T - offsets
         worst = int(excess.argmax())
-        if excess.flat[worst] <= config.thickness:
+        count = len(kept_offsets)
+        if excess.flat[worst] <= (config.thickness if count < most else config.loose_tolerance) or count >= 2 * most:
             break
         plane = worst % len(offsets)
         kept_normals = np.vstack([kept_normals, normals[plane]])
         kept_offsets = np.append(kept_offsets, offsets[plane])
-    return ConvexPart.hull_of(_merged(_corners(kept_normals, kept_offsets, hull)))
+    return ConvexPart.hull_of(_merged(corners))
 
 
 def flats_of(hull: ConvexPart, config: ProxyConfig) -> Planes:
@@ -89,16 +94,20 @@ def _area_around(normals: Array, area: Array) -> Array:
     return np.array([held[near].sum() for near in around])[inverse.ravel()]
 
 
-def _corners(normals: Array, offsets: Array, hull: ConvexPart) -> Array:
-    """Corners (n, 3) of ``normals . x <= offsets``, within a box far around the hull."""
-    from scipy.spatial import HalfspaceIntersection
+def _corners(normals: Array, offsets: Array, hull: ConvexPart) -> Array | None:
+    """Corners (n, 3) of ``normals . x <= offsets``, within a box far around the hull; None where the hull is so thin
+    that its middle is not clearly inside."""
+    from scipy.spatial import HalfspaceIntersection, QhullError
 
     low, high = hull.vertices.min(0), hull.vertices.max(0)
     margin = (high - low).max()
     box = np.concatenate([np.eye(3), -np.eye(3)])
     box_offsets = np.concatenate([high + margin, margin - low])
     halfspaces = np.column_stack([np.vstack([normals, box]), -np.append(offsets, box_offsets)])
-    return np.asarray(HalfspaceIntersection(halfspaces, hull.vertices.mean(0)).intersections)
+    try:
+        return np.asarray(HalfspaceIntersection(halfspaces, hull.vertices.mean(0)).intersections)
+    except QhullError:
+        return None
 
 
 def _merged(points: Array, tolerance: float = 1e-9) -> Array:
