@@ -147,9 +147,9 @@ def test_the_doctor_finds_this_machine_able(capsys: pytest.CaptureFixture[str]):
     assert main(["doctor", "--json"]) == 0
     checks = {(c["group"], c["name"]): c for c in json.loads(capsys.readouterr().out)["checks"]}
     assert not [c for c in checks.values() if c["state"] == "failed"]
-    for part in (("decomposition", "CoACD"), ("decomposition", "V-HACD"), ("physics", "MuJoCo"), ("assets", "given")):
+    for part in (("decomposition", "cuts"), ("physics", "MuJoCo"), ("assets", "given")):
         assert checks[part]["state"] == "ok"
-    assert {"numpy", "numba", "mujoco-core", "coacd", "f3sr", "Python"} <= {name for _, name in checks}
+    assert {"numpy", "numba", "mujoco-core", "manifold3d", "f3sr", "Python"} <= {name for _, name in checks}
 
 
 def test_the_doctor_says_what_does_not_work_and_why(
@@ -162,10 +162,10 @@ def test_the_doctor_says_what_does_not_work_and_why(
     monkeypatch.setattr(doctor, "_version", lambda name: None if name == "numba" else "1.0")
     assert main(["doctor"]) == 1
     said = capsys.readouterr()
-    assert said.err == "f3sr: does not work here: numba, CoACD, V-HACD\n"
+    assert said.err == "f3sr: does not work here: numba, cuts\n"
     lines = said.out.splitlines()
     assert any(
-        line.startswith("failed") and "CoACD" in line and "RuntimeError: no such library" in line for line in lines
+        line.startswith("failed") and "cuts" in line and "RuntimeError: no such library" in line for line in lines
     )
     assert any(line.startswith("failed") and "numba" in line and "pip install f3sr" in line for line in lines)
 

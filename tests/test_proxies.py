@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 from dataclasses import replace
 
+import manifold3d as mf
 import numpy as np
 import pytest
 
@@ -12,9 +13,14 @@ from f3sr import contact, proxies
 from f3sr.contact import Polytope
 from f3sr.errors import InputError
 from f3sr.mesh import ConvexPart, Mesh
-from f3sr.proxies import ProxyConfig, decompose, decompose_all
+from f3sr.proxies import ProxyConfig, decompose, decompose_all, worker
+from f3sr.proxies.cuts import clipped
+from f3sr.proxies.fit import excess
+from f3sr.proxies.parts import subject_of
+from f3sr.proxies.simplify import simplified_outward
+from f3sr.proxies.surface import Nearest, samples_of, surroundings
 
-QUICK = ProxyConfig(target_faces=600, threshold=0.1, shell_threshold=0.1, shell_parts=24)
+QUICK = ProxyConfig(target_faces=600, samples=2000, tolerance=0.012, max_parts=24)
 
 
 def box_mesh(size=(1.0, 1.0, 1.0), center=(0.0, 0.0, 0.0)):
@@ -139,7 +145,7 @@ def test_a_simplified_hull_contains_the_exact_one_and_is_thin():
     points /= 2 * np.linalg.norm(points / [1, 0.6, 0.3], axis=1, keepdims=True)
     exact = ConvexPart.hull_of(points)
     for most in (12, 36):
-        part = proxies.simplified_outward(points, ProxyConfig(max_hull_faces=most))
+        part = simplified_outward(points, ProxyConfig(loose_tolerance=0.2), most=most)
         polytope = Polytope.of(part)
         assert len(polytope.normals) <= most
         assert (points @ polytope.normals.T - polytope.offsets).max() < 1e-9
@@ -160,56 +166,193 @@ def test_a_sheet_gets_a_thickness(cache):
 # Several parts
 
 
-def test_an_l_shape_is_covered_and_stays_open(cache):
+def test_an_l_shape_is_two_boxes_and_stays_open(cache):
     proxy = decompose(L_SHAPE, QUICK, cache_dir=cache)
-    assert proxy.method == "coacd"
-    assert len(proxy.parts) >= 2
+    assert proxy.method == "cuts"
+    assert len(proxy.parts) == 2
     assert distance_outside(proxy, surface_points(L_SHAPE)).max() < 1e-7
-    assert proxy.inflation == pytest.approx(1, abs=0.05)
+    assert proxy.inflation == pytest.approx(1, abs=0.01)
     assert not contact.collide(ball(0.15, (0.6, 0.6, 0.25)), body(proxy))
 
 
+def crate(wall=0.05):
+    """A box of 1 x .8 x .5 without a lid."""
+    outer, inner = mf.Manifold.cube((1, 0.8, 0.5)), mf.Manifold.cube((1 - 2 * wall, 0.8 - 2 * wall, 0.5))
+    return mesh_of(outer - inner.translate((wall, wall, wall)))
+
+
+def mug():
+    """A cup of radius .4 and height 1 with walls and floor of .04 and a handle."""
+    body = mf.Manifold.cylinder(1, 0.4, 0.4, 48) - mf.Manifold.cylinder(1, 0.36, 0.36, 48).translate((0, 0, 0.04))
+    ring = mf.Manifold.revolve(mf.CrossSection.circle(0.04, 12).translate((0.22, 0)), 24).rotate((90, 0, 0))
+    handle = ring.translate((0.42, 0, 0.5)) - mf.Manifold.cylinder(2, 0.385, 0.385, 48)
+    return mesh_of(body + handle)
+
+
+def mesh_of(solid):
+    mesh = solid.to_mesh()
+    return Mesh(vertices=np.asarray(mesh.vert_properties[:, :3], float), faces=np.asarray(mesh.tri_verts, np.int32))
+
+
+@pytest.fixture(scope="module")
+def cup(cache):
+    return decompose(mug(), cache_dir=cache)
+
+
+def lowest_of_a_dropped_ball(proxy, radius, at, height):
+    x, y = at
+    pole = ball(radius, (x, y, height))
+    rest = contact.free_travel(pole, body(proxy), (0, 0, -1))
+    return min(p.vertices[:, 2].min() for p in pole) - rest
+
+
+def test_a_crate_is_five_boxes_with_an_exact_floor(cache):
+    mesh = crate()
+    proxy = decompose(mesh, cache_dir=cache)
+    assert len(proxy.parts) <= 8
+    assert proxy.inflation == pytest.approx(1, abs=0.03)
+    assert distance_outside(proxy, surface_points(mesh)).max() < 1e-6 * mesh.diagonal
+    for at in ((0.5, 0.4), (0.2, 0.2), (0.8, 0.6)):
+        assert lowest_of_a_dropped_ball(proxy, 0.1, at, 1.0) == pytest.approx(0.05, abs=0.005 * mesh.diagonal)
+
+
+def test_a_mug_holds_a_ball_on_its_visual_floor(cup):
+    mesh = mug()
+    assert cup.method == "cuts" and not cup.decisions
+    assert distance_outside(cup, surface_points(mesh)).max() < 1e-6 * mesh.diagonal
+    assert lowest_of_a_dropped_ball(cup, 0.15, (0.0, 0.0), 1.5) == pytest.approx(0.04, abs=0.005 * mesh.diagonal)
+    for wall in ((1, 0, 0), (0, 1, 0), (-0.6, 0.8, 0)):
+        inside = ball(0.1, (0, 0, 0.5))
+        reach = max(float((p.vertices @ wall).max()) for p in inside)
+        travel = contact.free_travel(inside, body(cup), wall)
+        assert travel + reach == pytest.approx(0.36, abs=0.01 * mesh.diagonal)
+    assert not contact.collide(ball(0.05, (0.5, 0, 0.5)), body(cup)), "a finger fits through the handle"
+    assert cup.excess.floor is not None and cup.excess.floor < 0.005
+
+
 def test_a_bowl_is_covered_and_stays_a_container(bowl):
-    assert bowl.method == "coacd"
+    assert bowl.method == "cuts"
     assert bowl.outside < 1e-7
-    assert distance_outside(bowl, surface_points(BOWL)).max() < 1e-7
-    assert len(bowl.parts) <= QUICK.shell_parts
+    assert distance_outside(bowl, surface_points(BOWL)).max() < 1e-6 * BOWL.diagonal
+    assert len(bowl.parts) <= QUICK.max_parts
     for x in (0, 0.2, -0.3):
         assert not contact.collide(ball(0.1, (x, 0, 0.3)), body(bowl))
     assert contact.collide(ball(0.1, (0, 0, 0.1)), body(bowl))
-    dropped = contact.free_travel(ball(0.1, (0, 0, 0.5)), body(bowl), (0, 0, -1))
-    assert dropped == pytest.approx(0.3, abs=0.06)
+    assert lowest_of_a_dropped_ball(bowl, 0.1, (0, 0), 0.5) == pytest.approx(0.05, abs=0.005 * BOWL.diagonal)
 
 
 def test_all_parts_of_a_bowl_end_in_its_base(bowl):
     lowest = np.array([part.vertices[:, 2].min() for part in bowl.parts])
     assert lowest.min() == pytest.approx(0, abs=1e-6)
     touching = [p for p in body(bowl) if p.bounds[0, 2] < 1e-6]
-    assert max(np.ptp(p.vertices[p.vertices[:, 2] < 1e-6][:, 0]) for p in touching) > 0.2
+    flat = np.concatenate([p.vertices[p.vertices[:, 2] < 1e-6] for p in touching])
+    assert np.ptp(flat[:, 0]) > 0.5 and np.ptp(flat[:, 1]) > 0.5
+    assert np.all((lowest < 1e-6) | (lowest > 0.005)), "no part ends a little above the base"
 
 
-def test_pieces_grow_to_cover_and_no_sliver_bridges_them():
-    """Two pieces that lie inside the two ends of a long bar: each grows to its end, both to the middle."""
-    bar = box_mesh((1, 0.1, 0.1))
-    ends = [box_mesh((0.44, 0.08, 0.08), (x, 0, 0)).vertices for x in (-0.25, 0.25)]
-    grown = proxies.covering(ends, bar.vertices, bar.faces, ProxyConfig())
-    left, right = (ConvexPart.hull_of(points) for points in grown)
-    assert left.vertices[:, 0].max() == pytest.approx(0, abs=0.05)
-    assert right.vertices[:, 0].min() == pytest.approx(0, abs=0.05)
-    outside = [(surface_points(bar) @ p.normals.T - p.offsets).max(1) for p in map(Polytope.of, (left, right))]
-    assert np.min(outside, axis=0).max() < 1e-12
+def test_a_closed_void_is_no_cavity(cache):
+    """What nothing can get into is not kept open."""
+    hollow = mesh_of(mf.Manifold.cube((1, 1, 1)) - mf.Manifold.cube((0.8, 0.8, 0.8)).translate((0.1, 0.1, 0.1)))
+    proxy = decompose(hollow, QUICK, cache_dir=cache)
+    assert len(proxy.parts) == 1
+    assert any(d.choice == "parts larger than the mesh are kept" for d in proxy.decisions), "1.4 times its volume"
+
+
+def test_single_layers_of_triangles_get_a_thickness(cache):
+    """A box without a lid whose walls are sheets: no piece of it has a volume."""
+    x = np.array([[a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)], float)
+    quads = [(0, 2, 6, 4), (0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6)]
+    faces = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))], np.int32)
+    mesh = Mesh(vertices=x, faces=faces)
+    proxy = decompose(mesh, QUICK, cache_dir=cache)
+    assert proxy.method == "cuts"
+    assert distance_outside(proxy, surface_points(mesh)).max() < 1e-6
+    assert not contact.collide(ball(0.3, (0.5, 0.5, 0.5)), body(proxy))
+
+
+# The pieces of it
+
+
+def test_clipped_triangles_keep_their_area_and_their_side():
+    rng = np.random.default_rng(0)
+    triangles = rng.normal(size=(500, 3, 3))
+    u = np.array([0.6, 0, 0.8])
+    below, above = clipped(triangles, u, 0.1, 0.0)
+    assert (below @ u).max() <= 0.1 + 1e-12 and (above @ u).min() >= 0.1 - 1e-12
+    assert area(below) + area(above) == pytest.approx(area(triangles))
+    reaching = clipped(triangles, u, 0.1, 0.05)
+    assert area(reaching[0]) + area(reaching[1]) > area(triangles)
+
+
+def area(triangles):
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+
+
+def test_open_space_ends_at_walls_and_narrow_slots():
+    vertices, faces, _ = proxies._normalised(crate())
+    around = surroundings(vertices, faces, ProxyConfig())
+    up = np.array([[0, 0, 1.0]])
+    floor = np.array([[0.0, 0.0, vertices[:, 2].min() + 0.05 / crate().diagonal]])
+    assert around.is_reached(floor, up, 0.03).all()
+    assert not around.is_reached(floor, -up, 0.03).any(), "the floor itself is solid"
+    assert not len(around.core), "walls this thin have no core"
+
+
+def test_the_excess_is_what_a_lid_stands_off():
+    mesh = crate()
+    vertices, faces, _ = proxies._normalised(mesh)
+    around = surroundings(vertices, faces, ProxyConfig())
+    hull = ConvexPart.hull_of(vertices)
+    found = excess([hull], Nearest.on(vertices, faces), around, 0.03)
+    # The lid's middle is .35 from the two long walls and .45 from the floor.
+    assert found.largest == pytest.approx(0.35 / mesh.diagonal, rel=0.05)
+    assert found.at[2] == pytest.approx(vertices[:, 2].max())
+    assert 0 < found.mean < found.most <= found.largest
+
+
+def test_distances_to_a_surface_are_exact():
+    cube = box_mesh()
+    nearest = Nearest.on(cube.vertices, cube.faces)
+    points = np.array([(0, 0, 0.75), (1, 1, 0), (1, 1, 1), (0.5, 0.1, 0.2), (0, 0, 0.4)])
+    assert nearest.distance(points) == pytest.approx([0.25, np.sqrt(0.5), np.sqrt(0.75), 0, 0.1])
+
+
+def test_only_what_faces_the_opening_is_a_floor():
+    vertices, faces, _ = proxies._normalised(mug())
+    subject = subject_of(vertices, faces, ConvexPart.hull_of(vertices), ProxyConfig())
+    heavy = subject.samples.weight > 2
+    assert heavy.any() and (subject.samples.normals[heavy, 2] > 0.8).all()
+    bar = box_mesh((1, 0.2, 0.2))
+    vertices, faces, _ = proxies._normalised(bar)
+    plain = subject_of(vertices, faces, ConvexPart.hull_of(vertices), ProxyConfig())
+    assert (plain.samples.weight == 1).all()
+
+
+def test_samples_are_spread_by_area():
+    cube = box_mesh((1, 2, 3))
+    found = samples_of(cube.vertices[cube.faces], 6000)
+    share = (np.abs(found.normals[:, 0]) > 0.5).mean()
+    assert share == pytest.approx(12 / 22, abs=0.001)
+    assert (np.abs(np.abs(found.points) - [0.5, 1, 1.5]).min(1) < 1e-12).all()
+
+
+# The same again
 
 
 def test_unit_and_place_do_not_matter(cache, bowl, no_subprocess):
     """The same asset in millimetres and elsewhere is the same cache entry."""
     moved = BOWL.with_vertices(1000 * BOWL.vertices + [300.0, -20, 7])
     proxy = decompose(moved, QUICK, cache_dir=cache)
+    assert np.allclose(proxy.excess.at, 1000 * np.array(bowl.excess.at) + [300, -20, 7], atol=1e-4)
     for part, same in zip(proxy.parts, bowl.parts, strict=True):
         assert np.allclose(part.vertices, 1000 * same.vertices + [300, -20, 7], atol=1e-4)
 
 
 def test_the_same_bytes_twice(tmp_path):
-    first, second = (decompose(L_SHAPE, QUICK, cache_dir=tmp_path / name) for name in "ab")
+    first, second = (decompose(BOWL, QUICK, cache_dir=tmp_path / name) for name in "ab")
+    assert len(first.parts) == len(second.parts) > 8
+    assert (first.inflation, first.outside, first.excess) == (second.inflation, second.outside, second.excess)
     for a, b in zip(first.parts, second.parts, strict=True):
         assert a.vertices.tobytes() == b.vertices.tobytes()
         assert a.faces.tobytes() == b.faces.tobytes()
@@ -219,12 +362,11 @@ def test_the_same_bytes_twice(tmp_path):
 
 
 def test_a_worker_over_its_limit_falls_back_and_is_not_cached(tmp_path):
-    greedy = replace(QUICK, cpu_limit_s=1, mcts_iterations=2000, target_faces=4000, resolution=10_000)
-    greedy = replace(greedy, vhacd_voxels=20_000_000)
+    greedy = ProxyConfig(cpu_limit_s=1, tolerance=0.0005, max_parts=256, samples=100_000)
     proxy = decompose(BOWL, greedy, cache_dir=tmp_path, about=3)
     assert proxy.cut_short
     assert proxy.method == "hull-fallback"
-    assert [d.fallback for d in proxy.decisions] == [True, True, True]
+    assert proxy.decisions[0].fallback
     assert "processor time" in proxy.decisions[0].reason
     assert {d.about for d in proxy.decisions} == {3}
     assert not list(tmp_path.iterdir())
@@ -245,59 +387,40 @@ def pile(count, size):
     return Mesh(vertices=np.concatenate(vertices), faces=np.concatenate([faces + 4 * k for k in range(count)]))
 
 
-def test_a_pile_of_pieces_is_not_given_to_coacd(tmp_path, monkeypatch):
-    tried = []
-    run = proxies._run_worker
-
-    def note(method, *rest):
-        tried.append(method)
-        return run(method, *rest)
-
-    monkeypatch.setattr(proxies, "_run_worker", note)
-    proxy = decompose(pile(40, 0.3), replace(QUICK, vhacd_voxels=20_000), cache_dir=tmp_path)
-    assert tried == ["vhacd"] and proxy.method == "vhacd" and proxy.outside < 1e-7
-    assert [(d.fallback, d.reason) for d in proxy.decisions] == [(True, "as scattered as 40 loose pieces")]
-    assert list(tmp_path.iterdir()), "the choice is the same in every run, so it is kept"
+def test_a_pile_of_pieces_is_covered_in_bounded_time(tmp_path):
+    mesh = pile(40, 0.3)
+    proxy = decompose(mesh, QUICK, cache_dir=tmp_path)
+    assert proxy.method == "cuts" and proxy.outside < 1e-7 and len(proxy.parts) <= QUICK.max_parts
+    assert list(tmp_path.iterdir()), "nothing was cut short, so it is kept"
 
 
-def test_crumbs_do_not_make_a_body_a_pile():
-    crumbs = pile(100, 0.005)
-    vertices = np.concatenate([BOWL.vertices, crumbs.vertices])
-    faces = np.concatenate([BOWL.faces, crumbs.faces + len(BOWL.vertices)])
-    assert proxies._is_no_body(vertices, faces, QUICK) is None
-
-
-def test_a_dozen_scattered_triangles_are_no_body():
-    """CoACD is lost for two minutes in as few as these."""
-    rng = np.random.default_rng(0)
-    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
-    faces = np.array([rng.choice(8, 3, replace=False) + 8 * k for k in range(12)], np.int32)
-    vertices = np.tile(corners, (12, 1)) + rng.normal(0, 1e-3, (96, 3))
-    assert proxies._is_no_body(vertices, faces, QUICK)
-
-
-def test_triangles_that_share_corners_but_no_edges_are_no_body():
+def test_scattered_triangles_are_covered(tmp_path):
     rng = np.random.default_rng(0)
     vertices = rng.uniform(size=(100, 3))
     faces = np.array([rng.choice(100, 3, replace=False) for _ in range(300)], np.int32)
-    assert "not shared by two" in (proxies._is_no_body(vertices, faces, QUICK) or "")
-    assert proxies._is_no_body(CAN.vertices, CAN.faces, QUICK) is None
+    mesh = Mesh(vertices=vertices, faces=faces)
+    proxy = decompose(mesh, QUICK, cache_dir=tmp_path)
+    assert proxy.method in ("hull", "cuts")
+    assert distance_outside(proxy, surface_points(mesh)).max() < 1e-6 * mesh.diagonal
 
 
-def test_a_crash_of_coacd_falls_back_to_vhacd(tmp_path, monkeypatch):
-    run = proxies._run_worker
+def test_a_crash_leaves_one_hull_and_says_so(tmp_path, monkeypatch):
+    def crash(*_):
+        return worker.explained(-6, "", QUICK)
 
-    def crash_first(method, *rest):
-        if method == "coacd":
-            return proxies._explain(-6, "", rest[2])
-        return run(method, *rest)
-
-    monkeypatch.setattr(proxies, "_run_worker", crash_first)
-    proxy = decompose(L_SHAPE, replace(QUICK, vhacd_voxels=20_000), cache_dir=tmp_path)
-    assert proxy.method == "vhacd"
+    monkeypatch.setattr(proxies, "run_worker", crash)
+    proxy = decompose(L_SHAPE, QUICK, cache_dir=tmp_path)
+    assert proxy.method == "hull-fallback" and len(proxy.parts) == 1
     assert not proxy.cut_short
-    assert [(d.fallback, d.reason) for d in proxy.decisions] == [(True, "crashed with SIGABRT")]
+    assert proxy.decisions[0].fallback and "crashed with SIGABRT" in proxy.decisions[0].reason
     assert distance_outside(proxy, surface_points(L_SHAPE)).max() < 1e-7
+
+
+@pytest.mark.parametrize("method", ["coacd", "vhacd"])
+def test_the_peers_are_there_for_comparison(tmp_path, method):
+    pytest.importorskip(method if method == "coacd" else "vhacdx")
+    proxy = decompose(L_SHAPE, replace(QUICK, method=method), cache_dir=tmp_path)
+    assert proxy.method == method and len(proxy.parts) >= 2
 
 
 def test_a_large_mesh_reaches_the_worker_and_its_answer_us(tmp_path):
@@ -309,7 +432,7 @@ def test_a_large_mesh_reaches_the_worker_and_its_answer_us(tmp_path):
         vertices, faces = subdivide(vertices, faces)
     mesh = Mesh(vertices=vertices, faces=faces.astype(np.int32))
     assert mesh.vertices.nbytes > 200_000
-    assert decompose(mesh, replace(QUICK, wall_limit_s=60), cache_dir=tmp_path).method == "coacd"
+    assert decompose(mesh, replace(QUICK, wall_limit_s=60), cache_dir=tmp_path).method == "cuts"
 
 
 def test_a_cache_hit_starts_nothing(cache, bowl, no_subprocess):
@@ -349,14 +472,3 @@ def test_what_has_no_surface_is_refused_first(tmp_path, no_subprocess, vertices,
     mesh = Mesh(vertices=vertices, faces=faces.astype(np.int32))
     with pytest.raises(InputError, match=found):
         decompose_all([box_mesh(), mesh], cache_dir=tmp_path)
-
-
-def test_a_crumpled_mesh_of_few_triangles_is_known_beforehand() -> None:
-    from f3sr.proxies import _crossed_share, _is_no_body
-    from scenes import box_mesh
-
-    vertices, faces = box_mesh().welded
-    assert _crossed_share(vertices, faces) == 0 and _is_no_body(vertices, faces, ProxyConfig()) is None
-    shuffled = np.random.default_rng(1).normal(0, 0.05, vertices.shape)
-    assert _crossed_share(shuffled, faces) > 0.3
-    assert "pierced" in (_is_no_body(shuffled, faces, ProxyConfig()) or "")

@@ -92,8 +92,7 @@ def _parts() -> Iterator[Check]:
     yield Check(group="assets", name="from the photo", state="missing", found="not in this version: they must be given")
     yield _torch("cuda")
     yield _torch("torch-cpu")
-    yield _tried("decomposition", "CoACD", lambda: _decomposed("coacd"))
-    yield _tried("decomposition", "V-HACD", lambda: _decomposed("vhacd"))
+    yield _tried("decomposition", "cuts", _decomposed)
     yield _tried("physics", "MuJoCo", _dropped)
     yield _tried("solids", "manifold3d", _united)
 
@@ -125,10 +124,10 @@ def _glb_round_trip() -> str:
         return f"GLB read and written, {len(load_mesh(file).faces)} triangles"
 
 
-def _decomposed(method: Literal["coacd", "vhacd"]) -> str:
+def _decomposed() -> str:
     from f3sr import proxies
 
-    return f"an L in {proxies.split(_l_shape(), method)} parts, in a process of its own"
+    return f"an L in {proxies.split(_l_shape())} parts, in a process of its own"
 
 
 def _dropped() -> str:

@@ -1,0 +1,196 @@
+"""Convex collision proxies of a mesh that cover it: no point of the visual surface lies outside their union.
+
+A mesh that is nearly its own hull gets one part. Others are cut by planes, exactly through their triangles, until
+the hulls of the pieces stand nowhere far off what can be touched; neighbours are joined again where that costs
+nothing, and at last every hull is simplified outward, to a polytope of few of its own facet planes. This happens in
+a subprocess that may be killed. All lengths inside are shares of the mesh's size (the diagonal of its bounding box),
+so the result does not depend on the asset's unit.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from f3sr.cache import Arrays, Store
+from f3sr.errors import InputError
+from f3sr.frames import Array, transform
+from f3sr.kernels import cache_root
+from f3sr.mesh import ConvexPart, Mesh
+from f3sr.proxies.config import ProxyConfig
+from f3sr.proxies.fit import Excess
+from f3sr.proxies.parts import Fitted, nearly_convex, one_hull
+from f3sr.proxies.store import key_of, packed, unpacked
+from f3sr.proxies.surface import Faces
+from f3sr.proxies.worker import run_worker
+from f3sr.report import Decision
+
+__all__ = ["Excess", "Proxy", "ProxyConfig", "check", "decompose", "decompose_all", "split"]
+
+GRID = 2.0**-26
+"""Normalised vertices are rounded to this step, so that the asset's unit and place change no byte."""
+
+Method = Literal["hull", "cuts", "coacd", "vhacd", "hull-fallback"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proxy:
+    """The convex parts of one mesh, in its frame and unit, and how well they fit."""
+
+    parts: tuple[ConvexPart, ...]
+    method: Method
+    decisions: tuple[Decision, ...] = ()
+    inflation: float | None = None
+    """Volume of the union over the volume of the mesh; None when the mesh is no solid."""
+    outside: float
+    """Largest distance of a visual vertex outside all parts [size]."""
+    excess: Excess
+    """How far they stand off the mesh, where something can touch it [size]; the place is in the mesh's frame."""
+    cut_short: bool = False
+    """An attempt was killed by its limit, so another run may do better; such a result is never cached."""
+
+
+def decompose(
+    mesh: Mesh,
+    config: ProxyConfig | None = None,
+    *,
+    cache_dir: Path | None = None,
+    name: str = "mesh",
+    about: int | None = None,
+    cancelled: threading.Event | None = None,
+) -> Proxy:
+    """Convex parts of one mesh; ``name`` is told in errors, ``about`` (an object id) in decisions.
+
+    Results are kept by the hash of their input in ``cache_dir``, by default ``proxies`` in f3sr's cache.
+    Another thread may set ``cancelled``: the worker is killed and CancelledError raised.
+    Raises InputError when there are no faces or a coordinate is not finite, before anything is started.
+    """
+    config = config or ProxyConfig()
+    check(mesh, name)
+    vertices, faces, T_mesh_unit = _normalised(mesh)
+    store, key = Store(cache_dir or cache_root() / "proxies", share=0.1), key_of(vertices, faces, config)
+    if found := store.load(key):
+        proxy = _restored(*found)
+    else:
+        proxy = _decompose_unit(vertices, faces, config, cancelled)
+        if not proxy.cut_short:
+            store.save(key, *_stored(proxy))
+    x, y, z = map(float, transform(T_mesh_unit, np.array([proxy.excess.at]))[0])
+    return replace(
+        proxy,
+        parts=tuple(part.moved(T_mesh_unit) for part in proxy.parts),
+        excess=replace(proxy.excess, at=(x, y, z)),
+        decisions=tuple(replace(d, about=about) for d in proxy.decisions),
+    )
+
+
+def decompose_all(
+    meshes: Sequence[Mesh],
+    config: ProxyConfig | None = None,
+    *,
+    cache_dir: Path | None = None,
+    ids: Sequence[int] | None = None,
+) -> list[Proxy]:
+    """Convex parts of many meshes, one subprocess per processor at a time; ``ids`` name them in decisions."""
+    ids = range(len(meshes)) if ids is None else ids
+    for mesh, id in zip(meshes, ids, strict=True):
+        check(mesh, f"mesh of object {id}")
+
+    def one(mesh: Mesh, id: int) -> Proxy:
+        return decompose(mesh, config, cache_dir=cache_dir, about=id, cancelled=cancelled)
+
+    cancelled = threading.Event()
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        try:
+            return list(pool.map(one, meshes, ids))
+        except BaseException:  # a failure or Ctrl-C: leaving the pool waits for its threads, and they for workers
+            cancelled.set()
+            raise
+
+
+def split(mesh: Mesh, config: ProxyConfig | None = None) -> int:
+    """How many parts a worker of its own finds; RuntimeError with the reason where it finds none."""
+    vertices, faces, _ = _normalised(mesh)
+    outcome = run_worker(vertices, faces, config or ProxyConfig())
+    if not outcome.fitted:
+        raise RuntimeError(outcome.reason)
+    return len(outcome.fitted.parts)
+
+
+def check(mesh: Mesh, name: str) -> None:
+    """Refuse what has no surface."""
+    accepted = "a mesh with faces, finite vertices and an extent"
+    if not len(mesh.faces) or not len(mesh.vertices):
+        raise InputError(name, found=f"{len(mesh.vertices)} vertices, {len(mesh.faces)} faces", accepted=accepted)
+    if not np.isfinite(mesh.vertices).all():
+        bad = int((~np.isfinite(mesh.vertices).all(1)).sum())
+        raise InputError(name, found=f"{bad} vertices that are not finite", accepted=accepted)
+    if mesh.diagonal == 0:
+        raise InputError(name, found="all vertices at one point", accepted=accepted)
+
+
+def _normalised(mesh: Mesh) -> tuple[Array, Faces, Array]:
+    """Welded vertices about their box's centre, in units of its diagonal; faces; and the map back (4, 4)."""
+    center, size = mesh.bounds.mean(0), mesh.diagonal
+    rounded = np.round((mesh.vertices - center) / size / GRID) * GRID + 0.0
+    vertices, faces = Mesh(vertices=rounded, faces=mesh.faces).welded
+    T = np.diag([size, size, size, 1.0])
+    T[:3, 3] = center
+    return vertices, faces, T
+
+
+def _decompose_unit(
+    vertices: Array, faces: Faces, config: ProxyConfig, cancelled: threading.Event | None = None
+) -> Proxy:
+    """One hull where that is enough, else what the worker finds, else one hull again, which a decision tells."""
+    if reason := nearly_convex(vertices, faces, config):
+        decisions = (Decision(choice="one hull", reason=reason),)
+        return _proxy(one_hull(vertices, faces, config), "hull", decisions, config)
+    outcome = run_worker(vertices, faces, config, cancelled)
+    if outcome.fitted:
+        return _proxy(outcome.fitted, config.method, (), config)
+    failed = Decision(choice="one hull", reason=f"the decomposition was {outcome.reason}", fallback=True)
+    proxy = _proxy(one_hull(vertices, faces, config), "hull-fallback", (failed,), config)
+    return replace(proxy, cut_short=outcome.cut_short)
+
+
+def _proxy(fitted: Fitted, method: Method, decisions: tuple[Decision, ...], config: ProxyConfig) -> Proxy:
+    if fitted.inflation is not None and fitted.inflation > config.inflation_limit:
+        reason = f"{fitted.inflation:.2f} of the volume of the mesh, {config.inflation_limit:g} is wanted"
+        decisions = (*decisions, Decision(choice="parts larger than the mesh are kept", reason=reason))
+    return Proxy(
+        parts=fitted.parts,
+        method=method,
+        decisions=decisions,
+        inflation=fitted.inflation,
+        outside=fitted.outside,
+        excess=fitted.excess,
+    )
+
+
+# The cache
+
+
+def _stored(proxy: Proxy) -> tuple[dict[str, Any], Arrays]:
+    sheet = {"method": proxy.method, "decisions": [asdict(d) for d in proxy.decisions]}
+    fitted = Fitted(parts=proxy.parts, inflation=proxy.inflation, outside=proxy.outside, excess=proxy.excess)
+    return sheet, packed(fitted)
+
+
+def _restored(sheet: dict[str, Any], arrays: Arrays) -> Proxy:
+    fitted = unpacked(arrays)
+    return Proxy(
+        parts=fitted.parts,
+        method=sheet["method"],
+        decisions=tuple(Decision(**d) for d in sheet["decisions"]),
+        inflation=fitted.inflation,
+        outside=fitted.outside,
+        excess=fitted.excess,
+    )

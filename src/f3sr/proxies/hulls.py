@@ -1,0 +1,126 @@
+"""Convex hulls in normalised units: their planes, their volume, and how far points lie outside them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.frames import Array
+from f3sr.mesh import ConvexPart
+
+THINNEST = 1e-5
+"""Volume over area of a hull that is more than a sheet [size]."""
+FEW_PLANES = 300
+"""Facets up to which all of them count."""
+TURN = 0.1
+"""Facets turned by less than about this [rad] are alike: a ball's are then .1% of its size too far out."""
+SMALLEST_FACET = 1e-14
+"""Twice the area of a facet whose normal is still trusted [squares of the size]."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Hull:
+    """The convex hull of some points: its corners (n, 3), its facets as triangles (m, 3, 3), its volume and area, and
+    the planes ``normals . x <= offsets`` of its facets, of those turned alike the largest: a few hundred also where
+    the hull of a round body has thousands, and what they bound is a little larger."""
+
+    corners: Array
+    normals: Array
+    offsets: Array
+    triangles: Array
+    volume: float
+    area: float
+
+
+def hull_of(points: Array) -> Hull | None:
+    """The hull of points (n, 3); None when they span hardly a volume."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    if len(points) < 4:
+        return None
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError):
+        return None
+    if hull.volume < THINNEST * hull.area:
+        return None
+    planes = hull.equations[_of_each_turn(hull.equations[:, :3], points[hull.simplices])]
+    return Hull(
+        corners=points[np.sort(hull.vertices)],
+        normals=planes[:, :3],
+        offsets=-planes[:, 3],
+        triangles=points[hull.simplices],
+        volume=float(hull.volume),
+        area=float(hull.area),
+    )
+
+
+def _of_each_turn(normals: Array, triangles: Array) -> NDArray[np.int64]:
+    """The largest facet of those whose normals lie in one cell of a grid, in the order of the cells."""
+    if len(normals) <= FEW_PLANES:
+        return np.arange(len(normals))
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    order = np.argsort(-np.linalg.norm(np.cross(b - a, c - a), axis=1), kind="stable")
+    cells = np.round(normals[order] / TURN).astype(np.int64)
+    return order[np.unique(cells, axis=0, return_index=True)[1]]
+
+
+def spread(count: int) -> Array:
+    """Directions (count, 3) all around, evenly: a spiral of golden angles."""
+    z = 1 - (2 * np.arange(count) + 1) / count
+    turn = np.arange(count) * np.pi * (3 - np.sqrt(5))
+    radius = np.sqrt(1 - z * z)
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn), z], axis=1)
+
+
+def outermost(points: Array, directions: Array) -> Array:
+    """Those of points (n, 3) that lie outermost in one of the directions (m, 3); all where they are few."""
+    if len(points) <= 2 * len(directions):
+        return points
+    return points[np.unique((points @ directions.T).argmax(0))]
+
+
+def bulk(points: Array, layer: float) -> float:
+    """The volume of the hull of points (n, 3) with a layer around it; 0 where it has none."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    if len(points) < 4:
+        return 0.0
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError):
+        return 0.0
+    return float(hull.volume + layer * hull.area)
+
+
+def outside(parts: Sequence[ConvexPart], points: Array) -> Array:
+    """Largest signed distance (n, parts) of points beyond a facet plane of each part; negative inside."""
+    return np.stack([beyond(points, *planes(part)) for part in parts], axis=1)
+
+
+def beyond(points: Array, normals: Array, offsets: Array) -> Array:
+    """Largest signed distance (n,) of points beyond one of some planes."""
+    blocks = np.array_split(points, max(1, points.shape[0] * len(offsets) // 4_000_000))
+    return np.concatenate([(block @ normals.T - offsets).max(1) for block in blocks])
+
+
+def planes(part: ConvexPart) -> tuple[Array, Array]:
+    """Outward unit normals (m, 3) and offsets (m,) of a part's triangles."""
+    a, b, c = (part.vertices[part.faces[:, k]] for k in range(3))
+    cross = np.cross(b - a, c - a)
+    area = np.linalg.norm(cross, axis=1)
+    real = area > SMALLEST_FACET
+    normals = cross[real] / area[real, None]
+    return normals, np.einsum("ij,ij->i", normals, a[real])
+
+
+def without_hidden(parts: Sequence[ConvexPart]) -> list[ConvexPart]:
+    """Parts that do not lie inside another one, the first of equals kept."""
+    kept: list[ConvexPart] = []
+    for part in sorted(parts, key=lambda p: -p.volume):
+        if not kept or not (outside(kept, part.vertices).max(0) <= 1e-9).any():
+            kept.append(part)
+    return kept

@@ -1,0 +1,129 @@
+"""Neighbouring pieces joined again where one hull for both stands off the surface no more than it may."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from f3sr.frames import Array
+from f3sr.proxies.config import ProxyConfig
+from f3sr.proxies.cuts import MIN_TOUCHED
+from f3sr.proxies.hulls import Hull, hull_of, outermost, spread
+from f3sr.proxies.surface import Samples, Subject, stand_off
+
+AROUND = spread(500)
+"""Directions in which the corners of a joined hull are kept while it is only thought of: a ball's are then .1% of its
+size too far in."""
+NEXT_TO = 1e-3
+"""How far apart the boxes of neighbours lie at most [size]."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Joined:
+    """A hull, how far it stands off [size], and the volume that it has more than what it was joined from."""
+
+    hull: Hull
+    off: float
+    added: float = 0.0
+    is_looked_over: bool = True
+    """Whether ``off`` tells of the hull's own surface as well, not only of the samples in it."""
+
+    @property
+    def box(self) -> tuple[Array, Array]:
+        return self.hull.corners.min(0), self.hull.corners.max(0)
+
+
+def joined(hulls: Sequence[Hull], subject: Subject, config: ProxyConfig, *, is_shell: bool) -> list[Hull]:
+    """Fewer hulls that hold all the given ones: joined within ``tolerance`` wherever that can be, then as far as their
+    number allows, and down to ``max_parts`` at any price."""
+    state = _Joining([Joined(hull=h, off=_off(h, subject.samples)) for h in hulls], subject, config)
+    state.join(lambda count, off: off <= config.tolerance, by_volume=True)
+    state.join(lambda count, off: off <= config.allowed(count, is_shell=is_shell))
+    state.join(lambda count, off: count > config.max_parts)
+    return [part.hull for part in state.parts.values()]
+
+
+class _Joining:
+    """Parts by number, and what joining two neighbours would give."""
+
+    def __init__(self, parts: Sequence[Joined], subject: Subject, config: ProxyConfig) -> None:
+        self.parts = dict(enumerate(parts))
+        self._subject, self._config = subject, config
+        self._pairs: dict[tuple[int, int], Joined] = {}
+        self._next = len(parts)
+        for b in self.parts:
+            self._look_around(b, range(b))
+
+    def join(self, may: Callable[[int, float], bool], *, by_volume: bool = False) -> None:
+        """The pair that adds least volume, else the one that stands off least, again and again, of those that may be
+        joined given the number of parts and how far their hull stands off."""
+        while True:
+            prices = {pair: self._price(pair) for pair in self._pairs}
+            allowed = [
+                (p.added if by_volume else prices[pair], p.added, pair)
+                for pair, p in self._pairs.items()
+                if may(len(self.parts), prices[pair])
+            ]
+            if not allowed:
+                return
+            pair = min(allowed)[2]
+            if self._pairs[pair].is_looked_over:
+                self._replace(pair)
+            else:
+                self._look_over(pair)
+
+    def _look_over(self, pair: tuple[int, int]) -> None:
+        """A look at the hull itself costs more than at the samples in it: it is taken when the pair comes first."""
+        both = self._pairs[pair]
+        bare = _but_a_few(self._subject.bare(both.hull, self._config))
+        self._pairs[pair] = replace(both, off=max(both.off, bare), is_looked_over=True)
+
+    def _price(self, pair: tuple[int, int]) -> float:
+        """How far the joined hull stands off; nothing where that is no farther than one of the two did."""
+        off = self._pairs[pair].off
+        return 0.0 if off <= max(self.parts[k].off for k in pair) and off <= self._config.loose_tolerance else off
+
+    def _replace(self, pair: tuple[int, int]) -> None:
+        part = self._pairs[pair]
+        exact = hull_of(np.concatenate([self.parts[k].hull.corners for k in pair]))
+        part = part if exact is None else replace(part, hull=exact)
+        for k in pair:
+            del self.parts[k]
+        self._pairs = {other: p for other, p in self._pairs.items() if not set(pair) & set(other)}
+        new, self._next = self._next, self._next + 1
+        self.parts[new] = part
+        self._look_around(new, [k for k in self.parts if k != new])
+
+    def _look_around(self, b: int, others: Sequence[int]) -> None:
+        low, high = self.parts[b].box
+        for a in others:
+            low_a, high_a = self.parts[a].box
+            if np.all(low <= high_a + NEXT_TO) and np.all(low_a <= high + NEXT_TO) and (both := self._together(a, b)):
+                self._pairs[a, b] = both
+
+    def _together(self, a: int, b: int) -> Joined | None:
+        """One hull for both; None where its new volume is more than a layer as thick as the loose tolerance."""
+        first, second = self.parts[a].hull, self.parts[b].hull
+        hull = hull_of(outermost(np.concatenate([first.corners, second.corners]), AROUND))
+        if hull is None:
+            return None
+        added = hull.volume - first.volume - second.volume
+        if added > self._config.loose_tolerance * hull.area:
+            return None
+        return Joined(hull=hull, off=_off(hull, self._subject.samples), added=added, is_looked_over=False)
+
+
+def _off(hull: Hull, samples: Samples) -> float:
+    """How far a hull stands off the samples in it, but for a few."""
+    low, high = hull.corners.min(0), hull.corners.max(0)
+    near = samples.chosen(np.all((samples.points >= low) & (samples.points <= high), axis=1))
+    held = near.chosen((near.points @ hull.normals.T - hull.offsets).max(1, initial=-1) <= 1e-9)
+    off = stand_off(held, hull.normals, hull.offsets) if len(held.points) else np.zeros(0)
+    return _but_a_few(off)
+
+
+def _but_a_few(off: Array) -> float:
+    """The largest but for the few that are noise."""
+    return float(np.partition(off, -MIN_TOUCHED)[-MIN_TOUCHED]) if len(off) >= MIN_TOUCHED else 0.0

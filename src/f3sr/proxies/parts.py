@@ -1,0 +1,144 @@
+"""The convex parts of one normalised mesh, and how well they fit it: cut up, joined again, simplified outward."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from f3sr.frames import Array
+from f3sr.mesh import ConvexPart, is_closed, signed_volume
+from f3sr.proxies import fit
+from f3sr.proxies.config import ProxyConfig
+from f3sr.proxies.cuts import Piece, cut_up
+from f3sr.proxies.fit import Excess
+from f3sr.proxies.hulls import Hull, hull_of, outside, planes, without_hidden
+from f3sr.proxies.joins import joined
+from f3sr.proxies.simplify import flats_of, simplified_outward
+from f3sr.proxies.surface import Faces, Nearest, Subject, area_of, samples_of, surroundings, weighted
+
+STRAY_SHARE = 0.02
+"""Of the vertices of a mesh that is nearly its own hull, those that may lie deeper: the seam of a ball."""
+LARGEST_HOLE = 0.02
+"""Share of its area that an open mesh may lack where its hull is taken for it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fitted:
+    """Convex parts and how well they fit the mesh."""
+
+    parts: tuple[ConvexPart, ...]
+    inflation: float | None
+    outside: float
+    excess: Excess
+
+
+def nearly_convex(vertices: Array, faces: Faces, config: ProxyConfig) -> str | None:
+    """Why one hull is enough, or None. An open mesh has no volume and is judged by its surface alone, unless so much
+    of it is missing that it may hold something."""
+    try:
+        hull = ConvexPart.hull_of(vertices)
+    except ValueError:
+        return "the mesh spans no volume"
+    used = vertices[np.unique(faces)]
+    some = used[:: max(1, len(used) // 2000)]
+    below = -np.concatenate([outside([hull], chunk)[:, 0] for chunk in np.array_split(some, 1 + len(some) // 100)])
+    depth = float(np.quantile(below, 1 - STRAY_SHARE))
+    if depth > config.tolerance:
+        return None
+    reason = f"surface within {depth:.1%} of its size below the hull"
+    if is_closed(faces) and (volume := signed_volume(vertices, faces)) > 0:
+        ratio = volume / hull.volume
+        return f"fills {ratio:.1%} of its hull, {reason}" if ratio >= config.hull_volume_ratio else None
+    return reason if _missing_share(vertices[faces]) <= LARGEST_HOLE else None
+
+
+def _missing_share(triangles: Array) -> float:
+    """How much a surface lacks to be closed, seen from its best side: the normals of a closed one add up to nothing."""
+    cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    return float(np.linalg.norm(cross.sum(0)) / np.linalg.norm(cross, axis=1).sum())
+
+
+def one_hull(vertices: Array, faces: Faces, config: ProxyConfig) -> Fitted:
+    points = vertices[np.unique(faces)]
+    try:
+        part = simplified_outward(points, config, most=config.most_faces(1))
+    except ValueError:
+        part = ConvexPart.hull_of(_thickened(points, config))
+    return _fitted([part], vertices, faces, fit.excess([part], Nearest.on(vertices, faces), None, config.probe))
+
+
+def several(vertices: Array, faces: Faces, config: ProxyConfig) -> Fitted:
+    """Parts that hold all of the surface, and those of the solid below it that cuts lay bare."""
+    whole = ConvexPart.hull_of(vertices)
+    subject = subject_of(vertices, faces, whole, config)
+    # An open surface has no volume, but its signed sum still tells a wall with two sides from a body.
+    is_shell = signed_volume(vertices, faces) < config.shell_fill * whole.volume
+
+    def cut(most: int) -> list[Hull]:
+        return _hulls(cut_up(subject, config, most, is_shell=is_shell), config)
+
+    hulls = joined(cut(round(config.surplus * config.max_parts)), subject, config, is_shell=is_shell)
+    if len(hulls) > config.max_parts:  # what is left are no neighbours
+        hulls = cut(config.max_parts)
+    base = flats_of(whole, config)
+    parts = without_hidden(
+        [simplified_outward(h.corners, config, base, most=config.most_faces(len(hulls))) for h in hulls]
+    )
+    excess = fit.excess(parts, subject.nearest, subject.around, config.probe)
+    return _fitted(parts, vertices, faces, replace(excess, floor=fit.floor_excess(parts, subject.samples)))
+
+
+def subject_of(vertices: Array, faces: Faces, whole: ConvexPart, config: ProxyConfig) -> Subject:
+    """All that cutting needs to know of a mesh with its hull ``whole``."""
+    around = surroundings(vertices, faces, config)
+    samples = samples_of(vertices[faces], config.samples)
+    touched = samples.chosen(around.is_reached(samples.points, samples.normals, config.probe))
+    simpler = decimated(vertices, faces, config.target_faces)
+    return Subject(
+        triangles=vertices[faces],
+        simplified=simpler[0][simpler[1]],
+        samples=weighted(touched, planes(whole), config),
+        density=config.samples / area_of(vertices[faces]),
+        around=around,
+        nearest=Nearest.on(vertices, faces),
+    )
+
+
+def _hulls(pieces: Sequence[Piece], config: ProxyConfig) -> list[Hull]:
+    """Of pieces; one that spans no volume, as a single layer of triangles does, gets a thickness."""
+    found: list[Hull] = []
+    for piece in pieces:
+        points = np.concatenate([piece.triangles.reshape(-1, 3), piece.core])
+        hull = piece.hull or hull_of(_thickened(points, config))
+        if hull is None:
+            raise ValueError("a piece of the mesh spans no volume")
+        found.append(hull)
+    return found
+
+
+def _thickened(points: Array, config: ProxyConfig) -> Array:
+    """A sheet with a thickness along its normal."""
+    normal = np.linalg.svd(points - points.mean(0), full_matrices=False)[2][2]
+    offset = config.sheet / 2 * normal
+    return np.concatenate([points - offset, points + offset])
+
+
+def _fitted(parts: Sequence[ConvexPart], vertices: Array, faces: Faces, excess: Excess) -> Fitted:
+    return Fitted(
+        parts=tuple(parts),
+        inflation=fit.inflation(parts, vertices, faces),
+        outside=fit.largest_outside(parts, vertices[np.unique(faces)]),
+        excess=excess,
+    )
+
+
+def decimated(vertices: Array, faces: Faces, target: int) -> tuple[Array, Faces]:
+    """A simpler surface of at most about ``target`` triangles."""
+    if len(faces) <= target:
+        return vertices, faces
+    import fast_simplification
+
+    result = fast_simplification.simplify(vertices, faces, target_count=target)
+    return np.asarray(result[0], float), np.asarray(result[1], np.int32)

@@ -1,0 +1,118 @@
+"""Simpler hulls that contain the exact one: polytopes of few of its own facet planes, with its flats kept."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from f3sr.frames import Array
+from f3sr.mesh import ConvexPart
+from f3sr.proxies.config import ProxyConfig
+from f3sr.proxies.hulls import planes
+
+SAME_FLAT = np.radians(2.0)
+"""Facets turned by less than this [rad] belong to one flat: the noise of generated meshes."""
+
+
+Planes = tuple[Array, Array]
+"""Outward unit normals (m, 3) and offsets (m,)."""
+
+
+def simplified_outward(
+    points: Array, config: ProxyConfig, base: Planes | None = None, *, most: int | None = None
+) -> ConvexPart:
+    """A polytope of few facets around points (n, 3), in normalised units; it contains all of them.
+
+    Its planes are the hull's flats, then, one by one, the hull plane that cuts off most of the corner that
+    stands out farthest, until all stand out by less than ``thickness`` or, with ``most`` facets, by less than
+    ``loose_tolerance``; twice ``most`` are never exceeded. Where the points reach one of ``base``, the flats of the
+    whole mesh, that plane is taken: all parts of an object end in one base.
+    A hull too thin for that stays as it is. Raises ValueError when the points span no volume.
+    """
+    hull = ConvexPart.hull_of(points)
+    normals, offsets = planes(hull)
+    most = most or config.max_hull_faces
+    kept_normals, kept_offsets = (x[: most // 2] for x in _first_planes(hull, base, config))
+    while True:
+        corners = _corners(kept_normals, kept_offsets, hull)
+        if corners is None:
+            return hull
+        excess = corners @ normals.T - offsets
+        worst = int(excess.argmax())
+        count = len(kept_offsets)
+        if excess.flat[worst] <= (config.thickness if count < most else config.loose_tolerance) or count >= 2 * most:
+            break
+        plane = worst % len(offsets)
+        kept_normals = np.vstack([kept_normals, normals[plane]])
+        kept_offsets = np.append(kept_offsets, offsets[plane])
+    return ConvexPart.hull_of(_merged(corners))
+
+
+def flats_of(hull: ConvexPart, config: ProxyConfig) -> Planes:
+    """The planes that a hull's flats lie in: what an object stands on."""
+    normals = _flats(hull, config.flat_share)
+    return normals, (hull.vertices @ normals.T).max(0)
+
+
+def _first_planes(hull: ConvexPart, base: Planes | None, config: ProxyConfig) -> Planes:
+    """The flats of the whole mesh that a part reaches, then its own ones that face elsewhere."""
+    own, own_offsets = flats_of(hull, config)
+    if base is None:
+        return own, own_offsets
+    shared, shared_offsets = base
+    reached = shared_offsets - (hull.vertices @ shared.T).max(0) <= config.thickness
+    shared, shared_offsets = shared[reached], shared_offsets[reached]
+    elsewhere = (own @ shared.T).max(1, initial=-1) < np.cos(SAME_FLAT)
+    return np.vstack([shared, own[elsewhere]]), np.append(shared_offsets, own_offsets[elsewhere])
+
+
+def _flats(hull: ConvexPart, share: float) -> Array:
+    """Mean normals (k, 3) of facets that face nearly the same way and hold ``share`` of the hull's area."""
+    a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
+    cross = np.cross(b - a, c - a)
+    area = np.linalg.norm(cross, axis=1)
+    normals = cross / np.maximum(area, np.finfo(float).tiny)[:, None]
+    left, flats = area.copy(), list[Array]()
+    seeds = np.flatnonzero(_area_around(normals, area) >= share * area.sum())
+    for seed in seeds[np.argsort(-area[seeds], kind="stable")]:
+        near = (normals @ normals[seed] > np.cos(SAME_FLAT)) & (left > 0)
+        if left[seed] > 0 and left[near].sum() >= share * area.sum():
+            mean = cross[near].sum(0)
+            flats.append(mean / np.linalg.norm(mean))
+            left[near] = 0
+    return np.array(flats).reshape(-1, 3)
+
+
+def _area_around(normals: Array, area: Array) -> Array:
+    """An upper bound (n,) of the area that faces the way of each facet: what lies in its cell of a grid over the
+    normals, as wide as SAME_FLAT, and in the cells around it. Spares round bodies a quadratic search."""
+    from scipy.spatial import KDTree
+
+    cell = 2.001 * np.sin(SAME_FLAT / 2)
+    cells, inverse = np.unique(np.floor(normals / cell), axis=0, return_inverse=True)
+    held = np.bincount(inverse.ravel(), area)
+    around = KDTree(cells).query_ball_point(cells, 1.5, p=np.inf)
+    return np.array([held[near].sum() for near in around])[inverse.ravel()]
+
+
+def _corners(normals: Array, offsets: Array, hull: ConvexPart) -> Array | None:
+    """Corners (n, 3) of ``normals . x <= offsets``, within a box far around the hull; None where the hull is so thin
+    that its middle is not clearly inside."""
+    from scipy.spatial import HalfspaceIntersection, QhullError
+
+    low, high = hull.vertices.min(0), hull.vertices.max(0)
+    margin = (high - low).max()
+    box = np.concatenate([np.eye(3), -np.eye(3)])
+    box_offsets = np.concatenate([high + margin, margin - low])
+    halfspaces = np.column_stack([np.vstack([normals, box]), -np.append(offsets, box_offsets)])
+    try:
+        return np.asarray(HalfspaceIntersection(halfspaces, hull.vertices.mean(0)).intersections)
+    except QhullError:
+        return None
+
+
+def _merged(points: Array, tolerance: float = 1e-9) -> Array:
+    """Points with all but the first of those within ``tolerance`` left out."""
+    from scipy.spatial import KDTree
+
+    pairs = KDTree(points).query_pairs(tolerance, output_type="ndarray")
+    return np.delete(points, np.unique(pairs[:, 1]), axis=0)

@@ -1,0 +1,230 @@
+"""What can be touched of a mesh: samples of its surface, the space around it that a probe reaches, its solid core.
+
+All in normalised units: the diagonal of the mesh's box is 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.frames import Array
+from f3sr.proxies.config import ProxyConfig
+from f3sr.proxies.hulls import Hull
+
+GRID_CELLS = 600_000
+"""Most cells of the grid over a mesh's box: at a hundredth of the diagonal a cube has 200,000."""
+DENSE_POINTS = 3_000_000
+"""Most points that mark the surface in the grid; meshes folded into many layers get a coarser grid."""
+CORE_STEP = 4
+"""Every how many cells along each axis a point of the solid core is kept."""
+CORE_DEPTH = 5.0
+"""Cells that core points lie below the surface at least: moved onto a cut, up to half a step, they stay inside."""
+STEEPEST = 0.25
+"""Cosine between a sample's normal and a facet's up to which the facet is what covers the sample."""
+NEAREST_POINTS = 30_000
+"""Points on the surface whose triangles may be the nearest ones."""
+NEAREST_FEW = 4
+"""How many of them are tried."""
+HULL_POINTS = 150
+"""Points of a single hull's surface at which it is looked how far they lie off the mesh."""
+CAVITY_DEPTH = 0.03
+"""Depth below the hull of the mesh from which on surface belongs to a cavity [size]."""
+CAVITY_SHARE = 0.03
+"""Least share of the surface that makes a cavity."""
+CAVITY_LEAN = 0.12
+"""Least length of the mean normal of its surface: that of a hole through the mesh is 0, of a tall mug .15, of half a
+sphere .5."""
+FLOOR_POWER = 4
+"""Of the cosine to the opening: surface turned by 45 degrees has a quarter of the weight."""
+
+Faces = NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Samples:
+    """Points (n, 3) spread evenly over a surface, the normals (n, 3) and the numbers (n,) of their triangles."""
+
+    points: Array
+    normals: Array
+    triangle: NDArray[np.int64]
+    weight: Array
+    """How many times a stand-off counts here (n,)."""
+
+    def chosen(self, which: NDArray[np.bool_]) -> Samples:
+        return Samples(
+            points=self.points[which],
+            normals=self.normals[which],
+            triangle=self.triangle[which],
+            weight=self.weight[which],
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Surroundings:
+    """A grid over the mesh: how far the middle of each cell lies from what is no open space [cells], and the solid
+    core as points (n, 3)."""
+
+    clearance: NDArray[np.float32]
+    low: Array
+    cell: float
+    core: Array
+
+    def is_reached(self, points: Array, normals: Array, probe: float) -> NDArray[np.bool_]:
+        """Whether a ball of radius ``probe`` fits in open space where it touches a surface at points (n, 3)."""
+        where = ((points + (probe + self.cell) * normals - self.low) / self.cell).astype(int)
+        where = np.clip(where, 0, np.array(self.clearance.shape) - 1)
+        return self.clearance[tuple(where.T)] * self.cell >= probe - self.cell
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Nearest:
+    """The nearest triangles to points: those of the nearest few of many points on the surface."""
+
+    triangles: Array
+    samples: Samples
+    tree: Any
+
+    @classmethod
+    def on(cls, vertices: Array, faces: Faces) -> Nearest:
+        from scipy.spatial import KDTree
+
+        samples = samples_of(vertices[faces], NEAREST_POINTS)
+        return cls(triangles=vertices[faces], samples=samples, tree=KDTree(samples.points))
+
+    def distance(self, points: Array) -> Array:
+        """Of points (n, 3) from the surface (n,)."""
+        _, near = self.tree.query(points, NEAREST_FEW)
+        found = [_to_triangles(points, self.triangles[self.samples.triangle[near[:, k]]]) for k in range(NEAREST_FEW)]
+        return np.min(found, axis=0)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Subject:
+    """A mesh to be covered: its triangles (n, 3, 3) exactly and simplified, those samples that can be touched and
+    how many of them there are per area, what is around it, and what is nearest."""
+
+    triangles: Array
+    simplified: Array
+    samples: Samples
+    density: float
+    around: Surroundings
+    nearest: Nearest
+
+    def bare(self, hull: Hull, config: ProxyConfig) -> Array:
+        """How far points of a hull's surface lie off the mesh (n,) that could be touched if nothing else covered
+        them; each counts as ``hull.area / n`` of it."""
+        points = samples_of(hull.triangles, HULL_POINTS)
+        inward = np.einsum("ij,ij->i", points.normals, points.points - hull.corners.mean(0)) < 0
+        normals = np.where(inward[:, None], -points.normals, points.normals)
+        touched = self.around.is_reached(points.points, normals, config.probe)
+        off = np.zeros(HULL_POINTS)
+        if touched.any():
+            off[touched] = self.nearest.distance(points.points[touched])
+        return off
+
+
+def samples_of(triangles: Array, count: int) -> Samples:
+    """``count`` points spread over triangles (n, 3, 3) by area, in their order, the same ones every time."""
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    cross = np.cross(b - a, c - a)
+    area = np.linalg.norm(cross, axis=1)
+    reached = np.cumsum(area)
+    triangle = np.searchsorted(reached, (np.arange(count) + 0.5) / count * reached[-1])
+    triangle = np.minimum(triangle, len(triangles) - 1)
+    u, v = np.random.default_rng(0).random((2, count, 1))
+    flip = u + v > 1
+    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
+    points = a[triangle] + u * (b - a)[triangle] + v * (c - a)[triangle]
+    normals = cross[triangle] / np.maximum(area[triangle], np.finfo(float).tiny)[:, None]
+    return Samples(points=points, normals=normals, triangle=triangle, weight=np.ones(count))
+
+
+def surroundings(vertices: Array, faces: Faces, config: ProxyConfig) -> Surroundings:
+    """Open space is what can be walked to from outside, cell by cell, without touching the surface; the rest is
+    solid, be the mesh closed or not."""
+    import scipy.ndimage
+
+    image: Any = scipy.ndimage
+    cell = _cell(vertices, faces, config)
+    low = vertices.min(0) - (config.probe + 4 * cell)
+    shape = np.ceil((vertices.max(0) + config.probe + 4 * cell - low) / cell).astype(int) + 1
+    occupied = np.zeros(shape, bool)
+    occupied[tuple(((_dense(vertices, faces, 0.9 * cell) - low) / cell).astype(int).T)] = True
+    # One cell thicker: points a cell apart may leave a gap that a path from face to face of cells slips through.
+    regions = image.label(~image.binary_dilation(occupied))[0]
+    is_open = regions == regions[0, 0, 0]
+    deep = np.argwhere(image.distance_transform_edt(~is_open) >= CORE_DEPTH)
+    core = low + (deep[(deep % CORE_STEP == 0).all(1)] + 0.5) * cell
+    clearance = np.asarray(image.distance_transform_edt(image.binary_dilation(is_open)), np.float32)
+    return Surroundings(clearance=clearance, low=low, cell=cell, core=core)
+
+
+def _cell(vertices: Array, faces: Faces, config: ProxyConfig) -> float:
+    area = area_of(vertices[faces])
+    box = float(np.prod(np.ptp(vertices, axis=0) + 2 * config.probe))
+    return max(config.cell, (box / GRID_CELLS) ** (1 / 3), (4 * area / DENSE_POINTS) ** 0.5)
+
+
+def area_of(triangles: Array) -> float:
+    """Of triangles (n, 3, 3)."""
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
+
+
+def _dense(vertices: Array, faces: Faces, step: float) -> Array:
+    """Points on the surface, less than ``step`` apart: a lattice on every triangle, as fine as its edges are long."""
+    corners = vertices[faces]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
+    parts = np.maximum(1, np.ceil(edges / step)).astype(int)
+    found = [vertices]
+    for n in np.unique(parts[parts > 1]):
+        i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij")
+        inside = i + j <= n
+        shares = np.stack([i[inside], j[inside], n - i[inside] - j[inside]], axis=1) / n
+        found.append(np.einsum("kc,mcd->mkd", shares, corners[parts == n]).reshape(-1, 3))
+    return np.concatenate(found)
+
+
+def stand_off(samples: Samples, normals: Array, offsets: Array) -> Array:
+    """How far a hull that contains the samples stands off the surface there (n,), times their weight: along its
+    facets' normals, for those that look the sample's way, else along the sample's own normal."""
+    facing = samples.normals @ normals.T
+    depth = np.maximum(offsets - samples.points @ normals.T, 0)
+    along = depth / np.where(facing > STEEPEST, 1.0, np.maximum(facing, 1e-6))
+    return np.where(facing > 1e-6, along, np.inf).min(1) * samples.weight
+
+
+def weighted(samples: Samples, hull: tuple[Array, Array], config: ProxyConfig) -> Samples:
+    """Samples whose weight rises to ``floor_weight`` where the surface faces the opening of a cavity: the floor on
+    which things come to rest. Surface deep below the hull of the mesh is a cavity's, and faces its opening on the
+    average."""
+    deep = stand_off(samples, *hull) > CAVITY_DEPTH
+    if np.count_nonzero(deep) < CAVITY_SHARE * len(samples.points):
+        return samples
+    opening = samples.normals[deep].mean(0)
+    if (length := float(np.linalg.norm(opening))) < CAVITY_LEAN:
+        return samples
+    facing = np.where(deep, np.maximum(samples.normals @ opening / length, 0), 0)
+    return replace(samples, weight=1 + (config.floor_weight - 1) * facing**FLOOR_POWER)
+
+
+def _to_triangles(p: Array, triangles: Array) -> Array:
+    """Distances (n,) of points (n, 3), each to its triangle (n, 3, 3): to the plane where it lies over the inside, else
+    to the nearest edge."""
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    normal = np.cross(b - a, c - a)
+    length = np.maximum(np.linalg.norm(normal, axis=1), np.finfo(float).tiny)
+    sides = ((a, b), (b, c), (c, a))
+    over = np.all([np.einsum("ij,ij->i", np.cross(e - s, p - s), normal) >= 0 for s, e in sides], axis=0)
+    to_plane = np.abs(np.einsum("ij,ij->i", normal, p - a)) / length
+    return np.where(over, to_plane, np.min([_to_segments(p, s, e) for s, e in sides], axis=0))
+
+
+def _to_segments(p: Array, start: Array, end: Array) -> Array:
+    along = end - start
+    t = np.einsum("ij,ij->i", p - start, along) / np.maximum(np.einsum("ij,ij->i", along, along), np.finfo(float).tiny)
+    return np.linalg.norm(p - start - np.clip(t, 0, 1)[:, None] * along, axis=1)

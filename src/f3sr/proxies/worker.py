@@ -1,0 +1,127 @@
+"""Decomposing in a subprocess that may be killed: by a limit on time, by Ctrl-C, by running out of memory."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from concurrent.futures import CancelledError
+from dataclasses import dataclass
+from typing import IO
+
+import numpy as np
+
+from f3sr import interrupts
+from f3sr.frames import Array
+from f3sr.proxies import parts, peers
+from f3sr.proxies.config import ProxyConfig
+from f3sr.proxies.parts import Fitted
+from f3sr.proxies.store import config_json, packed, unpacked
+from f3sr.proxies.surface import Faces
+
+LOOK_UP_S = 0.2
+"""How often a thread that waits for a worker looks whether all has been called off [s]."""
+PR_SET_PDEATHSIG = 1
+"""From Linux' sys/prctl.h."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    fitted: Fitted | None = None
+    reason: str = ""
+    cut_short: bool = False
+
+
+def run_worker(vertices: Array, faces: Faces, config: ProxyConfig, cancelled: threading.Event | None = None) -> Outcome:
+    """Split a normalised mesh in a subprocess of our own, killed at its processor or wall limit."""
+    with tempfile.TemporaryFile() as mesh, tempfile.TemporaryFile() as answer, tempfile.TemporaryFile() as errors:
+        np.savez(mesh, vertices=vertices, faces=faces)
+        mesh.seek(0)
+        with interrupts.undone(lambda: _start(config, mesh, answer, errors), subprocess.Popen.kill) as process:
+            try:
+                _wait(process, config.wall_limit_s, cancelled)
+            except subprocess.TimeoutExpired:
+                return Outcome(reason=f"killed after {config.wall_limit_s:g} s", cut_short=True)
+            finally:
+                process.kill()
+                process.wait()
+        if process.returncode == 0:
+            answer.seek(0)
+            with np.load(answer, allow_pickle=False) as data:
+                return Outcome(fitted=unpacked(data))
+        errors.seek(0)
+        return explained(process.returncode, errors.read().decode(errors="replace"), config)
+
+
+def _start(config: ProxyConfig, *streams: IO[bytes]) -> subprocess.Popen[bytes]:
+    """A worker in a process group of its own, as it is ours to end it when the user presses Ctrl-C. Its streams are
+    files without a name: there is nothing to tidy up after ``kill -9``."""
+    # One thread each: the objects are what runs in parallel, and sums keep their order.
+    environment = os.environ | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
+    command = [sys.executable, "-m", "f3sr.proxies", config_json(config), str(os.getpid())]
+    stdin, stdout, stderr = streams
+    return subprocess.Popen(command, env=environment, process_group=0, stdin=stdin, stdout=stdout, stderr=stderr)
+
+
+def _wait(process: subprocess.Popen[bytes], limit_s: float, cancelled: threading.Event | None) -> None:
+    """Until a worker ends; TimeoutExpired at the limit, CancelledError when all is called off."""
+    deadline = time.monotonic() + limit_s
+    while True:
+        try:
+            process.wait(timeout=max(0.0, min(LOOK_UP_S, deadline - time.monotonic())))
+            return
+        except subprocess.TimeoutExpired:
+            if cancelled is not None and cancelled.is_set():
+                raise CancelledError from None
+            if time.monotonic() >= deadline:
+                raise
+
+
+def explained(code: int, errors: str, config: ProxyConfig) -> Outcome:
+    """What an exit code other than 0 means."""
+    import signal
+
+    if -code in (signal.SIGXCPU, signal.SIGKILL):
+        return Outcome(reason=f"killed after {config.cpu_limit_s:g} s of processor time", cut_short=True)
+    if code < 0:
+        return Outcome(reason=f"crashed with {signal.Signals(-code).name}")
+    last = (errors.strip().splitlines() or ["no message"])[-1]
+    return Outcome(reason=f"failed: {last[:200]}")
+
+
+def work(config_text: str, parent: str) -> None:
+    """The subprocess: read a normalised mesh, write its parts."""
+    import resource
+
+    _die_with(int(parent))
+    config = ProxyConfig(**json.loads(config_text))
+    seconds = max(1, round(config.cpu_limit_s))
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    with np.load(io.BytesIO(sys.stdin.buffer.read()), allow_pickle=False) as data:
+        vertices, faces = data["vertices"], data["faces"]
+    answer = os.dup(1)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for the words of the libraries
+    fitted = (parts if config.method == "cuts" else peers).several(vertices, faces, config)
+    with os.fdopen(answer, "wb") as stream:
+        archive = io.BytesIO()
+        np.savez(archive, allow_pickle=False, **packed(fitted))
+        stream.write(archive.getvalue())
+
+
+def _die_with(parent: int) -> None:
+    """Let the kernel kill this process when its parent is gone, be it by ``kill -9``. Elsewhere than on Linux the limit
+    on processor time does."""
+    import ctypes
+    import signal
+
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        raise SystemExit("the parent is gone")
