@@ -80,11 +80,19 @@ def footing(o: SceneObject, plane: Plane, config: FootingConfig) -> tuple[Convex
     if not underside.carries(plane, lowest, config):
         return ()
     T_asset_world: Array = np.linalg.inv(o.T_world_asset).astype(np.float64)
-    into = np.array([0.0, 0.0, GRAIN * o.size])  # none is without volume where the underside meets the plane
     return tuple(
-        ConvexPart.hull_of(np.concatenate([patch + into, plane.below(patch, lowest)])).moved(T_asset_world)
+        _wedge(patch, underside.facet, plane, lowest, GRAIN * o.size).moved(T_asset_world)
         for patch in underside.patches(config.pieces)
     )
+
+
+def _wedge(outline: Array, facet: Plane, plane: Plane, lowest: float, grain: float) -> ConvexPart:
+    """All between the facet, below which the body has nothing, and ``lowest`` above the plane, within an outline (k, 3);
+    at least ``grain`` high, so that none is without volume."""
+    top = facet.below(outline, grain)
+    bottom = plane.below(outline, lowest)
+    top[:, 2] = np.maximum(top[:, 2], bottom[:, 2] + grain)
+    return ConvexPart.hull_of(np.concatenate([top, bottom]))
 
 
 def support_plane(o: SceneObject, tops: Sequence[ConvexPart], config: FootingConfig) -> Plane | None:
@@ -134,6 +142,7 @@ def _facet_below(hull: ConvexPart, center: Array, plane: Plane, config: FootingC
 class _Underside:
     """What of a body lies on the facet it would fall onto, in the cells of a height map from below."""
 
+    facet: Plane
     grid: heights.Grid
     cells: NDArray[np.bool_]
     """Which cells (rows, columns) belong to it."""
@@ -165,6 +174,7 @@ class _Underside:
         patches, _ = cast(tuple[NDArray[np.int64], int], label(cells, np.ones((3, 3))))
         half = 0.5 * grid.cell * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
         return cls(
+            facet=facet,
             grid=grid,
             cells=cells,
             corners=(points[on_it, None] + half).reshape(-1, 3),
