@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import box, scene_of
 
 from f3sr.footing import GROUND_PLANE, FootingConfig, Plane, footing, support_plane
 from f3sr.frames import pose, rotation_about, rotation_angle
@@ -14,6 +13,7 @@ from f3sr.mesh import ConvexPart, Mesh
 from f3sr.physics import settle
 from f3sr.scene import SceneObject
 from f3sr.stages.separate import SeparateConfig, separate
+from scenes import box, scene_of
 
 CONFIG = FootingConfig()
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes import box, scene_of
 
 from f3sr import raster
 from f3sr.frames import Camera, pose
 from f3sr.sensitivity import loss_matrix, loss_per_pixel
 from f3sr.silhouette import iou
+from scenes import box, scene_of
 
 
 def test_a_rectangle_loses_two_of_its_sides():

@@ -28,6 +28,7 @@ from f3sr.settings import settings
 @settings
 class FootingConfig:
     enabled: bool = True
+    """Fill in under undersides; off, objects are laid down on them before physics."""
     max_turn: Annotated[float, Interval(gt=0, le=0.7)] = 0.22
     """Largest angle [rad] between the support and the facet an object would fall onto; generated undersides are off by
     up to 12 degrees."""
