@@ -120,7 +120,7 @@ def land_all(
     """Land every movable body with what it carries as one rigid thing, supports first, all others held still.
 
     ``supports``: what each body rests on, None for those that stay where they are with what they carry. What
-    overlaps at the start is raised out of it.
+    overlaps at the start is raised out of it. What tips with its load lies down as it would without, and does not stand.
     """
     now = {b.id: b for b in bodies}
     motions = {b.id: np.eye(4) for b in bodies}
@@ -129,13 +129,13 @@ def land_all(
         if now[id].fixed or supports[id] is None:
             continue
         members = {i for i in carried(id, supports) if not now[i].fixed}
-        found = land(
-            rigid([now[i] for i in sorted(members)], id),
-            [b for i, b in now.items() if i not in members],
-            config,
-            clearance=clearance,
-            ground_friction=ground_friction,
-        )
+        whole = rigid([now[i] for i in sorted(members)], id)
+        others = [b for i, b in now.items() if i not in members]
+        found = land(whole, others, config, clearance=clearance, ground_friction=ground_friction)
+        if found.tipped and len(members) > 1:  # what it carries lies too far out, which other shifts may mend
+            unladen = replace(whole, centers=now[id].centers)
+            found = land(unladen, others, config, clearance=clearance, ground_friction=ground_friction)
+            found = replace(found, stands=False)
         landings[id] = found
         for i in members:
             now[i] = now[i].moved(found.T)
