@@ -18,6 +18,7 @@ import numpy as np
 import stacks
 import tables
 from f3sr import balancing, physics, statics
+from f3sr.bodies import StaticBody, bodies_of, contacts_of
 from f3sr.contact import Polytope
 from f3sr.frames import UP, pose, rotation_about
 from f3sr.kernels import warm_up
@@ -60,7 +61,7 @@ def compare(count: int) -> None:
         outcomes: list[tuple[bool, float, float, float, float]] = []
         for seed in range(count):
             objects = stacks.stack(seed, spread=spread)
-            bodies = statics.bodies_of(objects)
+            bodies = bodies_of(objects)
             found, seconds = timed(lambda bodies=bodies: statics.stability(bodies, per_body=False))
             times.append(seconds)
             travel = physics.release(objects, seconds=SECONDS).D_max
@@ -89,7 +90,7 @@ def compare(count: int) -> None:
 
 
 def repaired(
-    objects: Objects, bodies: tuple[statics.StaticBody, ...], travel: float
+    objects: Objects, bodies: tuple[StaticBody, ...], travel: float
 ) -> tuple[bool, float, float, float, float]:
     """Whether it stands after shifts; travel [m] without and with them; largest shift [m]; processor time [s]."""
     supports = {o.id: o.supported_by for o in objects}
@@ -120,8 +121,8 @@ def growth() -> None:
             T = pose(rotation_about(UP, 0.1 * id), at)
             parts = tuple(Polytope.of(p).moved(T) for p in one.parts)
             center = at + 0.01 * UP
-            bodies.append(statics.StaticBody(id=id, parts=parts, mass=0.3, centers=center, friction=0.6))
-        contacts, finding = timed(lambda bodies=bodies: statics.contacts_of(bodies))
+            bodies.append(StaticBody(id=id, parts=parts, mass=0.3, centers=center, friction=0.6))
+        contacts, finding = timed(lambda bodies=bodies: contacts_of(bodies))
         _, quick = timed(lambda bodies=bodies, contacts=contacts: statics.stands(bodies, contacts))
         _, full = timed(lambda bodies=bodies, contacts=contacts: statics.stability(bodies, contacts, per_body=False))
         row = [count, 30 * count, len(contacts), *(round(1000 * s) for s in (finding, quick, full))]

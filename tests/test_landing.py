@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from f3sr import contact, physics
+from f3sr.bodies import bodies_of
 from f3sr.frames import UP, pose, rotation_about, rotation_angle
 from f3sr.landing import LandingConfig, land, land_all
-from f3sr.statics import bodies_of
 from test_statics import GAP, block, body
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))

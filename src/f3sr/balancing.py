@@ -17,19 +17,12 @@ import numpy as np
 from annotated_types import Interval
 
 from f3sr import contact
+from f3sr.bodies import StaticBody, carried, chain_below, contacts_of, islands, supports_first
+from f3sr.equilibrium import Balance
 from f3sr.frames import UP, Array, pose
 from f3sr.physics import DEFAULT_PHYSICS
 from f3sr.settings import settings
-from f3sr.statics import (
-    Balance,
-    StaticBody,
-    carried,
-    chain_below,
-    contacts_of,
-    islands,
-    stability,
-    supports_first,
-)
+from f3sr.statics import stability
 
 DIRECTIONS = 6
 """Of tilted gravity. The tilts are so large that all smaller ones in between are balanced too."""

@@ -15,12 +15,13 @@ import numpy as np
 from annotated_types import Interval
 
 from f3sr import contact
+from f3sr.bodies import StaticBody, carried, contacts_of, rigid, supports_first
 from f3sr.contact import Polytope
+from f3sr.equilibrium import Balance
 from f3sr.frames import UP, Array, pose, rotation_about, rotation_angle
 from f3sr.patches import REACH, find_contacts, hull_corners
 from f3sr.physics import DEFAULT_PHYSICS
 from f3sr.settings import settings
-from f3sr.statics import Balance, StaticBody, carried, contacts_of, rigid, supports_first
 
 STEP = np.radians(2.0)
 """Largest turn [rad] between two looks at what is in the way: thin things are not turned through."""
@@ -119,8 +120,8 @@ def land_all(
 ) -> Landed:
     """Land every movable body with what it carries as one rigid thing, supports first, all others held still.
 
-    ``supports``: what each body rests on, None for those that stay where they are with what they carry. What
-    overlaps at the start is raised out of it. What tips with its load lies down as it would without, and does not stand.
+    ``supports``: what each body rests on, None for those that stay where they are with what they carry. What overlaps
+    at the start is raised out of it. What tips with its load lies down as it would without, and does not stand.
     """
     now = {b.id: b for b in bodies}
     motions = {b.id: np.eye(4) for b in bodies}

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from f3sr.balancing import DEFAULT_BALANCE, BalanceConfig, balance
+from f3sr.bodies import StaticBody
 from f3sr.frames import Array, pose
 from f3sr.landing import DEFAULT_LANDING, LandingConfig, land_all
 from f3sr.physics import DEFAULT_PHYSICS
-from f3sr.statics import Stability, StaticBody, stability
+from f3sr.statics import Stability, stability
 
 ROUNDS = 3
 """Of lying down and shifting; the first does nearly all."""
