@@ -1,7 +1,8 @@
 """Statics against the physics engine on seeded stacks: does it know what falls, and do shifted stacks stand?
 
-``python benchmarks/statics.py`` prints three tables: agreement of the equilibrium programme with an undamped release,
-what becomes of stacks that fall when the smallest shifts are applied, and how times grow with the number of bodies.
+``python benchmarks/statics.py`` prints four tables: agreement of the equilibrium programme with an undamped release,
+what becomes of stacks that fall when the smallest shifts are applied, what becomes of tilted stacks that are laid down
+and shifted, and how times grow with the number of bodies.
 Nothing is written. ``--stacks`` sets how many are drawn.
 """
 
@@ -17,11 +18,12 @@ import numpy as np
 
 import stacks
 import tables
-from f3sr import balancing, physics, statics
+from f3sr import balancing, physics, resting, statics
 from f3sr.bodies import StaticBody, bodies_of, contacts_of
 from f3sr.contact import Polytope
 from f3sr.frames import UP, pose, rotation_about
 from f3sr.kernels import warm_up
+from f3sr.landing import LandingConfig
 from f3sr.mesh import ConvexPart
 from f3sr.scene import SceneObject
 
@@ -100,6 +102,26 @@ def repaired(
     return not found.unbalanced, travel, after, shift, seconds
 
 
+def lying(count: int) -> None:
+    """Tilted stacks, as they come and after ``rest``."""
+    table = [["tilt deg", "stacks", "rest before", "stand after", "of these rest", "travel mm", "after", "ms"]]
+    for degrees in (1, 3, 5):
+        rows: list[tuple[float, bool, float, float]] = []
+        for seed in range(count):
+            objects = stacks.stack(seed, spread=0.015, tilt=np.radians(degrees))
+            bodies, supports = bodies_of(objects), {o.id: o.supported_by for o in objects}
+            allowed = LandingConfig(max_shift=0.15)
+            found, seconds = timed(lambda a=bodies, b=supports, c=allowed: resting.rest(a, b, c))
+            after = tuple(replace(o, T_world_object=found.motions[o.id] @ o.T_world_object) for o in objects)
+            travels = [physics.release(o, seconds=SECONDS).D_max for o in (objects, after)]
+            rows.append((travels[0], found.after.stands, travels[1], seconds))
+        before, stands, travel, seconds = (np.array(x) for x in zip(*rows, strict=True))
+        counts = [count, (before < RESTS).sum(), stands.sum(), (stands & (travel < RESTS)).sum()]
+        medians = [f"{1000 * np.median(before):.1f}", f"{1000 * np.median(travel):.2f}"]
+        table.append([str(degrees), *map(str, counts), *medians, f"{1000 * np.median(seconds):.0f}"])
+    tables.show(table)
+
+
 def dish(id: int, sectors: int = 30) -> SceneObject:
     """A flat dish of as many convex parts."""
     signs = np.array([[x, y, z] for x in (0.2, 1) for y in (-1, 1) for z in (0, 1)])
@@ -134,7 +156,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--stacks", type=int, default=60, help="stacks per spread")
     warm_up()
-    compare(parser.parse_args().stacks)
+    count = parser.parse_args().stacks
+    compare(count)
+    print()
+    lying(count)
     print()
     growth()
 

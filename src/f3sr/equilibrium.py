@@ -212,15 +212,14 @@ def least_forces(wrenches: Any, wanted: Array) -> Array:
     Newton's method on the dual, whose gradient is piecewise linear: f is the positive part of ``wrenches.T`` times the
     multipliers. The stiffness grows by steps, each from where the last one ended.
     """
-    multipliers = np.zeros(len(wanted))
-    for stiffness in 10.0 ** np.arange(0, np.log10(STIFF) + 1):
-        multipliers = _ascend(wrenches, wanted, multipliers, stiffness)
-    return np.maximum(wrenches.T @ multipliers, 0)
+    multipliers, dense = np.zeros(len(wanted)), wrenches.toarray()
+    for stiffness in STIFF ** np.linspace(0.2, 1, 5):
+        multipliers = _ascend(dense, wanted, multipliers, stiffness)
+    return np.maximum(dense.T @ multipliers, 0)
 
 
-def _ascend(wrenches: Any, wanted: Array, at: Array, stiffness: float) -> Array:
+def _ascend(dense: Array, wanted: Array, at: Array, stiffness: float) -> Array:
     """Where the dual ``wanted . l - |f|^2 / 2 - |l|^2 / (2 stiffness)`` is largest, from ``at``."""
-    dense = wrenches.toarray()
     pull = dense.T @ at
     for _ in range(50):
         f = np.maximum(pull, 0)
@@ -228,7 +227,7 @@ def _ascend(wrenches: Any, wanted: Array, at: Array, stiffness: float) -> Array:
         if np.abs(gradient).max() < 1e-10:
             break
         active = dense[:, pull > 0]
-        step = np.linalg.solve(active @ active.T + np.eye(len(at)) / stiffness, gradient)
+        step = np.asarray(np.linalg.solve(active @ active.T + np.eye(len(at)) / stiffness, gradient), float)
         along = dense.T @ step
         size = _line_search(pull, along, float(wanted @ step), at, step, stiffness)
         at, pull = at + size * step, pull + size * along

@@ -45,8 +45,8 @@ STEEP = 0.2
 class LandingConfig:
     """How far a body may go to lie down. What would have to go farther stays where it is."""
 
-    max_turn: Annotated[float, Interval(ge=0, le=3.2)] = 0.26
-    """Largest turn on the way [rad]: farther is toppling, not lying down."""
+    max_turn: Annotated[float, Interval(ge=0, le=3.2)] = 0.35
+    """Largest turn on the way [rad], 20 degrees: farther is toppling (the report's instability), not lying down."""
     max_drop: Annotated[float, Interval(ge=0, le=10)] = 0.5
     """How far it may hang over what it lies down on, as a share of its size."""
     max_shift: Annotated[float, Interval(ge=0, le=1)] = 0.0

@@ -17,7 +17,7 @@ from f3sr.statics import Stability, stability
 ROUNDS = 3
 """Of lying down and shifting; the first does nearly all."""
 STILL = 1e-5
-"""Turn or shift [rad, m] that counts as none."""
+"""Turn or shift [rad, m] of a whole round that counts as none."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -62,8 +62,9 @@ def rest(
             ground_friction=ground_friction,
         )
         tipped = frozenset(id for id, x in landed.landings.items() if x.tipped)
+        changed = max((float(np.abs(T - np.eye(4)).max()) for T in landed.motions.values()), default=0.0)
         motions = {id: pose(t=balanced.shifts[id]) @ landed.motions[id] @ T for id, T in motions.items()}
-        if balanced.success and not tipped:
+        if (balanced.success and not tipped) or (changed < STILL and not balanced.rounds):
             break
     return Rested(
         motions=motions,

@@ -54,20 +54,26 @@ def stability(
     contacts = contacts_of(bodies) if contacts is None else contacts
     margin, first = np.pi / 2, frozenset[int]()
     moving: set[int] = set()
+    margins: dict[int, float] = {}
     needs_friction = False
     for group in islands(bodies, contacts):
         balance = Balance(group, bodies, contacts, ground_friction)
         least, leaders = balance.margin()
+        if len(group) == 1:
+            margins[group[0].id] = least
         if least < margin:
             margin, first = least, leaders
         if least < 0:
             moving |= balance.moving()
         elif not needs_friction:
             needs_friction = not Balance(group, bodies, contacts, 0.0, friction=0.0).stands()
-    forces = contact_forces(bodies, contacts, ground_friction=ground_friction) if per_body else None
+    if per_body:
+        forces = contact_forces(bodies, contacts, ground_friction=ground_friction)
+        stacked = [b for b in bodies if not b.fixed and b.id not in margins]
+        margins |= _single_margins(stacked, bodies, contacts, forces, ground_friction)
     return Stability(
         margin=margin,
-        margins=_single_margins(bodies, contacts, forces, ground_friction) if forces is not None else {},
+        margins=margins if per_body else {},
         moving=frozenset(moving),
         first=first,
         needs_friction=needs_friction and not moving,
@@ -126,17 +132,19 @@ def contact_forces(
 
 
 def _single_margins(
-    bodies: Sequence[StaticBody], contacts: Contacts, forces: Array, ground_friction: float
+    asked: Sequence[StaticBody],
+    bodies: Sequence[StaticBody],
+    contacts: Contacts,
+    forces: Array,
+    ground_friction: float,
 ) -> dict[int, float]:
-    """Per body: the margin of it and all that it carries as one rigid thing, on what carries them held still.
+    """Per body asked for: the margin of it and all that it carries as one rigid thing, on what carries them held still.
 
     Contacts that press on that thing from above hold it no better and are left out.
     """
     load_on = _load_on(contacts, forces)
     margins: dict[int, float] = {}
-    for b in bodies:
-        if b.fixed:
-            continue
+    for b in asked:
         members = {b.id, *load_on(b.id)}
         whole = rigid([m for m in bodies if m.id in members], b.id)
         inner = np.isin(contacts.upper, list(members)) & np.isin(contacts.lower, list(members))
