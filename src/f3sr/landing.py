@@ -228,7 +228,7 @@ class _Fall:
         points = found.points[mine & (upward > STEEP)]
         if not len(points):
             return None
-        corners = points[hull_corners(points[:, :2], TOUCHING)]
+        corners = points[hull_corners(np.ascontiguousarray(points[:, :2]), TOUCHING)]
         out = _way_out(corners, self.center)
         leans = bool((mine & (np.abs(upward) <= STEEP)).any())
         return None if out is None or (leans and self.stands(TOUCHING)) else out
