@@ -8,7 +8,7 @@ all directions; then every body is placed on its support anew, contacts are foun
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Annotated
@@ -17,19 +17,12 @@ import numpy as np
 from annotated_types import Interval
 
 from f3sr import contact
+from f3sr.bodies import StaticBody, carried, chain_below, contacts_of, islands, supports_first
+from f3sr.equilibrium import Balance
 from f3sr.frames import UP, Array, pose
 from f3sr.physics import DEFAULT_PHYSICS
 from f3sr.settings import settings
-from f3sr.statics import (
-    Balance,
-    StaticBody,
-    carried,
-    chain_below,
-    contacts_of,
-    islands,
-    stability,
-    supports_first,
-)
+from f3sr.statics import stability
 
 DIRECTIONS = 6
 """Of tilted gravity. The tilts are so large that all smaller ones in between are balanced too."""
@@ -106,8 +99,11 @@ def balance(
     before = stability(bodies, ground_friction=ground_friction, per_body=False).margin
     state.seat_all()
     rounds = 0
+    seated = dict(state.bodies), dict(state.shifts)
     while rounds < config.rounds and state.improve():
         rounds += 1
+    if rounds:
+        state.undo_in_vain(*seated)
     return state.result(before, rounds)
 
 
@@ -133,6 +129,8 @@ class _State:
         self.bounds = {b.id: max_shifts.get(b.id, config.max_shift * b.size) for b in bodies}
         self.shifts = {b.id: np.zeros(3) for b in bodies}
         self.order = supports_first(self.supports)
+        self.open = set(self.bodies)
+        """Bodies on islands that may not stand."""
         self.overlapping = {pair for pair in combinations(self.bodies, 2) if self.collide(*pair)}
 
     def move(self, ids: frozenset[int] | tuple[int, ...], t: Array) -> None:
@@ -153,7 +151,7 @@ class _State:
             if (a not in ids and b not in ids) or (a, b) in self.overlapping:
                 continue
             far = self.config.max_step * (self.bodies[a].size + self.bodies[b].size)
-            polygons = contact.forbidden_polygons(self.bodies[a].parts, self.bodies[b].parts)
+            polygons = contact.forbidden_polygons(self.bodies[a].parts, self.bodies[b].parts, within=far)
             sides = np.array([p[int(np.argmin(p[:, 2]))] for p in polygons]).reshape(-1, 3)
             sides = sides[(sides[:, 2] > -far) & (sides[:, 2] <= 0)]
             if len(sides):
@@ -181,7 +179,8 @@ class _State:
 
     def improve(self) -> bool:
         """One round: shifts for every island that does not stand with the margin; False when nothing got better."""
-        programmes = [p for p in self.programmes() if p.unbalanced > BALANCED]
+        programmes = [p for p in self.programmes(self.open) if p.unbalanced > BALANCED]
+        self.open = {id for p in programmes for id in p.ids}
         better = False
         for programme in programmes:
             steps = programme.solve()
@@ -202,21 +201,44 @@ class _State:
                 own = steps[id] - (steps[carrier] if carrier is not None else 0.0)
                 self.move(carried(id, self.supports), np.r_[own, 0.0])
         self.seat_all()
-        after = max((p.mean for p in self.programmes() if not steps.keys().isdisjoint(p.ids)), default=0.0)
         dropped = any(abs((self.shifts[i] - kept_shifts[i])[2]) > self.bounds[i] for i in self.bodies)
         overlaps = any(self.collide(*p) for p in combinations(self.bodies, 2) if p not in self.overlapping)
-        if after < max(BETTER * before, BALANCED) and not dropped and not overlaps:
-            return True
+        if not dropped and not overlaps:
+            after = max((p.mean for p in self.programmes(steps.keys())), default=0.0)
+            if after < max(BETTER * before, BALANCED):
+                return True
         self.bodies, self.shifts = kept_bodies, kept_shifts
         return False
 
-    def programmes(self) -> list[_Programme]:
+    def falling(self) -> list[tuple[tuple[int, ...], frozenset[int]]]:
+        """Per island that does not stand: its ids, and those that move."""
         bodies = tuple(self.bodies.values())
         contacts = contacts_of(bodies)
-        return [
-            _Programme(Balance(g, bodies, contacts, self.ground_friction, edges=CONE_EDGES), self)
-            for g in islands(bodies, contacts)
-        ]
+        groups = [Balance(g, bodies, contacts, self.ground_friction) for g in islands(bodies, contacts)]
+        return [(tuple(g.place), g.moving()) for g in groups if not g.stands()]
+
+    def undo_in_vain(self, bodies: Mapping[int, StaticBody], shifts: Mapping[int, Array]) -> None:
+        """Put islands back where they were before any shift if as many of their bodies fall as then."""
+        now = self.falling()
+        here = dict(self.bodies), dict(self.shifts)
+        self.bodies = dict(bodies)
+        fell = frozenset[int]().union(*(moving for _, moving in self.falling()))
+        self.bodies, self.shifts = here
+        for ids, moving in now:
+            if len(moving) < len(fell.intersection(ids)):
+                continue
+            here = dict(self.bodies), dict(self.shifts)
+            self.bodies = self.bodies | {id: bodies[id] for id in ids}
+            self.shifts = self.shifts | {id: shifts[id] for id in ids}
+            if any(self.collide(*p) for p in combinations(self.bodies, 2) if p not in self.overlapping):
+                self.bodies, self.shifts = here
+
+    def programmes(self, among: Collection[int] | None = None) -> list[_Programme]:
+        """One per island; only those with one of some bodies."""
+        bodies = tuple(self.bodies.values())
+        contacts = contacts_of(bodies)
+        groups = [g for g in islands(bodies, contacts) if among is None or any(b.id in among for b in g)]
+        return [_Programme(Balance(g, bodies, contacts, self.ground_friction, edges=CONE_EDGES), self) for g in groups]
 
     def result(self, before: float, rounds: int) -> Balanced:
         bodies = tuple(self.bodies.values())

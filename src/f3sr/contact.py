@@ -203,12 +203,14 @@ def smallest_horizontal_move(A: Body, B: Body) -> Array:
     return nearest_free(forbidden_polygons(A, B), slack)
 
 
-def forbidden_polygons(A: Body, B: Body) -> list[Array]:
+def forbidden_polygons(A: Body, B: Body, *, within: float = np.inf) -> list[Array]:
     """The horizontal moves of A that collide with B: convex polygons, one for each pair of parts that can meet.
 
-    Each is given by its sides (k, 3), rows ``(n, h)`` with unit n (2,): inside is ``n . x + h > 0`` for all.
+    Each is given by its sides (k, 3), rows ``(n, h)`` with unit n (2,): inside is ``n . x + h > 0`` for all. Parts
+    that are farther apart than ``within`` along x or y are left out.
     """
-    return [p for i, j in _boxes_overlap(A, B, (2,)) if len(p := _horizontal_slice(A[i], B[j]))]
+    near = _boxes_overlap(A, B, (0, 1, 2), gap=np.array([within, within, 0]))
+    return [p for i, j in near if len(p := _horizontal_slice(A[i], B[j]))]
 
 
 def nearest_free(polygons: Sequence[Array], slack: float) -> Array:
@@ -225,10 +227,10 @@ def _forbidden(A: Body, B: Body, u: Array, *, beyond: float) -> Iterator[tuple[f
             yield lo, hi
 
 
-def _boxes_overlap(A: Body, B: Body, axes: tuple[int, ...]) -> NDArray[np.int64]:
-    """Broad phase: pairs (k, 2) of parts whose bounding boxes overlap in the given axes."""
+def _boxes_overlap(A: Body, B: Body, axes: tuple[int, ...], gap: Array | float = 0.0) -> NDArray[np.int64]:
+    """Broad phase: pairs (k, 2) of parts whose bounding boxes overlap in the given axes, or nearly: ``gap`` apart."""
     a, b = (np.stack([p.bounds for p in body])[:, :, axes] for body in (A, B))
-    apart = (a[:, None, 1] <= b[None, :, 0]) | (b[None, :, 1] <= a[:, None, 0])
+    apart = (a[:, None, 1] + gap <= b[None, :, 0]) | (b[None, :, 1] + gap <= a[:, None, 0])
     return np.argwhere(~apart.any(-1))
 
 

@@ -1,70 +1,25 @@
-"""Whether resting bodies stand: balance of contact forces against gravity, by how much, and who carries whom.
+"""Whether resting bodies stand, by how much, and who carries whom: balance of contact forces against gravity.
 
-Bodies stand when forces at their contacts, each within its friction cone, balance every body's weight. The tilts of
-gravity for which such forces exist form a convex set, so the least tilt at which the bodies move is found exactly, by
-linear programmes that ask how far the set reaches in a direction (Bretl and Lall, "Testing Static Equilibrium for
-Legged Robots", 2008). Bodies that touch only what is fixed do not act on each other and are judged apart.
+Bodies stand when forces at their contacts, each within its friction cone, balance every body's weight. Bodies that
+touch only what is fixed do not act on each other and are judged apart.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from f3sr.contact import Body, Polytope
-from f3sr.frames import UP, Array, frozen, transform
-from f3sr.patches import REACH, Contacts, find_contacts, tangents
-from f3sr.physics import DEFAULT_PHYSICS, PhysicsConfig, body_of
-from f3sr.scene import GROUND, SceneObject
+from f3sr.bodies import StaticBody, contacts_of, islands, rigid
+from f3sr.equilibrium import Balance
+from f3sr.frames import Array
+from f3sr.patches import Contacts
+from f3sr.physics import DEFAULT_PHYSICS
+from f3sr.scene import GROUND
 
 GRAVITY = 9.81
 """[m/s2]; only loads depend on it."""
-EDGES = 8
-"""Of the pyramid that is inscribed in a friction cone: it has .92 of the cone's friction where it has least."""
-STEEPEST = 4.0
-"""Tangent of the largest tilt that is told apart."""
-TOLERANCE = 1e-3
-"""Tangent to which the least tilt is known."""
-MOVES = 0.01
-"""A body whose part in a virtual motion is smaller than this share of the largest does not move."""
-STIFF = 1e7
-"""What a wrench that is not balanced costs against contact forces, both in weights: see ``contact_forces``."""
-
-FALLS = -np.pi / 2
-"""The margin of what no tilt would balance."""
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class StaticBody:
-    """A rigid body at rest, in the world.
-
-    ``centers`` (n, 3) [m]: the places its centre of mass may have. It stands when it does with each of them: physics
-    engines differ in where they put it (``PhysicsConfig``: the solid's own; release: spread evenly over the parts).
-    """
-
-    id: int
-    parts: tuple[Polytope, ...]
-    mass: float
-    """[kg]"""
-    centers: Array
-    friction: float
-    fixed: bool = False
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "centers", frozen(np.reshape(self.centers, (-1, 3))))
-
-    @property
-    def size(self) -> float:
-        """Diagonal of its bounding box [m]."""
-        return float(np.linalg.norm(np.ptp(np.concatenate([p.bounds for p in self.parts]), axis=0)))
-
-    def moved(self, T: Array) -> StaticBody:
-        """The body under a rigid motion T (4, 4)."""
-        return replace(self, parts=tuple(p.moved(T) for p in self.parts), centers=transform(T, self.centers))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,44 +43,6 @@ class Stability:
         return not self.moving
 
 
-def bodies_of(
-    objects: Iterable[SceneObject],
-    config: PhysicsConfig = DEFAULT_PHYSICS,
-    *,
-    parts: Mapping[int, Body] | None = None,
-) -> tuple[StaticBody, ...]:
-    """The objects as bodies; ``parts``: their parts in the world where somebody has them already."""
-    return tuple(_body_of(o, config, parts[o.id] if parts else None) for o in objects)
-
-
-def _body_of(o: SceneObject, config: PhysicsConfig, parts: Body | None) -> StaticBody:
-    body = body_of(o, config)
-    volumes = np.array([p.volume for p in body.parts])
-    middles = np.array([_centroid(p.vertices, p.faces) for p in body.parts])
-    even = volumes @ middles / volumes.sum()
-    return StaticBody(
-        id=o.id,
-        parts=tuple(parts or (Polytope.of(p).moved(o.T_world_object) for p in body.parts)),
-        mass=body.mass,
-        centers=transform(o.T_world_object, np.stack([body.center, even])),
-        friction=o.friction,
-        fixed=body.fixed,
-    )
-
-
-def _centroid(vertices: Array, faces: NDArray[np.int32]) -> Array:
-    """Middle of the solid within a closed surface."""
-    origin = vertices.mean(0)
-    a, b, c = (vertices[faces[:, k]] - origin for k in range(3))
-    volumes = np.einsum("ij,ij->i", a, np.cross(b, c))
-    return origin + volumes @ (a + b + c) / (4 * volumes.sum())
-
-
-def contacts_of(bodies: Sequence[StaticBody], *, reach: float = REACH) -> Contacts:
-    """Where the bodies touch each other and the ground."""
-    return find_contacts({b.id: b.parts for b in bodies}, reach=reach)
-
-
 def stability(
     bodies: Sequence[StaticBody],
     contacts: Contacts | None = None,
@@ -137,20 +54,26 @@ def stability(
     contacts = contacts_of(bodies) if contacts is None else contacts
     margin, first = np.pi / 2, frozenset[int]()
     moving: set[int] = set()
+    margins: dict[int, float] = {}
     needs_friction = False
     for group in islands(bodies, contacts):
         balance = Balance(group, bodies, contacts, ground_friction)
         least, leaders = balance.margin()
+        if len(group) == 1:
+            margins[group[0].id] = least
         if least < margin:
             margin, first = least, leaders
         if least < 0:
             moving |= balance.moving()
         elif not needs_friction:
             needs_friction = not Balance(group, bodies, contacts, 0.0, friction=0.0).stands()
-    forces = contact_forces(bodies, contacts, ground_friction=ground_friction) if per_body else None
+    if per_body:
+        forces = contact_forces(bodies, contacts, ground_friction=ground_friction)
+        stacked = [b for b in bodies if not b.fixed and b.id not in margins]
+        margins |= _single_margins(stacked, bodies, contacts, forces, ground_friction)
     return Stability(
         margin=margin,
-        margins=_single_margins(bodies, contacts, forces, ground_friction) if forces is not None else {},
+        margins=margins if per_body else {},
         moving=frozenset(moving),
         first=first,
         needs_friction=needs_friction and not moving,
@@ -205,314 +128,23 @@ def contact_forces(
     return GRAVITY * forces
 
 
-def islands(bodies: Sequence[StaticBody], contacts: Contacts) -> Iterator[tuple[StaticBody, ...]]:
-    """Groups of movable bodies that touch each other, directly or through others that are movable."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    free = [b for b in bodies if not b.fixed]
-    place = {b.id: k for k, b in enumerate(free)}
-    links = [(place[a], place[b]) for a, b in contacts.pairs if a in place and b in place]
-    i, j = np.array(links, np.int64).reshape(-1, 2).T
-    graph = coo_array((np.ones(len(i)), (i, j)), shape=(len(free), len(free)))
-    count, label = connected_components(graph, directed=False)
-    for k in range(count):
-        yield tuple(b for b, island in zip(free, label, strict=True) if island == k)
-
-
-class Balance:
-    """The equations ``wrenches @ f = weights`` of a group of bodies, f >= 0 along the edges of the friction cones.
-
-    Six rows a body: force in its weights, moment about its first centre in its weights times its size. Everything else
-    is held still. ``rows`` are the contacts that act on the group.
-    """
-
-    def __init__(
-        self,
-        group: Sequence[StaticBody],
-        bodies: Sequence[StaticBody],
-        contacts: Contacts,
-        ground_friction: float,
-        *,
-        friction: float | None = None,
-        edges: int = EDGES,
-    ) -> None:
-        self.group = tuple(group)
-        self.edge_count = edges
-        self.place = {b.id: k for k, b in enumerate(self.group)}
-        members = np.array([b.id for b in self.group])
-        self.rows = np.flatnonzero(np.isin(contacts.upper, members) | np.isin(contacts.lower, members))
-        self.contacts = contacts.of(self.rows)
-        rough = {GROUND: ground_friction, **{b.id: b.friction for b in bodies}}
-        if friction is not None:
-            rough = dict.fromkeys(rough, friction)
-        pairs = zip(self.contacts.upper.tolist(), self.contacts.lower.tolist(), strict=True)
-        self.friction = np.array([max(rough[a], rough[b]) for a, b in pairs])
-        self.sizes = np.array([b.size for b in self.group])
-        self.masses = np.array([b.mass for b in self.group])
-        self.edges = self._cone_edges()
-        self.units = self._units()
-        self.wrenches = self._wrenches()
-
-    def _cone_edges(self) -> Array:
-        """(k, e, 3): forces with a normal part of 1 along the edges of every contact's pyramid."""
-        angles = 2 * np.pi * np.arange(self.edge_count) / self.edge_count
-        around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        frames = np.array([tangents(n) for n in self.contacts.normals]).reshape(-1, 2, 3)
-        return self.contacts.normals[:, None] + self.friction[:, None, None] * (around @ frames)
-
-    def _units(self) -> Array:
-        """(k,) unit of force [kg]: between the weights of the two bodies."""
-        mass = dict(zip(self.place, self.masses, strict=True))
-        pairs = zip(self.contacts.upper.tolist(), self.contacts.lower.tolist(), strict=True)
-        return np.array([np.sqrt(mass.get(a, mass.get(b, 1.0)) * mass.get(b, mass.get(a, 1.0))) for a, b in pairs])
-
-    def _wrenches(self) -> Any:
-        """Sparse (6 n, k e)."""
-        from scipy.sparse import csc_array
-
-        blocks: list[tuple[Array, NDArray[np.int64], NDArray[np.int64]]] = []
-        for ids, sign in ((self.contacts.upper, 1.0), (self.contacts.lower, -1.0)):
-            on = np.flatnonzero(np.isin(ids, list(self.place)))
-            if not len(on):
-                continue
-            body = np.array([self.place[i] for i in ids[on].tolist()])
-            force = sign * self.edges[on] * (self.units[on] / self.masses[body])[:, None, None]
-            arm = self.contacts.points[on] - np.array([b.centers[0] for b in self.group])[body]
-            moment = np.cross(arm[:, None] / self.sizes[body][:, None, None], force)
-            rows = 6 * body[:, None, None] + np.arange(6)
-            columns = self.edge_count * on[:, None, None] + np.arange(self.edge_count)[:, None]
-            values = np.concatenate([force, moment], axis=2)
-            rows, columns = np.broadcast_arrays(rows, columns)
-            blocks.append((values.ravel(), rows.ravel(), columns.ravel()))
-        values, rows, columns = (np.concatenate(x) for x in zip(*blocks, strict=True)) if blocks else ([], [], [])
-        shape = (6 * len(self.group), self.edge_count * len(self.contacts))
-        return csc_array((values, (rows, columns)), shape=shape)
-
-    @property
-    def choices(self) -> int:
-        """How many sets of centres of mass there are."""
-        return max(len(b.centers) for b in self.group)
-
-    def weights(self, center: int = 0) -> tuple[Array, Array]:
-        """(6 n,) what contacts must balance untilted, and (6 n, 2) how tilt tangents change it."""
-        arms = [(b.centers[min(center, len(b.centers) - 1)] - b.centers[0]) / b.size for b in self.group]
-        upright = np.concatenate([np.r_[UP, np.cross(arm, UP)] for arm in arms])
-        lean = [np.concatenate([np.r_[-e, np.cross(arm, -e)] for arm in arms]) for e in np.eye(3)[:2]]
-        return upright, np.stack(lean, axis=1)
-
-    def stands(self) -> bool:
-        """Whether it stands untilted, with every set of centres."""
-        return all(self._farthest(np.zeros(2), c, still=True) is not None for c in range(self.choices))
-
-    def margin(self) -> tuple[float, frozenset[int]]:
-        """The least tilt that moves it [rad], and the ids that it moves first."""
-        found = [self._margin(c) for c in range(self.choices)]
-        return min(found, key=lambda m: m[0])
-
-    def _margin(self, center: int) -> tuple[float, frozenset[int]]:
-        """How far the origin lies inside the set of tilts that are balanced.
-
-        The signed distance is the least reach of the set over all directions. Corners found so far span an inner
-        bound; the next direction is that in which the inner bound is nearest.
-        """
-        corners: list[Array] = []
-        least, first = np.inf, frozenset[int]()
-        directions = [np.array([np.cos(a), np.sin(a)]) for a in 2 * np.pi * np.arange(3) / 3]
-        for _ in range(40):
-            found = self._farthest(directions.pop(0), center)
-            if found is None:
-                return FALLS, self._moving(center)
-            corner, reach, movers = found
-            corners.append(corner)
-            if reach < least:
-                least, first = reach, movers
-            if not directions:
-                inner, direction = _signed_distance(np.array(corners))
-                if least - inner < TOLERANCE:
-                    break
-                directions = [direction]
-        return (np.pi / 2 if least >= STEEPEST * (1 - 1e-9) else float(np.arctan(least))), first
-
-    def _farthest(self, u: Array, center: int, *, still: bool = False) -> tuple[Array, float, frozenset[int]] | None:
-        """The balanced tilt (2,) farthest along u, how far, and which bodies move beyond it; None when there is none.
-
-        ``still``: no tilt at all.
-        """
-        from scipy.optimize import linprog
-        from scipy.sparse import csc_array, hstack
-
-        upright, lean = self.weights(center)
-        n = self.wrenches.shape[1]
-        reach = 0.0 if still else STEEPEST
-        solution = linprog(
-            np.r_[np.zeros(n), -u],
-            A_eq=hstack([self.wrenches, csc_array(-lean)], format="csc"),
-            b_eq=upright,
-            bounds=np.array([[0, np.inf]] * n + [[-reach, reach]] * 2),
-            method="highs",
-        )
-        if solution.status != 0:
-            return None
-        tilt = solution.x[n:]
-        return tilt, float(u @ tilt), self._movers(solution.eqlin.marginals)
-
-    def moving(self) -> frozenset[int]:
-        """Which bodies move under untilted gravity, with one set of centres or another."""
-        return frozenset[int]().union(*(self._moving(c) for c in range(self.choices)))
-
-    def _moving(self, center: int) -> frozenset[int]:
-        """Those of the virtual motion that gains most at bounded speed: it is dual to the least unbalanced wrench."""
-        from scipy.optimize import linprog
-        from scipy.sparse import eye_array, hstack
-
-        rows, n = self.wrenches.shape
-        solution = linprog(
-            np.r_[np.zeros(n), np.ones(2 * rows)],
-            A_eq=hstack([self.wrenches, eye_array(rows), -eye_array(rows)], format="csc"),
-            b_eq=self.weights(center)[0],
-            method="highs",
-        )
-        return self._movers(solution.eqlin.marginals) if solution.fun > 1e-6 else frozenset()
-
-    def _movers(self, motion: Array) -> frozenset[int]:
-        speeds = np.abs(motion).reshape(-1, 6).max(1)
-        return frozenset(b.id for b, s in zip(self.group, speeds, strict=True) if s > MOVES * max(speeds.max(), 1e-9))
-
-    def forces(self, tilt: Array, center: int = 0) -> Array:
-        """(k, 3) [kg] forces of least squares on the upper bodies."""
-        return self.eased(tilt, center)[0]
-
-    def eased(self, tilt: Array, center: int = 0) -> tuple[Array, float]:
-        """These forces, and what they leave unbalanced: the length of the wrench, in weights and sizes."""
-        upright, lean = self.weights(center)
-        wanted = upright + lean @ tilt
-        f = least_forces(self.wrenches, wanted)
-        return self._on_upper(f), float(np.linalg.norm(self.wrenches @ f - wanted))
-
-    def _on_upper(self, f: Array) -> Array:
-        return np.einsum("ke,keq,k->kq", f.reshape(-1, self.edge_count), self.edges, self.units)
-
-
-def least_forces(wrenches: Any, wanted: Array) -> Array:
-    """f >= 0 with the least ``|f|^2 + STIFF |wrenches f - wanted|^2``.
-
-    Newton's method on the dual, whose gradient is piecewise linear: f is the positive part of ``wrenches.T`` times the
-    multipliers. The stiffness grows by steps, each from where the last one ended.
-    """
-    multipliers = np.zeros(len(wanted))
-    for stiffness in 10.0 ** np.arange(0, np.log10(STIFF) + 1):
-        multipliers = _ascend(wrenches, wanted, multipliers, stiffness)
-    return np.maximum(wrenches.T @ multipliers, 0)
-
-
-def _ascend(wrenches: Any, wanted: Array, at: Array, stiffness: float) -> Array:
-    """Where the dual ``wanted . l - |f|^2 / 2 - |l|^2 / (2 stiffness)`` is largest, from ``at``."""
-    dense = wrenches.toarray()
-    pull = dense.T @ at
-    for _ in range(50):
-        f = np.maximum(pull, 0)
-        gradient = wanted - dense @ f - at / stiffness
-        if np.abs(gradient).max() < 1e-10:
-            break
-        active = dense[:, pull > 0]
-        step = np.linalg.solve(active @ active.T + np.eye(len(at)) / stiffness, gradient)
-        along = dense.T @ step
-        size = _line_search(pull, along, float(wanted @ step), at, step, stiffness)
-        at, pull = at + size * step, pull + size * along
-        if size == 0:
-            break
-    return at
-
-
-def _line_search(pull: Array, along: Array, gain: float, at: Array, step: Array, stiffness: float) -> float:
-    """Where the dual is largest along a step: its slope falls from positive and is linear between breakpoints."""
-
-    def slope(t: float) -> float:
-        return gain - float(along @ np.maximum(pull + t * along, 0)) - float(step @ (at + t * step)) / stiffness
-
-    if slope(0.0) <= 0:
-        return 0.0
-    if slope(1.0) >= 0:
-        low, high = 1.0, 1.0
-        while slope(high) > 0 and high < 1e9:
-            low, high = high, 2 * high
-    else:
-        low, high = 0.0, 1.0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        breaks = -pull / along
-    breaks = np.sort(breaks[(breaks > low) & (breaks < high)])
-    while len(breaks):
-        middle = float(breaks[len(breaks) // 2])
-        if slope(middle) > 0:
-            low, breaks = middle, breaks[len(breaks) // 2 + 1 :]
-        else:
-            high, breaks = middle, breaks[: len(breaks) // 2]
-    first, last = slope(low), slope(high)
-    return low + (high - low) * first / (first - last) if first > last else low
-
-
-def _signed_distance(corners: Array) -> tuple[float, Array]:
-    """How deep the origin lies in the hull of points (k, 2), negative outside, and the direction (2,) out of it."""
-    from f3sr.patches import hull_corners
-
-    hull = corners[hull_corners(corners, 0.0)]
-    starts, ends = hull, np.roll(hull, -1, axis=0)
-    along = ends - starts
-    lengths = np.linalg.norm(along, axis=1)
-    if len(hull) > 2 and lengths.min() > 0:
-        outward = np.stack([along[:, 1], -along[:, 0]], axis=1) / lengths[:, None]
-        depths = np.einsum("ij,ij->i", outward, starts)
-        if depths.min() >= 0:
-            nearest = int(np.argmin(depths))
-            return float(depths[nearest]), outward[nearest]
-    squared = np.maximum(lengths**2, 1e-300)
-    feet = starts + np.clip(-np.einsum("ij,ij->i", starts, along) / squared, 0, 1)[:, None] * along
-    distances = np.linalg.norm(feet, axis=1)
-    nearest = int(np.argmin(distances))
-    if distances[nearest] > 1e-12:
-        return -float(distances[nearest]), -feet[nearest] / distances[nearest]
-    side = along[nearest] / max(lengths[nearest], 1e-300)
-    return 0.0, np.array([side[1], -side[0]]) if lengths[nearest] else np.array([1.0, 0.0])
-
-
-# The forest of supports
-
-
-def chain_below(id: int, supports: Mapping[int, int | None]) -> tuple[int, ...]:
-    """What carries a body, nearest first, without the ground."""
-    chain: list[int] = []
-    at = supports.get(id)
-    while at is not None and at != GROUND and at not in (id, *chain):
-        chain.append(at)
-        at = supports.get(at)
-    return tuple(chain)
-
-
-def carried(id: int, supports: Mapping[int, int | None]) -> frozenset[int]:
-    """A body and all that it carries, directly or not."""
-    return frozenset(i for i in supports if i == id or id in chain_below(i, supports))
-
-
-def supports_first(supports: Mapping[int, int | None]) -> list[int]:
-    return sorted(supports, key=lambda id: (len(chain_below(id, supports)), id))
-
-
 # Single bodies with what they carry
 
 
 def _single_margins(
-    bodies: Sequence[StaticBody], contacts: Contacts, forces: Array, ground_friction: float
+    asked: Sequence[StaticBody],
+    bodies: Sequence[StaticBody],
+    contacts: Contacts,
+    forces: Array,
+    ground_friction: float,
 ) -> dict[int, float]:
-    """Per body: the margin of it and all that it carries as one rigid thing, on what carries them held still.
+    """Per body asked for: the margin of it and all that it carries as one rigid thing, on what carries them held still.
 
     Contacts that press on that thing from above hold it no better and are left out.
     """
     load_on = _load_on(contacts, forces)
     margins: dict[int, float] = {}
-    for b in bodies:
-        if b.fixed:
-            continue
+    for b in asked:
         members = {b.id, *load_on(b.id)}
         whole = rigid([m for m in bodies if m.id in members], b.id)
         inner = np.isin(contacts.upper, list(members)) & np.isin(contacts.lower, list(members))
@@ -527,7 +159,7 @@ def _single_margins(
     return margins
 
 
-def _load_on(contacts: Contacts, forces: Array) -> Any:
+def _load_on(contacts: Contacts, forces: Array) -> Callable[[int], set[int]]:
     """A function from an id to the ids it carries, directly or not: those with at least half their load on it."""
     up: dict[tuple[int, int], float] = {}
     for a, b, force in zip(contacts.upper.tolist(), contacts.lower.tolist(), forces[:, 2].tolist(), strict=True):
@@ -551,18 +183,3 @@ def _load_on(contacts: Contacts, forces: Array) -> Any:
         return found
 
     return all_on
-
-
-def rigid(members: Sequence[StaticBody], id: int) -> StaticBody:
-    """Movable bodies as one, with an id and friction of one of them."""
-    free = [m for m in members if not m.fixed]
-    masses = np.array([m.mass for m in free])
-    n = max(len(m.centers) for m in free)
-    centers = [sum(m.mass * m.centers[min(c, len(m.centers) - 1)] for m in free) / masses.sum() for c in range(n)]
-    return StaticBody(
-        id=id,
-        parts=tuple(p for m in free for p in m.parts),
-        mass=float(masses.sum()),
-        centers=np.array(centers),
-        friction=next(m.friction for m in members if m.id == id),
-    )

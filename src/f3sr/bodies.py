@@ -1,0 +1,134 @@
+"""Bodies at rest in the world, where their mass may be, and which carries which."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.contact import Body, Polytope
+from f3sr.frames import Array, frozen, transform
+from f3sr.patches import REACH, Contacts, find_contacts
+from f3sr.physics import DEFAULT_PHYSICS, PhysicsConfig, body_of
+from f3sr.scene import GROUND, SceneObject
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StaticBody:
+    """A rigid body at rest, in the world.
+
+    ``centers`` (n, 3) [m]: the places its centre of mass may have. It stands when it does with each of them: physics
+    engines differ in where they put it (``PhysicsConfig``: the solid's own; release: spread evenly over the parts).
+    """
+
+    id: int
+    parts: tuple[Polytope, ...]
+    mass: float
+    """[kg]"""
+    centers: Array
+    friction: float
+    fixed: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "centers", frozen(np.reshape(self.centers, (-1, 3))))
+
+    @property
+    def size(self) -> float:
+        """Diagonal of its bounding box [m]."""
+        return float(np.linalg.norm(np.ptp(np.concatenate([p.bounds for p in self.parts]), axis=0)))
+
+    def moved(self, T: Array) -> StaticBody:
+        """The body under a rigid motion T (4, 4)."""
+        return replace(self, parts=tuple(p.moved(T) for p in self.parts), centers=transform(T, self.centers))
+
+
+def bodies_of(
+    objects: Iterable[SceneObject],
+    config: PhysicsConfig = DEFAULT_PHYSICS,
+    *,
+    parts: Mapping[int, Body] | None = None,
+) -> tuple[StaticBody, ...]:
+    """The objects as bodies; ``parts``: their parts in the world where somebody has them already."""
+    return tuple(_body_of(o, config, parts[o.id] if parts else None) for o in objects)
+
+
+def _body_of(o: SceneObject, config: PhysicsConfig, parts: Body | None) -> StaticBody:
+    body = body_of(o, config)
+    volumes = np.array([p.volume for p in body.parts])
+    middles = np.array([_centroid(p.vertices, p.faces) for p in body.parts])
+    even = volumes @ middles / volumes.sum()
+    return StaticBody(
+        id=o.id,
+        parts=tuple(parts or (Polytope.of(p).moved(o.T_world_object) for p in body.parts)),
+        mass=body.mass,
+        centers=transform(o.T_world_object, np.stack([body.center, even])),
+        friction=o.friction,
+        fixed=body.fixed,
+    )
+
+
+def _centroid(vertices: Array, faces: NDArray[np.int32]) -> Array:
+    """Middle of the solid within a closed surface."""
+    origin = vertices.mean(0)
+    a, b, c = (vertices[faces[:, k]] - origin for k in range(3))
+    volumes = np.einsum("ij,ij->i", a, np.cross(b, c))
+    return origin + volumes @ (a + b + c) / (4 * volumes.sum())
+
+
+def contacts_of(bodies: Sequence[StaticBody], *, reach: float = REACH) -> Contacts:
+    """Where the bodies touch each other and the ground."""
+    return find_contacts({b.id: b.parts for b in bodies}, reach=reach)
+
+
+def islands(bodies: Sequence[StaticBody], contacts: Contacts) -> Iterator[tuple[StaticBody, ...]]:
+    """Groups of movable bodies that touch each other, directly or through others that are movable."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    free = [b for b in bodies if not b.fixed]
+    place = {b.id: k for k, b in enumerate(free)}
+    links = [(place[a], place[b]) for a, b in contacts.pairs if a in place and b in place]
+    i, j = np.array(links, np.int64).reshape(-1, 2).T
+    graph = coo_array((np.ones(len(i)), (i, j)), shape=(len(free), len(free)))
+    count, label = connected_components(graph, directed=False)
+    for k in range(count):
+        yield tuple(b for b, island in zip(free, label, strict=True) if island == k)
+
+
+def rigid(members: Sequence[StaticBody], id: int) -> StaticBody:
+    """Movable bodies as one, with an id and friction of one of them."""
+    free = [m for m in members if not m.fixed]
+    masses = np.array([m.mass for m in free])
+    n = max(len(m.centers) for m in free)
+    centers = [sum(m.mass * m.centers[min(c, len(m.centers) - 1)] for m in free) / masses.sum() for c in range(n)]
+    return StaticBody(
+        id=id,
+        parts=tuple(p for m in free for p in m.parts),
+        mass=float(masses.sum()),
+        centers=np.array(centers),
+        friction=next(m.friction for m in members if m.id == id),
+    )
+
+
+# The forest of supports
+
+
+def chain_below(id: int, supports: Mapping[int, int | None]) -> tuple[int, ...]:
+    """What carries a body, nearest first, without the ground."""
+    chain: list[int] = []
+    at = supports.get(id)
+    while at is not None and at != GROUND and at not in (id, *chain):
+        chain.append(at)
+        at = supports.get(at)
+    return tuple(chain)
+
+
+def carried(id: int, supports: Mapping[int, int | None]) -> frozenset[int]:
+    """A body and all that it carries, directly or not."""
+    return frozenset(i for i in supports if i == id or id in chain_below(i, supports))
+
+
+def supports_first(supports: Mapping[int, int | None]) -> list[int]:
+    return sorted(supports, key=lambda id: (len(chain_below(id, supports)), id))
