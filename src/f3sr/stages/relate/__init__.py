@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from f3sr.report import Decision, Measure, Report
-from f3sr.scene import GROUND, Relation, Scene, SceneGraph, SceneObject
+from f3sr.scene import GROUND, Relation, RelationSource, Scene, SceneGraph, SceneObject, Support
 from f3sr.stages.relate.beside import Nearest, nearest, next_to, touching
 from f3sr.stages.relate.config import RelateConfig
 from f3sr.stages.relate.given import FIRST, Given, canonical, held_against, with_given
@@ -22,6 +24,8 @@ from f3sr.stages.relate.unseen import hangs
 __all__ = ["Candidate", "RelateConfig", "describe", "forest", "relate"]
 
 FROM_GEOMETRY = "geometry and masks"
+SURE_FURTHER = 0.9
+"""Confidence of a further support that fits as well as the main one."""
 Found = Mapping[int, Sequence[Candidate]]
 
 
@@ -112,7 +116,10 @@ def _graph(
     """All relations of a scene whose objects have their supports; ``exact``: at rest, with proxies."""
     above = rests_on({o.id: [s.id for s in o.supports] for o in scene})
     near = nearest(known, exact=exact)
-    relations = _support_relations(scene, chosen, found, given, near if exact else None, known)
+    if exact:
+        relations = _resting_relations(scene, given, near, known)
+    else:
+        relations = _support_relations(scene, resting, chosen, found, given)
     for o in scene:
         contacts = {c.parent: c.contact.k for c in found[o.id]}
         for p in known.near[o.id]:
@@ -130,39 +137,53 @@ def _graph(
 
 
 def _support_relations(
-    scene: Scene,
-    chosen: Mapping[int, Candidate],
-    found: Found,
-    given: Given,
-    near: Mapping[tuple[int, int], Nearest] | None,
-    known: Known,
+    scene: Scene, resting: Mapping[int, Carried], chosen: Mapping[int, Candidate], found: Found, given: Given
 ) -> list[Relation]:
-    """One per support; ``near`` where all rests: then contact is what makes them sure."""
+    """One per support, as sure as geometry and the photo are, or as it is given."""
     named = {(c.child, c.parent): c for c in given.supports}
     relations: list[Relation] = []
     for o in scene:
+        costs = {p.id: p.cost for p in resting[o.id].patches}
         for s in o.supports:
-            told = named.get((o.id, s.id)) or next((c for c in found[o.id] if c.parent == s.id), None)
-            evidence = f"carries {100 * s.share:.0f}% of it"
-            if near is not None:
-                confidence = 1.0 if _touch(o.id, s.id, near, known) else 0.5
-            elif s.id == o.supported_by:
-                confidence = likelihood(chosen[o.id], found[o.id])
-            else:
-                confidence = 0.5
+            told = named.get((o.id, s.id)) or next((c for c in found[o.id] if c.parent == s.id), chosen[o.id])
             if (o.id, s.id) in named:
-                confidence = FIRST - named[o.id, s.id].cost
-            relations.append(
-                Relation(
-                    subject=o.id,
-                    predicate="supported_by",
-                    object=s.id,
-                    confidence=confidence,
-                    evidence=f"{evidence}: {told.evidence}" if told and told.evidence and near is None else evidence,
-                    source="given" if (o.id, s.id) in named else "found",
-                )
-            )
+                confidence = FIRST - told.cost
+            elif s.id == o.supported_by:
+                confidence = likelihood(told, found[o.id], beside=[t.id for t in o.supports])
+            else:
+                confidence = SURE_FURTHER * float(np.exp(-costs[s.id]))
+            source = "given" if (o.id, s.id) in named else "found"
+            relations.append(_support(o, s, confidence, f": {told.evidence}", source))
     return relations
+
+
+def _resting_relations(
+    scene: Scene, given: Given, near: Mapping[tuple[int, int], Nearest], known: Known
+) -> list[Relation]:
+    """One per support of a scene at rest; contact of the proxies makes them sure."""
+    named = {(c.child, c.parent) for c in given.supports}
+    return [
+        _support(
+            o,
+            s,
+            1.0 if _touch(o.id, s.id, near, known) else 0.5,
+            " at rest",
+            "given" if (o.id, s.id) in named else "found",
+        )
+        for o in scene
+        for s in o.supports
+    ]
+
+
+def _support(o: SceneObject, s: Support, confidence: float, evidence: str, source: RelationSource) -> Relation:
+    return Relation(
+        subject=o.id,
+        predicate="supported_by",
+        object=s.id,
+        confidence=confidence,
+        evidence=f"carries {100 * s.share:.0f}% of it{evidence}",
+        source=source,
+    )
 
 
 def _touch(a: int, b: int, near: Mapping[tuple[int, int], Nearest], known: Known) -> bool:
