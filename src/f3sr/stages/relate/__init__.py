@@ -62,12 +62,14 @@ def describe(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, R
     resting = {id: carried(c, found[id], known) for id, c in chosen.items()}
     graph = _graph(scene, resting, chosen, found, given, known, exact=True)
     carriers = {(o.id, s.id) for o in scene for s in o.supports}
-    lost = [c for c in given.supports if (c.child, c.parent) not in carriers]
     decisions = [
         Decision(
-            choice=f"given support by {name_of(c.parent)} carries nothing at rest", reason=c.evidence, about=c.child
+            choice=f"given support by {name_of(c.parent)} carries nothing at rest",
+            reason="contact forces name " + (_named(scene[c.child].supports) or "nothing"),
+            about=c.child,
         )
-        for c in lost
+        for c in given.supports
+        if (c.child, c.parent) not in carriers
     ]
     report = Report(stage="describe", measures=_measures(scene, given), decisions=(*given.decisions, *decisions))
     return replace(scene, graph=graph), report
@@ -215,8 +217,8 @@ def _said(o: SceneObject, chosen: Candidate, found: Sequence[Candidate], unseen:
     """What an object rests on and why, and where that is not what was found here."""
     if unseen:
         return [Decision(choice="rests on something unseen, kept fixed where it is", reason=unseen, about=o.id)]
-    further = [f"{name_of(s.id)} ({100 * s.share:.0f}%)" for s in o.supports[1:]]
-    choice = f"rests on {name_of(chosen.parent)}" + (f", also on {', '.join(further)}" if further else "")
+    further = _named(o.supports[1:])
+    choice = f"rests on {name_of(chosen.parent)}" + (f", also on {further}" if further else "")
     best = min(found, key=lambda c: (c.cost, c.parent))
     if chosen.cost < 0 and best.parent != chosen.parent:
         return [
@@ -231,6 +233,10 @@ def _said(o: SceneObject, chosen: Candidate, found: Sequence[Candidate], unseen:
     runner_up = min(rivals, key=lambda c: (c.cost, c.parent), default=None)
     against = f"; {name_of(runner_up.parent)}: {100 * likelihood(runner_up, found):.2g}% likely" if runner_up else ""
     return [Decision(choice=choice, reason=chosen.evidence + against, about=o.id)]
+
+
+def _named(supports: Sequence[Support]) -> str:
+    return ", ".join(f"{name_of(s.id)} ({100 * s.share:.0f}%)" for s in supports)
 
 
 def _measures(scene: Scene, given: Given) -> tuple[Measure, ...]:

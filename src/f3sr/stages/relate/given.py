@@ -23,6 +23,8 @@ LOOSE = 2.0
 """What contradicts a given relation misses the limits of a found one by this factor."""
 ORDERED: frozenset[Predicate] = frozenset({"in_front_of", "behind", "inside", "contains"})
 """Predicates that cannot hold both ways."""
+FOUND = "; found: "
+"""Between the evidence that is given and that found here."""
 FEW_RIMS = 0.3
 """Share of the directions with a rim below which nothing is inside."""
 MOST_TOLD = 50
@@ -120,7 +122,7 @@ def with_given(found: Iterable[Relation], given: Iterable[Relation]) -> tuple[Re
             for key in ((r.object, r.predicate, r.subject), (r.subject, INVERSE[r.predicate], r.object)):
                 kept.pop(key, None)
         same = kept.get(_key(r))
-        kept[_key(r)] = replace(r, evidence=f"{r.evidence}; found: {same.evidence}") if same else r
+        kept[_key(r)] = replace(r, evidence=f"{r.evidence.split(FOUND)[0]}{FOUND}{same.evidence}") if same else r
     order = get_args(Predicate)
     return tuple(sorted(kept.values(), key=lambda r: (order.index(r.predicate), r.subject, r.object)))
 
