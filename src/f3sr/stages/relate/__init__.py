@@ -5,27 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from f3sr.report import Decision, Measure, Report
-from f3sr.scene import GROUND, Relation, RelationSource, Scene, SceneGraph, SceneObject, Support
-from f3sr.stages.relate.beside import Nearest, nearest, next_to, touching
+from f3sr.scene import GROUND, Scene, SceneObject, Support
 from f3sr.stages.relate.config import RelateConfig
-from f3sr.stages.relate.given import FIRST, Given, canonical, held_against, with_given
-from f3sr.stages.relate.inside import inside
+from f3sr.stages.relate.given import Given, canonical, held_against
+from f3sr.stages.relate.graph import Judged, graph_of
 from f3sr.stages.relate.known import Known, name_of
-from f3sr.stages.relate.leaning import leaning, rests_on
-from f3sr.stages.relate.nodes import nodes
-from f3sr.stages.relate.order import depth_order, ids_of, overlaps
+from f3sr.stages.relate.leaning import rests_on
 from f3sr.stages.relate.shares import Carried, carried, without_circles
 from f3sr.stages.relate.supports import Candidate, candidates, forest, likelihood
 from f3sr.stages.relate.unseen import hangs
 
 __all__ = ["Candidate", "RelateConfig", "describe", "forest", "relate"]
 
-FROM_GEOMETRY = "geometry and masks"
-SURE_FURTHER = 0.9
-"""Confidence of a further support that fits as well as the main one."""
 Found = Mapping[int, Sequence[Candidate]]
 
 
@@ -44,7 +36,8 @@ def relate(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, Rep
     unseen = {o.id: why for o in scene if (why := _unseen(o, chosen[o.id], found[o.id], known))}
     objects = tuple(_supported(o, resting[o.id], o.id in unseen) for o in scene)
     related = scene.with_objects(*objects)
-    graph = _graph(related, resting, chosen, found, given, known, exact=False)
+    judged = Judged(found=found, chosen=chosen, resting=resting, given=given)
+    graph = graph_of(related, judged, known, exact=False)
     decisions = [*given.decisions, *_circles(given, chosen)]
     for o in related:
         decisions += _said(o, chosen[o.id], found[o.id], unseen.get(o.id))
@@ -60,7 +53,8 @@ def describe(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, R
     given = held_against(scene.graph, found, known)
     chosen = {o.id: _main(o, found[o.id]) for o in scene if o.supported_by is not None}
     resting = {id: carried(c, found[id], known) for id, c in chosen.items()}
-    graph = _graph(scene, resting, chosen, found, given, known, exact=True)
+    judged = Judged(found=found, chosen=chosen, resting=resting, given=given)
+    graph = graph_of(scene, judged, known, exact=True)
     carriers = {(o.id, s.id) for o in scene for s in o.supports}
     decisions = [
         Decision(
@@ -103,98 +97,6 @@ def _main(o: SceneObject, found: Sequence[Candidate]) -> Candidate:
     unknown = Candidate(child=o.id, parent=o.supported_by, cost=0.0, evidence="")
     same = next((c for c in found if c.parent == o.supported_by), unknown)
     return replace(same, contact=replace(same.contact, k=1.0))
-
-
-def _graph(
-    scene: Scene,
-    resting: Mapping[int, Carried],
-    chosen: Mapping[int, Candidate],
-    found: Found,
-    given: Given,
-    known: Known,
-    *,
-    exact: bool,
-) -> SceneGraph:
-    """All relations of a scene whose objects have their supports; ``exact``: at rest, with proxies."""
-    above = rests_on({o.id: [s.id for s in o.supports] for o in scene})
-    near = nearest(known, exact=exact)
-    if exact:
-        relations = _resting_relations(scene, given, near, known)
-    else:
-        relations = _support_relations(scene, resting, chosen, found, given)
-    for o in scene:
-        contacts = {c.parent: c.contact.k for c in found[o.id]}
-        for p in known.near[o.id]:
-            if p not in above[o.id] and (pair := inside(o.id, p, 1.0 if exact else contacts.get(p, 1.0), known)):
-                relations += pair
-    related = {(a, b) for b in above for a in above[b]} | ids_of(relations, "inside")
-    carried_ones = {id: c for id, c in resting.items() if scene[id].supports}
-    relations += leaning(carried_ones, near, above, known)
-    relations += touching(near, known, exact=exact)
-    relations += next_to(near, related, known)
-    relations += overlaps(known)
-    relations += depth_order(known, related)
-    source = scene.graph.source if given.count else FROM_GEOMETRY
-    return SceneGraph(relations=with_given(relations, given.relations), source=source, nodes=nodes(known))
-
-
-def _support_relations(
-    scene: Scene, resting: Mapping[int, Carried], chosen: Mapping[int, Candidate], found: Found, given: Given
-) -> list[Relation]:
-    """One per support, as sure as geometry and the photo are, or as it is given."""
-    named = {(c.child, c.parent): c for c in given.supports}
-    relations: list[Relation] = []
-    for o in scene:
-        costs = {p.id: p.cost for p in resting[o.id].patches}
-        for s in o.supports:
-            told = named.get((o.id, s.id)) or next((c for c in found[o.id] if c.parent == s.id), chosen[o.id])
-            if (o.id, s.id) in named:
-                confidence = FIRST - told.cost
-            elif s.id == o.supported_by:
-                confidence = likelihood(told, found[o.id], beside=[t.id for t in o.supports])
-            else:
-                confidence = SURE_FURTHER * float(np.exp(-costs[s.id]))
-            source = "given" if (o.id, s.id) in named else "found"
-            relations.append(_support(o, s, confidence, f": {told.evidence}", source))
-    return relations
-
-
-def _resting_relations(
-    scene: Scene, given: Given, near: Mapping[tuple[int, int], Nearest], known: Known
-) -> list[Relation]:
-    """One per support of a scene at rest; contact of the proxies makes them sure."""
-    named = {(c.child, c.parent) for c in given.supports}
-    return [
-        _support(
-            o,
-            s,
-            1.0 if _touch(o.id, s.id, near, known) else 0.5,
-            " at rest",
-            "given" if (o.id, s.id) in named else "found",
-        )
-        for o in scene
-        for s in o.supports
-    ]
-
-
-def _support(o: SceneObject, s: Support, confidence: float, evidence: str, source: RelationSource) -> Relation:
-    return Relation(
-        subject=o.id,
-        predicate="supported_by",
-        object=s.id,
-        confidence=confidence,
-        evidence=f"carries {100 * s.share:.0f}% of it{evidence}",
-        source=source,
-    )
-
-
-def _touch(a: int, b: int, near: Mapping[tuple[int, int], Nearest], known: Known) -> bool:
-    """Whether the proxies of two objects, or of one and the ground, touch."""
-    if b == GROUND:
-        o = known.scene[a]
-        return min(float(p.vertices[:, 2].min()) for p in o.parts_world) <= known.config.contact
-    n = near.get((min(a, b), max(a, b)))
-    return n is not None and n.exact
 
 
 def _circles(given: Given, chosen: Mapping[int, Candidate]) -> list[Decision]:
