@@ -91,7 +91,7 @@ def _support(r: Relation, found: Sequence[Candidate], known: Known) -> tuple[Can
     if same.cost - best.cost > known.config.refused_cost:
         times = np.exp(min(same.cost - best.cost, MOST_COST))
         return None, f"{same.evidence}; {times:.2g} times less likely than {name_of(best.parent)}"
-    return replace(same, cost=FIRST - r.confidence, evidence=f"{r.evidence}; {same.evidence}"), None
+    return replace(same, cost=FIRST - r.confidence, evidence=with_found(r.evidence, same.evidence)), None
 
 
 def _reaches_ground(c: Candidate, known: Known) -> bool:
@@ -122,9 +122,14 @@ def with_given(found: Iterable[Relation], given: Iterable[Relation]) -> tuple[Re
             for key in ((r.object, r.predicate, r.subject), (r.subject, INVERSE[r.predicate], r.object)):
                 kept.pop(key, None)
         same = kept.get(_key(r))
-        kept[_key(r)] = replace(r, evidence=f"{r.evidence.split(FOUND)[0]}{FOUND}{same.evidence}") if same else r
+        kept[_key(r)] = replace(r, evidence=with_found(r.evidence, same.evidence)) if same else r
     order = get_args(Predicate)
     return tuple(sorted(kept.values(), key=lambda r: (order.index(r.predicate), r.subject, r.object)))
+
+
+def with_found(given: str, found: str) -> str:
+    """What is given, and what was found, in place of what was found before."""
+    return f"{given.split(FOUND)[0]}{FOUND}{found}"
 
 
 def _key(r: Relation) -> tuple[int, str, int]:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from f3sr.scene import GROUND, Relation, RelationSource, Scene, SceneGraph, SceneObject, Support
+from f3sr.scene import GROUND, Relation, Scene, SceneGraph, SceneObject, Support
 from f3sr.stages.relate.beside import Nearest, nearest, next_to, touching
-from f3sr.stages.relate.given import FIRST, Given, with_given
+from f3sr.stages.relate.given import FIRST, Given, with_found, with_given
 from f3sr.stages.relate.inside import inside
 from f3sr.stages.relate.known import Known
 from f3sr.stages.relate.leaning import leaning, rests_on
@@ -56,21 +56,20 @@ def graph_of(scene: Scene, judged: Judged, known: Known, *, exact: bool) -> Scen
 
 def _support_relations(scene: Scene, judged: Judged) -> list[Relation]:
     """One per support, as sure as geometry and the photo are, or as it is given."""
-    named = {(c.child, c.parent): c for c in judged.given.supports}
+    named = _named(judged.given)
     relations: list[Relation] = []
     for o in scene:
         found = judged.found[o.id]
         costs = {p.id: p.cost for p in judged.resting[o.id].patches}
         for s in o.supports:
-            told = named.get((o.id, s.id)) or next((c for c in found if c.parent == s.id), judged.chosen[o.id])
-            if (o.id, s.id) in named:
-                confidence = FIRST - told.cost
+            told = next((c for c in found if c.parent == s.id), judged.chosen[o.id])
+            if given := named.get((o.id, s.id)):
+                confidence = FIRST - given.cost
             elif s.id == o.supported_by:
                 confidence = likelihood(told, found, beside=[t.id for t in o.supports])
             else:
                 confidence = SURE_FURTHER * float(np.exp(-costs[s.id]))
-            source = "given" if (o.id, s.id) in named else "found"
-            relations.append(_support(o, s, confidence, f": {told.evidence}", source))
+            relations.append(_support(o, s, confidence, f": {told.evidence}", given))
     return relations
 
 
@@ -78,25 +77,29 @@ def _resting_relations(
     scene: Scene, given: Given, near: Mapping[tuple[int, int], Nearest], known: Known
 ) -> list[Relation]:
     """One per support of a scene at rest; contact of the proxies makes them sure."""
-    named = {(c.child, c.parent) for c in given.supports}
+    named = _named(given)
     relations: list[Relation] = []
     for o in scene:
         for s in o.supports:
             touch = _touch(o.id, s.id, near, known)
-            source = "given" if (o.id, s.id) in named else "found"
             evidence = ", their proxies touch" if touch else ", though their proxies do not touch"
-            relations.append(_support(o, s, 1.0 if touch else 0.5, evidence, source))
+            relations.append(_support(o, s, 1.0 if touch else 0.5, evidence, named.get((o.id, s.id))))
     return relations
 
 
-def _support(o: SceneObject, s: Support, confidence: float, evidence: str, source: RelationSource) -> Relation:
+def _named(given: Given) -> dict[tuple[int, int], Candidate]:
+    return {(c.child, c.parent): c for c in given.supports}
+
+
+def _support(o: SceneObject, s: Support, confidence: float, evidence: str, given: Candidate | None) -> Relation:
+    found = f"carries {100 * s.share:.0f}% of it{evidence}"
     return Relation(
         subject=o.id,
         predicate="supported_by",
         object=s.id,
         confidence=confidence,
-        evidence=f"carries {100 * s.share:.0f}% of it{evidence}",
-        source=source,
+        evidence=with_found(given.evidence, found) if given else found,
+        source="given" if given else "found",
     )
 
 
