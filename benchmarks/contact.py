@@ -121,7 +121,7 @@ def measured(scene: Scene, start: Scene, folder: Path, objects: Path) -> Row:
 
 def overlapping(scene: Scene, depth: float = DEEP) -> list[tuple[int, int]]:
     """Pairs of objects whose proxies overlap deeper than ``depth`` [m]."""
-    bodies = {o.id: [Polytope.of(p) for p in o.parts_world] for o in scene}
+    bodies = {o.id: [Polytope.of(p) for p in o.colliders_world] for o in scene}
     return [(a, b) for a, b in combinations(bodies, 2) if contact.collide(bodies[a], bodies[b], depth)]
 
 

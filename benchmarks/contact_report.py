@@ -40,7 +40,7 @@ class Layout:
 
     @classmethod
     def of(cls, scene: Scene) -> Layout:
-        bodies: dict[int, Body] = {o.id: tuple(Polytope.of(p) for p in o.parts_world) for o in scene}
+        bodies: dict[int, Body] = {o.id: tuple(Polytope.of(p) for p in o.colliders_world) for o in scene}
         return cls(bodies, {id: np.zeros(3) for id in bodies})
 
     def move(self, id: int, t: Array) -> None:

@@ -13,7 +13,7 @@ import trimesh
 from f3sr import physics, raster
 from f3sr.frames import Array, Camera, pose, rotation_about
 from f3sr.mesh import ConvexPart, Mesh
-from f3sr.scene import GROUND, Ground, Photo, Scene, SceneObject
+from f3sr.scene import Ground, Photo, Scene, SceneObject
 
 WIDTH, HEIGHT = 640, 480
 FEWEST_PIXELS = 80
@@ -28,33 +28,29 @@ Shape = tuple[Mesh, tuple[ConvexPart, ...]]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Made:
-    """A scene at rest with its true supports (object, carrier) and what lies inside what."""
+    """A scene at rest with its true supports (object, carrier)."""
 
     scene: Scene
     supports: frozenset[tuple[int, int]]
-    family: str
-    bowls: tuple[int, ...]
-    """Ids of bowls."""
 
 
 def made(family: str, seed: int) -> Made | None:
     """A scene of one of FAMILIES; None where it does not come to rest or something cannot be seen."""
     rng = np.random.default_rng([seed, sorted(FAMILIES).index(family)])
     shapes = FAMILIES[family](rng)
-    objects = tuple(_object(id, shape, T) for id, (shape, T) in enumerate(shapes))
+    objects = objects_of(shapes)
     rest = physics.settle(objects)
     if not rest.at_rest:
         return None
     objects = tuple(replace(o, T_world_object=rest.T_world_object[o.id]) for o in objects)
     if max(np.abs(o.bounds_world).max() for o in objects) > 0.5:
         return None  # rolled away
-    scene = _photographed(objects, _camera(rng), rng)
+    scene = photographed(objects, camera(rng), rng)
     if min(np.count_nonzero(o.mask) for o in scene) < FEWEST_PIXELS:
         return None
     load = {o.id: sum(f for (a, _), f in rest.loads.items() if a == o.id) for o in objects}
     supports = frozenset(pair for pair, force in rest.loads.items() if force >= SHARE * load[pair[0]])
-    bowls = tuple(id for id, (shape, _) in enumerate(shapes) if len(shape[1]) > 1)
-    return Made(scene=scene, supports=supports, family=family, bowls=bowls)
+    return Made(scene=scene, supports=supports)
 
 
 def jittered(scene: Scene, rng: np.random.Generator, *, depth: float = 0.03, tilt: float = np.radians(3)) -> Scene:
@@ -78,8 +74,8 @@ def can(radius: float, height: float) -> Shape:
     return _convex(np.concatenate([np.column_stack([ring, np.full(24, z)]) for z in (-height / 2, height / 2)]))
 
 
-def ball(radius: float) -> Shape:
-    return _convex(np.asarray(trimesh.creation.icosphere(subdivisions=2, radius=radius).vertices))
+def ball(radius: float, subdivisions: int = 2) -> Shape:
+    return _convex(np.asarray(trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius).vertices))
 
 
 def bowl(radius: float, height: float) -> Shape:
@@ -188,6 +184,11 @@ def _convex(points: Array) -> Shape:
     return Mesh(vertices=hull.vertices, faces=hull.faces), (hull,)
 
 
+def objects_of(shapes: list[tuple[Shape, Array]]) -> tuple[SceneObject, ...]:
+    """Objects of some shapes at their poses, numbered from 0."""
+    return tuple(_object(id, shape, T) for id, (shape, T) in enumerate(shapes))
+
+
 def _object(id: int, shape: Shape, T: Array) -> SceneObject:
     empty = np.zeros((HEIGHT, WIDTH), bool)
     return SceneObject(
@@ -195,7 +196,7 @@ def _object(id: int, shape: Shape, T: Array) -> SceneObject:
     )
 
 
-def _camera(rng: np.random.Generator) -> Camera:
+def camera(rng: np.random.Generator) -> Camera:
     """About a metre away, 20 to 50 degrees above the middle."""
     elevation, azimuth = np.radians(rng.uniform(20, 50)), rng.uniform(0, 2 * np.pi)
     forward = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), -np.sin(elevation)])
@@ -205,7 +206,7 @@ def _camera(rng: np.random.Generator) -> Camera:
     return Camera(width=WIDTH, height=HEIGHT, K=K, T_world_camera=pose(R, [0, 0, 0.05] - 1.0 * forward))
 
 
-def _photographed(objects: tuple[SceneObject, ...], camera: Camera, rng: np.random.Generator) -> Scene:
+def photographed(objects: tuple[SceneObject, ...], camera: Camera, rng: np.random.Generator) -> Scene:
     ids = raster.visible_ids(objects, camera)
     return Scene(
         photo=Photo(rgb=rng.integers(0, 256, (HEIGHT, WIDTH, 3), np.uint8)),
@@ -213,8 +214,3 @@ def _photographed(objects: tuple[SceneObject, ...], camera: Camera, rng: np.rand
         objects=tuple(replace(o, mask=ids == o.id) for o in objects),
         ground=Ground(source="made", confidence=1.0),
     )
-
-
-def true_main(supports: frozenset[tuple[int, int]], id: int) -> frozenset[int]:
-    """What carries an object."""
-    return frozenset(b for a, b in supports if a == id) or frozenset({GROUND})

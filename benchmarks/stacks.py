@@ -57,7 +57,7 @@ def thing(id: int, kind: str, T: Array, supported_by: int = GROUND) -> SceneObje
 
 
 def world_parts(o: SceneObject) -> tuple[Polytope, ...]:
-    return tuple(Polytope.of(p) for p in o.parts_world)
+    return tuple(Polytope.of(p) for p in o.colliders_world)
 
 
 def stack(

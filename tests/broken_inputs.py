@@ -602,6 +602,10 @@ WRONG: dict[str, tuple[Spoil, str, str]] = {
         in_order(add_graph, replaced("scene_graph.json", lambda p: p.symlink_to("nowhere"))),
         "scene_graph.json", "no such file",
     ),
+    "a graph of a hundred thousand relations": (
+        graph(json.dumps({"relations": [{"subject": 2, "predicate": "next_to", "object": 5}] * 100_000})),
+        "scene_graph.json", "relations",
+    ),
     "a graph with a reason of a novel": (
         graph(json.dumps({"support_relations": [{"upper": 5, "lower": 2, "reason": "x" * 5000}]})),
         "scene_graph.json", "reason",

@@ -26,7 +26,7 @@ bench, report, damping, ablation, stress, judged, things = (
 
 
 def overlaps(scene: Scene) -> bool:
-    bodies = [[Polytope.of(p) for p in o.parts_world] for o in scene]
+    bodies = [[Polytope.of(p) for p in o.colliders_world] for o in scene]
     return any(contact.collide(a, b) for i, a in enumerate(bodies) for b in bodies[:i])
 
 

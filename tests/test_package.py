@@ -227,7 +227,7 @@ def test_a_package_comes_back(stack: Scene, tmp_path: Path) -> None:
         assert b.scale == 1 and np.array_equal(a.T_world_object, b.T_world_object)
         assert np.array_equal(a.mesh.faces, b.mesh.faces)
         assert np.abs(a.vertices_world - b.vertices_world).max() < 1e-7
-        assert np.allclose(a.parts_world[0].vertices, b.parts_world[0].vertices, atol=1e-10)
+        assert np.allclose(a.colliders_world[0].vertices, b.colliders_world[0].vertices, atol=1e-10)
 
 
 def test_photo_masks_and_direct_composition_come_back(stack: Scene, tmp_path: Path) -> None:
@@ -261,7 +261,7 @@ def test_a_stranger_reads_the_same_world(stack: Scene, tmp_path: Path) -> None:
             assert np.array_equal(np.asarray(mesh.visual.material.baseColorTexture.convert("RGB")), texture)
         else:
             assert len(mesh.visual.vertex_colors) == len(mesh.vertices)
-        for file, part in zip(record["collision"], o.parts_world, strict=True):
+        for file, part in zip(record["collision"], o.colliders_world, strict=True):
             hull = trimesh.load(out / file, force="mesh", process=False)
             hull.apply_transform(T)
             assert hull.convex_hull.volume == pytest.approx(part.volume, rel=1e-9)

@@ -38,7 +38,7 @@ from f3sr.page.scores import MAIN, OTHERS
 from f3sr.page.words import number
 from f3sr.pipeline import SKIPPABLE, Config, Reconstruction, reconstruct
 from f3sr.report import Decision, Report
-from f3sr.scene import GROUND, Excluded, Scene, Support
+from f3sr.scene import GROUND, Excluded, Node, Relation, Scene, SceneGraph, Support
 from folders import write_folder
 from scenes import box, box_stack_scene, scene_of
 
@@ -244,9 +244,12 @@ def test_nothing_of_this_machine_or_time_is_on_the_page(result: Reconstruction, 
 
 
 def hostile(scene: Scene) -> Scene:
+    relations = tuple(replace(r, evidence=HOSTILE) for r in scene.graph.relations)
+    nodes = tuple(Node(id=o.id, label=HOSTILE, description=HOSTILE, visibility=0.5) for o in scene)
     return replace(
         scene.with_objects(*(replace(o, label=HOSTILE, mask_name=HOSTILE + ".png") for o in scene)),
         excluded=(Excluded(mask=HOSTILE, reason=HOSTILE),),
+        graph=replace(scene.graph, relations=relations, nodes=nodes),
     )
 
 
@@ -267,6 +270,32 @@ def test_hostile_labels_names_and_texts_stay_text(result: Reconstruction):
     assert data and "<" not in data[1]
     assert json.loads(data[1])["objects"][0]["label"] == clean(HOSTILE)
     assert "Fallback" in text[: text.index("<section")]
+
+
+def test_the_scene_graph_is_told_with_what_is_given_and_refused():
+    scene = box_stack_scene(3)
+    lean = Relation(
+        subject=2, predicate="leaning_on", object=0, confidence=0.625, evidence="it says so", source="given"
+    )
+    nodes = tuple(Node(id=o.id, label=o.label, description=f"red box {o.id}", visibility=0.25) for o in scene)
+    graph = SceneGraph(relations=(*scene.graph.relations, lean), source="scene_graph.json", nodes=nodes)
+    refused = Decision(choice="given inside object 1 not followed", reason="30% of the directions", about=0)
+    told = replace(scene, graph=graph)
+    reports = (Report(stage="assemble"), Report(stage="relate", decisions=(refused,)))
+    page = report_page(bare(told, scenes={"assemble": scene, "relate": told}, reports=reports)).decode()
+    section = page[page.index('id="supports"') : page.index('id="stages"')]
+    assert section.count("</details>") == 2 and section.count('class="tag"') == 1
+    for words in ("supported by: 2", "leaning on: 1", "it says so", "0.625", "red box 2", "30% of the directions"):
+        assert words in section
+    assert section.count("stroke-dasharray") == 1
+
+
+def test_edges_of_the_drawing_swing_around_boxes_in_their_way():
+    scene = box_stack_scene(2)
+    both = (Support(id=0, share=0.7), Support(id=GROUND, share=0.3))
+    page = report_page(bare(scene.with_objects(replace(scene[1], supports=both)))).decode()
+    paths = re.findall(r'<path d="M ([\d.]+) [\d.]+ C ([\d.]+) ', page)
+    assert [a == b for a, b in paths] == [True, True, False]
 
 
 def test_markup_escapes_children_and_attributes():

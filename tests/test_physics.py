@@ -218,7 +218,7 @@ def reference_release(objects: tuple[SceneObject, ...], seconds: float) -> tuple
         body = spec.worldbody.add_body(name=f"o{i}")
         body.add_freejoint()
         mesh = trimesh.Trimesh(o.vertices_world, o.mesh.faces, process=False)
-        hulls = [trimesh.Trimesh(p.vertices, p.faces, process=False).convex_hull for p in o.parts_world]
+        hulls = [trimesh.Trimesh(p.vertices, p.faces, process=False).convex_hull for p in o.colliders_world]
         own = abs(mesh.volume) if mesh.is_watertight else np.inf
         total = sum(h.volume for h in hulls)
         density = 600 * min(own, mesh.convex_hull.volume, total) / total

@@ -10,7 +10,6 @@ import pytest
 from f3sr import inputs, raster
 from f3sr.frames import T_UP_FROM_CAMERA, invert_pose, pose, rotation_about, rotation_from_vector
 from f3sr.measures import measure, visible_iou
-from f3sr.mesh import ConvexPart
 from f3sr.scene import GROUND, Geometry, Scene
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.align.config import FacetConfig
@@ -18,7 +17,6 @@ from f3sr.stages.assemble import assemble
 from f3sr.stages.decompose import decompose
 from f3sr.stages.evaluate import direct_composition, evaluate
 from f3sr.stages.level import LevelConfig, fit_plane, level, vote
-from f3sr.stages.relate import Candidate, forest, relate
 from f3sr.stages.separate import SeparateConfig, separate
 from f3sr.stages.settle import settle
 from f3sr.visibility import nearer_objects, visible_region
@@ -200,70 +198,6 @@ def test_regions_of_nearer_objects_are_left_out():
     valid = {id: visible_region(scene[id], nearer) for id, nearer in nearer_objects(scene).items()}
     assert valid[0].all()
     assert not valid[1][near.mask].any() and valid[1][~near.mask].all()
-
-
-# --- relate -------------------------------------------------------------------------------------------------
-
-
-def test_relate_finds_the_stack(exact: Scene):
-    scene, report = relate(level(exact)[0])
-    assert {o.id: o.supported_by for o in scene} == {2: GROUND, 5: 2, 7: GROUND}
-    assert scene.graph.of("supported_by") == {(2, GROUND), (5, 2), (7, GROUND)}
-    assert len(report.decisions) == 3
-
-
-def test_relate_sees_what_is_in_a_bowl():
-    import trimesh
-
-    from f3sr.mesh import Mesh
-
-    profile = np.array([(0, 0), (0.05, 0), (0.12, 0.06), (0.115, 0.06), (0.05, 0.008), (0, 0.008)])
-    revolved = trimesh.creation.revolve(profile, sections=48)
-    bowl = replace(
-        box(0), mesh=Mesh(vertices=revolved.vertices, faces=revolved.faces), T_world_object=np.eye(4),
-        parts=(ConvexPart.hull_of(np.asarray(revolved.vertices)),),
-    )  # fmt: skip
-    block = box(1, size=(0.03, 0.03, 0.03), at=(0, 0, 0.024))
-    scene, _ = relate(scene_of(bowl, block))
-    assert scene[1].supported_by == 0
-    assert (1, 0) in scene.graph.of("inside") and (0, 1) in scene.graph.of("contains")
-
-
-def test_given_relations_come_first(exact: Scene):
-    from f3sr.scene import Relation, SceneGraph
-
-    given = Relation(subject=7, predicate="supported_by", object=2, confidence=0.9, evidence="given")
-    scene, _ = relate(replace(level(exact)[0], graph=SceneGraph(relations=(given,), source="scene_graph.json")))
-    assert scene[7].supported_by == 2 and scene.graph.source == "scene_graph.json"
-
-
-def test_a_given_circle_is_opened_and_said(exact: Scene):
-    from f3sr.scene import Relation, SceneGraph
-
-    circle = tuple(
-        Relation(subject=a, predicate="supported_by", object=b, confidence=c, evidence="given")
-        for a, b, c in ((2, 5, 0.9), (5, 2, 0.8))
-    )
-    scene, report = relate(replace(level(exact)[0], graph=SceneGraph(relations=circle, source="given")))
-    assert scene[2].supported_by == 5 and scene[5].supported_by == GROUND
-    assert [d.about for d in report.decisions if "dropped" in d.choice] == [5]
-
-
-def test_a_forest_has_one_parent_each_and_no_cycle():
-    def edge(child: int, parent: int, cost: float) -> Candidate:
-        return Candidate(child=child, parent=parent, cost=cost, evidence="")
-
-    chosen = forest(
-        [
-            edge(0, 1, 0.1),
-            edge(1, 2, 0.2),
-            edge(2, 0, 0.15),
-            edge(1, GROUND, 0.5),
-            edge(2, GROUND, 0.4),
-            edge(0, 2, 0.3),
-        ]
-    )
-    assert {c: e.parent for c, e in chosen.items()} == {0: 1, 2: 0, 1: GROUND}
 
 
 # --- separate and settle ------------------------------------------------------------------------------------

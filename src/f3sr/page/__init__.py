@@ -39,7 +39,7 @@ SECTIONS: tuple[tuple[str, str, Callable[[Material], Child]], ...] = (
     ("masks", "Masks", masks),
     ("view", "3-D view", viewer),
     ("objects", "Objects", objects),
-    ("supports", "Supports", graph),
+    ("supports", "Scene graph", graph),
     ("stages", "Stages", stages),
     ("decisions", "Decisions", decisions),
 )

@@ -16,11 +16,12 @@ PURPOSE = {
     "assemble": "Brings photo, masks, geometry and meshes into one camera frame.",
     "level": "Finds the ground and turns the scene upright.",
     "align": "Moves the camera, then each object, so that silhouettes meet their masks.",
-    "relate": "Finds who rests on whom.",
+    "relate": "Finds who rests on whom, and how else objects relate.",
     "decompose": "Covers every mesh with convex collision parts.",
     "separate": "Brings objects to their supports along viewing rays and parts those that overlap.",
     "settle": "Lets physics bring everything to rest.",
     "refine": "Stands up what toppled and aligns what rests once more.",
+    "describe": "Tells the relations of the scene at rest, supports from contact forces.",
 }
 
 

@@ -10,7 +10,8 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 
-from f3sr import contact, landing, parting, statics
+from f3sr import contact, landing, parting
+from f3sr.bodies import bodies_of, rigid
 from f3sr.contact import Polytope
 from f3sr.footing import GROUND_PLANE, FootingConfig, Plane, footing, support_plane
 from f3sr.frames import UP, Array, pose, transform
@@ -240,8 +241,8 @@ def _put_on_a_footing(layout: _Layout, o: SceneObject, config: SeparateConfig) -
 def _lie_down(layout: _Layout, o: SceneObject, config: SeparateConfig) -> Decision | None:
     """Turn an object, with all it carries, about its contacts until it lies; on the ground it keeps its place."""
     members = layout.scene.subtree(o.id)
-    bodies = {b.id: b for b in statics.bodies_of([layout.object(k.id) for k in layout.scene], parts=layout.bodies)}
-    whole = statics.rigid([bodies[k] for k in members], o.id)
+    bodies = {b.id: b for b in bodies_of([layout.object(k.id) for k in layout.scene], parts=layout.bodies)}
+    whole = rigid([bodies[k] for k in members], o.id)
     found = landing.land(
         whole, [bodies[k] for k in bodies if k not in members], config.landing, clearance=config.clearance
     )

@@ -6,22 +6,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from f3sr.report import Decision, Measure, Report
-from f3sr.scene import GROUND, Relation, Scene, SceneGraph, SceneObject
-from f3sr.stages.relate.beside import Nearest, nearest, next_to, touching
+from f3sr.scene import GROUND, Scene, SceneObject, Support
 from f3sr.stages.relate.config import RelateConfig
-from f3sr.stages.relate.given import FIRST, Given, canonical, held_against, with_given
-from f3sr.stages.relate.inside import inside
+from f3sr.stages.relate.given import Given, canonical, held_against
+from f3sr.stages.relate.graph import Judged, graph_of
 from f3sr.stages.relate.known import Known, name_of
-from f3sr.stages.relate.leaning import leaning, rests_on
-from f3sr.stages.relate.nodes import nodes
-from f3sr.stages.relate.order import depth_order, ids_of, overlaps
+from f3sr.stages.relate.leaning import rests_on
 from f3sr.stages.relate.shares import Carried, carried, without_circles
 from f3sr.stages.relate.supports import Candidate, candidates, forest, likelihood
 from f3sr.stages.relate.unseen import hangs
 
 __all__ = ["Candidate", "RelateConfig", "describe", "forest", "relate"]
 
-FROM_GEOMETRY = "geometry and masks"
 Found = Mapping[int, Sequence[Candidate]]
 
 
@@ -40,7 +36,8 @@ def relate(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, Rep
     unseen = {o.id: why for o in scene if (why := _unseen(o, chosen[o.id], found[o.id], known))}
     objects = tuple(_supported(o, resting[o.id], o.id in unseen) for o in scene)
     related = scene.with_objects(*objects)
-    graph = _graph(related, resting, chosen, found, given, known, exact=False)
+    judged = Judged(found=found, chosen=chosen, resting=resting, given=given)
+    graph = graph_of(related, judged, known, exact=False)
     decisions = [*given.decisions, *_circles(given, chosen)]
     for o in related:
         decisions += _said(o, chosen[o.id], found[o.id], unseen.get(o.id))
@@ -56,14 +53,17 @@ def describe(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, R
     given = held_against(scene.graph, found, known)
     chosen = {o.id: _main(o, found[o.id]) for o in scene if o.supported_by is not None}
     resting = {id: carried(c, found[id], known) for id, c in chosen.items()}
-    graph = _graph(scene, resting, chosen, found, given, known, exact=True)
+    judged = Judged(found=found, chosen=chosen, resting=resting, given=given)
+    graph = graph_of(scene, judged, known, exact=True)
     carriers = {(o.id, s.id) for o in scene for s in o.supports}
-    lost = [c for c in given.supports if (c.child, c.parent) not in carriers]
     decisions = [
         Decision(
-            choice=f"given support by {name_of(c.parent)} carries nothing at rest", reason=c.evidence, about=c.child
+            choice=f"given support by {name_of(c.parent)} carries nothing at rest",
+            reason="contact forces name " + (_named(scene[c.child].supports) or "nothing"),
+            about=c.child,
         )
-        for c in lost
+        for c in given.supports
+        if (c.child, c.parent) not in carriers
     ]
     report = Report(stage="describe", measures=_measures(scene, given), decisions=(*given.decisions, *decisions))
     return replace(scene, graph=graph), report
@@ -99,81 +99,6 @@ def _main(o: SceneObject, found: Sequence[Candidate]) -> Candidate:
     return replace(same, contact=replace(same.contact, k=1.0))
 
 
-def _graph(
-    scene: Scene,
-    resting: Mapping[int, Carried],
-    chosen: Mapping[int, Candidate],
-    found: Found,
-    given: Given,
-    known: Known,
-    *,
-    exact: bool,
-) -> SceneGraph:
-    """All relations of a scene whose objects have their supports; ``exact``: at rest, with proxies."""
-    above = rests_on({o.id: [s.id for s in o.supports] for o in scene})
-    near = nearest(known, exact=exact)
-    relations = _support_relations(scene, chosen, found, given, near if exact else None, known)
-    for o in scene:
-        contacts = {c.parent: c.contact.k for c in found[o.id]}
-        for p in known.near[o.id]:
-            if p not in above[o.id] and (pair := inside(o.id, p, 1.0 if exact else contacts.get(p, 1.0), known)):
-                relations += pair
-    related = {(a, b) for b in above for a in above[b]} | ids_of(relations, "inside")
-    carried_ones = {id: c for id, c in resting.items() if scene[id].supports}
-    relations += leaning(carried_ones, near, above, known)
-    relations += touching(near, known, exact=exact)
-    relations += next_to(near, related, known)
-    relations += overlaps(known)
-    relations += depth_order(known, related)
-    source = scene.graph.source if given.count else FROM_GEOMETRY
-    return SceneGraph(relations=with_given(relations, given.relations), source=source, nodes=nodes(known))
-
-
-def _support_relations(
-    scene: Scene,
-    chosen: Mapping[int, Candidate],
-    found: Found,
-    given: Given,
-    near: Mapping[tuple[int, int], Nearest] | None,
-    known: Known,
-) -> list[Relation]:
-    """One per support; ``near`` where all rests: then contact is what makes them sure."""
-    named = {(c.child, c.parent): c for c in given.supports}
-    relations: list[Relation] = []
-    for o in scene:
-        for s in o.supports:
-            told = named.get((o.id, s.id)) or next((c for c in found[o.id] if c.parent == s.id), None)
-            evidence = f"carries {100 * s.share:.0f}% of it"
-            if near is not None:
-                confidence = 1.0 if _touch(o.id, s.id, near, known) else 0.5
-            elif s.id == o.supported_by:
-                confidence = likelihood(chosen[o.id], found[o.id])
-            else:
-                confidence = 0.5
-            if (o.id, s.id) in named:
-                confidence = FIRST - named[o.id, s.id].cost
-            relations.append(
-                Relation(
-                    subject=o.id,
-                    predicate="supported_by",
-                    object=s.id,
-                    confidence=confidence,
-                    evidence=f"{evidence}: {told.evidence}" if told and told.evidence and near is None else evidence,
-                    source="given" if (o.id, s.id) in named else "found",
-                )
-            )
-    return relations
-
-
-def _touch(a: int, b: int, near: Mapping[tuple[int, int], Nearest], known: Known) -> bool:
-    """Whether the proxies of two objects, or of one and the ground, touch."""
-    if b == GROUND:
-        o = known.scene[a]
-        return min(float(p.vertices[:, 2].min()) for p in o.colliders_world) <= known.config.contact
-    n = near.get((min(a, b), max(a, b)))
-    return n is not None and n.exact
-
-
 def _circles(given: Given, chosen: Mapping[int, Candidate]) -> list[Decision]:
     """Given supports that were not followed though geometry allows them: the first of a child's is its main one."""
     first: dict[int, Candidate] = {}
@@ -194,8 +119,8 @@ def _said(o: SceneObject, chosen: Candidate, found: Sequence[Candidate], unseen:
     """What an object rests on and why, and where that is not what was found here."""
     if unseen:
         return [Decision(choice="rests on something unseen, kept fixed where it is", reason=unseen, about=o.id)]
-    further = [f"{name_of(s.id)} ({100 * s.share:.0f}%)" for s in o.supports[1:]]
-    choice = f"rests on {name_of(chosen.parent)}" + (f", also on {', '.join(further)}" if further else "")
+    further = _named(o.supports[1:])
+    choice = f"rests on {name_of(chosen.parent)}" + (f", also on {further}" if further else "")
     best = min(found, key=lambda c: (c.cost, c.parent))
     if chosen.cost < 0 and best.parent != chosen.parent:
         return [
@@ -210,6 +135,10 @@ def _said(o: SceneObject, chosen: Candidate, found: Sequence[Candidate], unseen:
     runner_up = min(rivals, key=lambda c: (c.cost, c.parent), default=None)
     against = f"; {name_of(runner_up.parent)}: {100 * likelihood(runner_up, found):.2g}% likely" if runner_up else ""
     return [Decision(choice=choice, reason=chosen.evidence + against, about=o.id)]
+
+
+def _named(supports: Sequence[Support]) -> str:
+    return ", ".join(f"{name_of(s.id)} ({100 * s.share:.0f}%)" for s in supports)
 
 
 def _measures(scene: Scene, given: Given) -> tuple[Measure, ...]:

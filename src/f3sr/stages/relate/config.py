@@ -61,6 +61,9 @@ class RelateConfig:
     """How well an object's tilt is known [rad]: what would touch if it were turned by this much counts as touching."""
     needed_cost: Cost = 2.0
     """Largest cost of a support that is needed for balance."""
+    refused_cost: Cost = 8.0
+    """How much more than the likeliest support a given one may cost before it is not followed: 3000 times less likely.
+    """
     unseen_scale: Annotated[float, Interval(gt=0, le=2)] = 0.25
     """An object rests on something unseen when it would have to move farther than this share of its distance to reach
     the ground..."""

@@ -13,14 +13,18 @@ from f3sr.scene import GROUND, Predicate, Relation, SceneGraph
 from f3sr.stages.relate.inside import surrounded
 from f3sr.stages.relate.known import Known, name_of
 from f3sr.stages.relate.order import INVERSE, SYMMETRIC, both_ways
-from f3sr.stages.relate.supports import Candidate, ground_contact, object_contact
+from f3sr.stages.relate.supports import Candidate, above, object_contact
 
 FIRST = -100.0
 """Cost of a given support that geometry allows: below that of any found here."""
+MOST_COST = 30.0
+"""What is less likely than this says is not told more exactly."""
 LOOSE = 2.0
 """What contradicts a given relation misses the limits of a found one by this factor."""
 ORDERED: frozenset[Predicate] = frozenset({"in_front_of", "behind", "inside", "contains"})
 """Predicates that cannot hold both ways."""
+FOUND = "; found: "
+"""Between the evidence that is given and that found here."""
 FEW_RIMS = 0.3
 """Share of the directions with a rim below which nothing is inside."""
 MOST_TOLD = 50
@@ -49,13 +53,11 @@ def held_against(graph: SceneGraph, found: Mapping[int, Sequence[Candidate]], kn
     given = canonical(r for r in graph.relations if r.source == "given")
     for r in given:
         if r.predicate == "supported_by":
-            against = support_contradicted(r.subject, r.object, known)
-            if against is None:
-                supports.append(_candidate(r, found[r.subject], known))
+            candidate, against = _support(r, found[r.subject], known)
+            supports += [candidate] if candidate else []
         else:
             against = _contradicted(r, known)
-            if against is None:
-                relations += _told(r)
+            relations += [] if against else _told(r)
         if against:
             choice = f"given {r.predicate.replace('_', ' ')} {name_of(r.object)} not followed"
             refused.append(Decision(choice=choice, reason=against, about=r.subject))
@@ -80,26 +82,36 @@ def canonical(relations: Iterable[Relation]) -> list[Relation]:
     return [best[key] for key in sorted(best)]
 
 
-def support_contradicted(id: int, by: int, known: Known) -> str | None:
-    """Why an object cannot rest on another or on the ground, in figures; None where it can."""
+def _support(r: Relation, found: Sequence[Candidate], known: Known) -> tuple[Candidate, None] | tuple[None, str]:
+    """A given support as a candidate that comes before all found ones, or why it cannot be, in figures."""
+    same = next((c for c in found if c.parent == r.object), None)
+    if same is None or (r.object == GROUND and not _reaches_ground(same, known)):
+        return None, _too_far(r.subject, r.object, known)
+    best = min(found, key=lambda c: (c.cost, c.parent))
+    if same.cost - best.cost > known.config.refused_cost:
+        times = np.exp(min(same.cost - best.cost, MOST_COST))
+        return None, f"{same.evidence}; {times:.2g} times less likely than {name_of(best.parent)}"
+    return replace(same, cost=FIRST - r.confidence, evidence=with_found(r.evidence, same.evidence)), None
+
+
+def _reaches_ground(c: Candidate, known: Known) -> bool:
+    config, contact = known.config, c.contact
+    near = abs(contact.k - 1) <= config.max_ray_scale
+    return near and abs(contact.gap) <= config.max_gap * known.surfaces[c.child].size
+
+
+def _too_far(id: int, by: int, known: Known) -> str:
+    """Why no place along an object's viewing rays brings it onto another or onto the ground."""
     config, o = known.config, known.surfaces[id]
     if by == GROUND:
-        contact = ground_contact(o, known.plan, config)
-        if abs(contact.k - 1) <= config.max_ray_scale and abs(contact.gap) <= config.max_gap * o.size:
-            return None
-        return f"{1000 * o.lowest:.0f} mm above it, {100 * o.lowest / o.size:.0f}% of its size"
-    contact = object_contact(id, by, known)
+        return f"{above(o.lowest)}, {100 * abs(o.lowest) / o.size:.0f}% of its size"
+    contact = object_contact(id, by, known) if by in known.near[id] else None
     if contact is None:
         apart = _apart_in_plan(id, by, known)
-        beyond = f"their footprints are {1000 * apart:.0f} mm apart" if apart > 0 else "their footprints do not meet"
-        return f"{beyond}, also after moving it by {100 * config.max_ray_scale:.0f}% of its distance"
-    if abs(contact.gap) <= config.max_gap * o.size:
-        return None
-    where = "above its top" if contact.gap > 0 else "below its top"
-    return (
-        f"still {1000 * abs(contact.gap):.0f} mm {where}, {100 * abs(contact.gap) / o.size:.0f}% of its size, after "
-        f"{100 * (contact.k - 1):+.1f}% of its distance"
-    )
+        where = f"their footprints are {1000 * apart:.0f} mm apart" if apart > 0 else "their footprints do not meet"
+        return f"{where}, also when it moves by {100 * config.max_ray_scale:.0f}% of its distance"
+    moved = f"when moved {100 * abs(contact.k - 1):.1f}% {'farther' if contact.k >= 1 else 'nearer'}"
+    return f"still {above(contact.gap)}, {100 * abs(contact.gap) / o.size:.0f}% of its size, {moved}"
 
 
 def with_given(found: Iterable[Relation], given: Iterable[Relation]) -> tuple[Relation, ...]:
@@ -110,23 +122,18 @@ def with_given(found: Iterable[Relation], given: Iterable[Relation]) -> tuple[Re
             for key in ((r.object, r.predicate, r.subject), (r.subject, INVERSE[r.predicate], r.object)):
                 kept.pop(key, None)
         same = kept.get(_key(r))
-        kept[_key(r)] = replace(r, evidence=f"{r.evidence}; found: {same.evidence}") if same else r
+        kept[_key(r)] = replace(r, evidence=with_found(r.evidence, same.evidence)) if same else r
     order = get_args(Predicate)
     return tuple(sorted(kept.values(), key=lambda r: (order.index(r.predicate), r.subject, r.object)))
 
 
+def with_found(given: str, found: str) -> str:
+    """What is given, and what was found, in place of what was found before."""
+    return f"{given.split(FOUND)[0]}{FOUND}{found}"
+
+
 def _key(r: Relation) -> tuple[int, str, int]:
     return r.subject, r.predicate, r.object
-
-
-def _candidate(r: Relation, found: Sequence[Candidate], known: Known) -> Candidate:
-    """A given support, with the contact and evidence found here."""
-    same = next((c for c in found if c.parent == r.object), None)
-    if same is None:
-        contact = object_contact(r.subject, r.object, known)
-        assert contact is not None
-        same = Candidate(child=r.subject, parent=r.object, cost=0.0, evidence="far away here", contact=contact)
-    return replace(same, cost=FIRST - r.confidence, evidence=f"{r.evidence}; {same.evidence}")
 
 
 def _told(r: Relation) -> list[Relation]:

@@ -83,7 +83,7 @@ def shape(s: Surfaces, known: Known) -> str:
     area = cell * np.count_nonzero(s.footprint) / max(length * width, cell)
     filled = cell * float((s.roof - s.underside[:, 2]).sum()) / max(length * width * height, 1e-12 * s.size**3)
     rim = rims(s.middle, s.size, known, s.id)
-    if height > FLAT * width and np.percentile(rim, 20) - _top(s) > OPEN * height:
+    if height > FLAT * width and np.sort(rim)[len(rim) // 5] - _top(s) > OPEN * height:
         return "open vessel"
     if small < FLAT * middle:
         return "disc" if height == small and width > EVEN * length and area < ROUND else "flat piece"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,10 +117,10 @@ def forest(candidates: Iterable[Candidate]) -> dict[int, Candidate]:
     return chosen
 
 
-def likelihood(chosen: Candidate, found: Iterable[Candidate]) -> float:
-    """How likely one candidate is among all of the same child."""
-    others = sum(np.exp(chosen.cost - c.cost) for c in found if c.child == chosen.child and c.parent != chosen.parent)
-    return float(1 / (1 + others))
+def likelihood(chosen: Candidate, found: Iterable[Candidate], *, beside: Collection[int] = ()) -> float:
+    """How likely one candidate is among all of the same child, those not counted that carry ``beside`` it."""
+    rivals = [c for c in found if c.parent != chosen.parent and c.parent not in beside]
+    return float(1 / (1 + sum(np.exp(chosen.cost - c.cost) for c in rivals)))
 
 
 def order_cost(common: Common | None, k: float, config: RelateConfig) -> float:

@@ -69,15 +69,10 @@ class Surfaces:
         first, last = vertices.min(0), vertices.max(0)
         size = float(np.linalg.norm(last - first))
         grid = Grid.over(first, last, max(float((last - first)[:2].max()), 1e-3 * size) / cells)
-        return cls(
-            id=id,
-            size=size,
-            vertices=vertices,
-            faces=faces,
-            grid=grid,
-            high=heights.upper(vertices, faces, grid),
-            low=heights.lower(vertices, faces, grid),
-        )
+        high, low = heights.upper(vertices, faces, grid), heights.lower(vertices, faces, grid)
+        if not np.any(np.isfinite(high) & np.isfinite(low)):
+            high, low = _of_vertices(vertices, grid)
+        return cls(id=id, size=size, vertices=vertices, faces=faces, grid=grid, high=high, low=low)
 
     @cached_property
     def bounds(self) -> Array:
@@ -188,6 +183,16 @@ class Surfaces:
 def surfaces_of(scene: Scene, plan: Plan, cells: int) -> Mapping[int, Surfaces]:
     """The surfaces of every object, by id."""
     return {o.id: Surfaces.of(o.id, plan.points(o.vertices_world), o.mesh.faces, cells) for o in scene}
+
+
+def _of_vertices(vertices: Array, grid: Grid) -> tuple[Array, Array]:
+    """Highest and lowest vertex in every cell, nan where there is none: of sheets on edge, which no ray meets."""
+    at = np.floor((vertices[:, :2] - np.array(grid.origin)) / grid.cell).astype(np.intp)
+    column, row = np.clip(at, 0, [grid.columns - 1, grid.rows - 1]).T
+    high, low = np.full((grid.rows, grid.columns), -np.inf), np.full((grid.rows, grid.columns), np.inf)
+    np.maximum.at(high, (row, column), vertices[:, 2])
+    np.minimum.at(low, (row, column), vertices[:, 2])
+    return np.where(np.isfinite(high), high, np.nan), np.where(np.isfinite(low), low, np.nan)
 
 
 def levelness(z: Array, cell: float) -> Array:
