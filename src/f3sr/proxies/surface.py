@@ -197,12 +197,12 @@ def stand_off(samples: Samples, normals: Array, offsets: Array) -> Array:
     """How far a hull that contains the samples stands off the surface there (n,), times their weight: along its
     facets' normals, for those that look the sample's way, else along the sample's own normal."""
     blocks = np.array_split(np.arange(len(samples.points)), 1 + len(samples.points) * len(offsets) // STAND_OFF_BLOCK)
-    planes = np.asarray(normals.T, np.float32), np.asarray(offsets, np.float32)
+    planes = normals.T.astype(np.float32), offsets.astype(np.float32)
     off = [_stand_off(samples.points[b], samples.normals[b], *planes) for b in blocks]
     return np.concatenate(off) * samples.weight
 
 
-def _stand_off(points: Array, facing_of: Array, normals: Array, offsets: Array) -> Array:
+def _stand_off(points: Array, facing_of: Array, normals: NDArray[np.float32], offsets: NDArray[np.float32]) -> Array:
     """In single precision, which is a ten millionth of the size."""
     facing = np.asarray(facing_of, np.float32) @ normals
     depth = np.maximum(offsets - np.asarray(points, np.float32) @ normals, 0)
