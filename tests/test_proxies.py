@@ -20,7 +20,7 @@ from f3sr.proxies.parts import subject_of
 from f3sr.proxies.simplify import simplified_outward
 from f3sr.proxies.surface import Nearest, samples_of, surroundings
 
-QUICK = ProxyConfig(target_faces=600, samples=2000, tolerance=0.012, max_parts=24)
+QUICK = ProxyConfig(target_faces=600, samples=2000, tolerance=0.012, max_parts=24, surplus=1.5)
 
 
 def box_mesh(size=(1.0, 1.0, 1.0), center=(0.0, 0.0, 0.0)):
@@ -350,8 +350,8 @@ def test_unit_and_place_do_not_matter(cache, bowl, no_subprocess):
 
 
 def test_the_same_bytes_twice(tmp_path):
-    first, second = (decompose(BOWL, QUICK, cache_dir=tmp_path / name) for name in "ab")
-    assert len(first.parts) == len(second.parts) > 8
+    first, second = (decompose(crate(), QUICK, cache_dir=tmp_path / name) for name in "ab")
+    assert len(first.parts) == len(second.parts) >= 5
     assert (first.inflation, first.outside, first.excess) == (second.inflation, second.outside, second.excess)
     for a, b in zip(first.parts, second.parts, strict=True):
         assert a.vertices.tobytes() == b.vertices.tobytes()
@@ -397,7 +397,7 @@ def test_a_pile_of_pieces_is_covered_in_bounded_time(tmp_path):
 def test_scattered_triangles_are_covered(tmp_path):
     rng = np.random.default_rng(0)
     vertices = rng.uniform(size=(100, 3))
-    faces = np.array([rng.choice(100, 3, replace=False) for _ in range(300)], np.int32)
+    faces = np.array([rng.choice(100, 3, replace=False) for _ in range(60)], np.int32)
     mesh = Mesh(vertices=vertices, faces=faces)
     proxy = decompose(mesh, QUICK, cache_dir=tmp_path)
     assert proxy.method in ("hull", "cuts")

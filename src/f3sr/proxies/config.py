@@ -58,8 +58,8 @@ class ProxyConfig:
     ``loose_tolerance`` outranks it up to twice as many."""
     lone_hull_faces: Annotated[int, Interval(ge=8, le=1000)] = 96
     """Most facets of a hull that is alone: a ball of 36 facets would stand on corners 1.6% of its size high."""
-    facet_budget: Annotated[int, Interval(ge=8, le=100_000)] = 384
-    """Facets of all hulls together that are shared between the two limits: seven hulls may have 54 each."""
+    facet_budget: Annotated[int, Interval(ge=8, le=100_000)] = 768
+    """Facets of all hulls together that are shared between the two limits: twelve hulls may have 64 each."""
     flat_share: Annotated[float, Interval(gt=0, lt=1)] = 0.02
     """Facets that face one way and hold this share of a hull's area are kept as one plane: what an object stands on
     stays flat."""

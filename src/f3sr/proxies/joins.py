@@ -22,9 +22,11 @@ NEXT_TO = 1e-3
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Joined:
-    """A hull, how far it stands off [size], and the volume that it has more than what it was joined from."""
+    """A hull, its corners that are outermost in some direction, how far it stands off [size], and the volume that it
+    has more than what it was joined from."""
 
     hull: Hull
+    shape: Array
     off: float
     added: float = 0.0
     is_looked_over: bool = True
@@ -38,11 +40,15 @@ class Joined:
 def joined(hulls: Sequence[Hull], subject: Subject, config: ProxyConfig, *, is_shell: bool) -> list[Hull]:
     """Fewer hulls that hold all the given ones: joined within ``tolerance`` wherever that can be, then as far as their
     number allows, and down to ``max_parts`` at any price."""
-    state = _Joining([Joined(hull=h, off=_off(h, subject.samples)) for h in hulls], subject, config)
+    state = _Joining([_alone(h, subject.samples) for h in hulls], subject, config)
     state.join(lambda count, off: off <= config.tolerance, by_volume=True)
     state.join(lambda count, off: off <= config.allowed(count, is_shell=is_shell))
     state.join(lambda count, off: count > config.max_parts)
     return [part.hull for part in state.parts.values()]
+
+
+def _alone(hull: Hull, samples: Samples) -> Joined:
+    return Joined(hull=hull, shape=outermost(hull.corners, AROUND), off=_off(hull, samples))
 
 
 class _Joining:
@@ -88,7 +94,7 @@ class _Joining:
     def _replace(self, pair: tuple[int, int]) -> None:
         part = self._pairs[pair]
         exact = hull_of(np.concatenate([self.parts[k].hull.corners for k in pair]))
-        part = part if exact is None else replace(part, hull=exact)
+        part = part if exact is None else replace(part, hull=exact, shape=outermost(exact.corners, AROUND))
         for k in pair:
             del self.parts[k]
         self._pairs = {other: p for other, p in self._pairs.items() if not set(pair) & set(other)}
@@ -105,14 +111,15 @@ class _Joining:
 
     def _together(self, a: int, b: int) -> Joined | None:
         """One hull for both; None where its new volume is more than a layer as thick as the loose tolerance."""
-        first, second = self.parts[a].hull, self.parts[b].hull
-        hull = hull_of(outermost(np.concatenate([first.corners, second.corners]), AROUND))
+        first, second = self.parts[a], self.parts[b]
+        hull = hull_of(np.concatenate([first.shape, second.shape]))
         if hull is None:
             return None
-        added = hull.volume - first.volume - second.volume
+        added = hull.volume - first.hull.volume - second.hull.volume
         if added > self._config.loose_tolerance * hull.area:
             return None
-        return Joined(hull=hull, off=_off(hull, self._subject.samples), added=added, is_looked_over=False)
+        off = _off(hull, self._subject.samples)
+        return Joined(hull=hull, shape=hull.corners, off=off, added=added, is_looked_over=False)
 
 
 def _off(hull: Hull, samples: Samples) -> float:
