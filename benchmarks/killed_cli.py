@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-STAGES = ("assemble", "level", "align", "relate", "decompose", "separate", "settle", "refine", "evaluate")
+STAGES = ("assemble", "level", "align", "relate", "decompose", "separate", "settle", "refine", "describe", "evaluate")
 
 
 def main() -> None:

@@ -66,7 +66,7 @@ def reconstruct(
         folder: Holds image.png|jpg, masks/*.png, geometry.npz (or depth and intrinsics.json), assets/, ground.png.
         out: Where the package goes; an older f3sr package there is replaced.
         skip: Stages to leave out, comma separated: level, align, align-camera, align-objects, relate, decompose,
-            separate, settle, refine, evaluate.
+            separate, settle, refine, describe, evaluate.
         ignore: Parts of the input to treat as absent, comma separated: assets, geometry, ground, scene_graph.
         asset_frame: Axes of posed GLBs that come without poses.json: auto, opencv, opengl or pytorch3d.
         config: TOML file of settings; those it does not name stay as ``f3sr config`` prints them.

@@ -88,8 +88,8 @@ def footing(o: SceneObject, plane: Plane, config: FootingConfig) -> tuple[Convex
 
 
 def _wedge(outline: Array, facet: Plane, plane: Plane, lowest: float, grain: float) -> ConvexPart:
-    """All between the facet, below which the body has nothing, and ``lowest`` above the plane, within an outline (k, 3);
-    at least ``grain`` high, so that none is without volume."""
+    """All between the facet, below which the body has nothing, and ``lowest`` above the plane, within an outline
+    (k, 3); at least ``grain`` high, so that none is without volume."""
     top = facet.below(outline, grain)
     bottom = plane.below(outline, lowest)
     top[:, 2] = np.maximum(top[:, 2], bottom[:, 2] + grain)
