@@ -7,6 +7,7 @@ import math
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, field, fields, is_dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast, dataclass_transform
 
@@ -139,7 +140,12 @@ def _leaves(config: object, path: str = "") -> Iterator[tuple[str, Any]]:
 
 def _property(config: object, name: str) -> dict[str, Any]:
     """The JSON Schema of one setting."""
-    return TypeAdapter(type(config)).json_schema()["properties"][name]
+    return _properties(type(config))[name]
+
+
+@cache
+def _properties(settings: type) -> dict[str, Any]:
+    return TypeAdapter(settings).json_schema()["properties"]
 
 
 def _range(node: Mapping[str, Any]) -> str:
