@@ -67,8 +67,8 @@ ROWS: Mapping[str, Variant] = {
     "no homothety": Variant(settings={"separate.max_ray_scale": 0.0}),
     "no facets": Variant(settings={"align.facets.enabled": False}),
     "no re-alignment": Variant(settings={"refine.rounds": 0}),
-    "no cover": Variant(settings={"decompose.cover": False}),
-    "no statics": Variant(settings={"statics.enabled": False}, optional=True),
+    "no cover": Variant(settings={"decompose.method": "coacd"}),
+    "no footings": Variant(settings={"separate.footing.enabled": False}),
     "no damping": Variant(settings={"settle.settling.damping": 1e-9}),
     "report's contact": Variant(skip=tuple(bench.after_proxies()), end=_report_recipe),
     "report's recipe": Variant(

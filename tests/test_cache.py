@@ -10,6 +10,7 @@ import pytest
 
 from f3sr import inputs, scene_state
 from f3sr.cache import Store, digest
+from f3sr.mesh import ConvexPart
 from f3sr.pipeline import Config, reconstruct
 from f3sr.scene import Motion
 from folders import write_folder
@@ -28,7 +29,9 @@ def given(tmp_path_factory: pytest.TempPathFactory) -> inputs.Inputs:
 def test_a_scene_comes_back_exactly(tmp_path: Path):
     base = box_stack_scene()
     note = Motion(stage="test", translation=(0.1, 1 / 3, 0.0), rotation=0.7, scale=1.1, reason='ü "quoted"')
-    changed = base.with_objects(replace(base[1], scale=1 / 3, supported_by=None, motion=(note,), friction=0.123))
+    foot = ConvexPart.hull_of(base[1].mesh.vertices - 1 / 7)
+    moved = replace(base[1], scale=1 / 3, supported_by=None, motion=(note,), friction=0.123, footing=(foot,))
+    changed = base.with_objects(moved)
     store = Store(tmp_path)
     store.save("key", *scene_state.pack(changed))
     found = store.load("key")
@@ -37,7 +40,8 @@ def test_a_scene_comes_back_exactly(tmp_path: Path):
     for a, b in zip(changed, scene, strict=True):
         assert np.array_equal(a.T_world_object, b.T_world_object) and a.scale == b.scale and a.motion == b.motion
         assert a.supported_by == b.supported_by and a.supports == b.supports and a.friction == b.friction
-        assert all(np.array_equal(p.vertices, q.vertices) for p, q in zip(a.parts, b.parts, strict=True))
+        assert all(np.array_equal(p.vertices, q.vertices) for p, q in zip(a.colliders, b.colliders, strict=True))
+        assert len(a.footing) == len(b.footing)
     assert scene.graph == changed.graph and np.array_equal(scene.camera.T_world_camera, changed.camera.T_world_camera)
 
 

@@ -279,8 +279,8 @@ def test_inertia_is_about_the_centre_of_mass_in_object_axes(tmp_path: Path) -> N
 
 def test_the_released_package_is_the_released_scene(stack: Scene, tmp_path: Path) -> None:
     read = read_package(write_package(stack, tmp_path / "out"))
-    assert release(read.scene.objects, seconds=0.2).K_max < 1e-6
-    assert release(read.scene.objects).D_max < 1e-4
+    assert release(read.scene.objects) == pytest.approx(release(stack.objects), rel=1e-3)
+    assert release(read.scene.objects).D_max < 5e-4
 
 
 def test_the_published_schema_is_current_and_holds(stack: Scene, tmp_path: Path) -> None:

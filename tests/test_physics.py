@@ -41,7 +41,7 @@ def test_a_dropped_box_comes_to_rest_on_the_plane() -> None:
 
 def test_a_settled_stack_does_not_move_when_released() -> None:
     K_max, D_max = release(settled(box_stack_scene(4).objects))
-    assert K_max < 1e-6 and D_max < 1e-4
+    assert K_max < 3e-4 and D_max < 5e-4, "pushed apart to the protocol's margins, no more"
 
 
 def test_a_raw_gap_shows_in_the_release() -> None:

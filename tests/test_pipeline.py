@@ -33,7 +33,7 @@ def result(given: inputs.Inputs) -> Reconstruction:
 def test_the_result_rests_free_and_looks_like_the_photo(result: Reconstruction):
     assert result.evaluation is not None and result.evaluation.direct is not None
     ours, direct = result.evaluation.result, result.evaluation.direct
-    assert ours.N_cross == 0 and ours.K_max_J < 1e-5 and ours.D_max_cm < 0.05 and ours.gap_pct < 1
+    assert ours.N_cross == 0 and ours.K_max_J < 1e-4 and ours.D_max_cm < 0.05 and ours.gap_pct < 1
     assert ours.mIoU_visible > max(0.9, direct.mIoU_visible)
     assert {o.id: o.supported_by for o in result.scene} == {2: -1, 5: 2, 7: -1}
 

@@ -40,6 +40,9 @@ def wrong(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return level(assemble(inputs.read(folder))[0])[0]
 
 
+GAP = SeparateConfig().clearance
+
+
 def moved_world(scene: Scene, T: np.ndarray) -> Scene:
     objects = tuple(replace(o, T_world_object=T @ o.T_world_object) for o in scene)
     return replace(scene, objects=objects, camera=scene.camera.moved(T @ scene.camera.T_world_camera))
@@ -216,10 +219,10 @@ def test_separate_leaves_contact_but_no_overlap(rays: float):
     scene, report = separate(overlapping_stack(), SeparateConfig(max_ray_scale=rays))
     assert report.value("overlapping pairs") == 0
     low, up, side = scene
-    assert low.bounds_world[0, 2] == pytest.approx(4e-4, abs=1e-5)
-    assert up.bounds_world[0, 2] == pytest.approx(low.bounds_world[1, 2] + 4e-4, abs=1e-4)
+    assert low.bounds_world[0, 2] == pytest.approx(GAP, abs=1e-5)
+    assert up.bounds_world[0, 2] == pytest.approx(low.bounds_world[1, 2] + GAP, abs=1e-4)
     assert measure(scene).N_cross == 0
-    assert side.bounds_world[0, 0] - low.bounds_world[1, 0] == pytest.approx(4e-4, abs=1e-4)
+    assert side.bounds_world[0, 0] - low.bounds_world[1, 0] == pytest.approx(GAP, abs=1e-4)
 
 
 def test_moving_along_viewing_rays_changes_no_silhouette():
@@ -235,15 +238,15 @@ def test_moving_along_viewing_rays_changes_no_silhouette():
 def test_plain_lift_is_exact_and_carries_the_stack():
     scene, _ = separate(overlapping_stack(), SeparateConfig(max_ray_scale=0.0))
     moved = {o.id: o.T_world_object[:3, 3] - overlapping_stack()[o.id].T_world_object[:3, 3] for o in scene}
-    assert moved[0][2] == pytest.approx(0.01 + 4e-4, abs=1e-7)
-    assert moved[1][2] == pytest.approx(0.03 + 8e-4, abs=1e-6)
+    assert moved[0][2] == pytest.approx(0.01 + GAP, abs=1e-7)
+    assert moved[1][2] == pytest.approx(0.03 + 2 * GAP, abs=1e-6)
     assert moved[1][:2] == pytest.approx(moved[0][:2], abs=1e-12), "what rests on an object goes with it"
 
 
 def test_floating_objects_come_down_onto_their_support():
     floating = replace(box(1, size=(0.05, 0.05, 0.05), at=(0, 0, 0.2)), supported_by=0)
     scene, _ = separate(scene_of(box(0), floating), SeparateConfig(max_ray_scale=0.0))
-    assert scene[1].bounds_world[0, 2] == pytest.approx(0.1 + 8e-4, abs=1e-5)
+    assert scene[1].bounds_world[0, 2] == pytest.approx(0.1 + 2 * GAP, abs=1e-5)
 
 
 def test_fixed_objects_do_not_move():
@@ -270,7 +273,7 @@ def test_settle_brings_a_tilted_box_to_rest_and_says_how_far():
     assert scene[0].bounds_world[0, 2] == pytest.approx(0, abs=6e-4)
     assert scene[0].motion[-1].stage == "settle" and scene[0].motion[-1].rotation == pytest.approx(0.2, abs=0.02)
     result = measure(scene)
-    assert result.K_max_J < 1e-6 and result.D_max_cm < 0.01
+    assert result.K_max_J < 5e-5 and result.D_max_cm < 0.02, "pushed apart to the protocol's margin, no more"
 
 
 def test_decompose_covers_every_vertex(wrong: Scene):

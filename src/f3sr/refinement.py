@@ -102,11 +102,11 @@ def _round(state: Rested, realigned: Retried, config: RefineConfig) -> tuple[Res
 
 
 def _better(state: Rested, tried: Rested, step: str, config: RefineConfig) -> tuple[Rested, Decision, list[int]]:
-    """``state`` with every group of ``tried`` that shows more of the photo and rests unless it did not before; and the
+    """``state`` with every group of ``tried`` that shows more of the photo, and rests unless it did not before; and the
     ids of what was undone."""
     was, now = visible_ious(state.scene), visible_ious(tried.scene)
     groups = _groups(state.scene, tried.scene, config.apart)
-    kept = [g for g in groups if _gain(g, was, now) > config.gain and not g & (tried.restless - state.restless)]
+    kept = [g for g in groups if _gain(g, was, now) > config.gain and (g & state.restless or not g & tried.restless)]
     changed = {id for g in kept for id in g}
     mixed = Rested(
         scene=state.scene.with_objects(*(tried.scene[id] for id in sorted(changed))),

@@ -22,7 +22,7 @@ def pack(scene: Scene) -> tuple[dict[str, Any], Arrays]:
     arrays: Arrays = {"T_world_camera": scene.camera.T_world_camera}
     for o in scene:
         arrays[f"T/{o.id}"] = o.T_world_object
-        for k, part in enumerate(o.parts):
+        for k, part in enumerate(o.colliders):
             arrays[f"vertices/{o.id}/{k}"] = part.vertices
             arrays[f"faces/{o.id}/{k}"] = part.faces
     ground = scene.ground
@@ -59,6 +59,7 @@ def _pack_object(o: SceneObject) -> dict[str, Any]:
     return {
         "plain": {name: getattr(o, name) for name in PLAIN},
         "parts": len(o.parts),
+        "footing": len(o.footing),
         "supports": [asdict(s) for s in o.supports],
         "motion": [asdict(m) for m in o.motion],
     }
@@ -73,6 +74,7 @@ def _unpack_object(o: SceneObject, state: dict[str, Any], arrays: Arrays) -> Sce
         o,
         T_world_object=T,
         parts=tuple(part(k) for k in range(state["parts"])),
+        footing=tuple(part(state["parts"] + k) for k in range(state["footing"])),
         supports=tuple(Support(**s) for s in state["supports"]),
         motion=tuple(Motion(**m | {"translation": tuple(m["translation"])}) for m in state["motion"]),
         **state["plain"],

@@ -34,7 +34,7 @@ RAY_STEPS = 10
 
 @settings
 class SeparateConfig:
-    clearance: Annotated[float, Interval(ge=0, le=0.01)] = 4e-4
+    clearance: Annotated[float, Interval(ge=0, le=0.01)] = 3.2e-4
     """Gap left between parted objects [m] (eps_g of equation 11): the contact margins of the two
     bodies added, so that nothing pushes when physics starts."""
     max_ray_scale: Annotated[float, Interval(ge=0, le=0.5)] = 0.1

@@ -1,0 +1,86 @@
+"""refine: groups that do not touch are kept or undone each for itself."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from f3sr import raster
+from f3sr.frames import pose
+from f3sr.refinement import RefineConfig, Rested, refine
+from f3sr.scene import Scene
+from scenes import box, scene_of
+
+ONCE = RefineConfig(rounds=1)
+
+
+@pytest.fixture
+def seen() -> Scene:
+    """Two boxes far apart, the masks what the camera sees."""
+    scene = scene_of(box(0, at=(-0.25, 0, 0.05)), box(1, at=(0.25, 0, 0.05)))
+    ids = raster.render(scene.objects, scene.camera).ids
+    return scene.with_objects(*(replace(o, mask=ids == o.id) for o in scene))
+
+
+def shifted(scene: Scene, shifts: Mapping[int, float]) -> Scene:
+    moved = [scene[id].moved(pose(t=[x, 0, 0]), stage="test", reason="") for id, x in shifts.items()]
+    return scene.with_objects(*moved)
+
+
+def refined(start: Scene, tried: Scene, *, restless: Collection[int] = (), before: Collection[int] = ()) -> Scene:
+    def again(_: Scene, ids: Collection[int]) -> Rested:
+        kept = [tried[o.id] if o.id in ids else o for o in start]
+        return Rested(scene=start.with_objects(*kept), restless=frozenset(restless))
+
+    state = Rested(scene=start, restless=frozenset(before))
+    return refine(state, ONCE, parted=start, stood_up=again, realigned=again)[0]
+
+
+def test_the_one_that_gains_is_kept_and_the_one_that_loses_undone(seen: Scene):
+    start = shifted(seen, {0: 0.03})
+    after = refined(start, shifted(seen, {0: 0.0, 1: 0.03}))
+    assert np.array_equal(after[0].T_world_object, seen[0].T_world_object)
+    assert np.array_equal(after[1].T_world_object, seen[1].T_world_object)
+
+
+def test_what_would_not_rest_is_not_kept_unless_it_did_not_before(seen: Scene):
+    start = shifted(seen, {0: 0.03, 1: 0.03})
+    after = refined(start, seen, restless=[1])
+    assert np.array_equal(after[0].T_world_object, seen[0].T_world_object)
+    assert np.array_equal(after[1].T_world_object, start[1].T_world_object)
+    after = refined(start, seen, restless=[1], before=[1])
+    assert np.array_equal(after[1].T_world_object, seen[1].T_world_object)
+
+
+def test_one_that_spoils_its_group_is_left_out_and_the_other_tried_alone(seen: Scene):
+    """The second goes where the first was, so that both share their fate, until the first is tried alone."""
+    start = shifted(seen, {0: 0.03})
+    calls: list[list[int]] = []
+
+    def again(scene: Scene, ids: Collection[int]) -> Rested:
+        calls.append(list(ids))
+        tried = shifted(seen, {0: 0.0, 1: -0.42})
+        return Rested(scene=scene.with_objects(*(tried[id] for id in ids)), restless=frozenset())
+
+    state = Rested(scene=start, restless=frozenset())
+    after, report = refine(state, ONCE, parted=start, stood_up=again, realigned=again)
+    assert calls == [[0, 1], [0]]
+    assert [d.choice.rsplit(": ")[-1] for d in report.decisions] == ["rolled back", "accepted but for 1"]
+    assert np.array_equal(after[0].T_world_object, seen[0].T_world_object)
+    assert np.array_equal(after[1].T_world_object, seen[1].T_world_object)
+
+
+def test_a_round_without_gain_is_the_last(seen: Scene):
+    calls: list[Collection[int]] = []
+
+    def again(scene: Scene, ids: Collection[int]) -> Rested:
+        calls.append(ids)
+        return Rested(scene=scene, restless=frozenset())
+
+    state = Rested(scene=seen, restless=frozenset())
+    scene, report = refine(state, RefineConfig(), parted=seen, stood_up=again, realigned=again)
+    assert scene is seen and len(calls) == 1
+    assert [d.choice for d in report.decisions] == ["re-alignment under contact: rolled back"]
