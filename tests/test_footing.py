@@ -124,3 +124,21 @@ def test_without_footings_an_object_is_laid_down_in_its_place():
     assert [d.choice for d in report.decisions] == ["laid down by 5.0 degrees"]
     assert turned_by_physics(scene[0]) < 0.1
     assert np.linalg.norm(scene[0].bounds_world.mean(0)[:2] - o.bounds_world.mean(0)[:2]) < 0.01
+
+
+def sheet(R: np.ndarray) -> SceneObject:
+    """A flat square without thickness, turned by R: its proxy has a thickness, its mesh no hull."""
+    corners = np.array([[-0.1, -0.1, 0], [0.1, -0.1, 0], [0.1, 0.1, 0], [-0.1, 0.1, 0]]) @ R.T
+    mesh = Mesh(vertices=corners, faces=np.array([[0, 1, 2], [0, 2, 3]], np.int32))
+    thick = ConvexPart.hull_of(np.concatenate([corners + 1e-3 * R[:, 2], corners - 1e-3 * R[:, 2]]))
+    return replace(box(0), mesh=mesh, parts=(thick,), T_world_object=pose(t=[0, 0, 0.15]))
+
+
+@pytest.mark.parametrize("axis", [[0, 0, 1], [1, 0, 0], [1, 0.01, 0]])
+def test_a_sheet_without_volume_is_no_reason_to_fail(axis: list[float]):
+    o = sheet(rotation_about(axis, np.pi / 2))
+    assert footing(o, GROUND_PLANE, CONFIG) == ()
+    assert support_plane(o, box(1).colliders_world, CONFIG) is None
+    scene, report = separate(scene_of(o, box(1, at=(1, 1, 0.05))))
+    assert report.value("overlapping pairs") == 0
+    assert np.isfinite(scene[0].T_world_object).all()

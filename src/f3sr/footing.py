@@ -70,9 +70,9 @@ GROUND_PLANE = Plane(normal=np.array([0.0, 0.0, 1.0]), offset=0.0)
 def footing(o: SceneObject, plane: Plane, config: FootingConfig) -> tuple[ConvexPart, ...]:
     """The wedges (asset frame) that let an object stand as it is on a plane below it; none where it needs none, is
     round, would fall anyway, or where more than ``max_height`` would have to be filled in."""
-    hull = o.mesh.hull.moved(o.T_world_asset)
-    underside = _Underside.of(o, hull, plane, config)
-    if underside is None:
+    hull = _hull_of(o)
+    underside = _Underside.of(o, hull, plane, config) if hull else None
+    if hull is None or underside is None:
         return ()
     lowest = float(plane.heights(hull.vertices).min())
     missing = plane.heights(underside.corners) - lowest
@@ -100,7 +100,8 @@ def support_plane(o: SceneObject, tops: Sequence[ConvexPart], config: FootingCon
     """The plane on which a flat underside of ``o`` would come to rest on what is below it: of the hull of the upper
     surfaces of ``tops`` (world) under its outline, the facet under its centre of mass; None when there is none or it
     is steep."""
-    underside = _Underside.of(o, o.mesh.hull.moved(o.T_world_asset), GROUND_PLANE, config)
+    hull = _hull_of(o)
+    underside = _Underside.of(o, hull, GROUND_PLANE, config) if hull else None
     if underside is None or not tops:
         return None
     vertices = np.concatenate([p.vertices for p in tops])
@@ -108,10 +109,18 @@ def support_plane(o: SceneObject, tops: Sequence[ConvexPart], config: FootingCon
     faces = np.concatenate([p.faces + start for p, start in zip(tops, starts, strict=False)])
     top = heights.upper(vertices, faces, underside.grid)
     try:
-        hull = ConvexPart.hull_of(underside.grid.points(np.where(underside.cells, top, np.nan)))
+        tops_hull = ConvexPart.hull_of(underside.grid.points(np.where(underside.cells, top, np.nan)))
     except ValueError:
         return None
-    return _facet_above(hull, underside.center, config)
+    return _facet_above(tops_hull, underside.center, config)
+
+
+def _hull_of(o: SceneObject) -> ConvexPart | None:
+    """The hull of the mesh in the world; None for a sheet."""
+    try:
+        return o.mesh.hull.moved(o.T_world_asset)
+    except ValueError:
+        return None
 
 
 def _facet_above(hull: ConvexPart, center: Array, config: FootingConfig) -> Plane | None:
@@ -158,12 +167,13 @@ class _Underside:
 
     @classmethod
     def of(cls, o: SceneObject, hull: ConvexPart, plane: Plane, config: FootingConfig) -> _Underside | None:
-        """The underside of ``o``, whose ``hull`` is in the world; None where no stable facet is near."""
+        """The underside of ``o``, whose ``hull`` is in the world; None where no stable facet is near, or of a body that
+        is a line from above."""
         from scipy.ndimage import label
 
         center = transform(o.T_world_object, body_of(o).center[None])[0]
-        facet = _facet_below(hull, center, plane, config)
-        if facet is None:
+        facet, outline = _facet_below(hull, center, plane, config), _Outline.of(hull.vertices)
+        if facet is None or outline is None:
             return None
         low, high = o.bounds_world
         grid = heights.Grid.over(low, high, float((high - low)[:2].max()) / config.cells)
@@ -181,12 +191,14 @@ class _Underside:
             corners=(points[on_it, None] + half).reshape(-1, 3),
             patch=np.repeat(patches[cells], len(half)),
             center=center,
-            outline=_Outline.of(hull.vertices),
+            outline=outline,
         )
 
     def carries(self, plane: Plane, lowest: float, config: FootingConfig) -> bool:
         """Whether the body stands on it, were all of it ``lowest`` above the plane."""
         outline = _Outline.of(self.corners)
+        if outline is None:
+            return False
         height = float(self.center[2] - plane.below(self.center[None], lowest)[0, 2])
         stands = outline.depth(self.center) >= np.tan(config.min_margin) * height
         return stands and outline.area >= config.min_area * self.outline.area
@@ -220,10 +232,14 @@ class _Outline:
     area: float
 
     @classmethod
-    def of(cls, points: Array) -> _Outline:
-        from scipy.spatial import ConvexHull
+    def of(cls, points: Array) -> _Outline | None:
+        """None when the points lie on a line, seen from above."""
+        from scipy.spatial import ConvexHull, QhullError
 
-        hull = ConvexHull(points[:, :2])
+        try:
+            hull = ConvexHull(points[:, :2])
+        except (QhullError, ValueError):
+            return None
         return cls(normals=hull.equations[:, :2], offsets=-hull.equations[:, 2], area=float(hull.volume))
 
     def depth(self, point: Array) -> float:
