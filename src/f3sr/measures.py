@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -218,7 +218,12 @@ def exact_agreement(scene: Scene) -> tuple[list[float], list[float]]:
 
 def visible_iou(scene: Scene) -> float:
     """mIoU_visible alone, at the pixel centres: the mean IoU of visible pixels with the masks."""
-    return sum(visible_ious(scene).values()) / (len(scene.objects) + len(scene.excluded))
+    return mean_over_masks(visible_ious(scene), scene)
+
+
+def mean_over_masks(ious: Mapping[int, float], scene: Scene) -> float:
+    """The mean of IoUs by id over all masks of a scene; one without an object counts 0."""
+    return sum(ious.values()) / (len(scene.objects) + len(scene.excluded))
 
 
 def visible_ious(scene: Scene) -> dict[int, float]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import combinations
 from typing import Annotated
 
@@ -16,7 +17,7 @@ import numpy as np
 from annotated_types import Interval
 
 from f3sr.frames import Array, rotation_angle
-from f3sr.measures import visible_iou, visible_ious
+from f3sr.measures import mean_over_masks, visible_ious
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene, SceneObject
 from f3sr.settings import settings
@@ -63,6 +64,16 @@ class Rested:
     scene: Scene
     restless: frozenset[int]
 
+    @cached_property
+    def ious(self) -> Mapping[int, float]:
+        """Of every object's visible pixels with its mask, by id."""
+        return visible_ious(self.scene)
+
+    @property
+    def seen(self) -> float:
+        """mIoU_visible."""
+        return mean_over_masks(self.ious, self.scene)
+
 
 Retried = Callable[[Scene, Collection[int]], Rested]
 """Moves some objects of a scene and settles all of it."""
@@ -72,7 +83,7 @@ def refine(
     state: Rested, config: RefineConfig, *, parted: Scene, stood_up: Retried, realigned: Retried
 ) -> tuple[Scene, Report]:
     """Stand up what toppled since ``parted`` (before physics), then align again what rests, until nothing gains."""
-    before = visible_iou(state.scene)
+    before = state.seen
     decisions: list[Decision] = []
     if toppled := [o.id for o in state.scene if _turn(parted[o.id], o) > config.topple]:
         step = f"standing up what toppled: object {', '.join(map(str, toppled))}"
@@ -83,7 +94,7 @@ def refine(
         decisions += told
         if not is_better:
             break
-    measures = (Measure(name="mIoU_visible", before=before, after=visible_iou(state.scene)),)
+    measures = (Measure(name="mIoU_visible", before=before, after=state.seen),)
     return state.scene, Report(stage="refine", measures=measures, decisions=tuple(decisions))
 
 
@@ -104,7 +115,7 @@ def _round(state: Rested, realigned: Retried, config: RefineConfig) -> tuple[Res
 def _better(state: Rested, tried: Rested, step: str, config: RefineConfig) -> tuple[Rested, Decision, list[int]]:
     """``state`` with every group of ``tried`` that shows more of the photo, and rests unless it did not before; and the
     ids of what was undone."""
-    was, now = visible_ious(state.scene), visible_ious(tried.scene)
+    was, now = state.ious, tried.ious
     groups = _groups(state.scene, tried.scene, config.apart)
     kept = [g for g in groups if _gain(g, was, now) > config.gain and (g & state.restless or not g & tried.restless)]
     changed = {id for g in kept for id in g}
@@ -112,11 +123,11 @@ def _better(state: Rested, tried: Rested, step: str, config: RefineConfig) -> tu
         scene=state.scene.with_objects(*(tried.scene[id] for id in sorted(changed))),
         restless=frozenset(state.restless - changed | tried.restless & changed),
     )
-    before, after = visible_iou(state.scene), visible_iou(mixed.scene)
+    before, after = state.seen, mixed.seen
     undone = sorted({o.id for o in state.scene} - changed)
     if not changed or after <= before:
         restless = sorted(tried.restless - state.restless)
-        reason = f"mIoU_visible {before:.4f} -> {visible_iou(tried.scene):.4f}" + _not_at_rest(restless)
+        reason = f"mIoU_visible {before:.4f} -> {tried.seen:.4f}" + _not_at_rest(restless)
         return state, Decision(choice=f"{step}: rolled back", reason=reason), [o.id for o in state.scene]
     but = f" but for {', '.join(map(str, undone))}" if undone else ""
     return mixed, Decision(choice=f"{step}: accepted{but}", reason=f"mIoU_visible {before:.4f} -> {after:.4f}"), undone
@@ -139,8 +150,7 @@ def _would_gain(state: Rested, tried: Rested, undone: Sequence[int]) -> list[int
         for id in tried.restless - state.restless
         for k in (*after.ancestors(id), *after.subtree(id), *before.ancestors(id))
     }
-    was, now = visible_ious(before), visible_ious(after)
-    gaining = [id for id in undone if now[id] > was[id] and id not in bound]
+    gaining = [id for id in undone if tried.ious[id] > state.ious[id] and id not in bound]
     return gaining if len(gaining) < len(before.objects) else []
 
 

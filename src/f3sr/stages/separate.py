@@ -64,9 +64,9 @@ def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene,
     In forest order an object is then brought into contact with its support, with all that rests on it: along its
     viewing rays, scaled alike about the camera centre, which leaves the picture as it is, and by the smallest lift, or
     by lowering, each as far as is likely by what is known of distances and of the picture. Then unrelated objects that
-    overlap are parted horizontally by the branches that part below their common support, so that nothing is left
-    behind. At last a nearly flat underside gets a footing, so that physics leaves the object as it stands. What still
-    overlaps is counted, never hidden.
+    overlap are parted by one joint horizontal move, each with all it carries. At last a nearly flat underside gets a
+    footing, so that physics leaves the object as it stands, and what has none is laid down. What still overlaps is
+    counted, never hidden.
     """
     config = config or SeparateConfig()
     scene = scene.with_objects(*(replace(o, footing=()) for o in scene if o.footing))
@@ -225,8 +225,8 @@ def _stand(layout: _Layout, config: SeparateConfig) -> list[Decision]:
 
 
 def _put_on_a_footing(layout: _Layout, o: SceneObject, config: SeparateConfig) -> Decision | None:
-    plane = _plane_below(layout, o, config.footing)
-    wedges = footing(o, plane, config.footing) if plane and config.footing.enabled else ()
+    plane = _plane_below(layout, o, config.footing) if config.footing.enabled else None
+    wedges = footing(o, plane, config.footing) if plane else ()
     if not wedges:
         return None
     was = layout.collisions_of(o.id)
@@ -273,8 +273,6 @@ def _footing_decision(o: SceneObject, wedges: tuple[ConvexPart, ...]) -> Decisio
 
 def _plane_below(layout: _Layout, o: SceneObject, config: FootingConfig) -> Plane | None:
     """What a flat underside would rest on."""
-    if o.supported_by is None:
-        return None
     if o.supported_by == GROUND:
         return GROUND_PLANE
     below = [layout.object(k).colliders_world for k in _supports(o) if k != GROUND]
