@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from f3sr.contact import Body, Polytope
 from f3sr.frames import Array, frozen, transform
@@ -56,25 +55,16 @@ def bodies_of(
 
 def _body_of(o: SceneObject, config: PhysicsConfig, parts: Body | None) -> StaticBody:
     body = body_of(o, config)
-    volumes = np.array([p.volume for p in body.parts])
-    middles = np.array([_centroid(p.vertices, p.faces) for p in body.parts])
-    even = volumes @ middles / volumes.sum()
+    volumes = np.array([p.volume for p in o.solids])
+    even = volumes @ np.array([p.centroid for p in o.solids]) / volumes.sum()
     return StaticBody(
         id=o.id,
-        parts=tuple(parts or (Polytope.of(p).moved(o.T_world_object) for p in body.parts)),
+        parts=tuple(parts or (Polytope.of(p).moved(o.T_world_asset) for p in o.solids)),
         mass=body.mass,
-        centers=transform(o.T_world_object, np.stack([body.center, even])),
+        centers=transform(o.T_world_object, np.stack([body.center, o.scale * even])),
         friction=o.friction,
         fixed=body.fixed,
     )
-
-
-def _centroid(vertices: Array, faces: NDArray[np.int32]) -> Array:
-    """Middle of the solid within a closed surface."""
-    origin = vertices.mean(0)
-    a, b, c = (vertices[faces[:, k]] - origin for k in range(3))
-    volumes = np.einsum("ij,ij->i", a, np.cross(b, c))
-    return origin + volumes @ (a + b + c) / (4 * volumes.sum())
 
 
 def contacts_of(bodies: Sequence[StaticBody], *, reach: float = REACH) -> Contacts:

@@ -13,7 +13,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import Self, cast
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -58,7 +59,13 @@ class Polytope:
 
     @classmethod
     def of(cls, part: ConvexPart) -> Self:
-        """The polytope of a convex part: facets from its triangles, edges where two facets meet."""
+        """The polytope of a convex part, made once: facets from its triangles, edges where two facets meet."""
+        if part not in _MADE:
+            _MADE[part] = cls._made_of(part)
+        return cast(Self, _MADE[part])
+
+    @classmethod
+    def _made_of(cls, part: ConvexPart) -> Self:
         left, right, edges = _adjacent(part.faces)
         group = _coplanar_groups(part, left, right)
         normals = _group_normals(part, group)
@@ -107,6 +114,8 @@ class Polytope:
             edge_normals=self.edge_normals @ R.T,
         )
 
+
+_MADE: WeakKeyDictionary[ConvexPart, Polytope] = WeakKeyDictionary()
 
 Body = Sequence[Polytope]
 """A body is the union of its convex parts."""

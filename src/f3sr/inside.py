@@ -1,14 +1,18 @@
-"""Points inside closed surfaces: the signed crossings of a ray straight up from each point."""
+"""Points inside closed surfaces, by the signed crossings of a ray straight up from each, and inside unions of convex
+parts."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from f3sr.contact import Polytope
 from f3sr.frames import Array
 from f3sr.kernels import inline_kernel, kernel
+from f3sr.mesh import ConvexPart
 
 PER_CELL = 2.0
 """Triangles per cell of the grid that finds those over a point, about."""
@@ -107,8 +111,39 @@ def _count(points: Any, triangles: Any, low: Any, width: Any, side: int, number:
                 number[k] += turn
 
 
+def union_distance(points: Array, parts: Sequence[ConvexPart]) -> Array:
+    """How far points (k, 3) lie beyond the facet planes of the part that they are least outside of (k,); negative
+    inside some part. It is no distance outside, where a corner may be nearest."""
+    polytopes = [Polytope.of(p) for p in parts]
+    planes = np.concatenate([np.column_stack([p.normals, p.offsets]) for p in polytopes])
+    starts = np.cumsum([0, *(len(p.offsets) for p in polytopes)])
+    return _union_distance(np.ascontiguousarray(points), planes, starts)
+
+
+@kernel
+def _union_distance(points: Any, planes: Any, starts: Any) -> Any:
+    least = np.empty(len(points))
+    near = 0
+    for k in range(len(points)):
+        x, y, z = points[k, 0], points[k, 1], points[k, 2]
+        best, first = np.inf, near
+        for turn in range(len(starts) - 1):  # the last point's part first: it is likely to be this one's too
+            p = first if turn == 0 else (turn - 1 if turn <= first else turn)
+            beyond = -np.inf
+            for i in range(starts[p], starts[p + 1]):
+                beyond = max(beyond, planes[i, 0] * x + planes[i, 1] * y + planes[i, 2] * z - planes[i, 3])
+                if beyond >= best:
+                    break
+            if beyond < best:
+                best, near = beyond, p
+        least[k] = best
+    return least
+
+
 def warm_up() -> None:
     """Compile every kernel of this module."""
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], np.int32)
-    winding_number(np.array([[0.2, 0.2, 0.2]]), corners, faces)
+    points = np.array([[0.2, 0.2, 0.2]])
+    winding_number(points, corners, faces)
+    union_distance(points, [ConvexPart(vertices=corners, faces=faces)])

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import crossings, physics, raster
-from f3sr.contact import Polytope
 from f3sr.frames import Array, Camera
-from f3sr.inside import winding_number
+from f3sr.inside import union_distance, winding_number
 from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.silhouette import iou, union_of
 
@@ -299,21 +298,14 @@ def proxy_distances(o: SceneObject) -> tuple[float, float]:
     """How far the mesh sticks out of its proxy and how far the proxy's surface lies from the mesh, in object sizes."""
     from scipy.spatial import KDTree
 
-    parts = [Polytope.of(part) for part in o.colliders]
     vertices = o.mesh.vertices[:: max(1, len(o.mesh.vertices) // 4000)]
     size = o.size / o.scale
-    out = np.min([_outside(vertices, part) for part in parts], axis=0)
+    out = union_distance(vertices, o.colliders)
     surface = np.concatenate([o.mesh.vertices, sample_surface(o.mesh.vertices, o.mesh.faces, SAMPLES)])
     samples = np.concatenate([sample_surface(p.vertices, p.faces, PART_SAMPLES) for p in o.colliders])
-    covered = np.max([_outside(samples, part) < -1e-4 * size for part in parts], axis=0)
-    free = samples[~covered]
+    free = samples[union_distance(samples, o.colliders) >= -1e-4 * size]
     far = float(KDTree(surface).query(free)[0].mean()) if len(free) else 0.0
     return float(np.percentile(np.maximum(out, 0), 99.9)) / size, far / size
-
-
-def _outside(points: Array, part: Polytope) -> Array:
-    """Largest signed distance (n,) of points to the part's facet planes; negative inside."""
-    return np.max(points @ part.normals.T - part.offsets, axis=1)
 
 
 def sample_surface(vertices: Array, faces: NDArray[np.int32], count: int) -> Array:

@@ -99,6 +99,14 @@ class Mesh:
         return ConvexPart.hull_of(self.vertices)
 
     @cached_property
+    def stored_volume(self) -> float:
+        """Volume within the surface where each undirected edge belongs to two faces without welding, else infinite."""
+        f = self.faces.astype(np.int64)
+        edges = np.sort(np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]]), axis=1)
+        _, counts = np.unique(edges[:, 0] * (f.max() + 1) + edges[:, 1], return_counts=True)
+        return abs(signed_volume(self.vertices, self.faces)) if (counts == 2).all() else np.inf
+
+    @cached_property
     def is_solid(self) -> bool:
         """True when the welded surface is closed, consistently wound and outward, no shell in another facing the same
         way, and does not cross itself so much that no body could have its inertia: then it has a volume."""
@@ -139,6 +147,14 @@ class ConvexPart:
     @cached_property
     def volume(self) -> float:
         return signed_volume(self.vertices, self.faces)
+
+    @cached_property
+    def centroid(self) -> Array:
+        """Middle (3,) of the solid."""
+        origin = self.vertices.mean(0)
+        a, b, c = (self.vertices[self.faces[:, k]] - origin for k in range(3))
+        volumes = np.einsum("ij,ij->i", a, np.cross(b, c))
+        return frozen(origin + volumes @ (a + b + c) / (4 * volumes.sum()))
 
     def moved(self, T: Array) -> ConvexPart:
         """The part under an affine map of positive determinant, T (4, 4)."""

@@ -12,7 +12,7 @@ import numpy as np
 from annotated_types import Interval
 
 from f3sr.frames import Array, pose, quaternion_from_rotation, rotation_from_quaternion
-from f3sr.mesh import ConvexPart, MassProperties, Mesh, signed_volume, solid_properties
+from f3sr.mesh import ConvexPart, MassProperties, Mesh, solid_properties
 from f3sr.scene import GROUND, SceneObject
 from f3sr.settings import settings
 
@@ -157,8 +157,7 @@ def body_name(id: int) -> str:
 
 def body_of(o: SceneObject, config: PhysicsConfig = DEFAULT_PHYSICS) -> Body:
     """The rigid body of an object: mass and inertia of its solid at its density, its parts in metres."""
-    parts = o.parts or (ConvexPart.hull_of(o.mesh.vertices),)
-    solid, from_mesh = _solid(o.mesh, parts)
+    solid, from_mesh = _solid(o.mesh, o.parts or (o.mesh.hull,))
     scale = np.diag([o.scale, o.scale, o.scale, 1.0])
     return Body(
         name=body_name(o.id),
@@ -169,7 +168,7 @@ def body_of(o: SceneObject, config: PhysicsConfig = DEFAULT_PHYSICS) -> Body:
         inertia=o.density * solid.inertia * o.scale**5,
         from_mesh=from_mesh,
         friction=(o.friction, config.torsional_friction, o.rolling_friction),
-        parts=tuple(part.moved(scale) for part in (*parts, *o.footing)),
+        parts=tuple(part.moved(scale) for part in o.solids),
     )
 
 
@@ -189,10 +188,7 @@ def _even_spec(objects: Sequence[SceneObject], config: PhysicsConfig) -> MjSpec:
     """The same model with the masses of the release protocol: spread evenly over the parts."""
     spec = _empty_spec(config)
     for o in objects:
-        body = body_of(o, config)
-        mesh = o.mesh.with_vertices(o.scale * o.mesh.vertices)
-        density = o.density * solid_volume(mesh, body.parts) / sum(p.volume for p in body.parts)
-        _add_body(spec, body, config, even_density=density)
+        _add_body(spec, body_of(o, config), config, even_density=o.density * filling(o))
     return spec
 
 
@@ -285,23 +281,15 @@ def release(objects: Sequence[SceneObject], *, true_scale: float = 1.0, seconds:
     return Release(K_max, D_max)
 
 
-def solid_volume(mesh: Mesh, parts: Sequence[ConvexPart]) -> float:
-    """Volume [m3] by which the release protocol weighs a mesh, in the mesh's frame.
+def filling(o: SceneObject) -> float:
+    """By how much the density of an object's parts must differ from its own, for the mass of the release protocol: its
+    solid's volume, at least 1 mm3, over that of all parts.
 
-    The least of: the mesh's own volume when closed without welding (split vertices count as open), its
+    The solid's volume is the least of: the mesh's own when closed without welding (split vertices count as open), its
     hull's, and the sum over the parts.
     """
-    own = abs(signed_volume(mesh.vertices, mesh.faces)) if _closed_as_stored(mesh) else np.inf
-    hull = mesh.hull.volume
-    return max(1e-9, min(own, hull, sum(p.volume for p in parts)))
-
-
-def _closed_as_stored(mesh: Mesh) -> bool:
-    """True when every undirected edge belongs to exactly two faces."""
-    f = mesh.faces.astype(np.int64)
-    edges = np.sort(np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]]), axis=1)
-    _, counts = np.unique(edges[:, 0] * (f.max() + 1) + edges[:, 1], return_counts=True)
-    return bool((counts == 2).all())
+    parts = sum(p.volume for p in o.solids)
+    return max(1e-9 / o.scale**3, min(o.mesh.stored_volume, o.mesh.hull.volume, parts)) / parts
 
 
 _SOLIDS: WeakKeyDictionary[Mesh, tuple[tuple[ConvexPart, ...], MassProperties, bool]] = WeakKeyDictionary()
@@ -390,17 +378,16 @@ def _release_spec(objects: Sequence[SceneObject], true_scale: float) -> MjSpec:
     spec = _empty_spec(config)
     spec.compiler.balanceinertia = False
     for i, o in enumerate(sorted(objects, key=lambda o: o.mask_name)):
-        parts = o.colliders_world or (ConvexPart.hull_of(o.vertices_world),)
-        density = 600 * solid_volume(o.mesh.with_vertices(o.vertices_world), parts) / sum(p.volume for p in parts)
         body = spec.worldbody.add_body(name=f"o{i}")
         if o.mobility != "fixed":
             body.add_freejoint()
-        for k, part in enumerate(parts):
-            _add_mesh(spec, f"m{i}_{k}", part.moved(np.diag([true_scale, true_scale, true_scale, 1.0])))
+        to_true = np.diag([true_scale, true_scale, true_scale, 1.0]) @ o.T_world_asset
+        for k, part in enumerate(o.solids):
+            _add_mesh(spec, f"m{i}_{k}", part.moved(to_true))
             body.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_MESH,
                 meshname=f"m{i}_{k}",
-                density=density,
+                density=600 * filling(o),
                 friction=config.ground_friction,
                 **_contact(config),
             )

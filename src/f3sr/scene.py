@@ -161,6 +161,12 @@ class SceneObject:
         """All that touches, in the asset's frame: proxies and footing."""
         return (*self.parts, *self.footing)
 
+    @property
+    def solids(self) -> tuple[ConvexPart, ...]:
+        """What physics knows of it, in the asset's frame: its colliders, with the hull of its mesh where it has no
+        proxies. Raises ValueError where that spans no volume."""
+        return (*(self.parts or (self.mesh.hull,)), *self.footing)
+
     @cached_property
     def colliders_world(self) -> tuple[ConvexPart, ...]:
         return tuple(part.moved(self.T_world_asset) for part in self.colliders)
