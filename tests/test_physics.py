@@ -14,9 +14,9 @@ from f3sr.physics import (
     SettleConfig,
     body_of,
     build_spec,
+    filling,
     release,
     settle,
-    filling,
 )
 from f3sr.scene import SceneObject
 from scenes import box, box_mesh, box_stack_scene
