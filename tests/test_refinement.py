@@ -68,7 +68,7 @@ def test_one_that_spoils_its_group_is_left_out_and_the_other_tried_alone(seen: S
     state = Rested(scene=start, restless=frozenset())
     after, report = refine(state, ONCE, parted=start, stood_up=again, realigned=again)
     assert calls == [[0, 1], [0]]
-    assert [d.choice.rsplit(": ")[-1] for d in report.decisions] == ["rolled back", "accepted but for 1"]
+    assert [d.choice.rsplit(": ")[-1] for d in report.decisions] == ["rolled back", "accepted"]
     assert np.array_equal(after[0].T_world_object, seen[0].T_world_object)
     assert np.array_equal(after[1].T_world_object, seen[1].T_world_object)
 

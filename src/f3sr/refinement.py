@@ -21,7 +21,7 @@ from f3sr.measures import mean_over_masks, visible_ious
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene, SceneObject
 from f3sr.settings import settings
-from f3sr.stages.align.config import AlignConfig, DepthConfig, FacetConfig, TiltConfig
+from f3sr.stages.align.config import AlignConfig, AppearanceConfig, DepthConfig, FacetConfig, TiltConfig
 
 
 @settings
@@ -37,9 +37,11 @@ class RefineConfig:
     upright: Annotated[float, Interval(gt=0, le=np.pi / 2)] = math.radians(25)
     """It is stood on a stable facet within this turn [rad]."""
     rounds: Annotated[int, Interval(ge=0, le=10)] = 4
-    """Most rounds; one that does not improve the picture is undone and ends it."""
+    """Most rounds; only what gained enough in one is tried again in the next."""
     gain: Annotated[float, Interval(ge=0, le=0.1)] = 5e-4
     """A round must gain this much of the mean mIoU_visible of what it changes."""
+    again: Annotated[float, Interval(ge=0, le=0.1)] = 3e-3
+    """What gained less is not tried again: the next round gains a third of the one before, or less."""
     apart: Annotated[float, Interval(gt=0, le=0.1)] = 2e-3
     """Objects with this much room between them [m] do not feel each other; contact keeps .4 mm."""
     align: AlignConfig = field(
@@ -53,6 +55,7 @@ class RefineConfig:
             tilt=TiltConfig(enabled=False),
             facets=FacetConfig(enabled=False),
             depth=DepthConfig(enabled=False),
+            appearance=AppearanceConfig(known=0.0),
         )
     )
 
@@ -86,35 +89,46 @@ def refine(
     before = state.seen
     decisions: list[Decision] = []
     if toppled := [o.id for o in state.scene if _turn(parted[o.id], o) > config.topple]:
-        step = f"standing up what toppled: object {', '.join(map(str, toppled))}"
-        state, decision, _ = _better(state, stood_up(parted, toppled), step, config)
+        step = f"standing up what toppled: object {_named(toppled)}"
+        state, decision, _ = _better(state, stood_up(parted, toppled), toppled, step, config)
         decisions.append(decision)
+    open = [o.id for o in state.scene]
     for _ in range(config.rounds):
-        state, told, is_better = _round(state, realigned, config)
-        decisions += told
-        if not is_better:
+        if not open:
             break
+        was = state.ious
+        state, told = _round(state, open, realigned, config)
+        decisions += told
+        open = [id for id in open if state.ious[id] > was[id] + config.again]
     measures = (Measure(name="mIoU_visible", before=before, after=state.seen),)
     return state.scene, Report(stage="refine", measures=measures, decisions=tuple(decisions))
 
 
-def _round(state: Rested, realigned: Retried, config: RefineConfig) -> tuple[Rested, list[Decision], bool]:
-    """All objects re-aligned; then, of groups that were undone, those that would gain alone."""
-    step = "re-alignment under contact"
-    everything = [o.id for o in state.scene]
-    tried = realigned(state.scene, everything)
-    kept, decision, undone = _better(state, tried, step, config)
+def _round(
+    state: Rested, ids: Sequence[int], realigned: Retried, config: RefineConfig
+) -> tuple[Rested, list[Decision]]:
+    """Some objects re-aligned; then, of groups that were undone, those that would gain alone."""
+    step = "re-alignment under contact" + (f" of {_named(ids)}" if len(ids) < len(state.scene.objects) else "")
+    tried = realigned(state.scene, ids)
+    kept, decision, undone = _better(state, tried, ids, step, config)
     decisions = [decision]
-    if alone := _would_gain(state, tried, undone):
-        step += f" of {', '.join(map(str, alone))} alone"
-        kept, decision, _ = _better(kept, realigned(kept.scene, alone), step, config)
+    alone = _would_gain(state, tried, undone, config.again)
+    if alone and len(alone) < len(ids):
+        step = f"re-alignment under contact of {_named(alone)} alone"
+        kept, decision, _ = _better(kept, realigned(kept.scene, alone), alone, step, config)
         decisions.append(decision)
-    return kept, decisions, kept is not state
+    return kept, decisions
 
 
-def _better(state: Rested, tried: Rested, step: str, config: RefineConfig) -> tuple[Rested, Decision, list[int]]:
-    """``state`` with every group of ``tried`` that shows more of the photo, and rests unless it did not before; and the
-    ids of what was undone."""
+def _named(ids: Sequence[int]) -> str:
+    return ", ".join(map(str, ids))
+
+
+def _better(
+    state: Rested, tried: Rested, ids: Sequence[int], step: str, config: RefineConfig
+) -> tuple[Rested, Decision, list[int]]:
+    """``state`` with every group of ``tried`` that shows more of the photo, and rests unless it did not before; and
+    which of the ``ids`` that were tried were undone."""
     was, now = state.ious, tried.ious
     groups = _groups(state.scene, tried.scene, config.apart)
     kept = [g for g in groups if _gain(g, was, now) > config.gain and (g & state.restless or not g & tried.restless)]
@@ -124,24 +138,24 @@ def _better(state: Rested, tried: Rested, step: str, config: RefineConfig) -> tu
         restless=frozenset(state.restless - changed | tried.restless & changed),
     )
     before, after = state.seen, mixed.seen
-    undone = sorted({o.id for o in state.scene} - changed)
+    undone = [id for id in ids if id not in changed]
     if not changed or after <= before:
         restless = sorted(tried.restless - state.restless)
         reason = f"mIoU_visible {before:.4f} -> {tried.seen:.4f}" + _not_at_rest(restless)
-        return state, Decision(choice=f"{step}: rolled back", reason=reason), [o.id for o in state.scene]
-    but = f" but for {', '.join(map(str, undone))}" if undone else ""
+        return state, Decision(choice=f"{step}: rolled back", reason=reason), list(ids)
+    but = f" but for {_named(undone)}" if undone else ""
     return mixed, Decision(choice=f"{step}: accepted{but}", reason=f"mIoU_visible {before:.4f} -> {after:.4f}"), undone
 
 
 def _not_at_rest(ids: Sequence[int]) -> str:
-    return f", and object {', '.join(map(str, ids))} does not come to rest" if ids else ""
+    return f", and object {_named(ids)} does not come to rest" if ids else ""
 
 
 def _gain(group: Collection[int], was: Mapping[int, float], now: Mapping[int, float]) -> float:
     return float(np.mean([now[id] - was[id] for id in group]))
 
 
-def _would_gain(state: Rested, tried: Rested, undone: Sequence[int]) -> list[int]:
+def _would_gain(state: Rested, tried: Rested, undone: Sequence[int], gain: float) -> list[int]:
     """Objects that show more of their masks in a state that was undone, without what will not rest there and all that
     carries it or is carried by it."""
     before, after = state.scene, tried.scene
@@ -150,8 +164,7 @@ def _would_gain(state: Rested, tried: Rested, undone: Sequence[int]) -> list[int
         for id in tried.restless - state.restless
         for k in (*after.ancestors(id), *after.subtree(id), *before.ancestors(id))
     }
-    gaining = [id for id in undone if tried.ious[id] > state.ious[id] and id not in bound]
-    return gaining if len(gaining) < len(before.objects) else []
+    return [id for id in undone if tried.ious[id] > state.ious[id] + gain and id not in bound]
 
 
 def _groups(before: Scene, after: Scene, apart: float) -> list[set[int]]:
