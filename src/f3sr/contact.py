@@ -93,6 +93,11 @@ class Polytope:
         """Diagonal of the bounding box."""
         return float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
 
+    @cached_property
+    def packed(self) -> tuple[Array, ...]:
+        """What the kernels read."""
+        return self.vertices, self.normals, self.offsets, self.edge_starts, self.edge_directions, self.edge_normals
+
     def shifted(self, t: ArrayLike) -> Self:
         """The polytope moved by t (3,)."""
         T = np.eye(4)
@@ -126,11 +131,7 @@ Body = Sequence[Polytope]
 
 def overlap_depth(a: Polytope, b: Polytope) -> float:
     """Length of the smallest move that ends the overlap; <= 0 when apart (then it is no distance)."""
-    _, heights = face_facets(a, b)
-    depth = heights.min()
-    if depth > 0:
-        depth = min(depth, _edge_facets(a, b)[1].min(initial=np.inf))
-    return float(depth)
+    return float(_depth(*a.packed, *b.packed))
 
 
 def forbidden_interval(a: Polytope, b: Polytope, direction: ArrayLike) -> tuple[float, float]:
@@ -138,14 +139,7 @@ def forbidden_interval(a: Polytope, b: Polytope, direction: ArrayLike) -> tuple[
 
     Never: ``NEVER``, whose lo is greater than its hi.
     """
-    u = np.asarray(direction, float)
-    slack = _touch(a, b) / 2
-    lo, hi = _interval(*face_facets(a, b), u, slack)
-    if lo >= hi:
-        return NEVER
-    edge_lo, edge_hi = _interval(*_edge_facets(a, b), u, slack)
-    lo, hi = max(lo, edge_lo), min(hi, edge_hi)
-    return (lo, hi) if lo < hi else NEVER
+    return _interval(*a.packed, *b.packed, np.asarray(direction, float), _touch(a, b) / 2)
 
 
 def horizontal_escape(a: Polytope, b: Polytope) -> tuple[float, Array]:
@@ -335,16 +329,93 @@ def _edge_planes(
     return planes[:k].copy()
 
 
-def _interval(normals: Array, heights: Array, u: Array, slack: float) -> tuple[float, float]:
-    """Where ``t * u`` lies in all half-spaces ``normals . x > slack - heights``."""
-    speeds, bounds = normals @ u, slack - heights
-    parallel = np.abs(speeds) <= PARALLEL * np.linalg.norm(u)
-    if (bounds[parallel] >= 0).any():
-        return NEVER
-    along, against = (speeds > 0) & ~parallel, (speeds < 0) & ~parallel
-    lo = (bounds[along] / speeds[along]).max(initial=-np.inf)
-    hi = (bounds[against] / speeds[against]).min(initial=np.inf)
-    return float(lo), float(hi)
+@kernel
+def _lowest(points: Array, normal: Array) -> float:
+    """The least of ``normal . p`` over points (n, 3)."""
+    low = np.inf
+    for m in range(len(points)):
+        low = min(low, points[m, 0] * normal[0] + points[m, 1] * normal[1] + points[m, 2] * normal[2])
+    return low
+
+
+@kernel
+def _depth(
+    points_a: Array,
+    faces_a: Array,
+    offsets_a: Array,
+    starts_a: Array,
+    directions_a: Array,
+    normals_a: Array,
+    points_b: Array,
+    faces_b: Array,
+    offsets_b: Array,
+    starts_b: Array,
+    directions_b: Array,
+    normals_b: Array,
+) -> float:
+    """The least height of all facets; that of the first face that parts them where one does."""
+    depth = np.inf
+    for k in range(len(faces_a)):
+        depth = min(depth, offsets_a[k] - _lowest(points_b, faces_a[k]))
+        if depth <= 0.0:
+            return depth
+    for k in range(len(faces_b)):
+        depth = min(depth, offsets_b[k] - _lowest(points_a, faces_b[k]))
+        if depth <= 0.0:
+            return depth
+    planes = _edge_planes(points_a, starts_a, directions_a, normals_a, points_b, starts_b, directions_b, normals_b)
+    for k in range(len(planes)):
+        depth = min(depth, planes[k, 3])
+    return depth
+
+
+@kernel
+def _interval(
+    points_a: Array,
+    faces_a: Array,
+    offsets_a: Array,
+    starts_a: Array,
+    directions_a: Array,
+    normals_a: Array,
+    points_b: Array,
+    faces_b: Array,
+    offsets_b: Array,
+    starts_b: Array,
+    directions_b: Array,
+    normals_b: Array,
+    u: Array,
+    slack: float,
+) -> tuple[float, float]:
+    """Where ``t u`` lies in all half-spaces ``normal . x > slack - height``; NEVER where it is in none."""
+    lo, hi = -np.inf, np.inf
+    still = PARALLEL * np.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
+    for k in range(len(faces_a)):
+        speed = faces_a[k, 0] * u[0] + faces_a[k, 1] * u[1] + faces_a[k, 2] * u[2]
+        lo, hi = _clipped(lo, hi, speed, slack - offsets_a[k] + _lowest(points_b, faces_a[k]), still)
+        if lo >= hi:
+            return np.inf, -np.inf
+    for k in range(len(faces_b)):
+        speed = -(faces_b[k, 0] * u[0] + faces_b[k, 1] * u[1] + faces_b[k, 2] * u[2])
+        lo, hi = _clipped(lo, hi, speed, slack - offsets_b[k] + _lowest(points_a, faces_b[k]), still)
+        if lo >= hi:
+            return np.inf, -np.inf
+    planes = _edge_planes(points_a, starts_a, directions_a, normals_a, points_b, starts_b, directions_b, normals_b)
+    for k in range(len(planes)):
+        speed = planes[k, 0] * u[0] + planes[k, 1] * u[1] + planes[k, 2] * u[2]
+        lo, hi = _clipped(lo, hi, speed, slack - planes[k, 3], still)
+        if lo >= hi:
+            return np.inf, -np.inf
+    return lo, hi
+
+
+@kernel
+def _clipped(lo: float, hi: float, speed: float, bound: float, still: float) -> tuple[float, float]:
+    """The interval (lo, hi) of t where also ``speed t > bound``."""
+    if abs(speed) <= still:
+        return (lo, hi) if bound < 0.0 else (np.inf, -np.inf)
+    if speed > 0.0:
+        return max(lo, bound / speed), hi
+    return lo, min(hi, bound / speed)
 
 
 # Horizontal moves: polygons in the plane of shifts
@@ -487,3 +558,4 @@ def warm_up() -> None:
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     a = Polytope.of(ConvexPart.hull_of(corners))
     smallest_horizontal_move([a], [a.shifted((0.1, 0.2, 0.1))])
+    smallest_shift([a], [a], (0, 0, 1))

@@ -242,7 +242,8 @@ class _Fall:
             return pose(R, point - R @ point) @ here
 
         def free(angle: float) -> bool:
-            return self._lift([p.moved(turned(angle)) for p in self.body.parts]) <= MEETS + angle * TOUCHING
+            T = turned(angle)
+            return self._lift([p.moved(T) for p in self.body.parts]) <= MEETS + angle * TOUCHING
 
         low, high = 0.0, STEP
         if free(high):
