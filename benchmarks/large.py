@@ -38,7 +38,7 @@ def main() -> int:
     args.out.mkdir(parents=True, exist_ok=True)
     kernels, _ = caches.kept(args.out / "warm_up.log")
     failed = False
-    for name in args.cases:
+    for name in args.cases or ["20"]:
         folder = made(args.data, CASES[name])
         print(f"\n## {name}: {json.dumps(CASES[name])}, input {size_of(folder) / 1e6:.0f} MB", flush=True)
         with caches.fresh(kernels) as cache:
@@ -111,7 +111,7 @@ def parts_of(folder: Path) -> list[str]:
 
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("cases", nargs="*", default=["20"], choices=CASES, metavar="CASE", help=", ".join(CASES))
+    parser.add_argument("cases", nargs="*", choices=CASES, metavar="CASE", help=f"20 by default, {', '.join(CASES)}")
     temporary = Path(tempfile.gettempdir()) / f"f3sr-large-{os.getuid()}"
     parser.add_argument("--data", type=Path, default=temporary / "inputs", help="made inputs are kept here")
     parser.add_argument("--out", type=Path, default=temporary / "out", help="packages, logs and samples")
