@@ -87,6 +87,23 @@ def footing(o: SceneObject, plane: Plane, config: FootingConfig) -> tuple[Convex
     )
 
 
+def flush(o: SceneObject, plane: Plane) -> tuple[ConvexPart, ...]:
+    """The parts of an object (asset frame) without what stands off its mesh toward a plane below it, so that it stands
+    on its footing alone: beyond the mesh's lowest point they cover nothing."""
+    lowest = float(plane.heights(o.vertices_world).min())
+    R, t = o.scale * o.T_world_object[:3, :3], o.T_world_object[:3, 3]
+    length = o.scale  # of the plane's normal in the asset's frame
+    normal, offset = plane.normal @ R / length, (plane.offset + lowest - plane.normal @ t) / length
+    return tuple(_above(part, normal, offset) for part in o.parts)
+
+
+def _above(part: ConvexPart, normal: Array, offset: float) -> ConvexPart:
+    try:
+        return part.above(normal, offset)
+    except ValueError:  # hardly a volume is left
+        return part
+
+
 def _wedge(outline: Array, facet: Plane, plane: Plane, lowest: float, grain: float) -> ConvexPart:
     """All between the facet, below which the body has nothing, and ``lowest`` above the plane, within an outline
     (k, 3); at least ``grain`` high, so that none is without volume."""

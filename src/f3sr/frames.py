@@ -64,6 +64,13 @@ def rotation_from_vector(omega: ArrayLike) -> Array:
     return np.asarray(Rotation.from_rotvec(np.asarray(omega, float)).as_matrix())
 
 
+def vector_from_rotation(R: Array) -> Array:
+    """The rotation vector [rad] of a rotation matrix, no longer than pi: the logarithm map of SO(3)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(R).as_rotvec())
+
+
 def rotation_between(a: ArrayLike, b: ArrayLike) -> Array:
     """The shortest rotation that turns direction ``a`` onto direction ``b`` (equation 6's R_g)."""
     a, b = (np.asarray(v, float) / np.linalg.norm(v) for v in (a, b))

@@ -156,6 +156,19 @@ class ConvexPart:
         volumes = np.einsum("ij,ij->i", a, np.cross(b, c))
         return frozen(origin + volumes @ (a + b + c) / (4 * volumes.sum()))
 
+    def above(self, normal: Array, offset: float) -> ConvexPart:
+        """What of it is on the upper side of a plane ``normal . x = offset``. Raises ValueError where that has no
+        volume."""
+        height = self.vertices @ normal - offset
+        if (height >= 0).all():
+            return self
+        start, end = np.concatenate([self.faces, np.roll(self.faces, 1, axis=1)]).reshape(2, -1)
+        crossing = (height[start] > 0) & (height[end] < 0)
+        start, end = start[crossing], end[crossing]
+        share = (height[start] / (height[start] - height[end]))[:, None]
+        met = self.vertices[start] + share * (self.vertices[end] - self.vertices[start])
+        return ConvexPart.hull_of(np.concatenate([self.vertices[height >= 0], np.unique(met, axis=0)]))
+
     def moved(self, T: Array) -> ConvexPart:
         """The part under an affine map of positive determinant, T (4, 4)."""
         return ConvexPart(vertices=transform(T, self.vertices), faces=self.faces)

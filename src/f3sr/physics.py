@@ -88,8 +88,8 @@ class SettleConfig:
     even_masses: bool = True
     """Check a second time with each mass spread evenly over the parts, as the release protocol does: a
     pose can stand with the one centre of mass and tip with the other."""
-    rounds: Annotated[int, Interval(ge=1, le=100)] = 4
-    """How often to settle and check again."""
+    rounds: Annotated[int, Interval(ge=1, le=100)] = 16
+    """How often to settle and check again: what creeps may take eight."""
 
 
 DEFAULT_SETTLING = SettleConfig()

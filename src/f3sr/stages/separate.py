@@ -5,18 +5,21 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import field, replace
 from itertools import combinations
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Interval
 
 from f3sr import contact, landing, parting
-from f3sr.bodies import bodies_of, rigid
+from f3sr.bodies import StaticBody, bodies_of, contacts_of, rigid
 from f3sr.contact import Polytope
-from f3sr.footing import GROUND_PLANE, FootingConfig, Plane, footing, support_plane
-from f3sr.frames import UP, Array, pose, transform
+from f3sr.equilibrium import Balance
+from f3sr.footing import GROUND_PLANE, FootingConfig, Plane, flush, footing, support_plane
+from f3sr.frames import UP, Array, pose, rotation_from_vector, transform, vector_from_rotation
 from f3sr.landing import LandingConfig
+from f3sr.measures import visible_ious
 from f3sr.mesh import ConvexPart
+from f3sr.physics import DEFAULT_PHYSICS
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.sensitivity import loss_matrix
@@ -28,6 +31,13 @@ UNFELT = 0.1
 """IoU that a move by its own size costs an object in directions which the picture does not feel."""
 PASSES = 3
 """Most times that objects are seated and then parted, which may take them off their supports again."""
+WAYS_BACK = (0.0, 0.5, 1.0)
+"""Shares of an object's way along the viewing rays that are taken back before it is laid down."""
+PARTS_OF_A_TURN = (0.25, 0.5, 0.75)
+"""Of the turn until an object lies, after which it is tried whether a footing makes it stand."""
+ROOM = 1.2e-3
+"""Gap [m] that counts as contact while it is asked whether a footing makes a body stand: parts stand off the mesh, so
+that they may keep a wedge that much off its support."""
 RAY_STEPS = 10
 """Places to either side that are tried along the viewing rays before the best is refined."""
 
@@ -101,11 +111,20 @@ class _Layout:
         self.scene = scene
         self.bodies = {o.id: _polytopes(o, o.parts) for o in scene}
         self.footings: dict[int, tuple[ConvexPart, ...]] = {}
+        self.parts: dict[int, tuple[ConvexPart, ...]] = {o.id: o.parts for o in scene}
         self.shift: dict[int, Array] = {o.id: np.zeros(3) for o in scene}
         self.scale: dict[int, float] = {o.id: 1.0 for o in scene}
         self.rotation: dict[int, Array] = {o.id: np.eye(3) for o in scene}
         self.common = 1.0
         """What all were scaled by at the start."""
+
+    def saved(self) -> tuple[dict[int, Any], ...]:
+        """Where everything is, for ``restore``."""
+        state = (self.bodies, self.footings, self.parts, self.shift, self.scale, self.rotation)
+        return tuple(dict(d) for d in state)
+
+    def restore(self, saved: tuple[dict[int, Any], ...]) -> None:
+        self.bodies, self.footings, self.parts, self.shift, self.scale, self.rotation = (dict(d) for d in saved)
 
     def move(self, ids: tuple[int, ...], t: Array, *, scale: float = 1.0) -> None:
         """Apply ``x -> scale x + t`` to bodies; fixed ones stay."""
@@ -135,16 +154,16 @@ class _Layout:
         if t.any() or k != 1 or (np.eye(3) != R).any():
             reason = f"onto its support and out of others: {1000 * self.travel(id):.1f} mm, scale {k:.4f}"
             o = o.moved(pose(R, t), scale=k, stage="separate", reason=reason)
-        return replace(o, footing=self.footings.get(id, ()))
+        return replace(o, parts=self.parts[id], footing=self.footings.get(id, ()))
 
     def carriers(self, id: int) -> tuple[Polytope, ...]:
         """All that carries a body but the ground."""
         return tuple(p for k in _supports(self.scene[id]) if k != GROUND for p in self.bodies[k])
 
-    def stand(self, id: int, wedges: tuple[ConvexPart, ...]) -> None:
-        """Put a body on a footing (asset frame)."""
-        self.footings[id] = wedges
-        self.bodies[id] = _polytopes(self.object(id), (*self.scene[id].parts, *wedges))
+    def stand(self, id: int, parts: tuple[ConvexPart, ...], wedges: tuple[ConvexPart, ...]) -> None:
+        """Put a body with other parts on a footing (asset frame)."""
+        self.parts[id], self.footings[id] = parts, wedges
+        self.bodies[id] = _polytopes(self.object(id), (*parts, *wedges))
 
     def all_along_rays(self, k: float) -> None:
         """Move the whole scene; it uses up nobody's way along the rays."""
@@ -225,41 +244,110 @@ def _stand(layout: _Layout, config: SeparateConfig) -> list[Decision]:
 
 
 def _put_on_a_footing(layout: _Layout, o: SceneObject, config: SeparateConfig) -> Decision | None:
+    """Give an object where its body is now a footing, if that makes it stand and is in nobody's way."""
     plane = _plane_below(layout, o, config.footing) if config.footing.enabled else None
     wedges = footing(o, plane, config.footing) if plane else ()
-    if not wedges:
+    if not plane or not wedges:
         return None
-    was = layout.collisions_of(o.id)
-    layout.stand(o.id, wedges)
+    before, was = layout.saved(), layout.collisions_of(o.id)
+    layout.stand(o.id, flush(o, plane), wedges)
     if layout.collisions_of(o.id) - was - set(_supports(o)):
-        layout.stand(o.id, ())
+        layout.restore(before)
         return None
     layout.move(layout.scene.subtree(o.id), -_gap(layout.bodies[o.id], o.id, layout, config) * UP)
     return _footing_decision(o, wedges)
 
 
 def _lie_down(layout: _Layout, o: SceneObject, config: SeparateConfig) -> Decision | None:
-    """Turn an object, with all it carries, about its contacts until it lies; on the ground it keeps its place."""
-    members = layout.scene.subtree(o.id)
-    bodies = {b.id: b for b in bodies_of([layout.object(k.id) for k in layout.scene], parts=layout.bodies)}
-    whole = rigid([bodies[k] for k in members], o.id)
-    found = landing.land(
-        whole, [bodies[k] for k in bodies if k not in members], config.landing, clearance=config.clearance
-    )
-    if found.tipped or found.turn < STILL:
+    """Let an object come to lie from where it is, or from farther back on its way along the viewing rays: what leans may
+    have been moved past what it leans on. Of where it stands, what shows most of the photo is kept."""
+    members, start = layout.scene.subtree(o.id), layout.saved()
+    was = {k: layout.collisions_of(k) for k in members}
+    found: list[tuple[bool, float, int, tuple[dict[int, Any], ...], Decision | None]] = []
+    for turn, share in enumerate(WAYS_BACK):
+        layout.restore(start)
+        layout.along_rays(members, float((layout.common / layout.scale[o.id]) ** share))
+        layout.move(members, -_gap(layout.bodies[o.id], o.id, layout, config) * UP)
+        if any(layout.collisions_of(k) - was[k] - set(members) for k in members):
+            continue
+        decision, stands = _laid_down(layout, layout.object(o.id), config)
+        if turn == 0 and decision is None and stands:
+            return None
+        now = layout.scene.with_objects(*(layout.object(k.id) for k in layout.scene))
+        found.append((stands, float(np.mean(list(visible_ious(now).values()))), -turn, layout.saved(), decision))
+    if not found:
+        layout.restore(start)
         return None
+    if DEBUG: print(o.id, [(f[:3], f[4] and f[4].choice) for f in found])
+    *_, saved, decision = max(found, key=lambda f: f[:3])
+    layout.restore(saved)
+    return decision
+
+
+DEBUG=0
+def _laid_down(layout: _Layout, o: SceneObject, config: SeparateConfig) -> tuple[Decision | None, bool]:
+    """Turn an object, with all it carries, about its contacts until it lies, or only until a footing makes it stand;
+    on the ground it keeps its place. What was done, and whether it stands."""
+    members = layout.scene.subtree(o.id)
+    whole, others = _parted(layout, o.id)
+    found = landing.land(whole, others, config.landing, clearance=config.clearance)
+    if found.tipped or found.turn < STILL:
+        return None, found.stands
+    if on_the_way := _lie_down_in_part(layout, o, whole.centers[0], found, config):
+        return on_the_way, True
     was = {k: layout.collisions_of(k) for k in members}
     layout.turn(members, found.T)
     if o.supported_by == GROUND:
         back = whole.centers[0] - transform(found.T, whole.centers[:1])[0]
+        lying = layout.saved()
         layout.move(members, np.append(back[:2], 0.0))
         if any(layout.collisions_of(k) - was[k] - set(members) for k in members):
-            layout.move(members, np.append(-back[:2], 0.0))
-    return Decision(
+            layout.restore(lying)
+    decision = Decision(
         choice=f"laid down by {np.degrees(found.turn):.1f} degrees",
         reason="so that its weight is between its contacts before physics starts",
         about=o.id,
     )
+    return decision, found.stands
+
+
+def _parted(layout: _Layout, id: int) -> tuple[StaticBody, list[StaticBody]]:
+    """A body with all it carries as one, and all others, held still."""
+    members = layout.scene.subtree(id)
+    bodies = {b.id: b for b in bodies_of([layout.object(k.id) for k in layout.scene], parts=layout.bodies)}
+    whole = rigid([bodies[k] for k in members], id)
+    return whole, [replace(bodies[k], fixed=True) for k in bodies if k not in members]
+
+
+def _stands(layout: _Layout, id: int, config: SeparateConfig) -> bool:
+    """Whether a body with all it carries stands by the margin that is asked of footings, all others held still."""
+    whole, others = _parted(layout, id)
+    everything = [whole, *others]
+    contacts = contacts_of(everything, reach=ROOM)
+    friction = DEFAULT_PHYSICS.ground_friction[0]
+    return Balance([whole], everything, contacts, friction).margin()[0] >= config.footing.min_margin
+
+
+def _lie_down_in_part(
+    layout: _Layout, o: SceneObject, center: Array, found: landing.Landing, config: SeparateConfig
+) -> Decision | None:
+    """The least of a landing's turn, about an object's centre (3,), after which a footing makes it stand."""
+    members = layout.scene.subtree(o.id)
+    axis = vector_from_rotation(found.T[:3, :3])
+    before, was = layout.saved(), {k: layout.collisions_of(k) for k in members}
+    for share in PARTS_OF_A_TURN:
+        R = rotation_from_vector(share * axis)
+        T = pose(R, center - R @ center)
+        layout.turn(members, T)
+        above = min(layout.lowest(k) for k in members)
+        layout.move(members, max(0.0, config.clearance - above) * UP)
+        decision = _put_on_a_footing(layout, layout.object(o.id), config)
+        is_free = not any(layout.collisions_of(k) - was[k] - set(members) for k in members)
+        if decision and is_free and _stands(layout, o.id, config):
+            turned = f"turned by {share * np.degrees(found.turn):.1f} of {np.degrees(found.turn):.1f} degrees and "
+            return replace(decision, choice=turned + decision.choice)
+        layout.restore(before)
+    return None
 
 
 def _footing_decision(o: SceneObject, wedges: tuple[ConvexPart, ...]) -> Decision:
