@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from f3sr.footing import GROUND_PLANE, FootingConfig, Plane, footing, support_plane
+from f3sr.footing import GROUND_PLANE, FootingConfig, Plane, flush, footing, support_plane
 from f3sr.frames import pose, rotation_about, rotation_angle
+from f3sr.inside import union_distance
 from f3sr.mesh import ConvexPart, Mesh
 from f3sr.physics import settle
 from f3sr.scene import SceneObject
@@ -60,12 +61,32 @@ def test_a_footing_reaches_the_plane_and_not_below():
     [
         pytest.param(box(0), id="flat already"),
         pytest.param(slanted(np.radians(14)), id="turned too far"),
-        pytest.param(slanted(np.radians(9), height=1.0), id="would fall upright"),
+        pytest.param(slanted(np.radians(9), height=3.0), id="would fall upright"),
         pytest.param(shaped(0.05 * np.random.default_rng(0).normal(size=(400, 3)), at=(0, 0, 0.2)), id="a cloud"),
     ],
 )
 def test_none_where_none_helps(o: SceneObject):
     assert footing(o, GROUND_PLANE, CONFIG) == ()
+
+
+def test_what_has_no_stable_underside_stands_on_a_footing_as_it_does_in_the_photo():
+    """A tall thing whose weight is not above its turned underside: it would fall flat."""
+    o = slanted(np.radians(9), height=1.0)
+    assert turned_by_physics(o) > 45
+    assert turned_by_physics(replace(o, footing=footing(o, GROUND_PLANE, CONFIG))) < 0.2
+
+
+def test_parts_are_cut_flush_with_the_lowest_point_of_the_mesh_and_cover_as_before():
+    o = slanted(np.radians(5))
+    below = np.array([[0.0, 0, -0.08], [0.02, 0, -0.04], [-0.02, 0.02, -0.04], [0, -0.02, -0.04]])
+    o = replace(o, parts=(*o.parts, ConvexPart.hull_of(below)))
+    parts = flush(o, GROUND_PLANE)
+    lowest = o.vertices_world[:, 2].min()
+    world = [p.moved(o.T_world_asset) for p in parts]
+    assert min(p.vertices[:, 2].min() for p in world) == pytest.approx(lowest, abs=1e-12)
+    assert parts[0] is o.parts[0]
+    assert 0 < parts[1].volume < o.parts[1].volume
+    assert union_distance(o.mesh.vertices, parts).max() < 1e-9
 
 
 def test_a_ball_can_still_roll():

@@ -94,7 +94,7 @@ class Polytope:
         return float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
 
     @cached_property
-    def packed(self) -> tuple[Array, ...]:
+    def packed(self) -> tuple[Array, Array, Array, Array, Array, Array]:
         """What the kernels read."""
         return self.vertices, self.normals, self.offsets, self.edge_starts, self.edge_directions, self.edge_normals
 

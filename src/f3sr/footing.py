@@ -91,9 +91,8 @@ def flush(o: SceneObject, plane: Plane) -> tuple[ConvexPart, ...]:
     """The parts of an object (asset frame) without what stands off its mesh toward a plane below it, so that it stands
     on its footing alone: beyond the mesh's lowest point they cover nothing."""
     lowest = float(plane.heights(o.vertices_world).min())
-    R, t = o.scale * o.T_world_object[:3, :3], o.T_world_object[:3, 3]
-    length = o.scale  # of the plane's normal in the asset's frame
-    normal, offset = plane.normal @ R / length, (plane.offset + lowest - plane.normal @ t) / length
+    normal = plane.normal @ o.T_world_object[:3, :3]
+    offset = (plane.offset + lowest - float(plane.normal @ o.T_world_object[:3, 3])) / o.scale
     return tuple(_above(part, normal, offset) for part in o.parts)
 
 
@@ -155,13 +154,20 @@ def _facet_above(hull: ConvexPart, center: Array, config: FootingConfig) -> Plan
 
 
 def _facet_below(hull: ConvexPart, center: Array, plane: Plane, config: FootingConfig) -> Plane | None:
-    """The stable facet the body would fall onto, as a plane with an upward normal; None when it is far."""
-    normals = stable_normals(hull, center)
-    if not len(normals):
-        return None
-    normal = -normals[int(np.argmin(normals @ plane.normal))]
-    if normal @ plane.normal < np.cos(config.max_turn):
-        return None
+    """What the body would fall onto, as a plane with an upward normal: its nearest stable facet or, where that is far,
+    as of a tall body with a bulging underside, the mean of all facets that face down; None where none does."""
+    near = np.cos(config.max_turn)
+    stable = -stable_normals(hull, center)
+    if len(stable) and (stable @ plane.normal).max() >= near:
+        normal = stable[int(np.argmax(stable @ plane.normal))]
+    else:
+        a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
+        areas = -np.cross(b - a, c - a)
+        lengths = np.linalg.norm(areas, axis=1)
+        normal = areas[areas @ plane.normal >= near * lengths].sum(0)
+        if not normal.any():
+            return None
+        normal /= np.linalg.norm(normal)
     return Plane(normal=normal, offset=float((hull.vertices @ normal).min()))
 
 

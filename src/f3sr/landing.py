@@ -37,6 +37,9 @@ EVENTS = 200
 """Most contacts met: a round thing rolls from facet to facet."""
 JAMMED = 3
 """So many turns in a row that end where they begin: it is held from the side."""
+ROLLING = DEFAULT_PHYSICS.ground_friction[2] / 5
+"""A weight so far outside of the contacts [m] does not roll a body over: rolling friction holds it, by a fifth of which
+nothing creeps."""
 STEEP = 0.2
 """Cosine between up and a contact's normal below which it carries nothing: the body leans there."""
 
@@ -229,7 +232,7 @@ class _Fall:
         if not len(points):
             return None
         corners = points[hull_corners(np.ascontiguousarray(points[:, :2]), TOUCHING)]
-        out = _way_out(corners, self.center)
+        out = _way_out(corners, self.center, ROLLING)
         leans = bool((mine & (np.abs(upward) <= STEEP)).any())
         return None if out is None or (leans and self.stands(TOUCHING)) else out
 
@@ -260,8 +263,9 @@ class _Fall:
         return low
 
 
-def _way_out(corners: Array, center: Array) -> tuple[Array, Array] | None:
-    """The nearest side or corner (point, axis) of a support polygon (k, 3) that does not hold the centre."""
+def _way_out(corners: Array, center: Array, rolling: float) -> tuple[Array, Array] | None:
+    """The nearest side or corner (point, axis) of a support polygon (k, 3) that does not hold the centre, nor within
+    ``rolling`` [m] of it."""
     c = center[:2]
     if len(corners) > 2:
         starts, ends = corners[:, :2], np.roll(corners[:, :2], -1, axis=0)
@@ -276,6 +280,8 @@ def _way_out(corners: Array, center: Array) -> tuple[Array, Array] | None:
         distance = float(np.linalg.norm(c - a[:2] - w * d))
         if distance < best:
             best, feature = distance, (a, b) if 0 < w < 1 else ((a, a) if w == 0 else (b, b))
+    if best <= rolling:
+        return None
     a, b = feature
     axis = b - a
     if not axis.any():  # a corner: the axis is level and across the way to the centre

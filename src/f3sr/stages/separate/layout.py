@@ -1,0 +1,145 @@
+"""Where bodies are while ``separate`` moves them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from f3sr import contact
+from f3sr.contact import Polytope
+from f3sr.frames import Array, pose, transform
+from f3sr.mesh import ConvexPart
+from f3sr.scene import GROUND, Scene, SceneObject
+from f3sr.sensitivity import loss_matrix
+
+Saved = tuple[dict[int, Any], ...]
+"""A layout's state."""
+
+
+class Layout:
+    """Where the bodies are while they are being moved: polytopes in the world under ``x -> scale R x + shift``."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.bodies = {o.id: polytopes(o, o.parts) for o in scene}
+        self.footings: dict[int, tuple[ConvexPart, ...]] = {}
+        self.parts: dict[int, tuple[ConvexPart, ...]] = {o.id: o.parts for o in scene}
+        self.shift: dict[int, Array] = {o.id: np.zeros(3) for o in scene}
+        self.scale: dict[int, float] = {o.id: 1.0 for o in scene}
+        self.rotation: dict[int, Array] = {o.id: np.eye(3) for o in scene}
+        self.common = 1.0
+        """What all were scaled by at the start."""
+
+    def saved(self) -> Saved:
+        """Where everything is, for ``restore``."""
+        state = (self.bodies, self.footings, self.parts, self.shift, self.scale, self.rotation)
+        return tuple(dict(d) for d in state)
+
+    def restore(self, saved: Saved) -> None:
+        self.bodies, self.footings, self.parts, self.shift, self.scale, self.rotation = (dict(d) for d in saved)
+
+    def move(self, ids: tuple[int, ...], t: Array, *, scale: float = 1.0) -> None:
+        """Apply ``x -> scale x + t`` to bodies; fixed ones stay."""
+        for id in ids:
+            if self.scene[id].mobility == "fixed":
+                continue
+            self.bodies[id] = moved(self.bodies[id], t, scale)
+            self.shift[id] = scale * self.shift[id] + t
+            self.scale[id] *= scale
+
+    def turn(self, ids: tuple[int, ...], T: Array) -> None:
+        """Apply a rigid motion (4, 4) to bodies; fixed ones stay."""
+        for id in ids:
+            if self.scene[id].mobility == "fixed":
+                continue
+            self.bodies[id] = tuple(p.moved(T) for p in self.bodies[id])
+            self.shift[id] = transform(T, self.shift[id][None])[0]
+            self.rotation[id] = T[:3, :3] @ self.rotation[id]
+
+    def along_rays(self, ids: tuple[int, ...], k: float) -> None:
+        """The homothety ``X -> C + k (X - C)`` about the camera centre C: no silhouette changes."""
+        self.move(ids, (1 - k) * self.scene.camera.center, scale=k)
+
+    def object(self, id: int) -> SceneObject:
+        """The scene's object where its body is now."""
+        o, t, k, R = self.scene[id], self.shift[id], self.scale[id], self.rotation[id]
+        if t.any() or k != 1 or (np.eye(3) != R).any():
+            reason = f"onto its support and out of others: {1000 * self.travel(id):.1f} mm, scale {k:.4f}"
+            o = o.moved(pose(R, t), scale=k, stage="separate", reason=reason)
+        return replace(o, parts=self.parts[id], footing=self.footings.get(id, ()))
+
+    def moved_scene(self) -> Scene:
+        """The scene with every object where its body is now."""
+        return self.scene.with_objects(*(self.object(o.id) for o in self.scene))
+
+    def carriers(self, id: int) -> tuple[Polytope, ...]:
+        """All that carries a body but the ground."""
+        return tuple(p for k in supports_of(self.scene[id]) if k != GROUND for p in self.bodies[k])
+
+    def stand(self, id: int, parts: tuple[ConvexPart, ...], wedges: tuple[ConvexPart, ...]) -> None:
+        """Put a body with other parts on a footing (asset frame)."""
+        self.parts[id], self.footings[id] = parts, wedges
+        self.bodies[id] = polytopes(self.object(id), (*parts, *wedges))
+
+    def all_along_rays(self, k: float) -> None:
+        """Move the whole scene; it uses up nobody's way along the rays."""
+        self.along_rays(tuple(self.bodies), k)
+        self.common = k
+
+    def rays_left(self, id: int, limit: float) -> tuple[float, float]:
+        """The least and largest k that keep a body within ``limit`` of where it was along its viewing rays."""
+        used = self.scale[id] / self.common
+        return min(1.0, (1 - limit) / used), max(1.0, (1 + limit) / used)
+
+    def distance(self, id: int) -> float:
+        """From the camera to the middle of a body [m]."""
+        place = self.place(id, self.scene[id].bounds_world.mean(0))
+        return float(np.linalg.norm(place - self.scene.camera.center))
+
+    def travel(self, id: int) -> float:
+        """How far the middle of a body has moved [m]."""
+        middle = self.scene[id].bounds_world.mean(0)
+        return float(np.linalg.norm(self.place(id, middle) - middle))
+
+    def place(self, id: int, point: Array) -> Array:
+        """Where a point (3,) of a body is now."""
+        return self.scale[id] * (self.rotation[id] @ point) + self.shift[id]
+
+    def loss(self, id: int) -> Array:
+        """What the picture feels of a body's shifts: W (3, 3), d' W d the square of the IoU it loses."""
+        o = self.scene[id]
+        return loss_matrix(o.mask, self.scene.camera, self.place(id, o.bounds_world.mean(0)))
+
+    def lowest(self, id: int) -> float:
+        return min(float(p.bounds[0, 2]) for p in self.bodies[id])
+
+    def collisions_of(self, id: int) -> set[int]:
+        """Other bodies that a body overlaps."""
+        return {k for k in self.bodies if k != id and contact.collide(self.bodies[id], self.bodies[k])}
+
+    def collisions(self) -> list[tuple[int, int]]:
+        """Pairs of ids that overlap, the ground included as the second."""
+        pairs = [(a, b) for a, b in combinations(self.bodies, 2) if contact.collide(self.bodies[a], self.bodies[b])]
+        return pairs + [(id, GROUND) for id in self.bodies if self.lowest(id) < -1e-9]
+
+
+def polytopes(o: SceneObject, parts: tuple[ConvexPart, ...]) -> tuple[Polytope, ...]:
+    return tuple(Polytope.of(p).moved(o.T_world_asset) for p in parts)
+
+
+def moved(body: contact.Body, t: Array, scale: float) -> tuple[Polytope, ...]:
+    T = pose(scale * np.eye(3), t)
+    return tuple(p.moved(T) for p in body)
+
+
+def supports_of(o: SceneObject) -> list[int]:
+    """Ids of what an object rests on, its place in the forest included."""
+    main = () if o.supported_by is None else (o.supported_by,)
+    return sorted({*main, *(s.id for s in o.supports)})
+
+
+def supports_first(scene: Scene) -> list[int]:
+    return sorted((o.id for o in scene), key=lambda id: (len(scene.ancestors(id)), id))

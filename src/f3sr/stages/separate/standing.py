@@ -1,0 +1,178 @@
+"""Objects made to stand before physics: as they are, on a footing, or turned until they lie."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from f3sr import landing
+from f3sr.bodies import StaticBody, bodies_of, contacts_of, rigid
+from f3sr.equilibrium import Balance
+from f3sr.footing import GROUND_PLANE, FootingConfig, Plane, flush, footing, support_plane
+from f3sr.frames import UP, Array, pose, rotation_from_vector, transform, vector_from_rotation
+from f3sr.measures import visible_ious
+from f3sr.mesh import ConvexPart
+from f3sr.physics import DEFAULT_PHYSICS
+from f3sr.report import Decision
+from f3sr.scene import GROUND, SceneObject
+from f3sr.stages.separate.config import SeparateConfig
+from f3sr.stages.separate.layout import Layout, Saved, supports_first, supports_of
+from f3sr.stages.separate.seating import gap
+
+STILL = 1e-3
+"""Turn [rad] that is not worth laying an object down."""
+WAYS_BACK = (0.0, 0.5, 1.0)
+"""Shares of an object's way along the viewing rays that are taken back before it is laid down."""
+PARTS_OF_A_TURN = (0.25, 0.5, 0.75)
+"""Of the turn until an object lies, after which it is tried whether a footing makes it stand."""
+ROOM = 1.2e-3
+"""Gap [m] that counts as contact while it is asked whether a footing makes a body stand: parts stand off the mesh, so
+that they may keep a wedge that much off its support."""
+
+
+def stand(layout: Layout, config: SeparateConfig) -> list[Decision]:
+    """Let every object stand before physics, supports first: as it is, on a footing, or turned until it lies. What was
+    done is told per object, also where nothing helped."""
+    decisions: list[Decision] = []
+    for id in supports_first(layout.scene):
+        o = layout.object(id)
+        if o.mobility == "fixed" or o.supported_by is None:
+            continue
+        decision = _put_on_a_footing(layout, o, config) or _lie_down(layout, o, config)
+        if decision:
+            decisions.append(decision)
+    return decisions
+
+
+def _put_on_a_footing(layout: Layout, o: SceneObject, config: SeparateConfig) -> Decision | None:
+    """Give an object where its body is now a footing, if that makes it stand and is in nobody's way."""
+    plane = _plane_below(layout, o, config.footing) if config.footing.enabled else None
+    wedges = footing(o, plane, config.footing) if plane else ()
+    if not plane or not wedges:
+        return None
+    before, was = layout.saved(), layout.collisions_of(o.id)
+    layout.stand(o.id, flush(o, plane), wedges)
+    if layout.collisions_of(o.id) - was - set(supports_of(o)):
+        layout.restore(before)
+        return None
+    layout.move(layout.scene.subtree(o.id), -gap(layout.bodies[o.id], o.id, layout, config) * UP)
+    return _footing_decision(o, wedges)
+
+
+def _lie_down(layout: Layout, o: SceneObject, config: SeparateConfig) -> Decision | None:
+    """Let an object come to lie from where it is, or from farther back on its way along the viewing rays: what leans
+    may have been moved past what it leans on. Of where it stands, what shows most of the photo is kept."""
+    members, start = layout.scene.subtree(o.id), layout.saved()
+    was = {k: layout.collisions_of(k) for k in members}
+    found: list[_Tried] = []
+    for share in WAYS_BACK:
+        layout.restore(start)
+        layout.along_rays(members, float((layout.common / layout.scale[o.id]) ** share))
+        layout.move(members, -gap(layout.bodies[o.id], o.id, layout, config) * UP)
+        if any(layout.collisions_of(k) - was[k] - set(members) for k in members):
+            continue
+        decision, stands = _laid_down(layout, layout.object(o.id), config)
+        if not share and stands and decision is None:
+            return None
+        seen = float(np.mean(list(visible_ious(layout.moved_scene()).values())))
+        found.append(_Tried(stands=stands, seen=seen, layout=layout.saved(), decision=decision))
+    if not any(tried.stands for tried in found):
+        layout.restore(start)
+        reason = "its weight is outside of its contacts, and no turn or footing within the limits helps"
+        return Decision(choice="left as it is, to fall where physics takes it", reason=reason, about=o.id)
+    best = max(found, key=lambda tried: (tried.stands, tried.seen))
+    layout.restore(best.layout)
+    return best.decision
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Tried:
+    """Where an object came to lie: whether it stands there, how much is seen of all masks (mean IoU), what was done."""
+
+    stands: bool
+    seen: float
+    layout: Saved
+    decision: Decision | None
+
+
+def _laid_down(layout: Layout, o: SceneObject, config: SeparateConfig) -> tuple[Decision | None, bool]:
+    """Turn an object, with all it carries, about its contacts until it lies, or only until a footing makes it stand;
+    on the ground it keeps its place. What was done, and whether it stands."""
+    members = layout.scene.subtree(o.id)
+    whole, others = _parted(layout, o.id)
+    found = landing.land(whole, others, config.landing, clearance=config.clearance)
+    if found.tipped or found.turn < STILL:
+        return None, found.stands
+    if on_the_way := _lie_down_in_part(layout, o, whole.centers[0], found, config):
+        return on_the_way, True
+    was = {k: layout.collisions_of(k) for k in members}
+    layout.turn(members, found.T)
+    if o.supported_by == GROUND:
+        back = whole.centers[0] - transform(found.T, whole.centers[:1])[0]
+        lying = layout.saved()
+        layout.move(members, np.append(back[:2], 0.0))
+        if any(layout.collisions_of(k) - was[k] - set(members) for k in members):
+            layout.restore(lying)
+    decision = Decision(
+        choice=f"laid down by {np.degrees(found.turn):.1f} degrees",
+        reason="so that its weight is between its contacts before physics starts",
+        about=o.id,
+    )
+    return decision, found.stands
+
+
+def _lie_down_in_part(
+    layout: Layout, o: SceneObject, center: Array, found: landing.Landing, config: SeparateConfig
+) -> Decision | None:
+    """The least of a landing's turn, about an object's centre (3,), after which a footing makes it stand."""
+    members = layout.scene.subtree(o.id)
+    axis = vector_from_rotation(found.T[:3, :3])
+    before, was = layout.saved(), {k: layout.collisions_of(k) for k in members}
+    for share in PARTS_OF_A_TURN:
+        R = rotation_from_vector(share * axis)
+        T = pose(R, center - R @ center)
+        layout.turn(members, T)
+        above = min(layout.lowest(k) for k in members)
+        layout.move(members, max(0.0, config.clearance - above) * UP)
+        decision = _put_on_a_footing(layout, layout.object(o.id), config)
+        is_free = not any(layout.collisions_of(k) - was[k] - set(members) for k in members)
+        if decision and is_free and _stands(layout, o.id, config):
+            turned = f"turned by {share * np.degrees(found.turn):.1f} of {np.degrees(found.turn):.1f} degrees and "
+            return replace(decision, choice=turned + decision.choice)
+        layout.restore(before)
+    return None
+
+
+def _parted(layout: Layout, id: int) -> tuple[StaticBody, list[StaticBody]]:
+    """A body with all it carries as one, and all others, held still."""
+    members = layout.scene.subtree(id)
+    bodies = {b.id: b for b in bodies_of([layout.object(k.id) for k in layout.scene], parts=layout.bodies)}
+    whole = rigid([bodies[k] for k in members], id)
+    return whole, [replace(bodies[k], fixed=True) for k in bodies if k not in members]
+
+
+def _stands(layout: Layout, id: int, config: SeparateConfig) -> bool:
+    """Whether a body with all it carries stands by the margin that is asked of footings, all others held still."""
+    whole, others = _parted(layout, id)
+    everything = [whole, *others]
+    contacts = contacts_of(everything, reach=ROOM)
+    friction = DEFAULT_PHYSICS.ground_friction[0]
+    return Balance([whole], everything, contacts, friction).margin()[0] >= config.footing.min_margin
+
+
+def _footing_decision(o: SceneObject, wedges: tuple[ConvexPart, ...]) -> Decision:
+    height = max(float(np.ptp(w.moved(o.T_world_asset).vertices[:, 2])) for w in wedges)
+    reason = (
+        f"its underside, which no photo shows, is uneven or turned against what it stands on: up to "
+        f"{1000 * height:.1f} mm ({100 * height / o.size:.1f} % of its size) added below it, for contact only"
+    )
+    return Decision(choice="given a footing", reason=reason, about=o.id)
+
+
+def _plane_below(layout: Layout, o: SceneObject, config: FootingConfig) -> Plane | None:
+    """What a flat underside would rest on."""
+    if o.supported_by == GROUND:
+        return GROUND_PLANE
+    below = [layout.object(k).colliders_world for k in supports_of(o) if k != GROUND]
+    return support_plane(o, [part for parts in below for part in parts], config)
