@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from f3sr import inputs, raster
+from f3sr.balancing import BalanceConfig
 from f3sr.frames import T_UP_FROM_CAMERA, invert_pose, pose, rotation_about, rotation_from_vector
 from f3sr.measures import measure, visible_iou
 from f3sr.scene import GROUND, Geometry, Scene
@@ -247,6 +248,29 @@ def test_floating_objects_come_down_onto_their_support():
     floating = replace(box(1, size=(0.05, 0.05, 0.05), at=(0, 0, 0.2)), supported_by=0)
     scene, _ = separate(scene_of(box(0), floating), SeparateConfig(max_ray_scale=0.0))
     assert scene[1].bounds_world[0, 2] == pytest.approx(0.1 + 2 * GAP, abs=1e-5)
+
+
+def overhanging(by: float) -> Scene:
+    """A box on another, the middle of the upper one ``by`` [m] beyond the edge of the lower."""
+    up = replace(box(1, size=(0.1, 0.1, 0.1), at=(0.05 + by, 0, 0.15)), supported_by=0)
+    return scene_of(box(0), up)
+
+
+def test_what_would_fall_by_a_little_is_shifted_until_it_rests():
+    before = overhanging(0.004)
+    assert settle(before)[0][1].motion[-1].rotation > 0.5
+    scene, report = separate(before, SeparateConfig(max_ray_scale=0.0))
+    margin = next(m for m in report.measures if m.name == "stability margin")
+    assert margin.before is not None and margin.before < 0 < margin.after
+    assert any(d.about == 1 and "shifted by" in d.choice for d in report.decisions)
+    assert np.linalg.norm(settle(scene)[0][1].T_world_object[:3, 3] - scene[1].T_world_object[:3, 3]) < 1e-3
+
+
+def test_what_no_shift_holds_is_told():
+    config = SeparateConfig(max_ray_scale=0.0, balancing=BalanceConfig(max_shift=0.05))
+    scene, report = separate(overhanging(0.04), config)
+    assert any(d.about == 1 and "left to fall" in d.choice for d in report.decisions)
+    assert scene[1].T_world_object[0, 3] == pytest.approx(0.09, abs=1e-9)
 
 
 def test_fixed_objects_do_not_move():

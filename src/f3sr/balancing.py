@@ -30,8 +30,11 @@ CONE_EDGES = 4
 """Of friction pyramids while shifts are sought: fewer edges have less friction, so this is on the safe side."""
 SIDES = 16
 """Of the polygons that stand for circles of shifts."""
-CUTS = 3
-"""How often a programme is solved: each time the polygons that measure shifts get a side where the last one ended."""
+CUTS = 12
+"""How often a programme is solved at most: each time the polygons that measure shifts get a side where the last one
+ended, until they measure right."""
+EXACT = 1e-3
+"""Share of a shift's cost that its polygon may miss."""
 SEATED = 1e-7
 """Heights [m] that differ by less are the same: ten times what rounding leaves of a clearance."""
 UNBALANCED = 1e3
@@ -309,7 +312,10 @@ class _Programme:
             if solution.status != 0:
                 break
             steps = solution.x[free : free + shifts].reshape(-1, 2)
-            more = [self._measured(i, self._weighed(i, step)) for i, step in enumerate(steps)]
+            told, true = solution.x[free + shifts :], [self._weighed(i, step) for i, step in enumerate(steps)]
+            if sum(map(np.linalg.norm, true)) <= told.sum() * (1 + EXACT) + SEATED:
+                break
+            more = [self._measured(i, toward) for i, toward in enumerate(true)]
             below, limits = np.vstack([below, *(r for r, _ in more)]), np.r_[limits, [limit for _, limit in more]]
         return dict(zip(self.ids, steps, strict=True))
 

@@ -11,6 +11,7 @@ from f3sr.stages.separate.config import SeparateConfig
 from f3sr.stages.separate.layout import Layout
 from f3sr.stages.separate.seating import common_scale, seat
 from f3sr.stages.separate.standing import stand
+from f3sr.stages.separate.steady import steady
 
 __all__ = ["SeparateConfig", "separate"]
 
@@ -26,8 +27,8 @@ def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene,
     viewing rays, scaled alike about the camera centre, which leaves the picture as it is, and by the smallest lift, or
     by lowering, each as far as is likely by what is known of distances and of the picture. Then unrelated objects that
     overlap are parted by one joint horizontal move, each with all it carries. At last a nearly flat underside gets a
-    footing, so that physics leaves the object as it stands, and what has none is laid down. What still overlaps is
-    counted, never hidden.
+    footing, so that physics leaves the object as it stands, and what has none is laid down; what would still fall, by
+    statics, is shifted. What still overlaps or falls is told, never hidden.
     """
     config = config or SeparateConfig()
     scene = scene.with_objects(*(replace(o, footing=()) for o in scene if o.footing))
@@ -41,12 +42,14 @@ def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene,
     else:
         seat(layout, config)
     decisions = stand(layout, config)
+    margins, told = steady(layout, config)
+    decisions += told
     left = layout.collisions()
     decisions += [
         Decision(choice=f"still overlaps {_name(b)} after separation", reason="no free place found", about=a)
         for a, b in left
     ]
-    measures = [Measure(name="overlapping pairs", before=before, after=len(left))]
+    measures = [Measure(name="overlapping pairs", before=before, after=len(left)), *margins]
     measures += [Measure(name="moved", after=1000 * layout.travel(o.id), unit="mm", about=o.id) for o in scene]
     measures += [
         Measure(name="scale along viewing rays", after=layout.scale[o.id], before=1.0, about=o.id) for o in scene

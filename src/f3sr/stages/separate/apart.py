@@ -28,7 +28,7 @@ def part(layout: Layout, config: SeparateConfig) -> bool:
         found = parting.part(
             layout.bodies,
             pairs,
-            {o.id: _weight(layout, o.id) for o in layout.scene if o.mobility == "dynamic"},
+            {o.id: weight_of(layout, *layout.scene.subtree(o.id)) for o in layout.scene if o.mobility == "dynamic"},
             carriers={o.id: None if o.supported_by == GROUND else o.supported_by for o in layout.scene},
             clearance=config.clearance,
         )
@@ -40,10 +40,11 @@ def part(layout: Layout, config: SeparateConfig) -> bool:
     return moved
 
 
-def _weight(layout: Layout, id: int) -> Array:
-    """What moving a body with all it carries costs (2, 2): the IoU that they lose, and a little per length."""
-    felt = sum((layout.loss(k)[:2, :2] for k in layout.scene.subtree(id)), np.zeros((2, 2)))
-    return felt + np.eye(2) * (UNFELT / layout.scene[id].size) ** 2
+def weight_of(layout: Layout, *ids: int) -> Array:
+    """What moving bodies together costs (2, 2): the IoU that they lose, and a little per length of the first one's
+    size."""
+    felt = sum((layout.loss(k)[:2, :2] for k in ids), np.zeros((2, 2)))
+    return felt + np.eye(2) * (UNFELT / layout.scene[ids[0]].size) ** 2
 
 
 def _unrelated(scene: Scene) -> Iterator[tuple[int, int]]:

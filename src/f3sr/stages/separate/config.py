@@ -7,6 +7,7 @@ from typing import Annotated
 
 from annotated_types import Interval
 
+from f3sr.balancing import BalanceConfig
 from f3sr.footing import FootingConfig
 from f3sr.landing import LandingConfig
 from f3sr.settings import settings
@@ -34,4 +35,5 @@ class SeparateConfig:
     rounds: Annotated[int, Interval(ge=1, le=100)] = 16
     """Most rounds of horizontal parting; the report allows 32."""
     footing: FootingConfig = field(default_factory=FootingConfig)
+    balancing: BalanceConfig = field(default_factory=BalanceConfig)
     landing: LandingConfig = field(default_factory=lambda: LandingConfig(max_turn=0.5, max_shift=0.1))

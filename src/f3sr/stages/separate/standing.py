@@ -32,8 +32,7 @@ that they may keep a wedge that much off its support."""
 
 
 def stand(layout: Layout, config: SeparateConfig) -> list[Decision]:
-    """Let every object stand before physics, supports first: as it is, on a footing, or turned until it lies. What was
-    done is told per object, also where nothing helped."""
+    """Let every object stand before physics, supports first: as it is, on a footing, or turned until it lies."""
     decisions: list[Decision] = []
     for id in supports_first(layout.scene):
         o = layout.object(id)
@@ -79,8 +78,7 @@ def _lie_down(layout: Layout, o: SceneObject, config: SeparateConfig) -> Decisio
         found.append(_Tried(stands=stands, seen=seen, layout=layout.saved(), decision=decision))
     if not any(tried.stands for tried in found):
         layout.restore(start)
-        reason = "its weight is outside of its contacts, and no turn or footing within the limits helps"
-        return Decision(choice="left as it is, to fall where physics takes it", reason=reason, about=o.id)
+        return None
     best = max(found, key=lambda tried: (tried.stands, tried.seen))
     layout.restore(best.layout)
     return best.decision

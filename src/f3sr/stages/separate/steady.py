@@ -1,0 +1,54 @@
+"""Objects that statics says would fall, shifted by as little as the picture feels until they stand."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from f3sr.balancing import balance
+from f3sr.bodies import bodies_of
+from f3sr.report import Decision, Measure
+from f3sr.stages.separate.apart import weight_of
+from f3sr.stages.separate.config import SeparateConfig
+from f3sr.stages.separate.layout import Layout
+from f3sr.statics import stability
+
+
+def steady(layout: Layout, config: SeparateConfig) -> tuple[list[Measure], list[Decision]]:
+    """Shift what would fall, with what it carries, until forces at the contacts can balance all weights, where that is
+    possible within bounds. The margin is the least tilt of the whole scene that moves something; negative: it falls."""
+    scene = layout.scene
+    bodies = bodies_of([layout.object(o.id) for o in scene], parts=layout.bodies)
+    was = stability(bodies, per_body=False)
+    margin = Measure(name="stability margin", before=np.degrees(was.margin), after=np.degrees(was.margin), unit="deg")
+    if not was.moving:
+        return [margin], []
+    found = balance(
+        bodies,
+        {o.id: o.supported_by if o.mobility == "dynamic" else None for o in scene},
+        config.balancing,
+        clearance=config.clearance,
+        weights={o.id: weight_of(layout, o.id) for o in scene},
+    )
+    if len(found.unbalanced) >= len(was.moving):
+        return [margin], [_falls(id) for id in sorted(was.moving)]
+    for id, shift in found.shifts.items():
+        layout.move((id,), shift)
+    shifted = [
+        Decision(
+            choice=f"shifted by {1000 * np.linalg.norm(shift):.1f} mm",
+            reason="statics: it, or what touches it, would fall where the photo shows it",
+            about=id,
+        )
+        for id, shift in sorted(found.shifts.items())
+        if shift.any()
+    ]
+    after = Measure(name=margin.name, before=margin.before, after=np.degrees(found.after), unit=margin.unit)
+    return [after], [*shifted, *(_falls(id) for id in sorted(found.unbalanced))]
+
+
+def _falls(id: int) -> Decision:
+    return Decision(
+        choice="left to fall where physics takes it",
+        reason="statics: no forces at its contacts balance its weight, and no shift within bounds helps",
+        about=id,
+    )
