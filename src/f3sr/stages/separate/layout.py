@@ -116,6 +116,18 @@ class Layout:
     def lowest(self, id: int) -> float:
         return min(float(p.bounds[0, 2]) for p in self.bodies[id])
 
+    def has_beside(self, id: int, room: float) -> bool:
+        """Whether the box of any body but its supports and what it carries is within ``room`` [m] of a body's."""
+        low, high = self.bounds(id)
+        others = set(self.bodies) - {*self.scene.subtree(id), *supports_of(self.scene[id])}
+        boxes = [self.bounds(k) for k in others]
+        return any(((a < high + room) & (b > low - room)).all() for a, b in boxes)
+
+    def bounds(self, id: int) -> Array:
+        """(2, 3) lowest and highest corner of a body."""
+        boxes = np.stack([p.bounds for p in self.bodies[id]])
+        return np.stack([boxes[:, 0].min(0), boxes[:, 1].max(0)])
+
     def collisions_of(self, id: int) -> set[int]:
         """Other bodies that a body overlaps."""
         return {k for k in self.bodies if k != id and contact.collide(self.bodies[id], self.bodies[k])}

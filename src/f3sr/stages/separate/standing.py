@@ -24,6 +24,8 @@ STILL = 1e-3
 """Turn [rad] that is not worth laying an object down."""
 WAYS_BACK = (0.0, 0.5, 1.0)
 """Shares of an object's way along the viewing rays that are taken back before it is laid down."""
+BESIDE = 0.1
+"""What is as near as this, in an object's sizes, it may lean on."""
 PARTS_OF_A_TURN = (0.25, 0.5, 0.75)
 """Of the turn until an object lies, after which it is tried whether a footing makes it stand."""
 ROOM = 1.2e-3
@@ -65,7 +67,7 @@ def _lie_down(layout: Layout, o: SceneObject, config: SeparateConfig) -> Decisio
     members, start = layout.scene.subtree(o.id), layout.saved()
     was = {k: layout.collisions_of(k) for k in members}
     found: list[_Tried] = []
-    for share in WAYS_BACK:
+    for share in WAYS_BACK if layout.has_beside(o.id, BESIDE * o.size) else WAYS_BACK[:1]:
         layout.restore(start)
         layout.along_rays(members, float((layout.common / layout.scale[o.id]) ** share))
         layout.move(members, -gap(layout.bodies[o.id], o.id, layout, config) * UP)
