@@ -19,7 +19,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from f3sr.frames import Array, frozen, transform
+from f3sr.frames import Array, frozen
 from f3sr.kernels import kernel
 from f3sr.mesh import ConvexPart
 
@@ -106,18 +106,23 @@ class Polytope:
 
     def moved(self, T: Array) -> Self:
         """The polytope under a similarity T (4, 4) without reflection; facets and edges are carried along."""
-        scale = float(np.cbrt(np.linalg.det(T[:3, :3])))
-        R, t = T[:3, :3] / scale, T[:3, 3]
-        normals = self.normals @ R.T
-        return type(self)(
-            vertices=transform(T, self.vertices),
+        scale = float(np.sqrt(T[0, 0] ** 2 + T[1, 0] ** 2 + T[2, 0] ** 2))
+        A, t = np.ascontiguousarray(T[:3, :3].T), T[:3, 3]
+        R = A / scale
+        normals = self.normals @ R
+        moved = object.__new__(type(self))
+        moved.__dict__.update(
+            vertices=self.vertices @ A + t,
             normals=normals,
             offsets=scale * self.offsets + normals @ t,
-            edge_starts=transform(T, self.edge_starts),
-            edge_directions=self.edge_directions @ R.T,
+            edge_starts=self.edge_starts @ A + t,
+            edge_directions=self.edge_directions @ R,
             edge_lengths=scale * self.edge_lengths,
-            edge_normals=self.edge_normals @ R.T,
+            edge_normals=self.edge_normals @ R,
         )
+        for array in moved.__dict__.values():
+            array.flags.writeable = False
+        return moved
 
 
 _MADE: WeakKeyDictionary[ConvexPart, Polytope] = WeakKeyDictionary()
@@ -240,13 +245,31 @@ def _boxes_overlap(A: Body, B: Body, axes: tuple[int, ...], gap: Array | float =
 def _boxes_meet(A: Body, B: Body, u: Array, beyond: float) -> NDArray[np.int64]:
     """Swept broad phase: pairs (k, 2) of parts whose boxes overlap at some shift t > ``beyond`` along u."""
     a, b = (np.stack([p.bounds for p in body]) for body in (A, B))
-    low, high = b[None, :, 0] - a[:, None, 1], b[None, :, 1] - a[:, None, 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        first, last = np.minimum(low / u, high / u), np.maximum(low / u, high / u)
-    still, within = np.abs(u) <= PARALLEL * np.linalg.norm(u), (low < 0) & (high > 0)
-    first = np.where(still, np.where(within, -np.inf, np.inf), first).max(-1)
-    last = np.where(still, np.where(within, np.inf, -np.inf), last).min(-1)
-    return np.argwhere((first < last) & (last > beyond))
+    return _meeting(a, b, u, beyond)
+
+
+@kernel
+def _meeting(a: Array, b: Array, u: Array, beyond: float) -> NDArray[np.int64]:
+    """Pairs (k, 2) of boxes (n, 2, 3), (m, 2, 3) that overlap at some shift t > ``beyond`` of the first along u."""
+    pairs = np.empty((len(a) * len(b), 2), np.int64)
+    k = 0
+    still = PARALLEL * np.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
+    for i in range(len(a)):
+        for j in range(len(b)):
+            first, last = beyond, np.inf
+            for x in range(3):
+                low, high = b[j, 0, x] - a[i, 1, x], b[j, 1, x] - a[i, 0, x]
+                if abs(u[x]) > still:
+                    s, t = low / u[x], high / u[x]
+                    first, last = max(first, min(s, t)), min(last, max(s, t))
+                elif low >= 0 or high <= 0:
+                    last = -np.inf
+                if first >= last:
+                    break
+            if first < last:
+                pairs[k, 0], pairs[k, 1] = i, j
+                k += 1
+    return pairs[:k].copy()
 
 
 # Facets of the Minkowski difference

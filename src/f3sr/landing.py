@@ -7,7 +7,7 @@ No mass, friction or speed enters, so the same start always ends in the same pla
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -244,23 +244,39 @@ class _Fall:
             R = rotation_about(axis, angle)
             return pose(R, point - R @ point) @ here
 
-        def free(angle: float) -> bool:
+        def excess(angle: float) -> float:
+            """How much higher than tolerated it must be raised after a turn [m]."""
             T = turned(angle)
-            return self._lift([p.moved(T) for p in self.body.parts]) <= MEETS + angle * TOUCHING
+            return self._lift([p.moved(T) for p in self.body.parts]) - MEETS - angle * TOUCHING
 
-        low, high = 0.0, STEP
-        if free(high):
-            low = high
-        else:
-            while high - low > SHARP:
-                middle = (low + high) / 2
-                low, high = (middle, high) if free(middle) else (low, middle)
-            low = high  # the new contact, not the gap before it
+        low = _first_meeting(excess)
         self.motion = turned(low)
         self.turned += low
         self.rise(0.0)
         self.lower()
         return low
+
+
+def _first_meeting(excess: Callable[[float], float]) -> float:
+    """The turn up to ``STEP`` at which something new is met, to ``SHARP``: just in it, not before it.
+
+    Bisection; where the excess is known at two turns beyond the meeting, the line through them says where to look.
+    """
+    low, high = 0.0, STEP
+    if (beyond := excess(high)) <= 0:
+        return high
+    guess, reach = None, SHARP
+    while high - low > SHARP:
+        middle = (low + high) / 2 if guess is None else min(max(guess, low + SHARP / 2), high - SHARP / 2)
+        if (found := excess(middle)) <= 0:
+            low, guess = middle, None if guess is None else middle + reach
+            reach *= 8
+        else:
+            slope = (beyond - found) / (high - middle)
+            high, beyond = middle, found
+            guess = high - found / slope - SHARP / 2 if slope > 0 else None
+            reach = SHARP
+    return high
 
 
 def _way_out(corners: Array, center: Array, rolling: float) -> tuple[Array, Array] | None:
