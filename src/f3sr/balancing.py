@@ -57,6 +57,9 @@ class BalanceConfig:
     """Largest shift against its support in one round, as a share of a body's size: contacts are found anew after."""
     rounds: Annotated[int, Interval(ge=1, le=100)] = 10
     """Most rounds."""
+    most_bodies: Annotated[int, Interval(ge=1, le=1000)] = 16
+    """Larger islands of bodies that touch are left as they are: the time of a round grows with the cube of their
+    number, 1 s for 16."""
 
 
 DEFAULT_BALANCE = BalanceConfig()
@@ -240,7 +243,8 @@ class _State:
         """One per island; only those with one of some bodies."""
         bodies = tuple(self.bodies.values())
         contacts = contacts_of(bodies)
-        groups = [g for g in islands(bodies, contacts) if among is None or any(b.id in among for b in g)]
+        groups = [g for g in islands(bodies, contacts) if len(g) <= self.config.most_bodies]
+        groups = [g for g in groups if among is None or any(b.id in among for b in g)]
         return [_Programme(Balance(g, bodies, contacts, self.ground_friction, edges=CONE_EDGES), self) for g in groups]
 
     def result(self, before: float, rounds: int) -> Balanced:
