@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from f3sr.balancing import balance
@@ -19,7 +21,8 @@ def steady(layout: Layout, config: SeparateConfig) -> tuple[list[Measure], list[
     scene = layout.scene
     bodies = bodies_of([layout.object(o.id) for o in scene], parts=layout.bodies)
     was = stability(bodies, per_body=False)
-    margin = Measure(name="stability margin", before=np.degrees(was.margin), after=np.degrees(was.margin), unit="deg")
+    before = float(np.degrees(was.margin))
+    margin = Measure(name="stability margin", before=before, after=before, unit="deg")
     if not was.moving:
         return [margin], []
     found = balance(
@@ -42,8 +45,10 @@ def steady(layout: Layout, config: SeparateConfig) -> tuple[list[Measure], list[
         for id, shift in sorted(found.shifts.items())
         if shift.any()
     ]
-    after = Measure(name=margin.name, before=margin.before, after=np.degrees(found.after), unit=margin.unit)
-    return [after], [*shifted, *(_falls(id) for id in sorted(found.unbalanced))]
+    return [replace(margin, after=float(np.degrees(found.after)))], [
+        *shifted,
+        *(_falls(id) for id in sorted(found.unbalanced)),
+    ]
 
 
 def _falls(id: int) -> Decision:
