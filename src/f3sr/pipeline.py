@@ -141,10 +141,11 @@ def _assembled(_: Scene, config: AssembleConfig, *, inputs: Inputs) -> tuple[Sce
 
 def _refined(scene: Scene, config: Config, *, parted: Scene, settled: Report) -> tuple[Scene, Report]:
     """``refine`` with this pipeline's stages."""
+    parting = replace(config.separate, ground=False)
     on_a_facet = replace(config.align, camera=False, facets=FacetConfig(most=config.refine.upright, loss=1.0))
 
     def again(moved: Scene) -> Rested:
-        moved, _ = separate(moved, config.separate)
+        moved, _ = separate(moved, parting)
         moved, report = settle(moved, config.settle)
         return Rested(scene=moved, restless=restless(report, config.settle))
 

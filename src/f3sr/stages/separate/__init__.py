@@ -9,7 +9,7 @@ from f3sr.scene import GROUND, Scene
 from f3sr.stages.separate.apart import part
 from f3sr.stages.separate.config import SeparateConfig
 from f3sr.stages.separate.layout import Layout
-from f3sr.stages.separate.seating import common_scale, seat
+from f3sr.stages.separate.seating import grounded, seat
 from f3sr.stages.separate.standing import stand
 from f3sr.stages.separate.steady import steady
 
@@ -22,19 +22,19 @@ PASSES = 3
 def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene, Report]:
     """Bring every object onto its support and part what overlaps (equations 10 and 11).
 
-    First all objects together are moved along their viewing rays to where half of them would sink into the ground.
-    In forest order an object is then brought into contact with its support, with all that rests on it: along its
-    viewing rays, scaled alike about the camera centre, which leaves the picture as it is, and by the smallest lift, or
-    by lowering, each as far as is likely by what is known of distances and of the picture. Then unrelated objects that
-    overlap are parted by one joint horizontal move, each with all it carries. At last a nearly flat underside gets a
-    footing, so that physics leaves the object as it stands, and what has none is laid down; what would still fall, by
-    statics, is shifted. What still overlaps or falls is told, never hidden.
+    First the ground is moved to where half of the objects on it would sink in. In forest order an object is then
+    brought into contact with its support, with all that rests on it: along its viewing rays, scaled alike about the
+    camera centre, which leaves the picture as it is, and by the smallest lift, or by lowering, each as far as is likely
+    by what is known of distances and of the picture. Then unrelated objects that overlap are parted by one joint
+    horizontal move, each with all it carries. At last a nearly flat underside gets a footing, so that physics leaves
+    the object as it stands, and what has none is laid down; what would still fall, by statics, is shifted. What still
+    overlaps or falls is told, never hidden.
     """
     config = config or SeparateConfig()
     scene = scene.with_objects(*(replace(o, footing=()) for o in scene if o.footing))
+    came, scene = scene, grounded(scene, config) if config.ground else scene
     layout = Layout(scene)
     before = len(layout.collisions())
-    layout.all_along_rays(common_scale(layout, config))
     for _ in range(PASSES):
         seat(layout, config)
         if not part(layout, config):
@@ -49,7 +49,9 @@ def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene,
         Decision(choice=f"still overlaps {_name(b)} after separation", reason="no free place found", about=a)
         for a, b in left
     ]
+    height = 1000 * float(came.camera.center[2] - scene.camera.center[2])
     measures = [Measure(name="overlapping pairs", before=before, after=len(left)), *margins]
+    measures += [Measure(name="ground moved", after=height, unit="mm")]
     measures += [Measure(name="moved", after=1000 * layout.travel(o.id), unit="mm", about=o.id) for o in scene]
     measures += [
         Measure(name="scale along viewing rays", after=layout.scale[o.id], before=1.0, about=o.id) for o in scene

@@ -18,6 +18,8 @@ class SeparateConfig:
     clearance: Annotated[float, Interval(ge=0, le=0.01)] = 3.2e-4
     """Gap left between parted objects [m] (eps_g of equation 11): the contact margins of the two
     bodies added, so that nothing pushes when physics starts."""
+    ground: bool = True
+    """Move the ground first to where most of the objects on it stand."""
     max_ray_scale: Annotated[float, Interval(ge=0, le=0.5)] = 0.1
     """How far an object may slide along its viewing rays to reach its support, as a share of its distance to the
     camera; 0 turns it off. The right factor lies within .07 of 1 on scenes with known poses."""

@@ -30,8 +30,6 @@ class Layout:
         self.shift: dict[int, Array] = {o.id: np.zeros(3) for o in scene}
         self.scale: dict[int, float] = {o.id: 1.0 for o in scene}
         self.rotation: dict[int, Array] = {o.id: np.eye(3) for o in scene}
-        self.common = 1.0
-        """What all were scaled by at the start."""
 
     def saved(self) -> Saved:
         """Where everything is, for ``restore``."""
@@ -84,14 +82,9 @@ class Layout:
         self.parts[id], self.footings[id] = parts, wedges
         self.bodies[id] = polytopes(self.object(id), (*parts, *wedges))
 
-    def all_along_rays(self, k: float) -> None:
-        """Move the whole scene; it uses up nobody's way along the rays."""
-        self.along_rays(tuple(self.bodies), k)
-        self.common = k
-
     def rays_left(self, id: int, limit: float) -> tuple[float, float]:
         """The least and largest k that keep a body within ``limit`` of where it was along its viewing rays."""
-        used = self.scale[id] / self.common
+        used = self.scale[id]
         return min(1.0, (1 - limit) / used), max(1.0, (1 + limit) / used)
 
     def distance(self, id: int) -> float:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from f3sr import contact
-from f3sr.frames import UP
-from f3sr.scene import GROUND
+from f3sr.frames import UP, pose
+from f3sr.scene import GROUND, Scene
 from f3sr.stages.separate.config import SeparateConfig
 from f3sr.stages.separate.layout import Layout, moved, supports_first
 
@@ -39,19 +40,21 @@ def gap(body: contact.Body, id: int, layout: Layout, config: SeparateConfig) -> 
     return min(contact.free_travel(body, carriers, -UP) - config.clearance, lowest)
 
 
-def common_scale(layout: Layout, config: SeparateConfig) -> float:
-    """The k by which all objects together are moved along their viewing rays, so that half of those on the ground
-    would have to come nearer to reach it and half go farther: how high the camera stands is one number for all."""
-    scales = [_ground_scale(layout, o.id, config) for o in layout.scene if o.supported_by == GROUND]
-    limit = config.max_ray_scale
-    return float(np.clip(np.median(scales), 1 - limit, 1 + limit)) if scales else 1.0
+def grounded(scene: Scene, config: SeparateConfig) -> Scene:
+    """The scene with the ground at the height where half of the objects on it would sink in: how high the camera
+    stands is one number for all, which they know better than a few points beside them.
 
-
-def _ground_scale(layout: Layout, id: int, config: SeparateConfig) -> float:
-    """The k at which a body, moved along its viewing rays, rests on the ground: C_z / (C_z - z_lowest)."""
-    eye = float(layout.scene.camera.center[2])
-    height = eye - layout.lowest(id)
-    return (eye - config.clearance) / height if height > 1e-9 else 1.0
+    Everything moves vertically together, the camera too, so that no pixel and no depth changes. Where a fixed object
+    stands on the ground, that tells its height.
+    """
+    standing = [o for o in scene if o.supported_by == GROUND]
+    if not standing or any(o.mobility == "fixed" for o in standing):
+        return scene
+    limit = config.max_ray_scale * float(scene.camera.center[2])
+    lowest = float(np.median([min(p.vertices[:, 2].min() for p in o.colliders_world) for o in standing]))
+    T = pose(t=-float(np.clip(lowest - config.clearance, -limit, limit)) * UP)
+    objects = tuple(o.moved(T, stage="separate", reason="with everything, to the height of the ground") for o in scene)
+    return replace(scene, objects=objects, camera=scene.camera.moved(T @ scene.camera.T_world_camera))
 
 
 def _contact_scale(layout: Layout, id: int, config: SeparateConfig) -> float:

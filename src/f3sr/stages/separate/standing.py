@@ -69,7 +69,7 @@ def _lie_down(layout: Layout, o: SceneObject, config: SeparateConfig) -> Decisio
     found: list[_Tried] = []
     for share in WAYS_BACK if layout.has_beside(o.id, BESIDE * o.size) else WAYS_BACK[:1]:
         layout.restore(start)
-        layout.along_rays(members, float((layout.common / layout.scale[o.id]) ** share))
+        layout.along_rays(members, layout.scale[o.id] ** -share)
         layout.move(members, -gap(layout.bodies[o.id], o.id, layout, config) * UP)
         if any(layout.collisions_of(k) - was[k] - set(members) for k in members):
             continue
