@@ -20,6 +20,7 @@ from f3sr.settings import changed, settings
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.align.config import FacetConfig
 from f3sr.stages.assemble import AssembleConfig, as_given, assemble
+from f3sr.stages.close import CloseConfig, close
 from f3sr.stages.decompose import decompose
 from f3sr.stages.evaluate import EvaluateConfig, Evaluation, direct_composition, evaluate
 from f3sr.stages.level import LevelConfig, level
@@ -29,7 +30,7 @@ from f3sr.stages.settle import SettleStageConfig, restless, settle
 
 SKIPPABLE = (
     *("level", "align", "align-camera", "align-objects", "relate", "decompose", "separate", "settle"),
-    *("refine", "describe", "evaluate"),
+    *("refine", "close", "describe", "evaluate"),
 )
 REPEATED_BY_REFINE = {"align", "align-objects", "separate", "settle"}
 """Stages that ``refine`` does again: without one of them there is no refining either."""
@@ -47,6 +48,7 @@ class Config:
     separate: SeparateConfig = field(default_factory=SeparateConfig)
     settle: SettleStageConfig = field(default_factory=SettleStageConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
+    close: CloseConfig = field(default_factory=CloseConfig)
     evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
 
 
@@ -97,6 +99,7 @@ def reconstruct(
     scene = parted = run.stage("separate", separate, scene, config.separate)
     scene = run.stage("settle", settle, scene, config.settle)
     scene = run.stage("refine", _refined, scene, config, parted=parted, settled=run.reports[-1])
+    scene = run.stage("close", _closed, scene, config)
     scene = run.stage("describe", describe, scene, config.relate)
     aligned = _without(config.align, skip).camera and "align" not in skip
     evaluation = run.value(
@@ -144,9 +147,7 @@ def _refined(scene: Scene, config: Config, *, parted: Scene, settled: Report) ->
     on_a_facet = replace(config.align, camera=False, facets=FacetConfig(most=config.refine.upright, loss=1.0))
 
     def again(moved: Scene) -> Rested:
-        moved, _ = separate(moved, config.separate)
-        moved, report = settle(moved, config.settle)
-        return Rested(scene=moved, restless=restless(report, config.settle))
+        return _settled(separate(moved, config.separate)[0], config)
 
     return refine(
         Rested(scene=scene, restless=restless(settled, config.settle)),
@@ -155,6 +156,16 @@ def _refined(scene: Scene, config: Config, *, parted: Scene, settled: Report) ->
         stood_up=lambda scene, ids: again(align(scene, on_a_facet, only=ids)[0]),
         realigned=lambda scene, ids: again(align(scene, config.refine.align, only=ids)[0]),
     )
+
+
+def _closed(scene: Scene, config: Config) -> tuple[Scene, Report]:
+    """``close`` with this pipeline's physics."""
+    return close(scene, config.close, settled=lambda scene: _settled(scene, config))
+
+
+def _settled(scene: Scene, config: Config) -> Rested:
+    scene, report = settle(scene, config.settle)
+    return Rested(scene=scene, restless=restless(report, config.settle))
 
 
 def _without(config: AlignConfig, skip: Collection[str]) -> AlignConfig:

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from f3sr.contact import Polytope
 from f3sr.frames import Array
@@ -33,13 +32,16 @@ SPLITS = 2
 """Splits one after the other at a place: across a hollow and along it."""
 MOST_CUTS = 16
 """Facets that one part gets at one place at most."""
-STEPS = 20
+PASSED = 20
 """Parts passed on the way out of all of them at most."""
+
+Planes = tuple[Array, Array]
+"""Outward unit normals (m, 3) and offsets (m,)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Near:
-    """How near parts must come to the mesh, in the mesh's unit: ``tolerance`` within ``radius`` of the places."""
+    """How far parts may stand off their mesh within ``radius`` of a place, in the mesh's unit."""
 
     tolerance: float
     radius: float
@@ -47,7 +49,7 @@ class Near:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Place:
-    """A point (3,) of a mesh's surface that is touched, the unit direction (3,) out of it, and how far the parts reach
+    """A point (3,) of a mesh's surface that is touched, the unit direction (3,) from which, and how far the parts reach
     that way."""
 
     point: Array
@@ -57,60 +59,88 @@ class Place:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Surface:
-    """A mesh's triangles (n, 3, 3) with their boxes (n, 3) and the mesh's size."""
+    """A mesh's triangles (n, 3, 3) with their boxes (n, 3) and its size, and what parts hold of it, once that is
+    known."""
 
     triangles: Array
     low: Array
     high: Array
     size: float
     held: WeakKeyDictionary[ConvexPart, _Held]
-    """What parts hold of it, as far as that is known."""
 
     @classmethod
     def of(cls, mesh: Mesh) -> Surface:
         triangles = mesh.vertices[mesh.faces]
-        return cls(triangles=triangles, low=triangles.min(1), high=triangles.max(1), size=mesh.diagonal, held=WeakKeyDictionary())
+        return cls(
+            triangles=triangles,
+            low=triangles.min(1),
+            high=triangles.max(1),
+            size=mesh.diagonal,
+            held=WeakKeyDictionary(),
+        )
 
     def around(self, low: Array, high: Array) -> Array:
         """Triangles whose boxes reach into a box."""
         return self.triangles[((self.low <= high) & (self.high >= low)).all(1)]
 
+    def nearest(self, x: Array, reach: float) -> Array | None:
+        """Its point (3,) nearest to x (3,); None where that is farther than ``reach``."""
+        a, b, c = np.moveaxis(self.around(x - reach, x + reach), 1, 0)
+        sides = ((a, b), (b, c), (c, a))
+        points = np.concatenate([_on_planes(a, b, c, x), *(_on_segments(start, end, x) for start, end in sides)])
+        distances = np.linalg.norm(points - x, axis=1)
+        return points[int(distances.argmin())] if distances.min(initial=np.inf) <= reach else None
 
-def place_at(surface: Surface, parts: Sequence[ConvexPart], x: Array, *, reach: float) -> Place | None:
-    """The nearest place of a surface to a point (3,) outside it; None where it is farther away than ``reach``, or where
-    the point lies on it."""
-    y = nearest_point(surface.around(x - reach, x + reach), x, reach)
+
+def place_near(surface: Surface, parts: Sequence[ConvexPart], x: Array, *, reach: float) -> Place | None:
+    """The place of a surface nearest to a point (3,) off it; None where it is farther than ``reach``, or where the
+    point lies on it."""
+    y = surface.nearest(x, reach)
     if y is None or (length := float(np.linalg.norm(x - y))) <= SLACK * surface.size:
         return None
     return place_on(surface, parts, y, (x - y) / length)
 
 
 def place_on(surface: Surface, parts: Sequence[ConvexPart], point: Array, outward: Array) -> Place:
-    """A point (3,) of the surface as a place, touched from a direction (3,)."""
+    """A point (3,) of a surface as a place, touched from a direction (3,)."""
     off = _way_out([Polytope.of(p) for p in parts], point, outward, SLACK * surface.size)
     return Place(point=point, outward=outward, off=off)
 
 
 def trimmed(surface: Surface, parts: Sequence[ConvexPart], place: Place, near: Near) -> tuple[ConvexPart, ...]:
-    """The parts, those that stand off more than allowed at a place cut back or split there. Untouched ones are the same
-    objects. Together they hold all of the mesh that they held before."""
-    now = list(parts)
+    """The parts, those that stand off more than allowed at a place cut back or split there. Others are the same objects.
+    Together they hold all of the mesh that they held before."""
+    now, added = list(parts), list[ConvexPart]()
     for k, part in enumerate(parts):
-        if (spot := _in_the_way(part, place, near.tolerance, SLACK * surface.size)) is not None:
-            if part not in surface.held:
-                around = surface.around(part.vertices.min(0), part.vertices.max(0))
-                surface.held[part] = _Held.of(part, around, surface.size)
-            left = _trimmed(surface.held[part], place, spot, near, SPLITS)
-            surface.held.update({h.part: h for h in left})
-            now[k], *rest = [h.part for h in left]
-            now.extend(rest)
-    return tuple(now)
+        if (spot := _in_the_way(part, place, near.tolerance, SLACK * surface.size)) is None:
+            continue
+        if part not in surface.held:
+            around = surface.around(part.vertices.min(0), part.vertices.max(0))
+            surface.held[part] = _Held.of(part, around, surface.size)
+        left = _trimmed(surface.held[part], place, spot, near, SPLITS)
+        surface.held.update({h.part: h for h in left})
+        now[k] = left[0].part
+        added += [h.part for h in left[1:]]
+    return (*now, *added)
+
+
+def less(part: ConvexPart, normal: Array, offset: float, size: float) -> ConvexPart | None:
+    """What of a part is below a plane; None where that is hardly a volume. ``size``: that of the mesh."""
+    left = below(part.vertices[part.faces], normal, offset).reshape(-1, 3)
+    if not len(left):
+        return None
+    facets, inside = Polytope.of(part), np.unique(left, axis=0).mean(0)
+    corners = corners_of(np.vstack([facets.normals, normal]), np.append(facets.offsets, offset), part, inside)
+    try:
+        return None if corners is None else ConvexPart.hull_of(merged(corners, SLACK * size))
+    except ValueError:
+        return None
 
 
 def _way_out(parts: Sequence[Polytope], start: Array, direction: Array, slack: float) -> float:
     """How far from ``start`` along a direction the parts reach without a gap."""
     t = 0.0
-    for _ in range(STEPS):
+    for _ in range(PASSED):
         at, farthest = start + t * direction, t
         for part in parts:
             room = part.offsets - part.normals @ at
@@ -140,7 +170,7 @@ class _Held:
 
     part: ConvexPart
     triangles: Array
-    hull: tuple[Array, Array] | None
+    hull: Planes | None
     size: float
 
     @classmethod
@@ -149,12 +179,14 @@ class _Held:
         held = _clipped(triangles, facets.normals, facets.offsets + SLACK * size)
         return cls(part=part, triangles=held, hull=_hull_planes(np.unique(held.reshape(-1, 3), axis=0)), size=size)
 
-    def excess(self, points: Array) -> tuple[Array, NDArray[np.int64]]:
-        """How far points (n, 3) lie outside the hull of what is held (n,), and beyond which of its planes."""
+    def worst(self, points: Array) -> tuple[float, tuple[Array, float]] | None:
+        """How far the worst of some points (n, 3) lies outside the hull of what is held, and the plane it is beyond."""
         if self.hull is None:
-            return np.zeros(len(points)), np.zeros(len(points), np.int64)
-        beyond = points @ self.hull[0].T - self.hull[1]
-        return beyond.max(1), beyond.argmax(1)
+            return None
+        normals, offsets = self.hull
+        beyond = points @ normals.T - offsets
+        plane = int(beyond.argmax()) % len(offsets)
+        return float(beyond.max()), (normals[plane], float(offsets[plane]))
 
     def cut(self, normal: Array, offset: float) -> _Held | None:
         """The part below a plane above which nothing of the mesh is; None where too little would be left."""
@@ -168,8 +200,9 @@ class _Held:
 
 
 def _trimmed(held: _Held, place: Place, spot: Array, near: Near, splits: int) -> list[_Held]:
-    """A part cut back near a place, of which it holds ``spot`` (3,), split first where it bridges a hollow."""
-    if held.excess(spot[None])[0][0] >= near.tolerance / 2:
+    """A part cut back near a place, of which it holds ``spot`` (3,); split first where it bridges a hollow."""
+    worst = held.worst(spot[None])
+    if worst is not None and worst[0] >= near.tolerance / 2:
         return [_cut_back(held, spot, near)]
     halves = _best_split(held, place, spot) if splits else None
     if halves is None:
@@ -181,18 +214,15 @@ def _cut_back(held: _Held, spot: Array, near: Near) -> _Held:
     """The corners near a spot cut off, the farthest first, until all stand out less than allowed."""
     points = spot[None]
     for _ in range(MOST_CUTS):
-        excess, plane = held.excess(points)
-        worst = int(excess.argmax())
-        if held.hull is None or excess[worst] <= near.tolerance:
+        worst = held.worst(points) if len(points) else None
+        if worst is None or worst[0] <= near.tolerance / 2:
             break
-        smaller = held.cut(held.hull[0][plane[worst]], float(held.hull[1][plane[worst]]))
+        smaller = held.cut(*worst[1])
         if smaller is None:
             break
         held = smaller
         corners = held.part.vertices
         points = corners[np.linalg.norm(corners - spot, axis=1) <= near.radius]
-        if not len(points):
-            break
     return held
 
 
@@ -229,34 +259,18 @@ def _across(direction: Array) -> Iterator[Array]:
         yield np.cos(angle) * u + np.sin(angle) * v
 
 
-def less(part: ConvexPart, normal: Array, offset: float, size: float) -> ConvexPart | None:
-    """What of a part is below a plane; None where that is hardly a volume."""
-    left = below(part.vertices[part.faces], normal, offset).reshape(-1, 3)
-    if not len(left):
-        return None
-    facets = Polytope.of(part)
-    corners = corners_of(
-        np.vstack([facets.normals, normal]), np.append(facets.offsets, offset), part, np.unique(left, axis=0).mean(0)
-    )
-    try:
-        return None if corners is None else ConvexPart.hull_of(merged(corners, SLACK * size))
-    except ValueError:
-        return None
-
-
 def _clipped(triangles: Array, normals: Array, offsets: Array) -> Array:
     """The parts of triangles (n, 3, 3) below all planes."""
-    height = triangles @ normals.T - offsets
-    over = height > 0
+    over = triangles @ normals.T > offsets
     inside, outside = ~over.any((1, 2)), over.all(1).any(1)
-    whole, triangles, crossed = triangles[inside], triangles[~inside & ~outside], over.any((0, 1))
+    whole, crossing, crossed = triangles[inside], triangles[~inside & ~outside], over.any((0, 1))
     for u, offset in zip(normals[crossed], offsets[crossed], strict=True):
-        triangles = below(triangles, u, float(offset))
-    return np.concatenate([whole, triangles])
+        crossing = below(crossing, u, float(offset))
+    return np.concatenate([whole, crossing])
 
 
-def _hull_planes(points: Array) -> tuple[Array, Array] | None:
-    """Outward planes of the hull of points (n, 3); None where they span no volume."""
+def _hull_planes(points: Array) -> Planes | None:
+    """Planes of the hull of points (n, 3); None where they span no volume."""
     from scipy.spatial import ConvexHull, QhullError
 
     if len(points) < 4:
@@ -268,28 +282,19 @@ def _hull_planes(points: Array) -> tuple[Array, Array] | None:
     return hull.equations[:, :3], -hull.equations[:, 3]
 
 
-def nearest_point(triangles: Array, x: Array, reach: float) -> Array | None:
-    """The point (3,) of triangles (n, 3, 3) nearest to x (3,); None where it is farther than ``reach``."""
-    if not len(triangles):
-        return None
-    a, b, c = (triangles[:, k] for k in range(3))
-    points = np.concatenate([_on_plane(a, b, c, x), *(_on_segment(s, e, x) for s, e in ((a, b), (b, c), (c, a)))])
-    distance = np.linalg.norm(points - x, axis=1)
-    k = int(np.argmin(distance))
-    return points[k] if distance[k] <= reach else None
-
-
-def _on_plane(a: Array, b: Array, c: Array, x: Array) -> Array:
-    """The feet (k, 3) of x on the triangles' planes, of those that fall inside."""
+def _on_planes(a: Array, b: Array, c: Array, x: Array) -> Array:
+    """The feet (k, 3) of x on the planes of triangles, of those in which they fall."""
     normal = np.cross(b - a, c - a)
-    inside = np.all([np.einsum("ij,ij->i", np.cross(e - s, x - s), normal) >= 0 for s, e in ((a, b), (b, c), (c, a))], 0)
-    inside &= np.einsum("ij,ij->i", normal, normal) > 0
+    inside = np.einsum("ij,ij->i", normal, normal) > 0
+    for start, end in ((a, b), (b, c), (c, a)):
+        inside &= np.einsum("ij,ij->i", np.cross(end - start, x - start), normal) >= 0
     a, normal = a[inside], normal[inside]
     t = np.einsum("ij,ij->i", normal, x - a) / np.einsum("ij,ij->i", normal, normal)
     return x - t[:, None] * normal
 
 
-def _on_segment(start: Array, end: Array, x: Array) -> Array:
+def _on_segments(start: Array, end: Array, x: Array) -> Array:
+    """The points (k, 3) of segments nearest to x."""
     along = end - start
     t = np.einsum("ij,ij->i", x - start, along) / np.maximum(np.einsum("ij,ij->i", along, along), np.finfo(float).tiny)
     return start + np.clip(t, 0, 1)[:, None] * along

@@ -2,249 +2,254 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
 from annotated_types import Interval
-from numpy.typing import NDArray
 
-from f3sr import contact, heights
+from f3sr import contact
 from f3sr.bodies import supports_first
 from f3sr.contact import Polytope
 from f3sr.frames import UP, Array, pose, transform
+from f3sr.meeting import Meeting, meeting
 from f3sr.patches import find_contacts
 from f3sr.proxies import trim
 from f3sr.proxies.trim import Near, Place, Surface
+from f3sr.refinement import Rested, groups
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.settings import settings
 
 TOUCHING = 3e-6
 """Gap [m] that counts as contact while something is lowered."""
-FAR = 4e-3
-"""How far colliders may stand off a mesh where they are cut back [m]."""
-CELLS = 96
-"""Cells along the longer side of what two objects share, seen from above, to find where they would meet."""
 STEPS = 24
 """Contacts that are cut free, one after the other, while one object is lowered."""
 
 
 @settings
 class CloseConfig:
+    """When something that rests shows a gap, and what may be done about it."""
+
     tolerance: Annotated[float, Interval(gt=0, le=0.01)] = 5e-4
-    """How far colliders may stand off the mesh where something touches, on each side, as a share of the smaller of the
-    two sizes."""
+    """How far colliders may stand off the mesh where things touch, on each side, as a share of the smaller of the two
+    sizes."""
     radius: Annotated[float, Interval(gt=0, le=0.5)] = 0.03
-    """How far around such a place they are cut back, as a share of the same size."""
+    """How far around such a place they are cut back, as a share of the same size: as far as things move while they
+    settle."""
+    reach: Annotated[float, Interval(gt=0, le=0.1)] = 4e-3
+    """Farther than this from a mesh its colliders are left as they are [m]."""
     clearance: Annotated[float, Interval(ge=0, le=0.01)] = 3.2e-4
-    """Gap left below what is lowered [m], as in ``separate``."""
+    """Gap left below what is lowered [m], as in ``separate``: two margins of physics."""
+    rounds: Annotated[int, Interval(ge=0, le=10)] = 2
+    """Most times that objects are lowered and settled: settling tilts them onto other contacts."""
+    loss: Annotated[float, Interval(ge=0, le=1)] = 0.2
+    """What the visible IoU of a group of objects that touch may lose, in the mean; beyond, it rolled away."""
+    apart: Annotated[float, Interval(gt=0, le=0.1)] = 2e-3
+    """Objects with this much room between them [m] do not feel each other, as in ``refine``."""
 
 
-def close(scene: Scene, config: CloseConfig | None = None) -> tuple[Scene, Report]:
-    """Cut the colliders free under every object that nowhere touches what it rests on, and lower it.
+def close(
+    scene: Scene, config: CloseConfig | None = None, *, settled: Callable[[Scene], Rested]
+) -> tuple[Scene, Report]:
+    """Lower what nowhere touches what it rests on, and settle it, until everything touches.
 
-    An object touches where, at one contact, the colliders of both sides stand off the meshes less than
-    ``tolerance``. Others are lowered, with all they carry, until colliders meet; those are cut back there, and so on
-    until meshes meet. What is left to tilt or roll is for physics.
+    ``settled`` is physics. Of every round those groups of objects are kept that rest and that stay where the photo
+    shows them.
     """
     config = config or CloseConfig()
+    decisions: list[Decision] = []
+    start, before = scene, _gaps(scene)
+    for _ in range(config.rounds):
+        lower = lowered(scene, config)
+        changed = {o.id for o in scene if lower[o.id] is not o}
+        if not changed:
+            break
+        scene, told = _kept(scene, settled(lower), changed, config)
+        decisions += told
+    after = _gaps(scene)
+    measures = [
+        Measure(name="gap below", before=1000 * before[o.id], after=1000 * after[o.id], unit="mm", about=o.id)
+        for o in scene
+    ]
+    measures += [
+        Measure(name="convex parts", before=len(start[o.id].parts), after=len(o.parts), about=o.id)
+        for o in scene
+        if o.parts is not start[o.id].parts
+    ]
+    return scene, Report(stage="close", measures=tuple(measures), decisions=tuple(decisions))
+
+
+def _gaps(scene: Scene) -> Mapping[int, float]:
+    return {o.id: meeting(o, [other for other in scene if other is not o]).gap for o in scene}
+
+
+def _kept(before: Scene, after: Rested, changed: set[int], config: CloseConfig) -> tuple[Scene, list[Decision]]:
+    """``before`` with every group of objects, of which some were changed, that rests and is still seen."""
+    was = Rested(scene=before, restless=frozenset()).ious
+    scene, decisions = before, list[Decision]()
+    for group in groups(before, after.scene, config.apart):
+        if not group & changed:
+            continue
+        loss = float(np.mean([was[id] - after.ious[id] for id in group]))
+        names = ", ".join(map(str, sorted(group & changed)))
+        choice, reason = f"colliders of {names} cut back", f"visible IoU of the group {-loss:+.4f}"
+        if restless := sorted(group & after.restless):
+            reason += f", and object {', '.join(map(str, restless))} does not come to rest"
+        if restless or loss > config.loss:
+            decisions.append(Decision(choice=f"{choice}: rolled back", reason=reason))
+            continue
+        decisions.append(Decision(choice=f"{choice}: accepted", reason=reason))
+        scene = scene.with_objects(*(after.scene[id] for id in sorted(group)))
+    return scene, decisions
+
+
+def lowered(scene: Scene, config: CloseConfig) -> Scene:
+    """The scene with everything lowered, supports first, that nowhere touches what it rests on.
+
+    An object goes down with all it carries until colliders meet; they are cut back there, and so on until its mesh
+    meets what is below. Objects for which nothing was to be done stay the same values.
+    """
     layout = _Layout(scene, config)
     for id in supports_first({o.id: o.supported_by for o in scene}):
-        layout.lower(id)
-    moved = scene.with_objects(*(layout.object(o.id) for o in scene))
-    measures = [Measure(name="lowered", after=1000 * layout.drop[o.id], unit="mm", about=o.id) for o in scene]
-    measures += [
-        Measure(name="convex parts", before=len(o.parts), after=len(moved[o.id].parts), about=o.id) for o in scene
-    ]
-    return moved, Report(stage="close", measures=tuple(measures))
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Meeting:
-    """Where one mesh is nearest above another, or the ground: the vertical gap [m] and both points (3,)."""
-
-    gap: float
-    other: int
-    above: Array
-    below: Array
-
-
-def _first_contact(upper: SceneObject, lower: SceneObject) -> _Meeting | None:
-    """Where a mesh would first meet another one below it; None where neither is over the other."""
-    low = np.maximum(upper.bounds_world[0], lower.bounds_world[0])[:2]
-    high = np.minimum(upper.bounds_world[1], lower.bounds_world[1])[:2]
-    if (high <= low).any() or upper.bounds_world[0, 2] > lower.bounds_world[1, 2] + FAR:
-        return None
-    found = None
-    for _ in range(2):
-        grid = heights.Grid.over(low, high, float((high - low).max()) / CELLS)
-        above = heights.lower(upper.vertices_world, _over(upper, low, high), grid)
-        below = heights.upper(lower.vertices_world, _over(lower, low, high), grid)
-        gap = above - below
-        if not np.isfinite(gap).any():
-            break
-        k = int(np.nanargmin(gap))
-        row, column = divmod(k, grid.columns)
-        at = np.array(grid.origin) + grid.cell * (np.array([column, row]) + 0.5)
-        found = _Meeting(gap=float(gap.flat[k]), other=lower.id, above=np.append(at, above.flat[k]), below=np.append(at, below.flat[k]))
-        low, high = at - 2 * grid.cell, at + 2 * grid.cell
-    return found
-
-
-def _over(o: SceneObject, low: Array, high: Array) -> NDArray[np.int32]:
-    """Its triangles over a rectangle of the xy plane."""
-    corners = o.vertices_world[:, :2][o.mesh.faces]
-    return o.mesh.faces[((corners.min(1) <= high) & (corners.max(1) >= low)).all(1)]
+        if scene[id].mobility == "dynamic" and scene[id].supported_by is not None:
+            layout.lower(id)
+    return scene.with_objects(*(body.now for body in layout.bodies.values()))
 
 
 class _Layout:
-    """Objects while they are lowered and their parts cut back: polytopes in the world."""
+    """All objects while they are lowered."""
 
     def __init__(self, scene: Scene, config: CloseConfig) -> None:
         self.scene, self.config = scene, config
-        self.parts = {o.id: o.parts for o in scene}
-        self.footing = {o.id: o.footing for o in scene}
-        self.bodies = {o.id: _polytopes(o, o.solids) for o in scene}
-        self.drop = {o.id: 0.0 for o in scene}
-        self._surfaces: dict[int, Surface] = {}
-
-    def object(self, id: int) -> SceneObject:
-        o = replace(self.scene[id], parts=self.parts[id], footing=self.footing[id])
-        if not self.drop[id]:
-            return o
-        return o.moved(pose(t=-self.drop[id] * UP), stage="close", reason="lowered onto what it rests on")
+        self.bodies = {o.id: _Lowered(o, config.reach) for o in scene}
 
     def lower(self, id: int) -> None:
         """Lower an object with all it carries until its mesh meets another one, or nothing more can be cut back."""
-        meeting = self._meeting(id)
-        size = min(self.scene[k].size for k in (id, meeting.other) if k != GROUND)
-        if meeting.gap <= self.config.clearance + 2 * self.config.tolerance * size:
-            return
         members = self.scene.subtree(id)
-        start = self.drop[id]
-        near = self._near(id, meeting.other)
-        self._cut(id, meeting.above, -UP, near)
-        if meeting.other != GROUND:
-            self._cut(meeting.other, meeting.below, UP, near)
+        if any(self.scene[k].mobility == "fixed" for k in members):
+            return
+        others = [b.now for k, b in self.bodies.items() if k not in members]
+        goal = meeting(self.bodies[id].now, others)
+        near = self._near(id, goal.other)
+        if goal.gap <= self.config.clearance + 2 * near.tolerance:
+            return
+        self._meet(id, goal, near)
+        drop = 0.0
         for _ in range(STEPS):
-            self._move(members, self._room(members))
-            left = meeting.gap - (self.drop[id] - start)
-            if left <= 2 * near.tolerance or not self._cut_free(members, left):
+            drop += self._move(members, self._room(members))
+            if goal.gap - drop <= 2 * near.tolerance or not self._cut_free(members, goal.gap - drop):
                 break
         self._move(members, self._room(members) - self.config.clearance)
 
-    def _meeting(self, id: int) -> _Meeting:
-        """Where an object would first meet what is below it, were it lowered."""
-        o = self.object(id)
-        lowest = o.vertices_world[int(o.vertices_world[:, 2].argmin())]
-        best = _Meeting(gap=float(lowest[2]), other=GROUND, above=lowest, below=lowest * [1, 1, 0])
-        for other in self.scene:
-            if other.id not in self.scene.subtree(id):
-                found = _first_contact(o, self.object(other.id))
-                if found and found.gap < best.gap:
-                    best = found
-        return best
-
-    def _cut(self, id: int, point: Array, outward: Array, near: Near) -> None:
-        o = self.object(id)
-        T = np.linalg.inv(o.T_world_asset)
-        place = trim.place_on(
-            self._surface(id), self.parts[id], transform(T, point[None])[0], o.scale * T[:3, :3] @ outward
-        )
-        self._trim_asset(id, place, near)
-        o = self.object(id)
-        self.bodies[id] = _polytopes(o, o.solids)
+    def _meet(self, id: int, goal: Meeting, near: Near) -> None:
+        """Cut back what stands between the two places that are to meet."""
+        self.bodies[id].cut_on(goal.above, -UP, near)
+        if goal.other != GROUND:
+            self.bodies[goal.other].cut_on(goal.below, UP, near)
 
     def _room(self, members: tuple[int, ...]) -> float:
-        mine = [p for k in members for p in self.bodies[k]]
-        others = [p for k in self.bodies if k not in members for p in self.bodies[k]]
+        """How far some objects can be lowered until colliders meet [m]."""
+        mine = [p for k in members for p in self.bodies[k].polytopes]
+        others = [p for k, b in self.bodies.items() if k not in members for p in b.polytopes]
         lowest = min(float(p.bounds[0, 2]) for p in mine)
         return min(lowest, contact.free_travel(mine, others, -UP)) if others else lowest
 
-    def _move(self, members: tuple[int, ...], drop: float) -> None:
-        T = pose(t=-drop * UP)
+    def _move(self, members: tuple[int, ...], drop: float) -> float:
         for k in members:
-            self.bodies[k] = tuple(p.moved(T) for p in self.bodies[k])
-            self.drop[k] += drop
-
-    def _shave(self, id: int, normal: Array, point: Array, height: float) -> None:
-        """Cut a layer off the underside of an object's footing, where it lies on a plane."""
-        o = self.object(id)
-        T = np.linalg.inv(o.T_world_asset)
-        n = -o.T_world_object[:3, :3].T @ normal
-        offset = float(n @ transform(T, point[None])[0]) - height / o.scale
-        cut = [trim.less(p, n, offset, o.mesh.diagonal) for p in o.footing]
-        self.footing[id] = tuple(p for p in cut if p is not None)
-
-    def _on_footing(self, id: int, x: Array) -> bool:
-        n = len(self.footing[id])
-        return any(float((p.normals @ x - p.offsets).max()) < 2 * TOUCHING for p in self.bodies[id][len(self.bodies[id]) - n:]) if n else False
+            self.bodies[k].lower(drop)
+        return drop
 
     def _cut_free(self, members: tuple[int, ...], left: float) -> bool:
-        """Cut back what meets under an object; whether anything was."""
-        found = find_contacts(self.bodies, reach=TOUCHING)
-        was = dict(self.parts)
-        footings = dict(self.footing)
+        """Cut back what meets under some objects that are to go ``left`` [m] farther down; whether anything was."""
+        found = find_contacts({k: b.polytopes for k, b in self.bodies.items()}, reach=TOUCHING)
+        cut, shaved = False, set[int]()
         for a, b, x, n in zip(found.upper.tolist(), found.lower.tolist(), found.points, found.normals, strict=True):
             if (a in members) == (b in members):
                 continue
             near = self._near(a, b)
-            if a in members and self._on_footing(a, x) and self.footing[a] is footings[a] and not self._holds(a, x, near):
-                self._shave(a, n, x, left * n[2])
-            for i in (a, b):
-                if (place := self._place(i, x)) and place.off > near.tolerance:
-                    self._trim(i, place, near)
-        for id, parts in self.parts.items():
-            if parts is not was[id] or self.footing[id] is not footings[id]:
-                o = self.object(id)
-                self.bodies[id] = _polytopes(o, o.solids)
-        return any(parts is not was[id] or self.footing[id] is not footings[id] for id, parts in self.parts.items())
-
-    def _holds(self, id: int, x: Array, near: Near) -> bool:
-        """Whether the mesh itself is near a point (3,)."""
-        place = self._place(id, x)
-        return place is not None and float(np.linalg.norm(place.point - x)) <= near.tolerance
-
-    def _trim(self, id: int, place: Place, near: Near) -> None:
-        scale = self.scene[id].scale
-        T = np.linalg.inv(self.object(id).T_world_asset)
-        place = Place(
-            point=transform(T, place.point[None])[0], outward=scale * T[:3, :3] @ place.outward, off=place.off / scale
-        )
-        self._trim_asset(id, place, near)
-
-    def _trim_asset(self, id: int, place: Place, near: Near) -> None:
-        scale = self.scene[id].scale
-        near = Near(tolerance=near.tolerance / scale, radius=near.radius / scale)
-        parts = trim.trimmed(self._surface(id), self.parts[id], place, near)
-        if any(a is not b for a, b in zip(parts, self.parts[id], strict=False)):
-            self.parts[id] = parts
-
-    def _place(self, id: int, x: Array) -> Place | None:
-        """Of the mesh nearest to a point (3,) in the world."""
-        if id == GROUND or not self.parts[id]:
-            return None
-        o = self.object(id)
-        T, T_inv = o.T_world_asset, np.linalg.inv(o.T_world_asset)
-        place = trim.place_at(self._surface(id), self.parts[id], transform(T_inv, x[None])[0], reach=FAR / o.scale)
-        if place is None:
-            return None
-        return Place(
-            point=transform(T, place.point[None])[0],
-            outward=o.T_world_object[:3, :3] @ place.outward,
-            off=place.off * o.scale,
-        )
+            if a in members and a not in shaved and self.bodies[a].stands_on_footing(x, near):
+                shaved.add(a)
+                cut |= self.bodies[a].shave(n, x, left * float(n[2]))
+            for id in (a, b):
+                if id != GROUND:
+                    cut |= self.bodies[id].cut_near(x, near)
+        return cut
 
     def _near(self, a: int, b: int) -> Near:
         size = min(self.scene[k].size for k in (a, b) if k != GROUND)
         return Near(tolerance=self.config.tolerance * size, radius=self.config.radius * size)
 
-    def _surface(self, id: int) -> Surface:
-        if id not in self._surfaces:
-            self._surfaces[id] = Surface.of(self.scene[id].mesh)
-        return self._surfaces[id]
 
+class _Lowered:
+    """An object while it is lowered and its colliders are cut back; points and lengths are in the world."""
 
-def _polytopes(o: SceneObject, parts: tuple) -> tuple[Polytope, ...]:
-    return tuple(Polytope.of(p).moved(o.T_world_asset) for p in parts)
+    def __init__(self, o: SceneObject, reach: float) -> None:
+        self._start, self._reach, self._drop = o, reach, 0.0
+        self.now = o
+        """The object as it is by now."""
+
+    @cached_property
+    def polytopes(self) -> tuple[Polytope, ...]:
+        """All that touches."""
+        return tuple(Polytope.of(p).moved(self.now.T_world_asset) for p in self.now.solids)
+
+    @cached_property
+    def _surface(self) -> Surface:
+        return Surface.of(self._start.mesh)
+
+    def lower(self, drop: float) -> None:
+        if not drop:
+            return
+        self._drop += drop
+        reason = f"lowered by {1000 * self._drop:.2f} mm, until its mesh meets what it rests on"
+        moved = self._start.moved(pose(t=-self._drop * UP), stage="close", reason=reason)
+        self._change(replace(moved, parts=self.now.parts, footing=self.now.footing))
+
+    def cut_on(self, point: Array, outward: Array, near: Near) -> bool:
+        """Cut back what stands off a point (3,) of the mesh in a direction (3,); whether anything was."""
+        there = trim.place_on(self._surface, self.now.parts, *self._to_asset(point, outward))
+        return self._trim(there, near)
+
+    def cut_near(self, x: Array, near: Near) -> bool:
+        """Cut back what stands off the mesh at a point (3,) off it; whether anything was."""
+        there = self._place(x)
+        return there is not None and self._trim(there, near)
+
+    def stands_on_footing(self, x: Array, near: Near) -> bool:
+        """Whether a point (3,) belongs to the footing, the mesh not being near."""
+        footing = self.polytopes[len(self.polytopes) - len(self.now.footing) :]
+        if not any(float((p.normals @ x - p.offsets).max()) <= 2 * TOUCHING for p in footing):
+            return False
+        return self._surface.nearest(self._to_asset(x, UP)[0], near.tolerance / self.now.scale) is None
+
+    def shave(self, upward: Array, x: Array, height: float) -> bool:
+        """Take a layer off the underside of the footing, which lies on a plane with normal ``upward`` through x."""
+        point, n = self._to_asset(x, -upward)
+        offset = float(n @ point) - height / self.now.scale
+        cut = [trim.less(p, n, offset, self._surface.size) for p in self.now.footing]
+        self._change(replace(self.now, footing=tuple(p for p in cut if p is not None)))
+        return True
+
+    def _place(self, x: Array) -> Place | None:
+        point, _ = self._to_asset(x, UP)
+        return trim.place_near(self._surface, self.now.parts, point, reach=self._reach / self.now.scale)
+
+    def _trim(self, there: Place, near: Near) -> bool:
+        near = Near(tolerance=near.tolerance / self.now.scale, radius=near.radius / self.now.scale)
+        parts = trim.trimmed(self._surface, self.now.parts, there, near)
+        if len(parts) == len(self.now.parts) and all(a is b for a, b in zip(parts, self.now.parts, strict=True)):
+            return False
+        self._change(replace(self.now, parts=parts))
+        return True
+
+    def _change(self, o: SceneObject) -> None:
+        self.now = o
+        self.__dict__.pop("polytopes", None)
+
+    def _to_asset(self, point: Array, direction: Array) -> tuple[Array, Array]:
+        """A point (3,) and a unit direction (3,) of the world in the asset's frame."""
+        R = self.now.T_world_object[:3, :3]
+        return transform(np.linalg.inv(self.now.T_world_asset), point[None])[0], R.T @ direction
