@@ -99,14 +99,14 @@ def corners_of(normals: Array, offsets: Array, hull: ConvexPart, inside: Array |
     ``inside`` (3,), by default the hull's middle, is not clearly inside."""
     from scipy.spatial import HalfspaceIntersection, QhullError
 
-    inside = hull.vertices.mean(0) if inside is None else inside
+    middle: Array = hull.vertices.mean(0) if inside is None else inside
     low, high = hull.vertices.min(0), hull.vertices.max(0)
     margin = (high - low).max()
     box = np.concatenate([np.eye(3), -np.eye(3)])
     box_offsets = np.concatenate([high + margin, margin - low])
     halfspaces = np.column_stack([np.vstack([normals, box]), -np.append(offsets, box_offsets)])
     try:
-        return np.asarray(HalfspaceIntersection(halfspaces, inside).intersections)
+        return np.asarray(HalfspaceIntersection(halfspaces, middle).intersections)
     except QhullError:
         return None
 

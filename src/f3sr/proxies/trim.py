@@ -108,7 +108,7 @@ def place_on(surface: Surface, parts: Sequence[ConvexPart], point: Array, outwar
 
 
 def trimmed(surface: Surface, parts: Sequence[ConvexPart], place: Place, near: Near) -> tuple[ConvexPart, ...]:
-    """The parts, those that stand off more than allowed at a place cut back or split there. Others are the same objects.
+    """The parts, those that stand off more than allowed at a place cut back or split there; others are the same values.
     Together they hold all of the mesh that they held before."""
     now, added = list(parts), list[ConvexPart]()
     for k, part in enumerate(parts):
@@ -181,7 +181,7 @@ class _Held:
 
     def worst(self, points: Array) -> tuple[float, tuple[Array, float]] | None:
         """How far the worst of some points (n, 3) lies outside the hull of what is held, and the plane it is beyond."""
-        if self.hull is None:
+        if self.hull is None or not len(points):
             return None
         normals, offsets = self.hull
         beyond = points @ normals.T - offsets
@@ -211,18 +211,16 @@ def _trimmed(held: _Held, place: Place, spot: Array, near: Near, splits: int) ->
 
 
 def _cut_back(held: _Held, spot: Array, near: Near) -> _Held:
-    """The corners near a spot cut off, the farthest first, until all stand out less than allowed."""
-    points = spot[None]
+    """A spot cut off, then the corners near it, the farthest first, until all stand out less than allowed."""
+    worst = held.worst(spot[None])
     for _ in range(MOST_CUTS):
-        worst = held.worst(points) if len(points) else None
-        if worst is None or worst[0] <= near.tolerance / 2:
-            break
-        smaller = held.cut(*worst[1])
+        smaller = held.cut(*worst[1]) if worst else None
         if smaller is None:
             break
-        held = smaller
-        corners = held.part.vertices
-        points = corners[np.linalg.norm(corners - spot, axis=1) <= near.radius]
+        held, corners = smaller, smaller.part.vertices
+        worst = held.worst(corners[np.linalg.norm(corners - spot, axis=1) <= near.radius])
+        if worst is None or worst[0] <= near.tolerance:
+            break
     return held
 
 
@@ -262,8 +260,9 @@ def _across(direction: Array) -> Iterator[Array]:
 def _clipped(triangles: Array, normals: Array, offsets: Array) -> Array:
     """The parts of triangles (n, 3, 3) below all planes."""
     over = triangles @ normals.T > offsets
-    inside, outside = ~over.any((1, 2)), over.all(1).any(1)
-    whole, crossing, crossed = triangles[inside], triangles[~inside & ~outside], over.any((0, 1))
+    some, every = np.logical_or.reduce(over, axis=1), np.logical_and.reduce(over, axis=1)
+    inside, outside = ~some.any(-1), every.any(-1)
+    whole, crossing, crossed = triangles[inside], triangles[~inside & ~outside], some.any(0)
     for u, offset in zip(normals[crossed], offsets[crossed], strict=True):
         crossing = below(crossing, u, float(offset))
     return np.concatenate([whole, crossing])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from functools import cached_property
 from typing import Annotated
@@ -14,11 +14,12 @@ from f3sr import contact
 from f3sr.bodies import supports_first
 from f3sr.contact import Polytope
 from f3sr.frames import UP, Array, pose, transform
+from f3sr.measures import visible_ious
 from f3sr.meeting import Meeting, meeting
 from f3sr.patches import find_contacts
 from f3sr.proxies import trim
 from f3sr.proxies.trim import Near, Place, Surface
-from f3sr.refinement import Rested, groups
+from f3sr.refinement import Rested, groups_of
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.settings import settings
@@ -45,8 +46,9 @@ class CloseConfig:
     """Gap left below what is lowered [m], as in ``separate``: two margins of physics."""
     rounds: Annotated[int, Interval(ge=0, le=10)] = 2
     """Most times that objects are lowered and settled: settling tilts them onto other contacts."""
-    loss: Annotated[float, Interval(ge=0, le=1)] = 0.2
-    """What the visible IoU of a group of objects that touch may lose, in the mean; beyond, it rolled away."""
+    loss: Annotated[float, Interval(ge=0, le=1)] = 0.02
+    """What the visible IoU of a group of objects that touch may lose in the mean: how well places in the picture are
+    known. What loses more rolled away on the way down and is left where it was."""
     apart: Annotated[float, Interval(gt=0, le=0.1)] = 2e-3
     """Objects with this much room between them [m] do not feel each other, as in ``refine``."""
 
@@ -56,22 +58,23 @@ def close(
 ) -> tuple[Scene, Report]:
     """Lower what nowhere touches what it rests on, and settle it, until everything touches.
 
-    ``settled`` is physics. Of every round those groups of objects are kept that rest and that stay where the photo
-    shows them.
+    ``settled`` is physics. Of every round those groups of objects are kept that rest and stay where the photo shows
+    them.
     """
     config = config or CloseConfig()
+    start, gaps = scene, _gaps(scene)
     decisions: list[Decision] = []
-    start, before = scene, _gaps(scene)
+    hopeful = frozenset(o.id for o in scene)
     for _ in range(config.rounds):
-        lower = lowered(scene, config)
-        changed = {o.id for o in scene if lower[o.id] is not o}
+        tried = lowered(scene, config, only=hopeful)
+        changed = frozenset(o.id for o in scene if tried[o.id] is not o)
         if not changed:
             break
-        scene, told = _kept(scene, settled(lower), changed, config)
+        scene, told, hopeful = _better(scene, tried, changed, config, settled)
         decisions += told
     after = _gaps(scene)
     measures = [
-        Measure(name="gap below", before=1000 * before[o.id], after=1000 * after[o.id], unit="mm", about=o.id)
+        Measure(name="gap below", before=1000 * gaps[o.id], after=1000 * after[o.id], unit="mm", about=o.id)
         for o in scene
     ]
     measures += [
@@ -86,35 +89,41 @@ def _gaps(scene: Scene) -> Mapping[int, float]:
     return {o.id: meeting(o, [other for other in scene if other is not o]).gap for o in scene}
 
 
-def _kept(before: Scene, after: Rested, changed: set[int], config: CloseConfig) -> tuple[Scene, list[Decision]]:
-    """``before`` with every group of objects, of which some were changed, that rests and is still seen."""
-    was = Rested(scene=before, restless=frozenset()).ious
-    scene, decisions = before, list[Decision]()
-    for group in groups(before, after.scene, config.apart):
+def _better(
+    before: Scene, tried: Scene, changed: frozenset[int], config: CloseConfig, settled: Callable[[Scene], Rested]
+) -> tuple[Scene, list[Decision], frozenset[int]]:
+    """``before`` with those groups of objects as tried, once settled, that rest and are still seen; and the ids of what
+    they hold. What has no part in it is not settled again."""
+    moving = frozenset(id for g in groups_of(before, tried, config.apart) if g & changed for id in g)
+    rested = settled(replace(tried, objects=tuple(o for o in tried if o.id in moving)))
+    after = tried.with_objects(*rested.scene)
+    was, now = visible_ious(before), visible_ious(after)
+    scene, decisions, kept = before, list[Decision](), frozenset[int]()
+    for group in groups_of(before, after, config.apart):
         if not group & changed:
             continue
-        loss = float(np.mean([was[id] - after.ious[id] for id in group]))
-        names = ", ".join(map(str, sorted(group & changed)))
-        choice, reason = f"colliders of {names} cut back", f"visible IoU of the group {-loss:+.4f}"
-        if restless := sorted(group & after.restless):
+        loss = float(np.mean([was[id] - now[id] for id in group]))
+        reason = f"visible IoU of the group {-loss:+.4f}"
+        if restless := sorted(group & rested.restless):
             reason += f", and object {', '.join(map(str, restless))} does not come to rest"
-        if restless or loss > config.loss:
-            decisions.append(Decision(choice=f"{choice}: rolled back", reason=reason))
-            continue
-        decisions.append(Decision(choice=f"{choice}: accepted", reason=reason))
-        scene = scene.with_objects(*(after.scene[id] for id in sorted(group)))
-    return scene, decisions
+        is_better = not restless and loss <= config.loss and group <= moving
+        verdict = "accepted" if is_better else "rolled back"
+        names = ", ".join(map(str, sorted(group & changed)))
+        decisions.append(Decision(choice=f"colliders cut back of object {names}: {verdict}", reason=reason))
+        if is_better:
+            scene, kept = scene.with_objects(*(after[id] for id in sorted(group))), kept | group
+    return scene, decisions, kept
 
 
-def lowered(scene: Scene, config: CloseConfig) -> Scene:
-    """The scene with everything lowered, supports first, that nowhere touches what it rests on.
+def lowered(scene: Scene, config: CloseConfig, *, only: Collection[int]) -> Scene:
+    """The scene with those of some objects lowered, supports first, that nowhere touch what they rest on.
 
     An object goes down with all it carries until colliders meet; they are cut back there, and so on until its mesh
     meets what is below. Objects for which nothing was to be done stay the same values.
     """
     layout = _Layout(scene, config)
     for id in supports_first({o.id: o.supported_by for o in scene}):
-        if scene[id].mobility == "dynamic" and scene[id].supported_by is not None:
+        if id in only and scene[id].supported_by is not None:
             layout.lower(id)
     return scene.with_objects(*(body.now for body in layout.bodies.values()))
 
@@ -252,4 +261,5 @@ class _Lowered:
     def _to_asset(self, point: Array, direction: Array) -> tuple[Array, Array]:
         """A point (3,) and a unit direction (3,) of the world in the asset's frame."""
         R = self.now.T_world_object[:3, :3]
-        return transform(np.linalg.inv(self.now.T_world_asset), point[None])[0], R.T @ direction
+        T_asset_world: Array = np.linalg.inv(self.now.T_world_asset).astype(np.float64)
+        return transform(T_asset_world, point[None])[0], R.T @ direction
