@@ -80,13 +80,15 @@ def reconstruct(
     progress: Progress = silent,
 ) -> Reconstruction:
     """Run every stage that is not skipped. Any stage but ``assemble`` may be skipped: a valid scene remains.
-    ``refine`` repeats alignment, separation and settling, so it goes with any of them.
+    ``refine`` repeats alignment, separation and settling, so it goes with any of them; ``close`` goes with settling.
 
     Stages whose results are in ``store`` are not done again. ``progress`` is told of every stage.
     """
     config = config or Config()
     if REPEATED_BY_REFINE & set(skip):
         skip = {*skip, "refine"}
+    if "settle" in skip:
+        skip = {*skip, "close"}
     devices.require(config.align.device, "align.device")
     devices.require(config.refine.align.device, "refine.align.device")
     run = Runner(inputs.key, skip=skip, skippable=SKIPPABLE, store=store, progress=progress)
