@@ -105,8 +105,8 @@ def dish_mesh(radius: float = 0.25, width: float = 0.1, wall: float = 0.005) -> 
 
 
 def _revolved(profile: Array, poles: tuple[float, float], sides: int = 32) -> Mesh:
-    """A closed surface about z: a profile of radius and height (n, 2), counter-clockwise from the first pole's height on
-    the axis to the second's."""
+    """A closed surface about z: a profile of radius and height (n, 2), counter-clockwise from the height of the first
+    pole to that of the second."""
     turns = 2 * np.pi * np.arange(sides) / sides
     r, z = profile[:, :1], np.broadcast_to(profile[:, 1:], (len(profile), sides))
     rings = np.stack([r * np.cos(turns), r * np.sin(turns), z], axis=-1).reshape(-1, 3)

@@ -11,7 +11,7 @@ from f3sr.proxies import trim
 from f3sr.proxies.trim import Near, Surface
 from scenes import ball_mesh, dish_mesh
 
-NEAR = Near(tolerance=2e-4, radius=0.01)
+NEAR = Near(tolerance=2e-4, radius=0.01, reach=0.05)
 
 
 def around_ball(radius: float = 0.05) -> ConvexPart:
@@ -40,7 +40,7 @@ def surface_points(mesh: Mesh, count: int = 3000) -> np.ndarray:
 def touched(mesh: Mesh, parts: tuple[ConvexPart, ...], x: np.ndarray) -> tuple[tuple[ConvexPart, ...], float, float]:
     """The parts trimmed at the place nearest to x, and how far they stand off there before and after."""
     surface = Surface.of(mesh)
-    there = trim.place_near(surface, parts, x, reach=0.05)
+    there = trim.place_near(surface, parts, x, NEAR)
     assert there is not None
     less = trim.trimmed(surface, parts, there, NEAR)
     return less, there.off, trim.place_on(surface, less, there.point, there.outward).off
@@ -95,9 +95,9 @@ def test_the_unit_of_the_asset_does_not_matter():
     large = small.with_vertices(1000 * small.vertices)
     parts = touched(small, (ConvexPart.hull_of(small.vertices),), x)[0]
     surface, whole = Surface.of(large), (ConvexPart.hull_of(large.vertices),)
-    there = trim.place_near(surface, whole, 1000 * x, reach=50)
+    there = trim.place_near(surface, whole, 1000 * x, NEAR.scaled(1000))
     assert there is not None
-    scaled = trim.trimmed(surface, whole, there, Near(tolerance=0.2, radius=10))
+    scaled = trim.trimmed(surface, whole, there, NEAR.scaled(1000))
     assert [len(p.vertices) for p in scaled] == [len(p.vertices) for p in parts]
     assert sum(p.volume for p in scaled) == pytest.approx(1e9 * sum(p.volume for p in parts), rel=1e-6)
 

@@ -41,10 +41,16 @@ Planes = tuple[Array, Array]
 
 @dataclass(frozen=True, kw_only=True)
 class Near:
-    """How far parts may stand off their mesh within ``radius`` of a place, in the mesh's unit."""
+    """How far parts may stand off their mesh within ``radius`` of a place, which is at most ``reach`` away from what
+    touches."""
 
     tolerance: float
     radius: float
+    reach: float
+
+    def scaled(self, scale: float) -> Near:
+        """The same in another unit."""
+        return Near(tolerance=scale * self.tolerance, radius=scale * self.radius, reach=scale * self.reach)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -92,10 +98,10 @@ class Surface:
         return points[int(distances.argmin())] if distances.min(initial=np.inf) <= reach else None
 
 
-def place_near(surface: Surface, parts: Sequence[ConvexPart], x: Array, *, reach: float) -> Place | None:
-    """The place of a surface nearest to a point (3,) off it; None where it is farther than ``reach``, or where the
-    point lies on it."""
-    y = surface.nearest(x, reach)
+def place_near(surface: Surface, parts: Sequence[ConvexPart], x: Array, near: Near) -> Place | None:
+    """The place of a surface nearest to a point (3,) off it; None where none is within reach, or where the point lies
+    on it."""
+    y = surface.nearest(x, near.reach)
     if y is None or (length := float(np.linalg.norm(x - y))) <= SLACK * surface.size:
         return None
     return place_on(surface, parts, y, (x - y) / length)

@@ -40,8 +40,8 @@ class CloseConfig:
     radius: Annotated[float, Interval(gt=0, le=0.5)] = 0.03
     """How far around such a place they are cut back, as a share of the same size: as far as things move while they
     settle."""
-    reach: Annotated[float, Interval(gt=0, le=0.1)] = 4e-3
-    """Farther than this from a mesh its colliders are left as they are [m]."""
+    reach: Annotated[float, Interval(gt=0, le=1)] = 0.1
+    """How far from a contact the mesh is looked for, as a share of the same size: parts hardly stand off farther."""
     clearance: Annotated[float, Interval(ge=0, le=0.01)] = 3.2e-4
     """Gap left below what is lowered [m], as in ``separate``: two margins of physics."""
     rounds: Annotated[int, Interval(ge=0, le=10)] = 2
@@ -133,7 +133,7 @@ class _Layout:
 
     def __init__(self, scene: Scene, config: CloseConfig) -> None:
         self.scene, self.config = scene, config
-        self.bodies = {o.id: _Lowered(o, config.reach) for o in scene}
+        self.bodies = {o.id: _Lowered(o) for o in scene}
 
     def lower(self, id: int) -> None:
         """Lower an object with all it carries until its mesh meets another one, or nothing more can be cut back."""
@@ -189,14 +189,15 @@ class _Layout:
 
     def _near(self, a: int, b: int) -> Near:
         size = min(self.scene[k].size for k in (a, b) if k != GROUND)
-        return Near(tolerance=self.config.tolerance * size, radius=self.config.radius * size)
+        config = self.config
+        return Near(tolerance=config.tolerance * size, radius=config.radius * size, reach=config.reach * size)
 
 
 class _Lowered:
     """An object while it is lowered and its colliders are cut back; points and lengths are in the world."""
 
-    def __init__(self, o: SceneObject, reach: float) -> None:
-        self._start, self._reach, self._drop = o, reach, 0.0
+    def __init__(self, o: SceneObject) -> None:
+        self._start, self._drop = o, 0.0
         self.now = o
         """The object as it is by now."""
 
@@ -224,7 +225,8 @@ class _Lowered:
 
     def cut_near(self, x: Array, near: Near) -> bool:
         """Cut back what stands off the mesh at a point (3,) off it; whether anything was."""
-        there = self._place(x)
+        point, _ = self._to_asset(x, UP)
+        there = trim.place_near(self._surface, self.now.parts, point, near.scaled(1 / self.now.scale))
         return there is not None and self._trim(there, near)
 
     def stands_on_footing(self, x: Array, near: Near) -> bool:
@@ -242,13 +244,8 @@ class _Lowered:
         self._change(replace(self.now, footing=tuple(p for p in cut if p is not None)))
         return True
 
-    def _place(self, x: Array) -> Place | None:
-        point, _ = self._to_asset(x, UP)
-        return trim.place_near(self._surface, self.now.parts, point, reach=self._reach / self.now.scale)
-
     def _trim(self, there: Place, near: Near) -> bool:
-        near = Near(tolerance=near.tolerance / self.now.scale, radius=near.radius / self.now.scale)
-        parts = trim.trimmed(self._surface, self.now.parts, there, near)
+        parts = trim.trimmed(self._surface, self.now.parts, there, near.scaled(1 / self.now.scale))
         if len(parts) == len(self.now.parts) and all(a is b for a, b in zip(parts, self.now.parts, strict=True)):
             return False
         self._change(replace(self.now, parts=parts))
