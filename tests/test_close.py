@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -74,14 +74,10 @@ def outside(o: SceneObject) -> float:
     return float(np.min([(o.mesh.vertices @ p.normals.T - p.offsets).max(1) for p in facets], axis=0).max())
 
 
-def all_of(scene: Scene) -> Collection[int]:
-    return [o.id for o in scene]
-
-
 def test_a_ball_comes_down_to_the_ground():
     scene = scene_of(ball_on_the_ground())
     assert gap(scene, 0) > 0.002
-    after = lowered(scene, CONFIG, only=[0])
+    after = lowered(scene, CONFIG)
     allowed = CONFIG.clearance + 2 * CONFIG.tolerance * scene[0].size
     assert CONFIG.clearance - 1e-7 < gap(after, 0) <= allowed + 1e-7
     assert outside(after[0]) < 1e-8
@@ -126,9 +122,10 @@ def test_what_carries_something_comes_down_with_it():
     top = float(np.concatenate([p.vertices[:, 2] for p in ball.colliders_world]).max())
     lid = made(1, box(1).mesh, box(1).parts, np.array([0, 0, top + CONFIG.clearance + 0.05]), on=0)
     scene = scene_of(ball, lid)
-    after = lowered(scene, CONFIG, only=[0])
+    after = lowered(scene, CONFIG)
     drops = [scene[id].T_world_object[2, 3] - after[id].T_world_object[2, 3] for id in (0, 1)]
-    assert drops[0] > 0.002 and drops[0] == pytest.approx(drops[1])
+    assert drops[0] > 0.002 and drops[1] > drops[0] + 0.002, "and then onto what carries it"
+    assert gap(after, 1) <= CONFIG.clearance + 2 * CONFIG.tolerance * scene[0].size + 1e-7
 
 
 def test_a_footing_that_holds_the_mesh_up_is_shaved():
@@ -137,7 +134,7 @@ def test_a_footing_that_holds_the_mesh_up_is_shaved():
         np.array([[x, y, z] for x in (-0.05, 0.05) for y in (-0.05, 0.05) for z in (-0.05, -0.053)])
     )
     scene = scene_of(on_colliders(replace(o, footing=(layer,)), 0.0))
-    after = lowered(scene, CONFIG, only=[0])
+    after = lowered(scene, CONFIG)
     assert gap(scene, 0) == pytest.approx(0.003 + CONFIG.clearance)
     assert gap(after, 0) == pytest.approx(CONFIG.clearance, abs=1e-6)
     assert after[0].parts is scene[0].parts and not after[0].footing
@@ -159,8 +156,8 @@ def test_what_does_not_rest_or_rolls_away_is_left_as_it_was(end: Callable[[Scene
     scene = seen(scene_of(ball_on_the_ground()))
     after, report = close(scene, CONFIG, settled=end)
     assert after is scene
-    (decision,) = report.decisions
-    assert decision.choice.endswith("rolled back") and why in decision.reason
+    assert len(report.decisions) == CONFIG.rounds
+    assert all(d.choice.endswith("rolled back") and why in d.reason for d in report.decisions)
 
 
 def test_only_groups_that_change_are_settled_and_each_is_kept_for_itself():
@@ -176,14 +173,14 @@ def test_only_groups_that_change_are_settled_and_each_is_kept_for_itself():
         return Rested(scene=scene, restless=frozenset([2]))
 
     after, _ = close(scene, replace(CONFIG, loss=1.0), settled=physics)
-    assert given == [[1, 2]]
+    assert given == [[1, 2], [2]]
     assert [after[id] is scene[id] for id in (0, 1, 2)] == [True, False, True]
 
 
 def test_fixed_and_unsupported_things_are_not_lowered():
     ball = ball_on_the_ground()
     scene = scene_of(replace(ball, mobility="fixed"), replace(ball, id=1, supported_by=None, supports=()))
-    assert all(lowered(scene, CONFIG, only=all_of(scene))[o.id] is o for o in scene)
+    assert all(lowered(scene, CONFIG)[o.id] is o for o in scene)
 
 
 def test_the_same_scene_gives_the_same_bytes():
@@ -198,5 +195,5 @@ def test_the_unit_of_an_asset_does_not_matter():
     other = scene[1]
     large = tuple(p.moved(np.diag([1000.0, 1000, 1000, 1])) for p in other.parts)
     scaled = replace(other, mesh=other.mesh.with_vertices(1000 * other.mesh.vertices), parts=large, scale=0.001)
-    a, b = (lowered(s, CONFIG, only=[1])[1].T_world_object[2, 3] for s in (scene, scene.with_objects(scaled)))
+    a, b = (lowered(s, CONFIG)[1].T_world_object[2, 3] for s in (scene, scene.with_objects(scaled)))
     assert a == pytest.approx(b, abs=1e-6)

@@ -39,7 +39,7 @@ class CloseConfig:
     sizes."""
     radius: Annotated[float, Interval(gt=0, le=0.5)] = 0.03
     """How far around such a place they are cut back, as a share of the same size: as far as things move while they
-    settle."""
+    settle. Twice as far in the next round, where what rolled away may stay."""
     reach: Annotated[float, Interval(gt=0, le=1)] = 0.1
     """How far from a contact the mesh is looked for, as a share of the same size: parts hardly stand off farther."""
     clearance: Annotated[float, Interval(ge=0, le=0.01)] = 3.2e-4
@@ -48,7 +48,9 @@ class CloseConfig:
     """Most times that objects are lowered and settled: settling tilts them onto other contacts."""
     loss: Annotated[float, Interval(ge=0, le=1)] = 0.02
     """What the visible IoU of a group of objects that touch may lose in the mean: how well places in the picture are
-    known. What loses more rolled away on the way down and is left where it was."""
+    known. What loses more rolled away on the way down and is put back."""
+    worth: Annotated[float, Interval(ge=0, le=100)] = 2.0
+    """What more it may lose per size of an object by which the widest gap closes."""
     apart: Annotated[float, Interval(gt=0, le=0.1)] = 2e-3
     """Objects with this much room between them [m] do not feel each other, as in ``refine``."""
 
@@ -64,13 +66,12 @@ def close(
     config = config or CloseConfig()
     start, gaps = scene, _gaps(scene)
     decisions: list[Decision] = []
-    hopeful = frozenset(o.id for o in scene)
-    for _ in range(config.rounds):
-        tried = lowered(scene, config, only=hopeful)
+    for k in range(config.rounds):
+        tried = lowered(scene, replace(config, radius=min(0.5, config.radius * 2**k)))
         changed = frozenset(o.id for o in scene if tried[o.id] is not o)
         if not changed:
             break
-        scene, told, hopeful = _better(scene, tried, changed, config, settled)
+        scene, told = _better(scene, tried, changed, config, settled)
         decisions += told
     after = _gaps(scene)
     measures = [
@@ -86,19 +87,23 @@ def close(
 
 
 def _gaps(scene: Scene) -> Mapping[int, float]:
-    return {o.id: meeting(o, [other for other in scene if other is not o]).gap for o in scene}
+    return {o.id: _gap(o, scene) for o in scene}
+
+
+def _gap(o: SceneObject, scene: Scene) -> float:
+    return meeting(o, [other for other in scene if other.id != o.id]).gap
 
 
 def _better(
     before: Scene, tried: Scene, changed: frozenset[int], config: CloseConfig, settled: Callable[[Scene], Rested]
-) -> tuple[Scene, list[Decision], frozenset[int]]:
-    """``before`` with those groups of objects as tried, once settled, that rest and are still seen; and the ids of what
-    they hold. What has no part in it is not settled again."""
+) -> tuple[Scene, list[Decision]]:
+    """``before`` with those groups of objects as tried, once settled, that rest and are still seen. What has no part in
+    it is not settled again."""
     moving = frozenset(id for g in groups_of(before, tried, config.apart) if g & changed for id in g)
     rested = settled(replace(tried, objects=tuple(o for o in tried if o.id in moving)))
     after = tried.with_objects(*rested.scene)
     was, now = visible_ious(before), visible_ious(after)
-    scene, decisions, kept = before, list[Decision](), frozenset[int]()
+    scene, decisions = before, list[Decision]()
     for group in groups_of(before, after, config.apart):
         if not group & changed:
             continue
@@ -106,24 +111,31 @@ def _better(
         reason = f"visible IoU of the group {-loss:+.4f}"
         if restless := sorted(group & rested.restless):
             reason += f", and object {', '.join(map(str, restless))} does not come to rest"
-        is_better = not restless and loss <= config.loss and group <= moving
+        allowed = max(config.loss, config.worth * _closed(before, after, group & changed))
+        is_better = not restless and loss <= allowed and group <= moving
         verdict = "accepted" if is_better else "rolled back"
         names = ", ".join(map(str, sorted(group & changed)))
         decisions.append(Decision(choice=f"colliders cut back of object {names}: {verdict}", reason=reason))
         if is_better:
-            scene, kept = scene.with_objects(*(after[id] for id in sorted(group))), kept | group
-    return scene, decisions, kept
+            scene = scene.with_objects(*(after[id] for id in sorted(group)))
+    return scene, decisions
 
 
-def lowered(scene: Scene, config: CloseConfig, *, only: Collection[int]) -> Scene:
-    """The scene with those of some objects lowered, supports first, that nowhere touch what they rest on.
+def _closed(before: Scene, after: Scene, ids: Collection[int]) -> float:
+    """By how much the widest gap below some objects closed, in their sizes."""
+    was, now = (max(_gap(s[id], s) / s[id].size for id in ids) for s in (before, after))
+    return was - now
+
+
+def lowered(scene: Scene, config: CloseConfig) -> Scene:
+    """The scene with everything lowered, supports first, that nowhere touches what it rests on.
 
     An object goes down with all it carries until colliders meet; they are cut back there, and so on until its mesh
     meets what is below. Objects for which nothing was to be done stay the same values.
     """
     layout = _Layout(scene, config)
     for id in supports_first({o.id: o.supported_by for o in scene}):
-        if id in only and scene[id].supported_by is not None:
+        if scene[id].supported_by is not None:
             layout.lower(id)
     return scene.with_objects(*(body.now for body in layout.bodies.values()))
 
