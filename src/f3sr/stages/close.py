@@ -185,7 +185,7 @@ class _Layout:
 
     def _cut_free(self, members: tuple[int, ...], left: float) -> bool:
         """Cut back what meets under some objects that are to go ``left`` [m] farther down; whether anything was."""
-        found = find_contacts({k: b.polytopes for k, b in self.bodies.items()}, reach=TOUCHING)
+        found = find_contacts(self._around(members), reach=TOUCHING)
         cut, shaved = False, set[int]()
         for a, b, x, n in zip(found.upper.tolist(), found.lower.tolist(), found.points, found.normals, strict=True):
             if (a in members) == (b in members):
@@ -198,6 +198,14 @@ class _Layout:
                 if id != GROUND:
                     cut |= self.bodies[id].cut_near(x, near)
         return cut
+
+    def _around(self, members: tuple[int, ...]) -> dict[int, tuple[Polytope, ...]]:
+        """Some objects and all whose boxes reach theirs."""
+        boxes = {k: b.box for k, b in self.bodies.items()}
+        low = np.min([boxes[k][0] for k in members], axis=0) - TOUCHING
+        high = np.max([boxes[k][1] for k in members], axis=0) + TOUCHING
+        reached = [k for k, box in boxes.items() if (box[0] <= high).all() and (box[1] >= low).all()]
+        return {k: self.bodies[k].polytopes for k in reached}
 
     def _near(self, a: int, b: int) -> Near:
         size = min(self.scene[k].size for k in (a, b) if k != GROUND)
@@ -217,6 +225,12 @@ class _Lowered:
     def polytopes(self) -> tuple[Polytope, ...]:
         """All that touches."""
         return tuple(Polytope.of(p).moved(self.now.T_world_asset) for p in self.now.solids)
+
+    @property
+    def box(self) -> Array:
+        """(2, 3) around all that touches."""
+        bounds = np.stack([p.bounds for p in self.polytopes])
+        return np.stack([bounds[:, 0].min(0), bounds[:, 1].max(0)])
 
     @cached_property
     def _surface(self) -> Surface:
