@@ -15,7 +15,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-STAGES = ("assemble", "level", "align", "relate", "decompose", "separate", "settle", "refine", "describe", "evaluate")
+STAGES = (
+    *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "refine", "close", "describe"),
+    "evaluate",
+)
 
 
 def main() -> None:

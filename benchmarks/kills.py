@@ -26,7 +26,10 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).parent
-STAGES = ("assemble", "level", "align", "relate", "decompose", "separate", "settle", "refine", "describe", "evaluate")
+STAGES = (
+    *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "refine", "close", "describe"),
+    "evaluate",
+)
 LONG = ("align", "decompose", "refine", "evaluate")
 """Stages of seconds, killed from outside after some time; the others at a function call, as a moment is too coarse."""
 ATTEMPTS = 5

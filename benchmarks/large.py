@@ -29,7 +29,10 @@ CASES = {
     "many": {"objects": 60, "faces": 4000, "texture": 512, "width": 1600, "height": 1200},
     "photo": {"enlarged": 11},
 }
-STAGES = ("assemble", "level", "align", "relate", "decompose", "separate", "settle", "refine", "describe", "evaluate")
+STAGES = (
+    *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "refine", "close", "describe"),
+    "evaluate",
+)
 LIMIT_MB = 4000
 
 

@@ -21,7 +21,10 @@ from run import REPO
 
 CASES = ("tower", "bowls", "planks", "pile", "floor", "overlaps", "dining", "shelf")
 GROWTH = (5, 10, 20, 50)
-STAGES = ("assemble", "level", "align", "relate", "decompose", "separate", "settle", "refine", "describe", "evaluate")
+STAGES = (
+    *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "refine", "close", "describe"),
+    "evaluate",
+)
 COLUMNS = (
     *("n", "mIoU_visible", "N_cross", "overlaps_left", "inside", "K_max_J", "D_max_cm", "gap_pct", "proxy_out_pct"),
     *("centre_pct", "raw_centre_pct", "support_precision", "support_recall", "fallen", "far_pct", "wall_s"),

@@ -88,3 +88,35 @@ def box_stack_scene(count: int = 3) -> Scene:
         for id in range(1, count)
     )
     return replace(scene_of(*boxes), graph=SceneGraph(relations=relations, source="test"))
+
+
+def ball_mesh(radius: float, rings: int = 32) -> Mesh:
+    """A closed ball about the origin whose poles are vertices."""
+    angles = np.linspace(0, np.pi, rings + 1)[1:-1]
+    return _revolved(radius * np.column_stack([np.sin(angles), -np.cos(angles)]), (-radius, radius))
+
+
+def dish_mesh(radius: float = 0.25, width: float = 0.1, wall: float = 0.005) -> Mesh:
+    """A closed dish, a shell of a ball of ``radius`` and ``wall`` thick; its inside touches the origin from below."""
+    x = np.linspace(0, width, 13)[1:]
+    inside = np.column_stack([x, radius - np.sqrt(radius**2 - x**2)])
+    outside = inside - [0, wall]
+    return _revolved(np.concatenate([outside, inside[::-1]]), (-wall, 0.0))
+
+
+def _revolved(profile: Array, poles: tuple[float, float], sides: int = 32) -> Mesh:
+    """A closed surface about z: a profile of radius and height (n, 2), counter-clockwise from the height of the first
+    pole to that of the second."""
+    turns = 2 * np.pi * np.arange(sides) / sides
+    r, z = profile[:, :1], np.broadcast_to(profile[:, 1:], (len(profile), sides))
+    rings = np.stack([r * np.cos(turns), r * np.sin(turns), z], axis=-1).reshape(-1, 3)
+    vertices = np.concatenate([[(0, 0, poles[0]), (0, 0, poles[1])], rings])
+    i = np.arange(sides)
+    j = (i + 1) % sides
+    first, last = 2, 2 + (len(profile) - 1) * sides
+    faces = [np.column_stack([np.zeros(sides, int), first + j, first + i])]
+    faces.append(np.column_stack([np.ones(sides, int), last + i, last + j]))
+    for k in range(len(profile) - 1):
+        a, b = 2 + k * sides, 2 + (k + 1) * sides
+        faces += [np.column_stack([a + i, a + j, b + j]), np.column_stack([a + i, b + j, b + i])]
+    return Mesh(vertices=vertices, faces=np.concatenate(faces).astype(np.int32))

@@ -16,7 +16,10 @@ from f3sr.scene import Motion
 from folders import write_folder
 from scenes import box_stack_scene
 
-STAGES = ("assemble", "level", "align", "relate", "decompose", "separate", "settle", "refine", "describe", "evaluate")
+STAGES = (
+    *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "refine", "close", "describe"),
+    "evaluate",
+)
 
 
 @pytest.fixture(scope="module")

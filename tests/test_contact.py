@@ -35,6 +35,15 @@ def random_direction(rng):
     return u / np.linalg.norm(u)
 
 
+def cube_with_a_sliver():
+    """A unit cube; between its front y = 0 and its top z = 1 lies a triangle of no height, along their edge."""
+    corners = [[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+    squares = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4)]
+    faces = [t for a, b, c, d in squares for t in ((a, b, c), (a, c, d))]
+    faces += [(1, 5, 8), (8, 5, 7), (8, 7, 3), (8, 3, 1)]
+    return ConvexPart(vertices=np.array([*corners, [0.5, 0, 1]], float), faces=np.array(faces, np.int32))
+
+
 def minkowski_planes(a, b):
     """The oracle: hull of all differences b - a, as normals and offsets; a + x overlaps b iff x is inside."""
     differences = (b.vertices[None] - a.vertices[:, None]).reshape(-1, 3)
@@ -305,3 +314,11 @@ def test_an_open_surface_is_refused():
     tetrahedron = ConvexPart.hull_of(np.vstack([np.zeros(3), np.eye(3)]))
     with pytest.raises(ValueError, match="not closed"):
         Polytope.of(ConvexPart(vertices=tetrahedron.vertices, faces=tetrahedron.faces[:3]))
+
+
+def test_a_sliver_between_two_facets_does_not_make_them_one():
+    polytope = Polytope.of(cube_with_a_sliver())
+    sides = {tuple(np.round(n).astype(int)): d for n, d in zip(polytope.normals, polytope.offsets, strict=True)}
+    low, high = {tuple(-n): 0.0 for n in np.eye(3, dtype=int)}, {tuple(n): 1.0 for n in np.eye(3, dtype=int)}
+    assert sides == pytest.approx(low | high)
+    assert contact.overlap_depth(polytope, box(center=(0.5, 0.5, 1.45))) == pytest.approx(0.05)

@@ -25,6 +25,8 @@ from f3sr.mesh import ConvexPart
 
 COPLANAR = 1e-7
 """Triangles merge into one facet when they leave its plane by less than this share of the polytope's size."""
+SLIVER = 10.0
+"""A triangle is a sliver when it is less high than so many times that."""
 TOUCH = 1e-9
 """Overlaps up to this share of the two parts' sizes are contact, not collision. Shifts leave half of it, so
 that rounding cannot turn the contact they end in back into a collision."""
@@ -552,7 +554,8 @@ def _adjacent(faces: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.i
 
 
 def _coplanar_groups(part: ConvexPart, left: NDArray[np.int64], right: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Label (m,) per triangle: neighbours share one when the smaller lies in the plane of the larger."""
+    """Label (m,) per triangle: neighbours share one when the smaller lies in the plane of the larger. A sliver lies in
+    the planes of all its neighbours; it joins the largest of them and none to another."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -564,6 +567,12 @@ def _coplanar_groups(part: ConvexPart, left: NDArray[np.int64], right: NDArray[n
     away = np.abs(np.einsum("eki,ei->ek", corners[small] - corners[large][:, :1], unit)).max(1)
     size = float(np.linalg.norm(np.ptp(part.vertices, axis=0)))
     same = away <= COPLANAR * size
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
+    is_sliver = area <= SLIVER * COPLANAR * size * longest
+    order = np.lexsort((-area[large], small))
+    first = np.zeros(len(same), bool)
+    first[order[np.unique(small[order], return_index=True)[1]]] = True
+    same &= first | ~is_sliver[small]
     links = coo_array((np.ones(same.sum()), (left[same], right[same])), shape=(len(area), len(area)))
     return connected_components(links, directed=False)[1].astype(np.int64)
 

@@ -20,6 +20,7 @@ from f3sr.settings import changed, settings
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.align.config import FacetConfig
 from f3sr.stages.assemble import AssembleConfig, as_given, assemble
+from f3sr.stages.close import CloseConfig, close
 from f3sr.stages.decompose import decompose
 from f3sr.stages.evaluate import EvaluateConfig, Evaluation, direct_composition, evaluate
 from f3sr.stages.level import LevelConfig, level
@@ -29,7 +30,7 @@ from f3sr.stages.settle import SettleStageConfig, restless, settle
 
 SKIPPABLE = (
     *("level", "align", "align-camera", "align-objects", "relate", "decompose", "separate", "settle"),
-    *("refine", "describe", "evaluate"),
+    *("refine", "close", "describe", "evaluate"),
 )
 REPEATED_BY_REFINE = {"align", "align-objects", "separate", "settle"}
 """Stages that ``refine`` does again: without one of them there is no refining either."""
@@ -47,6 +48,7 @@ class Config:
     separate: SeparateConfig = field(default_factory=SeparateConfig)
     settle: SettleStageConfig = field(default_factory=SettleStageConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
+    close: CloseConfig = field(default_factory=CloseConfig)
     evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
 
 
@@ -78,13 +80,15 @@ def reconstruct(
     progress: Progress = silent,
 ) -> Reconstruction:
     """Run every stage that is not skipped. Any stage but ``assemble`` may be skipped: a valid scene remains.
-    ``refine`` repeats alignment, separation and settling, so it goes with any of them.
+    ``refine`` repeats alignment, separation and settling, so it goes with any of them; ``close`` goes with settling.
 
     Stages whose results are in ``store`` are not done again. ``progress`` is told of every stage.
     """
     config = config or Config()
     if REPEATED_BY_REFINE & set(skip):
         skip = {*skip, "refine"}
+    if "settle" in skip:
+        skip = {*skip, "close"}
     devices.require(config.align.device, "align.device")
     devices.require(config.refine.align.device, "refine.align.device")
     run = Runner(inputs.key, skip=skip, skippable=SKIPPABLE, store=store, progress=progress)
@@ -97,6 +101,7 @@ def reconstruct(
     scene = parted = run.stage("separate", separate, scene, config.separate)
     scene = run.stage("settle", settle, scene, config.settle)
     scene = run.stage("refine", _refined, scene, config, parted=parted, settled=run.reports[-1])
+    scene = run.stage("close", _closed, scene, config)
     scene = run.stage("describe", describe, scene, config.relate)
     aligned = _without(config.align, skip).camera and "align" not in skip
     evaluation = run.value(
@@ -145,9 +150,7 @@ def _refined(scene: Scene, config: Config, *, parted: Scene, settled: Report) ->
     on_a_facet = replace(config.align, camera=False, facets=FacetConfig(most=config.refine.upright, loss=1.0))
 
     def again(moved: Scene) -> Rested:
-        moved, _ = separate(moved, parting)
-        moved, report = settle(moved, config.settle)
-        return Rested(scene=moved, restless=restless(report, config.settle))
+        return _settled(separate(moved, parting)[0], config)
 
     return refine(
         Rested(scene=scene, restless=restless(settled, config.settle)),
@@ -156,6 +159,16 @@ def _refined(scene: Scene, config: Config, *, parted: Scene, settled: Report) ->
         stood_up=lambda scene, ids: again(align(scene, on_a_facet, only=ids)[0]),
         realigned=lambda scene, ids: again(align(scene, config.refine.align, only=ids)[0]),
     )
+
+
+def _closed(scene: Scene, config: Config) -> tuple[Scene, Report]:
+    """``close`` with this pipeline's physics."""
+    return close(scene, config.close, settled=lambda scene: _settled(scene, config))
+
+
+def _settled(scene: Scene, config: Config) -> Rested:
+    scene, report = settle(scene, config.settle)
+    return Rested(scene=scene, restless=restless(report, config.settle))
 
 
 def _without(config: AlignConfig, skip: Collection[str]) -> AlignConfig:

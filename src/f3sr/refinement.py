@@ -130,7 +130,7 @@ def _better(
     """``state`` with every group of ``tried`` that shows more of the photo, and rests unless it did not before; and
     which of the ``ids`` that were tried were undone."""
     was, now = state.ious, tried.ious
-    groups = _groups(state.scene, tried.scene, config.apart)
+    groups = groups_of(state.scene, tried.scene, config.apart)
     kept = [g for g in groups if _gain(g, was, now) > config.gain and (g & state.restless or not g & tried.restless)]
     changed = {id for g in kept for id in g}
     mixed = Rested(
@@ -167,7 +167,7 @@ def _would_gain(state: Rested, tried: Rested, undone: Sequence[int], gain: float
     return [id for id in undone if tried.ious[id] > state.ious[id] + gain and id not in bound]
 
 
-def _groups(before: Scene, after: Scene, apart: float) -> list[set[int]]:
+def groups_of(before: Scene, after: Scene, apart: float) -> list[set[int]]:
     """Objects that come near each other in either scene, or one in its old and the other in its new place."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

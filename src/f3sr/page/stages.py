@@ -21,6 +21,7 @@ PURPOSE = {
     "separate": "Brings objects to their supports along viewing rays and parts those that overlap.",
     "settle": "Lets physics bring everything to rest.",
     "refine": "Stands up what toppled and aligns what rests once more.",
+    "close": "Cuts colliders back to the meshes where things touch, and lowers what floats.",
     "describe": "Tells the relations of the scene at rest, supports from contact forces.",
 }
 

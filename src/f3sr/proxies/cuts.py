@@ -174,10 +174,10 @@ def _halved(piece: Piece, subject: Subject, config: ProxyConfig) -> tuple[Piece,
 
 def clipped(triangles: Array, u: Array, offset: float, overlap: float) -> tuple[Array, Array]:
     """The parts of triangles (n, 3, 3) below and above a plane, both reaching ``overlap`` beyond it."""
-    return _below(triangles, u, offset + overlap), _below(triangles, -u, overlap - offset)
+    return below(triangles, u, offset + overlap), below(triangles, -u, overlap - offset)
 
 
-def _below(triangles: Array, u: Array, offset: float) -> Array:
+def below(triangles: Array, u: Array, offset: float) -> Array:
     height = triangles @ u - offset
     over = height > 0
     mixed = over.any(1) & ~over.all(1)

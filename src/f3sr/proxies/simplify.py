@@ -33,7 +33,7 @@ def simplified_outward(
     most = most or config.max_hull_faces
     kept_normals, kept_offsets = (x[: most // 2] for x in _first_planes(hull, base, config))
     while True:
-        corners = _corners(kept_normals, kept_offsets, hull)
+        corners = corners_of(kept_normals, kept_offsets, hull)
         if corners is None:
             return hull
         excess = corners @ normals.T - offsets
@@ -44,7 +44,7 @@ def simplified_outward(
         plane = worst % len(offsets)
         kept_normals = np.vstack([kept_normals, normals[plane]])
         kept_offsets = np.append(kept_offsets, offsets[plane])
-    return ConvexPart.hull_of(_merged(corners))
+    return ConvexPart.hull_of(merged(corners))
 
 
 def flats_of(hull: ConvexPart, config: ProxyConfig) -> Planes:
@@ -94,23 +94,24 @@ def _area_around(normals: Array, area: Array) -> Array:
     return np.array([held[near].sum() for near in around])[inverse.ravel()]
 
 
-def _corners(normals: Array, offsets: Array, hull: ConvexPart) -> Array | None:
-    """Corners (n, 3) of ``normals . x <= offsets``, within a box far around the hull; None where the hull is so thin
-    that its middle is not clearly inside."""
+def corners_of(normals: Array, offsets: Array, hull: ConvexPart, inside: Array | None = None) -> Array | None:
+    """Corners (n, 3) of ``normals . x <= offsets``, within a box far around the hull; None where all is so thin that
+    ``inside`` (3,), by default the hull's middle, is not clearly inside."""
     from scipy.spatial import HalfspaceIntersection, QhullError
 
+    middle: Array = hull.vertices.mean(0) if inside is None else inside
     low, high = hull.vertices.min(0), hull.vertices.max(0)
     margin = (high - low).max()
     box = np.concatenate([np.eye(3), -np.eye(3)])
     box_offsets = np.concatenate([high + margin, margin - low])
     halfspaces = np.column_stack([np.vstack([normals, box]), -np.append(offsets, box_offsets)])
     try:
-        return np.asarray(HalfspaceIntersection(halfspaces, hull.vertices.mean(0)).intersections)
+        return np.asarray(HalfspaceIntersection(halfspaces, middle).intersections)
     except QhullError:
         return None
 
 
-def _merged(points: Array, tolerance: float = 1e-9) -> Array:
+def merged(points: Array, tolerance: float = 1e-9) -> Array:
     """Points with all but the first of those within ``tolerance`` left out."""
     from scipy.spatial import KDTree
 

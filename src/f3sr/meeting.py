@@ -1,0 +1,68 @@
+"""Where the meshes of objects would first meet what is below them, were they lowered."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr import heights
+from f3sr.frames import Array
+from f3sr.scene import GROUND, SceneObject
+
+CELLS = 96
+"""Cells along the longer side of what two objects share, seen from above."""
+LOOKS = 2
+"""The second one is taken in a few cells around what the first one finds."""
+THROUGH = 5e-5
+"""Meshes may lie this deep in one another where they are still taken to touch [m]; deeper is under an overhang."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Meeting:
+    """The vertical gap [m] between a mesh and ``other`` below it where that is smallest, and both ends (3,) of it."""
+
+    gap: float
+    other: int
+    above: Array
+    below: Array
+
+
+def meeting(o: SceneObject, others: Iterable[SceneObject]) -> Meeting:
+    """Where an object would first meet the ground or one of some others."""
+    vertices = o.vertices_world
+    lowest = vertices[int(vertices[:, 2].argmin())]
+    on_the_ground = Meeting(gap=float(lowest[2]), other=GROUND, above=lowest, below=lowest * [1, 1, 0])
+    found = [on_the_ground, *(m for other in others if (m := _between(o, other)))]
+    return min(found, key=lambda m: m.gap)
+
+
+def _between(upper: SceneObject, lower: SceneObject) -> Meeting | None:
+    """Where a mesh would first meet another one; None where no part of it is over the other."""
+    low = np.maximum(upper.bounds_world[0], lower.bounds_world[0])[:2]
+    high = np.minimum(upper.bounds_world[1], lower.bounds_world[1])[:2]
+    found = None
+    for _ in range(LOOKS):
+        if (high <= low).any():
+            break
+        grid = heights.Grid.over(low, high, float((high - low).max()) / CELLS)
+        above = heights.lower(upper.vertices_world, _over(upper, low, high), grid)
+        below = heights.upper(lower.vertices_world, _over(lower, low, high), grid)
+        gap = np.where(above - below > -THROUGH, above - below, np.inf)
+        k = int(np.argmin(gap))
+        if not np.isfinite(gap.flat[k]):
+            break
+        row, column = divmod(k, grid.columns)
+        at = np.array(grid.origin) + grid.cell * (np.array([column, row]) + 0.5)
+        start, end = np.append(at, above.flat[k]), np.append(at, below.flat[k])
+        found = Meeting(gap=max(0.0, float(gap.flat[k])), other=lower.id, above=start, below=end)
+        low, high = at - 2 * grid.cell, at + 2 * grid.cell
+    return found
+
+
+def _over(o: SceneObject, low: Array, high: Array) -> NDArray[np.int32]:
+    """An object's triangles over a rectangle of the xy plane."""
+    corners = o.vertices_world[:, :2][o.mesh.faces]
+    return o.mesh.faces[((corners.min(1) <= high) & (corners.max(1) >= low)).all(1)]

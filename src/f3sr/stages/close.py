@@ -1,0 +1,288 @@
+"""close: colliders cut back to the meshes where things touch, so that nothing that rests shows a gap."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
+from functools import cached_property
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Interval
+
+from f3sr import contact
+from f3sr.bodies import supports_first
+from f3sr.contact import Polytope
+from f3sr.frames import UP, Array, pose, transform
+from f3sr.measures import visible_ious
+from f3sr.meeting import Meeting, meeting
+from f3sr.patches import find_contacts
+from f3sr.proxies import trim
+from f3sr.proxies.trim import Near, Place, Surface
+from f3sr.refinement import Rested, groups_of
+from f3sr.report import Decision, Measure, Report
+from f3sr.scene import GROUND, Scene, SceneObject
+from f3sr.settings import settings
+
+TOUCHING = 3e-6
+"""Gap [m] that counts as contact while something is lowered."""
+STEPS = 24
+"""Contacts that are cut free, one after the other, while one object is lowered."""
+
+
+@settings
+class CloseConfig:
+    """When something that rests shows a gap, and what may be done about it."""
+
+    tolerance: Annotated[float, Interval(gt=0, le=0.01)] = 5e-4
+    """How far colliders may stand off the mesh where things touch, on each side, as a share of the smaller of the two
+    sizes."""
+    radius: Annotated[float, Interval(gt=0, le=0.5)] = 0.03
+    """How far around such a place they are cut back, as a share of the same size: as far as things move while they
+    settle. Twice as far in the next round, where what rolled away may stay."""
+    reach: Annotated[float, Interval(gt=0, le=1)] = 0.1
+    """How far from a contact the mesh is looked for, as a share of the same size: parts hardly stand off farther."""
+    clearance: Annotated[float, Interval(ge=0, le=0.01)] = 3.2e-4
+    """Gap left below what is lowered [m], as in ``separate``: two margins of physics."""
+    rounds: Annotated[int, Interval(ge=0, le=10)] = 2
+    """Most times that objects are lowered and settled: settling tilts them onto other contacts."""
+    loss: Annotated[float, Interval(ge=0, le=1)] = 0.02
+    """What the visible IoU of a group of objects that touch may lose in the mean: how well places in the picture are
+    known. What loses more rolled away on the way down and is put back."""
+    worth: Annotated[float, Interval(ge=0, le=100)] = 2.0
+    """What more it may lose per size of an object by which the widest gap closes."""
+    apart: Annotated[float, Interval(gt=0, le=0.1)] = 2e-3
+    """Objects with this much room between them [m] do not feel each other, as in ``refine``."""
+
+
+def close(
+    scene: Scene, config: CloseConfig | None = None, *, settled: Callable[[Scene], Rested]
+) -> tuple[Scene, Report]:
+    """Lower what nowhere touches what it rests on, and settle it, until everything touches.
+
+    ``settled`` is physics. Of every round those groups of objects are kept that rest and stay where the photo shows
+    them.
+    """
+    config = config or CloseConfig()
+    start, gaps = scene, _gaps(scene)
+    decisions: list[Decision] = []
+    for k in range(config.rounds):
+        tried = lowered(scene, replace(config, radius=min(0.5, config.radius * 2**k)))
+        changed = frozenset(o.id for o in scene if tried[o.id] is not o)
+        if not changed:
+            break
+        scene, told = _better(scene, tried, changed, config, settled)
+        decisions += told
+    after = _gaps(scene)
+    measures = [
+        Measure(name="gap below", before=1000 * gaps[o.id], after=1000 * after[o.id], unit="mm", about=o.id)
+        for o in scene
+    ]
+    measures += [
+        Measure(name="convex parts", before=len(start[o.id].parts), after=len(o.parts), about=o.id)
+        for o in scene
+        if o.parts is not start[o.id].parts
+    ]
+    return scene, Report(stage="close", measures=tuple(measures), decisions=tuple(decisions))
+
+
+def _gaps(scene: Scene) -> Mapping[int, float]:
+    return {o.id: _gap(o, scene) for o in scene}
+
+
+def _gap(o: SceneObject, scene: Scene) -> float:
+    return meeting(o, [other for other in scene if other.id != o.id]).gap
+
+
+def _better(
+    before: Scene, tried: Scene, changed: frozenset[int], config: CloseConfig, settled: Callable[[Scene], Rested]
+) -> tuple[Scene, list[Decision]]:
+    """``before`` with those groups of objects as tried, once settled, that rest and are still seen. What has no part in
+    it is not settled again."""
+    moving = frozenset(id for g in groups_of(before, tried, config.apart) if g & changed for id in g)
+    rested = settled(replace(tried, objects=tuple(o for o in tried if o.id in moving)))
+    after = tried.with_objects(*rested.scene)
+    was, now = visible_ious(before), visible_ious(after)
+    scene, decisions = before, list[Decision]()
+    for group in groups_of(before, after, config.apart):
+        if not group & changed:
+            continue
+        loss = float(np.mean([was[id] - now[id] for id in group]))
+        reason = f"visible IoU of the group {-loss:+.4f}"
+        if restless := sorted(group & rested.restless):
+            reason += f", and object {', '.join(map(str, restless))} does not come to rest"
+        allowed = max(config.loss, config.worth * _closed(before, after, group & changed))
+        is_better = not restless and loss <= allowed and group <= moving
+        verdict = "accepted" if is_better else "rolled back"
+        names = ", ".join(map(str, sorted(group & changed)))
+        decisions.append(Decision(choice=f"colliders cut back of object {names}: {verdict}", reason=reason))
+        if is_better:
+            scene = scene.with_objects(*(after[id] for id in sorted(group)))
+    return scene, decisions
+
+
+def _closed(before: Scene, after: Scene, ids: Collection[int]) -> float:
+    """By how much the widest gap below some objects closed, in their sizes."""
+    was, now = (max(_gap(s[id], s) / s[id].size for id in ids) for s in (before, after))
+    return was - now
+
+
+def lowered(scene: Scene, config: CloseConfig) -> Scene:
+    """The scene with everything lowered, supports first, that nowhere touches what it rests on.
+
+    An object goes down with all it carries until colliders meet; they are cut back there, and so on until its mesh
+    meets what is below. Objects for which nothing was to be done stay the same values.
+    """
+    layout = _Layout(scene, config)
+    for id in supports_first({o.id: o.supported_by for o in scene}):
+        if scene[id].supported_by is not None:
+            layout.lower(id)
+    return scene.with_objects(*(body.now for body in layout.bodies.values()))
+
+
+class _Layout:
+    """All objects while they are lowered."""
+
+    def __init__(self, scene: Scene, config: CloseConfig) -> None:
+        self.scene, self.config = scene, config
+        self.bodies = {o.id: _Lowered(o) for o in scene}
+
+    def lower(self, id: int) -> None:
+        """Lower an object with all it carries until its mesh meets another one, or nothing more can be cut back."""
+        members = self.scene.subtree(id)
+        if any(self.scene[k].mobility == "fixed" for k in members):
+            return
+        others = [b.now for k, b in self.bodies.items() if k not in members]
+        goal = meeting(self.bodies[id].now, others)
+        near = self._near(id, goal.other)
+        if goal.gap <= self.config.clearance + 2 * near.tolerance:
+            return
+        self._meet(id, goal, near)
+        drop = 0.0
+        for _ in range(STEPS):
+            drop += self._move(members, self._room(members))
+            if goal.gap - drop <= 2 * near.tolerance or not self._cut_free(members, goal.gap - drop):
+                break
+        self._move(members, self._room(members) - self.config.clearance)
+
+    def _meet(self, id: int, goal: Meeting, near: Near) -> None:
+        """Cut back what stands between the two places that are to meet."""
+        self.bodies[id].cut_on(goal.above, -UP, near)
+        if goal.other != GROUND:
+            self.bodies[goal.other].cut_on(goal.below, UP, near)
+
+    def _room(self, members: tuple[int, ...]) -> float:
+        """How far some objects can be lowered until colliders meet [m]."""
+        mine = [p for k in members for p in self.bodies[k].polytopes]
+        others = [p for k, b in self.bodies.items() if k not in members for p in b.polytopes]
+        lowest = min(float(p.bounds[0, 2]) for p in mine)
+        return min(lowest, contact.free_travel(mine, others, -UP)) if others else lowest
+
+    def _move(self, members: tuple[int, ...], drop: float) -> float:
+        for k in members:
+            self.bodies[k].lower(drop)
+        return drop
+
+    def _cut_free(self, members: tuple[int, ...], left: float) -> bool:
+        """Cut back what meets under some objects that are to go ``left`` [m] farther down; whether anything was."""
+        found = find_contacts(self._around(members), reach=TOUCHING)
+        cut, shaved = False, set[int]()
+        for a, b, x, n in zip(found.upper.tolist(), found.lower.tolist(), found.points, found.normals, strict=True):
+            if (a in members) == (b in members):
+                continue
+            near = self._near(a, b)
+            if a in members and a not in shaved and self.bodies[a].stands_on_footing(x, near):
+                shaved.add(a)
+                cut |= self.bodies[a].shave(n, x, left * float(n[2]))
+            for id in (a, b):
+                if id != GROUND:
+                    cut |= self.bodies[id].cut_near(x, near)
+        return cut
+
+    def _around(self, members: tuple[int, ...]) -> dict[int, tuple[Polytope, ...]]:
+        """Some objects and all whose boxes reach theirs."""
+        boxes = {k: b.box for k, b in self.bodies.items()}
+        low = np.min([boxes[k][0] for k in members], axis=0) - TOUCHING
+        high = np.max([boxes[k][1] for k in members], axis=0) + TOUCHING
+        reached = [k for k, box in boxes.items() if (box[0] <= high).all() and (box[1] >= low).all()]
+        return {k: self.bodies[k].polytopes for k in reached}
+
+    def _near(self, a: int, b: int) -> Near:
+        size = min(self.scene[k].size for k in (a, b) if k != GROUND)
+        config = self.config
+        return Near(tolerance=config.tolerance * size, radius=config.radius * size, reach=config.reach * size)
+
+
+class _Lowered:
+    """An object while it is lowered and its colliders are cut back; points and lengths are in the world."""
+
+    def __init__(self, o: SceneObject) -> None:
+        self._start, self._drop = o, 0.0
+        self.now = o
+        """The object as it is by now."""
+
+    @cached_property
+    def polytopes(self) -> tuple[Polytope, ...]:
+        """All that touches."""
+        return tuple(Polytope.of(p).moved(self.now.T_world_asset) for p in self.now.solids)
+
+    @property
+    def box(self) -> Array:
+        """(2, 3) around all that touches."""
+        bounds = np.stack([p.bounds for p in self.polytopes])
+        return np.stack([bounds[:, 0].min(0), bounds[:, 1].max(0)])
+
+    @cached_property
+    def _surface(self) -> Surface:
+        return Surface.of(self._start.mesh)
+
+    def lower(self, drop: float) -> None:
+        if not drop:
+            return
+        self._drop += drop
+        reason = f"lowered by {1000 * self._drop:.2f} mm, until its mesh meets what it rests on"
+        moved = self._start.moved(pose(t=-self._drop * UP), stage="close", reason=reason)
+        self._change(replace(moved, parts=self.now.parts, footing=self.now.footing))
+
+    def cut_on(self, point: Array, outward: Array, near: Near) -> bool:
+        """Cut back what stands off a point (3,) of the mesh in a direction (3,); whether anything was."""
+        there = trim.place_on(self._surface, self.now.parts, *self._to_asset(point, outward))
+        return self._trim(there, near)
+
+    def cut_near(self, x: Array, near: Near) -> bool:
+        """Cut back what stands off the mesh at a point (3,) off it; whether anything was."""
+        point, _ = self._to_asset(x, UP)
+        there = trim.place_near(self._surface, self.now.parts, point, near.scaled(1 / self.now.scale))
+        return there is not None and self._trim(there, near)
+
+    def stands_on_footing(self, x: Array, near: Near) -> bool:
+        """Whether a point (3,) belongs to the footing, the mesh not being near."""
+        footing = self.polytopes[len(self.polytopes) - len(self.now.footing) :]
+        if not any(float((p.normals @ x - p.offsets).max()) <= 2 * TOUCHING for p in footing):
+            return False
+        return self._surface.nearest(self._to_asset(x, UP)[0], near.tolerance / self.now.scale) is None
+
+    def shave(self, upward: Array, x: Array, height: float) -> bool:
+        """Take a layer off the underside of the footing, which lies on a plane with normal ``upward`` through x."""
+        point, n = self._to_asset(x, -upward)
+        offset = float(n @ point) - height / self.now.scale
+        cut = [trim.less(p, n, offset, self._surface.size) for p in self.now.footing]
+        self._change(replace(self.now, footing=tuple(p for p in cut if p is not None)))
+        return True
+
+    def _trim(self, there: Place, near: Near) -> bool:
+        parts = trim.trimmed(self._surface, self.now.parts, there, near.scaled(1 / self.now.scale))
+        if len(parts) == len(self.now.parts) and all(a is b for a, b in zip(parts, self.now.parts, strict=True)):
+            return False
+        self._change(replace(self.now, parts=parts))
+        return True
+
+    def _change(self, o: SceneObject) -> None:
+        self.now = o
+        self.__dict__.pop("polytopes", None)
+
+    def _to_asset(self, point: Array, direction: Array) -> tuple[Array, Array]:
+        """A point (3,) and a unit direction (3,) of the world in the asset's frame."""
+        R = self.now.T_world_object[:3, :3]
+        T_asset_world: Array = np.linalg.inv(self.now.T_world_asset).astype(np.float64)
+        return transform(T_asset_world, point[None])[0], R.T @ direction

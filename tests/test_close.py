@@ -1,0 +1,199 @@
+"""close: what floats on its colliders comes down until meshes meet; what touches, rolls away or falls is left alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial import HalfspaceIntersection
+
+from f3sr import raster
+from f3sr.contact import Polytope
+from f3sr.frames import Array, pose
+from f3sr.meeting import meeting
+from f3sr.mesh import ConvexPart, Mesh
+from f3sr.refinement import Rested
+from f3sr.scene import GROUND, Scene, SceneObject, Support
+from f3sr.stages.close import CloseConfig, close, lowered
+from f3sr.stages.settle import settle
+from scenes import ball_mesh, box, dish_mesh, scene_of
+
+CONFIG = CloseConfig()
+RADIUS, DISH, WALL = 0.05, 0.5, 0.005
+TURN = 0.3
+"""By how much the ball's polytope is turned [rad]: a corner is below."""
+
+
+def around_ball() -> ConvexPart:
+    """A polytope of 14 facets that touch the ball."""
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3)
+    normals = np.concatenate([np.eye(3), -np.eye(3), signs])
+    c, s = np.cos(TURN), np.sin(TURN)
+    normals = normals @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T
+    halfspaces = np.column_stack([normals, np.full(len(normals), -RADIUS)])
+    return ConvexPart.hull_of(HalfspaceIntersection(halfspaces, np.zeros(3)).intersections)
+
+
+def made(id: int, mesh: Mesh, parts: tuple[ConvexPart, ...], at: Array, on: int = GROUND) -> SceneObject:
+    o = replace(box(id), mesh=mesh, parts=parts, T_world_object=pose(t=at))
+    return replace(o, supports=(Support(id=on),), supported_by=on)
+
+
+def on_colliders(o: SceneObject, height: float) -> SceneObject:
+    """The object raised until its colliders stand over a height."""
+    low = min(float(p.vertices[:, 2].min()) for p in o.colliders_world)
+    return replace(o, T_world_object=pose(t=[0, 0, height + CONFIG.clearance - low]) @ o.T_world_object)
+
+
+def ball_on_the_ground() -> SceneObject:
+    return on_colliders(made(0, ball_mesh(RADIUS), (around_ball(),), np.zeros(3)), 0.0)
+
+
+def ball_in_a_dish() -> Scene:
+    """The dish is bridged by one hull; the ball lies on that."""
+    mesh = dish_mesh(DISH, wall=WALL)
+    dish = on_colliders(made(0, mesh, (ConvexPart.hull_of(mesh.vertices),), np.zeros(3)), 0.0)
+    top = float(dish.bounds_world[1, 2])
+    ball = on_colliders(made(1, ball_mesh(RADIUS), (around_ball(),), np.array([0.004, 0.003, 0]), on=0), top)
+    return scene_of(dish, ball)
+
+
+def gap(scene: Scene, id: int) -> float:
+    return meeting(scene[id], [o for o in scene if o.id != id]).gap
+
+
+def settled(scene: Scene) -> Rested:
+    """Physics that leaves everything where it is."""
+    return Rested(scene=scene, restless=frozenset())
+
+
+def outside(o: SceneObject) -> float:
+    facets = [Polytope.of(p) for p in o.parts]
+    return float(np.min([(o.mesh.vertices @ p.normals.T - p.offsets).max(1) for p in facets], axis=0).max())
+
+
+def test_a_ball_comes_down_to_the_ground():
+    scene = scene_of(ball_on_the_ground())
+    assert gap(scene, 0) > 0.002
+    after = lowered(scene, CONFIG)
+    allowed = CONFIG.clearance + 2 * CONFIG.tolerance * scene[0].size
+    assert CONFIG.clearance - 1e-7 < gap(after, 0) <= allowed + 1e-7
+    assert outside(after[0]) < 1e-8
+    assert min(float(p.vertices[:, 2].min()) for p in after[0].colliders_world) == pytest.approx(CONFIG.clearance)
+
+
+def test_a_ball_comes_down_into_a_dish():
+    scene = ball_in_a_dish()
+    assert gap(scene, 1) > 0.008
+    after, _ = close(scene, CONFIG, settled=settled)
+    size = min(o.size for o in scene)
+    # Off the middle the vertical gap of two concentric-like balls is a little more than the shortest.
+    middle = after[1].T_world_object[:3, 3] - after[0].T_world_object[:3, 3] - [0, 0, DISH]
+    shortest = DISH - RADIUS - float(np.linalg.norm(middle))
+    assert 0 < shortest <= CONFIG.clearance + 2 * CONFIG.tolerance * size + 2e-4
+    assert all(outside(o) < 1e-8 for o in after)
+    assert len(after[0].parts) <= 24 and len(after[1].parts) == 1
+
+
+def test_it_rests_there():
+    def physics(scene: Scene) -> Rested:
+        return Rested(scene=settle(scene)[0], restless=frozenset())
+
+    scene = ball_in_a_dish()
+    after, report = close(scene, replace(CONFIG, loss=1.0), settled=physics)
+    assert settle(after)[1].value("at rest")
+    assert gap(after, 1) < 0.1 * gap(scene, 1)
+    assert any("accepted" in d.choice for d in report.decisions)
+
+
+def test_what_touches_stays_the_same_value():
+    scene = scene_of(box(0, at=(-0.3, 0, 0.05 + CONFIG.clearance)), replace(ball_on_the_ground(), id=1))
+    after, report = close(scene, CONFIG, settled=settled)
+    assert after[0] is scene[0] and after[1] is not scene[1]
+    assert [m.about for m in report.measures if m.name == "convex parts"] == [1]
+    again, report = close(after, CONFIG, settled=settled)
+    assert again is after and not report.decisions
+
+
+def test_what_carries_something_comes_down_with_it():
+    ball = ball_on_the_ground()
+    top = float(np.concatenate([p.vertices[:, 2] for p in ball.colliders_world]).max())
+    lid = made(1, box(1).mesh, box(1).parts, np.array([0, 0, top + CONFIG.clearance + 0.05]), on=0)
+    scene = scene_of(ball, lid)
+    after = lowered(scene, CONFIG)
+    drops = [scene[id].T_world_object[2, 3] - after[id].T_world_object[2, 3] for id in (0, 1)]
+    assert drops[0] > 0.002 and drops[1] > drops[0] + 0.002, "and then onto what carries it"
+    assert gap(after, 1) <= CONFIG.clearance + 2 * CONFIG.tolerance * scene[0].size + 1e-7
+
+
+def test_a_footing_that_holds_the_mesh_up_is_shaved():
+    o = box(0)
+    layer = ConvexPart.hull_of(
+        np.array([[x, y, z] for x in (-0.05, 0.05) for y in (-0.05, 0.05) for z in (-0.05, -0.053)])
+    )
+    scene = scene_of(on_colliders(replace(o, footing=(layer,)), 0.0))
+    after = lowered(scene, CONFIG)
+    assert gap(scene, 0) == pytest.approx(0.003 + CONFIG.clearance)
+    assert gap(after, 0) == pytest.approx(CONFIG.clearance, abs=1e-6)
+    assert after[0].parts is scene[0].parts and not after[0].footing
+
+
+def seen(scene: Scene) -> Scene:
+    ids = raster.render(scene.objects, scene.camera).ids
+    return scene.with_objects(*(replace(o, mask=ids == o.id) for o in scene))
+
+
+@pytest.mark.parametrize(
+    ("end", "why"),
+    [
+        (lambda s: Rested(scene=s, restless=frozenset([0])), "does not come to rest"),
+        (lambda s: settled(s.with_objects(s[0].moved(pose(t=[0.03, 0, 0]), stage="settle", reason=""))), "visible IoU"),
+    ],
+)
+def test_what_does_not_rest_or_rolls_away_is_left_as_it_was(end: Callable[[Scene], Rested], why: str):
+    scene = seen(scene_of(ball_on_the_ground()))
+    after, report = close(scene, CONFIG, settled=end)
+    assert after is scene
+    assert len(report.decisions) == CONFIG.rounds
+    assert all(d.choice.endswith("rolled back") and why in d.reason for d in report.decisions)
+
+
+def test_only_groups_that_change_are_settled_and_each_is_kept_for_itself():
+    ball = ball_on_the_ground()
+    apart = [
+        replace(ball, id=id, T_world_object=pose(t=[x, 0, 0]) @ ball.T_world_object) for id, x in ((1, -0.3), (2, 0.3))
+    ]
+    scene = seen(scene_of(box(0, at=(0, 0, 0.05 + CONFIG.clearance)), *apart))
+    given: list[list[int]] = []
+
+    def physics(scene: Scene) -> Rested:
+        given.append([o.id for o in scene])
+        return Rested(scene=scene, restless=frozenset([2]))
+
+    after, _ = close(scene, replace(CONFIG, loss=1.0), settled=physics)
+    assert given == [[1, 2], [2]]
+    assert [after[id] is scene[id] for id in (0, 1, 2)] == [True, False, True]
+
+
+def test_fixed_and_unsupported_things_are_not_lowered():
+    ball = ball_on_the_ground()
+    scene = scene_of(replace(ball, mobility="fixed"), replace(ball, id=1, supported_by=None, supports=()))
+    assert all(lowered(scene, CONFIG)[o.id] is o for o in scene)
+
+
+def test_the_same_scene_gives_the_same_bytes():
+    first, second = (close(ball_in_a_dish(), CONFIG, settled=settled)[0] for _ in range(2))
+    for a, b in zip(first, second, strict=True):
+        assert a.T_world_object.tobytes() == b.T_world_object.tobytes()
+        assert [p.vertices.tobytes() for p in a.parts] == [p.vertices.tobytes() for p in b.parts]
+
+
+def test_the_unit_of_an_asset_does_not_matter():
+    scene = ball_in_a_dish()
+    other = scene[1]
+    large = tuple(p.moved(np.diag([1000.0, 1000, 1000, 1])) for p in other.parts)
+    scaled = replace(other, mesh=other.mesh.with_vertices(1000 * other.mesh.vertices), parts=large, scale=0.001)
+    a, b = (lowered(s, CONFIG)[1].T_world_object[2, 3] for s in (scene, scene.with_objects(scaled)))
+    assert a == pytest.approx(b, abs=1e-6)

@@ -1,0 +1,46 @@
+"""Where meshes would meet: known solids over each other, and what is not below."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from f3sr.frames import pose
+from f3sr.meeting import meeting
+from f3sr.mesh import Mesh
+from f3sr.scene import GROUND, SceneObject
+from scenes import ball_mesh, box, dish_mesh
+
+RADIUS, DISH = 0.05, 0.25
+
+
+def at(id: int, mesh: Mesh, *place: float) -> SceneObject:
+    return replace(box(id), mesh=mesh, T_world_object=pose(t=place))
+
+
+def test_over_the_ground_it_is_the_lowest_vertex():
+    found = meeting(at(0, ball_mesh(RADIUS), 0, 0, 0.06), [])
+    assert (found.other, found.gap) == (GROUND, pytest.approx(0.01))
+    assert found.below[2] == 0 and found.above[2] == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("aside", [0.0, 0.01, 0.03])
+def test_a_ball_over_a_dish_meets_it_where_their_heights_differ_least(aside: float):
+    dish, ball = at(0, dish_mesh(DISH), 0, 0, 0.1), at(1, ball_mesh(RADIUS), aside, 0, 0.17)
+    found = meeting(ball, [dish])
+    x = np.linspace(aside - 0.04, aside + 0.04, 100_001)
+    low = 0.17 - np.sqrt(RADIUS**2 - (x - aside) ** 2)
+    high = 0.1 + DISH - np.sqrt(DISH**2 - x**2)
+    assert found.other == 0
+    assert found.gap == pytest.approx((low - high).min(), abs=2e-4), "32 sides around"
+    assert found.above[2] - found.below[2] == pytest.approx(found.gap, abs=1e-6)
+
+
+def test_what_lies_on_it_or_beside_it_is_not_below():
+    lower, upper = at(0, box(0).mesh, 0, 0, 0.052), at(1, box(1).mesh, 0.02, 0, 0.154)
+    beside = at(2, box(2).mesh, 0.3, 0, 0.05)
+    assert meeting(lower, [upper, beside]).other == GROUND
+    found = meeting(upper, [lower, beside])
+    assert (found.other, found.gap) == (0, pytest.approx(0.002, abs=1e-5))
