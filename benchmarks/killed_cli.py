@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 STAGES = (
-    *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "refine", "close", "describe"),
+    *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "close", "refine", "describe"),
     "evaluate",
 )
 

@@ -27,7 +27,7 @@ from typing import Any
 
 HERE = Path(__file__).parent
 STAGES = (
-    *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "refine", "close", "describe"),
+    *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "close", "refine", "describe"),
     "evaluate",
 )
 LONG = ("align", "decompose", "refine", "evaluate")

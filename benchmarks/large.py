@@ -30,7 +30,7 @@ CASES = {
     "photo": {"enlarged": 11},
 }
 STAGES = (
-    *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "refine", "close", "describe"),
+    *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "close", "refine", "describe"),
     "evaluate",
 )
 LIMIT_MB = 4000

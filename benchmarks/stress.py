@@ -22,7 +22,7 @@ from run import REPO
 CASES = ("tower", "bowls", "planks", "pile", "floor", "overlaps", "dining", "shelf")
 GROWTH = (5, 10, 20, 50)
 STAGES = (
-    *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "refine", "close", "describe"),
+    *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "close", "refine", "describe"),
     "evaluate",
 )
 COLUMNS = (

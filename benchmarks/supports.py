@@ -25,7 +25,7 @@ from f3sr.scene import Scene
 from f3sr.stages.relate import describe, relate
 
 REPO = Path(__file__).resolve().parents[1]
-AFTER_ALIGN = ("relate", "decompose", "separate", "settle", "refine", "close", "describe", "evaluate")
+AFTER_ALIGN = ("relate", "decompose", "separate", "settle", "close", "refine", "describe", "evaluate")
 SEEDS_PER_FAMILY = 8
 Pairs = frozenset[tuple[int, int]]
 Step = Callable[[Scene], Scene]

@@ -17,7 +17,7 @@ from folders import write_folder
 from scenes import box_stack_scene
 
 STAGES = (
-    *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "refine", "close", "describe"),
+    *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "close", "refine", "describe"),
     "evaluate",
 )
 

@@ -129,9 +129,9 @@ def test_every_step_is_told_with_its_time(folder: Path, tmp_path: Path, capsys: 
     assert main(call) == 0
     steps = [line.split(": ")[0] for line in capsys.readouterr().out.splitlines()]
     assert steps[:10] == [
-        "read", "kernels", "assemble", "level", "align", "relate", "decompose", "separate", "settle", "refine",
+        "read", "kernels", "assemble", "level", "align", "relate", "decompose", "separate", "settle", "close",
     ]  # fmt: skip
-    assert steps[10:16] == ["close", "describe", "evaluate", "pictures", "report", "package"]
+    assert steps[10:16] == ["refine", "describe", "evaluate", "pictures", "report", "package"]
 
 
 def test_config_prints_what_config_files_hold(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
