@@ -69,6 +69,8 @@ ROWS: Mapping[str, Variant] = {
     "no re-alignment": Variant(settings={"refine.rounds": 0}),
     "no cover": Variant(settings={"decompose.method": "coacd"}),
     "no footings": Variant(settings={"separate.footing.enabled": False}),
+    "no statics": Variant(settings={"separate.landing.max_turn": 0.0, "separate.balancing.max_shift": 0.0}),
+    "no closing": Variant(skip=("close",)),
     "no damping": Variant(settings={"settle.settling.damping": 1e-9}),
     "report's contact": Variant(skip=tuple(bench.after_proxies()), end=_report_recipe),
     "report's recipe": Variant(
