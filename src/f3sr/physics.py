@@ -86,8 +86,9 @@ class SettleConfig:
     drift_limit: Annotated[float, Interval(gt=0, le=0.1)] = 2e-4
     """[m]: largest travel of a centre of mass in the check. Collapsed piles creep .1 mm in 5 s."""
     even_masses: bool = True
-    """Check a second time with each mass spread evenly over the parts, as the release protocol does: a
-    pose can stand with the one centre of mass and tip with the other."""
+    """Check a second time with each mass spread evenly over the parts and a wider contact margin, as the release
+    protocol does: a pose can stand with the one centre of mass and tip with the other, a ball lie still until it is
+    touched."""
     rounds: Annotated[int, Interval(ge=1, le=100)] = 16
     """How often to settle and check again: what creeps may take eight."""
 
@@ -185,7 +186,9 @@ def build_spec(objects: Sequence[SceneObject], config: PhysicsConfig = DEFAULT_P
 
 
 def _even_spec(objects: Sequence[SceneObject], config: PhysicsConfig) -> MjSpec:
-    """The same model with the masses of the release protocol: spread evenly over the parts."""
+    """The same model with the masses and the margin of the release protocol: spread evenly over the parts, and wider,
+    so that a push like the protocol's comes first."""
+    config = replace(config, margin=RELEASE_MARGIN)
     spec = _empty_spec(config)
     for o in objects:
         _add_body(spec, body_of(o, config), config, even_density=o.density * filling(o))
