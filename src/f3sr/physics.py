@@ -83,6 +83,8 @@ class SettleConfig:
     """[s] of damped simulation, all rounds together."""
     check_time: Annotated[float, Interval(gt=0, le=60)] = 2.0
     """[s] of the undamped check after each round."""
+    release_time: Annotated[float, Interval(gt=0, le=60)] = 5.0
+    """[s] of the second one, as long as the release protocol: what tips over starts slowly."""
     drift_limit: Annotated[float, Interval(gt=0, le=0.1)] = 2e-4
     """[m]: largest travel of a centre of mass in the check. Collapsed piles creep .1 mm in 5 s."""
     even_masses: bool = True
@@ -209,8 +211,10 @@ def settle(
     """
     mujoco = engine()
     model = build_spec(objects, config).compile()
-    checks = [model, _even_spec(objects, config).compile()] if settling.even_masses else [model]
-    for m in checks:
+    checks = [(model, settling.check_time)]
+    if settling.even_masses:
+        checks.append((_even_spec(objects, config).compile(), settling.release_time))
+    for m, _ in checks:
         m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
     run = _Settling(model, settling)
     data, calm = mujoco.MjData(model), False
@@ -219,9 +223,9 @@ def settle(
         for _ in range(settling.rounds):
             run.until_rest(data)
             drifts, calm = np.zeros(len(objects)), not run.exploded
-            for m in checks:
+            for m, seconds in checks:
                 released = run.fresh(m, data)
-                travels, calm = run.undamped(m, released)
+                travels, calm = run.undamped(m, released, seconds)
                 drifts = np.maximum(drifts, travels)
                 if not calm:
                     data = run.fresh(model, released)
@@ -426,12 +430,12 @@ class _Settling:
             if self._slow(before, _Snapshot.of(data)):
                 return
 
-    def undamped(self, model: MjModel, data: MjData) -> tuple[Array, bool]:
+    def undamped(self, model: MjModel, data: MjData, seconds: float) -> tuple[Array, bool]:
         """Undamped steps: the largest travel of every centre of mass (n,) [m], and whether all that counts as rest."""
         engine().mj_forward(model, data)
         start = before = after = _Snapshot.of(data)
         drifts = np.zeros(model.nbody - 1)
-        for _ in range(max(1, round(self.config.check_time / self.config.rest_time))):
+        for _ in range(max(1, round(seconds / self.config.rest_time))):
             before = after
             for _ in range(self._window):
                 self._step(model, data, 1.0)
