@@ -22,6 +22,9 @@ TIMESTEP = 0.002
 """[s], the product's."""
 MARGIN = 2e-4
 """[m], the product's contact margin of each body."""
+COOKED = 100.0
+"""Hulls are cooked this much larger and scaled down: PhysX shaves .7 mm off them, whatever their size, and makes others
+that are smaller than that stand out by as much, so that what rests flies apart."""
 STILL = 0.5
 """Travel of a centre of mass below which an object has held still [cm]."""
 SHARE = 5 / 6
@@ -98,8 +101,9 @@ def added(scene: Any, package: Path, record: dict[str, Any]) -> Any:
     fixed = record["mobility"] == "fixed"
     body = physx.PhysxRigidStaticComponent() if fixed else physx.PhysxRigidDynamicComponent()
     for file in record["collision"]:
-        vertices = corners(package / file).astype(np.float32)
-        body.attach(physx.PhysxCollisionShapeConvexMesh(vertices, np.ones(3, np.float32), material(record["friction"])))
+        vertices = (corners(package / file) * COOKED).astype(np.float32)
+        scale = np.full(3, 1 / COOKED, np.float32)
+        body.attach(physx.PhysxCollisionShapeConvexMesh(vertices, scale, material(record["friction"])))
     if not fixed:
         moments, axes = np.linalg.eigh(np.array(record["inertia"]))
         axes[:, 2] *= np.sign(np.linalg.det(axes))

@@ -26,8 +26,8 @@ WAYS_BACK = (0.0, 0.5, 1.0)
 """Shares of an object's way along the viewing rays that are taken back before it is laid down."""
 BESIDE = 0.1
 """What is as near as this, in an object's sizes, it may lean on."""
-PARTS_OF_A_TURN = (0.25, 0.5, 0.75)
-"""Of the turn until an object lies, after which it is tried whether a footing makes it stand."""
+HALVINGS = 3
+"""Of the turn until an object lies, to find the least eighth after which a footing makes it stand."""
 ROOM = 1.2e-3
 """Gap [m] that counts as contact while it is asked whether a footing makes a body stand: parts stand off the mesh, so
 that they may keep a wedge that much off its support."""
@@ -126,22 +126,36 @@ def _lie_down_in_part(
     layout: Layout, o: SceneObject, center: Array, found: landing.Landing, config: SeparateConfig
 ) -> Decision | None:
     """The least of a landing's turn, about an object's centre (3,), after which a footing makes it stand."""
-    members = layout.scene.subtree(o.id)
-    axis = vector_from_rotation(found.T[:3, :3])
-    before, was = layout.saved(), {k: layout.collisions_of(k) for k in members}
-    for share in PARTS_OF_A_TURN:
-        R = rotation_from_vector(share * axis)
-        T = pose(R, center - R @ center)
-        layout.turn(members, T)
-        above = min(layout.lowest(k) for k in members)
-        layout.move(members, max(0.0, config.clearance - above) * UP)
-        decision = _put_on_a_footing(layout, layout.object(o.id), config)
-        is_free = not any(layout.collisions_of(k) - was[k] - set(members) for k in members)
-        if decision and is_free and _stands(layout, o.id, config):
-            turned = f"turned by {share * np.degrees(found.turn):.1f} of {np.degrees(found.turn):.1f} degrees and "
-            return replace(decision, choice=turned + decision.choice)
+    before, angle = layout.saved(), float(np.degrees(found.turn))
+    best: tuple[Saved, Decision] | None = None
+    failed, stood = 0, 2**HALVINGS
+    while stood - failed > 1:
+        middle = (failed + stood) // 2
+        share = middle / 2**HALVINGS
         layout.restore(before)
-    return None
+        decision = _turned_onto_a_footing(layout, o, center, share * vector_from_rotation(found.T[:3, :3]), config)
+        if decision is None:
+            failed = middle
+        else:
+            stood, turned = middle, f"turned by {share * angle:.1f} of {angle:.1f} degrees and "
+            best = layout.saved(), replace(decision, choice=turned + decision.choice)
+    layout.restore(best[0] if best else before)
+    return best[1] if best else None
+
+
+def _turned_onto_a_footing(
+    layout: Layout, o: SceneObject, center: Array, turn: Array, config: SeparateConfig
+) -> Decision | None:
+    """Turn an object, with all it carries, by a rotation vector (3,) about a point (3,) and give it a footing; None
+    where it would not stand there or be in somebody's way."""
+    members = layout.scene.subtree(o.id)
+    was = {k: layout.collisions_of(k) for k in members}
+    R = rotation_from_vector(turn)
+    layout.turn(members, pose(R, center - R @ center))
+    layout.move(members, max(0.0, config.clearance - min(layout.lowest(k) for k in members)) * UP)
+    decision = _put_on_a_footing(layout, layout.object(o.id), config)
+    is_free = not any(layout.collisions_of(k) - was[k] - set(members) for k in members)
+    return decision if is_free and decision and _stands(layout, o.id, config) else None
 
 
 def _parted(layout: Layout, id: int) -> tuple[StaticBody, list[StaticBody]]:
