@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a run in the background ignores it, and so would its children
 
 DATA = HERE.parents[1] / "shared" / "data"
 
