@@ -10,7 +10,7 @@ import pytest
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a run in the background ignores it, and so would its children
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background, by children too
 
 DATA = HERE.parents[1] / "shared" / "data"
 
