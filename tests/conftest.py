@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 from pathlib import Path
 
@@ -10,7 +9,6 @@ import pytest
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
-signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background, by children too
 
 DATA = HERE.parents[1] / "shared" / "data"
 

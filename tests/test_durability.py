@@ -52,11 +52,18 @@ def cache(tmp_path: Path, compiled: Path) -> Path:
 
 
 def start(*arguments: str | Path, cache: Path, **more: Any) -> subprocess.Popen[str]:
+    """The command, by which no signal is ignored, as would be where the tests run in the background."""
+    usual = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "preexec_fn": heed}
     return subprocess.Popen(
         [sys.executable, "-m", "f3sr", *map(str, arguments)],
         env={**os.environ, "F3SR_CACHE_DIR": str(cache), **more.pop("env", {})},
-        **{"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, **more},
+        **{**usual, **more},
     )
+
+
+def heed() -> None:
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
 
 
 def children(pid: int) -> list[int]:
