@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,17 +36,22 @@ class Hull:
     area: float
 
 
-def hull_of(points: Array) -> Hull | None:
-    """The hull of points (n, 3); None when they span hardly a volume."""
+def qhull_of(points: Array) -> Any:
+    """scipy's hull of points (n, 3); None where they span no volume."""
     from scipy.spatial import ConvexHull, QhullError
 
     if len(points) < 4:
         return None
     try:
-        hull = ConvexHull(points)
+        return ConvexHull(points)
     except (QhullError, ValueError):
         return None
-    if hull.volume < THINNEST * hull.area:
+
+
+def hull_of(points: Array) -> Hull | None:
+    """The hull of points (n, 3); None when they span hardly a volume."""
+    hull = qhull_of(points)
+    if hull is None or hull.volume < THINNEST * hull.area:
         return None
     planes = hull.equations[_of_each_turn(hull.equations[:, :3], points[hull.simplices])]
     return Hull(

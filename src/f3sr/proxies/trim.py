@@ -18,6 +18,7 @@ from f3sr.contact import Polytope
 from f3sr.frames import Array
 from f3sr.mesh import ConvexPart, Mesh
 from f3sr.proxies.cuts import below
+from f3sr.proxies.hulls import qhull_of
 from f3sr.proxies.simplify import corners_of, merged
 
 SLACK = 1e-9
@@ -276,15 +277,8 @@ def _clipped(triangles: Array, normals: Array, offsets: Array) -> Array:
 
 def _hull_planes(points: Array) -> Planes | None:
     """Planes of the hull of points (n, 3); None where they span no volume."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    if len(points) < 4:
-        return None
-    try:
-        hull = ConvexHull(points)
-    except (QhullError, ValueError):
-        return None
-    return hull.equations[:, :3], -hull.equations[:, 3]
+    hull = qhull_of(points)
+    return None if hull is None else (hull.equations[:, :3], -hull.equations[:, 3])
 
 
 def _on_planes(a: Array, b: Array, c: Array, x: Array) -> Array:
