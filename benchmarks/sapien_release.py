@@ -2,7 +2,9 @@
 
 usage: VENV/bin/python benchmarks/sapien_release.py PACKAGE ... [--seconds S] [--json FILE]
 VENV is one with sapien==3.0.3 and nothing of f3sr: this script reads the package as any user would. Every package is
-released twice: with SAPIEN's rest offset of nothing, and with .2 mm, the contact margin that our scenes rest with.
+released in SAPIEN's metres, and in centimetres with its rest offset of nothing and of .2 mm, the contact margin that
+our scenes rest with. PhysX has tolerances of its own for things of about one unit, and SAPIEN leaves them there: between
+parts of a centimetre, a metre being the unit, it finds overlaps of ten millimetres that are not there.
 Exit codes: 0 done (or SAPIEN is not installed, which is said), 1 fewer than five of six packages hold still.
 """
 
@@ -22,9 +24,10 @@ TIMESTEP = 0.002
 """[s], the product's."""
 MARGIN = 2e-4
 """[m], the product's contact margin of each body."""
-COOKED = 100.0
-"""Hulls are cooked this much larger and scaled down: PhysX shaves .7 mm off them, whatever their size, and makes others
-that are smaller than that stand out by as much, so that what rests flies apart."""
+GRAVITY = 9.81
+"""[m/s2]"""
+BOUNCE = 2.0
+"""Speed [m/s] below which nothing bounces, SAPIEN's."""
 STILL = 0.5
 """Travel of a centre of mass below which an object has held still [cm]."""
 SHARE = 5 / 6
@@ -34,14 +37,20 @@ ITERATIONS = (32, 4)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Offsets:
-    """At which distance contacts are made, and where they rest [m]."""
+class Kind:
+    """What a package is released with: units of length per metre, and at which distance things rest [m]."""
 
-    contact: float
+    units: float
     rest: float
+    contact: float = 5e-4
+    """At which distance contacts are made [m]."""
 
 
-KINDS = {"no margin": Offsets(contact=0.002, rest=0.0), "our margin": Offsets(contact=0.002, rest=MARGIN)}
+KINDS = {
+    "metres": Kind(units=1.0, rest=MARGIN),
+    "no margin": Kind(units=100.0, rest=0.0),
+    "our margin": Kind(units=100.0, rest=MARGIN),
+}
 
 
 def main() -> int:
@@ -55,7 +64,7 @@ def main() -> int:
         return 0
     rows: dict[str, dict[str, Any]] = {}
     for package in args.packages:
-        found = {kind: released(package, offsets, args.seconds) for kind, offsets in KINDS.items()}
+        found = {name: released(package, kind, args.seconds) for name, kind in KINDS.items()}
         rows[package.name] = found
         worst = {kind: max(row, key=lambda name: row[name]) for kind, row in found.items()}
         said = (f"{kind}: D_max {found[kind][name]:.3f} cm ({name})" for kind, name in worst.items())
@@ -71,49 +80,51 @@ def main() -> int:
     return int(still["our margin"] < SHARE * len(rows))
 
 
-def released(package: Path, offsets: Offsets, seconds: float) -> dict[str, float]:
+def released(package: Path, kind: Kind, seconds: float) -> dict[str, float]:
     """The largest travel of every centre of mass [cm] by object, released from rest, none of them damped or asleep."""
     import sapien
     from sapien import physx
 
     document = json.loads((package / "scene.json").read_text())
-    physx.set_shape_config(contact_offset=offsets.contact, rest_offset=offsets.rest)
+    units = kind.units
+    physx.set_shape_config(contact_offset=kind.contact * units, rest_offset=kind.rest * units)
     physx.set_body_config(ITERATIONS[0], ITERATIONS[1], 0.0)
+    physx.set_scene_config(gravity=np.array([0, 0, -GRAVITY * units], np.float32), bounce_threshold=BOUNCE * units)
     scene = sapien.Scene([physx.PhysxCpuSystem()])
     scene.set_timestep(TIMESTEP)
     scene.add_ground(0, render=False, material=material(0.6))
-    bodies = {f"{o['id']} {o['label']}": added(scene, package, o) for o in document["objects"]}
+    bodies = {f"{o['id']} {o['label']}": added(scene, package, o, units) for o in document["objects"]}
     start = {name: center(body) for name, body in bodies.items()}
     travel = dict.fromkeys(bodies, 0.0)
     for step in range(round(seconds / TIMESTEP)):
         scene.step()
         if step % 10 == 9:
             for name, body in bodies.items():
-                travel[name] = max(travel[name], 100 * float(np.linalg.norm(center(body) - start[name])))
+                travel[name] = max(travel[name], 100 / units * float(np.linalg.norm(center(body) - start[name])))
     return travel
 
 
-def added(scene: Any, package: Path, record: dict[str, Any]) -> Any:
-    """An object of the package as a body with its convex parts, mass and inertia."""
+def added(scene: Any, package: Path, record: dict[str, Any], units: float) -> Any:
+    """An object of the package as a body with its convex parts, mass and inertia, in units per metre."""
     import sapien
     from sapien import physx
 
     fixed = record["mobility"] == "fixed"
     body = physx.PhysxRigidStaticComponent() if fixed else physx.PhysxRigidDynamicComponent()
     for file in record["collision"]:
-        vertices = (corners(package / file) * COOKED).astype(np.float32)
-        scale = np.full(3, 1 / COOKED, np.float32)
-        body.attach(physx.PhysxCollisionShapeConvexMesh(vertices, scale, material(record["friction"])))
+        vertices = (corners(package / file) * units).astype(np.float32)
+        body.attach(physx.PhysxCollisionShapeConvexMesh(vertices, np.ones(3, np.float32), material(record["friction"])))
     if not fixed:
         moments, axes = np.linalg.eigh(np.array(record["inertia"]))
         axes[:, 2] *= np.sign(np.linalg.det(axes))
         body.mass = record["mass"]
-        body.inertia = moments.astype(np.float32)
-        body.cmass_local_pose = sapien.Pose(matrix(axes, record["center_of_mass"]))
+        body.inertia = (moments * units**2).astype(np.float32)
+        body.cmass_local_pose = sapien.Pose(matrix(axes, np.array(record["center_of_mass"]) * units))
         body.linear_damping = body.angular_damping = 0.0
     entity = sapien.Entity()
     entity.add_component(body)
-    entity.set_pose(sapien.Pose(np.array(record["T_world_object"], np.float32)))
+    pose = np.array(record["T_world_object"])
+    entity.set_pose(sapien.Pose(matrix(pose[:3, :3], pose[:3, 3] * units)))
     scene.add_entity(entity)
     return body
 
@@ -126,7 +137,7 @@ def material(friction: float) -> Any:
 
 
 def center(body: Any) -> Any:
-    """The centre of mass in the world (3,) [m]; of what is fixed its origin."""
+    """The centre of mass in the world (3,), in units; of what is fixed its origin."""
     pose = body.entity_pose
     return (pose * body.cmass_local_pose).p if hasattr(body, "cmass_local_pose") else pose.p
 
