@@ -122,3 +122,22 @@ def test_a_part_of_a_sheet_is_left_as_it_is():
     there = trim.place_on(surface, (flat,), np.array([0.2, 0.2, 0.0]), np.array([0.0, 0.0, 1.0]))
     less = trim.trimmed(surface, (flat,), there, NEAR)
     assert there.off == pytest.approx(0.5) and outside(less, sheet.vertices) < 1e-8 and mesh is not sheet
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_half_cuts_only_what_its_plane_crosses(seed: int):
+    """What was clipped by the part's facets is not clipped by them again: rounding would split it without end."""
+    rng = np.random.default_rng(seed)
+    triangles = rng.normal(size=(36, 3, 3))
+    held = trim._Held.of(ConvexPart.hull_of(triangles.reshape(-1, 3)), triangles, 5.0)
+    for _ in range(8):
+        normal = rng.normal(size=3)
+        normal /= np.linalg.norm(normal)
+        offset = float(normal @ held.part.vertices.mean(0)) + 1.0
+        height = held.triangles @ normal - offset
+        crossed = int(((height > 0).any(1) & (height <= 0).any(1)).sum())
+        half = held.half(normal, offset)
+        if half is None:
+            return
+        assert len(half.triangles) <= len(held.triangles) + crossed
+        held = half

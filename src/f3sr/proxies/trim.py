@@ -183,7 +183,10 @@ class _Held:
     @classmethod
     def of(cls, part: ConvexPart, triangles: Array, size: float) -> _Held:
         facets = Polytope.of(part)
-        held = _clipped(triangles, facets.normals, facets.offsets + SLACK * size)
+        return cls.holding(part, _clipped(triangles, facets.normals, facets.offsets + SLACK * size), size)
+
+    @classmethod
+    def holding(cls, part: ConvexPart, held: Array, size: float) -> _Held:
         return cls(part=part, triangles=held, hull=_hull_planes(np.unique(held.reshape(-1, 3), axis=0)), size=size)
 
     def worst(self, points: Array) -> tuple[float, tuple[Array, float]] | None:
@@ -203,7 +206,9 @@ class _Held:
     def half(self, normal: Array, offset: float) -> _Held | None:
         """What is below a plane; None where that is too little."""
         part = less(self.part, normal, offset, self.size)
-        return None if part is None else _Held.of(part, self.triangles, self.size)
+        if part is None:
+            return None
+        return self.holding(part, below(self.triangles, normal, offset + SLACK * self.size), self.size)
 
 
 def _trimmed(held: _Held, place: Place, spot: Array, near: Near, splits: int) -> list[_Held]:
