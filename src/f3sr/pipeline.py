@@ -101,7 +101,7 @@ def reconstruct(
     scene = parted = run.stage("separate", separate, scene, config.separate)
     scene = run.stage("settle", settle, scene, config.settle)
     settled = run.reports[-1]
-    scene = run.stage("close", _closed, scene, config if "refine" in skip else _whatever_it_costs(config))
+    scene = run.stage("close", _closed, scene, config)
     scene = run.stage("refine", _refined, scene, config, parted=parted, settled=settled, closes="close" not in skip)
     scene = run.stage("describe", describe, scene, config.relate)
     aligned = _without(config.align, skip).camera and "align" not in skip
@@ -146,36 +146,26 @@ def _assembled(_: Scene, config: AssembleConfig, *, inputs: Inputs) -> tuple[Sce
 
 
 def _refined(scene: Scene, config: Config, *, parted: Scene, settled: Report, closes: bool) -> tuple[Scene, Report]:
-    """``refine`` with this pipeline's stages; at its end what was moved is closed again."""
+    """``refine`` with this pipeline's stages: what is compared is what would be delivered, at rest and closed."""
     parting = replace(config.separate, ground=False)
     on_a_facet = replace(config.align, camera=False, facets=FacetConfig(most=config.refine.upright, loss=1.0))
 
     def again(moved: Scene) -> Rested:
-        return _settled(separate(moved, parting)[0], config)
+        rested = _settled(separate(moved, parting)[0], config)
+        return replace(rested, scene=_closed(rested.scene, config)[0]) if closes else rested
 
-    scene, report = refine(
+    return refine(
         Rested(scene=scene, restless=restless(settled, config.settle)),
         config.refine,
         parted=parted,
         stood_up=lambda scene, ids: again(align(scene, on_a_facet, only=ids)[0]),
         realigned=lambda scene, ids: again(align(scene, config.refine.align, only=ids)[0]),
     )
-    if not closes:
-        return scene, report
-    scene, closed = _closed(scene, config)
-    return scene, replace(
-        report, measures=(*report.measures, *closed.measures), decisions=(*report.decisions, *closed.decisions)
-    )
 
 
 def _closed(scene: Scene, config: Config) -> tuple[Scene, Report]:
     """``close`` with this pipeline's physics."""
     return close(scene, config.close, settled=lambda scene: _settled(scene, config))
-
-
-def _whatever_it_costs(config: Config) -> Config:
-    """Settings of a ``close`` whose losses in the picture ``refine`` makes good."""
-    return replace(config, close=replace(config.close, loss=1.0))
 
 
 def _settled(scene: Scene, config: Config) -> Rested:
