@@ -97,6 +97,14 @@ def test_a_ball_comes_down_into_a_dish():
     assert len(after[0].parts) <= 24 and len(after[1].parts) == 1
 
 
+@pytest.mark.parametrize("added", [0, 3])
+def test_splits_add_no_more_parts_than_allowed(added: int):
+    scene = ball_in_a_dish()
+    after = lowered(scene, replace(CONFIG, added=added))
+    assert all(len(b.parts) <= len(a.parts) + added for a, b in zip(scene, after, strict=True))
+    assert len(lowered(scene, CONFIG)[0].parts) > len(scene[0].parts) + added, "more of them would help"
+
+
 def test_it_rests_there():
     def physics(scene: Scene) -> Rested:
         return Rested(scene=settle(scene)[0], restless=frozenset())

@@ -44,6 +44,9 @@ class CloseConfig:
     """How far from a contact the mesh is looked for, as a share of the same size: parts hardly stand off farther."""
     clearance: Annotated[float, Interval(ge=0, le=0.01)] = 3.2e-4
     """Gap left below what is lowered [m], as in ``separate``: two margins of physics."""
+    added: Annotated[int, Interval(ge=0, le=1000)] = 64
+    """Most convex parts that one object gets more by splits in one closing: as many as it has at most from the start.
+    Crumpled meshes are hollow wherever they are touched, and every part costs time of physics."""
     rounds: Annotated[int, Interval(ge=0, le=10)] = 2
     """Most times that objects are lowered and settled: settling tilts them onto other contacts."""
     loss: Annotated[float, Interval(ge=0, le=1)] = 0.02
@@ -145,7 +148,7 @@ class _Layout:
 
     def __init__(self, scene: Scene, config: CloseConfig) -> None:
         self.scene, self.config = scene, config
-        self.bodies = {o.id: _Lowered(o) for o in scene}
+        self.bodies = {o.id: _Lowered(o, len(o.parts) + config.added) for o in scene}
 
     def lower(self, id: int) -> None:
         """Lower an object with all it carries until its mesh meets another one, or nothing more can be cut back."""
@@ -216,8 +219,8 @@ class _Layout:
 class _Lowered:
     """An object while it is lowered and its colliders are cut back; points and lengths are in the world."""
 
-    def __init__(self, o: SceneObject) -> None:
-        self._start, self._drop = o, 0.0
+    def __init__(self, o: SceneObject, most: int) -> None:
+        self._start, self._drop, self._most = o, 0.0, most
         self.now = o
         """The object as it is by now."""
 
@@ -272,6 +275,8 @@ class _Lowered:
 
     def _trim(self, there: Place, near: Near) -> bool:
         parts = trim.trimmed(self._surface, self.now.parts, there, near.scaled(1 / self.now.scale))
+        if len(parts) > self._most:
+            return False
         if len(parts) == len(self.now.parts) and all(a is b for a, b in zip(parts, self.now.parts, strict=True)):
             return False
         self._change(replace(self.now, parts=parts))
