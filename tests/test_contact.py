@@ -349,7 +349,8 @@ def test_no_free_place_is_nearer(seed: int):
     assert depth(at) < 1e-12 and (at.any() or depth(np.zeros(2)) <= 0)
     angles, radii = np.meshgrid(np.linspace(0, 2 * np.pi, 721), np.linspace(0, 0.9999, 60) * np.linalg.norm(at))
     nearer = np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=-1).reshape(-1, 2)
-    assert not at.any() or depth(nearer).min() > -2e-3 * np.linalg.norm(at), "a grid sees no free place that is wider than its step"
+    step = 2e-3 * np.linalg.norm(at)
+    assert not at.any() or depth(nearer).min() > -step, "a grid sees no free place that is wider than its step"
 
 
 def test_thousands_of_polygons_take_no_minutes():
