@@ -141,3 +141,14 @@ def test_a_half_cuts_only_what_its_plane_crosses(seed: int):
             return
         assert len(half.triangles) <= len(held.triangles) + crossed
         held = half
+
+
+def test_what_physics_would_refuse_is_no_part():
+    """MuJoCo takes no mesh of less than 1e-15 m3."""
+    from scenes import box_mesh
+
+    cube = box_mesh((0.2, 0.2, 0.2)).hull
+    slip = -0.1 + 1e-9
+    assert trim.less(cube, np.array([0, 0, 1.0]), slip, 0.35) is None
+    layer = trim.less(cube, np.array([0, 0, 1.0]), -0.1 + 1e-5, 0.35)
+    assert layer is not None and layer.volume == pytest.approx(4e-7, rel=1e-6)

@@ -25,6 +25,9 @@ SLACK = 1e-9
 """What lies this far outside a part still counts as held by it [size of the mesh]."""
 OVERLAP = 2e-4
 """How far both sides of a split reach beyond it [size of the mesh], as ``ProxyConfig.overlap``."""
+LEAST = 1e-8
+"""Volume below which nothing is left as a part [size of the mesh, cubed]: MuJoCo refuses 1e-15 m3, which that is of
+things of 5 mm; what cutting leaves is larger than 4e-8 on real scenes, or a slip of rounding."""
 DEPTHS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Where between the surface and the end of all parts it is looked for parts that stand in the way."""
 TURNS = 6
@@ -139,9 +142,10 @@ def less(part: ConvexPart, normal: Array, offset: float, size: float) -> ConvexP
     facets, inside = Polytope.of(part), np.unique(left, axis=0).mean(0)
     corners = corners_of(np.vstack([facets.normals, normal]), np.append(facets.offsets, offset), part, inside)
     try:
-        return None if corners is None else ConvexPart.hull_of(merged(corners, SLACK * size))
+        smaller = None if corners is None else ConvexPart.hull_of(merged(corners, SLACK * size))
     except ValueError:
         return None
+    return smaller if smaller is not None and smaller.volume >= LEAST * size**3 else None
 
 
 def _way_out(parts: Sequence[Polytope], start: Array, direction: Array, slack: float) -> float:
