@@ -222,3 +222,11 @@ def test_others_of_its_group_come_down_without_what_rolls_away():
     after, report = close(scene, replace(CONFIG, apart=0.01, loss=0.3), settled=physics)
     assert gap(after, 0) == gap(scene, 0) and gap(after, 1) < 0.2 * gap(scene, 1)
     assert [d.choice.split(": ")[1] for d in report.decisions] == ["rolled back", "rolled back", "accepted"]
+
+
+def test_what_does_not_rest_is_left_alone_with_all_near_it():
+    ball = ball_on_the_ground()
+    far = replace(ball, id=1, T_world_object=pose(t=[0.4, 0, 0]) @ ball.T_world_object)
+    scene = scene_of(ball, far)
+    after, report = close(scene, CONFIG, settled=settled, restless=[0])
+    assert after[0] is scene[0] and gap(after, 1) < gap(scene, 1) and len(report.decisions) == 1

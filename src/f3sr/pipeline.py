@@ -101,7 +101,7 @@ def reconstruct(
     scene = parted = run.stage("separate", separate, scene, config.separate)
     scene = run.stage("settle", settle, scene, config.settle)
     settled = run.reports[-1]
-    scene = run.stage("close", _closed, scene, config)
+    scene = run.stage("close", _closed, scene, config, settled=settled)
     scene = run.stage("refine", _refined, scene, config, parted=parted, settled=settled, closes="close" not in skip)
     scene = run.stage("describe", describe, scene, config.relate)
     aligned = _without(config.align, skip).camera and "align" not in skip
@@ -152,7 +152,7 @@ def _refined(scene: Scene, config: Config, *, parted: Scene, settled: Report, cl
 
     def again(moved: Scene) -> Rested:
         rested = _settled(separate(moved, parting)[0], config)
-        return replace(rested, scene=_closed(rested.scene, config)[0]) if closes else rested
+        return replace(rested, scene=_touching(rested, config)[0]) if closes else rested
 
     return refine(
         Rested(scene=scene, restless=restless(settled, config.settle)),
@@ -163,9 +163,13 @@ def _refined(scene: Scene, config: Config, *, parted: Scene, settled: Report, cl
     )
 
 
-def _closed(scene: Scene, config: Config) -> tuple[Scene, Report]:
+def _closed(scene: Scene, config: Config, *, settled: Report) -> tuple[Scene, Report]:
+    return _touching(Rested(scene=scene, restless=restless(settled, config.settle)), config)
+
+
+def _touching(rested: Rested, config: Config) -> tuple[Scene, Report]:
     """``close`` with this pipeline's physics."""
-    return close(scene, config.close, settled=lambda scene: _settled(scene, config))
+    return close(rested.scene, config.close, settled=lambda scene: _settled(scene, config), restless=rested.restless)
 
 
 def _settled(scene: Scene, config: Config) -> Rested:

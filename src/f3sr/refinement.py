@@ -41,7 +41,8 @@ class RefineConfig:
     gain: Annotated[float, Interval(ge=0, le=0.1)] = 5e-4
     """A round must gain this much of the mean mIoU_visible of what it changes."""
     again: Annotated[float, Interval(ge=0, le=0.1)] = 3e-3
-    """What gained less is not tried again: the next round gains a third of the one before, or less."""
+    """What gained less is not tried again: the next round gains a third of the one before, or less. Nor is a group that
+    does not rest, which takes all the time that settling may."""
     apart: Annotated[float, Interval(gt=0, le=0.1)] = 2e-3
     """Objects with this much room between them [m] do not feel each other; contact keeps .4 mm."""
     align: AlignConfig = field(
@@ -99,7 +100,8 @@ def refine(
         was = state.ious
         state, told = _round(state, open, realigned, config)
         decisions += told
-        open = [id for id in open if state.ious[id] > was[id] + config.again]
+        moving = {id for g in groups_of(state.scene, state.scene, config.apart) if g & state.restless for id in g}
+        open = [id for id in open if id not in moving and state.ious[id] > was[id] + config.again]
     measures = (Measure(name="mIoU_visible", before=before, after=state.seen),)
     return state.scene, Report(stage="refine", measures=measures, decisions=tuple(decisions))
 

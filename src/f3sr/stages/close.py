@@ -63,19 +63,24 @@ class CloseConfig:
 
 
 def close(
-    scene: Scene, config: CloseConfig | None = None, *, settled: Callable[[Scene], Rested]
+    scene: Scene,
+    config: CloseConfig | None = None,
+    *,
+    settled: Callable[[Scene], Rested],
+    restless: Collection[int] = (),
 ) -> tuple[Scene, Report]:
     """Lower what nowhere touches what it rests on, and settle it, until everything touches.
 
     ``settled`` is physics. Of every round those groups of objects are kept that rest and stay where the photo shows
-    them.
+    them. Groups with something ``restless``, which does not rest as it is, are left alone.
     """
     config = config or CloseConfig()
+    left = {id for g in groups_of(scene, scene, config.apart) if g.intersection(restless) for id in g}
     start, gaps = scene, _gaps(scene)
     decisions, spoilt = list[Decision](), Counter[int]()
     for k in range(config.rounds):
         wider = replace(config, radius=min(0.5, config.radius * 2**k))
-        tried = lowered(scene, wider, but={id for id, times in spoilt.items() if times >= TRIES})
+        tried = lowered(scene, wider, but=left.union(id for id, times in spoilt.items() if times >= TRIES))
         changed = frozenset(o.id for o in scene if tried[o.id] is not o)
         if not changed:
             break
