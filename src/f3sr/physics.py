@@ -164,7 +164,7 @@ def body_name(id: int) -> str:
 
 def body_of(o: SceneObject, config: PhysicsConfig = DEFAULT_PHYSICS) -> Body:
     """The rigid body of an object: mass and inertia of its solid at its density, its parts in metres."""
-    solid, from_mesh = _solid(o.mesh, o.parts or (o.mesh.hull,))
+    solid, from_mesh = _solid(o.mesh, o.parts or (o.mesh.hull,)) if o.solid is None else (o.solid, o.mesh.is_solid)
     scale = np.diag([o.scale, o.scale, o.scale, 1.0])
     return Body(
         name=body_name(o.id),

@@ -31,7 +31,7 @@ def damping_ratio_of(restitution: float) -> float:
     if not LEAST < restitution <= 1:
         raise ValueError(f"a restitution above {LEAST:.3f} and at most 1, not {restitution}")
     low, high = 0.0, 1.0
-    while high - low > 1e-12:
+    for _ in range(60):
         middle = (low + high) / 2
         low, high = (middle, high) if restitution_of(middle) > restitution else (low, middle)
     return low

@@ -1,8 +1,9 @@
 """simulate: a plan played out as physics, the same motion every time.
 
 The package's proxies, masses and inertias with what the plan's semantics change, one MuJoCo model for all of it.
-Nothing is damped or driven: offsets and velocities hold at the start, impulses come at their times, on the body's
-centre of mass, and all else is contact and gravity.
+Nothing is damped or driven: offsets and velocities hold at the start, impulses come at their times, as a force and
+torque on the body's centre of mass for one time step, and all else is contact and gravity. The arithmetic is simple
+enough to be written again to the bit (``benchmarks/goals/replay.py``): contacts magnify the last digit to millimetres.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from f3sr import physics
+from f3sr.export.scene_json import Vector3
 from f3sr.frames import Array, pose, rotation_from_quaternion, rotation_from_vector
 from f3sr.goals.plan import Impulse, InitialConditions, Plan, Semantics, Velocity
 from f3sr.goals.rollout import CONTACT, Rollout
@@ -46,13 +48,9 @@ def as_planned(scene: Scene, semantics: Sequence[Semantics], initial: InitialCon
         raise ValueError(f"object {fixed[0]} set off; it is fixed")
     for offset in initial.offsets:
         o = objects[offset.id]
-        center = _center(o)
-        T = (
-            pose(t=center + np.array(offset.translation))
-            @ pose(rotation_from_vector(offset.rotation))
-            @ pose(t=-center)
-        )
-        objects[offset.id] = replace(o, T_world_object=T @ o.T_world_object)
+        T = _turned(o, offset.rotation) if any(offset.rotation) else o.T_world_object.copy()
+        T[:3, 3] += offset.translation
+        objects[offset.id] = replace(o, T_world_object=T)
     return tuple(objects[id] for id in sorted(objects))
 
 
@@ -68,10 +66,11 @@ def _made_of(o: SceneObject, s: Semantics) -> SceneObject:
     )
 
 
-def _center(o: SceneObject) -> Array:
-    """The centre of mass (3,) in the world."""
-    T = o.T_world_object
-    return T[:3, :3] @ physics.body_of(o).center + T[:3, 3]
+def _turned(o: SceneObject, rotation: Vector3) -> Array:
+    """The pose (4, 4) of an object turned about its centre of mass by a rotation vector."""
+    T, R = o.T_world_object, rotation_from_vector(np.array(rotation))
+    center = T[:3, :3] @ physics.body_of(o).center + T[:3, 3]
+    return pose(R, center - R @ center) @ T
 
 
 @dataclass(eq=False)
@@ -105,6 +104,7 @@ class _Run:
                 while pending and pending[0].time <= step * simulation.timestep:
                     self._push(pending.pop(0))
                 mujoco.mj_step(self.model, self.data)
+                self.data.xfrc_applied[:] = 0
                 self._feel(step * simulation.timestep, peaks)
                 if (step + 1) % simulation.steps_per_sample:
                     continue
@@ -124,22 +124,15 @@ class _Run:
         )
 
     def _set_off(self, velocity: Velocity) -> None:
-        self._add(velocity.id, np.array(velocity.linear), np.array(velocity.angular))
+        """A free joint's speeds are those of the body's origin in the world and of turning in the body's axes."""
+        b, at = self._body(velocity.id), int(self.model.joint(body_name(velocity.id)).dofadr[0])
+        arm = self.data.xpos[b] - self.data.xipos[b]
+        self.data.qvel[at : at + 3] = velocity.linear + np.cross(velocity.angular, arm)
+        self.data.qvel[at + 3 : at + 6] = self.data.xmat[b].reshape(3, 3).T @ velocity.angular
 
     def _push(self, impulse: Impulse) -> None:
-        engine().mj_kinematics(self.model, self.data)  # after a step all but the joints is one step old
-        b = self._body(impulse.id)
-        R = self.data.ximat[b].reshape(3, 3)
-        spin = R @ (R.T @ np.array(impulse.angular) / self.model.body_inertia[b])
-        self._add(impulse.id, np.array(impulse.linear) / self.model.body_mass[b], spin)
-
-    def _add(self, id: int, v: Array, spin: Array) -> None:
-        """Speeds of the centre of mass and of turning, world axes, added. A free joint's are those of the body's
-        origin in the world and of turning in the body's axes."""
-        b, at = self._body(id), int(self.model.joint(body_name(id)).dofadr[0])
-        arm = self.data.xpos[b] - self.data.xipos[b]
-        self.data.qvel[at : at + 3] += v + np.cross(spin, arm)
-        self.data.qvel[at + 3 : at + 6] += self.data.xmat[b].reshape(3, 3).T @ spin
+        wrench = np.array([*impulse.linear, *impulse.angular])
+        self.data.xfrc_applied[self._body(impulse.id)] += wrench / self.model.opt.timestep
 
     def _body(self, id: int) -> int:
         return self.ids.index(id) + 1
