@@ -1,0 +1,255 @@
+"""From a goal's clauses to the one kind of plan that they ask for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import cast
+
+from f3sr.goals.clauses import DROPPED, PLACED, Clause
+from f3sr.goals.directions import Direction, contradict
+from f3sr.goals.nouns import GROUND_NAMES
+from f3sr.goals.phrases import ORDERS, RELATIONS
+from f3sr.goals.plan import Kind
+from f3sr.goals.refusal import Reason, Refusal, quoted
+from f3sr.goals.request import Outcome, Preposition, Request, What
+from f3sr.goals.tokens import spoken
+from f3sr.goals.verbs import Family
+
+MOVED: set[Family] = {"push", "pull", "roll", *DROPPED}
+"""Families that may say where to by another object's place."""
+OF_ITSELF: set[Family] = {"fall", "jump", "return"}
+"""Families of what a thing does by itself."""
+IT = {"", "it", "itself", "them"}
+OUTCOMES: dict[Family, What] = {
+    "tip": "topple",
+    "fall": "topple",
+    "push": "move",
+    "roll": "roll",
+    "bounce": "bounce",
+    "return": "return",
+}
+"""What a further clause's verb says of how it ends."""
+FORWARD: dict[Family, Direction] = {"pull": "towards"}
+"""Where a verb leads when nothing else says so."""
+
+
+def request(clauses: Sequence[Clause], *, let: bool = False) -> Request | Refusal:
+    """The request of a goal's clauses; ``let``: said as ``let the ball fall``."""
+    first, rest = clauses[0], list(clauses[1:])
+    if first.family == "lift" and rest:
+        first, rest = _lifted(first, rest[0]), rest[1:]
+    found = _single(_placed(first), let=let)
+    for clause in rest:
+        if isinstance(found, Refusal):
+            return found
+        found = _continued(found, _placed(clause))
+    return found if isinstance(found, Refusal) else _checked(found)
+
+
+def _lifted(lift: Clause, then: Clause) -> Clause:
+    """``lift the can and drop it on the box`` is one goal of the second verb."""
+    what = lift.object or lift.subject
+    if then.subject in IT and then.object in IT:
+        then = replace(then, subject="", object=what)
+    elif then.object.split()[:1] == ["it"]:
+        then = replace(then, object=" ".join([what, *then.object.split()[1:]]))
+    else:
+        return then if then.object == what else replace(then, verb="several")
+    family: Family = "put" if then.family in ("drop", "fall", "put", "lift") else then.family
+    return replace(then, verb="lift", family=family, directions=then.directions)
+
+
+def _placed(c: Clause) -> Clause:
+    """With ``on`` and ``in`` read as where to, for the families where they mean that."""
+    words = (c.object or "").split()
+    at = next((i for i in reversed(range(len(words))) if words[i] in PLACED), None)
+    if c.targets or c.family not in DROPPED | {"roll"} or at is None or at + 1 >= len(words):
+        return c
+    if (words[at + 1] in ORDERS and at + 2 == len(words)) or (c.family == "roll" and words[at] != "in"):
+        return c
+    return replace(c, object=" ".join(words[:at]), targets=[(PLACED[words[at]], " ".join(words[at + 1 :]))])
+
+
+def _single(c: Clause, *, let: bool) -> Request | Refusal:
+    """The request of one clause."""
+    if c.verb == "several":
+        return _several()
+    c = _sides_of(c)
+    targets = [t for t in c.targets if t[0] != "off" or c.family == "bounce"] or c.targets
+    if len(targets) > 1:
+        return _refused("several", "the goal names two targets; accepted: one")
+    if any(not words for _, words in targets):
+        return _refused("grammar", f"nothing is named after {quoted(spoken(targets[0][0]))}")
+    c = replace(c, targets=targets)
+    if not c.object:
+        return _refused("grammar", f"the goal does not say what to {c.verb}; accepted: '{c.verb} the red cup ...'")
+    if refused := _unclear(c):
+        return refused
+    return _of_family(c, let=let)
+
+
+def _sides_of(c: Clause) -> Clause:
+    """One pattern for ``hit Y with X``, ``X hits Y`` and ``X falls``: the object is set off."""
+    over = c.over or c.family == "tip"
+    hitting = c.family in ("hit", "push", "pull", "tip", "collide")
+    if c.tool and c.family == "collide":
+        return replace(c, subject="", object=c.subject or c.object, targets=[("into", c.tool)], tool="")
+    if c.tool and hitting:
+        return replace(c, object=c.tool, targets=[("into", c.object)], tool="", family="hit", over=over)
+    if c.subject and c.object and hitting:
+        return replace(c, subject="", object=c.subject, targets=[("into", c.object)], family="hit", over=over)
+    if c.subject and not c.object:
+        return replace(c, subject="", object=c.subject)
+    return c
+
+
+def _of_family(c: Clause, *, let: bool) -> Request | Refusal:
+    if c.subject or c.tool:
+        return _refused("grammar", f"{quoted(spoken(c.tool or c.subject))} has no part in what the goal asks for")
+    preposition = c.targets[0][0] if c.targets else None
+    match c.family:
+        case "tip" | "push" | "pull" | "hit" | "collide":
+            return _pushed(c, preposition)
+        case "roll":
+            return _request("roll", c)
+        case "drop" | "put" | "lift":
+            return _dropped(c)
+        case "throw" | "jump":
+            up = c.directions == ["up"] or (c.family == "jump" and not c.directions)
+            returns = up and not c.targets
+            return _request("launch_and_return" if returns else "throw", c)
+        case "bounce":
+            return _request("bounce", c)
+        case "fall":
+            return _fallen(c, let=let, off=preposition == "off")
+        case "return":
+            return _refused(
+                "verb", f"{quoted(c.verb)} alone is no goal; accepted: 'throw the ball up and let it fall back'"
+            )
+
+
+def _dropped(c: Clause) -> Request | Refusal:
+    if c.family == "lift" and not c.targets:
+        return _refused("grammar", "nothing holds what is lifted; accepted: 'lift ... and drop it on ...'")
+    if c.family == "put" and c.verb != "lift" and not c.targets:
+        return _refused("grammar", f"the goal does not say where to {c.verb} it; accepted: on or into a thing")
+    return _request("drop" if c.family == "drop" else "lift_and_drop", c)
+
+
+def _pushed(c: Clause, preposition: str | None) -> Request | Refusal:
+    if {"up", "down"} & set(c.directions):
+        return _refused("direction", "pushing goes along the ground; accepted: left, right, away from me, towards me")
+    over = c.over or c.family == "tip"
+    if c.family == "hit" and c.targets and over:
+        topples = Outcome(what="topple", whose="target")
+        return replace(_request("push_into", c), outcome=topples)
+    if preposition in ("off", "away-from"):
+        return _request("slide", c)
+    if over:
+        return _request("topple", c)
+    if preposition:
+        onto = c.verb == "move" and preposition == "onto"
+        return _request("lift_and_drop" if onto else "push_into", c)
+    return _request("slide", c if c.directions else replace(c, directions=_own_direction(c)))
+
+
+def _own_direction(c: Clause) -> list[Direction]:
+    return [FORWARD[c.family]] if c.family in FORWARD else []
+
+
+def _fallen(c: Clause, *, let: bool, off: bool) -> Request | Refusal:
+    if c.over or (c.directions and c.directions != ["down"]):
+        return _request("topple", c)
+    if off:
+        return _request("slide", c)
+    if c.targets or let:
+        return _request("drop", c)
+    return _refused("ambiguous", "'fall' may mean to fall over or to be dropped; accepted: 'falls over' or 'drop it'")
+
+
+def _unclear(c: Clause) -> Refusal | None:
+    """A place beside another object, of which nobody can tell whether it says which one or where to."""
+    relation = next((w for w in c.object.split() if w in RELATIONS and w != "with"), None)
+    if relation is None or c.family not in MOVED or c.targets or c.directions or c.over:
+        return None
+    anchor = c.object.partition(f"{relation} ")[2]
+    if (
+        anchor in GROUND_NAMES
+        or anchor in ORDERS
+        or relation == "under"
+        or (relation.endswith("-to") and relation[0] != "n")
+    ):
+        return None
+    where = "into" if relation == "in" else "onto" if relation == "on" else "towards"
+    message = (
+        f"{quoted(spoken(c.object))} may say which one or where to; accepted: a direction besides, or "
+        f"'{where} the {spoken(anchor)}'"
+    )
+    return _refused("ambiguous", message)
+
+
+def _request(kind: Kind, c: Clause) -> Request:
+    preposition, target = c.targets[0] if c.targets else (None, None)
+    return Request(
+        kind=kind,
+        active=c.object,
+        target=target,
+        preposition=cast(Preposition | None, preposition),
+        direction=tuple(dict.fromkeys(c.directions)),
+    )
+
+
+def _continued(r: Request, c: Clause) -> Request | Refusal:
+    """A request with what a further clause adds: what comes of it, or where it ends."""
+    whose = _whose(c.subject or c.object, r)
+    if whose is None or (c.subject and c.object not in IT):
+        return _several()
+    if c.targets and r.target is None and c.family in ("fall", "throw", "drop", "return") and whose == "active":
+        preposition, target = c.targets[0]
+        kind = r.kind if r.kind != "launch_and_return" else "throw"
+        return replace(r, kind=kind, target=target, preposition=cast(Preposition, preposition))
+    if (
+        r.kind in ("throw", "launch_and_return")
+        and r.target is None
+        and c.family in ("fall", "return", "throw", "drop")
+    ):
+        return replace(r, kind="launch_and_return")
+    what = _outcome(c)
+    if what is None or c.targets or c.tool:
+        return _several()
+    if whose == "either":
+        whose = "target" if r.target and what in ("topple", "move") and r.kind != "topple" else "active"
+    return replace(r, outcome=Outcome(what=what, whose="target" if whose == "target" else "active"))
+
+
+def _outcome(c: Clause) -> What | None:
+    return "topple" if c.over else OUTCOMES.get(c.family)
+
+
+def _whose(subject: str, r: Request) -> str | None:
+    """Whether a clause is about the active object, the target, either, or neither (None)."""
+    if subject in IT:
+        return "active" if r.target is None else "either"
+    words = set(subject.split())
+    if r.target and words <= set(r.target.split()):
+        return "target"
+    return "active" if words <= set(r.active.split()) else None
+
+
+def _checked(r: Request) -> Request | Refusal:
+    if contradict(r.direction):
+        return _refused("contradiction", f"the goal leads {' and '.join(r.direction)} at once; accepted: one of them")
+    if {"up", "down"} & set(r.direction) and r.kind in ("roll", "topple", "slide", "push_into"):
+        return _refused("direction", f"{spoken(r.kind)} goes along the ground; accepted: left, right, away, towards me")
+    return r
+
+
+def _several() -> Refusal:
+    return _refused(
+        "several", "the goal asks for more than one thing; accepted: one goal at a time, as 'push the cup left'"
+    )
+
+
+def _refused(reason: Reason, message: str) -> Refusal:
+    return Refusal(reason=reason, message=message)
