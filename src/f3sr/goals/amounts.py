@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Literal, TypeVar
+from typing import Literal, cast
 
 from f3sr.goals.refusal import Refusal, quoted
 from f3sr.goals.tokens import each
@@ -12,8 +12,6 @@ from f3sr.goals.tokens import each
 Unit = Literal["m", "length", "width", "height"]
 Vague = Literal["slightly", "far"]
 Manner = Literal["gently", "hard"]
-A = TypeVar("A", bound=str)
-B = TypeVar("B", bound=str)
 
 LARGEST = 100.0
 """Largest amount, in metres or in an object's own sizes."""
@@ -76,7 +74,7 @@ SLIGHTLY = (
     r"(?:just )?(?:slightly|somewhat|(?:a )?(?:(?:tiny|little|wee) )?bit|a touch|a little|"
     r"(?:a )?short (?:way|distance))"
 )
-FAR = r"(?:very )?(?:far|(?:a )?(?:long|great) (?:way|distance)|a lot|as far as possible|further)"
+FAR = r"(?:very )?(?:far(?! (?:left|right))|(?:a )?(?:long|great) (?:way|distance)|a lot|as far as possible|further)"
 GENTLY = r"(?:very )?(?:gently|softly|lightly|slowly|carefully|tenderly|with care)"
 HARD = (
     r"(?:very |really |as )?(?:hard(?: as possible)?|forcefully|strongly|firmly|fast|quickly|rapidly|vigorously|"
@@ -130,7 +128,7 @@ def amount_in(words: str) -> tuple[str, Amount | Vague | None] | Refusal:
     if wrong := WRONG.search(words):
         return _impossible(wrong[0])
     words, vague = _either(words, SLIGHTLY, "slightly", FAR, "far")
-    found += vague
+    found += cast(list[Vague], vague)
     if len(found) > 1:
         return Refusal(reason="contradiction", message="the goal gives two amounts; accepted: one")
     return words, found[0] if found else None
@@ -141,15 +139,15 @@ def manner_in(words: str) -> tuple[str, Manner | None] | Refusal:
     words, found = _either(words, GENTLY, "gently", HARD, "hard")
     if len(set(found)) > 1:
         return Refusal(reason="contradiction", message="the goal says both gently and hard; accepted: one of them")
-    return words, found[0] if found else None
+    return words, cast(Manner, found[0]) if found else None
 
 
-def _either(words: str, first: str, a: A, second: str, b: B) -> tuple[str, list[A | B]]:
+def _either(words: str, first: str, a: str, second: str, b: str) -> tuple[str, list[str]]:
     """Words without those of two vague meanings, and which were there. Adverbs count anywhere, what may also describe
     a thing (a hard disk, the far cup) only where no noun follows."""
-    found: list[A | B] = []
+    found: list[str] = []
     for pattern, meaning in ((first, a), (second, b)):
-        ended = re.compile(rf"\b{pattern}\b{_END}")
+        ended = re.compile(rf"(?<!\bthe )(?<!\bon )(?<!\bat )\b{pattern}\b{_END}")
         adverb = re.compile(rf"\b(?=\w+ly\b){pattern}\b")
         for p in (adverb, ended):
             found += [meaning] * len(p.findall(words))

@@ -21,6 +21,8 @@ AUXILIARIES = set(
         "to should must shall will would is are be being get gets got has have needs need goes go starts start can may"
     )
 )
+UNTOLD = set(each("sideways aside diagonally somewhere anywhere sidewards"))
+DIRECTIONS = "left, right, away from me, towards me, to the back left"
 PASSIVE = {"is", "are", "be", "being", "get", "gets", "got"}
 NOBODY = {"you", "we", "i", "robot", "someone", "somebody", "they"}
 """Subjects that are not of the scene: whose doing it is does not matter."""
@@ -221,9 +223,7 @@ class _Scan:
             self._open(word)
         elif word == "from" and not (place and self.slot) and self._word(1):
             self._open("off")
-        elif (word == "with" and (self.slot or self.clause.subject) and not self._with_content()) or (
-            word == "by" and self._word(1)
-        ):
+        elif self._tool():
             self._open("with")
         elif word in PLACED and self.closed and self.clause.family in DROPPED:
             self._open(PLACED[word])
@@ -233,6 +233,11 @@ class _Scan:
             return False
         self.at += 1
         return True
+
+    def _tool(self) -> bool:
+        if self._word() == "with":
+            return bool(self.slot or self.clause.subject) and not self._with_content()
+        return self._word() == "by" and bool(self._word(1))
 
     def _with_content(self) -> bool:
         """``the bowl with the ball in it``"""
@@ -245,6 +250,8 @@ class _Scan:
     def _plain(self) -> Refusal | None:
         """A word of a phrase."""
         word = self._word()
+        if word in UNTOLD:
+            return Refusal(reason="direction", message=f"{quoted(word)} is no direction; accepted: {DIRECTIONS}")
         if (self.closed and word == "and" and starts_clause(self._word(1))) or (self.closed and word in VERBS):
             return Refusal(reason="several", message="the goal asks for more than one thing; accepted: one at a time")
         if self.closed:

@@ -14,7 +14,7 @@ from f3sr.frames import Array
 
 PIXELS = 4000
 """Pixels of a mask that colours are counted in, at most."""
-COMMON = 0.25
+COMMON = 0.2
 """Share of the pixels from which on an object may be called by a colour; the commonest colour always names it."""
 
 
@@ -30,15 +30,17 @@ class Term(NamedTuple):
 TERMS = (
     Term("black", (0, 22), (0, 18)),
     Term("grey", (18, 82), (0, 12)),
-    Term("white", (66, 101), (0, 14)),
+    Term("white", (68, 101), (0, 14)),
+    Term("white", (64, 101), (0, 22), (180, 300)),  # in the shade of a blue sky
     Term("red", (15, 62), (28, 200), (5, 48)),
     Term("red", (15, 45), (16, 200), (350, 405)),
     Term("pink", (52, 100), (12, 200), (335, 395)),
     Term("pink", (40, 100), (30, 200), (325, 375)),
     Term("orange", (42, 90), (38, 200), (40, 76)),
-    Term("brown", (8, 52), (9, 60), (25, 92)),
+    Term("brown", (8, 52), (9, 30), (25, 92)),
+    Term("brown", (8, 52), (28, 60), (42, 92)),
     Term("brown", (48, 76), (12, 38), (45, 88)),
-    Term("yellow", (45, 101), (24, 200), (72, 112)),
+    Term("yellow", (45, 101), (24, 200), (72, 118)),
     Term("green", (8, 101), (10, 200), (106, 205)),
     Term("blue", (5, 101), (10, 200), (192, 312)),
     Term("purple", (8, 78), (14, 200), (300, 345)),

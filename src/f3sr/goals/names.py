@@ -141,9 +141,9 @@ def _called(phrase: Phrase, sight: Sight) -> list[int]:
     if known:
         best = min(known.values())
         return [id for id, level in known.items() if level == best]
-    if len(phrase.names) > 1:
+    name, *more = phrase.names
+    if more:
         return []
-    name = phrase.names[0]
     return [GROUND] if name in nouns.GROUND_NAMES else _shaped(nouns.singular(name), sight)
 
 
@@ -153,9 +153,10 @@ def _shaped(name: str, sight: Sight) -> list[int]:
 
 
 def _plural_noun(phrase: Phrase, sight: Sight) -> bool:
-    """``the cups``; a label that is itself in the plural names one thing."""
+    """``the cups``; what is itself a label's plural, or like ``crackers`` only a part of one, names one thing."""
     head = phrase.names[-1:]
-    return any(nouns.singular(n) != n and n not in sight.vocabulary for n in head)
+    several = any(nouns.singular(n) != n and n not in sight.vocabulary for n in head)
+    return several and any(nouns.fit(phrase.names, label) in (0, 2, 3) for label in sight.labels.values())
 
 
 # --- refusals -----------------------------------------------------------------------------------------------------

@@ -58,6 +58,7 @@ teddy teddybear bear
 KINDS = {
     "fruit": "apple lemon orange strawberry banana pear peach plum lime kiwi mango melon grape",
     "food": "apple lemon orange strawberry banana pear peach plum cheese macaroni bread cake ketchup mustard soup meat",
+    "bottle": "cleanser ketchup mustard shampoo windex detergent vinegar sauce",
     "tool": "hammer wrench spanner screwdriver pliers saw drill scissors spatula clamp",
     "vessel": "bowl cup mug pan pot glass vase jug bottle",
     "container": "bowl cup mug pan pot glass vase jug bottle box can bin basket bag tub",

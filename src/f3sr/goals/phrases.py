@@ -79,7 +79,7 @@ def parsed(words: str, vocabulary: Collection[str]) -> Phrase | Refusal:
 def _parsed(tokens: Sequence[str], vocabulary: Collection[str]) -> Phrase | Refusal:
     head, placed, rest = _split(tokens)
     phrase = _head(head, spoken(" ".join(tokens)), placed, vocabulary)
-    if isinstance(phrase, Refusal) or not rest:
+    if not rest:
         return phrase
     relation, anchor = rest[0], _parsed(rest[1:], vocabulary) if rest[1:] else None
     if anchor is None:
@@ -107,23 +107,42 @@ def _split(tokens: Sequence[str]) -> tuple[Sequence[str], list[Order], Sequence[
     return head, placed, rest
 
 
-def _head(head: Sequence[str], words: str, placed: list[Order], vocabulary: Collection[str]) -> Phrase | Refusal:
-    """Names and adjectives. The last word names wherever it can; the others do where a label has them and they are no
-    colour."""
+def _head(head: Sequence[str], words: str, placed: list[Order], vocabulary: Collection[str]) -> Phrase:
+    """The names, adjectives and number of a phrase without its relations."""
     if (number := re.fullmatch(r"(?:object|number|thing|item|id) (\d{1,9})", " ".join(head))) is not None:
         return Phrase(words=words, id=int(number[1]), orders=tuple(placed))
-    of = "of" in head
-    plural = (not of and any(w in MANY or w in COUNTS for w in head[:-1])) or (head[-1:] != () and head[-1] in MANY)
-    left = [
-        w
-        for w in head
-        if w not in MANY | COUNTS | {"of", "that", "which"} and not (w == "and" and _joins_colours(head))
-    ]
-    left = [w for i, w in enumerate(left) if w not in SHADES or left[i + 1 : i + 2] == [] or left[i + 1] not in NAMED]
+    one_of = "of" in head
+    telling = _telling(head)
+    names, colours, orders = _sorted_out(telling, vocabulary)
+    several = any(w in MANY | COUNTS for w in head) or telling[-1:] in (["objects"], ["things"], ["ones"], ["items"])
+    if one_of and names:
+        names[-1] = singular(names[-1])
+    return Phrase(
+        words=words,
+        names=tuple(names),
+        plural=(several and not one_of) or "and" in names,
+        colours=tuple(colours),
+        orders=tuple(_placed(orders, placed)),
+    )
+
+
+def _telling(head: Sequence[str]) -> list[str]:
+    """The words that say which object: no numbers of objects, no shades of colours, no ``one of``."""
+    start = head.index("of") if "of" in head else 0
+    words = [w for i, w in enumerate(head) if i > start or singular(w) not in ANYTHING or not start]
+    empty = MANY | COUNTS | {"of", "that", "which"} | ({"and"} if _joins_colours(head) else set[str]())
+    words = [w for w in words if w not in empty]
+    return [w for i, w in enumerate(words) if w not in SHADES or (words[i + 1 : i + 2] or [""])[0] not in NAMED]
+
+
+def _sorted_out(words: Sequence[str], vocabulary: Collection[str]) -> tuple[list[str], list[str], list[Order]]:
+    """Names, colours and orders. The last word names wherever it can; the others do where a label has them and they
+    are no adjective."""
     names, colours, orders = list[str](), list[str](), list[Order]()
-    for i, word in enumerate(left):
-        last = i == len(left) - 1
-        if word in vocabulary and (last or (word not in NAMED and word not in ORDERS and word not in RANKS)):
+    for i, word in enumerate(words):
+        last = i == len(words) - 1
+        adjective = word in NAMED or word in ORDERS or _rank(word) is not None
+        if (last and word in vocabulary) or not (adjective or (last and singular(word) in ANYTHING)):
             names.append(word)
         elif word in NAMED:
             colours.append(word)
@@ -131,19 +150,7 @@ def _head(head: Sequence[str], words: str, placed: list[Order], vocabulary: Coll
             orders.append(Order(axis=None, rank=rank))
         elif word in ORDERS:
             orders = _ordered(orders, ORDERS[word])
-        elif last and singular(word) in ANYTHING:
-            plural |= not of and word != singular(word)
-        else:
-            names.append(word)
-    if of and names:
-        names[-1] = singular(names[-1])
-    return Phrase(
-        words=words,
-        names=tuple(names),
-        plural=plural or "and" in names,
-        colours=tuple(colours),
-        orders=tuple(_placed(orders, placed)),
-    )
+    return names, colours, orders
 
 
 def _with(phrase: Phrase, relation: str, anchor: Phrase) -> Phrase:

@@ -20,6 +20,7 @@ FRACTIONS = re.compile("(?=[\u00bc-\u00be\u2150-\u215e])")
 ARTICLES = re.compile(r"\b(?:the|an?|this|my|your|our)\b")
 
 SPELLINGS: tuple[tuple[str, str], ...] = (
+    (r"\b(?:across|along) (?:ground|floor|table|tabletop|desk|surface|counter)\b", ""),
     (r"\b(left|right|front|back)(?: hand)? side\b|\b(left|right) hand\b", r"\1\2"),
     (r"\b(?:far|very|extreme) (left|right)(?:most)?\b", r"\1"),
     (r"\b(?:right|just|directly|immediately) (?=(?:next to|beside|in front of|behind|under|on top)\b)", ""),
@@ -105,6 +106,7 @@ def _spaced(text: str) -> str:
     text = text.replace("\u2044", "/").replace("%", " percent ").replace("°", " degrees ")
     text = re.sub(r"[.!?;:\n](?=\s+\S*[^\W_])", " and then ", text)
     text = re.sub("['\u2018\u2019\u02bc`]", "", text)
+    text = re.sub(r"\b\d+(?:\.\d+)?e\+?\d+\b", lambda m: f"{min(float(m[0]), 1e12):f}", text)
     text = re.sub(r"(?<![\w.,])-\s?(?=[.\d])", " minus ", text)
     text = re.sub(r"(?<=\d),(?=\d{3}\b)", "", text)
     text = re.sub(r"(?<=\d),(?=\d)", ".", text)

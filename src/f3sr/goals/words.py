@@ -33,6 +33,10 @@ FRAME = re.compile(
 WHERE_IT_WAS = r"where it (?:was|started|came from|stood)|its (?:old |original |starting )?(?:place|spot|point)"
 IDIOMS: tuple[tuple[str, str], ...] = (
     (r"\bplease\b|\bkindly\b", " "),
+    (r"\bgive (.{1,80}?) an? (?:gentle|little|light|small) (\w+)", r"gently \2 \1"),
+    (r"\bgive (.{1,80}?) an? (?:hard|strong|big|good|firm) (\w+)", r"\2 \1 hard"),
+    (r"\bgive (.{1,80}?) an? (\w+)", r"\2 \1"),
+    (r"\bsend (.{1,80}?) (rolling|flying|sliding|tumbling|falling)\b", r"\2 \1"),
     (r"\ball the way\b", " "),
     (r"\blet go of\b", "drop"),
     (r"\blet (it|them) go\b", r"drop \1"),
@@ -52,7 +56,6 @@ IDIOMS: tuple[tuple[str, str], ...] = (
     ),
     (r"\b(?:come|comes|fall|falls) down again\b|\breturns? back\b", "return"),
     (r"(?<=\d) in(?=$| (?:to )?(?:the )?(?:left|right|back|away|forward|up)\b)", " inches"),
-    (r"\b(?:across|along) (?:the )?(?:ground|floor|table|tabletop|desk|surface|counter)\b", " "),
     (r"\bstart(?:s|ed)? (?:to |(?=\w+ing))", ""),
 )
 """Turns of phrase, in this order."""
