@@ -71,10 +71,13 @@ NONSENSE = each(
 """Units of something else than length."""
 LIMIT_WORDS = "on in into onto to towards at against over off from and so until then with by left right back up away"
 SLIGHTLY = (
-    r"(?:just )?(?:slightly|somewhat|(?:a )?(?:(?:tiny|little|wee) )?bit|a touch|a little|"
+    r"(?:by )?(?:just )?(?:slightly|somewhat|(?:a )?(?:(?:tiny|little|wee) )?bit|a touch|a little|"
     r"(?:a )?short (?:way|distance))"
 )
-FAR = r"(?:very )?(?:far(?! (?:left|right))|(?:a )?(?:long|great) (?:way|distance)|a lot|as far as possible|further)"
+FAR = (
+    r"(?:by )?(?:very )?(?:far(?! (?:left|right))|(?:a )?(?:long|great) (?:way|distance)|a lot|as far as possible|"
+    r"further)"
+)
 GENTLY = r"(?:very )?(?:gently|softly|lightly|slowly|carefully|tenderly|with care)"
 HARD = (
     r"(?:very |really |as )?(?:hard(?: as possible)?|forcefully|strongly|firmly|fast|quickly|rapidly|vigorously|"

@@ -6,30 +6,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import cast
 
-from f3sr.goals.clauses import DROPPED, PLACED, Clause
 from f3sr.goals.directions import Direction, contradict
 from f3sr.goals.nouns import GROUND_NAMES
-from f3sr.goals.phrases import ORDERS, RELATIONS
+from f3sr.goals.outcomes import IT, continued, several
+from f3sr.goals.phrases import AT, ORDERS, RELATIONS
 from f3sr.goals.plan import Kind
 from f3sr.goals.refusal import Reason, Refusal, quoted
-from f3sr.goals.request import Outcome, Preposition, Request, What
+from f3sr.goals.request import Outcome, Preposition, Request
+from f3sr.goals.scan import DIRECTIONS, DROPPED, PLACED, Clause
 from f3sr.goals.tokens import spoken
 from f3sr.goals.verbs import Family
 
 MOVED: set[Family] = {"push", "pull", "roll", *DROPPED}
 """Families that may say where to by another object's place."""
-OF_ITSELF: set[Family] = {"fall", "jump", "return"}
-"""Families of what a thing does by itself."""
-IT = {"", "it", "itself", "them"}
-OUTCOMES: dict[Family, What] = {
-    "tip": "topple",
-    "fall": "topple",
-    "push": "move",
-    "roll": "roll",
-    "bounce": "bounce",
-    "return": "return",
-}
-"""What a further clause's verb says of how it ends."""
 FORWARD: dict[Family, Direction] = {"pull": "towards"}
 """Where a verb leads when nothing else says so."""
 
@@ -43,13 +32,15 @@ def request(clauses: Sequence[Clause], *, let: bool = False) -> Request | Refusa
     for clause in rest:
         if isinstance(found, Refusal):
             return found
-        found = _continued(found, _placed(clause))
+        found = continued(found, _placed(clause))
     return found if isinstance(found, Refusal) else _checked(found)
 
 
 def _lifted(lift: Clause, then: Clause) -> Clause:
     """``lift the can and drop it on the box`` is one goal of the second verb."""
-    what = lift.object or lift.subject
+    what, _, above = (lift.object or lift.subject).partition(" above ")
+    if above and not then.targets:
+        then = replace(then, targets=[("onto", above)])
     if then.subject in IT and then.object in IT:
         then = replace(then, subject="", object=what)
     elif then.object.split()[:1] == ["it"]:
@@ -74,25 +65,47 @@ def _placed(c: Clause) -> Clause:
 def _single(c: Clause, *, let: bool) -> Request | Refusal:
     """The request of one clause."""
     if c.verb == "several":
-        return _several()
-    c = _sides_of(c)
+        return several()
+    c = _left(_sides_of(c))
     targets = [t for t in c.targets if t[0] != "off" or c.family == "bounce"] or c.targets
     if len(targets) > 1:
         return _refused("several", "the goal names two targets; accepted: one")
-    if any(not words for _, words in targets):
-        return _refused("grammar", f"nothing is named after {quoted(spoken(targets[0][0]))}")
     c = replace(c, targets=targets)
-    if not c.object:
-        return _refused("grammar", f"the goal does not say what to {c.verb}; accepted: '{c.verb} the red cup ...'")
-    if refused := _unclear(c):
+    if refused := _unnamed(c) or _unclear(c):
         return refused
     return _of_family(c, let=let)
+
+
+def _left(c: Clause) -> Clause:
+    """``knock the can on the box off`` leaves the box."""
+    _, on, support = c.object.partition(" on ")
+    return replace(c, targets=[("off", support)]) if c.off and on and not c.targets else c
+
+
+def _unnamed(c: Clause) -> Refusal | None:
+    """What is missing: the object, a target, a name in it."""
+    if not c.object or c.object.split()[0] in RELATIONS | AT:
+        return _refused("grammar", f"the goal does not say what to {c.verb}; accepted: '{c.verb} the red cup ...'")
+    if (c.off or c.family == "collide") and not c.targets:
+        return _refused("grammar", f"the goal does not say {'off' if c.off else 'with'} what; accepted: a thing's name")
+    for preposition, words in c.targets:
+        if all(w in ORDERS for w in words.split()) and words:
+            found = f"{quoted(spoken(f'{preposition} {words}'))} names nothing"
+            return _refused("direction", f"{found}; accepted: {DIRECTIONS}, or a thing's name")
+        if not words or words.split()[0] in RELATIONS | AT:
+            return _refused(
+                "grammar", f"nothing is named after {quoted(spoken(preposition))}; accepted: a thing's name"
+            )
+    return None
 
 
 def _sides_of(c: Clause) -> Clause:
     """One pattern for ``hit Y with X``, ``X hits Y`` and ``X falls``: the object is set off."""
     over = c.over or c.family == "tip"
     hitting = c.family in ("hit", "push", "pull", "tip", "collide")
+    if c.family == "collide" and not c.targets and not c.tool and " and " in c.object:
+        first, _, second = c.object.partition(" and ")
+        return replace(c, object=first, targets=[("into", second)])
     if c.tool and c.family == "collide":
         return replace(c, subject="", object=c.subject or c.object, targets=[("into", c.tool)], tool="")
     if c.tool and hitting:
@@ -200,55 +213,12 @@ def _request(kind: Kind, c: Clause) -> Request:
     )
 
 
-def _continued(r: Request, c: Clause) -> Request | Refusal:
-    """A request with what a further clause adds: what comes of it, or where it ends."""
-    whose = _whose(c.subject or c.object, r)
-    if whose is None or (c.subject and c.object not in IT):
-        return _several()
-    if c.targets and r.target is None and c.family in ("fall", "throw", "drop", "return") and whose == "active":
-        preposition, target = c.targets[0]
-        kind = r.kind if r.kind != "launch_and_return" else "throw"
-        return replace(r, kind=kind, target=target, preposition=cast(Preposition, preposition))
-    if (
-        r.kind in ("throw", "launch_and_return")
-        and r.target is None
-        and c.family in ("fall", "return", "throw", "drop")
-    ):
-        return replace(r, kind="launch_and_return")
-    what = _outcome(c)
-    if what is None or c.targets or c.tool:
-        return _several()
-    if whose == "either":
-        whose = "target" if r.target and what in ("topple", "move") and r.kind != "topple" else "active"
-    return replace(r, outcome=Outcome(what=what, whose="target" if whose == "target" else "active"))
-
-
-def _outcome(c: Clause) -> What | None:
-    return "topple" if c.over else OUTCOMES.get(c.family)
-
-
-def _whose(subject: str, r: Request) -> str | None:
-    """Whether a clause is about the active object, the target, either, or neither (None)."""
-    if subject in IT:
-        return "active" if r.target is None else "either"
-    words = set(subject.split())
-    if r.target and words <= set(r.target.split()):
-        return "target"
-    return "active" if words <= set(r.active.split()) else None
-
-
 def _checked(r: Request) -> Request | Refusal:
     if contradict(r.direction):
         return _refused("contradiction", f"the goal leads {' and '.join(r.direction)} at once; accepted: one of them")
     if {"up", "down"} & set(r.direction) and r.kind in ("roll", "topple", "slide", "push_into"):
         return _refused("direction", f"{spoken(r.kind)} goes along the ground; accepted: left, right, away, towards me")
     return r
-
-
-def _several() -> Refusal:
-    return _refused(
-        "several", "the goal asks for more than one thing; accepted: one goal at a time, as 'push the cup left'"
-    )
 
 
 def _refused(reason: Reason, message: str) -> Refusal:

@@ -26,6 +26,8 @@ SPELLINGS: tuple[tuple[str, str], ...] = (
     (r"\b(?:right|just|directly|immediately) (?=(?:next to|beside|in front of|behind|under|on top)\b)", ""),
     (r"\b(?:that|which) (?:is|are|lies|stands|sits|rests) (?:(?:lying|standing|sitting|resting) )?", ""),
     (r"\b(?:lying|standing|sitting|resting|placed|located) (?=(?:on|in|next|beside|at|under|behind|near)\b)", ""),
+    (r"\b(left|right|front|back|rear) of (?:ground|floor|table|tabletop|desk|counter|photo|picture|image)\b", r"\1"),
+    (r"\b(?:whatever|anything that|something that) is\b", "thing"),
     (r"\b(?:(?:to|on|at) )?(left|right) of\b", r"\1-of"),
     (r"\b(?:on (?:the )?top of|atop|upon)\b", "on"),
     (r"\bon to\b", "onto"),

@@ -7,27 +7,30 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from f3sr.goals.amounts import amount_in, manner_in
-from f3sr.goals.clauses import Clause, clause, other, starts_clause
+from f3sr.goals.clauses import clause, other
 from f3sr.goals.kinds import request
 from f3sr.goals.refusal import Refusal, quoted
 from f3sr.goals.request import Request
+from f3sr.goals.scan import Clause, starts_clause
 from f3sr.goals.tokens import canonical, plain
 from f3sr.goals.verbs import BEFORE_INSTRUCTIONS, INJECTED, INSTRUCTIONS, NEGATIONS, SHOWN
 
 PADDING = (
     r"\||please|kindly|hey|hi|hello|ok|okay|now|well|then|first|just|simply|go ahead and|go and|lets|let us|to",
-    r"(?:can|could|would|will) (?:you|we)|(?:i|we) (?:want|would like|need) (?:you )?to(?: see)?",
-    r"id like (?:you )?to(?: see)?|try to|try and|attempt to|you (?:should|must)|we should",
+    r"(?:can|could|would|will) (?:you|we)|(?:i|we) (?:want|wish|need|would (?:like|love)) (?:you )?to(?: see)?",
+    r"id (?:like|love) (?:you )?to(?: see)?|try to|try and|attempt to|you (?:should|must)|we should",
     r"(?:your |the )?(?:task|goal) is to|what (?:happens )?if|imagine|show me(?: how)?|show",
+    r"(?:can|could|will|would)(?= (?:the|an?|my|it)\b)|\d{1,2} and then",
     r"make (?:it so|sure)(?: that)?|ensure(?: that)?|so that",
 )
 POLITE = re.compile(rf"^(?:(?:{'|'.join(PADDING)})(?: |$))+")
 """Before a goal, again and again; it changes nothing."""
 THANKS = re.compile(
-    r"(?: (?:please|thanks|thank you|for me|now|ok|okay|will you|would you|if you can|again|and|then|\|))+$"
+    r"(?: (?:please|thanks|thank you|for me|now|ok|okay|will you|would you|if you can|stop|again|and|then|\|))+$"
 )
 FRAME = re.compile(
-    r"^(?P<verb>i want|i would like|id like|we want|i need|make|let|have|get|cause|force|allow|watch|see) (?=\w)"
+    r"^(?P<verb>(?:i|we) (?:want|need|would (?:like|love))|id (?:like|love)|make|let|have|get|cause|force|allow|watch|"
+    r"see) (?=\w)"
 )
 """Before a subject that is to do something: ``make the ball roll``."""
 WHERE_IT_WAS = r"where it (?:was|started|came from|stood)|its (?:old |original |starting )?(?:place|spot|point)"
@@ -39,7 +42,8 @@ IDIOMS: tuple[tuple[str, str], ...] = (
     (r"\bsend (.{1,80}?) (rolling|flying|sliding|tumbling|falling)\b", r"\2 \1"),
     (r"\ball the way\b", " "),
     (r"\blet go of\b", "drop"),
-    (r"\blet (it|them) go\b", r"drop \1"),
+    (r"\blet (?:it |them )?go\b", "drop it"),
+    (r"^use (.{1,80}?) to (.+)$", r"\2 with \1"),
     (r"\b(?:pick|take|grab|lift|raise)(?: it)? up\b", "lift"),
     (r"\b(?:pick|grab|take) (.{1,80}?) up\b", r"lift \1"),
     (r"\b(?:lay|put|place|set|push|knock|tip|turn|roll) (.{1,80}?) (?:onto|on|to) its side\b", r"topple \1"),
