@@ -201,6 +201,15 @@ def test_a_label_names_before_it_describes():
     assert resolve("the left shoe", scene) == 2
 
 
+def test_descriptions_look_beyond_the_best_label():
+    things = [thing(0, "cup", at=(-0.2, 0, 0)), thing(1, "mug", at=(0.2, 0, 0)), thing(2, "mug", at=(0.4, 0, 0))]
+    scene = painted(replace(table(), objects=tuple(things), graph=SceneGraph()), {0: "red", 1: "red", 2: "blue"})
+    assert resolve("the cup", scene) == 0
+    assert resolve("the red cup", scene) == 0
+    assert resolve("the blue cup", scene) == 2
+    assert resolve("the rightmost cup", scene) == 2
+
+
 def test_a_label_with_and_is_one_thing():
     things = [thing(0, "macaroni and cheese", at=(0, 0, 0)), thing(1, "cheese", at=(0.3, 0, 0))]
     scene = painted(replace(table(), objects=tuple(things), graph=SceneGraph()), {})
@@ -359,6 +368,7 @@ REAL = {
     "real/ycb_table_1": {
         "the red cup": "mug",
         "the white bottle": "bleach cleanser",
+        "the bottle on the right": "bleach cleanser",
         "the soup can": "tomato soup can",
         "the pink box": "gelatin box",
         "the rightmost object": "bleach cleanser",

@@ -97,12 +97,21 @@ def _meant(words: str, sight: Sight) -> tuple[list[int], bool] | Refusal:
 
 
 def _matching(phrase: Phrase, sight: Sight) -> list[int] | Refusal:
-    """All objects that a phrase fits, at least one: names first, then colours and relations, order last."""
-    ids = _called(phrase, sight)
-    if not ids:
+    """All objects that a phrase fits, at least one. Where it describes, everything that might be called so is looked
+    at, and the best named of what remains is taken: the white bottle may be labelled a cleanser."""
+    best, any_ = _called(phrase, sight)
+    if not best:
         return _unknown(phrase, sight)
-    if ids == [GROUND]:
-        return ids
+    if best == [GROUND] or not (phrase.colours or phrase.relation or phrase.orders):
+        return best
+    found = _described(phrase, any_, sight)
+    if isinstance(found, Refusal):
+        return found
+    return [id for id in found if id in best] or found
+
+
+def _described(phrase: Phrase, ids: list[int], sight: Sight) -> list[int] | Refusal:
+    """Those of some objects that a phrase's adjectives fit: colours and relations first, order last."""
     coloured = [id for id in ids if all(set(NAMED[c]) & set(sight.colours(id)) for c in phrase.colours)]
     if not coloured:
         return _none_such(phrase, f"none of {len(ids)} is {' and '.join(phrase.colours)}", ids, sight)
@@ -130,21 +139,20 @@ def _in_order(phrase: Phrase, ids: list[int], sight: Sight) -> list[int] | Refus
     return ids
 
 
-def _called(phrase: Phrase, sight: Sight) -> list[int]:
-    """The objects that the phrase's names fit best."""
-    if phrase.id is not None:
-        return [o.id for o in sight.scene if o.id == phrase.id]
-    if not phrase.names:
-        return [o.id for o in sight.scene]
+def _called(phrase: Phrase, sight: Sight) -> tuple[list[int], list[int]]:
+    """The objects that the phrase's names fit best, and all that they fit but for those that share an adjective."""
+    everything = [o.id for o in sight.scene]
+    if phrase.id is not None or not phrase.names:
+        ids = [id for id in everything if phrase.id in (None, id)]
+        return ids, ids
     fits = {id: nouns.fit(phrase.names, label) for id, label in sight.labels.items()}
     known = {id: level for id, level in fits.items() if level is not None}
     if known:
         best = min(known.values())
-        return [id for id, level in known.items() if level == best]
+        return [id for id in known if known[id] == best], [id for id in known if known[id] in (best, 0, 2, 3)]
     name, *more = phrase.names
-    if more:
-        return []
-    return [GROUND] if name in nouns.GROUND_NAMES else _shaped(nouns.singular(name), sight)
+    ids = [GROUND] if name in nouns.GROUND_NAMES else _shaped(nouns.singular(name), sight)
+    return ([], []) if more else (ids, ids)
 
 
 def _shaped(name: str, sight: Sight) -> list[int]:

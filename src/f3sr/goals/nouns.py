@@ -18,6 +18,7 @@ jug pitcher
 pan frypan skillet fryingpan
 pot saucepan
 cube block
+lego duplo brick block
 brick block
 padlock lock
 wrench spanner
@@ -59,6 +60,9 @@ KINDS = {
     "fruit": "apple lemon orange strawberry banana pear peach plum lime kiwi mango melon grape",
     "food": "apple lemon orange strawberry banana pear peach plum cheese macaroni bread cake ketchup mustard soup meat",
     "bottle": "cleanser ketchup mustard shampoo windex detergent vinegar sauce",
+    "box": "macaroni cereal cracker gelatin tissue pizza",
+    "can": "soup spam tuna soda cola beer",
+    "silverware": "spoon fork knife",
     "tool": "hammer wrench spanner screwdriver pliers saw drill scissors spatula clamp",
     "vessel": "bowl cup mug pan pot glass vase jug bottle",
     "container": "bowl cup mug pan pot glass vase jug bottle box can bin basket bag tub",
