@@ -142,6 +142,8 @@ UNDERSTOOD = {
     "raise the mug by 30 cm and let it fall": asked("lift_and_drop", "mug", amount=cm(30)),
     "hold the apple above the bowl and let go": asked("lift_and_drop", "apple", ("onto", "bowl")),
     "lift the can, then let it go": asked("lift_and_drop", "can"),
+    "lift the can onto the box and drop it": asked("lift_and_drop", "can", ("onto", "box")),
+    "pick up the can on the box and drop it": asked("lift_and_drop", "can on box"),
     "carefully place the lemon inside the bowl": asked("lift_and_drop", "lemon", ("into", "bowl"), manner="gently"),
     # throw
     "throw the ball at the can": asked("throw", "ball", ("at", "can")),
@@ -152,6 +154,10 @@ UNDERSTOOD = {
     "take the apple and throw it at the can": asked("throw", "apple", ("at", "can")),
     "throw the ball so that it lands in the bowl": asked("throw", "ball", ("into", "bowl")),
     "make the ball fly over the box": asked("throw", "ball", ("over", "box")),
+    "throw the ball to the left and let it fall": asked("throw", "ball", None, "left"),
+    "throw the ball to the left so that it comes back": asked(
+        "throw", "ball", None, "left", outcome=Outcome(what="return", whose="active")
+    ),
     # bounce
     "bounce the ball off the box": asked("bounce", "ball", ("off", "box")),
     "bounce the trash bin into the microwave": asked("bounce", "trash bin", ("into", "microwave")),
@@ -196,6 +202,7 @@ REFUSED = {
     "lift the mug": "grammar",
     "put the mug": "grammar",
     "push the red mug left into": "grammar",
+    "hit the soup can with the apple with the bowl": "plural",
     "touch the box": "grammar",
     "pull the box out from under the can": "grammar",
     "roll the apple back and forth": "grammar",

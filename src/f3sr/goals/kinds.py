@@ -25,10 +25,10 @@ FORWARD: dict[Family, Direction] = {"pull": "towards"}
 
 def request(clauses: Sequence[Clause], *, let: bool = False) -> Request | Refusal:
     """The request of a goal's clauses; ``let``: said as ``let the ball fall``."""
-    first, rest = clauses[0], list(clauses[1:])
+    first, rest = _placed(clauses[0]), list(clauses[1:])
     if first.family == "lift" and rest:
-        first, rest = _lifted(first, rest[0]), rest[1:]
-    found = _single(_placed(first), let=let)
+        first, rest = _lifted(clauses[0], _placed(rest[0])), rest[1:]
+    found = _single(first, let=let)
     for clause in rest:
         if isinstance(found, Refusal):
             return found
@@ -39,16 +39,19 @@ def request(clauses: Sequence[Clause], *, let: bool = False) -> Request | Refusa
 def _lifted(lift: Clause, then: Clause) -> Clause:
     """``lift the can and drop it on the box`` is one goal of the second verb."""
     what, _, above = (lift.object or lift.subject).partition(" above ")
-    if above and not then.targets:
-        then = replace(then, targets=[("onto", above)])
-    if then.subject in IT and then.object in IT:
-        then = replace(then, subject="", object=what)
-    elif then.object.split()[:1] == ["it"]:
+    before = [("onto", above)] if above else [t for t in lift.targets if t[0] != "off"]
+    if then.object.split()[:1] == ["it"]:
         then = replace(then, object=" ".join([what, *then.object.split()[1:]]))
-    else:
-        return then if then.object == what else replace(then, verb="several")
+    elif then.subject in IT and then.object in IT:
+        then = replace(then, subject="", object=what)
+    elif then.object != what:
+        return replace(then, verb="several")
     family: Family = "put" if then.family in ("drop", "fall", "put", "lift") else then.family
-    return replace(then, verb="lift", family=family, directions=then.directions)
+    return replace(then, verb="lift", family=family, targets=then.targets or before)
+
+
+def _is_lifted(c: Clause) -> bool:
+    return c.verb == "lift" and c.family != "lift"
 
 
 def _placed(c: Clause) -> Clause:
@@ -93,9 +96,8 @@ def _unnamed(c: Clause) -> Refusal | None:
             found = f"{quoted(spoken(f'{preposition} {words}'))} names nothing"
             return _refused("direction", f"{found}; accepted: {DIRECTIONS}, or a thing's name")
         if not words or words.split()[0] in RELATIONS | AT:
-            return _refused(
-                "grammar", f"nothing is named after {quoted(spoken(preposition))}; accepted: a thing's name"
-            )
+            found = f"nothing is named after {quoted(spoken(preposition))}"
+            return _refused("grammar", f"{found}; accepted: a thing's name")
     return None
 
 
@@ -145,7 +147,7 @@ def _of_family(c: Clause, *, let: bool) -> Request | Refusal:
 def _dropped(c: Clause) -> Request | Refusal:
     if c.family == "lift" and not c.targets:
         return _refused("grammar", "nothing holds what is lifted; accepted: 'lift ... and drop it on ...'")
-    if c.family == "put" and c.verb != "lift" and not c.targets:
+    if c.family == "put" and not _is_lifted(c) and not c.targets:
         return _refused("grammar", f"the goal does not say where to {c.verb} it; accepted: on or into a thing")
     return _request("drop" if c.family == "drop" else "lift_and_drop", c)
 
@@ -184,15 +186,11 @@ def _fallen(c: Clause, *, let: bool, off: bool) -> Request | Refusal:
 def _unclear(c: Clause) -> Refusal | None:
     """A place beside another object, of which nobody can tell whether it says which one or where to."""
     relation = next((w for w in c.object.split() if w in RELATIONS and w != "with"), None)
-    if relation is None or c.family not in MOVED or c.targets or c.directions or c.over:
+    if relation is None or _is_lifted(c) or c.family not in MOVED or c.targets or c.directions or c.over:
         return None
     anchor = c.object.partition(f"{relation} ")[2]
-    if (
-        anchor in GROUND_NAMES
-        or anchor in ORDERS
-        or relation == "under"
-        or (relation.endswith("-to") and relation[0] != "n")
-    ):
+    told = relation in ("under", "nearest-to", "farthest-from")
+    if told or anchor in GROUND_NAMES or anchor in ORDERS:
         return None
     where = "into" if relation == "in" else "onto" if relation == "on" else "towards"
     message = (

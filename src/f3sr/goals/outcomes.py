@@ -35,13 +35,20 @@ def continued(r: Request, c: Clause) -> Request | Refusal:
     if c.targets and r.target is None and whose == "active":
         return _ended(r, c)
     if c.family in RETURNING and r.kind in ("throw", "launch_and_return") and r.target is None:
-        return replace(r, kind="launch_and_return")
+        return _fallen_back(r, c)
     what = _outcome(c)
     if what is None or c.targets or c.tool:
         return several()
     if whose == "either":
         whose = "target" if what in ("topple", "move") and r.kind != "topple" else "active"
     return replace(r, outcome=Outcome(what=what, whose="target" if whose == "target" else "active"))
+
+
+def _fallen_back(r: Request, c: Clause) -> Request:
+    """``throw it up and let it fall``; what is thrown aside falls anyway, and can at most be asked to return."""
+    if not set(r.direction) - {"up"}:
+        return replace(r, kind="launch_and_return")
+    return replace(r, outcome=Outcome(what="return", whose="active")) if c.family == "return" else r
 
 
 def _struck(c: Clause) -> str:

@@ -102,21 +102,17 @@ class Scan:
         word, then = self._word(), self._word(1)
         if word in VIEWER and self.role == "object" and not self.slot:
             return ["towards"], 1
-        if (
-            word == "and"
-            and self.clause.directions
-            and (then in HEADINGS or then in SIDES or then in ("to", "towards", "away-from"))
-        ):
+        further = then in HEADINGS or then in SIDES or then in ("to", "towards", "away-from")
+        if word == "and" and self.clause.directions and further:
             return [], 1
         if word in ("towards", "to", "at", "away-from") and then in VIEWER:
             return ["away" if word == "away-from" else "towards"], 2
-        if word not in HEADINGS or (
-            not self.slot and not self.clause.subject and word in ("closer", "nearer", "ahead")
-        ):
+        nearer = word in ("closer", "nearer")
+        if word not in HEADINGS or (nearer and not self.slot and not self.clause.subject):
             return None
-        if word in ("closer", "nearer") and then == "to" and self._word(2) not in VIEWER:
-            return None
-        return [HEADINGS[word]], 3 if word in ("closer", "nearer") and then == "to" else 1
+        if nearer and then == "to":
+            return (["towards"], 3) if self._word(2) in VIEWER else None
+        return [HEADINGS[word]], 1
 
     def _towards_side(self) -> tuple[list[Direction], int] | None:
         """``to the back left``, unless a noun follows: ``to the left cup``."""
@@ -217,6 +213,6 @@ class Scan:
         if self.role == "object":
             self.clause.object = phrase
         elif self.role == "with":
-            self.clause.tool = phrase
+            self.clause.tool = f"{self.clause.tool} and {phrase}" if self.clause.tool else phrase
         else:
             self.clause.targets.append((self.role, phrase))
