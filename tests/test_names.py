@@ -17,7 +17,7 @@ from f3sr.goals.nouns import distance, singular
 from f3sr.goals.refusal import Refusal
 from f3sr.goals.request import Request
 from f3sr.scene import GROUND, Node, Scene, SceneGraph
-from tables import RGB, camera_of, mirrored, painted, relabelled, table, thing
+from laid_table import RGB, camera_of, mirrored, painted, relabelled, table, thing
 
 MEANT = {
     # labels, head nouns, synonyms, kinds

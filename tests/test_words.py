@@ -15,7 +15,7 @@ from f3sr.goals.plan import Kind
 from f3sr.goals.refusal import Refusal
 from f3sr.goals.request import Outcome, Request
 from f3sr.goals.words import understand
-from tables import table
+from laid_table import table
 
 
 def asked(kind: Kind, active: str, into: tuple[str, str] | None = None, *way: str, **more: Any) -> Request:
@@ -105,6 +105,9 @@ UNDERSTOOD = {
     "I want the ball to knock the bottle over": asked("push_into", "ball", ("into", "bottle"), outcome=TOPPLES_TARGET),
     "make the ball hit the can": asked("push_into", "ball", ("into", "can")),
     "what happens if the ball hits the can?": asked("push_into", "ball", ("into", "can")),
+    "hit the bottle with the apple hard enough to knock it over": asked(
+        "push_into", "apple", ("into", "bottle"), manner="hard", outcome=TOPPLES_TARGET
+    ),
     "crash the box into the bottle hard": asked("push_into", "box", ("into", "bottle"), manner="hard"),
     "make the ball collide with the can": asked("push_into", "ball", ("into", "can")),
     "push the red mug so that it hits the bowl": asked("push_into", "red mug", ("into", "bowl")),
@@ -142,6 +145,7 @@ UNDERSTOOD = {
     "raise the mug by 30 cm and let it fall": asked("lift_and_drop", "mug", amount=cm(30)),
     "hold the apple above the bowl and let go": asked("lift_and_drop", "apple", ("onto", "bowl")),
     "lift the can, then let it go": asked("lift_and_drop", "can"),
+    "lift the can to the left and drop it": asked("lift_and_drop", "can", None, "left"),
     "lift the can onto the box and drop it": asked("lift_and_drop", "can", ("onto", "box")),
     "pick up the can on the box and drop it": asked("lift_and_drop", "can on box"),
     "carefully place the lemon inside the bowl": asked("lift_and_drop", "lemon", ("into", "bowl"), manner="gently"),
@@ -202,6 +206,8 @@ REFUSED = {
     "lift the mug": "grammar",
     "put the mug": "grammar",
     "push the red mug left into": "grammar",
+    "hit the soup can with the apple into the bowl": "several",
+    "push the red mug left and roll it right": "several",
     "hit the soup can with the apple with the bowl": "plural",
     "touch the box": "grammar",
     "pull the box out from under the can": "grammar",

@@ -47,7 +47,9 @@ def _lifted(lift: Clause, then: Clause) -> Clause:
     elif then.object != what:
         return replace(then, verb="several")
     family: Family = "put" if then.family in ("drop", "fall", "put", "lift") else then.family
-    return replace(then, verb="lift", family=family, targets=then.targets or before)
+    aside: list[Direction] = [d for d in lift.directions if d not in ("up", *then.directions)]
+    directions = [*aside, *then.directions]
+    return replace(then, verb="lift", family=family, targets=then.targets or before, directions=directions)
 
 
 def _is_lifted(c: Clause) -> bool:
@@ -109,11 +111,13 @@ def _sides_of(c: Clause) -> Clause:
         first, _, second = c.object.partition(" and ")
         return replace(c, object=first, targets=[("into", second)])
     if c.tool and c.family == "collide":
-        return replace(c, subject="", object=c.subject or c.object, targets=[("into", c.tool)], tool="")
+        return replace(c, subject="", object=c.subject or c.object, targets=[("into", c.tool), *c.targets], tool="")
     if c.tool and hitting:
-        return replace(c, object=c.tool, targets=[("into", c.object)], tool="", family="hit", over=over)
+        return replace(c, object=c.tool, targets=[("into", c.object), *c.targets], tool="", family="hit", over=over)
     if c.subject and c.object and hitting:
-        return replace(c, subject="", object=c.subject, targets=[("into", c.object)], family="hit", over=over)
+        return replace(
+            c, subject="", object=c.subject, targets=[("into", c.object), *c.targets], family="hit", over=over
+        )
     if c.subject and not c.object:
         return replace(c, subject="", object=c.subject)
     return c

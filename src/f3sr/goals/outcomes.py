@@ -30,6 +30,8 @@ def continued(r: Request, c: Clause) -> Request | Refusal:
     if (struck := _struck(c)) and r.target is None and _whose(c.subject, r) == "active":
         return _with_target(r, "onto" if r.kind in ("drop", "lift_and_drop") else "into", struck)
     whose = _whose(c.subject or c.object, r)
+    if set(c.directions) - {"up", "down", *r.direction}:
+        return several()
     if whose is None or (c.subject and c.object not in IT):
         return several()
     if c.targets and r.target is None and whose == "active":

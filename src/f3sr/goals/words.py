@@ -40,6 +40,7 @@ IDIOMS: tuple[tuple[str, str], ...] = (
     (r"\bgive (.{1,80}?) an? (?:hard|strong|big|good|firm) (\w+)", r"\2 \1 hard"),
     (r"\bgive (.{1,80}?) an? (\w+)", r"\2 \1"),
     (r"\bsend (.{1,80}?) (rolling|flying|sliding|tumbling|falling)\b", r"\2 \1"),
+    (r"\benough to\b", "and"),
     (r"\ball the way\b", " "),
     (r"\blet go of\b", "drop"),
     (r"\blet (?:it |them )?go\b", "drop it"),
