@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 from scipy.optimize import linprog
@@ -322,3 +324,41 @@ def test_a_sliver_between_two_facets_does_not_make_them_one():
     low, high = {tuple(-n): 0.0 for n in np.eye(3, dtype=int)}, {tuple(n): 1.0 for n in np.eye(3, dtype=int)}
     assert sides == pytest.approx(low | high)
     assert contact.overlap_depth(polytope, box(center=(0.5, 0.5, 1.45))) == pytest.approx(0.05)
+
+
+def polygon(rng: np.random.Generator) -> np.ndarray | None:
+    """A convex polygon's sides (k, 3) around a random middle; None where they do not close."""
+    angles = np.sort(rng.uniform(0, 2 * np.pi, rng.integers(3, 9)))
+    if np.diff(np.r_[angles, angles[0] + 2 * np.pi]).max() > 0.95 * np.pi:
+        return None
+    normals = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    heights = rng.uniform(0.3, 1.5) * rng.uniform(0.5, 1, len(angles))
+    return np.column_stack([normals, heights - normals @ rng.normal(scale=0.8, size=2)])
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_no_free_place_is_nearer(seed: int):
+    """Not even without slack, where rounding puts crossings of sides into the polygons that they belong to."""
+    rng = np.random.default_rng(seed)
+    polygons = [p for p in (polygon(rng) for _ in range(12)) if p is not None]
+    at = contact.nearest_free(polygons, 0.0)
+
+    def depth(x: np.ndarray) -> np.ndarray:
+        return np.max([(x @ p[:, :2].T + p[:, 2]).min(-1) for p in polygons], axis=0)
+
+    assert depth(at) < 1e-12 and (at.any() or depth(np.zeros(2)) <= 0)
+    angles, radii = np.meshgrid(np.linspace(0, 2 * np.pi, 721), np.linspace(0, 0.9999, 60) * np.linalg.norm(at))
+    nearer = np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=-1).reshape(-1, 2)
+    step = 2e-3 * np.linalg.norm(at)
+    assert not at.any() or depth(nearer).min() > -step, "a grid sees no free place that is wider than its step"
+
+
+def test_thousands_of_polygons_take_no_minutes():
+    rng = np.random.default_rng(0)
+    angles = np.linspace(0, 2 * np.pi, 9)[:-1]
+    around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    middles = rng.uniform(-1, 1, (4000, 2))
+    polygons = [np.column_stack([around, 0.1 - around @ m]) for m in middles]
+    start = time.process_time()
+    at = contact.nearest_free(polygons, 0.0)
+    assert 0.8 < np.abs(at).max() < 1.2 and time.process_time() - start < 5

@@ -497,31 +497,82 @@ def _polygon_sides(planes: Array) -> NDArray[np.int64]:
 def _nearest_free(planes: Array, starts: NDArray[np.int64], slack: float) -> Array:
     """The point nearest to the origin that lies in no polygon deeper than ``slack``.
 
-    Polygon p has the half-planes ``planes[starts[p]:starts[p + 1]]``, rows (unit normal, height). Candidates:
-    the feet of the origin on the lines, then the crossings of lines nearer than the best foot.
+    Polygon p has the half-planes ``planes[starts[p]:starts[p + 1]]``, rows (unit normal, height). That point lies on a
+    side of one of them: sides are gone through, the nearest first, and from the nearest point of each one goes along it
+    both ways, out of one polygon after the other, until it is free, ends, or is farther than what was found.
     """
-    order = np.argsort(np.abs(planes[:, 2]))
-    planes_near = planes[order]
+    if _is_free(0.0, 0.0, planes, starts, slack):
+        return np.zeros(2)
+    ends = np.empty((len(planes), 2))
+    near = np.empty(len(planes))
+    for p in range(len(starts) - 1):
+        for i in range(starts[p], starts[p + 1]):
+            ends[i] = _across(i, p, planes, starts, 0.0)
+            t = min(max(0.0, ends[i, 0]), ends[i, 1])
+            near[i] = np.sqrt(planes[i, 2] ** 2 + t * t) if ends[i, 0] <= ends[i, 1] else np.inf
     best, best_x, best_y = np.inf, 0.0, 0.0
-    for i in range(len(planes)):
-        x, y = -planes_near[i, 2] * planes_near[i, 0], -planes_near[i, 2] * planes_near[i, 1]
-        if _is_free(x, y, planes, starts, slack):
-            best, best_x, best_y = abs(planes_near[i, 2]), x, y
+    for i in np.argsort(near):
+        if near[i] >= best:
             break
-    for i in range(len(planes)):
-        ax, ay, ah = planes_near[i]
-        if abs(ah) >= best:
-            break
-        for j in range(i):
-            bx, by, bh = planes_near[j]
-            det = ax * by - ay * bx
-            if abs(det) < 1e-12:
-                continue
-            x, y = (ay * bh - by * ah) / det, (bx * ah - ax * bh) / det
-            distance = np.sqrt(x * x + y * y)
-            if distance < best and _is_free(x, y, planes, starts, slack):
-                best, best_x, best_y = distance, x, y
+        height = planes[i, 2]
+        for sign in (1.0, -1.0):
+            t = min(max(0.0, ends[i, 0]), ends[i, 1])
+            q = _inside(i, t, planes, starts, slack)
+            while q >= 0 and ends[i, 0] <= t <= ends[i, 1] and height * height + t * t < best * best:
+                a, b = _across(i, q, planes, starts, slack)
+                t = b if sign > 0 else a
+                q = _inside(i, t, planes, starts, slack)
+            distance = np.sqrt(height * height + t * t)
+            if q < 0 and ends[i, 0] <= t <= ends[i, 1] and distance < best:
+                best = distance
+                best_x, best_y = _on_line(i, t, planes)
     return np.array([best_x, best_y])
+
+
+@kernel
+def _on_line(i: int, t: float, planes: Array) -> tuple[float, float]:
+    """The point of a line at t from the origin's foot on it."""
+    nx, ny, h = planes[i]
+    return -h * nx - t * ny, -h * ny + t * nx
+
+
+@kernel
+def _across(i: int, p: int, planes: Array, starts: NDArray[np.int64], slack: float) -> tuple[float, float]:
+    """Where a line is in a polygon, deeper than ``slack``: from and to; a polygon's own side counts as in it."""
+    nx, ny, h = planes[i]
+    low, high = -np.inf, np.inf
+    for k in range(starts[p], starts[p + 1]):
+        if k == i:
+            continue
+        along = planes[k, 1] * nx - planes[k, 0] * ny
+        value = planes[k, 2] - h * (planes[k, 0] * nx + planes[k, 1] * ny) - slack
+        if abs(along) < 1e-12:
+            if value <= 0 and starts[p] <= i < starts[p + 1]:
+                continue
+            if value <= 0:
+                return np.inf, -np.inf
+        elif along > 0:
+            low = max(low, -value / along)
+        else:
+            high = min(high, -value / along)
+    return low, high
+
+
+@kernel
+def _inside(i: int, t: float, planes: Array, starts: NDArray[np.int64], slack: float) -> int:
+    """A polygon that a point of a line lies in, deeper than ``slack``; else -1."""
+    x, y = _on_line(i, t, planes)
+    for p in range(len(starts) - 1):
+        inside = not starts[p] <= i < starts[p + 1]
+        for k in range(starts[p], starts[p + 1]):
+            if planes[k, 0] * x + planes[k, 1] * y + planes[k, 2] <= slack:
+                inside = False
+                break
+        if inside:
+            a, b = _across(i, p, planes, starts, slack)
+            if a < t < b:
+                return p
+    return -1
 
 
 @kernel

@@ -131,7 +131,11 @@ def _better(
     which of the ``ids`` that were tried were undone."""
     was, now = state.ious, tried.ious
     groups = groups_of(state.scene, tried.scene, config.apart)
-    kept = [g for g in groups if _gain(g, was, now) > config.gain and (g & state.restless or not g & tried.restless)]
+    kept = [
+        g
+        for g in groups
+        if g.intersection(ids) and _gain(g, was, now) > config.gain and g & tried.restless <= state.restless
+    ]
     changed = {id for g in kept for id in g}
     mixed = Rested(
         scene=state.scene.with_objects(*(tried.scene[id] for id in sorted(changed))),

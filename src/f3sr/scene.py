@@ -20,6 +20,11 @@ GROUND = -1
 Mobility = Literal["dynamic", "fixed"]
 
 
+def name_of(id: int) -> str:
+    """In decisions, which know no labels."""
+    return "the ground" if id == GROUND else f"object {id}"
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Photo:
     """The photo, (height, width, 3) uint8 sRGB."""

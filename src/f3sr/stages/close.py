@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from functools import cached_property
@@ -26,6 +27,8 @@ from f3sr.settings import settings
 
 TOUCHING = 3e-6
 """Gap [m] that counts as contact while something is lowered."""
+TRIES = 2
+"""Times that an object is lowered that spoils a group; then the others are, without it."""
 STEPS = 24
 """Contacts that are cut free, one after the other, while one object is lowered."""
 
@@ -44,8 +47,12 @@ class CloseConfig:
     """How far from a contact the mesh is looked for, as a share of the same size: parts hardly stand off farther."""
     clearance: Annotated[float, Interval(ge=0, le=0.01)] = 3.2e-4
     """Gap left below what is lowered [m], as in ``separate``: two margins of physics."""
-    rounds: Annotated[int, Interval(ge=0, le=10)] = 2
-    """Most times that objects are lowered and settled: settling tilts them onto other contacts."""
+    added: Annotated[int, Interval(ge=0, le=1000)] = 64
+    """Most convex parts that one object gets more by splits in one closing: as many as it has at most from the start.
+    Crumpled meshes are hollow wherever they are touched, and every part costs time of physics."""
+    rounds: Annotated[int, Interval(ge=0, le=10)] = 3
+    """Most times that objects are lowered and settled: settling tilts them onto other contacts. What spoils a group in
+    two of them is left as it is in the third."""
     loss: Annotated[float, Interval(ge=0, le=1)] = 0.02
     """What the visible IoU of a group of objects that touch may lose in the mean: how well places in the picture are
     known. What loses more rolled away on the way down and is put back."""
@@ -65,14 +72,16 @@ def close(
     """
     config = config or CloseConfig()
     start, gaps = scene, _gaps(scene)
-    decisions: list[Decision] = []
+    decisions, spoilt = list[Decision](), Counter[int]()
     for k in range(config.rounds):
-        tried = lowered(scene, replace(config, radius=min(0.5, config.radius * 2**k)))
+        wider = replace(config, radius=min(0.5, config.radius * 2**k))
+        tried = lowered(scene, wider, but={id for id, times in spoilt.items() if times >= TRIES})
         changed = frozenset(o.id for o in scene if tried[o.id] is not o)
         if not changed:
             break
-        scene, told = _better(scene, tried, changed, config, settled)
+        scene, told, spoiling = _better(scene, tried, changed, config, settled)
         decisions += told
+        spoilt.update(spoiling)
     after = _gaps(scene)
     measures = [
         Measure(name="gap below", before=1000 * gaps[o.id], after=1000 * after[o.id], unit="mm", about=o.id)
@@ -96,29 +105,39 @@ def _gap(o: SceneObject, scene: Scene) -> float:
 
 def _better(
     before: Scene, tried: Scene, changed: frozenset[int], config: CloseConfig, settled: Callable[[Scene], Rested]
-) -> tuple[Scene, list[Decision]]:
-    """``before`` with those groups of objects as tried, once settled, that rest and are still seen. What has no part in
-    it is not settled again."""
+) -> tuple[Scene, list[Decision], frozenset[int]]:
+    """``before`` with those groups of objects as tried, once settled, that rest and are still seen; and which objects
+    spoil the others. What has no part in it is not settled again."""
     moving = frozenset(id for g in groups_of(before, tried, config.apart) if g & changed for id in g)
     rested = settled(replace(tried, objects=tuple(o for o in tried if o.id in moving)))
     after = tried.with_objects(*rested.scene)
     was, now = visible_ious(before), visible_ious(after)
-    scene, decisions = before, list[Decision]()
+    scene, decisions, spoiling = before, list[Decision](), set[int]()
     for group in groups_of(before, after, config.apart):
         if not group & changed:
             continue
-        loss = float(np.mean([was[id] - now[id] for id in group]))
+        losses = {id: was[id] - now[id] for id in sorted(group)}
+        loss = float(np.mean(list(losses.values())))
         reason = f"visible IoU of the group {-loss:+.4f}"
-        if restless := sorted(group & rested.restless):
-            reason += f", and object {', '.join(map(str, restless))} does not come to rest"
+        restless, apart = group & rested.restless, group - moving
+        if restless:
+            reason += f", and object {_named(restless)} does not come to rest"
+        if apart:
+            reason += f", and object {_named(apart)}, which was not settled with it, is touched"
         allowed = max(config.loss, config.worth * _closed(before, after, group & changed))
-        is_better = not restless and loss <= allowed and group <= moving
+        is_better = not restless and not apart and loss <= allowed
         verdict = "accepted" if is_better else "rolled back"
-        names = ", ".join(map(str, sorted(group & changed)))
-        decisions.append(Decision(choice=f"colliders cut back of object {names}: {verdict}", reason=reason))
+        choice = f"colliders cut back of object {_named(group & changed)}: {verdict}"
+        decisions.append(Decision(choice=choice, reason=reason))
         if is_better:
             scene = scene.with_objects(*(after[id] for id in sorted(group)))
-    return scene, decisions
+        else:
+            spoiling |= restless or {id for id, lost in losses.items() if lost > allowed}
+    return scene, decisions, frozenset(spoiling)
+
+
+def _named(ids: Collection[int]) -> str:
+    return ", ".join(map(str, sorted(ids)))
 
 
 def _closed(before: Scene, after: Scene, ids: Collection[int]) -> float:
@@ -127,15 +146,15 @@ def _closed(before: Scene, after: Scene, ids: Collection[int]) -> float:
     return was - now
 
 
-def lowered(scene: Scene, config: CloseConfig) -> Scene:
-    """The scene with everything lowered, supports first, that nowhere touches what it rests on.
+def lowered(scene: Scene, config: CloseConfig, *, but: Collection[int] = ()) -> Scene:
+    """The scene with everything lowered, supports first, that nowhere touches what it rests on, ``but`` some objects.
 
     An object goes down with all it carries until colliders meet; they are cut back there, and so on until its mesh
     meets what is below. Objects for which nothing was to be done stay the same values.
     """
     layout = _Layout(scene, config)
     for id in supports_first({o.id: o.supported_by for o in scene}):
-        if scene[id].supported_by is not None:
+        if scene[id].supported_by is not None and id not in but:
             layout.lower(id)
     return scene.with_objects(*(body.now for body in layout.bodies.values()))
 
@@ -145,7 +164,7 @@ class _Layout:
 
     def __init__(self, scene: Scene, config: CloseConfig) -> None:
         self.scene, self.config = scene, config
-        self.bodies = {o.id: _Lowered(o) for o in scene}
+        self.bodies = {o.id: _Lowered(o, len(o.parts) + config.added) for o in scene}
 
     def lower(self, id: int) -> None:
         """Lower an object with all it carries until its mesh meets another one, or nothing more can be cut back."""
@@ -216,8 +235,8 @@ class _Layout:
 class _Lowered:
     """An object while it is lowered and its colliders are cut back; points and lengths are in the world."""
 
-    def __init__(self, o: SceneObject) -> None:
-        self._start, self._drop = o, 0.0
+    def __init__(self, o: SceneObject, most: int) -> None:
+        self._start, self._drop, self._most = o, 0.0, most
         self.now = o
         """The object as it is by now."""
 
@@ -272,6 +291,8 @@ class _Lowered:
 
     def _trim(self, there: Place, near: Near) -> bool:
         parts = trim.trimmed(self._surface, self.now.parts, there, near.scaled(1 / self.now.scale))
+        if len(parts) > self._most:
+            return False
         if len(parts) == len(self.now.parts) and all(a is b for a, b in zip(parts, self.now.parts, strict=True)):
             return False
         self._change(replace(self.now, parts=parts))

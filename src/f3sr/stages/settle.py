@@ -13,7 +13,7 @@ from f3sr import physics
 from f3sr.frames import Array, invert_pose, rotation_angle
 from f3sr.physics import PhysicsConfig, SettleConfig
 from f3sr.report import Decision, Measure, Report
-from f3sr.scene import Scene, SceneObject, Support
+from f3sr.scene import Scene, SceneObject, Support, name_of
 from f3sr.settings import settings
 
 DRIFT = "undamped drift"
@@ -47,7 +47,7 @@ def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene
             )
         )
     moved = tuple(_at(o, result.T_world_object[o.id]) for o in scene)
-    if result.at_rest:
+    if not result.exploded:
         moved = tuple(_carried(o, result.loads, config.min_share) for o in moved)
         decisions += _changed_supports(scene.objects, moved)
     measures = [
@@ -84,13 +84,17 @@ def _carried(o: SceneObject, loads: Mapping[tuple[int, int], float], min_share: 
 def _changed_supports(before: Sequence[SceneObject], after: Sequence[SceneObject]) -> list[Decision]:
     return [
         Decision(
-            choice=f"rests on {b.supported_by}, not on {a.supported_by} as the photo suggested",
-            reason=", ".join(f"{s.id}: {100 * s.share:.0f}% of the load" for s in b.supports),
+            choice=f"rests on {name_of(b.supports[0].id)}, not on {_name(a.supported_by)} as before physics",
+            reason=", ".join(f"{name_of(s.id)}: {100 * s.share:.0f}% of the load" for s in b.supports),
             about=b.id,
         )
         for a, b in zip(before, after, strict=True)
         if a.supported_by != b.supported_by
     ]
+
+
+def _name(id: int | None) -> str:
+    return "something unseen" if id is None else name_of(id)
 
 
 def _at(o: SceneObject, T_world_object: Array) -> SceneObject:

@@ -70,10 +70,6 @@ class Known:
         return (here[..., 2] - top) * np.minimum(level, top_level)
 
 
-def name_of(id: int) -> str:
-    return "the ground" if id == GROUND else f"object {id}"
-
-
 def leads(start: int, goal: int, steps: Mapping[int, Collection[int]]) -> bool:
     """Whether steps from id to id lead from ``start`` to ``goal``."""
     seen, left = {start}, [start]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from f3sr.report import Decision, Measure, Report
-from f3sr.scene import GROUND, Scene
+from f3sr.scene import Scene, name_of
 from f3sr.stages.separate.apart import part
 from f3sr.stages.separate.config import SeparateConfig
 from f3sr.stages.separate.layout import Layout
@@ -46,7 +46,7 @@ def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene,
     decisions += told
     left = layout.collisions()
     decisions += [
-        Decision(choice=f"still overlaps {_name(b)} after separation", reason="no free place found", about=a)
+        Decision(choice=f"still overlaps {name_of(b)} after separation", reason="no free place found", about=a)
         for a, b in left
     ]
     height = 1000 * float(came.camera.center[2] - scene.camera.center[2])
@@ -57,7 +57,3 @@ def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene,
         Measure(name="scale along viewing rays", after=layout.scale[o.id], before=1.0, about=o.id) for o in scene
     ]
     return layout.moved_scene(), Report(stage="separate", measures=tuple(measures), decisions=tuple(decisions))
-
-
-def _name(id: int) -> str:
-    return "the ground" if id == GROUND else f"object {id}"

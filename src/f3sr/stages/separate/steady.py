@@ -53,7 +53,7 @@ def steady(layout: Layout, config: SeparateConfig) -> tuple[list[Measure], list[
 
 def _falls(id: int) -> Decision:
     return Decision(
-        choice="left to fall where physics takes it",
-        reason="statics: no forces at its contacts balance its weight, and no shift within bounds helps",
+        choice="left to physics: by statics it moves from here",
+        reason="no forces at its contacts balance its weight, and no shift within bounds helps; settle says how far",
         about=id,
     )
