@@ -54,8 +54,8 @@ def topple(
         return None
     about = float(axis @ inertia @ axis) + mass * float(arm @ arm)
     needed = mass * GRAVITY * (float(np.linalg.norm(arm)) - arm[2])
-    spin = math.sqrt(2 * surplus * needed / about) * axis
-    return Twist(linear=np.cross(spin, arm), angular=spin)
+    spin: Array = math.sqrt(2 * surplus * needed / about) * axis
+    return Twist(linear=np.asarray(np.cross(spin, arm), float), angular=spin)
 
 
 def throw(start: Array, target: Array, apex: float) -> tuple[Array, float]:
