@@ -29,7 +29,7 @@ from f3sr.export.scene_json import (
 )
 from f3sr.frames import Camera
 from f3sr.images import open_image
-from f3sr.mesh import ConvexPart, Mesh
+from f3sr.mesh import ConvexPart, MassProperties, Mesh
 from f3sr.mesh_io import load_mesh
 from f3sr.physics import DEFAULT_PHYSICS, PhysicsConfig, body_of
 from f3sr.place import MASKS, PAGE, PHOTO, claimed, is_package, prepare_output
@@ -221,6 +221,11 @@ def _read_object(folder: Path, record: ObjectRecord, size: tuple[int, int]) -> S
         parts=tuple(_read_part(folder, path) for path in record.collision),
         mobility=record.mobility,
         density=record.density,
+        solid=MassProperties(
+            volume=record.mass / record.density,
+            center=np.array(record.center_of_mass),
+            inertia=np.array(record.inertia) / record.density,
+        ),
         friction=record.friction,
         rolling_friction=record.rolling_friction,
         restitution=record.restitution,
@@ -258,9 +263,15 @@ def _read_mesh(folder: Path, path: str) -> Mesh:
     return load_mesh(_inside(folder, path))
 
 
+DENT = 1e-4
+"""Share of the volume of its hull that a part may lack, by rounding, and be taken as it is written."""
+
+
 def _read_part(folder: Path, path: str) -> ConvexPart:
+    """As it is written, so that physics is the same to the bit; the hull of what is not convex."""
     mesh = _read_mesh(folder, path)
     try:
-        return mesh.hull
+        part, hull = ConvexPart(vertices=mesh.vertices, faces=mesh.faces), mesh.hull
+        return part if abs(part.volume - hull.volume) <= DENT * hull.volume else hull
     except ValueError as error:
         raise InputError(folder / path, found=str(error), accepted="a convex part with a volume") from None

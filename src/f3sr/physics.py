@@ -11,6 +11,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from annotated_types import Interval
 
+from f3sr import restitution
 from f3sr.frames import Array, pose, quaternion_from_rotation, rotation_from_quaternion
 from f3sr.mesh import ConvexPart, MassProperties, Mesh, solid_properties
 from f3sr.scene import GROUND, SceneObject
@@ -115,6 +116,8 @@ class Body:
     """True when the mass is that of the visual mesh, False when of the union of the parts."""
     friction: tuple[float, float, float]
     """Sliding, torsional, rolling."""
+    solref: tuple[float, float] | None
+    """Of the contacts of what bounces; None where the model's own hold."""
     parts: tuple[ConvexPart, ...]
 
 
@@ -161,7 +164,7 @@ def body_name(id: int) -> str:
 
 def body_of(o: SceneObject, config: PhysicsConfig = DEFAULT_PHYSICS) -> Body:
     """The rigid body of an object: mass and inertia of its solid at its density, its parts in metres."""
-    solid, from_mesh = _solid(o.mesh, o.parts or (o.mesh.hull,))
+    solid, from_mesh = _solid(o.mesh, o.parts or (o.mesh.hull,)) if o.solid is None else (o.solid, o.mesh.is_solid)
     scale = np.diag([o.scale, o.scale, o.scale, 1.0])
     return Body(
         name=body_name(o.id),
@@ -172,6 +175,7 @@ def body_of(o: SceneObject, config: PhysicsConfig = DEFAULT_PHYSICS) -> Body:
         inertia=o.density * solid.inertia * o.scale**5,
         from_mesh=from_mesh,
         friction=(o.friction, config.torsional_friction, o.rolling_friction),
+        solref=restitution.solref(o.restitution),
         parts=tuple(part.moved(scale) for part in o.solids),
     )
 
@@ -219,7 +223,7 @@ def settle(
     run = _Settling(model, settling)
     data, calm = mujoco.MjData(model), False
     drifts = np.full(len(objects), np.inf)
-    with _silent():
+    with silent():
         for _ in range(settling.rounds):
             run.until_rest(data)
             drifts, calm = np.zeros(len(objects)), not run.exploded
@@ -276,7 +280,7 @@ def release(objects: Sequence[SceneObject], *, true_scale: float = 1.0, seconds:
     model = _release_spec(objects, true_scale).compile()
     data = mujoco.MjData(model)
     K_max = D_max = 0.0
-    with _silent():
+    with silent():
         mujoco.mj_forward(model, data)
         centers = data.xipos[1:].copy()
         for step in range(int(seconds / model.opt.timestep)):
@@ -371,6 +375,8 @@ def _add_body(
             friction=body.friction,
             **_contact(config, margin),
         )
+        if body.solref is not None:
+            geom.solref, geom.priority = body.solref, 1
         if even_density is None:
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # takes thin parts too
         else:
@@ -497,7 +503,7 @@ def _pose_of(model: MjModel, data: MjData, o: SceneObject) -> Array:
 
 
 @contextmanager
-def _silent() -> Generator[None]:
+def silent() -> Generator[None]:
     """MuJoCo's warnings go to a log file in the working folder unless somebody takes them."""
     mujoco = engine()
     before = mujoco.get_mju_user_warning()

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.frames import Array, Camera, frozen, transform
-from f3sr.mesh import ConvexPart, Mesh
+from f3sr.mesh import ConvexPart, MassProperties, Mesh
 
 GROUND = -1
 """The id of the ground in supports and contacts."""
@@ -120,6 +120,9 @@ class SceneObject:
     mobility: Mobility = "dynamic"
     density: float = 600.0
     """[kg/m3]"""
+    solid: MassProperties | None = None
+    """Volume, centre and inertia per density of its solid in its own frame at scale 1, where a package tells them; else
+    they are those of the mesh or its proxies."""
     friction: float = 0.6
     rolling_friction: float = 0.001
     restitution: float = 0.0

@@ -127,6 +127,8 @@ def _collision(asset: ET.Element, node: ET.Element, body: Body, id: int) -> None
         name = f"{body.name}_{k:02d}"
         ET.SubElement(asset, "mesh", name=name, file=collision_path(id, k), inertia="shell")
         attributes = {"type": "mesh", "mesh": name, "friction": _text(body.friction)}
+        if body.solref is not None:
+            attributes |= {"solref": _text(body.solref), "priority": "1"}
         ET.SubElement(node, "geom", {"class": "collision"}, name=name, **attributes)
 
 

@@ -16,14 +16,16 @@ BLOCK = 20_000
 
 
 def part_to_obj(part: ConvexPart) -> str:
-    """A convex part in its own frame; coordinates survive to 12 digits."""
-    return to_obj(part.vertices, part.faces)
+    """A convex part in its own frame, in single precision and exactly: MuJoCo takes meshes in single precision from
+    memory and in double from files, and both are to see the same."""
+    return to_obj(part.vertices.astype(np.float32).astype(float), part.faces, digits=17)
 
 
-def to_obj(vertices: Array, faces: NDArray[np.int32], uv: Array | None = None) -> str:
+def to_obj(vertices: Array, faces: NDArray[np.int32], uv: Array | None = None, *, digits: int = 12) -> str:
     """Vertices (n, 3), triangles (m, 3) and, per vertex, texture coordinates (n, 2) with v upwards."""
     corners = (faces + 1).astype(np.int64)
-    text = [*_rows("v %.12g %.12g %.12g\n", vertices)]
+    number = f"%.{digits}g"
+    text = [*_rows(f"v {number} {number} {number}\n", vertices)]
     if uv is None:
         text += _rows("f %d %d %d\n", corners)
     else:

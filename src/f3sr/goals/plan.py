@@ -1,0 +1,280 @@
+"""plan.json: what a goal asks for, what things are made of, how the active one is set off, what must come of it.
+
+Every number has a limit; those that depend on the scene are checked by ``limits.check``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from f3sr import strict_json
+from f3sr.export.scene_json import Id, IdOrGround, Number, Positive, Share, Vector3, dump_json
+from f3sr.scene import Mobility
+
+SCHEMA_VERSION = 1
+
+Kind = Literal[
+    "topple",
+    "slide",
+    "push_into",
+    "roll",
+    "drop",
+    "lift_and_drop",
+    "throw",
+    "bounce",
+    "launch_and_return",
+]
+Seconds = Annotated[float, Field(ge=0, le=60, allow_inf_nan=False)]
+Metres = Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)]
+Angle = Annotated[float, Field(ge=0, le=math.pi, allow_inf_nan=False)]
+Words = Annotated[str, Field(max_length=2000)]
+Source = Literal["words", "label", "default", "scene"]
+"""Where a property was found: in the goal's words, by the object's label, nowhere, or in the package."""
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+# --- what must come of it -----------------------------------------------------------------------------------------
+
+
+class _Condition(_Record):
+    after: Annotated[int, Field(ge=0)] | None = None
+    """Index of an earlier condition: this one's event counts only from that one's event on."""
+    within: Seconds | None = None
+    """Latest time of the event [s]."""
+
+
+class Contact(_Condition):
+    """Two objects touch, or one the ground."""
+
+    type: Literal["contact"] = "contact"
+    a: Id
+    b: IdOrGround
+
+
+class Displaced(_Condition):
+    """The centre of mass is moved at least so far, along a direction of the world where one is given."""
+
+    type: Literal["displaced"] = "displaced"
+    a: Id
+    at_least: Metres
+    direction: Vector3 | None = None
+
+
+class Toppled(_Condition):
+    """What was up leans at least so far from the vertical that it had."""
+
+    type: Literal["toppled"] = "toppled"
+    a: Id
+    at_least: Angle = math.radians(60)
+
+
+class On(_Condition):
+    """At the end one object is carried by another, or by the ground."""
+
+    type: Literal["on"] = "on"
+    a: Id
+    b: IdOrGround
+
+
+class Inside(_Condition):
+    """At the end the centre of mass of one is inside the hull of the other."""
+
+    type: Literal["inside"] = "inside"
+    a: Id
+    b: Id
+
+
+class AtRest(_Condition):
+    """At the end it moves slower than so much, over the last fifth of a second."""
+
+    type: Literal["at_rest"] = "at_rest"
+    a: Id
+    speed: Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)] = 0.02
+
+
+class Height(_Condition):
+    """The centre of mass rises at least so far above where it was."""
+
+    type: Literal["height"] = "height"
+    a: Id
+    at_least: Metres
+
+
+class Returned(_Condition):
+    """The centre of mass comes back to within so far of where it was."""
+
+    type: Literal["returned"] = "returned"
+    a: Id
+    to_within: Metres
+
+
+Condition = Annotated[
+    Contact | Displaced | Toppled | On | Inside | AtRest | Height | Returned, Field(discriminator="type")
+]
+
+
+class TaskSpec(_Record):
+    """What the words ask for (the Planner's answer)."""
+
+    kind: Kind
+    active: Id
+    """The one object that is set off."""
+    target: IdOrGround | None = None
+    passives: tuple[Id, ...] = ()
+    """Other objects that the words name; they stay free."""
+    direction: Vector3 | None = None
+    """Unit vector of the world."""
+    phases: tuple[Words, ...] = ()
+    """What causes what, in order, in words."""
+    conditions: Annotated[tuple[Condition, ...], Field(min_length=1, max_length=16)]
+    interpretation: Words
+    assumptions: tuple[Words, ...] = ()
+
+    @model_validator(mode="after")
+    def _in_order(self) -> TaskSpec:
+        for k, condition in enumerate(self.conditions):
+            if condition.after is not None and condition.after >= k:
+                raise ValueError(f"condition {k} is after {condition.after}; accepted: an earlier one")
+        if self.target == self.active or self.active in self.passives:
+            raise ValueError(f"object {self.active} is active; accepted: another one as target or passive")
+        return self
+
+
+# --- what things are ----------------------------------------------------------------------------------------------
+
+
+class Semantics(_Record):
+    """What an object is to physics (the Reasoner's answer)."""
+
+    id: Id
+    material: Annotated[str, Field(max_length=80)]
+    structure: Literal["solid", "hollow"]
+    mass: Positive
+    """[kg]"""
+    density: Annotated[float, Field(ge=1, le=25_000, allow_inf_nan=False)]
+    """[kg/m3] of its solid's volume, air inside included."""
+    friction: Annotated[float, Field(ge=0, le=4, allow_inf_nan=False)]
+    rolling_friction: Annotated[float, Field(ge=0, le=0.1, allow_inf_nan=False)]
+    """[m]"""
+    restitution: Share
+    mobility: Mobility
+    source: Source
+
+
+# --- how it is set off --------------------------------------------------------------------------------------------
+
+
+class Offset(_Record):
+    """An object starts elsewhere than the package has it: shifted [m], then turned about its centre of mass by a
+    rotation vector [rad]."""
+
+    id: Id
+    translation: Vector3 = (0.0, 0.0, 0.0)
+    rotation: Vector3 = (0.0, 0.0, 0.0)
+
+
+class Velocity(_Record):
+    """Of the centre of mass [m/s] and of turning [rad/s], both in the world, at the start."""
+
+    id: Id
+    linear: Vector3 = (0.0, 0.0, 0.0)
+    angular: Vector3 = (0.0, 0.0, 0.0)
+
+
+class Impulse(_Record):
+    """Given to an object at a time [s]: of its centre of mass [N s], and of turning about it [N m s], both in the
+    world."""
+
+    id: Id
+    time: Seconds
+    linear: Vector3 = (0.0, 0.0, 0.0)
+    angular: Vector3 = (0.0, 0.0, 0.0)
+
+
+class InitialConditions(_Record):
+    offsets: tuple[Offset, ...] = ()
+    velocities: tuple[Velocity, ...] = ()
+    impulses: Annotated[tuple[Impulse, ...], Field(max_length=64)] = ()
+
+    @model_validator(mode="after")
+    def _once(self) -> InitialConditions:
+        for name in ("offsets", "velocities"):
+            ids = [one.id for one in getattr(self, name)]
+            if len(set(ids)) < len(ids):
+                raise ValueError(f"{name} of objects {ids}; accepted: one per object")
+        return self
+
+    @property
+    def controlled(self) -> frozenset[int]:
+        return frozenset(one.id for one in (*self.offsets, *self.velocities, *self.impulses))
+
+
+class SimulationPlan(_Record):
+    """How it is simulated."""
+
+    duration: Annotated[float, Field(gt=0, le=30, allow_inf_nan=False)]
+    """[s]"""
+    timestep: Annotated[float, Field(gt=0, le=0.002, allow_inf_nan=False)] = 1 / 960
+    """[s]"""
+    steps_per_sample: Annotated[int, Field(ge=1, le=1000)] = 32
+    """A sample every so many steps: 30 in a second."""
+
+
+class Plan(_Record):
+    """Everything that decides a rollout of one scene."""
+
+    schema_version: Literal[1] = SCHEMA_VERSION
+    goal: Words
+    scene: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    """SHA-256 of the package's scene.json: a plan belongs to one scene."""
+    task: TaskSpec
+    semantics: tuple[Semantics, ...]
+    """Of every object, in the order of the scene."""
+    initial: InitialConditions
+    simulation: SimulationPlan
+
+
+def plan_schema() -> dict[str, Any]:
+    """JSON Schema of plan.json."""
+    return Plan.model_json_schema()
+
+
+def to_json(plan: Plan) -> bytes:
+    return dump_json(plan.model_dump(mode="json"))
+
+
+def from_json(data: bytes) -> Plan:
+    """The plan of a text; ValueError says what is wrong with it."""
+    return Plan.model_validate(strict_json.loads(data))
+
+
+__all__ = [
+    "AtRest",
+    "Condition",
+    "Contact",
+    "Displaced",
+    "Height",
+    "Impulse",
+    "InitialConditions",
+    "Inside",
+    "Kind",
+    "Number",
+    "Offset",
+    "On",
+    "Plan",
+    "Returned",
+    "Semantics",
+    "SimulationPlan",
+    "TaskSpec",
+    "Toppled",
+    "Velocity",
+    "from_json",
+    "plan_schema",
+    "to_json",
+]

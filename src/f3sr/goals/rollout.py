@@ -1,0 +1,84 @@
+"""The rollout: where every object is at every sample, and what touched what how hard in between."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.errors import InputError, reason
+from f3sr.frames import Array, frozen
+
+CONTACT = np.dtype([("time", np.float64), ("a", np.int64), ("b", np.int64), ("force", np.float64)])
+"""A row of ``contacts``: time [s] of the largest normal force [N] between two ids since the sample before, the ground
+GROUND and first, else the lower id."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Rollout:
+    """``time`` (T,) [s], ``ids`` (N,), ``T_world_object`` (T, N, 4, 4), ``contacts`` (C,) of CONTACT, by time."""
+
+    time: Array
+    ids: NDArray[np.int64]
+    T_world_object: Array
+    contacts: NDArray[Any]
+
+    def __post_init__(self) -> None:
+        T, N = len(self.time), len(self.ids)
+        if self.T_world_object.shape != (T, N, 4, 4) or self.contacts.dtype != CONTACT:
+            raise ValueError(f"poses {self.T_world_object.shape} of {T} times and {N} ids")
+        for name, dtype in (("time", float), ("ids", np.int64), ("T_world_object", float), ("contacts", CONTACT)):
+            object.__setattr__(self, name, frozen(getattr(self, name), dtype))
+
+    def poses(self, id: int) -> Array:
+        """(T, 4, 4) of an object."""
+        return self.T_world_object[:, self.row(id)]
+
+    def row(self, id: int) -> int:
+        found = np.flatnonzero(self.ids == id)
+        if not len(found):
+            raise KeyError(f"no object {id}; the rollout has {self.ids.tolist()}")
+        return int(found[0])
+
+    def touches(self, a: int, b: int) -> NDArray[Any]:
+        """Rows of ``contacts`` between two ids, by time."""
+        low, high = sorted((a, b))
+        return self.contacts[(self.contacts["a"] == low) & (self.contacts["b"] == high)]
+
+
+def to_npz(rollout: Rollout) -> bytes:
+    """The arrays as a zip of .npy files, the same bytes for the same values."""
+    with io.BytesIO() as file:
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
+            for name in _NAMES:
+                with io.BytesIO() as one:
+                    np.lib.format.write_array(one, getattr(rollout, name), allow_pickle=False)
+                    archive.writestr(zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0)), one.getvalue())
+        return file.getvalue()
+
+
+def from_npz(file: Path) -> Rollout:
+    """A rollout that was written; InputError names the file and what is wrong with it."""
+    accepted = "a rollout that f3sr wrote: time, ids, T_world_object, contacts"
+    try:
+        with np.load(file, allow_pickle=False) as arrays:
+            if missing := set(_NAMES) - set(arrays.files):
+                raise InputError(file, found=f"no {', '.join(sorted(missing))}", accepted=accepted)
+            return Rollout(
+                time=np.asarray(arrays["time"], float),
+                ids=np.asarray(arrays["ids"], np.int64),
+                T_world_object=np.asarray(arrays["T_world_object"], float),
+                contacts=np.asarray(arrays["contacts"], CONTACT),
+            )
+    except OSError as error:
+        raise InputError(file, found=f"no readable file ({reason(error)})", accepted=accepted) from None
+    except (ValueError, TypeError, KeyError, zipfile.BadZipFile) as error:
+        raise InputError(file, found=str(error), accepted=accepted) from None
+
+
+_NAMES = ("time", "ids", "T_world_object", "contacts")

@@ -1,0 +1,106 @@
+"""verify: the verdict on a rollout: the plan's conditions with margins, and the rules that every rollout keeps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from f3sr.export.scene_json import dump_json
+from f3sr.frames import rotation_angle
+from f3sr.goals.conditions import Judged, judge
+from f3sr.goals.plan import Plan
+from f3sr.goals.rollout import Rollout
+from f3sr.goals.simulate import as_planned
+from f3sr.scene import GROUND, Scene
+
+STILL = 1e-3
+"""How far anything may move before the first control [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """What came of a plan."""
+
+    conditions: tuple[Judged, ...]
+    broken: tuple[str, ...]
+    """Rules that the rollout does not keep, in words."""
+
+    @property
+    def met(self) -> bool:
+        return not self.broken and all(c.met for c in self.conditions)
+
+    @property
+    def margin(self) -> float:
+        """The least relative margin: of several plans the one with the largest is best."""
+        return min(c.relative for c in self.conditions)
+
+    @property
+    def said(self) -> str:
+        """Why it is not met, or that it is, in one line."""
+        missed = [c.said for c in self.conditions if not c.met]
+        return "; ".join([*self.broken, *missed]) or "; ".join(c.said for c in self.conditions)
+
+
+def verify(scene: Scene, plan: Plan, rollout: Rollout) -> Verdict:
+    """The conditions of a plan and the rules, on a rollout of ``scene``, the package's."""
+    planned = scene.with_objects(*as_planned(scene, plan.semantics, plan.initial))
+    judged = judge(plan.task.conditions, rollout, planned)
+    return Verdict(conditions=tuple(judged), broken=tuple(_broken(scene, planned, plan, rollout)))
+
+
+def to_json(verdict: Verdict) -> bytes:
+    """verdict.json."""
+    document: dict[str, Any] = {
+        "met": verdict.met,
+        "margin": verdict.margin,
+        "said": verdict.said,
+        "conditions": [
+            {
+                "condition": c.condition.model_dump(mode="json"),
+                "met": c.met,
+                "margin": c.margin,
+                "unit": c.unit,
+                "time": c.time,
+                "said": c.said,
+            }
+            for c in verdict.conditions
+        ],
+        "broken_rules": list(verdict.broken),
+    }
+    return dump_json(document)
+
+
+def _broken(scene: Scene, planned: Scene, plan: Plan, rollout: Rollout) -> Iterator[str]:
+    """The rules: the rollout starts as the scene but for declared offsets, only the active object is set off, never
+    after it touched its target, and nothing moves before."""
+    task, initial = plan.task, plan.initial
+    for o in planned:
+        start = rollout.poses(o.id)[0]
+        off = float(np.linalg.norm(start[:3, 3] - o.T_world_object[:3, 3]))
+        if off > 1e-6 or rotation_angle(start[:3, :3] @ o.T_world_object[:3, :3].T) > 1e-5:
+            yield f"object {o.id} does not start where the scene has it"
+    for id in sorted(initial.controlled - {task.active}):
+        yield f"object {id} is set off, which only the active object {task.active} may be"
+    last = max((i.time for i in initial.impulses), default=0.0)
+    if task.target is not None and task.target != GROUND:
+        touched = rollout.touches(task.active, task.target)["time"]
+        if len(touched) and float(touched[0]) < last:
+            yield f"an impulse comes {last - float(touched[0]):.2f} s after the active object touched its target"
+    first = _first_control(plan)
+    before = rollout.time <= first + 1e-9
+    for o in scene:
+        way = rollout.poses(o.id)[before, :3, 3]
+        moved = float(np.linalg.norm(way - way[0], axis=1).max()) if len(way) else 0.0
+        if moved > STILL:
+            yield f"object {o.id} moves by {1000 * moved:.1f} mm before anything is set off"
+
+
+def _first_control(plan: Plan) -> float:
+    """When the first impulse comes [s]; 0 where something is offset or moves from the start."""
+    initial = plan.initial
+    if initial.velocities or initial.offsets:
+        return 0.0
+    return min((i.time for i in initial.impulses), default=plan.simulation.duration)

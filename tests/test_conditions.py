@@ -1,0 +1,173 @@
+"""Conditions on made rollouts whose answer is known: met or missed, by how much, when, and in which order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pytest
+
+from f3sr.frames import Array, pose, rotation_about
+from f3sr.goals.conditions import Judged, judge
+from f3sr.goals.plan import (
+    AtRest,
+    Condition,
+    Contact,
+    Displaced,
+    Height,
+    Impulse,
+    InitialConditions,
+    Inside,
+    On,
+    Plan,
+    Returned,
+    SimulationPlan,
+    TaskSpec,
+    Toppled,
+)
+from f3sr.goals.rollout import CONTACT, Rollout
+from f3sr.goals.verify import to_json, verify
+from f3sr.scene import GROUND, Scene
+from scenes import box, scene_of
+
+TIME = np.arange(31) / 30
+
+
+def still(scene: Scene, id: int) -> Array:
+    return np.tile(scene[id].T_world_object, (len(TIME), 1, 1))
+
+
+def rollout_of(
+    scene: Scene,
+    poses: Mapping[int, Array] | None = None,
+    touches: Sequence[tuple[float, int, int, float]] = (),
+) -> Rollout:
+    """Objects that stay where they are but for some poses (T, 4, 4)."""
+    T = np.stack([(poses or {}).get(o.id, still(scene, o.id)) for o in scene], axis=1)
+    ids = np.array([o.id for o in scene])
+    return Rollout(time=TIME, ids=ids, T_world_object=T, contacts=np.array(list(touches), CONTACT))
+
+
+def along(scene: Scene, id: int, way: Array) -> Array:
+    """Poses of an object shifted by a way (T, 3)."""
+    T = still(scene, id)
+    T[:, :3, 3] += way
+    return T
+
+
+def one(condition: Condition, rollout: Rollout, scene: Scene) -> Judged:
+    return judge([condition], rollout, scene)[0]
+
+
+@pytest.fixture
+def scene() -> Scene:
+    return scene_of(box(0, at=(0, 0, 0.05)), box(1, at=(0.5, 0, 0.05)))
+
+
+def sideways(speed: float) -> Array:
+    return TIME[:, None] * np.array([speed, 0, 0])
+
+
+def test_displaced_by_how_much_and_when(scene: Scene) -> None:
+    rollout = rollout_of(scene, {0: along(scene, 0, sideways(0.3))})
+    met = one(Displaced(a=0, at_least=0.1), rollout, scene)
+    assert met.met and met.margin == pytest.approx(0.2) and met.time == pytest.approx(1 / 3)
+    missed = one(Displaced(a=0, at_least=0.5), rollout, scene)
+    assert not missed.met and missed.margin == pytest.approx(-0.2) and missed.time == pytest.approx(1.0)
+    across = one(Displaced(a=0, at_least=0.1, direction=(0, 2, 0)), rollout, scene)
+    assert across.margin == pytest.approx(-0.1), "a direction's length does not matter"
+    assert one(Displaced(a=1, at_least=0.1), rollout, scene).margin == pytest.approx(-0.1)
+
+
+def test_a_contact_is_an_event_and_a_miss_a_distance(scene: Scene) -> None:
+    near = rollout_of(scene, {0: along(scene, 0, sideways(0.3))})
+    missed = one(Contact(a=0, b=1), near, scene)
+    assert missed.margin == pytest.approx(-0.1, abs=1e-3) and missed.time == pytest.approx(1.0)
+    assert "misses" in missed.said and "100 mm" in missed.said
+    touched = rollout_of(scene, touches=[(0.4, 0, 1, 3.0), (0.5, 0, 1, 9.0)])
+    for condition in (Contact(a=0, b=1), Contact(a=1, b=0)):
+        met = one(condition, touched, scene)
+        assert met.met and met.time == pytest.approx(0.4)
+    flying = rollout_of(scene, {0: along(scene, 0, np.full((31, 3), [0, 0, 0.2]))})
+    assert one(Contact(a=0, b=GROUND), flying, scene).margin == pytest.approx(-0.2, abs=1e-6)
+
+
+def test_order_and_deadlines(scene: Scene) -> None:
+    rollout = rollout_of(scene, {1: along(scene, 1, sideways(0.3))}, [(0.2, 0, 1, 1.0), (0.8, 0, 1, 1.0)])
+    conditions = (Displaced(a=1, at_least=0.15), Contact(a=0, b=1, after=0))
+    moved, touched = judge(conditions, rollout, scene)
+    assert moved.time == pytest.approx(0.5) and touched.time == pytest.approx(0.8), "the touch before does not count"
+    late = one(Displaced(a=1, at_least=0.15, within=0.3), rollout, scene)
+    assert not late.met and late.margin == pytest.approx(-0.2) and late.unit == "s" and "late" in late.said
+    nothing, then = judge((Displaced(a=0, at_least=1.0), Contact(a=0, b=1, after=0)), rollout, scene)
+    assert not nothing.met and not then.met and then.said.startswith("what it is to come after")
+    with pytest.raises(ValueError, match="an earlier one"):
+        TaskSpec(kind="slide", active=0, conditions=(Contact(a=0, b=1, after=0),), interpretation="")
+
+
+def test_toppled_is_what_stays_so(scene: Scene) -> None:
+    def turned(angles: Array) -> Array:
+        T = still(scene, 0)
+        T[:, :3, :3] = [rotation_about([1, 0, 0], a) @ R for a, R in zip(angles, T[:, :3, :3], strict=True)]
+        return T
+
+    over = rollout_of(scene, {0: turned(np.radians(90) * TIME)})
+    met = one(Toppled(a=0), over, scene)
+    assert met.met and met.margin == pytest.approx(np.radians(30)) and met.time == pytest.approx(2 / 3, abs=0.04)
+    rocked = rollout_of(scene, {0: turned(np.radians(80) * np.sin(np.pi * TIME))})
+    assert one(Toppled(a=0), rocked, scene).margin == pytest.approx(-np.radians(60), abs=1e-6)
+    spun = still(scene, 0)
+    spun[:, :3, :3] = [rotation_about([0, 0, 1], 3 * t) for t in TIME]
+    assert one(Toppled(a=0), rollout_of(scene, {0: spun}), scene).margin == pytest.approx(-np.radians(60))
+
+
+def test_height_rest_and_return(scene: Scene) -> None:
+    up = np.sin(np.pi * TIME)[:, None] * [0, 0, 0.4]
+    rollout = rollout_of(scene, {0: along(scene, 0, up)})
+    assert one(Height(a=0, at_least=0.3), rollout, scene).margin == pytest.approx(0.1)
+    assert one(Returned(a=0, to_within=0.05), rollout, scene).margin == pytest.approx(0.05, abs=1e-6)
+    assert not one(Returned(a=1, to_within=0.05), rollout, scene).met, "what never leaves does not return"
+    assert not one(AtRest(a=0), rollout, scene).met and one(AtRest(a=1), rollout, scene).met
+
+
+def test_on_and_inside() -> None:
+    cup = box(0, size=(0.3, 0.3, 0.2), at=(0, 0, 0.1))
+    stone = box(1, size=(0.1, 0.1, 0.1), at=(0.5, 0, 0.05))
+    scene = scene_of(cup, stone)
+
+    def ends(at: tuple[float, float, float], *touches: tuple[float, int, int, float]) -> Rollout:
+        return rollout_of(scene, {1: np.tile(pose(t=at), (len(TIME), 1, 1))}, touches)
+
+    on = ends((0, 0, 0.25), (0.95, 0, 1, 5.0))
+    assert one(On(a=1, b=0), on, scene).margin == pytest.approx(0.15) and not one(Inside(a=1, b=0), on, scene).met
+    assert not one(On(a=1, b=0), ends((0, 0, 0.25), (0.3, 0, 1, 5.0)), scene).met, "it touched long before the end"
+    looks_over = ends((0, 0, 0.2), (0.95, 0, 1, 5.0))
+    assert one(Inside(a=1, b=0), looks_over, scene).margin == pytest.approx(0.025)
+    assert one(On(a=1, b=GROUND), ends((0.5, 0, 0.05), (0.9, -1, 1, 2.0)), scene).met
+
+
+def plan_of(*conditions: Condition, target: int | None = None, active: int = 0, **initial: object) -> Plan:
+    return Plan(
+        goal="test",
+        scene="0" * 64,
+        task=TaskSpec(kind="slide", active=active, target=target, conditions=conditions, interpretation=""),
+        semantics=(),
+        initial=InitialConditions.model_validate(initial),
+        simulation=SimulationPlan(duration=1.0),
+    )
+
+
+def test_the_verdict_names_broken_rules(scene: Scene) -> None:
+    rollout = rollout_of(scene, {0: along(scene, 0, sideways(0.3))}, [(0.2, 0, 1, 1.0)])
+    fine = verify(scene, plan_of(Displaced(a=0, at_least=0.1), impulses=[Impulse(id=0, time=0.0)]), rollout)
+    assert fine.met and fine.margin == pytest.approx(2.0) and b'"met": true' in to_json(fine)
+    late = plan_of(Displaced(a=0, at_least=0.1), target=1, impulses=[Impulse(id=0, time=0.5)])
+    assert not verify(scene, late, rollout).met
+    assert [rule.split(" by ")[0] for rule in verify(scene, late, rollout).broken] == [
+        "an impulse comes 0.30 s after the active object touched its target",
+        "object 0 moves",
+    ]
+    other = verify(scene, plan_of(Displaced(a=0, at_least=0.1), impulses=[Impulse(id=1, time=0.0)]), rollout)
+    assert "object 1 is set off" in other.broken[0]
+    elsewhere = rollout_of(scene, {1: along(scene, 1, np.full((31, 3), 0.01))})
+    assert "does not start where" in verify(scene, plan_of(Displaced(a=0, at_least=0.1)), elsewhere).broken[0]

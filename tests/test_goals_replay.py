@@ -1,0 +1,43 @@
+"""The rollout against its second writing in plain MuJoCo (benchmarks/goals/replay.py), to the bit."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from pathlib import Path
+
+import pytest
+
+from f3sr.goals.plan import Impulse, Offset, Velocity, to_json
+from f3sr.goals.rollout import to_npz
+from f3sr.goals.simulate import simulate
+from f3sr.package import read_package, write_package
+from f3sr.physics import body_of
+from scenes import box_stack_scene
+from test_simulate import made, plan_of
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "goals"))
+import replay
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_plain_mujoco_plays_the_same(tmp_path: Path, turned: bool) -> None:
+    package = write_package(box_stack_scene(3), tmp_path / "package")
+    scene = read_package(package).scene
+    semantics = tuple(made(o, density=1800.0, restitution=0.6 if o.id == 2 else 0.0, friction=0.4) for o in scene)
+    mass = 3 * body_of(scene[2]).mass
+    plan = plan_of(
+        scene,
+        duration=1.5,
+        active=2,
+        semantics=semantics,
+        offsets=[Offset(id=2, translation=(0.01, 0, 0.1), rotation=(0.1, 0.2, 0.3) if turned else (0, 0, 0))],
+        velocities=[Velocity(id=2, linear=(0.1, 0, 0), angular=(0, 0, 1.0))],
+        impulses=[Impulse(id=2, time=0.3, linear=(-0.5 * mass, 0.1 * mass, 0.5 * mass), angular=(1e-4, 0, 0))],
+    ).model_copy(update={"scene": hashlib.sha256((package / "scene.json").read_bytes()).hexdigest()})
+    rollout = simulate(scene, plan)
+    (tmp_path / "plan.json").write_bytes(to_json(plan))
+    (tmp_path / "rollout.npz").write_bytes(to_npz(rollout))
+    off = replay.difference(package, tmp_path)
+    assert off == 0.0 if not turned else off < replay.WITHIN
+    assert len(rollout.contacts) > 20, "it lands, bounces and rests"
