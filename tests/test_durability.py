@@ -243,7 +243,7 @@ def test_rivals_for_one_place_never_break_it(tmp_path: Path):
 
 
 def test_after_kill_9_a_whole_package_or_none_and_the_next_run_goes_on(compiled: Path, tmp_path: Path):
-    """The twenty points of benchmarks/kills.py in small."""
+    """The points of benchmarks/kills.py in small."""
     write_folder(tmp_path / "input", perturb=0.05, seed=2)
     harness = kills.Kills(tmp_path / "input", tmp_path / "work", [compiled], ("--skip", "align,refine,evaluate"))
     points = [kills.Point("level:20"), kills.Point("storing:3"), kills.Point("rename2:1", old=True)]

@@ -546,7 +546,7 @@ def _across(i: int, p: int, planes: Array, starts: NDArray[np.int64], slack: flo
             continue
         along = planes[k, 1] * nx - planes[k, 0] * ny
         value = planes[k, 2] - h * (planes[k, 0] * nx + planes[k, 1] * ny) - slack
-        if abs(along) < 1e-12:
+        if abs(along) < PARALLEL:
             if value <= 0 and starts[p] <= i < starts[p + 1]:
                 continue
             if value <= 0:

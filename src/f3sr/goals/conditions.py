@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from f3sr import physics
 from f3sr.contact import Polytope
-from f3sr.frames import Array
+from f3sr.frames import Array, quaternion_from_rotation
 from f3sr.goals import plan as p
 from f3sr.goals.rollout import Rollout
 from f3sr.mesh import ConvexPart
@@ -292,6 +292,4 @@ def _distance(model: Any, data: Any) -> float:
 
 
 def _qpos(T: Array) -> Array:
-    from f3sr.frames import quaternion_from_rotation
-
     return np.r_[T[:3, 3], quaternion_from_rotation(T[:3, :3])]

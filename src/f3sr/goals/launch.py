@@ -12,9 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from f3sr.frames import Array
-
-GRAVITY = 9.81
-"""[m/s2]"""
+from f3sr.statics import GRAVITY
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

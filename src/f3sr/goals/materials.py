@@ -70,8 +70,6 @@ _KINDS = tuple(
     for words, name, structure, density, friction, restitution in _ROWS
 )
 
-UNKNOWN = Material(name="unknown", structure="solid", density=600, friction=0.6, restitution=0.2)
-
 
 def material_of(label: str) -> Material | None:
     """What a label tells; None where it tells nothing. What a thing is comes last in English, so of several words that

@@ -1,6 +1,6 @@
 """plan.json: what a goal asks for, what things are made of, how the active one is set off, what must come of it.
 
-Every number has a limit; those that depend on the scene are checked by ``limits.check``.
+Every number has a limit. They hold for any scene; whether a plan suits one is for whoever makes it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from f3sr import strict_json
-from f3sr.export.scene_json import Id, IdOrGround, Number, Positive, Share, Vector3, dump_json
+from f3sr.export.scene_json import Id, IdOrGround, Positive, Share, Vector3, dump_json
 from f3sr.scene import Mobility
 
 SCHEMA_VERSION = 1
@@ -252,29 +252,3 @@ def to_json(plan: Plan) -> bytes:
 def from_json(data: bytes) -> Plan:
     """The plan of a text; ValueError says what is wrong with it."""
     return Plan.model_validate(strict_json.loads(data))
-
-
-__all__ = [
-    "AtRest",
-    "Condition",
-    "Contact",
-    "Displaced",
-    "Height",
-    "Impulse",
-    "InitialConditions",
-    "Inside",
-    "Kind",
-    "Number",
-    "Offset",
-    "On",
-    "Plan",
-    "Returned",
-    "Semantics",
-    "SimulationPlan",
-    "TaskSpec",
-    "Toppled",
-    "Velocity",
-    "from_json",
-    "plan_schema",
-    "to_json",
-]

@@ -54,11 +54,7 @@ class Rollout:
 def to_npz(rollout: Rollout) -> bytes:
     """The arrays as a zip of .npy files, the same bytes for the same values."""
     with io.BytesIO() as file:
-        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
-            for name in _NAMES:
-                with io.BytesIO() as one:
-                    np.lib.format.write_array(one, getattr(rollout, name), allow_pickle=False)
-                    archive.writestr(zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0)), one.getvalue())
+        np.savez_compressed(file, **{name: getattr(rollout, name) for name in _NAMES})
         return file.getvalue()
 
 
