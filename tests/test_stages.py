@@ -11,7 +11,7 @@ from f3sr import inputs, raster
 from f3sr.balancing import BalanceConfig
 from f3sr.frames import T_UP_FROM_CAMERA, invert_pose, pose, rotation_about, rotation_from_vector
 from f3sr.measures import measure, visible_iou
-from f3sr.scene import GROUND, Geometry, Scene
+from f3sr.scene import GROUND, Geometry, Relation, Scene, SceneGraph, Support
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.align.config import FacetConfig
 from f3sr.stages.assemble import assemble
@@ -234,6 +234,25 @@ def test_moving_along_viewing_rays_changes_no_silhouette():
                 for s in (before, after))  # fmt: skip
         assert np.mean(a != b) < 2e-3
         assert after[o.id].scale != 1
+
+
+def test_what_overlaps_beside_its_main_support_goes_aside_not_up():
+    """.04 m into its neighbour: also resting on it would mean lifting it by .06 m."""
+    first, second = box(0, at=(0, 0, 0.05)), box(1, size=(0.06, 0.06, 0.06), at=(0.04, 0, 0.03))
+    also = replace(second, supports=(Support(id=GROUND, share=0.6), Support(id=0, share=0.4)))
+    scene, report = separate(scene_of(first, also), SeparateConfig(max_ray_scale=0.0))
+    assert report.value("overlapping pairs") == 0
+    assert scene[1].bounds_world[0, 2] == pytest.approx(GAP, abs=1e-5)
+    assert [d.about for d in report.decisions if d.choice.startswith("beside object 0")] == [1]
+    assert scene[1].supports == (Support(id=GROUND),)
+
+
+def test_what_is_said_to_be_inside_but_stands_beside_is_parted():
+    scene = scene_of(box(0), box(1, at=(0.06, 0, 0.05)))
+    relation = Relation(subject=1, predicate="inside", object=0, confidence=1.0, evidence="test")
+    after, report = separate(replace(scene, graph=SceneGraph(relations=(relation,), source="test")))
+    assert report.value("overlapping pairs") == 0
+    assert after[1].bounds_world[0, 2] == pytest.approx(GAP, abs=1e-4)
 
 
 def test_plain_lift_is_exact_and_carries_the_stack():

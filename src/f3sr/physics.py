@@ -86,8 +86,10 @@ class SettleConfig:
     """[s] of the undamped check after each round."""
     release_time: Annotated[float, Interval(gt=0, le=60)] = 5.0
     """[s] of the second one, as long as the release protocol: what tips over starts slowly."""
-    drift_limit: Annotated[float, Interval(gt=0, le=0.1)] = 2e-4
-    """[m]: largest travel of a centre of mass in the check. Collapsed piles creep .1 mm in 5 s."""
+    drift_limit: Annotated[float, Interval(gt=0, le=0.1)] = 5e-4
+    """[m]: largest travel of a centre of mass in the check, half of what the release protocol may show. Soft contacts
+    let what rests on a slope creep at a steady rate, .1 mm in 5 s in piles and .4 mm in nested bowls: no longer
+    settling ends that."""
     even_masses: bool = True
     """Check a second time with each mass spread evenly over the parts and a wider contact margin, as the release
     protocol does: a pose can stand with the one centre of mass and tip with the other, a ball lie still until it is
@@ -449,7 +451,7 @@ class _Settling:
                 way[:, 2] = np.minimum(way[:, 2], 0)  # what is pushed up by a wider margin does not fall
                 drifts = np.maximum(drifts, np.linalg.norm(way, axis=1)[1:])
             after = _Snapshot.of(data)
-            if self.exploded or drifts.max() > 50 * self.config.drift_limit:
+            if self.exploded or drifts.max() > 20 * self.config.drift_limit:
                 return drifts, False
         return drifts, self._slow(before, after) and bool(drifts.max() <= self.config.drift_limit)
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene, name_of
-from f3sr.stages.separate.apart import part
+from f3sr.stages.separate.apart import part, take_beside
 from f3sr.stages.separate.config import SeparateConfig
 from f3sr.stages.separate.layout import Layout
 from f3sr.stages.separate.seating import grounded, seat
@@ -35,13 +35,14 @@ def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene,
     came, scene = scene, grounded(scene, config) if config.ground else scene
     layout = Layout(scene)
     before = len(layout.collisions())
+    decisions = take_beside(layout, config)
     for _ in range(PASSES):
         seat(layout, config)
         if not part(layout, config):
             break
     else:
         seat(layout, config)
-    decisions = stand(layout, config)
+    decisions += stand(layout, config)
     margins, told = steady(layout, config)
     decisions += told
     left = layout.collisions()

@@ -1,20 +1,51 @@
-"""Unrelated objects that overlap, parted by one joint horizontal move."""
+"""Objects that overlap and do not carry one another, parted by one joint horizontal move."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
 from f3sr import contact, parting
-from f3sr.frames import Array
-from f3sr.scene import GROUND, Scene
+from f3sr.frames import UP, Array
+from f3sr.report import Decision
+from f3sr.scene import GROUND, Scene, name_of
 from f3sr.stages.separate.config import SeparateConfig
 from f3sr.stages.separate.layout import Layout, supports_of
 
 UNFELT = 0.1
 """IoU that a move by its own size costs an object in directions which the picture does not feel."""
+
+
+def take_beside(layout: Layout, config: SeparateConfig) -> list[Decision]:
+    """Take from objects that rest on several those but the main one that they must be lifted out of farther than the
+    picture allows, where moving both apart shows more of the photo: they overlap by error, beside one another."""
+    decisions: list[Decision] = []
+    for o in layout.scene:
+        for other in set(supports_of(o)) - {o.supported_by, GROUND}:
+            lifted, apart = _losses(layout, o.id, other, config)
+            if lifted <= config.picture_sigma or lifted <= apart:
+                continue
+            now = layout.scene[o.id]
+            left = tuple(s for s in now.supports if s.id != other)
+            total = sum(s.share for s in left)
+            supports = tuple(replace(s, share=s.share / total) for s in left)
+            layout.scene = layout.scene.with_objects(replace(now, supports=supports))
+            reason = f"lifting it out would lose {lifted:.2f} of IoU with the masks, moving both apart {apart:.2f}"
+            decisions.append(Decision(choice=f"beside {name_of(other)}, not on it", reason=reason, about=o.id))
+    return decisions
+
+
+def _losses(layout: Layout, id: int, other: int, config: SeparateConfig) -> tuple[float, float]:
+    """IoU lost where an object is lifted out of another one, and where both are moved apart; all of it at most."""
+    bodies = {k: layout.bodies[k] for k in (id, other)}
+    rise = contact.smallest_shift(bodies[id], bodies[other], UP, config.clearance)
+    lifted = min(1.0, rise * float(np.sqrt(layout.loss(id)[2, 2])))
+    weights = {k: weight_of(layout, k) for k in bodies if layout.scene[k].mobility == "dynamic"}
+    found = parting.part(bodies, [(id, other)], weights, clearance=config.clearance)
+    return lifted, 1.0 if found.unsolved else min(1.0, float(np.sqrt(found.cost)))
 
 
 def part(layout: Layout, config: SeparateConfig) -> bool:
@@ -48,12 +79,9 @@ def weight_of(layout: Layout, *ids: int) -> Array:
 
 
 def _unrelated(scene: Scene) -> Iterator[tuple[int, int]]:
-    """Pairs that neither carry nor contain one another."""
-    inside = scene.graph.of("inside") | {(b, a) for a, b in scene.graph.of("contains")}
+    """Pairs that do not carry one another."""
     for a, b in combinations([o.id for o in scene], 2):
-        carried = a in _carriers(scene, b) or b in _carriers(scene, a)
-        related = carried or (a, b) in inside or (b, a) in inside
-        if not related:
+        if a not in _carriers(scene, b) and b not in _carriers(scene, a):
             yield a, b
 
 
