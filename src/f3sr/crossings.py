@@ -29,37 +29,44 @@ class Crossing:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Penetration:
-    """Equation 12: ``r_pen`` = ``crossings`` * ``mean_edge`` [m] / ``diagonal`` [m]."""
+    """Equation 12: ``r_pen`` is the number of ``crossings``, times the mean edge, by the scene's diagonal."""
 
     r_pen: float
     crossings: int
-    mean_edge: float
-    diagonal: float
     pairs: tuple[Crossing, ...]
     """The pairs of surfaces that cross at all."""
 
 
-def penetration(surfaces: Sequence[tuple[Array, NDArray[np.int32]]]) -> Penetration:
-    """R_pen of a scene of welded surfaces: world vertices (n, 3) [m] and faces (m, 3) per object.
+Surface = tuple[Array, NDArray[np.int32]]
+"""World vertices (n, 3) [m] and faces (m, 3)."""
 
-    Surfaces are refined until no edge is longer than 1% of the scene's diagonal. They are never decimated: moving a
-    surface by more than the contact margin would make crossings where there are none.
+
+def penetration(surfaces: Sequence[Surface]) -> Penetration:
+    """R_pen of a scene of welded surfaces, one per object.
+
+    Surfaces are refined until no edge is longer than 1% of the scene's diagonal; where they do not cross as they are,
+    they need not be. They are never decimated: moving a surface by more than the contact margin would make crossings
+    where there are none.
     """
     corners = np.concatenate([np.stack([v.min(0), v.max(0)]) for v, _ in surfaces])
     diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))
     length = EDGE_LENGTH * diagonal
+    if not any(_crossings(surfaces, length)):
+        return Penetration(r_pen=0.0, crossings=0, pairs=())
     refined = [refine(v, f, length) for v, f in surfaces]
-    boxes = [np.stack([v.min(0), v.max(0)]) for v, _ in refined]
     mean_edge = float(np.concatenate([_edge_lengths(v, f) for v, f in refined]).mean())
-    found = [
-        (a, b, *crossings_of(_within(refined[a], low, high), _within(refined[b], low, high), 1.5 * length))
-        for a, b, low, high in _meeting(boxes)
-    ]
-    pairs = tuple(Crossing(a=b, b=a, count=count, bounds=bounds) for a, b, count, bounds in found if count)
+    pairs = tuple(_crossings(refined, length))
     total = sum(pair.count for pair in pairs)
-    return Penetration(
-        r_pen=total * mean_edge / diagonal, crossings=total, mean_edge=mean_edge, diagonal=diagonal, pairs=pairs
-    )
+    return Penetration(r_pen=total * mean_edge / diagonal, crossings=total, pairs=pairs)
+
+
+def _crossings(surfaces: Sequence[Surface], length: float) -> Iterator[Crossing]:
+    """The pairs of surfaces, with edges of about ``length`` [m], that cross."""
+    boxes = [np.stack([v.min(0), v.max(0)]) for v, _ in surfaces]
+    for a, b, low, high in _meeting(boxes):
+        count, bounds = crossings_of(_within(surfaces[a], low, high), _within(surfaces[b], low, high), 1.5 * length)
+        if count:
+            yield Crossing(a=b, b=a, count=count, bounds=bounds)
 
 
 def _meeting(boxes: Sequence[Array]) -> Iterator[tuple[int, int, Array, Array]]:
@@ -71,7 +78,7 @@ def _meeting(boxes: Sequence[Array]) -> Iterator[tuple[int, int, Array, Array]]:
                 yield a, b, low, high
 
 
-def _within(surface: tuple[Array, NDArray[np.int32]], low: Array, high: Array) -> Array:
+def _within(surface: Surface, low: Array, high: Array) -> Array:
     """The triangles (n, 3, 3) of a surface whose boxes meet a box."""
     vertices, faces = surface
     beyond = (vertices < low).astype(np.uint8) + 2 * (vertices > high).astype(np.uint8)
@@ -79,7 +86,7 @@ def _within(surface: tuple[Array, NDArray[np.int32]], low: Array, high: Array) -
     return vertices[faces[~apart]]
 
 
-def refine(vertices: Array, faces: NDArray[np.int32], length: float) -> tuple[Array, NDArray[np.int32]]:
+def refine(vertices: Array, faces: NDArray[np.int32], length: float) -> Surface:
     """The same surface with no edge longer than ``length`` [m]: Manifold where the mesh is one, else subdivision."""
     import manifold3d as mf
     import trimesh

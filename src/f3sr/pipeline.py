@@ -147,7 +147,7 @@ def _assembled(_: Scene, config: AssembleConfig, *, inputs: Inputs) -> tuple[Sce
 
 def _refined(scene: Scene, config: Config, *, parted: Scene, settled: Report, closes: bool) -> tuple[Scene, Report]:
     """``refine`` with this pipeline's stages: what is compared is what would be delivered, at rest and closed."""
-    parting = replace(config.separate, ground=False)
+    parting = replace(config.separate, ground=False, margin=False)
     on_a_facet = replace(config.align, camera=False, facets=FacetConfig(most=config.refine.upright, loss=1.0))
 
     def again(moved: Scene) -> Rested:

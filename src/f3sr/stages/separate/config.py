@@ -36,6 +36,8 @@ class SeparateConfig:
     take it over the edge of what it rests on."""
     rounds: Annotated[int, Interval(ge=1, le=100)] = 16
     """Most rounds of horizontal parting; the report allows 32."""
+    margin: bool = True
+    """Tell the stability margin also of what stands: ten times the time of finding out that it does."""
     footing: FootingConfig = field(default_factory=FootingConfig)
     balancing: BalanceConfig = field(default_factory=BalanceConfig)
     landing: LandingConfig = field(default_factory=lambda: LandingConfig(max_turn=0.5, max_shift=0.1))

@@ -12,7 +12,7 @@ from f3sr.report import Decision, Measure
 from f3sr.stages.separate.apart import weight_of
 from f3sr.stages.separate.config import SeparateConfig
 from f3sr.stages.separate.layout import Layout
-from f3sr.statics import stability
+from f3sr.statics import stability, stands
 
 
 def steady(layout: Layout, config: SeparateConfig) -> tuple[list[Measure], list[Decision]]:
@@ -20,6 +20,8 @@ def steady(layout: Layout, config: SeparateConfig) -> tuple[list[Measure], list[
     possible within bounds. The margin is the least tilt of the whole scene that moves something; negative: it falls."""
     scene = layout.scene
     bodies = bodies_of([layout.object(o.id) for o in scene], parts=layout.bodies)
+    if not config.margin and stands(bodies):
+        return [], []
     was = stability(bodies, per_body=False)
     before = float(np.degrees(was.margin))
     margin = Measure(name="stability margin", before=before, after=before, unit="deg")
