@@ -90,8 +90,9 @@ def land(
     Where it would tip over an edge it is shifted over it, as far as ``config`` allows, and tried again.
     """
     shift = np.zeros(2)
+    around = _in_reach(body, surroundings, config)
     for _ in range(TRIES):
-        fall = _Fall(body, surroundings, ground_friction, shift)
+        fall = _Fall(body, around, ground_friction, shift)
         if fall.lie_down(config):
             fall.rise(clearance)
             T = fall.motion
@@ -101,6 +102,29 @@ def land(
         if not fall.missing or np.linalg.norm(shift) > config.max_shift * body.size:
             break
     return Landing(T=np.eye(4), turn=0.0, shift=0.0, stands=False, tipped=True)
+
+
+def _in_reach(body: StaticBody, surroundings: Sequence[StaticBody], config: LandingConfig) -> list[StaticBody]:
+    """The surroundings with only those parts that a body may meet: a turn takes no point of it farther than angle times
+    size."""
+    reach = (config.max_shift + config.max_turn + STEP) * body.size
+    low, high = _level_box(body.parts)
+    found: list[StaticBody] = []
+    for b in surroundings:
+        near = tuple(p for p in b.parts if _is_near(p, low - reach, high + reach))
+        if near:
+            found.append(replace(b, parts=near))
+    return found
+
+
+def _level_box(parts: Sequence[Polytope]) -> tuple[Array, Array]:
+    """The least and largest x and y (2,) of some parts."""
+    bounds = np.stack([p.bounds[:, :2] for p in parts])
+    return bounds[:, 0].min(0), bounds[:, 1].max(0)
+
+
+def _is_near(part: Polytope, low: Array, high: Array) -> bool:
+    return bool((part.bounds[0, :2] <= high).all() and (part.bounds[1, :2] >= low).all())
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -50,15 +50,18 @@ def _losses(layout: Layout, id: int, other: int, config: SeparateConfig) -> tupl
 
 def part(layout: Layout, config: SeparateConfig) -> bool:
     """Part all unrelated pairs that overlap by one joint horizontal move, the one that the picture feels least; what an
-    object carries goes with it. Returns whether anything moved."""
-    moved = False
+    object carries goes with it. Returns whether anything moved.
+
+    A move may make others overlap, so it is repeated; what once overlapped is kept apart in all rounds."""
+    moved, known = False, set[tuple[int, int]]()
     for _ in range(config.rounds):
-        pairs = [(a, b) for a, b in _unrelated(layout.scene) if contact.collide(layout.bodies[a], layout.bodies[b])]
+        pairs = {(a, b) for a, b in _unrelated(layout.scene) if contact.collide(layout.bodies[a], layout.bodies[b])}
         if not pairs:
             break
+        known |= pairs
         found = parting.part(
             layout.bodies,
-            pairs,
+            sorted(known),
             {o.id: weight_of(layout, *layout.scene.subtree(o.id)) for o in layout.scene if o.mobility == "dynamic"},
             carriers={o.id: None if o.supported_by == GROUND else o.supported_by for o in layout.scene},
             clearance=config.clearance,
@@ -66,7 +69,7 @@ def part(layout: Layout, config: SeparateConfig) -> bool:
         for id, shift in found.own.items():
             layout.move(layout.scene.subtree(id), np.append(shift, 0.0))
             moved = moved or bool(shift.any())
-        if len(found.unsolved) == len(pairs):
+        if pairs <= set(found.unsolved):
             break
     return moved
 
