@@ -20,6 +20,7 @@ from f3sr import crossings
 from f3sr.frames import invert_pose
 from f3sr.mesh_io import load_mesh
 from f3sr.package import read_package
+from f3sr.physics import filling
 from f3sr.pictures import pictures_of
 from f3sr.scene import Scene
 
@@ -53,7 +54,14 @@ def judged(
         "crossing": pairs,
         "unnamed": [[a, b] for a, b in pairs if not any(names(d, a, b) for d in decisions)],
         "hidden": true["hidden"],
+        "weight_N": weight(scene),
     }
+
+
+def weight(scene: Scene) -> float:
+    """Of all movable objects in the release protocol [N]."""
+    volumes = [filling(o) * o.scale**3 * sum(p.volume for p in o.solids) for o in scene if o.mobility != "fixed"]
+    return 9.81 * 600 * sum(volumes)
 
 
 def travels(scene: Scene, start: Scene) -> dict[int, float]:
