@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Self
 
+from f3sr import physics
+from f3sr.background import begun
 from f3sr.foreign_camera import ForeignCameraConfig, fitted_camera
 from f3sr.frames import pose
 from f3sr.measures import Details, Gap, Measures, ObjectMeasures, Overlap, measure_with_details, seen_by
@@ -95,26 +97,28 @@ def evaluate(
     camera that came with them sees them, and as one that is fitted to their own masks, the report's protocol for
     scenes of others."""
     config = config or EvaluateConfig()
-    result, result_details = measure_with_details(scene, true_scale=true_scale)
-    result_fitted = _seen_by_its_own(scene, result, "the result", config) if foreign else None
-    if direct is None:
-        return Evaluation(
-            result=result,
-            direct=None,
-            result_details=result_details,
-            direct_details=None,
-            result_fitted=result_fitted,
-        )
-    composed = direct_composition(direct, scene)
-    beside, details = measure_with_details(composed, true_scale=true_scale)
+    with physics.silent():
+        beside = begun(_composed, direct, scene, config, true_scale) if direct else None
+        result, result_details = measure_with_details(scene, true_scale=true_scale)
+        result_fitted = _seen_by_its_own(scene, result, "the result", config) if foreign else None
+        composed, details, fitted = beside.result() if beside else (None, None, None)
     return Evaluation(
         result=result,
-        direct=beside,
+        direct=composed,
         result_details=result_details,
         direct_details=details,
         result_fitted=result_fitted,
-        direct_fitted=_seen_by_its_own(composed, beside, DIRECT, config),
+        direct_fitted=fitted,
     )
+
+
+def _composed(
+    direct: Scene, scene: Scene, config: EvaluateConfig, true_scale: float
+) -> tuple[Measures, Details, Fitted]:
+    """What is measured of direct composition."""
+    composed = direct_composition(direct, scene)
+    measures, details = measure_with_details(composed, true_scale=true_scale)
+    return measures, details, _seen_by_its_own(composed, measures, DIRECT, config)
 
 
 def _seen_by_its_own(scene: Scene, measures: Measures, name: str, config: EvaluateConfig) -> Fitted:
