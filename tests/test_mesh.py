@@ -143,3 +143,17 @@ def test_a_surface_that_no_body_could_have_is_no_solid() -> None:
             assert not mesh.is_solid and surface_flaws(mesh).layers
             return
     pytest.fail("no such box was found")
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_hulls_of_points_with_near_twins_are_closed(seed: int):
+    """Slivers between twins have no area, so that rounding says where they face."""
+    rng = np.random.default_rng(seed)
+    for gap in np.geomspace(1e-16, 1e-9, 40):
+        points = rng.standard_normal((30, 3))
+        points /= np.linalg.norm(points, axis=1)[:, None]
+        twins = np.concatenate([points, points + gap * rng.standard_normal(points.shape)])
+        hull = ConvexPart.hull_of(0.05 * twins[twins[:, 2] > -0.3] + 1.0)
+        edges = np.concatenate([hull.faces[:, [0, 1]], hull.faces[:, [1, 2]], hull.faces[:, [2, 0]]]).tolist()
+        assert sorted(edges) == sorted([b, a] for a, b in edges)
+        assert hull.volume > 0

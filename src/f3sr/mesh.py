@@ -137,12 +137,14 @@ class ConvexPart:
         except (QhullError, ValueError) as error:
             raise ValueError(f"{len(points)} points span no volume") from error
         corners = np.sort(hull.vertices)
-        faces = np.searchsorted(corners, hull.simplices)
+        faces = np.searchsorted(corners, hull.simplices).astype(np.int32)
         vertices = points[corners]
         a, b, c = (vertices[faces[:, k]] for k in range(3))
-        inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
-        faces[inward] = faces[inward][:, ::-1]
-        return cls(vertices=vertices, faces=faces.astype(np.int32))
+        outward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3])
+        faces[outward < 0] = faces[outward < 0][:, ::-1]
+        if not _is_closed(faces):  # rounding turns slivers
+            faces = _turned_alike(faces, hull.neighbors, int(np.argmax(np.abs(outward))))
+        return cls(vertices=vertices, faces=faces)
 
     @cached_property
     def volume(self) -> float:
@@ -251,6 +253,27 @@ def surface_flaws(mesh: Mesh) -> Flaws:
         turned=int(((counts == 2) & (ahead != 1)).sum()),
         layers=is_closed(faces) and signed_volume(vertices, faces) > 0,  # what else keeps it from being solid
     )
+
+
+def _is_closed(faces: NDArray[np.int32]) -> bool:
+    """Whether every directed edge of a surface (m, 3) has one against it, and no twin."""
+    start, end = faces.ravel().astype(np.int64), np.roll(faces, -1, axis=1).ravel().astype(np.int64)
+    there, back = (np.sort(a * (faces.max() + 1) + b) for a, b in ((start, end), (end, start)))
+    return bool(np.array_equal(there, back) and (np.diff(there) > 0).all())
+
+
+def _turned_alike(faces: NDArray[np.int32], neighbors: NDArray[np.int32], first: int) -> NDArray[np.int32]:
+    """Triangles (m, 3) turned as the ``first`` one is, from neighbour to neighbour."""
+    faces, waiting, seen = faces.copy(), [first], {first}
+    while waiting:
+        f = waiting.pop()
+        edges = set(zip(faces[f].tolist(), np.roll(faces[f], -1).tolist(), strict=True))
+        for g in set(neighbors[f].tolist()) - seen:
+            if edges.intersection(zip(faces[g].tolist(), np.roll(faces[g], -1).tolist(), strict=True)):
+                faces[g] = faces[g][::-1]
+            seen.add(g)
+            waiting.append(g)
+    return faces
 
 
 def signed_volume(vertices: Array, faces: NDArray[np.int32]) -> float:
