@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Self
 
 from f3sr import physics
-from f3sr.background import begun
+from f3sr.daemon import begun
 from f3sr.foreign_camera import ForeignCameraConfig, fitted_camera
 from f3sr.frames import pose
 from f3sr.measures import Details, Gap, Measures, ObjectMeasures, Overlap, measure_with_details, seen_by

@@ -8,7 +8,7 @@ import threading
 
 import pytest
 
-from f3sr.background import begun
+from f3sr.daemon import begun
 
 
 def test_the_result_comes_back_from_another_thread():
@@ -23,6 +23,6 @@ def test_what_it_raises_is_raised_where_the_result_is_asked_for():
 
 
 def test_an_interrupted_process_does_not_wait_for_it():
-    program = "import time; from f3sr.background import begun; begun(time.sleep, 60); raise KeyboardInterrupt"
+    program = "import time; from f3sr.daemon import begun; begun(time.sleep, 60); raise KeyboardInterrupt"
     ended = subprocess.run([sys.executable, "-c", program], timeout=30, capture_output=True, check=False)
     assert b"KeyboardInterrupt" in ended.stderr
