@@ -1,12 +1,10 @@
 """What was filmed: a package's bodies and camera and a rollout's poses, read from their files alone, and distances.
 
-Shares no code with the product: formats are read here a second time, and distances between convex parts are found by
-non-negative least squares.
+Shares no code with the product: its formats are read here a second time.
 """
 
 from __future__ import annotations
 
-import itertools
 import json
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,15 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
-from scipy.optimize import nnls
+from gaps import FAR, least_gap
 from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 
 GROUND = -1
-FAR = 0.05
-"""[m] Gaps beyond this are not measured, only known to be at least so large."""
-G = np.array([0.0, 0.0, -9.81])
-"""[m/s2]"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -71,6 +65,18 @@ class Film:
         """(n, 3) vertices of its parts in the world at a sample."""
         return placed(self.T[id][k], self.bodies[id].points)
 
+    def uprights(self, id: int) -> np.ndarray:
+        """(T, 3) what was up in a body at the start."""
+        R = self.T[id][:, :3, :3]
+        return R @ (R[0].T @ [0, 0, 1.0])
+
+    def moved(self, id: int, since: np.ndarray | None = None) -> np.ndarray:
+        """(T, 2) how far it is [m] and turned [deg] from its first sample or from a pose."""
+        T0 = self.T[id][0] if since is None else since
+        far = np.linalg.norm(self.centre(id) - placed(T0, self.bodies[id].com), axis=1)
+        turned = Rotation.from_matrix(self.T[id][:, :3, :3] @ T0[:3, :3].T).magnitude()
+        return np.stack([far, np.degrees(turned)], axis=1)
+
     @cached_property
     def right(self) -> np.ndarray:
         """The picture's right, along the table."""
@@ -93,22 +99,19 @@ class Film:
         pixels = self.pixels(self.points(id, k))
         return float(((pixels >= 0) & (pixels <= self.size)).all(axis=1).mean())
 
-    def inside_frame(self, id: int, k: int) -> bool:
-        return self.in_frame(id, k) >= 0.5
+    def gap(self, a: int, b: int, k: int, far: float = FAR) -> float:
+        """Distance [m] of two bodies at a sample, b may be GROUND; 0 where they touch or overlap, at most ``far``."""
+        return self.gap_of(a, self.T[a][k], b, None if b == GROUND else self.T[b][k], far)
 
-    def gap(self, a: int, b: int, k: int) -> float:
-        """Distance [m] of two bodies at a sample, b may be GROUND; 0 where they touch or overlap, at most FAR."""
-        return self.gap_of(a, self.T[a][k], b, None if b == GROUND else self.T[b][k])
-
-    def gap_of(self, a: int, Ta: np.ndarray, b: int, Tb: np.ndarray | None) -> float:
+    def gap_of(self, a: int, Ta: np.ndarray, b: int, Tb: np.ndarray | None, far: float = FAR) -> float:
         """The same of poses."""
         A = self.bodies[a]
         if Tb is None:
-            return float(np.clip(placed(Ta, A.points)[:, 2].min(), 0, FAR))
+            return float(np.clip(placed(Ta, A.points)[:, 2].min(), 0, far))
         B = self.bodies[b]
-        if np.linalg.norm(placed(Ta, A.com) - placed(Tb, B.com)) > A.radius + B.radius + FAR:
-            return FAR
-        return least_gap([placed(Ta, p) for p in A.parts], [placed(Tb, p) for p in B.parts])
+        if np.linalg.norm(placed(Ta, A.com) - placed(Tb, B.com)) > A.radius + B.radius + far:
+            return far
+        return least_gap([placed(Ta, p) for p in A.parts], [placed(Tb, p) for p in B.parts], far)
 
 
 def read(package: Path, rollout: Path) -> Film:
@@ -133,12 +136,17 @@ def bodies_of(package: Path, scene: dict[str, Any]) -> dict[int, Body]:
         o["id"]: Body(
             id=o["id"],
             label=o["label"] or "",
-            parts=[np.asarray(trimesh.load(package / p, process=False).vertices, float) for p in o["collision"]],
+            parts=[vertices(package / p) for p in o["collision"]],
             com=np.array(o["center_of_mass"], float),
             T=np.array(o["T_world_object"], float),
         )
         for o in scene["objects"]
     }
+
+
+def vertices(file: Path) -> np.ndarray:
+    """(n, 3) of an OBJ file."""
+    return np.array([line.split()[1:4] for line in file.read_text().splitlines() if line.startswith("v ")], float)
 
 
 def placed(T: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -154,32 +162,3 @@ def angle(a: np.ndarray, b: np.ndarray) -> float:
     """[deg] between two vectors; 180 where one is nothing."""
     n = float(np.linalg.norm(a) * np.linalg.norm(b))
     return float(np.degrees(np.arccos(np.clip(a @ b / n, -1, 1)))) if n > 0 else 180.0
-
-
-def least_gap(A: list[np.ndarray], B: list[np.ndarray], far: float = FAR) -> float:
-    """The least distance of any part of A to any of B, nearest boxes first."""
-    boxes = [[(p.min(axis=0), p.max(axis=0)) for p in parts] for parts in (A, B)]
-    pairs = sorted(
-        (float(np.linalg.norm(np.maximum(0, np.maximum(b[0] - a[1], a[0] - b[1])))), i, j)
-        for (i, a), (j, b) in itertools.product(enumerate(boxes[0]), enumerate(boxes[1]))
-    )
-    least = far
-    for bound, i, j in pairs:
-        if bound >= least or least == 0:
-            break
-        least = min(least, hull_gap(A[i], B[j]))
-    return least
-
-
-def hull_gap(a: np.ndarray, b: np.ndarray) -> float:
-    """Distance of two convex hulls of points: weights of both that bring two of their points nearest."""
-    middle, scale = b.mean(axis=0), float(np.abs(b - b.mean(axis=0)).max() + np.abs(a - a.mean(axis=0)).max())
-    P, Q = (a - middle) / scale, (b - middle) / scale
-    heavy = 1e3  # how much the weights' sums of 1 count against the distance, whose unit is the bodies' size
-    M = np.zeros((5, len(P) + len(Q)))
-    M[:3, : len(P)], M[:3, len(P) :] = P.T, -Q.T
-    M[3, : len(P)], M[4, len(P) :] = heavy, heavy
-    weights, _ = nnls(M, np.array([0, 0, 0, heavy, heavy]), maxiter=50 * M.shape[1])
-    p, q = weights[: len(P)], weights[len(P) :]
-    found = float(np.linalg.norm(p @ P / p.sum() - q @ Q / q.sum())) * scale
-    return 0.0 if found < 1e-6 else found

@@ -1,0 +1,368 @@
+"""Laws of the goal suite: its checker on films made by hand, where each check passes and fails, and its data files."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+import tomllib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+GOALS = Path(__file__).parents[1] / "benchmarks" / "goals"
+DATA = Path(__file__).parents[2] / "shared" / "data"
+EXAMPLE = Path(__file__).parents[1] / "src" / "f3sr" / "example" / "tabletop"
+sys.path.insert(0, str(GOALS))
+checker, seen, gaps, paths = (importlib.import_module(name) for name in ("checker", "seen", "gaps", "paths"))
+
+A, B, WALL = 1, 2, 3
+"""A cube of 10 cm at the origin, an open tray of 30 cm at x = .5, a box of 20 cm at x = -.5, all on the table."""
+TIME = np.arange(61) / 30
+Path_ = Callable[[float], tuple[Any, Any]]
+"""Where a body's centre is at a time, and its rotation vector [deg]."""
+
+
+def box(size: tuple[float, float, float], at: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
+    corners = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5])).reshape(3, -1).T
+    return corners * size + at
+
+
+def pose(at: Any, turned: Any = (0, 0, 0)) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(np.radians(np.asarray(turned, float))).as_matrix()
+    T[:3, 3] = at
+    return T
+
+
+TRAY = [box((0.3, 0.3, 0.01)), *(box((0.01, 0.3, 0.06), (s * 0.145, 0, 0.035)) for s in (-1, 1))]
+TRAY += [box((0.3, 0.01, 0.06), (0, s * 0.145, 0.035)) for s in (-1, 1)]
+PLACES = {A: (0, 0, 0.05), B: (0.5, 0, 0.005), WALL: (-0.5, 0, 0.1)}
+PARTS = {A: [box((0.1, 0.1, 0.1))], B: TRAY, WALL: [box((0.1, 0.2, 0.2))]}
+DOWN = np.array([[1, 0, 0], [0, -0.5, np.sqrt(0.75)], [0, -np.sqrt(0.75), -0.5]])
+"""The camera looks along +y and down by 30 deg; its right is +x."""
+
+
+def filmed(**moving: Path_) -> Any:
+    """A film in which bodies a, b and wall stand still but where a path is given; contacts are not recorded."""
+    T = {}
+    for id, name in ((A, "a"), (B, "b"), (WALL, "wall")):
+        path = moving.get(name, lambda t, id=id: (PLACES[id], (0, 0, 0)))
+        T[id] = np.array([pose(*path(t)) for t in TIME])
+    bodies = {
+        id: seen.Body(id=id, label="", parts=PARTS[id], com=np.zeros(3), T=pose(PLACES[id])) for id in (A, B, WALL)
+    }
+    camera = np.eye(4)
+    camera[:3, :3], camera[:3, 3] = DOWN, (0, -1.5, 0.9)
+    K = np.array([[800.0, 0, 512], [0, 800, 384], [0, 0, 1]])
+    return seen.Film(bodies=bodies, K=K, T_world_camera=camera, size=(1024, 768), time=TIME, T=T)
+
+
+def slid(x: float, y: float = 0, z: float = 0.05, speed: float = 0.5) -> Path_:
+    """In a straight line from the origin to a point, then still."""
+    way = np.array([x, y, z]) - PLACES[A]
+    length = max(float(np.linalg.norm(way)), 1e-9)
+    return lambda t: (PLACES[A] + way * min(1, speed * t / length), (0, 0, 0))
+
+
+def tipped(degrees: float, axis: tuple[float, float, float] = (0, 1, 0)) -> Path_:
+    return lambda t: (PLACES[A], np.array(axis) * min(degrees, 120 * t))
+
+
+def fallen(at: tuple[float, float], low: float, *, height: float = 0.3) -> Path_:
+    """From a height over a point down to a resting height."""
+    return lambda t: ((*at, max(low, height - 4.9 * t * t)), (0, 0, 0))
+
+
+def thrown(vx: float, vz: float, until: float = 9.0) -> Path_:
+    """A parabola from the origin; it stops dead at the table or at a time."""
+
+    def at(t: float) -> tuple[Any, Any]:
+        s = min(t, until, 2 * vz / 9.81)
+        return (vx * s, 0, 0.05 + vz * s - 4.905 * s * s), (0, 0, 0)
+
+    return at
+
+
+def bounced(t: float) -> tuple[Any, Any]:
+    """Up, down, up again by less, on to the right."""
+    fall = abs(np.sin(4 * t)) * (0.2 if t < np.pi / 4 else 0.05)
+    return (0.3 * t, 0, 0.05 + fall), (0, 0, 0)
+
+
+def verdict(film: Any, **check: Any) -> Any:
+    return checker.check(film, check, {})
+
+
+# --- each check passes and fails -------------------------------------------------------------------------------------
+
+LEFT_10 = {"is": "moves", "id": A, "direction": "left", "at_least": 0.07, "at_most": 0.14}
+INTO_WALL = {"is": "touches", "a": A, "b": WALL}
+CASES: list[tuple[Mapping[str, Any], Path_, Path_]] = [
+    (LEFT_10, slid(-0.1), slid(0.1)),
+    (LEFT_10, slid(-0.13, 0.02), slid(-0.2)),
+    (LEFT_10, slid(-0.08), slid(-0.05)),
+    (LEFT_10, slid(-0.1, 0.04), slid(-0.1, 0.09)),
+    ({**LEFT_10, "direction": "away"}, slid(0, 0.1), slid(0, -0.1)),
+    ({**LEFT_10, "direction": "towards"}, slid(0, -0.1), slid(0, 0.1)),
+    ({"is": "moves", "id": A, "towards": B, "at_least": 0.05}, slid(0.1), slid(-0.1)),
+    ({"is": "stays", "id": A, "at_most": 0.02}, slid(0.01), slid(0.03)),
+    ({"is": "falls", "id": A, "at_least": 0.1}, fallen((0, 0), 0.05), fallen((0, 0), 0.25)),
+    ({"is": "rises", "id": A, "at_least": 0.1}, thrown(0, 2.0), thrown(0, 1.0)),
+    ({"is": "returns", "id": A, "within": 0.1}, thrown(0.1, 2.0), thrown(1.0, 2.0)),
+    ({"is": "returns", "id": A, "within": 0.1}, thrown(0.1, 1.5), slid(0.05)),
+    ({"is": "rests", "id": A}, slid(0.3), slid(3.0)),
+    ({"is": "topples", "id": A}, tipped(90), tipped(40)),
+    ({"is": "topples", "id": A, "direction": "right"}, tipped(90), tipped(90, (0, -1, 0))),
+    ({"is": "topples", "id": A, "direction": "away"}, tipped(90, (-1, 0, 0)), tipped(90, (1, 0, 0))),
+    ({"is": "topples", "id": A, "towards": WALL}, tipped(90, (0, -1, 0)), tipped(90)),
+    ({"is": "upright", "id": A}, tipped(20), tipped(90)),
+    ({"is": "rolls", "id": A, "degrees": 90}, lambda t: ((0.1 * t, 0, 0.05), (0, 100 * t, 0)), slid(0.3)),
+    (
+        {"is": "rolls", "id": A, "degrees": 90},
+        lambda t: ((0, 0.1 * t, 0.05), (-100 * t, 0, 0)),
+        lambda t: ((0, 0.1 * t, 0.05), (100 * t, 0, 0)),
+    ),
+    ({"is": "bounces", "id": A}, bounced, fallen((0, 0), 0.05)),
+    (INTO_WALL, slid(-0.4), slid(-0.36)),
+    ({"is": "touches", "a": A, "b": B}, slid(0.3), slid(0.3, 0.3)),
+    ({"is": "touches", "a": A, "b": -1}, fallen((0, 0), 0.05), fallen((0, 0), 0.15)),
+    ({"is": "lands_on", "a": A, "b": B}, fallen((0.5, 0), 0.06), slid(0.3)),
+    ({"is": "ends_on", "a": A, "b": B}, fallen((0.5, 0), 0.06), fallen((0.3, 0), 0.05)),
+    ({"is": "ends_in", "a": A, "b": B}, fallen((0.52, 0), 0.06), fallen((0.52, 0), 0.125)),
+    ({"is": "ends_off", "a": A, "b": B}, slid(0.1), fallen((0.5, 0), 0.06)),
+    ({"is": "passes_over", "a": A, "b": B}, thrown(1.3, 3.5), thrown(0.9, 2.0)),
+    ({"is": "flies", "id": A}, thrown(0.3, 1.5), slid(0.3)),
+]
+
+
+@pytest.mark.parametrize(("check", "good", "bad"), CASES, ids=[c[0]["is"] for c in CASES])
+def test_a_check_passes_and_fails(check: Mapping[str, Any], good: Path_, bad: Path_) -> None:
+    passes, fails = verdict(filmed(a=good), **check), verdict(filmed(a=bad), **check)
+    assert passes.met, passes.line
+    assert not fails.met, fails.line
+
+
+def test_every_check_has_a_case() -> None:
+    assert {c[0]["is"] for c in CASES} == set(checker.CHECKS)
+
+
+# --- touching between samples ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("speed", [1.0, 3.0, 6.0])
+def test_a_hit_between_samples_is_seen_and_one_that_stays_clear_is_not(speed: float) -> None:
+    hit = 0.4123  # between two samples
+    hits, turns = (
+        verdict(filmed(a=lambda t, x=x: ((x + speed * abs(t - hit), 0, 0.05), (0, 0, 0))), **INTO_WALL)
+        for x in (-0.4, -0.4 + speed / 15)
+    )
+    assert hits.met and hits.time == pytest.approx(hit, abs=1 / 30)
+    assert not turns.met, "it turns back two samples' way before the wall"
+
+
+def test_what_flies_past_or_stops_short_does_not_touch() -> None:
+    def braked(t: float) -> tuple[Any, Any]:
+        s = 1 - min(t, 0.4) / 0.4  # friction, 5 m/s2, brings it to rest 4 mm before the wall
+        return (-0.396 * (1 - s * s), 0, 0.05), (0, 0, 0)
+
+    past = verdict(filmed(a=lambda t: ((-2 * t, 0.16, 0.05), (0, 0, 0))), **INTO_WALL)
+    over = verdict(filmed(a=lambda t: ((-2 * t, 0, 0.05 + 3 * t - 4.905 * t * t), (0, 0, 0))), **INTO_WALL)
+    assert [verdict(filmed(a=braked), **INTO_WALL).met, past.met, over.met] == [False, False, False]
+
+
+def test_what_touches_at_the_start_must_part_first() -> None:
+    still = verdict(filmed(), **{"is": "touches", "a": A, "b": -1})
+    hopped = verdict(filmed(a=thrown(0, 1.5)), **{"is": "touches", "a": A, "b": -1})
+    assert not still.met and hopped.met and hopped.time == pytest.approx(3 / 9.81, abs=1 / 30)
+
+
+def test_gaps_of_hulls_are_those_of_boxes_and_balls() -> None:
+    rng = np.random.default_rng(6)
+    for _ in range(20):
+        centre = rng.uniform(0.2, 0.6, 3)
+        assert gaps.hull_gap(box((0.1, 0.1, 0.1)), box((0.1, 0.1, 0.1), tuple(centre))) == pytest.approx(
+            np.linalg.norm(np.maximum(0, centre - 0.1)), abs=1e-6
+        )
+    ball = rng.normal(size=(400, 3))
+    ball /= 10 * np.linalg.norm(ball, axis=1)[:, None]
+    assert gaps.hull_gap(ball, ball + np.array([0.25, 0, 0])) == pytest.approx(0.05, abs=4e-3)
+    assert gaps.hull_gap(ball, ball + np.array([0.15, 0, 0])) == 0
+
+
+# --- what every film must hold ---------------------------------------------------------------------------------------
+
+TOPPLE: dict[str, Any] = {"active": A, "checks": [{"is": "topples", "id": A}]}
+
+
+def judged(goal: Mapping[str, Any], film: Any) -> dict[str, bool]:
+    return {f.check: f.met for f in checker.judge_film(goal, film)}
+
+
+def test_a_good_film_meets_all_that_is_checked() -> None:
+    assert all(judged(TOPPLE, filmed(a=tipped(90))).values()) is False, "it turns about its middle, into the ground"
+    rolled = lambda t: ((0, 0, 0.0722), (0, min(90, 120 * t), 0))  # noqa: E731
+    lifted = {**TOPPLE, "lifted": True, "lift": [0.02, 0.03]}
+    assert all(judged(lifted, filmed(a=rolled)).values())
+
+
+def test_another_that_moves_first_is_found() -> None:
+    early = filmed(
+        a=lambda t: (PLACES[A], (0, max(0, 90 * (t - 1)), 0)), b=lambda t: ((0.5, 0.2 * t, 0.005), (0, 0, 0))
+    )
+    late = filmed(a=tipped(90), b=lambda t: ((0.5, 0.2 * max(0, t - 1), 0.005), (0, 0, 0)))
+    assert not judged(TOPPLE, early)["goes first"] and judged(TOPPLE, late)["goes first"]
+    assert not judged(TOPPLE, filmed())["goes first"], "the active one never moves"
+
+
+def test_only_a_lifted_active_one_may_start_elsewhere() -> None:
+    drop = {"active": A, "checks": [{"is": "falls", "id": A, "at_least": 0.1}]}
+    high = filmed(a=fallen((0.5, 0), 0.06))
+    assert judged({**drop, "lifted": True}, high)["starts as the scene"]
+    assert not judged(drop, high)["starts as the scene"]
+    assert not judged({**drop, "lifted": True, "lift": [0.3, 0.4]}, high)["starts as the scene"]
+    inside = filmed(a=fallen((0.5, 0), 0.02, height=0.051))
+    assert not judged({**drop, "lifted": True}, inside)["starts as the scene"], "it starts in the tray's floor"
+    assert not judged({**drop, "lifted": True}, filmed(wall=lambda t: ((-0.5, 0, 0.2), (0, 0, 0))))[
+        "starts as the scene"
+    ]
+
+
+def test_half_of_it_must_be_in_the_picture_at_the_event() -> None:
+    goal = {"active": A, "checks": [{"is": "moves", "id": A, "at_least": 1.9}]}
+    assert judged(goal, filmed(a=slid(0, 2, speed=2)))["in frame"]
+    assert not judged(goal, filmed(a=slid(2, 0, speed=2)))["in frame"]
+    assert not judged(goal, filmed(a=slid(0, -2, speed=2)))["in frame"], "behind the camera"
+
+
+def test_what_sinks_is_found() -> None:
+    assert not judged(TOPPLE, filmed(a=slid(0, 0, 0.04)))["stays above"]
+
+
+def test_after_and_before_bind_checks_together() -> None:
+    pushed = lambda t: ((-0.5 - max(0, 0.3 * (t - 1)), 0, 0.1), (0, 0, 0))  # noqa: E731
+    goal = {"active": A, "checks": [INTO_WALL, {"is": "moves", "id": WALL, "at_least": 0.1, "after": "touches"}]}
+    assert judged(goal, filmed(a=slid(-0.4), wall=pushed))["moves"]
+    assert not judged(goal, filmed(a=slid(-0.3), wall=pushed))["moves"], "never touched"
+    bounce = {"active": A, "checks": [INTO_WALL, {"is": "bounces", "id": A, "before": "touches"}]}
+    assert not judged(bounce, filmed(a=slid(-0.4)))["bounces"]
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+
+def written(folder: Path, film: Any, *, spoil: Callable[[dict[str, Any]], None] = lambda arrays: None) -> Path:
+    """A package and a rollout as the product writes them."""
+    objects = []
+    for id, body in film.bodies.items():
+        names = [f"collision/{id:02d}/{k:02d}.obj" for k in range(len(body.parts))]
+        for name, part in zip(names, body.parts, strict=True):
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            corners = "\n".join("v {} {} {}".format(*v) for v in part)
+            (folder / name).write_text(f"{corners}\nf 1 2 3\n")
+        place = {"T_world_object": body.T.tolist(), "center_of_mass": [0, 0, 0], "collision": names}
+        objects.append({"id": id, "label": "thing", **place})
+    camera = {"width": 1024, "height": 768, "K": film.K.tolist(), "T_world_camera": film.T_world_camera.tolist()}
+    (folder / "scene.json").write_text(json.dumps({"camera": camera, "objects": objects}))
+    rows = np.array([(0.1, -1, A, 2.0)], [("time", "f8"), ("a", "i8"), ("b", "i8"), ("force", "f8")])
+    T = np.stack(list(film.T.values()), axis=1)
+    arrays = {"time": film.time, "ids": np.array(list(film.T)), "T_world_object": T, "contacts": rows}
+    spoil(arrays)
+    np.savez(folder / "rollout.npz", **arrays)
+    return folder / "rollout.npz"
+
+
+def test_files_give_the_same_verdict(tmp_path: Path) -> None:
+    goal = {"active": A, "checks": [LEFT_10]}
+    file = written(tmp_path, filmed(a=slid(-0.1)))
+    found = checker.judge(goal, tmp_path, file)
+    assert all(f.met for f in found), [f.line for f in found]
+    assert len(seen.read(tmp_path, file).bodies[B].points) == 40
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda a: a.update(time=a["time"][::-1]),
+        lambda a: a.update(ids=a["ids"][::-1]),
+        lambda a: a["T_world_object"].__setitem__((3, 0, 0, 3), np.nan),
+        lambda a: a["T_world_object"].__setitem__((3, 0, 0, 0), 1.1),
+        lambda a: a.pop("contacts"),
+    ],
+)
+def test_a_rollout_that_is_not_whole_is_missed(tmp_path: Path, spoil: Callable[[dict[str, Any]], None]) -> None:
+    file = written(tmp_path, filmed(a=slid(-0.1)), spoil=spoil)
+    found = checker.judge({"active": A, "checks": [LEFT_10]}, tmp_path, file)
+    assert [f.met for f in found] == [False]
+
+
+# --- the suite's data ------------------------------------------------------------------------------------------------
+
+
+def goals(name: str) -> list[dict[str, Any]]:
+    return tomllib.loads((GOALS / name).read_text())["goal"]
+
+
+SUITE, PARAPHRASES, REFUSALS = goals("suite.toml"), goals("paraphrases.toml"), goals("refusals.toml")
+
+
+def ids_of(scene: str) -> set[int]:
+    folder = next((f for f in (DATA / "scenes" / scene, DATA / "real" / scene) if f.is_dir()), None)
+    folder = EXAMPLE if scene == "tabletop" else folder
+    if folder is None:
+        pytest.skip(f"no data for {scene} in {DATA}")
+    return {int(mask.stem.split("_")[0]) for mask in (folder / "masks").glob("*.png")}
+
+
+def test_the_suite_covers_every_scene_and_sort_of_goal() -> None:
+    assert len(SUITE) >= 44
+    assert len({g["scene"] for g in SUITE}) == 13
+    kinds = {"topple", "move", "contact", "roll", "return", "drop", "throw", "bounce", "tip and roll", "hit"}
+    assert {g["kind"] for g in SUITE} == kinds
+
+
+def test_no_goal_is_there_twice() -> None:
+    assert len({g["name"] for g in SUITE}) == len(SUITE)
+    assert len({(g["scene"], g["words"].lower()) for g in SUITE}) == len(SUITE)
+
+
+def test_every_goal_has_a_checklist_of_known_checks_and_a_witness_with_a_number() -> None:
+    for g in SUITE:
+        assert g["checks"] and all(c["is"] in checker.CHECKS for c in g["checks"]), g["name"]
+        assert any(ch.isdigit() for ch in g["witness"]), g["name"]
+        assert set(g) <= {"name", "scene", "words", "kind", "active", "target", "lifted", "lift", "checks", "witness"}
+
+
+def test_every_check_can_be_measured_on_any_film_of_its_scene() -> None:
+    """No check has a word that nothing reads: what a check needs is there, and what is there is read."""
+    known = {"is", "id", "a", "b", "direction", "towards", "at_least", "at_most", "angle", "degrees", "within"}
+    for check in (c for g in SUITE for c in g["checks"]):
+        assert set(check) <= known | {"after", "before", "when"}, check
+        of_film = {k: {"id": A, "a": A, "b": B, "towards": B}.get(k, v) for k, v in check.items()}
+        assert isinstance(verdict(filmed(a=slid(0.1)), **of_film).met, bool), check
+
+
+def test_ids_are_in_the_scenes() -> None:
+    for g in SUITE:
+        used = {c[k] for c in g["checks"] for k in ("id", "a", "b", "towards") if k in c} - {-1}
+        assert used | {g["active"], g.get("target", g["active"])} <= ids_of(g["scene"]), g["name"]
+    for g in PARAPHRASES:
+        assert {g["active"], g.get("target", g["active"])} <= ids_of(g["scene"])
+    assert all(ids_of(g["scene"]) for g in REFUSALS)
+
+
+def test_there_are_thirty_of_each() -> None:
+    words = [w for g in PARAPHRASES for w in g["wordings"]]
+    assert len(words) == len(set(words)) == len(REFUSALS) == 30
+    assert max(len(g["words"] * g.get("times", 1)) for g in REFUSALS) >= 10_000
+    assert all(g["mentions"] for g in REFUSALS)
+
+
+def test_words_name_nothing_internal() -> None:
+    inner = ("id ", "object_", "kind", "impulse", "velocity", "push_into", "lift_and", "_", "m/s")
+    for words in (*(g["words"] for g in SUITE), *(w for g in PARAPHRASES for w in g["wordings"])):
+        assert not any(word in words.lower() for word in inner), words
