@@ -47,8 +47,8 @@ DOWN = np.array([[1, 0, 0], [0, -0.5, np.sqrt(0.75)], [0, -np.sqrt(0.75), -0.5]]
 """The camera looks along +y and down by 30 deg; its right is +x."""
 
 
-def filmed(**moving: Path_) -> Any:
-    """A film in which bodies a, b and wall stand still but where a path is given; contacts are not recorded."""
+def filmed(contacts: tuple[tuple[float, int, int, float], ...] = (), **moving: Path_) -> Any:
+    """A film in which bodies a, b and wall stand still but where a path is given."""
     T = {}
     for id, name in ((A, "a"), (B, "b"), (WALL, "wall")):
         path = moving.get(name, lambda t, id=id: (PLACES[id], (0, 0, 0)))
@@ -59,7 +59,8 @@ def filmed(**moving: Path_) -> Any:
     camera = np.eye(4)
     camera[:3, :3], camera[:3, 3] = DOWN, (0, -1.5, 0.9)
     K = np.array([[800.0, 0, 512], [0, 800, 384], [0, 0, 1]])
-    return seen.Film(bodies=bodies, K=K, T_world_camera=camera, size=(1024, 768), time=TIME, T=T)
+    view = {"K": K, "T_world_camera": camera, "size": (1024, 768)}
+    return seen.Film(bodies=bodies, **view, time=TIME, T=T, contacts=list(contacts))
 
 
 def slid(x: float, y: float = 0, z: float = 0.05, speed: float = 0.5) -> Path_:
@@ -154,15 +155,26 @@ def test_every_check_has_a_case() -> None:
 # --- touching between samples ----------------------------------------------------------------------------------------
 
 
+def turned_back(x: float, speed: float, hit: float) -> Path_:
+    """Towards the wall, as far as x at the time of the hit, and back."""
+    return lambda t: ((x + speed * abs(t - hit), 0, 0.05), (0, 0, 0))
+
+
 @pytest.mark.parametrize("speed", [1.0, 3.0, 6.0])
-def test_a_hit_between_samples_is_seen_and_one_that_stays_clear_is_not(speed: float) -> None:
-    hit = 0.4123  # between two samples
-    hits, turns = (
-        verdict(filmed(a=lambda t, x=x: ((x + speed * abs(t - hit), 0, 0.05), (0, 0, 0))), **INTO_WALL)
-        for x in (-0.4, -0.4 + speed / 15)
-    )
+def test_a_hit_between_samples_is_one_where_paths_meet_and_a_contact_was_recorded(speed: float) -> None:
+    hit, away = 0.4123, -0.4 + speed / 10  # a time between two samples; three samples' way before the wall
+    row = ((hit, A, WALL, 1.0),)
+    hits = verdict(filmed(row, a=turned_back(-0.4, speed, hit)), **INTO_WALL)
     assert hits.met and hits.time == pytest.approx(hit, abs=1 / 30)
-    assert not turns.met, "it turns back two samples' way before the wall"
+    assert not verdict(filmed(a=turned_back(-0.4, speed, hit)), **INTO_WALL).met, "nothing says that it did not turn"
+    assert not verdict(filmed(row, a=turned_back(away, speed, hit)), **INTO_WALL).met, "recorded, but it was far"
+
+
+def test_what_a_third_body_stopped_touches_only_that() -> None:
+    """A cube falls onto the tray's floor: on its unhit path it would have reached the ground too."""
+    film = filmed(((0.22, A, B, 1.0),), a=fallen((0.5, 0), 0.06))
+    assert verdict(film, **{"is": "touches", "a": A, "b": B}).met
+    assert not verdict(film, **{"is": "touches", "a": A, "b": -1}).met
 
 
 def test_what_flies_past_or_stops_short_does_not_touch() -> None:
@@ -240,6 +252,8 @@ def test_half_of_it_must_be_in_the_picture_at_the_event() -> None:
 
 
 def test_what_sinks_is_found() -> None:
+    dip = lambda t: ((0, 0, 0.04 if 0.4 < t < 0.5 else 0.05), (0, 0, 0))  # noqa: E731
+    assert judged(TOPPLE, filmed(a=dip))["stays above"], "as deep as a hit on soft contacts"
     assert not judged(TOPPLE, filmed(a=slid(0, 0, 0.04)))["stays above"]
 
 

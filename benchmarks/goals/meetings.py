@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from found import Before, Check, Found, before_sample, first
-from paths import LOOSE, STEPS, TOUCH, mixed, reach, touch
+from paths import LOOSE, STEPS, TOUCH, mixed, reach, recorded, touch
 from scipy.spatial import ConvexHull, QhullError
 from seen import GROUND, Film, placed, unit
 
@@ -16,14 +16,13 @@ from seen import GROUND, Film, placed, unit
 def touches(film: Film, c: Check, before: Before) -> Found:
     """The parts of ``a`` and ``b`` come to touch; what touches at the start must part first."""
     a, b = c["a"], c["b"]
-    time, gap = touch(film, a, b)
-    rows = [t for t, i, j, _ in film.contacts if {i, j} == {a, b} and t > 0]
-    if time is None and rows and np.isfinite(gap):
+    (time, gap), rows = touch(film, a, b), recorded(film, a, b)
+    if time is None and len(rows) and np.isfinite(gap):
         k = before_sample(film, rows[0])
         if film.gap(a, b, k, far=1.0) <= reach(film, a, b, k) + LOOSE:
             words = f"seen {1000 * gap:.1f} mm apart, recorded and within reach"
             return Found(check="touches", met=True, time=float(film.time[k + 1]), measured=words)
-    words = f"nearest {1000 * gap:.1f} mm of {1000 * TOUCH:.0f}, {'' if rows else 'not '}recorded"
+    words = f"nearest {1000 * gap:.1f} mm of {1000 * TOUCH:.0f}, {'' if len(rows) else 'not '}recorded"
     return Found(check="touches", met=time is not None, time=time, measured=words)
 
 

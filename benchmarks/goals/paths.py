@@ -24,8 +24,8 @@ Pair = tuple[np.ndarray, np.ndarray | None]
 def touch(film: Film, a: int, b: int) -> tuple[float | None, float]:
     """When two bodies come to touch, None if never, and the least gap [m] that was seen on the way, at most FAR.
 
-    Between samples their paths are looked at where they could meet: straight from sample to sample, and as both would
-    have gone on, or must have come, without a hit. A body that would have gone into another has met it.
+    Between samples they are looked at on straight paths. Where the rollout recorded a contact, also on the paths by
+    which both would have gone on, or must have come, without a hit: who would have gone into the other has met it.
     """
     least, start = np.inf, 0
     while start < len(film.time) and film.gap(a, b, start) <= (LOOSE if start else TOUCH):
@@ -44,6 +44,11 @@ def touch(film: Film, a: int, b: int) -> tuple[float | None, float]:
     return None, float(least)
 
 
+def recorded(film: Film, a: int, b: int) -> np.ndarray:
+    """Times [s] at which the rollout has the two in contact."""
+    return np.array([t for t, i, j, _ in film.contacts if {i, j} == {a, b} and t > 0])
+
+
 def reach(film: Film, a: int, b: int, k: int) -> float:
     """How much two bodies' gap can change from a sample to the next [m]: what both travel then, or beside it."""
     around = slice(max(0, k - 1), k + 2)
@@ -58,8 +63,11 @@ def travels(film: Film, id: int) -> np.ndarray:
 
 
 def on_the_way(film: Film, a: int, b: int, k: int, s: float) -> list[Pair]:
-    """Poses of both in between: straight, as they would have gone on from before, as they must have come."""
-    ways = [(k + 1, k, None, -s), (k - 1, k, k - 2, s), (k + 2, k + 1, k + 3, 1 - s)]
+    """Poses of both in between: straight, and, where a contact was recorded then or just beside, on the unhit paths."""
+    ways: list[tuple[int, int, int | None, float]] = [(k + 1, k, None, -s)]
+    rows, around = recorded(film, a, b), film.time[[max(0, k - 1), min(k + 2, len(film.time) - 1)]]
+    if ((rows >= around[0]) & (rows <= around[1])).any():
+        ways += [(k - 1, k, k - 2, s), (k + 2, k + 1, k + 3, 1 - s)]
     found: list[Pair] = []
     for i, j, h, share in ways:
         Ta = gone_on(film, a, i, j, h, share)
