@@ -1,4 +1,4 @@
-"""Laws of the goal suite: its checker on films made by hand, where each check passes and fails, and its data files."""
+"""Laws of the goal suite's checker, on films made by hand where each check passes and fails, and of its data files."""
 
 from __future__ import annotations
 
