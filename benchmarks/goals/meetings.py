@@ -22,7 +22,7 @@ def touches(film: Film, c: Check, before: Before) -> Found:
         if film.gap(a, b, k, far=1.0) <= reach(film, a, b, k) + LOOSE:
             words = f"seen {1000 * gap:.1f} mm apart, recorded and within reach"
             return Found(check="touches", met=True, time=float(film.time[k + 1]), measured=words)
-    words = f"nearest {1000 * gap:.1f} mm of {1000 * TOUCH:.0f}, {'' if len(rows) else 'not '}recorded"
+    words = f"nearest {1000 * gap:.1f} mm of {1000 * TOUCH:.1f}, {'' if len(rows) else 'not '}recorded"
     return Found(check="touches", met=time is not None, time=time, measured=words)
 
 

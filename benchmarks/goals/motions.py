@@ -22,7 +22,8 @@ FALLS_ALONG = 45.0
 
 def moves(film: Film, c: Check, before: Before) -> Found:
     """Its centre of mass is moved along ``direction`` or ``towards`` an object, or anywhere, by ``at_least`` and
-    ``at_most``, within ``angle``; at the end, or ``when = "ever"``; counted from the touch with ``after``."""
+    ``at_most``, within ``angle``; at the end, or ``when = "ever"``; counted from the touch with ``after``. Where
+    there is a most, the event is the end."""
     k0 = since(c, before, film)
     if k0 is None:
         return Found(check="moves", met=False, measured=f"no {c['after']} that it could come after")
@@ -34,7 +35,8 @@ def moves(film: Film, c: Check, before: Before) -> Found:
     off = min((angle(flat[k], u) for u in ways), default=0.0)
     fits = c["at_least"] <= along[k] <= c.get("at_most", np.inf) and off <= c.get("angle", WITHIN)
     words = f"{1000 * along[k]:.0f} mm of {needed(c)}" + (f", {off:.0f} deg off" if ways else "")
-    return Found(check="moves", met=bool(fits), time=first(film, along >= c["at_least"], k0), measured=words)
+    time = float(film.time[-1]) if "at_most" in c else first(film, along >= c["at_least"], k0)
+    return Found(check="moves", met=bool(fits), time=time, measured=words)
 
 
 def stays(film: Film, c: Check, before: Before) -> Found:

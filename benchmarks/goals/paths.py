@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from seen import GROUND, Film, placed
 
-TOUCH = 1e-3
-"""[m] Bodies nearer than this touch; contacts are held .2 mm apart."""
+TOUCH = 5e-4
+"""[m] Bodies nearer than this touch; at rest they are held .2 to .4 mm apart."""
 LOOSE = 3e-3
 """[m] A body farther than this from everything flies; one that stands off by it after touching has let go."""
 STEPS = 8
