@@ -21,7 +21,11 @@ sys.path.insert(0, str(GOALS))
 checker, seen, gaps, paths = (importlib.import_module(name) for name in ("checker", "seen", "gaps", "paths"))
 
 A, B, WALL = 1, 2, 3
-"""A cube of 10 cm at the origin, an open tray of 30 cm at x = .5, a box of 20 cm at x = -.5, all on the table."""
+"""A cube of 10 cm at x = 0, an open tray of 30 cm at x = .5, a box of 20 cm at x = -.5, all on the table."""
+ORIGIN = np.array([0.3, -0.2, 0])
+"""Where the films' zero is in the world: nothing happens to be at its origin."""
+COM = np.array([0.01, -0.02, 0.005])
+"""Where centres of mass, about which all is said here, are in the frames of the bodies."""
 TIME = np.arange(61) / 30
 Path_ = Callable[[float], tuple[Any, Any]]
 """Where a body's centre is at a time, and its rotation vector [deg]."""
@@ -32,10 +36,11 @@ def box(size: tuple[float, float, float], at: tuple[float, float, float] = (0, 0
     return corners * size + at
 
 
-def pose(at: Any, turned: Any = (0, 0, 0)) -> np.ndarray:
+def placed(at: Any, turned: Any = (0, 0, 0)) -> np.ndarray:
+    """The pose of a body whose centre is there."""
     T = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec(np.radians(np.asarray(turned, float))).as_matrix()
-    T[:3, 3] = at
+    T[:3, 3] = ORIGIN + at - T[:3, :3] @ COM
     return T
 
 
@@ -52,12 +57,13 @@ def filmed(contacts: tuple[tuple[float, int, int, float], ...] = (), **moving: P
     T = {}
     for id, name in ((A, "a"), (B, "b"), (WALL, "wall")):
         path = moving.get(name, lambda t, id=id: (PLACES[id], (0, 0, 0)))
-        T[id] = np.array([pose(*path(t)) for t in TIME])
+        T[id] = np.array([placed(*path(t)) for t in TIME])
     bodies = {
-        id: seen.Body(id=id, label="", parts=PARTS[id], com=np.zeros(3), T=pose(PLACES[id])) for id in (A, B, WALL)
+        id: seen.Body(id=id, label="", parts=[p + COM for p in PARTS[id]], com=COM, T=placed(PLACES[id]))
+        for id in (A, B, WALL)
     }
     camera = np.eye(4)
-    camera[:3, :3], camera[:3, 3] = DOWN, (0, -1.5, 0.9)
+    camera[:3, :3], camera[:3, 3] = DOWN, ORIGIN + np.array([0, -1.5, 0.9])
     K = np.array([[800.0, 0, 512], [0, 800, 384], [0, 0, 1]])
     view = {"K": K, "T_world_camera": camera, "size": (1024, 768)}
     return seen.Film(bodies=bodies, **view, time=TIME, T=T, contacts=list(contacts))
@@ -146,6 +152,102 @@ def test_a_check_passes_and_fails(check: Mapping[str, Any], good: Path_, bad: Pa
     passes, fails = verdict(filmed(a=good), **check), verdict(filmed(a=bad), **check)
     assert passes.met, passes.line
     assert not fails.met, fails.line
+
+
+def hovering(at: tuple[float, float, float], *, since: float = 0.1) -> Path_:
+    """At the origin at first, then there."""
+    return lambda t: (at if t >= since else PLACES[A], (0, 0, 0))
+
+
+HELD_UP: dict[str, Path_] = {
+    "a": lambda t: ((0.5, 0, 0.26), (0, 0, 0)),
+    "b": lambda t: ((0.5, 0, 0.205), (0, 0, 0)),
+}
+"""The cube in the tray, both 20 cm above the table."""
+
+
+@pytest.mark.parametrize(
+    ("check", "paths", "met"),
+    [
+        ({"is": "ends_on", "a": A, "b": B}, HELD_UP, True),
+        ({"is": "ends_on", "a": B, "b": A}, HELD_UP, False),  # it carries the other
+        ({"is": "ends_on", "a": A, "b": B}, {"a": hovering((0.5, 0, 0.08))}, False),  # it does not touch
+        ({"is": "ends_on", "a": A, "b": B}, {"a": hovering((0.69, 0, 0.12))}, False),  # its middle is beyond the rim
+        ({"is": "ends_on", "a": A, "b": B}, {"a": hovering((0.5, 0, 0.05))}, False),  # it stands on the ground
+        ({"is": "ends_in", "a": A, "b": B}, {"a": hovering((0.5, 0, 0.105))}, True),  # low enough, its middle is not
+        ({"is": "ends_in", "a": A, "b": B}, {"a": hovering((0.66, 0, 0.105))}, False),
+        ({"is": "ends_in", "a": A, "b": B}, {"a": hovering((0.5, 0, 0.05))}, False),
+        ({"is": "ends_off", "a": A, "b": B}, {"a": hovering((0.5, 0, 0.2))}, True),  # above it, far from it
+        ({"is": "ends_off", "a": A, "b": B}, {"a": hovering((0.7, 0, 0.05))}, True),  # beside it, touching it
+        ({"is": "lands_on", "a": A, "b": B}, {"a": fallen((0.69, 0), 0.12)}, False),  # on its rim, the middle beyond
+        ({"is": "lands_on", "a": A, "b": WALL}, {"a": fallen((-0.5, 0), 0.25, height=0.5)}, True),
+        (
+            {"is": "lands_on", "a": A, "b": B},
+            {
+                "a": lambda t: ((0.5, 0, 0.08 + 0.1 * t), (0, 0, 0)),
+                "b": lambda t: ((0.5, 0, 0.005 + 0.2 * t), (0, 0, 0)),
+            },
+            False,  # it rises, the tray catches up
+        ),
+        ({"is": "passes_over", "a": A, "b": B}, {"a": thrown(0.9, 2.5, until=0.45)}, False),  # it stays over this side
+        ({"is": "bounces", "id": A}, {"a": thrown(0.3, 2.0)}, False),
+        (
+            {"is": "bounces", "id": A},
+            {"a": lambda t: ((0, 0, 0.1 - 0.05 * min(t, 1) + 0.002 * (t > 1)), (0, 0, 0))},
+            False,
+        ),
+        ({"is": "bounces", "id": A}, {"a": lambda t: ((0, 0, 0.1 + 0.004 * np.sin(9 * t)), (0, 0, 0))}, False),
+        ({"is": "topples", "id": A}, {"a": lambda t: (PLACES[A], (0, 180 * t, 0))}, False),  # over, and up again
+    ],
+)
+def test_what_only_looks_like_it_is_told_apart(check: Mapping[str, Any], paths: dict[str, Path_], met: bool) -> None:
+    found = verdict(filmed(**paths), **check)
+    assert found.met == met, found.line
+
+
+@pytest.mark.parametrize(
+    ("check", "path", "time"),
+    [
+        ({**LEFT_10, "at_most": 1.0}, slid(-0.5), 2.0),
+        ({"is": "moves", "id": A, "direction": "left", "at_least": 0.07}, slid(-0.5), 0.14),
+        ({"is": "falls", "id": A, "at_least": 0.1}, fallen((0, 0), 0.05), 0.143),
+        ({"is": "rises", "id": A, "at_least": 0.1}, thrown(0, 2.0), 0.059),
+        ({"is": "returns", "id": A, "within": 0.1}, thrown(0.1, 2.0), 0.395),
+        ({"is": "topples", "id": A}, tipped(90), 0.5),
+        ({"is": "rolls", "id": A, "degrees": 90}, lambda t: ((0.1 * t, 0, 0.05), (0, 100 * t, 0)), 0.9),
+        ({"is": "bounces", "id": A}, bounced, np.pi / 4),
+        ({"is": "touches", "a": A, "b": WALL}, slid(-0.9, speed=9.0), 0.4 / 9),
+        ({"is": "lands_on", "a": A, "b": B}, fallen((0.5, 0), 0.06), 0.2213),
+        ({"is": "ends_off", "a": A, "b": B}, lambda t: ((0.5 + 0.3 * t, 0, 0.3), (0, 0, 0)), 0.5),
+        ({"is": "passes_over", "a": A, "b": B}, thrown(1.3, 3.5), 0.357),
+        ({"is": "flies", "id": A}, thrown(0.3, 1.5), 1 / 30),
+    ],
+)
+def test_the_event_is_when_it_happens(check: Mapping[str, Any], path: Path_, time: float) -> None:
+    found = verdict(filmed(a=path), **check)
+    assert found.met and found.time == pytest.approx(time, abs=1 / 30), found.line
+
+
+def test_what_is_after_a_touch_is_counted_from_it() -> None:
+    """The box moves by 30 mm of itself, is hit at .8 s, and moves 30 mm more."""
+    wall = lambda t: ((-0.5 - 0.03 * min(t, 0.5) / 0.5 - 0.03 * max(0, min(1, t - 0.9)), 0, 0.1), (0, 0, 0))  # noqa: E731
+    film = filmed(a=slid(-0.43, speed=0.5376), wall=wall)
+    hit = verdict(film, **INTO_WALL)
+    assert hit.met and hit.time == pytest.approx(0.8, abs=0.04)
+    moved = {"is": "moves", "id": WALL, "at_least": 0.02, "after": "touches"}
+    assert checker.check(film, moved, {"touches": hit}).time > 1.4
+    assert not checker.check(film, {**moved, "at_least": 0.04}, {"touches": hit}).met
+    assert verdict(film, **{"is": "moves", "id": WALL, "at_least": 0.04}).met
+
+
+def test_a_flight_is_before_the_touch() -> None:
+    """It slides into the box and is thrown back from there."""
+    film = filmed(
+        a=lambda t: ((-0.5 * t if t < 0.8 else t - 1.2, 0, 0.05 if t < 0.8 else 0.05 + 0.2 * (t - 0.8)), (0, 0, 0))
+    )
+    hit = verdict(film, **INTO_WALL)
+    assert hit.met and verdict(film, **{"is": "flies", "id": A}).met
+    assert not checker.check(film, {"is": "flies", "id": A}, {"touches": hit}).met
 
 
 def test_every_check_has_a_case() -> None:
@@ -278,7 +380,7 @@ def written(folder: Path, film: Any, *, spoil: Callable[[dict[str, Any]], None] 
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             corners = "\n".join("v {} {} {}".format(*v) for v in part)
             (folder / name).write_text(f"{corners}\nf 1 2 3\n")
-        place = {"T_world_object": body.T.tolist(), "center_of_mass": [0, 0, 0], "collision": names}
+        place = {"T_world_object": body.T.tolist(), "center_of_mass": COM.tolist(), "collision": names}
         objects.append({"id": id, "label": "thing", **place})
     camera = {"width": 1024, "height": 768, "K": film.K.tolist(), "T_world_camera": film.T_world_camera.tolist()}
     (folder / "scene.json").write_text(json.dumps({"camera": camera, "objects": objects}))
@@ -306,6 +408,9 @@ def test_files_give_the_same_verdict(tmp_path: Path) -> None:
         lambda a: a["T_world_object"].__setitem__((3, 0, 0, 3), np.nan),
         lambda a: a["T_world_object"].__setitem__((3, 0, 0, 0), 1.1),
         lambda a: a.pop("contacts"),
+        lambda a: a.update(time=a["time"] + 0.1),
+        lambda a: a.update(time=a["time"][:-1]),
+        lambda a: a.update(time=a["time"][:1], T_world_object=a["T_world_object"][:1]),
     ],
 )
 def test_a_rollout_that_is_not_whole_is_missed(tmp_path: Path, spoil: Callable[[dict[str, Any]], None]) -> None:
