@@ -159,6 +159,10 @@ def hovering(at: tuple[float, float, float], *, since: float = 0.1) -> Path_:
     return lambda t: (at if t >= since else PLACES[A], (0, 0, 0))
 
 
+def there_and_back(t: float) -> tuple[Any, Any]:
+    return (0.15 * np.sin(np.pi * t / 2), 0, 0.05), (0, 0, 0)
+
+
 HELD_UP: dict[str, Path_] = {
     "a": lambda t: ((0.5, 0, 0.26), (0, 0, 0)),
     "b": lambda t: ((0.5, 0, 0.205), (0, 0, 0)),
@@ -190,6 +194,14 @@ HELD_UP: dict[str, Path_] = {
             False,  # it rises, the tray catches up
         ),
         ({"is": "passes_over", "a": A, "b": B}, {"a": thrown(0.9, 2.5, until=0.45)}, False),  # it stays over this side
+        ({"is": "passes_over", "a": A, "b": WALL}, {"a": thrown(-1.3, 4.0)}, True),
+        (
+            {"is": "passes_over", "a": A, "b": B},  # by way of its floor
+            {"a": lambda t: ((1.5 * t, 0, 0.06 + 1.2 * abs(t - 1 / 3)), (0, 0, 0))},
+            False,
+        ),
+        ({"is": "moves", "id": A, "at_least": 0.1, "at_most": 0.2}, {"a": there_and_back}, False),
+        ({"is": "moves", "id": A, "at_least": 0.1, "when": "ever"}, {"a": there_and_back}, True),
         ({"is": "bounces", "id": A}, {"a": thrown(0.3, 2.0)}, False),
         (
             {"is": "bounces", "id": A},
@@ -226,6 +238,20 @@ def test_what_only_looks_like_it_is_told_apart(check: Mapping[str, Any], paths: 
 def test_the_event_is_when_it_happens(check: Mapping[str, Any], path: Path_, time: float) -> None:
     found = verdict(filmed(a=path), **check)
     assert found.met and found.time == pytest.approx(time, abs=1 / 30), found.line
+
+
+def test_a_flight_of_one_sample_before_the_touch_counts() -> None:
+    film = filmed(a=thrown(-8, 1.0, until=0.05))
+    hit = verdict(film, **INTO_WALL)
+    assert hit.met and hit.time == pytest.approx(0.05, abs=0.02)
+    assert checker.check(film, {"is": "flies", "id": A}, {"touches": hit}).met
+
+
+def test_what_is_measured_is_told() -> None:
+    over = verdict(filmed(a=thrown(1.3, 3.5)), **{"is": "passes_over", "a": A, "b": B})
+    assert over.measured.startswith(("553 mm", "554 mm")) and "428 mm beyond" in over.measured
+    inside = verdict(filmed(a=fallen((0.52, 0), 0.06)), **{"is": "ends_in", "a": A, "b": B})
+    assert inside.measured == "middle 10 mm inside its hull, lowest point 60 mm under its rim"
 
 
 def test_what_is_after_a_touch_is_counted_from_it() -> None:
@@ -270,6 +296,35 @@ def test_a_hit_between_samples_is_one_where_paths_meet_and_a_contact_was_recorde
     assert hits.met and hits.time == pytest.approx(hit, abs=1 / 30)
     assert not verdict(filmed(a=turned_back(-0.4, speed, hit)), **INTO_WALL).met, "nothing says that it did not turn"
     assert not verdict(filmed(row, a=turned_back(away, speed, hit)), **INTO_WALL).met, "recorded, but it was far"
+
+
+@pytest.mark.parametrize("speed", [1.0, 3.0, 6.0])
+def test_unhit_paths_tell_when_they_met(speed: float) -> None:
+    """Within an interval; a contact at another time says nothing of this one."""
+    hit = 0.4123
+    then, later = (filmed(((t, A, WALL, 1.0),), a=turned_back(-0.4, speed, hit)) for t in (hit, 1.9))
+    time, gap = paths.touch(then, A, WALL)
+    assert time == pytest.approx(hit, abs=1 / 30) and gap <= paths.TOUCH
+    assert paths.touch(later, A, WALL)[0] is None
+    assert paths.touch(filmed(a=turned_back(-0.4, speed, hit)), A, WALL)[0] is None
+
+
+def test_a_path_goes_on_in_its_parabola_and_turns_on_until_something_hits_it() -> None:
+    flight = lambda t: ((0.5 * t, -t, 0.05 + 4 * t - 4.905 * t * t), (40 * t, 0, 0))  # noqa: E731
+    film = filmed(a=flight)
+    for i, j, h, s, t in ((9, 10, 8, 0.4, 10.4), (12, 11, 13, 0.3, 10.7)):
+        assert paths.gone_on(film, A, i, j, h, s) == pytest.approx(placed(*flight(t / 30)), abs=1e-9)
+    struck = filmed(a=turned_back(-0.4, 1.0, 0.31))
+    assert paths.gone_on(struck, A, 9, 10, 8, 0.5) is None, "it was hit between 9 and 10"
+    assert paths.gone_on(film, A, 0, 1, -1, 0.5) is None and paths.gone_on(film, A, 60, 59, 61, 0.5) is None
+
+
+def test_a_hit_right_at_the_start_is_believed_where_it_is_within_reach() -> None:
+    row = ((0.012, A, WALL, 1.0),)
+    near = verdict(filmed(row, a=lambda t: ((-0.4 + 2 * abs(t - 0.012), 0, 0.05), (0, 0, 0))), **INTO_WALL)
+    assert near.met and near.time <= 1 / 30
+    far = verdict(filmed(row, a=lambda t: ((-0.1 + 2 * abs(t - 0.012), 0, 0.05), (0, 0, 0))), **INTO_WALL)
+    assert not far.met
 
 
 def test_what_a_third_body_stopped_touches_only_that() -> None:

@@ -29,11 +29,11 @@ def touches(film: Film, c: Check, before: Before) -> Found:
 def lands_on(film: Film, c: Check, before: Before) -> Found:
     """It comes down on ``b``: touches it falling, its centre of mass over b's outline and higher than b's."""
     hit = touches(film, c, before)
-    if hit.time is None or not hit.met:
+    if hit.time is None:
         return Found(check="lands_on", met=False, measured=hit.measured)
-    k = min(before_sample(film, hit.time), len(film.time) - 2)
+    k = before_sample(film, hit.time)
     down = film.centre(c["a"])[k + 1, 2] - film.centre(c["a"])[max(k - 1, 0), 2]
-    over = is_over(film, c["a"], c["b"], k + 1) or is_over(film, c["a"], c["b"], k)
+    over = is_over(film, c["a"], c["b"], k + 1)
     higher = film.centre(c["a"])[k, 2] > film.centre(c["b"])[k, 2]
     words = f"{'falling' if down < 0 else 'not falling'}, {'over' if over else 'not over'} it, {hit.measured}"
     return Found(check="lands_on", met=bool(down < 0 and over and higher), time=hit.time, measured=words)
@@ -50,8 +50,8 @@ def ends_on(film: Film, c: Check, before: Before) -> Found:
 
 
 def ends_in(film: Film, c: Check, before: Before) -> Found:
-    """At the end its centre of mass is inside the hull of ``b``, or its lowest point is over b's outline and under b's
-    rim; off the ground."""
+    """At the end its centre of mass is over b's outline and its lowest point under b's rim, and off the ground; beside
+    that it tells how deep its centre is in b's hull."""
     a, b, k = c["a"], c["b"], len(film.time) - 1
     target = film.bodies[b]
     centre = film.centre(a)[k]
@@ -59,7 +59,7 @@ def ends_in(film: Film, c: Check, before: Before) -> Found:
     deep = -float((target.hull @ [*local, 1]).max())
     under = float(film.points(b, k)[:, 2].max() - film.points(a, k)[:, 2].min())
     over, ground = is_over(film, a, b, k), film.gap(a, GROUND, k)
-    met = ground > TOUCH and (deep >= 0 or (over and under >= 0.005))
+    met = ground > TOUCH and over and under >= 0.005
     words = f"middle {1000 * deep:.0f} mm inside its hull, lowest point {1000 * under:.0f} mm under its rim"
     return Found(check="ends_in", met=bool(met), time=float(film.time[k]), measured=words)
 
@@ -68,33 +68,30 @@ def ends_off(film: Film, c: Check, before: Before) -> Found:
     """At the end it no longer lies on ``b``: its centre of mass is beyond b's outline, or it does not touch b."""
     a, b, k = c["a"], c["b"], len(film.time) - 1
     gap, over = film.gap(a, b, k), is_over(film, a, b, k)
-    left = np.array([is_over(film, a, b, i) for i in range(k + 1)])
+    left = np.array([is_over(film, a, b, i) for i in range(len(film.time))])
     words = f"{1000 * gap:.0f} mm from it, {'over' if over else 'beyond'} its outline"
     time = first(film, ~left) if not over else float(film.time[k])
     return Found(check="ends_off", met=bool(not over or gap > LOOSE), time=time, measured=words)
 
 
 def passes_over(film: Film, c: Check, before: Before) -> Found:
-    """Its centre of mass crosses b's outline while its lowest point is above b's highest, before any touch, and it ends
+    """Before any touch its centre of mass crosses b's outline, its lowest point above b's highest, and comes out of it
     beyond b's middle."""
     a, b = c["a"], c["b"]
     touched, _ = touch(film, a, b)
-    start, middle = film.centre(a)[0], film.centre(b)[0]
-    way = unit((middle - start) * [1, 1, 0])
-    beyond = float((film.centre(a)[-1] - middle) @ way)
-    best, time = -np.inf, None
-    for k in range(len(film.time) - 1):
-        if touched is not None and film.time[k + 1] > touched:
-            break
-        top = film.points(b, k)[:, 2].max()
-        for s in np.arange(STEPS) / STEPS:
-            T = mixed(film, a, k, s)
-            clear = float(placed(T, film.bodies[a].points)[:, 2].min() - top)
-            if clear > best and inside_outline(placed(T, film.bodies[a].com), film.points(b, k)):
-                best, time = clear, float(film.time[k] + s * (film.time[k + 1] - film.time[k]))
-    words = (
-        f"{1000 * best:.0f} mm above it, ends {1000 * beyond:.0f} mm beyond" if time is not None else "never over it"
-    )
+    middle = film.centre(b)[0]
+    way = unit((middle - film.centre(a)[0]) * [1, 1, 0])
+    best, time, beyond = -np.inf, None, -np.inf
+    for k in range(len(film.time) if touched is None else before_sample(film, touched) + 1):
+        points = film.points(b, k)
+        if not inside_outline(film.centre(a)[k], points):
+            beyond = max(beyond, float((film.centre(a)[k] - middle) @ way))
+        for s in np.arange(STEPS if k + 1 < len(film.time) else 1) / STEPS:
+            T = mixed(film, a, k, s) if s else film.T[a][k]
+            clear = float(placed(T, film.bodies[a].points)[:, 2].min() - points[:, 2].max())
+            if clear > best and inside_outline(placed(T, film.bodies[a].com), points):
+                best, time = clear, float(film.time[k])
+    words = "never over it" if time is None else f"{1000 * best:.0f} mm above it, {1000 * beyond:.0f} mm beyond"
     return Found(check="passes_over", met=best > 0 and beyond > 0, time=time, measured=words)
 
 

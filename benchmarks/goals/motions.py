@@ -132,8 +132,6 @@ def bounces(film: Film, c: Check, before: Before) -> Found:
             return Found(check="bounces", met=False, measured=f"no {c['before']} that it could come before")
         end = int(np.searchsorted(film.time, found.time - 1e-9))
     for k in range(1, end):
-        if z[k] > z[k - 1] or z[k] > z[k + 1]:
-            continue
         high = max(z[: k + 1])
         after = z[k : end + 1]
         rise = float(after[: 1 + int(np.argmax(np.append(np.diff(after) < 0, True)))].max() - z[k])
