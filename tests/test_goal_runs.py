@@ -22,7 +22,7 @@ from scenes import box_stack_scene
 from test_simulate import plan_of
 
 GOALS = Path(__file__).parents[1] / "benchmarks" / "goals"
-sys.path.insert(0, str(GOALS))
+sys.path.append(str(GOALS))
 asked, results = importlib.import_module("asked"), importlib.import_module("results")
 spec = importlib.util.spec_from_file_location("goals_run", GOALS / "run.py")
 assert spec and spec.loader

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 GOALS = Path(__file__).parents[1] / "benchmarks" / "goals"
 DATA = Path(__file__).parents[2] / "shared" / "data"
 EXAMPLE = Path(__file__).parents[1] / "src" / "f3sr" / "example" / "tabletop"
-sys.path.insert(0, str(GOALS))
+sys.path.append(str(GOALS))
 checker, seen, gaps, paths = (importlib.import_module(name) for name in ("checker", "seen", "gaps", "paths"))
 
 A, B, WALL = 1, 2, 3
