@@ -159,7 +159,8 @@ def same_bytes(a: Path, b: Path) -> bool:
 
 
 def last_words(printed: str) -> str:
-    return " / ".join(printed.strip().splitlines()[-2:])[-300:]
+    """What was said last, in one line, without JSON."""
+    return " / ".join([line for line in printed.strip().splitlines() if not line.startswith("{")][-2:])[-300:]
 
 
 def number_named(name: str, *documents: Any) -> int | None:
