@@ -16,7 +16,7 @@ from f3sr.physics import body_of
 from scenes import box_stack_scene
 from test_simulate import made, plan_of
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "goals"))
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks" / "goals"))
 import replay
 
 

@@ -68,6 +68,10 @@ MEANT = {
     "the second mug from the left": 1,
     "the 2nd mug from the right": 0,
     "the last mug from the left": 1,
+    # names of brands, and words that tell nothing
+    "the Cheez-It box": 3,
+    "the spam": 5,
+    "the colourful bowl": 6,
     # relations
     "the can on the box": 4,
     "the can on top of the cracker box": 4,

@@ -129,6 +129,8 @@ UNDERSTOOD = {
     "make the apple roll off the box": asked("roll", "apple", ("off", "box")),
     # drop
     "drop the ball": asked("drop", "ball"),
+    "let the brick fall from 20 cm up": asked("drop", "brick", amount=cm(20)),
+    "drop the brick from 20 cm up": asked("drop", "brick", amount=cm(20)),
     "drop the apple on the box": asked("drop", "apple", ("onto", "box")),
     "drop the apple on the left box": asked("drop", "apple", ("onto", "left box")),
     "drop the apple on the left": asked("drop", "apple on left"),
@@ -141,6 +143,7 @@ UNDERSTOOD = {
     "lift the can and drop it on the box": asked("lift_and_drop", "can", ("onto", "box")),
     "pick the apple up and put it in the bowl": asked("lift_and_drop", "apple", ("into", "bowl")),
     "pick up the ball in the bowl and drop it on the box": asked("lift_and_drop", "ball in bowl", ("onto", "box")),
+    "pop the lemon in the bowl": asked("lift_and_drop", "lemon", ("into", "bowl")),
     "put the lemon on top of the box": asked("lift_and_drop", "lemon", ("onto", "box")),
     "raise the mug by 30 cm and let it fall": asked("lift_and_drop", "mug", amount=cm(30)),
     "hold the apple above the bowl and let go": asked("lift_and_drop", "apple", ("onto", "bowl")),
@@ -175,6 +178,8 @@ UNDERSTOOD = {
     "launch the cube upwards so that it lands where it was": asked("launch_and_return", "cube", None, "up"),
     "launch the ball into the air so it comes back down": asked("launch_and_return", "ball", None, "up"),
     "throw the ball up so that it returns to its place": asked("launch_and_return", "ball", None, "up"),
+    "flick the lemon up into the air": asked("launch_and_return", "lemon", None, "up"),
+    "kick the ball up and let it fall back": asked("launch_and_return", "ball", None, "up"),
     "make the ball jump": asked("launch_and_return", "ball"),
 }
 
@@ -198,6 +203,7 @@ REFUSED = {
     "the red cup": "verb",
     "hello": "verb",
     "frobnicate the cup": "verb",
+    "slide the box upwards": "direction",
     "please": "verb",
     "make it so": "verb",
     "push": "grammar",

@@ -15,7 +15,7 @@ from f3sr.goals.refusal import Reason, Refusal, quoted
 from f3sr.goals.request import Outcome, Preposition, Request
 from f3sr.goals.scan import DIRECTIONS, DROPPED, PLACED, Clause
 from f3sr.goals.tokens import spoken
-from f3sr.goals.verbs import Family
+from f3sr.goals.verbs import STRIKES, Family
 
 MOVED: set[Family] = {"push", "pull", "roll", *DROPPED}
 """Families that may say where to by another object's place."""
@@ -153,10 +153,17 @@ def _dropped(c: Clause) -> Request | Refusal:
         return _refused("grammar", "nothing holds what is lifted; accepted: 'lift ... and drop it on ...'")
     if c.family == "put" and not _is_lifted(c) and not c.targets:
         return _refused("grammar", f"the goal does not say where to {c.verb} it; accepted: on or into a thing")
-    return _request("drop" if c.family == "drop" else "lift_and_drop", c)
+    return _request("lift_and_drop", c) if c.family != "drop" else _from_above(c)
+
+
+def _from_above(c: Clause) -> Request:
+    """``drop it from 20 cm up`` says from where."""
+    return _request("drop", replace(c, directions=[d for d in c.directions if d != "up"]))
 
 
 def _pushed(c: Clause, preposition: str | None) -> Request | Refusal:
+    if c.directions == ["up"] and not (c.targets or c.over) and (c.family == "hit" or c.verb in STRIKES):
+        return _request("launch_and_return", c)
     if {"up", "down"} & set(c.directions):
         return _refused("direction", "pushing goes along the ground; accepted: left, right, away from me, towards me")
     over = c.over or c.family == "tip"
@@ -178,12 +185,12 @@ def _own_direction(c: Clause) -> list[Direction]:
 
 
 def _fallen(c: Clause, *, let: bool, off: bool) -> Request | Refusal:
-    if c.over or (c.directions and c.directions != ["down"]):
+    if c.over or not {"up", "down"}.issuperset(c.directions):
         return _request("topple", c)
     if off:
         return _request("slide", c)
     if c.targets or let:
-        return _request("drop", c)
+        return _from_above(c)
     return _refused("ambiguous", "'fall' may mean to fall over or to be dropped; accepted: 'falls over' or 'drop it'")
 
 

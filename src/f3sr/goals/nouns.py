@@ -51,11 +51,24 @@ chair seat
 stool seat
 cupboard cabinet
 backpack rucksack
+rubiks rubik puzzle
+cracker cheezit
+gelatin jello
+soup campbell
+meat spam
+mustard french
+ketchup heinz
+spray windex
+tissue kleenex
+marker sharpie pen
+soda cola coke pepsi
+chips pringles
+bleach clorox
 candle
 doll figure figurine
 teddy teddybear bear
 """
-"""A line holds names of one thing; a name may stand in several."""
+"""A line holds names of one thing, those of brands too; a name may stand in several."""
 KINDS = {
     "fruit": "apple lemon orange strawberry banana pear peach plum lime kiwi mango melon grape",
     "food": "apple lemon orange strawberry banana pear peach plum cheese macaroni bread cake ketchup mustard soup meat",
@@ -91,6 +104,8 @@ COMPOUNDS = {
     ("fry", "pan"): "frypan",
     ("teddy", "bear"): "teddybear",
     ("cell", "phone"): "cellphone",
+    ("cheez", "it"): "cheezit",
+    ("jell", "o"): "jello",
 }
 GROUND_NAMES = set(each("ground floor table tabletop desk surface counter countertop worktop worksurface"))
 ANYTHING = set(each("one object thing item stuff body"))

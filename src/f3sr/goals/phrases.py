@@ -42,6 +42,8 @@ AT = {"on", "in", "at", "to", "from"}
 MANY = set(each("all every each both these those everything them they others some several many"))
 COUNTS = set(each("two three four five six seven eight nine ten"))
 SHADES = {"dark", "bright", "pale", "deep", "light", "shiny"}
+UNTELLING = {"coloured", "colored", "colourful", "colorful", "multicoloured", "multicolored", "patterned"}
+"""Adjectives that fit nearly everything."""
 MOST = 4
 """Relations in one phrase: more are no description."""
 
@@ -130,7 +132,7 @@ def _telling(head: Sequence[str]) -> list[str]:
     """The words that say which object: no numbers of objects, no shades of colours, no ``one of``."""
     start = head.index("of") if "of" in head else 0
     words = [w for i, w in enumerate(head) if i > start or singular(w) not in ANYTHING or not start]
-    empty = MANY | COUNTS | {"of", "that", "which"} | ({"and"} if _joins_colours(head) else set[str]())
+    empty = MANY | COUNTS | UNTELLING | {"of", "that", "which"} | ({"and"} if _joins_colours(head) else set[str]())
     words = [w for w in words if w not in empty]
     return [w for i, w in enumerate(words) if w not in SHADES or (words[i + 1 : i + 2] or [""])[0] not in NAMED]
 

@@ -17,7 +17,7 @@ FAMILIES: dict[Family, str] = {
     "collide": "collide crash touch reach contact",
     "roll": "roll wheel",
     "drop": "drop release dump plop",
-    "put": "put place set stack lay deposit",
+    "put": "put place set stack lay deposit pop tuck plonk",
     "lift": "lift raise hoist hold pick take grab elevate",
     "throw": "throw toss fling hurl lob chuck pitch launch shoot fire catapult sling cast fly land heave",
     "jump": "jump hop leap",
@@ -25,6 +25,8 @@ FAMILIES: dict[Family, str] = {
     "fall": "fall",
     "return": "return come catch",
 }
+STRIKES = {"kick", "knock", "flick", "bump", "tap", "poke", "send"}
+"""Pushes so short that they send a thing up as well."""
 IRREGULAR = {
     "throw": "threw thrown",
     "fling": "flung",
@@ -48,7 +50,23 @@ IRREGULAR = {
 }
 UNCHANGED = {"hit", "put", "set", "upset", "cast"}
 """Verbs whose past has no ending."""
-DOUBLED = {"tip", "drop", "plop", "hop", "hit", "put", "set", "slap", "tug", "drag", "ram", "skid", "flip", "chuck"}
+DOUBLED = {
+    "tip",
+    "drop",
+    "plop",
+    "pop",
+    "hop",
+    "hit",
+    "put",
+    "set",
+    "slap",
+    "tug",
+    "drag",
+    "ram",
+    "skid",
+    "flip",
+    "chuck",
+}
 SHOWN = "push, slide, pull, knock over, tip, hit ... with, roll, drop, lift ... and drop, put, throw, bounce, launch"
 """The verbs that a refusal names."""
 OTHER = set(
