@@ -188,11 +188,13 @@ class Velocity(_Record):
 
 
 class Impulse(_Record):
-    """Given to an object at a time [s]: of its centre of mass [N s], and of turning about it [N m s], both in the
+    """Given to an object from a time on [s]: of its centre of mass [N s], and of turning about it [N m s], both in the
     world."""
 
     id: Id
     time: Seconds
+    duration: Seconds = 0.0
+    """Spread evenly over so long [s], a steady push; 0 is a blow."""
     linear: Vector3 = (0.0, 0.0, 0.0)
     angular: Vector3 = (0.0, 0.0, 0.0)
 
