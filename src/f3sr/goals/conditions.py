@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from f3sr import physics
 from f3sr.contact import Polytope
-from f3sr.frames import Array, quaternion_from_rotation
+from f3sr.frames import Array, quaternion_from_rotation, transform, vector_from_rotation
 from f3sr.goals import plan as p
+from f3sr.goals.layout import outline
 from f3sr.goals.rollout import Rollout
 from f3sr.mesh import ConvexPart
 from f3sr.scene import GROUND, Scene, SceneObject
@@ -108,6 +109,10 @@ class _Seen:
             return max(0.0, heights[least]), float(self.time[samples[least]])
         return _nearest(self, a, b, samples)
 
+    def corners(self, id: int, sample: int = 0) -> Array:
+        """(n, 3): corners of an object's parts in the world [m]."""
+        return transform(self.rollout.poses(id)[sample], np.concatenate([q.vertices for q in _parts(self.scene[id])]))
+
     def lowest(self, id: int, sample: int) -> float:
         """Height of the lowest point of an object's parts [m]."""
         T = self.rollout.poses(id)[sample]
@@ -139,8 +144,19 @@ def _contact(c: p.Contact, seen: _Seen, start: float) -> Judged:
 
 def _displaced(c: p.Displaced, seen: _Seen, start: float) -> Judged:
     moved = seen.way(c.a) - seen.way(c.a)[0]
-    far = np.linalg.norm(moved, axis=1) if c.direction is None else moved @ _unit(c.direction)
-    return _reached(c, seen, far, c.at_least, "m", start, f"{seen.name(c.a)} moves")
+    far = np.linalg.norm(moved, axis=1)
+    if c.direction is not None:
+        along = moved @ _unit(c.direction)
+        aside = np.sqrt(np.maximum(far**2 - along**2, 0))
+        far = along - np.maximum(0, aside - along)
+    reached = _reached(c, seen, far, c.at_least, "m", start, f"{seen.name(c.a)} moves")
+    if c.at_most is None or not reached.met:
+        return reached
+    left = c.at_most - float(far[-1])
+    said = f"{seen.name(c.a)} ends {1000 * far[-1]:.0f} mm away, asked for {1000 * c.at_least:.0f}"
+    if left < 0:
+        return replace(reached, margin=left, relative=left / c.at_most, said=said)
+    return replace(reached, margin=min(left, reached.margin), relative=min(left / c.at_most, reached.relative))
 
 
 def _toppled(c: p.Toppled, seen: _Seen, start: float) -> Judged:
@@ -151,6 +167,61 @@ def _toppled(c: p.Toppled, seen: _Seen, start: float) -> Judged:
         said = f"{seen.name(c.a)} leans by {np.degrees(lean.max()):.0f} degrees but ends at {np.degrees(lean[-1]):.0f}"
         return replace(reached, margin=left, relative=left / c.at_least, said=said)
     return reached
+
+
+def _upright(c: p.Upright, seen: _Seen, start: float) -> Judged:
+    lean = float(seen.lean(c.a)[-1])
+    said = f"{seen.name(c.a)} ends leaning by {np.degrees(lean):.0f} degrees"
+    margin, end = c.at_most - lean, float(seen.time[-1])
+    return Judged(condition=c, margin=margin, unit="rad", time=end, said=said, relative=margin / c.at_most)
+
+
+def _rolled(c: p.Rolled, seen: _Seen, start: float) -> Judged:
+    """Turns from sample to sample, each about the horizontal axis across the way between the two."""
+    way, R = seen.way(c.a), seen.rollout.poses(c.a)[:, :3, :3]
+    step = np.diff(way, axis=0)[:, :2]
+    across = np.column_stack([-step[:, 1], step[:, 0], np.zeros(len(step))])
+    across /= np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12)
+    turns = np.array([vector_from_rotation(b @ a.T) for a, b in zip(R[:-1], R[1:], strict=True)])
+    gained = np.where(seen.since(start)[1:], np.einsum("ti,ti->t", turns, across), 0.0)
+    turned = np.concatenate([[0.0], np.cumsum(gained)])
+    return _reached(c, seen, turned, c.at_least, "rad", start, f"{seen.name(c.a)} rolls")
+
+
+def _bounced(c: p.Bounced, seen: _Seen, start: float) -> Judged:
+    touched = _contact(p.Contact(a=c.a, b=c.b), seen, start)
+    if not touched.met or touched.time is None:
+        return replace(touched, condition=c)
+    z, since = seen.way(c.a)[:, 2], seen.since(touched.time)
+    lowest = np.minimum.accumulate(np.where(since, z, np.inf))
+    rise = np.where(since, z - lowest, 0.0)
+    return _reached(c, seen, rise, c.at_least, "m", start, f"{seen.name(c.a)} bounces off {seen.name(c.b)}")
+
+
+def _over(c: p.Over, seen: _Seen, start: float) -> Judged:
+    """Between samples the way is straight; of all points within the outline the lowest counts."""
+    samples = np.flatnonzero(seen.since(start))
+    way, top = seen.way(c.a)[samples], float(seen.corners(c.b)[:, 2].max())
+    low = np.array([seen.lowest(c.a, int(k)) for k in samples])
+    fine = np.linspace(0, len(samples) - 1, 8 * len(samples))
+    at = np.arange(len(samples))
+    points = np.column_stack([np.interp(fine, at, way[:, k]) for k in (0, 1)])
+    outside, clear = _outside(points, seen.corners(c.b)), np.interp(fine, at, low) - top
+    within = outside <= 0
+    k = int(np.flatnonzero(within)[np.argmin(clear[within])]) if within.any() else int(np.argmin(outside))
+    margin = float(clear[k]) if within.any() else -float(outside[k])
+    how = f"{1000 * abs(margin):.0f} mm " + ("beside" if not within.any() else "above" if margin >= 0 else "below the top of")
+    said = f"{seen.name(c.a)} passes {how} {seen.name(c.b)}"
+    time = float(np.interp(fine[k], at, seen.time[samples]))
+    return Judged(condition=c, margin=margin, unit="m", time=time, said=said, relative=margin / seen.of(c.a).size)
+
+
+def _off(c: p.Off, seen: _Seen, start: float) -> Judged:
+    margin = float(_outside(seen.way(c.a)[-1:, :2], seen.corners(c.b, -1))[0])
+    where = "outside" if margin >= 0 else "within"
+    said = f"{seen.name(c.a)} ends {1000 * abs(margin):.0f} mm {where} the outline of {seen.name(c.b)}"
+    end = float(seen.time[-1])
+    return Judged(condition=c, margin=margin, unit="m", time=end, said=said, relative=margin / seen.of(c.a).size)
 
 
 def _height(c: p.Height, seen: _Seen, start: float) -> Judged:
@@ -238,6 +309,11 @@ _MEASURES: Mapping[type[Any], Callable[[Any, _Seen, float], Judged]] = {
     p.Contact: _contact,
     p.Displaced: _displaced,
     p.Toppled: _toppled,
+    p.Upright: _upright,
+    p.Rolled: _rolled,
+    p.Bounced: _bounced,
+    p.Over: _over,
+    p.Off: _off,
     p.Height: _height,
     p.Returned: _returned,
     p.AtRest: _at_rest,
@@ -249,6 +325,12 @@ _MEASURES: Mapping[type[Any], Callable[[Any, _Seen, float], Judged]] = {
 def _unit(direction: Sequence[float]) -> Array:
     d = np.asarray(direction, float)
     return d / np.linalg.norm(d)
+
+
+def _outside(points: Array, corners: Array) -> Array:
+    """(n,) how far horizontal points (n, 2) are outside, or, negative, inside the outline of corners (m, 3) seen from
+    above: by the outline's sides."""
+    return np.max(points @ (planes := outline(corners[:, :2]))[:, :2].T + planes[:, 2], axis=1)
 
 
 # --- distances ----------------------------------------------------------------------------------------------------

@@ -84,7 +84,7 @@ def _broken(scene: Scene, planned: Scene, plan: Plan, rollout: Rollout) -> Itera
             yield f"object {o.id} does not start where the scene has it"
     for id in sorted(initial.controlled - {task.active}):
         yield f"object {id} is set off, which only the active object {task.active} may be"
-    last = max((i.time for i in initial.impulses), default=0.0)
+    last = max((i.time + i.duration for i in initial.impulses), default=0.0)
     if task.target is not None and task.target != GROUND:
         touched = rollout.touches(task.active, task.target)["time"]
         if len(touched) and float(touched[0]) < last:

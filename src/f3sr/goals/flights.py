@@ -1,0 +1,233 @@
+"""Launches through the air: dropping, throwing, bouncing, launching up; closed forms first, then other arcs and aims."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from f3sr.frames import UP, Array
+from f3sr.goals import launch
+from f3sr.goals.language import Tried
+from f3sr.goals.setting import Launches, Setting
+from f3sr.restitution import LEAST
+from f3sr.scene import GROUND
+from f3sr.statics import GRAVITY
+
+CLEARANCE = 0.006
+"""Above what it is let go over, at least [m]."""
+ARCS = (0.4, 0.9, 1.6, 2.8)
+"""How far above what it flies over an arc's top is, in sizes of what flies."""
+AIMS = (0.0, -0.25, 0.25)
+"""Where inside the target to aim, in half lengths of it along the way."""
+AFTER = 1.6
+"""How long to look after a flight [s]."""
+
+
+def dropping(s: Setting) -> Launches:
+    """Let go above the middle of the target, then above other places of it; lower where it does not stay."""
+    height = max(s.task.amount or 0.3 * s.size, CLEARANCE)
+    places = list(_places(s))
+    for k, place in enumerate(places[:10]):
+        for part in (1.0, 0.3) if k < 2 and len(places) > 1 else (1.0,) if k % 2 else (0.5,):
+            drop = max(part * height, CLEARANCE)
+            yield [s.lifted(_above(s, place, drop), seconds=math.sqrt(2 * drop / GRAVITY) + AFTER + 0.6)]
+
+
+def _above(s: Setting, shift: Array, height: float) -> Array:
+    """The offset (3,) to so far above whatever is under the object once it is shifted by (2,)."""
+    surface = max(z for z, _ in s.layout.under(s.active, shift))
+    return np.array([*shift, surface + height - s.layout.span(s.active)[0, 2]])
+
+
+def _places(s: Setting) -> Iterator[Array]:
+    """Shifts (2,) to above the target, the best first: all of the object over it and level there, near its middle."""
+    middle = s.layout.hull(s.active).mean(0)
+    if s.task.target is None:
+        yield np.zeros(2)
+        return
+    if s.target is None:
+        yield from _free_ground(s)
+        return
+    low, high = s.layout.span(s.target)[:, :2]
+    aim = (low + high) / 2
+    if s.layout.holds(s.target):
+        yield aim - middle
+        for dx, dy in ((0.15, 0), (-0.15, 0), (0, 0.15), (0, -0.15)):
+            yield aim + np.array([dx, dy]) * (high - low) - middle
+        return
+    rated = list[tuple[float, int, Array]]()
+    for i in (0, -1, 1, -2, 2):
+        for j in (0, -1, 1, -2, 2):
+            shift = aim + np.array([i, j]) * (high - low) / 6 - middle
+            under = s.layout.under(s.active, shift)
+            top = max(z for z, _ in under)
+            good = sum(1.0 for z, whose in under if whose == s.target and z > top - 0.1 * s.size) / len(under)
+            highest = next(whose for z, whose in under if z == top)
+            off = math.hypot(i, j) / 6
+            rated.append((off - 2 * good + (3 if highest != s.target else 0), len(rated), shift))
+    yield from (shift for _, _, shift in sorted(rated, key=lambda r: r[:2]))
+
+
+def _free_ground(s: Setting) -> Iterator[Array]:
+    """Shifts (2,) to places where only ground is below, the nearest in the photo first."""
+    found = list[tuple[float, Array]]()
+    for radius in np.arange(0, 6) * 0.5 * s.size:
+        for angle in np.linspace(0, 2 * np.pi, 12, endpoint=False):
+            shift = radius * np.array([math.cos(angle), math.sin(angle)])
+            if all(whose == GROUND for _, whose in s.layout.under(s.active, shift)):
+                found.append((radius + 5 * s.size * (s.layout.in_frame(s.active, np.append(shift, 0)) < 0.8), shift))
+        if len(found) > 8:
+            break
+    yield from (shift for _, shift in sorted(found, key=lambda f: f[0]))
+
+
+def throwing(s: Setting) -> Launches:
+    """Arcs from flat to steep to the middle of the target, then to other parts of it."""
+    if s.task.way == "over" and s.target is not None:
+        yield from _throwing_over(s, s.target)
+        return
+    if s.task.target is None:
+        yield from _throwing_far(s)
+        return
+    start, lift = _start(s)
+    arcs = ARCS[:1] + ARCS[1:] if s.task.manner != "hard" else (0.15, *ARCS)
+    for aim in AIMS:
+        for arc in arcs:
+            goal, over = _goal(s, aim)
+            apex = max(start[2], over) + arc * s.size
+            v, seconds = launch.throw(start, goal, apex)
+            yield [s.thrown(v, lift=lift, seconds=seconds + AFTER)]
+
+
+def _goal(s: Setting, aim: float) -> tuple[Array, float]:
+    """Where the centre of mass is to come down, and the height that it must clear before."""
+    if s.target is None:
+        goal = s.center + (s.task.amount or 2 * s.size) * s.direction
+        return np.array([goal[0], goal[1], s.height]), s.height
+    low, high = s.layout.span(s.target)
+    middle = (low + high) / 2
+    half = float(np.ptp(s.layout.corners(s.target) @ s.direction)) / 2
+    place = middle[:2] + aim * half * s.direction[:2]
+    if s.task.way in ("into", "onto"):
+        top = high[2] if s.layout.holds(s.target) else s.layout.top(*place.tolist(), without=s.active)[0]
+        inside = 0.3 * (high[2] - low[2]) if s.layout.holds(s.target) else 0.0
+        return np.array([*place, top - inside + s.height]), float(high[2] + s.height)
+    return np.array([*place, middle[2]]), float(middle[2])
+
+
+def _start(s: Setting) -> tuple[Array, Array | None]:
+    """Where the centre of mass starts, and by how much it is lifted for that: out of what it lies in."""
+    below = s.layout.support(s.active)
+    if below == GROUND or not s.layout.holds(below):
+        return s.center, None
+    rim = float(s.layout.span(below)[1, 2] - s.layout.span(s.active)[0, 2])
+    if rim <= 0:
+        return s.center, None
+    lift = (rim + CLEARANCE) * UP
+    return s.center + lift, lift
+
+
+def _throwing_over(s: Setting, target: int) -> Launches:
+    start, lift = _start(s)
+    along = s.layout.corners(target) @ s.direction
+    own = s.layout.corners(s.active) @ s.direction
+    top = float(s.layout.span(target)[1, 2])
+    needed = next((c.at_least for c in s.task.conditions if c.type == "displaced"), 0.0)
+    near, far = float(along.min() - start @ s.direction), float(along.max() - start @ s.direction)
+    for arc in (0.5, 0.9, 1.4, 2.0, 3.0):
+        beyond = max(far + 0.6 * float(np.ptp(own)) + 0.3 * arc * s.size, 1.15 * needed)
+        goal = start + beyond * s.direction
+        goal = np.array([goal[0], goal[1], s.height])
+        apex = _apex_over(start[2], goal[2], beyond, (near, far), top + s.height + 0.35 * arc * s.size)
+        v, seconds = launch.throw(start, goal, apex)
+        yield [s.thrown(v, lift=lift, seconds=seconds + 1.0)]
+
+
+def _apex_over(z0: float, z1: float, beyond: float, between: tuple[float, float], clear: float) -> float:
+    """The lowest apex of a flight over ``beyond`` that is above ``clear`` from one distance to another, by bisection."""
+
+    def lowest(apex: float) -> float:
+        up, down = math.sqrt(2 * (apex - z0) / GRAVITY), math.sqrt(2 * (apex - z1) / GRAVITY)
+        times = [np.clip(x / beyond, 0, 1) * (up + down) - up for x in between]
+        return min(apex - GRAVITY * t * t / 2 for t in times)
+
+    low, high = max(z0, z1, clear), max(z0, z1, clear) + 20 * clear
+    for _ in range(40):
+        middle = (low + high) / 2
+        low, high = (low, middle) if lowest(middle) >= clear else (middle, high)
+    return high
+
+
+def _throwing_far(s: Setting) -> Launches:
+    """Half as high as a throw of 45 degrees; where it comes down is corrected by where it ends."""
+    start, lift = _start(s)
+    goal = (s.task.amount or 2 * s.size) * 1.08
+    land = 0.85 * goal
+    rise = next((c.at_least for c in s.task.conditions if c.type == "height"), 0.0)
+    for k in range(9):
+        place = start + land * s.direction
+        apex = start[2] + max(0.2 * land, 1.4 * rise) * (1.0 if k < 5 else 1.6)
+        v, seconds = launch.throw(start, np.array([place[0], place[1], s.height]), max(apex, start[2] + 1e-3, s.height + 1e-3))
+        (tried,) = yield [s.thrown(v, lift=lift, seconds=seconds + AFTER + 0.6)]
+        land *= float(np.clip(goal / max(s.moved(tried), 0.1 * goal), 0.5, 1.6))
+
+
+def bouncing(s: Setting) -> Launches:
+    """To the ground and from there to the target; the aim is corrected by where the bounce led."""
+    e = s.layout.scene[s.active].restitution
+    start, lift = _start(s)
+    if s.target is None or e <= LEAST:
+        yield from _bouncing_up(s, start, lift)
+        return
+    if s.task.way in ("off", "onto", "over"):
+        for arc in (1.5, 2.5, 4.0, 0.8):
+            top = s.layout.top(*s.layout.center(s.target)[:2].tolist(), without=s.active)[0]
+            goal = np.array([*s.layout.center(s.target)[:2], top + s.height])
+            v, seconds = launch.throw(start, goal, max(start[2], goal[2]) + arc * s.size)
+            yield [s.thrown(v, lift=lift, seconds=seconds + AFTER)]
+        return
+    for arc in (0.5, 1.0, 2.0):
+        for aim in AIMS:
+            goal, over = _goal(s, aim)
+            shift = np.zeros(3)
+            for _ in range(4):
+                v, seconds = launch.bounce(start, goal + shift, s.height, e, max(over, goal[2]) + arc * s.size)
+                (tried,) = yield [s.thrown(v, angular=s.rolling(v * [1, 1, 0]), lift=lift, seconds=seconds + AFTER)]
+                came = _came_down(s, tried, float(goal[2]))
+                if came is None or np.linalg.norm(came - goal[:2]) < 0.1 * s.size:
+                    break
+                shift[:2] += np.clip(goal[:2] - came, -s.size, s.size)
+
+
+def _came_down(s: Setting, tried: Tried, height: float) -> Array | None:
+    """Where (2,) the centre of mass was when it came down to a height after its first bounce; None where it never was
+    so high."""
+    flown = tried.rollout.touches(s.active, GROUND)["time"]
+    flown = flown[flown > 0.15]
+    if not len(flown):
+        return None
+    way, after = s.way(tried), tried.rollout.time > float(flown[0])
+    high = np.flatnonzero(after & (way[:, 2] >= height))
+    if not len(high) or high[-1] + 1 >= len(way):
+        return None
+    k = next((int(i) for i in high if way[i + 1, 2] < height), int(high[-1]))
+    z0, z1 = way[k, 2], way[k + 1, 2]
+    t = (z0 - height) / max(z0 - z1, 1e-9)
+    return np.asarray(way[k, :2] + t * (way[k + 1] - way[k])[:2])
+
+
+def _bouncing_up(s: Setting, start: Array, lift: Array | None) -> Launches:
+    for factor in (1.0, 1.6, 2.5):
+        rise = factor * (s.task.amount or 1.5 * s.size)
+        up = launch.height_speed(rise)
+        yield [s.thrown(up * UP, lift=lift, seconds=2 * up / GRAVITY + AFTER)]
+
+
+def launching(s: Setting) -> Launches:
+    """Straight up, a little more where friction or a load took some of it."""
+    rise = s.task.amount or 1.5 * s.size
+    for factor in (1.06, 1.15, 1.3, 1.6, 2.0):
+        up = launch.height_speed(factor * rise + 0.005)
+        yield [s.thrown(up * UP, seconds=2 * up / GRAVITY + AFTER)]

@@ -1,0 +1,143 @@
+"""Launches along the ground: sliding, pushing into something, rolling, toppling; closed forms first, then corrected."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from f3sr.frames import UP, Array
+from f3sr.goals import launch
+from f3sr.goals.planner import over_the_edge
+from f3sr.goals.setting import Launches, Setting
+from f3sr.statics import GRAVITY
+
+PACE = 0.6
+"""At which a hand pushes things about [m/s]."""
+BEYOND = 1.06
+"""How much farther than needed to aim, as a factor,"""
+BEYOND_BY = 0.004
+"""and in any case [m]."""
+LEANS = math.radians(30)
+"""More is falling over."""
+BLOWS = (0.5, 0.8, 1.2, 1.8, 2.6, 3.8, 5.5)
+"""Speeds at which one thing is pushed into another [m/s]."""
+SURPLUS = (1.4, 1.9, 2.7, 4.0, 6.0)
+"""Times the energy that toppling needs."""
+CLEAR = 0.005
+"""From the target a push ends [m]."""
+
+
+def sliding(s: Setting) -> Launches:
+    """A push along the direction; how far is corrected by how far it went, the pace where it fell."""
+    if s.task.way == "off" and s.target is not None:
+        yield from _sliding_off(s)
+        return
+    needed = next((c for c in s.task.conditions if c.type == "displaced" and c.a == s.active), None)
+    goal = (needed.at_least if needed else s.task.amount or s.size) * BEYOND + BEYOND_BY
+    far, pace = goal, min(PACE * s.hard, s.calm(s.direction))
+    for _ in range(9):
+        (tried,) = yield [s.pushed(s.direction, far, pace)]
+        if s.lean(tried) > LEANS:
+            pace *= 0.6
+            if pace < 0.05:
+                return
+            continue
+        far *= float(np.clip(goal / max(s.moved(tried), 0.05 * goal), 0.5, 1.8))
+
+
+def _sliding_off(s: Setting) -> Launches:
+    assert s.target is not None
+    edge = over_the_edge(s.active, s.target, s.direction, s.layout)
+    along = s.layout.corners(s.active) @ s.direction
+    length = float(np.ptp(along))
+    for factor, pace in ((1.0, 0.4), (1.1, 0.7), (1.2, 1.1), (1.2, 1.7), (1.3, 2.5), (1.3, 3.5)):
+        yield [s.pushed(s.direction, factor * (edge + 0.6 * length), pace * s.hard)]
+
+
+def pushing(s: Setting) -> Launches:
+    """At the target from where it is met first, faster and faster."""
+    if s.target is None or s.task.way == "towards":
+        yield from sliding(s)
+        return
+    direction, gap = free_way(s, s.target)
+    outcome = any(c.a == s.target for c in s.task.conditions if c.type in ("toppled", "displaced", "rolled"))
+    calm = s.calm(direction)
+    for speed in BLOWS[2 if outcome and s.task.manner == "hard" else 1 if outcome else 0 :]:
+        pace = min(speed * s.hard, s.limits.speed)
+        if not outcome and speed > calm and gap > s.size:
+            pace = max(calm, 0.15) * (speed / BLOWS[0])
+        until = gap - max(CLEAR, 0.05 * gap)
+        if until <= pace * 0.05:
+            yield [s.thrown(math.sqrt(pace**2 + 2 * s.drag * max(gap, 0.0)) * direction, seconds=3.0)]
+        else:
+            yield [s.pushed(direction, gap + pace**2 / (2 * s.drag), pace, until=until)]
+
+
+def free_way(s: Setting, target: int) -> tuple[Array, float]:
+    """The direction nearest to the goal's in which the target is what is met first, and the way until then [m]; the
+    goal's own where there is none."""
+    for angle in sorted(np.radians(np.arange(-50, 51, 5)), key=abs):
+        c, n = math.cos(angle), math.sin(angle)
+        x, y, _ = s.direction
+        u = np.array([c * x - n * y, n * x + c * y, 0.0])
+        met = s.layout.meets(s.active, u)
+        if met and met[0][1] == target:
+            return u, met[0][0]
+    met = [way for way, id in s.layout.meets(s.active, s.direction) if id == target]
+    apart = float(np.linalg.norm((s.layout.center(target) - s.center)[:2])) - s.size / 2
+    return s.direction, met[0] if met else max(apart, 0.01)
+
+
+def blocker(s: Setting, target: int) -> int | None:
+    """What is in the way to a target whichever way one goes."""
+    direction, _ = free_way(s, target)
+    met = s.layout.meets(s.active, direction)
+    return met[0][1] if met and met[0][1] != target else None
+
+
+def rolling(s: Setting) -> Launches:
+    """Off with the turning of its speed; v^2 is corrected by how far it went."""
+    direction, gap = (s.direction, 0.0) if s.target is None else free_way(s, s.target)
+    slow = GRAVITY * s.layout.scene[s.active].rolling_friction / max(s.height, 1e-3)
+    if s.target is not None and s.task.way not in ("towards", "away-from"):
+        start = max(0.35, math.sqrt(2 * slow * gap) * 1.4) * s.hard
+        for factor in (1.0, 1.5, 2.2, 3.2, 4.5, 6.5):
+            v = factor * start * direction
+            yield [s.thrown(v, angular=s.rolling(v), seconds=min(4.5, gap / (factor * start) + 2.0))]
+        return
+    needed = next((c for c in s.task.conditions if c.type == "displaced" and c.a == s.active), None)
+    exact = needed is not None and needed.at_most is not None
+    goal = (needed.at_least if needed else s.size) * (1.12 if exact else 1.3) + BEYOND_BY
+    squared = 2 * slow * goal * (1 if exact else 1.5)
+    squared = max(squared, 0.0 if exact else 0.3**2)
+    for _ in range(9):
+        v = min(math.sqrt(squared), s.limits.speed) * direction
+        (tried,) = yield [s.thrown(v, angular=s.rolling(v), seconds=LONG)]
+        squared *= float(np.clip(goal / max(s.moved(tried), 0.05 * goal), 0.4, 3.0))
+
+
+LONG = 4.5
+"""What rolls is looked at for so long [s]."""
+
+
+def toppling(s: Setting) -> Launches:
+    """About the edge of the base, with more and more energy; where no words say so, also to other sides."""
+    said = any(c.type == "displaced" for c in s.task.conditions)
+    turned = np.array([-s.direction[1], s.direction[0], 0.0])
+    sides = [s.direction] if said else [s.direction, turned, -turned, -s.direction]
+    for side in sides:
+        for surplus in SURPLUS if said else SURPLUS[:3]:
+            twist = launch.topple(
+                s.layout.corners(s.active),
+                s.center,
+                s.layout.inertia(s.active),
+                s.layout.mass(s.active),
+                side,
+                surplus=surplus * (1.3 if s.task.manner == "hard" else 1.0),
+            )
+            if twist is None:
+                spin = np.asarray(np.cross(UP, side), float)
+                yield [s.thrown(0.3 * side, angular=3.0 * spin, seconds=2.5)]
+            else:
+                yield [s.thrown(twist.linear, angular=twist.angular, seconds=2.5)]
