@@ -82,8 +82,8 @@ def launch_faults(launch: Launch, task: TaskSpec, semantics: Sequence[Semantics]
 def _in_time(initial: InitialConditions, simulation: SimulationPlan) -> Iterator[str]:
     if simulation.duration > LONGEST or simulation.timestep > STEPS:
         yield (
-            f"{simulation.duration:.3g} s in steps of {simulation.timestep:.2g} s; accepted: at most {LONGEST:.3g} s in "
-            f"steps of at most {STEPS:.2g} s"
+            f"{simulation.duration:.3g} s in steps of {simulation.timestep:.2g} s; accepted: at most {LONGEST:.3g} s, "
+            f"in steps of at most {STEPS:.2g} s"
         )
     if any(i.time + i.duration > simulation.duration for i in initial.impulses):
         yield f"an impulse ends after the rollout; accepted: within {simulation.duration:.3g} s"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -182,7 +183,7 @@ def _rolled(c: p.Rolled, seen: _Seen, start: float) -> Judged:
     step = np.diff(way, axis=0)[:, :2]
     across = np.column_stack([-step[:, 1], step[:, 0], np.zeros(len(step))])
     across /= np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12)
-    turns = np.array([vector_from_rotation(b @ a.T) for a, b in zip(R[:-1], R[1:], strict=True)])
+    turns = np.array([vector_from_rotation(b @ a.T) for a, b in pairwise(R)])
     gained = np.where(seen.since(start)[1:], np.einsum("ti,ti->t", turns, across), 0.0)
     turned = np.concatenate([[0.0], np.cumsum(gained)])
     return _reached(c, seen, turned, c.at_least, "rad", start, f"{seen.name(c.a)} rolls")
@@ -210,7 +211,9 @@ def _over(c: p.Over, seen: _Seen, start: float) -> Judged:
     within = outside <= 0
     k = int(np.flatnonzero(within)[np.argmin(clear[within])]) if within.any() else int(np.argmin(outside))
     margin = float(clear[k]) if within.any() else -float(outside[k])
-    how = f"{1000 * abs(margin):.0f} mm " + ("beside" if not within.any() else "above" if margin >= 0 else "below the top of")
+    how = f"{1000 * abs(margin):.0f} mm " + (
+        "beside" if not within.any() else "above" if margin >= 0 else "below the top of"
+    )
     said = f"{seen.name(c.a)} passes {how} {seen.name(c.b)}"
     time = float(np.interp(fine[k], at, seen.time[samples]))
     return Judged(condition=c, margin=margin, unit="m", time=time, said=said, relative=margin / seen.of(c.a).size)
@@ -241,11 +244,24 @@ def _returned(c: p.Returned, seen: _Seen, start: float) -> Judged:
             said=f"{seen.name(c.a)} never leaves its place",
             relative=missing / seen.of(c.a).size,
         )
+    if not c.stays:
+        return _came_back(c, seen, off, start)
     away = np.flatnonzero(off > c.to_within)[-1]
     margin = c.to_within - float(off[-1])
     back = float(seen.time[min(away + 1, len(off) - 1)])
     said = f"{seen.name(c.a)} ends {1000 * off[-1]:.0f} mm from where it was"
     return Judged(condition=c, margin=margin, unit="m", time=back, said=said, relative=margin / seen.of(c.a).size)
+
+
+def _came_back(c: p.Returned, seen: _Seen, off: Array, start: float) -> Judged:
+    """The nearest that it comes after it was away."""
+    since = seen.since(start) & (np.maximum.accumulate(off) > c.to_within)
+    near = np.where(since, off, np.inf)
+    best = int(np.argmin(near))
+    margin = c.to_within - float(near[best])
+    said = f"{seen.name(c.a)} comes back to {1000 * near[best]:.0f} mm from where it was"
+    time = float(seen.time[np.flatnonzero(near <= max(c.to_within, near[best]))[0]])
+    return Judged(condition=c, margin=margin, unit="m", time=time, said=said, relative=margin / seen.of(c.a).size)
 
 
 def _at_rest(c: p.AtRest, seen: _Seen, start: float) -> Judged:

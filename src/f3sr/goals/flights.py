@@ -1,4 +1,4 @@
-"""Launches through the air: dropping, throwing, bouncing, launching up; closed forms first, then other arcs and aims."""
+"""Launches through the air: dropping, throwing, bouncing, launching up; closed forms first, then other arcs."""
 
 from __future__ import annotations
 
@@ -10,13 +10,11 @@ import numpy as np
 from f3sr.frames import UP, Array
 from f3sr.goals import launch
 from f3sr.goals.language import Tried
-from f3sr.goals.setting import Launches, Setting
+from f3sr.goals.setting import CLEARANCE, Launches, Setting
 from f3sr.restitution import LEAST
 from f3sr.scene import GROUND
 from f3sr.statics import GRAVITY
 
-CLEARANCE = 0.006
-"""Above what it is let go over, at least [m]."""
 ARCS = (0.4, 0.9, 1.6, 2.8)
 """How far above what it flies over an arc's top is, in sizes of what flies."""
 AIMS = (0.0, -0.25, 0.25)
@@ -52,10 +50,10 @@ def _places(s: Setting) -> Iterator[Array]:
         return
     low, high = s.layout.span(s.target)[:, :2]
     aim = (low + high) / 2
-    if s.layout.holds(s.target):
-        yield aim - middle
-        for dx, dy in ((0.15, 0), (-0.15, 0), (0, 0.15), (0, -0.15)):
-            yield aim + np.array([dx, dy]) * (high - low) - middle
+    pool = s.layout.pool(s.target)
+    if pool is not None:
+        for part in ((0, 0), (0.3, 0), (-0.3, 0), (0, 0.3), (0, -0.3)):
+            yield pool.center + pool.radius * np.array(part) - middle
         return
     rated = list[tuple[float, int, Array]]()
     for i in (0, -1, 1, -2, 2):
@@ -84,21 +82,40 @@ def _free_ground(s: Setting) -> Iterator[Array]:
 
 
 def throwing(s: Setting) -> Launches:
-    """Arcs from flat to steep to the middle of the target, then to other parts of it."""
+    """Arcs to the middle of the target and to other parts of it, from flat to steep, those with a clear way first."""
     if s.task.way == "over" and s.target is not None:
         yield from _throwing_over(s, s.target)
         return
     if s.task.target is None:
         yield from _throwing_far(s)
         return
-    start, lift = _start(s)
-    arcs = ARCS[:1] + ARCS[1:] if s.task.manner != "hard" else (0.15, *ARCS)
+    start, lift = s.start
+    arcs = (0.12, *ARCS) if s.task.way == "into" or s.task.manner == "hard" else ARCS
+    ways = list[tuple[bool, int, Array, float]]()
     for aim in AIMS:
         for arc in arcs:
             goal, over = _goal(s, aim)
-            apex = max(start[2], over) + arc * s.size
-            v, seconds = launch.throw(start, goal, apex)
-            yield [s.thrown(v, lift=lift, seconds=seconds + AFTER)]
+            v, seconds = launch.throw(start, goal, max(start[2], over) + arc * s.size)
+            ways.append((_blocked(s, [(start, v, seconds)], goal), len(ways), v, seconds))
+    for _, _, v, seconds in sorted(ways, key=lambda w: w[:2]):
+        yield [s.thrown(v, lift=lift, seconds=seconds + AFTER)]
+
+
+def _blocked(s: Setting, arcs: list[tuple[Array, Array, float]], goal: Array) -> bool:
+    """Whether anything but the target is in the way of flights, each from a point with a velocity for some time."""
+    half = 0.5 * float(np.ptp(s.layout.corners(s.active) @ np.array([-s.direction[1], s.direction[0], 0.0])))
+    near = 0.5 * s.size if s.target is None else float(np.ptp(s.layout.hull(s.target), axis=0).max()) / 2 + 0.3 * s.size
+    for start, v, seconds in arcs:
+        for t in np.linspace(0, seconds, 16)[1:-1]:
+            at = start + v * t - [0, 0, GRAVITY * t * t / 2]
+            if np.linalg.norm(at[:2] - goal[:2]) < near or np.linalg.norm(at[:2] - s.center[:2]) < half:
+                continue
+            for aside in (-0.7, 0.0, 0.7):
+                x, y = at[:2] + aside * half * np.array([-s.direction[1], s.direction[0]])
+                top, whose = s.layout.top(float(x), float(y), without=s.active)
+                if whose not in (GROUND, s.target) and at[2] - s.height < top + 0.1 * s.size:
+                    return True
+    return False
 
 
 def _goal(s: Setting, aim: float) -> tuple[Array, float]:
@@ -109,28 +126,20 @@ def _goal(s: Setting, aim: float) -> tuple[Array, float]:
     low, high = s.layout.span(s.target)
     middle = (low + high) / 2
     half = float(np.ptp(s.layout.corners(s.target) @ s.direction)) / 2
-    place = middle[:2] + aim * half * s.direction[:2]
+    pool = s.layout.pool(s.target)
+    if s.task.way in ("into", "onto") and pool is not None:
+        place = pool.center + aim * pool.radius * s.direction[:2]
+        return np.array([*place, pool.level - 0.5 * pool.depth + s.height]), pool.level + s.height
     if s.task.way in ("into", "onto"):
-        top = high[2] if s.layout.holds(s.target) else s.layout.top(*place.tolist(), without=s.active)[0]
-        inside = 0.3 * (high[2] - low[2]) if s.layout.holds(s.target) else 0.0
-        return np.array([*place, top - inside + s.height]), float(high[2] + s.height)
+        spots = s.layout.spots(s.target) or [middle[:2]]
+        place = spots[min(round(abs(8 * aim)), len(spots) - 1)]
+        return np.array([*place, s.layout.top(*place.tolist())[0] + s.height]), float(high[2] + s.height)
+    place = middle[:2] + aim * half * s.direction[:2]
     return np.array([*place, middle[2]]), float(middle[2])
 
 
-def _start(s: Setting) -> tuple[Array, Array | None]:
-    """Where the centre of mass starts, and by how much it is lifted for that: out of what it lies in."""
-    below = s.layout.support(s.active)
-    if below == GROUND or not s.layout.holds(below):
-        return s.center, None
-    rim = float(s.layout.span(below)[1, 2] - s.layout.span(s.active)[0, 2])
-    if rim <= 0:
-        return s.center, None
-    lift = (rim + CLEARANCE) * UP
-    return s.center + lift, lift
-
-
 def _throwing_over(s: Setting, target: int) -> Launches:
-    start, lift = _start(s)
+    start, lift = s.start
     along = s.layout.corners(target) @ s.direction
     own = s.layout.corners(s.active) @ s.direction
     top = float(s.layout.span(target)[1, 2])
@@ -146,7 +155,7 @@ def _throwing_over(s: Setting, target: int) -> Launches:
 
 
 def _apex_over(z0: float, z1: float, beyond: float, between: tuple[float, float], clear: float) -> float:
-    """The lowest apex of a flight over ``beyond`` that is above ``clear`` from one distance to another, by bisection."""
+    """The lowest apex of a flight over ``beyond`` that is above ``clear`` between two distances, by bisection."""
 
     def lowest(apex: float) -> float:
         up, down = math.sqrt(2 * (apex - z0) / GRAVITY), math.sqrt(2 * (apex - z1) / GRAVITY)
@@ -162,14 +171,16 @@ def _apex_over(z0: float, z1: float, beyond: float, between: tuple[float, float]
 
 def _throwing_far(s: Setting) -> Launches:
     """Half as high as a throw of 45 degrees; where it comes down is corrected by where it ends."""
-    start, lift = _start(s)
+    start, lift = s.start
     goal = (s.task.amount or 2 * s.size) * 1.08
     land = 0.85 * goal
     rise = next((c.at_least for c in s.task.conditions if c.type == "height"), 0.0)
     for k in range(9):
         place = start + land * s.direction
         apex = start[2] + max(0.2 * land, 1.4 * rise) * (1.0 if k < 5 else 1.6)
-        v, seconds = launch.throw(start, np.array([place[0], place[1], s.height]), max(apex, start[2] + 1e-3, s.height + 1e-3))
+        v, seconds = launch.throw(
+            start, np.array([place[0], place[1], s.height]), max(apex, start[2] + 1e-3, s.height + 1e-3)
+        )
         (tried,) = yield [s.thrown(v, lift=lift, seconds=seconds + AFTER + 0.6)]
         land *= float(np.clip(goal / max(s.moved(tried), 0.1 * goal), 0.5, 1.6))
 
@@ -177,28 +188,62 @@ def _throwing_far(s: Setting) -> Launches:
 def bouncing(s: Setting) -> Launches:
     """To the ground and from there to the target; the aim is corrected by where the bounce led."""
     e = s.layout.scene[s.active].restitution
-    start, lift = _start(s)
+    start, lift = s.start
     if s.target is None or e <= LEAST:
         yield from _bouncing_up(s, start, lift)
         return
     if s.task.way in ("off", "onto", "over"):
-        for arc in (1.5, 2.5, 4.0, 0.8):
-            top = s.layout.top(*s.layout.center(s.target)[:2].tolist(), without=s.active)[0]
-            goal = np.array([*s.layout.center(s.target)[:2], top + s.height])
-            v, seconds = launch.throw(start, goal, max(start[2], goal[2]) + arc * s.size)
-            yield [s.thrown(v, lift=lift, seconds=seconds + AFTER)]
+        spots = (s.layout.spots(s.target) or [s.layout.center(s.target)[:2]])[:9:4]
+        for place in spots:
+            for arc in (1.5, 3.0):
+                goal = np.array([*place, s.layout.top(*place.tolist())[0] + s.height])
+                v, seconds = launch.throw(start, goal, max(start[2], goal[2]) + arc * s.size)
+                yield [s.thrown(v, lift=lift, seconds=seconds + AFTER)]
         return
-    for arc in (0.5, 1.0, 2.0):
+    if not s.layout.rolls(s.active, s.direction):
+        yield from _skipping(s, start, lift)
+    ways = list[tuple[bool, int, Array, float]]()
+    for arc in (0.15, 0.5, 1.0, 2.0, 3.5):
         for aim in AIMS:
             goal, over = _goal(s, aim)
-            shift = np.zeros(3)
-            for _ in range(4):
-                v, seconds = launch.bounce(start, goal + shift, s.height, e, max(over, goal[2]) + arc * s.size)
-                (tried,) = yield [s.thrown(v, angular=s.rolling(v * [1, 1, 0]), lift=lift, seconds=seconds + AFTER)]
-                came = _came_down(s, tried, float(goal[2]))
-                if came is None or np.linalg.norm(came - goal[:2]) < 0.1 * s.size:
-                    break
-                shift[:2] += np.clip(goal[:2] - came, -s.size, s.size)
+            apex = max(over, goal[2]) + arc * s.size
+            ways.append((_bounce_blocked(s, start, goal, e, apex), len(ways), goal, apex))
+    for _, _, goal, apex in sorted(ways, key=lambda w: w[:2])[:7]:
+        shift = np.zeros(3)
+        for _ in range(3):
+            v, seconds = launch.bounce(start, goal + shift, s.height, e, apex)
+            (tried,) = yield [s.thrown(v, angular=s.rolling(v * [1, 1, 0]), lift=lift, seconds=seconds + AFTER)]
+            came = _came_down(s, tried, float(goal[2]))
+            if came is None or np.linalg.norm(came - goal[:2]) < 0.1 * s.size:
+                break
+            shift[:2] += np.clip(goal[:2] - came, -s.size, s.size)
+
+
+def _bounce_blocked(s: Setting, start: Array, goal: Array, e: float, apex: float) -> bool:
+    """Whether something is in the way of a bounce, or where it is to bounce is no ground."""
+    v, _ = launch.bounce(start, goal, s.height, e, apex)
+    down = math.sqrt(v[2] ** 2 + 2 * GRAVITY * (start[2] - s.height))
+    first = (v[2] + down) / GRAVITY
+    place = np.append((start + v * first)[:2], s.height)
+    off = np.array([v[0], v[1], e * down])
+    second = (off[2] + math.sqrt(max(off[2] ** 2 - 2 * GRAVITY * (goal[2] - s.height), 0.0))) / GRAVITY
+    around = [place[:2] + 0.7 * s.height * np.array(k) for k in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))]
+    if any(s.layout.top(float(x), float(y), without=s.active)[1] != GROUND for x, y in around):
+        return True
+    return _blocked(s, [(start, v, first), (place, off, second)], goal)
+
+
+def _skipping(s: Setting, start: Array, lift: Array | None) -> Launches:
+    """What does not roll comes down before the target, and hops or slides on."""
+    assert s.target is not None
+    along = s.layout.corners(s.target) @ s.direction
+    gap = float(along.min() - start @ s.direction) - 0.5 * float(np.ptp(s.layout.corners(s.active) @ s.direction))
+    for part, arc in ((0.6, 0.5), (0.75, 0.5), (0.6, 1.2), (0.4, 0.5), (0.8, 1.5)):
+        place = start + max(part * gap, 0.02) * s.direction
+        v, seconds = launch.throw(start, np.array([*place[:2], s.height]), max(start[2], s.height) + arc * s.size)
+        on = math.sqrt(2 * s.drag * (1 - part) * max(gap, 0.0))
+        v = v + max(0.0, 1.5 * on - float(v @ s.direction)) * s.direction if s.layout.pool(s.target) is None else v
+        yield [s.thrown(v, lift=lift, seconds=seconds + AFTER)]
 
 
 def _came_down(s: Setting, tried: Tried, height: float) -> Array | None:
@@ -226,8 +271,15 @@ def _bouncing_up(s: Setting, start: Array, lift: Array | None) -> Launches:
 
 
 def launching(s: Setting) -> Launches:
-    """Straight up, a little more where friction or a load took some of it."""
+    """Straight up, a little more where friction or a load took some of it; then a little aside, to the middle of what
+    it lay in."""
     rise = s.task.amount or 1.5 * s.size
-    for factor in (1.06, 1.15, 1.3, 1.6, 2.0):
+    below = s.layout.support(s.active)
+    pool = None if below == GROUND else s.layout.pool(below)
+    aside = np.zeros(2) if pool is None else pool.center - s.center[:2]
+    for factor, part in ((1.06, 0.0), (1.15, 0.0), (1.06, 0.5), (1.3, 0.0), (1.06, 1.0), (1.6, 0.0), (1.2, 0.7)):
+        if part and not aside.any():
+            continue
         up = launch.height_speed(factor * rise + 0.005)
-        yield [s.thrown(up * UP, seconds=2 * up / GRAVITY + AFTER)]
+        flat = part * aside / (2 * up / GRAVITY)
+        yield [s.thrown(np.array([*flat, up]), seconds=2 * up / GRAVITY + AFTER)]

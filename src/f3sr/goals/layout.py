@@ -1,4 +1,4 @@
-"""Where things are in a scene as whoever sets one off needs it: outlines, free ways, tops, friction, the photo's frame."""
+"""Where things are in a scene, for whoever sets one off: outlines, free ways, tops, friction, the photo's frame."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ import numpy as np
 
 from f3sr import physics
 from f3sr.frames import UP, Array, transform
+from f3sr.goals.pool import Pool, pool_of
 from f3sr.physics import DEFAULT_PHYSICS, Body, engine
 from f3sr.restitution import solref
 from f3sr.scene import GROUND, Scene
 
 ROUND = 0.15
-"""Share by which the sides of a ball's bounding box, or the diameters of a can, differ at most."""
-HOLLOW = 0.35
-"""Share of its height by which the middle of what can hold things lies below its rim."""
+"""Share by which the radii of what rolls differ at most: an octagon's differ by .08, a square's by .3."""
 
 
 def outline(points: Array) -> Array:
@@ -45,6 +44,7 @@ class Layout:
         self.scene, self._model = scene, model
         self._bodies: dict[int, Body] = {}
         self._corners: dict[int, Array] = {}
+        self._pools: dict[int, Pool | None] = {}
 
     @cached_property
     def model(self) -> Any:
@@ -112,10 +112,15 @@ class Layout:
         return max(o.friction, other)
 
     def is_ball(self, id: int) -> bool:
-        """Whether it rolls whichever way: sides alike, and as full as a ball is."""
-        sides = np.ptp(self.span(id), axis=0)
-        filled = self.body(id).mass / self.scene[id].density / float(np.prod(sides))
-        return float(np.ptp(sides)) <= 2 * ROUND * float(sides.max()) and 0.35 < filled < 0.68
+        """Whether it rolls whichever way."""
+        return all(self.rolls(id, np.array([np.cos(a), np.sin(a), 0.0])) for a in np.linspace(0, np.pi, 4, False))
+
+    def rolls(self, id: int, direction: Array) -> bool:
+        """Whether it is round seen across a horizontal direction: about its middle as far to every side."""
+        corners = self.corners(id) - self.span(id).mean(0)
+        angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+        far = np.max(corners @ (np.outer(direction, np.cos(angles)) + np.outer(UP, np.sin(angles))), axis=0)
+        return bool(far.min() > (1 - ROUND) * far.max())
 
     def meets(self, id: int, direction: Array) -> list[tuple[float, int]]:
         """What an object meets along a horizontal direction, nearest first, with the way until then [m]; what it
@@ -139,23 +144,32 @@ class Layout:
         body = int(self.model.geom_bodyid[hit[0]]) if far >= 0 else 0
         return (100.0 - far if far >= 0 else 0.0), GROUND if body == 0 else self.scene.objects[body - 1].id
 
-    def holds(self, id: int) -> bool:
-        """Whether things can lie in it: around its middle it is much lower than its rim."""
-        low, high = self.span(id)
-        middle = (low + high) / 2
-        around = [(0.0, 0.0), *(0.15 * np.ptp([low, high], axis=0)[:2] * s for s in ((1, 0), (-1, 0), (0, 1), (0, -1)))]
-        tops = [self.top(middle[0] + dx, middle[1] + dy) for dx, dy in around]
-        own = [height for height, whose in tops if whose == id]
-        inside = [whose for _, whose in tops if whose not in (id, GROUND)]
-        if not own:
-            return bool(inside) and all((a, id) in self.scene.graph.of("inside") for a in inside)
-        return float(np.median(own)) < high[2] - HOLLOW * (high[2] - low[2])
+    def pool(self, id: int) -> Pool | None:
+        """What of it would hold water; None where that is too little for things to lie in."""
+        if id not in self._pools:
+            self._pools[id] = pool_of(self.scene[id])
+        return self._pools[id]
+
+    def spots(self, id: int) -> list[Array]:
+        """Places (2,) on an object where nothing else stands, the nearest to its middle first."""
+        low, high = self.span(id)[:, :2]
+        found = list[tuple[float, Array]]()
+        for i, j in np.ndindex(7, 7):
+            place = low + (high - low) * (np.array([i, j]) + 0.5) / 7
+            round_it = [place + 0.05 * (high - low) * k for k in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))]
+            tops = [self.top(float(x), float(y)) for x, y in round_it]
+            if all(whose == id for _, whose in tops):
+                found.append((float(np.linalg.norm((place - (low + high) / 2) / (high - low))) - 1e-6 * i, place))
+        return [place for _, place in sorted(found, key=lambda f: f[0])]
 
     def under(self, id: int, shift: Array) -> list[tuple[float, int]]:
         """Heights of the surfaces below an object's outline shifted by (2,), and whose they are, itself left out."""
         hull = self.hull(id) + shift
         middle = hull.mean(0)
-        places = [middle, *(middle + f * (corner - middle) for corner in hull[:: max(1, len(hull) // 8)] for f in (0.5, 0.97))]
+        places = [
+            middle,
+            *(middle + f * (corner - middle) for corner in hull[:: max(1, len(hull) // 8)] for f in (0.5, 0.97)),
+        ]
         return [self.top(float(x), float(y), without=id) for x, y in places]
 
     def in_frame(self, id: int, shift: Array) -> float:

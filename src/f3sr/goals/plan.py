@@ -159,22 +159,12 @@ class Returned(_Condition):
     type: Literal["returned"] = "returned"
     a: Id
     to_within: Metres
+    stays: bool = True
+    """Whether it must be there at the end, or only come back at some time."""
 
 
 Condition = Annotated[
-    Contact
-    | Displaced
-    | Toppled
-    | Upright
-    | Rolled
-    | Bounced
-    | Over
-    | Off
-    | On
-    | Inside
-    | AtRest
-    | Height
-    | Returned,
+    Contact | Displaced | Toppled | Upright | Rolled | Bounced | Over | Off | On | Inside | AtRest | Height | Returned,
     Field(discriminator="type"),
 ]
 

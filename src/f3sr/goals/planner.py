@@ -37,6 +37,8 @@ MANNER = {"gently": 0.7, "hard": 1.4}
 """What such words make of that."""
 LEAST = 0.25
 """Least way in the object's sizes, where the photo or a neighbour leaves less."""
+FITS = 1.15
+"""How much wider than an opening something may seem: openings are measured on a grid."""
 FARTHEST = 3.0
 """Diagonals of the scene that anything is to go at most."""
 SIDES: tuple[tuple[Direction, ...], ...] = (
@@ -134,13 +136,36 @@ def _impossible(r: Request, active: int, target: int | None, layout: Layout) -> 
         return Refusal(reason="grammar", message=f"{name(active, scene)} is round; accepted: 'roll ...'")
     if target == GROUND and r.preposition in ("into", "over", "off", "away-from", "towards"):
         accepted = "a thing's name, or 'onto the ground'"
-        return Refusal(reason="direction", message=f"nothing goes {spoken(r.preposition)} the ground; accepted: {accepted}")
+        return Refusal(
+            reason="direction", message=f"nothing goes {spoken(r.preposition)} the ground; accepted: {accepted}"
+        )
+    if (
+        target is not None
+        and r.preposition == "into"
+        and r.kind != "push_into"
+        and (refused := _too_large(active, target, layout))
+    ):
+        return refused
     if r.kind in ("drop", "lift_and_drop") and (load := scene.children(active)):
         message = f"{name(load[0], scene)} rests on {name(active, scene)}, which cannot be lifted alone"
         return Refusal(
-            reason="grammar", message=f"{message}; accepted: to lift {name(load[0], scene)}", candidates=(names(scene)[load[0]],)
+            reason="grammar",
+            message=f"{message}; accepted: to lift {name(load[0], scene)}",
+            candidates=(names(scene)[load[0]],),
         )
     return None
+
+
+def _too_large(active: int, target: int, layout: Layout) -> Refusal | None:
+    """What lies in something passes its opening with its second largest side at most."""
+    pool = layout.pool(target)
+    parts = np.concatenate([q.vertices for q in layout.body(active).parts])
+    side = float(sorted(np.ptp(parts, axis=0))[1])
+    if pool is None or side <= FITS * 2 * pool.radius:
+        return None
+    scene = layout.scene
+    wide = f"{name(active, scene)}, {100 * side:.0f} cm across, does not fit into {name(target, scene)}"
+    return Refusal(reason="impossible", message=f"{wide}, {200 * pool.radius:.0f} cm wide; accepted: onto or at it")
 
 
 def _meant(r: Request, active: int, target: int | None, layout: Layout) -> Meant | Refusal:
@@ -192,7 +217,9 @@ def _directed(meant: Meant, layout: Layout) -> Meant:
 
 
 def _with_direction(meant: Meant, direction: Array, said: str) -> Meant:
-    return replace(meant, direction=direction, assumptions=(*meant.assumptions, f"direction: {said}, since none was said"))
+    return replace(
+        meant, direction=direction, assumptions=(*meant.assumptions, f"direction: {said}, since none was said")
+    )
 
 
 def _room(meant: Meant, direction: Array, layout: Layout) -> float:
@@ -245,7 +272,9 @@ def _fitted(meant: Meant, layout: Layout) -> Meant:
         far = min([far, *(0.8 * way for way, _ in layout.meets(a, direction)[:1])])
     amount = max(far, least)
     what = "height" if up else "distance"
-    needed = meant.request.kind != "push_into" and not (meant.target is not None and meant.request.kind in ("roll", "throw"))
+    needed = meant.request.kind != "push_into" and not (
+        meant.target is not None and meant.request.kind in ("roll", "throw")
+    )
     said = f"{what}: {amount:.2g} m, since none was said"
     return replace(meant, amount=amount, assumptions=(*meant.assumptions, *_some(said, needed)))
 

@@ -14,7 +14,7 @@ from f3sr.goals.refusal import Refusal
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.rules import Rules
 from f3sr.goals.simulate import simulate
-from f3sr.goals.trial import IN_FRAME, Overlap, Trials, in_frame, rating, sure
+from f3sr.goals.trial import IN_FRAME, OverlapError, Trials, in_frame, rating, sure
 from f3sr.goals.verify import Verdict, verify
 from f3sr.package import Package
 from f3sr.scene import Scene
@@ -53,7 +53,9 @@ def simulate_goal(package: Package, goal: str, *, language: Language | None = No
 def replay_plan(package: Package, plan: Plan) -> Played:
     """A plan played again: the same rollout, to the byte. Raises PlanError where it does not suit the package."""
     if plan.scene != _sha(package):
-        raise checks.PlanError(f"the plan belongs to another scene ({plan.scene[:12]}); this one is {_sha(package)[:12]}")
+        raise checks.PlanError(
+            f"the plan belongs to another scene ({plan.scene[:12]}); this one is {_sha(package)[:12]}"
+        )
     checks.require(checks.faults_of(plan, package.scene), of="plan")
     try:
         rollout = simulate(package.scene, plan)
@@ -116,7 +118,7 @@ class _Playing:
         checks.require(checks.launch_faults(launch, task, semantics, self.scene), of="launch")
         try:
             return self.trials.run(task, semantics, launch)
-        except Overlap as error:
+        except OverlapError as error:
             self.refused = Refusal(reason="impossible", message=str(error))
         except FloatingPointError as error:
             self.refused = Refusal(reason="impossible", message=str(error))

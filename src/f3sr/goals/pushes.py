@@ -33,6 +33,9 @@ def sliding(s: Setting) -> Launches:
     if s.task.way == "off" and s.target is not None:
         yield from _sliding_off(s)
         return
+    if s.layout.rolls(s.active, s.direction):
+        yield from _rolling_far(s, s.direction)
+        return
     needed = next((c for c in s.task.conditions if c.type == "displaced" and c.a == s.active), None)
     goal = (needed.at_least if needed else s.task.amount or s.size) * BEYOND + BEYOND_BY
     far, pace = goal, min(PACE * s.hard, s.calm(s.direction))
@@ -63,15 +66,33 @@ def pushing(s: Setting) -> Launches:
     direction, gap = free_way(s, s.target)
     outcome = any(c.a == s.target for c in s.task.conditions if c.type in ("toppled", "displaced", "rolled"))
     calm = s.calm(direction)
-    for speed in BLOWS[2 if outcome and s.task.manner == "hard" else 1 if outcome else 0 :]:
+    for speed in (*BLOWS[1 if outcome else 0 :], s.limits.speed):
         pace = min(speed * s.hard, s.limits.speed)
         if not outcome and speed > calm and gap > s.size:
             pace = max(calm, 0.15) * (speed / BLOWS[0])
         until = gap - max(CLEAR, 0.05 * gap)
-        if until <= pace * 0.05:
+        if s.layout.rolls(s.active, direction):
+            yield [s.thrown(pace * direction, angular=s.rolling(pace * direction), seconds=3.0)]
+        elif until <= pace * 0.05:
             yield [s.thrown(math.sqrt(pace**2 + 2 * s.drag * max(gap, 0.0)) * direction, seconds=3.0)]
         else:
             yield [s.pushed(direction, gap + pace**2 / (2 * s.drag), pace, until=until)]
+    if any(c.type == "toppled" and c.a == s.target for c in s.task.conditions):
+        yield from _struck(s, s.target)
+
+
+def _struck(s: Setting, target: int) -> Launches:
+    """Thrown flat at the upper part of what is to fall over."""
+    low, high = s.layout.span(target)
+    start, lift = s.start
+    for part in (0.75, 0.9, 0.6):
+        goal = np.array([*s.layout.center(target)[:2], low[2] + part * (high[2] - low[2])])
+        for speed in (2.0, 3.2, 5.0):
+            seconds = float(np.linalg.norm((goal - start)[:2])) / speed
+            up = (goal[2] - start[2]) / seconds + GRAVITY * seconds / 2
+            v = speed * s.hard * s.direction + up * UP
+            if lift is None and np.linalg.norm(v) < s.limits.speed:
+                yield [s.thrown(v, seconds=seconds + 1.8)]
 
 
 def free_way(s: Setting, target: int) -> tuple[Array, float]:
@@ -97,7 +118,7 @@ def blocker(s: Setting, target: int) -> int | None:
 
 
 def rolling(s: Setting) -> Launches:
-    """Off with the turning of its speed; v^2 is corrected by how far it went."""
+    """Off with the turning of its speed, to a target faster and faster."""
     direction, gap = (s.direction, 0.0) if s.target is None else free_way(s, s.target)
     slow = GRAVITY * s.layout.scene[s.active].rolling_friction / max(s.height, 1e-3)
     if s.target is not None and s.task.way not in ("towards", "away-from"):
@@ -106,11 +127,17 @@ def rolling(s: Setting) -> Launches:
             v = factor * start * direction
             yield [s.thrown(v, angular=s.rolling(v), seconds=min(4.5, gap / (factor * start) + 2.0))]
         return
+    yield from _rolling_far(s, direction)
+
+
+def _rolling_far(s: Setting, direction: Array) -> Launches:
+    """With the turning of its speed; v^2 is corrected by how far it went."""
+    slow = GRAVITY * s.layout.scene[s.active].rolling_friction / max(s.height, 1e-3)
     needed = next((c for c in s.task.conditions if c.type == "displaced" and c.a == s.active), None)
-    exact = needed is not None and needed.at_most is not None
-    goal = (needed.at_least if needed else s.size) * (1.12 if exact else 1.3) + BEYOND_BY
-    squared = 2 * slow * goal * (1 if exact else 1.5)
-    squared = max(squared, 0.0 if exact else 0.3**2)
+    goal = (needed.at_least if needed else s.size) * 1.12 + BEYOND_BY
+    if needed and needed.at_most:
+        goal = min(1.5 * goal, (needed.at_least + needed.at_most) / 2)
+    squared = 2 * slow * goal
     for _ in range(9):
         v = min(math.sqrt(squared), s.limits.speed) * direction
         (tried,) = yield [s.thrown(v, angular=s.rolling(v), seconds=LONG)]

@@ -31,6 +31,8 @@ STANDS = 0.9
 """Share of the angle of tipping by friction up to which something is pushed at any pace."""
 CALM = 0.75
 """Share of the speed that tips something over at which it is pushed otherwise."""
+CLEARANCE = 0.006
+"""Above what it is let go over, at least [m]."""
 
 Launches = Search[Launch, Tried, None]
 """Asks for launches to be tried, a few at a time, and is told what came of them."""
@@ -77,6 +79,21 @@ class Setting:
         """What friction takes from a speed [m/s2]."""
         return self.layout.friction(self.active) * GRAVITY
 
+    @cached_property
+    def start(self) -> tuple[Array, Array | None]:
+        """Where the centre of mass is when it is thrown, and the offset (3,) that takes it there: out of what it lies
+        in, or from under what lies on it."""
+        layout, low = self.layout, float(self.layout.span(self.active)[0, 2])
+        below = layout.support(self.active)
+        pool = None if below == GROUND else layout.pool(below)
+        covered = any(self.active in {s.id for s in o.supports} for o in layout.scene)
+        over = [z for z, _ in layout.under(self.active, np.zeros(2))] if covered else []
+        up = max([low, *over, *([pool.level] if pool else [])]) - low
+        if up <= 2e-3:
+            return self.center, None
+        lift = (up + CLEARANCE) * UP
+        return self.center + lift, lift
+
     @property
     def hard(self) -> float:
         return {"gently": 0.6, "hard": 1.7}.get(self.task.manner or "", 1.0)
@@ -92,7 +109,9 @@ class Setting:
 
     # --- launches -----------------------------------------------------------------------------------------------------
 
-    def thrown(self, linear: Array, *, angular: Array | None = None, lift: Array | None = None, seconds: float) -> Launch:
+    def thrown(
+        self, linear: Array, *, angular: Array | None = None, lift: Array | None = None, seconds: float
+    ) -> Launch:
         """Off with a speed of its centre of mass and of turning, after it was lifted where that is needed."""
         speed = float(np.linalg.norm(linear))
         most = min(self.limits.speed, self.limits.impulse / self.layout.mass(self.active))
@@ -135,7 +154,9 @@ class Setting:
             force = force * min(1.0, self.limits.force / max(float(np.linalg.norm(force)), 1e-12))
             J = force * duration
             pushes.append(
-                Impulse(id=self.active, time=time, duration=duration, linear=_three(J), angular=_three(np.cross(low, J)))
+                Impulse(
+                    id=self.active, time=time, duration=duration, linear=_three(J), angular=_three(np.cross(low, J))
+                )
             )
         return self._launch(InitialConditions(impulses=tuple(p for p in pushes if p.duration > 1e-3)), seconds)
 

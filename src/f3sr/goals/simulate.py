@@ -116,10 +116,10 @@ class _Run:
                 if (step + 1) % simulation.steps_per_sample:
                     continue
                 times.append((step + 1) * simulation.timestep)
+                if not np.isfinite(self.data.qpos).all():
+                    raise FloatingPointError(f"the simulation blew up after {times[-1]:.3f} s")
                 poses.append(self._poses())
                 contacts += peaks.taken()
-                if not np.isfinite(poses[-1]).all():
-                    raise FloatingPointError(f"the simulation blew up after {times[-1]:.3f} s")
                 if until is not None and until(times[-1], self.data):
                     break
         return Rollout(

@@ -23,8 +23,14 @@ TOO_FAR = 1.25
 """How much farther than asked for something may end, as a factor,"""
 TOO_FAR_BY = 0.02
 """and in any case [m]."""
+FAR_TOO_FAR = 3.0
+"""The same where the distance is our own choice,"""
+FAR_TOO_FAR_BY = 0.05
+"""[m]."""
+MOVES = 0.1
+"""Share of its size that something is to be moved by a blow, to be seen to move."""
 SEEN = 0.25
-"""Share of its size that something moves at least, to be seen to move."""
+"""Share of its size that the active object moves at least."""
 
 
 def readings(meant: Meant, layout: Layout) -> list[Reading]:
@@ -65,9 +71,10 @@ def _slide(m: Meant, layout: Layout) -> list[Reading]:
         off = p.Off(a=m.active, b=m.target)
         return [((off, p.Displaced(a=m.active, at_least=SEEN * layout.size(m.active))), "")]
     way = _moved(m, m.amount, exact=m.asked)
-    if layout.is_ball(m.active):
-        return [((way,), "")]
-    return [((way, p.Upright(a=m.active)), ""), ((way,), "it may fall over on its way")]
+    if m.direction is not None and layout.rolls(m.active, m.direction):
+        return [((way,), ""), ((way.model_copy(update={"at_most": None}),), "how far it rolls")]
+    loose = way.model_copy(update={"at_most": None}) if not m.asked else way
+    return [((way, p.Upright(a=m.active)), ""), ((loose,), "it may fall over on its way")]
 
 
 def _push_into(m: Meant, layout: Layout) -> list[Reading]:
@@ -93,7 +100,7 @@ def _roll(m: Meant, layout: Layout) -> list[Reading]:
         gap = _gap(m, layout)
         way = m.amount if m.asked or m.request.preposition != "towards" else min(m.amount, 0.8 * gap)
         return [((_moved(m, way, exact=m.asked), turned(way)), "")]
-    inside = [p.Inside(a=m.active, b=m.target)] if m.request.preposition == "into" and layout.holds(m.target) else []
+    inside = [p.Inside(a=m.active, b=m.target)] if m.request.preposition == "into" and layout.pool(m.target) else []
     touch = p.Contact(a=m.active, b=m.target)
     strict: list[Reading] = [((touch, turned(_gap(m, layout)), *inside), "")] if inside else []
     return [*strict, ((touch, turned(_gap(m, layout))), "it need not end inside" if inside else "")]
@@ -144,29 +151,34 @@ def _bounce(m: Meant, layout: Layout) -> list[Reading]:
         loose = p.Contact(a=a, b=target, after=0)
         return [((up, p.Bounced(a=a, b=target, at_least=seen, after=0)), ""), ((up, loose), "how high it bounces")]
     floor, touch = p.Contact(a=a, b=GROUND, after=0), p.Contact(a=a, b=target, after=1)
-    if way == "into" and layout.holds(target):
+    if way == "into" and layout.pool(target):
         return [((up, floor, touch, p.Inside(a=a, b=target)), "")]
     return [((up, floor, touch), "")]
 
 
 def _launch(m: Meant, layout: Layout) -> list[Reading]:
-    near = max(0.6 * layout.size(m.active), 0.25 * m.amount)
-    return [((p.Height(a=m.active, at_least=m.amount), p.Returned(a=m.active, to_within=near)), "")]
+    near, up = max(0.6 * layout.size(m.active), 0.25 * m.amount), p.Height(a=m.active, at_least=m.amount)
+    back = p.Returned(a=m.active, to_within=near, stays=False, after=0)
+    return [((up, p.Returned(a=m.active, to_within=near)), ""), ((up, back), "where it goes after it is back")]
 
 
 def _ends(m: Meant, target: int, layout: Layout) -> list[p.Condition]:
-    """Where it ends: inside what holds things, else on it."""
-    inside = target != GROUND and layout.holds(target)
+    """Where it ends: inside what holds things, else on it. On a plate is on it, however it is said."""
+    pool = None if target == GROUND else layout.pool(target)
+    deep = pool is not None and pool.depth > 0.4 * float(np.ptp(layout.span(m.active)[:, 2]))
+    inside = pool is not None and (deep or m.request.preposition == "into")
     return [p.Inside(a=m.active, b=target) if inside else p.On(a=m.active, b=target)]
 
 
-def _moved(m: Meant, far: float, *, exact: bool = False) -> p.Displaced:
-    """Along the goal's direction; not much too far where the words say how far."""
+def _moved(m: Meant, far: float, *, exact: bool | None = None) -> p.Displaced:
+    """Along the goal's direction; not much too far where the words say how far (exact), nor absurdly far where they do
+    not."""
     d = m.direction
+    most = TOO_FAR * far + TOO_FAR_BY if exact else FAR_TOO_FAR * far + FAR_TOO_FAR_BY
     return p.Displaced(
         a=m.active,
         at_least=far,
-        at_most=min(TOO_FAR * far + TOO_FAR_BY, 100.0) if exact else None,
+        at_most=min(most, 100.0) if exact is not None else None,
         direction=None if d is None else (float(d[0]), float(d[1]), float(d[2])),
     )
 
@@ -180,7 +192,7 @@ def _outcome(m: Meant, layout: Layout, before: Sequence[p.Condition]) -> Sequenc
     after = touches[-1] if touches else None
     if any(c.type in ("toppled", "rolled", "bounced", "returned") and c.type.startswith(what[:3]) for c in before):
         return ()
-    seen = SEEN * layout.size(id)
+    seen = MOVES * layout.size(id)
     match what:
         case "topple":
             return (p.Toppled(a=id, after=after),)

@@ -21,8 +21,8 @@ from f3sr.scene import Scene
 
 ROLLOUTS = 64
 """That the search for one goal may take."""
-SECONDS = 40.0
-"""Simulated in all of them [s]: about 12 s of work with eight objects."""
+WORK = 200.0
+"""Seconds simulated in all of them, times the objects of the scene: about 10 s of a processor."""
 SLOW, SLOWLY = 0.01, 0.1
 """Speeds [m/s, rad/s] below which everything counts as still."""
 SURE = 0.03
@@ -35,7 +35,7 @@ REST, DRIFT = 0.25, 5e-4
 """For how long [s] things are watched whether they rest as a plan makes them, and how far they may move [m]."""
 
 
-class Overlap(Exception):
+class OverlapError(Exception):
     """A start inside something else."""
 
 
@@ -52,7 +52,7 @@ class Trials:
 
     @property
     def spent(self) -> bool:
-        return self.rollouts >= ROLLOUTS or self.seconds >= SECONDS
+        return self.rollouts >= ROLLOUTS or self.seconds * len(self.scene.objects) >= WORK
 
     def plan(self, task: TaskSpec, semantics: Sequence[Semantics], launch: Launch, rollouts: int = 0) -> Plan:
         return Plan(
@@ -66,7 +66,9 @@ class Trials:
         )
 
     def run(self, task: TaskSpec, semantics: Sequence[Semantics], launch: Launch) -> Tried:
-        """The launch with the duration that it took, its rollout and verdict. Raises Overlap, FloatingPointError."""
+        """The launch with the duration that it took, its rollout and verdict.
+
+        Raises OverlapError or FloatingPointError."""
         plan = self.plan(task, semantics, launch)
         model = self._model(plan)
         last = max((i.time + i.duration for i in launch.initial.impulses), default=0.0)
@@ -173,4 +175,4 @@ def _require_clear(model: Any, body: int) -> None:
     engine().mj_forward(model, data)
     mine = (model.geom_bodyid[data.contact.geom] == body).any(1) if data.ncon else np.zeros(0, bool)
     if (data.contact.dist[mine] < -OVERLAP).any():
-        raise Overlap("the active object would start inside something else")
+        raise OverlapError("the active object would start inside something else")
