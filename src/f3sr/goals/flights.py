@@ -202,6 +202,9 @@ def bouncing(s: Setting) -> Launches:
         return
     if not s.layout.rolls(s.active, s.direction):
         yield from _skipping(s, start, lift)
+    if s.layout.pool(s.target) is None or s.task.way != "into":
+        yield from _bouncing_at(s, s.target, e)
+        return
     ways = list[tuple[bool, int, Array, float]]()
     for arc in (0.15, 0.5, 1.0, 2.0, 3.5):
         for aim in AIMS:
@@ -219,6 +222,38 @@ def bouncing(s: Setting) -> Launches:
             shift[:2] += np.clip(goal[:2] - came, -s.size, s.size)
 
 
+def _bouncing_at(s: Setting, target: int, e: float) -> Launches:
+    """To the ground somewhere on the way, from where the bounce leads to the target's side: wherever both flights are
+    clear."""
+    start, lift = s.start
+    low, high = s.layout.span(target)
+    radius = 0.5 * float(np.ptp(s.layout.hull(s.active), axis=0).min())
+    ways = list[tuple[bool, int, Array, float]]()
+    for aside in (0.0, 0.3, -0.3):
+        goal = (low + high) / 2
+        goal[:2] += aside * (high - low)[:2] * [-s.direction[1], s.direction[0]]
+        far = float(np.linalg.norm((goal - start)[:2]))
+        near = far - 0.4 * float(min((high - low)[:2])) - radius
+        for part in (0.5, 0.65, 0.35, 0.8, 0.92):
+            place = np.append(start[:2] + part * near / far * (goal - start)[:2], s.height)
+            for arc in (0.4, 0.8, 1.5, 3.0):
+                v, first = launch.throw(start, place, max(start[2], s.height) + arc * s.size)
+                off = np.array([v[0], v[1], e * (GRAVITY * first - v[2])])
+                second = (1 - part) / part * first
+                height = s.height + off[2] * second - GRAVITY * second**2 / 2
+                if s.height < height < 0.9 * high[2]:
+                    flights = [(start, v, first), (place, off, second)]
+                    ways.append((_blocked(s, flights, goal) or not _ground_at(s, place), len(ways), v, first + second))
+    for _, _, v, seconds in sorted(ways, key=lambda w: w[:2])[:10]:
+        yield [s.thrown(v, angular=s.rolling(v * [1, 1, 0]), lift=lift, seconds=seconds + AFTER)]
+
+
+def _ground_at(s: Setting, place: Array) -> bool:
+    """Whether nothing but ground is under the object around a place."""
+    around = [place[:2] + 0.7 * s.height * np.array(k) for k in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))]
+    return all(s.layout.top(float(x), float(y), without=s.active)[1] == GROUND for x, y in around)
+
+
 def _bounce_blocked(s: Setting, start: Array, goal: Array, e: float, apex: float) -> bool:
     """Whether something is in the way of a bounce, or where it is to bounce is no ground."""
     v, _ = launch.bounce(start, goal, s.height, e, apex)
@@ -227,10 +262,7 @@ def _bounce_blocked(s: Setting, start: Array, goal: Array, e: float, apex: float
     place = np.append((start + v * first)[:2], s.height)
     off = np.array([v[0], v[1], e * down])
     second = (off[2] + math.sqrt(max(off[2] ** 2 - 2 * GRAVITY * (goal[2] - s.height), 0.0))) / GRAVITY
-    around = [place[:2] + 0.7 * s.height * np.array(k) for k in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))]
-    if any(s.layout.top(float(x), float(y), without=s.active)[1] != GROUND for x, y in around):
-        return True
-    return _blocked(s, [(start, v, first), (place, off, second)], goal)
+    return not _ground_at(s, place) or _blocked(s, [(start, v, first), (place, off, second)], goal)
 
 
 def _skipping(s: Setting, start: Array, lift: Array | None) -> Launches:

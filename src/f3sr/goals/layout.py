@@ -14,7 +14,7 @@ from f3sr.physics import DEFAULT_PHYSICS, Body, engine
 from f3sr.restitution import solref
 from f3sr.scene import GROUND, Scene
 
-ROUND = 0.15
+ROUND = 0.24
 """Share by which the radii of what rolls differ at most: an octagon's differ by .08, a square's by .3."""
 
 
