@@ -10,7 +10,7 @@ import numpy as np
 from f3sr.frames import UP, Array
 from f3sr.goals import launch
 from f3sr.goals.language import Tried
-from f3sr.goals.setting import CLEARANCE, Launches, Setting
+from f3sr.goals.setting import CLEARANCE, Aim, Launches, Setting
 from f3sr.restitution import LEAST
 from f3sr.scene import GROUND
 from f3sr.statics import GRAVITY
@@ -89,6 +89,8 @@ def throwing(s: Setting) -> Launches:
     if s.task.target is None:
         yield from _throwing_far(s)
         return
+    if s.target is not None and any(c.a == s.target for c in s.task.conditions if c.type in ("toppled", "displaced")):
+        yield from striking(s, s.target)
     start, lift = s.start
     arcs = (0.12, *ARCS) if s.task.way == "into" or s.task.manner == "hard" else ARCS
     ways = list[tuple[bool, int, Array, float]]()
@@ -116,6 +118,27 @@ def _blocked(s: Setting, arcs: list[tuple[Array, Array, float]], goal: Array) ->
                 if whose not in (GROUND, s.target) and at[2] - s.height < top + 0.1 * s.size:
                     return True
     return False
+
+
+def striking(s: Setting, target: int) -> Launches:
+    """Flat and fast at the upper part of the target, then in arcs over what is in the way."""
+    low, high = s.layout.span(target)
+    start, lift = s.start if s.task.kind == "throw" else (s.center, None)
+    ways = list[tuple[bool, int, Array, float]]()
+    for part in (0.75, 0.9, 0.6):
+        goal = np.array([*s.layout.center(target)[:2], low[2] + part * (high[2] - low[2])])
+        far = float(np.linalg.norm((goal - start)[:2]))
+        for speed in (2.0, 3.2, 5.0, 1.2, 7.0):
+            seconds = far / speed
+            up = (goal[2] - start[2]) / seconds + GRAVITY * seconds / 2
+            v = np.append(speed * (goal - start)[:2] / far, up)
+            if np.linalg.norm(v) <= s.limits.speed:
+                ways.append((_blocked(s, [(start, v, seconds)], goal), len(ways), v, seconds))
+        for arc in (0.5, 1.2):
+            v, seconds = launch.throw(start, goal, max(start[2], goal[2]) + arc * s.size)
+            ways.append((_blocked(s, [(start, v, seconds)], goal), len(ways), v, seconds))
+    for _, _, v, seconds in sorted(ways, key=lambda w: w[:2])[:12]:
+        yield [s.thrown(v, lift=lift, seconds=seconds + AFTER)]
 
 
 def _goal(s: Setting, aim: float) -> tuple[Array, float]:
@@ -173,16 +196,16 @@ def _throwing_far(s: Setting) -> Launches:
     """Half as high as a throw of 45 degrees; where it comes down is corrected by where it ends."""
     start, lift = s.start
     goal = (s.task.amount or 2 * s.size) * 1.08
-    land = 0.85 * goal
+    aim = Aim(goal, far=0.85 * goal)
     rise = next((c.at_least for c in s.task.conditions if c.type == "height"), 0.0)
     for k in range(9):
-        place = start + land * s.direction
-        apex = start[2] + max(0.2 * land, 1.4 * rise) * (1.0 if k < 5 else 1.6)
+        place = start + aim.far * s.direction
+        apex = start[2] + max(0.2 * aim.far, 1.4 * rise) * (1.0 if k < 5 else 1.6)
         v, seconds = launch.throw(
             start, np.array([place[0], place[1], s.height]), max(apex, start[2] + 1e-3, s.height + 1e-3)
         )
         (tried,) = yield [s.thrown(v, lift=lift, seconds=seconds + AFTER + 0.6)]
-        land *= float(np.clip(goal / max(s.moved(tried), 0.1 * goal), 0.5, 1.6))
+        aim.ended(s.moved(tried))
 
 
 def bouncing(s: Setting) -> Launches:

@@ -162,13 +162,13 @@ class Layout:
                 found.append((float(np.linalg.norm((place - (low + high) / 2) / (high - low))) - 1e-6 * i, place))
         return [place for _, place in sorted(found, key=lambda f: f[0])]
 
-    def under(self, id: int, shift: Array) -> list[tuple[float, int]]:
+    def under(self, id: int, shift: Array, *, reach: tuple[float, float] = (0.5, 0.97)) -> list[tuple[float, int]]:
         """Heights of the surfaces below an object's outline shifted by (2,), and whose they are, itself left out."""
         hull = self.hull(id) + shift
         middle = hull.mean(0)
         places = [
             middle,
-            *(middle + f * (corner - middle) for corner in hull[:: max(1, len(hull) // 8)] for f in (0.5, 0.97)),
+            *(middle + f * (corner - middle) for corner in hull[:: max(1, len(hull) // 8)] for f in reach),
         ]
         return [self.top(float(x), float(y), without=id) for x, y in places]
 

@@ -15,6 +15,7 @@ from f3sr.export.scene_json import Id, IdOrGround, Positive, Share, Vector3, dum
 from f3sr.scene import Mobility
 
 SCHEMA_VERSION = 1
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 Kind = Literal[
     "topple",
@@ -315,7 +316,12 @@ class Plan(_Record):
 
 def plan_schema() -> dict[str, Any]:
     """JSON Schema of plan.json."""
-    return Plan.model_json_schema()
+    return {"$schema": DIALECT, **Plan.model_json_schema()}
+
+
+def task_schema() -> dict[str, Any]:
+    """JSON Schema of a plan's task by itself: what a Planner answers."""
+    return {"$schema": DIALECT, **TaskSpec.model_json_schema()}
 
 
 def to_json(plan: Plan) -> bytes:

@@ -200,7 +200,7 @@ def _amount(r: Request, active: int, layout: Layout) -> float:
 def _directed(meant: Meant, layout: Layout) -> Meant:
     """With a direction: said, to or from the target, or where there is most room."""
     r, target = meant.request, meant.target
-    flat = [d for d in r.direction if d not in ("up", "down")]
+    flat: list[Direction] = [d for d in r.direction if d not in ("up", "down")]
     if flat:
         return replace(meant, direction=world_vector(flat, layout.scene.camera))
     if r.kind in ("drop", "lift_and_drop", "launch_and_return"):

@@ -8,8 +8,9 @@ import numpy as np
 
 from f3sr.frames import UP, Array
 from f3sr.goals import launch
+from f3sr.goals.flights import striking
 from f3sr.goals.planner import over_the_edge
-from f3sr.goals.setting import Launches, Setting
+from f3sr.goals.setting import Aim, Launches, Setting
 from f3sr.statics import GRAVITY
 
 PACE = 0.6
@@ -38,15 +39,13 @@ def sliding(s: Setting) -> Launches:
         return
     needed = next((c for c in s.task.conditions if c.type == "displaced" and c.a == s.active), None)
     goal = (needed.at_least if needed else s.task.amount or s.size) * BEYOND + BEYOND_BY
-    far, pace = goal, min(PACE * s.hard, s.calm(s.direction))
+    pace, aim = min(PACE * s.hard, s.calm(s.direction)), Aim(goal)
     for _ in range(9):
-        (tried,) = yield [s.pushed(s.direction, far, pace)]
-        if s.lean(tried) > LEANS:
+        (tried,) = yield [s.pushed(s.direction, aim.far, pace)]
+        if s.lean(tried) > LEANS and pace > 0.1 and s.moved(tried) < 3 * goal:
             pace *= 0.6
-            if pace < 0.05:
-                return
-            continue
-        far *= float(np.clip(goal / max(s.moved(tried), 0.05 * goal), 0.5, 1.8))
+        else:
+            aim.ended(s.moved(tried))
 
 
 def _sliding_off(s: Setting) -> Launches:
@@ -64,6 +63,7 @@ def pushing(s: Setting) -> Launches:
         yield from sliding(s)
         return
     direction, gap = free_way(s, s.target)
+    blocked = _met_first(s, direction) not in (None, s.target)
     outcome = any(c.a == s.target for c in s.task.conditions if c.type in ("toppled", "displaced", "rolled"))
     calm = s.calm(direction)
     for speed in (*BLOWS[1 if outcome else 0 :], s.limits.speed):
@@ -77,22 +77,10 @@ def pushing(s: Setting) -> Launches:
             yield [s.thrown(math.sqrt(pace**2 + 2 * s.drag * max(gap, 0.0)) * direction, seconds=3.0)]
         else:
             yield [s.pushed(direction, gap + pace**2 / (2 * s.drag), pace, until=until)]
-    if any(c.type == "toppled" and c.a == s.target for c in s.task.conditions):
-        yield from _struck(s, s.target)
-
-
-def _struck(s: Setting, target: int) -> Launches:
-    """Thrown flat at the upper part of what is to fall over."""
-    low, high = s.layout.span(target)
-    start, lift = s.start
-    for part in (0.75, 0.9, 0.6):
-        goal = np.array([*s.layout.center(target)[:2], low[2] + part * (high[2] - low[2])])
-        for speed in (2.0, 3.2, 5.0):
-            seconds = float(np.linalg.norm((goal - start)[:2])) / speed
-            up = (goal[2] - start[2]) / seconds + GRAVITY * seconds / 2
-            v = speed * s.hard * s.direction + up * UP
-            if lift is None and np.linalg.norm(v) < s.limits.speed:
-                yield [s.thrown(v, seconds=seconds + 1.8)]
+        if blocked and speed > BLOWS[2]:
+            break
+    if blocked or any(c.type == "toppled" and c.a == s.target for c in s.task.conditions):
+        yield from striking(s, s.target)
 
 
 def free_way(s: Setting, target: int) -> tuple[Array, float]:
@@ -110,11 +98,9 @@ def free_way(s: Setting, target: int) -> tuple[Array, float]:
     return s.direction, met[0] if met else max(apart, 0.01)
 
 
-def blocker(s: Setting, target: int) -> int | None:
-    """What is in the way to a target whichever way one goes."""
-    direction, _ = free_way(s, target)
+def _met_first(s: Setting, direction: Array) -> int | None:
     met = s.layout.meets(s.active, direction)
-    return met[0][1] if met and met[0][1] != target else None
+    return met[0][1] if met else None
 
 
 def rolling(s: Setting) -> Launches:
@@ -126,6 +112,8 @@ def rolling(s: Setting) -> Launches:
         for factor in (1.0, 1.5, 2.2, 3.2, 4.5, 6.5):
             v = factor * start * direction
             yield [s.thrown(v, angular=s.rolling(v), seconds=min(4.5, gap / (factor * start) + 2.0))]
+            if factor > 2 and s.pool is not None:
+                yield from _hopping(s, direction, factor * start)
         return
     yield from _rolling_far(s, direction)
 
@@ -136,12 +124,20 @@ def _rolling_far(s: Setting, direction: Array) -> Launches:
     needed = next((c for c in s.task.conditions if c.type == "displaced" and c.a == s.active), None)
     goal = (needed.at_least if needed else s.size) * 1.12 + BEYOND_BY
     if needed and needed.at_most:
-        goal = min(1.5 * goal, (needed.at_least + needed.at_most) / 2)
-    squared = 2 * slow * goal
+        goal = min(1.1 * goal, (needed.at_least + needed.at_most) / 2)
+    aim = Aim(goal, most=3.0)
     for _ in range(9):
-        v = min(math.sqrt(squared), s.limits.speed) * direction
+        v = min(math.sqrt(2 * slow * aim.far), s.limits.speed) * direction
         (tried,) = yield [s.thrown(v, angular=s.rolling(v), seconds=LONG)]
-        squared *= float(np.clip(goal / max(s.moved(tried), 0.05 * goal), 0.4, 3.0))
+        aim.ended(s.moved(tried))
+
+
+def _hopping(s: Setting, direction: Array, speed: float) -> Launches:
+    """Over the rim of what it lies in, rolling."""
+    assert s.pool is not None
+    up = launch.height_speed(max(s.pool.level - s.center[2], 0.0) + 1.5 * s.height)
+    v = speed * direction
+    yield [s.thrown(v + up * UP, angular=s.rolling(v), seconds=3.0)]
 
 
 LONG = 4.5

@@ -20,6 +20,7 @@ from f3sr.goals.plan import (
     TaskSpec,
     Velocity,
 )
+from f3sr.goals.pool import Pool
 from f3sr.physics import body_of
 from f3sr.scene import GROUND
 from f3sr.searches import Search
@@ -36,6 +37,31 @@ CLEARANCE = 0.006
 
 Launches = Search[Launch, Tried, None]
 """Asks for launches to be tried, a few at a time, and is told what came of them."""
+
+
+@dataclass(eq=False)
+class Aim:
+    """How far to aim for something to go so far: corrected in proportion until it is between two, then halved."""
+
+    goal: float
+    most: float = 1.8
+    """By which factor an aim changes at most."""
+    far: float = 0.0
+    near: float = 0.0
+    beyond: float = math.inf
+
+    def __post_init__(self) -> None:
+        self.far = self.far or self.goal
+
+    def ended(self, moved: float) -> None:
+        """It went so far."""
+        if moved < self.goal:
+            self.near = max(self.near, self.far)
+        else:
+            self.beyond = min(self.beyond, self.far)
+        wanted = self.far * float(np.clip(self.goal / max(moved, 0.05 * self.goal), 1 / self.most, self.most))
+        inside = self.near < wanted < self.beyond
+        self.far = wanted if inside else math.sqrt(max(self.near, 0.1 * self.beyond) * self.beyond)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,15 +106,18 @@ class Setting:
         return self.layout.friction(self.active) * GRAVITY
 
     @cached_property
+    def pool(self) -> Pool | None:
+        """What it lies in, where that is something."""
+        below = self.layout.support(self.active)
+        return None if below == GROUND else self.layout.pool(below)
+
+    @cached_property
     def start(self) -> tuple[Array, Array | None]:
         """Where the centre of mass is when it is thrown, and the offset (3,) that takes it there: out of what it lies
         in, or from under what lies on it."""
-        layout, low = self.layout, float(self.layout.span(self.active)[0, 2])
-        below = layout.support(self.active)
-        pool = None if below == GROUND else layout.pool(below)
-        covered = any(self.active in {s.id for s in o.supports} for o in layout.scene)
-        over = [z for z, _ in layout.under(self.active, np.zeros(2))] if covered else []
-        up = max([low, *over, *([pool.level] if pool else [])]) - low
+        low = float(self.layout.span(self.active)[0, 2])
+        over = [z for z, _ in self.layout.under(self.active, np.zeros(2), reach=(0.4, 0.8)) if z > self.center[2]]
+        up = float(np.max([low, *over, *([self.pool.level] if self.pool else [])])) - low
         if up <= 2e-3:
             return self.center, None
         lift = (up + CLEARANCE) * UP

@@ -25,6 +25,8 @@ WORK = 200.0
 """Seconds simulated in all of them, times the objects of the scene: about 10 s of a processor."""
 SLOW, SLOWLY = 0.01, 0.1
 """Speeds [m/s, rad/s] below which everything counts as still."""
+SHORTEST = 0.8
+"""Of a rollout [s]: less is over before anybody sees it."""
 SURE = 0.03
 """Relative margin from which on a plan that meets its conditions is not bettered."""
 IN_FRAME = 0.5
@@ -123,7 +125,7 @@ class Still:
     """Ends a rollout once nothing has moved for as long as counts as its end."""
 
     def __init__(self, after: float) -> None:
-        self.after, self.since = max(after, 0.3), np.inf
+        self.after, self.since = max(after, SHORTEST - LAST), np.inf
 
     def __call__(self, time: float, data: Any) -> bool:
         speeds = np.abs(data.qvel).reshape(-1, 6).max(0)
