@@ -9,10 +9,11 @@ import numpy as np
 
 from f3sr.frames import UP, Array
 from f3sr.goals import launch
-from f3sr.goals.language import Tried
+from f3sr.goals.language import Launch, Tried
 from f3sr.goals.setting import CLEARANCE, Aim, Launches, Setting
 from f3sr.restitution import LEAST
 from f3sr.scene import GROUND
+from f3sr.searches import Search
 from f3sr.statics import GRAVITY
 
 ARCS = (0.4, 0.9, 1.6, 2.8)
@@ -91,7 +92,13 @@ def throwing(s: Setting) -> Launches:
         return
     if s.target is not None and any(c.a == s.target for c in s.task.conditions if c.type in ("toppled", "displaced")):
         yield from striking(s, s.target)
-    start, lift = s.start
+    hindered = yield from _arcs(s, *s.start)
+    if hindered:
+        yield from _arcs(s, *s.raised)
+
+
+def _arcs(s: Setting, start: Array, lift: Array | None) -> Search[Launch, Tried, bool]:
+    """Returns whether the first met something at once, which a start above it would not."""
     arcs = (0.12, *ARCS) if s.task.way == "into" or s.task.manner == "hard" else ARCS
     ways = list[tuple[bool, int, Array, float]]()
     for aim in AIMS:
@@ -99,8 +106,11 @@ def throwing(s: Setting) -> Launches:
             goal, over = _goal(s, aim)
             v, seconds = launch.throw(start, goal, max(start[2], over) + arc * s.size)
             ways.append((_blocked(s, [(start, v, seconds)], goal), len(ways), v, seconds))
-    for _, _, v, seconds in sorted(ways, key=lambda w: w[:2]):
-        yield [s.thrown(v, lift=lift, seconds=seconds + AFTER)]
+    for k, (_, _, v, seconds) in enumerate(sorted(ways, key=lambda w: w[:2])):
+        (tried,) = yield [s.thrown(v, lift=lift, seconds=seconds + AFTER)]
+        if k == 0 and lift is None and s.hindered(tried):
+            return True
+    return False
 
 
 def _blocked(s: Setting, arcs: list[tuple[Array, Array, float]], goal: Array) -> bool:
@@ -162,6 +172,7 @@ def _goal(s: Setting, aim: float) -> tuple[Array, float]:
 
 
 def _throwing_over(s: Setting, target: int) -> Launches:
+    """Over the target and down behind it, higher and farther."""
     start, lift = s.start
     along = s.layout.corners(target) @ s.direction
     own = s.layout.corners(s.active) @ s.direction
@@ -174,7 +185,9 @@ def _throwing_over(s: Setting, target: int) -> Launches:
         goal = np.array([goal[0], goal[1], s.height])
         apex = _apex_over(start[2], goal[2], beyond, (near, far), top + s.height + 0.35 * arc * s.size)
         v, seconds = launch.throw(start, goal, apex)
-        yield [s.thrown(v, lift=lift, seconds=seconds + 1.0)]
+        (tried,) = yield [s.thrown(v, lift=lift, seconds=seconds + 1.0)]
+        if lift is None and s.hindered(tried):
+            start, lift = s.raised
 
 
 def _apex_over(z0: float, z1: float, beyond: float, between: tuple[float, float], clear: float) -> float:

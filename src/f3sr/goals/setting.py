@@ -32,6 +32,8 @@ STANDS = 0.9
 """Share of the angle of tipping by friction up to which something is pushed at any pace."""
 CALM = 0.75
 """Share of the speed that tips something over at which it is pushed otherwise."""
+AT_ONCE = 0.12
+"""Before this [s] something that is thrown is not yet gone."""
 CLEARANCE = 0.006
 """Above what it is let go over, at least [m]."""
 
@@ -122,6 +124,21 @@ class Setting:
             return self.center, None
         lift = (up + CLEARANCE) * UP
         return self.center + lift, lift
+
+    @cached_property
+    def raised(self) -> tuple[Array, Array]:
+        """The same above all that is beside it and may hold it back."""
+        beside = self.layout.under(self.active, np.zeros(2), reach=(1.1, 1.4))
+        tops = [z for z, whose in beside if whose != self.target]
+        lift = (max(*tops, 0.0) + CLEARANCE - float(self.layout.span(self.active)[0, 2])) * UP
+        return self.center + lift, lift
+
+    def hindered(self, tried: Tried) -> bool:
+        """Whether it met anything but its target and what it stood on before it was gone."""
+        contacts = tried.rollout.contacts
+        early = contacts[contacts["time"] < AT_ONCE]
+        met = {int(b if a == self.active else a) for _, a, b, _ in early if self.active in (a, b)}
+        return bool(met - {GROUND, self.target, self.layout.support(self.active)})
 
     @property
     def hard(self) -> float:

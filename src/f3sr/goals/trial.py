@@ -21,8 +21,8 @@ from f3sr.scene import Scene
 
 ROLLOUTS = 64
 """That the search for one goal may take."""
-WORK = 200.0
-"""Seconds simulated in all of them, times the objects of the scene: about 10 s of a processor."""
+WORK = 160.0
+"""Seconds simulated in all of them, times the objects of the scene: about 8 s of a processor."""
 SLOW, SLOWLY = 0.01, 0.1
 """Speeds [m/s, rad/s] below which everything counts as still."""
 SHORTEST = 0.8
