@@ -60,9 +60,7 @@ def replayed(package: Path, plan: dict[str, Any], ids: list[int]) -> Any:
     for velocity in plan["initial"]["velocities"]:
         set_off(model, data, velocity)
     impulses, dt = plan["initial"]["impulses"], model.opt.timestep
-    pushes = [
-        (math.ceil(i["time"] / dt - 1e-9), max(1, round(i["duration"] / dt)), i) for i in plan["initial"]["impulses"]
-    ]
+    pushes = [(math.ceil(i["time"] / dt - 1e-9), max(1, round(i["duration"] / dt)), i) for i in impulses]
     bodies = [number(model, id) for id in ids]
     found = [data.xpos[bodies].copy()]
     for step in range(round(plan["simulation"]["duration"] / dt)):

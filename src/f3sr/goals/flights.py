@@ -137,7 +137,7 @@ def striking(s: Setting, target: int) -> Launches:
     ways = list[tuple[bool, int, Array, float]]()
     for part in (0.75, 0.9, 0.6):
         goal = np.array([*s.layout.center(target)[:2], low[2] + part * (high[2] - low[2])])
-        far = float(np.linalg.norm((goal - start)[:2]))
+        far = max(float(np.linalg.norm((goal - start)[:2])), 1e-3)
         for speed in (2.0, 3.2, 5.0, 1.2, 7.0):
             seconds = far / speed
             up = (goal[2] - start[2]) / seconds + GRAVITY * seconds / 2

@@ -19,6 +19,7 @@ Conditions = tuple[p.Condition, ...]
 Reading = tuple[Conditions, str]
 """Conditions, and what they leave to chance, in words; empty for the strictest."""
 
+CLOSED = "nothing can lie in the target: to touch it counts"
 TOO_FAR = 1.25
 """How much farther than asked for something may end, as a factor,"""
 TOO_FAR_BY = 0.02
@@ -133,6 +134,8 @@ def _throw(m: Meant, layout: Layout) -> list[Reading]:
     if way == "over" and target != GROUND:
         beyond = _gap(m, layout) + layout.size(target) / 2
         return [((p.Over(a=a, b=target), _moved(m, beyond)), "")]
+    if way == "into" and layout.pool(target) is None:
+        return [((touch,), CLOSED)]
     if way in ("into", "onto") and target != GROUND:
         ends = _ends(m, target, layout)
         loose: list[Reading] = [] if ends and ends[0].type == "inside" else [((touch,), "where it ends")]
