@@ -147,6 +147,7 @@ def _telling(goal: str, played: Played | Refusal, place: Path, seconds: float) -
             {"met": c.met, "margin": c.margin, "unit": c.unit, "said": c.said} for c in played.verdict.conditions
         ],
         "broken_rules": list(played.verdict.broken),
+        "nearest": played.nearest,
     }
 
 
@@ -161,6 +162,7 @@ def _lines(told: dict[str, Any]) -> Iterator[str]:
     for c in told["conditions"]:
         yield f"{'met:   ' if c['met'] else 'missed:'}    {c['said']}"
     yield from (f"broken:    {rule}" for rule in told["broken_rules"])
+    yield from [f"nearest:   {told['nearest']}"] if told["nearest"] else []
     yield f"verdict:   {told['state']}, {told['rollouts']} rollouts, {told['seconds']:.1f} s"
     yield f"written:   {told['folder']}"
 
@@ -185,6 +187,10 @@ def _end(tellings: Sequence[dict[str, Any]]) -> None:
     """Raises for the exit code."""
     for state, error in (("refused", RefusedError), ("missed", MissedError)):
         if some := [t for t in tellings if t["state"] == state]:
-            said = some[0].get("message") or "; ".join(c["said"] for c in some[0]["conditions"] if not c["met"])
+            missed = [
+                *some[0].get("broken_rules", []),
+                *(c["said"] for c in some[0].get("conditions", []) if not c["met"]),
+            ]
+            said = some[0].get("message") or "; ".join([*missed, *filter(None, [some[0]["nearest"]])])
             more = f" (and {len(some) - 1} more)" if len(some) > 1 else ""
             raise error(f"{'refused' if state == 'refused' else 'not met'}: {said}{more}")

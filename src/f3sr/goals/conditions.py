@@ -98,6 +98,10 @@ class _Seen:
     def at_the_end(self) -> NDArray[np.bool_]:
         return self.time >= self.time[-1] - LAST - 1e-9
 
+    def touching(self, a: int, b: int) -> bool:
+        """Whether two touch at the end."""
+        return bool((self.rollout.touches(a, b)["time"] >= self.time[-1] - LAST).any())
+
     def name(self, id: int) -> str:
         return "the ground" if id == GROUND else self.scene[id].label or f"object {id}"
 
@@ -274,13 +278,17 @@ def _at_rest(c: p.AtRest, seen: _Seen, start: float) -> Judged:
 
 
 def _on(c: p.On, seen: _Seen, start: float) -> Judged:
-    """Touching at the end, the centre of mass above the other's."""
+    """Touching at the end, and not the ground besides; the centre of mass above the other's and within its outline."""
     a, b, end = seen.name(c.a), seen.name(c.b), float(seen.time[-1])
-    rows = seen.rollout.touches(c.a, c.b)
-    above = np.inf if c.b == GROUND else float(seen.way(c.a)[-1, 2] - seen.way(c.b)[-1, 2])
-    if not (rows["time"] >= end - LAST).any():
+    above = np.inf
+    if c.b != GROUND:
+        aside = float(_outside(seen.way(c.a)[-1:, :2], seen.corners(c.b, -1))[0])
+        above = min(float(seen.way(c.a)[-1, 2] - seen.way(c.b)[-1, 2]), -aside)
+    if not seen.touching(c.a, c.b):
         gap, _ = seen.gap(c.a, c.b, end)
         margin, said = -max(gap, 1e-9), f"{a} ends {1000 * gap:.0f} mm from {b}"
+    elif c.b != GROUND and seen.touching(c.a, GROUND):
+        margin, said = -seen.of(c.a).size / 2, f"{a} ends on the ground beside {b}"
     else:
         margin = min(above, seen.of(c.a).size)
         said = f"{a} ends on {b}" if above >= 0 else f"{a} ends beside {b}"
@@ -289,7 +297,7 @@ def _on(c: p.On, seen: _Seen, start: float) -> Judged:
 
 def _inside(c: p.Inside, seen: _Seen, start: float) -> Judged:
     """How deep the point halfway between the lowest and the centre lies in the other's hull: what lies in a bowl may
-    look over its rim."""
+    look over its rim. What lies on the ground is not inside, as under the handle of a pan."""
     way, end = seen.way(c.a), float(seen.time[-1])
     point = way[-1].copy()
     point[2] = (point[2] + seen.lowest(c.a, len(way) - 1)) / 2
@@ -297,6 +305,8 @@ def _inside(c: p.Inside, seen: _Seen, start: float) -> Judged:
     corners = np.concatenate([q.vertices for q in _parts(seen.of(c.b))])
     hull = Polytope.of(ConvexPart.hull_of(corners))
     margin = -float((hull.normals @ (T[:3, :3].T @ (point - T[:3, 3])) - hull.offsets).max())
+    if seen.touching(c.a, GROUND):
+        margin = min(margin, -seen.of(c.a).size / 2)
     where = "inside" if margin >= 0 else "outside"
     said = f"{seen.name(c.a)} ends {1000 * abs(margin):.0f} mm {where} {seen.name(c.b)}"
     return Judged(condition=c, margin=margin, unit="m", time=end, said=said, relative=margin / seen.of(c.a).size)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from f3sr.goals import checks
 from f3sr.goals.language import Language, Launch, Tried
 from f3sr.goals.layout import Layout
-from f3sr.goals.plan import Plan, Semantics, TaskSpec
+from f3sr.goals.plan import Displaced, Height, Plan, Semantics, TaskSpec
 from f3sr.goals.refusal import Refusal
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.rules import Rules
@@ -32,6 +32,16 @@ class Played:
     plan: Plan
     rollout: Rollout
     verdict: Verdict
+
+    @property
+    def nearest(self) -> str:
+        """What could be asked instead of what was missed, where that is a matter of how far; else empty."""
+        for c in self.verdict.conditions:
+            if not c.met and isinstance(c.condition, Displaced | Height):
+                reached = c.condition.at_least + c.margin
+                if 0.005 < reached < c.condition.at_least:
+                    return f"at most {reached:.2g} m was reached; ask for that"
+        return ""
 
 
 def simulate_goal(package: Package, goal: str, *, language: Language | None = None) -> Played | Refusal:

@@ -28,8 +28,8 @@ FAR_TOO_FAR = 3.0
 """The same where the distance is our own choice,"""
 FAR_TOO_FAR_BY = 0.05
 """[m]."""
-MOVES = 0.1
-"""Share of its size that something is to be moved by a blow, to be seen to move."""
+MOVES, MOVES_A_LITTLE = 0.2, 0.07
+"""Shares of its size that something is to be moved by a blow: to be seen at once, and to be seen at all."""
 SEEN = 0.25
 """Share of its size that the active object moves at least."""
 
@@ -37,7 +37,14 @@ SEEN = 0.25
 def readings(meant: Meant, layout: Layout) -> list[Reading]:
     """The strictest first."""
     made = _BY_KIND[meant.request.kind](meant, layout)
-    return [((*conditions, *_outcome(meant, layout, conditions)), left) for conditions, left in made]
+    outcome = meant.request.outcome
+    if outcome is None:
+        return made
+    found = [((*before, *_outcome(meant, layout, before, MOVES)), left) for before, left in made]
+    if outcome.what == "move":
+        before, _ = made[-1]
+        found.append(((*before, *_outcome(meant, layout, before, MOVES_A_LITTLE)), "by how much it moves the other"))
+    return found
 
 
 def phases(conditions: Sequence[p.Condition], called: Mapping[int, str]) -> Iterator[str]:
@@ -131,6 +138,9 @@ def _throw(m: Meant, layout: Layout) -> list[Reading]:
         rise = p.Height(a=a, at_least=min(0.1 * m.amount, 0.5 * layout.size(a)))
         return [((rise, _moved(m, m.amount, exact=m.asked)), "")]
     touch = p.Contact(a=a, b=target)
+    if way != "over" and _together(a, target, layout):
+        gone = p.Displaced(a=a, at_least=SEEN * layout.size(a))
+        return [((gone, p.Contact(a=a, b=target, after=0), *_ends(m, target, layout)), "")]
     if way == "over" and target != GROUND:
         beyond = _gap(m, layout) + layout.size(target) / 2
         return [((p.Over(a=a, b=target), _moved(m, beyond)), "")]
@@ -173,6 +183,12 @@ def _ends(m: Meant, target: int, layout: Layout) -> list[p.Condition]:
     return [p.Inside(a=m.active, b=target) if inside else p.On(a=m.active, b=target)]
 
 
+def _together(a: int, b: int, layout: Layout) -> bool:
+    """Whether two touch before anything happens: one carries the other, or they stand side by side."""
+    carried = a != GROUND and b in {s.id for s in layout.scene[a].supports}
+    return carried or (b != GROUND and a in {s.id for s in layout.scene[b].supports})
+
+
 def _moved(m: Meant, far: float, *, exact: bool | None = None) -> p.Displaced:
     """Along the goal's direction; not much too far where the words say how far (exact), nor absurdly far where they do
     not."""
@@ -186,7 +202,7 @@ def _moved(m: Meant, far: float, *, exact: bool | None = None) -> p.Displaced:
     )
 
 
-def _outcome(m: Meant, layout: Layout, before: Sequence[p.Condition]) -> Sequence[p.Condition]:
+def _outcome(m: Meant, layout: Layout, before: Sequence[p.Condition], moves: float) -> Sequence[p.Condition]:
     """What the words say comes of it, after the last contact of the goal itself."""
     if m.request.outcome is None:
         return ()
@@ -195,7 +211,7 @@ def _outcome(m: Meant, layout: Layout, before: Sequence[p.Condition]) -> Sequenc
     after = touches[-1] if touches else None
     if any(c.type in ("toppled", "rolled", "bounced", "returned") and c.type.startswith(what[:3]) for c in before):
         return ()
-    seen = MOVES * layout.size(id)
+    seen = moves * layout.size(id)
     match what:
         case "topple":
             return (p.Toppled(a=id, after=after),)
