@@ -14,15 +14,16 @@ from f3sr.goals.language import Launch, Tried
 from f3sr.goals.layout import Layout
 from f3sr.goals.plan import InitialConditions, Plan, Semantics, SimulationPlan, TaskSpec
 from f3sr.goals.reasoner import declared
+from f3sr.goals.rollout import Rollout
 from f3sr.goals.simulate import as_planned, model_of, simulate
 from f3sr.goals.verify import verify
 from f3sr.physics import engine
-from f3sr.scene import Scene
+from f3sr.scene import GROUND, Scene
 
 ROLLOUTS = 64
 """That the search for one goal may take."""
-WORK = 160.0
-"""Seconds simulated in all of them, times the objects of the scene: about 8 s of a processor."""
+WORK = 240.0
+"""Seconds simulated in all of them, times the objects of the scene: at most about 9 s of a processor."""
 SLOW, SLOWLY = 0.01, 0.1
 """Speeds [m/s, rad/s] below which everything counts as still."""
 SHORTEST = 0.8
@@ -51,6 +52,7 @@ class Trials:
     rollouts: int = 0
     seconds: float = 0.0
     _models: dict[Any, Any] = field(default_factory=dict[Any, Any])
+    _rollouts: dict[Any, Rollout] = field(default_factory=dict[Any, Rollout])
 
     @property
     def spent(self) -> bool:
@@ -72,16 +74,26 @@ class Trials:
 
         Raises OverlapError or FloatingPointError."""
         plan = self.plan(task, semantics, launch)
-        model = self._model(plan)
-        last = max((i.time + i.duration for i in launch.initial.impulses), default=0.0)
-        self.rollouts += 1
-        rollout = simulate(self.scene, plan, until=Still(last), model=model)
-        self.seconds += float(rollout.time[-1])
+        key = (plan.semantics, launch)
+        if key not in self._rollouts:
+            self._rollouts[key] = self._rollout(plan)
+        rollout = self._rollouts[key]
         ended = launch.simulation.model_copy(update={"duration": float(rollout.time[-1])})
         launch = Launch(initial=launch.initial, simulation=ended)
         return Tried(
             launch=launch, rollout=rollout, verdict=verify(self.scene, self.plan(task, semantics, launch), rollout)
         )
+
+    def _rollout(self, plan: Plan) -> Rollout:
+        """Another reading of the same words may ask for the same launch: that is no new rollout."""
+        model, task = self._model(plan), plan.task
+        last = max((i.time + i.duration for i in plan.initial.impulses), default=0.0)
+        watched = {task.active, *(c.a for c in task.conditions), *({task.target} - {None, GROUND})}
+        rows = [k for k, o in enumerate(o for o in self.scene if o.mobility == "dynamic") if o.id in watched]
+        self.rollouts += 1
+        rollout = simulate(self.scene, plan, until=Still(last, rows), model=model)
+        self.seconds += float(rollout.time[-1])
+        return rollout
 
     def steady(self, semantics: Sequence[Semantics]) -> tuple[Semantics, ...]:
         """The semantics with which the scene rests: what moves by itself, and what it touches, gets back what the
@@ -122,13 +134,14 @@ class Trials:
 
 
 class Still:
-    """Ends a rollout once nothing has moved for as long as counts as its end."""
+    """Ends a rollout once what its goal is about has not moved for as long as counts as its end; ``rows`` are the
+    places of those among all that can move."""
 
-    def __init__(self, after: float) -> None:
-        self.after, self.since = max(after, SHORTEST - LAST), np.inf
+    def __init__(self, after: float, rows: Sequence[int]) -> None:
+        self.after, self.since, self.rows = max(after, SHORTEST - LAST), np.inf, list(rows)
 
     def __call__(self, time: float, data: Any) -> bool:
-        speeds = np.abs(data.qvel).reshape(-1, 6).max(0)
+        speeds = np.abs(data.qvel).reshape(-1, 6)[self.rows].max(0)
         still = time > self.after and speeds[:3].max() < SLOW and speeds[3:].max() < SLOWLY
         self.since = min(self.since, time) if still else np.inf
         return time - self.since >= LAST
