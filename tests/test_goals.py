@@ -388,7 +388,7 @@ def test_a_write_that_fails_leaves_nothing(package: Package, tmp_path: Path, mon
     with monkeypatch.context() as patch:
         patch.setattr(deliver.verify, "to_json", full)
         with pytest.raises(OutputError):
-            deliver.write_played(found, out)
+            deliver.write_played(found, out, overwrite=True)
     assert [p.name for p in tmp_path.iterdir()] == ["out"] and (out / "rollout.npz").read_bytes() == before
     assert sorted(p.name for p in out.iterdir()) == ["plan.json", "rollout.npz", "verdict.json"]
 

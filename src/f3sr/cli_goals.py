@@ -52,7 +52,7 @@ def simulate(
     places = _places(out, package, max(len(goals), 1))
     places = [deliver.require_place(place, package, overwrite=overwrite) for place in places]
     tellings = list[dict[str, Any]]()
-    for played, place, goal, seconds in _played(content, goals, plan, places):
+    for played, place, goal, seconds in _played(content, goals, plan, places, overwrite):
         tellings.append(_telling(goal, played, place, seconds))
         if not json:
             print("\n".join(printable(line) for line in _lines(tellings[-1])), flush=True)
@@ -103,7 +103,7 @@ def _places(out: Path | None, package: Path, count: int) -> list[Path]:
 
 
 def _played(
-    content: Package, goals: Sequence[str], plan: Path | None, places: Sequence[Path]
+    content: Package, goals: Sequence[str], plan: Path | None, places: Sequence[Path], overwrite: bool
 ) -> Iterator[tuple[Played | Refusal, Path, str, float]]:
     """Every goal played and written as soon as it is, with its place, words and seconds."""
     from f3sr.goals.deliver import read_plan, write_played
@@ -121,7 +121,7 @@ def _played(
         else:
             played = simulate_goal(content, goal)
         if not isinstance(played, Refusal):
-            write_played(played, place)
+            write_played(played, place, overwrite=overwrite)
         yield played, place, goal, time.perf_counter() - start
 
 

@@ -40,11 +40,16 @@ def require_place(out: Path, package: Path, *, overwrite: bool = False) -> Path:
         raise OutputError(f"{out}: is inside the package; there only below {package / ROLLOUTS}")
     if package.is_relative_to(out):
         raise OutputError(f"{out}: holds the package itself; give another folder")
+    _require_replaceable(out, overwrite)
+    return out
+
+
+def _require_replaceable(out: Path, overwrite: bool) -> None:
     for folder in out.parents:
         if folder.exists() and not folder.is_dir():
             raise OutputError(f"{out}: cannot be made, {folder} is a file")
     if not out.exists():
-        return out
+        return
     if not out.is_dir():
         raise OutputError(f"{out}: is a file; give a folder")
     strangers = sorted(p.name for p in out.iterdir() if p.name not in FILES)
@@ -54,12 +59,15 @@ def require_place(out: Path, package: Path, *, overwrite: bool = False) -> Path:
         )
     if any(out.iterdir()) and not overwrite:
         raise OutputError(f"{out}: holds a rollout already; replaced only with --overwrite")
-    return out
 
 
-def write_played(played: Played, out: Path) -> Path:
-    """Write all files to a folder of their own and rename it to ``out``, where at most an old rollout is."""
-    out = out.resolve()
+def write_played(played: Played, out: Path, *, overwrite: bool = False) -> Path:
+    """Write plan.json, rollout.npz and verdict.json to ``out``, all or none; returns its full path.
+
+    Raises OutputError where something else is there, or an older rollout and not ``overwrite``.
+    """
+    out = Path(out).resolve()
+    _require_replaceable(out, overwrite)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with _building(out.with_name(f".{out.name}.building")) as folder:
