@@ -7,9 +7,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from f3sr.frames import UP, Array
+from f3sr.frames import UP, Array, rotation_about
 from f3sr.goals import launch
 from f3sr.goals.language import Launch, Tried
+from f3sr.goals.layout import way_between
 from f3sr.goals.setting import CLEARANCE, Aim, Launches, Setting
 from f3sr.restitution import LEAST
 from f3sr.scene import GROUND
@@ -113,10 +114,12 @@ def _arcs(s: Setting, start: Array, lift: Array | None) -> Search[Launch, Tried,
     return False
 
 
-def _blocked(s: Setting, arcs: list[tuple[Array, Array, float]], goal: Array) -> bool:
-    """Whether anything but the target is in the way of flights, each from a point with a velocity for some time."""
+def _blocked(s: Setting, arcs: list[tuple[Array, Array, float]], goal: Array, *, near: float | None = None) -> bool:
+    """Whether anything but the target is in the way of flights, each from a point with a velocity for some time, up to
+    ``near`` [m] the goal."""
     half = 0.5 * float(np.ptp(s.layout.corners(s.active) @ np.array([-s.direction[1], s.direction[0], 0.0])))
-    near = 0.5 * s.size if s.target is None else float(np.ptp(s.layout.hull(s.target), axis=0).max()) / 2 + 0.3 * s.size
+    if near is None:
+        near = _extent(s)
     for start, v, seconds in arcs:
         for t in np.linspace(0, seconds, 16)[1:-1]:
             at = start + v * t - [0, 0, GRAVITY * t * t / 2]
@@ -128,6 +131,12 @@ def _blocked(s: Setting, arcs: list[tuple[Array, Array, float]], goal: Array) ->
                 if whose not in (GROUND, s.target) and at[2] - s.height < top + 0.1 * s.size:
                     return True
     return False
+
+
+def _extent(s: Setting) -> float:
+    """How near to its target something is no longer on its way to it [m]."""
+    wide = 0.0 if s.target is None else float(np.ptp(s.layout.hull(s.target), axis=0).max()) / 2
+    return wide + 0.3 * s.size
 
 
 def striking(s: Setting, target: int) -> Launches:
@@ -260,27 +269,27 @@ def bouncing(s: Setting) -> Launches:
 
 def _bouncing_at(s: Setting, target: int, e: float) -> Launches:
     """To the ground somewhere on the way, from where the bounce leads to the target's side: wherever both flights are
-    clear."""
+    clear, straight on first."""
     start, lift = s.start
-    low, high = s.layout.span(target)
-    radius = 0.5 * float(np.ptp(s.layout.hull(s.active), axis=0).min())
-    ways = list[tuple[bool, int, Array, float]]()
-    for aside in (0.0, 0.3, -0.3):
-        goal = (low + high) / 2
-        goal[:2] += aside * (high - low)[:2] * [-s.direction[1], s.direction[0]]
-        far = float(np.linalg.norm((goal - start)[:2]))
-        near = far - 0.4 * float(min((high - low)[:2])) - radius
+    top = float(s.layout.span(target)[1, 2])
+    ways = list[tuple[bool, float, int, Array, float]]()
+    for angle in range(-35, 36, 7):
+        u = rotation_about(UP, math.radians(angle)) @ s.direction
+        near, beyond = way_between(s.layout.hull(s.active), s.layout.hull(target), u[:2])
+        if not 0 < near < beyond:
+            continue
         for part in (0.5, 0.65, 0.35, 0.8, 0.92):
-            place = np.append(start[:2] + part * near / far * (goal - start)[:2], s.height)
+            place = np.append((start + part * near * u)[:2], s.height)
             for arc in (0.4, 0.8, 1.5, 3.0):
                 v, first = launch.throw(start, place, max(start[2], s.height) + arc * s.size)
                 off = np.array([v[0], v[1], e * (GRAVITY * first - v[2])])
                 second = (1 - part) / part * first
                 height = s.height + off[2] * second - GRAVITY * second**2 / 2
-                if s.height < height < 0.9 * high[2]:
-                    flights = [(start, v, first), (place, off, second)]
-                    ways.append((_blocked(s, flights, goal) or not _ground_at(s, place), len(ways), v, first + second))
-    for _, _, v, seconds in sorted(ways, key=lambda w: w[:2])[:10]:
+                if s.height < height < 0.9 * top:
+                    flights, goal = [(start, v, first), (place, off, second)], start + near * u
+                    blocked = not _ground_at(s, place) or _blocked(s, flights, goal, near=0.0)
+                    ways.append((blocked, abs(angle), len(ways), v, first + second))
+    for *_, v, seconds in sorted(ways, key=lambda w: w[:3])[:10]:
         yield [s.thrown(v, angular=s.rolling(v * [1, 1, 0]), lift=lift, seconds=seconds + AFTER)]
 
 
