@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from f3sr.goals import flights, pushes
+from f3sr.goals import bounces, flights, pushes
 from f3sr.goals.language import Launch, Tried
 from f3sr.goals.layout import Layout
 from f3sr.goals.limits import limits_of
@@ -20,7 +20,7 @@ SEARCHES: Mapping[Kind, Callable[[Setting], Launches]] = {
     "drop": flights.dropping,
     "lift_and_drop": flights.dropping,
     "throw": flights.throwing,
-    "bounce": flights.bouncing,
+    "bounce": bounces.bouncing,
     "launch_and_return": flights.launching,
 }
 

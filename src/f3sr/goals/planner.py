@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from f3sr.frames import UP, Array
 from f3sr.goals import success
 from f3sr.goals.amounts import Amount
 from f3sr.goals.directions import Direction, world_vector
+from f3sr.goals.feasible import impossible
 from f3sr.goals.layout import Layout
 from f3sr.goals.limits import limits_of
 from f3sr.goals.names import names, resolve_request
@@ -37,8 +38,6 @@ MANNER = {"gently": 0.7, "hard": 1.4}
 """What such words make of that."""
 LEAST = 0.25
 """Least way in the object's sizes, where the photo or a neighbour leaves less."""
-FITS = 1.15
-"""How much wider than an opening something may seem: openings are measured on a grid."""
 FARTHEST = 3.0
 """Diagonals of the scene that anything is to go at most."""
 SIDES: tuple[tuple[Direction, ...], ...] = (
@@ -86,17 +85,12 @@ def tasks_of(goal: str, scene: Scene) -> Sequence[TaskSpec] | Refusal:
     if isinstance(named, Refusal):
         return named
     layout = Layout(scene)
-    if refused := _impossible(request, named.active, named.target, layout):
+    if refused := impossible(request, named.active, named.target, layout):
         return refused
     meant = _meant(request, named.active, named.target, layout)
     if isinstance(meant, Refusal):
         return meant
     return [_task(meant, conditions, left, scene) for conditions, left in success.readings(meant, layout)]
-
-
-def name(id: int, scene: Scene) -> str:
-    """What an object is called in sentences."""
-    return "the ground" if id == GROUND else f"the {names(scene)[id]}"
 
 
 def _task(meant: Meant, conditions: success.Conditions, left: str, scene: Scene) -> TaskSpec:
@@ -127,45 +121,6 @@ def _interpretation(meant: Meant, called: dict[int, str]) -> str:
     if r.outcome:
         words.append(f"so that {'it' if r.outcome.whose == 'active' else 'the other'} {r.outcome.what}s")
     return " ".join(words)
-
-
-def _impossible(r: Request, active: int, target: int | None, layout: Layout) -> Refusal | None:
-    """What no launch can do."""
-    scene = layout.scene
-    if r.kind == "topple" and layout.is_ball(active):
-        return Refusal(reason="grammar", message=f"{name(active, scene)} is round; accepted: 'roll ...'")
-    if target == GROUND and r.preposition in ("into", "over", "off", "away-from", "towards"):
-        accepted = "a thing's name, or 'onto the ground'"
-        return Refusal(
-            reason="direction", message=f"nothing goes {spoken(r.preposition)} the ground; accepted: {accepted}"
-        )
-    if (
-        target is not None
-        and r.preposition == "into"
-        and r.kind != "push_into"
-        and (refused := _too_large(active, target, layout))
-    ):
-        return refused
-    if r.kind in ("drop", "lift_and_drop") and (load := scene.children(active)):
-        message = f"{name(load[0], scene)} rests on {name(active, scene)}, which cannot be lifted alone"
-        return Refusal(
-            reason="grammar",
-            message=f"{message}; accepted: to lift {name(load[0], scene)}",
-            candidates=(names(scene)[load[0]],),
-        )
-    return None
-
-
-def _too_large(active: int, target: int, layout: Layout) -> Refusal | None:
-    """What lies in something passes its opening with its second largest side at most."""
-    pool = layout.pool(target)
-    parts = np.concatenate([q.vertices for q in layout.body(active).parts])
-    side = float(sorted(np.ptp(parts, axis=0))[1])
-    if pool is None or side <= FITS * 2 * pool.radius:
-        return None
-    scene = layout.scene
-    wide = f"{name(active, scene)}, {100 * side:.0f} cm across, does not fit into {name(target, scene)}"
-    return Refusal(reason="impossible", message=f"{wide}, {200 * pool.radius:.0f} cm wide; accepted: onto or at it")
 
 
 def _meant(r: Request, active: int, target: int | None, layout: Layout) -> Meant | Refusal:
@@ -226,7 +181,9 @@ def _room(meant: Meant, direction: Array, layout: Layout) -> float:
     """How much of a way an object can go, free and in the photo [m]; off something, how near its edge is."""
     a, r = meant.active, meant.request
     if r.preposition == "off" and meant.target is not None and meant.target != GROUND:
-        return -over_the_edge(a, meant.target, direction, layout)
+        edge = over_the_edge(a, meant.target, direction, layout)
+        fall = direction * (edge + 1.5 * layout.size(a)) - UP * (layout.span(a)[0, 2])
+        return -edge - (3 * layout.size(a) if layout.in_frame(a, fall) < 0.7 else 0.0)
     free = next((way for way, _ in layout.meets(a, direction)), np.inf)
     return min(meant.amount, free) + min(meant.amount, layout.room(a, direction, meant.amount))
 
@@ -271,13 +228,16 @@ def _fitted(meant: Meant, layout: Layout) -> Meant:
     if not up and meant.target is None and meant.request.kind in ("slide", "roll"):
         far = min([far, *(0.8 * way for way, _ in layout.meets(a, direction)[:1])])
     amount = max(far, least)
-    what = "height" if up else "distance"
-    needed = meant.request.kind != "push_into" and not (
-        meant.target is not None and meant.request.kind in ("roll", "throw")
-    )
-    said = f"{what}: {amount:.2g} m, since none was said"
-    return replace(meant, amount=amount, assumptions=(*meant.assumptions, *_some(said, needed)))
+    fitted = replace(meant, amount=amount)
+    if not _matters(meant):
+        return fitted
+    said = f"{'height' if up else 'distance'}: {amount:.2g} m, since none was said"
+    return replace(fitted, assumptions=(*meant.assumptions, said))
 
 
-def _some(said: str, needed: bool) -> Iterable[str]:
-    return [said] if needed else []
+def _matters(meant: Meant) -> bool:
+    """Whether the amount says how far or how high, and not the target."""
+    kind, way = meant.request.kind, meant.request.preposition
+    if kind in ("drop", "lift_and_drop", "launch_and_return"):
+        return True
+    return kind in ("slide", "roll", "throw", "bounce") and (meant.target is None or way in ("towards", "away-from"))

@@ -177,6 +177,7 @@ class Setting:
 
         The push acts so low that it and friction do not turn the object. What is met on the way is pushed along.
         """
+        far = max(far, 1e-3)
         a, mass, seconds = self.drag, self.layout.loaded_mass(self.active), far / max(pace, 0.05) + 2.5
         pace = min(pace, math.sqrt(2 * a * far), self.limits.force * RAMP / (2 * mass))
         rest = far - pace**2 / (2 * a) - pace * RAMP / 2

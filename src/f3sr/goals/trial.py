@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from f3sr.frames import transform
-from f3sr.goals.conditions import LAST
 from f3sr.goals.language import Launch, Tried
 from f3sr.goals.layout import Layout
 from f3sr.goals.plan import InitialConditions, Plan, Semantics, SimulationPlan, TaskSpec
 from f3sr.goals.reasoner import declared
 from f3sr.goals.rollout import Rollout
+from f3sr.goals.seen import LAST
 from f3sr.goals.simulate import as_planned, model_of, simulate
 from f3sr.goals.verify import verify
 from f3sr.physics import engine
