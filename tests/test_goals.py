@@ -63,6 +63,7 @@ MET = {
     "throw the can into the crate": "throw",
     "throw the ball over the block": "throw",
     "throw the ball at the cereal box": "throw",
+    "throw the sponge off the block": "throw",
     "bounce the ball into the cereal box": "bounce",
     "throw the can 20 cm up and let it fall back": "launch_and_return",
 }
@@ -74,6 +75,8 @@ REFUSED = {
     "topple the tennis ball": "impossible",
     "drop the block on the cereal box": "impossible",
     "push the can off the block": "impossible",
+    "drop the sponge off the block": "impossible",
+    "roll the ball over the block": "impossible",
     "delete the can": "other",
     "push the can to the left and to the right": "contradiction",
     "push the can over the table": "",
@@ -142,6 +145,11 @@ def test_a_push_ends_before_the_target_is_touched(package: Package) -> None:
 def test_what_is_thrown_in_ends_inside(package: Package) -> None:
     end = way(played(package, "throw the can into the crate"), CAN, package.scene)[-1]
     assert np.abs(end - [0, 0.25, 0.05])[:2].max() < 0.07 and end[2] < 0.1
+
+
+def test_what_is_thrown_off_is_off(package: Package) -> None:
+    end = way(played(package, "throw the sponge off the block"), LID, package.scene)[-1]
+    assert np.abs(end - [0.2, -0.2, 0])[:2].max() > 0.06 and end[2] < 0.06
 
 
 def test_what_is_thrown_up_comes_back(package: Package) -> None:

@@ -16,35 +16,34 @@ FITS = 1.15
 
 
 def impossible(r: Request, active: int, target: int | None, layout: Layout) -> Refusal | None:
-    """What no launch can do."""
+    """The first reason why a request cannot be played; None where physics is to say."""
     scene = layout.scene
     if r.kind == "topple" and layout.is_ball(active):
-        return Refusal(reason="impossible", message=f"{_name(active, scene)} is round; accepted: 'roll ...'")
-    if target == GROUND and r.preposition in ("into", "over", "off", "away-from", "towards"):
-        accepted = "a thing's name, or 'onto the ground'"
-        return Refusal(
-            reason="direction", message=f"nothing goes {spoken(r.preposition)} the ground; accepted: {accepted}"
-        )
-    if (
-        target is not None
-        and r.preposition == "into"
-        and r.kind != "push_into"
-        and (refused := _too_large(active, target, layout))
-    ):
+        return _refused(f"{_name(active, scene)} is round; accepted: 'roll ...'")
+    if target is not None and (refused := _unsuited(r, active, target, layout)):
         return refused
-    if r.preposition == "off" and target is not None and r.kind in ("slide", "roll"):
-        below = {*scene.ancestors(active), *(s.id for s in scene[active].supports)}
-        if target not in below:
-            message = f"{_name(active, scene)} is not on {_name(target, scene)}; accepted: 'push ... away from ...'"
-            return Refusal(reason="impossible", message=message)
     if r.kind in ("drop", "lift_and_drop") and (load := scene.children(active)):
-        message = f"{_name(load[0], scene)} rests on {_name(active, scene)}, which cannot be lifted alone"
-        return Refusal(
-            reason="impossible",
-            message=f"{message}; accepted: to lift {_name(load[0], scene)}",
-            candidates=(names(scene)[load[0]],),
-        )
+        first = _name(load[0], scene)
+        message = f"{first} rests on {_name(active, scene)}, which cannot be lifted alone; accepted: to lift {first}"
+        return _refused(message, names(scene)[load[0]])
     return None
+
+
+def _unsuited(r: Request, active: int, target: int, layout: Layout) -> Refusal | None:
+    """That the target is not one for what is asked."""
+    scene, way, kind = layout.scene, r.preposition, r.kind
+    if target == GROUND and way in ("into", "over", "off", "away-from", "towards"):
+        return _refused(f"nothing goes {spoken(way)} the ground; accepted: a thing's name, or 'onto the ground'")
+    if way == "over" and kind in ("push_into", "roll", "slide"):
+        return _refused(f"what is on the ground cannot go over {_name(target, scene)}; accepted: 'throw ... over ...'")
+    if way in ("off", "away-from") and kind in ("drop", "lift_and_drop"):
+        return _refused(
+            f"what is dropped leaves {_name(target, scene)} by itself; accepted: 'push ... {spoken(way)} ...'"
+        )
+    below = {*scene.ancestors(active), *(s.id for s in scene[active].supports)}
+    if way == "off" and kind in ("slide", "roll", "throw") and target not in below:
+        return _refused(f"{_name(active, scene)} is not on {_name(target, scene)}; accepted: 'push ... away from ...'")
+    return _too_large(active, target, layout) if way == "into" and kind != "push_into" else None
 
 
 def _too_large(active: int, target: int, layout: Layout) -> Refusal | None:
@@ -56,7 +55,11 @@ def _too_large(active: int, target: int, layout: Layout) -> Refusal | None:
         return None
     scene = layout.scene
     wide = f"{_name(active, scene)}, {100 * side:.0f} cm across, does not fit into {_name(target, scene)}"
-    return Refusal(reason="impossible", message=f"{wide}, {200 * pool.radius:.0f} cm wide; accepted: onto or at it")
+    return _refused(f"{wide}, {200 * pool.radius:.0f} cm wide; accepted: onto or at it")
+
+
+def _refused(message: str, *candidates: str) -> Refusal:
+    return Refusal(reason="impossible", message=message, candidates=candidates)
 
 
 def _name(id: int, scene: Scene) -> str:

@@ -86,7 +86,7 @@ def throwing(s: Setting) -> Launches:
     if s.task.way == "over" and s.target is not None:
         yield from _throwing_over(s, s.target)
         return
-    if s.task.target is None:
+    if s.task.target is None or s.task.way in ("off", "away-from"):
         yield from _throwing_far(s)
         return
     if s.target is not None and any(c.a == s.target for c in s.task.conditions if c.type in ("toppled", "displaced")):
@@ -216,6 +216,8 @@ def _throwing_far(s: Setting) -> Launches:
     """Half as high as a throw of 45 degrees; where it comes down is corrected by where it ends."""
     start, lift = s.start
     goal = (s.task.amount or 2 * s.size) * 1.08
+    if s.task.way == "off" and s.target is not None:
+        goal = s.layout.over_the_edge(s.active, s.target, s.direction) + 1.2 * s.size
     aim = Aim(goal, far=0.85 * goal)
     rise = next((c.at_least for c in s.task.conditions if c.type == "height"), 0.0)
     for k in range(9):

@@ -136,6 +136,14 @@ class Layout:
                 found.append((max(first, 0.0), o.id))
         return sorted(found)
 
+    def over_the_edge(self, id: int, support: int, direction: Array) -> float:
+        """How far the centre of mass of what stands on something is from its edge along a direction [m]."""
+        sides = outline(self.hull(support))
+        speed = sides[:, :2] @ direction[:2]
+        room = -(sides[:, :2] @ self.center(id)[:2] + sides[:, 2])
+        ahead = speed > 1e-9
+        return float(np.min(room[ahead] / speed[ahead]))
+
     def top(self, x: float, y: float, *, without: int = GROUND) -> tuple[float, int]:
         """Height of the highest surface at a place and whose it is; one object may be looked through."""
         above, hit = np.array([x, y, 100.0]), np.zeros(1, np.int32)

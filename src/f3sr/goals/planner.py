@@ -181,22 +181,11 @@ def _room(meant: Meant, direction: Array, layout: Layout) -> float:
     """How much of a way an object can go, free and in the photo [m]; off something, how near its edge is."""
     a, r = meant.active, meant.request
     if r.preposition == "off" and meant.target is not None and meant.target != GROUND:
-        edge = over_the_edge(a, meant.target, direction, layout)
+        edge = layout.over_the_edge(a, meant.target, direction)
         fall = direction * (edge + 1.5 * layout.size(a)) - UP * (layout.span(a)[0, 2])
         return -edge - (3 * layout.size(a) if layout.in_frame(a, fall) < 0.7 else 0.0)
     free = next((way for way, _ in layout.meets(a, direction)), np.inf)
     return min(meant.amount, free) + min(meant.amount, layout.room(a, direction, meant.amount))
-
-
-def over_the_edge(active: int, support: int, direction: Array, layout: Layout) -> float:
-    """How far the centre of mass of what stands on something is from its edge along a direction [m]."""
-    from f3sr.goals.layout import outline
-
-    sides = outline(layout.hull(support))
-    speed = sides[:, :2] @ direction[:2]
-    room = -(sides[:, :2] @ layout.center(active)[:2] + sides[:, 2])
-    ahead = speed > 1e-9
-    return float(np.min(room[ahead] / speed[ahead]))
 
 
 def _toppling_side(id: int, layout: Layout) -> Array:

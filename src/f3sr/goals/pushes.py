@@ -9,7 +9,6 @@ import numpy as np
 from f3sr.frames import UP, Array
 from f3sr.goals import launch
 from f3sr.goals.flights import striking
-from f3sr.goals.planner import over_the_edge
 from f3sr.goals.setting import Aim, Launches, Setting
 from f3sr.statics import GRAVITY
 
@@ -50,7 +49,7 @@ def sliding(s: Setting) -> Launches:
 
 def _sliding_off(s: Setting) -> Launches:
     assert s.target is not None
-    edge = over_the_edge(s.active, s.target, s.direction, s.layout)
+    edge = s.layout.over_the_edge(s.active, s.target, s.direction)
     along = s.layout.corners(s.active) @ s.direction
     length = float(np.ptp(along))
     for factor, pace in ((1.0, 0.4), (1.1, 0.7), (1.2, 1.1), (1.2, 1.7), (1.3, 2.5), (1.3, 3.5)):
@@ -149,18 +148,19 @@ def toppling(s: Setting) -> Launches:
     said = any(c.type == "displaced" for c in s.task.conditions)
     turned = np.array([-s.direction[1], s.direction[0], 0.0])
     sides = [s.direction] if said else [s.direction, turned, -turned, -s.direction]
-    for side in sides:
-        for surplus in SURPLUS if said else SURPLUS[:3]:
-            twist = launch.topple(
-                s.layout.corners(s.active),
-                s.center,
-                s.layout.inertia(s.active),
-                s.layout.mass(s.active),
-                side,
-                surplus=surplus * (1.3 if s.task.manner == "hard" else 1.0),
-            )
-            if twist is None:
-                spin = np.asarray(np.cross(UP, side), float)
-                yield [s.thrown(0.3 * side, angular=3.0 * spin, seconds=2.5)]
-            else:
-                yield [s.thrown(twist.linear, angular=twist.angular, seconds=2.5)]
+    ways = [(side, surplus) for side in sides for surplus in SURPLUS[:3]] + [(sides[0], more) for more in SURPLUS[3:]]
+    load = s.layout.loaded_mass(s.active) / s.layout.mass(s.active)
+    for side, surplus in ways:
+        twist = launch.topple(
+            s.layout.corners(s.active),
+            s.center,
+            s.layout.inertia(s.active),
+            s.layout.mass(s.active),
+            side,
+            surplus=surplus * load * (1.3 if s.task.manner == "hard" else 1.0),
+        )
+        if twist is None:
+            spin = np.asarray(np.cross(UP, side), float)
+            yield [s.thrown(0.3 * side, angular=3.0 * spin, seconds=2.5)]
+        else:
+            yield [s.thrown(twist.linear, angular=twist.angular, seconds=2.5)]

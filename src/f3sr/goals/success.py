@@ -138,6 +138,11 @@ def _throw(m: Meant, layout: Layout) -> list[Reading]:
         rise = p.Height(a=a, at_least=min(0.1 * m.amount, 0.5 * layout.size(a)))
         return [((rise, _moved(m, m.amount, exact=m.asked)), "")]
     touch = p.Contact(a=a, b=target)
+    rise = p.Height(a=a, at_least=0.1 * layout.size(a))
+    if way == "off" and target != GROUND:
+        return [((rise, p.Off(a=a, b=target)), "")]
+    if way == "away-from":
+        return [((rise, _moved(m, m.amount, exact=m.asked)), "")]
     if way != "over" and _together(a, target, layout):
         gone = p.Displaced(a=a, at_least=SEEN * layout.size(a))
         return [((gone, p.Contact(a=a, b=target, after=0), *_ends(m, target, layout)), "")]
