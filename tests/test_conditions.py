@@ -11,6 +11,7 @@ from f3sr.frames import Array, pose, rotation_about
 from f3sr.goals.conditions import Judged, judge
 from f3sr.goals.plan import (
     AtRest,
+    Bounced,
     Condition,
     Contact,
     Displaced,
@@ -18,12 +19,16 @@ from f3sr.goals.plan import (
     Impulse,
     InitialConditions,
     Inside,
+    Off,
     On,
+    Over,
     Plan,
     Returned,
+    Rolled,
     SimulationPlan,
     TaskSpec,
     Toppled,
+    Upright,
 )
 from f3sr.goals.rollout import CONTACT, Rollout
 from f3sr.goals.verify import to_json, verify
@@ -119,6 +124,59 @@ def test_toppled_is_what_stays_so(scene: Scene) -> None:
     spun = still(scene, 0)
     spun[:, :3, :3] = [rotation_about([0, 0, 1], 3 * t) for t in TIME]
     assert one(Toppled(a=0), rollout_of(scene, {0: spun}), scene).margin == pytest.approx(-np.radians(60))
+
+
+def test_displaced_aside_or_too_far_is_missed(scene: Scene) -> None:
+    askew = rollout_of(scene, {0: along(scene, 0, TIME[:, None] * np.array([0.3, 0.6, 0]))})
+    assert one(Displaced(a=0, at_least=0.1, direction=(1, 0, 0)), askew, scene).margin == pytest.approx(-0.1)
+    straight = rollout_of(scene, {0: along(scene, 0, sideways(0.3))})
+    assert one(Displaced(a=0, at_least=0.1, at_most=0.35), straight, scene).margin == pytest.approx(0.05)
+    assert one(Displaced(a=0, at_least=0.1, at_most=0.2), straight, scene).margin == pytest.approx(-0.1)
+
+
+def test_upright_is_of_the_end(scene: Scene) -> None:
+    T = still(scene, 0)
+    T[:, :3, :3] = [rotation_about([1, 0, 0], a) for a in np.radians(20) * TIME]
+    assert one(Upright(a=0), rollout_of(scene, {0: T}), scene).margin == pytest.approx(np.radians(10))
+
+
+def test_rolled_is_turning_across_the_way(scene: Scene) -> None:
+    """A wheel of 5 cm that goes .3 m to +x turns by 6 rad about +y; sliding and spinning about z is not rolling."""
+    T = along(scene, 0, sideways(0.3))
+    T[:, :3, :3] = [rotation_about([0, 1, 0], 6 * t) for t in TIME]
+    assert one(Rolled(a=0, at_least=5), rollout_of(scene, {0: T}), scene).margin == pytest.approx(1.0, abs=1e-6)
+    T[:, :3, :3] = [rotation_about([0, 0, 1], 6 * t) for t in TIME]
+    assert one(Rolled(a=0, at_least=5), rollout_of(scene, {0: T}), scene).margin == pytest.approx(-5, abs=1e-6)
+
+
+def test_bounced_rises_again_after_the_touch(scene: Scene) -> None:
+    z = np.where(TIME < 0.5, 0.4 * (1 - 2 * TIME), 0.2 * (TIME - 0.5))
+    rollout = rollout_of(scene, {0: along(scene, 0, z[:, None] * [0, 0, 1])}, [(0.5, GROUND, 0, 9.0)])
+    met = one(Bounced(a=0, b=GROUND, at_least=0.05), rollout, scene)
+    assert met.margin == pytest.approx(0.05, abs=1e-6)
+    assert not one(Bounced(a=0, b=1, at_least=0.05), rollout, scene).met, "that was never touched"
+
+
+@pytest.mark.parametrize(("height", "met"), [(0.2, True), (0.05, False)])
+def test_over_is_above_the_top(scene: Scene, height: float, met: bool) -> None:
+    way = np.column_stack([TIME, 0 * TIME, np.full(31, height)])
+    found = one(Over(a=0, b=1), rollout_of(scene, {0: along(scene, 0, way)}), scene)
+    assert found.met == met and found.margin == pytest.approx(height - 0.1, abs=1e-6)
+    beside = rollout_of(scene, {0: along(scene, 0, np.add(way, (0, 0.25, 0)))})
+    assert one(Over(a=0, b=1), beside, scene).margin == pytest.approx(-0.2, abs=1e-3)
+
+
+def test_off_is_beside_what_it_was_on() -> None:
+    scene = scene_of(box(0, at=(0, 0, 0.05)), box(1, at=(0, 0, 0.15)))
+    assert one(Off(a=1, b=0), rollout_of(scene), scene).margin == pytest.approx(-0.05)
+    gone = rollout_of(scene, {1: along(scene, 1, sideways(0.2))})
+    assert one(Off(a=1, b=0), gone, scene).margin == pytest.approx(0.15)
+
+
+def test_it_may_come_back_and_leave_again(scene: Scene) -> None:
+    way = rollout_of(scene, {0: along(scene, 0, np.abs(np.sin(3 * np.pi * TIME / 2))[:, None] * [0.3, 0, 0])})
+    assert not one(Returned(a=0, to_within=0.05), way, scene).met
+    assert one(Returned(a=0, to_within=0.05, stays=False), way, scene).margin == pytest.approx(0.05, abs=0.02)
 
 
 def test_height_rest_and_return(scene: Scene) -> None:

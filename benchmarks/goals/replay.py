@@ -59,14 +59,15 @@ def replayed(package: Path, plan: dict[str, Any], ids: list[int]) -> Any:
     mujoco.mj_forward(model, data)
     for velocity in plan["initial"]["velocities"]:
         set_off(model, data, velocity)
-    impulses = sorted(plan["initial"]["impulses"], key=lambda i: (i["time"], i["id"]))
+    impulses, dt = plan["initial"]["impulses"], model.opt.timestep
+    pushes = [(math.ceil(i["time"] / dt - 1e-9), max(1, round(i["duration"] / dt)), i) for i in impulses]
     bodies = [number(model, id) for id in ids]
     found = [data.xpos[bodies].copy()]
-    for step in range(round(plan["simulation"]["duration"] / model.opt.timestep)):
-        while impulses and impulses[0]["time"] <= step * model.opt.timestep:
-            impulse = impulses.pop(0)
-            wrench = np.array([*impulse["linear"], *impulse["angular"]])
-            data.xfrc_applied[number(model, impulse["id"])] += wrench / model.opt.timestep
+    for step in range(round(plan["simulation"]["duration"] / dt)):
+        for first, steps, push in pushes:
+            if first <= step < first + steps:
+                wrench = np.array([*push["linear"], *push["angular"]])
+                data.xfrc_applied[number(model, push["id"])] += wrench / (steps * dt)
         mujoco.mj_step(model, data)
         data.xfrc_applied[:] = 0
         if (step + 1) % plan["simulation"]["steps_per_sample"] == 0:

@@ -18,6 +18,8 @@ _PUBLIC = {
     "InputError": "f3sr.errors",
     "Mesh": "f3sr.mesh",
     "OutputError": "f3sr.errors",
+    "Played": "f3sr.goals.play",
+    "Refusal": "f3sr.goals.refusal",
     "Reconstruction": "f3sr.pipeline",
     "Scene": "f3sr.scene",
     "SceneObject": "f3sr.scene",
@@ -27,7 +29,10 @@ _PUBLIC = {
     "read_inputs": "f3sr.inputs",
     "read_package": "f3sr.package",
     "reconstruct": "f3sr.pipeline",
+    "replay_plan": "f3sr.goals.play",
+    "simulate_goal": "f3sr.goals.play",
     "write_package": "f3sr.package",
+    "write_played": "f3sr.goals.deliver",
 }
 
 __all__ = ["__version__", *sorted(_PUBLIC)]  # pyright: ignore[reportUnsupportedDunderAll]

@@ -1,4 +1,4 @@
-"""The command line. Exit codes: 0 done, 2 bad input, 1 anything else."""
+"""The command line. Exit codes: 0 done, 2 bad input, 3 a goal refused, 4 a goal not met, 1 anything else."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import Positional, arg
 
-from f3sr import interrupts
-from f3sr.errors import F3srError, InputError, printable
+from f3sr import cli_goals, interrupts
+from f3sr.errors import F3srError, InputError, MissedError, RefusedError, printable
 
 Folder = Positional[Path]
 Out = Annotated[Path, arg(aliases=["-o"])]
@@ -25,6 +25,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     commands: dict[str, Callable[..., Any]] = {
         "reconstruct": reconstruct,
         "evaluate": evaluate,
+        "simulate": cli_goals.simulate,
+        "goals": cli_goals.goals,
         "demo": demo,
         "config": config,
         "doctor": doctor,
@@ -38,6 +40,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
     except InputError as error:
         return _fail(2, str(error))
+    except RefusedError as error:
+        return _fail(3, str(error))
+    except MissedError as error:
+        return _fail(4, str(error))
     except F3srError as error:
         return _fail(1, str(error))
     except BrokenPipeError:

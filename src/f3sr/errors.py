@@ -28,6 +28,14 @@ class OutputError(F3srError):
     """The place where results should go cannot take them."""
 
 
+class RefusedError(F3srError):
+    """A goal that cannot be acted on; nothing was written for it."""
+
+
+class MissedError(F3srError):
+    """A goal whose best rollout does not meet it; it was written all the same."""
+
+
 def reason(error: OSError | ValueError | RuntimeError) -> str:
     """What the system says of a failed access, in the middle of a sentence."""
     text = (getattr(error, "strerror", None) or "unreadable").strip()

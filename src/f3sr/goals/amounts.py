@@ -6,12 +6,12 @@ import re
 from dataclasses import dataclass
 from typing import Literal, cast
 
+from f3sr.goals.plan import Manner
 from f3sr.goals.refusal import Refusal, quoted
 from f3sr.goals.tokens import each
 
 Unit = Literal["m", "length", "width", "height"]
 Vague = Literal["slightly", "far"]
-Manner = Literal["gently", "hard"]
 
 LARGEST = 100.0
 """Largest amount, in metres or in an object's own sizes."""

@@ -15,6 +15,7 @@ from f3sr.export.scene_json import Id, IdOrGround, Positive, Share, Vector3, dum
 from f3sr.scene import Mobility
 
 SCHEMA_VERSION = 1
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 Kind = Literal[
     "topple",
@@ -27,6 +28,9 @@ Kind = Literal[
     "bounce",
     "launch_and_return",
 ]
+Way = Literal["into", "onto", "against", "towards", "to", "at", "over", "off", "away-from"]
+"""How a target is meant."""
+Manner = Literal["gently", "hard"]
 Seconds = Annotated[float, Field(ge=0, le=60, allow_inf_nan=False)]
 Metres = Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)]
 Angle = Annotated[float, Field(ge=0, le=math.pi, allow_inf_nan=False)]
@@ -58,11 +62,13 @@ class Contact(_Condition):
 
 
 class Displaced(_Condition):
-    """The centre of mass is moved at least so far, along a direction of the world where one is given."""
+    """The centre of mass is moved at least so far, along a direction of the world where one is given (and then no
+    farther aside than along), and at the end at most so far."""
 
     type: Literal["displaced"] = "displaced"
     a: Id
     at_least: Metres
+    at_most: Metres | None = None
     direction: Vector3 | None = None
 
 
@@ -72,6 +78,48 @@ class Toppled(_Condition):
     type: Literal["toppled"] = "toppled"
     a: Id
     at_least: Angle = math.radians(60)
+
+
+class Upright(_Condition):
+    """At the end what was up leans at most so far."""
+
+    type: Literal["upright"] = "upright"
+    a: Id
+    at_most: Angle = math.radians(30)
+
+
+class Rolled(_Condition):
+    """It turns by at least so much [rad] about axes that lie across its way."""
+
+    type: Literal["rolled"] = "rolled"
+    a: Id
+    at_least: Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
+
+
+class Bounced(_Condition):
+    """After it touched the other, or the ground, its centre of mass rises again by at least so much."""
+
+    type: Literal["bounced"] = "bounced"
+    a: Id
+    b: IdOrGround
+    at_least: Metres
+
+
+class Over(_Condition):
+    """It passes above the other: its lowest point above the other's highest while its centre is within the other's
+    outline seen from above."""
+
+    type: Literal["over"] = "over"
+    a: Id
+    b: Id
+
+
+class Off(_Condition):
+    """At the end its centre of mass is outside the other's outline seen from above."""
+
+    type: Literal["off"] = "off"
+    a: Id
+    b: Id
 
 
 class On(_Condition):
@@ -112,10 +160,13 @@ class Returned(_Condition):
     type: Literal["returned"] = "returned"
     a: Id
     to_within: Metres
+    stays: bool = True
+    """Whether it must be there at the end, or only come back at some time."""
 
 
 Condition = Annotated[
-    Contact | Displaced | Toppled | On | Inside | AtRest | Height | Returned, Field(discriminator="type")
+    Contact | Displaced | Toppled | Upright | Rolled | Bounced | Over | Off | On | Inside | AtRest | Height | Returned,
+    Field(discriminator="type"),
 ]
 
 
@@ -126,10 +177,14 @@ class TaskSpec(_Record):
     active: Id
     """The one object that is set off."""
     target: IdOrGround | None = None
+    way: Way | None = None
     passives: tuple[Id, ...] = ()
     """Other objects that the words name; they stay free."""
     direction: Vector3 | None = None
     """Unit vector of the world."""
+    amount: Metres | None = None
+    """How far it is to go, or how high it is to rise or to be let go [m]."""
+    manner: Manner | None = None
     phases: tuple[Words, ...] = ()
     """What causes what, in order, in words."""
     conditions: Annotated[tuple[Condition, ...], Field(min_length=1, max_length=16)]
@@ -188,11 +243,13 @@ class Velocity(_Record):
 
 
 class Impulse(_Record):
-    """Given to an object at a time [s]: of its centre of mass [N s], and of turning about it [N m s], both in the
+    """Given to an object from a time on [s]: of its centre of mass [N s], and of turning about it [N m s], both in the
     world."""
 
     id: Id
     time: Seconds
+    duration: Seconds = 0.0
+    """Spread evenly over so long [s], a steady push; 0 is a blow."""
     linear: Vector3 = (0.0, 0.0, 0.0)
     angular: Vector3 = (0.0, 0.0, 0.0)
 
@@ -215,6 +272,19 @@ class InitialConditions(_Record):
         return frozenset(one.id for one in (*self.offsets, *self.velocities, *self.impulses))
 
 
+class Limits(_Record):
+    """What setting off the active object may take; it suits the size of the scene."""
+
+    speed: Positive
+    """Of its centre of mass at the start [m/s]."""
+    impulse: Positive
+    """Of one blow, and what a speed at the start gives it [N s]."""
+    force: Positive
+    """Of a steady push [N]."""
+    lift: Positive
+    """Of an offset [m]."""
+
+
 class SimulationPlan(_Record):
     """How it is simulated."""
 
@@ -224,6 +294,8 @@ class SimulationPlan(_Record):
     """[s]"""
     steps_per_sample: Annotated[int, Field(ge=1, le=1000)] = 32
     """A sample every so many steps: 30 in a second."""
+    limits: Limits | None = None
+    """That the initial conditions keep."""
 
 
 class Plan(_Record):
@@ -238,11 +310,18 @@ class Plan(_Record):
     """Of every object, in the order of the scene."""
     initial: InitialConditions
     simulation: SimulationPlan
+    rollouts: Annotated[int, Field(ge=0)] = 0
+    """How many it took to find."""
 
 
 def plan_schema() -> dict[str, Any]:
     """JSON Schema of plan.json."""
-    return Plan.model_json_schema()
+    return {"$schema": DIALECT, **Plan.model_json_schema()}
+
+
+def task_schema() -> dict[str, Any]:
+    """JSON Schema of a plan's task by itself: what a Planner answers."""
+    return {"$schema": DIALECT, **TaskSpec.model_json_schema()}
 
 
 def to_json(plan: Plan) -> bytes:

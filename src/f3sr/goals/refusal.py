@@ -25,6 +25,7 @@ Reason = Literal[
     "plural",
     "fixed",
     "same",
+    "impossible",
 ]
 SHOWN = 60
 """Characters of somebody's words that a message repeats."""

@@ -8,8 +8,8 @@ from typing import Literal
 from f3sr.goals.amounts import Amount, Manner, Vague
 from f3sr.goals.directions import Direction
 from f3sr.goals.plan import Kind
+from f3sr.goals.plan import Way as Preposition
 
-Preposition = Literal["into", "onto", "against", "towards", "to", "at", "over", "off", "away-from"]
 What = Literal["topple", "move", "roll", "bounce", "return"]
 
 

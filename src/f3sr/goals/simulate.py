@@ -8,6 +8,7 @@ enough to be written again to the bit (``benchmarks/goals/replay.py``): contacts
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -26,15 +27,23 @@ Watch = Callable[[float, Any], bool]
 """Told the time and MuJoCo's data at every sample; True ends the rollout there."""
 
 
-def simulate(scene: Scene, plan: Plan, *, until: Watch | None = None) -> Rollout:
+def simulate(scene: Scene, plan: Plan, *, until: Watch | None = None, model: Any = None) -> Rollout:
     """The rollout of a plan: samples at 0 and after every ``steps_per_sample`` steps, ``duration`` long.
 
-    Two calls give the same numbers. Raises ValueError where the plan names objects that the scene lacks or lets an
-    impulse act on what is fixed, and FloatingPointError where the state stops being finite.
+    Two calls give the same numbers. ``model``: that of ``model_of`` where somebody has it already. Raises ValueError
+    where the plan names objects that the scene lacks or lets an impulse act on what is fixed, and FloatingPointError
+    where the state stops being finite.
     """
-    objects = as_planned(scene, plan.semantics, plan.initial)
-    run = _Run.of(objects, plan)
-    return run.rollout(plan, until)
+    if model is None:
+        model = model_of(as_planned(scene, plan.semantics, plan.initial), plan.simulation.timestep)
+    return _Run.of(model, [o.id for o in scene]).rollout(plan, until)
+
+
+def model_of(objects: Sequence[SceneObject], timestep: float) -> Any:
+    """MuJoCo's model of what ``as_planned`` gives; it serves any number of rollouts, also at once."""
+    model = physics.build_spec(objects, PhysicsConfig(timestep=timestep)).compile()
+    model.opt.disableflags |= int(engine().mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
+    return model
 
 
 def as_planned(scene: Scene, semantics: Sequence[Semantics], initial: InitialConditions) -> tuple[SceneObject, ...]:
@@ -82,38 +91,35 @@ class _Run:
     ids: list[int]
 
     @classmethod
-    def of(cls, objects: Sequence[SceneObject], plan: Plan) -> _Run:
-        mujoco = engine()
-        config = PhysicsConfig(timestep=plan.simulation.timestep)
-        model = physics.build_spec(objects, config).compile()
-        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
-        return cls(model, data, [o.id for o in objects])
+    def of(cls, model: Any, ids: list[int]) -> _Run:
+        data = engine().MjData(model)
+        engine().mj_forward(model, data)
+        return cls(model, data, ids)
 
     def rollout(self, plan: Plan, until: Watch | None) -> Rollout:
         mujoco, simulation = engine(), plan.simulation
         steps = round(simulation.duration / simulation.timestep)
-        pending = sorted(plan.initial.impulses, key=lambda i: (i.time, i.id))
         for velocity in plan.initial.velocities:
             self._set_off(velocity)
+        pushes = [_Push.of(i, self._body(i.id), simulation.timestep) for i in plan.initial.impulses]
+        pushes.sort(key=lambda p: p.first)
         times, poses, contacts = [0.0], [self._poses()], list[tuple[float, int, int, float]]()
-        peaks = dict[tuple[int, int], tuple[float, float]]()
+        peaks = _Peaks(self.model, self.ids)
         with physics.silent():
             for step in range(steps):
-                while pending and pending[0].time <= step * simulation.timestep:
-                    self._push(pending.pop(0))
+                for push in pushes:
+                    if push.first <= step < push.last:
+                        self.data.xfrc_applied[push.body] += push.wrench
                 mujoco.mj_step(self.model, self.data)
                 self.data.xfrc_applied[:] = 0
-                self._feel(step * simulation.timestep, peaks)
+                peaks.feel(self.data, step * simulation.timestep)
                 if (step + 1) % simulation.steps_per_sample:
                     continue
                 times.append((step + 1) * simulation.timestep)
-                poses.append(self._poses())
-                contacts += sorted((time, *pair, force) for pair, (force, time) in peaks.items())
-                peaks.clear()
-                if not np.isfinite(poses[-1]).all():
+                if not np.isfinite(self.data.qpos).all():
                     raise FloatingPointError(f"the simulation blew up after {times[-1]:.3f} s")
+                poses.append(self._poses())
+                contacts += peaks.taken()
                 if until is not None and until(times[-1], self.data):
                     break
         return Rollout(
@@ -130,10 +136,6 @@ class _Run:
         self.data.qvel[at : at + 3] = velocity.linear + np.cross(velocity.angular, arm)
         self.data.qvel[at + 3 : at + 6] = self.data.xmat[b].reshape(3, 3).T @ velocity.angular
 
-    def _push(self, impulse: Impulse) -> None:
-        wrench = np.array([*impulse.linear, *impulse.angular])
-        self.data.xfrc_applied[self._body(impulse.id)] += wrench / self.model.opt.timestep
-
     def _body(self, id: int) -> int:
         return self.ids.index(id) + 1
 
@@ -147,18 +149,48 @@ class _Run:
             poses[k, :3, :3], poses[k, :3, 3] = rotation_from_quaternion(quaternion), origin
         return poses
 
-    def _feel(self, time: float, peaks: dict[tuple[int, int], tuple[float, float]]) -> None:
-        """Note the largest normal force of every pair that touches, and when."""
-        if not self.data.ncon:
-            return
-        names = np.array([GROUND, *self.ids])
-        bodies = names[self.model.geom_bodyid[self.data.contact.geom]]
-        rows = self.data.contact.efc_address
-        felt = dict[tuple[int, int], float]()
-        for (i, j), row in zip(bodies.tolist(), rows.tolist(), strict=True):
-            if row >= 0 and (force := float(self.data.efc_force[row])) > 0:
-                pair = (min(i, j), max(i, j))
-                felt[pair] = felt.get(pair, 0.0) + force
-        for pair, force in felt.items():
-            if force > peaks.get(pair, (0.0, 0.0))[0]:
-                peaks[pair] = (force, time)
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Push:
+    """An impulse as a force and torque (6,) on a body from one step until before another."""
+
+    body: int
+    first: int
+    last: int
+    wrench: Array
+
+    @classmethod
+    def of(cls, impulse: Impulse, body: int, timestep: float) -> _Push:
+        """From the first step at or after its time, over as many steps as its duration has, at least one."""
+        first = math.ceil(impulse.time / timestep - 1e-9)
+        steps = max(1, round(impulse.duration / timestep))
+        wrench = np.array([*impulse.linear, *impulse.angular]) / (steps * timestep)
+        return cls(body=body, first=first, last=first + steps, wrench=wrench)
+
+
+class _Peaks:
+    """The largest normal force of every pair that touches, and when, since they were last taken."""
+
+    def __init__(self, model: Any, ids: Sequence[int]) -> None:
+        self.body_of_geom, self.names = np.asarray(model.geom_bodyid), [GROUND, *ids]
+        n = len(self.names)
+        self.force, self.time = np.zeros(n * n), np.zeros(n * n)
+
+    def feel(self, data: Any, time: float) -> None:
+        rows = data.contact.efc_address
+        bodies = self.body_of_geom[data.contact.geom[rows >= 0]]
+        pairs = bodies.min(1, initial=len(self.names)) * len(self.names) + bodies.max(1, initial=0)
+        force = np.maximum(data.efc_force[rows[rows >= 0]], 0)
+        felt = np.bincount(pairs, force, len(self.force))
+        more = felt > self.force
+        self.force[more], self.time[more] = felt[more], time
+
+    def taken(self) -> list[tuple[float, int, int, float]]:
+        """Rows of CONTACT by time."""
+        n = len(self.names)
+        rows = [
+            (float(self.time[k]), self.names[k // n], self.names[k % n], float(self.force[k]))
+            for k in np.flatnonzero(self.force)
+        ]
+        self.force[:] = 0
+        return sorted(rows)

@@ -13,7 +13,7 @@ FAMILIES: dict[Family, str] = {
     "tip": "topple tip upset overturn capsize upend fell tumble overthrow flip",
     "push": "push shove move nudge slide shift kick poke press propel scoot tap send bring drive skid knock bump flick",
     "pull": "pull drag tug draw",
-    "hit": "hit strike whack smack punch thump bash slap ram smash",
+    "hit": "hit strike whack smack punch thump bash slap ram smash slam",
     "collide": "collide crash touch reach contact",
     "roll": "roll wheel",
     "drop": "drop release dump plop",
@@ -50,23 +50,7 @@ IRREGULAR = {
 }
 UNCHANGED = {"hit", "put", "set", "upset", "cast"}
 """Verbs whose past has no ending."""
-DOUBLED = {
-    "tip",
-    "drop",
-    "plop",
-    "pop",
-    "hop",
-    "hit",
-    "put",
-    "set",
-    "slap",
-    "tug",
-    "drag",
-    "ram",
-    "skid",
-    "flip",
-    "chuck",
-}
+DOUBLED = set(each("tip drop plop pop hop hit put set slap slam tug drag ram skid flip chuck"))
 SHOWN = "push, slide, pull, knock over, tip, hit ... with, roll, drop, lift ... and drop, put, throw, bounce, launch"
 """The verbs that a refusal names."""
 OTHER = set(

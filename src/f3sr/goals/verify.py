@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict
 
 from f3sr.export.scene_json import dump_json
 from f3sr.frames import rotation_angle
-from f3sr.goals.conditions import Judged, judge
-from f3sr.goals.plan import Plan
+from f3sr.goals.conditions import Judged, Unit, judge
+from f3sr.goals.plan import DIALECT, Condition, Plan
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.simulate import as_planned
 from f3sr.scene import GROUND, Scene
@@ -51,26 +52,58 @@ def verify(scene: Scene, plan: Plan, rollout: Rollout) -> Verdict:
     return Verdict(conditions=tuple(judged), broken=tuple(_broken(scene, planned, plan, rollout)))
 
 
+class JudgedRecord(BaseModel):
+    """A condition of the plan on its rollout."""
+
+    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True)
+
+    condition: Condition
+    met: bool
+    margin: float
+    """By how much it is met, or, negative, missed."""
+    unit: Unit
+    time: float | None
+    """When it happened [s], or when it was nearest to happening; null where it is no event."""
+    said: str
+
+
+class VerdictDocument(BaseModel):
+    """verdict.json: what came of a plan."""
+
+    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True, title="f3sr verdict")
+
+    met: bool
+    """Every condition is met and no rule broken."""
+    margin: float
+    """The least margin of all conditions, each over what was asked for or the object's size; a contact's is 0."""
+    said: str
+    """What was missed, or that all was met, in one line."""
+    conditions: tuple[JudgedRecord, ...]
+    """In the order of the plan."""
+    broken_rules: tuple[str, ...]
+    """What no rollout may do: drive anything but the active object, push it after it touched its target, start
+    elsewhere than the scene."""
+
+
+def verdict_schema() -> dict[str, Any]:
+    """JSON Schema of verdict.json."""
+    return {"$schema": DIALECT, **VerdictDocument.model_json_schema()}
+
+
 def to_json(verdict: Verdict) -> bytes:
     """verdict.json."""
-    document: dict[str, Any] = {
-        "met": verdict.met,
-        "margin": verdict.margin,
-        "said": verdict.said,
-        "conditions": [
-            {
-                "condition": c.condition.model_dump(mode="json"),
-                "met": c.met,
-                "margin": c.margin,
-                "unit": c.unit,
-                "time": c.time,
-                "said": c.said,
-            }
-            for c in verdict.conditions
-        ],
-        "broken_rules": list(verdict.broken),
-    }
-    return dump_json(document)
+    judged = [
+        JudgedRecord(condition=c.condition, met=c.met, margin=c.margin, unit=c.unit, time=c.time, said=c.said)
+        for c in verdict.conditions
+    ]
+    document = VerdictDocument(
+        met=verdict.met,
+        margin=verdict.margin,
+        said=verdict.said,
+        conditions=tuple(judged),
+        broken_rules=verdict.broken,
+    )
+    return dump_json(document.model_dump(mode="json"))
 
 
 def _broken(scene: Scene, planned: Scene, plan: Plan, rollout: Rollout) -> Iterator[str]:
@@ -84,7 +117,7 @@ def _broken(scene: Scene, planned: Scene, plan: Plan, rollout: Rollout) -> Itera
             yield f"object {o.id} does not start where the scene has it"
     for id in sorted(initial.controlled - {task.active}):
         yield f"object {id} is set off, which only the active object {task.active} may be"
-    last = max((i.time for i in initial.impulses), default=0.0)
+    last = max((i.time + i.duration for i in initial.impulses), default=0.0)
     if task.target is not None and task.target != GROUND:
         touched = rollout.touches(task.active, task.target)["time"]
         if len(touched) and float(touched[0]) < last:

@@ -1,0 +1,196 @@
+"""The commands for goals: simulate and goals. Exit codes: 0 met, 3 refused, 4 played but not met."""
+
+from __future__ import annotations
+
+import json as json_
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from tyro.conf import Positional, arg
+
+from f3sr.errors import F3srError, InputError, MissedError, RefusedError, printable
+
+if TYPE_CHECKING:
+    from f3sr.goals.play import Played
+    from f3sr.goals.refusal import Refusal
+    from f3sr.package import Package
+
+Folder = Positional[Path]
+Goals = Positional[tuple[str, ...]]
+MOST = 100
+"""Goals of one call."""
+
+
+def simulate(
+    package: Folder,
+    goals: Goals = (),
+    /,
+    out: Annotated[Path | None, arg(aliases=["-o"])] = None,
+    plan: Path | None = None,
+    overwrite: bool = False,
+    json: bool = False,
+) -> None:
+    """Play goals in plain words in a scene: a plan, its physics and a verdict. Exit code 3: refused, 4: not met.
+
+    Args:
+        package: What ``f3sr reconstruct`` wrote.
+        goals: What is to happen, in English, each in quotes: "knock over the mug". ``f3sr goals`` lists the objects.
+        out: Where plan.json, rollout.npz and verdict.json go; of several goals to its subfolders 1, 2, 3...
+            Without it, to the next numbers in PACKAGE/rollouts.
+        plan: A plan.json to play again, instead of goals.
+        overwrite: Also replace an older rollout.
+        json: Print one JSON object instead of text.
+    """
+    from f3sr.goals import deliver
+    from f3sr.package import read_package
+
+    _require_goals(goals, plan)
+    content = read_package(package)
+    places = _places(out, package, max(len(goals), 1))
+    places = [deliver.require_place(place, package, overwrite=overwrite) for place in places]
+    tellings = list[dict[str, Any]]()
+    for played, place, goal, seconds in _played(content, goals, plan, places, overwrite):
+        tellings.append(_telling(goal, played, place, seconds))
+        if not json:
+            print("\n".join(printable(line) for line in _lines(tellings[-1])), flush=True)
+    if json:
+        print(json_.dumps({"goals": tellings}, allow_nan=False))
+    _end(tellings)
+
+
+def goals(package: Folder, /, json: bool = False) -> None:
+    """List what can be asked of a scene: its objects, with words that select them and verbs that make sense.
+
+    Args:
+        package: What ``f3sr reconstruct`` wrote.
+        json: Print one JSON object instead of text.
+    """
+    from dataclasses import asdict
+
+    from f3sr import console
+    from f3sr.goals.menu import menu
+    from f3sr.package import read_package
+
+    entries = menu(read_package(package).scene)
+    if json:
+        print(json_.dumps({"objects": [asdict(e) for e in entries]}, allow_nan=False))
+        return
+    rows = [
+        (str(e.id), printable(e.name), ", ".join(e.verbs) or "fixed", "holds things" if e.holds_things else "")
+        for e in entries
+    ]
+    console.print_table(rows, header=("id", "say", "verbs", ""))
+
+
+def _require_goals(goals: Sequence[str], plan: Path | None) -> None:
+    if bool(goals) == (plan is not None):
+        found = "both goals and --plan" if goals else "no goal"
+        raise InputError("simulate", found=found, accepted='a goal in quotes, as "knock over the mug", or --plan FILE')
+    if len(goals) > MOST:
+        raise InputError("simulate", found=f"{len(goals)} goals", accepted=f"at most {MOST}")
+
+
+def _places(out: Path | None, package: Path, count: int) -> list[Path]:
+    from f3sr.goals.deliver import next_folder
+
+    if out is None:
+        first = next_folder(package)
+        return [first.with_name(str(int(first.name) + k)) for k in range(count)]
+    return [out] if count == 1 else [out / str(k + 1) for k in range(count)]
+
+
+def _played(
+    content: Package, goals: Sequence[str], plan: Path | None, places: Sequence[Path], overwrite: bool
+) -> Iterator[tuple[Played | Refusal, Path, str, float]]:
+    """Every goal played and written as soon as it is, with its place, words and seconds."""
+    from f3sr.goals.deliver import read_plan, write_played
+    from f3sr.goals.play import replay_plan, simulate_goal
+    from f3sr.goals.refusal import Refusal
+
+    read = None if plan is None else read_plan(plan)
+    for goal, place in zip([read.goal] if read else goals, places, strict=True):
+        start = time.perf_counter()
+        if read is not None and plan is not None:
+            try:
+                played = replay_plan(content, read)
+            except F3srError as error:
+                raise InputError(plan, found=str(error), accepted="a plan of this package's scene") from None
+        else:
+            played = simulate_goal(content, goal)
+        if not isinstance(played, Refusal):
+            write_played(played, place, overwrite=overwrite)
+        yield played, place, goal, time.perf_counter() - start
+
+
+def _telling(goal: str, played: Played | Refusal, place: Path, seconds: float) -> dict[str, Any]:
+    """What came of a goal, as plain values."""
+    from f3sr.goals.refusal import Refusal
+
+    told: dict[str, Any] = {"goal": goal[:2000], "seconds": round(seconds, 3)}
+    if isinstance(played, Refusal):
+        why = {"reason": played.reason, "message": played.message, "candidates": list(played.candidates)}
+        return told | {"state": "refused", **why}
+    task = played.plan.task
+    return told | {
+        "state": "met" if played.verdict.met else "missed",
+        "folder": str(place),
+        "interpretation": task.interpretation,
+        "assumptions": list(task.assumptions),
+        "launch": _launch(played),
+        "rollouts": played.plan.rollouts,
+        "simulated_seconds": played.plan.simulation.duration,
+        "margin": played.verdict.margin,
+        "conditions": [
+            {"met": c.met, "margin": c.margin, "unit": c.unit, "said": c.said} for c in played.verdict.conditions
+        ],
+        "broken_rules": list(played.verdict.broken),
+        "nearest": played.nearest,
+    }
+
+
+def _lines(told: dict[str, Any]) -> Iterator[str]:
+    yield f"goal:      {told['goal']}"
+    if told["state"] == "refused":
+        yield f"refused:   {told['message']}"
+        return
+    yield f"meaning:   {told['interpretation']}"
+    yield from (f"assumed:   {assumed}" for assumed in told["assumptions"])
+    yield f"launch:    {told['launch']}"
+    for c in told["conditions"]:
+        yield f"{'met:   ' if c['met'] else 'missed:'}    {c['said']}"
+    yield from (f"broken:    {rule}" for rule in told["broken_rules"])
+    yield from [f"nearest:   {told['nearest']}"] if told["nearest"] else []
+    yield f"verdict:   {told['state']}, {told['rollouts']} rollouts, {told['seconds']:.1f} s"
+    yield f"written:   {told['folder']}"
+
+
+def _launch(played: Played) -> str:
+    """How the active object is set off, in words."""
+    initial = played.plan.initial
+    said = [f"lifted by {np.linalg.norm(o.translation):.2f} m" for o in initial.offsets]
+    for v in initial.velocities:
+        spin = float(np.linalg.norm(v.angular))
+        said.append(
+            f"off at {np.linalg.norm(v.linear):.2f} m/s" + (f", turning at {spin:.1f} rad/s" if spin > 0.01 else "")
+        )
+    if initial.impulses:
+        seconds = max(i.time + i.duration for i in initial.impulses)
+        forces = [np.linalg.norm(i.linear) / i.duration for i in initial.impulses if i.duration]
+        said.append(f"pushed for {seconds:.2f} s with up to {max(forces, default=0.0):.1f} N")
+    return "; ".join(said) or "let go"
+
+
+def _end(tellings: Sequence[dict[str, Any]]) -> None:
+    """Raises for the exit code."""
+    for state, error in (("refused", RefusedError), ("missed", MissedError)):
+        if some := [t for t in tellings if t["state"] == state]:
+            missed = [
+                *some[0].get("broken_rules", []),
+                *(c["said"] for c in some[0].get("conditions", []) if not c["met"]),
+            ]
+            said = some[0].get("message") or "; ".join([*missed, *filter(None, [some[0]["nearest"]])])
+            more = f" (and {len(some) - 1} more)" if len(some) > 1 else ""
+            raise error(f"{'refused' if state == 'refused' else 'not met'}: {said}{more}")

@@ -1,0 +1,151 @@
+"""A played goal on disk: plan.json, rollout.npz and verdict.json, all of them or none."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+
+from f3sr import interrupts
+from f3sr.errors import InputError, OutputError, reason
+from f3sr.folder import MAX_JSON_BYTES
+from f3sr.goals import plan as plans
+from f3sr.goals import rollout as rollouts
+from f3sr.goals import verify
+from f3sr.goals.plan import Plan
+from f3sr.goals.play import Played
+from f3sr.place import is_package
+
+ROLLOUTS = "rollouts"
+"""The one folder of a package that goals may write into."""
+PLAN, ROLLOUT, VERDICT, FILM = "plan.json", "rollout.npz", "verdict.json", "film.mp4"
+FILES = {PLAN, ROLLOUT, VERDICT, FILM}
+MARKER = ".f3sr-building"
+"""In a folder that is being written."""
+
+
+def next_folder(package: Path) -> Path:
+    """The folder of the package's next rollout: one more than the highest number that is taken."""
+    folder = package / ROLLOUTS
+    taken = [int(p.name) for p in folder.iterdir() if p.name.isdecimal()] if folder.is_dir() else []
+    return folder / str(max(taken, default=0) + 1)
+
+
+def require_place(out: Path, package: Path, *, overwrite: bool = False) -> Path:
+    """The full path of a folder that may be written. Raises OutputError where it is something else's."""
+    out, package = out.resolve(), package.resolve()
+    if out.is_relative_to(package) and (package / ROLLOUTS) not in out.parents:
+        raise OutputError(f"{out}: is inside the package; there only below {package / ROLLOUTS}")
+    if package.is_relative_to(out):
+        raise OutputError(f"{out}: holds the package itself; give another folder")
+    _require_replaceable(out, overwrite)
+    return out
+
+
+def _require_replaceable(out: Path, overwrite: bool) -> None:
+    for folder in out.parents:
+        if folder.exists() and not folder.is_dir():
+            raise OutputError(f"{out}: cannot be made, {folder} is a file")
+    if not out.exists():
+        return
+    if not out.is_dir():
+        raise OutputError(f"{out}: is a file; give a folder")
+    strangers = sorted(p.name for p in out.iterdir() if p.name not in FILES)
+    if is_package(out) or strangers:
+        raise OutputError(
+            f"{out}: holds {strangers[0] if strangers else 'a package'}, which is no rollout's; nothing replaced"
+        )
+    if any(out.iterdir()) and not overwrite:
+        raise OutputError(f"{out}: holds a rollout already; replaced only with --overwrite")
+
+
+def write_played(played: Played, out: Path, *, overwrite: bool = False) -> Path:
+    """Write plan.json, rollout.npz and verdict.json to ``out``, all or none; returns its full path.
+
+    Raises OutputError where something else is there, or an older rollout and not ``overwrite``.
+    """
+    out = Path(out).resolve()
+    _require_replaceable(out, overwrite)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with _building(out.with_name(f".{out.name}.building")) as folder:
+            for name, data in (
+                (PLAN, plans.to_json(played.plan)),
+                (ROLLOUT, rollouts.to_npz(played.rollout)),
+                (VERDICT, verify.to_json(played.verdict)),
+            ):
+                (folder / name).write_bytes(data)
+            with interrupts.held():
+                (folder / MARKER).unlink()
+                _replace(folder, out)
+                interrupts.wrote(out)
+    except OSError as error:
+        raise OutputError(f"{out}: could not be written ({reason(error)})") from error
+    return out
+
+
+def read_plan(file: Path) -> Plan:
+    """A plan.json; InputError says what is wrong with it."""
+    accepted = "a plan.json that f3sr wrote"
+    try:
+        if file.exists() and not file.is_file():
+            raise InputError(file, found="no regular file", accepted=accepted)
+        if file.stat().st_size > MAX_JSON_BYTES:
+            raise InputError(file, found=f"{file.stat().st_size:,} bytes", accepted=f"at most {MAX_JSON_BYTES:,}")
+        return plans.from_json(file.read_bytes())
+    except OSError as error:
+        raise InputError(file, found=f"no readable file ({reason(error)})", accepted=accepted) from None
+    except ValueError as error:
+        raise InputError(file, found=_first_line(error), accepted=accepted) from None
+
+
+def _first_line(error: ValueError) -> str:
+    """What pydantic, or the JSON reader, says first."""
+    details = getattr(error, "errors", None)
+    if details is None:
+        return str(error)
+    first = details(include_url=False)[0]
+    return f"{'.'.join(map(str, first['loc'])) or 'the document'}: {first['msg']}"
+
+
+@contextmanager
+def _building(folder: Path) -> Generator[Path]:
+    """An empty folder that is gone afterwards unless it was renamed; what a killed run left is cleared away."""
+    with interrupts.undone(lambda: _made(folder), _clear):
+        try:
+            yield folder
+        finally:
+            with interrupts.held():
+                _clear(folder)
+
+
+def _made(folder: Path) -> Path:
+    if folder.exists() and not (folder / MARKER).exists():
+        raise OutputError(f"{folder}: is in the way and not f3sr's; move it away first")
+    _clear(folder)
+    folder.mkdir()
+    (folder / MARKER).touch()
+    return folder
+
+
+def _clear(folder: Path) -> None:
+    if (folder / MARKER).exists():
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _replace(folder: Path, out: Path) -> None:
+    """An old rollout steps aside first: there is always one of the two, and the old one comes back where that fails."""
+    aside = out.with_name(f".{out.name}.previous")
+    if out.exists():
+        shutil.rmtree(aside, ignore_errors=True)
+        out.rename(aside)
+    try:
+        folder.rename(out)
+    except OSError:
+        if aside.exists() and not out.exists():
+            aside.rename(out)
+        raise
+    with contextlib.suppress(OSError):
+        shutil.rmtree(aside, ignore_errors=True)

@@ -1,0 +1,412 @@
+"""Goals from words to verdict on a made scene: every kind is met, replays are the same, rules and limits hold."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from f3sr.errors import InputError, OutputError
+from f3sr.export.scene_json import dump_json
+from f3sr.frames import Array
+from f3sr.goals import deliver
+from f3sr.goals.checks import PlanError, faults_of
+from f3sr.goals.language import Launch, Tried
+from f3sr.goals.limits import limits_of
+from f3sr.goals.menu import menu
+from f3sr.goals.plan import (
+    Contact,
+    Displaced,
+    InitialConditions,
+    Semantics,
+    SimulationPlan,
+    TaskSpec,
+    Velocity,
+    plan_schema,
+    task_schema,
+    to_json,
+)
+from f3sr.goals.play import Played, replay_plan, simulate_goal
+from f3sr.goals.reasoner import declared, semantics_of
+from f3sr.goals.refusal import Refusal
+from f3sr.goals.rollout import to_npz
+from f3sr.goals.rules import Rules
+from f3sr.goals.trial import ROLLOUTS, Trials
+from f3sr.goals.verify import to_json as verdict_json
+from f3sr.goals.verify import verdict_schema
+from f3sr.package import Package
+from f3sr.physics import body_of
+from f3sr.scene import GROUND, Scene
+from goal_scene import BALL, BLOCK, CAN, CARTON, CRATE, LID, goal_package, goal_scene
+from scenes import box
+
+DOCS = Path(__file__).parents[1] / "docs"
+SCHEMAS = {"task": task_schema, "plan": plan_schema, "verdict": verdict_schema}
+MET = {
+    "knock over the cereal box": "topple",
+    "knock over the soup can to the left": "topple",
+    "push the cereal box 10 cm to the left": "slide",
+    "push the sponge off the block": "slide",
+    "push the can into the block": "push_into",
+    "push the ball into the can so that the can moves": "push_into",
+    "roll the ball 15 cm to the left": "roll",
+    "roll the ball into the cereal box": "roll",
+    "drop the sponge on the cereal box": "drop",
+    "lift the can and drop it into the crate": "lift_and_drop",
+    "throw the can into the crate": "throw",
+    "throw the ball over the block": "throw",
+    "throw the ball at the cereal box": "throw",
+    "throw the sponge off the block": "throw",
+    "bounce the ball into the cereal box": "bounce",
+    "throw the can 20 cm up and let it fall back": "launch_and_return",
+}
+REFUSED = {
+    "push the banana": "unknown",
+    "push the thing to the left": "ambiguous",
+    "": "empty",
+    "push the can 500 m to the left": "amount",
+    "topple the tennis ball": "impossible",
+    "drop the block on the cereal box": "impossible",
+    "push the can off the block": "impossible",
+    "drop the sponge off the block": "impossible",
+    "roll the ball over the block": "impossible",
+    "delete the can": "other",
+    "push the can to the left and to the right": "contradiction",
+    "push the can over the table": "",
+}
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Package:
+    return goal_package(tmp_path_factory.mktemp("goals") / "package")
+
+
+@cache
+def _known(folder: Path, goal: str) -> Played | Refusal:
+    from f3sr.package import read_package
+
+    return simulate_goal(read_package(folder), goal)
+
+
+def played(package: Package, goal: str) -> Played:
+    found = _known(package.folder, goal)
+    assert isinstance(found, Played), found
+    return found
+
+
+def way(found: Played, id: int, scene: Scene) -> Array:
+    T = found.rollout.poses(id)
+    return T[:, :3, :3] @ body_of(scene[id]).center + T[:, :3, 3]
+
+
+@pytest.mark.parametrize(("goal", "kind"), MET.items())
+def test_every_kind_is_met(package: Package, goal: str, kind: str) -> None:
+    found = played(package, goal)
+    assert found.plan.task.kind == kind and found.verdict.met, found.verdict.said
+    assert 1 <= found.plan.rollouts <= ROLLOUTS and not list(faults_of(found.plan, package.scene))
+    assert found.plan.initial.controlled == {found.plan.task.active}
+    assert found.rollout.time[-1] == pytest.approx(found.plan.simulation.duration)
+
+
+@pytest.mark.parametrize("goal", [*MET][2:9:3])
+def test_a_replay_is_the_same_to_the_byte(package: Package, goal: str) -> None:
+    found = played(package, goal)
+    again = replay_plan(package, found.plan)
+    assert to_npz(again.rollout) == to_npz(found.rollout)
+    assert verdict_json(again.verdict) == verdict_json(found.verdict)
+
+
+def test_the_same_goal_gives_the_same_plan(package: Package) -> None:
+    goal = "knock over the cereal box"
+    again = simulate_goal(package, goal)
+    assert isinstance(again, Played) and to_json(again.plan) == to_json(played(package, goal).plan)
+
+
+def test_a_slide_goes_as_far_as_asked_and_stands(package: Package) -> None:
+    moved = way(played(package, "push the cereal box 10 cm to the left"), CARTON, package.scene)
+    off = moved[-1] - moved[0]
+    assert 0.1 <= -off[0] <= 0.15 and abs(off[1]) < 0.02 and abs(off[2]) < 2e-3
+
+
+def test_a_push_ends_before_the_target_is_touched(package: Package) -> None:
+    found = played(package, "push the can into the block")
+    touched = float(found.rollout.touches(CAN, BLOCK)["time"][0])
+    assert found.plan.initial.impulses and all(i.time + i.duration < touched for i in found.plan.initial.impulses)
+    assert not found.plan.initial.velocities and not found.verdict.broken
+
+
+def test_what_is_thrown_in_ends_inside(package: Package) -> None:
+    end = way(played(package, "throw the can into the crate"), CAN, package.scene)[-1]
+    assert np.abs(end - [0, 0.25, 0.05])[:2].max() < 0.07 and end[2] < 0.1
+
+
+def test_what_is_thrown_off_is_off(package: Package) -> None:
+    end = way(played(package, "throw the sponge off the block"), LID, package.scene)[-1]
+    assert np.abs(end - [0.2, -0.2, 0])[:2].max() > 0.06 and end[2] < 0.06
+
+
+def test_what_is_thrown_up_comes_back(package: Package) -> None:
+    moved = way(played(package, "throw the can 20 cm up and let it fall back"), CAN, package.scene)
+    assert 0.2 <= np.ptp(moved[:, 2]) < 0.3 and np.linalg.norm(moved[-1] - moved[0]) < 0.07
+
+
+def test_what_rolls_turns_as_it_goes(package: Package) -> None:
+    found = played(package, "roll the ball 15 cm to the left")
+    moved = way(found, BALL, package.scene)
+    assert moved[:, 0].min() < moved[0, 0] - 0.14
+    rolled = next(c for c in found.verdict.conditions if c.condition.type == "rolled")
+    assert rolled.met and rolled.margin > 0
+
+
+def test_a_bounce_touches_the_ground_before_its_target(package: Package) -> None:
+    found = played(package, "bounce the ball into the cereal box")
+    ground = [t for t in found.rollout.touches(BALL, GROUND)["time"] if t > 0.1]
+    assert ground[0] < found.rollout.touches(BALL, CARTON)["time"][0]
+    assert next(s for s in found.plan.semantics if s.id == BALL).restitution == pytest.approx(0.74)
+
+
+@pytest.mark.parametrize(("goal", "reason"), REFUSED.items())
+def test_what_cannot_be_done_is_refused(package: Package, goal: str, reason: str) -> None:
+    found = simulate_goal(package, goal)
+    assert isinstance(found, Refusal) and (not reason or found.reason == reason), found
+    assert "accepted" in found.message or found.candidates
+
+
+def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
+    wide = replace(goal_scene()[CAN], mesh=box(0, size=(0.2, 0.2, 0.05)).mesh, label="tray")
+    wide = replace(wide, parts=(wide.mesh.hull,))
+    found = simulate_goal(goal_package(tmp_path / "p", goal_scene().with_objects(wide)), "drop the tray into the crate")
+    assert isinstance(found, Refusal) and found.reason == "impossible" and "does not fit" in found.message
+
+
+def test_what_is_closed_can_only_be_touched(package: Package) -> None:
+    found = simulate_goal(package, "throw the cereal box into the can")
+    assert isinstance(found, Played) and any("nothing can lie" in a for a in found.plan.task.assumptions)
+
+
+def test_what_is_not_met_is_said_with_the_best_that_was_found(package: Package) -> None:
+    found = simulate_goal(package, "hit the block with the sponge so that the block falls over")
+    assert isinstance(found, Played) and not found.verdict.met
+    assert found.plan.rollouts <= ROLLOUTS and found.verdict.margin < 0 and "wooden block" in found.verdict.said
+
+
+def test_assumptions_are_said_and_only_then(package: Package) -> None:
+    assert any("direction" in a for a in played(package, "knock over the cereal box").plan.task.assumptions)
+    assert not played(package, "push the cereal box 10 cm to the left").plan.task.assumptions
+
+
+def test_the_menu_names_every_object_and_what_it_can_do(package: Package) -> None:
+    entries = {e.id: e for e in menu(package.scene)}
+    assert entries[CRATE].holds_things and not entries[BLOCK].holds_things and not entries[CAN].holds_things
+    assert "roll" in entries[BALL].verbs and "knock over" not in entries[BALL].verbs
+    assert "roll" not in entries[CARTON].verbs and "knock over" in entries[CARTON].verbs
+    assert "drop" not in entries[BLOCK].verbs and "push off" in entries[LID].verbs
+    for e in entries.values():
+        found = simulate_goal(package, f"eat the {e.name}")
+        assert isinstance(found, Refusal)
+
+
+# --- what things are ----------------------------------------------------------------------------------------------
+
+
+def test_labels_tell_materials_and_declared_ones_stay() -> None:
+    scene = goal_scene()
+    task = _task(kind="throw", active=BALL)
+    by_id = {s.id: s for s in semantics_of(task, scene)}
+    assert by_id[BALL].source == "label" and by_id[BALL].density == 400 and by_id[BALL].restitution == 0.74
+    assert by_id[CAN].restitution == 0.0, "only what flies bounces"
+    steel = replace(scene[CAN], material="steel", density=7800.0)
+    assert semantics_of(task, scene.with_objects(steel))[CAN] == declared(steel)
+    nameless = replace(scene[CAN], label="zzz")
+    assert semantics_of(task, scene.with_objects(nameless))[CAN].source == "default"
+
+
+def test_what_would_not_rest_keeps_what_the_package_says(package: Package) -> None:
+    semantics = semantics_of(_task(active=BALL), package.scene)
+    trials = Trials(package.scene, "", "0" * 64)
+    assert trials.steady(semantics) == semantics
+    tilted = replace(package.scene[LID], T_world_object=package.scene[LID].T_world_object + _up(0.05))
+    falling = Trials(package.scene.with_objects(tilted), "", "0" * 64)
+    made = {s.id: s.source for s in falling.steady(semantics)}
+    assert made[LID] == "scene" and made[BLOCK] == "scene" and made[CARTON] == "label"
+
+
+def _up(z: float) -> Array:
+    T = np.zeros((4, 4))
+    T[2, 3] = z
+    return T
+
+
+def _task(**changed: Any) -> TaskSpec:
+    values: dict[str, Any] = {
+        "kind": "slide",
+        "active": CAN,
+        "conditions": (Displaced(a=changed.get("active", CAN), at_least=0.05),),
+        "interpretation": "a test",
+    }
+    return TaskSpec.model_validate(values | changed)
+
+
+# --- the language Protocol ----------------------------------------------------------------------------------------
+
+
+class Other(Rules):
+    """Rules but for some answers."""
+
+    def __init__(self, **answers: Any) -> None:
+        super().__init__()
+        self.answers = answers
+
+    def plan(self, goal: str, scene: Scene) -> Sequence[TaskSpec] | Refusal:
+        return self.answers.get("plan", [_task()])
+
+    def reason(self, task: TaskSpec, scene: Scene) -> Sequence[Semantics]:
+        change = self.answers.get("reason", lambda made: made)
+        return change(list(super().reason(task, scene)))
+
+    def build(
+        self, task: TaskSpec, semantics: Sequence[Semantics], scene: Scene, tried: Sequence[Tried]
+    ) -> Sequence[Launch] | Refusal:
+        return self.answers.get("build", [])
+
+
+def launch(seconds: float = 1.0, **initial: Any) -> list[Launch]:
+    return [Launch(initial=InitialConditions(**initial), simulation=SimulationPlan(duration=seconds))]
+
+
+HOSTILE: dict[str, tuple[dict[str, Any], str]] = {
+    "no task": ({"plan": []}, "no task"),
+    "unknown active": ({"plan": [_task(active=77)]}, r"objects \[77\]"),
+    "unknown in a condition": ({"plan": [_task(conditions=(Contact(a=CAN, b=99),))]}, r"objects \[99\]"),
+    "no direction": ({"plan": [_task(direction=(0.0, 0.0, 0.0))]}, "no length"),
+    "semantics short": ({"reason": lambda made: made[:-1]}, "in this order"),
+    "semantics of others": ({"reason": lambda made: [m.model_copy(update={"id": 50}) for m in made]}, "in this order"),
+    "weight": ({"reason": lambda made: [m.model_copy(update={"mass": 9.0}) for m in made]}, "by its volume"),
+    "nailed": (
+        {"reason": lambda made: [m.model_copy(update={"mobility": "fixed"}) for m in made]},
+        "as the package has it",
+    ),
+    "drives another": ({"build": launch(velocities=(Velocity(id=BALL, linear=(1, 0, 0)),))}, "only the active"),
+    "too fast": ({"build": launch(velocities=(Velocity(id=CAN, linear=(900, 0, 0)),))}, "at most"),
+    "elsewhere": ({"build": launch(offsets=({"id": CAN, "translation": (0, 0, 0.1)},))}, "before it starts"),
+    "too long": ({"build": launch(30.0, velocities=(Velocity(id=CAN),))}, "30 s"),
+    "late": ({"build": launch(impulses=({"id": CAN, "time": 3.0, "linear": (0.1, 0, 0)},))}, "after the rollout"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_language_is_checked(package: Package, name: str) -> None:
+    answers, message = HOSTILE[name]
+    with pytest.raises(PlanError, match=message):
+        simulate_goal(package, "push the can", language=Other(**answers))
+
+
+def test_numbers_that_are_none_are_refused_when_they_are_made() -> None:
+    for values in ({"linear": (float("nan"), 0, 0)}, {"linear": (float("inf"), 0, 0)}):
+        with pytest.raises(ValueError, match="finite"):
+            Velocity(id=CAN, **values)
+    with pytest.raises(ValueError, match="finite"):
+        _task(conditions=(Displaced(a=CAN, at_least=float("nan")),))
+
+
+def test_a_language_may_refuse_and_give_up(package: Package) -> None:
+    refusal = Refusal(reason="other", message="not today")
+    assert simulate_goal(package, "x", language=Other(plan=refusal)) is refusal
+    assert simulate_goal(package, "x", language=Other(build=refusal)) is refusal
+    nothing = simulate_goal(package, "x", language=Other())
+    assert isinstance(nothing, Refusal) and nothing.reason == "impossible"
+
+
+def test_a_start_inside_something_is_no_start(package: Package) -> None:
+    into = package.scene[CRATE].T_world_object[:3, 3] - package.scene[CAN].T_world_object[:3, 3]
+    offsets = ({"id": CAN, "translation": tuple(into)},)
+    task = _task(kind="drop")
+    found = simulate_goal(package, "x", language=Other(plan=[task], build=launch(offsets=offsets)))
+    assert isinstance(found, Refusal) and "inside something" in found.message
+
+
+# --- files --------------------------------------------------------------------------------------------------------
+
+
+def _sha(package: Package) -> str:
+    return hashlib.sha256((package.folder / "scene.json").read_bytes()).hexdigest()
+
+
+def test_a_plan_belongs_to_one_scene(package: Package) -> None:
+    plan = played(package, "knock over the cereal box").plan
+    assert plan.scene == _sha(package)
+    with pytest.raises(PlanError, match="another scene"):
+        replay_plan(package, plan.model_copy(update={"scene": "0" * 64}))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda text: text[:-40], "line"),
+        (lambda text: text.replace(b'"duration": ', b'"duration": NaN, "x": ', 1), "NaN"),
+        (lambda text: text.replace(b'"timestep": ', b'"timestep": 1e9, "x": ', 1), "simulation"),
+        (lambda text: text.replace(b'"schema_version": 1', b'"schema_version": 9'), "schema_version"),
+        (lambda text: b"[" * 100_000, "nested"),
+        (lambda text: b" " * 10_000_001, "bytes"),
+        (lambda text: b"\xff\xfe", "UTF-8"),
+        (lambda text: b"null", "the document"),
+    ],
+)
+def test_hostile_plans_are_told_in_one_line(package: Package, tmp_path: Path, change: Any, message: str) -> None:
+    file = tmp_path / "plan.json"
+    file.write_bytes(change(to_json(played(package, "knock over the cereal box").plan)))
+    with pytest.raises(InputError, match=message) as error:
+        deliver.read_plan(file)
+    assert str(error.value).isprintable()
+
+
+def test_files_match_their_schemas(package: Package) -> None:
+    import jsonschema
+
+    found = played(package, "push the can into the block")
+    jsonschema.validate(json.loads(to_json(found.plan)), plan_schema())
+    jsonschema.validate(json.loads(verdict_json(found.verdict)), verdict_schema())
+    jsonschema.validate(json.loads(to_json(found.plan))["task"], task_schema())
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_schemas_are_published(name: str) -> None:
+    assert json.loads((DOCS / f"{name}.schema.json").read_text()) == SCHEMAS[name](), "run: python tests/test_goals.py"
+
+
+def test_a_write_that_fails_leaves_nothing(package: Package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found, out = played(package, "knock over the cereal box"), tmp_path / "out"
+
+    def full(*_: object) -> bytes:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(deliver.verify, "to_json", full)
+        with pytest.raises(OutputError, match="no space"):
+            deliver.write_played(found, out)
+    assert not list(tmp_path.iterdir())
+    deliver.write_played(found, out)
+    before = (out / "rollout.npz").read_bytes()
+    with monkeypatch.context() as patch:
+        patch.setattr(deliver.verify, "to_json", full)
+        with pytest.raises(OutputError):
+            deliver.write_played(found, out, overwrite=True)
+    assert [p.name for p in tmp_path.iterdir()] == ["out"] and (out / "rollout.npz").read_bytes() == before
+    assert sorted(p.name for p in out.iterdir()) == ["plan.json", "rollout.npz", "verdict.json"]
+
+
+def test_limits_grow_with_the_scene_up_to_a_person() -> None:
+    scene = goal_scene()
+    assert limits_of(scene).speed < 12 and limits_of(scene).lift == pytest.approx(4 * scene.diagonal)
+
+
+if __name__ == "__main__":
+    for schema, made in SCHEMAS.items():
+        (DOCS / f"{schema}.schema.json").write_bytes(dump_json(made()))

@@ -1,0 +1,142 @@
+"""The commands for goals: what they print and write, exit codes, places that may not be written, signals."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from f3sr.cli import main
+from f3sr.package import Package
+from goal_scene import goal_package
+
+TOPPLE = "knock over the cereal box"
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Package:
+    return goal_package(tmp_path_factory.mktemp("goals") / "package")
+
+
+def test_a_goal_is_told_written_and_replayed(
+    package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, again = tmp_path / "out", tmp_path / "again"
+    assert main(["simulate", str(package.folder), TOPPLE, "-o", str(out)]) == 0
+    told = capsys.readouterr().out
+    assert all(word in told for word in ("meaning:", "assumed:", "launch:", "met:", "rollouts", str(out)))
+    assert main(["simulate", str(package.folder), "--plan", str(out / "plan.json"), "-o", str(again)]) == 0
+    for name in ("plan.json", "rollout.npz", "verdict.json"):
+        assert (out / name).read_bytes() == (again / name).read_bytes()
+
+
+def test_refusals_write_nothing_and_help(package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert main(["simulate", str(package.folder), "push the banana", "-o", str(out)]) == 3
+    told = capsys.readouterr()
+    assert told.err.startswith("f3sr: refused") and "cereal box" in told.err and told.err.count("\n") == 1
+    assert not out.exists() and not list(tmp_path.iterdir())
+
+
+def test_several_goals_go_to_numbered_folders(
+    package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    goals = [TOPPLE, "push the banana", "drop the sponge on the can"]
+    assert main(["simulate", str(package.folder), *goals, "-o", str(tmp_path / "out"), "--json"]) == 3
+    told = json.loads(capsys.readouterr().out)["goals"]
+    assert [t["state"] for t in told] == ["met", "refused", "met"] and told[1]["candidates"]
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["1", "3"]
+
+
+def test_without_a_place_the_package_gets_the_next_rollout(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = goal_package(tmp_path / "package").folder
+    for number in ("1", "2"):
+        assert main(["simulate", str(folder), TOPPLE]) == 0
+        assert (folder / "rollouts" / number / "verdict.json").exists()
+    assert main(["evaluate", str(folder), "--json"]) == 0, "it is a package as before"
+
+
+def test_what_is_not_met_is_written_and_told_by_the_exit_code(
+    package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    goal = "hit the block with the sponge so that the block falls over"
+    assert main(["simulate", str(package.folder), goal, "-o", str(tmp_path / "out")]) == 4
+    assert "not met" in capsys.readouterr().err
+    assert json.loads((tmp_path / "out" / "verdict.json").read_text())["met"] is False
+
+
+def test_the_menu(package: Package, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["goals", str(package.folder)]) == 0
+    assert "knock over" in capsys.readouterr().out
+    assert main(["goals", str(package.folder), "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["objects"]) == 6
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["{package}"], 2, "no goal"),
+        (["{package}", TOPPLE, "--plan", "{tmp}/plan.json"], 2, "both"),
+        (["{package}", "--plan", "{tmp}/none.json"], 2, "no readable file"),
+        (["{tmp}", TOPPLE], 2, "scene.json"),
+        (["{tmp}/none", TOPPLE], 2, "scene.json"),
+        (["{package}", TOPPLE, "-o", "{package}"], 1, "the package"),
+        (["{package}", TOPPLE, "-o", "{package}/meshes"], 1, "inside the package"),
+        (["{package}", TOPPLE, "-o", "{package}/.."], 1, "holds the package"),
+        (["{package}", TOPPLE, "-o", "{tmp}/full"], 1, "nothing replaced"),
+        (["{package}", TOPPLE, "-o", "{tmp}/full/stranger"], 1, "is a file"),
+        (["{package}", "x" * 10_000, "-o", "{tmp}/new"], 3, "accepted"),
+        (["{package}", "push the \x1b[31mcan", "-o", "{tmp}/new"], 3, "accepted"),
+    ],
+)
+def test_wrong_calls_end_with_one_line(
+    package: Package,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    code: int,
+    message: str,
+) -> None:
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "stranger").touch()
+    before = sorted(package.folder.rglob("*"))
+    call = [a.format(package=package.folder, tmp=tmp_path) for a in arguments]
+    assert main(["simulate", *call]) == code
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1 and error[:-1].isprintable()
+    assert sorted(package.folder.rglob("*")) == before and not (tmp_path / "new").exists()
+
+
+def test_a_rollout_is_replaced_only_when_asked(package: Package, tmp_path: Path) -> None:
+    call = ["simulate", str(package.folder), TOPPLE, "-o", str(tmp_path / "out")]
+    assert main(call) == 0 and main(call) == 1 and main([*call, "--overwrite"]) == 0
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_plan_of_another_package_is_bad_input(
+    package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["simulate", str(package.folder), TOPPLE, "-o", str(tmp_path / "out")]) == 0
+    other = shutil.copytree(package.folder, tmp_path / "other")
+    (other / "scene.json").write_text((other / "scene.json").read_text() + " ")
+    assert main(["simulate", str(other), "--plan", str(tmp_path / "out/plan.json"), "-o", str(tmp_path / "two")]) == 2
+    assert "another scene" in capsys.readouterr().err and not (tmp_path / "two").exists()
+
+
+def test_an_interrupted_call_leaves_nothing_half_written(package: Package, tmp_path: Path) -> None:
+    goals = [TOPPLE] * 40
+    command = [sys.executable, "-m", "f3sr", "simulate", str(package.folder), *goals, "-o", str(tmp_path / "out")]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    while process.poll() is None and not (tmp_path / "out" / "2").exists():
+        time.sleep(0.02)
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(20) == 1
+    assert process.stderr is not None and b"interrupted" in process.stderr.read()
+    for folder in (tmp_path / "out").iterdir():
+        assert {p.name for p in folder.iterdir()} == {"plan.json", "rollout.npz", "verdict.json"}, folder
