@@ -176,10 +176,13 @@ def _launch(played: Played) -> str:
         said.append(
             f"off at {np.linalg.norm(v.linear):.2f} m/s" + (f", turning at {spin:.1f} rad/s" if spin > 0.01 else "")
         )
-    if initial.impulses:
-        seconds = max(i.time + i.duration for i in initial.impulses)
-        forces = [np.linalg.norm(i.linear) / i.duration for i in initial.impulses if i.duration]
-        said.append(f"pushed for {seconds:.2f} s with up to {max(forces, default=0.0):.1f} N")
+    said += [
+        f"a blow of {np.linalg.norm(i.linear):.2f} N s at {i.time:.2f} s" for i in initial.impulses if not i.duration
+    ]
+    if pushes := [i for i in initial.impulses if i.duration]:
+        seconds = max(i.time + i.duration for i in pushes)
+        force = max(np.linalg.norm(i.linear) / i.duration for i in pushes)
+        said.append(f"pushed for {seconds:.2f} s with up to {force:.1f} N")
     return "; ".join(said) or "let go"
 
 

@@ -28,7 +28,7 @@ def dropping(s: Setting) -> Launches:
     height = max(s.task.amount or 0.3 * s.size, CLEARANCE)
     places = list(_places(s))
     for k, place in enumerate(places[:10]):
-        for part in (1.0, 0.3) if k < 2 and len(places) > 1 else (1.0,) if k % 2 else (0.5,):
+        for part in (1.0, 0.3) if k < 2 else (1.0,) if k % 2 else (0.5,):
             drop = max(part * height, CLEARANCE)
             yield [s.lifted(_above(s, place, drop), seconds=math.sqrt(2 * drop / GRAVITY) + AFTER + 0.6)]
 
@@ -139,8 +139,14 @@ def _extent(s: Setting) -> float:
 
 def striking(s: Setting, target: int) -> Launches:
     """Flat and fast at the upper part of the target, then in arcs over what is in the way."""
+    hindered = yield from _strikes(s, target, *s.start)
+    if hindered:
+        yield from _strikes(s, target, *s.raised)
+
+
+def _strikes(s: Setting, target: int, start: Array, lift: Array | None) -> Search[Launch, Tried, bool]:
+    """Returns whether the first met something at once, which a start above it would not."""
     low, high = s.layout.span(target)
-    start, lift = s.start if s.task.kind == "throw" else (s.center, None)
     ways = list[tuple[bool, int, Array, float]]()
     for part in (0.75, 0.9, 0.6):
         goal = np.array([*s.layout.center(target)[:2], low[2] + part * (high[2] - low[2])])
@@ -154,8 +160,11 @@ def striking(s: Setting, target: int) -> Launches:
         for arc in (0.5, 1.2):
             v, seconds = launch.throw(start, goal, max(start[2], goal[2]) + arc * s.size)
             ways.append((is_blocked(s, [(start, v, seconds)], goal), len(ways), v, seconds))
-    for _, _, v, seconds in sorted(ways, key=lambda w: w[:2])[:12]:
-        yield [s.thrown(v, lift=lift, seconds=seconds + AFTER)]
+    for k, (_, _, v, seconds) in enumerate(sorted(ways, key=lambda w: w[:2])[:12]):
+        (tried,) = yield [s.thrown(v, lift=lift, seconds=seconds + AFTER)]
+        if k == 0 and lift is None and s.hindered(tried):
+            return True
+    return False
 
 
 def goal_of(s: Setting, aim: float) -> tuple[Array, float]:

@@ -33,7 +33,7 @@ FAR_ENOUGH: dict[Kind, float] = {
     "launch_and_return": 1.5,
 }
 """How far or how high something goes where no words say so, in its own sizes: to be seen, and to stay in the photo."""
-VAGUE = {"slightly": 0.4, "far": 2.5}
+VAGUE = {"slightly": 0.25, "far": 2.5}
 MANNER = {"gently": 0.7, "hard": 1.4}
 """What such words make of that."""
 LEAST = 0.25

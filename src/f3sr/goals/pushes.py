@@ -134,9 +134,10 @@ def _rolling_far(s: Setting, direction: Array) -> Launches:
 def _hopping(s: Setting, direction: Array, speed: float) -> Launches:
     """Over the rim of what it lies in, rolling."""
     assert s.pool is not None
-    up = launch.height_speed(max(s.pool.level - s.center[2], 0.0) + 1.5 * s.height)
     v = speed * direction
-    yield [s.thrown(v + up * UP, angular=s.rolling(v), seconds=3.0)]
+    for clear in (0.3, 0.8, 1.5):
+        up = launch.height_speed(max(s.pool.level - s.center[2], 0.0) + clear * s.height)
+        yield [s.thrown(v + up * UP, angular=s.rolling(v), seconds=3.0)]
 
 
 LONG = 4.5

@@ -10,6 +10,7 @@ import numpy as np
 
 from f3sr.frames import UP, Array
 from f3sr.goals.language import Launch, Tried
+from f3sr.goals.launch import height_speed
 from f3sr.goals.layout import Layout
 from f3sr.goals.plan import (
     Impulse,
@@ -115,7 +116,7 @@ class Setting:
 
     @cached_property
     def start(self) -> tuple[Array, Array | None]:
-        """Where the centre of mass is when it is thrown, and the offset (3,) that takes it there: out of what it lies
+        """Where the centre of mass is when it is thrown, and the lift (3,) that takes it there: out of what it lies
         in, or from under what lies on it."""
         low = float(self.layout.span(self.active)[0, 2])
         over = [z for z, _ in self.layout.under(self.active, np.zeros(2), reach=(0.4, 0.8)) if z > self.center[2]]
@@ -158,13 +159,25 @@ class Setting:
     def thrown(
         self, linear: Array, *, angular: Array | None = None, lift: Array | None = None, seconds: float
     ) -> Launch:
-        """Off with a speed of its centre of mass and of turning, after it was lifted where that is needed."""
+        """Off with a speed of its centre of mass and of turning; where a ``lift`` (3,) upwards is needed first, from
+        the top of a hop."""
         speed = float(np.linalg.norm(linear))
         most = min(self.limits.speed, self.limits.impulse / self.layout.mass(self.active))
         linear = linear * min(1.0, most / max(speed, 1e-12))
+        if lift is not None:
+            return self._hopped(linear, angular, float(lift[2]), seconds)
         velocity = Velocity(id=self.active, linear=_three(linear), angular=_three(angular))
-        offsets = () if lift is None else (Offset(id=self.active, translation=_three(lift)),)
-        return self._launch(InitialConditions(offsets=offsets, velocities=(velocity,)), seconds)
+        return self._launch(InitialConditions(velocities=(velocity,)), seconds)
+
+    def _hopped(self, linear: Array, angular: Array | None, height: float, seconds: float) -> Launch:
+        """Knocked upwards, and off with a speed when it is so high [m]: the scene starts as it is."""
+        mass, up = self.layout.mass(self.active), height_speed(height)
+        spin = None if angular is None else self.layout.inertia(self.active) @ angular
+        blows = (
+            Impulse(id=self.active, time=0.0, linear=_three(mass * up * UP)),
+            Impulse(id=self.active, time=up / GRAVITY, linear=_three(mass * linear), angular=_three(spin)),
+        )
+        return self._launch(InitialConditions(impulses=blows), seconds + up / GRAVITY)
 
     def lifted(self, lift: Array, *, seconds: float) -> Launch:
         """Let go somewhere else."""

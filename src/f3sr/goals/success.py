@@ -30,6 +30,10 @@ FAR_TOO_FAR_BY = 0.05
 """[m]."""
 MOVES, MOVES_A_LITTLE = 0.2, 0.07
 """Shares of its size that something is to be moved by a blow: to be seen at once, and to be seen at all."""
+LEANS_ON = math.radians(45)
+"""Lean of what fell over towards something and came to lie on it [rad]."""
+NEARLY = 0.9
+"""Share of a height said that something falls at least: it may end on its side."""
 SEEN = 0.25
 """Share of its size that the active object moves at least."""
 
@@ -68,7 +72,8 @@ def phases(conditions: Sequence[p.Condition], called: Mapping[int, str]) -> Iter
 
 
 def _topple(m: Meant, layout: Layout) -> list[Reading]:
-    conditions: list[p.Condition] = [p.Toppled(a=m.active)]
+    onto = m.target is not None and m.target != GROUND
+    conditions: list[p.Condition] = [p.Toppled(a=m.active, at_least=LEANS_ON) if onto else p.Toppled(a=m.active)]
     if m.request.direction or m.target is not None:
         conditions.append(_moved(m, 0.3 * float(np.ptp(layout.span(m.active)[:, 2]))))
     return [(tuple(conditions), "")]
@@ -93,7 +98,17 @@ def _push_into(m: Meant, layout: Layout) -> list[Reading]:
     conditions: list[p.Condition] = [p.Contact(a=m.active, b=target)]
     if gap < SEEN * layout.size(m.active):
         conditions.append(p.Displaced(a=m.active, at_least=0.5 * SEEN * layout.size(m.active)))
-    return [(tuple(conditions), "")]
+    return _bumped(tuple(conditions), m, layout)
+
+
+def _bumped(conditions: Conditions, m: Meant, layout: Layout) -> list[Reading]:
+    """What something runs into is seen to move, where it can be moved."""
+    target = _target(m)
+    if m.request.outcome is not None or target == GROUND or layout.scene[target].mobility == "fixed":
+        return [(conditions, "")]
+    touches = next(k for k, c in enumerate(conditions) if c.type == "contact")
+    moves = p.Displaced(a=target, at_least=MOVES_A_LITTLE * layout.size(target), after=touches)
+    return [((*conditions, moves), ""), (conditions, "it may not move what it meets")]
 
 
 def _roll(m: Meant, layout: Layout) -> list[Reading]:
@@ -110,26 +125,28 @@ def _roll(m: Meant, layout: Layout) -> list[Reading]:
         return [((_moved(m, way, exact=m.asked), turned(way)), "")]
     inside = [p.Inside(a=m.active, b=m.target)] if m.request.preposition == "into" and layout.pool(m.target) else []
     touch = p.Contact(a=m.active, b=m.target)
-    strict: list[Reading] = [((touch, turned(_gap(m, layout)), *inside), "")] if inside else []
-    return [*strict, ((touch, turned(_gap(m, layout))), "it need not end inside" if inside else "")]
+    met: Conditions = (touch, turned(_gap(m, layout)))
+    if inside:
+        return [((*met, *inside), ""), (met, "it need not end inside")]
+    return _bumped(met, m, layout)
 
 
 def _drop(m: Meant, layout: Layout) -> list[Reading]:
     target = m.target if m.target is not None else layout.support(m.active)
-    touch, rest = p.Contact(a=m.active, b=target), p.AtRest(a=m.active)
+    touch, rest = (*_fallen(m), p.Contact(a=m.active, b=target)), p.AtRest(a=m.active)
     ends = _ends(m, target, layout)
-    on: list[Reading] = [((touch, *ends, rest), ""), ((touch, *ends), "it may still move at the end")]
+    on: list[Reading] = [((*touch, *ends, rest), ""), ((*touch, *ends), "it may still move at the end")]
     if ends and ends[0].type == "inside":
         return on
-    loose: list[Reading] = [((touch, rest), "where it ends"), ((touch,), "where it ends and whether it rests")]
+    loose: list[Reading] = [((*touch, rest), "where it ends"), (touch, "where it ends and whether it rests")]
     return [*(on if m.target is not None else []), *loose]
 
 
-def _lift_and_drop(m: Meant, layout: Layout) -> list[Reading]:
-    if m.target is None:
-        return _drop(m, layout)
-    touch, rest, ends = p.Contact(a=m.active, b=m.target), p.AtRest(a=m.active), _ends(m, m.target, layout)
-    return [((touch, *ends, rest), ""), ((touch, *ends), "it may still move at the end")]
+def _fallen(m: Meant) -> list[p.Condition]:
+    """As far as the words say."""
+    if not m.asked:
+        return []
+    return [p.Displaced(a=m.active, at_least=NEARLY * m.amount, direction=(0.0, 0.0, -1.0))]
 
 
 def _throw(m: Meant, layout: Layout) -> list[Reading]:
@@ -252,7 +269,7 @@ _BY_KIND = {
     "push_into": _push_into,
     "roll": _roll,
     "drop": _drop,
-    "lift_and_drop": _lift_and_drop,
+    "lift_and_drop": _drop,
     "throw": _throw,
     "bounce": _bounce,
     "launch_and_return": _launch,

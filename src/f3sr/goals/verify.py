@@ -12,11 +12,13 @@ from pydantic import BaseModel, ConfigDict
 from f3sr.export.scene_json import dump_json
 from f3sr.frames import rotation_angle
 from f3sr.goals.conditions import Judged, Unit, judge
-from f3sr.goals.plan import DIALECT, Condition, Plan
+from f3sr.goals.plan import DIALECT, Condition, Kind, Plan
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.simulate import as_planned
 from f3sr.scene import GROUND, Scene
 
+DROPPED: set[Kind] = {"drop", "lift_and_drop"}
+"""Kinds that start where something is let go."""
 STILL = 1e-3
 """How far anything may move before the first control [m]."""
 
@@ -117,8 +119,10 @@ def _broken(scene: Scene, planned: Scene, plan: Plan, rollout: Rollout) -> Itera
             yield f"object {o.id} does not start where the scene has it"
     for id in sorted(initial.controlled - {task.active}):
         yield f"object {id} is set off, which only the active object {task.active} may be"
+    if initial.offsets and task.kind not in DROPPED:
+        yield f"object {initial.offsets[0].id} starts elsewhere, which only what is dropped may"
     last = max((i.time + i.duration for i in initial.impulses), default=0.0)
-    if task.target is not None and task.target != GROUND:
+    if task.target is not None and task.target != GROUND and task.way not in ("off", "away-from"):
         touched = rollout.touches(task.active, task.target)["time"]
         if len(touched) and float(touched[0]) < last:
             yield f"an impulse comes {last - float(touched[0]):.2f} s after the active object touched its target"
