@@ -15,7 +15,7 @@ import pytest
 
 from f3sr.errors import InputError, OutputError
 from f3sr.export.scene_json import dump_json
-from f3sr.frames import Array
+from f3sr.frames import Array, pose
 from f3sr.goals import deliver
 from f3sr.goals.checks import PlanError, faults_of
 from f3sr.goals.language import Launch, Tried
@@ -25,6 +25,7 @@ from f3sr.goals.plan import (
     Contact,
     Displaced,
     InitialConditions,
+    Offset,
     Semantics,
     SimulationPlan,
     TaskSpec,
@@ -38,13 +39,14 @@ from f3sr.goals.reasoner import declared, semantics_of
 from f3sr.goals.refusal import Refusal
 from f3sr.goals.rollout import to_npz
 from f3sr.goals.rules import Rules
+from f3sr.goals.simulate import simulate
 from f3sr.goals.trial import ROLLOUTS, Trials
 from f3sr.goals.verify import to_json as verdict_json
-from f3sr.goals.verify import verdict_schema
+from f3sr.goals.verify import verdict_schema, verify
 from f3sr.package import Package
 from f3sr.physics import body_of
-from f3sr.scene import GROUND, Scene
-from goal_scene import BALL, BLOCK, CAN, CARTON, CRATE, LID, goal_package, goal_scene
+from f3sr.scene import GROUND, Scene, Support
+from goal_scene import BALL, BLOCK, CAN, CARTON, CRATE, GAP, LID, goal_package, goal_scene
 from scenes import box
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -170,6 +172,39 @@ def test_a_bounce_touches_the_ground_before_its_target(package: Package) -> None
     ground = [t for t in found.rollout.touches(BALL, GROUND)["time"] if t > 0.1]
     assert ground[0] < found.rollout.touches(BALL, CARTON)["time"][0]
     assert next(s for s in found.plan.semantics if s.id == BALL).restitution == pytest.approx(0.74)
+
+
+def test_what_lies_in_something_is_thrown_from_where_it_lies(tmp_path: Path) -> None:
+    """The scene starts as it is: the ball hops up and is thrown from the top of that."""
+    scene = goal_scene()
+    ball = replace(scene[BALL], T_world_object=pose(t=[0.0, 0.25, 0.01 + 0.032 + 2 * GAP]))
+    ball = replace(ball, supports=(Support(id=CRATE),), supported_by=CRATE)
+    package = goal_package(tmp_path / "package", scene.with_objects(ball))
+    found = played(package, "throw the ball at the cereal box")
+    assert found.verdict.met and not found.plan.initial.offsets
+    assert np.allclose(found.rollout.poses(BALL)[0], package.scene[BALL].T_world_object, atol=1e-6)
+    rise, off = found.plan.initial.impulses
+    assert rise.linear[2] > 0 and rise.linear[:2] == (0.0, 0.0) and off.time > rise.time == 0.0
+
+
+def test_only_what_is_dropped_may_start_elsewhere(package: Package) -> None:
+    found = played(package, "throw the ball at the cereal box")
+    offset = Offset(id=BALL, translation=(0.0, 0.0, 0.1))
+    plan = found.plan.model_copy(update={"initial": InitialConditions(offsets=(offset,))})
+    broken = verify(package.scene, plan, simulate(package.scene, plan)).broken
+    assert any("starts elsewhere" in rule for rule in broken)
+
+
+def test_a_height_that_is_said_is_fallen(package: Package) -> None:
+    found = played(package, "let the soup can fall from 20 cm up")
+    moved = way(found, CAN, package.scene)
+    assert found.verdict.met and moved[0, 2] - moved[:, 2].min() == pytest.approx(0.2, abs=0.01)
+
+
+def test_what_is_bumped_moves(package: Package) -> None:
+    found = played(package, "bump the ball into the soup can")
+    moved = way(found, CAN, package.scene)
+    assert found.verdict.met and np.linalg.norm(moved[-1] - moved[0]) > 0.005
 
 
 @pytest.mark.parametrize(("goal", "reason"), REFUSED.items())
