@@ -20,6 +20,7 @@ check: $(VENV)/.dev
 bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/run.py
 	$(BIN)/python benchmarks/alignment.py
+	$(BIN)/python benchmarks/goals/run.py
 
 docs: $(VENV)/.docs
 	$(BIN)/mkdocs build --strict
