@@ -176,9 +176,9 @@ def _launch(played: Played) -> str:
         said.append(
             f"off at {np.linalg.norm(v.linear):.2f} m/s" + (f", turning at {spin:.1f} rad/s" if spin > 0.01 else "")
         )
-    said += [
-        f"a blow of {np.linalg.norm(i.linear):.2f} N s at {i.time:.2f} s" for i in initial.impulses if not i.duration
-    ]
+    masses = {s.id: s.mass for s in played.plan.semantics}
+    blows = [i for i in initial.impulses if not i.duration]
+    said += [f"{np.linalg.norm(i.linear) / masses[i.id]:.2f} m/s at {i.time:.2f} s" for i in blows]
     if pushes := [i for i in initial.impulses if i.duration]:
         seconds = max(i.time + i.duration for i in pushes)
         force = max(np.linalg.norm(i.linear) / i.duration for i in pushes)
