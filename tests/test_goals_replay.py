@@ -24,7 +24,10 @@ import replay
 def test_plain_mujoco_plays_the_same(tmp_path: Path, turned: bool) -> None:
     package = write_package(box_stack_scene(3), tmp_path / "package")
     scene = read_package(package).scene
-    semantics = tuple(made(o, density=1800.0, restitution=0.6 if o.id == 2 else 0.0, friction=0.4) for o in scene)
+    changed = {"density": 1800.0, "friction": 0.4}
+    semantics = tuple(
+        made(o, restitution=0.6 if o.id == 2 else 0.0, damping=0.5 if o.id == 1 else 0.0, **changed) for o in scene
+    )
     mass = 3 * body_of(scene[2]).mass
     plan = plan_of(
         scene,

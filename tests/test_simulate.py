@@ -188,3 +188,11 @@ def test_heavier_stuff_is_heavier_and_fixed_things_stay() -> None:
         simulate(scene, plan_of(scene, impulses=[Impulse(id=1, time=0.0, linear=(1.0, 0, 0))]))
     with pytest.raises(ValueError, match="objects \\[7\\]"):
         simulate(scene, plan_of(scene, impulses=[Impulse(id=7, time=0.0, linear=(1.0, 0, 0))]))
+
+
+def test_damping_takes_speed_at_its_rate() -> None:
+    o = ball(0, 0.05, (0, 0, 5.0))
+    scene = scene_of(o)
+    plan = plan_of(scene, semantics=(made(o, damping=2.0),), velocities=[Velocity(id=0, linear=(1.0, 0, 0))])
+    way = centers(simulate(scene, plan), o)
+    assert way[-1, 0] - way[0, 0] == pytest.approx((1 - np.exp(-2.0 * 0.5)) / 2.0, rel=2e-3)

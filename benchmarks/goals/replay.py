@@ -61,7 +61,10 @@ def replayed(package: Path, plan: dict[str, Any], ids: list[int]) -> Any:
         set_off(model, data, velocity)
     impulses, dt = plan["initial"]["impulses"], model.opt.timestep
     pushes = [(math.ceil(i["time"] / dt - 1e-9), max(1, round(i["duration"] / dt)), i) for i in impulses]
-    bodies = [number(model, id) for id in ids]
+    bodies, kept = [number(model, id) for id in ids], np.ones(model.nv)
+    for made in plan["semantics"]:
+        at = model.body_dofadr[number(model, made["id"])]
+        kept[at : at + model.body_dofnum[number(model, made["id"])]] -= made["damping"] * dt
     found = [data.xpos[bodies].copy()]
     for step in range(round(plan["simulation"]["duration"] / dt)):
         for first, steps, push in pushes:
@@ -70,6 +73,7 @@ def replayed(package: Path, plan: dict[str, Any], ids: list[int]) -> Any:
                 data.xfrc_applied[number(model, push["id"])] += wrench / (steps * dt)
         mujoco.mj_step(model, data)
         data.xfrc_applied[:] = 0
+        data.qvel *= kept
         if (step + 1) % plan["simulation"]["steps_per_sample"] == 0:
             now = mujoco.MjData(model)
             now.qpos[:] = data.qpos

@@ -218,6 +218,8 @@ class Semantics(_Record):
     rolling_friction: Annotated[float, Field(ge=0, le=0.1, allow_inf_nan=False)]
     """[m]"""
     restitution: Share
+    damping: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] = 0.0
+    """[1/s]: the rate at which it loses speed by itself, in the air too; the rules leave it at nothing."""
     mobility: Mobility
     source: Source
 

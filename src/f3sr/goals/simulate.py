@@ -1,9 +1,10 @@
 """simulate: a plan played out as physics, the same motion every time.
 
 The package's proxies, masses and inertias with what the plan's semantics change, one MuJoCo model for all of it.
-Nothing is damped or driven: offsets and velocities hold at the start, impulses come at their times, as a force and
-torque on the body's centre of mass for one time step, and all else is contact and gravity. The arithmetic is simple
-enough to be written again to the bit (``benchmarks/goals/replay.py``): contacts magnify the last digit to millimetres.
+Nothing is driven, nor damped unless the semantics say so: offsets and velocities hold at the start, impulses come at
+their times, as a force and torque on the body's centre of mass, and all else is contact and gravity. The arithmetic
+is simple enough to be written again to the bit (``benchmarks/goals/replay.py``): contacts magnify the last digit to
+millimetres.
 """
 
 from __future__ import annotations
@@ -103,6 +104,7 @@ class _Run:
             self._set_off(velocity)
         pushes = [_Push.of(i, self._body(i.id), simulation.timestep) for i in plan.initial.impulses]
         pushes.sort(key=lambda p: p.first)
+        kept = self._kept(plan)
         times, poses, contacts = [0.0], [self._poses()], list[tuple[float, int, int, float]]()
         peaks = _Peaks(self.model, self.ids)
         with physics.silent():
@@ -112,6 +114,7 @@ class _Run:
                         self.data.xfrc_applied[push.body] += push.wrench
                 mujoco.mj_step(self.model, self.data)
                 self.data.xfrc_applied[:] = 0
+                self.data.qvel *= kept
                 peaks.feel(self.data, step * simulation.timestep)
                 if (step + 1) % simulation.steps_per_sample:
                     continue
@@ -135,6 +138,15 @@ class _Run:
         arm = self.data.xpos[b] - self.data.xipos[b]
         self.data.qvel[at : at + 3] = velocity.linear + np.cross(velocity.angular, arm)
         self.data.qvel[at + 3 : at + 6] = self.data.xmat[b].reshape(3, 3).T @ velocity.angular
+
+    def _kept(self, plan: Plan) -> Array:
+        """The share of every free joint's speeds that a step of damping leaves."""
+        kept = np.ones(self.model.nv)
+        for s in plan.semantics:
+            b = self._body(s.id)
+            at = int(self.model.body_dofadr[b])
+            kept[at : at + int(self.model.body_dofnum[b])] = 1 - s.damping * plan.simulation.timestep
+        return kept
 
     def _body(self, id: int) -> int:
         return self.ids.index(id) + 1
