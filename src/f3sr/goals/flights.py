@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from f3sr.frames import Array
+from f3sr.frames import UP, Array
 from f3sr.goals import launch
 from f3sr.goals.language import Launch, Tried
 from f3sr.goals.setting import CLEARANCE, Aim, Launches, Setting
@@ -34,7 +34,10 @@ def dropping(s: Setting) -> Launches:
 
 
 def _above(s: Setting, shift: Array, height: float) -> Array:
-    """The offset (3,) to so far above whatever is under the object once it is shifted by (2,)."""
+    """The offset (3,) to so far above whatever is under the object once it is shifted by (2,); above where it is, where
+    nothing says onto what it falls."""
+    if s.task.target is None:
+        return height * UP
     surface = max(z for z, _ in s.layout.under(s.active, shift))
     return np.array([*shift, surface + height - s.layout.span(s.active)[0, 2]])
 
