@@ -142,10 +142,31 @@ def vote(
 
 
 @kernel
-def relax(values: Any, free: Any, sweeps: int) -> None:
-    """Sweeps of successive over-relaxation of Laplace's equation over ``free`` pixels [row, column] (k, 2) of
-    ``values`` (h, w, c), mirrored at the border."""
+def vote_slopes(
+    picture: Any, weight: Any, targets: Any, nearest: Any, cost: Any, spread: float, sums: Any, counts: Any
+) -> None:
+    """Add the steps from pixel to pixel within every source, down and to the right, to ``sums`` (2, h, w, 3) and their
+    say to ``counts`` (2, h, w): steps know nothing of the light that each patch was shifted by."""
+    for k in range(len(targets)):
+        y, x = targets[k, 0], targets[k, 1]
+        sy, sx = nearest[y, x, 0], nearest[y, x, 1]
+        say = np.exp(-cost[y, x] / spread) * weight[y, x] + 1e-20
+        for side in range(2):
+            down, right = 1 - side, side
+            for dy in range(-RADIUS, RADIUS + 1 - down):
+                for dx in range(-RADIUS, RADIUS + 1 - right):
+                    counts[side, y + dy, x + dx] += say
+                    for c in range(3):
+                        step = picture[sy + dy + down, sx + dx + right, c] - picture[sy + dy, sx + dx, c]
+                        sums[side, y + dy, x + dx, c] += say * step
+
+
+@kernel
+def relax(values: Any, free: Any, bend: Any, hold: float, sweeps: int) -> None:
+    """Sweeps of successive over-relaxation of ``laplace(values) - hold values = bend`` over ``free`` pixels [row,
+    column] (k, 2) of ``values`` and ``bend`` (h, w, c), mirrored at the border."""
     h, w, channels = values.shape
+    inverse = np.float32(1 / (4 + hold))
     for sweep in range(sweeps):
         for i in range(len(free)):
             k = i if sweep % 2 == 0 else len(free) - 1 - i
@@ -153,8 +174,8 @@ def relax(values: Any, free: Any, sweeps: int) -> None:
             up, down = max(y - 1, 0), min(y + 1, h - 1)
             left, right = max(x - 1, 0), min(x + 1, w - 1)
             for c in range(channels):
-                mean = (values[up, x, c] + values[down, x, c] + values[y, left, c] + values[y, right, c]) / 4
-                values[y, x, c] += np.float32(1.5) * (mean - values[y, x, c])
+                around = values[up, x, c] + values[down, x, c] + values[y, left, c] + values[y, right, c]
+                values[y, x, c] += np.float32(1.5) * ((around - bend[y, x, c]) * inverse - values[y, x, c])
 
 
 def warm_up() -> None:
@@ -168,4 +189,7 @@ def warm_up() -> None:
     measure(picture, weight, targets, nearest, cost)
     search(picture, weight, source, targets, nearest, cost, 1, 0, False)
     vote(picture, weight, targets, nearest, cost, 1.0, np.zeros((side, side, 3)), np.zeros((side, side)))
-    relax(picture, targets, 1)
+    vote_slopes(
+        picture, weight, targets, nearest, cost, 1.0, np.zeros((2, side, side, 3)), np.zeros((2, side, side))
+    )
+    relax(picture, targets, picture, 0.0, 1)

@@ -25,6 +25,8 @@ AT_FIRST = 0.02
 """Weight of the hole's pixels against known ones in the first round: they are a membrane, which patches are not."""
 SMOOTH_PERCENTILE, SHARP_PERCENTILE = 75.0, 10.0
 """Of the mismatches, where a vote's say falls to 1/e: on the way (Wexler et al. 2007) and in the last round."""
+HELD = 0.1
+"""Shares of the longer side over which votes for a colour outweigh those for its steps."""
 NOWHERE = -1
 
 
@@ -94,7 +96,8 @@ def _searched(finest: _Level, config: CompletionConfig) -> tuple[Picture, NDArra
         else:
             assert guess is not None
             em.resume(nearest, guess)
-        guess = em.run(config.rounds + 2 * depth, first=nearest is None)
+        em.run(config.rounds + 2 * depth, first=nearest is None)
+        guess = em.melded()
         nearest = em.nearest
     assert guess is not None and nearest is not None
     return guess, _unpadded(nearest) - RADIUS
@@ -149,10 +152,8 @@ class _Rounds:
         self._measure(self.weight)
         self._vote(SMOOTH_PERCENTILE)
 
-    def run(self, rounds: int, *, first: bool) -> Picture:
-        """After some rounds: what is voted for, where anything is (h, w, 3), unpadded."""
+    def run(self, rounds: int, *, first: bool) -> None:
         h, w = self.hole.shape
-        voted = self.picture
         for k in range(rounds):
             weight = self.weight
             if first and AT_FIRST * 4**k < 1:
@@ -163,15 +164,37 @@ class _Rounds:
                     *(self.picture, weight, self.source, self.targets, self.nearest, self.cost),
                     *(max(h, w), self.seed + 10 * k + turn, bool((k + turn) % 2)),
                 )
-            voted = self._vote(SHARP_PERCENTILE if k == rounds - 1 else SMOOTH_PERCENTILE)
-        return _unpadded(voted)
+            self._vote(SHARP_PERCENTILE if k == rounds - 1 else SMOOTH_PERCENTILE)
+
+    def melded(self) -> Picture:
+        """The picture (h, w, 3), unpadded, in and around the hole with the steps that are voted for, so that no light
+        changes where sources meet (Darabi et al. 2012): f minimises |grad f - steps|^2 + hold |f - votes|^2."""
+        voted = self._vote(SHARP_PERCENTILE)
+        spread = self._spread(SHARP_PERCENTILE)
+        sums, counts = np.zeros((2, *self.picture.shape)), np.zeros((2, *self.hole.shape))
+        patchmatch.vote_slopes(
+            self.picture, self.weight, self.targets, self.nearest, self.cost, spread, sums, counts
+        )
+        steps = [_unpadded(s) for s in (sums / np.maximum(counts, 1e-30)[..., None]).astype(np.float32)]
+        u, hole = _unpadded(voted), _unpadded(self.hole)
+        bend = np.zeros_like(u)
+        for axis, step in enumerate(steps):
+            ends = np.take(hole, range(1, hole.shape[axis]), axis) | np.take(hole, range(hole.shape[axis] - 1), axis)
+            lacking = np.where(ends[..., None], np.delete(step, -1, axis) - np.diff(u, axis=axis), np.float32(0))
+            bend[:-1 if axis == 0 else None, :-1 if axis == 1 else None] += lacking
+            bend[1 if axis == 0 else 0 :, 1 if axis == 1 else 0 :] -= lacking
+        hold = (1 / (HELD * max(hole.shape))) ** 2
+        known = _unpadded(self.picture)
+        ring = np.where(hole[..., None], np.float32(0), known - u)
+        ring = np.clip(ring, -patchmatch.LARGEST_SHIFT, patchmatch.LARGEST_SHIFT).astype(np.float32)
+        around = _ring(hole)
+        return u + np.where((hole | around)[..., None], membrane(ring, around, bend * hole[..., None], hold), 0)
 
     def _measure(self, weight: NDArray[np.float32]) -> None:
         patchmatch.measure(self.picture, weight, self.targets, self.nearest, self.cost)
 
     def _vote(self, percentile: float) -> Picture:
-        y, x = self.targets.T
-        spread = max(float(np.percentile(self.cost[y, x], percentile)), 1e-9)
+        spread = self._spread(percentile)
         sums, counts = np.zeros(self.picture.shape), np.zeros(self.hole.shape)
         patchmatch.vote(
             self.picture, self.weight, self.targets, self.nearest, self.cost, spread, sums, counts
@@ -179,6 +202,18 @@ class _Rounds:
         voted = (sums / np.maximum(counts, 1e-30)[..., None]).astype(np.float32)
         self.picture = np.where(self.hole[..., None], voted, self.picture)
         return voted
+
+
+    def _spread(self, percentile: float) -> float:
+        y, x = self.targets.T
+        return max(float(np.percentile(self.cost[y, x], percentile)), 1e-9)
+
+
+def _ring(hole: Mask) -> Mask:
+    """The two pixels around a hole that hold what it is filled with."""
+    from scipy.ndimage import binary_dilation
+
+    return np.asarray(binary_dilation(hole, iterations=2)) & ~hole
 
 
 def _finer(nearest: NDArray[np.int32], y: NDArray[np.int32], x: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -207,9 +242,7 @@ def doubled_mask(mask: Mask, shape: tuple[int, ...]) -> Mask:
 def _seamless(level: _Level, voted: Picture) -> Picture:
     """What was voted for, shifted by a membrane that meets the photo at the hole's border (Perez et al., "Poisson image
     editing", 2003): the gradients stay, the light goes over without a step."""
-    from scipy.ndimage import binary_dilation
-
-    ring = np.asarray(binary_dilation(level.hole, iterations=2)) & ~level.hole
+    ring = _ring(level.hole)
     step = np.where(ring[..., None], level.picture - voted, np.float32(0))
     step = np.clip(step, -patchmatch.LARGEST_SHIFT, patchmatch.LARGEST_SHIFT).astype(np.float32)
     return np.where(level.hole[..., None], voted + membrane(step, ring), level.picture)

@@ -15,18 +15,22 @@ COARSEST = 8
 Mask = NDArray[np.bool_]
 
 
-def membrane(values: Picture, known: Mask) -> Picture:
-    """``values`` (h, w, c) where ``known`` (h, w), harmonic elsewhere, with no slope at the picture's border.
+def membrane(values: Picture, known: Mask, bend: Picture | None = None, hold: float = 0.0) -> Picture:
+    """``values`` (h, w, c) where ``known`` (h, w); elsewhere the solution of ``laplace(u) - hold u = bend`` (h, w, c),
+    harmonic by default, with no slope at the picture's border.
 
     Solved from coarse to fine (cascadic multigrid, Bornemann and Deuflhard 1996). Zero where nothing is known.
     """
     if known.all():
         return values
+    bend = np.zeros_like(values) if bend is None else bend
     start = np.zeros_like(values)
     if max(known.shape) > COARSEST:
-        start = doubled(membrane(*halved(values, known)), known.shape)
+        coarse, some = halved(values, known)
+        start = doubled(membrane(coarse, some, quads(bend).sum(axis=(1, 3)), 4 * hold), known.shape)
     result = np.where(known[..., None], values, start)
-    relax(result, np.argwhere(~known).astype(np.int32), SWEEPS if max(known.shape) > COARSEST else 8 * SWEEPS)
+    sweeps = SWEEPS if max(known.shape) > COARSEST else 8 * SWEEPS
+    relax(result, np.argwhere(~known).astype(np.int32), bend, hold, sweeps)
     return result
 
 

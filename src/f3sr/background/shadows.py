@@ -28,19 +28,25 @@ LIGHT_CELL = 0.05
 COLOUR_CELL = 0.06
 """Cell of the grid of light, in colour [log of a ratio of channels]: light from the sky or the walls turns a shadow's
 colour by less."""
-BLUR = (1.5, 1.5, 0.7, 0.7)
-"""Widths of the Gaussian over the grid, in its cells: row, column and the two of colour."""
-FEW = 1e-3
+BLUR = (1.5, 1.5, 0.7, 4.0)
+"""Widths of the Gaussian over the grid, in its cells: row, column, colours alike and colours that are not."""
+OTHERS = 0.05
+"""Weight of pixels of other colours: they decide only where the like are few, as in shadows too dark for a colour."""
+FEW = 1e-4
 """Blurred count of pixels below which a cell says nothing."""
+EDGE = 1.5
+"""Cells of colour by which neighbours differ where a material ends."""
 COLOURS = 12
 """Cells from grey to the most saturated colours, either way."""
+SHADED, BESIDE = 0.02, 0.05
+"""Weights of a pixel found dark, and of one at an object's outline, among those that tell what is lit."""
 ROUNDS = 4
 """Estimates of the light, each without what the one before found dark."""
 TEXTURE = 0.006
 """Width of the Gaussian that evens out texture, in shares of the longer side."""
 CERTAIN, POSSIBLE = 3.0, 2.0
 """Standard deviations by which a shadow is darker somewhere, and everywhere."""
-RIM = 0.2
+RIM = 0.12
 """Where a shadow ends, in shares of its darkness at its object's outline: what fades on beyond is as even as light is."""
 CLOSE, DARKEST = 0.2, 90.0
 """Shares of the reach within which a shadow is darkest, and the percentile there that is taken for it."""
@@ -61,12 +67,14 @@ class ShadowConfig:
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """The photo, small: ``light`` (h, w) and ``colour`` (h, w, 2) [log], what is ``taken`` (h, w) by objects, every
+    """The photo, small: ``light`` (h, w) and ``colour`` (h, w, 2) [log], what is ``taken`` (h, w) by objects, the
+    lower halves of these, ``base`` (h, w): what is behind an upper half is seldom what the object stands on; every
     pixel's ``distance`` (h, w) to them in shares of the reach, and whose that is (h, w), ``owner``."""
 
     light: Array
     colour: Array
     taken: Mask
+    base: Mask
     distance: Array
     owner: NDArray[np.int64]
 
@@ -77,7 +85,7 @@ class _View:
 
 def find_shadows(picture: Picture, masks: Sequence[Mask], config: ShadowConfig) -> Mask:
     """Pixels (h, w) of ``picture`` (h, w, 3), logarithms of colour, that lie in the shadow of a mask's object."""
-    from scipy.ndimage import binary_dilation, binary_fill_holes, binary_opening
+    from scipy.ndimage import binary_closing, binary_dilation, binary_fill_holes, binary_opening
 
     shape = picture.shape[:2]
     if not masks or not config.reach:
@@ -88,11 +96,13 @@ def find_shadows(picture: Picture, masks: Sequence[Mask], config: ShadowConfig) 
     rim = np.maximum(POSSIBLE * deviation, RIM * _darkest(view, darker, len(masks))[view.owner])
     dark = (darker > rim) & view.near & ~view.taken
     width = max(1, round(config.margin * max(dark.shape)))
-    broad = np.asarray(binary_opening(dark | view.taken, iterations=width)) & dark  # joints and grain are thin
-    found = _joined(broad, darker > CERTAIN * deviation, view.taken)
+    broad = np.asarray(binary_opening((dark & ~_edges(view)) | view.taken, iterations=width)) & dark  # joints and grain are thin
+    found = _joined(broad, darker > CERTAIN * deviation, view.base)
     if not found.any():
         return np.zeros(shape, np.bool_)
-    wide = binary_dilation(found, iterations=width)
+    found = np.asarray(binary_dilation(found, iterations=3 * width, mask=dark))
+    whole = binary_closing(np.pad(found | view.taken, 2 * width), iterations=2 * width)  # notches are not lit
+    wide = binary_dilation(found | (whole[2 * width : -2 * width, 2 * width : -2 * width] & ~view.taken), iterations=width)
     closed = np.asarray(binary_fill_holes(wide | view.taken)) & (wide | view.near)
     large = np.repeat(np.repeat(closed & ~view.taken, step, 0), step, 1)
     return large[: shape[0], : shape[1]]
@@ -102,7 +112,8 @@ def _view(picture: Picture, masks: Sequence[Mask], step: int, reach: float) -> _
     from scipy.ndimage import distance_transform_edt, gaussian_filter
 
     small = _shrunk(picture, step)
-    taken, distance = np.zeros(small.shape[:2], np.bool_), np.full(small.shape[:2], np.inf)
+    taken, base = np.zeros((2, *small.shape[:2]), np.bool_)
+    distance = np.full(small.shape[:2], np.inf)
     owner = np.zeros(taken.shape, np.int64)
     for k, mask in enumerate(masks):
         if not mask.any():
@@ -114,12 +125,13 @@ def _view(picture: Picture, masks: Sequence[Mask], step: int, reach: float) -> _
         owner[to_own < distance] = k
         distance = np.minimum(distance, to_own)
         taken |= own
+        base |= own & (np.arange(len(own)) >= (rows[0] + rows[-1]) / 2)[:, None]
     weight = (~taken)[..., None].astype(np.float32)
     sigma = max(TEXTURE * max(taken.shape), 0.5)
     smooth = gaussian_filter(np.concatenate([small * weight, weight], 2), (sigma, sigma, 0))
     r, g, b = np.moveaxis(smooth[..., :3] / np.maximum(smooth[..., 3:], 1e-6), 2, 0)
     colour = np.stack([r - g, (r + g) / 2 - b], axis=-1)
-    return _View((r + g + b) / 3, colour, taken, distance, owner)
+    return _View((r + g + b) / 3, colour, taken, base, distance, owner)
 
 
 def _shrunk(values: NDArray[np.float32], step: int) -> NDArray[np.float32]:
@@ -137,14 +149,14 @@ def _darker(view: _View) -> tuple[Array, float]:
     away = free & ~view.near
     if np.count_nonzero(away) < 0.02 * away.size:  # objects everywhere: what is farthest from them must do
         away = free & (view.distance >= np.percentile(view.distance[free], 80)) if free.any() else free
-    trust = np.where(free, np.clip(view.distance, 0.05, 1), 0)
+    trust = np.where(free, np.clip(view.distance, BESIDE, 1), 0)
     lit = np.ones_like(trust)
     darker, deviation = np.zeros_like(trust), LEAST
     for _ in range(ROUNDS):
         darker = _light_around(view, trust * lit) - view.light
         values = darker[away]
         deviation = max(1.4826 * float(np.median(np.abs(values - np.median(values)))), LEAST) if values.size else LEAST
-        lit = np.where(darker > deviation, 0.1, 1.0)
+        lit = np.where(darker > deviation, SHADED, 1.0)
     return darker, deviation
 
 
@@ -163,7 +175,8 @@ def _light_around(view: _View, weight: Array) -> Array:
 
     def blurred(values: Array) -> Array:
         grid = np.bincount(flat, values.ravel(), minlength=int(np.prod(shape))).reshape(shape)
-        return map_coordinates(gaussian_filter(grid, BLUR, mode="constant"), at, order=1).reshape(h, w)
+        narrow, wide = (gaussian_filter(grid, BLUR[:2] + 2 * (c,), mode="constant") for c in BLUR[2:])
+        return map_coordinates(narrow + OTHERS * wide, at, order=1).reshape(h, w)
 
     count = blurred(weight)
     there = count > FEW
@@ -177,6 +190,19 @@ def _darkest(view: _View, darker: Array, masks: int) -> Array:
     close = ~view.taken & (view.distance <= CLOSE)
     owned = [darker[close & (view.owner == k)] for k in range(masks)]
     return np.array([float(np.percentile(d, DARKEST)) if d.size else 0.0 for d in owned])
+
+
+def _edges(view: _View) -> Mask:
+    """Pixels (h, w) across which the colour changes as that of a shadow does not: another material begins."""
+    from scipy.ndimage import maximum_filter, minimum_filter
+
+    size = (2 * max(1, round(TEXTURE * max(view.taken.shape))) + 1,) * 2
+    values = [np.where(view.taken, np.nan, c) for c in np.moveaxis(view.colour, 2, 0)]
+    ranges = [
+        maximum_filter(np.nan_to_num(v, nan=-np.inf), size) - minimum_filter(np.nan_to_num(v, nan=np.inf), size)
+        for v in values
+    ]
+    return np.maximum(*ranges) > EDGE * COLOUR_CELL
 
 
 def _joined(dark: Mask, certain: Mask, taken: Mask) -> Mask:
