@@ -16,15 +16,16 @@ from numpy.typing import NDArray
 from f3sr.kernels import inline_kernel, kernel
 
 Picture = NDArray[np.float32]
-"""(h, w, 3): logarithms of colour, or what is to be spread like them."""
+"""(h, w, 3): logarithms of colour, here of light and twice of its colour, or what is to be spread like them."""
 
 RADIUS = 3
 """Pixels from a patch's middle to its side: 7 x 7 is what most of the literature uses."""
 SIDE = 2 * RADIUS + 1
 FREE_SHIFT = 0.9
 """Share of a difference of light that costs nothing: the rest decides between equal details in favour of equal light."""
-LARGEST_SHIFT = 0.25
-"""Largest shift of a channel [log]: a quarter of the light. Another material needs more."""
+LARGEST_SHIFT = (0.43, 0.06, 0.06)
+"""Largest shift of each channel [log], of light, then twice of its colour: a quarter of the light, while lamps and
+walls tint it by a few percent. Another material needs more."""
 GAMMA = np.uint64(0x9E3779B97F4A7C15)
 """Step of the generator of random numbers (Steele et al., "Fast splittable pseudorandom number generators", 2014)."""
 
@@ -62,9 +63,9 @@ def _mismatch(picture: Any, weight: Any, ty: int, tx: int, sy: int, sx: int, bou
             b += w * (d0 * d0 + d1 * d1 + d2 * d2)
         if b - (a0 * a0 + a1 * a1 + a2 * a2) / total > limit:
             return np.float32(2) * np.float32(bound)
-    for a in (a0, a1, a2):
+    for a, largest in ((a0, LARGEST_SHIFT[0]), (a1, LARGEST_SHIFT[1]), (a2, LARGEST_SHIFT[2])):
         m = a / total
-        s = min(max(np.float32(FREE_SHIFT) * m, np.float32(-LARGEST_SHIFT)), np.float32(LARGEST_SHIFT))
+        s = min(max(np.float32(FREE_SHIFT) * m, np.float32(-largest)), np.float32(largest))
         b -= total * (np.float32(2) * m - s) * s
     return max(b, one) / total
 
@@ -133,7 +134,7 @@ def vote(
                 for c in range(3):
                     shift[c] += w * (picture[y + dy, x + dx, c] - picture[sy + dy, sx + dx, c])
         for c in range(3):
-            shift[c] = min(max(FREE_SHIFT * shift[c] / total, -LARGEST_SHIFT), LARGEST_SHIFT)
+            shift[c] = min(max(FREE_SHIFT * shift[c] / total, -LARGEST_SHIFT[c]), LARGEST_SHIFT[c])
         for dy in range(-RADIUS, RADIUS + 1):
             for dx in range(-RADIUS, RADIUS + 1):
                 counts[y + dy, x + dx] += say

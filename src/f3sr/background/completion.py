@@ -19,6 +19,9 @@ DEPTH = RADIUS + 1
 """Pixels from the deepest pixel of a hole to its border at the coarsest level: its patch still sees the border."""
 ENOUGH_SOURCES = 64
 """Middles of patches without a hole below which a level is too coarse to choose from."""
+KEPT = 0.6
+"""Share of the finest level's sources below which a level is too coarse: between objects a material loses all its
+patches first, and the hole would be filled with another."""
 BOUNDARY = 1.3
 """What a pixel's say is divided by per pixel of its distance from the hole's border (Wexler et al. 2007)."""
 AT_FIRST = 0.02
@@ -28,6 +31,9 @@ SMOOTH_PERCENTILE, SHARP_PERCENTILE = 75.0, 10.0
 HELD = 0.1
 """Shares of the longer side over which votes for a colour outweigh those for its steps."""
 NOWHERE = -1
+OPPONENT = np.array([[2, 2, 2], [6**0.5, -(6**0.5), 0], [2**0.5, 2**0.5, -(8**0.5)]], np.float32) / np.float32(12**0.5)
+"""Rows: light, red against green, both against blue, of unit length and at right angles."""
+LARGEST = np.array(patchmatch.LARGEST_SHIFT, np.float32)
 
 
 @settings
@@ -69,7 +75,7 @@ def complete(picture: Picture, hole: Mask, config: CompletionConfig) -> Picture 
 
     What is known in the picture's hole does not matter, nor does the number of threads.
     """
-    levels = [_Level(picture, hole)]
+    levels = [_Level(picture @ OPPONENT.T, hole)]
     if not levels[0].sources.any():
         return None
     while levels[-1].picture[..., 0].size > config.working_pixels and _enough(levels[-1].coarser()):
@@ -77,7 +83,7 @@ def complete(picture: Picture, hole: Mask, config: CompletionConfig) -> Picture 
     voted, nearest = _searched(levels[-1], config)
     for fine, coarse in zip(levels[-2::-1], levels[:0:-1], strict=True):
         voted, nearest = _detailed(fine, coarse, voted, nearest)
-    return _seamless(levels[0], voted)
+    return _seamless(levels[0], voted) @ OPPONENT
 
 
 def _enough(level: _Level) -> bool:
@@ -107,11 +113,12 @@ def _pyramid(level: _Level) -> Iterator[_Level]:
     """From fine to coarse, until a patch in the middle of the hole sees its border or too few sources are left."""
     from scipy.ndimage import distance_transform_edt
 
+    sources = np.count_nonzero(level.sources) / level.hole.size
     while True:
         yield level
-        deep = level.hole.all() or np.asarray(distance_transform_edt(level.hole)).max() > DEPTH
+        deep = np.asarray(distance_transform_edt(level.hole)).max() > DEPTH
         coarser = level.coarser()
-        if not deep or not _enough(coarser):
+        if not deep or not _enough(coarser) or np.count_nonzero(coarser.sources) < KEPT * sources * coarser.hole.size:
             return
         level = coarser
 
@@ -186,7 +193,7 @@ class _Rounds:
         hold = (1 / (HELD * max(hole.shape))) ** 2
         known = _unpadded(self.picture)
         ring = np.where(hole[..., None], np.float32(0), known - u)
-        ring = np.clip(ring, -patchmatch.LARGEST_SHIFT, patchmatch.LARGEST_SHIFT).astype(np.float32)
+        ring = np.clip(ring, -LARGEST, LARGEST)
         around = _ring(hole)
         return u + np.where((hole | around)[..., None], membrane(ring, around, bend * hole[..., None], hold), 0)
 
@@ -244,7 +251,7 @@ def _seamless(level: _Level, voted: Picture) -> Picture:
     editing", 2003): the gradients stay, the light goes over without a step."""
     ring = _ring(level.hole)
     step = np.where(ring[..., None], level.picture - voted, np.float32(0))
-    step = np.clip(step, -patchmatch.LARGEST_SHIFT, patchmatch.LARGEST_SHIFT).astype(np.float32)
+    step = np.clip(step, -LARGEST, LARGEST)
     return np.where(level.hole[..., None], voted + membrane(step, ring), level.picture)
 
 
