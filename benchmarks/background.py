@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_edt, gaussian_filter
-from tables import show
 
 from f3sr import patchmatch
 from f3sr.background import BackgroundConfig, complete_background
 from f3sr.background.shadows import ShadowConfig
 from f3sr.scene import Photo
+from tables import show
 
 REPO = Path(__file__).resolve().parents[1]
 Pixels = NDArray[np.uint8]

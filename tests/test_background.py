@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -41,9 +42,10 @@ def checker(height: int = 120, width: int = 160, side: int = 8) -> Pixels:
     return grey(60 + 120.0 * ((y + x) % 2))
 
 
-def noise(height: int = 120, width: int = 160, seed: int = 0) -> Pixels:
-    rough = np.random.default_rng(seed).normal(size=(height, width))
-    return grey(128 + 60 * gaussian_filter(rough, 1.5) / 0.19 * 0.5)
+def noise(height: int = 120, width: int = 160, size: float = 1.5) -> Pixels:
+    """Grain of some size [px] whose levels spread by 30."""
+    rough = gaussian_filter(np.random.default_rng(0).normal(size=(height, width)), size)
+    return grey(128 + 30 * rough / rough.std())
 
 
 def filled(rgb: Pixels, hole: Mask, config: BackgroundConfig = AS_GIVEN) -> Pixels:
@@ -105,12 +107,12 @@ def test_texture_under_a_lamp_keeps_contrast_and_light() -> None:
     """Grain whose light falls to a third across the picture: in the hole the same light and the same contrast."""
     y, x = np.mgrid[:150, :200]
     light = 1 / (1 + ((x - 20) ** 2 + (y - 20) ** 2) / 170**2)
-    rgb = grey(light * noise(150, 200)[..., 0] * 1.3)
+    rgb = grey(1.2 * light * noise(150, 200, size=0.8)[..., 0])
     hole = box(rgb.shape, 50, 70, 50, 60)
     result = filled(rgb, hole).astype(float)[..., 0]
     quarters = [(slice(50 + 25 * i, 75 + 25 * i), slice(70 + 30 * j, 100 + 30 * j)) for i in (0, 1) for j in (0, 1)]
     for quarter in quarters:
-        assert result[quarter].mean() == pytest.approx(rgb[quarter].mean(), rel=0.08)
+        assert result[quarter].mean() == pytest.approx(rgb[quarter].mean(), rel=0.1)
         assert result[quarter].std() == pytest.approx(rgb[..., 0][quarter].std(), rel=0.4)
 
 
@@ -125,7 +127,9 @@ def test_same_bytes_on_every_run_and_thread() -> None:
         thread.join()
     results.append(filled(rgb, hole))
     assert all(np.array_equal(r, results[0]) for r in results)
-    other = filled(rgb, hole, BackgroundConfig(margin=0.0, shadows=AS_GIVEN.shadows, completion=CompletionConfig(seed=1)))
+    other = filled(
+        rgb, hole, BackgroundConfig(margin=0.0, shadows=AS_GIVEN.shadows, completion=CompletionConfig(seed=1))
+    )
     assert not np.array_equal(other, results[0])
 
 
@@ -180,7 +184,7 @@ def test_finer_levels_keep_the_detail_of_their_sources() -> None:
     """Searched at a quarter of the pixels, grain as fine as the photo's is in the hole."""
     rgb = grey(np.random.default_rng(0).normal(128, 20, (200, 260)))
     hole = box(rgb.shape, 60, 80, 60, 80)
-    coarse = BackgroundConfig(margin=0.0, shadows=AS_GIVEN.shadows, completion=CompletionConfig(working_pixels=13_000))
+    coarse = replace(AS_GIVEN, completion=CompletionConfig(working_pixels=13_000))
     result = filled(rgb, hole, coarse)
     assert result[hole].std() > 0.7 * rgb[hole].std()
 

@@ -22,7 +22,7 @@ RADIUS = 3
 """Pixels from a patch's middle to its side: 7 x 7 is what most of the literature uses."""
 SIDE = 2 * RADIUS + 1
 FREE_SHIFT = 0.9
-"""Share of a difference of light that costs nothing: the rest decides between equal details in favour of equal light."""
+"""Share of a difference of light that costs nothing: the rest decides between equal details for equal light."""
 LARGEST_SHIFT = (0.43, 0.06, 0.06)
 """Largest shift of each channel [log], of light, then twice of its colour: a quarter of the light, while lamps and
 walls tint it by a few percent. Another material needs more."""
@@ -40,7 +40,7 @@ def _random(state: Any) -> Any:
 
 
 @kernel
-def _mismatch(picture: Any, weight: Any, ty: int, tx: int, sy: int, sx: int, bound: float) -> float:
+def _mismatch(picture: Any, weight: Any, ty: int, tx: int, sy: int, sx: int, bound: float) -> Any:
     """Weighted mean square difference of two patches after the best shift of light; once above ``bound``, any number
     above it."""
     total = np.float32(0)
@@ -190,7 +190,5 @@ def warm_up() -> None:
     measure(picture, weight, targets, nearest, cost)
     search(picture, weight, source, targets, nearest, cost, 1, 0, False)
     vote(picture, weight, targets, nearest, cost, 1.0, np.zeros((side, side, 3)), np.zeros((side, side)))
-    vote_slopes(
-        picture, weight, targets, nearest, cost, 1.0, np.zeros((2, side, side, 3)), np.zeros((2, side, side))
-    )
+    vote_slopes(picture, weight, targets, nearest, cost, 1.0, np.zeros((2, side, side, 3)), np.zeros((2, side, side)))
     relax(picture, targets, picture, 0.0, 1)

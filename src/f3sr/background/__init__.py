@@ -11,7 +11,8 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 
 from f3sr.background.completion import CompletionConfig, complete
-from f3sr.background.membrane import Mask, membrane
+from f3sr.background.membrane import membrane
+from f3sr.background.regions import Mask, distance_to, parts_of
 from f3sr.background.shadows import ShadowConfig, find_shadows
 from f3sr.patchmatch import Picture
 from f3sr.report import Decision
@@ -57,7 +58,7 @@ def complete_background(photo: Photo, masks: Sequence[Mask], config: BackgroundC
     config = config or BackgroundConfig()
     h, w = photo.height, photo.width
     picture = _logarithms(photo.rgb)
-    taken = _widened(union_of(masks, (h, w)), round(config.margin * max(h, w)))
+    taken = distance_to(union_of(masks, (h, w))) <= round(config.margin * max(h, w))
     shadows = find_shadows(picture, masks, config.shadows) & ~taken
     hole = _without_islands(taken | shadows)
     if not hole.any():
@@ -79,20 +80,9 @@ def _filled(picture: Picture, hole: Mask, config: BackgroundConfig) -> tuple[Pic
     return filled, (Decision(choice=f"background: completed {choice}", reason=reason, fallback=True),)
 
 
-def _widened(mask: Mask, pixels: int) -> Mask:
-    """With all pixels at most some away."""
-    from scipy.ndimage import distance_transform_edt
-
-    if not pixels or not mask.any():
-        return mask
-    return np.asarray(distance_transform_edt(~mask)) <= pixels
-
-
 def _without_islands(hole: Mask) -> Mask:
     """With the small parts of the rest in it that it surrounds."""
-    from scipy.ndimage import label
-
-    parts, _ = label(~hole)
+    parts = parts_of(~hole)
     sizes = np.bincount(parts.ravel())
     small = sizes < ISLAND * hole.size
     small[0] = True

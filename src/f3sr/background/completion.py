@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
 from f3sr import patchmatch
-from f3sr.background.membrane import Mask, doubled, membrane, quads
+from f3sr.background.membrane import doubled, membrane, quads
+from f3sr.background.regions import Mask, distance_to, grown, squared
 from f3sr.patchmatch import RADIUS, SIDE, Picture
 from f3sr.settings import settings
+
+T = TypeVar("T", bound=np.generic)
 
 DEPTH = RADIUS + 1
 """Pixels from the deepest pixel of a hole to its border at the coarsest level: its patch still sees the border."""
@@ -65,9 +68,10 @@ class _Level:
     @property
     def sources(self) -> Mask:
         """Middles of patches that lie in the picture and hold no pixel of the hole."""
-        from scipy.ndimage import binary_erosion
-
-        return np.asarray(binary_erosion(~self.hole, np.ones((SIDE, SIDE)), border_value=0))
+        clear = ~squared(self.hole, SIDE)
+        clear[:RADIUS] = clear[:, :RADIUS] = clear[max(len(clear) - RADIUS, 0) :] = False
+        clear[:, max(clear.shape[1] - RADIUS, 0) :] = False
+        return clear
 
 
 def complete(picture: Picture, hole: Mask, config: CompletionConfig) -> Picture | None:
@@ -75,7 +79,7 @@ def complete(picture: Picture, hole: Mask, config: CompletionConfig) -> Picture 
 
     What is known in the picture's hole does not matter, nor does the number of threads.
     """
-    levels = [_Level(picture @ OPPONENT.T, hole)]
+    levels = [_Level((picture @ OPPONENT.T).astype(np.float32), hole)]
     if not levels[0].sources.any():
         return None
     while levels[-1].picture[..., 0].size > config.working_pixels and _enough(levels[-1].coarser()):
@@ -83,7 +87,7 @@ def complete(picture: Picture, hole: Mask, config: CompletionConfig) -> Picture 
     voted, nearest = _searched(levels[-1], config)
     for fine, coarse in zip(levels[-2::-1], levels[:0:-1], strict=True):
         voted, nearest = _detailed(fine, coarse, voted, nearest)
-    return _seamless(levels[0], voted) @ OPPONENT
+    return (_seamless(levels[0], voted) @ OPPONENT).astype(np.float32)
 
 
 def _enough(level: _Level) -> bool:
@@ -111,12 +115,10 @@ def _searched(finest: _Level, config: CompletionConfig) -> tuple[Picture, NDArra
 
 def _pyramid(level: _Level) -> Iterator[_Level]:
     """From fine to coarse, until a patch in the middle of the hole sees its border or too few sources are left."""
-    from scipy.ndimage import distance_transform_edt
-
     sources = np.count_nonzero(level.sources) / level.hole.size
     while True:
         yield level
-        deep = np.asarray(distance_transform_edt(level.hole)).max() > DEPTH
+        deep = distance_to(~level.hole).max() > DEPTH
         coarser = level.coarser()
         if not deep or not _enough(coarser) or np.count_nonzero(coarser.sources) < KEPT * sources * coarser.hole.size:
             return
@@ -127,17 +129,14 @@ class _Rounds:
     """Search and vote, in turn, at one level; all fields are padded by ``RADIUS``."""
 
     def __init__(self, level: _Level, seed: int) -> None:
-        from scipy.ndimage import binary_dilation, distance_transform_edt
-
         pad = ((RADIUS, RADIUS), (RADIUS, RADIUS))
         self.seed = seed
         self.hole = np.pad(level.hole, pad)
         self.picture = np.pad(level.picture, (*pad, (0, 0)), mode="edge")
         self.source = np.pad(level.sources, pad)
-        inside = np.asarray(distance_transform_edt(self.hole), np.float32)
-        self.weight = np.pad(np.ones_like(level.hole, np.float32), pad) * np.float32(BOUNDARY) ** -inside
-        near = binary_dilation(level.hole, np.ones((SIDE, SIDE)))
-        self.targets = (np.argwhere(near) + RADIUS).astype(np.int32)
+        inside = distance_to(~self.hole)
+        self.weight = np.pad(np.ones(level.hole.shape, np.float32), pad) * np.power(np.float32(BOUNDARY), -inside)
+        self.targets = (np.argwhere(squared(level.hole, SIDE)) + RADIUS).astype(np.int32)
         self.nearest = np.full((*self.hole.shape, 2), NOWHERE, np.int32)
         self.cost = np.zeros(self.hole.shape, np.float32)
 
@@ -162,9 +161,9 @@ class _Rounds:
     def run(self, rounds: int, *, first: bool) -> None:
         h, w = self.hole.shape
         for k in range(rounds):
-            weight = self.weight
+            weight: NDArray[np.float32] = self.weight
             if first and AT_FIRST * 4**k < 1:
-                weight = np.where(self.hole, np.float32(AT_FIRST * 4**k) * weight, weight)
+                weight = np.where(self.hole, np.float32(AT_FIRST * 4**k) * weight, weight).astype(np.float32)
             self._measure(weight)
             for turn in range(2 if k == 0 else 1):
                 patchmatch.search(
@@ -179,16 +178,14 @@ class _Rounds:
         voted = self._vote(SHARP_PERCENTILE)
         spread = self._spread(SHARP_PERCENTILE)
         sums, counts = np.zeros((2, *self.picture.shape)), np.zeros((2, *self.hole.shape))
-        patchmatch.vote_slopes(
-            self.picture, self.weight, self.targets, self.nearest, self.cost, spread, sums, counts
-        )
+        patchmatch.vote_slopes(self.picture, self.weight, self.targets, self.nearest, self.cost, spread, sums, counts)
         steps = [_unpadded(s) for s in (sums / np.maximum(counts, 1e-30)[..., None]).astype(np.float32)]
         u, hole = _unpadded(voted), _unpadded(self.hole)
         bend = np.zeros_like(u)
         for axis, step in enumerate(steps):
             ends = np.take(hole, range(1, hole.shape[axis]), axis) | np.take(hole, range(hole.shape[axis] - 1), axis)
             lacking = np.where(ends[..., None], np.delete(step, -1, axis) - np.diff(u, axis=axis), np.float32(0))
-            bend[:-1 if axis == 0 else None, :-1 if axis == 1 else None] += lacking
+            bend[: -1 if axis == 0 else None, : -1 if axis == 1 else None] += lacking
             bend[1 if axis == 0 else 0 :, 1 if axis == 1 else 0 :] -= lacking
         hold = (1 / (HELD * max(hole.shape))) ** 2
         known = _unpadded(self.picture)
@@ -203,13 +200,10 @@ class _Rounds:
     def _vote(self, percentile: float) -> Picture:
         spread = self._spread(percentile)
         sums, counts = np.zeros(self.picture.shape), np.zeros(self.hole.shape)
-        patchmatch.vote(
-            self.picture, self.weight, self.targets, self.nearest, self.cost, spread, sums, counts
-        )
+        patchmatch.vote(self.picture, self.weight, self.targets, self.nearest, self.cost, spread, sums, counts)
         voted = (sums / np.maximum(counts, 1e-30)[..., None]).astype(np.float32)
         self.picture = np.where(self.hole[..., None], voted, self.picture)
         return voted
-
 
     def _spread(self, percentile: float) -> float:
         y, x = self.targets.T
@@ -218,9 +212,7 @@ class _Rounds:
 
 def _ring(hole: Mask) -> Mask:
     """The two pixels around a hole that hold what it is filled with."""
-    from scipy.ndimage import binary_dilation
-
-    return np.asarray(binary_dilation(hole, iterations=2)) & ~hole
+    return grown(hole, 2) & ~hole
 
 
 def _finer(nearest: NDArray[np.int32], y: NDArray[np.int32], x: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -255,5 +247,5 @@ def _seamless(level: _Level, voted: Picture) -> Picture:
     return np.where(level.hole[..., None], voted + membrane(step, ring), level.picture)
 
 
-def _unpadded(values: NDArray[np.generic]) -> NDArray[np.generic]:
+def _unpadded(values: NDArray[T]) -> NDArray[T]:
     return values[RADIUS:-RADIUS, RADIUS:-RADIUS]

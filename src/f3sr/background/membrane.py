@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from f3sr.background.regions import Mask
 from f3sr.patchmatch import Picture, relax
 
 SWEEPS = 12
 """Sweeps per level: what is left after them the next finer level corrects; below a grey level at the end."""
 COARSEST = 8
 """Pixels of the longer side at which halving ends."""
-
-Mask = NDArray[np.bool_]
 
 
 def membrane(values: Picture, known: Mask, bend: Picture | None = None, hold: float = 0.0) -> Picture:

@@ -16,7 +16,7 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from f3sr.background.membrane import Mask
+from f3sr.background.regions import Mask, closed, distance_to, grown, parts_of, without_holes
 from f3sr.frames import Array
 from f3sr.patchmatch import Picture
 from f3sr.settings import settings
@@ -47,7 +47,7 @@ TEXTURE = 0.006
 CERTAIN, POSSIBLE = 3.0, 2.0
 """Standard deviations by which a shadow is darker somewhere, and everywhere."""
 RIM = 0.12
-"""Where a shadow ends, in shares of its darkness at its object's outline: what fades on beyond is as even as light is."""
+"""Where a shadow ends, in shares of its darkness at its object's outline: what fades on beyond looks like light."""
 CLOSE, DARKEST = 0.2, 90.0
 """Shares of the reach within which a shadow is darkest, and the percentile there that is taken for it."""
 LEAST = 0.015
@@ -85,8 +85,6 @@ class _View:
 
 def find_shadows(picture: Picture, masks: Sequence[Mask], config: ShadowConfig) -> Mask:
     """Pixels (h, w) of ``picture`` (h, w, 3), logarithms of colour, that lie in the shadow of a mask's object."""
-    from scipy.ndimage import binary_closing, binary_dilation, binary_fill_holes, binary_opening
-
     shape = picture.shape[:2]
     if not masks or not config.reach:
         return np.zeros(shape, np.bool_)
@@ -96,23 +94,23 @@ def find_shadows(picture: Picture, masks: Sequence[Mask], config: ShadowConfig) 
     rim = np.maximum(POSSIBLE * deviation, RIM * _darkest(view, darker, len(masks))[view.owner])
     dark = (darker > rim) & view.near & ~view.taken
     width = max(1, round(config.margin * max(dark.shape)))
-    broad = np.asarray(binary_opening((dark & ~_edges(view)) | view.taken, iterations=width)) & dark  # joints and grain are thin
+    broad = opened((dark & ~_edges(view)) | view.taken, width) & dark  # joints and grain are thin
     found = _joined(broad, darker > CERTAIN * deviation, view.base)
     if not found.any():
         return np.zeros(shape, np.bool_)
-    found = np.asarray(binary_dilation(found, iterations=3 * width, mask=dark))
-    whole = binary_closing(np.pad(found | view.taken, 2 * width), iterations=2 * width)  # notches are not lit
-    wide = binary_dilation(found | (whole[2 * width : -2 * width, 2 * width : -2 * width] & ~view.taken), iterations=width)
-    closed = np.asarray(binary_fill_holes(wide | view.taken)) & (wide | view.near)
-    large = np.repeat(np.repeat(closed & ~view.taken, step, 0), step, 1)
+    found = grown(found, 3 * width, within=dark)
+    found |= closed(found | view.taken, 2 * width) & ~view.taken  # what is narrow between shadows is not lit either
+    wide = grown(found, width)
+    whole = without_holes(wide | view.taken) & (wide | view.near)
+    large = np.repeat(np.repeat(whole & ~view.taken, step, 0), step, 1)
     return large[: shape[0], : shape[1]]
 
 
 def _view(picture: Picture, masks: Sequence[Mask], step: int, reach: float) -> _View:
-    from scipy.ndimage import distance_transform_edt, gaussian_filter
+    from scipy.ndimage import gaussian_filter
 
     small = _shrunk(picture, step)
-    taken, base = np.zeros((2, *small.shape[:2]), np.bool_)
+    taken, base = np.zeros(small.shape[:2], np.bool_), np.zeros(small.shape[:2], np.bool_)
     distance = np.full(small.shape[:2], np.inf)
     owner = np.zeros(taken.shape, np.int64)
     for k, mask in enumerate(masks):
@@ -121,7 +119,7 @@ def _view(picture: Picture, masks: Sequence[Mask], step: int, reach: float) -> _
         own = _shrunk(mask[..., None].astype(np.float32), step)[..., 0] > 0
         rows, columns = np.flatnonzero(own.any(1)), np.flatnonzero(own.any(0))
         length = reach * (1 + max(np.ptp(rows), np.ptp(columns)))
-        to_own = np.asarray(distance_transform_edt(~own)) / length
+        to_own = distance_to(own) / length
         owner[to_own < distance] = k
         distance = np.minimum(distance, to_own)
         taken |= own
@@ -205,12 +203,8 @@ def _edges(view: _View) -> Mask:
     return np.maximum(*ranges) > EDGE * COLOUR_CELL
 
 
-def _joined(dark: Mask, certain: Mask, taken: Mask) -> Mask:
-    """Parts of ``dark`` that touch an object and are certain somewhere."""
-    from scipy.ndimage import binary_dilation, label
-
-    parts, _ = label(dark, np.ones((3, 3)))
-    touching = np.unique(parts[np.asarray(binary_dilation(taken, iterations=2))])
-    sure = np.unique(parts[certain & dark])
-    keep = np.intersect1d(touching, sure)
+def _joined(dark: Mask, certain: Mask, base: Mask) -> Mask:
+    """Parts of ``dark`` that touch an object's base and are certain somewhere."""
+    parts = parts_of(dark, diagonal=True)
+    keep = np.intersect1d(parts[grown(base, 2)], parts[certain & dark])
     return np.isin(parts, keep[keep > 0])
