@@ -44,9 +44,9 @@ ROUNDS = 4
 """Estimates of the light, each without what the one before found dark."""
 TEXTURE = 0.006
 """Width of the Gaussian that evens out texture, in shares of the longer side."""
-CERTAIN, POSSIBLE = 3.0, 2.0
+CERTAIN, POSSIBLE = 4.0, 3.0
 """Standard deviations by which a shadow is darker somewhere, and everywhere."""
-RIM = 0.12
+RIM = 0.2
 """Where a shadow ends, in shares of its darkness at its object's outline: what fades on beyond looks like light."""
 CLOSE, DARKEST = 0.2, 90.0
 """Shares of the reach within which a shadow is darkest, and the percentile there that is taken for it."""
