@@ -136,7 +136,8 @@ def _removal(filled: Pixels, replaced: Mask, part: Mask) -> dict[str, float]:
     for here, there, step in _neighbours(filled):
         across.append(step[part[here] & outside[there] | outside[here] & part[there]])
         beside.append(step[outside[here] & outside[there]])
-    seam = float(np.concatenate(across).mean() / max(np.concatenate(beside).mean(), 1e-9)) if across else np.nan
+    both = [np.concatenate(steps) for steps in (across, beside)]
+    seam = float(both[0].mean() / max(both[1].mean(), 1e-9)) if all(map(len, both)) else np.nan
     return {"seam": seam, "texture": _texture(filled, binary_erosion(part, iterations=2), filled, outside)}
 
 

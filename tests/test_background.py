@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, gaussian_filter
 
+from f3sr import patchmatch
 from f3sr.background import BackgroundConfig, complete_background
 from f3sr.background.completion import CompletionConfig
 from f3sr.background.membrane import membrane
@@ -187,6 +188,15 @@ def test_finer_levels_keep_the_detail_of_their_sources() -> None:
     coarse = replace(AS_GIVEN, completion=CompletionConfig(working_pixels=13_000))
     result = filled(rgb, hole, coarse)
     assert result[hole].std() > 0.7 * rgb[hole].std()
+
+
+def test_warm_up_compiles_every_kernel() -> None:
+    patchmatch.warm_up()
+    kernels = [patchmatch.measure, patchmatch.search, patchmatch.vote, patchmatch.vote_slopes, patchmatch.relax]
+    seen = [len(k.signatures) for k in kernels]
+    assert all(seen)
+    filled(noise(40, 60), box((40, 60), 12, 20, 12, 14))
+    assert [len(k.signatures) for k in kernels] == seen  # with the types that completion calls them with
 
 
 def test_small_gaps_between_objects_are_replaced() -> None:

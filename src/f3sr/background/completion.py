@@ -136,7 +136,7 @@ class _Rounds:
         self.source = np.pad(level.sources, pad)
         inside = distance_to(~self.hole)
         self.weight = np.pad(np.ones(level.hole.shape, np.float32), pad) * np.power(np.float32(BOUNDARY), -inside)
-        self.targets = (np.argwhere(squared(level.hole, SIDE)) + RADIUS).astype(np.int32)
+        self.targets = np.ascontiguousarray(np.argwhere(squared(level.hole, SIDE)) + RADIUS, np.int32)
         self.nearest = np.full((*self.hole.shape, 2), NOWHERE, np.int32)
         self.cost = np.zeros(self.hole.shape, np.float32)
 

@@ -28,7 +28,7 @@ def membrane(values: Picture, known: Mask, bend: Picture | None = None, hold: fl
         start = doubled(membrane(coarse, some, quads(bend).sum(axis=(1, 3)), 4 * hold), known.shape)
     result = np.where(known[..., None], values, start)
     sweeps = SWEEPS if max(known.shape) > COARSEST else 8 * SWEEPS
-    relax(result, np.argwhere(~known).astype(np.int32), bend, hold, sweeps)
+    relax(result, np.ascontiguousarray(np.argwhere(~known), np.int32), bend, hold, sweeps)
     return result
 
 
