@@ -1,0 +1,251 @@
+"""A hole filled with patches of the rest of its picture, from coarse to fine, without a seam of light."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, TypeVar
+
+import numpy as np
+from annotated_types import Interval
+from numpy.typing import NDArray
+
+from f3sr import patchmatch
+from f3sr.background.membrane import doubled, membrane, quads
+from f3sr.background.regions import Mask, distance_to, grown, squared
+from f3sr.patchmatch import RADIUS, SIDE, Picture
+from f3sr.settings import settings
+
+T = TypeVar("T", bound=np.generic)
+
+DEPTH = RADIUS + 1
+"""Pixels from the deepest pixel of a hole to its border at the coarsest level: its patch still sees the border."""
+ENOUGH_SOURCES = 64
+"""Middles of patches without a hole below which a level is too coarse to choose from."""
+KEPT = 0.6
+"""Share of the finest level's sources below which a level is too coarse: between objects a material loses all its
+patches first, and the hole would be filled with another."""
+BOUNDARY = 1.3
+"""What a pixel's say is divided by per pixel of its distance from the hole's border (Wexler et al. 2007)."""
+AT_FIRST = 0.02
+"""Weight of the hole's pixels against known ones in the first round: they are a membrane, which patches are not."""
+SMOOTH_PERCENTILE, SHARP_PERCENTILE = 75.0, 10.0
+"""Of the mismatches, where a vote's say falls to 1/e: on the way (Wexler et al. 2007) and in the last round."""
+HELD = 0.1
+"""Shares of the longer side over which votes for a colour outweigh those for its steps."""
+NOWHERE = -1
+OPPONENT = np.array([[2, 2, 2], [6**0.5, -(6**0.5), 0], [2**0.5, 2**0.5, -(8**0.5)]], np.float32) / np.float32(12**0.5)
+"""Rows: light, red against green, both against blue, of unit length and at right angles."""
+LARGEST = np.array(patchmatch.LARGEST_SHIFT, np.float32)
+
+
+@settings
+class CompletionConfig:
+    """How the photo is completed behind its objects."""
+
+    working_pixels: Annotated[int, Interval(ge=10_000, le=20_000_000)] = 400_000
+    """Pixels of the finest level that patches are searched at [px]; finer levels take their detail from where these
+    came from. Time grows with it."""
+    rounds: Annotated[int, Interval(ge=1, le=50)] = 4
+    """Rounds of search and vote at the finest level; two more per coarser level, as those are cheap and decide."""
+    seed: Annotated[int, Interval(ge=0, le=2**31 - 1)] = 0
+    """Of the random search: another seed is another, equally likely background."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Level:
+    """A picture (h, w, 3) at one resolution and its hole (h, w)."""
+
+    picture: Picture
+    hole: Mask
+
+    def coarser(self) -> _Level:
+        """Half the resolution: a pixel with any of its four in the hole, or none there, is in the hole."""
+        known = quads((~self.hole).astype(np.float32)[..., None]).sum(axis=(1, 3))
+        sums = quads(self.picture * ~self.hole[..., None]).sum(axis=(1, 3))
+        return _Level((sums / np.maximum(known, 1)).astype(np.float32), known[..., 0] < 4)
+
+    @property
+    def sources(self) -> Mask:
+        """Middles of patches that lie in the picture and hold no pixel of the hole."""
+        clear = ~squared(self.hole, SIDE)
+        clear[:RADIUS] = clear[:, :RADIUS] = clear[max(len(clear) - RADIUS, 0) :] = False
+        clear[:, max(clear.shape[1] - RADIUS, 0) :] = False
+        return clear
+
+
+def complete(picture: Picture, hole: Mask, config: CompletionConfig) -> Picture | None:
+    """``picture`` (h, w, 3), logarithms of colour, with ``hole`` (h, w) filled; None where no patch is without a hole.
+
+    What is known in the picture's hole does not matter, nor does the number of threads.
+    """
+    levels = [_Level((picture @ OPPONENT.T).astype(np.float32), hole)]
+    if not levels[0].sources.any():
+        return None
+    while levels[-1].picture[..., 0].size > config.working_pixels and _enough(levels[-1].coarser()):
+        levels.append(levels[-1].coarser())
+    voted, nearest = _searched(levels[-1], config)
+    for fine, coarse in zip(levels[-2::-1], levels[:0:-1], strict=True):
+        voted, nearest = _detailed(fine, coarse, voted, nearest)
+    return (_seamless(levels[0], voted) @ OPPONENT).astype(np.float32)
+
+
+def _enough(level: _Level) -> bool:
+    return int(np.count_nonzero(level.sources)) >= ENOUGH_SOURCES
+
+
+def _searched(finest: _Level, config: CompletionConfig) -> tuple[Picture, NDArray[np.int32]]:
+    """What patches vote for (h, w, 3) in and around the hole, and where each pixel's patch comes from (h, w, 2)."""
+    levels = list(_pyramid(finest))
+    guess: Picture | None = None
+    nearest: NDArray[np.int32] | None = None
+    for depth, level in reversed(list(enumerate(levels))):
+        em = _Rounds(level, config.seed + 1000 * depth)
+        if nearest is None:
+            em.begin(membrane(level.picture, ~level.hole))
+        else:
+            assert guess is not None
+            em.resume(nearest, guess)
+        em.run(config.rounds + 2 * depth, first=nearest is None)
+        guess = em.melded()
+        nearest = em.nearest
+    assert guess is not None and nearest is not None
+    return guess, _unpadded(nearest) - RADIUS
+
+
+def _pyramid(level: _Level) -> Iterator[_Level]:
+    """From fine to coarse, until a patch in the middle of the hole sees its border or too few sources are left."""
+    sources = np.count_nonzero(level.sources) / level.hole.size
+    while True:
+        yield level
+        deep = distance_to(~level.hole).max() > DEPTH
+        coarser = level.coarser()
+        if not deep or not _enough(coarser) or np.count_nonzero(coarser.sources) < KEPT * sources * coarser.hole.size:
+            return
+        level = coarser
+
+
+class _Rounds:
+    """Search and vote, in turn, at one level; all fields are padded by ``RADIUS``."""
+
+    def __init__(self, level: _Level, seed: int) -> None:
+        pad = ((RADIUS, RADIUS), (RADIUS, RADIUS))
+        self.seed = seed
+        self.hole = np.pad(level.hole, pad)
+        self.picture = np.pad(level.picture, (*pad, (0, 0)), mode="edge")
+        self.source = np.pad(level.sources, pad)
+        inside = distance_to(~self.hole)
+        self.weight = np.pad(np.ones(level.hole.shape, np.float32), pad) * np.power(np.float32(BOUNDARY), -inside)
+        self.targets = np.ascontiguousarray(np.argwhere(squared(level.hole, SIDE)) + RADIUS, np.int32)
+        self.nearest = np.full((*self.hole.shape, 2), NOWHERE, np.int32)
+        self.cost = np.zeros(self.hole.shape, np.float32)
+
+    def begin(self, start: Picture) -> None:
+        """Random sources and a first guess."""
+        self.picture = np.pad(start, ((RADIUS, RADIUS), (RADIUS, RADIUS), (0, 0)), mode="edge")
+        choices = np.argwhere(self.source).astype(np.int32)
+        rng = np.random.default_rng(self.seed)
+        y, x = self.targets.T
+        self.nearest[y, x] = choices[rng.integers(len(choices), size=len(y))]
+
+    def resume(self, coarse: NDArray[np.int32], guess: Picture) -> None:
+        """The sources of a level of half the resolution, and what they vote for in the light of its result."""
+        y, x = self.targets.T
+        inner = self.picture[RADIUS:-RADIUS, RADIUS:-RADIUS]
+        hole = _unpadded(self.hole)
+        inner[hole] = doubled(guess, hole.shape)[hole]
+        self.nearest[y, x] = _finer(_unpadded(coarse) - RADIUS, y - RADIUS, x - RADIUS) + RADIUS
+        self._measure(self.weight)
+        self._vote(SMOOTH_PERCENTILE)
+
+    def run(self, rounds: int, *, first: bool) -> None:
+        h, w = self.hole.shape
+        for k in range(rounds):
+            weight: NDArray[np.float32] = self.weight
+            if first and AT_FIRST * 4**k < 1:
+                weight = np.where(self.hole, np.float32(AT_FIRST * 4**k) * weight, weight).astype(np.float32)
+            self._measure(weight)
+            for turn in range(2 if k == 0 else 1):
+                patchmatch.search(
+                    *(self.picture, weight, self.source, self.targets, self.nearest, self.cost),
+                    *(max(h, w), self.seed + 10 * k + turn, bool((k + turn) % 2)),
+                )
+            self._vote(SHARP_PERCENTILE if k == rounds - 1 else SMOOTH_PERCENTILE)
+
+    def melded(self) -> Picture:
+        """The picture (h, w, 3), unpadded, in and around the hole with the steps that are voted for, so that no light
+        changes where sources meet (Darabi et al. 2012): f minimises |grad f - steps|^2 + hold |f - votes|^2."""
+        voted = self._vote(SHARP_PERCENTILE)
+        spread = self._spread(SHARP_PERCENTILE)
+        sums, counts = np.zeros((2, *self.picture.shape)), np.zeros((2, *self.hole.shape))
+        patchmatch.vote_slopes(self.picture, self.weight, self.targets, self.nearest, self.cost, spread, sums, counts)
+        steps = [_unpadded(s) for s in (sums / np.maximum(counts, 1e-30)[..., None]).astype(np.float32)]
+        u, hole = _unpadded(voted), _unpadded(self.hole)
+        bend = np.zeros_like(u)
+        for axis, step in enumerate(steps):
+            ends = np.take(hole, range(1, hole.shape[axis]), axis) | np.take(hole, range(hole.shape[axis] - 1), axis)
+            lacking = np.where(ends[..., None], np.delete(step, -1, axis) - np.diff(u, axis=axis), np.float32(0))
+            bend[: -1 if axis == 0 else None, : -1 if axis == 1 else None] += lacking
+            bend[1 if axis == 0 else 0 :, 1 if axis == 1 else 0 :] -= lacking
+        hold = (1 / (HELD * max(hole.shape))) ** 2
+        known = _unpadded(self.picture)
+        ring = np.where(hole[..., None], np.float32(0), known - u)
+        ring = np.clip(ring, -LARGEST, LARGEST)
+        around = _ring(hole)
+        return u + np.where((hole | around)[..., None], membrane(ring, around, bend * hole[..., None], hold), 0)
+
+    def _measure(self, weight: NDArray[np.float32]) -> None:
+        patchmatch.measure(self.picture, weight, self.targets, self.nearest, self.cost)
+
+    def _vote(self, percentile: float) -> Picture:
+        spread = self._spread(percentile)
+        sums, counts = np.zeros(self.picture.shape), np.zeros(self.hole.shape)
+        patchmatch.vote(self.picture, self.weight, self.targets, self.nearest, self.cost, spread, sums, counts)
+        voted = (sums / np.maximum(counts, 1e-30)[..., None]).astype(np.float32)
+        self.picture = np.where(self.hole[..., None], voted, self.picture)
+        return voted
+
+    def _spread(self, percentile: float) -> float:
+        y, x = self.targets.T
+        return max(float(np.percentile(self.cost[y, x], percentile)), 1e-9)
+
+
+def _ring(hole: Mask) -> Mask:
+    """The two pixels around a hole that hold what it is filled with."""
+    return grown(hole, 2) & ~hole
+
+
+def _finer(nearest: NDArray[np.int32], y: NDArray[np.int32], x: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Sources (k, 2) of pixels at twice the resolution: as far from theirs as their coarse pixel's from its."""
+    return np.stack([y % 2, x % 2], axis=-1) + 2 * nearest[y // 2, x // 2]
+
+
+def _detailed(
+    fine: _Level, coarse: _Level, voted: Picture, nearest: NDArray[np.int32]
+) -> tuple[Picture, NDArray[np.int32]]:
+    """The coarser result at twice the resolution, each pixel with the detail that its source has there."""
+    y, x = np.nonzero(doubled_mask(nearest[..., 0] >= 0, fine.hole.shape))
+    result = doubled(voted, fine.hole.shape)
+    detail = fine.picture - doubled(coarse.picture, fine.hole.shape)
+    finer = np.full((*fine.hole.shape, 2), NOWHERE, np.int32)
+    finer[y, x] = _finer(nearest, y.astype(np.int32), x.astype(np.int32))
+    result[y, x] += detail[finer[y, x, 0], finer[y, x, 1]]
+    return result, finer
+
+
+def doubled_mask(mask: Mask, shape: tuple[int, ...]) -> Mask:
+    """At twice the resolution, cut to ``shape``."""
+    return np.repeat(np.repeat(mask, 2, 0), 2, 1)[: shape[0], : shape[1]]
+
+
+def _seamless(level: _Level, voted: Picture) -> Picture:
+    """What was voted for, shifted by a membrane that meets the photo at the hole's border (Perez et al., "Poisson image
+    editing", 2003): the gradients stay, the light goes over without a step."""
+    ring = _ring(level.hole)
+    step = np.where(ring[..., None], level.picture - voted, np.float32(0))
+    step = np.clip(step, -LARGEST, LARGEST)
+    return np.where(level.hole[..., None], voted + membrane(step, ring), level.picture)
+
+
+def _unpadded(values: NDArray[T]) -> NDArray[T]:
+    return values[RADIUS:-RADIUS, RADIUS:-RADIUS]

@@ -1,0 +1,61 @@
+"""Masks made wider, narrower or whole, and their connected parts: SciPy's morphology under plain names and types."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+Mask = NDArray[np.bool_]
+
+
+def grown(mask: Mask, steps: int, within: Mask | None = None) -> Mask:
+    """With what is reached from it in some steps to a neighbour up, down, left or right, all ``within`` a mask."""
+    from scipy.ndimage import binary_dilation
+
+    return np.asarray(binary_dilation(mask, iterations=steps, mask=within), np.bool_)
+
+
+def squared(mask: Mask, side: int) -> Mask:
+    """Pixels whose square of an odd ``side`` meets the mask."""
+    from scipy.ndimage import binary_dilation
+
+    return np.asarray(binary_dilation(mask, np.ones((side, side))), np.bool_)
+
+
+def opened(mask: Mask, steps: int) -> Mask:
+    """Without what is narrower than twice some steps."""
+    from scipy.ndimage import binary_opening
+
+    return np.asarray(binary_opening(mask, iterations=steps), np.bool_)
+
+
+def closed(mask: Mask, steps: int) -> Mask:
+    """With what is narrower than twice some steps between its parts; the border is as if the rest went on."""
+    from scipy.ndimage import binary_closing
+
+    whole = np.asarray(binary_closing(np.pad(mask, steps), iterations=steps), np.bool_)
+    return whole[steps:-steps, steps:-steps]
+
+
+def without_holes(mask: Mask) -> Mask:
+    from scipy.ndimage import binary_fill_holes
+
+    return np.asarray(binary_fill_holes(mask), np.bool_)
+
+
+def distance_to(mask: Mask) -> NDArray[np.float32]:
+    """Of every pixel to the nearest one of a mask [px]; infinite where it is empty."""
+    from scipy.ndimage import distance_transform_edt
+
+    if not mask.any():
+        return np.full(mask.shape, np.inf, np.float32)
+    return np.asarray(distance_transform_edt(~mask), np.float32)
+
+
+def parts_of(mask: Mask, *, diagonal: bool = False) -> NDArray[np.int32]:
+    """Numbers from 1 of the connected parts, 0 outside."""
+    from scipy.ndimage import label
+
+    return np.asarray(cast(Any, label(mask, np.ones((3, 3)) if diagonal else None))[0], np.int32)
