@@ -24,7 +24,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 KEPT_VERSIONS = 4
 """Kernel folders that stay: this version's and the others used last (a megabyte each)."""
 
-KERNEL_MODULES = ("raster", "contour", "contact", "patches", "crossings", "inside")
+KERNEL_MODULES = ("raster", "contour", "contact", "patches", "crossings", "inside", "patchmatch")
 """Modules of this package that hold numba kernels; each has a ``warm_up()`` that calls every one of them."""
 
 
