@@ -19,6 +19,7 @@ from f3sr.goals.plan import (
     Impulse,
     InitialConditions,
     Inside,
+    Limits,
     Off,
     On,
     Over,
@@ -147,6 +148,36 @@ def test_rolled_is_turning_across_the_way(scene: Scene) -> None:
     assert one(Rolled(a=0, at_least=5), rollout_of(scene, {0: T}), scene).margin == pytest.approx(1.0, abs=1e-6)
     T[:, :3, :3] = [rotation_about([0, 0, 1], 6 * t) for t in TIME]
     assert one(Rolled(a=0, at_least=5), rollout_of(scene, {0: T}), scene).margin == pytest.approx(-5, abs=1e-6)
+
+
+def test_rocking_to_and_fro_is_not_rolling(scene: Scene) -> None:
+    """Three times .1 m there and back, turning as it goes: what is turned back does not count."""
+    x = 0.1 * np.abs(np.sin(3 * np.pi * TIME))
+    T = along(scene, 0, x[:, None] * [1.0, 0, 0])
+    T[:, :3, :3] = [rotation_about([0, 1, 0], float(far) / 0.05) for far in x]
+    found = one(Rolled(a=0, at_least=3), rollout_of(scene, {0: T}), scene)
+    assert not found.met and found.margin == pytest.approx(2 - 3, abs=0.05)
+
+
+def test_what_ends_elsewhere_was_not_moved_that_way(scene: Scene) -> None:
+    """6 cm to the right on the way, at the end 5 cm to the right and 9.5 cm aside."""
+    way = np.column_stack([np.interp(TIME, [0, 0.5, 1], [0, 0.06, 0.05]), 0.095 * (TIME > 0.6), 0 * TIME])
+    condition = Displaced(a=0, at_least=0.05, at_most=0.2, direction=(1.0, 0.0, 0.0))
+    found = one(condition, rollout_of(scene, {0: along(scene, 0, way)}), scene)
+    assert not found.met and "aside" in found.said and found.margin == pytest.approx(0.05 - 0.095, abs=1e-9)
+
+
+def test_what_is_flung_away_breaks_a_rule(scene: Scene) -> None:
+    limits = Limits(speed=3.0, impulse=10.0, force=100.0, lift=1.0)
+    task = TaskSpec(kind="slide", active=0, conditions=(Displaced(a=0, at_least=0.1),), interpretation="a test")
+    simulation = SimulationPlan(duration=1.0, limits=limits)
+    plan = Plan(goal="t", scene="0" * 64, task=task, semantics=(), initial=InitialConditions(), simulation=simulation)
+    assert any(
+        "flung" in rule for rule in verify(scene, plan, rollout_of(scene, {1: along(scene, 1, sideways(9))})).broken
+    )
+    assert not any(
+        "flung" in r for r in verify(scene, plan, rollout_of(scene, {1: along(scene, 1, sideways(2))})).broken
+    )
 
 
 def test_bounced_rises_again_after_the_touch(scene: Scene) -> None:

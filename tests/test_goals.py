@@ -201,6 +201,24 @@ def test_a_height_that_is_said_is_fallen(package: Package) -> None:
     assert found.verdict.met and moved[0, 2] - moved[:, 2].min() == pytest.approx(0.2, abs=0.01)
 
 
+@pytest.mark.parametrize("far", [0.6, 1.2, 1.9])
+def test_long_pushes_are_played_or_refused(package: Package, far: float) -> None:
+    """Into whatever stands there: the push ends with the rollout, and nothing is flung away."""
+    found = simulate_goal(package, f"push the soup can {far} m to the left")
+    if isinstance(found, Played):
+        assert all(i.time + i.duration < found.plan.simulation.duration + 1e-6 for i in found.plan.initial.impulses)
+        assert not any("flung" in rule for rule in found.verdict.broken)
+    else:
+        assert found.reason in ("impossible", "amount")
+
+
+def test_a_package_beyond_what_physics_takes_is_told_in_one_line(tmp_path: Path) -> None:
+    scene = goal_scene()
+    heavy = scene.with_objects(replace(scene[CAN], density=1e9, material="steel"))
+    with pytest.raises(InputError, match="density"):
+        simulate_goal(goal_package(tmp_path / "package", heavy), "knock over the cereal box")
+
+
 def test_what_is_bumped_moves(package: Package) -> None:
     found = played(package, "bump the ball into the soup can")
     moved = way(found, CAN, package.scene)

@@ -170,7 +170,10 @@ def _lines(told: dict[str, Any]) -> Iterator[str]:
 def _launch(played: Played) -> str:
     """How the active object is set off, in words."""
     initial = played.plan.initial
-    said = [f"lifted by {np.linalg.norm(o.translation):.2f} m" for o in initial.offsets]
+    said = [
+        f"let go {np.linalg.norm(o.translation[:2]):.2f} m aside and {o.translation[2]:.2f} m above its place"
+        for o in initial.offsets
+    ]
     for v in initial.velocities:
         spin = float(np.linalg.norm(v.angular))
         said.append(

@@ -44,6 +44,10 @@ class Judged:
         return self.margin >= 0
 
 
+STAYS = 0.7
+"""Share of the distance asked for that is left where something comes to rest."""
+
+
 def judge(conditions: Sequence[p.Condition], rollout: Rollout, scene: Scene) -> list[Judged]:
     """Every condition of a plan on a rollout of ``scene``."""
     seen = Seen(rollout, scene)
@@ -75,7 +79,7 @@ def _contact(c: p.Contact, seen: Seen, start: float) -> Judged:
     rows = rows[rows["time"] >= start - 1e-9]
     if len(rows):
         first = rows[0]
-        said = f"{a} touches {b} after {first['time']:.2f} s with {first['force']:.1f} N"
+        said = f"{a} touches {b} after {first['time']:.2f} s"
         return Judged(condition=c, margin=0.0, unit="m", time=float(first["time"]), said=said, relative=0.0)
     gap, time = seen.gap(c.a, c.b, start)
     said = f"{a} misses {b} by {1000 * gap:.0f} mm after {time:.2f} s"
@@ -94,8 +98,15 @@ def _displaced(c: p.Displaced, seen: Seen, start: float) -> Judged:
     reached = _reached(c, seen, far, c.at_least, "m", start, f"{seen.name(c.a)} moves")
     if c.at_most is None or not reached.met:
         return reached
-    left = c.at_most - float(far[-1])
-    said = f"{seen.name(c.a)} ends {1000 * far[-1]:.0f} mm away, asked for {1000 * c.at_least:.0f}"
+    end, left = moved[-1], c.at_most - float(np.linalg.norm(moved[-1]))
+    said = f"{seen.name(c.a)} ends {1000 * np.linalg.norm(end):.0f} mm away, asked for {1000 * c.at_least:.0f}"
+    if c.direction is not None:
+        ahead = float(end @ _unit(c.direction))
+        aside = float(np.sqrt(max(end @ end - ahead**2, 0.0)))
+        stays = min(ahead - aside, ahead - STAYS * c.at_least)
+        if stays < min(left, 0.0):
+            said = f"{seen.name(c.a)} ends {1000 * ahead:.0f} mm that way and {1000 * aside:.0f} mm aside"
+        left = min(left, stays)
     if left < 0:
         return replace(reached, margin=left, relative=left / c.at_most, said=said)
     return replace(reached, margin=min(left, reached.margin), relative=min(left / c.at_most, reached.relative))
@@ -119,14 +130,14 @@ def _upright(c: p.Upright, seen: Seen, start: float) -> Judged:
 
 
 def _rolled(c: p.Rolled, seen: Seen, start: float) -> Judged:
-    """Turns from sample to sample, each about the horizontal axis across the way between the two."""
+    """Turns from sample to sample about the horizontal axis across the way to where it was farthest, to and fro set
+    off against each other."""
     way, R = seen.way(c.a), seen.rollout.poses(c.a)[:, :3, :3]
-    step = np.diff(way, axis=0)[:, :2]
-    across = np.column_stack([-step[:, 1], step[:, 0], np.zeros(len(step))])
-    across /= np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-12)
+    off = (way - way[int(np.argmax(seen.since(start)))])[:, :2]
+    x, y = off[int(np.argmax(np.linalg.norm(off, axis=1)))]
+    across = np.array([-y, x, 0.0]) / max(float(np.hypot(x, y)), 1e-12)
     turns = np.array([vector_from_rotation(b @ a.T) for a, b in pairwise(R)])
-    gained = np.where(seen.since(start)[1:], np.einsum("ti,ti->t", turns, across), 0.0)
-    turned = np.concatenate([[0.0], np.cumsum(gained)])
+    turned = np.concatenate([[0.0], np.cumsum(np.where(seen.since(start)[1:], turns @ across, 0.0))])
     return _reached(c, seen, turned, c.at_least, "rad", start, f"{seen.name(c.a)} rolls")
 
 
@@ -263,7 +274,7 @@ def _reached(c: p.Condition, seen: Seen, values: Array, needed: float, unit: Uni
         margin=found - needed,
         unit=unit,
         time=time,
-        said=f"{what} by {shown} of {asked}",
+        said=f"{what} by {shown}, at least {asked} asked",
         relative=(found - needed) / max(needed, 1e-3),
     )
 

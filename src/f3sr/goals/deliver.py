@@ -35,7 +35,10 @@ def next_folder(package: Path) -> Path:
 
 def require_place(out: Path, package: Path, *, overwrite: bool = False) -> Path:
     """The full path of a folder that may be written. Raises OutputError where it is something else's."""
-    out, package = out.resolve(), package.resolve()
+    try:
+        out, package = out.resolve(), package.resolve()
+    except RuntimeError:  # a loop of links, on Pythons below 3.13
+        raise OutputError(f"{out}: is a loop of links; give another folder") from None
     if out.is_relative_to(package) and (package / ROLLOUTS) not in out.parents:
         raise OutputError(f"{out}: is inside the package; there only below {package / ROLLOUTS}")
     if package.is_relative_to(out):

@@ -112,7 +112,7 @@ def _task(meant: Meant, conditions: success.Conditions, left: str, scene: Scene)
 
 def _interpretation(meant: Meant, called: dict[int, str]) -> str:
     r = meant.request
-    words = [spoken(r.kind.replace("_", " ")), called[meant.active]]
+    words = ["push" if r.kind == "push_into" else spoken(r.kind.replace("_", " ")), called[meant.active]]
     if meant.target is not None:
         words += [spoken(r.preposition or "to"), "the ground" if meant.target == GROUND else called[meant.target]]
     words += [SAID[d] for d in r.direction]

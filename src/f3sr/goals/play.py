@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -40,7 +41,7 @@ class Played:
             if not c.met and isinstance(c.condition, Displaced | Height):
                 reached = c.condition.at_least + c.margin
                 if 0.005 < reached < c.condition.at_least:
-                    return f"at most {reached:.2g} m was reached; ask for that"
+                    return f"at most {math.floor(1000 * reached) / 1000:g} m was reached; ask for that"
         return ""
 
 

@@ -191,10 +191,11 @@ class Setting:
         The push acts so low that it and friction do not turn the object. What is met on the way is pushed along.
         """
         far = max(far, 1e-3)
+        pace = max(pace, far / LONGEST_PUSH)
         a, mass, seconds = self.drag, self.layout.loaded_mass(self.active), far / max(pace, 0.05) + 2.5
         pace = min(pace, math.sqrt(2 * a * far), self.limits.force * RAMP / (2 * mass))
         rest = far - pace**2 / (2 * a) - pace * RAMP / 2
-        rest = min(rest, until - pace * RAMP / 2)
+        rest = min(rest, until - pace * RAMP / 2, pace * LONGEST_PUSH)
         if rest < 0:
             start = math.sqrt(2 * a * far) if until > far else math.sqrt(pace**2 + 2 * a * until)
             return self.thrown(start * direction, seconds=seconds)
@@ -253,8 +254,8 @@ class Setting:
         return np.asarray(np.cross(UP, linear) / max(self.height, 1e-6), float)
 
 
-LONGEST = 5.0
-"""Of a rollout [s]."""
+LONGEST, LONGEST_PUSH = 5.0, 3.5
+"""Of a rollout, and of a push in it [s]."""
 
 
 def _three(v: Array | None) -> tuple[float, float, float]:

@@ -32,6 +32,8 @@ MOVES, MOVES_A_LITTLE = 0.2, 0.07
 """Shares of its size that something is to be moved by a blow: to be seen at once, and to be seen at all."""
 LEANS_ON = math.radians(45)
 """Lean of what fell over towards something and came to lie on it [rad]."""
+FELL = math.radians(150)
+"""Turning that is rolling and not falling over, for what is not round [rad]."""
 NEARLY = 0.9
 """Share of a height said that something falls at least: it may end on its side."""
 SEEN = 0.25
@@ -114,8 +116,10 @@ def _bumped(conditions: Conditions, m: Meant, layout: Layout) -> list[Reading]:
 def _roll(m: Meant, layout: Layout) -> list[Reading]:
     radius = float(np.ptp(layout.span(m.active)[:, 2])) / 2
 
+    least = math.pi / 4 if m.direction is None or layout.rolls(m.active, m.direction) else FELL
+
     def turned(way: float) -> p.Rolled:
-        return p.Rolled(a=m.active, at_least=min(max(0.5 * way / radius, math.pi / 4), 100.0))
+        return p.Rolled(a=m.active, at_least=min(max(0.5 * way / radius, least), 100.0))
 
     if m.request.preposition == "off" and m.target is not None:
         return [((p.Off(a=m.active, b=m.target), turned(radius)), "")]

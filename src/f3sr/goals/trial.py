@@ -28,6 +28,8 @@ SLOW, SLOWLY = 0.01, 0.1
 """Speeds [m/s, rad/s] below which everything counts as still."""
 SHORTEST = 0.8
 """Of a rollout [s]: less is over before anybody sees it."""
+RUNAWAY, WHIRL = 2.0, 400.0
+"""Times the limit of speeds, and turning [rad/s], from which on something was thrown by a contact: the trial ends."""
 SURE = 0.03
 """Relative margin from which on a plan that meets its conditions is not bettered."""
 IN_FRAME = 0.5
@@ -91,7 +93,15 @@ class Trials:
         watched = {task.active, *(c.a for c in task.conditions), *({task.target} - {None, GROUND})}
         rows = [k for k, o in enumerate(o for o in self.scene if o.mobility == "dynamic") if o.id in watched]
         self.rollouts += 1
-        rollout = simulate(self.scene, plan, until=Still(last, rows), model=model)
+        limits = plan.simulation.limits
+        watch = Still(last, rows, fastest=RUNAWAY * limits.speed if limits else np.inf)
+        try:
+            rollout = simulate(self.scene, plan, until=watch, model=model)
+        except FloatingPointError:
+            end = watch.last - 2 * plan.simulation.timestep * plan.simulation.steps_per_sample
+            if end <= 0:
+                raise
+            rollout = simulate(self.scene, plan, until=lambda time, _: time >= end, model=model)
         self.seconds += float(rollout.time[-1])
         return rollout
 
@@ -134,14 +144,18 @@ class Trials:
 
 
 class Still:
-    """Ends a rollout once what its goal is about has not moved for as long as counts as its end; ``rows`` are the
-    places of those among all that can move."""
+    """Ends a rollout once what its goal is about has not moved for as long as counts as its end, or anything is faster
+    than ``fastest`` [m/s]; ``rows`` are the places of those among all that can move."""
 
-    def __init__(self, after: float, rows: Sequence[int]) -> None:
+    def __init__(self, after: float, rows: Sequence[int], *, fastest: float) -> None:
         self.after, self.since, self.rows = max(after, SHORTEST - LAST), np.inf, list(rows)
+        self.fastest, self.last = fastest, 0.0
 
     def __call__(self, time: float, data: Any) -> bool:
-        speeds = np.abs(data.qvel).reshape(-1, 6)[self.rows].max(0)
+        self.last, every = time, np.abs(data.qvel).reshape(-1, 6)
+        if every[:, :3].max() > self.fastest or every[:, 3:].max() > WHIRL:
+            return True
+        speeds = every[self.rows].max(0)
         still = time > self.after and speeds[:3].max() < SLOW and speeds[3:].max() < SLOWLY
         self.since = min(self.since, time) if still else np.inf
         return time - self.since >= LAST

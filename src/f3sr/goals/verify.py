@@ -19,6 +19,8 @@ from f3sr.scene import GROUND, Scene
 
 DROPPED: set[Kind] = {"drop", "lift_and_drop"}
 """Kinds that start where something is let go."""
+FASTER = 1.5
+"""Times the limit of speeds that anything may reach: more comes from contacts that go wrong, not from falling."""
 STILL = 1e-3
 """How far anything may move before the first control [m]."""
 
@@ -126,6 +128,13 @@ def _broken(scene: Scene, planned: Scene, plan: Plan, rollout: Rollout) -> Itera
         touched = rollout.touches(task.active, task.target)["time"]
         if len(touched) and float(touched[0]) < last:
             yield f"an impulse comes {last - float(touched[0]):.2f} s after the active object touched its target"
+    limits = plan.simulation.limits
+    most = FASTER * limits.speed if limits else np.inf
+    for o in planned:
+        way = rollout.poses(o.id)[:, :3, 3]
+        speed = float(np.max(np.linalg.norm(np.diff(way, axis=0), axis=1) / np.diff(rollout.time), initial=0.0))
+        if speed > most:
+            yield f"object {o.id} is flung away at {speed:.0f} m/s"
     first = _first_control(plan)
     before = rollout.time <= first + 1e-9
     for o in scene:
