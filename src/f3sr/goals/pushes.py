@@ -61,6 +61,8 @@ def pushing(s: Setting) -> Launches:
     if s.target is None or s.task.way == "towards":
         yield from sliding(s)
         return
+    if s.pool is not None:  # over the rim of what it lies in, not through it
+        yield from striking(s, s.target)
     direction, gap = free_way(s, s.target)
     blocked = _met_first(s, direction) not in (None, s.target)
     outcome = any(c.a == s.target for c in s.task.conditions if c.type in ("toppled", "displaced", "rolled"))
