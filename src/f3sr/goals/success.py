@@ -36,8 +36,8 @@ FELL = math.radians(150)
 """Turning that is rolling and not falling over, for what is not round [rad]."""
 NEARLY = 0.9
 """Share of a height said that something falls at least: it may end on its side."""
-STIRS = 0.03
-"""The same for what something is only pushed into."""
+STIRS, STIRS_BY = 0.03, 0.006
+"""The same for what something is only pushed into, and in any case [m]."""
 SEEN = 0.25
 """Share of its size that the active object moves at least."""
 
@@ -111,7 +111,7 @@ def _bumped(conditions: Conditions, m: Meant, layout: Layout) -> list[Reading]:
     if m.request.outcome is not None or target == GROUND or layout.scene[target].mobility == "fixed":
         return [(conditions, "")]
     touches = next(k for k, c in enumerate(conditions) if c.type == "contact")
-    moves = p.Displaced(a=target, at_least=STIRS * layout.size(target), after=touches)
+    moves = p.Displaced(a=target, at_least=max(STIRS * layout.size(target), STIRS_BY), after=touches)
     return [((*conditions, moves), ""), (conditions, "it may not move what it meets")]
 
 
