@@ -80,7 +80,8 @@ def pushing(s: Setting) -> Launches:
             yield [s.pushed(direction, gap + pace**2 / (2 * s.drag), pace, until=until)]
         if blocked and speed > BLOWS[2]:
             break
-    if blocked or any(c.type == "toppled" and c.a == s.target for c in s.task.conditions):
+    topples = any(c.type == "toppled" and c.a == s.target for c in s.task.conditions)
+    if s.pool is None and (blocked or topples):
         yield from striking(s, s.target)
 
 

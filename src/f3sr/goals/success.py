@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from f3sr.goals import plan as p
-from f3sr.goals.layout import Layout
+from f3sr.goals.layout import Layout, way_between
 from f3sr.scene import GROUND
 
 if TYPE_CHECKING:
@@ -263,8 +263,6 @@ def _gap(m: Meant, layout: Layout) -> float:
     """How far the active object is from its target along its direction [m]."""
     if m.target is None or m.target == GROUND or m.direction is None:
         return m.amount
-    from f3sr.goals.layout import way_between
-
     first, last = way_between(layout.hull(m.active), layout.hull(m.target), m.direction[:2])
     return max(first, 0.0) if first < last else m.amount
 
