@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -19,11 +21,13 @@ from f3sr.frames import Array, pose
 from f3sr.goals import deliver
 from f3sr.goals.checks import PlanError, faults_of
 from f3sr.goals.language import Launch, Tried
+from f3sr.goals.layout import Layout
 from f3sr.goals.limits import limits_of
 from f3sr.goals.menu import menu
 from f3sr.goals.plan import (
     Contact,
     Displaced,
+    Impulse,
     InitialConditions,
     Offset,
     Semantics,
@@ -39,8 +43,9 @@ from f3sr.goals.reasoner import declared, semantics_of
 from f3sr.goals.refusal import Refusal
 from f3sr.goals.rollout import to_npz
 from f3sr.goals.rules import Rules
+from f3sr.goals.setting import Setting
 from f3sr.goals.simulate import simulate
-from f3sr.goals.trial import ROLLOUTS, Trials
+from f3sr.goals.trial import LINGERS, ROLLOUTS, SHORTEST, Still, Trials
 from f3sr.goals.verify import to_json as verdict_json
 from f3sr.goals.verify import verdict_schema, verify
 from f3sr.package import Package
@@ -185,6 +190,84 @@ def test_what_lies_in_something_is_thrown_from_where_it_lies(tmp_path: Path) -> 
     assert np.allclose(found.rollout.poses(BALL)[0], package.scene[BALL].T_world_object, atol=1e-6)
     rise, off = found.plan.initial.impulses
     assert rise.linear[2] > 0 and rise.linear[:2] == (0.0, 0.0) and off.time > rise.time == 0.0
+
+
+def test_what_lies_in_something_is_pushed_out_over_the_rim(tmp_path: Path) -> None:
+    scene = goal_scene()
+    ball = replace(scene[BALL], T_world_object=pose(t=[0.0, 0.25, 0.01 + 0.032 + 2 * GAP]))
+    ball = replace(ball, supports=(Support(id=CRATE),), supported_by=CRATE)
+    package = goal_package(tmp_path / "package", scene.with_objects(ball))
+    found = played(package, "push the ball out of the crate")
+    assert found.verdict.met, found.verdict.said
+
+
+@pytest.mark.parametrize("speed", [1.0, 2.0, 4.0])
+def test_what_is_struck_is_not_lifted_by_that(tmp_path: Path, speed: float) -> None:
+    """A speed from one step to the next lifts it: the engine's cone of friction is convex."""
+    package = goal_package(tmp_path / "package", replace(goal_scene(), objects=(goal_scene()[BLOCK],)))
+    task = played(package, "push the block 5 cm to the left").plan.task
+    setting = Setting(task, Layout(package.scene), limits_of(package.scene))
+    rise = {}
+    for launch in (
+        setting.struck(setting.direction, speed, 0.5, seconds=0.1),
+        setting.thrown(speed * setting.direction, seconds=0.1),
+    ):
+        plan = Trials(package.scene, "", "0" * 64).plan(task, [declared(o) for o in package.scene], launch)
+        simulation = SimulationPlan(steps_per_sample=2, duration=0.025)
+        rollout = simulate(package.scene, plan.model_copy(update={"simulation": simulation}))
+        T = rollout.poses(BLOCK)
+        low = (T[:, :3, :3] @ package.scene[BLOCK].mesh.vertices.T)[:, 2].min(1) + T[:, 2, 3]
+        rise[bool(launch.initial.impulses)] = float(low.max() - low[0])
+        reached = (T[-1, :3, 3] - T[-2, :3, 3]) @ setting.direction / (rollout.time[-1] - rollout.time[-2])
+        assert reached == pytest.approx(speed, rel=0.2), "it is off at that speed"
+    assert rise[True] < rise[False] / 3
+
+
+def test_turning_has_a_limit(package: Package) -> None:
+    plan, scene = played(package, "roll the ball to the left").plan, package.scene
+    most = 2 * limits_of(scene).speed / 0.032
+    for spin, blow, ok in ((0.9 * most, False, True), (1.2 * most, False, False), (1.2 * most, True, False)):
+        turning = (0.0, 0.0, spin)
+        inertia = body_of(scene[BALL]).inertia[2, 2] * plan.semantics[BALL].mass / body_of(scene[BALL]).mass
+        initial = (
+            InitialConditions(impulses=(Impulse(id=BALL, time=0.0, angular=(0.0, 0.0, spin * inertia)),))
+            if blow
+            else InitialConditions(velocities=(Velocity(id=BALL, angular=turning),))
+        )
+        faults = list(faults_of(plan.model_copy(update={"initial": initial}), scene))
+        assert (not faults) == ok and all("turn" in f for f in faults), (spin, faults)
+
+
+def test_a_way_too_far_is_no_advice(package: Package) -> None:
+    """``nearest`` is for what falls short."""
+    found = played(package, "push the cereal box 10 cm to the left")
+    short, far = (
+        tuple(replace(c, margin=-0.03, reached=reached) for c in found.verdict.conditions) for reached in (0.07, 0.14)
+    )
+    assert "0.07 m" in replace(found, verdict=replace(found.verdict, conditions=short)).nearest
+    assert not replace(found, verdict=replace(found.verdict, conditions=far)).nearest
+
+
+def test_what_is_taken_along_is_named(package: Package) -> None:
+    assert played(package, "push the block 5 cm to the right").plan.task.passives == (LID,)
+
+
+def test_others_that_still_move_are_waited_for() -> None:
+    """What the goal is about lies still: the rollout goes on for what rolls, for a while."""
+
+    class Data:
+        qvel = np.zeros(12)
+
+    ends = {}
+    for name, rolls in (("still", 0.0), ("a while", 0.6), ("forever", 9.0)):
+        watch, data = Still(0.0, [0], fastest=np.inf), Data()
+        times = np.arange(1, 300) / 30
+        for time in times:
+            data.qvel[6] = 0.2 * (time < 1.5 + rolls)
+            if watch(float(time), data):
+                ends[name] = float(time)
+                break
+    assert ends["still"] < ends["a while"] < ends["forever"] <= SHORTEST + LINGERS + 2 / 30
 
 
 def test_only_what_is_dropped_may_start_elsewhere(package: Package) -> None:
@@ -410,6 +493,8 @@ def test_a_plan_belongs_to_one_scene(package: Package) -> None:
         (lambda text: b" " * 10_000_001, "bytes"),
         (lambda text: b"\xff\xfe", "UTF-8"),
         (lambda text: b"null", "the document"),
+        (lambda text: re.sub(rb'"mass": [0-9.e-]+', b'"mass": 1e30', text, count=1), "mass"),
+        (lambda text: re.sub(rb'"linear": \[\s*[0-9.e-]+', b'"linear": [1e300', text, count=1), "linear"),
     ],
 )
 def test_hostile_plans_are_told_in_one_line(package: Package, tmp_path: Path, change: Any, message: str) -> None:
@@ -453,6 +538,27 @@ def test_a_write_that_fails_leaves_nothing(package: Package, tmp_path: Path, mon
             deliver.write_played(found, out, overwrite=True)
     assert [p.name for p in tmp_path.iterdir()] == ["out"] and (out / "rollout.npz").read_bytes() == before
     assert sorted(p.name for p in out.iterdir()) == ["plan.json", "rollout.npz", "verdict.json"]
+
+
+def test_processes_that_write_at_once_get_numbers_of_their_own(package: Package, tmp_path: Path) -> None:
+    found = played(package, "knock over the cereal box")
+    folder = goal_package(tmp_path / "package").folder
+    with ThreadPoolExecutor(4) as pool:
+        places = list(pool.map(lambda _: deliver.write_next(found, folder), range(8)))
+    assert sorted(int(p.name) for p in places) == list(range(1, 9))
+    assert {p.name for p in (folder / "rollouts").iterdir()} == {str(k) for k in range(1, 9)}
+
+
+def test_what_a_killed_process_left_is_cleared_and_what_another_holds_is_not(package: Package, tmp_path: Path) -> None:
+    found = played(package, "knock over the cereal box")
+    left, foreign = tmp_path / ".0000.building", tmp_path / ".mine.building"
+    left.mkdir()
+    (left / deliver.MARKER).touch()
+    foreign.mkdir()
+    with deliver._building(tmp_path) as held:  # pyright: ignore[reportPrivateUsage]
+        deliver.write_played(found, tmp_path / "out")
+        assert held.exists() and not left.exists() and foreign.exists()
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".mine.building", "out"]
 
 
 def test_limits_grow_with_the_scene_up_to_a_person() -> None:

@@ -30,7 +30,7 @@ def test_a_goal_is_told_written_and_replayed(
     out, again = tmp_path / "out", tmp_path / "again"
     assert main(["simulate", str(package.folder), TOPPLE, "-o", str(out)]) == 0
     told = capsys.readouterr().out
-    assert all(word in told for word in ("meaning:", "assumed:", "launch:", "met:", "rollouts", str(out)))
+    assert all(word in told for word in ("meaning:", "assumed:", "launch:", "met:", "rollout,", str(out)))
     assert main(["simulate", str(package.folder), "--plan", str(out / "plan.json"), "-o", str(again)]) == 0
     for name in ("plan.json", "rollout.npz", "verdict.json"):
         assert (out / name).read_bytes() == (again / name).read_bytes()
@@ -117,6 +117,26 @@ def test_a_rollout_is_replaced_only_when_asked(package: Package, tmp_path: Path)
     call = ["simulate", str(package.folder), TOPPLE, "-o", str(tmp_path / "out")]
     assert main(call) == 0 and main(call) == 1 and main([*call, "--overwrite"]) == 0
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def test_several_goals_do_not_mix_with_one(
+    package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call = ["simulate", str(package.folder), TOPPLE, "-o", str(tmp_path / "out")]
+    assert main(call) == 0
+    assert main([*call[:3], TOPPLE, *call[3:], "--overwrite"]) == 1
+    assert "subfolders" in capsys.readouterr().err and not (tmp_path / "out" / "1").exists()
+
+
+def test_a_refusal_is_said_once_and_a_replay_counts_one(
+    package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["simulate", str(package.folder), "push the banana", "-o", str(tmp_path / "out")]) == 3
+    assert not capsys.readouterr().out
+    assert main(["simulate", str(package.folder), "push the can into the block", "-o", str(tmp_path / "out")]) == 0
+    plan = str(tmp_path / "out/plan.json")
+    assert main(["simulate", str(package.folder), "--plan", plan, "-o", str(tmp_path / "two")]) == 0
+    assert "met, 1 rollout, " in capsys.readouterr().out
 
 
 def test_a_plan_of_another_package_is_bad_input(

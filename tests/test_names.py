@@ -205,6 +205,21 @@ def test_a_label_names_before_it_describes():
     assert resolve("the left shoe", scene) == 2
 
 
+def test_a_colour_that_is_a_thing_names_the_thing():
+    things = [thing(id, label, at=(0.2 * id, 0, 0)) for id, label in enumerate(("bottle", "ball"))]
+    scene = painted(replace(table(), objects=tuple(things), graph=SceneGraph()), {0: "green", 1: "orange"})
+    for phrase in ("the lime", "the orange"):
+        refused = resolve(phrase, scene)
+        assert isinstance(refused, Refusal) and refused.reason == "unknown", "nobody said what is green"
+    assert resolve("the green one", scene) == 0 and resolve("the orange ball", scene) == 1
+
+
+def test_what_a_list_leaves_out_is_counted():
+    things = [thing(id, f"cup {chr(97 + id)}", at=(0.2 * id, 0, 0)) for id in range(11)]
+    refused = resolve("the teapot", replace(table(), objects=tuple(things), graph=SceneGraph()))
+    assert isinstance(refused, Refusal) and "3 more" in refused.message and len(refused.candidates) == 8
+
+
 def test_descriptions_look_beyond_the_best_label():
     things = [thing(0, "cup", at=(-0.2, 0, 0)), thing(1, "mug", at=(0.2, 0, 0)), thing(2, "mug", at=(0.4, 0, 0))]
     scene = painted(replace(table(), objects=tuple(things), graph=SceneGraph()), {0: "red", 1: "red", 2: "blue"})

@@ -230,6 +230,15 @@ def test_a_package_comes_back(stack: Scene, tmp_path: Path) -> None:
         assert np.allclose(a.colliders_world[0].vertices, b.colliders_world[0].vertices, atol=1e-10)
 
 
+def test_a_place_beyond_all_bounds_is_refused(stack: Scene, tmp_path: Path) -> None:
+    out = write_package(stack, tmp_path / "out")
+    document = json.loads((out / "scene.json").read_text())
+    document["objects"][0]["T_world_object"][0][3] = 1e300
+    (out / "scene.json").write_text(json.dumps(document))
+    with pytest.raises(InputError, match="m from the origin"):
+        read_package(out)
+
+
 def test_photo_masks_and_direct_composition_come_back(stack: Scene, tmp_path: Path) -> None:
     T = pose(rotation_about([0, 0, 1], 0.1), [0.1, 0, 0])
     result = stack.with_objects(stack[1].moved(T, scale=1.25, stage="test", reason="test"))

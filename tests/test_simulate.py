@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from f3sr.frames import Array, rotation_angle, rotation_from_vector
+from f3sr.frames import Array, pose, rotation_angle, rotation_from_vector
 from f3sr.goals.plan import (
     Displaced,
     Impulse,
@@ -24,6 +24,7 @@ from f3sr.goals.plan import (
 )
 from f3sr.goals.rollout import Rollout, from_npz, to_npz
 from f3sr.goals.simulate import simulate
+from f3sr.mesh import ConvexPart, Mesh
 from f3sr.physics import body_of
 from f3sr.restitution import LEAST, damping_ratio_of, restitution_of, solref
 from f3sr.scene import GROUND, Scene, SceneObject
@@ -139,6 +140,23 @@ def test_a_box_slides_as_far_as_friction_says() -> None:
     rollout = simulate(scene, plan_of(scene, duration=1.0, velocities=[Velocity(id=0, linear=(v, 0, 0))]))
     slid = centers(rollout, o)[-1, 0] - centers(rollout, o)[0, 0]
     assert slid == pytest.approx(v**2 / (2 * 0.6 * G), rel=0.05)
+
+
+def test_recorded_forces_are_vector_sums() -> None:
+    """A ball in a groove presses on it with its weight, however steep the groove: the sides' forces in part cancel."""
+    walls = list[ConvexPart]()
+    for side in (-1, 1):
+        R = rotation_from_vector(np.array([0, -side * np.pi / 4, 0]))
+        walls.append(box(0, size=(0.2, 0.2, 0.02)).parts[0].moved(pose(R, [0, 0, 0.05] + R @ [side * 0.1, 0, -0.01])))
+    mesh = Mesh(
+        vertices=np.concatenate([w.vertices for w in walls]),
+        faces=np.concatenate([walls[0].faces, walls[1].faces + len(walls[0].vertices)]).astype(np.int32),
+    )
+    groove = replace(box(0), mesh=mesh, parts=tuple(walls), T_world_object=pose(), mobility="fixed")
+    round_ = ball(1, 0.04, (0, 0, 0.0502 + 0.04 * np.sqrt(2)))
+    scene = scene_of(groove, round_)
+    rollout = simulate(scene, plan_of(scene, active=1, duration=1.5))
+    assert rollout.touches(0, 1)["force"][-10:] == pytest.approx(body_of(round_).mass * G, rel=0.02)
 
 
 @pytest.mark.parametrize(("e", "off"), [(0.3, 0.06), (0.6, 0.03), (0.85, 0.01)])

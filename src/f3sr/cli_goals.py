@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from tyro.conf import Positional, arg
 
-from f3sr.errors import F3srError, InputError, MissedError, RefusedError, printable
+from f3sr.errors import F3srError, InputError, MissedError, OutputError, RefusedError, printable
 
 if TYPE_CHECKING:
     from f3sr.goals.play import Played
@@ -44,17 +44,15 @@ def simulate(
         overwrite: Also replace an older rollout.
         json: Print one JSON object instead of text.
     """
-    from f3sr.goals import deliver
     from f3sr.package import read_package
 
     _require_goals(goals, plan)
     content = read_package(package)
-    places = _places(out, package, max(len(goals), 1))
-    places = [deliver.require_place(place, package, overwrite=overwrite) for place in places]
+    places = _places(out, package, max(len(goals), 1), overwrite)
     tellings = list[dict[str, Any]]()
     for played, place, goal, seconds in _played(content, goals, plan, places, overwrite):
-        tellings.append(_telling(goal, played, place, seconds))
-        if not json:
+        tellings.append(_telling(goal, played, place, seconds, replayed=plan is not None))
+        if not json and (tellings[-1]["state"] != "refused" or len(goals) > 1):  # one refusal is the error's line
             print("\n".join(printable(line) for line in _lines(tellings[-1])), flush=True)
     if json:
         print(json_.dumps({"goals": tellings}, allow_nan=False))
@@ -93,20 +91,25 @@ def _require_goals(goals: Sequence[str], plan: Path | None) -> None:
         raise InputError("simulate", found=f"{len(goals)} goals", accepted=f"at most {MOST}")
 
 
-def _places(out: Path | None, package: Path, count: int) -> list[Path]:
-    from f3sr.goals.deliver import next_folder
+def _places(out: Path | None, package: Path, count: int, overwrite: bool) -> list[Path] | list[None]:
+    """Where rollouts go, checked; None for the package's next number."""
+    from f3sr.goals.deliver import PLAN, next_folder, require_place
 
     if out is None:
-        first = next_folder(package)
-        return [first.with_name(str(int(first.name) + k)) for k in range(count)]
-    return [out] if count == 1 else [out / str(k + 1) for k in range(count)]
+        require_place(next_folder(package), package)
+        return [None] * count
+    if count == 1:
+        return [require_place(out, package, overwrite=overwrite)]
+    if (out / PLAN).exists():
+        raise OutputError(f"{out}: holds one rollout, and {count} goals go to subfolders; give another folder")
+    return [require_place(out / str(k + 1), package, overwrite=overwrite) for k in range(count)]
 
 
 def _played(
-    content: Package, goals: Sequence[str], plan: Path | None, places: Sequence[Path], overwrite: bool
-) -> Iterator[tuple[Played | Refusal, Path, str, float]]:
+    content: Package, goals: Sequence[str], plan: Path | None, places: Sequence[Path | None], overwrite: bool
+) -> Iterator[tuple[Played | Refusal, Path | None, str, float]]:
     """Every goal played and written as soon as it is, with its place, words and seconds."""
-    from f3sr.goals.deliver import read_plan, write_played
+    from f3sr.goals.deliver import read_plan, write_next, write_played
     from f3sr.goals.play import replay_plan, simulate_goal
     from f3sr.goals.refusal import Refusal
 
@@ -121,11 +124,17 @@ def _played(
         else:
             played = simulate_goal(content, goal)
         if not isinstance(played, Refusal):
-            write_played(played, place, overwrite=overwrite)
+            place = (
+                write_next(played, content.folder)
+                if place is None
+                else write_played(played, place, overwrite=overwrite)
+            )
         yield played, place, goal, time.perf_counter() - start
 
 
-def _telling(goal: str, played: Played | Refusal, place: Path, seconds: float) -> dict[str, Any]:
+def _telling(
+    goal: str, played: Played | Refusal, place: Path | None, seconds: float, *, replayed: bool
+) -> dict[str, Any]:
     """What came of a goal, as plain values."""
     from f3sr.goals.refusal import Refusal
 
@@ -140,7 +149,7 @@ def _telling(goal: str, played: Played | Refusal, place: Path, seconds: float) -
         "interpretation": task.interpretation,
         "assumptions": list(task.assumptions),
         "launch": _launch(played),
-        "rollouts": played.plan.rollouts,
+        "rollouts": 1 if replayed else played.plan.rollouts,
         "simulated_seconds": played.plan.simulation.duration,
         "margin": played.verdict.margin,
         "conditions": [
@@ -163,8 +172,12 @@ def _lines(told: dict[str, Any]) -> Iterator[str]:
         yield f"{'met:   ' if c['met'] else 'missed:'}    {c['said']}"
     yield from (f"broken:    {rule}" for rule in told["broken_rules"])
     yield from [f"nearest:   {told['nearest']}"] if told["nearest"] else []
-    yield f"verdict:   {told['state']}, {told['rollouts']} rollouts, {told['seconds']:.1f} s"
+    yield f"verdict:   {told['state']}, {_counted(told['rollouts'])}, {told['seconds']:.1f} s"
     yield f"written:   {told['folder']}"
+
+
+def _counted(rollouts: int) -> str:
+    return "1 rollout" if rollouts == 1 else f"{rollouts} rollouts"
 
 
 def _launch(played: Played) -> str:

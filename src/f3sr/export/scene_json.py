@@ -19,6 +19,8 @@ from f3sr.scene import GROUND, Mobility, Predicate, RelationSource, Scene, Scene
 
 SCHEMA_VERSION = 1
 SCHEMA_FILE = "scene.schema.json"
+FARTHEST = 1e6
+"""From the origin that anything may be [m]: beyond it float32 meshes have no millimetres, nor decimetres."""
 
 
 def _safe_path(path: str) -> str:
@@ -40,6 +42,8 @@ def _rigid(T: Matrix4) -> Matrix4:
     R = matrix[:3, :3]
     if not np.allclose(R @ R.T, np.eye(3), atol=1e-5) or np.linalg.det(R) < 0:
         raise ValueError("accepted: a rigid transform (rotation and translation, no scale, no mirror)")
+    if np.abs(matrix).max() > FARTHEST:
+        raise ValueError(f"accepted: places at most {FARTHEST:,.0f} m from the origin")
     if not np.array_equal(matrix[3], [0, 0, 0, 1]):
         raise ValueError("accepted: a last row of 0 0 0 1")
     return T

@@ -75,7 +75,7 @@ def launch_faults(launch: Launch, task: TaskSpec, semantics: Sequence[Semantics]
     if initial.offsets and task.kind not in LIFTED:
         yield f"it moves object {task.active} before it starts; accepted: only to {', '.join(sorted(LIFTED))}"
     mass = next((s.mass for s in semantics if s.id == task.active), 0.0)
-    if excess := beyond(initial, mass, limits_of(scene)):
+    if excess := beyond(initial, scene[task.active], mass, limits_of(scene)):
         yield excess
 
 

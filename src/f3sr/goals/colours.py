@@ -61,6 +61,8 @@ NAMED = {
     **dict.fromkeys(("magenta", "fuchsia", "rose"), ("pink", "purple")),
 }
 """The basic terms that a colour word may mean."""
+THINGS = {"lime", "orange", "olive", "rose", "violet", "lavender", "lilac", "cream", "ruby", "silver", "gold"}
+"""Colour words that alone name a thing: somebody who says ``the lime`` means no green bottle."""
 
 
 def colours(rgb: NDArray[np.uint8]) -> tuple[str, ...]:

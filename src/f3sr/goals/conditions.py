@@ -38,6 +38,8 @@ class Judged:
     """What was found, in words."""
     relative: float
     """The margin over what it is measured by: what is asked for, or the object's size."""
+    reached: float | None = None
+    """The most that was found, where so much is asked for; in ``unit``."""
 
     @property
     def met(self) -> bool:
@@ -276,6 +278,7 @@ def _reached(c: p.Condition, seen: Seen, values: Array, needed: float, unit: Uni
         time=time,
         said=f"{what} by {shown}, at least {asked} asked",
         relative=(found - needed) / max(needed, 1e-3),
+        reached=found,
     )
 
 

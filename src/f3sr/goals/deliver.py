@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import fcntl
+import os
+import secrets
 import shutil
 from collections.abc import Generator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from f3sr import interrupts
@@ -22,8 +27,10 @@ ROLLOUTS = "rollouts"
 """The one folder of a package that goals may write into."""
 PLAN, ROLLOUT, VERDICT, FILM = "plan.json", "rollout.npz", "verdict.json", "film.mp4"
 FILES = {PLAN, ROLLOUT, VERDICT, FILM}
+BUILDING = ".building"
+"""How the name of a folder that is being written ends, and"""
 MARKER = ".f3sr-building"
-"""In a folder that is being written."""
+"""what is in it."""
 
 
 def next_folder(package: Path) -> Path:
@@ -71,9 +78,33 @@ def write_played(played: Played, out: Path, *, overwrite: bool = False) -> Path:
     """
     out = Path(out).resolve()
     _require_replaceable(out, overwrite)
+    with _written(played, out.parent) as folder:
+        _replace(folder, out)
+        interrupts.wrote(out)
+    return out
+
+
+def write_next(played: Played, package: Path) -> Path:
+    """The same as the package's next rollout: the first number that is free when all is written."""
+    with _written(played, package.resolve() / ROLLOUTS) as folder:
+        while True:
+            out = next_folder(package.resolve())
+            try:
+                folder.rename(out)
+            except OSError as error:
+                if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                    raise
+                continue  # another process took that number
+            interrupts.wrote(out)
+            return out
+
+
+@contextmanager
+def _written(played: Played, parent: Path) -> Generator[Path]:
+    """A folder in ``parent`` with all files, held for its renaming; gone afterwards unless that came about."""
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with _building(out.with_name(f".{out.name}.building")) as folder:
+        parent.mkdir(parents=True, exist_ok=True)
+        with _building(parent) as folder:
             for name, data in (
                 (PLAN, plans.to_json(played.plan)),
                 (ROLLOUT, rollouts.to_npz(played.rollout)),
@@ -82,11 +113,9 @@ def write_played(played: Played, out: Path, *, overwrite: bool = False) -> Path:
                 (folder / name).write_bytes(data)
             with interrupts.held():
                 (folder / MARKER).unlink()
-                _replace(folder, out)
-                interrupts.wrote(out)
+                yield folder
     except OSError as error:
-        raise OutputError(f"{out}: could not be written ({reason(error)})") from error
-    return out
+        raise OutputError(f"{parent}: could not be written into ({reason(error)})") from error
 
 
 def read_plan(file: Path) -> Plan:
@@ -113,29 +142,53 @@ def _first_line(error: ValueError) -> str:
     return f"{'.'.join(map(str, first['loc'])) or 'the document'}: {first['msg']}"
 
 
+@dataclass(frozen=True, eq=False)
+class _Folder:
+    """A new folder that its process holds by a lock, which the kernel ends with the process."""
+
+    path: Path
+    lock: int
+
+    @classmethod
+    def made(cls, parent: Path) -> _Folder:
+        path = parent / f".{secrets.token_hex(6)}{BUILDING}"
+        path.mkdir()
+        lock = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+        with contextlib.suppress(OSError):  # file systems without locks
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        (path / MARKER).touch()
+        return cls(path, lock)
+
+    def leave(self) -> None:
+        """Gone, unless it was renamed."""
+        os.close(self.lock)
+        shutil.rmtree(self.path, ignore_errors=True)
+
+
 @contextmanager
-def _building(folder: Path) -> Generator[Path]:
-    """An empty folder that is gone afterwards unless it was renamed; what a killed run left is cleared away."""
-    with interrupts.undone(lambda: _made(folder), _clear):
+def _building(parent: Path) -> Generator[Path]:
+    """An empty folder that is gone afterwards unless it was renamed; what killed runs left is cleared away."""
+    _sweep(parent)
+    with interrupts.undone(lambda: _Folder.made(parent), _Folder.leave) as made:
         try:
-            yield folder
+            yield made.path
         finally:
             with interrupts.held():
-                _clear(folder)
+                made.leave()
 
 
-def _made(folder: Path) -> Path:
-    if folder.exists() and not (folder / MARKER).exists():
-        raise OutputError(f"{folder}: is in the way and not f3sr's; move it away first")
-    _clear(folder)
-    folder.mkdir()
-    (folder / MARKER).touch()
-    return folder
-
-
-def _clear(folder: Path) -> None:
-    if (folder / MARKER).exists():
-        shutil.rmtree(folder, ignore_errors=True)
+def _sweep(parent: Path) -> None:
+    """Clear away what nobody holds any more."""
+    for folder in parent.glob(f".*{BUILDING}"):
+        if folder.is_symlink() or not (folder / MARKER).exists():
+            continue
+        with contextlib.suppress(OSError):
+            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(folder, ignore_errors=True)
+            finally:
+                os.close(lock)
 
 
 def _replace(folder: Path, out: Path) -> None:

@@ -47,10 +47,12 @@ def _unsuited(r: Request, active: int, target: int, layout: Layout) -> Refusal |
 
 
 def _too_large(active: int, target: int, layout: Layout) -> Refusal | None:
-    """What lies in something passes its opening with its second largest side at most."""
+    """What lies in something passes its opening with its second largest side at most, of the smallest box around it."""
+    from trimesh.bounds import oriented_bounds
+
     pool = layout.pool(target)
     parts = np.concatenate([q.vertices for q in layout.body(active).parts])
-    side = float(sorted(np.ptp(parts, axis=0))[1])
+    side = float(sorted(oriented_bounds(parts)[1])[1])
     if pool is None or side <= FITS * 2 * pool.radius:
         return None
     scene = layout.scene

@@ -90,7 +90,7 @@ def throwing(s: Setting) -> Launches:
         yield from _throwing_over(s, s.target)
         return
     if s.task.target is None or s.task.way in ("off", "away-from"):
-        yield from _throwing_far(s)
+        yield from throwing_far(s)
         return
     if s.target is not None and any(c.a == s.target for c in s.task.conditions if c.type in ("toppled", "displaced")):
         yield from striking(s, s.target)
@@ -224,7 +224,7 @@ def _apex_over(z0: float, z1: float, beyond: float, between: tuple[float, float]
     return high
 
 
-def _throwing_far(s: Setting) -> Launches:
+def throwing_far(s: Setting) -> Launches:
     """Half as high as a throw of 45 degrees; where it comes down is corrected by where it ends."""
     start, lift = s.start
     goal = (s.task.amount or 2 * s.size) * 1.08

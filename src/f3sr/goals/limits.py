@@ -6,8 +6,10 @@ import math
 
 import numpy as np
 
-from f3sr.goals.plan import InitialConditions, Limits
-from f3sr.scene import Scene
+from f3sr.frames import Array
+from f3sr.goals.plan import Impulse, InitialConditions, Limits
+from f3sr.physics import body_of
+from f3sr.scene import Scene, SceneObject
 from f3sr.statics import GRAVITY
 
 HIGHEST = 4.0
@@ -19,6 +21,10 @@ IMPULSE = 60.0
 FORCE = 400.0
 """Push of a person with both hands [N], for a moment; ISO 11228-2 has 230 to 320 for starting a cart."""
 
+WHIRL = 2.0
+"""Times the limit of speeds that turning alone may give a point of an object: the top of what rolls goes at 1."""
+SLACK = 1 + 1e-9
+
 
 def limits_of(scene: Scene) -> Limits:
     """The limits that suit a scene: speeds that its size calls for, at most a person's."""
@@ -26,22 +32,53 @@ def limits_of(scene: Scene) -> Limits:
     return Limits(speed=min(FASTEST, math.sqrt(2 * GRAVITY * highest)), impulse=IMPULSE, force=FORCE, lift=highest)
 
 
-def beyond(initial: InitialConditions, mass: float, limits: Limits) -> str | None:
-    """What of the initial conditions of an object of some mass [kg] is beyond the limits, in words."""
+def whirl(o: SceneObject, angular: Array) -> float:
+    """Speed [m/s] of the fastest point of an object that turns so about its centre of mass (3,) [rad/s]."""
+    return float(np.linalg.norm(np.cross(angular, _arms(o)), axis=1).max())
+
+
+def _arms(o: SceneObject) -> Array:
+    """(n, 3) from its centre of mass to the corners of its parts, in the world [m]."""
+    body = body_of(o)
+    corners = np.concatenate([part.vertices for part in body.parts])
+    return (corners - body.center) @ o.T_world_object[:3, :3].T
+
+
+def beyond(initial: InitialConditions, o: SceneObject, mass: float, limits: Limits) -> str | None:
+    """What of the initial conditions of an object that weighs so much [kg] is beyond the limits, in words."""
     for velocity in initial.velocities:
         speed = float(np.linalg.norm(velocity.linear))
-        if speed > limits.speed * (1 + 1e-9):
+        if (fast := whirl(o, np.array(velocity.angular))) > WHIRL * limits.speed * SLACK:
+            return f"turning that moves its rim at {fast:.1f} m/s, at most {WHIRL * limits.speed:.1f} here"
+        if speed > limits.speed * SLACK:
             return f"a speed of {speed:.1f} m/s, at most {limits.speed:.1f} here"
-        if speed * mass > limits.impulse * (1 + 1e-9):
+        if speed * mass > limits.impulse * SLACK:
             return f"a blow of {speed * mass:.0f} N s, at most {limits.impulse:.0f}"
     for impulse in initial.impulses:
         blow = float(np.linalg.norm(impulse.linear))
-        if impulse.duration == 0 and blow > limits.impulse * (1 + 1e-9):
+        if excess := _turning(impulse, o, mass, limits):
+            return excess
+        if impulse.duration == 0 and blow > limits.impulse * SLACK:
             return f"a blow of {blow:.0f} N s, at most {limits.impulse:.0f}"
-        if impulse.duration > 0 and blow / impulse.duration > limits.force * (1 + 1e-9):
+        if impulse.duration > 0 and blow / impulse.duration > limits.force * SLACK:
             return f"a push of {blow / impulse.duration:.0f} N, at most {limits.force:.0f}"
     for offset in initial.offsets:
         lift = float(np.linalg.norm(offset.translation))
-        if lift > limits.lift * (1 + 1e-9):
+        if lift > limits.lift * SLACK:
             return f"a lift of {lift:.2f} m, at most {limits.lift:.2f} here"
+    return None
+
+
+def _turning(impulse: Impulse, o: SceneObject, mass: float, limits: Limits) -> str | None:
+    """What of an impulse's turning is beyond the limits: of a blow the speed that it gives, of a push its torque."""
+    turning, body = np.array(impulse.angular), body_of(o)
+    if impulse.duration > 0:
+        torque = float(np.linalg.norm(turning)) / impulse.duration
+        most = limits.force * float(np.linalg.norm(_arms(o), axis=1).max())
+        return f"a torque of {torque:.3g} N m, at most {most:.3g} here" if torque > most * SLACK else None
+    R = o.T_world_object[:3, :3]
+    inertia = mass / body.mass * (R @ body.inertia @ R.T)
+    fast = whirl(o, np.asarray(np.linalg.solve(inertia, turning), float))
+    if fast > WHIRL * limits.speed * SLACK:
+        return f"a blow that turns its rim at {fast:.1f} m/s, at most {WHIRL * limits.speed:.1f} here"
     return None

@@ -172,25 +172,26 @@ def _plural_noun(phrase: Phrase, sight: Sight) -> bool:
 
 def _many(reason: Reason, found: str, ids: Sequence[int], sight: Sight) -> Refusal:
     apart = _told_apart(ids, sight)
-    more = f" and {len(ids) - len(apart)} more" if len(ids) > len(apart) else ""
-    return Refusal(reason=reason, message=f"{found}: say {listed(apart)}{more}", candidates=apart)
+    return Refusal(reason=reason, message=f"{found}: say {_some_of(ids, apart)}", candidates=apart)
 
 
 def _none_such(phrase: Phrase, why: str, ids: Sequence[int], sight: Sight) -> Refusal:
     apart = _told_apart(ids, sight)
-    message = f"no {quoted(phrase.words)} here, {why}; accepted: {listed(apart)}"
+    message = f"no {quoted(phrase.words)} here, {why}; accepted: {_some_of(ids, apart)}"
     return Refusal(reason="unknown", message=message, candidates=apart)
 
 
 def _unknown(phrase: Phrase, sight: Sight) -> Refusal:
     if "and" in phrase.names:
-        everything = _told_apart([o.id for o in sight.scene], sight)
-        message = f"{quoted(phrase.words)} is more than one object; accepted: one of {listed(everything)}"
-        return Refusal(reason="plural", message=message, candidates=everything)
+        ids = [o.id for o in sight.scene]
+        apart = _told_apart(ids, sight)
+        message = f"{quoted(phrase.words)} is more than one object; accepted: one of {_some_of(ids, apart)}"
+        return Refusal(reason="plural", message=message, candidates=apart)
     near = _nearest_names(phrase, sight)
-    apart = _told_apart(near or [o.id for o in sight.scene], sight)
+    ids = near or [o.id for o in sight.scene]
+    apart = _told_apart(ids, sight)
     hint = "did you mean" if near else "the scene has"
-    message = f"no {quoted(phrase.words)} here; {hint} {listed(apart)}"
+    message = f"no {quoted(phrase.words)} here; {hint} {_some_of(ids, apart)}"
     return Refusal(reason="unknown", message=message, candidates=apart)
 
 
@@ -204,6 +205,12 @@ def _nearest_names(phrase: Phrase, sight: Sight) -> list[int]:
 
 
 # --- telling apart ------------------------------------------------------------------------------------------------
+
+
+def _some_of(ids: Sequence[int], apart: tuple[str, ...]) -> str:
+    """Objects told apart, and how many were left out."""
+    left = len([id for id in ids if id != GROUND]) - len(apart)
+    return listed((*apart, f"{left} more that 'f3sr goals' lists") if left else apart)
 
 
 def _told_apart(ids: Sequence[int], sight: Sight) -> tuple[str, ...]:

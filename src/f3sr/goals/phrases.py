@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from f3sr.goals.colours import NAMED
+from f3sr.goals.colours import NAMED, THINGS
 from f3sr.goals.directions import VIEWER
 from f3sr.goals.nouns import ANYTHING, compounded, singular
 from f3sr.goals.refusal import Refusal, quoted
@@ -143,7 +143,7 @@ def _sorted_out(words: Sequence[str], vocabulary: Collection[str]) -> tuple[list
     names, colours, orders = list[str](), list[str](), list[Order]()
     for i, word in enumerate(words):
         last = i == len(words) - 1
-        adjective = word in NAMED or word in ORDERS or _rank(word) is not None
+        adjective = (word in NAMED and not (last and word in THINGS)) or word in ORDERS or _rank(word) is not None
         if (last and word in vocabulary) or not (adjective or (last and singular(word) in ANYTHING)):
             names.append(word)
         elif word in NAMED:

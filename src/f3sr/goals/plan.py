@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from f3sr import strict_json
-from f3sr.export.scene_json import Id, IdOrGround, Positive, Share, Vector3, dump_json
+from f3sr.export.scene_json import Id, IdOrGround, Share, Vector3, dump_json
 from f3sr.scene import Mobility
 
 SCHEMA_VERSION = 1
@@ -34,6 +34,10 @@ Manner = Literal["gently", "hard"]
 Seconds = Annotated[float, Field(ge=0, le=60, allow_inf_nan=False)]
 Metres = Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)]
 Angle = Annotated[float, Field(ge=0, le=math.pi, allow_inf_nan=False)]
+Limit = Annotated[float, Field(gt=0, le=1e4, allow_inf_nan=False)]
+Component = Annotated[float, Field(ge=-1e4, le=1e4, allow_inf_nan=False)]
+Push3 = tuple[Component, Component, Component]
+"""Of a push, a speed or a shift: beyond its range no limit of any scene lies."""
 Words = Annotated[str, Field(max_length=2000)]
 Source = Literal["words", "label", "default", "scene"]
 """Where a property was found: in the goal's words, by the object's label, nowhere, or in the package."""
@@ -179,7 +183,7 @@ class TaskSpec(_Record):
     target: IdOrGround | None = None
     way: Way | None = None
     passives: tuple[Id, ...] = ()
-    """Other objects that the words name; they stay free."""
+    """Other objects that it takes along, as they rest on or in the active one or the target; they stay free."""
     direction: Vector3 | None = None
     """Unit vector of the world."""
     amount: Metres | None = None
@@ -210,7 +214,7 @@ class Semantics(_Record):
     id: Id
     material: Annotated[str, Field(max_length=80)]
     structure: Literal["solid", "hollow"]
-    mass: Positive
+    mass: Annotated[float, Field(gt=0, le=1e7, allow_inf_nan=False)]
     """[kg]"""
     density: Annotated[float, Field(ge=1, le=25_000, allow_inf_nan=False)]
     """[kg/m3] of its solid's volume, air inside included."""
@@ -232,16 +236,16 @@ class Offset(_Record):
     rotation vector [rad]."""
 
     id: Id
-    translation: Vector3 = (0.0, 0.0, 0.0)
-    rotation: Vector3 = (0.0, 0.0, 0.0)
+    translation: Push3 = (0.0, 0.0, 0.0)
+    rotation: Push3 = (0.0, 0.0, 0.0)
 
 
 class Velocity(_Record):
     """Of the centre of mass [m/s] and of turning [rad/s], both in the world, at the start."""
 
     id: Id
-    linear: Vector3 = (0.0, 0.0, 0.0)
-    angular: Vector3 = (0.0, 0.0, 0.0)
+    linear: Push3 = (0.0, 0.0, 0.0)
+    angular: Push3 = (0.0, 0.0, 0.0)
 
 
 class Impulse(_Record):
@@ -252,8 +256,8 @@ class Impulse(_Record):
     time: Seconds
     duration: Seconds = 0.0
     """Spread evenly over so long [s], a steady push; 0 is a blow."""
-    linear: Vector3 = (0.0, 0.0, 0.0)
-    angular: Vector3 = (0.0, 0.0, 0.0)
+    linear: Push3 = (0.0, 0.0, 0.0)
+    angular: Push3 = (0.0, 0.0, 0.0)
 
 
 class InitialConditions(_Record):
@@ -277,13 +281,13 @@ class InitialConditions(_Record):
 class Limits(_Record):
     """What setting off the active object may take; it suits the size of the scene."""
 
-    speed: Positive
-    """Of its centre of mass at the start [m/s]."""
-    impulse: Positive
+    speed: Limit
+    """Of its centre of mass when it is set off [m/s]; of turning, of its fastest point, twice that."""
+    impulse: Limit
     """Of one blow, and what a speed at the start gives it [N s]."""
-    force: Positive
-    """Of a steady push [N]."""
-    lift: Positive
+    force: Limit
+    """Of a steady push [N]; of turning, at the arm of its farthest point."""
+    lift: Limit
     """Of an offset [m]."""
 
 

@@ -99,6 +99,7 @@ def _task(meant: Meant, conditions: success.Conditions, left: str, scene: Scene)
         kind=meant.request.kind,
         active=meant.active,
         target=meant.target,
+        passives=_taken_along(meant, scene),
         way=meant.request.preposition,
         direction=None if d is None else (float(d[0]), float(d[1]), float(d[2])),
         amount=meant.amount,
@@ -108,6 +109,12 @@ def _task(meant: Meant, conditions: success.Conditions, left: str, scene: Scene)
         interpretation=_interpretation(meant, called),
         assumptions=(*meant.assumptions, *([left] if left else [])),
     )
+
+
+def _taken_along(meant: Meant, scene: Scene) -> tuple[int, ...]:
+    """What rests on or in the active object and the target."""
+    both = {meant.active, meant.target} - {None, GROUND}
+    return tuple(sorted({i for id in both if id is not None for i in scene.subtree(id)} - both))
 
 
 def _interpretation(meant: Meant, called: dict[int, str]) -> str:

@@ -38,10 +38,10 @@ class Played:
     def nearest(self) -> str:
         """What could be asked instead of what was missed, where that is a matter of how far; else empty."""
         for c in self.verdict.conditions:
-            if not c.met and isinstance(c.condition, Displaced | Height):
-                reached = c.condition.at_least + c.margin
-                if 0.005 < reached < c.condition.at_least:
-                    return f"at most {math.floor(1000 * reached) / 1000:g} m was reached; ask for that"
+            if c.reached is None or not isinstance(c.condition, Displaced | Height):
+                continue
+            if 0.005 < c.reached < c.condition.at_least:
+                return f"at most {math.floor(1000 * c.reached) / 1000:g} m was reached; ask for that"
         return ""
 
 

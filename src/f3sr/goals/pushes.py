@@ -8,7 +8,7 @@ import numpy as np
 
 from f3sr.frames import UP, Array
 from f3sr.goals import launch
-from f3sr.goals.flights import striking
+from f3sr.goals.flights import striking, throwing_far
 from f3sr.goals.setting import Aim, Launches, Setting
 from f3sr.statics import GRAVITY
 
@@ -54,6 +54,8 @@ def _sliding_off(s: Setting) -> Launches:
     length = float(np.ptp(along))
     for factor, pace in ((1.0, 0.4), (1.1, 0.7), (1.2, 1.1), (1.2, 1.7), (1.3, 2.5), (1.3, 3.5)):
         yield [s.pushed(s.direction, factor * (edge + 0.6 * length), pace * s.hard)]
+    if s.pool is not None:  # over the rim of what it lies in
+        yield from throwing_far(s)
 
 
 def pushing(s: Setting) -> Launches:
@@ -75,7 +77,8 @@ def pushing(s: Setting) -> Launches:
         if s.layout.rolls(s.active, direction):
             yield [s.thrown(pace * direction, angular=s.rolling(pace * direction), seconds=3.0)]
         elif until <= pace * 0.05:
-            yield [s.thrown(math.sqrt(pace**2 + 2 * s.drag * max(gap, 0.0)) * direction, seconds=3.0)]
+            speed = math.sqrt(pace**2 + 2 * s.drag * max(gap, 0.0))
+            yield [s.struck(direction, speed, until, seconds=3.0)]
         else:
             yield [s.pushed(direction, gap + pace**2 / (2 * s.drag), pace, until=until)]
         if blocked and speed > BLOWS[2]:

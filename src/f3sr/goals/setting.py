@@ -12,6 +12,7 @@ from f3sr.frames import UP, Array
 from f3sr.goals.language import Launch, Tried
 from f3sr.goals.launch import height_speed
 from f3sr.goals.layout import Layout
+from f3sr.goals.limits import WHIRL, whirl
 from f3sr.goals.plan import (
     Impulse,
     InitialConditions,
@@ -29,6 +30,9 @@ from f3sr.statics import GRAVITY
 
 RAMP = 0.1
 """How long a push takes to bring something to its pace [s]."""
+BLOW = 0.02
+"""Over which something is struck along the ground [s]: a speed from one step to the next lifts what slides, by 12 mm at
+4 m/s, as the engine's friction cone is convex; over so long by .2 mm."""
 STANDS = 0.9
 """Share of the angle of tipping by friction up to which something is pushed at any pace."""
 CALM = 0.75
@@ -163,21 +167,38 @@ class Setting:
         the top of a hop."""
         speed = float(np.linalg.norm(linear))
         most = min(self.limits.speed, self.limits.impulse / self.layout.mass(self.active))
-        linear = linear * min(1.0, most / max(speed, 1e-12))
+        turning = np.zeros(3) if angular is None else angular
+        whirls = whirl(self.layout.scene[self.active], turning)
+        share = min(1.0, most / max(speed, 1e-12), WHIRL * self.limits.speed / max(whirls, 1e-12))
+        linear, turning = share * linear, share * turning
         if lift is not None:
-            return self._hopped(linear, angular, float(lift[2]), seconds)
-        velocity = Velocity(id=self.active, linear=_three(linear), angular=_three(angular))
+            return self._hopped(linear, turning, float(lift[2]), seconds)
+        velocity = Velocity(id=self.active, linear=_three(linear), angular=_three(turning))
         return self._launch(InitialConditions(velocities=(velocity,)), seconds)
 
-    def _hopped(self, linear: Array, angular: Array | None, height: float, seconds: float) -> Launch:
+    def _hopped(self, linear: Array, angular: Array, height: float, seconds: float) -> Launch:
         """Knocked upwards, and off with a speed when it is so high [m]: the scene starts as it is."""
         mass, up = self.layout.mass(self.active), height_speed(height)
-        spin = None if angular is None else self.layout.inertia(self.active) @ angular
+        spin = self.layout.inertia(self.active) @ angular
         blows = (
             Impulse(id=self.active, time=0.0, linear=_three(mass * up * UP)),
             Impulse(id=self.active, time=up / GRAVITY, linear=_three(mass * linear), angular=_three(spin)),
         )
         return self._launch(InitialConditions(impulses=blows), seconds + up / GRAVITY)
+
+    def struck(self, direction: Array, speed: float, until: float, *, seconds: float) -> Launch:
+        """Brought to a speed along the ground by a blow that ends before it has gone ``until`` [m], so low that it and
+        friction do not turn the object."""
+        mass, speed = self.layout.mass(self.active), min(speed, self.limits.speed)
+        duration = max(BLOW, mass * speed / (0.9 * self.limits.force))
+        duration = min(duration, 1.6 * max(until, 0.0) / max(speed, 1e-9))
+        if duration < 1e-3:
+            return self.thrown(speed * direction, seconds=seconds)
+        friction = mass * self.drag * duration
+        J = min(friction + mass * speed, self.limits.force * duration) * direction
+        turn = np.cross([0.0, 0.0, -self.height], friction * direction)
+        blow = Impulse(id=self.active, time=0.0, duration=duration, linear=_three(J), angular=_three(turn))
+        return self._launch(InitialConditions(impulses=(blow,)), seconds)
 
     def lifted(self, lift: Array, *, seconds: float) -> Launch:
         """Let go somewhere else."""
@@ -198,7 +219,7 @@ class Setting:
         rest = min(rest, until - pace * RAMP / 2, pace * LONGEST_PUSH)
         if rest < 0:
             start = math.sqrt(2 * a * far) if until > far else math.sqrt(pace**2 + 2 * a * until)
-            return self.thrown(start * direction, seconds=seconds)
+            return self.struck(direction, start, until, seconds=seconds)
         low = np.array([0.0, 0.0, -self.height])
         friction = mass * a * direction
         ramp = Impulse(
@@ -258,5 +279,5 @@ LONGEST, LONGEST_PUSH = 5.0, 3.5
 """Of a rollout, and of a push in it [s]."""
 
 
-def _three(v: Array | None) -> tuple[float, float, float]:
-    return (0.0, 0.0, 0.0) if v is None else (float(v[0]), float(v[1]), float(v[2]))
+def _three(v: Array) -> tuple[float, float, float]:
+    return float(v[0]), float(v[1]), float(v[2])

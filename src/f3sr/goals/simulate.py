@@ -24,6 +24,9 @@ from f3sr.goals.rollout import CONTACT, Rollout
 from f3sr.physics import PhysicsConfig, body_name, engine
 from f3sr.scene import GROUND, Scene, SceneObject
 
+TOUCH = 1e-9
+"""Force [N] of a pair whose forces cancel: it touches."""
+
 Watch = Callable[[float, Any], bool]
 """Told the time and MuJoCo's data at every sample; True ends the rollout there."""
 
@@ -181,7 +184,8 @@ class _Push:
 
 
 class _Peaks:
-    """The largest normal force of every pair that touches, and when, since they were last taken."""
+    """The largest normal force of every pair that touches, and when, since they were last taken: of two, the vector sum
+    over their contacts, for what is wedged in feels forces against each other."""
 
     def __init__(self, model: Any, ids: Sequence[int]) -> None:
         self.body_of_geom, self.names = np.asarray(model.geom_bodyid), [GROUND, *ids]
@@ -190,10 +194,14 @@ class _Peaks:
 
     def feel(self, data: Any, time: float) -> None:
         rows = data.contact.efc_address
-        bodies = self.body_of_geom[data.contact.geom[rows >= 0]]
+        active = rows >= 0
+        bodies = self.body_of_geom[data.contact.geom[active]]
         pairs = bodies.min(1, initial=len(self.names)) * len(self.names) + bodies.max(1, initial=0)
-        force = np.maximum(data.efc_force[rows[rows >= 0]], 0)
-        felt = np.bincount(pairs, force, len(self.force))
+        force = np.maximum(data.efc_force[rows[active]], 0) * np.where(bodies[:, 0] <= bodies[:, 1], 1.0, -1.0)
+        forces = force[:, None] * data.contact.frame[active, :3]
+        sums = [np.bincount(pairs, f, len(self.force)) for f in forces.T]
+        felt = np.linalg.norm(sums, axis=0)
+        felt[pairs[force != 0]] = np.maximum(felt[pairs[force != 0]], TOUCH)
         more = felt > self.force
         self.force[more], self.time[more] = felt[more], time
 

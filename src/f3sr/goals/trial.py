@@ -26,6 +26,8 @@ WORK = 240.0
 """Seconds simulated in all of them, times the objects of the scene: at most about 9 s of a processor."""
 SLOW, SLOWLY = 0.01, 0.1
 """Speeds [m/s, rad/s] below which everything counts as still."""
+LINGERS = 1.5
+"""How long a rollout goes on at most for what its goal is not about, once all else is still [s]."""
 SHORTEST = 0.8
 """Of a rollout [s]: less is over before anybody sees it."""
 RUNAWAY, WHIRL = 2.0, 400.0
@@ -144,8 +146,9 @@ class Trials:
 
 
 class Still:
-    """Ends a rollout once what its goal is about has not moved for as long as counts as its end, or anything is faster
-    than ``fastest`` [m/s]; ``rows`` are the places of those among all that can move."""
+    """Ends a rollout once what its goal is about has not moved for as long as counts as its end, and the others are
+    still too or have had ``LINGERS``, or anything is faster than ``fastest`` [m/s]; ``rows`` are the places of what the
+    goal is about among all that can move."""
 
     def __init__(self, after: float, rows: Sequence[int], *, fastest: float) -> None:
         self.after, self.since, self.rows = max(after, SHORTEST - LAST), np.inf, list(rows)
@@ -155,10 +158,10 @@ class Still:
         self.last, every = time, np.abs(data.qvel).reshape(-1, 6)
         if every[:, :3].max() > self.fastest or every[:, 3:].max() > WHIRL:
             return True
-        speeds = every[self.rows].max(0)
-        still = time > self.after and speeds[:3].max() < SLOW and speeds[3:].max() < SLOWLY
+        moves = (every[:, :3].max(1) >= SLOW) | (every[:, 3:].max(1) >= SLOWLY)
+        still = time > self.after and not moves[self.rows].any()
         self.since = min(self.since, time) if still else np.inf
-        return time - self.since >= LAST
+        return time - self.since >= (LINGERS if moves.any() else LAST)
 
 
 def sure(tried: Tried) -> bool:
