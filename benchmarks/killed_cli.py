@@ -17,7 +17,7 @@ from typing import Any
 
 STAGES = (
     *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "close", "refine", "describe"),
-    "evaluate",
+    *("evaluate", "inpaint"),
 )
 
 

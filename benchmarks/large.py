@@ -31,7 +31,7 @@ CASES = {
 }
 STAGES = (
     *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "close", "refine", "describe"),
-    "evaluate",
+    *("evaluate", "inpaint"),
 )
 LIMIT_MB = 4000
 

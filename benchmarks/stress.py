@@ -23,7 +23,7 @@ CASES = ("tower", "bowls", "planks", "pile", "floor", "overlaps", "dining", "she
 GROWTH = (5, 10, 20, 50)
 STAGES = (
     *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "close", "refine", "describe"),
-    "evaluate",
+    *("evaluate", "inpaint"),
 )
 COLUMNS = (
     *(

@@ -18,7 +18,7 @@ from scenes import box_stack_scene
 
 STAGES = (
     *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "close", "refine", "describe"),
-    "evaluate",
+    *("evaluate", "inpaint"),
 )
 
 
@@ -90,8 +90,8 @@ def test_a_changed_setting_repeats_its_stage_and_what_follows(given: inputs.Inpu
     quick = replace(Config(), refine=replace(Config().refine, rounds=0))
     reconstruct(given, quick, store=store, skip=["evaluate"])
     other = replace(quick, separate=replace(quick.separate, clearance=1e-3))
-    assert reconstruct(given, other, store=store, skip=["evaluate"]).resumed == STAGES[:5]
-    assert reconstruct(given, quick, store=store, skip=["evaluate", "relate"]).resumed == STAGES[:3]
+    assert reconstruct(given, other, store=store, skip=["evaluate"]).resumed == (*STAGES[:5], "inpaint")
+    assert reconstruct(given, quick, store=store, skip=["evaluate", "relate"]).resumed == (*STAGES[:3], "inpaint")
 
 
 def test_keys_name_every_byte_read(tmp_path: Path):

@@ -100,7 +100,7 @@ def test_motion_notes_add_up_to_the_way_from_input_to_result(result: Reconstruct
 def test_reports_carry_units_and_reasons(result: Reconstruction):
     assert [r.stage for r in result.reports] == [
         "assemble", "level", "align", "relate", "decompose", "separate", "settle", "close", "refine",
-        "describe",
+        "describe", "inpaint",
     ]  # fmt: skip
     for report in result.reports:
         assert all(np.isfinite(m.after) for m in report.measures)

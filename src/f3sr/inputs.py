@@ -23,7 +23,7 @@ from f3sr.point_maps import read_geometry
 from f3sr.report import Decision
 from f3sr.scene import GROUND, Geometry, Photo, Predicate, Relation, SceneGraph
 
-Part = Literal["assets", "geometry", "ground", "scene_graph"]
+Part = Literal["assets", "geometry", "ground", "scene_graph", "background"]
 PARTS: tuple[str, ...] = get_args(Part)
 PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
@@ -50,6 +50,8 @@ class Inputs:
     assets: dict[int, PosedAsset]
     ground_mask: NDArray[np.bool_] | None = None
     graph: SceneGraph | None = None
+    background: NDArray[np.uint8] | None = None
+    """The photo (H, W, 3) without its objects, where somebody has completed it."""
     decisions: tuple[Decision, ...] = ()
     digests: dict[str, str] = field(default_factory=dict[str, str])
     """sha256 of every file read, by its path relative to the folder."""
@@ -87,6 +89,9 @@ def read(folder: str | Path, *, ignore: Collection[str] = (), asset_frame: str =
         source.decide("ground: the lower image region outside all masks", "no ground.png", fallback=True)
     if "scene_graph" not in ignore and source.has("scene_graph.json"):
         graph = _scene_graph(source, instances)
+    background = None
+    if "background" not in ignore and source.has("background.png"):
+        background = _background(source, photo)
     return Inputs(
         photo=photo,
         instances=instances,
@@ -95,6 +100,7 @@ def read(folder: str | Path, *, ignore: Collection[str] = (), asset_frame: str =
         assets=assets,
         ground_mask=ground_mask,
         graph=graph,
+        background=background,
         decisions=tuple(source.decisions),
         digests=dict(sorted(source.digests.items())),
         asset_frame=asset_frame,
@@ -115,6 +121,15 @@ def _photo(folder: InputFolder) -> Photo:
         found = ", ".join(names) or "no image"
         raise InputError(folder.root, found=found, accepted="one image.png, image.jpg or image.jpeg")
     return Photo(rgb=as_rgb(open_image(folder.file(names[0]))))
+
+
+def _background(folder: InputFolder, photo: Photo) -> NDArray[np.uint8]:
+    file = folder.file("background.png")
+    rgb = as_rgb(open_image(file))
+    if rgb.shape != photo.rgb.shape:
+        found = f"{rgb.shape[1]}x{rgb.shape[0]} pixels"
+        raise InputError(file, found=found, accepted=f"the photo's {photo.width}x{photo.height}")
+    return rgb
 
 
 def _require_inside(folder: InputFolder, geometry: Geometry, instances: Sequence[Instance]) -> None:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +32,12 @@ from f3sr.images import open_image
 from f3sr.mesh import ConvexPart, MassProperties, Mesh
 from f3sr.mesh_io import load_mesh
 from f3sr.physics import DEFAULT_PHYSICS, PhysicsConfig, body_of
-from f3sr.place import MASKS, PAGE, PHOTO, claimed, is_package, prepare_output
+from f3sr.place import BACKGROUND, MASKS, PAGE, PHOTO, SUPPORT, claimed, is_package, prepare_output
 from f3sr.report import Report
 from f3sr.scene import Excluded, Ground, Motion, Node, Photo, Relation, Scene, SceneGraph, SceneObject, Support
+
+if TYPE_CHECKING:
+    from f3sr.stages.inpaint import Inpainting
 
 __all__ = ["Package", "SceneDocument", "is_package", "prepare_output", "read_package", "scene_schema", "write_package"]
 
@@ -54,6 +57,21 @@ class Package:
         """Whether the package says that f3sr aligned its camera; else the scene is foreign."""
         return self.document.provenance.get("camera_aligned") is True
 
+    def background(self) -> NDArray[np.uint8] | None:
+        """background.png (H, W, 3), the photo completed behind its objects; None where it is not there."""
+        return self._picture(BACKGROUND, "RGB")
+
+    def support(self) -> NDArray[np.bool_] | None:
+        """support.png (H, W): where background.png shows what things stand on; None where it is not there."""
+        picture = self._picture(SUPPORT, "L")
+        return None if picture is None else picture > 127
+
+    def _picture(self, name: str, mode: str) -> NDArray[np.uint8] | None:
+        """Read when asked for: only films need these, and whatever else a package is for goes on without."""
+        if not (self.folder / name).exists():
+            return None
+        return _read_image(self.folder, name, (self.scene.camera.width, self.scene.camera.height), mode)
+
 
 def write_package(
     scene: Scene,
@@ -66,6 +84,7 @@ def write_package(
     rows: Mapping[str, Mapping[str, float]] | None = None,
     seconds: Mapping[str, float] | None = None,
     pictures: Mapping[str, NDArray[np.uint8]] | None = None,
+    inpainting: Inpainting | None = None,
     page: bytes | None = None,
     physics: PhysicsConfig = DEFAULT_PHYSICS,
     overwrite: bool = False,
@@ -76,7 +95,8 @@ def write_package(
     stages, hashes and the like, without paths of this machine or times;
     ``seconds`` per stage go to report.json with the ``reports`` and the ``rows`` of measures, direct composition's
     among them, by title; ``pictures`` (h, w, 3) by name without
-    suffix; ``page`` is report.html. ``out`` changes only after everything has been written beside it.
+    suffix; ``inpainting`` is the photo completed behind the objects; ``page`` is report.html. ``out`` changes only
+    after everything has been written beside it.
     Raises OutputError when something else than an f3sr package is there, or one with rollouts and not ``overwrite``.
     """
     out = Path(out).resolve()
@@ -88,6 +108,7 @@ def write_package(
             provenance={"f3sr": f3sr.__version__, **(provenance or {})},
             report=_report(reports, rows or {}, seconds or {}),
             pictures=pictures or {},
+            inpainting=inpainting,
             page=page,
             physics=physics,
         ):
@@ -150,11 +171,15 @@ def _files(
     provenance: Mapping[str, JsonValue],
     report: dict[str, Any],
     pictures: Mapping[str, NDArray[np.uint8]],
+    inpainting: Inpainting | None,
     page: bytes | None,
     physics: PhysicsConfig,
 ) -> Iterator[tuple[str, bytes]]:
     """Every file of the package with its relative path, one at a time: together they may be larger than the scene."""
     yield PHOTO, encode_png(scene.photo.rgb)
+    if inpainting is not None:
+        yield BACKGROUND, encode_png(inpainting.rgb)
+        yield SUPPORT, encode_png(255 * inpainting.support.astype(np.uint8))
     encode_pngs(o.mesh for o in scene.objects)
     for o in scene.objects:
         mesh = o.mesh.with_vertices(o.scale * o.mesh.vertices)

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pydantic import JsonValue
 
 from f3sr import devices
+from f3sr.background import BackgroundConfig
 from f3sr.cache import Store, digest
 from f3sr.inputs import Inputs
 from f3sr.progress import Progress, silent
@@ -23,6 +24,7 @@ from f3sr.stages.assemble import AssembleConfig, as_given, assemble
 from f3sr.stages.close import CloseConfig, close
 from f3sr.stages.decompose import decompose
 from f3sr.stages.evaluate import EvaluateConfig, Evaluation, direct_composition, evaluate
+from f3sr.stages.inpaint import Inpainting, inpaint
 from f3sr.stages.level import LevelConfig, level
 from f3sr.stages.relate import RelateConfig, describe, relate
 from f3sr.stages.separate import SeparateConfig, separate
@@ -30,7 +32,7 @@ from f3sr.stages.settle import SettleStageConfig, restless, settle
 
 SKIPPABLE = (
     *("level", "align", "align-camera", "align-objects", "relate", "decompose", "separate", "settle"),
-    *("close", "refine", "describe", "evaluate"),
+    *("close", "refine", "describe", "evaluate", "inpaint"),
 )
 REPEATED_BY_REFINE = {"align", "align-objects", "separate", "settle"}
 """Stages that ``refine`` does again: without one of them there is no refining either."""
@@ -50,6 +52,7 @@ class Config:
     refine: RefineConfig = field(default_factory=RefineConfig)
     close: CloseConfig = field(default_factory=CloseConfig)
     evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
+    inpaint: BackgroundConfig = field(default_factory=BackgroundConfig)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -69,6 +72,8 @@ class Reconstruction:
     provenance: Mapping[str, JsonValue]
     """What the result was made from: digests of inputs and settings, settings that are not defaults, skipped stages."""
     evaluation: Evaluation | None = None
+    inpainting: Inpainting | None = None
+    """The photo completed behind the objects; nothing else depends on it."""
 
 
 def reconstruct(
@@ -95,6 +100,13 @@ def reconstruct(
 
     scene = run.stage("assemble", _assembled, as_given(inputs), config.assemble, inputs=inputs)
     scene = direct = run.stage("level", level, scene, config.level)
+    inpainted = run.beside(
+        "inpaint",
+        lambda: inpaint(direct, config.inpaint, given=inputs.background),
+        Inpainting.restored,
+        Inpainting.stored,
+        config.inpaint,
+    )
     scene = run.stage("align", align, scene, _without(config.align, skip))
     scene = run.stage("relate", relate, scene, config.relate)
     scene = run.stage("decompose", decompose, scene, config.decompose)
@@ -112,12 +124,13 @@ def reconstruct(
         Evaluation.stored,
         config.evaluate,
     )
+    inpainting = inpainted()
 
     return Reconstruction(
         scene=scene,
         direct=direct,
         scenes=run.scenes,
-        reports=tuple(run.reports),
+        reports=(*run.reports, *([inpainting.report] if inpainting else [])),
         seconds=run.seconds,
         resumed=tuple(run.resumed),
         config=config,
@@ -129,6 +142,7 @@ def reconstruct(
             "camera_aligned": aligned,
         },
         evaluation=evaluation,
+        inpainting=inpainting,
     )
 
 

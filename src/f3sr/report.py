@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 T = TypeVar("T")
 
@@ -49,6 +49,15 @@ class Report:
     @property
     def fallbacks(self) -> tuple[Decision, ...]:
         return tuple(d for d in self.decisions if d.fallback)
+
+
+def report_of(document: dict[str, Any]) -> Report:
+    """A report from its plain values."""
+    return Report(
+        stage=document["stage"],
+        measures=tuple(Measure(**m) for m in document["measures"]),
+        decisions=tuple(Decision(**d) for d in document["decisions"]),
+    )
 
 
 def keep_better(

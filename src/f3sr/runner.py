@@ -8,9 +8,10 @@ from typing import Any, TypeVar
 
 from f3sr import scene_state
 from f3sr.cache import Arrays, Store, code_version, digest
+from f3sr.daemon import begun
 from f3sr.errors import InputError
 from f3sr.progress import Progress, Step, timed
-from f3sr.report import Decision, Measure, Report
+from f3sr.report import Report, report_of
 from f3sr.scene import Scene
 
 T = TypeVar("T")
@@ -41,7 +42,7 @@ class Runner:
         """The scene after the stage; ``scene`` itself when the stage is skipped."""
 
         def restored(document: Any, arrays: Arrays) -> tuple[Scene, Report]:
-            return scene_state.unpack(scene, document["scene"], arrays), _report(document["report"])
+            return scene_state.unpack(scene, document["scene"], arrays), report_of(document["report"])
 
         def worked() -> tuple[Scene, Report]:
             changed, report = work(scene, config, **more)
@@ -71,28 +72,50 @@ class Runner:
     ) -> T | None:
         """A result from the store, else from ``work``; None when the stage is skipped."""
         self.key = digest(self.key, name, name in self.skip, asdict(config) if config is not None else None)
-        if name in self.skip:
-            self.progress(Step(name=name, state="skipped"))
-            return None
-        if self.store and (found := self.store.load(self.key)):
-            self.resumed.append(name)
-            self.progress(Step(name=name, state="resumed"))
-            return restored(*found)
+        found = self.store.load(self.key) if self.store and name not in self.skip else None
+        if found is not None or name in self.skip:
+            return self._known(name, found, restored)
         with timed(name, self._told):
             result = work()
             if self.store:  # first of all: what is said to be done stays done
                 self.store.save(self.key, *stored(result))
         return result
 
+    def beside(
+        self,
+        name: str,
+        work: Callable[[], T],
+        restored: Callable[[Any, Arrays], T],
+        stored: Callable[[T], tuple[Any, Arrays]],
+        config: Any = None,
+    ) -> Callable[[], T | None]:
+        """Begin what no later stage needs in a thread of its own; the call that is returned waits for it. It is stored
+        by what came before it, whatever comes after."""
+        key = digest(self.key, name, asdict(config) if config is not None else None)
+        found = self.store.load(key) if self.store and name not in self.skip else None
+        going_on = begun(work) if found is None and name not in self.skip else None
+
+        def ended() -> T | None:
+            if going_on is None:
+                return self._known(name, found, restored)
+            with timed(name, self._told):
+                result = going_on.result()
+                if self.store:
+                    self.store.save(key, *stored(result))
+            return result
+
+        return ended
+
+    def _known(self, name: str, found: tuple[Any, Arrays] | None, restored: Callable[[Any, Arrays], T]) -> T | None:
+        """A stored result; None of what was skipped."""
+        if found is None:
+            self.progress(Step(name=name, state="skipped"))
+            return None
+        self.resumed.append(name)
+        self.progress(Step(name=name, state="resumed"))
+        return restored(*found)
+
     def _told(self, step: Step) -> None:
         if step.state == "done":
             self.seconds[step.name] = step.seconds
         self.progress(step)
-
-
-def _report(document: dict[str, Any]) -> Report:
-    return Report(
-        stage=document["stage"],
-        measures=tuple(Measure(**m) for m in document["measures"]),
-        decisions=tuple(Decision(**d) for d in document["decisions"]),
-    )

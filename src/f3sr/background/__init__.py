@@ -49,8 +49,11 @@ class Background:
     decisions: tuple[Decision, ...] = ()
 
 
-def complete_background(photo: Photo, masks: Sequence[Mask], config: BackgroundConfig | None = None) -> Background:
-    """The photo behind the objects of some ``masks`` (h, w) each, pixel for pixel in its place.
+def complete_background(
+    photo: Photo, masks: Sequence[Mask], config: BackgroundConfig | None = None, *, support: Mask | None = None
+) -> Background:
+    """The photo behind the objects of some ``masks`` (h, w) each, pixel for pixel in its place. Shadows are looked for
+    on the ``support`` (h, w) only, where that is known.
 
     The same bytes for the same photo, masks and seed. Where no patch of the photo is free of objects, light is spread
     smoothly from what is left, and a Decision says so.
@@ -59,7 +62,7 @@ def complete_background(photo: Photo, masks: Sequence[Mask], config: BackgroundC
     h, w = photo.height, photo.width
     picture = _logarithms(photo.rgb)
     taken = distance_to(union_of(masks, (h, w))) <= round(config.margin * max(h, w))
-    shadows = find_shadows(picture, masks, config.shadows) & ~taken
+    shadows = find_shadows(picture, masks, config.shadows, support) & ~taken
     hole = _without_islands(taken | shadows)
     if not hole.any():
         return Background(rgb=photo.rgb, replaced=hole, shadows=shadows)

@@ -83,8 +83,9 @@ class _View:
         return self.distance <= 1
 
 
-def find_shadows(picture: Picture, masks: Sequence[Mask], config: ShadowConfig) -> Mask:
-    """Pixels (h, w) of ``picture`` (h, w, 3), logarithms of colour, that lie in the shadow of a mask's object."""
+def find_shadows(picture: Picture, masks: Sequence[Mask], config: ShadowConfig, support: Mask | None = None) -> Mask:
+    """Pixels (h, w) of ``picture`` (h, w, 3), logarithms of colour, that lie in the shadow of a mask's object, all on
+    the ``support`` (h, w) where that is known."""
     shape = picture.shape[:2]
     if not masks or not config.reach:
         return np.zeros(shape, np.bool_)
@@ -93,6 +94,8 @@ def find_shadows(picture: Picture, masks: Sequence[Mask], config: ShadowConfig) 
     darker, deviation = _darker(view)
     rim = np.maximum(POSSIBLE * deviation, RIM * _darkest(view, darker, len(masks))[view.owner])
     dark = (darker > rim) & view.near & ~view.taken
+    if support is not None:
+        dark &= support[::step, ::step]
     width = max(1, round(config.margin * max(dark.shape)))
     broad = opened((dark & ~_edges(view)) | view.taken, width) & dark  # joints and grain are thin
     found = _joined(broad, darker > CERTAIN * deviation, view.base)
@@ -103,7 +106,8 @@ def find_shadows(picture: Picture, masks: Sequence[Mask], config: ShadowConfig) 
     wide = grown(found, width)
     whole = without_holes(wide | view.taken) & (wide | view.near)
     large = np.repeat(np.repeat(whole & ~view.taken, step, 0), step, 1)
-    return large[: shape[0], : shape[1]]
+    large = large[: shape[0], : shape[1]]
+    return large if support is None else large & support
 
 
 def _view(picture: Picture, masks: Sequence[Mask], step: int, reach: float) -> _View:

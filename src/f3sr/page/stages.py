@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from f3sr.page.images import figure
+from f3sr.page.images import figure, img
 from f3sr.page.markup import Child, Markup, el, join
 from f3sr.page.masks import legend
 from f3sr.page.material import Material, look_alike
 from f3sr.page.words import about, counted, quantity, told
+from f3sr.pictures import resized
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene
 
@@ -23,6 +24,7 @@ PURPOSE = {
     "refine": "Stands up what toppled and aligns what rests once more.",
     "close": "Cuts colliders back to the meshes where things touch, and lowers what floats.",
     "describe": "Tells the relations of the scene at rest, supports from contact forces.",
+    "inpaint": "Completes the photo behind the objects and their shadows, for films only.",
 }
 
 
@@ -30,23 +32,33 @@ def stages(m: Material) -> Markup:
     parts: list[Markup] = []
     before: Scene | None = None
     for number, report in enumerate(m.result.reports, start=1):
-        after = m.result.scenes[report.stage]
-        parts.append(stage(m, number, report, before, after))
+        after = m.result.scenes.get(report.stage, m.result.scene)
+        shown = _background(m) if report.stage == "inpaint" else _pictures(m, report.stage, before, after)
+        parts.append(stage(number, report, shown, after))
         before = after
     return join(legend(), parts)
 
 
-def stage(m: Material, number: int, report: Report, before: Scene | None, after: Scene) -> Markup:
+def stage(number: int, report: Report, pictures: Child, after: Scene) -> Markup:
     return el(
         "article",
         el("h3", f"{number} {report.stage}"),
         el("p", PURPOSE.get(report.stage), class_="fine"),
-        _pictures(m, report.stage, before, after),
+        pictures,
         _scene_measures([x for x in report.measures if x.about is None]),
         _object_measures([x for x in report.measures if x.about is not None], after),
         _decisions(report, after),
         class_="stage",
     )
+
+
+def _background(m: Material) -> Child:
+    """What films are drawn over."""
+    if m.result.inpainting is None:
+        return None
+    h, w = m.backdrop.rgb.shape[:2]
+    picture = img(resized(m.result.inpainting.rgb, w, h), "The photo completed behind the objects")
+    return el("div", figure(picture, "The photo completed behind the objects"), class_="row")
 
 
 def _pictures(m: Material, name: str, before: Scene | None, after: Scene) -> Child:
