@@ -134,6 +134,21 @@ def test_same_bytes_on_every_run_and_thread() -> None:
     assert not np.array_equal(other, results[0])
 
 
+@pytest.mark.parametrize("slope", [-0.15, 0.0, 0.2])
+def test_the_edge_of_a_support_goes_on_straight(slope: float) -> None:
+    """A table against a wall, its edge half hidden: each is completed from itself alone."""
+    y, x = np.mgrid[:120, :160]
+    table = y > 55 + slope * (x - 80)
+    rgb = np.where(table[..., None], noise() // 2 + 90, 40 + noise(size=3.0) // 4).astype(np.uint8)
+    hole = box(rgb.shape, 25, 45, 60, 70)
+    known = Photo(rgb=np.where(hole[..., None], 255, rgb).astype(np.uint8))
+    completed = complete_background(known, [hole], AS_GIVEN, support=table).rgb
+    shade = gaussian_filter(completed[..., 0].astype(float), 2)
+    inside = hole & (np.abs(y - 55 - slope * (x - 80)) > 4)
+    assert ((shade > 105) == table)[inside].mean() > 0.995
+    assert np.array_equal(completed[~hole], rgb[~hole])
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_flips_flip_the_result(axis: int) -> None:
     """Where the picture says what must be there; a random search is not bound to the same texture."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from f3sr.background.completion import CompletionConfig, complete
 from f3sr.background.membrane import membrane
-from f3sr.background.regions import Mask, distance_to, parts_of
+from f3sr.background.regions import Mask, closed, distance_to, grown, parts_of
 from f3sr.background.shadows import ShadowConfig, find_shadows
 from f3sr.patchmatch import Picture
 from f3sr.report import Decision
@@ -25,6 +25,13 @@ DARK = 0.03
 ISLAND = 0.01
 """Share of the photo below which what is left between objects and shadows is replaced too: a gap between two boxes
 shows shadow, and the masks' own errors."""
+BETWEEN = 0.02
+"""Half the width of gaps between objects and shadows that are replaced too, in shares of the photo's longer side."""
+SEAM = 0.004
+"""Width on both sides of the border between support and rest that tells of neither, in shares of the photo's longer
+side: geometry knows that border by a few pixels."""
+MIXED = 1
+"""Pixels on both sides of that border over which what was completed is mixed, as the photo's own edges are."""
 
 
 @settings
@@ -52,8 +59,9 @@ class Background:
 def complete_background(
     photo: Photo, masks: Sequence[Mask], config: BackgroundConfig | None = None, *, support: Mask | None = None
 ) -> Background:
-    """The photo behind the objects of some ``masks`` (h, w) each, pixel for pixel in its place. Shadows are looked for
-    on the ``support`` (h, w) only, where that is known.
+    """The photo behind the objects of some ``masks`` (h, w) each, pixel for pixel in its place. Where the ``support``
+    (h, w) is known, in the hole too, shadows are looked for on it only, and it is completed from itself, the rest from
+    the rest: so the edge of a table goes on straight.
 
     The same bytes for the same photo, masks and seed. Where no patch of the photo is free of objects, light is spread
     smoothly from what is left, and a Decision says so.
@@ -61,24 +69,58 @@ def complete_background(
     config = config or BackgroundConfig()
     h, w = photo.height, photo.width
     picture = _logarithms(photo.rgb)
-    taken = distance_to(union_of(masks, (h, w))) <= round(config.margin * max(h, w))
+    taken = widened(masks, config.margin) if masks else np.zeros((h, w), np.bool_)
     shadows = find_shadows(picture, masks, config.shadows, support) & ~taken
-    hole = _without_islands(taken | shadows)
+    hole = _without_islands(closed(taken | shadows, round(BETWEEN * max(h, w))))
     if not hole.any():
         return Background(rgb=photo.rgb, replaced=hole, shadows=shadows)
-    filled, decisions = _filled(picture, hole, config)
+    filled, decisions = _layered(picture, hole, config, support)
     rgb = np.where(hole[..., None], _colours(filled), photo.rgb)
     return Background(rgb=rgb, replaced=hole, shadows=shadows, decisions=decisions)
 
 
-def _filled(picture: Picture, hole: Mask, config: BackgroundConfig) -> tuple[Picture, tuple[Decision, ...]]:
-    filled = complete(picture, hole, config.completion)
+def widened(masks: Sequence[Mask], margin: float) -> Mask:
+    """All masks (h, w), at least one, and what is as near as a share of the longer side."""
+    shape = masks[0].shape
+    return distance_to(union_of(masks, shape)) <= round(margin * max(shape))
+
+
+def _layered(
+    picture: Picture, hole: Mask, config: BackgroundConfig, support: Mask | None
+) -> tuple[Picture, tuple[Decision, ...]]:
+    """The hole filled, the support and the rest each as if the other were not there; they meet over a pixel or two."""
+    if support is None or not (support & hole).any() or not (~support & hole).any():
+        return _filled(picture, hole, config, None)
+    seam = max(1, round(SEAM * max(hole.shape)))
+    layers, decisions = list[Picture](), list[Decision]()
+    for layer in (support, ~support):
+        own = hole & grown(layer, MIXED)
+        apart = grown(~layer, seam) & ~own
+        filled, told = _filled(picture, own, config, apart)
+        layers.append(filled)
+        decisions += told
+    share = _softened(support)[..., None]
+    return (share * layers[0] + (1 - share) * layers[1]).astype(np.float32), tuple(decisions)
+
+
+def _softened(mask: Mask) -> NDArray[np.float32]:
+    """A mask (h, w) whose border goes from 0 to 1 over ``MIXED`` pixels on both sides."""
+    from scipy.ndimage import uniform_filter
+
+    return np.asarray(uniform_filter(mask.astype(np.float32), 2 * MIXED + 1), np.float32)
+
+
+def _filled(
+    picture: Picture, hole: Mask, config: BackgroundConfig, apart: Mask | None
+) -> tuple[Picture, tuple[Decision, ...]]:
+    filled = complete(picture, hole, config.completion, apart=apart)
     if filled is not None:
         return filled, ()
-    if hole.all():
+    known = ~hole if apart is None else ~(hole | apart)
+    if not known.any():
         choice, filled = "one even colour", np.broadcast_to(picture.mean((0, 1)), picture.shape)
     else:
-        choice, filled = "smoothly, without texture", membrane(picture, ~hole)
+        choice, filled = "smoothly, without texture", membrane(picture, known)
     reason = f"objects and shadows take {100 * hole.mean():.0f}% of the photo and leave no patch to copy"
     return filled, (Decision(choice=f"background: completed {choice}", reason=reason, fallback=True),)
 

@@ -54,32 +54,43 @@ class CompletionConfig:
 
 @dataclass(frozen=True, eq=False)
 class _Level:
-    """A picture (h, w, 3) at one resolution and its hole (h, w)."""
+    """A picture (h, w, 3) at one resolution, its hole (h, w), and what is neither filled nor looked at (h, w)."""
 
     picture: Picture
     hole: Mask
+    apart: Mask
+
+    @property
+    def known(self) -> Mask:
+        return ~(self.hole | self.apart)
 
     def coarser(self) -> _Level:
-        """Half the resolution: a pixel with any of its four in the hole, or none there, is in the hole."""
-        known = quads((~self.hole).astype(np.float32)[..., None]).sum(axis=(1, 3))
-        sums = quads(self.picture * ~self.hole[..., None]).sum(axis=(1, 3))
-        return _Level((sums / np.maximum(known, 1)).astype(np.float32), known[..., 0] < 4)
+        """Half the resolution: a pixel with any of its four in the hole, or none there, is in the hole; of the others
+        one with any that is apart is apart."""
+        known, hole, apart = (
+            quads(mask.astype(np.float32)[..., None]).sum(axis=(1, 3)) for mask in (self.known, self.hole, self.apart)
+        )
+        sums = quads(self.picture * self.known[..., None]).sum(axis=(1, 3))
+        beside = (hole == 0) & (apart > 0)
+        return _Level((sums / np.maximum(known, 1)).astype(np.float32), ((known < 4) & ~beside)[..., 0], beside[..., 0])
 
     @property
     def sources(self) -> Mask:
-        """Middles of patches that lie in the picture and hold no pixel of the hole."""
-        clear = ~squared(self.hole, SIDE)
+        """Middles of patches that lie in the picture and hold only what is known."""
+        clear = ~squared(~self.known, SIDE)
         clear[:RADIUS] = clear[:, :RADIUS] = clear[max(len(clear) - RADIUS, 0) :] = False
         clear[:, max(clear.shape[1] - RADIUS, 0) :] = False
         return clear
 
 
-def complete(picture: Picture, hole: Mask, config: CompletionConfig) -> Picture | None:
-    """``picture`` (h, w, 3), logarithms of colour, with ``hole`` (h, w) filled; None where no patch is without a hole.
+def complete(picture: Picture, hole: Mask, config: CompletionConfig, *, apart: Mask | None = None) -> Picture | None:
+    """``picture`` (h, w, 3), logarithms of colour, with ``hole`` (h, w) filled as if what is ``apart`` (h, w) were not
+    there; None where no patch is known.
 
-    What is known in the picture's hole does not matter, nor does the number of threads.
+    What the picture has in its hole does not matter, nor does the number of threads.
     """
-    levels = [_Level((picture @ OPPONENT.T).astype(np.float32), hole)]
+    none = np.zeros_like(hole)
+    levels = [_Level((picture @ OPPONENT.T).astype(np.float32), hole, none if apart is None else apart & ~hole)]
     if not levels[0].sources.any():
         return None
     while levels[-1].picture[..., 0].size > config.working_pixels and _enough(levels[-1].coarser()):
@@ -102,7 +113,7 @@ def _searched(finest: _Level, config: CompletionConfig) -> tuple[Picture, NDArra
     for depth, level in reversed(list(enumerate(levels))):
         em = _Rounds(level, config.seed + 1000 * depth)
         if nearest is None:
-            em.begin(membrane(level.picture, ~level.hole))
+            em.begin(membrane(level.picture, level.known))
         else:
             assert guess is not None
             em.resume(nearest, guess)
@@ -118,7 +129,7 @@ def _pyramid(level: _Level) -> Iterator[_Level]:
     sources = np.count_nonzero(level.sources) / level.hole.size
     while True:
         yield level
-        deep = distance_to(~level.hole).max() > DEPTH
+        deep = distance_to(level.known)[level.hole].max() > DEPTH
         coarser = level.coarser()
         if not deep or not _enough(coarser) or np.count_nonzero(coarser.sources) < KEPT * sources * coarser.hole.size:
             return
@@ -131,12 +142,12 @@ class _Rounds:
     def __init__(self, level: _Level, seed: int) -> None:
         pad = ((RADIUS, RADIUS), (RADIUS, RADIUS))
         self.seed = seed
-        self.hole = np.pad(level.hole, pad)
+        self.hole, self.apart = np.pad(level.hole, pad), np.pad(level.apart, pad)
         self.picture = np.pad(level.picture, (*pad, (0, 0)), mode="edge")
         self.source = np.pad(level.sources, pad)
-        inside = distance_to(~self.hole)
-        self.weight = np.pad(np.ones(level.hole.shape, np.float32), pad) * np.power(np.float32(BOUNDARY), -inside)
-        self.targets = np.ascontiguousarray(np.argwhere(squared(level.hole, SIDE)) + RADIUS, np.int32)
+        inside = np.where(self.hole, distance_to(np.pad(level.known, pad, constant_values=True)), np.float32(0))
+        self.weight = np.pad((~level.apart).astype(np.float32), pad) * np.power(np.float32(BOUNDARY), -inside)
+        self.targets = np.ascontiguousarray(np.argwhere(squared(level.hole, SIDE) & ~level.apart) + RADIUS, np.int32)
         self.nearest = np.full((*self.hole.shape, 2), NOWHERE, np.int32)
         self.cost = np.zeros(self.hole.shape, np.float32)
 
@@ -191,7 +202,7 @@ class _Rounds:
         known = _unpadded(self.picture)
         ring = np.where(hole[..., None], np.float32(0), known - u)
         ring = np.clip(ring, -LARGEST, LARGEST)
-        around = _ring(hole)
+        around = _ring(hole, _unpadded(self.apart))
         return u + np.where((hole | around)[..., None], membrane(ring, around, bend * hole[..., None], hold), 0)
 
     def _measure(self, weight: NDArray[np.float32]) -> None:
@@ -210,9 +221,9 @@ class _Rounds:
         return max(float(np.percentile(self.cost[y, x], percentile)), 1e-9)
 
 
-def _ring(hole: Mask) -> Mask:
+def _ring(hole: Mask, apart: Mask) -> Mask:
     """The two pixels around a hole that hold what it is filled with."""
-    return grown(hole, 2) & ~hole
+    return grown(hole, 2) & ~hole & ~apart
 
 
 def _finer(nearest: NDArray[np.int32], y: NDArray[np.int32], x: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -241,7 +252,7 @@ def doubled_mask(mask: Mask, shape: tuple[int, ...]) -> Mask:
 def _seamless(level: _Level, voted: Picture) -> Picture:
     """What was voted for, shifted by a membrane that meets the photo at the hole's border (Perez et al., "Poisson image
     editing", 2003): the gradients stay, the light goes over without a step."""
-    ring = _ring(level.hole)
+    ring = _ring(level.hole, level.apart)
     step = np.where(ring[..., None], level.picture - voted, np.float32(0))
     step = np.clip(step, -LARGEST, LARGEST)
     return np.where(level.hole[..., None], voted + membrane(step, ring), level.picture)

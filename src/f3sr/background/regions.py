@@ -35,6 +35,8 @@ def closed(mask: Mask, steps: int) -> Mask:
     """With what is narrower than twice some steps between its parts; the border is as if the rest went on."""
     from scipy.ndimage import binary_closing
 
+    if not steps:
+        return mask
     whole = np.asarray(binary_closing(np.pad(mask, steps), iterations=steps), np.bool_)
     return whole[steps:-steps, steps:-steps]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from f3sr.background.regions import Mask
+from f3sr.background.regions import Mask, closed, grown, opened, parts_of
 from f3sr.frames import Array, Camera, transform
 from f3sr.scene import Scene
 
@@ -12,16 +12,23 @@ NEAR = 0.02
 """Height over the ground up to which geometry is the support's, in diagonals of the scene."""
 NOISE = 0.01
 """The same in distances from the camera: monocular depth is off by that."""
+SPECK = 0.003
+"""What is narrower than twice this, in shares of the photo's longer side, is noise of the geometry: support in the
+rest, or rest in the support."""
+ENOUGH = 0.01
+"""Share of the photo from which on what is seen of the support tells how it goes on."""
 
 
 def support_of(scene: Scene, hole: Mask) -> Mask:
-    """Pixels (H, W) of a levelled scene's support, where ``hole`` (H, W) hides it too: what the pixels around a hole
-    show goes on in it. All below the horizon, where neither geometry nor a ground mask tell more."""
+    """Pixels (H, W) of a levelled scene's support, where ``hole`` (H, W) hides it too: table tops are convex, and
+    stay so in perspective. All below the horizon, where neither geometry nor a ground mask tell more."""
     below = faces_ground(scene.camera)
     known, seen = _seen(scene)
-    if not (known & ~hole).any():
+    seen = _connected(seen & below & ~hole, hole)
+    if seen.mean() < ENOUGH:
         return below
-    return _filled(seen, hole | ~known) & below
+    support = closed(seen | (_hull(seen) & (hole | ~known)), _speck(seen)) & below
+    return support | (_specks(~support, hole) & below)
 
 
 def faces_ground(camera: Camera) -> Mask:
@@ -54,9 +61,37 @@ def _heights(points_camera: Array, camera: Camera) -> Array:
     return transform(camera.T_world_camera, points)[:, 2].reshape(points_camera.shape[:2])
 
 
-def _filled(seen: Mask, hole: Mask) -> Mask:
-    """What the nearest pixel outside the hole shows."""
-    from scipy.ndimage import distance_transform_edt
+def _connected(seen: Mask, hole: Mask) -> Mask:
+    """What of it is connected with the hole: a wall at the table's height is not."""
+    seen = opened(seen, _speck(seen))
+    parts = parts_of(seen | hole)
+    return np.isin(parts, np.unique(parts[hole])) & seen
 
-    nearest = distance_transform_edt(hole, return_distances=False, return_indices=True)
-    return seen[tuple(np.asarray(nearest))]
+
+def _specks(rest: Mask, hole: Mask) -> Mask:
+    """Small parts of the rest beside the hole: at the outlines of objects, geometry is neither theirs nor the
+    support's."""
+    parts = parts_of(rest)
+    small = np.bincount(parts.ravel()) < ENOUGH * rest.size
+    return rest & small[parts] & np.isin(parts, np.unique(parts[grown(hole, 2)]))
+
+
+def _speck(mask: Mask) -> int:
+    return max(1, round(SPECK * max(mask.shape)))
+
+
+def _hull(mask: Mask) -> Mask:
+    """Pixels whose centres lie in the convex hull of a mask's."""
+    from PIL import Image, ImageDraw
+    from scipy.spatial import ConvexHull, QhullError
+
+    rows = np.flatnonzero(mask.any(1))
+    first, last = mask[rows].argmax(1), mask.shape[1] - 1 - mask[rows, ::-1].argmax(1)
+    points = np.concatenate([np.column_stack([first, rows]), np.column_stack([last, rows])])
+    try:
+        corners = points[ConvexHull(points).vertices]
+    except QhullError:  # all in one line
+        return mask
+    drawn = Image.new("1", mask.shape[::-1])
+    ImageDraw.Draw(drawn).polygon([(int(x), int(y)) for x, y in corners], fill=1, outline=1)
+    return np.asarray(drawn, np.bool_)

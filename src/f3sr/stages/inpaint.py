@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.background import BackgroundConfig, complete_background
+from f3sr.background import BackgroundConfig, complete_background, widened
 from f3sr.background.regions import Mask
 from f3sr.background.support import support_of
 from f3sr.report import Decision, Measure, Report, report_of
@@ -37,8 +37,9 @@ class Inpainting:
 
 def inpaint(scene: Scene, config: BackgroundConfig, *, given: NDArray[np.uint8] | None = None) -> Inpainting:
     """The photo behind the objects of a levelled scene, or a ``given`` one (H, W, 3) of its size, pixel for pixel."""
-    around = support_of(scene, np.any([o.mask for o in scene], axis=0))
-    background = complete_background(scene.photo, [o.mask for o in scene], config, support=around)
+    masks = [o.mask for o in scene]
+    support = support_of(scene, widened(masks, config.margin))
+    background = complete_background(scene.photo, masks, config, support=support)
     decisions = background.decisions
     if given is not None:
         decisions = (Decision(choice="background: as given", reason="background.png"),)
@@ -51,6 +52,6 @@ def inpaint(scene: Scene, config: BackgroundConfig, *, given: NDArray[np.uint8] 
     )
     return Inpainting(
         rgb=background.rgb if given is None else given,
-        support=support_of(scene, background.replaced),
+        support=support,
         report=Report(stage="inpaint", measures=measures, decisions=decisions),
     )
