@@ -1,4 +1,4 @@
-"""The film of a played goal: film.mp4, a strip of its key frames, and a page that plays it beside the rollout in 3-D."""
+"""The film of a played goal: film.mp4, a strip of its key frames, a page that plays it beside the rollout in 3-D."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from fractions import Fraction
 
 from f3sr.film.captions import slowed
 from f3sr.film.moments import Moment, frame_at, key_moments
-from f3sr.film.player import Shown, player
+from f3sr.film.payload import Shown
+from f3sr.film.player import player
 from f3sr.film.strip import Title, strip
 from f3sr.film.times import factor, finer, rate_of
 from f3sr.film.video import Picture, Video, encode

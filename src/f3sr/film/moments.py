@@ -72,6 +72,9 @@ def _events(seen: Seen, plan: Plan, verdict: Verdict) -> Iterator[Moment]:
             time = end if judged.time is None else judged.time
             yield _moment(seen, time, happened(judged.condition, seen.scene), rank)
     yield _moment(seen, end, "end", 0)
+    for judged in verdict.conditions:
+        if not judged.met:
+            yield _moment(seen, end, judged.said, 0)
 
 
 def _moment(seen: Seen, time: float, what: str, rank: int) -> Moment:

@@ -91,7 +91,7 @@
     const time = secondsAt(k).toFixed(2);
     slider.setAttribute("aria-valuetext", `frame ${k} of ${last}, ${time} seconds`);
     where.textContent = `frame ${k} / ${last} · ${time} s`;
-    touching.textContent = touchingAt(k).slice(0, 4)
+    touching.textContent = touchingAt(k).slice(0, 3)
       .map((c) => `${nameOf(c.b)} – ${nameOf(c.a)}: ${c.forces[k] < 10 ? c.forces[k].toFixed(1) : Math.round(c.forces[k])} N`).join("\n");
     const reached = moments.filter((b) => Number(b.dataset.frame) <= k).pop();
     for (const b of moments) b.setAttribute("aria-current", String(b === reached));
@@ -231,9 +231,7 @@
     seek, play, pause,
     poseOf: (id) => matrix(frame, indexOf.get(id)),
     touching: () => touchingAt(frame).map((c) => [c.a, c.b]),
-    ready: Promise.all([view ? view.loaded : null, new Promise((done) => {
-      if (filmFails || film.readyState > 1) done();
-      else for (const name of ["loadeddata", "error"]) film.addEventListener(name, done, { once: true });
-    })]),
+    /** Whether the film, or word that there is none, and all textures are here. */
+    get loaded() { return (filmFails || film.readyState > 1) && (!view || view.loaded); },
   };
 })();

@@ -3,42 +3,23 @@
 from __future__ import annotations
 
 import base64
-import json
-from collections.abc import Sequence
-from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 import f3sr.page
 from f3sr.errors import OutputError
 from f3sr.film.captions import speed_words
-from f3sr.film.moments import Moment
+from f3sr.film.payload import Shown, payload
 from f3sr.film.strip import clock
 from f3sr.film.timeline import pairs_of, timeline
-from f3sr.film.video import Video
-from f3sr.film.words import named
-from f3sr.frames import Array, quaternion_from_rotation
-from f3sr.goals.plan import Plan
-from f3sr.goals.rollout import Rollout
-from f3sr.goals.seen import Seen
-from f3sr.goals.verify import Verdict
+from f3sr.film.words import named, told
 from f3sr.page.document import document, part
-from f3sr.page.light_mesh import lightened
 from f3sr.page.markup import Child, Markup, clean, el
-from f3sr.page.viewer import Textures, packed_mesh
-from f3sr.scene import Scene
 
 LARGEST_PLAYER = 12 * 10**6
 """Bytes: what an e-mail still takes. The film has its own size; meshes and textures get what it leaves."""
 SIZES = ((80_000, 512), (40_000, 256), (12_000, 128), (3_000, 64))
 """Triangles of all meshes and longest side of a texture [px], tried in order until the page is small enough."""
-FEWEST_FACES = 200
-"""Of one mesh."""
-FAR = 2.0
-"""How far beyond the scene's box, in its diagonals, the view frames what moves."""
 HERE = Path(__file__).parent
 STYLES = Path(f3sr.page.__file__).parent / "page.css"
 KEYS = (
@@ -47,28 +28,14 @@ KEYS = (
 )
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Shown:
-    """What a player shows: a played goal, its film (a frame per sample of ``rollout``) and its moments."""
-
-    scene: Scene
-    plan: Plan
-    rollout: Rollout
-    verdict: Verdict
-    video: Video
-    moments: tuple[Moment, ...]
-    slow: Fraction = Fraction(1)
-
-
 def player(shown: Shown) -> bytes:
     """The page, at most ``LARGEST_PLAYER`` bytes: the same for the same film and rollout. Raises OutputError where the
     film alone is larger."""
     for faces, texture in SIZES:
-        page = _page(shown, faces, texture)
-        if len(page) <= LARGEST_PLAYER:
+        if len(page := _page(shown, faces, texture)) <= LARGEST_PLAYER:
             return page
-    found = f"{len(page):,} bytes with the smallest meshes, {len(shown.video.data):,} of them the film"
-    raise OutputError(f"player.html: would have {found}; at most {LARGEST_PLAYER:,}")
+    found = f"more than {LARGEST_PLAYER:,} bytes with the smallest meshes"
+    raise OutputError(f"player.html: would have {found}; the film alone has {len(shown.video.data):,}")
 
 
 def _page(shown: Shown, faces: int, texture: int) -> bytes:
@@ -77,7 +44,7 @@ def _page(shown: Shown, faces: int, texture: int) -> bytes:
         [
             _head(shown),
             el("main", _stage(shown), _controls(shown), _moments(shown), _timeline(shown), _words(shown)),
-            el("script", _payload(shown, faces, texture), type="application/json", id="player-data"),
+            el("script", payload(shown, faces=faces, texture=texture), type="application/json", id="player-data"),
         ],
         style=Markup(part(STYLES) + part(HERE / "player.css")),
         script=Markup(part(HERE / "view3d.js") + part(HERE / "player.js")),
@@ -192,7 +159,7 @@ def _moments(shown: Shown) -> Markup:
             "button",
             el("b", clock(m.time)),
             " ",
-            el("bdi", ", ".join(m.what)),
+            el("bdi", told(m.what)),
             type="button",
             class_="moment",
             data_frame=m.frame,
@@ -205,8 +172,8 @@ def _moments(shown: Shown) -> Markup:
 def _timeline(shown: Shown) -> Markup:
     tallest = max((p.forces.max() for p in pairs_of(shown.rollout)), default=0.0)
     legend = (
-        "Click or drag anywhere to go there. Marks: when a condition was met (✓), or nearest to it (✗). Contacts: height is "
-        f"the square root of the largest normal force since the frame before; the tallest is {tallest:,.0f} N."
+        "Click or drag anywhere to go there. Marks: when a condition was met (✓), or nearest to it (✗). Contacts: "
+        f"height is the square root of the largest normal force since the frame before; the tallest is {tallest:,.0f} N."
     )
     return el(
         "section",
@@ -233,62 +200,3 @@ def _words(shown: Shown) -> Markup:
 def _judged(judged: Any) -> Markup:
     word = el("b", "met" if judged.met else "missed", class_="met" if judged.met else "missed")
     return el("li", word, ": ", el("bdi", judged.said))
-
-
-# --- what the script reads ----------------------------------------------------------------------------------------
-
-
-def _payload(shown: Shown, faces: int, texture: int) -> Markup:
-    """All data as JSON that cannot end its script element."""
-    scene, rollout = shown.scene, shown.rollout
-    textures = Textures(texture)
-    each = max(FEWEST_FACES, faces // len(scene.objects))
-    way = Seen(rollout, scene).way(shown.plan.task.active)
-    data = {
-        "fps": float(shown.video.fps),
-        "frames": shown.video.frames,
-        "step": float(rollout.time[-1]) / max(1, len(rollout.time) - 1),
-        "view": {
-            "camera": {
-                "width": scene.camera.width,
-                "height": scene.camera.height,
-                "K": scene.camera.K.ravel().tolist(),
-                "T": scene.camera.T_world_camera.ravel().tolist(),
-            },
-            "bounds": _bounds(scene, rollout),
-            "objects": [{"mesh": packed_mesh(lightened(_scaled(o), each), textures.index)} for o in scene],
-            "path": np.round(way, 5).ravel().tolist(),
-        },
-        "names": [clean(f"{o.id} {o.label}".strip()) for o in scene],
-        "ids": [o.id for o in scene],
-        "poses": base64.b64encode(_poses(rollout).astype("<f4").tobytes()).decode(),
-        "contacts": [
-            {"a": p.a, "b": p.b, "forces": [round(float(f), 3) for f in p.forces]}
-            for p in pairs_of(rollout)
-            if not p.rests
-        ],
-    }
-    data["view"]["textures"] = textures.uris
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
-    return Markup(text.replace("<", "\\u003c"))
-
-
-def _scaled(o: Any) -> Any:
-    return o.mesh if o.scale == 1 else o.mesh.with_vertices(o.scale * o.mesh.vertices)
-
-
-def _poses(rollout: Rollout) -> Array:
-    """(T, N, 7): place and quaternion (wxyz)."""
-    T = rollout.T_world_object
-    quaternions = [quaternion_from_rotation(R) for R in T[..., :3, :3].reshape(-1, 3, 3)]
-    return np.concatenate([T[..., :3, 3], np.reshape(quaternions, (*T.shape[:2], 4))], axis=-1)
-
-
-def _bounds(scene: Scene, rollout: Rollout) -> Sequence[float]:
-    """The box that presets frame: the scene and where things go, but not what is flung far away."""
-    corners = np.concatenate([o.bounds_world for o in scene])
-    low, high = corners.min(0), corners.max(0)
-    reach = FAR * float(np.linalg.norm(high - low))
-    ways = rollout.T_world_object[..., :3, 3].reshape(-1, 3)
-    ways = np.clip(ways, low - reach, high + reach)
-    return [*np.minimum(low, ways.min(0)).tolist(), *np.maximum(high, ways.max(0)).tolist()]

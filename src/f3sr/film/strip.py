@@ -12,6 +12,7 @@ from PIL import Image, ImageDraw
 from f3sr.film.captions import INK, PAPER, captioned, font, wrapped
 from f3sr.film.moments import Moment
 from f3sr.film.video import Picture
+from f3sr.film.words import told
 from f3sr.pictures import resized
 
 CELL = 480
@@ -38,7 +39,7 @@ def strip(moments: Sequence[Moment], pictures: Sequence[Picture], title: Title) 
     columns = len(moments) if len(moments) < 4 else 2 if len(moments) == 4 else 3
     height = round(CELL * pictures[0].shape[0] / pictures[0].shape[1])
     up, down = font(TEXT).getmetrics()
-    words = [wrapped(", ".join(m.what), font(TEXT), CELL, LINES) for m in moments]
+    words = [wrapped(told(m.what), font(TEXT), CELL, LINES) for m in moments]
     rows = [range(k, min(k + columns, len(moments))) for k in range(0, len(moments), columns)]
     tall = [height + 6 + (up + down) * max(len(words[k]) for k in row) + GAP for row in rows]
     top = MARGIN + TITLE + GAP
@@ -64,7 +65,7 @@ def clock(time: float) -> str:
 
 def _entitle(draw: ImageDraw.ImageDraw, title: Title, width: int) -> None:
     letters = font(TITLE)
-    verdict, color = ("met", GOOD) if title.met else ("not met", BAD)
+    verdict, color = ("goal met", GOOD) if title.met else ("goal not met", BAD)
     room = width - 2 * MARGIN - GAP - letters.getlength(verdict)
     line = wrapped(title.goal, letters, math.floor(room), 1)[0]
     draw.text((MARGIN, MARGIN - 4), line, fill=INK, font=letters)

@@ -19,8 +19,10 @@ from f3sr.scene import Scene
 
 STEADY = 3.0
 """Times its median force that a contact may reach and still be rest."""
-ALWAYS = 0.9
-"""Share of the frames in which what rests on something touches it."""
+ALWAYS = 0.6
+"""Share of the frames in which what rests on something touches it: light things lose contact for a moment."""
+FAINT = 0.03
+"""Share of the tallest force below which it is rest too."""
 SIDE = 1000, 100
 """Units of a row's drawing along the film and up; it is stretched."""
 
@@ -34,12 +36,8 @@ class Pair:
     forces: NDArray[np.float64]
     """(T,) the largest normal force [N] since the frame before; 0 where they do not touch."""
 
-    @property
-    def rests(self) -> bool:
-        """Whether one only lies on or against the other all the time."""
-        touching = self.forces[self.forces > 0]
-        steady = self.forces.max() <= STEADY * np.median(touching)
-        return bool(steady and len(touching) >= ALWAYS * (len(self.forces) - 1))
+    rests: bool = False
+    """Whether one only lies on or against the other nearly all the time."""
 
 
 def pairs_of(rollout: Rollout) -> tuple[Pair, ...]:
@@ -47,13 +45,20 @@ def pairs_of(rollout: Rollout) -> tuple[Pair, ...]:
     rows, T = rollout.contacts, len(rollout.time)
     frames = np.minimum(np.searchsorted(rollout.time, rows["time"] - 1e-6), T - 1)
     found: list[Pair] = []
+    tallest = float(rows["force"].max(initial=0.0))
     for a, b in sorted({(int(r["a"]), int(r["b"])) for r in rows}):
         own = (rows["a"] == a) & (rows["b"] == b)
         forces = np.zeros(T)
         np.maximum.at(forces, frames[own], rows["force"][own])
         if forces.max() > 0:
-            found.append(Pair(a=a, b=b, forces=forces))
+            found.append(Pair(a=a, b=b, forces=forces, rests=_rests(forces, tallest)))
     return tuple(sorted(found, key=lambda p: -p.forces.max()))
+
+
+def _rests(forces: NDArray[np.float64], tallest: float) -> bool:
+    touching, most = forces[forces > 0], float(forces.max())
+    steady = most <= max(STEADY * float(np.median(touching)), FAINT * tallest)
+    return steady and len(touching) >= ALWAYS * (len(forces) - 1)
 
 
 def timeline(scene: Scene, plan: Plan, rollout: Rollout, verdict: Verdict) -> Markup:
@@ -126,20 +131,16 @@ def _controls(scene: Scene, plan: Plan, end: float) -> Iterable[Markup]:
         spans = [(0.0, 0.0, "is let go elsewhere") for o in initial.offsets if o.id == id]
         spans += [(0.0, 0.0, f"starts at {np.linalg.norm(v.linear):.2g} m/s") for v in initial.velocities if v.id == id]
         spans += [(i.time, i.duration, _impulse(i)) for i in initial.impulses if i.id == id]
-        bars = [
-            el(
-                "rect",
-                el("title", f"{name}: {words}, {time:.2f} s"),
-                x=f"{SIDE[0] * time / end:.2f}",
-                width=f"{SIDE[0] * duration / end:.2f}",
-                y=20,
-                height=60,
-                class_="push" if duration else "blow",
-            )
-            for time, duration, words in spans
-        ]
+        bars = [_control(time, duration, end) for time, duration, _ in spans]
         words = "; ".join(words for _, _, words in spans)
         yield _row([el("bdi", name), " ", el("small", words)], _drawing(bars), f"{name}: {words}", "control")
+
+
+def _control(time: float, duration: float, end: float) -> Markup:
+    """A line for what comes at once, a bar for a push."""
+    left, right = (SIDE[0] * t / end for t in (time, time + duration))
+    d = f"M{left:.1f} 15V85" + (f"H{right:.1f}V15z" if duration else "")
+    return el("path", d=Markup(d), class_="push" if duration else "blow")
 
 
 def _impulse(impulse: Any) -> str:

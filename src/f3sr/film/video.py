@@ -45,7 +45,7 @@ YUV = np.rint(
 OPTIONS = {
     "preset": PRESET,
     "crf": str(CRF),
-    "bf": "0",  # no frame is shown later than it is decoded: times begin at 0 without an edit list, which players ignore
+    "bf": "0",  # frames are shown in the order of decoding: times begin at 0 without an edit list, which players ignore
     "flags": "+bitexact",
     "x264-params": "colorprim=bt709:transfer=bt709:colormatrix=bt709:range=tv:chromaloc=1:scenecut=0",
 }
@@ -70,8 +70,8 @@ class Video:
 def encode(frames: Iterable[Picture], fps: Fraction | float) -> Video:
     """Frames (h, w, 3) uint8 sRGB of one size, taken one at a time, as a film of ``fps`` frames a second.
 
-    Raises InputError for what is no film: no frame, frames of several sizes, too large or too many a second; OutputError
-    where the encoder, or the disk that it writes through, fails.
+    Raises InputError for what is no film: no frame, frames of several sizes, too large or too many a second;
+    OutputError where the encoder, or the disk that it writes through, fails.
     """
     rate = _rate(fps)
     shown = _checked(frames)
@@ -101,7 +101,7 @@ class _Encoder:
         self.count, self.tick = 0, 1 / rate
         self.height, self.width = (n + n % 2 for n in first.shape[:2])
         scale = -(-TICKS // rate.numerator) * rate.numerator
-        options = {"movflags": "+faststart", "fflags": "+bitexact", "movie_timescale": str(scale)}
+        options = {"movflags": "+faststart", "fflags": "+bitexact", "use_editlist": "0", "movie_timescale": str(scale)}
         self._file: Any = av.open(
             str(file), "w", format="mp4", options={**options, "video_track_timescale": str(scale)}
         )
@@ -145,12 +145,11 @@ def yuv420(rgb: Picture) -> NDArray[np.uint8]:
 
     Rounded, not cut off as swscale does it, which darkens a film by one level; a chroma sample is the mean of its four
     pixels. In integers: the same bytes on every machine."""
-    height, width = rgb.shape[:2]
     rows = rgb[0::2].astype(np.int32) + rgb[1::2]
     fours = rows[:, 0::2] + rows[:, 1::2]
     planes = [_weighted(rgb, YUV[0], SHIFT, 16), _weighted(fours, YUV[1], SHIFT + 2, 128)]
     planes.append(_weighted(fours, YUV[2], SHIFT + 2, 128))
-    return np.concatenate([plane.reshape(-1, width) for plane in planes])
+    return np.concatenate([plane.ravel() for plane in planes]).reshape(-1, rgb.shape[1])
 
 
 def _weighted(rgb: NDArray[Any], weights: NDArray[np.int32], shift: int, offset: int) -> NDArray[np.uint8]:

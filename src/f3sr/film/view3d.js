@@ -96,23 +96,22 @@ function view3d(canvas, data, style) {
     gl.bindVertexArray(null);
     return lines;
   };
+  let loaded = 0;
   const textures = data.textures.map((uri) => {
     const texture = gl.createTexture(), image = new Image();
     gl.bindTexture(gl.TEXTURE_2D, texture);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 1, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array([150, 150, 150, 255]));
-    const loaded = new Promise((done) => {
-      image.onload = () => {
-        gl.bindTexture(gl.TEXTURE_2D, texture);
-        gl.pixelStorei(gl.UNPACK_FLIP_Y_WEBGL, true);
-        gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image);
-        gl.generateMipmap(gl.TEXTURE_2D);
-        gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
-        draw();
-        done();
-      };
-    });
+    image.onload = () => {
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+      gl.pixelStorei(gl.UNPACK_FLIP_Y_WEBGL, true);
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, gl.RGBA, gl.UNSIGNED_BYTE, image);
+      gl.generateMipmap(gl.TEXTURE_2D);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
+      loaded++;
+      draw();
+    };
     image.src = uri;
-    return { texture, loaded };
+    return texture;
   });
   const meshes = data.objects.map((o) => meshOf(o.mesh));
 
@@ -241,8 +240,8 @@ function view3d(canvas, data, style) {
     paintMeshes((run, i) => {
       const textured = run.texture !== null;
       gl.uniform3f(place.base, ...run.color);
-      set({ textured: textured ? 1 : 0, glow: 0.65 * glows[i] });
-      if (textured) gl.bindTexture(gl.TEXTURE_2D, textures[run.texture].texture);
+      set({ textured: textured ? 1 : 0, glow: 0.5 * glows[i] });
+      if (textured) gl.bindTexture(gl.TEXTURE_2D, textures[run.texture]);
     });
     gl.uniformMatrix4fv(place.model, true, IDENTITY);
     gl.uniform3f(place.middle, 0, 0, 0);
@@ -327,7 +326,7 @@ function view3d(canvas, data, style) {
     cell, from, pick, draw,
     get busy() { return pointers.size > 0; },
     get fromPhoto() { return orbit === null; },
-    loaded: Promise.all(textures.map((t) => t.loaded)),
+    get loaded() { return loaded === textures.length; },
     /** Row-major 4x4 matrices, lights in [0, 1], and how many points of the path are behind. */
     show(matrices, lights, behind) { [poses, glows, passed] = [matrices, lights, behind]; draw(); },
   };

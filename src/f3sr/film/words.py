@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 from f3sr.goals import plan as p
@@ -24,6 +25,19 @@ def named(scene: Scene, id: int) -> str:
 def happened(condition: p.Condition, scene: Scene) -> str:
     """What is so once a condition is met."""
     return _WORDS[type(condition)](condition, lambda id: named(scene, id))
+
+
+def told(statements: Sequence[str]) -> str:
+    """Statements in one line; what two in a row begin with is said once."""
+    line = statements[0]
+    for before, statement in pairwise(statements):
+        words, same = statement.split(" "), 0
+        for a, b in zip(before.split(" "), words, strict=False):
+            if a != b:
+                break
+            same += 1
+        line += f" and {' '.join(words[same:])}" if same else f", {statement}"
+    return line
 
 
 def metres(length: float) -> str:
