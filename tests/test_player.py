@@ -6,6 +6,7 @@ import io
 import json
 import re
 import shutil
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from f3sr import raster
 from f3sr.film import PLAYER, make_film
 from f3sr.film.timeline import pairs_of
 from f3sr.goals.verify import verify
@@ -27,6 +29,7 @@ QUIET = [
 ]  # fmt: skip
 PATIENCE = 20_000
 """How long anything may take [ms]."""
+STATE = "[player.frame, player.filmFrame, player.playing, film.currentTime, film.seeking, film.readyState]"
 pytestmark = pytest.mark.timeout(120)
 
 
@@ -60,7 +63,11 @@ class Opened:
         self.tab.goto((folder / PLAYER).as_uri())
 
     def until(self, condition: str) -> None:
-        self.tab.wait_for_function(condition, timeout=PATIENCE)
+        """Asked from outside: playwright's own waiting evaluates strings, which the page's policy forbids."""
+        end = time.monotonic() + PATIENCE / 1000
+        while not self.tab.evaluate(condition):
+            assert time.monotonic() < end, f"{condition}: {self.tab.evaluate(STATE)}"
+            self.tab.wait_for_timeout(30)
 
     def at(self, k: int) -> None:
         """Wait until the film and everything else show frame k."""
@@ -150,6 +157,7 @@ def test_keys_step_and_jump(opened: Opened):
 
 def test_the_timeline_is_clicked_and_dragged(opened: Opened):
     last = len(given().played.rollout.time) - 1
+    opened.tab.locator(".contact .track").first.scroll_into_view_if_needed()
     box = opened.tab.locator(".contact .track").first.bounding_box()
     y = box["y"] + box["height"] / 2
     for share in (0.25, 0.8):
@@ -218,8 +226,6 @@ def test_hovering_names_what_is_there(opened: Opened):
     opened.at(0)
     box = opened.tab.locator("#view").bounding_box()
     camera = g.scene.camera.resized(round(box["width"]), round(box["height"]))
-    from f3sr import raster
-
     ids = raster.render(g.scene.objects, camera).ids
     for o in g.scene:
         rows, columns = np.nonzero(ids == o.id)
@@ -232,25 +238,18 @@ def test_hovering_names_what_is_there(opened: Opened):
 
 
 def test_the_view_starts_where_the_photo_was_taken(opened: Opened):
-    from f3sr import raster
-
     g = given()
     opened.at(0)
-    shown = opened.picture("#view")
-    camera = g.scene.camera.resized(shown.shape[1], shown.shape[0])
-    ids = raster.render(g.scene.objects, camera).ids
-    drawn = shown.max(2) - shown.min(2) <= 3  # objects are grey here, the grid is green
-    back = np.abs(shown - shown[2, 2]).max(2) < 3
-    inner = raster.silhouette(*_all(g.scene, camera)) & ~back
-    assert (ids[inner & drawn] != raster.EMPTY).mean() > 0.99
-    assert (back[ids != raster.EMPTY]).mean() < 0.05
-
-
-def _all(scene: Any, camera: Any) -> tuple[Any, ...]:
-    starts = np.cumsum([0, *(len(o.mesh.vertices) for o in scene)])
-    vertices = np.concatenate([camera.to_camera(o.vertices_world) for o in scene])
-    faces = np.concatenate([o.mesh.faces + s for o, s in zip(scene, starts, strict=False)])
-    return vertices, faces, camera.K, camera.width, camera.height
+    box = opened.tab.locator("#view").bounding_box()
+    width, height = round(box["width"]), round(box["height"])
+    picked = opened.state(
+        f"(() => {{const found = []; for (let y = 0; y < {height}; y += 9) for (let x = 0; x < {width}; x += 9) "
+        "found.push(player.view.pick(x + 0.5, y + 0.5)); return found})()"
+    )
+    ids = raster.render(g.scene.objects, g.scene.camera.resized(width, height)).ids[::9, ::9]
+    known = np.array([raster.EMPTY, *(o.id for o in g.scene)])
+    agree = known[np.array(picked).reshape(ids.shape) + 1] == ids
+    assert len(np.unique(ids)) == len(known) and agree.mean() > 0.995
 
 
 @pytest.mark.parametrize("width", [320, 390, 800, 1280])

@@ -172,8 +172,8 @@ def _moments(shown: Shown) -> Markup:
 def _timeline(shown: Shown) -> Markup:
     tallest = max((p.forces.max() for p in pairs_of(shown.rollout)), default=0.0)
     legend = (
-        "Click or drag anywhere to go there. Marks: when a condition was met (✓), or nearest to it (✗). Contacts: "
-        f"height is the square root of the largest normal force since the frame before; the tallest is {tallest:,.0f} N."
+        "Click or drag to go there. Marks: when a condition was met (✓), or nearest to it (✗). Contacts: height is "
+        f"the square root of the largest normal force since the frame before; the tallest is {tallest:,.0f} N."
     )
     return el(
         "section",
