@@ -237,6 +237,7 @@ def test_long_and_hostile_captions_are_cut():
     assert len(lines) <= 3 and all(font(19).getlength(line) <= 200 for line in lines)
     assert wrapped("a cup of tea", font(19), 500, 3) == ["a cup of tea"]
     assert told(("start", "cup is set off")) == "start, cup is set off"
+    assert told(("cup rises", "cup falls", "cup is broken", "end")) == "cup rises, falls, is broken, end"
     assert told(("cup leans 45°", "cup has moved 7 cm")) == "cup leans 45° and has moved 7 cm"
 
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from f3sr.film.words import happened, metres, named
 from f3sr.frames import Array
-from f3sr.goals.plan import Displaced, Height, Plan, Rolled
+from f3sr.goals.plan import Contact, Displaced, Height, Plan, Rolled
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.seen import Seen
 from f3sr.goals.verify import Verdict
-from f3sr.scene import Scene
+from f3sr.scene import GROUND, Scene
 
 FEWEST, MOST = 4, 6
 """Pictures of a strip."""
@@ -24,9 +24,17 @@ FLIES = 0.02
 """Height [m] above start and end from which something that touches nothing is said to fly."""
 SLOW = 0.02
 """Speed [m/s] of what is at rest."""
+GRAVITY = 9.81
+"""[m/s2]"""
+HARD = 5.0
+"""Times its weight from which a contact is a blow."""
+FALLS = 0.15
+"""Speed [m/s] downwards of what hits the ground."""
+FAR = 0.02
+"""Way [m] that is worth a picture from its middle."""
 LULL = 0.2
 """How long it takes [s] to see that."""
-APART = 2
+APART = 1
 """Frames between moments that are only there to fill the strip, and others."""
 
 
@@ -66,6 +74,7 @@ def _events(seen: Seen, plan: Plan, verdict: Verdict) -> Iterator[Moment]:
     yield from _controls(seen, plan)
     yield from _meeting(seen, plan)
     yield from _apex(seen, plan.task.active)
+    yield from _impact(seen, plan, verdict)
     for judged in verdict.conditions:
         if judged.met:
             rank = 3 if isinstance(judged.condition, Displaced | Rolled | Height) else 2
@@ -123,6 +132,25 @@ def _apex(seen: Seen, active: int) -> Iterator[Moment]:
         yield _moment(seen, float(seen.time[top]), words, 2)
 
 
+def _impact(seen: Seen, plan: Plan, verdict: Verdict) -> Iterator[Moment]:
+    """The hardest blow that the active object takes or gives after it was set off, unless that contact is told anyway.
+    What slides is shaken by the ground, but hits it only where it comes down."""
+    active, rows = plan.task.active, seen.rollout.contacts
+    own = rows[((rows["a"] == active) | (rows["b"] == active)) & (rows["time"] > CLOSE)]
+    before = [frame_at(seen.rollout, time) - 1 for time in own["time"]]
+    climb = np.diff(seen.way(active)[:, 2], append=0.0) / np.diff(seen.time, append=np.inf)
+    own = own[(climb[before] < -FALLS) | (own["a"] != GROUND)]
+    weight = GRAVITY * next(s.mass for s in plan.semantics if s.id == active)
+    if not len(own) or own["force"].max() < HARD * weight:
+        return
+    hardest = own[int(np.argmax(own["force"]))]
+    other = int(hardest["a"] if hardest["b"] == active else hardest["b"])
+    contacts = (c.condition for c in verdict.conditions if isinstance(c.condition, Contact))
+    if other != plan.task.target and {active, other} not in [{c.a, c.b} for c in contacts]:
+        words = f"{named(seen.scene, active)} hits {named(seen.scene, other)}"
+        yield _moment(seen, float(hardest["time"]), words, 3)
+
+
 def _merged(moments: list[Moment]) -> list[Moment]:
     """Moments of a frame, or so close that they look the same, as one, at the last of their frames; the start stays."""
     found: list[Moment] = []
@@ -144,21 +172,20 @@ def _least(moments: list[Moment]) -> Moment:
 
 
 def _between(moments: list[Moment], seen: Seen, active: int) -> Moment | None:
-    """Another moment: where the active object comes to rest, or else in the middle of the longest way between two;
-    None where nothing is far enough from all others."""
-    way = seen.way(active)
+    """Another moment: in the middle of the longest way between two, or else where the active object comes to rest; None
+    where neither is far enough from all others."""
+    way, taken = seen.way(active), [m.frame for m in moments]
     length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))]
-    taken = [m.frame for m in moments]
+    gaps = [(a, b) for a, b in pairwise(taken) if b - a > 2 * APART]
+    first, last = max(gaps, key=lambda g: float(length[g[1]] - length[g[0]]), default=(0, 0))
     rest = int(np.searchsorted(length, length[-1] - SLOW * LULL))
+    if length[last] - length[first] > FAR:
+        half = int(np.searchsorted(length, (length[first] + length[last]) / 2))
+        middle = min(max(half, first + APART), last - APART)
+        return _moment(seen, float(seen.time[middle]), _moving(seen, way, active, middle), 5)
     if min(abs(rest - frame) for frame in taken) > APART:
         return _moment(seen, float(seen.time[rest]), f"{named(seen.scene, active)} comes to rest", 5)
-    gaps = [(a, b) for a, b in pairwise(taken) if b - a > 2 * APART]
-    if not gaps:
-        return None
-    first, last = max(gaps, key=lambda g: (round(float(length[g[1]] - length[g[0]]), 3), g[1] - g[0]))
-    half = (length[first] + length[last]) / 2
-    middle = int(np.clip(np.searchsorted(length, half), first + APART, last - APART))
-    return _moment(seen, float(seen.time[middle]), _moving(seen, way, active, middle), 5)
+    return None
 
 
 def _moving(seen: Seen, way: Array, active: int, frame: int) -> str:

@@ -28,15 +28,13 @@ def happened(condition: p.Condition, scene: Scene) -> str:
 
 
 def told(statements: Sequence[str]) -> str:
-    """Statements in one line; what two in a row begin with is said once."""
+    """Statements in one line; what one begins with like the one before it is not said again."""
     line = statements[0]
-    for before, statement in pairwise(statements):
-        words, same = statement.split(" "), 0
-        for a, b in zip(before.split(" "), words, strict=False):
-            if a != b:
-                break
-            same += 1
-        line += f" and {' '.join(words[same:])}" if same else f", {statement}"
+    for k, (before, statement) in enumerate(pairwise(statements), 1):
+        words = statement.split(" ")
+        same = next((n for n, (a, b) in enumerate(zip(before.split(" "), words, strict=False)) if a != b), 0)
+        last = k + 1 == len(statements)
+        line += f"{' and' if last and same else ','} {' '.join(words[same:])}"
     return line
 
 
