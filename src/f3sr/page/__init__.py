@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections.abc import Callable
 from pathlib import Path
-from string import Template
 
 from f3sr.errors import OutputError
 from f3sr.page.compare import compare
 from f3sr.page.decisions import decisions
+from f3sr.page.document import document, part
 from f3sr.page.graph import graph
 from f3sr.page.head import head, verdict
-from f3sr.page.markup import Child, Markup, el, join
+from f3sr.page.markup import Child, el
 from f3sr.page.masks import masks
 from f3sr.page.material import Material, Sizes
 from f3sr.page.objects import objects
@@ -24,6 +22,7 @@ from f3sr.pipeline import Reconstruction
 
 __all__ = ["LARGEST_PAGE", "report_page"]
 
+HERE = Path(__file__).parent
 LARGEST_PAGE = 15 * 10**6
 """Bytes."""
 SIZES = (
@@ -56,27 +55,11 @@ def report_page(result: Reconstruction) -> bytes:
 
 
 def _page(m: Material) -> bytes:
-    style, script = _part("page.css"), _part("viewer.js")
-    policy = (
-        f"default-src 'none'; img-src data:; style-src {_hash(style)}; script-src {_hash(script)}; "
-        "base-uri 'none'; form-action 'none'"
-    )
     links = el("nav", (el("a", title, href=f"#{id}") for id, title, _ in SECTIONS), aria_label="Sections")
     sections = [el("section", el("h2", title), make(m), id=id) for id, title, make in SECTIONS]
-    text = Template(_part("page.html")).substitute(
-        policy=policy,
-        title=join(f"f3sr: {verdict(m)}"),
-        style=style,
-        script=script,
-        body=join(head(m, links), el("main", sections)),
+    return document(
+        f"f3sr: {verdict(m)}",
+        [head(m, links), el("main", sections)],
+        style=part(HERE / "page.css"),
+        script=part(HERE / "viewer.js"),
     )
-    return text.encode("utf-8")
-
-
-def _part(name: str) -> Markup:
-    return Markup((Path(__file__).parent / name).read_text(encoding="utf-8"))
-
-
-def _hash(text: str) -> str:
-    """What a content security policy names an inline style or script by."""
-    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

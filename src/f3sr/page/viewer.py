@@ -38,7 +38,7 @@ STILL_TURN = np.radians(35)
 
 
 @dataclass
-class _Textures:
+class Textures:
     """Every texture once, by identity."""
 
     longest: int
@@ -99,7 +99,7 @@ def _button(label: str, name: str, pressed: bool | None) -> Markup:
 def payload(m: Material) -> Markup:
     """All data of the view as JSON that cannot end its script element."""
     faces = int(np.clip(m.sizes.faces // len(m.scene.objects), *FACES_EACH))
-    textures = _Textures(m.sizes.texture)
+    textures = Textures(m.sizes.texture)
     document = {
         "cameras": {"direct": _camera(m.direct.camera), "ours": _camera(m.scene.camera)},
         "bounds": {"direct": _bounds(m.direct), "ours": _bounds(m.scene)},
@@ -124,7 +124,7 @@ def _bounds(scene: Scene) -> list[float]:
     return [*corners.min(0).tolist(), *corners.max(0).tolist()]
 
 
-def _object(o: SceneObject, direct: SceneObject, faces: int, textures: _Textures) -> dict[str, Any]:
+def _object(o: SceneObject, direct: SceneObject, faces: int, textures: Textures) -> dict[str, Any]:
     return {
         "id": o.id,
         "label": clean(o.label),

@@ -1,0 +1,60 @@
+"""The film of a played goal: film.mp4, a strip of its key frames, a page that plays it beside the rollout in 3-D."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
+from dataclasses import replace
+from fractions import Fraction
+
+from f3sr.film.captions import slowed
+from f3sr.film.moments import Moment, frame_at, key_moments
+from f3sr.film.payload import Shown
+from f3sr.film.player import player
+from f3sr.film.strip import Title, strip
+from f3sr.film.times import factor, finer, rate_of
+from f3sr.film.video import Picture, Video, encode
+from f3sr.frames import Array
+from f3sr.goals.plan import Plan
+from f3sr.goals.rollout import Rollout
+from f3sr.goals.verify import Verdict
+from f3sr.scene import Scene
+
+__all__ = ["FILM", "FILMS", "PLAYER", "STRIP", "Moment", "Video", "encode", "key_moments", "make_film"]
+
+FILM, STRIP, PLAYER = "film.mp4", "film.png", "player.html"
+FILMS = (FILM, STRIP, PLAYER)
+"""The files of a film."""
+Draw = Callable[[Array], Picture]
+"""The picture (h, w, 3) uint8 sRGB of a scene whose objects are at T_world_object (N, 4, 4), in the scene's order."""
+
+
+def make_film(
+    scene: Scene, plan: Plan, rollout: Rollout, verdict: Verdict, draw: Draw, *, slow: Fraction | float = 1
+) -> Mapping[str, bytes]:
+    """The bytes of film.mp4, film.png and player.html, by name; the same for the same rollout and pictures.
+
+    ``draw`` is asked for every frame once, in order. ``slow``: how many times slower than life; then the plan is played
+    again with more samples, and the speed is written on every frame. Raises InputError where that gives another motion
+    or a frame cannot be filmed, OutputError where the encoder fails.
+    """
+    slow = factor(slow)
+    drawn = finer(scene, plan, rollout, slow)
+    moments = tuple(replace(m, frame=frame_at(drawn, m.time)) for m in key_moments(scene, plan, rollout, verdict))
+    kept: dict[int, Picture] = {}
+    frames = _noted(map(draw, drawn.T_world_object), {m.frame for m in moments}, kept)
+    video = encode(slowed(frames, slow), rate_of(drawn) / slow)
+    pictures = [kept[m.frame] for m in moments]
+    shown = Shown(scene=scene, plan=plan, rollout=drawn, verdict=verdict, video=video, moments=moments, slow=slow)
+    return {
+        FILM: video.data,
+        STRIP: strip(moments, pictures, Title(goal=plan.goal, met=verdict.met)),
+        PLAYER: player(shown),
+    }
+
+
+def _noted(frames: Iterable[Picture], wanted: Set[int], kept: dict[int, Picture]) -> Iterator[Picture]:
+    """The same frames; the wanted ones are also put into ``kept``."""
+    for k, frame in enumerate(frames):
+        if k in wanted:
+            kept[k] = frame
+        yield frame

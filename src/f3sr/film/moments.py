@@ -1,0 +1,195 @@
+"""The moments of a rollout that tell what happened: few, in order, each with its frame and words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from f3sr.film.words import happened, metres, named
+from f3sr.frames import Array
+from f3sr.goals.plan import Contact, Displaced, Height, Plan, Rolled
+from f3sr.goals.rollout import Rollout
+from f3sr.goals.seen import Seen
+from f3sr.goals.verify import Verdict
+from f3sr.scene import GROUND, Scene
+
+FEWEST, MOST = 4, 6
+"""Pictures of a strip."""
+CLOSE = 0.05
+"""Moments nearer to each other [s] are one: their pictures would look the same."""
+FLIES = 0.02
+"""Height [m] above start and end from which something that touches nothing is said to fly."""
+SLOW = 0.02
+"""Speed [m/s] of what is at rest."""
+GRAVITY = 9.81
+"""[m/s2]"""
+HARD = 5.0
+"""Times its weight from which a contact is a blow."""
+FALLS = 0.15
+"""Speed [m/s] downwards of what hits the ground."""
+FAR = 0.02
+"""Way [m] that is worth a picture from its middle."""
+LULL = 0.2
+"""How long it takes [s] to see that."""
+APART = 1
+"""Frames between moments that are only there to fill the strip, and others."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moment:
+    """A frame worth looking at: the first that shows what happened at ``time`` [s]."""
+
+    frame: int
+    time: float
+    what: tuple[str, ...]
+    """In words, a statement each."""
+    rank: int = 9
+    """0 for what is always shown; of too many the highest go."""
+
+
+def key_moments(scene: Scene, plan: Plan, rollout: Rollout, verdict: Verdict) -> tuple[Moment, ...]:
+    """At most ``MOST`` moments by time: start, what sets off the active object, its first contact with the target, the
+    top of its flight, every met condition's event, the end; at least ``FEWEST`` where the rollout has as many frames
+    that differ."""
+    seen = Seen(rollout, scene)
+    found = _merged(sorted(_events(seen, plan, verdict), key=lambda m: (m.frame, m.rank)))
+    while len(found) > MOST:
+        found.remove(_least(found))
+    while len(found) < FEWEST and (more := _between(found, seen, plan.task.active)):
+        found = sorted([*found, more], key=lambda m: m.frame)
+    return tuple(found)
+
+
+def frame_at(rollout: Rollout, time: float) -> int:
+    """The first sample at or after a time."""
+    return min(int(np.searchsorted(rollout.time, time - 1e-6)), len(rollout.time) - 1)
+
+
+def _events(seen: Seen, plan: Plan, verdict: Verdict) -> Iterator[Moment]:
+    end = float(seen.time[-1])
+    yield _moment(seen, 0.0, "start", 0)
+    yield from _controls(seen, plan)
+    yield from _meeting(seen, plan)
+    yield from _apex(seen, plan.task.active)
+    yield from _impact(seen, plan, verdict)
+    for judged in verdict.conditions:
+        if judged.met:
+            rank = 3 if isinstance(judged.condition, Displaced | Rolled | Height) else 2
+            time = end if judged.time is None else judged.time
+            yield _moment(seen, time, happened(judged.condition, seen.scene), rank)
+    yield _moment(seen, end, "end", 0)
+    for judged in verdict.conditions:
+        if not judged.met:
+            yield _moment(seen, end, judged.said, 0)
+
+
+def _moment(seen: Seen, time: float, what: str, rank: int) -> Moment:
+    return Moment(frame=frame_at(seen.rollout, time), time=time, what=(what,), rank=rank)
+
+
+def _meeting(seen: Seen, plan: Plan) -> Iterator[Moment]:
+    """The first contact with the target; where they are to part, when they have."""
+    active, target = plan.task.active, plan.task.target
+    if target is None or not len(touches := seen.rollout.touches(active, target)):
+        return
+    name, other = named(seen.scene, active), named(seen.scene, target)
+    first, last = float(touches["time"][0]), frame_at(seen.rollout, float(touches["time"][-1])) + 1
+    if plan.task.way not in ("off", "away-from"):
+        yield _moment(seen, first, f"{name} touches {other}", 1)
+    elif last < len(seen.time):
+        yield _moment(seen, float(seen.time[last]), f"{name} parts from {other}", 1)
+
+
+def _controls(seen: Seen, plan: Plan) -> Iterator[Moment]:
+    """What sets objects off. A push that goes on in parts is one."""
+    for offset in plan.initial.offsets:
+        up = f" {metres(offset.translation[2])} higher" if offset.translation[2] > 0.0005 else ""
+        yield _moment(seen, 0.0, f"{named(seen.scene, offset.id)} is let go{up}", 1)
+    for velocity in plan.initial.velocities:
+        speed = float(np.linalg.norm(velocity.linear))
+        yield _moment(seen, 0.0, f"{named(seen.scene, velocity.id)} is set off at {speed:.2g} m/s", 1)
+    ends: dict[int, float] = {}
+    for impulse in sorted(plan.initial.impulses, key=lambda i: i.time):
+        if impulse.time > ends.get(impulse.id, -1.0) + 1e-6:
+            how = ("pushed" if impulse.duration > 0 else "struck") + (" again" if impulse.id in ends else "")
+            yield _moment(seen, impulse.time, f"{named(seen.scene, impulse.id)} is {how}", 1)
+        ends[impulse.id] = impulse.time + impulse.duration
+
+
+def _apex(seen: Seen, active: int) -> Iterator[Moment]:
+    """The top of the highest flight."""
+    heights = seen.way(active)[:, 2]
+    top = int(np.argmax(heights))
+    rise = float(heights[top] - max(heights[0], heights[-1]))
+    rows = seen.rollout.contacts
+    own = rows["time"][(rows["a"] == active) | (rows["b"] == active)]
+    step = float(seen.time[min(1, len(heights) - 1)])
+    if rise > FLIES and not np.any(np.abs(own - seen.time[top]) < step):
+        words = f"{named(seen.scene, active)} at its highest, {metres(float(heights[top] - heights[0]))} up"
+        yield _moment(seen, float(seen.time[top]), words, 2)
+
+
+def _impact(seen: Seen, plan: Plan, verdict: Verdict) -> Iterator[Moment]:
+    """The hardest blow that the active object takes or gives after it was set off, unless that contact is told anyway.
+    What slides is shaken by the ground, but hits it only where it comes down."""
+    active, rows = plan.task.active, seen.rollout.contacts
+    own = rows[((rows["a"] == active) | (rows["b"] == active)) & (rows["time"] > CLOSE)]
+    before = [frame_at(seen.rollout, time) - 1 for time in own["time"]]
+    climb = np.diff(seen.way(active)[:, 2], append=0.0) / np.diff(seen.time, append=np.inf)
+    own = own[(climb[before] < -FALLS) | (own["a"] != GROUND)]
+    weight = GRAVITY * next(s.mass for s in plan.semantics if s.id == active)
+    if not len(own) or own["force"].max() < HARD * weight:
+        return
+    hardest = own[int(np.argmax(own["force"]))]
+    other = int(hardest["a"] if hardest["b"] == active else hardest["b"])
+    contacts = (c.condition for c in verdict.conditions if isinstance(c.condition, Contact))
+    if other != plan.task.target and {active, other} not in [{c.a, c.b} for c in contacts]:
+        words = f"{named(seen.scene, active)} hits {named(seen.scene, other)}"
+        yield _moment(seen, float(hardest["time"]), words, 3)
+
+
+def _merged(moments: list[Moment]) -> list[Moment]:
+    """Moments of a frame, or so close that they look the same, as one, at the last of their frames; the start stays."""
+    found: list[Moment] = []
+    for m in moments:
+        last = found[-1] if found else None
+        if last and (m.frame == last.frame or (last.frame > 0 and m.time - last.time < CLOSE)):
+            what = (*last.what, *(w for w in m.what if w not in last.what))
+            found[-1] = replace(m, what=what, rank=min(last.rank, m.rank))
+        else:
+            found.append(m)
+    return found
+
+
+def _least(moments: list[Moment]) -> Moment:
+    """Of the highest rank the one nearest to another."""
+    gaps = {m.frame: b.frame - a.frame for a, m, b in zip(moments, moments[1:], moments[2:], strict=False)}
+    inner = moments[1:-1]
+    return min(inner, key=lambda m: (-m.rank, gaps[m.frame]))
+
+
+def _between(moments: list[Moment], seen: Seen, active: int) -> Moment | None:
+    """Another moment: in the middle of the longest way between two, or else where the active object comes to rest; None
+    where neither is far enough from all others."""
+    way, taken = seen.way(active), [m.frame for m in moments]
+    length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))]
+    gaps = [(a, b) for a, b in pairwise(taken) if b - a > 2 * APART]
+    first, last = max(gaps, key=lambda g: float(length[g[1]] - length[g[0]]), default=(0, 0))
+    rest = int(np.searchsorted(length, length[-1] - SLOW * LULL))
+    if length[last] - length[first] > FAR:
+        half = int(np.searchsorted(length, (length[first] + length[last]) / 2))
+        middle = min(max(half, first + APART), last - APART)
+        return _moment(seen, float(seen.time[middle]), _moving(seen, way, active, middle), 5)
+    if min(abs(rest - frame) for frame in taken) > APART:
+        return _moment(seen, float(seen.time[rest]), f"{named(seen.scene, active)} comes to rest", 5)
+    return None
+
+
+def _moving(seen: Seen, way: Array, active: int, frame: int) -> str:
+    low, high = max(0, frame - 1), min(frame + 1, len(way) - 1)
+    speed = float(np.linalg.norm(way[high] - way[low])) / float(seen.time[high] - seen.time[low])
+    name = named(seen.scene, active)
+    return f"{name} is at rest" if speed < SLOW else f"{name} moves at {speed:.2g} m/s"

@@ -1,0 +1,94 @@
+"""What the player's script reads: the rollout, light meshes and contacts as JSON."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from f3sr.film.moments import Moment
+from f3sr.film.timeline import pairs_of
+from f3sr.film.video import Video
+from f3sr.frames import Array, Camera, quaternion_from_rotation
+from f3sr.goals.plan import Plan
+from f3sr.goals.rollout import Rollout
+from f3sr.goals.seen import Seen
+from f3sr.goals.verify import Verdict
+from f3sr.page.light_mesh import lightened
+from f3sr.page.markup import Markup, clean
+from f3sr.page.viewer import Textures, packed_mesh
+from f3sr.scene import Scene
+
+FEWEST_FACES = 200
+"""Of one mesh."""
+FAR = 2.0
+"""How far beyond the scene's box, in its diagonals, the view frames what moves."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Shown:
+    """What a player shows: a played goal, its film (a frame per sample of ``rollout``) and its moments."""
+
+    scene: Scene
+    plan: Plan
+    rollout: Rollout
+    verdict: Verdict
+    video: Video
+    moments: tuple[Moment, ...]
+    slow: Fraction = Fraction(1)
+
+
+def payload(shown: Shown, *, faces: int, texture: int) -> Markup:
+    """All data as JSON that cannot end its script element."""
+    scene, rollout = shown.scene, shown.rollout
+    textures = Textures(texture)
+    each = max(FEWEST_FACES, faces // len(scene.objects))
+    data = {
+        "fps": float(shown.video.fps),
+        "frames": shown.video.frames,
+        "step": float(rollout.time[-1]) / max(1, len(rollout.time) - 1),
+        "view": {
+            "camera": _camera(scene.camera),
+            "bounds": _bounds(scene, rollout),
+            "objects": [{"mesh": packed_mesh(lightened(o.mesh, each), textures.index)} for o in scene],
+            "path": np.round(Seen(rollout, scene).way(shown.plan.task.active), 5).ravel().tolist(),
+            "textures": textures.uris,  # after the meshes, which name them
+        },
+        "names": [clean(f"{o.id} {o.label}".strip()) for o in scene],
+        "ids": [o.id for o in scene],
+        "poses": base64.b64encode(_poses(rollout).astype("<f4").tobytes()).decode(),
+        "contacts": [
+            {"a": p.a, "b": p.b, "forces": [round(float(f), 3) for f in p.forces]}
+            for p in pairs_of(rollout)
+            if not p.rests
+        ],
+    }
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    return Markup(text.replace("<", "\\u003c"))
+
+
+def _camera(camera: Camera) -> dict[str, Any]:
+    K, T = camera.K.ravel().tolist(), camera.T_world_camera.ravel().tolist()
+    return {"width": camera.width, "height": camera.height, "K": K, "T": T}
+
+
+def _poses(rollout: Rollout) -> Array:
+    """(T, N, 7): place and quaternion (wxyz)."""
+    T = rollout.T_world_object
+    quaternions = [quaternion_from_rotation(R) for R in T[..., :3, :3].reshape(-1, 3, 3)]
+    return np.concatenate([T[..., :3, 3], np.reshape(quaternions, (*T.shape[:2], 4))], axis=-1)
+
+
+def _bounds(scene: Scene, rollout: Rollout) -> Sequence[float]:
+    """The box that presets frame: the scene and where things go, but not what is flung far away."""
+    corners = np.concatenate([o.bounds_world for o in scene])
+    low, high = corners.min(0), corners.max(0)
+    reach = FAR * float(np.linalg.norm(high - low))
+    ways = rollout.T_world_object[..., :3, 3].reshape(-1, 3)
+    ways = np.clip(ways, low - reach, high + reach)
+    return [*np.minimum(low, ways.min(0)).tolist(), *np.maximum(high, ways.max(0)).tolist()]

@@ -1,0 +1,194 @@
+"""film.mp4: frames as H.264 in an MP4 file that every player shows in the right colours, the same bytes every time."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.errors import InputError, OutputError, reason
+
+Picture = NDArray[np.uint8]
+"""(h, w, 3) sRGB."""
+
+CRF = 18
+"""x264's constant rate factor: errors that are not seen, at some 100 kB a second."""
+PRESET = "medium"
+KEY_SECONDS = 0.5
+"""Film time between key frames [s]: a player that is asked for a frame decodes from the one before."""
+SMALLEST, LARGEST = 16, 8192
+"""Sides of a frame [px]; players decode no larger ones."""
+FASTEST = 240
+"""Frames a second."""
+TICKS = 90_000
+"""Least time units a second in which the file tells times."""
+
+LUMA = np.array([0.2126, 0.7152, 0.0722])
+"""BT.709's weights of red, green and blue."""
+SHIFT = 16
+"""Binary places of the integer weights below."""
+STUDIO = np.array([219, 224, 224]) / 255
+"""Steps of limited range, for Y, U and V, over full range."""
+YUV = np.rint(
+    np.array([LUMA, ([0, 0, 1] - LUMA) / (2 - 2 * LUMA[2]), ([1, 0, 0] - LUMA) / (2 - 2 * LUMA[0])])
+    * STUDIO[:, None]
+    * (1 << SHIFT)
+).astype(np.int32)
+"""(3, 3): Y, U and V of RGB."""
+
+OPTIONS = {
+    "preset": PRESET,
+    "crf": str(CRF),
+    "bf": "0",  # frames are shown in the order of decoding: times begin at 0 without an edit list, which players ignore
+    "flags": "+bitexact",
+    "x264-params": "colorprim=bt709:transfer=bt709:colormatrix=bt709:range=tv:chromaloc=1:scenecut=0",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Video:
+    """An MP4 file: frame k is shown from k / ``fps`` to (k + 1) / ``fps`` seconds."""
+
+    data: bytes
+    width: int
+    height: int
+    """Of the film [px], both even: a frame of odd size has its last column or row twice."""
+    frames: int
+    fps: Fraction
+
+    @property
+    def seconds(self) -> Fraction:
+        return self.frames / self.fps
+
+
+def encode(frames: Iterable[Picture], fps: Fraction | float) -> Video:
+    """Frames (h, w, 3) uint8 sRGB of one size, taken one at a time, as a film of ``fps`` frames a second.
+
+    Raises InputError for what is no film: no frame, frames of several sizes, too large or too many a second;
+    OutputError where the encoder, or the disk that it writes through, fails.
+    """
+    rate = _rate(fps)
+    shown = _checked(frames)
+    first = next(shown, None)
+    if first is None:
+        raise InputError("film", found="no frame", accepted="at least one")
+    with tempfile.TemporaryDirectory(prefix="f3sr-film-") as folder:
+        file = Path(folder) / "film.mp4"  # the index comes first only in a file that can be read again
+        try:
+            with _Encoder(file, first, rate) as encoder:
+                encoder.add(first)
+                for frame in shown:
+                    encoder.add(frame)
+            data = file.read_bytes()
+        except _av().FFmpegError as error:
+            raise OutputError(f"film: the encoder failed ({error.strerror})") from error
+        except OSError as error:
+            raise OutputError(f"film: could not be written ({reason(error)})") from error
+    return Video(data=data, width=encoder.width, height=encoder.height, frames=encoder.count, fps=rate)
+
+
+class _Encoder:
+    """An open file that frames are added to."""
+
+    def __init__(self, file: Path, first: Picture, rate: Fraction) -> None:
+        av = _av()
+        self.count, self.tick = 0, 1 / rate
+        self.height, self.width = (n + n % 2 for n in first.shape[:2])
+        scale = -(-TICKS // rate.numerator) * rate.numerator
+        options = {"movflags": "+faststart", "fflags": "+bitexact", "use_editlist": "0", "movie_timescale": str(scale)}
+        self._file: Any = av.open(
+            str(file), "w", format="mp4", options={**options, "video_track_timescale": str(scale)}
+        )
+        self._stream: Any = self._file.add_stream("libx264", rate=rate, options=OPTIONS)
+        context = self._stream.codec_context
+        context.thread_count = 1
+        context.time_base = self._stream.time_base = self.tick
+        context.width, context.height, context.pix_fmt = self.width, self.height, "yuv420p"
+        context.gop_size = max(1, round(KEY_SECONDS * rate))
+        context.color_range, context.colorspace, context.color_primaries, context.color_trc = 1, 1, 1, 1  # BT.709
+
+    def __enter__(self) -> _Encoder:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            if kind is None:
+                self._mux(self._stream.encode())
+        finally:
+            self._file.close()
+
+    def add(self, rgb: Picture) -> None:
+        frame = _av().VideoFrame.from_ndarray(yuv420(even(rgb)), format="yuv420p")
+        frame.pts, frame.duration, frame.time_base = self.count, 1, self.tick
+        self.count += 1
+        self._mux(self._stream.encode(frame))
+
+    def _mux(self, packets: Iterable[Any]) -> None:
+        for packet in packets:
+            self._file.mux(packet)
+
+
+def even(rgb: Picture) -> Picture:
+    """With the last row and column twice where their number is odd."""
+    height, width = rgb.shape[:2]
+    return np.pad(rgb, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge") if height % 2 or width % 2 else rgb
+
+
+def yuv420(rgb: Picture) -> NDArray[np.uint8]:
+    """(3 h / 2, w): Y, then U and V at half the size, of an even-sized picture; BT.709 in limited range.
+
+    Rounded, not cut off as swscale does it, which darkens a film by one level; a chroma sample is the mean of its four
+    pixels. In integers: the same bytes on every machine."""
+    rows = rgb[0::2].astype(np.int32) + rgb[1::2]
+    fours = rows[:, 0::2] + rows[:, 1::2]
+    planes = [_weighted(rgb, YUV[0], SHIFT, 16), _weighted(fours, YUV[1], SHIFT + 2, 128)]
+    planes.append(_weighted(fours, YUV[2], SHIFT + 2, 128))
+    return np.concatenate([plane.ravel() for plane in planes]).reshape(-1, rgb.shape[1])
+
+
+def _weighted(rgb: NDArray[Any], weights: NDArray[np.int32], shift: int, offset: int) -> NDArray[np.uint8]:
+    value = rgb[..., 0] * weights[0]
+    for channel in (1, 2):
+        value += rgb[..., channel] * weights[channel]
+    value += (offset << shift) + (1 << shift - 1)
+    value >>= shift
+    return value.astype(np.uint8)
+
+
+def _checked(frames: Iterable[Picture]) -> Any:
+    size = None
+    for k, frame in enumerate(frames):
+        if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[2] != 3:
+            found = f"{frame.dtype} of shape {frame.shape}"
+            raise InputError(f"film: frame {k}", found=found, accepted="uint8 of shape (h, w, 3)")
+        size = size or frame.shape
+        if not SMALLEST <= min(frame.shape[:2]) <= max(frame.shape[:2]) <= LARGEST or frame.shape != size:
+            found = f"{frame.shape[1]}x{frame.shape[0]} pixels"
+            accepted = (
+                f"sides of {SMALLEST} to {LARGEST}" if frame.shape == size else f"the first's {size[1]}x{size[0]}"
+            )
+            raise InputError(f"film: frame {k}", found=found, accepted=accepted)
+        yield frame
+
+
+def _rate(fps: Fraction | float) -> Fraction:
+    accepted = f"more than 0, at most {FASTEST}, frames a second"
+    try:
+        rate = Fraction(fps).limit_denominator(1001)
+    except (ValueError, OverflowError):  # nan, infinity
+        raise InputError("film", found=f"{fps} frames a second", accepted=accepted) from None
+    if not 0 < rate <= FASTEST:
+        raise InputError("film", found=f"{fps} frames a second", accepted=accepted)
+    return rate
+
+
+def _av() -> Any:
+    import av
+
+    return av

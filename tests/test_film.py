@@ -1,0 +1,368 @@
+"""Laws of films: exact frames and times, true colours, the same bytes; moments, strips, pages that say what is so."""
+
+from __future__ import annotations
+
+import html
+import io
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from f3sr.errors import InputError
+from f3sr.film import FILM, PLAYER, STRIP, encode, key_moments, make_film
+from f3sr.film.captions import captioned, font, slowed, speed_words, wrapped
+from f3sr.film.moments import FEWEST, MOST
+from f3sr.film.player import LARGEST_PLAYER
+from f3sr.film.strip import Title, strip
+from f3sr.film.timeline import pairs_of
+from f3sr.film.times import factor, finer, rate_of
+from f3sr.film.video import even, yuv420
+from f3sr.film.words import told
+from f3sr.goals.plan import Contact
+from f3sr.goals.verify import verify
+from f3sr.scene import GROUND
+from film_scene import film_files, given, unlit
+
+av = pytest.importorskip("av")
+HOSTILE = "</script><img src=x onerror=alert(1)>\"' \u2028\u202e\0" + "9" * 10_000
+
+
+def moving(count: int, width: int = 96, height: int = 64) -> Iterator[NDArray[np.uint8]]:
+    """Smooth colours with a block that moves by four pixels a frame."""
+    y, x = np.mgrid[:height, :width]
+    base = np.stack([255 * x / width, 255 * y / height, 127 + 100 * np.sin(x / 15)], -1).astype(np.uint8)
+    for k in range(count):
+        frame = base.copy()
+        frame[10:26, 4 * k : 4 * k + 16] = (250, 240, 20)
+        yield frame
+
+
+def opened(data: bytes) -> Any:
+    return av.open(io.BytesIO(data))
+
+
+def decoded(data: bytes) -> list[NDArray[np.uint8]]:
+    """RGB by BT.709 from limited range, without the decoder library's own rounding."""
+    return [rgb_of(frame.to_ndarray(format="yuv420p")) for frame in opened(data).decode(video=0)]
+
+
+def rgb_of(planes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    height = len(planes) * 2 // 3
+    luma = (planes[:height].astype(float) - 16) / 219
+    u, v = planes[height:].reshape(2, height // 2, -1).astype(float)
+    u, v = (np.kron((p - 128) / 224, np.ones((2, 2))) for p in (u, v))
+    red, blue = luma + 1.5748 * v, luma + 1.8556 * u
+    green = (luma - 0.2126 * red - 0.0722 * blue) / 0.7152
+    return np.clip(np.rint(255 * np.stack([red, green, blue], -1)), 0, 255).astype(np.uint8)
+
+
+def psnr(a: NDArray[Any], b: NDArray[Any]) -> float:
+    return float(10 * np.log10(255**2 / np.mean((a.astype(float) - b) ** 2)))
+
+
+# --- the video ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fps", [30, Fraction(15, 2), Fraction(30000, 1001), 7.3])
+@pytest.mark.parametrize("count", [1, 2, 33])
+def test_every_frame_is_there_at_its_time_and_the_last_for_as_long(fps: Fraction | float, count: int):
+    video = encode(moving(count), fps)
+    assert video.frames == count and abs(float(video.fps) - float(fps)) < 1e-9
+    with opened(video.data) as file:
+        stream = file.streams.video[0]
+        times = [f.pts * f.time_base for f in file.decode(stream)]
+        assert times == [k / video.fps for k in range(count)]
+        assert stream.duration * stream.time_base == video.seconds == count / video.fps
+        assert stream.frames == count and stream.start_time == 0
+
+
+def test_frame_k_shows_picture_k():
+    shown = decoded(encode(moving(20), 30).data)
+    for k, frame in enumerate(moving(20)):
+        nearest = min(range(20), key=lambda j: -psnr(shown[j], frame))
+        assert nearest == k
+
+
+def test_the_same_frames_give_the_same_bytes_and_the_index_comes_first():
+    first, second = encode(moving(9), 30), encode(moving(9), 30)
+    assert first.data == second.data
+    boxes, at = [], 0
+    while at < len(first.data):
+        size = int.from_bytes(first.data[at : at + 4], "big")
+        boxes.append(first.data[at + 4 : at + 8])
+        at += size
+    assert boxes.index(b"moov") < boxes.index(b"mdat") and b"elst" not in first.data[:5000]
+
+
+def test_frames_are_taken_one_at_a_time():
+    alive = {"now": 0, "most": 0}
+
+    class Counted(np.ndarray[Any, Any]):
+        def __del__(self) -> None:
+            if self.base is None:
+                alive["now"] -= 1
+
+    def frames() -> Iterator[NDArray[np.uint8]]:
+        for _ in range(40):
+            frame = Counted((64, 96, 3), np.uint8)
+            frame[:] = 128
+            alive["now"] += 1
+            alive["most"] = max(alive["most"], alive["now"])
+            yield frame
+            del frame
+
+    encode(frames(), 30)
+    assert alive["most"] <= 4
+
+
+@pytest.mark.parametrize("size", [(96, 64), (97, 64), (96, 65), (97, 65)])
+def test_an_odd_size_repeats_the_last_row_and_column(size: tuple[int, int]):
+    width, height = size
+    frames = list(moving(3, width, height))
+    video = encode(frames, 30)
+    assert (video.width, video.height) == (width + width % 2, height + height % 2)
+    shown = decoded(video.data)[0]
+    assert shown.shape == (video.height, video.width, 3)
+    assert psnr(shown[:height, :width], frames[0]) > 35
+    grown = even(frames[0])
+    assert (grown[:height, :width] == frames[0]).all() and (grown[-1, -1] == frames[0][-1, -1]).all()
+
+
+def test_colours_come_back():
+    with opened(encode(moving(2), 30).data) as file:
+        frame = next(file.decode(video=0))
+        tags = frame.colorspace, frame.color_range, frame.color_primaries, frame.color_trc
+        assert tags == (1, 1, 1, 1)  # BT.709 in limited range
+    rng = np.random.default_rng(0)
+    colors = np.concatenate(
+        [[[0, 0, 0], [255] * 3, [255, 0, 0], [0, 255, 0], [0, 0, 255]], rng.integers(0, 256, (59, 3))]
+    )
+    chart = np.kron(colors.reshape(8, 8, 3), np.ones((16, 16, 1))).astype(np.uint8)
+    exact = rgb_of(yuv420(chart)).astype(int)
+    assert np.abs(exact - chart).max() <= 2  # what eight bits of limited range can hold
+    shown = decoded(encode([chart] * 3, 30).data)[1].astype(int)
+    inner = np.kron(np.ones((8, 8)), np.pad(np.ones((8, 8)), 4)) > 0
+    assert np.abs(shown - chart)[inner].max() <= 8 and psnr(shown, chart) > 36
+    assert np.abs((shown - chart)[inner].mean(0)).max() < 0.5
+
+
+@pytest.mark.parametrize(
+    ("frames", "fps", "found"),
+    [
+        ([], 30, "no frame"),
+        ([np.zeros((64, 96, 3), np.float32)], 30, "float32"),
+        ([np.zeros((64, 96), np.uint8)], 30, r"\(64, 96\)"),
+        ([np.zeros((64, 96, 3), np.uint8), np.zeros((64, 98, 3), np.uint8)], 30, "98x64"),
+        ([np.zeros((64, 10, 3), np.uint8)], 30, "10x64"),
+        ([np.zeros((64, 96, 3), np.uint8)], 0, "0 frames"),
+        ([np.zeros((64, 96, 3), np.uint8)], float("nan"), "nan frames"),
+        ([np.zeros((64, 96, 3), np.uint8)], 1000, "1000 frames"),
+    ],
+)
+def test_what_is_no_film_is_told(frames: list[NDArray[Any]], fps: float, found: str):
+    with pytest.raises(InputError, match=found):
+        encode(frames, fps)
+
+
+# --- times ------------------------------------------------------------------------------------------------------------
+
+
+def test_film_time_is_simulated_time():
+    g = given()
+    rollout = g.played.rollout
+    rate = rate_of(rollout)
+    assert rate == 30
+    assert np.allclose([float(k / rate) for k in range(len(rollout.time))], rollout.time, atol=1e-9, rtol=0)
+    uneven = replace(rollout, time=rollout.time**2)
+    with pytest.raises(InputError, match="uneven"):
+        rate_of(uneven)
+
+
+def test_slow_motion_shows_more_of_the_same_motion():
+    g = given()
+    fine = finer(g.scene, g.played.plan, g.played.rollout, 4)
+    assert rate_of(fine) == 120
+    assert (fine.T_world_object[::4] == g.played.rollout.T_world_object).all()
+    other = replace(g.played.rollout, T_world_object=g.played.rollout.T_world_object + 1e-3)
+    with pytest.raises(InputError, match="another motion"):
+        finer(g.scene, g.played.plan, other, 4)
+    assert finer(g.scene, g.played.plan, g.played.rollout, 1) is g.played.rollout
+
+
+@pytest.mark.parametrize(("slow", "said"), [(4, "1/4 speed"), (2.5, "0.4x speed"), (0.5, "2x speed"), (3, "1/3 speed")])
+def test_the_speed_is_said_on_the_picture(slow: float, said: str):
+    assert speed_words(factor(slow)) == said
+    frame = np.full((240, 320, 3), 200, np.uint8)
+    written = list(slowed([frame, frame], factor(slow)))
+    assert (written[0] == written[1]).all() and (written[0][:40, :120] != frame[:40, :120]).any()
+    assert next(slowed([frame], Fraction(1))) is frame
+    for wrong in (0, -1, 1000, float("nan")):
+        with pytest.raises(InputError, match="factor"):
+            factor(wrong)
+
+
+# --- captions -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("level", [0, 128, 255])
+@pytest.mark.parametrize("corner", ["top left", "top right", "bottom left", "bottom right"])
+def test_a_caption_can_be_read_over_anything_and_stays_in_its_corner(level: int, corner: Any):
+    frame = np.full((480, 640, 3), level, np.uint8)
+    shown = captioned(frame, "0.42 s", corner)
+    changed = np.argwhere((shown != frame).any(2)) if level else np.argwhere((shown > 0).any(2))
+    middle = changed.mean(0) / frame.shape[:2]
+    assert (middle[0] < 0.3) == ("top" in corner) and (middle[1] < 0.3) == ("left" in corner)
+    patch = shown[changed[:, 0].min() : changed[:, 0].max() + 1, changed[:, 1].min() : changed[:, 1].max() + 1]
+    assert patch.max() == 255 and luminance_contrast(int(np.median(patch)), 255) > 4.5
+    assert (patch == patch[..., :1]).all()  # no colour to be lost in 4:2:0
+
+
+def luminance_contrast(dark: int, light: int) -> float:
+    linear = [((v / 255 + 0.055) / 1.055) ** 2.4 if v > 10 else v / 255 / 12.92 for v in (dark, light)]
+    return (linear[1] + 0.05) / (linear[0] + 0.05)
+
+
+def test_long_and_hostile_captions_are_cut():
+    frame = np.zeros((48, 64, 3), np.uint8)
+    assert captioned(frame, HOSTILE).shape == frame.shape
+    lines = wrapped(HOSTILE + " and more", font(19), 200, 3)
+    assert len(lines) <= 3 and all(font(19).getlength(line) <= 200 for line in lines)
+    assert wrapped("a cup of tea", font(19), 500, 3) == ["a cup of tea"]
+    assert told(("start", "cup is set off")) == "start, cup is set off"
+    assert told(("cup rises", "cup falls", "cup is broken", "end")) == "cup rises, falls, is broken, end"
+    assert told(("cup leans 45°", "cup has moved 7 cm")) == "cup leans 45° and has moved 7 cm"
+
+
+# --- moments and strip ----------------------------------------------------------------------------------------------
+
+
+GOALS = [
+    "throw the ball at the soup can",
+    "knock over the cereal box",
+    "drop the sponge onto the soup can",
+    "roll the ball into the soup can",
+    "push the sponge off the wooden block",
+]
+
+
+@pytest.mark.parametrize("goal", GOALS)
+def test_moments_are_few_in_order_and_hold_every_met_condition(goal: str):
+    g = given(goal)
+    played = g.played
+    moments = key_moments(g.scene, played.plan, played.rollout, played.verdict)
+    frames = [m.frame for m in moments]
+    assert FEWEST <= len(moments) <= MOST and frames == sorted(set(frames))
+    assert frames[0] == 0 and frames[-1] == len(played.rollout.time) - 1
+    assert moments[0].what[0] == "start" and "end" in moments[-1].what
+    for judged in played.verdict.conditions:
+        if judged.met and judged.time is not None and isinstance(judged.condition, Contact):
+            near = [m for m in moments if abs(played.rollout.time[m.frame] - judged.time) < 0.09]
+            assert near, judged.said
+    for m in moments:  # the first frame that shows it
+        assert m.time - 1e-6 <= played.rollout.time[m.frame] < m.time + 1 / 30 + 1e-6
+
+
+def test_the_first_contact_is_the_rollouts():
+    g = given()
+    task = g.played.plan.task
+    assert task.target is not None
+    first = float(g.played.rollout.touches(task.active, task.target)["time"][0])
+    moments = key_moments(g.scene, g.played.plan, g.played.rollout, g.played.verdict)
+    said = [m for m in moments if "tennis ball touches soup can" in m.what]
+    assert len(said) == 1 and said[0].time == first
+
+
+def test_what_was_missed_is_said_at_the_end():
+    g = given()
+    task = g.played.plan.task
+    wrong = task.model_copy(update={"conditions": (Contact(a=task.active, b=0),)})
+    plan = g.played.plan.model_copy(update={"task": wrong})
+    verdict = verify(g.scene, plan, g.played.rollout)
+    assert not verdict.met
+    end = key_moments(g.scene, plan, g.played.rollout, verdict)[-1]
+    assert verdict.conditions[0].said in end.what
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6])
+def test_a_strip_holds_every_picture_in_order(count: int):
+    moments = [replace(m, frame=k) for k, m in enumerate(key_moments(given().scene, *_of(given().played))[:1] * count)]
+    pictures = [np.full((60, 80, 3), (40 * k + 10, 0, 0), np.uint8) for k in range(count)]
+    sheet = np.asarray(Image.open(io.BytesIO(strip(moments, pictures, Title(goal="g", met=True)))).convert("RGB"), int)
+    reds = [40 * k + 10 for k in range(count)]
+    centers = [np.argwhere((sheet == (red, 0, 0)).all(2)).mean(0) for red in reds]
+    places = [(round(y / 100), x) for y, x in centers]
+    assert places == sorted(places)
+
+
+def _of(played: Any) -> tuple[Any, Any, Any]:
+    return played.plan, played.rollout, played.verdict
+
+
+# --- all of it ------------------------------------------------------------------------------------------------------
+
+
+def test_a_film_is_its_three_files_and_the_same_again():
+    g = given()
+    files = film_files()
+    assert list(files) == [FILM, STRIP, PLAYER]
+    again = make_film(g.scene, *_of(g.played), unlit(g.scene))
+    assert {k: v == again[k] for k, v in files.items()} == dict.fromkeys(files, True)
+    with opened(files[FILM]) as file:
+        assert file.streams.video[0].frames == len(g.played.rollout.time)
+    assert len(files[PLAYER]) < LARGEST_PLAYER and files[PLAYER].count(b"http://") == 0
+
+
+def test_a_slow_film_has_four_times_the_frames_at_the_same_rate():
+    files = film_files(4)
+    samples = len(given().played.rollout.time)
+    with opened(files[FILM]) as file:
+        stream = file.streams.video[0]
+        assert stream.frames == 4 * (samples - 1) + 1 and stream.average_rate == 30
+    assert "at 1/4 speed" in files[PLAYER].decode()
+
+
+def test_every_frame_is_drawn_once_and_in_order():
+    g = given()
+    asked: list[NDArray[Any]] = []
+
+    def draw(poses: NDArray[Any]) -> NDArray[np.uint8]:
+        asked.append(poses)
+        return np.full((64, 96, 3), 99, np.uint8)
+
+    make_film(g.scene, *_of(g.played), draw)
+    assert (np.array(asked) == g.played.rollout.T_world_object).all()
+
+
+def test_pairs_are_those_of_the_rollout():
+    rollout = given().played.rollout
+    pairs = pairs_of(rollout)
+    assert {(p.a, p.b) for p in pairs} == {(int(r["a"]), int(r["b"])) for r in rollout.contacts}
+    for p in pairs:
+        rows = rollout.touches(p.a, p.b)
+        assert p.forces.max() == rows["force"].max()
+        for row in rows:
+            k = int(np.searchsorted(rollout.time, row["time"] - 1e-6))
+            assert p.forces[k] >= row["force"] and rollout.time[k] >= row["time"] - 1e-6
+    assert all(p.rests for p in pairs if p.a == GROUND and p.b in (0, 3))  # the box and the crate just stand
+
+
+def test_hostile_words_stay_words():
+    g = given()
+    scene = g.scene.with_objects(*(replace(o, label=HOSTILE) for o in g.scene))
+    task = g.played.plan.task.model_copy(update={"interpretation": HOSTILE[:1900], "assumptions": (HOSTILE[:1900],)})
+    plan = g.played.plan.model_copy(update={"goal": HOSTILE[:1900], "task": task})
+    verdict = verify(scene, plan, g.played.rollout)
+    text = make_film(scene, plan, g.played.rollout, verdict, unlit(scene))[PLAYER].decode()
+    assert text.count("</script>") == 2 and "<img src=x" not in text
+    assert "\u2028" not in text and "\u202e" not in text and "9" * 1000 not in text
+    data = re.search(r'<script type="application/json" id="player-data">(.*?)</script>', text, re.S)
+    assert data and json.loads(data[1])["names"][0].startswith("0 </script><img")
+    assert html.escape("</script><img src=x") in text
