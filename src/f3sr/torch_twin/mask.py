@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import torch  # pyright: ignore[reportMissingImports]
 
-from f3sr.raster import NEAR, PAD, ROUNDING
+from f3sr.raster import NEAR
+from f3sr.triangles import PAD, ROUNDING
 from f3sr.torch_twin.batch import SUMS, Batch, Tensor, pixels_at, spread, unravelled
 
 ENDS = 2

@@ -1,0 +1,87 @@
+"""Maps of what lies nearest to each of some lights: where they cover the world, and drawing them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr import raster
+from f3sr.frames import Array, transform
+from f3sr.rendering.shadow_kernels import arrivals, cast_map
+
+MARGIN = 1.6
+"""Of the ball that maps cover, in radii of the scene at rest: what moves out of it loses its shadows on objects, not
+those on the ground."""
+OFFSET, BIAS = 1.2, 1.0
+"""Texels by which points are moved along their normals, and by which an occluder must be nearer to the light: half a
+texel is a map's own error, the rest that of the simpler triangles in it."""
+
+Caster = tuple[Array, NDArray[np.int32]]
+"""World vertices (n, 3) and faces (m, 3)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Maps:
+    """``frames`` (L, 3, 4) of ``directions`` (L, 3), and maps (L, s, s) of side ``texel`` [m]; see ``cast_map``."""
+
+    directions: Array
+    frames: Array
+    nearest: NDArray[np.float32]
+    texel: float
+
+    @classmethod
+    def empty(cls, directions: Array, center: Array, radius: float, side: int) -> Maps:
+        """Maps of the ball of ``radius`` [m] around ``center``."""
+        texel = 2 * radius / side
+        frames = np.array([_frame(d, center, texel, side) for d in directions]).reshape(-1, 3, 4)
+        nearest = np.full((len(directions), side, side), -np.inf, np.float32)
+        return cls(raster.fixed(directions, np.float64), raster.fixed(frames, np.float64), nearest, texel)
+
+    @property
+    def offset(self) -> float:
+        return OFFSET * self.texel
+
+    @property
+    def bias(self) -> float:
+        return BIAS * self.texel
+
+    def cast(self, casters: Sequence[Caster]) -> None:
+        """Draw some casters into all maps."""
+        fixed = [(raster.fixed(v, np.float64), raster.fixed(f, np.int32)) for v, f in casters]
+
+        def draw(light: int) -> None:
+            for vertices, faces in fixed:
+                cast_map(vertices, faces, self.frames[light], self.nearest[light])
+
+        raster.share(draw, range(len(self.directions)))
+
+    def arriving(self, points: Array, normals: Array) -> Array:
+        """(n, L) cosines times visibility at points (n, 3) with normals (n, 3)."""
+        out = np.empty((len(points), len(self.directions)))
+        arrivals(
+            raster.fixed(points, np.float64),
+            raster.fixed(normals, np.float64),
+            self.directions,
+            self.frames,
+            raster.fixed(self.nearest, np.float32),
+            self.offset,
+            self.bias,
+            out,
+        )
+        return out
+
+
+def _frame(direction: Array, center: Array, texel: float, side: int) -> Array:
+    """Rows: column and row [texel], place against the rays [m]; the centre lies in the middle of the map."""
+    x = np.cross([0.0, 1, 0] if abs(direction[1]) < 0.9 else [1.0, 0, 0], direction)
+    x /= np.linalg.norm(x)
+    axes = np.stack([x / texel, np.cross(direction, x) / texel, direction])
+    return np.column_stack([axes, -axes @ center + [side / 2, side / 2, 0]])
+
+
+def world_casters(casters: Sequence[Caster], poses: Array) -> list[Caster]:
+    """Casters of objects at ``poses`` (N, 4, 4)."""
+    return [(transform(T, v), f) for T, (v, f) in zip(poses, casters, strict=True)]

@@ -1,0 +1,82 @@
+"""All triangles of a scene in one set of arrays, with smooth normals, and the simpler ones that cast its shadows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr import raster
+from f3sr.frames import Array
+from f3sr.mesh import Mesh
+from f3sr.rendering.surface_kernels import Shapes, corner_normals
+from f3sr.rendering.textures import linear
+from f3sr.scene import SceneObject
+
+
+def shapes_of(objects: Sequence[SceneObject], *, crease: float) -> Shapes:
+    """The triangles of some objects, one after the other; edges of more than ``crease`` [rad] stay sharp."""
+    meshes = [o.mesh for o in objects]
+    starts = starts_of([len(m.vertices) for m in meshes])
+    slots = starts_of([len(m.materials) for m in meshes])
+    return Shapes(
+        faces=raster.fixed(
+            np.concatenate([m.faces + np.int32(k) for m, k in zip(meshes, starts, strict=False)]), np.int32
+        ),
+        object=raster.fixed(np.repeat(np.arange(len(meshes)), [len(m.faces) for m in meshes]), np.int32),
+        slot=raster.fixed(
+            np.concatenate([np.asarray(m.face_material) + k for m, k in zip(meshes, slots, strict=False)]), np.int32
+        ),
+        normals=raster.fixed(np.concatenate([smooth_normals(m, crease) for m in meshes]), np.float32),
+        uv=raster.fixed(
+            np.concatenate([np.zeros((len(m.vertices), 2)) if m.uv is None else m.uv for m in meshes]), np.float32
+        ),
+        colors=raster.fixed(np.concatenate([_vertex_colors(m) for m in meshes]), np.float32),
+    )
+
+
+def smooth_normals(mesh: Mesh, crease: float) -> NDArray[np.float32]:
+    """Unit normals (m, 3, 3) of every face's corners, in the mesh's frame."""
+    unique, welded = np.unique(mesh.vertices, axis=0, return_inverse=True)
+    faces = welded.reshape(-1)[mesh.faces]
+    order = np.argsort(faces.ravel(), kind="stable")
+    first = np.searchsorted(faces.ravel()[order], np.arange(len(unique) + 1))
+    out = np.empty((len(faces), 3, 3), np.float32)
+    corner_normals(
+        raster.fixed(unique, np.float64),
+        raster.fixed(faces, np.int32),
+        raster.fixed(first, np.int64),
+        raster.fixed(order // 3, np.int64),
+        float(np.cos(crease)),
+        out,
+    )
+    return out
+
+
+def _vertex_colors(mesh: Mesh) -> Array:
+    if mesh.vertex_colors is None:
+        return np.ones((len(mesh.vertices), 3))
+    return linear(mesh.vertex_colors / 255)
+
+
+def casters_of(objects: Sequence[SceneObject], faces: int) -> list[tuple[Array, NDArray[np.int32]]]:
+    """Vertices and faces of every object, in its frame at its scale, with about ``faces`` triangles or fewer."""
+    return [(o.scale * v, f) for o in objects for v, f in [_simplified(o.mesh, faces)]]
+
+
+def _simplified(mesh: Mesh, faces: int) -> tuple[Array, NDArray[np.int32]]:
+    """Garland and Heckbert, "Surface simplification using quadric error metrics" (1997), on the welded surface."""
+    vertices, triangles = mesh.welded
+    if len(triangles) <= faces:
+        return vertices, triangles
+    import fast_simplification
+
+    points, kept = fast_simplification.simplify(
+        vertices.astype(np.float32), triangles.astype(np.int32), target_count=faces
+    )
+    return np.asarray(points, np.float64), np.asarray(kept, np.int32)
+
+
+def starts_of(counts: Sequence[int]) -> NDArray[np.int64]:
+    return np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])

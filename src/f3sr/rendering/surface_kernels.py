@@ -1,0 +1,354 @@
+"""Kernels of what is seen: the nearest face at every sample, and its lit colour in linear light."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.kernels import inline_kernel, kernel
+from f3sr.rendering.shadow_kernels import arriving
+from f3sr.triangles import bounds, centres, corner, determinant, edge_functions, row_of, span
+
+SAME = 0.97
+"""Cosine of normals up to which samples of a pixel share the light of one of them."""
+NEARBY = 0.01
+"""Share of their distance to the camera up to which they do."""
+UNIT = 65535.0
+"""White in textures of 16 bits."""
+
+
+class Shapes(NamedTuple):
+    """All triangles of a scene, as they were loaded."""
+
+    faces: NDArray[np.int32]
+    """(F, 3) rows of vertices."""
+    object: NDArray[np.int32]
+    """(F,)"""
+    slot: NDArray[np.int32]
+    """(F,) material."""
+    normals: NDArray[np.float32]
+    """(F, 3, 3) of every corner, in the object's frame."""
+    uv: NDArray[np.float32]
+    """(V, 2)"""
+    colors: NDArray[np.float32]
+    """(V, 3) linear."""
+
+
+class Textures(NamedTuple):
+    """Pictures of all materials at all levels of detail, in linear light, one after the other."""
+
+    texels: NDArray[np.uint16]
+    """(n, 3)"""
+    starts: NDArray[np.int64]
+    """(S, L) first texel of a level."""
+    sizes: NDArray[np.int32]
+    """(S, L, 2) height and width of a level."""
+    levels: NDArray[np.int32]
+    """(S,) how many there are, at least 1."""
+
+
+class View(NamedTuple):
+    """Where everything is in one frame."""
+
+    points: NDArray[np.float64]
+    """(V, 5) projected vertices on the grid of samples."""
+    turns: NDArray[np.float64]
+    """(O, 3, 3) rotations of the objects."""
+    rays: NDArray[np.float64]
+    """(3, 4): a sample (x, y, 1) at depth z lies at z times the first three columns' product with it, plus the last."""
+
+
+class Lamps(NamedTuple):
+    """The light of a frame."""
+
+    directions: NDArray[np.float64]
+    """(L, 3) towards lights, those of the direct light first."""
+    frames: NDArray[np.float64]
+    """(L, 3, 4) of their maps."""
+    maps: NDArray[np.float32]
+    """(L, s, s)"""
+    direct: int
+    """How many are of the direct light."""
+    offset: float
+    """By how much points are moved along their normals [m]."""
+    bias: float
+    """By how much an occluder must be nearer to the light [m]."""
+    strength: NDArray[np.float64]
+    """(4, 3) linear light per channel: even, direct, of the sky, from below."""
+    gains: NDArray[np.float64]
+    """(O, 3) exposure of every object."""
+
+
+@kernel
+def nearest_faces(
+    points: NDArray[Any],
+    faces: NDArray[Any],
+    first: int,
+    stop: int,
+    near: float,
+    top: int,
+    bottom: int,
+    face: NDArray[Any],
+    nearness: NDArray[Any],
+) -> None:
+    """Draw the faces [first, stop) into ``face`` (h, w) and ``nearness`` (h, w), 1 / z, in the rows [top, bottom).
+
+    Of equally near faces the first is kept, in whatever order they are drawn. 1 / z is linear over the picture:
+    (e_a + e_b + e_c) / det in the terms of ``raster``.
+    """
+    width = face.shape[1]
+    size = float(max(face.shape))
+    for f in range(first, stop):
+        a, b, c = corner(points, faces[f, 0]), corner(points, faces[f, 1]), corner(points, faces[f, 2])
+        u0, u1, v0, v1 = bounds(a, b, c, near)
+        low, high = centres(v0, v1, top, bottom)
+        left, right = centres(u0, u1, 0, width)
+        if low > high or left > right:
+            continue
+        det = determinant(a, b, c)
+        if not 0 < abs(det) < np.inf:
+            continue
+        edges = edge_functions(a, b, c, np.sign(det), size, near)
+        ea, eb, ec, _ = edges
+        scale = 1 / abs(det)
+        slope = (ea[0] + eb[0] + ec[0]) * scale
+        for y in range(low, high + 1):
+            row = row_of(edges, y + 0.5)
+            start, end = span(edges, row, left, right)
+            constant = (row[0] + row[1] + row[2]) * scale
+            for x in range(start, end + 1):
+                w = np.float32(slope * (x + 0.5) + constant)
+                if w > nearness[y, x] or (w == nearness[y, x] and f < face[y, x]):
+                    nearness[y, x] = w
+                    face[y, x] = f
+
+
+@inline_kernel
+def _wrapped(t: float, size: int) -> tuple[int, int, float]:
+    """The two texels around ``t`` in [0, 1] of a repeating texture, and the second's weight."""
+    s = t * size - 0.5
+    i = int(np.floor(s))
+    j = i + 1
+    return (i + size if i < 0 else i), (j - size if j >= size else j), s - np.floor(s)
+
+
+@inline_kernel
+def _bilinear(textures: Textures, slot: int, level: int, u: float, v: float) -> tuple[float, float, float]:
+    """A level's colour at u and v in [0, 1], v from the bottom."""
+    texels, start = textures.texels, textures.starts[slot, level]
+    h, w = textures.sizes[slot, level, 0], textures.sizes[slot, level, 1]
+    x0, x1, fx = _wrapped(u, w)
+    y0, y1, fy = _wrapped(1 - v, h)
+    i, j, k, m = start + y0 * w + x0, start + y0 * w + x1, start + y1 * w + x0, start + y1 * w + x1
+    a, b, c, d = (1 - fy) * (1 - fx), (1 - fy) * fx, fy * (1 - fx), fy * fx
+    return (
+        a * texels[i, 0] + b * texels[j, 0] + c * texels[k, 0] + d * texels[m, 0],
+        a * texels[i, 1] + b * texels[j, 1] + c * texels[k, 1] + d * texels[m, 1],
+        a * texels[i, 2] + b * texels[j, 2] + c * texels[k, 2] + d * texels[m, 2],
+    )
+
+
+@kernel
+def texture_at(
+    textures: Textures, slot: int, u: float, v: float, footprint: float
+) -> tuple[float, float, float]:
+    """The trilinear colour of a texture where a sample covers the square ``footprint`` of level 0's texels."""
+    u, v = u - np.floor(u), v - np.floor(v)
+    last = textures.levels[slot] - 1
+    lod = 0.5 * np.log2(footprint) if footprint > 1 else 0.0
+    level = min(int(lod), last)
+    share = min(lod - level, 1.0) if level < last else 0.0
+    r, g, b = _bilinear(textures, slot, level, u, v)
+    if share > 0:
+        r1, g1, b1 = _bilinear(textures, slot, level + 1, u, v)
+        r, g, b = r + share * (r1 - r), g + share * (g1 - g), b + share * (b1 - b)
+    return r / UNIT, g / UNIT, b / UNIT
+
+
+@kernel
+def light_at(
+    x: float, y: float, z: float, nx: float, ny: float, nz: float, lamps: Lamps
+) -> tuple[float, float, float]:
+    """Direct light, the sky's and that from below at a point with a normal, each 1 where nothing is in the way."""
+    directions, frames, maps, bias = lamps.directions, lamps.frames, lamps.maps, lamps.bias
+    x, y, z = x + lamps.offset * nx, y + lamps.offset * ny, z + lamps.offset * nz
+    direct = sky = 0.0
+    count = len(directions)
+    for light in range(lamps.direct):
+        direct += arriving(x, y, z, nx, ny, nz, light, directions, frames, maps, bias)
+    for light in range(lamps.direct, count):
+        sky += arriving(x, y, z, nx, ny, nz, light, directions, frames, maps, bias)
+    return direct / max(lamps.direct, 1), 2 * sky / max(count - lamps.direct, 1), 0.5 - 0.5 * nz
+
+
+@kernel
+def shade(
+    shapes: Shapes,
+    textures: Textures,
+    view: View,
+    lamps: Lamps,
+    samples: int,
+    near: float,
+    top: int,
+    bottom: int,
+    face: NDArray[Any],
+    color: NDArray[Any],
+    cover: NDArray[Any],
+) -> None:
+    """Sums of the samples' colours into ``color`` (h, w, 3) and how many show an object into ``cover`` (h, w), in the
+    rows [top, bottom). ``face`` (samples h, samples w) is drawn."""
+    faces, points, rays, strength, gains = shapes.faces, view.points, view.rays, lamps.strength, lamps.gains
+    size = float(max(face.shape))
+    width = cover.shape[1]
+    for row in range(top, bottom):
+        for column in range(width):
+            count, known, lit = 0, -1, -1
+            total0 = total1 = total2 = 0.0
+            e0 = e1 = e2 = lx = ly = lz = ld = 0.0
+            for s in range(samples * samples):
+                sy, sx = row * samples + s // samples, column * samples + s % samples
+                f = face[sy, sx]
+                if f < 0:
+                    continue
+                count += 1
+                i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+                if f != known:
+                    a, b, c = corner(points, i), corner(points, j), corner(points, k)
+                    sign = np.sign(determinant(a, b, c))
+                    ea, eb, ec, _ = edge_functions(a, b, c, sign, size, near)
+                    known = f
+                X, Y = sx + 0.5, sy + 0.5
+                wa = max(ea[0] * X + ea[1] * Y + ea[2], 0.0)
+                wb = max(eb[0] * X + eb[1] * Y + eb[2], 0.0)
+                wc = max(ec[0] * X + ec[1] * Y + ec[2], 0.0)
+                whole = 1 / (wa + wb + wc)
+                wa, wb, wc = wa * whole, wb * whole, wc * whole
+                slot, o = shapes.slot[f], shapes.object[f]
+                # Colour without light
+                r = wa * shapes.colors[i, 0] + wb * shapes.colors[j, 0] + wc * shapes.colors[k, 0]
+                g = wa * shapes.colors[i, 1] + wb * shapes.colors[j, 1] + wc * shapes.colors[k, 1]
+                bl = wa * shapes.colors[i, 2] + wb * shapes.colors[j, 2] + wc * shapes.colors[k, 2]
+                ua, ub, uc = shapes.uv[i, 0], shapes.uv[j, 0], shapes.uv[k, 0]
+                va, vb, vc = shapes.uv[i, 1], shapes.uv[j, 1], shapes.uv[k, 1]
+                u, v = wa * ua + wb * ub + wc * uc, wa * va + wb * vb + wc * vc
+                high, wide = textures.sizes[slot, 0, 0], textures.sizes[slot, 0, 1]
+                ux = whole * (ea[0] * (ua - u) + eb[0] * (ub - u) + ec[0] * (uc - u)) * wide
+                uy = whole * (ea[1] * (ua - u) + eb[1] * (ub - u) + ec[1] * (uc - u)) * wide
+                vx = whole * (ea[0] * (va - v) + eb[0] * (vb - v) + ec[0] * (vc - v)) * high
+                vy = whole * (ea[1] * (va - v) + eb[1] * (vb - v) + ec[1] * (vc - v)) * high
+                t0, t1, t2 = texture_at(textures, slot, u, v, max(ux * ux + vx * vx, uy * uy + vy * vy))
+                # Its light, shared with samples of the pixel that lie and face alike
+                depth = wa * points[i, 2] + wb * points[j, 2] + wc * points[k, 2]
+                normals, R = shapes.normals, view.turns
+                mx = wa * normals[f, 0, 0] + wb * normals[f, 1, 0] + wc * normals[f, 2, 0]
+                my = wa * normals[f, 0, 1] + wb * normals[f, 1, 1] + wc * normals[f, 2, 1]
+                mz = wa * normals[f, 0, 2] + wb * normals[f, 1, 2] + wc * normals[f, 2, 2]
+                norm = -sign / max(np.sqrt(mx * mx + my * my + mz * mz), 1e-12)
+                nx = norm * (R[o, 0, 0] * mx + R[o, 0, 1] * my + R[o, 0, 2] * mz)
+                ny = norm * (R[o, 1, 0] * mx + R[o, 1, 1] * my + R[o, 1, 2] * mz)
+                nz = norm * (R[o, 2, 0] * mx + R[o, 2, 1] * my + R[o, 2, 2] * mz)
+                alike = lit == o and nx * lx + ny * ly + nz * lz > SAME and abs(depth - ld) < NEARBY * depth
+                if not alike:
+                    px = depth * (rays[0, 0] * X + rays[0, 1] * Y + rays[0, 2]) + rays[0, 3]
+                    py = depth * (rays[1, 0] * X + rays[1, 1] * Y + rays[1, 2]) + rays[1, 3]
+                    pz = depth * (rays[2, 0] * X + rays[2, 1] * Y + rays[2, 2]) + rays[2, 3]
+                    direct, sky, below = light_at(px, py, pz, nx, ny, nz, lamps)
+                    e0 = strength[0, 0] + strength[1, 0] * direct + strength[2, 0] * sky + strength[3, 0] * below
+                    e1 = strength[0, 1] + strength[1, 1] * direct + strength[2, 1] * sky + strength[3, 1] * below
+                    e2 = strength[0, 2] + strength[1, 2] * direct + strength[2, 2] * sky + strength[3, 2] * below
+                    e0, e1, e2 = e0 * gains[o, 0], e1 * gains[o, 1], e2 * gains[o, 2]
+                    lit, lx, ly, lz, ld = o, nx, ny, nz, depth
+                total0 += min(r * t0 * e0, 1.0)
+                total1 += min(g * t1 * e1, 1.0)
+                total2 += min(bl * t2 * e2, 1.0)
+            cover[row, column] = count
+            color[row, column, 0], color[row, column, 1], color[row, column, 2] = total0, total1, total2
+
+
+@kernel
+def seen_at(
+    shapes: Shapes,
+    textures: Textures,
+    view: View,
+    near: float,
+    pixels: NDArray[Any],
+    face: NDArray[Any],
+    albedo: NDArray[Any],
+    place: NDArray[Any],
+    normal: NDArray[Any],
+) -> None:
+    """Colour without light, place and normal (n, 3), in the world, of what samples ``pixels`` (n, 2) [row, column] of
+    ``face`` show."""
+    faces, points, rays = shapes.faces, view.points, view.rays
+    size = float(max(face.shape))
+    for q in range(len(pixels)):
+        f = face[pixels[q, 0], pixels[q, 1]]
+        X, Y = pixels[q, 1] + 0.5, pixels[q, 0] + 0.5
+        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        a, b, c = corner(points, i), corner(points, j), corner(points, k)
+        sign = np.sign(determinant(a, b, c))
+        ea, eb, ec, _ = edge_functions(a, b, c, sign, size, near)
+        wa = ea[0] * X + ea[1] * Y + ea[2]
+        wb = eb[0] * X + eb[1] * Y + eb[2]
+        wc = ec[0] * X + ec[1] * Y + ec[2]
+        whole = 1 / (wa + wb + wc)
+        wa, wb, wc = wa * whole, wb * whole, wc * whole
+        slot, o = shapes.slot[f], shapes.object[f]
+        ua, ub, uc = shapes.uv[i, 0], shapes.uv[j, 0], shapes.uv[k, 0]
+        va, vb, vc = shapes.uv[i, 1], shapes.uv[j, 1], shapes.uv[k, 1]
+        u, v = wa * ua + wb * ub + wc * uc, wa * va + wb * vb + wc * vc
+        high, wide = textures.sizes[slot, 0, 0], textures.sizes[slot, 0, 1]
+        ux = whole * (ea[0] * (ua - u) + eb[0] * (ub - u) + ec[0] * (uc - u)) * wide
+        uy = whole * (ea[1] * (ua - u) + eb[1] * (ub - u) + ec[1] * (uc - u)) * wide
+        vx = whole * (ea[0] * (va - v) + eb[0] * (vb - v) + ec[0] * (vc - v)) * high
+        vy = whole * (ea[1] * (va - v) + eb[1] * (vb - v) + ec[1] * (vc - v)) * high
+        color = texture_at(textures, slot, u, v, max(ux * ux + vx * vx, uy * uy + vy * vy))
+        depth = wa * points[i, 2] + wb * points[j, 2] + wc * points[k, 2]
+        m0 = m1 = m2 = 0.0
+        for x, w in ((0, wa), (1, wb), (2, wc)):
+            m0 += w * shapes.normals[f, x, 0]
+            m1 += w * shapes.normals[f, x, 1]
+            m2 += w * shapes.normals[f, x, 2]
+        norm = -sign / max(np.sqrt(m0 * m0 + m1 * m1 + m2 * m2), 1e-12)
+        for x in range(3):
+            R = view.turns[o, x]
+            normal[q, x] = norm * (R[0] * m0 + R[1] * m1 + R[2] * m2)
+            place[q, x] = depth * (rays[x, 0] * X + rays[x, 1] * Y + rays[x, 2]) + rays[x, 3]
+            vertex = wa * shapes.colors[i, x] + wb * shapes.colors[j, x] + wc * shapes.colors[k, x]
+            albedo[q, x] = vertex * color[x]
+
+
+@kernel
+def corner_normals(
+    vertices: NDArray[Any],
+    faces: NDArray[Any],
+    first: NDArray[Any],
+    around: NDArray[Any],
+    crease: float,
+    out: NDArray[Any],
+) -> None:
+    """Normals (m, 3, 3) of the corners of welded ``faces``: the mean, by area, of the faces around that turn away by
+    less than the cosine ``crease``. Faces around vertex v are ``around[first[v] : first[v + 1]]``."""
+    flat = np.empty((len(faces), 3))
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        x0, y0, z0 = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+        x1, y1, z1 = vertices[b, 0] - x0, vertices[b, 1] - y0, vertices[b, 2] - z0
+        x2, y2, z2 = vertices[c, 0] - x0, vertices[c, 1] - y0, vertices[c, 2] - z0
+        flat[f, 0], flat[f, 1], flat[f, 2] = y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2
+    for f in range(len(faces)):
+        x, y, z = flat[f, 0], flat[f, 1], flat[f, 2]
+        length = np.sqrt(x * x + y * y + z * z)
+        for k in range(3):
+            v = faces[f, k]
+            sx, sy, sz = x, y, z
+            for i in range(first[v], first[v + 1]):
+                g = around[i]
+                gx, gy, gz = flat[g, 0], flat[g, 1], flat[g, 2]
+                other = np.sqrt(gx * gx + gy * gy + gz * gz)
+                if g != f and x * gx + y * gy + z * gz > crease * length * other:
+                    sx, sy, sz = sx + gx, sy + gy, sz + gz
+            norm = max(np.sqrt(sx * sx + sy * sy + sz * sz), 1e-30)
+            out[f, k, 0], out[f, k, 1], out[f, k, 2] = sx / norm, sy / norm, sz / norm
