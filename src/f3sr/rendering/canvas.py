@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,18 +13,23 @@ from f3sr.rendering.config import RenderConfig
 from f3sr.rendering.layers import (
     Buffers,
     Things,
+    DISC_WORDS,
     draw_ground_shadows,
+    draw_maps,
     draw_surfaces,
     ground_words,
     light_maps,
 )
-from f3sr.rendering.light import DIRECT, SKY, Light
-from f3sr.rendering.picture_kernels import BLUR_SUM, STEPS, blur_rows, compose, count_lights
+from f3sr.rendering.light import DIRECT, Light
+from f3sr.rendering.picture_kernels import BLUR_SUM, STEPS, blur, compose, count_lights, light_left
 from f3sr.rendering.surface_kernels import Lamps, shade
 from f3sr.rendering.textures import linear, srgb
 
 GRID = 2.0**17
 """Poses are rounded to one part of this [1/m, 1]: an engine's tremble at rest of a few micrometres is no motion."""
+
+CELL = 2
+"""Side of the cells that the ground's shadows are drawn in [px]: they are soft."""
 
 LINEAR = raster.fixed(linear(np.arange(256) / 255), np.float64)
 TABLE = raster.fixed(np.rint(255 * srgb(np.arange(STEPS + 1) / STEPS)), np.uint8)
@@ -57,12 +62,15 @@ class Canvas:
         s, samples = setting, setting.config.samples
         self._setting = setting
         self._fine = s.camera.resized(samples * s.camera.width, samples * s.camera.height)
-        self._words = ground_words(s.light)
-        maps = light_maps(s.light, s.ball, s.config.shadows.map_size, SKY)
-        self._drawn = Buffers.empty(s.camera, samples, maps, len(self._words))
         h, w = s.camera.height, s.camera.width
+        K = s.camera.K * [[1 / CELL], [1 / CELL], [1]]
+        self._cells = replace(s.camera, K=K, width=-(-w // CELL), height=-(-h // CELL))
+        self._words = ground_words(s.light)
+        maps = light_maps(s.light, s.ball, s.config.shadows.map_size)
+        self._drawn = Buffers.empty(self._fine, maps, self._cells, len(self._words))
         self._color, self._cover = np.zeros((h, w, 3), np.float32), np.zeros((h, w), np.uint8)
-        self._counts, self._blurred = np.zeros((2, h, w), np.int32), np.zeros((2, h, w), np.int32)
+        self._counts, self._blurred = (np.zeros((2, self._cells.height, self._cells.width), np.int32) for _ in range(2))
+        self._weight = raster.fixed(s.light.hidden / BLUR_SUM, np.float64)
 
     def drawn(self, poses: Array) -> NDArray[np.uint8]:
         """The picture (h, w, 3) with the objects at ``poses`` (N, 4, 4)."""
@@ -78,7 +86,8 @@ class Canvas:
                 raster.fixed(s.background, np.uint8),
                 LINEAR,
                 self._blurred,
-                raster.fixed(s.light.hidden / BLUR_SUM, np.float64),
+                CELL,
+                self._weight,
                 raster.fixed(s.receives, np.float32),
                 raster.fixed(s.already, np.float32),
                 s.config.samples,
@@ -97,13 +106,9 @@ class Canvas:
         s = self._setting
         self._draw_layers(np.rint(poses * GRID) / GRID)
         self._count()
-        taken = np.zeros((*s.receives.shape, 3))
-        weights = [1 / BLUR_SUM * k for k in (1, 4, 6, 4, 1)]
-        for kind in range(2):
-            padded = np.pad(self._blurred[kind].astype(float), ((2, 2), (0, 0)), mode="edge")
-            smooth = sum(w * padded[k : k + len(s.receives)] for k, w in enumerate(weights))
-            taken += smooth[..., None] * s.light.hidden[kind]
-        return (1 - s.receives[..., None] * taken).astype(np.float32)
+        left = np.empty((*s.receives.shape, 3), np.float32)
+        light_left(self._blurred, CELL, self._weight, raster.fixed(s.receives, np.float32), left)
+        return left
 
     def _draw_layers(self, poses: Array) -> None:
         s, drawn = self._setting, self._drawn
@@ -112,9 +117,9 @@ class Canvas:
         self._view = s.things.seen_by(self._fine, poses, s.config.near)
         draw_surfaces(s.things, self._view, everything, s.config.near, drawn)
         if s.config.shadows.enabled and len(everything):
-            casters = s.things.casting(poses, everything)
-            drawn.maps.cast(casters)
-            draw_ground_shadows(casters, s.camera, self._words, s.config.near, drawn.bits)
+            casting = s.things.casting(poses, everything)
+            draw_maps(casting, drawn.maps)
+            draw_ground_shadows(casting, self._cells, self._words, s.config.near, drawn.bits)
 
     def _shade(self, poses: Array) -> None:
         s, drawn = self._setting, self._drawn
@@ -139,6 +144,7 @@ class Canvas:
                 s.config.near,
                 *band,
                 drawn.face,
+                drawn.nearness,
                 self._color,
                 self._cover,
             )
@@ -146,10 +152,11 @@ class Canvas:
         raster.in_bands(draw, (0, s.camera.height), raster.THREADS)
 
     def _count(self) -> None:
-        direct, height = -(-DIRECT // 8), self._setting.camera.height
-
         def count(band: tuple[int, int]) -> None:
-            count_lights(self._drawn.bits, direct, SET_BITS, *band, self._counts)
-            blur_rows(self._counts, *band, self._blurred)
+            count_lights(self._drawn.bits, DISC_WORDS, SET_BITS, *band, self._counts)
 
-        raster.in_bands(count, (0, height), raster.THREADS)
+        def smooth(band: tuple[int, int]) -> None:
+            blur(self._counts, *band, self._blurred)
+
+        raster.in_bands(count, (0, self._cells.height), raster.THREADS)
+        raster.in_bands(smooth, (0, self._cells.height), raster.THREADS)

@@ -31,7 +31,9 @@ class ShadowConfig:
     map_size: Annotated[int, Interval(ge=64, le=2048)] = 384
     """Side of the map of every light [texel]; maps cover the scene at rest 1.6 times."""
     caster_faces: Annotated[int, Interval(ge=50, le=100_000)] = 800
-    """Triangles per object that cast shadows: what is finer than a map's texel is lost anyway."""
+    """Triangles per object that cast shadows of the direct light: what is finer than a map's texel is lost anyway."""
+    sky_caster_faces: Annotated[int, Interval(ge=50, le=100_000)] = 250
+    """Triangles per object that cast shadows of the sky, which are wide and soft."""
 
 
 @settings

@@ -9,12 +9,10 @@ import numpy as np
 
 from f3sr.frames import Array, rotation_between
 
-DIRECT = 32
-"""Lights that stand for the disc."""
-SKY = 24
-"""Lights that stand for the sky on objects."""
-SKY_ON_GROUND = 64
-"""Lights that stand for the sky on the ground, which is wide and smooth: its steps would show."""
+DIRECT, SKY = 16, 16
+"""Lights that stand for the disc and for the sky on objects."""
+DIRECT_ON_GROUND, SKY_ON_GROUND = 32, 64
+"""Those on the ground, which is wide and smooth: steps would show."""
 GOLDEN = np.pi * (3 - 5**0.5)
 """Turn from point to point of a sunflower [rad] (Vogel 1979)."""
 LOWEST = np.sin(np.radians(8.0))
@@ -42,11 +40,6 @@ class Light:
     """What the ground's shadows are multiplied by, per channel: how dark the photo's are against this light's."""
 
     @cached_property
-    def disc(self) -> Array:
-        """(DIRECT, 3) unit directions of equal weight over the disc."""
-        return disc(self.direction, self.angle)
-
-    @cached_property
     def strength(self) -> Array:
         """(4, 3): even, direct, sky, below."""
         return np.stack([self.even, self.direct, self.sky, self.below])
@@ -54,11 +47,11 @@ class Light:
     @cached_property
     def hidden(self) -> Array:
         """(2, 3) of the ground's light that one of the lights of the disc, or of the sky, stands for."""
-        direct = self.direct * self.disc[:, 2].mean() / DIRECT
+        direct = self.direct * self.direction[2] / DIRECT_ON_GROUND
         return np.stack([direct, self.sky / SKY_ON_GROUND]) * self.shadow
 
 
-def disc(direction: Array, angle: float, count: int = DIRECT) -> Array:
+def disc(direction: Array, angle: float, count: int) -> Array:
     """Unit directions (count, 3) spread evenly over the cap of ``angle`` [rad] around ``direction``, none lower than
     ``LOWEST``."""
     k = np.arange(count)
@@ -76,7 +69,7 @@ def even_sky(count: int) -> Array:
     return _raised(np.column_stack([r * np.cos(k * GOLDEN), r * np.sin(k * GOLDEN), z]))
 
 
-def ground_sky(count: int = SKY_ON_GROUND) -> Array:
+def ground_sky(count: int) -> Array:
     """Unit directions (count, 3) of equal weight on the ground: denser around the zenith, by the cosine."""
     k = np.arange(count)
     r = np.sqrt((k + 0.5) / count)

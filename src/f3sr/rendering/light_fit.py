@@ -97,7 +97,7 @@ def find_light(
     start = wide.directions[int(np.argmin(misfits))]
 
     def fitted(direction: Array, angle: float) -> Fit:
-        maps = Maps.empty(disc(direction, angle), *ball, side)
+        maps = Maps.empty(disc(direction, angle, DIRECT), *ball, side)
         maps.cast(casters)
         direct = maps.arriving(evidence.points, evidence.normals).sum(1) / DIRECT
         return _fit(evidence, _bases(evidence, direct, sky), groups)
@@ -188,7 +188,8 @@ def _gains(group: Array, lit: Array, photo: Array, weight: Array, groups: int) -
     for c in range(3):
         above[:, c] = np.bincount(group, (weight * lit * photo)[:, c], groups)
         below[:, c] = np.bincount(group, (weight * lit * lit)[:, c], groups)
-    prior = PRIOR * below / np.maximum(np.bincount(group, minlength=groups), 1)[:, None]
+    count = np.maximum(np.bincount(group, minlength=groups), 1)
+    prior = PRIOR * (below.mean(1) / count)[:, None]  # of all channels: a dark one tells little of its own
     return (above + prior * whole) / np.maximum(below + prior, 1e-12)
 
 

@@ -11,7 +11,7 @@ from f3sr.frames import Array
 from f3sr.rendering.config import RenderConfig
 from f3sr.rendering.evidence import Evidence, evidence_of
 from f3sr.rendering.layers import Buffers, Things, draw_surfaces
-from f3sr.rendering.light import SKY_ON_GROUND, Light, ground_sky
+from f3sr.rendering.light import DIRECT_ON_GROUND, SKY_ON_GROUND, Light, disc, ground_sky
 from f3sr.rendering.light_fit import DEFAULT, Found, find_light, with_shadows_of
 from f3sr.rendering.shadow_maps import Maps
 from f3sr.rendering.surface_kernels import View
@@ -35,11 +35,12 @@ def lit_as_photo(
     if not (evidence.group < count).any():
         return _unlit(), np.ones((count, 3)), ("light: no object can be compared with the photo; shown without",)
     poses = np.array([o.T_world_object for o in scene.objects])
-    casters = things.casting(poses, range(count))
+    casters = things.casting(poses, range(count)).disc
     side = config.shadows.map_size // 2
     found = find_light(evidence, casters, ball=ball, objects=count, side=side, config=config.light)
     decisions = [_told(found)]
-    maps = Maps.empty(found.light.disc, *ball, side), Maps.empty(ground_sky(), *ball, side)
+    lights = disc(found.light.direction, found.light.angle, DIRECT_ON_GROUND), ground_sky(SKY_ON_GROUND)
+    maps = Maps.empty(lights[0], *ball, side), Maps.empty(lights[1], *ball, side)
     for m in maps:
         m.cast(casters)
     light, evident = with_shadows_of(evidence, found.light, maps, count)
@@ -69,8 +70,8 @@ def _evidence(
 ) -> Evidence:
     poses = np.array([o.T_world_object for o in scene.objects])
     view: View = things.seen_by(scene.camera, poses, config.near)
-    maps = Maps.empty(np.zeros((0, 3)).reshape(0, 3), *ball, 1)
-    drawn = Buffers.empty(scene.camera, 1, maps, 0)
+    maps = Maps.empty(np.zeros((0, 3)), *ball, 1)
+    drawn = Buffers.empty(scene.camera, maps, scene.camera, 0)
     draw_surfaces(things, view, range(len(poses)), config.near, drawn)
     return evidence_of(
         scene,

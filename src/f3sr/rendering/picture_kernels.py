@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.kernels import kernel
+from f3sr.kernels import inline_kernel, kernel
 
 STEPS = 65535
 """Steps of linear light in the table that ends in sRGB: the darkest ones of eight bits are 20 of these wide."""
-BLUR = np.array([1, 4, 6, 4, 1], np.int64)
-"""Binomial filter over the counts of lights."""
-BLUR_SUM = 256
+BLUR_SUM = 16
+"""Of the weights of ``blur``."""
 
 
 @kernel
@@ -33,16 +32,52 @@ def count_lights(
 
 
 @kernel
-def blur_rows(counts: NDArray[Any], top: int, bottom: int, blurred: NDArray[Any]) -> None:
-    """``BLUR`` along the rows of ``counts`` (2, h, w), mirrored at the border."""
-    width = counts.shape[2]
+def blur(counts: NDArray[Any], top: int, bottom: int, blurred: NDArray[Any]) -> None:
+    """``counts`` (2, h, w) under a binomial filter of 3 x 3, times 16, mirrored at the border, in the rows [top,
+    bottom)."""
+    height, width = counts.shape[1], counts.shape[2]
     for kind in range(2):
         for y in range(top, bottom):
+            above, below = max(y - 1, 0), min(y + 1, height - 1)
             for x in range(width):
-                total = 0
-                for k in range(-2, 3):
-                    total += BLUR[k + 2] * counts[kind, y, min(max(x + k, 0), width - 1)]
+                left, right = max(x - 1, 0), min(x + 1, width - 1)
+                total = 4 * counts[kind, y, x]
+                total += 2 * (counts[kind, above, x] + counts[kind, below, x])
+                total += 2 * (counts[kind, y, left] + counts[kind, y, right])
+                total += counts[kind, above, left] + counts[kind, above, right]
+                total += counts[kind, below, left] + counts[kind, below, right]
                 blurred[kind, y, x] = total
+
+
+@inline_kernel
+def _between(x: int, cell: int, count: int) -> tuple[int, int, float]:
+    """The two cells around the centre of pixel ``x``, and the second's weight."""
+    s = (x + 0.5) / cell - 0.5
+    i = int(np.floor(s))
+    return max(i, 0), min(i + 1, count - 1), s - i
+
+
+@inline_kernel
+def _bilinear(values: NDArray[Any], kind: int, rows: tuple[int, int, float], columns: tuple[int, int, float]) -> float:
+    upper = (1 - columns[2]) * values[kind, rows[0], columns[0]] + columns[2] * values[kind, rows[0], columns[1]]
+    lower = (1 - columns[2]) * values[kind, rows[1], columns[0]] + columns[2] * values[kind, rows[1], columns[1]]
+    return (1 - rows[2]) * upper + rows[2] * lower
+
+
+@kernel
+def light_left(
+    blurred: NDArray[Any], cell: int, weight: NDArray[Any], receives: NDArray[Any], left: NDArray[Any]
+) -> None:
+    """The share of its light (h, w, 3) that the ground keeps: 1 - ``weight`` (2, 3) times the blurred counts of cells of
+    ``cell`` pixels."""
+    height, width = receives.shape
+    for y in range(height):
+        rows = _between(y, cell, blurred.shape[1])
+        for x in range(width):
+            columns = _between(x, cell, blurred.shape[2])
+            direct, sky = _bilinear(blurred, 0, rows, columns), _bilinear(blurred, 1, rows, columns)
+            for c in range(3):
+                left[y, x, c] = 1 - receives[y, x] * (weight[0, c] * direct + weight[1, c] * sky)
 
 
 @kernel
@@ -50,6 +85,7 @@ def compose(
     background: NDArray[Any],
     linear: NDArray[Any],
     blurred: NDArray[Any],
+    cell: int,
     weight: NDArray[Any],
     receives: NDArray[Any],
     already: NDArray[Any],
@@ -62,24 +98,20 @@ def compose(
     picture: NDArray[Any],
 ) -> None:
     """The rows [top, bottom) of ``picture``: objects over the background (h, w, 3), whose linear light ``linear[value]``
-    is multiplied by what of the light is left: 1 - ``weight`` (2, 3) times the blurred counts, divided by the share that was
-    left in the background ``already`` (h, w, 3)."""
-    height, width = cover.shape
+    is multiplied by ``light_left`` over the share that was left in the background ``already`` (h, w, 3)."""
+    width = cover.shape[1]
     for y in range(top, bottom):
+        rows = _between(y, cell, blurred.shape[1])
         for x in range(width):
-            first = second = 0
-            if receives[y, x] > 0:
-                for k in range(-2, 3):
-                    line = min(max(y + k, 0), height - 1)
-                    first += BLUR[k + 2] * blurred[0, line, x]
-                    second += BLUR[k + 2] * blurred[1, line, x]
+            columns = _between(x, cell, blurred.shape[2])
+            direct, sky = _bilinear(blurred, 0, rows, columns), _bilinear(blurred, 1, rows, columns)
             objects = cover[y, x] / (samples * samples)
             for c in range(3):
-                left = 1 - receives[y, x] * (weight[0, c] * first + weight[1, c] * second)
+                left = np.float32(1 - receives[y, x] * (weight[0, c] * direct + weight[1, c] * sky))
                 factor = left / already[y, x, c]
-                value = linear[background[y, x, c]]
                 if objects == 0 and factor == 1:
                     picture[y, x, c] = background[y, x, c]
                 else:
-                    value = (1 - objects) * value * factor + color[y, x, c] / (samples * samples)
+                    value = (1 - objects) * linear[background[y, x, c]] * factor
+                    value += color[y, x, c] / (samples * samples)
                     picture[y, x, c] = table[int(min(max(value, 0.0), 1.0) * STEPS + 0.5)]

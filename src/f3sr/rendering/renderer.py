@@ -48,7 +48,7 @@ class Renderer:
                 found=f"{background.dtype} of shape {background.shape}",
                 accepted=f"uint8 of shape {(view.height, view.width, 3)}, the camera's",
             )
-        things = Things.of(scene.objects, crease=config.crease, caster_faces=config.shadows.caster_faces)
+        things = Things.of(scene.objects, config)
         ball = ball_around(scene)
         light, gains, decisions = lit_as_photo(scene, background if camera is None else None, things, ball, config)
         setting = Setting(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +20,16 @@ OFFSET, BIAS = 1.2, 1.0
 """Texels by which points are moved along their normals, and by which an occluder must be nearer to the light: half a
 texel is a map's own error, the rest that of the simpler triangles in it."""
 
-Caster = tuple[Array, NDArray[np.int32]]
-"""World vertices (n, 3) and faces (m, 3)."""
+
+class Caster(NamedTuple):
+    """A surface that casts shadows."""
+
+    vertices: Array
+    """(n, 3) [m]"""
+    faces: NDArray[np.int32]
+    """(m, 3)"""
+    closed: bool
+    """Whether it is closed and outward: what faces away from a light then adds nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,15 +57,14 @@ class Maps:
     def bias(self) -> float:
         return BIAS * self.texel
 
-    def cast(self, casters: Sequence[Caster]) -> None:
-        """Draw some casters into all maps."""
-        fixed = [(raster.fixed(v, np.float64), raster.fixed(f, np.int32)) for v, f in casters]
+    def cast(self, casters: Sequence[Caster], lights: slice = slice(None)) -> None:
+        """Draw some casters into the maps of some ``lights``."""
 
         def draw(light: int) -> None:
-            for vertices, faces in fixed:
-                cast_map(vertices, faces, self.frames[light], self.nearest[light])
+            for caster in casters:
+                cast_map(*caster, self.frames[light], self.nearest[light])
 
-        raster.share(draw, range(len(self.directions)))
+        raster.share(draw, range(len(self.directions))[lights])
 
     def arriving(self, points: Array, normals: Array) -> Array:
         """(n, L) cosines times visibility at points (n, 3) with normals (n, 3)."""
@@ -83,5 +91,8 @@ def _frame(direction: Array, center: Array, texel: float, side: int) -> Array:
 
 
 def world_casters(casters: Sequence[Caster], poses: Array) -> list[Caster]:
-    """Casters of objects at ``poses`` (N, 4, 4)."""
-    return [(transform(T, v), f) for T, (v, f) in zip(poses, casters, strict=True)]
+    """Casters of objects at ``poses`` (N, 4, 4), as kernels take them."""
+    return [
+        Caster(raster.fixed(transform(T, c.vertices), np.float64), raster.fixed(c.faces, np.int32), c.closed)
+        for T, c in zip(poses, casters, strict=True)
+    ]

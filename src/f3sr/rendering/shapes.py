@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from f3sr import raster
 from f3sr.frames import Array
-from f3sr.mesh import Mesh
+from f3sr.mesh import Mesh, is_closed, signed_volume
+from f3sr.rendering.shadow_maps import Caster
 from f3sr.rendering.surface_kernels import Shapes, corner_normals
 from f3sr.rendering.textures import linear
 from f3sr.scene import SceneObject
@@ -29,6 +30,7 @@ def shapes_of(objects: Sequence[SceneObject], *, crease: float) -> Shapes:
             np.concatenate([np.asarray(m.face_material) + k for m, k in zip(meshes, slots, strict=False)]), np.int32
         ),
         normals=raster.fixed(np.concatenate([smooth_normals(m, crease) for m in meshes]), np.float32),
+        flat=raster.fixed(np.concatenate([_flat_normals(m) for m in meshes]), np.float32),
         uv=raster.fixed(
             np.concatenate([np.zeros((len(m.vertices), 2)) if m.uv is None else m.uv for m in meshes]), np.float32
         ),
@@ -54,15 +56,30 @@ def smooth_normals(mesh: Mesh, crease: float) -> NDArray[np.float32]:
     return out
 
 
+def _flat_normals(mesh: Mesh) -> Array:
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-30)[:, None]
+
+
 def _vertex_colors(mesh: Mesh) -> Array:
     if mesh.vertex_colors is None:
         return np.ones((len(mesh.vertices), 3))
     return linear(mesh.vertex_colors / 255)
 
 
-def casters_of(objects: Sequence[SceneObject], faces: int) -> list[tuple[Array, NDArray[np.int32]]]:
-    """Vertices and faces of every object, in its frame at its scale, with about ``faces`` triangles or fewer."""
-    return [(o.scale * v, f) for o in objects for v, f in [_simplified(o.mesh, faces)]]
+def casters_of(objects: Sequence[SceneObject], faces: int) -> tuple[Caster, ...]:
+    """Every object in its frame at its scale, with about ``faces`` triangles or fewer."""
+    return tuple(_caster(o.scale, *_simplified(o.mesh, faces)) for o in objects)
+
+
+def faces_outward(vertices: Array, faces: NDArray[np.int32]) -> bool:
+    """Whether a surface is closed and turned outward, so that what faces away is always hidden by what does not."""
+    return is_closed(faces) and signed_volume(vertices, faces) > 0
+
+
+def _caster(scale: float, vertices: Array, faces: NDArray[np.int32]) -> Caster:
+    return Caster(scale * vertices, faces, faces_outward(vertices, faces))
 
 
 def _simplified(mesh: Mesh, faces: int) -> tuple[Array, NDArray[np.int32]]:

@@ -30,6 +30,8 @@ class Shapes(NamedTuple):
     """(F,) material."""
     normals: NDArray[np.float32]
     """(F, 3, 3) of every corner, in the object's frame."""
+    flat: NDArray[np.float32]
+    """(F, 3) of the face itself."""
     uv: NDArray[np.float32]
     """(V, 2)"""
     colors: NDArray[np.float32]
@@ -56,6 +58,8 @@ class View(NamedTuple):
     """(V, 5) projected vertices on the grid of samples."""
     turns: NDArray[np.float64]
     """(O, 3, 3) rotations of the objects."""
+    clipped: NDArray[np.bool_]
+    """(O,) whether any of an object's vertices lies before the near plane."""
     rays: NDArray[np.float64]
     """(3, 4): a sample (x, y, 1) at depth z lies at z times the first three columns' product with it, plus the last."""
 
@@ -87,6 +91,7 @@ def nearest_faces(
     faces: NDArray[Any],
     first: int,
     stop: int,
+    outward: bool,
     near: float,
     top: int,
     bottom: int,
@@ -96,7 +101,7 @@ def nearest_faces(
     """Draw the faces [first, stop) into ``face`` (h, w) and ``nearness`` (h, w), 1 / z, in the rows [top, bottom).
 
     Of equally near faces the first is kept, in whatever order they are drawn. 1 / z is linear over the picture:
-    (e_a + e_b + e_c) / det in the terms of ``raster``.
+    (e_a + e_b + e_c) / det in the terms of ``raster``. ``outward``: faces that show their back are hidden by others.
     """
     width = face.shape[1]
     size = float(max(face.shape))
@@ -108,7 +113,7 @@ def nearest_faces(
         if low > high or left > right:
             continue
         det = determinant(a, b, c)
-        if not 0 < abs(det) < np.inf:
+        if not 0 < abs(det) < np.inf or (outward and det > 0):
             continue
         edges = edge_functions(a, b, c, np.sign(det), size, near)
         ea, eb, ec, _ = edges
@@ -150,7 +155,7 @@ def _bilinear(textures: Textures, slot: int, level: int, u: float, v: float) -> 
     )
 
 
-@kernel
+@inline_kernel
 def texture_at(
     textures: Textures, slot: int, u: float, v: float, footprint: float
 ) -> tuple[float, float, float]:
@@ -167,7 +172,7 @@ def texture_at(
     return r / UNIT, g / UNIT, b / UNIT
 
 
-@kernel
+@inline_kernel
 def light_at(
     x: float, y: float, z: float, nx: float, ny: float, nz: float, lamps: Lamps
 ) -> tuple[float, float, float]:
@@ -183,6 +188,28 @@ def light_at(
     return direct / max(lamps.direct, 1), 2 * sky / max(count - lamps.direct, 1), 0.5 - 0.5 * nz
 
 
+@inline_kernel
+def _is_even(
+    row: int, column: int, samples: int, shapes: Shapes, face: NDArray[Any], nearness: NDArray[Any]
+) -> bool:
+    """Whether all samples of a pixel show one material of one object, there nearly flat: one colour stands for them."""
+    y, x = row * samples, column * samples
+    f, w = face[y, x], nearness[y, x]
+    if f < 0:
+        return False
+    a, b, c = shapes.flat[f, 0], shapes.flat[f, 1], shapes.flat[f, 2]
+    for s in range(1, samples * samples):
+        i, j = y + s // samples, x + s % samples
+        g = face[i, j]
+        if g == f:
+            continue
+        if g < 0 or shapes.slot[g] != shapes.slot[f] or abs(nearness[i, j] - w) > NEARBY * w:
+            return False
+        if a * shapes.flat[g, 0] + b * shapes.flat[g, 1] + c * shapes.flat[g, 2] < SAME:
+            return False
+    return True
+
+
 @kernel
 def shade(
     shapes: Shapes,
@@ -194,12 +221,15 @@ def shade(
     top: int,
     bottom: int,
     face: NDArray[Any],
+    nearness: NDArray[Any],
     color: NDArray[Any],
     cover: NDArray[Any],
 ) -> None:
     """Sums of the samples' colours into ``color`` (h, w, 3) and how many show an object into ``cover`` (h, w), in the
-    rows [top, bottom). ``face`` (samples h, samples w) is drawn."""
+    rows [top, bottom). ``face`` and ``nearness`` (samples h, samples w) are drawn."""
     faces, points, rays, strength, gains = shapes.faces, view.points, view.rays, lamps.strength, lamps.gains
+    slots, owners, normals, R = shapes.slot, shapes.object, shapes.normals, view.turns
+    uv, colors, sizes = shapes.uv, shapes.colors, textures.sizes
     size = float(max(face.shape))
     width = cover.shape[1]
     for row in range(top, bottom):
@@ -207,41 +237,45 @@ def shade(
             count, known, lit = 0, -1, -1
             total0 = total1 = total2 = 0.0
             e0 = e1 = e2 = lx = ly = lz = ld = 0.0
-            for s in range(samples * samples):
+            even = _is_even(row, column, samples, shapes, face, nearness)
+            for s in range(1 if even else samples * samples):
                 sy, sx = row * samples + s // samples, column * samples + s % samples
                 f = face[sy, sx]
                 if f < 0:
                     continue
-                count += 1
                 i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
                 if f != known:
                     a, b, c = corner(points, i), corner(points, j), corner(points, k)
                     sign = np.sign(determinant(a, b, c))
                     ea, eb, ec, _ = edge_functions(a, b, c, sign, size, near)
                     known = f
-                X, Y = sx + 0.5, sy + 0.5
+                X, Y, weight = sx + 0.5, sy + 0.5, 1
+                if even:
+                    X, Y, weight = (column + 0.5) * samples, (row + 0.5) * samples, samples * samples
+                count += weight
                 wa = max(ea[0] * X + ea[1] * Y + ea[2], 0.0)
                 wb = max(eb[0] * X + eb[1] * Y + eb[2], 0.0)
                 wc = max(ec[0] * X + ec[1] * Y + ec[2], 0.0)
                 whole = 1 / (wa + wb + wc)
                 wa, wb, wc = wa * whole, wb * whole, wc * whole
-                slot, o = shapes.slot[f], shapes.object[f]
+                slot, o = slots[f], owners[f]
                 # Colour without light
-                r = wa * shapes.colors[i, 0] + wb * shapes.colors[j, 0] + wc * shapes.colors[k, 0]
-                g = wa * shapes.colors[i, 1] + wb * shapes.colors[j, 1] + wc * shapes.colors[k, 1]
-                bl = wa * shapes.colors[i, 2] + wb * shapes.colors[j, 2] + wc * shapes.colors[k, 2]
-                ua, ub, uc = shapes.uv[i, 0], shapes.uv[j, 0], shapes.uv[k, 0]
-                va, vb, vc = shapes.uv[i, 1], shapes.uv[j, 1], shapes.uv[k, 1]
+                r = wa * colors[i, 0] + wb * colors[j, 0] + wc * colors[k, 0]
+                g = wa * colors[i, 1] + wb * colors[j, 1] + wc * colors[k, 1]
+                bl = wa * colors[i, 2] + wb * colors[j, 2] + wc * colors[k, 2]
+                ua, ub, uc = uv[i, 0], uv[j, 0], uv[k, 0]
+                va, vb, vc = uv[i, 1], uv[j, 1], uv[k, 1]
                 u, v = wa * ua + wb * ub + wc * uc, wa * va + wb * vb + wc * vc
-                high, wide = textures.sizes[slot, 0, 0], textures.sizes[slot, 0, 1]
+                high, wide = sizes[slot, 0, 0], sizes[slot, 0, 1]
                 ux = whole * (ea[0] * (ua - u) + eb[0] * (ub - u) + ec[0] * (uc - u)) * wide
                 uy = whole * (ea[1] * (ua - u) + eb[1] * (ub - u) + ec[1] * (uc - u)) * wide
                 vx = whole * (ea[0] * (va - v) + eb[0] * (vb - v) + ec[0] * (vc - v)) * high
                 vy = whole * (ea[1] * (va - v) + eb[1] * (vb - v) + ec[1] * (vc - v)) * high
-                t0, t1, t2 = texture_at(textures, slot, u, v, max(ux * ux + vx * vx, uy * uy + vy * vy))
+                along, across = ux * ux + vx * vx, uy * uy + vy * vy
+                footprint = weight * max(along, across)
+                t0, t1, t2 = texture_at(textures, slot, u, v, footprint)
                 # Its light, shared with samples of the pixel that lie and face alike
                 depth = wa * points[i, 2] + wb * points[j, 2] + wc * points[k, 2]
-                normals, R = shapes.normals, view.turns
                 mx = wa * normals[f, 0, 0] + wb * normals[f, 1, 0] + wc * normals[f, 2, 0]
                 my = wa * normals[f, 0, 1] + wb * normals[f, 1, 1] + wc * normals[f, 2, 1]
                 mz = wa * normals[f, 0, 2] + wb * normals[f, 1, 2] + wc * normals[f, 2, 2]
@@ -260,9 +294,9 @@ def shade(
                     e2 = strength[0, 2] + strength[1, 2] * direct + strength[2, 2] * sky + strength[3, 2] * below
                     e0, e1, e2 = e0 * gains[o, 0], e1 * gains[o, 1], e2 * gains[o, 2]
                     lit, lx, ly, lz, ld = o, nx, ny, nz, depth
-                total0 += min(r * t0 * e0, 1.0)
-                total1 += min(g * t1 * e1, 1.0)
-                total2 += min(bl * t2 * e2, 1.0)
+                total0 += weight * min(r * t0 * e0, 1.0)
+                total1 += weight * min(g * t1 * e1, 1.0)
+                total2 += weight * min(bl * t2 * e2, 1.0)
             cover[row, column] = count
             color[row, column, 0], color[row, column, 1], color[row, column, 2] = total0, total1, total2
 
