@@ -49,6 +49,20 @@ def blur(counts: NDArray[Any], top: int, bottom: int, blurred: NDArray[Any]) -> 
                 blurred[kind, y, x] = total
 
 
+@kernel
+def mark_changed(values: NDArray[Any], before: NDArray[Any], side: int, dirty: NDArray[Any]) -> None:
+    """Set ``dirty`` (rows, columns) for squares of ``side`` cells in or next to which ``values`` (2, h, w) are others
+    than ``before``."""
+    rows, columns = dirty.shape
+    for kind in range(2):
+        for y in range(values.shape[1]):
+            for x in range(values.shape[2]):
+                if values[kind, y, x] != before[kind, y, x]:
+                    for i in range(max((y - 1) // side, 0), min((y + 1) // side, rows - 1) + 1):
+                        for j in range(max((x - 1) // side, 0), min((x + 1) // side, columns - 1) + 1):
+                            dirty[i, j] = True
+
+
 @inline_kernel
 def _between(x: int, cell: int, count: int) -> tuple[int, int, float]:
     """The two cells around the centre of pixel ``x``, and the second's weight."""
@@ -93,16 +107,20 @@ def compose(
     color: NDArray[Any],
     cover: NDArray[Any],
     table: NDArray[Any],
+    tile: int,
+    dirty: NDArray[Any],
     top: int,
     bottom: int,
     picture: NDArray[Any],
 ) -> None:
-    """The rows [top, bottom) of ``picture``: objects over the background (h, w, 3), whose linear light ``linear[value]``
+    """The rows [top, bottom) of ``picture``, where squares of ``tile`` pixels are ``dirty``: objects over the background (h, w, 3), whose linear light ``linear[value]``
     is multiplied by ``light_left`` over the share that was left in the background ``already`` (h, w, 3)."""
     width = cover.shape[1]
     for y in range(top, bottom):
         rows = _between(y, cell, blurred.shape[1])
         for x in range(width):
+            if not dirty[y // tile, x // tile]:
+                continue
             columns = _between(x, cell, blurred.shape[2])
             direct, sky = _bilinear(blurred, 0, rows, columns), _bilinear(blurred, 1, rows, columns)
             objects = cover[y, x] / (samples * samples)

@@ -220,13 +220,16 @@ def shade(
     near: float,
     top: int,
     bottom: int,
+    tile: int,
+    dirty: NDArray[Any],
     face: NDArray[Any],
     nearness: NDArray[Any],
     color: NDArray[Any],
     cover: NDArray[Any],
 ) -> None:
     """Sums of the samples' colours into ``color`` (h, w, 3) and how many show an object into ``cover`` (h, w), in the
-    rows [top, bottom). ``face`` and ``nearness`` (samples h, samples w) are drawn."""
+    rows [top, bottom), where squares of ``tile`` pixels are ``dirty``. ``face`` and ``nearness`` (samples h, samples w)
+    are drawn."""
     faces, points, rays, strength, gains = shapes.faces, view.points, view.rays, lamps.strength, lamps.gains
     slots, owners, normals, R = shapes.slot, shapes.object, shapes.normals, view.turns
     uv, colors, sizes = shapes.uv, shapes.colors, textures.sizes
@@ -234,6 +237,8 @@ def shade(
     width = cover.shape[1]
     for row in range(top, bottom):
         for column in range(width):
+            if not dirty[row // tile, column // tile]:
+                continue
             count, known, lit = 0, -1, -1
             total0 = total1 = total2 = 0.0
             e0 = e1 = e2 = lx = ly = lz = ld = 0.0
@@ -386,3 +391,60 @@ def corner_normals(
                     sx, sy, sz = sx + gx, sy + gy, sz + gz
             norm = max(np.sqrt(sx * sx + sy * sy + sz * sz), 1e-30)
             out[f, k, 0], out[f, k, 1], out[f, k, 2] = sx / norm, sy / norm, sz / norm
+
+
+@kernel
+def tile_depths(nearness: NDArray[Any], side: int, top: int, bottom: int, left: int, right: int, out: NDArray[Any]) -> None:
+    """Least and largest 1 / z into ``out`` (rows, columns, 2) of what the samples of tiles of ``side`` show, both 0 where
+    they show nothing, of tiles in the rows [top, bottom) and columns [left, right)."""
+    height, width = nearness.shape
+    for i in range(top, bottom):
+        for j in range(left, right):
+            low, high = np.float32(np.inf), np.float32(0)
+            for y in range(i * side, min((i + 1) * side, height)):
+                for x in range(j * side, min((j + 1) * side, width)):
+                    w = nearness[y, x]
+                    if w > 0:
+                        low, high = min(low, w), max(high, w)
+            out[i, j, 0], out[i, j, 1] = (low, high) if high > 0 else (np.float32(0), np.float32(0))
+
+
+@kernel
+def mark_shadowed(
+    depths: NDArray[Any],
+    side: int,
+    rays: NDArray[Any],
+    frames: NDArray[Any],
+    changed: NDArray[Any],
+    reach: float,
+    texel: float,
+    dirty: NDArray[Any],
+) -> None:
+    """Set ``dirty`` (rows, columns) where what a tile shows may read a texel of ``changed`` (L, 4), the first and last
+    column and row of every light's map that was drawn anew. Points are read ``reach`` [m] around themselves."""
+    corners = np.empty((8, 3))
+    for i in range(depths.shape[0]):
+        for j in range(depths.shape[1]):
+            if dirty[i, j] or depths[i, j, 1] == 0:
+                continue
+            for k in range(8):
+                x, y = float((j + (k & 1)) * side), float((i + ((k >> 1) & 1)) * side)
+                z = 1 / float(depths[i, j, k >> 2])
+                for c in range(3):
+                    corners[k, c] = z * (rays[c, 0] * x + rays[c, 1] * y + rays[c, 2]) + rays[c, 3]
+            for light in range(len(frames)):
+                u0, u1, v0, v1 = np.inf, -np.inf, np.inf, -np.inf
+                for k in range(8):
+                    x, y, z = corners[k, 0], corners[k, 1], corners[k, 2]
+                    u = frames[light, 0, 0] * x + frames[light, 0, 1] * y + frames[light, 0, 2] * z + frames[light, 0, 3]
+                    v = frames[light, 1, 0] * x + frames[light, 1, 1] * y + frames[light, 1, 2] * z + frames[light, 1, 3]
+                    u0, u1, v0, v1 = min(u0, u), max(u1, u), min(v0, v), max(v1, v)
+                around = reach / texel + 2
+                if (
+                    u1 + around >= changed[light, 0]
+                    and u0 - around <= changed[light, 1]
+                    and v1 + around >= changed[light, 2]
+                    and v0 - around <= changed[light, 3]
+                ):
+                    dirty[i, j] = True
+                    break
