@@ -94,22 +94,23 @@ class Canvas:
         self._stays: frozenset[int] = frozenset()
         self._view: View | None = None
         self._blurred_before = np.full_like(self._blurred, -1)
-        self._picture: NDArray[np.uint8] | None = None
+        self._picture = np.empty_like(s.background)
 
     def drawn(self, poses: Array) -> NDArray[np.uint8]:
         """The picture (h, w, 3) with the objects at ``poses`` (N, 4, 4)."""
         poses = np.rint(poses * GRID) / GRID
-        if self._picture is None or not np.array_equal(poses, self._poses):
+        if self._view is None or not np.array_equal(poses, self._poses):
             self._draw(poses)
             self._compose()
         return self._picture.copy()
 
-    def light_left(self, poses: Array) -> NDArray[np.float32]:
+    @classmethod
+    def light_left(cls, setting: Setting, poses: Array) -> NDArray[np.float32]:
         """(h, w, 3) the share of its light that the ground keeps beside objects at ``poses`` (N, 4, 4)."""
-        s = self._setting
-        self._draw(np.rint(poses * GRID) / GRID)
-        left = np.empty((*s.receives.shape, 3), np.float32)
-        light_left(self._blurred, CELL, self._weight, raster.fixed(s.receives, np.float32), left)
+        canvas = cls(setting)
+        canvas._draw(np.rint(poses * GRID) / GRID)
+        left = np.empty((*setting.receives.shape, 3), np.float32)
+        light_left(canvas._blurred, CELL, canvas._weight, raster.fixed(setting.receives, np.float32), left)
         return left
 
     def _buffers(self) -> Buffers:
@@ -176,7 +177,9 @@ class Canvas:
     def _texels(self, poses: Array, chosen: Sequence[int]) -> Array:
         """(L, 4) first and last column, first and last row of every map that objects at some poses reach."""
         s = self._setting
-        vertices = [transform(T, kind[k].vertices) for T, k in zip(poses, chosen, strict=True) for kind in s.things.casters]
+        vertices = [
+            transform(T, kind[k].vertices) for T, k in zip(poses, chosen, strict=True) for kind in s.things.casters
+        ]
         return self._drawn.maps.reached(np.concatenate([np.empty((0, 3)), *vertices]))
 
     def _restore(self, squares: Sequence[Rectangle], texels: Array) -> None:
@@ -230,9 +233,6 @@ class Canvas:
     def _compose(self) -> None:
         """Bring the picture up to date where colours or the ground's shadows have changed."""
         s = self._setting
-        if self._picture is None:
-            self._picture = np.empty_like(s.background)
-            self._dirty[:] = True
         mark_changed(self._blurred, self._blurred_before, TILE // CELL, self._dirty)
         np.copyto(self._blurred_before, self._blurred)
         background, picture = raster.fixed(s.background, np.uint8), self._picture

@@ -1,4 +1,4 @@
-"""What the photo tells about light: samples of objects at rest with the photo's colours, and of the ground in shadow."""
+"""What the photo tells about light: samples of objects at rest with their colours in it, and of ground in shadow."""
 
 from __future__ import annotations
 

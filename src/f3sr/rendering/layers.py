@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -70,7 +71,7 @@ class Things:
             seen = raster.fixed(camera.to_camera(transform(T, v)), np.float64)
             project(seen, K, near, points[self.first_vertex[k] : self.first_vertex[k + 1]])
         starts = self.first_vertex
-        clipped = [bool((points[a:b, 2] < near).any()) for a, b in zip(starts[:-1], starts[1:], strict=True)]
+        clipped = [bool((points[a:b, 2] < near).any()) for a, b in pairwise(starts.tolist())]
         rays = np.column_stack([camera.T_world_camera[:3, :3] @ np.linalg.inv(camera.K), camera.center])
         return View(
             points=raster.fixed(points, np.float64),

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from f3sr.frames import Array, rotation_about
 from f3sr.rendering.config import LightConfig
@@ -38,10 +39,10 @@ EVIDENT = 0.05
 """Spread of what is hidden from ground samples above which their shadows are measured."""
 
 DEFAULT = Light(
-    direction=np.array([-0.3, 0.25, 1.0]) / np.linalg.norm([-0.3, 0.25, 1.0]),
+    direction=np.array([-0.28, 0.24, 0.93]) / np.linalg.norm([-0.28, 0.24, 0.93]),
     angle=float(np.radians(15.0)),
     even=np.zeros(3),
-    direct=np.full(3, 0.45 * np.linalg.norm([-0.3, 0.25, 1.0])),
+    direct=np.full(3, 0.5),
     sky=np.full(3, 0.55),
 )
 """From above and a little aside, soft: for shadows where the photo tells nothing."""
@@ -180,7 +181,7 @@ def _fit(evidence: Evidence, bases: Array, groups: int) -> Fit:
     return Fit(strength, gains, misfit)
 
 
-def _gains(group: Array, lit: Array, photo: Array, weight: Array, groups: int) -> Array:
+def _gains(group: NDArray[np.int64], lit: Array, photo: Array, weight: Array, groups: int) -> Array:
     """Exposures (groups, 3), drawn towards that of all objects together where there are few samples."""
     own = group < groups - 1
     whole = (weight * lit * photo)[own].sum(0) / np.maximum((weight * lit * lit)[own].sum(0), 1e-12)

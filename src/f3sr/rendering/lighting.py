@@ -1,4 +1,4 @@
-"""From a scene and its photo to the light and exposures that a film is drawn with, and what a user should know of it."""
+"""From a scene and its photo to the light and exposures of a film, and what a user should know of them."""
 
 from __future__ import annotations
 

@@ -82,8 +82,8 @@ def _bilinear(values: NDArray[Any], kind: int, rows: tuple[int, int, float], col
 def light_left(
     blurred: NDArray[Any], cell: int, weight: NDArray[Any], receives: NDArray[Any], left: NDArray[Any]
 ) -> None:
-    """The share of its light (h, w, 3) that the ground keeps: 1 - ``weight`` (2, 3) times the blurred counts of cells of
-    ``cell`` pixels."""
+    """The share of its light (h, w, 3) that the ground keeps: 1 - ``weight`` (2, 3) times the blurred counts of cells
+    of ``cell`` pixels."""
     height, width = receives.shape
     for y in range(height):
         rows = _between(y, cell, blurred.shape[1])
@@ -113,8 +113,9 @@ def compose(
     bottom: int,
     picture: NDArray[Any],
 ) -> None:
-    """The rows [top, bottom) of ``picture``, where squares of ``tile`` pixels are ``dirty``: objects over the background (h, w, 3), whose linear light ``linear[value]``
-    is multiplied by ``light_left`` over the share that was left in the background ``already`` (h, w, 3)."""
+    """The rows [top, bottom) of ``picture``, where squares of ``tile`` pixels are ``dirty``: objects over the
+    background (h, w, 3), whose linear light ``linear[value]`` is multiplied by ``light_left`` over the share that was
+    left in the background ``already`` (h, w, 3)."""
     width = cover.shape[1]
     for y in range(top, bottom):
         rows = _between(y, cell, blurred.shape[1])
@@ -133,3 +134,10 @@ def compose(
                     value = (1 - objects) * linear[background[y, x, c]] * factor
                     value += color[y, x, c] / (samples * samples)
                     picture[y, x, c] = table[int(min(max(value, 0.0), 1.0) * STEPS + 0.5)]
+
+
+def warm_up() -> None:
+    """Compile every kernel of this module by drawing a tiny film with all."""
+    from f3sr.rendering import trial
+
+    trial.draw()

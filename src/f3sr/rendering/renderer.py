@@ -96,5 +96,5 @@ def ball_around(scene: Scene) -> tuple[Array, float]:
 def _held(scene: Scene, setting: Setting) -> NDArray[np.float32]:
     """What of the ground's light the background shows already."""
     objects = union_of([o.mask for o in scene.objects], setting.background.shape[:2])
-    rest = Canvas(setting).light_left(poses_at_rest(scene))
+    rest = Canvas.light_left(setting, poses_at_rest(scene))
     return shadows_within(rest, scene.photo.rgb, setting.background, objects)

@@ -18,9 +18,9 @@ FADE = 12.0
 def cast_map(
     vertices: NDArray[Any], faces: NDArray[Any], closed: bool, frame: NDArray[Any], nearest: NDArray[Any]
 ) -> None:
-    """Raise ``nearest`` (s, s) to the place along a light that triangles reach. Rows of ``frame`` (3, 4): column [texel],
-    row [texel] and place [m], against the light's rays, of a world point. Of a ``closed`` surface only what faces the
-    light is drawn: the rest lies behind it."""
+    """Raise ``nearest`` (s, s) to the place along a light that triangles reach. Rows of ``frame`` (3, 4): column
+    [texel], row [texel] and place [m], against the light's rays, of a world point. Of a ``closed`` surface only what
+    faces the light is drawn: the rest lies behind it."""
     side = len(nearest)
     placed = np.empty((len(vertices), 3))
     for i in range(len(vertices)):
@@ -129,7 +129,7 @@ def cast_on_ground(
 
 
 @kernel
-def _cover_clipped(a: Point, b: Point, c: Point, near: float, size: float, bit: int, bits: NDArray[Any]) -> None:
+def _cover_clipped(a: Point, b: Point, c: Point, near: float, size: float, bit: Any, bits: NDArray[Any]) -> None:
     """Set a bit where a triangle that crosses the near plane covers ``bits`` (h, w)."""
     u0, u1, v0, v1 = bounds(a, b, c, near)
     top, bottom = centres(v0, v1, 0, bits.shape[0])
@@ -202,3 +202,10 @@ def arrivals(
         x, y, z = points[i, 0] + offset * nx, points[i, 1] + offset * ny, points[i, 2] + offset * nz
         for light in range(len(directions)):
             out[i, light] = arriving(x, y, z, nx, ny, nz, light, directions, frames, maps, bias)
+
+
+def warm_up() -> None:
+    """Compile every kernel of this module by drawing a tiny film with all."""
+    from f3sr.rendering import trial
+
+    trial.draw()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,10 +90,8 @@ def _simplified(mesh: Mesh, faces: int) -> tuple[Array, NDArray[np.int32]]:
         return vertices, triangles
     import fast_simplification
 
-    points, kept = fast_simplification.simplify(
-        vertices.astype(np.float32), triangles.astype(np.int32), target_count=faces
-    )
-    return np.asarray(points, np.float64), np.asarray(kept, np.int32)
+    simplified: Any = fast_simplification.simplify(vertices, triangles, target_count=faces)
+    return np.asarray(simplified[0], np.float64), np.asarray(simplified[1], np.int32)
 
 
 def starts_of(counts: Sequence[int]) -> NDArray[np.int64]:

@@ -140,7 +140,7 @@ def _wrapped(t: float, size: int) -> tuple[int, int, float]:
 
 
 @inline_kernel
-def _bilinear(textures: Textures, slot: int, level: int, u: float, v: float) -> tuple[float, float, float]:
+def _bilinear(textures: Textures, slot: Any, level: Any, u: float, v: float) -> tuple[float, float, float]:
     """A level's colour at u and v in [0, 1], v from the bottom."""
     texels, start = textures.texels, textures.starts[slot, level]
     h, w = textures.sizes[slot, level, 0], textures.sizes[slot, level, 1]
@@ -156,14 +156,12 @@ def _bilinear(textures: Textures, slot: int, level: int, u: float, v: float) -> 
 
 
 @inline_kernel
-def texture_at(
-    textures: Textures, slot: int, u: float, v: float, footprint: float
-) -> tuple[float, float, float]:
+def texture_at(textures: Textures, slot: Any, u: float, v: float, footprint: float) -> tuple[float, float, float]:
     """The trilinear colour of a texture where a sample covers the square ``footprint`` of level 0's texels."""
     u, v = u - np.floor(u), v - np.floor(v)
     last = textures.levels[slot] - 1
     lod = 0.5 * np.log2(footprint) if footprint > 1 else 0.0
-    level = min(int(lod), last)
+    level: Any = min(int(lod), last)
     share = min(lod - level, 1.0) if level < last else 0.0
     r, g, b = _bilinear(textures, slot, level, u, v)
     if share > 0:
@@ -173,9 +171,7 @@ def texture_at(
 
 
 @inline_kernel
-def light_at(
-    x: float, y: float, z: float, nx: float, ny: float, nz: float, lamps: Lamps
-) -> tuple[float, float, float]:
+def light_at(x: float, y: float, z: float, nx: float, ny: float, nz: float, lamps: Lamps) -> tuple[float, float, float]:
     """Direct light, the sky's and that from below at a point with a normal, each 1 where nothing is in the way."""
     directions, frames, maps, bias = lamps.directions, lamps.frames, lamps.maps, lamps.bias
     x, y, z = x + lamps.offset * nx, y + lamps.offset * ny, z + lamps.offset * nz
@@ -189,9 +185,7 @@ def light_at(
 
 
 @inline_kernel
-def _is_even(
-    row: int, column: int, samples: int, shapes: Shapes, face: NDArray[Any], nearness: NDArray[Any]
-) -> bool:
+def _is_even(row: int, column: int, samples: int, shapes: Shapes, face: NDArray[Any], nearness: NDArray[Any]) -> bool:
     """Whether all samples of a pixel show one material of one object, there nearly flat: one colour stands for them."""
     y, x = row * samples, column * samples
     f, w = face[y, x], nearness[y, x]
@@ -208,6 +202,80 @@ def _is_even(
         if a * shapes.flat[g, 0] + b * shapes.flat[g, 1] + c * shapes.flat[g, 2] < SAME:
             return False
     return True
+
+
+Vector = tuple[float, float, float]
+
+
+@inline_kernel
+def _weights(
+    points: NDArray[Any], faces: NDArray[Any], f: Any, x: float, y: float, size: float, near: float
+) -> tuple[Vector, Vector, Vector, float]:
+    """Barycentrics of a sample in a face, or at its border next to it, how they change along x and along y, and 1 where
+    the face shows its front, else -1."""
+    a, b, c = corner(points, faces[f, 0]), corner(points, faces[f, 1]), corner(points, faces[f, 2])
+    sign = 1.0 if determinant(a, b, c) > 0 else -1.0
+    ea, eb, ec, _ = edge_functions(a, b, c, sign, size, near)
+    wa = max(ea[0] * x + ea[1] * y + ea[2], 0.0)
+    wb = max(eb[0] * x + eb[1] * y + eb[2], 0.0)
+    wc = max(ec[0] * x + ec[1] * y + ec[2], 0.0)
+    whole = 1 / (wa + wb + wc)
+    along = whole * ea[0], whole * eb[0], whole * ec[0]
+    down = whole * ea[1], whole * eb[1], whole * ec[1]
+    return (wa * whole, wb * whole, wc * whole), along, down, -sign
+
+
+@inline_kernel
+def _color(
+    shapes: Shapes, textures: Textures, f: Any, weights: Vector, along: Vector, down: Vector, area: float
+) -> Vector:
+    """Colour without light of a face at some barycentrics, over ``area`` samples."""
+    faces, uv, colors, sizes = shapes.faces, shapes.uv, shapes.colors, textures.sizes
+    i, j, k, slot = faces[f, 0], faces[f, 1], faces[f, 2], shapes.slot[f]
+    wa, wb, wc = weights
+    ua, ub, uc, va, vb, vc = uv[i, 0], uv[j, 0], uv[k, 0], uv[i, 1], uv[j, 1], uv[k, 1]
+    u, v = wa * ua + wb * ub + wc * uc, wa * va + wb * vb + wc * vc
+    high, wide = sizes[slot, 0, 0], sizes[slot, 0, 1]
+    ux = (along[0] * (ua - u) + along[1] * (ub - u) + along[2] * (uc - u)) * wide
+    uy = (down[0] * (ua - u) + down[1] * (ub - u) + down[2] * (uc - u)) * wide
+    vx = (along[0] * (va - v) + along[1] * (vb - v) + along[2] * (vc - v)) * high
+    vy = (down[0] * (va - v) + down[1] * (vb - v) + down[2] * (vc - v)) * high
+    r, g, b = texture_at(textures, slot, u, v, area * max(ux * ux + vx * vx, uy * uy + vy * vy))
+    r *= wa * colors[i, 0] + wb * colors[j, 0] + wc * colors[k, 0]
+    g *= wa * colors[i, 1] + wb * colors[j, 1] + wc * colors[k, 1]
+    b *= wa * colors[i, 2] + wb * colors[j, 2] + wc * colors[k, 2]
+    return r, g, b
+
+
+@inline_kernel
+def _normal(normals: NDArray[Any], turns: NDArray[Any], f: Any, o: Any, weights: Vector, front: float) -> Vector:
+    """Unit normal in the world of a face at some barycentrics, on the side that is seen."""
+    wa, wb, wc = weights
+    x = wa * normals[f, 0, 0] + wb * normals[f, 1, 0] + wc * normals[f, 2, 0]
+    y = wa * normals[f, 0, 1] + wb * normals[f, 1, 1] + wc * normals[f, 2, 1]
+    z = wa * normals[f, 0, 2] + wb * normals[f, 1, 2] + wc * normals[f, 2, 2]
+    norm = front / max(np.sqrt(x * x + y * y + z * z), 1e-12)
+    return (
+        norm * (turns[o, 0, 0] * x + turns[o, 0, 1] * y + turns[o, 0, 2] * z),
+        norm * (turns[o, 1, 0] * x + turns[o, 1, 1] * y + turns[o, 1, 2] * z),
+        norm * (turns[o, 2, 0] * x + turns[o, 2, 1] * y + turns[o, 2, 2] * z),
+    )
+
+
+@inline_kernel
+def _depth(points: NDArray[Any], faces: NDArray[Any], f: Any, weights: Vector) -> float:
+    a, b, c = points[faces[f, 0], 2], points[faces[f, 1], 2], points[faces[f, 2], 2]
+    return weights[0] * a + weights[1] * b + weights[2] * c
+
+
+@inline_kernel
+def _place(rays: NDArray[Any], x: float, y: float, depth: float) -> Vector:
+    """The point in the world of a sample at some depth."""
+    return (
+        depth * (rays[0, 0] * x + rays[0, 1] * y + rays[0, 2]) + rays[0, 3],
+        depth * (rays[1, 0] * x + rays[1, 1] * y + rays[1, 2]) + rays[1, 3],
+        depth * (rays[2, 0] * x + rays[2, 1] * y + rays[2, 2]) + rays[2, 3],
+    )
 
 
 @kernel
@@ -229,79 +297,42 @@ def shade(
 ) -> None:
     """Sums of the samples' colours into ``color`` (h, w, 3) and how many show an object into ``cover`` (h, w), in the
     rows [top, bottom), where squares of ``tile`` pixels are ``dirty``. ``face`` and ``nearness`` (samples h, samples w)
-    are drawn."""
-    faces, points, rays, strength, gains = shapes.faces, view.points, view.rays, lamps.strength, lamps.gains
-    slots, owners, normals, R = shapes.slot, shapes.object, shapes.normals, view.turns
-    uv, colors, sizes = shapes.uv, shapes.colors, textures.sizes
-    size = float(max(face.shape))
-    width = cover.shape[1]
+    are drawn. Samples of a pixel that lie and face alike share the light of the first."""
+    faces, points, rays, turns = shapes.faces, view.points, view.rays, view.turns
+    owners, normals, strength, gains = shapes.object, shapes.normals, lamps.strength, lamps.gains
+    size, width, whole = float(max(face.shape)), cover.shape[1], samples * samples
     for row in range(top, bottom):
         for column in range(width):
             if not dirty[row // tile, column // tile]:
                 continue
-            count, known, lit = 0, -1, -1
+            count, lit = 0, -1
             total0 = total1 = total2 = 0.0
             e0 = e1 = e2 = lx = ly = lz = ld = 0.0
             even = _is_even(row, column, samples, shapes, face, nearness)
-            for s in range(1 if even else samples * samples):
+            for s in range(1 if even else whole):
                 sy, sx = row * samples + s // samples, column * samples + s % samples
                 f = face[sy, sx]
                 if f < 0:
                     continue
-                i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-                if f != known:
-                    a, b, c = corner(points, i), corner(points, j), corner(points, k)
-                    sign = np.sign(determinant(a, b, c))
-                    ea, eb, ec, _ = edge_functions(a, b, c, sign, size, near)
-                    known = f
-                X, Y, weight = sx + 0.5, sy + 0.5, 1
+                x, y, area = sx + 0.5, sy + 0.5, 1
                 if even:
-                    X, Y, weight = (column + 0.5) * samples, (row + 0.5) * samples, samples * samples
-                count += weight
-                wa = max(ea[0] * X + ea[1] * Y + ea[2], 0.0)
-                wb = max(eb[0] * X + eb[1] * Y + eb[2], 0.0)
-                wc = max(ec[0] * X + ec[1] * Y + ec[2], 0.0)
-                whole = 1 / (wa + wb + wc)
-                wa, wb, wc = wa * whole, wb * whole, wc * whole
-                slot, o = slots[f], owners[f]
-                # Colour without light
-                r = wa * colors[i, 0] + wb * colors[j, 0] + wc * colors[k, 0]
-                g = wa * colors[i, 1] + wb * colors[j, 1] + wc * colors[k, 1]
-                bl = wa * colors[i, 2] + wb * colors[j, 2] + wc * colors[k, 2]
-                ua, ub, uc = uv[i, 0], uv[j, 0], uv[k, 0]
-                va, vb, vc = uv[i, 1], uv[j, 1], uv[k, 1]
-                u, v = wa * ua + wb * ub + wc * uc, wa * va + wb * vb + wc * vc
-                high, wide = sizes[slot, 0, 0], sizes[slot, 0, 1]
-                ux = whole * (ea[0] * (ua - u) + eb[0] * (ub - u) + ec[0] * (uc - u)) * wide
-                uy = whole * (ea[1] * (ua - u) + eb[1] * (ub - u) + ec[1] * (uc - u)) * wide
-                vx = whole * (ea[0] * (va - v) + eb[0] * (vb - v) + ec[0] * (vc - v)) * high
-                vy = whole * (ea[1] * (va - v) + eb[1] * (vb - v) + ec[1] * (vc - v)) * high
-                along, across = ux * ux + vx * vx, uy * uy + vy * vy
-                footprint = weight * max(along, across)
-                t0, t1, t2 = texture_at(textures, slot, u, v, footprint)
-                # Its light, shared with samples of the pixel that lie and face alike
-                depth = wa * points[i, 2] + wb * points[j, 2] + wc * points[k, 2]
-                mx = wa * normals[f, 0, 0] + wb * normals[f, 1, 0] + wc * normals[f, 2, 0]
-                my = wa * normals[f, 0, 1] + wb * normals[f, 1, 1] + wc * normals[f, 2, 1]
-                mz = wa * normals[f, 0, 2] + wb * normals[f, 1, 2] + wc * normals[f, 2, 2]
-                norm = -sign / max(np.sqrt(mx * mx + my * my + mz * mz), 1e-12)
-                nx = norm * (R[o, 0, 0] * mx + R[o, 0, 1] * my + R[o, 0, 2] * mz)
-                ny = norm * (R[o, 1, 0] * mx + R[o, 1, 1] * my + R[o, 1, 2] * mz)
-                nz = norm * (R[o, 2, 0] * mx + R[o, 2, 1] * my + R[o, 2, 2] * mz)
-                alike = lit == o and nx * lx + ny * ly + nz * lz > SAME and abs(depth - ld) < NEARBY * depth
-                if not alike:
-                    px = depth * (rays[0, 0] * X + rays[0, 1] * Y + rays[0, 2]) + rays[0, 3]
-                    py = depth * (rays[1, 0] * X + rays[1, 1] * Y + rays[1, 2]) + rays[1, 3]
-                    pz = depth * (rays[2, 0] * X + rays[2, 1] * Y + rays[2, 2]) + rays[2, 3]
+                    x, y, area = (column + 0.5) * samples, (row + 0.5) * samples, whole
+                count += area
+                weights, along, down, front = _weights(points, faces, f, x, y, size, near)
+                r, g, b = _color(shapes, textures, f, weights, along, down, float(area))
+                o, depth = owners[f], _depth(points, faces, f, weights)
+                nx, ny, nz = _normal(normals, turns, f, o, weights, front)
+                if not (lit == o and nx * lx + ny * ly + nz * lz > SAME and abs(depth - ld) < NEARBY * depth):
+                    px, py, pz = _place(rays, x, y, depth)
                     direct, sky, below = light_at(px, py, pz, nx, ny, nz, lamps)
                     e0 = strength[0, 0] + strength[1, 0] * direct + strength[2, 0] * sky + strength[3, 0] * below
                     e1 = strength[0, 1] + strength[1, 1] * direct + strength[2, 1] * sky + strength[3, 1] * below
                     e2 = strength[0, 2] + strength[1, 2] * direct + strength[2, 2] * sky + strength[3, 2] * below
                     e0, e1, e2 = e0 * gains[o, 0], e1 * gains[o, 1], e2 * gains[o, 2]
                     lit, lx, ly, lz, ld = o, nx, ny, nz, depth
-                total0 += weight * min(r * t0 * e0, 1.0)
-                total1 += weight * min(g * t1 * e1, 1.0)
-                total2 += weight * min(bl * t2 * e2, 1.0)
+                total0 += area * min(r * e0, 1.0)
+                total1 += area * min(g * e1, 1.0)
+                total2 += area * min(b * e2, 1.0)
             cover[row, column] = count
             color[row, column, 0], color[row, column, 1], color[row, column, 2] = total0, total1, total2
 
@@ -320,43 +351,15 @@ def seen_at(
 ) -> None:
     """Colour without light, place and normal (n, 3), in the world, of what samples ``pixels`` (n, 2) [row, column] of
     ``face`` show."""
-    faces, points, rays = shapes.faces, view.points, view.rays
-    size = float(max(face.shape))
+    faces, points, size = shapes.faces, view.points, float(max(face.shape))
     for q in range(len(pixels)):
         f = face[pixels[q, 0], pixels[q, 1]]
-        X, Y = pixels[q, 1] + 0.5, pixels[q, 0] + 0.5
-        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-        a, b, c = corner(points, i), corner(points, j), corner(points, k)
-        sign = np.sign(determinant(a, b, c))
-        ea, eb, ec, _ = edge_functions(a, b, c, sign, size, near)
-        wa = ea[0] * X + ea[1] * Y + ea[2]
-        wb = eb[0] * X + eb[1] * Y + eb[2]
-        wc = ec[0] * X + ec[1] * Y + ec[2]
-        whole = 1 / (wa + wb + wc)
-        wa, wb, wc = wa * whole, wb * whole, wc * whole
-        slot, o = shapes.slot[f], shapes.object[f]
-        ua, ub, uc = shapes.uv[i, 0], shapes.uv[j, 0], shapes.uv[k, 0]
-        va, vb, vc = shapes.uv[i, 1], shapes.uv[j, 1], shapes.uv[k, 1]
-        u, v = wa * ua + wb * ub + wc * uc, wa * va + wb * vb + wc * vc
-        high, wide = textures.sizes[slot, 0, 0], textures.sizes[slot, 0, 1]
-        ux = whole * (ea[0] * (ua - u) + eb[0] * (ub - u) + ec[0] * (uc - u)) * wide
-        uy = whole * (ea[1] * (ua - u) + eb[1] * (ub - u) + ec[1] * (uc - u)) * wide
-        vx = whole * (ea[0] * (va - v) + eb[0] * (vb - v) + ec[0] * (vc - v)) * high
-        vy = whole * (ea[1] * (va - v) + eb[1] * (vb - v) + ec[1] * (vc - v)) * high
-        color = texture_at(textures, slot, u, v, max(ux * ux + vx * vx, uy * uy + vy * vy))
-        depth = wa * points[i, 2] + wb * points[j, 2] + wc * points[k, 2]
-        m0 = m1 = m2 = 0.0
-        for x, w in ((0, wa), (1, wb), (2, wc)):
-            m0 += w * shapes.normals[f, x, 0]
-            m1 += w * shapes.normals[f, x, 1]
-            m2 += w * shapes.normals[f, x, 2]
-        norm = -sign / max(np.sqrt(m0 * m0 + m1 * m1 + m2 * m2), 1e-12)
-        for x in range(3):
-            R = view.turns[o, x]
-            normal[q, x] = norm * (R[0] * m0 + R[1] * m1 + R[2] * m2)
-            place[q, x] = depth * (rays[x, 0] * X + rays[x, 1] * Y + rays[x, 2]) + rays[x, 3]
-            vertex = wa * shapes.colors[i, x] + wb * shapes.colors[j, x] + wc * shapes.colors[k, x]
-            albedo[q, x] = vertex * color[x]
+        x, y = pixels[q, 1] + 0.5, pixels[q, 0] + 0.5
+        weights, along, down, front = _weights(points, faces, f, x, y, size, near)
+        albedo[q, 0], albedo[q, 1], albedo[q, 2] = _color(shapes, textures, f, weights, along, down, 1.0)
+        o, depth = shapes.object[f], _depth(points, faces, f, weights)
+        normal[q, 0], normal[q, 1], normal[q, 2] = _normal(shapes.normals, view.turns, f, o, weights, front)
+        place[q, 0], place[q, 1], place[q, 2] = _place(view.rays, x, y, depth)
 
 
 @kernel
@@ -394,9 +397,11 @@ def corner_normals(
 
 
 @kernel
-def tile_depths(nearness: NDArray[Any], side: int, top: int, bottom: int, left: int, right: int, out: NDArray[Any]) -> None:
-    """Least and largest 1 / z into ``out`` (rows, columns, 2) of what the samples of tiles of ``side`` show, both 0 where
-    they show nothing, of tiles in the rows [top, bottom) and columns [left, right)."""
+def tile_depths(
+    nearness: NDArray[Any], side: int, top: int, bottom: int, left: int, right: int, out: NDArray[Any]
+) -> None:
+    """Least and largest 1 / z into ``out`` (rows, columns, 2) of what the samples of tiles of ``side`` show, both 0
+    where they show nothing, of tiles in the rows [top, bottom) and columns [left, right)."""
     height, width = nearness.shape
     for i in range(top, bottom):
         for j in range(left, right):
@@ -436,8 +441,18 @@ def mark_shadowed(
                 u0, u1, v0, v1 = np.inf, -np.inf, np.inf, -np.inf
                 for k in range(8):
                     x, y, z = corners[k, 0], corners[k, 1], corners[k, 2]
-                    u = frames[light, 0, 0] * x + frames[light, 0, 1] * y + frames[light, 0, 2] * z + frames[light, 0, 3]
-                    v = frames[light, 1, 0] * x + frames[light, 1, 1] * y + frames[light, 1, 2] * z + frames[light, 1, 3]
+                    u = (
+                        frames[light, 0, 0] * x
+                        + frames[light, 0, 1] * y
+                        + frames[light, 0, 2] * z
+                        + frames[light, 0, 3]
+                    )
+                    v = (
+                        frames[light, 1, 0] * x
+                        + frames[light, 1, 1] * y
+                        + frames[light, 1, 2] * z
+                        + frames[light, 1, 3]
+                    )
                     u0, u1, v0, v1 = min(u0, u), max(u1, u), min(v0, v), max(v1, v)
                 around = reach / texel + 2
                 if (
@@ -448,3 +463,10 @@ def mark_shadowed(
                 ):
                     dirty[i, j] = True
                     break
+
+
+def warm_up() -> None:
+    """Compile every kernel of this module by drawing a tiny film with all."""
+    from f3sr.rendering import trial
+
+    trial.draw()

@@ -84,20 +84,21 @@ def _used(mesh: Mesh, material: int, size: tuple[int, int]) -> NDArray[np.bool_]
 
 def _pyramid(picture: Picture, used: NDArray[np.bool_]) -> list[Picture]:
     """Halves of halves down to one texel: means over the used texels; the others then take the coarser level's."""
-    levels = [(picture * used[..., None], used.astype(np.float32)[..., None])]
-    while max(levels[-1][0].shape[:2]) > 1:
-        color, weight = (_halved(x) for x in levels[-1])
-        levels.append((color / np.maximum(weight, 1e-9), np.minimum(weight, 1)))
-        color, weight = levels[-1]
-        levels[-1] = (color * weight, weight)
-    done = [levels[-1][0] / np.maximum(levels[-1][1], 1e-9)]
-    for color, weight in reversed(levels[:-1]):
-        h, w = color.shape[:2]
-        coarse = np.repeat(np.repeat(done[0], 2, axis=0), 2, axis=1)[:h, :w]
-        known = weight > 0
-        own = color / np.where(known, weight, 1)
-        done.insert(0, np.where(known, own, coarse[:h, :w]).astype(np.float32))
-    return done
+    weights = [used.astype(np.float32)[..., None]]
+    sums = [picture * weights[0]]
+    while max(sums[-1].shape[:2]) > 1:
+        sums.append(_halved(sums[-1]))
+        weights.append(_halved(weights[-1]))
+    levels = [_over(sums[-1], weights[-1])]
+    for total, weight in zip(sums[-2::-1], weights[-2::-1], strict=True):
+        h, w = total.shape[:2]
+        coarse = levels[-1].repeat(2, axis=0).repeat(2, axis=1)[:h, :w]
+        levels.append(np.where(weight > 0, _over(total, weight), coarse))
+    return levels[::-1]
+
+
+def _over(total: Picture, weight: NDArray[np.float32]) -> Picture:
+    return (total / np.maximum(weight, 1e-9)).astype(np.float32)
 
 
 def _halved(values: NDArray[np.float32]) -> NDArray[np.float32]:
