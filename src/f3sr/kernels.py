@@ -24,7 +24,10 @@ F = TypeVar("F", bound=Callable[..., Any])
 KEPT_VERSIONS = 4
 """Kernel folders that stay: this version's and the others used last (a megabyte each)."""
 
-KERNEL_MODULES = ("raster", "contour", "contact", "patches", "crossings", "inside", "patchmatch")
+KERNEL_MODULES = (
+    *("triangles", "raster", "contour", "contact", "patches", "crossings", "inside", "patchmatch"),
+    *("rendering.surface_kernels", "rendering.shadow_kernels", "rendering.picture_kernels"),
+)
 """Modules of this package that hold numba kernels; each has a ``warm_up()`` that calls every one of them."""
 
 
@@ -51,7 +54,7 @@ def _source_hash() -> str:
     here = Path(__file__).parent
     digest = hashlib.sha256()
     for name in ("kernels", "kernel_files", *KERNEL_MODULES):
-        digest.update((here / f"{name}.py").read_bytes())
+        digest.update((here / f"{name.replace('.', '/')}.py").read_bytes())
     return digest.hexdigest()[:16]
 
 

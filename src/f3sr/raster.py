@@ -32,21 +32,13 @@ from f3sr.frames import Array, Camera, pose
 from f3sr.kernels import inline_kernel, kernel
 from f3sr.mesh import Material, Mesh
 from f3sr.scene import SceneObject
+from f3sr.triangles import SHORT, bounds, centres, corner, determinant, edge_functions, inside, project, row_of, span
 
 EMPTY = -2
 """The id of a pixel that shows no object; -1 is the ground's."""
 
 NEAR = 1e-3
 """Distance [m] of the near plane."""
-
-PAD = 1e-6
-"""Slack [px] of bounding boxes: wider than any rounding error, so that only the edge functions decide."""
-
-ROUNDING = 1e-15
-"""Bound of the relative rounding error of an edge function: nine half units in the last place."""
-
-SHORT = 8
-"""Rows [px] up to this long are tested pixel by pixel."""
 
 MANY_FACES = 250_000
 MANY_PIXELS = 500_000
@@ -140,7 +132,7 @@ def _drawn(
     threads: int | None = None,
 ) -> Fragments:
     """Fragments of the ``rows`` [start, stop) of a picture of ``size`` (width, height), drawn where ``touched``."""
-    faces, face_ids = _fixed(faces, np.int32), _fixed(face_ids, np.int32)
+    faces, face_ids = fixed(faces, np.int32), fixed(face_ids, np.int32)
     width, (start, stop) = size[0], rows
     face = np.full((stop - start, width), -1, np.int32)
     depth = np.full((stop - start, width), np.inf)
@@ -151,7 +143,7 @@ def _drawn(
         _nearest(points, faces, face_ids, float(near), *band, start, float(max(size)), face, depth, bary, ids)
 
     first, last = np.clip(touched, start, stop).tolist()
-    _in_bands(draw, (first, last), threads or _threads_for(len(faces), (stop - start) * width))
+    in_bands(draw, (first, last), threads or _threads_for(len(faces), (stop - start) * width))
     for array in (face, depth, bary, ids):
         array.setflags(write=False)
     return Fragments(face=face, depth=depth, bary=bary, ids=ids)
@@ -168,14 +160,14 @@ def silhouette(
     threads: int | None = None,
 ) -> NDArray[np.bool_]:
     """(height, width) True where ``rasterize`` would find any surface; for inner loops."""
-    faces = _fixed(faces, np.int32)
+    faces = fixed(faces, np.int32)
     points, rows = _projected(vertices_camera, K, height, near)
     mask = np.zeros((height, width), np.bool_)
 
     def draw(band: tuple[int, int]) -> None:
         _cover(points, faces, float(near), *band, mask)
 
-    _in_bands(draw, rows, threads or _threads_for(len(faces), 0))
+    in_bands(draw, rows, threads or _threads_for(len(faces), 0))
     return mask
 
 
@@ -185,14 +177,14 @@ def shade(fragments: Fragments, objects: Iterable[SceneObject], *, filter: Filte
     ``objects`` are those of ``render``, in its order. Textures repeat; a mesh without uv shows none.
     """
     shown = list(objects)
-    face = _fixed(fragments.face.reshape(-1), np.int32)
-    bary = _fixed(fragments.bary.reshape(-1, 3), np.float32)
+    face = fixed(fragments.face.reshape(-1), np.int32)
+    bary = fixed(fragments.bary.reshape(-1, 3), np.float32)
     image = np.zeros((*fragments.face.shape, 3))
     colors = image.reshape(-1, 3)
-    starts = _starts([len(o.mesh.faces) for o in shown])
+    starts = _offsets([len(o.mesh.faces) for o in shown])
     for pixels, k, material in _pixels_by_material(face, shown):
         surface = _surface(shown[k].mesh, shown[k].mesh.materials[material])
-        _paint(_fixed(pixels, np.int64), face, bary, int(starts[k]), surface, filter == "nearest", colors)
+        _paint(fixed(pixels, np.int64), face, bary, int(starts[k]), surface, filter == "nearest", colors)
     return image
 
 
@@ -217,7 +209,7 @@ def _joined(objects: Iterable[SceneObject], camera: Camera) -> tuple[Array, NDAr
     """Camera-frame vertices, faces and ids of faces of some objects, one after the other."""
     shown = list(objects)
     vertices = [camera.to_camera(o.vertices_world) for o in shown]
-    starts = _starts([len(v) for v in vertices])
+    starts = _offsets([len(v) for v in vertices])
     faces = [o.mesh.faces + np.int32(start) for o, start in zip(shown, starts, strict=False)]
     return (
         np.concatenate([np.empty((0, 3)), *vertices]),
@@ -229,7 +221,7 @@ def _joined(objects: Iterable[SceneObject], camera: Camera) -> tuple[Array, NDAr
 # The Python border: one dtype and layout per argument, so that each kernel is compiled once
 
 
-def _fixed(values: ArrayLike, dtype: Any) -> NDArray[Any]:
+def fixed(values: ArrayLike, dtype: Any) -> NDArray[Any]:
     """A contiguous, aligned, read-only view of one type, whatever was handed in; a copy only where needed."""
     array = np.require(values, dtype, ("C", "A")).view()
     array.setflags(write=False)
@@ -237,15 +229,15 @@ def _fixed(values: ArrayLike, dtype: Any) -> NDArray[Any]:
 
 
 def _projected(vertices_camera: ArrayLike, K: ArrayLike, height: int, near: float) -> tuple[Array, tuple[int, int]]:
-    """``points`` of ``_project`` and the range of image rows that they may touch."""
-    vertices = _fixed(vertices_camera, np.float64)
+    """``points`` of ``project`` and the range of image rows that they may touch."""
+    vertices = fixed(vertices_camera, np.float64)
     points = np.empty((len(vertices), 5))
-    low, high = _project(vertices, _fixed(K, np.float64), float(near), points)
+    low, high = project(vertices, fixed(K, np.float64), float(near), points)
     first, last = np.clip([np.floor(low - 1), np.ceil(high + 1)], 0, height)
-    return _fixed(points, np.float64), (int(first), int(last))
+    return fixed(points, np.float64), (int(first), int(last))
 
 
-def _starts(counts: Sequence[int]) -> NDArray[np.int64]:
+def _offsets(counts: Sequence[int]) -> NDArray[np.int64]:
     """Where each of some concatenated lists starts, and where the last ends: (len(counts) + 1,)."""
     return np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
 
@@ -255,14 +247,14 @@ def _pixels_by_material(
 ) -> Iterator[tuple[NDArray[np.int64], int, int]]:
     """For every visible material: its pixels (flat), the index of its object, and its own index there."""
     slots = [(k, m) for k, o in enumerate(objects) for m in range(len(o.mesh.materials))]
-    first_slot = _starts([len(o.mesh.materials) for o in objects])
+    first_slot = _offsets([len(o.mesh.materials) for o in objects])
     slot_of_face = np.concatenate(
         [np.empty(0, np.int64), *(first_slot[k] + _face_material(o.mesh) for k, o in enumerate(objects))]
     )
     pixels = np.flatnonzero(face >= 0)
     slot_of_pixel = slot_of_face[face[pixels]]
     pixels = pixels[np.argsort(slot_of_pixel, kind="stable")]
-    starts = _starts(np.bincount(slot_of_pixel, minlength=len(slots)).tolist())
+    starts = _offsets(np.bincount(slot_of_pixel, minlength=len(slots)).tolist())
     for (k, material), start, end in zip(slots, starts[:-1], starts[1:], strict=True):
         if start < end:
             yield pixels[start:end], k, material
@@ -285,11 +277,11 @@ def _surface(mesh: Mesh, material: Material) -> Surface:
         uv, texture = np.empty((0, 2)), WHITE
     colors = np.empty((0, 3)) if mesh.vertex_colors is None else mesh.vertex_colors
     return (
-        _fixed(mesh.faces, np.int32),
-        _fixed(uv, np.float64),
-        _fixed(colors, np.uint8),
-        _fixed(material.base_color, np.float64),
-        _fixed(texture, np.uint8),
+        fixed(mesh.faces, np.int32),
+        fixed(uv, np.float64),
+        fixed(colors, np.uint8),
+        fixed(material.base_color, np.float64),
+        fixed(texture, np.uint8),
     )
 
 
@@ -307,163 +299,19 @@ def _pool(process: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(THREADS, thread_name_prefix=f"raster-{process}")
 
 
-def _share(work: Callable[[Task], None], tasks: Sequence[Task]) -> None:
+def share(work: Callable[[Task], None], tasks: Sequence[Task]) -> None:
     if len(tasks) == 1:
         work(tasks[0])
     else:
         list(_pool(os.getpid()).map(work, tasks))
 
 
-def _in_bands(draw: Callable[[tuple[int, int]], None], rows: tuple[int, int], threads: int) -> None:
+def in_bands(draw: Callable[[tuple[int, int]], None], rows: tuple[int, int], threads: int) -> None:
     """Draw the rows [first, stop), a band of them in each thread."""
     first, stop = rows
     count = max(1, min(threads, stop - first))
     edges = np.linspace(first, stop, count + 1).astype(int).tolist()
-    _share(draw, list(pairwise(edges)))
-
-
-# Kernels: geometry
-
-
-@kernel
-def _project(vertices: NDArray[Any], K: NDArray[Any], near: float, points: NDArray[Any]) -> tuple[float, float]:
-    """Fill ``points`` (n, 5) with p = K v (so p_z = z) and its pixel u, v, the latter only where z >= near.
-
-    Returns the lowest and highest v; infinite ones when a vertex lies before the near plane."""
-    low, high = np.inf, -np.inf
-    for i in range(len(vertices)):
-        x, y, z = vertices[i, 0], vertices[i, 1], vertices[i, 2]
-        points[i, 0] = K[0, 0] * x + K[0, 1] * y + K[0, 2] * z
-        points[i, 1] = K[1, 0] * x + K[1, 1] * y + K[1, 2] * z
-        points[i, 2] = z
-        if z >= near:
-            points[i, 3] = points[i, 0] / z
-            points[i, 4] = points[i, 1] / z
-            low = points[i, 4] if points[i, 4] < low else low
-            high = points[i, 4] if points[i, 4] > high else high
-        else:
-            points[i, 3] = points[i, 4] = np.nan
-            low, high = -np.inf, np.inf
-    return low, high
-
-
-# Small kernels pass tuples of numbers: a numba array handed on in a loop costs atomic reference counts.
-
-Vector = tuple[float, float, float]
-Point = tuple[float, float, float, float, float]
-"""A row of ``points``: p_x, p_y, z, u, v."""
-Edges = tuple[Vector, Vector, Vector, Vector]
-"""Coefficients of e_a, e_b, e_c and of the near plane, each a function of q."""
-Row = tuple[float, float, float, float]
-"""The four edge functions' constant parts along one row of pixels."""
-
-
-@inline_kernel
-def _point(points: NDArray[Any], i: int) -> Point:
-    return points[i, 0], points[i, 1], points[i, 2], points[i, 3], points[i, 4]
-
-
-@inline_kernel
-def _bounds(a: Point, b: Point, c: Point, near: float) -> tuple[float, float, float, float]:
-    """Lowest and highest u, lowest and highest v of a triangle's part at z >= near; low > high if none."""
-    if min(a[2], b[2], c[2]) < near:
-        return _clipped_bounds((a, b, c), near)
-    return min(a[3], b[3], c[3]), max(a[3], b[3], c[3]), min(a[4], b[4], c[4]), max(a[4], b[4], c[4])
-
-
-@kernel
-def _clipped_bounds(corners: tuple[Point, Point, Point], near: float) -> tuple[float, float, float, float]:
-    """``_bounds`` of a triangle that crosses the near plane, a pixel wider for the rounding in the cuts."""
-    u0, u1, v0, v1 = np.inf, -np.inf, np.inf, -np.inf
-    for k in range(3):
-        p, q = corners[k], corners[(k + 1) % 3]
-        if p[2] >= near:
-            u0, u1, v0, v1 = min(u0, p[3]), max(u1, p[3]), min(v0, p[4]), max(v1, p[4])
-        if (p[2] >= near) != (q[2] >= near):
-            t = (near - p[2]) / (q[2] - p[2])
-            u, v = (p[0] + t * (q[0] - p[0])) / near, (p[1] + t * (q[1] - p[1])) / near
-            u0, u1, v0, v1 = min(u0, u), max(u1, u), min(v0, v), max(v1, v)
-    return u0 - 1, u1 + 1, v0 - 1, v1 + 1
-
-
-@inline_kernel
-def _centres(low: float, high: float, start: int, stop: int) -> tuple[int, int]:
-    """First and last index in [start, stop) of the pixels whose centres, at +0.5, lie in [low, high]."""
-    first = max(np.ceil(low - 0.5 - PAD), start)
-    last = min(np.floor(high - 0.5 + PAD), stop - 1.0)
-    return (int(first), int(last)) if first <= last else (0, -1)
-
-
-@inline_kernel
-def _edge(p: Point, q: Point, sign: float, size: float) -> Vector:
-    """sign (p x q), raised by what rounding can do to its product with a pixel (x, y, 1), x and y <= size."""
-    yz, zy, zx, xz, xy, yx = p[1] * q[2], p[2] * q[1], p[2] * q[0], p[0] * q[2], p[0] * q[1], p[1] * q[0]
-    doubt = ROUNDING * ((abs(yz) + abs(zy) + abs(zx) + abs(xz)) * size + abs(xy) + abs(yx))
-    return sign * (yz - zy), sign * (zx - xz), sign * (xy - yx) + doubt
-
-
-@inline_kernel
-def _det(a: Point, b: Point, c: Point) -> float:
-    """det(a, b, c) = a . ((b - a) x (c - a)); with differences, for tiny triangles far away."""
-    bx, by, bz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    cx, cy, cz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    return a[0] * (by * cz - bz * cy) + a[1] * (bz * cx - bx * cz) + a[2] * (bx * cy - by * cx)
-
-
-@inline_kernel
-def _edges(a: Point, b: Point, c: Point, sign: float, size: float, near: float) -> Edges:
-    """The edge functions, turned by ``sign``, that of det(a, b, c), so that they are >= 0 inside."""
-    ea, eb, ec = _edge(b, c, sign, size), _edge(c, a, sign, size), _edge(a, b, sign, size)
-    za, zb, zc = a[2] - near, b[2] - near, c[2] - near
-    if min(za, zb, zc) >= 0:
-        return ea, eb, ec, (0.0, 0.0, 0.0)
-    x = za * ea[0] + zb * eb[0] + zc * ec[0]
-    y = za * ea[1] + zb * eb[1] + zc * ec[1]
-    z = za * ea[2] + zb * eb[2] + zc * ec[2]
-    return ea, eb, ec, (x, y, z)
-
-
-@inline_kernel
-def _row(edges: Edges, y: float) -> Row:
-    ea, eb, ec, en = edges
-    return ea[1] * y + ea[2], eb[1] * y + eb[2], ec[1] * y + ec[2], en[1] * y + en[2]
-
-
-@inline_kernel
-def _inside(x: float, edges: Edges, row: Row) -> bool:
-    ea, eb, ec, en = edges
-    in_triangle = (ea[0] * x + row[0] >= 0) & (eb[0] * x + row[1] >= 0) & (ec[0] * x + row[2] >= 0)
-    return in_triangle & (en[0] * x + row[3] >= 0)
-
-
-@inline_kernel
-def _narrowed(low: float, high: float, slope: float, constant: float) -> tuple[float, float]:
-    """Pixels [low, high] without those, but for rounding, where slope x + constant < 0 at the centre."""
-    if slope > 0:
-        return max(low, np.floor(-constant / slope - 0.5)), high
-    if slope < 0:
-        return low, min(high, np.ceil(-constant / slope - 0.5))
-    return low, high
-
-
-@inline_kernel
-def _span(edges: Edges, row: Row, first: int, last: int) -> tuple[int, int]:
-    """First and last pixel of a row in [first, last] that lie inside; first > last when none does.
-
-    In a long row the crossings are solved for; then both ends are tested exactly."""
-    if last - first > SHORT:
-        low, high = float(first), float(last)
-        low, high = _narrowed(low, high, edges[0][0], row[0])
-        low, high = _narrowed(low, high, edges[1][0], row[1])
-        low, high = _narrowed(low, high, edges[2][0], row[2])
-        low, high = _narrowed(low, high, edges[3][0], row[3])
-        low, high = (low, high) if low <= high else (0.0, -1.0)
-        first, last = int(low), int(high)
-    while first <= last and not _inside(first + 0.5, edges, row):
-        first += 1
-    while first <= last and not _inside(last + 0.5, edges, row):
-        last -= 1
-    return first, last
+    share(draw, list(pairwise(edges)))
 
 
 # Kernels: drawing
@@ -474,25 +322,25 @@ def _cover(points: NDArray[Any], faces: NDArray[Any], near: float, start: int, s
     """Set ``mask`` (H, W) where a triangle covers the pixel centre, in the rows [start, stop)."""
     width, size = mask.shape[1], float(max(mask.shape))
     for f in range(len(faces)):
-        a, b, c = _point(points, faces[f, 0]), _point(points, faces[f, 1]), _point(points, faces[f, 2])
-        u0, u1, v0, v1 = _bounds(a, b, c, near)
-        top, bottom = _centres(v0, v1, start, stop)
-        left, right = _centres(u0, u1, 0, width)
+        a, b, c = corner(points, faces[f, 0]), corner(points, faces[f, 1]), corner(points, faces[f, 2])
+        u0, u1, v0, v1 = bounds(a, b, c, near)
+        top, bottom = centres(v0, v1, start, stop)
+        left, right = centres(u0, u1, 0, width)
         if top > bottom or left > right:
             continue
-        det = _det(a, b, c)
+        det = determinant(a, b, c)
         if not 0 < abs(det) < np.inf:
             continue
-        edges = _edges(a, b, c, np.sign(det), size, near)
+        edges = edge_functions(a, b, c, np.sign(det), size, near)
         for y in range(top, bottom + 1):
-            row = _row(edges, y + 0.5)
+            row = row_of(edges, y + 0.5)
             if right - left > SHORT:
-                first, last = _span(edges, row, left, right)
+                first, last = span(edges, row, left, right)
                 for x in range(first, last + 1):
                     mask[y, x] = True
             else:
                 for x in range(left, right + 1):
-                    mask[y, x] |= _inside(x + 0.5, edges, row)
+                    mask[y, x] |= inside(x + 0.5, edges, row)
 
 
 @kernel
@@ -514,20 +362,20 @@ def _nearest(
     buffers begin at its row ``top``."""
     width = face.shape[1]
     for f in range(len(faces)):
-        a, b, c = _point(points, faces[f, 0]), _point(points, faces[f, 1]), _point(points, faces[f, 2])
-        u0, u1, v0, v1 = _bounds(a, b, c, near)
-        low, high = _centres(v0, v1, start, stop)
-        left, right = _centres(u0, u1, 0, width)
+        a, b, c = corner(points, faces[f, 0]), corner(points, faces[f, 1]), corner(points, faces[f, 2])
+        u0, u1, v0, v1 = bounds(a, b, c, near)
+        low, high = centres(v0, v1, start, stop)
+        left, right = centres(u0, u1, 0, width)
         if low > high or left > right:
             continue
-        det = _det(a, b, c)
+        det = determinant(a, b, c)
         if not 0 < abs(det) < np.inf:
             continue
-        edges = _edges(a, b, c, np.sign(det), size, near)
+        edges = edge_functions(a, b, c, np.sign(det), size, near)
         (ea, eb, ec, _), za, zb, zc = edges, a[2], b[2], c[2]
         for line in range(low, high + 1):
-            row, y = _row(edges, line + 0.5), line - top
-            first, last = _span(edges, row, left, right)
+            row, y = row_of(edges, line + 0.5), line - top
+            first, last = span(edges, row, left, right)
             for x in range(first, last + 1):
                 wa = ea[0] * (x + 0.5) + row[0]
                 wb = eb[0] * (x + 0.5) + row[1]

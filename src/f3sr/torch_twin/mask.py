@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import torch  # pyright: ignore[reportMissingImports]
 
-from f3sr.raster import NEAR, PAD, ROUNDING
+from f3sr.raster import NEAR
 from f3sr.torch_twin.batch import SUMS, Batch, Tensor, pixels_at, spread, unravelled
+from f3sr.triangles import PAD, ROUNDING
 
 ENDS = 2
 """Pixels that the end of a span, solved for, may lie too far out."""

@@ -1,0 +1,247 @@
+"""Drawing one frame after another: what did not move stays drawn, and the result equals that of a fresh canvas."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr import raster
+from f3sr.frames import Array, Camera, transform
+from f3sr.rendering.config import RenderConfig
+from f3sr.rendering.layers import (
+    DISC_WORDS,
+    Buffers,
+    Things,
+    draw_ground_shadows,
+    draw_maps,
+    draw_surfaces,
+    ground_words,
+    light_maps,
+)
+from f3sr.rendering.light import DIRECT, Light
+from f3sr.rendering.picture_kernels import BLUR_SUM, STEPS, blur, compose, count_lights, light_left, mark_changed
+from f3sr.rendering.surface_kernels import Lamps, View, mark_shadowed, shade, tile_depths
+from f3sr.rendering.textures import linear, srgb
+
+GRID = np.full((4, 4), 2.0**13)
+GRID[:3, 3] = 2.0**15
+"""Poses are rounded to one part of this, turns to .1 mrad and places to 30 um: a hundredth of a pixel, and more than an
+engine's tremble at rest."""
+CELL = 2
+"""Side of the cells that the ground's shadows are drawn in [px]: they are soft."""
+TILE = 16
+"""Side of the squares whose objects are coloured anew or not at all [px]."""
+QUIET = 12
+"""Frames without motion after which an object is drawn with those that stay."""
+BANDS = 4
+"""Bands of rows per thread that are coloured: what is dear lies together."""
+
+LINEAR = raster.fixed(linear(np.arange(256) / 255), np.float64)
+TABLE = raster.fixed(np.rint(255 * srgb(np.arange(STEPS + 1) / STEPS)), np.uint8)
+SET_BITS = raster.fixed([bin(k).count("1") for k in range(256)], np.int64)
+
+Rectangle = tuple[int, int, int, int]
+"""First row, row after the last, first column, column after the last."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Setting:
+    """Everything about a film that does not move."""
+
+    camera: Camera
+    background: NDArray[np.uint8]
+    light: Light
+    gains: Array
+    """(N, 3) exposure of every object, in linear light."""
+    config: RenderConfig
+    things: Things
+    ball: tuple[Array, float]
+    """Middle and radius [m] of what the light's maps cover."""
+    receives: NDArray[np.float32]
+    """(h, w) how much of its shadows the ground shows."""
+    already: NDArray[np.float32]
+    """(h, w, 3) the share of its light that the background shows."""
+
+
+class Canvas:
+    """Buffers of one film, from frame to frame; one thread at a time may draw on it.
+
+    ``_still`` holds what has not moved for a while; every frame takes it over where something moved and draws that on
+    top. No buffer depends on the order of drawing, so each equals that of all objects drawn afresh. Colours are kept
+    tile by tile where neither what is seen nor a texel of light that it reads has changed.
+    """
+
+    def __init__(self, setting: Setting) -> None:
+        s, samples = setting, setting.config.samples
+        h, w = s.camera.height, s.camera.width
+        K = s.camera.K * [[1 / CELL], [1 / CELL], [1]]
+        self._setting = setting
+        self._fine = s.camera.resized(samples * w, samples * h)
+        self._cells = replace(s.camera, K=K, width=-(-w // CELL), height=-(-h // CELL))
+        self._words = ground_words(s.light)
+        self._weight = raster.fixed(s.light.hidden / BLUR_SUM, np.float64)
+        self._still, self._drawn = self._buffers(), self._buffers()
+        self._color, self._cover = np.zeros((h, w, 3), np.float32), np.zeros((h, w), np.uint8)
+        self._counts, self._blurred = (np.zeros((2, self._cells.height, self._cells.width), np.int32) for _ in range(2))
+        tiles = -(-h // TILE), -(-w // TILE)
+        self._depths, self._dirty = np.zeros((*tiles, 2), np.float32), np.ones(tiles, np.bool_)
+        count = len(s.things.vertices)
+        self._poses = np.full((count, 4, 4), np.nan)
+        self._quiet = np.full(count, QUIET)
+        self._stays: frozenset[int] = frozenset()
+        self._view: View | None = None
+        self._blurred_before = np.full_like(self._blurred, -1)
+        self._picture = np.empty_like(s.background)
+
+    def drawn(self, poses: Array) -> NDArray[np.uint8]:
+        """The picture (h, w, 3) with the objects at ``poses`` (N, 4, 4)."""
+        poses = np.rint(poses * GRID) / GRID
+        if self._view is None or not np.array_equal(poses, self._poses):
+            self._draw(poses)
+            self._compose()
+        return self._picture.copy()
+
+    @classmethod
+    def light_left(cls, setting: Setting, poses: Array) -> NDArray[np.float32]:
+        """(h, w, 3) the share of its light that the ground keeps beside objects at ``poses`` (N, 4, 4)."""
+        canvas = cls(setting)
+        canvas._draw(np.rint(poses * GRID) / GRID)
+        left = np.empty((*setting.receives.shape, 3), np.float32)
+        light_left(canvas._blurred, CELL, canvas._weight, raster.fixed(setting.receives, np.float32), left)
+        return left
+
+    def _buffers(self) -> Buffers:
+        s = self._setting
+        maps = light_maps(s.light, s.ball, s.config.shadows.map_size)
+        return Buffers.empty(self._fine, maps, self._cells, len(self._words))
+
+    def _draw(self, poses: Array) -> None:
+        """Bring every buffer from the poses drawn last to ``poses``."""
+        s, before, old = self._setting, self._view, self._poses
+        view = s.things.seen_by(self._fine, poses, s.config.near)
+        changed = np.flatnonzero((poses != old).any((1, 2))).tolist()
+        if before is None:
+            self._stays = frozenset(range(len(poses)))
+            self._add(self._still, view, poses, sorted(self._stays))
+            self._drawn.take(self._still)
+            self._measure_and_mark([(0, self._dirty.shape[0], 0, self._dirty.shape[1])], view)
+        else:
+            self._settle(view, poses, changed)
+            squares = [self._square(v, k) for v in (before, view) for k in changed]
+            texels = self._texels(np.concatenate([old[changed], poses[changed]]), changed + changed)
+            self._restore(squares, texels)
+            self._add(self._drawn, view, poses, [k for k in range(len(poses)) if k not in self._stays])
+            self._measure_and_mark(squares, view, texels)
+        self._poses, self._view = poses, view
+        self._shade(view)
+        self._count()
+
+    def _settle(self, view: View, poses: Array, changed: Sequence[int]) -> None:
+        """Take what begins to move out of the still buffers and what has come to rest into them."""
+        self._quiet += 1
+        self._quiet[changed] = 0
+        quiet = frozenset(np.flatnonzero(self._quiet >= QUIET).tolist())
+        if self._stays.intersection(changed):
+            self._still.clear()
+            self._add(self._still, view, poses, sorted(quiet))
+        else:
+            self._add(self._still, view, poses, sorted(quiet - self._stays))
+        self._stays = quiet
+
+    def _add(self, buffers: Buffers, view: View, poses: Array, chosen: Sequence[int]) -> None:
+        """Draw some objects into all buffers."""
+        s = self._setting
+        if not chosen:
+            return
+        draw_surfaces(s.things, view, chosen, s.config.near, buffers)
+        if s.config.shadows.enabled:
+            casting = s.things.casting(poses, chosen)
+            draw_maps(casting, buffers.maps)
+            draw_ground_shadows(casting, self._cells, self._words, s.config.near, buffers.bits)
+
+    def _square(self, view: View, k: int) -> Rectangle:
+        """The tiles that an object may be seen in."""
+        first, stop = self._setting.things.first_vertex[k : k + 2].tolist()
+        rows, columns = self._dirty.shape
+        if view.clipped[k] or first == stop:
+            return (0, rows, 0, columns)
+        side = TILE * self._setting.config.samples
+        low = np.floor((view.points[first:stop, 3:].min(0) - 1) / side)
+        high = np.floor((view.points[first:stop, 3:].max(0) + 1) / side) + 1
+        (left, top), (right, bottom) = (np.clip(v, 0, [columns, rows]).astype(int).tolist() for v in (low, high))
+        return top, bottom, left, right
+
+    def _texels(self, poses: Array, chosen: Sequence[int]) -> Array:
+        """(L, 4) first and last column, first and last row of every map that objects at some poses reach."""
+        s = self._setting
+        vertices = [
+            transform(T, kind[k].vertices) for T, k in zip(poses, chosen, strict=True) for kind in s.things.casters
+        ]
+        return self._drawn.maps.reached(np.concatenate([np.empty((0, 3)), *vertices]))
+
+    def _restore(self, squares: Sequence[Rectangle], texels: Array) -> None:
+        """Take over the still buffers where something moved."""
+        side = TILE * self._setting.config.samples
+        for top, bottom, left, right in squares:
+            window = slice(top * side, bottom * side), slice(left * side, right * side)
+            self._drawn.face[window] = self._still.face[window]
+            self._drawn.nearness[window] = self._still.nearness[window]
+        size = self._drawn.maps.nearest.shape[1]
+        for light, (left, right, top, bottom) in enumerate(np.clip(texels, 0, size).astype(int).tolist()):
+            window = light, slice(top, bottom + 1), slice(left, right + 1)
+            self._drawn.maps.nearest[window] = self._still.maps.nearest[window]
+        np.copyto(self._drawn.bits, self._still.bits)
+
+    def _measure_and_mark(self, squares: Sequence[Rectangle], view: View, texels: Array | None = None) -> None:
+        """Find the tiles to colour: some squares of them, and those that read one of some ``texels``."""
+        side, maps = TILE * self._setting.config.samples, self._drawn.maps
+        self._dirty[:] = False
+        for top, bottom, left, right in squares:
+            tile_depths(self._drawn.nearness, side, top, bottom, left, right, self._depths)
+            self._dirty[top:bottom, left:right] = True
+        if texels is not None:
+            fixed = raster.fixed(texels, np.float64)
+            mark_shadowed(self._depths, side, view.rays, maps.frames, fixed, maps.offset, maps.texel, self._dirty)
+
+    def _shade(self, view: View) -> None:
+        s, drawn = self._setting, self._drawn
+        maps = drawn.maps
+        strength, gains = (raster.fixed(values, np.float64) for values in (s.light.strength, s.gains))
+        lamps = Lamps(maps.directions, maps.frames, maps.nearest, DIRECT, maps.offset, maps.bias, strength, gains)
+
+        def draw(band: tuple[int, int]) -> None:
+            shade(
+                *(s.things.shapes, s.things.textures, view, lamps, s.config.samples, s.config.near, *band),
+                *(TILE, self._dirty, drawn.face, drawn.nearness, self._color, self._cover),
+            )
+
+        raster.in_bands(draw, (0, s.camera.height), BANDS * raster.THREADS)
+
+    def _count(self) -> None:
+        def count(band: tuple[int, int]) -> None:
+            count_lights(self._drawn.bits, DISC_WORDS, SET_BITS, *band, self._counts)
+
+        def smooth(band: tuple[int, int]) -> None:
+            blur(self._counts, *band, self._blurred)
+
+        raster.in_bands(count, (0, self._cells.height), raster.THREADS)
+        raster.in_bands(smooth, (0, self._cells.height), raster.THREADS)
+
+    def _compose(self) -> None:
+        """Bring the picture up to date where colours or the ground's shadows have changed."""
+        s = self._setting
+        mark_changed(self._blurred, self._blurred_before, TILE // CELL, self._dirty)
+        np.copyto(self._blurred_before, self._blurred)
+        background, picture = raster.fixed(s.background, np.uint8), self._picture
+        receives, already = (raster.fixed(values, np.float32) for values in (s.receives, s.already))
+
+        def finish(band: tuple[int, int]) -> None:
+            compose(
+                *(background, LINEAR, self._blurred, CELL, self._weight, receives, already, s.config.samples),
+                *(self._color, self._cover, TABLE, TILE, self._dirty, *band, picture),
+            )
+
+        raster.in_bands(finish, (0, s.camera.height), raster.THREADS)

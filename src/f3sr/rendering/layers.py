@@ -1,0 +1,178 @@
+"""Everything that is drawn of some objects before light: nearest faces, maps of the lights, bits of ground shadows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr import raster
+from f3sr.frames import Array, Camera, transform
+from f3sr.rendering.config import RenderConfig
+from f3sr.rendering.light import DIRECT, DIRECT_ON_GROUND, SKY, SKY_ON_GROUND, Light, disc, even_sky, ground_sky
+from f3sr.rendering.shadow_kernels import cast_on_ground
+from f3sr.rendering.shadow_maps import Caster, Maps, world_casters
+from f3sr.rendering.shapes import casters_of, faces_outward, shapes_of, starts_of
+from f3sr.rendering.surface_kernels import Shapes, Textures, View, nearest_faces
+from f3sr.rendering.textures import textures_of
+from f3sr.scene import SceneObject
+from f3sr.triangles import project
+
+WORD = 8
+"""Lights whose shadows share a byte of every pixel."""
+DISC_WORDS = DIRECT_ON_GROUND // WORD
+"""How many bytes are of the disc."""
+
+
+class Casting(NamedTuple):
+    """Surfaces in the world that cast shadows of the disc, and simpler ones for those of the sky."""
+
+    disc: list[Caster]
+    sky: list[Caster]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Things:
+    """The objects, ready to be drawn at any pose."""
+
+    shapes: Shapes
+    textures: Textures
+    vertices: tuple[Array, ...]
+    """Per object, in its frame at its scale."""
+    outward: tuple[bool, ...]
+    """Per object, whether its back is always hidden by its front."""
+    casters: tuple[tuple[Caster, ...], tuple[Caster, ...]]
+    """Of the disc's and of the sky's shadows, per object, likewise."""
+    first_face: NDArray[np.int64]
+    first_vertex: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, objects: Sequence[SceneObject], config: RenderConfig) -> Self:
+        shadows = config.shadows
+        return cls(
+            shapes=shapes_of(objects, crease=config.crease),
+            textures=textures_of(objects),
+            vertices=tuple(o.scale * o.mesh.vertices for o in objects),
+            outward=tuple(faces_outward(*o.mesh.welded) for o in objects),
+            casters=(casters_of(objects, shadows.caster_faces), casters_of(objects, shadows.sky_caster_faces)),
+            first_face=starts_of([len(o.mesh.faces) for o in objects]),
+            first_vertex=starts_of([len(o.mesh.vertices) for o in objects]),
+        )
+
+    def seen_by(self, camera: Camera, poses: Array, near: float) -> View:
+        """Vertices on the pixels of ``camera``, with the objects at ``poses`` (N, 4, 4)."""
+        points = np.empty((int(self.first_vertex[-1]), 5))
+        K = raster.fixed(camera.K, np.float64)
+        for k, (T, v) in enumerate(zip(poses, self.vertices, strict=True)):
+            seen = raster.fixed(camera.to_camera(transform(T, v)), np.float64)
+            project(seen, K, near, points[self.first_vertex[k] : self.first_vertex[k + 1]])
+        starts = self.first_vertex
+        clipped = [bool((points[a:b, 2] < near).any()) for a, b in pairwise(starts.tolist())]
+        rays = np.column_stack([camera.T_world_camera[:3, :3] @ np.linalg.inv(camera.K), camera.center])
+        return View(
+            points=raster.fixed(points, np.float64),
+            turns=raster.fixed(poses[:, :3, :3], np.float64),
+            clipped=raster.fixed(clipped, np.bool_),
+            rays=raster.fixed(rays, np.float64),
+        )
+
+    def casting(self, poses: Array, chosen: Sequence[int]) -> Casting:
+        """What some objects at ``poses`` (N, 4, 4) cast shadows with."""
+        disc, sky = (world_casters([kind[k] for k in chosen], poses[list(chosen)]) for kind in self.casters)
+        return Casting(disc, sky)
+
+
+@dataclass(frozen=True, eq=False)
+class Buffers:
+    """What some objects have been drawn into; mutable."""
+
+    face: NDArray[np.int32]
+    """(samples h, samples w), -1 where nothing is."""
+    nearness: NDArray[np.float32]
+    """1 / z, 0 where nothing is."""
+    maps: Maps
+    bits: NDArray[np.uint8]
+    """(words, cells h, cells w)"""
+
+    @classmethod
+    def empty(cls, fine: Camera, maps: Maps, cells: Camera, words: int) -> Self:
+        """For the pixels of a camera of all samples and of one of the ground's cells."""
+        face = np.full((fine.height, fine.width), -1, np.int32)
+        bits = np.zeros((words, cells.height, cells.width), np.uint8)
+        return cls(face, np.zeros(face.shape, np.float32), maps, bits)
+
+    def clear(self) -> None:
+        """Forget everything drawn."""
+        for array, value in zip(self._arrays, (-1, 0, -np.inf, 0), strict=True):
+            array.fill(value)
+
+    def take(self, other: Buffers) -> None:
+        """Become equal to other buffers of the same shape."""
+        for own, its in zip(self._arrays, other._arrays, strict=True):
+            np.copyto(own, its)
+
+    @property
+    def _arrays(self) -> tuple[NDArray[Any], ...]:
+        return self.face, self.nearness, self.maps.nearest, self.bits
+
+
+def draw_surfaces(things: Things, view: View, chosen: Sequence[int], near: float, buffers: Buffers) -> None:
+    """Draw the faces of some objects."""
+    height = len(buffers.face)
+
+    def draw(band: tuple[int, int]) -> None:
+        for k in chosen:
+            faces = int(things.first_face[k]), int(things.first_face[k + 1])
+            nearest_faces(
+                *(view.points, things.shapes.faces, *faces, things.outward[k] and not view.clipped[k]),
+                *(near, *band, buffers.face, buffers.nearness),
+            )
+
+    raster.in_bands(draw, _rows(view, things, chosen, height), raster.THREADS)
+
+
+def _rows(view: View, things: Things, chosen: Sequence[int], height: int) -> tuple[int, int]:
+    """The rows that some objects may touch: all, when one reaches behind the near plane."""
+    low, high = float(height), 0.0
+    for k in chosen:
+        v = view.points[things.first_vertex[k] : things.first_vertex[k + 1], 4]
+        if len(v):
+            low, high = np.minimum(low, v.min()), np.maximum(high, v.max())
+    if not np.isfinite(low + high):
+        return 0, height
+    first, last = np.clip([np.floor(low - 1), np.ceil(high + 1)], 0, height)
+    return int(first), max(int(first), int(last))
+
+
+def ground_words(light: Light) -> list[Array]:
+    """Directions of the lights, ``WORD`` to a byte: first those of the disc, then those of the sky."""
+    lights = np.concatenate([disc(light.direction, light.angle, DIRECT_ON_GROUND), ground_sky(SKY_ON_GROUND)])
+    return [raster.fixed(lights[k : k + WORD], np.float64) for k in range(0, len(lights), WORD)]
+
+
+def draw_ground_shadows(
+    casting: Casting, camera: Camera, words: Sequence[Array], near: float, bits: NDArray[np.uint8]
+) -> None:
+    """Set the bits (words, h, w) of the lights that some casters hide from the ground, as ``camera`` sees it."""
+    P = raster.fixed(camera.K @ camera.T_camera_world[:3], np.float64)
+
+    def draw(word: int) -> None:
+        for caster in casting.disc if word < DISC_WORDS else casting.sky:
+            cast_on_ground(*caster, P, words[word], near, bits[word])
+
+    raster.share(draw, range(len(words)))
+
+
+def draw_maps(casting: Casting, maps: Maps) -> None:
+    """Draw some casters into the maps of the disc's lights, which come first, and of the sky's."""
+    maps.cast(casting.disc, slice(0, DIRECT))
+    maps.cast(casting.sky, slice(DIRECT, None))
+
+
+def light_maps(light: Light, ball: tuple[Array, float], side: int) -> Maps:
+    """Empty maps of the lights of the disc and of the sky."""
+    return Maps.empty(np.concatenate([disc(light.direction, light.angle, DIRECT), even_sky(SKY)]), *ball, side)

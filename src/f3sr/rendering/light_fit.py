@@ -1,0 +1,233 @@
+"""The light of the photo: a direct and an even part, and an exposure per object, fitted to what the photo shows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.frames import Array, rotation_about
+from f3sr.rendering.config import LightConfig
+from f3sr.rendering.evidence import FEW, Evidence
+from f3sr.rendering.light import DIRECT, Light, disc, even_sky
+from f3sr.rendering.shadow_maps import Caster, Maps
+from f3sr.rendering.textures import srgb
+
+CANDIDATES = 120
+"""Directions of the upper half of the sphere that are tried first: 13 degrees apart."""
+SPREAD = np.radians(12.0)
+"""Width of the light around each of them [rad]."""
+ANGLES = tuple(np.radians([2.0, 5.0, 10.0, 18.0, 30.0]))
+"""Radii of the disc that are tried [rad]: the sun through haze, lamps, a window."""
+STEPS = tuple(np.radians([8.0, 4.0, 2.0]))
+"""Turns of the direction in its refinement [rad]."""
+ROUNDS = 4
+"""Rounds of weights, strengths and exposures."""
+LEAST_HEIGHT = np.sin(np.radians(15.0))
+"""Height of the lowest direct light that is believed: below, shadows have no end in the picture."""
+PRIOR = 40.0
+"""Samples that the exposure of all objects together weighs in that of one."""
+LOOSE = 1.5
+"""Mean misfits beyond which a sample counts less and less."""
+DARKEST = 0.9
+"""Most of the ground's light that shadows may take: the photo's darkest contact shadows are not black."""
+SHADOW_RANGE = (0.0, 1.6)
+"""What shadows on the ground may be multiplied by: more, and something else is dark there."""
+EVIDENT = 0.05
+"""Spread of what is hidden from ground samples above which their shadows are measured."""
+
+DEFAULT = Light(
+    direction=np.array([-0.28, 0.24, 0.93]) / np.linalg.norm([-0.28, 0.24, 0.93]),
+    angle=float(np.radians(15.0)),
+    even=np.zeros(3),
+    direct=np.full(3, 0.5),
+    sky=np.full(3, 0.55),
+)
+"""From above and a little aside, soft: for shadows where the photo tells nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """``strength`` (4,): even, direct, sky, below; ``gains`` (groups, 3); ``misfit``: sum over samples of the logarithm
+    of their group's mean misfit."""
+
+    strength: Array
+    gains: Array
+    misfit: float
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A light, exposures (N, 3), whether it has a direction, and the two misfits that this rests on."""
+
+    light: Light
+    gains: Array
+    directed: bool
+    misfit: float
+    undirected: float
+
+
+def find_light(
+    evidence: Evidence,
+    casters: Sequence[Caster],
+    *,
+    ball: tuple[Array, float],
+    objects: int,
+    side: int,
+    config: LightConfig,
+) -> Found:
+    """The light that explains the evidence best. Misfits are per sample, so their difference is a share."""
+    wide = Maps.empty(even_sky(CANDIDATES), *ball, side)
+    wide.cast(casters)
+    arriving = wide.arriving(evidence.points, evidence.normals)
+    sky = 2 * arriving.mean(1)
+    groups = objects + 1
+    undirected = _fit(evidence, _bases(evidence, np.zeros(len(sky)), sky), groups)
+    first = evidence.thinned(3)
+    thin = arriving[::3]
+    misfits: list[float] = []
+    for d in wide.directions:
+        share = np.exp((wide.directions @ d - 1) / SPREAD**2)
+        misfits.append(
+            _fit(first, _bases(first, thin @ (share / share.sum()), sky[::3]), groups).misfit
+            if d[2] >= LEAST_HEIGHT
+            else np.inf
+        )
+    start = wide.directions[int(np.argmin(misfits))]
+
+    def fitted(direction: Array, angle: float) -> Fit:
+        maps = Maps.empty(disc(direction, angle, DIRECT), *ball, side)
+        maps.cast(casters)
+        direct = maps.arriving(evidence.points, evidence.normals).sum(1) / DIRECT
+        return _fit(evidence, _bases(evidence, direct, sky), groups)
+
+    direction, angle, best = _refined(start, fitted)
+    n = max(len(evidence.group), 1)
+    gain = (undirected.misfit - best.misfit) / n
+    directed = gain >= config.least_gain and best.strength[1] > 0
+    light = _light(best.strength, direction, angle) if directed else _light(undirected.strength, DEFAULT.direction, 0.2)
+    gains = (best if directed else undirected).gains[:objects]
+    scale = (best if directed else undirected).strength @ [1, direction[2] if directed else 0, 1, 0]
+    return Found(light, gains * scale, directed, best.misfit / n, undirected.misfit / n)
+
+
+def _light(strength: Array, direction: Array, angle: float) -> Light:
+    """Scaled so that open ground gets 1."""
+    even, direct, sky, below = strength / max(float(strength @ [1, direction[2], 1, 0]), 1e-9)
+    return Light(
+        direction=direction,
+        angle=angle,
+        even=np.full(3, even),
+        direct=np.full(3, direct),
+        sky=np.full(3, sky),
+        below=np.full(3, below),
+    )
+
+
+def _refined(start: Array, fitted: Callable[[Array, float], Fit]) -> tuple[Array, float, Fit]:
+    """The best disc around ``start``: its radius, then its direction in smaller and smaller turns, then its radius."""
+    direction, angle, best = start, ANGLES[2], fitted(start, ANGLES[2])
+
+    def tried(d: Array, a: float) -> None:
+        nonlocal direction, angle, best
+        if d[2] >= LEAST_HEIGHT and (fit := fitted(d, a)).misfit < best.misfit:
+            direction, angle, best = d, a, fit
+
+    for step in STEPS:
+        tried_from = direction
+        side = np.cross(direction, [0.0, 0, 1] if direction[2] < 0.9 else [1.0, 0, 0])
+        for k in range(6):
+            axis = rotation_about(tried_from, k * np.pi / 3) @ side
+            tried(rotation_about(axis, step) @ tried_from, angle)
+        for a in ANGLES:
+            if a != angle:
+                tried(direction, a)
+    return direction, angle, best
+
+
+def _bases(evidence: Evidence, direct: Array, sky: Array) -> Array:
+    """(n, 4): even, direct, sky, below."""
+    return np.column_stack([np.ones(len(sky)), direct, sky, 0.5 - 0.5 * evidence.normals[:, 2]])
+
+
+def _fit(evidence: Evidence, bases: Array, groups: int) -> Fit:
+    """Strengths >= 0 that all samples share and exposures of every group, by weighted least squares in turns; residuals
+    are weighed as sRGB would show them and by their group's spread (iteratively, so strays count less)."""
+    from scipy.optimize import nnls
+
+    group, albedo, photo = evidence.group, evidence.albedo, evidence.photo
+    slope = np.maximum(photo, 0.01) ** (1 / 2.4 - 1) * 1.055 / 2.4
+    strength, gains = np.array([0.5, 0.3 * bool(bases[:, 1].any()), 0.2, 0.0]), np.ones((groups, 3))
+    weight = slope.copy()
+    count = np.maximum(np.bincount(group, minlength=groups), 1)
+    misfit = np.inf
+    for _ in range(ROUNDS):
+        light = bases @ strength
+        gains = _gains(group, albedo * light[:, None], photo, weight**2, groups)
+        residual = slope * (photo - gains[group] * albedo * light[:, None])
+        size = np.abs(residual).mean(1)
+        mean = np.bincount(group, size, groups) / count
+        spread = np.maximum(mean, 1e-3)[group][:, None]
+        misfit = float((count * np.log(np.maximum(mean, 1e-3))).sum())
+        weight = slope / spread / np.sqrt(1 + (np.abs(residual) / (LOOSE * spread)) ** 2)
+        scaled = (weight * gains[group] * albedo)[:, :, None] * bases[:, None, :]
+        design, target = scaled.reshape(-1, 4), (weight * photo).reshape(-1)
+        gram = design.T @ design
+        root = np.linalg.cholesky(gram + 1e-9 * np.trace(gram) * np.eye(4)).T
+        strength = nnls(root, np.linalg.solve(root.T, design.T @ target))[0]
+        strength /= max(float(strength.sum()), 1e-9)
+    return Fit(strength, gains, misfit)
+
+
+def _gains(group: NDArray[np.int64], lit: Array, photo: Array, weight: Array, groups: int) -> Array:
+    """Exposures (groups, 3), drawn towards that of all objects together where there are few samples."""
+    own = group < groups - 1
+    whole = (weight * lit * photo)[own].sum(0) / np.maximum((weight * lit * lit)[own].sum(0), 1e-12)
+    above, below = np.empty((groups, 3)), np.empty((groups, 3))
+    for c in range(3):
+        above[:, c] = np.bincount(group, (weight * lit * photo)[:, c], groups)
+        below[:, c] = np.bincount(group, (weight * lit * lit)[:, c], groups)
+    count = np.maximum(np.bincount(group, minlength=groups), 1)
+    prior = PRIOR * (below.mean(1) / count)[:, None]  # of all channels: a dark one tells little of its own
+    return (above + prior * whole) / np.maximum(below + prior, 1e-12)
+
+
+def with_shadows_of(evidence: Evidence, light: Light, maps: tuple[Maps, Maps], ground: int) -> tuple[Light, bool]:
+    """The light with its shadows on the ground as dark and tinted as the photo's, and whether these told it.
+
+    ``maps``: of the disc and of the sky. What is hidden takes ``shadow`` times its share of the light.
+    """
+    here = evidence.group == ground
+    points, normals = evidence.points[here], evidence.normals[here]
+    direct, sky = (m.arriving(points, normals) for m in maps)
+    open_direct, open_sky = maps[0].directions[:, 2].sum(), maps[1].directions[:, 2].sum()
+    hidden = light.direct[0] * light.direction[2] * (1 - direct.sum(1) / open_direct)
+    hidden = hidden + light.sky[0] * (1 - sky.sum(1) / open_sky)
+    most = float(hidden.max(initial=0.0))
+    if np.count_nonzero(here) < FEW or hidden.std() < EVIDENT:
+        return replace(light, shadow=np.full(3, min(1.0, DARKEST / max(most, 1e-9)))), False
+    ratio = evidence.photo[here] / np.maximum(evidence.albedo[here], 1e-3)
+    factor = np.array([_robust_slope(hidden, ratio[:, c]) for c in range(3)])
+    top = min(SHADOW_RANGE[1], DARKEST / max(float((light.direct * light.direction[2] + light.sky)[0]), 1e-9))
+    return replace(light, shadow=np.clip(factor, SHADOW_RANGE[0], max(top, 0.0))), True
+
+
+def _robust_slope(hidden: Array, ratio: Array) -> float:
+    """k of ratio = g (1 - k hidden), with less weight for what lies far off."""
+    weight = np.ones(len(hidden))
+    a = b = 0.0
+    for _ in range(2 * ROUNDS):
+        design = np.column_stack([np.ones(len(hidden)), -hidden])
+        scaled = design * weight[:, None]
+        a, b = np.linalg.lstsq(scaled, ratio * weight, rcond=None)[0]
+        off = np.abs(ratio - design @ [a, b])
+        weight = 1 / np.sqrt(1 + (off / max(LOOSE * float(off.mean()), 1e-6)) ** 2)
+    return float(b / max(a, 1e-6))
+
+
+def picture_error(evidence: Evidence, shown: Array, ground: int) -> float:
+    """Mean square difference of sRGB values on objects."""
+    own = evidence.group < ground
+    return float(np.mean((srgb(np.clip(shown[own], 0, 1)) - srgb(evidence.photo[own])) ** 2))

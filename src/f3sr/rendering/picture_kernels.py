@@ -1,0 +1,143 @@
+"""Kernels of the last step: shadows on the ground from bits, and objects over the background, in linear light."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.kernels import inline_kernel, kernel
+
+STEPS = 65535
+"""Steps of linear light in the table that ends in sRGB: the darkest ones of eight bits are 20 of these wide."""
+BLUR_SUM = 16
+"""Of the weights of ``blur``."""
+
+
+@kernel
+def count_lights(
+    bits: NDArray[Any], direct: int, set_bits: NDArray[Any], top: int, bottom: int, counts: NDArray[Any]
+) -> None:
+    """How many lights are hidden at every pixel of the rows [top, bottom): ``counts`` (2, h, w) of the direct light,
+    which the first ``direct`` words of ``bits`` (words, h, w) are of, and of the sky."""
+    words, width = bits.shape[0], bits.shape[2]
+    for y in range(top, bottom):
+        for x in range(width):
+            counts[0, y, x] = counts[1, y, x] = 0
+        for word in range(words):
+            kind = 0 if word < direct else 1
+            for x in range(width):
+                counts[kind, y, x] += set_bits[bits[word, y, x]]
+
+
+@kernel
+def blur(counts: NDArray[Any], top: int, bottom: int, blurred: NDArray[Any]) -> None:
+    """``counts`` (2, h, w) under a binomial filter of 3 x 3, times 16, mirrored at the border, in the rows [top,
+    bottom)."""
+    height, width = counts.shape[1], counts.shape[2]
+    for kind in range(2):
+        for y in range(top, bottom):
+            above, below = max(y - 1, 0), min(y + 1, height - 1)
+            for x in range(width):
+                left, right = max(x - 1, 0), min(x + 1, width - 1)
+                total = 4 * counts[kind, y, x]
+                total += 2 * (counts[kind, above, x] + counts[kind, below, x])
+                total += 2 * (counts[kind, y, left] + counts[kind, y, right])
+                total += counts[kind, above, left] + counts[kind, above, right]
+                total += counts[kind, below, left] + counts[kind, below, right]
+                blurred[kind, y, x] = total
+
+
+@kernel
+def mark_changed(values: NDArray[Any], before: NDArray[Any], side: int, dirty: NDArray[Any]) -> None:
+    """Set ``dirty`` (rows, columns) for squares of ``side`` cells in or next to which ``values`` (2, h, w) are others
+    than ``before``."""
+    rows, columns = dirty.shape
+    for kind in range(2):
+        for y in range(values.shape[1]):
+            for x in range(values.shape[2]):
+                if values[kind, y, x] != before[kind, y, x]:
+                    for i in range(max((y - 1) // side, 0), min((y + 1) // side, rows - 1) + 1):
+                        for j in range(max((x - 1) // side, 0), min((x + 1) // side, columns - 1) + 1):
+                            dirty[i, j] = True
+
+
+@inline_kernel
+def _between(x: int, cell: int, count: int) -> tuple[int, int, float]:
+    """The two cells around the centre of pixel ``x``, and the second's weight."""
+    s = (x + 0.5) / cell - 0.5
+    i = int(np.floor(s))
+    return max(i, 0), min(i + 1, count - 1), s - i
+
+
+@inline_kernel
+def _bilinear(values: NDArray[Any], kind: int, rows: tuple[int, int, float], columns: tuple[int, int, float]) -> float:
+    upper = (1 - columns[2]) * values[kind, rows[0], columns[0]] + columns[2] * values[kind, rows[0], columns[1]]
+    lower = (1 - columns[2]) * values[kind, rows[1], columns[0]] + columns[2] * values[kind, rows[1], columns[1]]
+    return (1 - rows[2]) * upper + rows[2] * lower
+
+
+@kernel
+def light_left(
+    blurred: NDArray[Any], cell: int, weight: NDArray[Any], receives: NDArray[Any], left: NDArray[Any]
+) -> None:
+    """The share of its light (h, w, 3) that the ground keeps: 1 - ``weight`` (2, 3) times the blurred counts of cells
+    of ``cell`` pixels."""
+    height, width = receives.shape
+    for y in range(height):
+        rows = _between(y, cell, blurred.shape[1])
+        for x in range(width):
+            columns = _between(x, cell, blurred.shape[2])
+            direct, sky = _bilinear(blurred, 0, rows, columns), _bilinear(blurred, 1, rows, columns)
+            for c in range(3):
+                left[y, x, c] = 1 - receives[y, x] * (weight[0, c] * direct + weight[1, c] * sky)
+
+
+@kernel
+def compose(
+    background: NDArray[Any],
+    linear: NDArray[Any],
+    blurred: NDArray[Any],
+    cell: int,
+    weight: NDArray[Any],
+    receives: NDArray[Any],
+    already: NDArray[Any],
+    samples: int,
+    color: NDArray[Any],
+    cover: NDArray[Any],
+    table: NDArray[Any],
+    tile: int,
+    dirty: NDArray[Any],
+    top: int,
+    bottom: int,
+    picture: NDArray[Any],
+) -> None:
+    """The rows [top, bottom) of ``picture``, where squares of ``tile`` pixels are ``dirty``: objects over the
+    background (h, w, 3), whose linear light ``linear[value]`` is multiplied by ``light_left`` over the share that was
+    left in the background ``already`` (h, w, 3)."""
+    width = cover.shape[1]
+    for y in range(top, bottom):
+        rows = _between(y, cell, blurred.shape[1])
+        for x in range(width):
+            if not dirty[y // tile, x // tile]:
+                continue
+            columns = _between(x, cell, blurred.shape[2])
+            direct, sky = _bilinear(blurred, 0, rows, columns), _bilinear(blurred, 1, rows, columns)
+            objects = cover[y, x] / (samples * samples)
+            for c in range(3):
+                left = np.float32(1 - receives[y, x] * (weight[0, c] * direct + weight[1, c] * sky))
+                factor = left / already[y, x, c]
+                if objects == 0 and factor == 1:
+                    picture[y, x, c] = background[y, x, c]
+                else:
+                    value = (1 - objects) * linear[background[y, x, c]] * factor
+                    value += color[y, x, c] / (samples * samples)
+                    picture[y, x, c] = table[int(min(max(value, 0.0), 1.0) * STEPS + 0.5)]
+
+
+def warm_up() -> None:
+    """Compile every kernel of this module by drawing a tiny film with all."""
+    from f3sr.rendering import trial
+
+    trial.draw()

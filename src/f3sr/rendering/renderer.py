@@ -1,0 +1,100 @@
+"""The film's renderer: objects at any poses over the completed photo, lit as the photo is, with their shadows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from f3sr.errors import InputError
+from f3sr.frames import Array, Camera
+from f3sr.rendering.canvas import Canvas, Setting
+from f3sr.rendering.config import RenderConfig
+from f3sr.rendering.ground import ground_seen, shadows_within
+from f3sr.rendering.layers import Things
+from f3sr.rendering.lighting import lit_as_photo
+from f3sr.rendering.shadow_maps import MARGIN
+from f3sr.scene import Scene
+from f3sr.silhouette import union_of
+
+
+class Renderer:
+    """Draws frames; made by ``Renderer.of``. It keeps what it drew last, so one thread at a time may use it."""
+
+    def __init__(self, setting: Setting, decisions: tuple[str, ...] = ()) -> None:
+        self.setting = setting
+        self.decisions = decisions
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        background: NDArray[np.uint8],
+        camera: Camera | None = None,
+        config: RenderConfig | None = None,
+    ) -> Renderer:
+        """A renderer of the objects of a finished ``scene`` over ``background`` (h, w, 3) uint8 sRGB.
+
+        The light is that of the photo, fitted with the scene at rest, whichever ``camera`` draws; with the photo's own,
+        ``background`` is the photo completed behind its objects. Raises InputError where sizes do not agree.
+        """
+        config = config or RenderConfig()
+        view = camera or scene.camera
+        if background.shape != (view.height, view.width, 3) or background.dtype != np.uint8:
+            raise InputError(
+                "background",
+                found=f"{background.dtype} of shape {background.shape}",
+                accepted=f"uint8 of shape {(view.height, view.width, 3)}, the camera's",
+            )
+        things = Things.of(scene.objects, config)
+        ball = ball_around(scene)
+        light, gains, decisions = lit_as_photo(scene, background if camera is None else None, things, ball, config)
+        setting = Setting(
+            camera=view,
+            background=np.ascontiguousarray(background),
+            light=light,
+            gains=gains,
+            config=config,
+            things=things,
+            ball=ball,
+            receives=ground_seen(view, scene.ground_mask if camera is None else None),
+            already=np.ones((view.height, view.width, 3), np.float32),
+        )
+        if camera is None and config.shadows.enabled:
+            setting = replace(setting, already=_held(scene, setting))
+        return cls(setting, decisions)
+
+    def frame(self, T_world_object: ArrayLike) -> NDArray[np.uint8]:
+        """The picture (h, w, 3) with the objects at poses (N, 4, 4), in the scene's order."""
+        poses = np.asarray(T_world_object, np.float64)
+        expected = (len(self.setting.things.vertices), 4, 4)
+        if poses.shape != expected or not np.isfinite(poses).all():
+            raise InputError("poses", found=f"shape {poses.shape}", accepted=f"finite ones of shape {expected}")
+        return self._canvas.drawn(poses)
+
+    @cached_property
+    def _canvas(self) -> Canvas:
+        return Canvas(self.setting)
+
+
+def poses_at_rest(scene: Scene) -> Array:
+    """(N, 4, 4)"""
+    return np.array([o.T_world_object for o in scene.objects]).reshape(-1, 4, 4)
+
+
+def ball_around(scene: Scene) -> tuple[Array, float]:
+    """Middle and radius [m] of the ball that light maps cover."""
+    if not scene.objects:
+        return np.zeros(3), 1.0
+    corners = np.concatenate([o.bounds_world for o in scene.objects])
+    low, high = corners.min(0), corners.max(0)
+    return (low + high) / 2, MARGIN * max(float(np.linalg.norm(high - low)) / 2, 1e-3)
+
+
+def _held(scene: Scene, setting: Setting) -> NDArray[np.float32]:
+    """What of the ground's light the background shows already."""
+    objects = union_of([o.mask for o in scene.objects], setting.background.shape[:2])
+    rest = Canvas.light_left(setting, poses_at_rest(scene))
+    return shadows_within(rest, scene.photo.rgb, setting.background, objects)

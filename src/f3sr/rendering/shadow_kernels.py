@@ -1,0 +1,211 @@
+"""Kernels of light and shadow: maps of what faces a light, shadows thrown on the ground, and light that arrives."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.kernels import inline_kernel, kernel
+from f3sr.triangles import Point, bounds, centres, corner, determinant, edge_functions, row_of, span
+
+FADE = 12.0
+"""Texels from the border of a map over which its shadows fade: what leaves the scene does not lose them at once."""
+
+
+@kernel
+def cast_map(
+    vertices: NDArray[Any], faces: NDArray[Any], closed: bool, frame: NDArray[Any], nearest: NDArray[Any]
+) -> None:
+    """Raise ``nearest`` (s, s) to the place along a light that triangles reach. Rows of ``frame`` (3, 4): column
+    [texel], row [texel] and place [m], against the light's rays, of a world point. Of a ``closed`` surface only what
+    faces the light is drawn: the rest lies behind it."""
+    side = len(nearest)
+    placed = np.empty((len(vertices), 3))
+    for i in range(len(vertices)):
+        x, y, z = vertices[i, 0], vertices[i, 1], vertices[i, 2]
+        for k in range(3):
+            placed[i, k] = frame[k, 0] * x + frame[k, 1] * y + frame[k, 2] * z + frame[k, 3]
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ua, va, ub, vb, uc, vc = placed[a, 0], placed[a, 1], placed[b, 0], placed[b, 1], placed[c, 0], placed[c, 1]
+        left, right = centres(min(ua, ub, uc), max(ua, ub, uc), 0, side)
+        top, bottom = centres(min(va, vb, vc), max(va, vb, vc), 0, side)
+        area = (ub - ua) * (vc - va) - (uc - ua) * (vb - va)
+        if left > right or top > bottom or area == 0 or (closed and area < 0):
+            continue
+        tb, tc = (placed[b, 2] - placed[a, 2]) / area, (placed[c, 2] - placed[a, 2]) / area
+        sign = 1.0 if area > 0 else -1.0
+        for row in range(top, bottom + 1):
+            y = row + 0.5
+            for column in range(left, right + 1):
+                x = column + 0.5
+                wb = (x - ua) * (vc - va) - (uc - ua) * (y - va)
+                wc = (ub - ua) * (y - va) - (x - ua) * (vb - va)
+                if sign * wb >= 0 and sign * wc >= 0 and sign * (area - wb - wc) >= 0:
+                    t = np.float32(placed[a, 2] + wb * tb + wc * tc)
+                    if t > nearest[row, column]:
+                        nearest[row, column] = t
+
+
+Line = tuple[float, float, float]
+"""a and b of a line x = a y + b, and 1 where a triangle lies to its right, -1 to its left; 0 for a level line, where it
+lies at a y + b >= 0."""
+
+
+@inline_kernel
+def _side(ux: float, uy: float, vx: float, vy: float, sign: float) -> Line:
+    """The line from u to v of a triangle that ``sign`` turns clockwise."""
+    a, b = sign * (uy - vy), sign * (vx - ux)
+    c = -(a * ux + b * uy)
+    if a == 0:
+        return b, c, 0.0
+    return -b / a, -c / a, 1.0 if a > 0 else -1.0
+
+
+@inline_kernel
+def _cut(low: float, high: float, line: Line, y: float) -> tuple[float, float]:
+    """What of x in [low, high] lies inside of a line."""
+    x = line[0] * y + line[1]
+    if line[2] > 0:
+        return max(low, x), high
+    if line[2] < 0:
+        return low, min(high, x)
+    return (low, high) if x >= 0 else (1.0, 0.0)
+
+
+@kernel
+def cast_on_ground(
+    vertices: NDArray[Any],
+    faces: NDArray[Any],
+    closed: bool,
+    P: NDArray[Any],
+    lights: NDArray[Any],
+    near: float,
+    bits: NDArray[Any],
+) -> None:
+    """Set bit k of ``bits`` (h, w) where the ground z = 0, seen through ``P`` (3, 4) = K T_camera_world, lies in the
+    shadow that triangles cast away from ``lights`` (k, 3). Of a ``closed`` surface half the triangles are drawn, those
+    of one side: both halves have the same shadow."""
+    height, width = bits.shape
+    size = float(max(height, width))
+    points = np.empty((len(vertices), 5))
+    for light in range(len(lights)):
+        bit = np.uint8(1 << light)
+        sx, sy = lights[light, 0] / lights[light, 2], lights[light, 1] / lights[light, 2]
+        for i in range(len(vertices)):
+            above = max(vertices[i, 2], 0.0)
+            x, y = vertices[i, 0] - above * sx, vertices[i, 1] - above * sy
+            px, py = P[0, 0] * x + P[0, 1] * y + P[0, 3], P[1, 0] * x + P[1, 1] * y + P[1, 3]
+            pz = P[2, 0] * x + P[2, 1] * y + P[2, 3]
+            points[i, 0], points[i, 1], points[i, 2] = px, py, pz
+            points[i, 3], points[i, 4] = (px / pz, py / pz) if pz >= near else (np.nan, np.nan)
+        for f in range(len(faces)):
+            i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+            if min(points[i, 2], points[j, 2], points[k, 2]) < near:
+                _cover_clipped(corner(points, i), corner(points, j), corner(points, k), near, size, bit, bits)
+                continue
+            ux, uy, vx, vy = points[i, 3], points[i, 4], points[j, 3], points[j, 4]
+            wx, wy = points[k, 3], points[k, 4]
+            area = (vx - ux) * (wy - uy) - (wx - ux) * (vy - uy)
+            if area == 0 or (closed and area < 0):
+                continue
+            top, bottom = centres(min(uy, vy, wy), max(uy, vy, wy), 0, height)
+            left, right = max(min(ux, vx, wx), 0.0), min(max(ux, vx, wx), float(width))
+            if top > bottom or left > right:
+                continue
+            sign = 1.0 if area > 0 else -1.0
+            first_side, second_side = _side(ux, uy, vx, vy, sign), _side(vx, vy, wx, wy, sign)
+            third_side = _side(wx, wy, ux, uy, sign)
+            for row in range(top, bottom + 1):
+                low, high = _cut(left, right, first_side, row + 0.5)
+                low, high = _cut(low, high, second_side, row + 0.5)
+                low, high = _cut(low, high, third_side, row + 0.5)
+                if low <= high:
+                    first, last = centres(low, high, 0, width)
+                    for column in range(first, last + 1):
+                        bits[row, column] |= bit
+
+
+@kernel
+def _cover_clipped(a: Point, b: Point, c: Point, near: float, size: float, bit: Any, bits: NDArray[Any]) -> None:
+    """Set a bit where a triangle that crosses the near plane covers ``bits`` (h, w)."""
+    u0, u1, v0, v1 = bounds(a, b, c, near)
+    top, bottom = centres(v0, v1, 0, bits.shape[0])
+    left, right = centres(u0, u1, 0, bits.shape[1])
+    det = determinant(a, b, c)
+    if top > bottom or left > right or not 0 < abs(det) < np.inf:
+        return
+    edges = edge_functions(a, b, c, np.sign(det), size, near)
+    for y in range(top, bottom + 1):
+        first, last = span(edges, row_of(edges, y + 0.5), left, right)
+        for x in range(first, last + 1):
+            bits[y, x] |= bit
+
+
+@inline_kernel
+def arriving(
+    px: float,
+    py: float,
+    pz: float,
+    nx: float,
+    ny: float,
+    nz: float,
+    light: int,
+    directions: NDArray[Any],
+    frames: NDArray[Any],
+    maps: NDArray[Any],
+    bias: float,
+) -> float:
+    """Cosine of a light's angle at a point with a normal, times what of it arrives there: the share of the four texels
+    around that nothing nearer is in, by their weight (Reeves et al. 1987)."""
+    cosine = nx * directions[light, 0] + ny * directions[light, 1] + nz * directions[light, 2]
+    if cosine <= 0:
+        return 0.0
+    side = maps.shape[1]
+    u = frames[light, 0, 0] * px + frames[light, 0, 1] * py + frames[light, 0, 2] * pz + frames[light, 0, 3] - 0.5
+    v = frames[light, 1, 0] * px + frames[light, 1, 1] * py + frames[light, 1, 2] * pz + frames[light, 1, 3] - 0.5
+    inside = min(u, v, side - 1 - u, side - 1 - v)
+    if not inside > 0:
+        return cosine
+    t = frames[light, 2, 0] * px + frames[light, 2, 1] * py + frames[light, 2, 2] * pz + frames[light, 2, 3] + bias
+    i, j = int(u), int(v)
+    fu, fv = u - i, v - j
+    hidden = 0.0
+    if maps[light, j, i] > t:
+        hidden += (1 - fu) * (1 - fv)
+    if maps[light, j, i + 1] > t:
+        hidden += fu * (1 - fv)
+    if maps[light, j + 1, i] > t:
+        hidden += (1 - fu) * fv
+    if maps[light, j + 1, i + 1] > t:
+        hidden += fu * fv
+    return cosine * (1 - hidden * min(inside / FADE, 1.0))
+
+
+@kernel
+def arrivals(
+    points: NDArray[Any],
+    normals: NDArray[Any],
+    directions: NDArray[Any],
+    frames: NDArray[Any],
+    maps: NDArray[Any],
+    offset: float,
+    bias: float,
+    out: NDArray[Any],
+) -> None:
+    """``arriving`` of every light (L,) at points (n, 3) with normals (n, 3), moved along these by ``offset`` [m], into
+    ``out`` (n, L)."""
+    for i in range(len(points)):
+        nx, ny, nz = normals[i, 0], normals[i, 1], normals[i, 2]
+        x, y, z = points[i, 0] + offset * nx, points[i, 1] + offset * ny, points[i, 2] + offset * nz
+        for light in range(len(directions)):
+            out[i, light] = arriving(x, y, z, nx, ny, nz, light, directions, frames, maps, bias)
+
+
+def warm_up() -> None:
+    """Compile every kernel of this module by drawing a tiny film with all."""
+    from f3sr.rendering import trial
+
+    trial.draw()

@@ -1,0 +1,107 @@
+"""Maps of what lies nearest to each of some lights: where they cover the world, and drawing them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr import raster
+from f3sr.frames import Array, transform
+from f3sr.rendering.shadow_kernels import arrivals, cast_map
+
+MARGIN = 1.6
+"""Of the ball that maps cover, in radii of the scene at rest: what moves out of it loses its shadows on objects, not
+those on the ground."""
+OFFSET, BIAS = 1.2, 1.0
+"""Texels by which points are moved along their normals, and by which an occluder must be nearer to the light: half a
+texel is a map's own error, the rest that of the simpler triangles in it."""
+
+
+class Caster(NamedTuple):
+    """A surface that casts shadows."""
+
+    vertices: Array
+    """(n, 3) [m]"""
+    faces: NDArray[np.int32]
+    """(m, 3)"""
+    closed: bool
+    """Whether it is closed and outward: what faces away from a light then adds nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Maps:
+    """``frames`` (L, 3, 4) of ``directions`` (L, 3), and maps (L, s, s) of side ``texel`` [m]; see ``cast_map``."""
+
+    directions: Array
+    frames: Array
+    nearest: NDArray[np.float32]
+    texel: float
+
+    @classmethod
+    def empty(cls, directions: Array, center: Array, radius: float, side: int) -> Maps:
+        """Maps of the ball of ``radius`` [m] around ``center``."""
+        texel = 2 * radius / side
+        frames = np.array([_frame(d, center, texel, side) for d in directions]).reshape(-1, 3, 4)
+        nearest = np.full((len(directions), side, side), -np.inf, np.float32)
+        return cls(raster.fixed(directions, np.float64), raster.fixed(frames, np.float64), nearest, texel)
+
+    @property
+    def offset(self) -> float:
+        return OFFSET * self.texel
+
+    @property
+    def bias(self) -> float:
+        return BIAS * self.texel
+
+    def cast(self, casters: Sequence[Caster], lights: slice = slice(None)) -> None:
+        """Draw some casters into the maps of some ``lights``."""
+
+        def draw(light: int) -> None:
+            for caster in casters:
+                cast_map(*caster, self.frames[light], self.nearest[light])
+
+        raster.share(draw, range(len(self.directions))[lights])
+
+    def reached(self, points: Array) -> Array:
+        """(L, 4) first and last column, first and last row of every map that a surface through points (n, 3) and within
+        their hull can change; none where there are no points."""
+        if not len(points):
+            return np.tile([0.0, -1.0, 0.0, -1.0], (len(self.directions), 1))
+        placed = self.frames[:, :2, :3] @ points.T + self.frames[:, :2, 3:]
+        low, high = np.floor(placed.min(2)), np.floor(placed.max(2))
+        return np.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]], axis=1)
+
+    def arriving(self, points: Array, normals: Array) -> Array:
+        """(n, L) cosines times visibility at points (n, 3) with normals (n, 3)."""
+        out = np.empty((len(points), len(self.directions)))
+        arrivals(
+            raster.fixed(points, np.float64),
+            raster.fixed(normals, np.float64),
+            self.directions,
+            self.frames,
+            raster.fixed(self.nearest, np.float32),
+            self.offset,
+            self.bias,
+            out,
+        )
+        return out
+
+
+def _frame(direction: Array, center: Array, texel: float, side: int) -> Array:
+    """Rows: column and row [texel], place against the rays [m]; the centre lies in the middle of the map."""
+    x = np.cross([0.0, 1, 0] if abs(direction[1]) < 0.9 else [1.0, 0, 0], direction)
+    x /= np.linalg.norm(x)
+    axes = np.stack([x / texel, np.cross(direction, x) / texel, direction])
+    return np.column_stack([axes, -axes @ center + [side / 2, side / 2, 0]])
+
+
+def world_casters(casters: Sequence[Caster], poses: Array) -> list[Caster]:
+    """Casters of objects at ``poses`` (N, 4, 4), as kernels take them."""
+    return [
+        Caster(raster.fixed(transform(T, c.vertices), np.float64), raster.fixed(c.faces, np.int32), c.closed)
+        for T, c in zip(poses, casters, strict=True)
+    ]

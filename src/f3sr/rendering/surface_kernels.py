@@ -1,0 +1,472 @@
+"""Kernels of what is seen: the nearest face at every sample, and its lit colour in linear light."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.kernels import inline_kernel, kernel
+from f3sr.rendering.shadow_kernels import arriving
+from f3sr.triangles import bounds, centres, corner, determinant, edge_functions, row_of, span
+
+SAME = 0.97
+"""Cosine of normals up to which samples of a pixel share the light of one of them."""
+NEARBY = 0.01
+"""Share of their distance to the camera up to which they do."""
+UNIT = 65535.0
+"""White in textures of 16 bits."""
+
+
+class Shapes(NamedTuple):
+    """All triangles of a scene, as they were loaded."""
+
+    faces: NDArray[np.int32]
+    """(F, 3) rows of vertices."""
+    object: NDArray[np.int32]
+    """(F,)"""
+    slot: NDArray[np.int32]
+    """(F,) material."""
+    normals: NDArray[np.float32]
+    """(F, 3, 3) of every corner, in the object's frame."""
+    flat: NDArray[np.float32]
+    """(F, 3) of the face itself."""
+    uv: NDArray[np.float32]
+    """(V, 2)"""
+    colors: NDArray[np.float32]
+    """(V, 3) linear."""
+
+
+class Textures(NamedTuple):
+    """Pictures of all materials at all levels of detail, in linear light, one after the other."""
+
+    texels: NDArray[np.uint16]
+    """(n, 3)"""
+    starts: NDArray[np.int64]
+    """(S, L) first texel of a level."""
+    sizes: NDArray[np.int32]
+    """(S, L, 2) height and width of a level."""
+    levels: NDArray[np.int32]
+    """(S,) how many there are, at least 1."""
+
+
+class View(NamedTuple):
+    """Where everything is in one frame."""
+
+    points: NDArray[np.float64]
+    """(V, 5) projected vertices on the grid of samples."""
+    turns: NDArray[np.float64]
+    """(O, 3, 3) rotations of the objects."""
+    clipped: NDArray[np.bool_]
+    """(O,) whether any of an object's vertices lies before the near plane."""
+    rays: NDArray[np.float64]
+    """(3, 4): a sample (x, y, 1) at depth z lies at z times the first three columns' product with it, plus the last."""
+
+
+class Lamps(NamedTuple):
+    """The light of a frame."""
+
+    directions: NDArray[np.float64]
+    """(L, 3) towards lights, those of the direct light first."""
+    frames: NDArray[np.float64]
+    """(L, 3, 4) of their maps."""
+    maps: NDArray[np.float32]
+    """(L, s, s)"""
+    direct: int
+    """How many are of the direct light."""
+    offset: float
+    """By how much points are moved along their normals [m]."""
+    bias: float
+    """By how much an occluder must be nearer to the light [m]."""
+    strength: NDArray[np.float64]
+    """(4, 3) linear light per channel: even, direct, of the sky, from below."""
+    gains: NDArray[np.float64]
+    """(O, 3) exposure of every object."""
+
+
+@kernel
+def nearest_faces(
+    points: NDArray[Any],
+    faces: NDArray[Any],
+    first: int,
+    stop: int,
+    outward: bool,
+    near: float,
+    top: int,
+    bottom: int,
+    face: NDArray[Any],
+    nearness: NDArray[Any],
+) -> None:
+    """Draw the faces [first, stop) into ``face`` (h, w) and ``nearness`` (h, w), 1 / z, in the rows [top, bottom).
+
+    Of equally near faces the first is kept, in whatever order they are drawn. 1 / z is linear over the picture:
+    (e_a + e_b + e_c) / det in the terms of ``raster``. ``outward``: faces that show their back are hidden by others.
+    """
+    width = face.shape[1]
+    size = float(max(face.shape))
+    for f in range(first, stop):
+        a, b, c = corner(points, faces[f, 0]), corner(points, faces[f, 1]), corner(points, faces[f, 2])
+        u0, u1, v0, v1 = bounds(a, b, c, near)
+        low, high = centres(v0, v1, top, bottom)
+        left, right = centres(u0, u1, 0, width)
+        if low > high or left > right:
+            continue
+        det = determinant(a, b, c)
+        if not 0 < abs(det) < np.inf or (outward and det > 0):
+            continue
+        edges = edge_functions(a, b, c, np.sign(det), size, near)
+        ea, eb, ec, _ = edges
+        scale = 1 / abs(det)
+        slope = (ea[0] + eb[0] + ec[0]) * scale
+        for y in range(low, high + 1):
+            row = row_of(edges, y + 0.5)
+            start, end = span(edges, row, left, right)
+            constant = (row[0] + row[1] + row[2]) * scale
+            for x in range(start, end + 1):
+                w = np.float32(slope * (x + 0.5) + constant)
+                if w > nearness[y, x] or (w == nearness[y, x] and f < face[y, x]):
+                    nearness[y, x] = w
+                    face[y, x] = f
+
+
+@inline_kernel
+def _wrapped(t: float, size: int) -> tuple[int, int, float]:
+    """The two texels around ``t`` in [0, 1] of a repeating texture, and the second's weight."""
+    s = t * size - 0.5
+    i = int(np.floor(s))
+    j = i + 1
+    return (i + size if i < 0 else i), (j - size if j >= size else j), s - np.floor(s)
+
+
+@inline_kernel
+def _bilinear(textures: Textures, slot: Any, level: Any, u: float, v: float) -> tuple[float, float, float]:
+    """A level's colour at u and v in [0, 1], v from the bottom."""
+    texels, start = textures.texels, textures.starts[slot, level]
+    h, w = textures.sizes[slot, level, 0], textures.sizes[slot, level, 1]
+    x0, x1, fx = _wrapped(u, w)
+    y0, y1, fy = _wrapped(1 - v, h)
+    i, j, k, m = start + y0 * w + x0, start + y0 * w + x1, start + y1 * w + x0, start + y1 * w + x1
+    a, b, c, d = (1 - fy) * (1 - fx), (1 - fy) * fx, fy * (1 - fx), fy * fx
+    return (
+        a * texels[i, 0] + b * texels[j, 0] + c * texels[k, 0] + d * texels[m, 0],
+        a * texels[i, 1] + b * texels[j, 1] + c * texels[k, 1] + d * texels[m, 1],
+        a * texels[i, 2] + b * texels[j, 2] + c * texels[k, 2] + d * texels[m, 2],
+    )
+
+
+@inline_kernel
+def texture_at(textures: Textures, slot: Any, u: float, v: float, footprint: float) -> tuple[float, float, float]:
+    """The trilinear colour of a texture where a sample covers the square ``footprint`` of level 0's texels."""
+    u, v = u - np.floor(u), v - np.floor(v)
+    last = textures.levels[slot] - 1
+    lod = 0.5 * np.log2(footprint) if footprint > 1 else 0.0
+    level: Any = min(int(lod), last)
+    share = min(lod - level, 1.0) if level < last else 0.0
+    r, g, b = _bilinear(textures, slot, level, u, v)
+    if share > 0:
+        r1, g1, b1 = _bilinear(textures, slot, level + 1, u, v)
+        r, g, b = r + share * (r1 - r), g + share * (g1 - g), b + share * (b1 - b)
+    return r / UNIT, g / UNIT, b / UNIT
+
+
+@inline_kernel
+def light_at(x: float, y: float, z: float, nx: float, ny: float, nz: float, lamps: Lamps) -> tuple[float, float, float]:
+    """Direct light, the sky's and that from below at a point with a normal, each 1 where nothing is in the way."""
+    directions, frames, maps, bias = lamps.directions, lamps.frames, lamps.maps, lamps.bias
+    x, y, z = x + lamps.offset * nx, y + lamps.offset * ny, z + lamps.offset * nz
+    direct = sky = 0.0
+    count = len(directions)
+    for light in range(lamps.direct):
+        direct += arriving(x, y, z, nx, ny, nz, light, directions, frames, maps, bias)
+    for light in range(lamps.direct, count):
+        sky += arriving(x, y, z, nx, ny, nz, light, directions, frames, maps, bias)
+    return direct / max(lamps.direct, 1), 2 * sky / max(count - lamps.direct, 1), 0.5 - 0.5 * nz
+
+
+@inline_kernel
+def _is_even(row: int, column: int, samples: int, shapes: Shapes, face: NDArray[Any], nearness: NDArray[Any]) -> bool:
+    """Whether all samples of a pixel show one material of one object, there nearly flat: one colour stands for them."""
+    y, x = row * samples, column * samples
+    f, w = face[y, x], nearness[y, x]
+    if f < 0:
+        return False
+    a, b, c = shapes.flat[f, 0], shapes.flat[f, 1], shapes.flat[f, 2]
+    for s in range(1, samples * samples):
+        i, j = y + s // samples, x + s % samples
+        g = face[i, j]
+        if g == f:
+            continue
+        if g < 0 or shapes.slot[g] != shapes.slot[f] or abs(nearness[i, j] - w) > NEARBY * w:
+            return False
+        if a * shapes.flat[g, 0] + b * shapes.flat[g, 1] + c * shapes.flat[g, 2] < SAME:
+            return False
+    return True
+
+
+Vector = tuple[float, float, float]
+
+
+@inline_kernel
+def _weights(
+    points: NDArray[Any], faces: NDArray[Any], f: Any, x: float, y: float, size: float, near: float
+) -> tuple[Vector, Vector, Vector, float]:
+    """Barycentrics of a sample in a face, or at its border next to it, how they change along x and along y, and 1 where
+    the face shows its front, else -1."""
+    a, b, c = corner(points, faces[f, 0]), corner(points, faces[f, 1]), corner(points, faces[f, 2])
+    sign = 1.0 if determinant(a, b, c) > 0 else -1.0
+    ea, eb, ec, _ = edge_functions(a, b, c, sign, size, near)
+    wa = max(ea[0] * x + ea[1] * y + ea[2], 0.0)
+    wb = max(eb[0] * x + eb[1] * y + eb[2], 0.0)
+    wc = max(ec[0] * x + ec[1] * y + ec[2], 0.0)
+    whole = 1 / (wa + wb + wc)
+    along = whole * ea[0], whole * eb[0], whole * ec[0]
+    down = whole * ea[1], whole * eb[1], whole * ec[1]
+    return (wa * whole, wb * whole, wc * whole), along, down, -sign
+
+
+@inline_kernel
+def _color(
+    shapes: Shapes, textures: Textures, f: Any, weights: Vector, along: Vector, down: Vector, area: float
+) -> Vector:
+    """Colour without light of a face at some barycentrics, over ``area`` samples."""
+    faces, uv, colors, sizes = shapes.faces, shapes.uv, shapes.colors, textures.sizes
+    i, j, k, slot = faces[f, 0], faces[f, 1], faces[f, 2], shapes.slot[f]
+    wa, wb, wc = weights
+    ua, ub, uc, va, vb, vc = uv[i, 0], uv[j, 0], uv[k, 0], uv[i, 1], uv[j, 1], uv[k, 1]
+    u, v = wa * ua + wb * ub + wc * uc, wa * va + wb * vb + wc * vc
+    high, wide = sizes[slot, 0, 0], sizes[slot, 0, 1]
+    ux = (along[0] * (ua - u) + along[1] * (ub - u) + along[2] * (uc - u)) * wide
+    uy = (down[0] * (ua - u) + down[1] * (ub - u) + down[2] * (uc - u)) * wide
+    vx = (along[0] * (va - v) + along[1] * (vb - v) + along[2] * (vc - v)) * high
+    vy = (down[0] * (va - v) + down[1] * (vb - v) + down[2] * (vc - v)) * high
+    r, g, b = texture_at(textures, slot, u, v, area * max(ux * ux + vx * vx, uy * uy + vy * vy))
+    r *= wa * colors[i, 0] + wb * colors[j, 0] + wc * colors[k, 0]
+    g *= wa * colors[i, 1] + wb * colors[j, 1] + wc * colors[k, 1]
+    b *= wa * colors[i, 2] + wb * colors[j, 2] + wc * colors[k, 2]
+    return r, g, b
+
+
+@inline_kernel
+def _normal(normals: NDArray[Any], turns: NDArray[Any], f: Any, o: Any, weights: Vector, front: float) -> Vector:
+    """Unit normal in the world of a face at some barycentrics, on the side that is seen."""
+    wa, wb, wc = weights
+    x = wa * normals[f, 0, 0] + wb * normals[f, 1, 0] + wc * normals[f, 2, 0]
+    y = wa * normals[f, 0, 1] + wb * normals[f, 1, 1] + wc * normals[f, 2, 1]
+    z = wa * normals[f, 0, 2] + wb * normals[f, 1, 2] + wc * normals[f, 2, 2]
+    norm = front / max(np.sqrt(x * x + y * y + z * z), 1e-12)
+    return (
+        norm * (turns[o, 0, 0] * x + turns[o, 0, 1] * y + turns[o, 0, 2] * z),
+        norm * (turns[o, 1, 0] * x + turns[o, 1, 1] * y + turns[o, 1, 2] * z),
+        norm * (turns[o, 2, 0] * x + turns[o, 2, 1] * y + turns[o, 2, 2] * z),
+    )
+
+
+@inline_kernel
+def _depth(points: NDArray[Any], faces: NDArray[Any], f: Any, weights: Vector) -> float:
+    a, b, c = points[faces[f, 0], 2], points[faces[f, 1], 2], points[faces[f, 2], 2]
+    return weights[0] * a + weights[1] * b + weights[2] * c
+
+
+@inline_kernel
+def _place(rays: NDArray[Any], x: float, y: float, depth: float) -> Vector:
+    """The point in the world of a sample at some depth."""
+    return (
+        depth * (rays[0, 0] * x + rays[0, 1] * y + rays[0, 2]) + rays[0, 3],
+        depth * (rays[1, 0] * x + rays[1, 1] * y + rays[1, 2]) + rays[1, 3],
+        depth * (rays[2, 0] * x + rays[2, 1] * y + rays[2, 2]) + rays[2, 3],
+    )
+
+
+@kernel
+def shade(
+    shapes: Shapes,
+    textures: Textures,
+    view: View,
+    lamps: Lamps,
+    samples: int,
+    near: float,
+    top: int,
+    bottom: int,
+    tile: int,
+    dirty: NDArray[Any],
+    face: NDArray[Any],
+    nearness: NDArray[Any],
+    color: NDArray[Any],
+    cover: NDArray[Any],
+) -> None:
+    """Sums of the samples' colours into ``color`` (h, w, 3) and how many show an object into ``cover`` (h, w), in the
+    rows [top, bottom), where squares of ``tile`` pixels are ``dirty``. ``face`` and ``nearness`` (samples h, samples w)
+    are drawn. Samples of a pixel that lie and face alike share the light of the first."""
+    faces, points, rays, turns = shapes.faces, view.points, view.rays, view.turns
+    owners, normals, strength, gains = shapes.object, shapes.normals, lamps.strength, lamps.gains
+    size, width, whole = float(max(face.shape)), cover.shape[1], samples * samples
+    for row in range(top, bottom):
+        for column in range(width):
+            if not dirty[row // tile, column // tile]:
+                continue
+            count, lit = 0, -1
+            total0 = total1 = total2 = 0.0
+            e0 = e1 = e2 = lx = ly = lz = ld = 0.0
+            even = _is_even(row, column, samples, shapes, face, nearness)
+            for s in range(1 if even else whole):
+                sy, sx = row * samples + s // samples, column * samples + s % samples
+                f = face[sy, sx]
+                if f < 0:
+                    continue
+                x, y, area = sx + 0.5, sy + 0.5, 1
+                if even:
+                    x, y, area = (column + 0.5) * samples, (row + 0.5) * samples, whole
+                count += area
+                weights, along, down, front = _weights(points, faces, f, x, y, size, near)
+                r, g, b = _color(shapes, textures, f, weights, along, down, float(area))
+                o, depth = owners[f], _depth(points, faces, f, weights)
+                nx, ny, nz = _normal(normals, turns, f, o, weights, front)
+                if not (lit == o and nx * lx + ny * ly + nz * lz > SAME and abs(depth - ld) < NEARBY * depth):
+                    px, py, pz = _place(rays, x, y, depth)
+                    direct, sky, below = light_at(px, py, pz, nx, ny, nz, lamps)
+                    e0 = strength[0, 0] + strength[1, 0] * direct + strength[2, 0] * sky + strength[3, 0] * below
+                    e1 = strength[0, 1] + strength[1, 1] * direct + strength[2, 1] * sky + strength[3, 1] * below
+                    e2 = strength[0, 2] + strength[1, 2] * direct + strength[2, 2] * sky + strength[3, 2] * below
+                    e0, e1, e2 = e0 * gains[o, 0], e1 * gains[o, 1], e2 * gains[o, 2]
+                    lit, lx, ly, lz, ld = o, nx, ny, nz, depth
+                total0 += area * min(r * e0, 1.0)
+                total1 += area * min(g * e1, 1.0)
+                total2 += area * min(b * e2, 1.0)
+            cover[row, column] = count
+            color[row, column, 0], color[row, column, 1], color[row, column, 2] = total0, total1, total2
+
+
+@kernel
+def seen_at(
+    shapes: Shapes,
+    textures: Textures,
+    view: View,
+    near: float,
+    pixels: NDArray[Any],
+    face: NDArray[Any],
+    albedo: NDArray[Any],
+    place: NDArray[Any],
+    normal: NDArray[Any],
+) -> None:
+    """Colour without light, place and normal (n, 3), in the world, of what samples ``pixels`` (n, 2) [row, column] of
+    ``face`` show."""
+    faces, points, size = shapes.faces, view.points, float(max(face.shape))
+    for q in range(len(pixels)):
+        f = face[pixels[q, 0], pixels[q, 1]]
+        x, y = pixels[q, 1] + 0.5, pixels[q, 0] + 0.5
+        weights, along, down, front = _weights(points, faces, f, x, y, size, near)
+        albedo[q, 0], albedo[q, 1], albedo[q, 2] = _color(shapes, textures, f, weights, along, down, 1.0)
+        o, depth = shapes.object[f], _depth(points, faces, f, weights)
+        normal[q, 0], normal[q, 1], normal[q, 2] = _normal(shapes.normals, view.turns, f, o, weights, front)
+        place[q, 0], place[q, 1], place[q, 2] = _place(view.rays, x, y, depth)
+
+
+@kernel
+def corner_normals(
+    vertices: NDArray[Any],
+    faces: NDArray[Any],
+    first: NDArray[Any],
+    around: NDArray[Any],
+    crease: float,
+    out: NDArray[Any],
+) -> None:
+    """Normals (m, 3, 3) of the corners of welded ``faces``: the mean, by area, of the faces around that turn away by
+    less than the cosine ``crease``. Faces around vertex v are ``around[first[v] : first[v + 1]]``."""
+    flat = np.empty((len(faces), 3))
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        x0, y0, z0 = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+        x1, y1, z1 = vertices[b, 0] - x0, vertices[b, 1] - y0, vertices[b, 2] - z0
+        x2, y2, z2 = vertices[c, 0] - x0, vertices[c, 1] - y0, vertices[c, 2] - z0
+        flat[f, 0], flat[f, 1], flat[f, 2] = y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2
+    for f in range(len(faces)):
+        x, y, z = flat[f, 0], flat[f, 1], flat[f, 2]
+        length = np.sqrt(x * x + y * y + z * z)
+        for k in range(3):
+            v = faces[f, k]
+            sx, sy, sz = x, y, z
+            for i in range(first[v], first[v + 1]):
+                g = around[i]
+                gx, gy, gz = flat[g, 0], flat[g, 1], flat[g, 2]
+                other = np.sqrt(gx * gx + gy * gy + gz * gz)
+                if g != f and x * gx + y * gy + z * gz > crease * length * other:
+                    sx, sy, sz = sx + gx, sy + gy, sz + gz
+            norm = max(np.sqrt(sx * sx + sy * sy + sz * sz), 1e-30)
+            out[f, k, 0], out[f, k, 1], out[f, k, 2] = sx / norm, sy / norm, sz / norm
+
+
+@kernel
+def tile_depths(
+    nearness: NDArray[Any], side: int, top: int, bottom: int, left: int, right: int, out: NDArray[Any]
+) -> None:
+    """Least and largest 1 / z into ``out`` (rows, columns, 2) of what the samples of tiles of ``side`` show, both 0
+    where they show nothing, of tiles in the rows [top, bottom) and columns [left, right)."""
+    height, width = nearness.shape
+    for i in range(top, bottom):
+        for j in range(left, right):
+            low, high = np.float32(np.inf), np.float32(0)
+            for y in range(i * side, min((i + 1) * side, height)):
+                for x in range(j * side, min((j + 1) * side, width)):
+                    w = nearness[y, x]
+                    if w > 0:
+                        low, high = min(low, w), max(high, w)
+            out[i, j, 0], out[i, j, 1] = (low, high) if high > 0 else (np.float32(0), np.float32(0))
+
+
+@kernel
+def mark_shadowed(
+    depths: NDArray[Any],
+    side: int,
+    rays: NDArray[Any],
+    frames: NDArray[Any],
+    changed: NDArray[Any],
+    reach: float,
+    texel: float,
+    dirty: NDArray[Any],
+) -> None:
+    """Set ``dirty`` (rows, columns) where what a tile shows may read a texel of ``changed`` (L, 4), the first and last
+    column and row of every light's map that was drawn anew. Points are read ``reach`` [m] around themselves."""
+    corners = np.empty((8, 3))
+    for i in range(depths.shape[0]):
+        for j in range(depths.shape[1]):
+            if dirty[i, j] or depths[i, j, 1] == 0:
+                continue
+            for k in range(8):
+                x, y = float((j + (k & 1)) * side), float((i + ((k >> 1) & 1)) * side)
+                z = 1 / float(depths[i, j, k >> 2])
+                for c in range(3):
+                    corners[k, c] = z * (rays[c, 0] * x + rays[c, 1] * y + rays[c, 2]) + rays[c, 3]
+            for light in range(len(frames)):
+                u0, u1, v0, v1 = np.inf, -np.inf, np.inf, -np.inf
+                for k in range(8):
+                    x, y, z = corners[k, 0], corners[k, 1], corners[k, 2]
+                    u = (
+                        frames[light, 0, 0] * x
+                        + frames[light, 0, 1] * y
+                        + frames[light, 0, 2] * z
+                        + frames[light, 0, 3]
+                    )
+                    v = (
+                        frames[light, 1, 0] * x
+                        + frames[light, 1, 1] * y
+                        + frames[light, 1, 2] * z
+                        + frames[light, 1, 3]
+                    )
+                    u0, u1, v0, v1 = min(u0, u), max(u1, u), min(v0, v), max(v1, v)
+                around = reach / texel + 2
+                if (
+                    u1 + around >= changed[light, 0]
+                    and u0 - around <= changed[light, 1]
+                    and v1 + around >= changed[light, 2]
+                    and v0 - around <= changed[light, 3]
+                ):
+                    dirty[i, j] = True
+                    break
+
+
+def warm_up() -> None:
+    """Compile every kernel of this module by drawing a tiny film with all."""
+    from f3sr.rendering import trial
+
+    trial.draw()
