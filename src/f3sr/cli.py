@@ -26,6 +26,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "reconstruct": reconstruct,
         "evaluate": evaluate,
         "simulate": cli_goals.simulate,
+        "film": cli_goals.film,
         "goals": cli_goals.goals,
         "demo": demo,
         "config": config,

@@ -30,33 +30,99 @@ def simulate(
     /,
     out: Annotated[Path | None, arg(aliases=["-o"])] = None,
     plan: Path | None = None,
+    film: bool = True,
+    slow: float = 1.0,
     overwrite: bool = False,
     json: bool = False,
 ) -> None:
-    """Play goals in plain words in a scene: a plan, its physics and a verdict. Exit code 3: refused, 4: not met.
+    """Play goals in plain words in a scene: plan, physics, verdict and film. Exit code 3: refused, 4: not met.
 
     Args:
         package: What ``f3sr reconstruct`` wrote.
         goals: What is to happen, in English, each in quotes: "knock over the mug". ``f3sr goals`` lists the objects.
-        out: Where plan.json, rollout.npz and verdict.json go; of several goals to its subfolders 1, 2, 3...
+        out: Where plan.json, rollout.npz, verdict.json and the film go; of several goals to its subfolders 1, 2, 3...
             Without it, to the next numbers in PACKAGE/rollouts.
         plan: A plan.json to play again, instead of goals.
+        film: Make film.mp4, its key frames film.png and player.html too.
+        slow: How many times slower than life the film is.
         overwrite: Also replace an older rollout.
         json: Print one JSON object instead of text.
     """
+    from f3sr.goals.refusal import Refusal
     from f3sr.package import read_package
 
     _require_goals(goals, plan)
+    _require_slow(slow)
     content = read_package(package)
     places = _places(out, package, max(len(goals), 1), overwrite)
     tellings = list[dict[str, Any]]()
     for played, place, goal, seconds in _played(content, goals, plan, places, overwrite):
         tellings.append(_telling(goal, played, place, seconds, replayed=plan is not None))
+        if film and not isinstance(played, Refusal) and place is not None:
+            tellings[-1]["film"] = _film(content, played, place, slow)
         if not json and (tellings[-1]["state"] != "refused" or len(goals) > 1):  # one refusal is the error's line
             print("\n".join(printable(line) for line in _lines(tellings[-1])), flush=True)
     if json:
         print(json_.dumps({"goals": tellings}, allow_nan=False))
     _end(tellings)
+
+
+def film(rollout: Folder, /, package: Path | None = None, slow: float = 1.0, json: bool = False) -> None:
+    """Film a rollout again: film.mp4, its key frames film.png, and player.html to open in a browser.
+
+    Args:
+        rollout: A folder with plan.json and rollout.npz that ``f3sr simulate`` wrote; the film goes there.
+        package: The package whose scene it plays; without it, the one that the rollout lies in.
+        slow: How many times slower than life.
+        json: Print one JSON object instead of text.
+    """
+    from f3sr.goals import deliver
+    from f3sr.goals.play import Played
+    from f3sr.goals.verify import verify
+
+    _require_slow(slow)
+    found = deliver.read_played(rollout, package)
+    verdict = verify(found.package.scene, found.plan, found.rollout)
+    played = Played(plan=found.plan, rollout=found.rollout, verdict=verdict)
+    told = _film(found.package, played, rollout.resolve(), slow)
+    if json:
+        print(json_.dumps(told, allow_nan=False))
+    else:
+        print("\n".join(printable(line) for line in _film_lines(told)))
+
+
+def _require_slow(slow: float) -> None:
+    from f3sr.film.times import factor
+
+    factor(slow)
+
+
+def _film(content: Package, played: Played, place: Path, slow: float) -> dict[str, Any]:
+    """Film what was played, write it, and tell of it as plain values."""
+    from f3sr.film.filmed import FilmConfig
+    from f3sr.film.filmed import film as filmed
+    from f3sr.goals.deliver import write_film
+    from f3sr.goals.files import FILM
+
+    start = time.perf_counter()
+    made = filmed(content, played.plan, played.rollout, played.verdict, FilmConfig(slow=slow))
+    write_film(made.files, place)
+    return {
+        "file": str(place / FILM),
+        "frames": made.frames,
+        "size": list(made.size),
+        "seconds": round(time.perf_counter() - start, 3),
+        "decisions": list(made.decisions),
+    }
+
+
+def _film_lines(told: dict[str, Any]) -> Iterator[str]:
+    from f3sr.goals.files import PLAYER
+
+    yield from (f"decided:   {decision}" for decision in told["decisions"])
+    width, height = told["size"]
+    yield f"film:      {told['file']}, {told['frames']} frames of {width}x{height}, {told['seconds']:.1f} s"
+    yield f"to play:   {Path(told['file']).with_name(PLAYER)}"
 
 
 def goals(package: Folder, /, json: bool = False) -> None:
@@ -174,6 +240,7 @@ def _lines(told: dict[str, Any]) -> Iterator[str]:
     yield from [f"nearest:   {told['nearest']}"] if told["nearest"] else []
     yield f"verdict:   {told['state']}, {_counted(told['rollouts'])}, {told['seconds']:.1f} s"
     yield f"written:   {told['folder']}"
+    yield from _film_lines(told["film"]) if "film" in told else ()
 
 
 def _counted(rollouts: int) -> str:

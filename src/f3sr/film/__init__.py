@@ -14,6 +14,7 @@ from f3sr.film.strip import Title, strip
 from f3sr.film.times import factor, finer, rate_of
 from f3sr.film.video import Picture, Video, encode
 from f3sr.frames import Array
+from f3sr.goals.files import FILM, FILMS, PLAYER, STRIP
 from f3sr.goals.plan import Plan
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.verify import Verdict
@@ -21,9 +22,6 @@ from f3sr.scene import Scene
 
 __all__ = ["FILM", "FILMS", "PLAYER", "STRIP", "Moment", "Video", "encode", "key_moments", "make_film"]
 
-FILM, STRIP, PLAYER = "film.mp4", "film.png", "player.html"
-FILMS = (FILM, STRIP, PLAYER)
-"""The files of a film."""
 Draw = Callable[[Array], Picture]
 """The picture (h, w, 3) uint8 sRGB of a scene whose objects are at T_world_object (N, 4, 4), in the scene's order."""
 

@@ -8,7 +8,7 @@ import fcntl
 import os
 import secrets
 import shutil
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,14 +19,16 @@ from f3sr.folder import MAX_JSON_BYTES
 from f3sr.goals import plan as plans
 from f3sr.goals import rollout as rollouts
 from f3sr.goals import verify
+from f3sr.goals.files import FILMS, PLAN, ROLLOUT, VERDICT
 from f3sr.goals.plan import Plan
-from f3sr.goals.play import Played
+from f3sr.goals.play import Played, scene_sha
+from f3sr.goals.rollout import Rollout
+from f3sr.package import Package, read_package
 from f3sr.place import is_package
 
 ROLLOUTS = "rollouts"
 """The one folder of a package that goals may write into."""
-PLAN, ROLLOUT, VERDICT, FILM = "plan.json", "rollout.npz", "verdict.json", "film.mp4"
-FILES = {PLAN, ROLLOUT, VERDICT, FILM}
+FILES = {PLAN, ROLLOUT, VERDICT, *FILMS}
 BUILDING = ".building"
 """How the name of a folder that is being written ends, and"""
 MARKER = ".f3sr-building"
@@ -116,6 +118,50 @@ def _written(played: Played, parent: Path) -> Generator[Path]:
                 yield folder
     except OSError as error:
         raise OutputError(f"{parent}: could not be written into ({reason(error)})") from error
+
+
+def write_film(files: Mapping[str, bytes], folder: Path) -> None:
+    """Put the files of a film beside the rollout they show, each whole or not at all; older ones are replaced."""
+    try:
+        with _building(folder) as building:
+            for name, data in files.items():
+                (building / name).write_bytes(data)
+            with interrupts.held():
+                for name in files:
+                    (building / name).replace(folder / name)
+                interrupts.wrote(folder)
+    except OSError as error:
+        raise OutputError(f"{folder}: could not be written into ({reason(error)})") from error
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Found:
+    """A rollout's folder, and the package whose scene it plays."""
+
+    plan: Plan
+    rollout: Rollout
+    package: Package
+
+
+def read_played(folder: Path, package: Path | None = None) -> Found:
+    """A rollout that was written, with its package: the one that it lies in unless one is given.
+
+    Raises InputError where either is missing or damaged, or the rollout is of another scene.
+    """
+    plan = read_plan(folder / PLAN)
+    rollout = rollouts.from_npz(folder / ROLLOUT)
+    if package is None:
+        package = folder.resolve().parent.parent
+        if not is_package(package):
+            accepted = "a rollout in its package's folder, or --package with the package"
+            raise InputError(folder, found="no package around it", accepted=accepted)
+    content = read_package(package)
+    if plan.scene != scene_sha(content):
+        raise InputError(folder, found=f"a rollout of another scene than {package}", accepted="one of this package")
+    if rollout.ids.tolist() != [o.id for o in content.scene]:
+        accepted = f"objects {[o.id for o in content.scene]}, as the scene has them"
+        raise InputError(folder / ROLLOUT, found=f"objects {rollout.ids.tolist()[:20]}", accepted=accepted)
+    return Found(plan=plan, rollout=rollout, package=content)
 
 
 def read_plan(file: Path) -> Plan:

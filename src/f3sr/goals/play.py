@@ -58,14 +58,14 @@ def simulate_goal(package: Package, goal: str, *, language: Language | None = No
         return tasks
     if not tasks:
         raise checks.PlanError("the Planner gave no task; accepted: at least one, or a refusal")
-    return _Playing(language, Trials(scene, goal[:2000], _sha(package))).played(tasks[:READINGS])
+    return _Playing(language, Trials(scene, goal[:2000], scene_sha(package))).played(tasks[:READINGS])
 
 
 def replay_plan(package: Package, plan: Plan) -> Played:
     """A plan played again: the same rollout, to the byte. Raises PlanError where it does not suit the package."""
-    if plan.scene != _sha(package):
+    if plan.scene != scene_sha(package):
         raise checks.PlanError(
-            f"the plan belongs to another scene ({plan.scene[:12]}); this one is {_sha(package)[:12]}"
+            f"the plan belongs to another scene ({plan.scene[:12]}); this one is {scene_sha(package)[:12]}"
         )
     checks.require(checks.faults_of(plan, package.scene), of="plan")
     try:
@@ -141,5 +141,5 @@ class _Playing:
             self.best = (task, semantics, one)
 
 
-def _sha(package: Package) -> str:
+def scene_sha(package: Package) -> str:
     return hashlib.sha256((package.folder / "scene.json").read_bytes()).hexdigest()

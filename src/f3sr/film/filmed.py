@@ -1,0 +1,106 @@
+"""A played goal of a package filmed from the photo's camera: its scene at the film's size, background and renderer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Interval
+from numpy.typing import NDArray
+
+from f3sr.background import complete_background
+from f3sr.film import make_film
+from f3sr.goals.plan import Plan
+from f3sr.goals.rollout import Rollout
+from f3sr.goals.verify import Verdict
+from f3sr.package import Package
+from f3sr.pictures import resized
+from f3sr.rendering import RenderConfig, Renderer
+from f3sr.scene import Photo, Scene, SceneObject
+from f3sr.settings import settings
+from f3sr.silhouette import resample
+
+
+@settings
+class FilmConfig:
+    """How a film is made."""
+
+    longest: Annotated[int, Interval(ge=64, le=4096)] = 1920
+    """Longer side of a film [px]; of a larger photo it is a smaller picture, which players and time bear better."""
+    slow: Annotated[float, Interval(ge=0.125, le=100)] = 1.0
+    """How many times slower than life; then the factor is written on the picture."""
+    render: RenderConfig = field(default_factory=RenderConfig)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Filmed:
+    """The files of a film by name, how many frames it has, and what its maker decided that a user should know."""
+
+    files: Mapping[str, bytes]
+    frames: int
+    size: tuple[int, int]
+    """Width and height [px]."""
+    decisions: tuple[str, ...]
+
+
+def film(package: Package, plan: Plan, rollout: Rollout, verdict: Verdict, config: FilmConfig | None = None) -> Filmed:
+    """Film a rollout of a package's scene; the same bytes for the same package, rollout and settings.
+
+    Raises InputError where the package's background or support is no picture of the photo's size.
+    """
+    config = config or FilmConfig()
+    background, told = _background(package)
+    scene = replace(package.scene, ground_mask=package.support())
+    scene, background = _limited(scene, background, config.longest)
+    width, height = scene.camera.width, scene.camera.height
+    if (width, height) != (package.scene.camera.width, package.scene.camera.height):
+        told += (f"filmed at {width}x{height}, as the photo is larger than {config.longest} pixels",)
+    renderer = Renderer.of(scene, background, config=config.render)
+    counted = _Counted(renderer)
+    files = make_film(scene, plan, rollout, verdict, counted, slow=Fraction(config.slow).limit_denominator(1000))
+    return Filmed(files=files, frames=counted.frames, size=(width, height), decisions=(*told, *renderer.decisions))
+
+
+class _Counted:
+    """A renderer that counts its frames."""
+
+    def __init__(self, renderer: Renderer) -> None:
+        self.renderer, self.frames = renderer, 0
+
+    def __call__(self, poses: NDArray[np.float64]) -> NDArray[np.uint8]:
+        self.frames += 1
+        return self.renderer.frame(poses)
+
+
+def _background(package: Package) -> tuple[NDArray[np.uint8], tuple[str, ...]]:
+    background = package.background()
+    if background is not None:
+        return background, ()
+    completed = complete_background(package.scene.photo, [o.mask for o in package.scene])
+    reasons = tuple(d.reason for d in completed.decisions)
+    return completed.rgb, ("the package has no background.png: completed anew", *reasons)
+
+
+def _limited(scene: Scene, background: NDArray[np.uint8], longest: int) -> tuple[Scene, NDArray[np.uint8]]:
+    """The scene with at most so many pixels on its longer side, and the background with as many."""
+    camera = scene.camera.limited(longest)
+    width, height = camera.width, camera.height
+    if (width, height) == (scene.camera.width, scene.camera.height):
+        return scene, background
+
+    def smaller(o: SceneObject) -> SceneObject:
+        return replace(o, mask=resample(o.mask, width, height))
+
+    ground = None if scene.ground_mask is None else resample(scene.ground_mask, width, height)
+    small = replace(
+        scene,
+        photo=Photo(rgb=resized(scene.photo.rgb, width, height)),
+        camera=camera,
+        objects=tuple(smaller(o) for o in scene),
+        ground_mask=ground,
+        geometry=None,
+    )
+    return small, resized(background, width, height)
