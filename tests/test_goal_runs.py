@@ -32,7 +32,7 @@ spec.loader.exec_module(run)
 FAKE = """
 import shutil, sys
 from pathlib import Path
-made, (_, package, *what, _, out, _) = Path(sys.argv[1]), sys.argv[2:]
+made, (_, package, *what, _, out, _, _) = Path(sys.argv[1]), sys.argv[2:]
 words = what[-1]
 if words == "crash":
     sys.exit(1)

@@ -134,6 +134,6 @@ def test_no_plan_and_no_rollout_depends_on_it(tmp_path: Path, change: str) -> No
     elif change == "broken":
         (other / "background.png").write_bytes(b"no picture")
     for folder, out in ((package.folder, "one"), (other, "two")):
-        assert main(["simulate", str(folder), GOAL, "-o", str(tmp_path / out)]) == 0
+        assert main(["simulate", str(folder), GOAL, "-o", str(tmp_path / out), "--no-film"]) == 0
     for name in ("plan.json", "rollout.npz", "verdict.json"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()

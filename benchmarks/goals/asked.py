@@ -138,10 +138,10 @@ def refusal_row(goal: Mapping[str, Any], package: Path, out: Path, command: Sequ
 
 
 def simulate(package: Path, what: Sequence[str | Path], out: Path, command: Sequence[str]) -> Asked:
-    """``f3sr simulate`` into a folder that is not there yet."""
+    """``f3sr simulate`` into a folder that is not there yet; films are measured by ``film.py``."""
     shutil.rmtree(out, ignore_errors=True)
     out.parent.mkdir(parents=True, exist_ok=True)
-    return ask(["simulate", package, *what, "-o", out, "--json"], command)
+    return ask(["simulate", package, *what, "-o", out, "--json", "--no-film"], command)
 
 
 def files_of(folder: Path) -> Iterator[tuple[Path, int]]:

@@ -28,7 +28,7 @@ from f3sr.silhouette import resample
 class FilmConfig:
     """How a film is made."""
 
-    longest: Annotated[int, Interval(ge=64, le=4096)] = 1920
+    longest: Annotated[int, Interval(ge=16, le=4096)] = 1920
     """Longer side of a film [px]; of a larger photo it is a smaller picture, which players and time bear better."""
     slow: Annotated[float, Interval(ge=0.125, le=100)] = 1.0
     """How many times slower than life; then the factor is written on the picture."""
