@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from f3sr import raster
+from f3sr.background.regions import grown
 from f3sr.errors import InputError
 from f3sr.frames import UP, Array, Camera, pose, rotation_from_vector
 from f3sr.mesh import Material, Mesh
@@ -166,11 +167,9 @@ def test_a_fine_checker_far_away_is_grey_in_linear_light() -> None:
 
 def test_the_level_of_detail_is_that_of_the_footprint() -> None:
     textures = textures_of(scene_of([sheet(1, 1, Material(texture=checker(8, 4)))], [pose()]).objects)
-    colors = [texture_at(textures, 0, 0.03125 + 1 / 128, 1 - 0.03125 - 1 / 128, f)[0] for f in (1.0, 16.0, 64.0, 256.0)]
-    assert colors[0] < 0.01  # inside of a black square of 4 texels
-    assert colors[1] < 0.25  # at level 2 a square is one texel, sampled beside its middle
-    assert colors[2] == pytest.approx(0.5, abs=0.01)  # at level 3 all squares are mixed
-    assert colors[3] == pytest.approx(0.5, abs=0.01)
+    middle = 1 / 16  # of a black square of 4 texels
+    colors = [texture_at(textures, 0, middle, 1 - middle, f)[0] for f in (0.1, 4.0, 16.0, 32.0, 64.0, 4096.0)]
+    assert np.allclose(colors, [0, 0, 0, 0.25, 0.5, 0.5], atol=1e-4)  # a square is a texel of level 2; then they mix
 
 
 def test_what_no_triangle_shows_does_not_bleed_into_coarse_levels() -> None:
@@ -190,18 +189,20 @@ def test_what_no_triangle_shows_does_not_bleed_into_coarse_levels() -> None:
 
 def test_a_ball_shows_the_cosine() -> None:
     scene = scene_of([ball()], [pose(t=[0, 0, 0.3])])
-    direction = np.array([0.5, -0.6, 0.8]) / np.linalg.norm([0.5, -0.6, 0.8])
+    direction = np.array([0.8, 0.1, 0.6]) / np.linalg.norm([0.8, 0.1, 0.6])
     light = Light(direction=direction, angle=0.01, even=np.full(3, 0.1), direct=np.full(3, 0.7))
     drawn = lit(scene, light).drawn(at_rest(scene))
     fragments = raster.render(scene.objects, scene.camera)
     normals = smooth_normals(scene.objects[0].mesh, 0.7)[fragments.face]
     n = (normals * fragments.bary[..., None]).sum(2)
     cosine = n @ direction
-    inner = (fragments.ids == 0) & (cosine > 0.15) & (n @ (scene.camera.center - [0, 0, 0.3]) > 0.3)
+    facing = (fragments.ids == 0) & (n @ (scene.camera.center - [0, 0, 0.3]) > 0.6)
+    inner, dark = facing & (cosine > 0.15), facing & (cosine < -0.05)
     expected = srgb(linear(np.array(190 / 255)) * (0.1 + 0.7 * cosine))
     assert inner.sum() > 200
-    assert np.abs(drawn[inner][:, 0] / 255 - expected[inner]).max() < 0.012
-    dark = (fragments.ids == 0) & (cosine < -0.1)
+    assert np.abs(drawn[inner][:, 0] / 255 - expected[inner]).max() < 0.03
+    assert np.abs(drawn[inner][:, 0] / 255 - expected[inner]).mean() < 0.006
+    assert dark.sum() > 5
     assert np.abs(drawn[dark][:, 0] / 255 - srgb(linear(np.array(190 / 255)) * 0.1)).max() < 0.01
 
 
@@ -212,7 +213,7 @@ def test_a_penumbra_is_as_wide_as_height_and_disc_make_it(height: float, angle: 
     above = camera_at(np.array([0.05, 0, 3.0]), np.array([0.05, 0, 0]), focal=900)
     edge = sheet(1.0, 2.0)
     scene = scene_of([edge], [pose(t=[-0.5, 0, height])], above)
-    drawn = lit(scene, Light(direction=UP, angle=angle, even=np.zeros(3), direct=np.ones(3))).drawn(at_rest(scene))
+    drawn = lit(scene, Light(direction=UP, angle=angle, direct=np.ones(3))).drawn(at_rest(scene))
     columns = np.arange(above.width) + 0.5
     middle = above.height // 2
     ray = np.linalg.inv(above.K) @ np.stack([columns, np.full_like(columns, middle + 0.5), np.ones_like(columns)])
@@ -244,13 +245,14 @@ def test_nothing_but_the_ground_below_the_horizon_takes_shadows() -> None:
     seen = Renderer.of(scene, plain(level), config=SHADOWS).setting.receives
     horizon = int(level.K[1, 2])
     assert not seen[: horizon - 1].any()
-    assert seen[-1].all()
+    assert (seen[-1] == 1).all()
+    assert (np.diff(seen[horizon:], axis=0) >= 0).all()
 
 
 def test_the_light_of_a_picture_is_found_again() -> None:
     scene = big_table()
     direction = np.array([0.5, -0.4, 0.75]) / np.linalg.norm([0.5, -0.4, 0.75])
-    light = Light(direction=direction, angle=0.15, even=np.zeros(3), direct=np.full(3, 0.8), sky=np.full(3, 0.4))
+    light = Light(direction=direction, angle=0.15, direct=np.full(3, 0.8), sky=np.full(3, 0.4))
     photo = lit(scene, light).drawn(at_rest(scene))
     renderer = Renderer.of(replace(scene, photo=Photo(rgb=photo)), plain(scene.camera))
     found = renderer.setting.light
@@ -289,7 +291,7 @@ def test_the_number_of_threads_changes_no_byte(monkeypatch: pytest.MonkeyPatch) 
 
 def test_a_frame_does_not_depend_on_those_before() -> None:
     renderer = Renderer.of(table(), plain(), config=SHADOWS)
-    light = Light(direction=np.array([0.6, 0, 0.8]), angle=0.1, even=np.zeros(3), direct=np.ones(3), sky=np.full(3, 0.3))
+    light = Light(direction=np.array([0.6, 0, 0.8]), angle=0.1, direct=np.ones(3), sky=np.full(3, 0.3))
     setting = replace(renderer.setting, light=light)
     film = Canvas(setting)
     frames = walk(40)
@@ -308,14 +310,14 @@ def test_what_moves_away_leaves_no_trace() -> None:
 
 def test_the_photo_stays_as_it_is_where_it_was_not_completed() -> None:
     scene = big_table()
-    light = Light(direction=np.array([0.5, 0, 0.87]), angle=0.3, even=np.zeros(3), direct=np.full(3, 0.8), sky=np.full(3, 0.4))
+    light = Light(direction=np.array([0.5, 0, 0.87]), angle=0.3, direct=np.full(3, 0.8), sky=np.full(3, 0.4))
     photo = lit(scene, light).drawn(at_rest(scene))
     near = np.zeros(photo.shape[:2], np.bool_)
     near[40:190, 60:240] = True
     background = np.where(near[..., None], plain(scene.camera), photo)
     renderer = Renderer.of(replace(scene, photo=Photo(rgb=photo)), background)
-    outside = ~near & (raster.visible_ids(scene.objects, scene.camera) < 0)
-    outside[38:192, 58:242] = False
+    objects = raster.visible_ids(scene.objects, scene.camera) >= 0
+    outside = ~grown(near | objects, 2)
     assert (photo[outside] != GREY).any()  # shadows of the sky reach there
     assert np.array_equal(renderer.frame(at_rest(scene))[outside], photo[outside])
 
@@ -323,7 +325,7 @@ def test_the_photo_stays_as_it_is_where_it_was_not_completed() -> None:
 def test_what_flies_past_the_camera_is_cut_at_the_near_plane() -> None:
     scene = table()
     poses = at_rest(scene)
-    poses[0] = pose(rotation_from_vector([0.3, 0.2, 0.1]), OBLIQUE.center + [0.02, 0.05, -0.03])
+    poses[0] = pose(rotation_from_vector([0.3, 0.2, 0.1]), OBLIQUE.center + np.array([0.02, 0.05, -0.03]))
     renderer = Renderer.of(scene, plain(), config=replace(PLAIN, samples=1))
     drawn = renderer.frame(poses)
     moved = [replace(o, T_world_object=T) for o, T in zip(scene.objects, poses, strict=True)]

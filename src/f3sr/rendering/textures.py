@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import raster
+from f3sr.background.regions import squared
 from f3sr.mesh import Material, Mesh
 from f3sr.rendering.surface_kernels import UNIT, Textures
 from f3sr.scene import SceneObject
@@ -66,8 +67,8 @@ def _linear_picture(mesh: Mesh, material: Material) -> Picture:
 
 
 def _drawn(mesh: Mesh, material: int, size: tuple[int, int]) -> NDArray[np.bool_]:
-    """Texels (h, w) whose middle a triangle of the material shows, or that hold one of its corners; all, where they
-    repeat the texture."""
+    """Texels (h, w) whose middle a triangle of the material shows, or that hold a corner of one with no such texel
+    around; all, where they repeat the texture."""
     h, w = size
     uv = mesh.uv
     assert mesh.face_material is not None
@@ -76,8 +77,9 @@ def _drawn(mesh: Mesh, material: int, size: tuple[int, int]) -> NDArray[np.bool_
         return np.ones(size, np.bool_)
     flat = np.column_stack([uv[:, 0] * w, (1 - uv[:, 1]) * h, np.ones(len(uv))])
     drawn = raster.silhouette(flat, faces, np.eye(3), w, h)
-    corners = flat[np.unique(faces)].astype(int)
-    drawn[np.minimum(corners[:, 1], h - 1), np.minimum(corners[:, 0], w - 1)] = True
+    x, y = np.minimum(flat[np.unique(faces), :2].astype(int), [w - 1, h - 1]).T
+    alone = ~squared(drawn, 3)[y, x]
+    drawn[y[alone], x[alone]] = True
     return drawn
 
 
