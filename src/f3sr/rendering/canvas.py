@@ -34,6 +34,9 @@ CELL = 2
 """Side of the cells that the ground's shadows are drawn in [px]: they are soft."""
 TILE = 16
 """Side of the squares whose objects are coloured anew or not at all [px]."""
+SKY_BLUR = 2
+"""Reach of the filter over the sky's shadows [cells]; that over the disc's is 1. The sky's lights lie far apart, and
+each has an edge."""
 QUIET = 12
 """Frames without motion after which an object is drawn with those that stay."""
 BANDS = 4
@@ -224,11 +227,14 @@ class Canvas:
         def count(band: tuple[int, int]) -> None:
             count_lights(self._drawn.bits, DISC_WORDS, SET_BITS, *band, self._counts)
 
-        def smooth(band: tuple[int, int]) -> None:
-            blur(self._counts, *band, self._blurred)
+        def smooth_direct(band: tuple[int, int]) -> None:
+            blur(self._counts[0], 1, *band, self._blurred[0])
 
-        raster.in_bands(count, (0, self._cells.height), raster.THREADS)
-        raster.in_bands(smooth, (0, self._cells.height), raster.THREADS)
+        def smooth_sky(band: tuple[int, int]) -> None:
+            blur(self._counts[1], SKY_BLUR, *band, self._blurred[1])
+
+        for step in (count, smooth_direct, smooth_sky):
+            raster.in_bands(step, (0, self._cells.height), raster.THREADS)
 
     def _compose(self) -> None:
         """Bring the picture up to date where colours or the ground's shadows have changed."""

@@ -46,7 +46,5 @@ class RenderConfig:
     """Distance of the near plane [m]: what is nearer to the camera is not drawn."""
     crease: Annotated[float, Interval(ge=0, le=3.1416)] = 0.7
     """Angle between triangles from which their edge is seen [rad]."""
-    exposure: bool = True
-    """Whether every object is given the exposure that the photo shows it with."""
     shadows: ShadowConfig = field(default_factory=ShadowConfig)
     light: LightConfig = field(default_factory=LightConfig)

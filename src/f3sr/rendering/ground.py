@@ -7,20 +7,28 @@ from numpy.typing import NDArray
 
 from f3sr.background.membrane import membrane
 from f3sr.background.regions import Mask, grown
-from f3sr.frames import Camera
+from f3sr.frames import Array, Camera
 
+NEAR, FAR = 1.5, 3.0
+"""Radii of the scene's ball within which the ground shows all of its shadows, and beyond which it shows none: a table
+ends somewhere, and walls take no shadows."""
 DARKEST = 0.2
 """Least share of light that a background is taken to hold already: it is divided by it."""
 
 
-def ground_seen(camera: Camera, limit: Mask | None) -> NDArray[np.float32]:
-    """(h, w) 1 where the ray through a pixel meets the ground from above, within ``limit`` where that is known."""
+def ground_seen(camera: Camera, limit: Mask | None, ball: tuple[Array, float]) -> NDArray[np.float32]:
+    """(h, w) how much of its shadows the ground z = 0 shows: 1 where the ray through a pixel meets it from above, within
+    ``limit`` where that is known, and less and less from ``NEAR`` to ``FAR`` radii of the scene's ``ball`` from its
+    middle, for there it may not be the ground."""
     h, w = camera.height, camera.width
-    x, y = np.arange(w) + 0.5, np.arange(h) + 0.5
-    to_world = (camera.T_world_camera[:3, :3] @ np.linalg.inv(camera.K))[2]
-    falls = to_world[0] * x + to_world[1] * y[:, None] + to_world[2]
-    seen = (falls < 0) & (camera.center[2] > 0)
-    return (seen if limit is None else seen & limit).astype(np.float32)
+    x, y = np.arange(w) + 0.5, np.arange(h)[:, None] + 0.5
+    to_world = camera.T_world_camera[:3, :3] @ np.linalg.inv(camera.K)
+    ray = [row[0] * x + row[1] * y + row[2] for row in to_world]
+    seen = (ray[2] < 0) & (camera.center[2] > 0)
+    along = -camera.center[2] / np.where(seen, ray[2], -1)
+    away = np.hypot(*(camera.center[k] + along * ray[k] - ball[0][k] for k in range(2))) / ball[1]
+    shown = np.clip((FAR - away) / (FAR - NEAR), 0, 1) * seen
+    return (shown if limit is None else shown * limit).astype(np.float32)
 
 
 def shadows_within(

@@ -28,7 +28,7 @@ class Light:
     """(3,) unit, towards the middle of the disc."""
     angle: float
     """Angular radius of the disc [rad]."""
-    even: Array = field(default_factory=lambda: np.ones(3))
+    even: Array = field(default_factory=lambda: np.zeros(3))
     """What reaches everything, light that textures hold already included."""
     direct: Array = field(default_factory=lambda: np.zeros(3))
     """Of the disc, on a surface that faces it."""
@@ -36,12 +36,16 @@ class Light:
     """Of an even sky, on a surface that faces up."""
     below: Array = field(default_factory=lambda: np.zeros(3))
     """From the ground, on a surface that faces down."""
+    unlit: bool = False
+    """Objects show their textures as they are: only the ground's shadows are of this light."""
     shadow: Array = field(default_factory=lambda: np.ones(3))
     """What the ground's shadows are multiplied by, per channel: how dark the photo's are against this light's."""
 
     @cached_property
     def strength(self) -> Array:
-        """(4, 3): even, direct, sky, below."""
+        """(4, 3) on objects: even, direct, sky, below."""
+        if self.unlit:
+            return np.stack([np.ones(3), *np.zeros((3, 3))])
         return np.stack([self.even, self.direct, self.sky, self.below])
 
     @cached_property

@@ -51,11 +51,12 @@ DEFAULT = Light(
 @dataclass(frozen=True, eq=False)
 class Fit:
     """``strength`` (4,): even, direct, sky, below; ``gains`` (groups, 3); ``misfit``: sum over samples of the logarithm
-    of their group's mean misfit."""
+    of their group's mean misfit; ``shown`` (n, 3): their colours."""
 
     strength: Array
     gains: Array
     misfit: float
+    shown: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +68,8 @@ class Found:
     directed: bool
     misfit: float
     undirected: float
+    shown: Array
+    """(n, 3) the samples' colours under it."""
 
 
 def find_light(
@@ -105,17 +108,20 @@ def find_light(
 
     direction, angle, best = _refined(start, fitted)
     n = max(len(evidence.group), 1)
-    gain = (undirected.misfit - best.misfit) / n
-    directed = gain >= config.least_gain and best.strength[1] > 0
-    light = _light(best.strength, direction, angle) if directed else _light(undirected.strength, DEFAULT.direction, 0.2)
-    gains = (best if directed else undirected).gains[:objects]
-    scale = (best if directed else undirected).strength @ [1, direction[2] if directed else 0, 1, 0]
-    return Found(light, gains * scale, directed, best.misfit / n, undirected.misfit / n)
+    directed = undirected.misfit - best.misfit >= config.least_gain * n and best.strength[1] > 0
+    chosen = best if directed else undirected
+    light = _light(chosen.strength, direction if directed else DEFAULT.direction, angle if directed else DEFAULT.angle)
+    scale = _on_open_ground(chosen.strength, light.direction)
+    return Found(light, chosen.gains[:objects] * scale, directed, best.misfit / n, undirected.misfit / n, chosen.shown)
+
+
+def _on_open_ground(strength: Array, direction: Array) -> float:
+    return max(float(strength @ [1, direction[2], 1, 0]), 1e-9)
 
 
 def _light(strength: Array, direction: Array, angle: float) -> Light:
     """Scaled so that open ground gets 1."""
-    even, direct, sky, below = strength / max(float(strength @ [1, direction[2], 1, 0]), 1e-9)
+    even, direct, sky, below = strength / _on_open_ground(strength, direction)
     return Light(
         direction=direction,
         angle=angle,
@@ -159,14 +165,17 @@ def _fit(evidence: Evidence, bases: Array, groups: int) -> Fit:
 
     group, albedo, photo = evidence.group, evidence.albedo, evidence.photo
     slope = np.maximum(photo, 0.01) ** (1 / 2.4 - 1) * 1.055 / 2.4
-    strength, gains = np.array([0.5, 0.3 * bool(bases[:, 1].any()), 0.2, 0.0]), np.ones((groups, 3))
+    strength = used = np.array([0.5, 0.3 * bool(bases[:, 1].any()), 0.2, 0.0])
+    gains = np.ones((groups, 3))
     weight = slope.copy()
     count = np.maximum(np.bincount(group, minlength=groups), 1)
-    misfit = np.inf
+    misfit, shown = np.inf, albedo
     for _ in range(ROUNDS):
-        light = bases @ strength
-        gains = _gains(group, albedo * light[:, None], photo, weight**2, groups)
-        residual = slope * (photo - gains[group] * albedo * light[:, None])
+        lit = albedo * (bases @ strength)[:, None]
+        gains = _gains(group, lit, photo, weight**2, groups)
+        shown = gains[group] * lit
+        used = strength
+        residual = slope * (photo - shown)
         size = np.abs(residual).mean(1)
         mean = np.bincount(group, size, groups) / count
         spread = np.maximum(mean, 1e-3)[group][:, None]
@@ -178,7 +187,7 @@ def _fit(evidence: Evidence, bases: Array, groups: int) -> Fit:
         root = np.linalg.cholesky(gram + 1e-9 * np.trace(gram) * np.eye(4)).T
         strength = nnls(root, np.linalg.solve(root.T, design.T @ target))[0]
         strength /= max(float(strength.sum()), 1e-9)
-    return Fit(strength, gains, misfit)
+    return Fit(used, gains, misfit, shown)
 
 
 def _gains(group: NDArray[np.int64], lit: Array, photo: Array, weight: Array, groups: int) -> Array:
@@ -227,7 +236,14 @@ def _robust_slope(hidden: Array, ratio: Array) -> float:
     return float(b / max(a, 1e-6))
 
 
-def picture_error(evidence: Evidence, shown: Array, ground: int) -> float:
-    """Mean square difference of sRGB values on objects."""
+def common_exposure(evidence: Evidence, ground: int) -> Array:
+    """(3,) by which textures without light, all alike, come nearest to the photo."""
     own = evidence.group < ground
-    return float(np.mean((srgb(np.clip(shown[own], 0, 1)) - srgb(evidence.photo[own])) ** 2))
+    albedo, photo = evidence.albedo[own], evidence.photo[own]
+    return (albedo * photo).sum(0) / np.maximum((albedo * albedo).sum(0), 1e-12)
+
+
+def picture_error(evidence: Evidence, shown: Array, ground: int) -> float:
+    """Root mean square difference of sRGB values on objects."""
+    own = evidence.group < ground
+    return float(np.sqrt(np.mean((srgb(np.clip(shown[own], 0, 1)) - srgb(evidence.photo[own])) ** 2)))

@@ -12,12 +12,14 @@ from f3sr.rendering.config import RenderConfig
 from f3sr.rendering.evidence import Evidence, evidence_of
 from f3sr.rendering.layers import Buffers, Things, draw_surfaces
 from f3sr.rendering.light import DIRECT_ON_GROUND, SKY_ON_GROUND, Light, disc, ground_sky
-from f3sr.rendering.light_fit import DEFAULT, Found, find_light, with_shadows_of
-from f3sr.rendering.shadow_maps import Maps
+from f3sr.rendering.light_fit import DEFAULT, Found, common_exposure, find_light, picture_error, with_shadows_of
+from f3sr.rendering.shadow_maps import Caster, Maps
 from f3sr.rendering.surface_kernels import View
+from f3sr.report import keep_better
 from f3sr.scene import Scene
 
-UNLIT = replace(DEFAULT, even=np.ones(3), direct=np.zeros(3), sky=np.zeros(3))
+UNLIT = replace(DEFAULT, unlit=True)
+"""Objects as their textures are, shadows on the ground of the default light."""
 
 
 def lit_as_photo(
@@ -30,28 +32,40 @@ def lit_as_photo(
     """Light, exposures (N, 3) and decisions. Without the photo's ``background`` the ground tells nothing."""
     count = len(scene.objects)
     if not config.light.enabled or not count:
-        return _unlit(), np.ones((count, 3)), ()
+        return UNLIT, np.ones((count, 3)), ()
     evidence = _evidence(scene, scene.photo.rgb if background is None else background, things, ball, config)
     if not (evidence.group < count).any():
-        return _unlit(), np.ones((count, 3)), ("light: no object can be compared with the photo; shown without",)
+        return UNLIT, np.ones((count, 3)), ("light: no object can be compared with the photo; shown without",)
     poses = np.array([o.T_world_object for o in scene.objects])
     casters = things.casting(poses, range(count)).disc
     side = config.shadows.map_size // 2
     found = find_light(evidence, casters, ball=ball, objects=count, side=side, config=config.light)
+    exposure = common_exposure(evidence, count)
+    best, guard = keep_better(
+        evidence.albedo * exposure,
+        found.shown,
+        score=lambda shown: -picture_error(evidence, shown, count),
+        step="light",
+        measure="minus the difference of colours on objects",
+    )
+    if best is not found.shown:
+        reason = f"{guard.choice}, {guard.reason}"
+        return UNLIT, np.tile(exposure, (count, 1)), (f"{reason}; objects are shown without light, at one exposure",)
+    light, evident = _with_shadows(evidence, found.light, casters, ball, side, count)
     decisions = [_told(found)]
-    lights = disc(found.light.direction, found.light.angle, DIRECT_ON_GROUND), ground_sky(SKY_ON_GROUND)
-    maps = Maps.empty(lights[0], *ball, side), Maps.empty(lights[1], *ball, side)
-    for m in maps:
-        m.cast(casters)
-    light, evident = with_shadows_of(evidence, found.light, maps, count)
     if not evident:
         decisions.append("shadows: the photo's ground shows too little of them; as dark as the light makes them")
     return light, found.gains, tuple(decisions)
 
 
-def _unlit() -> Light:
-    """Textures as they are, shadows on the ground of the default light."""
-    return UNLIT
+def _with_shadows(
+    evidence: Evidence, light: Light, casters: list[Caster], ball: tuple[Array, float], side: int, ground: int
+) -> tuple[Light, bool]:
+    lights = disc(light.direction, light.angle, DIRECT_ON_GROUND), ground_sky(SKY_ON_GROUND)
+    maps = Maps.empty(lights[0], *ball, side), Maps.empty(lights[1], *ball, side)
+    for m in maps:
+        m.cast(casters)
+    return with_shadows_of(evidence, light, maps, ground)
 
 
 def _told(found: Found) -> str:

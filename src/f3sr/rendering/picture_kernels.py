@@ -11,7 +11,9 @@ from f3sr.kernels import inline_kernel, kernel
 
 STEPS = 65535
 """Steps of linear light in the table that ends in sRGB: the darkest ones of eight bits are 20 of these wide."""
-BLUR_SUM = 16
+TAPS = np.array([[16, 0, 0, 0, 0], [4, 8, 4, 0, 0], [1, 4, 6, 4, 1]], np.int64)
+"""Binomial filters by their reach [cells]."""
+BLUR_SUM = 256
 """Of the weights of ``blur``."""
 
 
@@ -32,21 +34,21 @@ def count_lights(
 
 
 @kernel
-def blur(counts: NDArray[Any], top: int, bottom: int, blurred: NDArray[Any]) -> None:
-    """``counts`` (2, h, w) under a binomial filter of 3 x 3, times 16, mirrored at the border, in the rows [top,
-    bottom)."""
-    height, width = counts.shape[1], counts.shape[2]
-    for kind in range(2):
-        for y in range(top, bottom):
-            above, below = max(y - 1, 0), min(y + 1, height - 1)
-            for x in range(width):
-                left, right = max(x - 1, 0), min(x + 1, width - 1)
-                total = 4 * counts[kind, y, x]
-                total += 2 * (counts[kind, above, x] + counts[kind, below, x])
-                total += 2 * (counts[kind, y, left] + counts[kind, y, right])
-                total += counts[kind, above, left] + counts[kind, above, right]
-                total += counts[kind, below, left] + counts[kind, below, right]
-                blurred[kind, y, x] = total
+def blur(counts: NDArray[Any], reach: int, top: int, bottom: int, blurred: NDArray[Any]) -> None:
+    """``counts`` (h, w) under a binomial filter of some ``reach``, 0 to 2 cells, times ``BLUR_SUM``, the border
+    repeated, in the rows [top, bottom)."""
+    height, width = counts.shape
+    for y in range(top, bottom):
+        for x in range(width):
+            total = 0
+            for dy in range(-reach, reach + 1):
+                row = min(max(y + dy, 0), height - 1)
+                line = 0
+                for dx in range(-reach, reach + 1):
+                    weight = TAPS[reach, dx + reach]
+                    line += weight * counts[row, min(max(x + dx, 0), width - 1)]
+                total += TAPS[reach, dy + reach] * line
+            blurred[y, x] = total
 
 
 @kernel

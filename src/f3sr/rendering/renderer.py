@@ -59,7 +59,7 @@ class Renderer:
             config=config,
             things=things,
             ball=ball,
-            receives=ground_seen(view, scene.ground_mask if camera is None else None),
+            receives=ground_seen(view, scene.ground_mask if camera is None else None, ball),
             already=np.ones((view.height, view.width, 3), np.float32),
         )
         if camera is None and config.shadows.enabled:

@@ -20,23 +20,21 @@ from f3sr.scene import SceneObject
 def shapes_of(objects: Sequence[SceneObject], *, crease: float) -> Shapes:
     """The triangles of some objects, one after the other; edges of more than ``crease`` [rad] stay sharp."""
     meshes = [o.mesh for o in objects]
-    starts = starts_of([len(m.vertices) for m in meshes])
-    slots = starts_of([len(m.materials) for m in meshes])
+    vertex, slot = starts_of([len(m.vertices) for m in meshes]), starts_of([len(m.materials) for m in meshes])
     return Shapes(
-        faces=raster.fixed(
-            np.concatenate([m.faces + np.int32(k) for m, k in zip(meshes, starts, strict=False)]), np.int32
-        ),
-        object=raster.fixed(np.repeat(np.arange(len(meshes)), [len(m.faces) for m in meshes]), np.int32),
-        slot=raster.fixed(
-            np.concatenate([np.asarray(m.face_material) + k for m, k in zip(meshes, slots, strict=False)]), np.int32
-        ),
-        normals=raster.fixed(np.concatenate([smooth_normals(m, crease) for m in meshes]), np.float32),
-        flat=raster.fixed(np.concatenate([_flat_normals(m) for m in meshes]), np.float32),
-        uv=raster.fixed(
-            np.concatenate([np.zeros((len(m.vertices), 2)) if m.uv is None else m.uv for m in meshes]), np.float32
-        ),
-        colors=raster.fixed(np.concatenate([_vertex_colors(m) for m in meshes]), np.float32),
+        faces=_joined([m.faces + k for m, k in zip(meshes, vertex, strict=False)], np.int32, 3),
+        object=_joined([np.full(len(m.faces), k) for k, m in enumerate(meshes)], np.int32),
+        slot=_joined([np.asarray(m.face_material) + k for m, k in zip(meshes, slot, strict=False)], np.int32),
+        normals=_joined([smooth_normals(m, crease) for m in meshes], np.float32, 3, 3),
+        flat=_joined([_flat_normals(m) for m in meshes], np.float32, 3),
+        uv=_joined([np.zeros((len(m.vertices), 2)) if m.uv is None else m.uv for m in meshes], np.float32, 2),
+        colors=_joined([_vertex_colors(m) for m in meshes], np.float32, 3),
     )
+
+
+def _joined(arrays: Sequence[NDArray[Any]], dtype: Any, *shape: int) -> NDArray[Any]:
+    """Some arrays of rows of a ``shape``, one after the other, as kernels take them."""
+    return raster.fixed(np.concatenate([np.empty((0, *shape), dtype), *arrays]), dtype)
 
 
 def smooth_normals(mesh: Mesh, crease: float) -> NDArray[np.float32]:
@@ -84,14 +82,29 @@ def _caster(scale: float, vertices: Array, faces: NDArray[np.int32]) -> Caster:
 
 
 def _simplified(mesh: Mesh, faces: int) -> tuple[Array, NDArray[np.int32]]:
-    """Garland and Heckbert, "Surface simplification using quadric error metrics" (1997), on the welded surface."""
+    """Garland and Heckbert, "Surface simplification using quadric error metrics" (1997), on the welded surface, and
+    nowhere outside of it, where it would shade the very surface that it stands for."""
     vertices, triangles = mesh.welded
     if len(triangles) <= faces:
         return vertices, triangles
     import fast_simplification
 
     simplified: Any = fast_simplification.simplify(vertices, triangles, target_count=faces)
-    return np.asarray(simplified[0], np.float64), np.asarray(simplified[1], np.int32)
+    return _withdrawn(np.asarray(simplified[0], np.float64), vertices, triangles), np.asarray(simplified[1], np.int32)
+
+
+def _withdrawn(points: Array, vertices: Array, faces: NDArray[np.int32]) -> Array:
+    """``points`` (k, 3) that stand out of a surface moved back to it, against the normal of its nearest vertex."""
+    from scipy.spatial import KDTree
+
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    sums = np.zeros_like(vertices)
+    for k in range(3):
+        np.add.at(sums, faces[:, k], np.cross(b - a, c - a))
+    nearest = np.asarray(KDTree(vertices).query(points)[1])
+    normals = sums[nearest] / np.maximum(np.linalg.norm(sums[nearest], axis=1), 1e-30)[:, None]
+    out = ((points - vertices[nearest]) * normals).sum(1)
+    return points - np.maximum(out, 0)[:, None] * normals
 
 
 def starts_of(counts: Sequence[int]) -> NDArray[np.int64]:

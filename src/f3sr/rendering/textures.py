@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import raster
+from f3sr.background.regions import squared
 from f3sr.mesh import Material, Mesh
 from f3sr.rendering.surface_kernels import UNIT, Textures
 from f3sr.scene import SceneObject
@@ -30,7 +31,7 @@ def srgb(light: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def textures_of(objects: Sequence[SceneObject]) -> Textures:
     """The materials of some objects, in their order. Texels that no triangle shows take the colour of near ones that
-    one does, or they would bleed into coarse levels."""
+    one does, or they would bleed into the borders of charts and into coarse levels."""
     pyramids = [list(_levels(o.mesh, k)) for o in objects for k in range(len(o.mesh.materials))]
     most = max((len(levels) for levels in pyramids), default=1)
     starts = np.zeros((len(pyramids), most), np.int64)
@@ -52,8 +53,8 @@ def textures_of(objects: Sequence[SceneObject]) -> Textures:
 def _levels(mesh: Mesh, material: int) -> Iterator[NDArray[np.uint16]]:
     shown = mesh.materials[material]
     picture = _linear_picture(mesh, shown)
-    used = _used(mesh, material, picture.shape[:2])
-    for level in _pyramid(picture, used):
+    drawn = _drawn(mesh, material, picture.shape[:2])
+    for level in _pyramid(*_bordered(picture, drawn)):
         yield np.rint(level * UNIT).astype(np.uint16)
 
 
@@ -65,8 +66,9 @@ def _linear_picture(mesh: Mesh, material: Material) -> Picture:
     return np.stack([table[texture[..., c], c] for c in range(3)], axis=2)
 
 
-def _used(mesh: Mesh, material: int, size: tuple[int, int]) -> NDArray[np.bool_]:
-    """Texels (h, w) that bilinear samples of the material's triangles touch; all, where they repeat the texture."""
+def _drawn(mesh: Mesh, material: int, size: tuple[int, int]) -> NDArray[np.bool_]:
+    """Texels (h, w) whose middle a triangle of the material shows, or that hold a corner of one with no such texel
+    around; all, where they repeat the texture."""
     h, w = size
     uv = mesh.uv
     assert mesh.face_material is not None
@@ -74,12 +76,23 @@ def _used(mesh: Mesh, material: int, size: tuple[int, int]) -> NDArray[np.bool_]
     if uv is None or h * w == 1 or not len(faces) or not ((uv[faces] >= 0) & (uv[faces] <= 1)).all():
         return np.ones(size, np.bool_)
     flat = np.column_stack([uv[:, 0] * w, (1 - uv[:, 1]) * h, np.ones(len(uv))])
-    drawn = np.pad(raster.silhouette(flat, faces, np.eye(3), w, h), 1)
-    used = np.zeros(size, np.bool_)
-    for dy in range(3):
-        for dx in range(3):
-            used |= drawn[dy : dy + h, dx : dx + w]
-    return used if used.any() else np.ones(size, np.bool_)
+    drawn = raster.silhouette(flat, faces, np.eye(3), w, h)
+    x, y = np.minimum(flat[np.unique(faces), :2].astype(int), [w - 1, h - 1]).T
+    alone = ~squared(drawn, 3)[y, x]
+    drawn[y[alone], x[alone]] = True
+    return drawn
+
+
+def _bordered(picture: Picture, drawn: NDArray[np.bool_]) -> tuple[Picture, NDArray[np.bool_]]:
+    """The picture with the mean of drawn neighbours in each texel beside them, which bilinear samples touch, and which
+    texels then are known."""
+    h, w = drawn.shape
+    weight = np.pad(drawn.astype(np.float32)[..., None], ((1, 1), (1, 1), (0, 0)))
+    total = np.pad(picture, ((1, 1), (1, 1), (0, 0))) * weight
+    around = [(slice(dy, dy + h), slice(dx, dx + w)) for dy in range(3) for dx in range(3)]
+    count = np.sum([weight[a] for a in around], axis=0)
+    mean = np.sum([total[a] for a in around], axis=0) / np.maximum(count, 1)
+    return np.where(drawn[..., None], picture, mean).astype(np.float32), count[..., 0] > 0
 
 
 def _pyramid(picture: Picture, used: NDArray[np.bool_]) -> list[Picture]:
