@@ -46,7 +46,9 @@
     const read = (name) => style.getPropertyValue(name).trim().split(" ").map((n) => n / 255);
     return { grid: read("--grid"), path: read("--way"), glow: read("--glow") };
   };
-  let view = view3d(canvas, data.view, colors);
+  let shown = null; // the last frame's poses, lights and points of the path that are behind
+  const look = () => ({ camera: data.view.camera, shade: 0.25, colors: colors(), ...shown });
+  let view = view3d(canvas, data.view, { look, turns: { a: [-1, 0], d: [1, 0], w: [0, -1], s: [0, 1] } });
   const withoutView = (lost) => {
     $("no-view").hidden = !lost;
     $("no-view").textContent = "The 3-D view needs WebGL 2, which is not here. The film and the timeline go on.";
@@ -58,6 +60,9 @@
     const cell = view.cell;
     $("cell").textContent = `Grid cells are ${cell >= 1 ? `${+cell.toPrecision(3)} m` : `${+(100 * cell).toPrecision(3)} cm`}.`;
     for (const name of ["photo", "top", "side"]) $(`from-${name}`).addEventListener("click", () => view.from(name));
+    canvas.addEventListener("keydown", (e) => {
+      if ("123".includes(e.key)) view.from(["photo", "top", "side"][e.key - 1]);
+    });
     canvas.addEventListener("webglcontextlost", () => { view = null; withoutView(true); });
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => view && view.draw());
   }
@@ -66,7 +71,6 @@
     const at = canvas.getBoundingClientRect(), x = e.clientX - at.left, y = e.clientY - at.top;
     const found = view && !view.busy && x >= 0 && y >= 0 && x < at.width && y < at.height ? view.pick(x, y) : -1;
     label.hidden = found < 0;
-    if (view) view.draw();
     if (found < 0) return;
     label.textContent = data.names[found];
     label.style.left = `${Math.min(x + 12, at.width - label.offsetWidth - 4)}px`;
@@ -95,7 +99,8 @@
       .map((c) => `${nameOf(c.b)} – ${nameOf(c.a)}: ${c.forces[k] < 10 ? c.forces[k].toFixed(1) : Math.round(c.forces[k])} N`).join("\n");
     const reached = moments.filter((b) => Number(b.dataset.frame) <= k).pop();
     for (const b of moments) b.setAttribute("aria-current", String(b === reached));
-    if (view) view.show(data.ids.map((_, i) => matrix(k, i)), lightsAt(k), k);
+    shown = { poses: data.ids.map((_, i) => matrix(k, i)), lights: lightsAt(k), passed: k };
+    if (view) view.draw();
   };
 
   // --- the film: asked for the middle of a frame, one request at a time ---------------------------------------------

@@ -21,7 +21,7 @@ LARGEST_PLAYER = 12 * 10**6
 SIZES = ((80_000, 512), (40_000, 256), (12_000, 128), (3_000, 64))
 """Triangles of all meshes and longest side of a texture [px], tried in order until the page is small enough."""
 HERE = Path(__file__).parent
-STYLES = Path(f3sr.page.__file__).parent / "page.css"
+PAGE = Path(f3sr.page.__file__).parent
 KEYS = (
     "Space plays; ← → step a frame, with Shift ten; Home, End. 3-D: drag to turn, Shift or two fingers to move, wheel "
     "(after a click) or pinch to zoom; W A S D, +, −; 1 photo, 2 top, 3 side."
@@ -46,8 +46,8 @@ def _page(shown: Shown, faces: int, texture: int) -> bytes:
             el("main", _stage(shown), _controls(shown), _moments(shown), _timeline(shown), _words(shown)),
             el("script", payload(shown, faces=faces, texture=texture), type="application/json", id="player-data"),
         ],
-        style=Markup(part(STYLES) + part(HERE / "player.css")),
-        script=Markup(part(HERE / "view3d.js") + part(HERE / "player.js")),
+        style=part(PAGE / "page.css", HERE / "player.css"),
+        script=part(PAGE / "view3d.js", HERE / "player.js"),
         films=True,
     )
 

@@ -61,5 +61,5 @@ def _page(m: Material) -> bytes:
         f"f3sr: {verdict(m)}",
         [head(m, links), el("main", sections)],
         style=part(HERE / "page.css"),
-        script=part(HERE / "viewer.js"),
+        script=part(HERE / "view3d.js", HERE / "viewer.js"),
     )

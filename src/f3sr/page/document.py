@@ -21,9 +21,9 @@ def document(title: str, body: Child, *, style: Markup, script: Markup, films: b
     return text.encode("utf-8")
 
 
-def part(file: Path) -> Markup:
-    """A style or script of the package."""
-    return Markup(file.read_text(encoding="utf-8"))
+def part(*files: Path) -> Markup:
+    """A style or script of the package, from some files in order."""
+    return Markup("".join(file.read_text(encoding="utf-8") for file in files))
 
 
 def _hash(text: str) -> str:

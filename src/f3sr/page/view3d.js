@@ -1,9 +1,13 @@
-// A small WebGL 2 view of moving meshes. World axes are Z up; cameras are OpenCV's; matrices are row-major here.
+// A small WebGL 2 view of meshes. World axes are Z up; cameras are OpenCV's; matrices are row-major here.
 "use strict";
 
-/** The view on a canvas, or null where WebGL 2 is not there. `data`: camera {width, height, K, T}, bounds [low, high],
- *  objects [{mesh}], textures, path [x, y, z, ...]. `style()` gives the colours {grid, path, glow} in [0, 1]. */
-function view3d(canvas, data, style) {
+/** The view on a canvas, or null where WebGL 2 is not there.
+ *
+ *  `data`: bounds [low, high] that presets frame, objects [{mesh, parts}], textures, path [x, y, z, ...].
+ *  `look(fromPhoto)` says what is to be seen now: camera {width, height, K, T}, poses (4x4 each), shade, colors {grid,
+ *  path, glow}, and, where wanted, parts (instead of meshes), grid, lights and passed (points of the path that are behind).
+ *  `turns`: what keys turn by, [right, down]. `painted()` is called after every picture. */
+function view3d(canvas, data, { look, turns, painted = () => {} }) {
   const gl = canvas.getContext("webgl2", { alpha: true, antialias: true, premultipliedAlpha: true });
   if (!gl) return null;
 
@@ -113,7 +117,7 @@ function view3d(canvas, data, style) {
     image.src = uri;
     return texture;
   });
-  const meshes = data.objects.map((o) => meshOf(o.mesh));
+  const meshes = data.objects.map((o) => ({ mesh: meshOf(o.mesh), parts: o.parts ? meshOf(o.parts) : null }));
 
   // --- the ground grid: some ten cells across the scene -------------------------------------------------------
 
@@ -131,14 +135,12 @@ function view3d(canvas, data, style) {
     }
     return linesOf(points);
   })();
-  const path = linesOf(data.path);
+  const path = linesOf(data.path || []);
 
   // --- the camera ---------------------------------------------------------------------------------------------
 
-  const photo = data.camera;
-  const fit = radius / Math.sin(Math.atan(Math.min(photo.width / 2 / photo.K[0], photo.height / 2 / photo.K[4]))) * 0.95;
   let orbit = null; // null: the photo's own camera; else target, distance, azimuth, elevation
-  let poses = meshes.map(() => IDENTITY), glows = meshes.map(() => 0), passed = 0;
+  const now = () => look(orbit === null);
 
   const orbitPose = ({ target, distance, azimuth, elevation }) => {
     const forward = [Math.cos(elevation) * Math.cos(azimuth), Math.cos(elevation) * Math.sin(azimuth), -Math.sin(elevation)];
@@ -146,13 +148,12 @@ function view3d(canvas, data, style) {
     return [right[0], down[0], forward[0], eye[0], right[1], down[1], forward[1], eye[1], right[2], down[2], forward[2], eye[2], 0, 0, 0, 1];
   };
   const photoOrbit = () => {
-    const eye = column(photo.T, 3), forward = column(photo.T, 2), off = add(middle, eye, -1);
+    const { T } = now().camera, eye = column(T, 3), forward = column(T, 2), off = add(middle, eye, -1);
     const distance = Math.max(off[0] * forward[0] + off[1] * forward[1] + off[2] * forward[2], 0.5 * radius);
     return { target: add(eye, forward, distance), distance, azimuth: Math.atan2(forward[1], forward[0]), elevation: Math.asin(clamp(-forward[2], -1, 1)) };
   };
-  const poseOf = () => (orbit ? orbitPose(orbit) : photo.T);
-  const clipOf = (T) => {
-    const { K, width, height } = photo, away = Math.hypot(...add(middle, column(T, 3), -1));
+  const clipOf = ({ K, width, height }, T) => {
+    const away = Math.hypot(...add(middle, column(T, 3), -1));
     const far = away + 2 * radius + 2 * CELLS * cell, near = Math.max(far / 2000, away - 40 * radius);
     const P = [
       2 * K[0] / width, 2 * K[1] / width, 2 * K[2] / width - 1, 0,
@@ -163,7 +164,8 @@ function view3d(canvas, data, style) {
     return multiply(P, inverseRigid(T));
   };
   const from = (name) => {
-    const { azimuth } = photoOrbit();
+    const { azimuth } = photoOrbit(), { K, width, height } = now().camera;
+    const fit = 0.95 * radius / Math.sin(Math.atan(Math.min(width / 2 / K[0], height / 2 / K[4])));
     if (name === "photo") orbit = null;
     else if (name === "top") orbit = { target: middle, distance: fit, azimuth, elevation: Math.PI / 2 };
     else orbit = { target: middle, distance: fit, azimuth: azimuth + Math.PI / 2, elevation: 0.12 };
@@ -177,7 +179,7 @@ function view3d(canvas, data, style) {
   };
   const pan = (dx, dy) => { // in shares of the view's height
     orbit = orbit || photoOrbit();
-    const T = orbitPose(orbit), scale = orbit.distance * photo.height / photo.K[4];
+    const { K, height } = now().camera, T = orbitPose(orbit), scale = orbit.distance * height / K[4];
     orbit.target = add(add(orbit.target, column(T, 0), -dx * scale), column(T, 1), -dy * scale);
     draw();
   };
@@ -195,34 +197,35 @@ function view3d(canvas, data, style) {
     asked = true;
     requestAnimationFrame(() => { asked = false; paint(); });
   };
-  const begin = () => {
+  const begin = ({ camera }) => {
     const ratio = Math.min(devicePixelRatio || 1, 2);
     const width = Math.max(1, Math.round(canvas.clientWidth * ratio)), height = Math.max(1, Math.round(canvas.clientHeight * ratio));
     if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
-    const T = poseOf();
+    const T = orbit ? orbitPose(orbit) : camera.T;
     gl.viewport(0, 0, width, height);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.enable(gl.DEPTH_TEST);
     gl.useProgram(program);
-    gl.uniformMatrix4fv(place.clip, true, clipOf(T));
+    gl.uniformMatrix4fv(place.clip, true, clipOf(camera, T));
     gl.uniform3f(place.eye, T[3], T[7], T[11]);
     gl.uniform1i(place.image, 0);
     gl.vertexAttrib4f(2, 1, 1, 1, 1);
   };
   const set = (values) => { for (const [name, value] of Object.entries(values)) gl.uniform1f(place[name], value); };
-  const paintMeshes = (before) => meshes.forEach((mesh, i) => {
+  const paintMeshes = ({ poses, parts }, before) => meshes.forEach((both, i) => {
+    const mesh = (parts && both.parts) || both.mesh;
     gl.uniformMatrix4fv(place.model, true, poses[i]);
     gl.uniform3f(place.middle, ...mesh.box.slice(0, 3));
     gl.uniform3f(place.extent, ...mesh.box.slice(3));
     gl.uniform4f(place.uvBox, ...mesh.uvBox);
     gl.bindVertexArray(mesh.vao);
     let first = 0;
-    for (const run of mesh.runs) {
-      before(run, i);
+    mesh.runs.forEach((run, k) => {
+      before(run, i, k);
       gl.drawElements(gl.TRIANGLES, run.count, mesh.type, first * mesh.step);
       first += run.count;
-    }
+    });
   });
   const paintLines = (lines, kind, color, start = 0, count = lines.count) => {
     if (count < 2) return;
@@ -230,17 +233,18 @@ function view3d(canvas, data, style) {
     gl.bindVertexArray(lines.vao);
     gl.drawArrays(kind, start, count);
   };
+  const PARTS = [[0.35, 0.55, 0.85], [0.9, 0.6, 0.3], [0.45, 0.7, 0.45], [0.8, 0.45, 0.55], [0.6, 0.5, 0.8], [0.75, 0.7, 0.35], [0.4, 0.7, 0.75], [0.7, 0.55, 0.45]];
   const paint = () => {
-    begin();
-    const colors = style();
+    const shown = now(), { colors, grid: gridShown = true, lights = [], passed = 0 } = shown;
+    begin(shown);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     gl.uniform3f(place.glowColor, ...colors.glow);
-    set({ fade: 0, alpha: 1, shade: 0.25 });
-    paintMeshes((run, i) => {
-      const textured = run.texture !== null;
-      gl.uniform3f(place.base, ...run.color);
-      set({ textured: textured ? 1 : 0, glow: 0.5 * glows[i] });
+    set({ fade: 0, alpha: 1 });
+    paintMeshes(shown, (run, i, k) => { // runs of parts have no material
+      const textured = Number.isInteger(run.texture);
+      gl.uniform3f(place.base, ...(run.color || PARTS[k % PARTS.length]));
+      set({ textured: textured ? 1 : 0, shade: run.color ? shown.shade : 0.6, glow: 0.5 * (lights[i] || 0) });
       if (textured) gl.bindTexture(gl.TEXTURE_2D, textures[run.texture]);
     });
     gl.uniformMatrix4fv(place.model, true, IDENTITY);
@@ -248,12 +252,20 @@ function view3d(canvas, data, style) {
     gl.uniform3f(place.extent, 1, 1, 1);
     gl.uniform2f(place.gridMiddle, middle[0], middle[1]);
     set({ textured: 0, shade: 0, glow: 0, fade: CELLS * cell, alpha: 0.55 });
-    paintLines(grid, gl.LINES, colors.grid);
+    if (gridShown) paintLines(grid, gl.LINES, colors.grid);
     set({ fade: 0, alpha: 1 });
     paintLines(path, gl.LINE_STRIP, colors.path, 0, passed + 1);
     set({ alpha: 0.35 });
     paintLines(path, gl.LINE_STRIP, colors.path, passed, path.count - passed);
     gl.bindVertexArray(null);
+    painted();
+  };
+  /** Where the middle of an object's box is on the canvas (CSS pixels), null behind the camera. */
+  const middleOf = (i) => {
+    const { camera, poses } = now(), [mx, my, mz] = meshes[i].mesh.box;
+    const M = multiply(clipOf(camera, orbit ? orbitPose(orbit) : camera.T), poses[i]);
+    const [x, y, , w] = [0, 1, 2, 3].map((r) => M[4 * r] * mx + M[4 * r + 1] * my + M[4 * r + 2] * mz + M[4 * r + 3]);
+    return w > 0 ? [(0.5 + x / w / 2) * canvas.clientWidth, (0.5 - y / w / 2) * canvas.clientHeight] : null;
   };
 
   /** Index of the object at a place of the canvas (CSS pixels), -1 for none. */
@@ -269,10 +281,11 @@ function view3d(canvas, data, style) {
     const px = Math.floor(x * canvas.width / canvas.clientWidth), py = canvas.height - 1 - Math.floor(y * canvas.height / canvas.clientHeight);
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(px, py, 1, 1);
-    begin();
+    const shown = now();
+    begin(shown);
     gl.disable(gl.BLEND);
     set({ textured: 0, shade: 0, fade: 0, alpha: 1, glow: 1 });
-    paintMeshes((_, i) => gl.uniform3f(place.glowColor, ((i + 1) & 255) / 255, ((i + 1) >> 8) / 255, 0));
+    paintMeshes(shown, (_, i) => gl.uniform3f(place.glowColor, ((i + 1) & 255) / 255, ((i + 1) >> 8) / 255, 0));
     const found = new Uint8Array(4);
     gl.readPixels(px, py, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, found);
     gl.disable(gl.SCISSOR_TEST);
@@ -311,23 +324,20 @@ function view3d(canvas, data, style) {
     zoom(Math.exp(0.0015 * e.deltaY));
   }, { passive: false });
   canvas.addEventListener("keydown", (e) => {
-    const [dx, dy] = { a: [-1, 0], d: [1, 0], w: [0, -1], s: [0, 1] }[e.key.toLowerCase()] || [0, 0];
     if (e.ctrlKey || e.metaKey || e.altKey) return;
+    const [dx, dy] = turns[e.key] || turns[e.key.toLowerCase()] || [0, 0];
     if (dx || dy) (e.shiftKey ? pan : turn)(0.08 * dx, 0.08 * dy);
     else if (e.key === "+" || e.key === "=") zoom(0.9);
     else if (e.key === "-") zoom(1.1);
-    else if ("123".includes(e.key)) from(["photo", "top", "side"][e.key - 1]);
     else return;
     e.preventDefault();
   });
   new ResizeObserver(draw).observe(canvas);
 
   return {
-    cell, from, pick, draw,
+    cell, from, pick, draw, middleOf,
     get busy() { return pointers.size > 0; },
     get fromPhoto() { return orbit === null; },
     get loaded() { return loaded === textures.length; },
-    /** Row-major 4x4 matrices, lights in [0, 1], and how many points of the path are behind. */
-    show(matrices, lights, behind) { [poses, glows, passed] = [matrices, lights, behind]; draw(); },
   };
 }
