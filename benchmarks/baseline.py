@@ -93,6 +93,25 @@ def updated(group: Group, means: Means) -> Group:
     return replace(group, measures=measures)
 
 
+def judged(path: Path, measured: Mapping[str, Means], *, update: bool) -> int:
+    """Print what became better or worse than a baseline file, by group, or write the new one; returns the exit code."""
+    groups, problems = read(path), False
+    for name, means in measured.items():
+        if update:
+            groups[name] = updated(groups[name], means)
+            continue
+        comparison = compare(groups[name], means)
+        for gain in comparison.gains:
+            print(f"{name}: {gain} (--update keeps it)")
+        for problem in comparison.problems:
+            print(f"{name}: REGRESSION {problem}")
+        problems |= bool(comparison.problems)
+    if update:
+        write(groups, path)
+        print(f"new values in {path}")
+    return int(problems)
+
+
 def _rounded(value: float) -> float:
     """Four significant digits: more would only make noisy diffs. Both sides of a comparison are rounded alike."""
     return float(f"{value:.4g}")

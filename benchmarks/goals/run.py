@@ -57,7 +57,7 @@ def main() -> int:
     if left_out or args.goals:
         print("not judged: not all of the suite was run")
         return 0
-    return judge(numbers, args.parts, update=args.update)
+    return baseline.judged(FILE, dict.fromkeys(args.parts, numbers), update=args.update)
 
 
 def package_of(scene: str, packages: Path, data: Path) -> Path | None:
@@ -117,25 +117,6 @@ def numbers_of(rows: dict[str, list[Row]]) -> Numbers:
 def percent(rows: Iterable[Row], *keys: str) -> float:
     met = [all(r.get(key, False) for key in keys) for r in rows]
     return 100 * sum(met) / len(met)
-
-
-def judge(numbers: Numbers, parts: Sequence[str], *, update: bool) -> int:
-    """Print what became better or worse than the baseline, or write the new one; returns the exit code."""
-    groups, problems = baseline.read(FILE), False
-    for part in parts:
-        if update:
-            groups[part] = baseline.updated(groups[part], numbers)
-            continue
-        comparison = baseline.compare(groups[part], numbers)
-        for gain in comparison.gains:
-            print(f"{part}: {gain} (--update keeps it)")
-        for problem in comparison.problems:
-            print(f"{part}: REGRESSION {problem}")
-        problems |= bool(comparison.problems)
-    if update:
-        baseline.write(groups, FILE)
-        print(f"new values in {FILE}")
-    return int(problems)
 
 
 def read(name: str) -> list[Row]:
