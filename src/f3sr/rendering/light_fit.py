@@ -191,16 +191,23 @@ def _fit(evidence: Evidence, bases: Array, groups: int) -> Fit:
 
 
 def _gains(group: NDArray[np.int64], lit: Array, photo: Array, weight: Array, groups: int) -> Array:
-    """Exposures (groups, 3), drawn towards that of all objects together where there are few samples."""
+    """Exposures (groups, 3), drawn towards that of all objects together where there are few samples: light has one
+    colour for all of them, and differs between them in strength, as textures do. That of the ground is its own.
+
+    Ratios of sums, not least squares: where textures lie beside the photo's by a few pixels, least squares takes the
+    more from a channel the more it varies, and yellow with blue letters becomes green."""
     own = group < groups - 1
-    whole = (weight * lit * photo)[own].sum(0) / np.maximum((weight * lit * lit)[own].sum(0), 1e-12)
-    above, below = np.empty((groups, 3)), np.empty((groups, 3))
-    for c in range(3):
-        above[:, c] = np.bincount(group, (weight * lit * photo)[:, c], groups)
-        below[:, c] = np.bincount(group, (weight * lit * lit)[:, c], groups)
+    say = weight.mean(1, keepdims=True)
+    above, below = (
+        np.column_stack([np.bincount(group, (say * values)[:, c], groups) for c in range(3)]) for values in (photo, lit)
+    )
+    whole = above[:-1].sum(0) / np.maximum(below[:-1].sum(0), 1e-12) if own.any() else np.ones(3)
     count = np.maximum(np.bincount(group, minlength=groups), 1)
-    prior = PRIOR * (below.mean(1) / count)[:, None]  # of all channels: a dark one tells little of its own
-    return (above + prior * whole) / np.maximum(below + prior, 1e-12)
+    prior = PRIOR * (below @ whole) / count
+    strength = (above.sum(1) + prior) / np.maximum(below @ whole + prior, 1e-12)
+    gains = strength[:, None] * whole
+    gains[-1] = (above[-1] + 1e-12) / np.maximum(below[-1] + 1e-12, 1e-12)
+    return gains
 
 
 def with_shadows_of(evidence: Evidence, light: Light, maps: tuple[Maps, Maps], ground: int) -> tuple[Light, bool]:
