@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from f3sr.cli import main
-from f3sr.film.filmed import FilmConfig, film
+from f3sr.film.filmed import FilmConfig, film_played
 from f3sr.goals.files import FILM, FILMS, PLAN, ROLLOUT, STRIP, VERDICT
 from f3sr.goals.play import Played, simulate_goal
 from f3sr.package import Package
@@ -146,14 +146,14 @@ def test_a_broken_background_fails_the_film_and_leaves_the_rollout(
 def test_a_package_without_background_is_filmed_and_that_is_told(package: Package) -> None:
     found = simulate_goal(package, GOAL)
     assert isinstance(found, Played)
-    made = film(package, found.plan, found.rollout, found.verdict)
+    made = film_played(package, found)
     assert any("background.png" in d for d in made.decisions) and made.files[FILM][4:8] == b"ftyp"
 
 
 def test_a_large_photo_is_filmed_smaller_and_that_is_told(package: Package) -> None:
     found = simulate_goal(package, "push the can 5 cm to the left")
     assert isinstance(found, Played) and found.plan.task.active == CAN
-    made = film(package, found.plan, found.rollout, found.verdict, FilmConfig(longest=32))
+    made = film_played(package, found, FilmConfig(longest=32))
     assert made.size == (32, 24) and any("larger than 32" in d for d in made.decisions)
     with av.open(io.BytesIO(made.files[FILM])) as container:
         assert {(f.width, f.height) for f in container.decode(video=0)} == {(32, 24)}

@@ -26,11 +26,13 @@ _PUBLIC = {
     "Store": "f3sr.cache",
     "deliver": "f3sr.deliver",
     "evaluate": "f3sr.stages.evaluate",
+    "film_played": "f3sr.film.filmed",
     "read_inputs": "f3sr.inputs",
     "read_package": "f3sr.package",
     "reconstruct": "f3sr.pipeline",
     "replay_plan": "f3sr.goals.play",
     "simulate_goal": "f3sr.goals.play",
+    "write_film": "f3sr.goals.deliver",
     "write_package": "f3sr.package",
     "write_played": "f3sr.goals.deliver",
 }

@@ -157,7 +157,7 @@ def evaluate(
 
 
 def demo(out: Out = Path("out/demo"), overwrite: bool = False) -> None:
-    """Reconstruct the bundled example.
+    """Reconstruct the bundled example, and play and film a goal in it.
 
     Args:
         out: Where the package goes.
@@ -166,6 +166,7 @@ def demo(out: Out = Path("out/demo"), overwrite: bool = False) -> None:
     from f3sr import example
 
     reconstruct(example.folder(), out=out, overwrite=overwrite)
+    cli_goals.simulate(out, (example.GOAL,))
 
 
 def config() -> None:

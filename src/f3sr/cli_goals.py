@@ -99,13 +99,12 @@ def _require_slow(slow: float) -> None:
 
 def _film(content: Package, played: Played, place: Path, slow: float) -> dict[str, Any]:
     """Film what was played, write it, and tell of it as plain values."""
-    from f3sr.film.filmed import FilmConfig
-    from f3sr.film.filmed import film as filmed
+    from f3sr.film.filmed import FilmConfig, film_played
     from f3sr.goals.deliver import write_film
     from f3sr.goals.files import FILM
 
     start = time.perf_counter()
-    made = filmed(content, played.plan, played.rollout, played.verdict, FilmConfig(slow=slow))
+    made = film_played(content, played, FilmConfig(slow=slow))
     write_film(made.files, place)
     return {
         "file": str(place / FILM),

@@ -2,6 +2,9 @@
 
 from pathlib import Path
 
+GOAL = "throw the lemon into the mug"
+"""What the demo plays in it."""
+
 
 def folder() -> Path:
     """The prompted-image folder that ships inside the package; made by ``examples/make_tabletop.py``."""

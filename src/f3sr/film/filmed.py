@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from f3sr.background import complete_background
 from f3sr.film import make_film
-from f3sr.goals.plan import Plan
-from f3sr.goals.rollout import Rollout
-from f3sr.goals.verify import Verdict
+from f3sr.goals.play import Played
 from f3sr.package import Package
 from f3sr.pictures import resized
 from f3sr.rendering import RenderConfig, Renderer
@@ -46,8 +44,8 @@ class Filmed:
     decisions: tuple[str, ...]
 
 
-def film(package: Package, plan: Plan, rollout: Rollout, verdict: Verdict, config: FilmConfig | None = None) -> Filmed:
-    """Film a rollout of a package's scene; the same bytes for the same package, rollout and settings.
+def film_played(package: Package, played: Played, config: FilmConfig | None = None) -> Filmed:
+    """Film what was played in a package's scene; the same bytes for the same package, rollout and settings.
 
     Raises InputError where the package's background or support is no picture of the photo's size.
     """
@@ -60,7 +58,8 @@ def film(package: Package, plan: Plan, rollout: Rollout, verdict: Verdict, confi
         told += (f"filmed at {width}x{height}, as the photo is larger than {config.longest} pixels",)
     renderer = Renderer.of(scene, background, config=config.render)
     counted = _Counted(renderer)
-    files = make_film(scene, plan, rollout, verdict, counted, slow=Fraction(config.slow).limit_denominator(1000))
+    slow = Fraction(config.slow).limit_denominator(1000)
+    files = make_film(scene, played.plan, played.rollout, played.verdict, counted, slow=slow)
     return Filmed(files=files, frames=counted.frames, size=(width, height), decisions=(*told, *renderer.decisions))
 
 
