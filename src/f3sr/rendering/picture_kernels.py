@@ -117,7 +117,7 @@ def compose(
 ) -> None:
     """The rows [top, bottom) of ``picture``, where squares of ``tile`` pixels are ``dirty``: objects over the
     background (h, w, 3), whose linear light ``linear[value]`` is multiplied by ``light_left`` over the share that was
-    left in the background ``already`` (h, w, 3)."""
+    left in the background ``already`` (h, w, 3), never more than 1: where a shadow left, the background is believed."""
     width = cover.shape[1]
     for y in range(top, bottom):
         rows = _between(y, cell, blurred.shape[1])
@@ -129,7 +129,7 @@ def compose(
             objects = cover[y, x] / (samples * samples)
             for c in range(3):
                 left = np.float32(1 - receives[y, x] * (weight[0, c] * direct + weight[1, c] * sky))
-                factor = left / already[y, x, c]
+                factor = min(left / already[y, x, c], np.float32(1))
                 if objects == 0 and factor == 1:
                     picture[y, x, c] = background[y, x, c]
                 else:
