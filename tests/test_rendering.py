@@ -246,7 +246,7 @@ def test_nothing_but_the_ground_below_the_horizon_takes_shadows() -> None:
     horizon = int(level.K[1, 2])
     assert not seen[: horizon - 1].any()
     assert (seen[-1] > 0.2).all()
-    assert (np.diff(seen[horizon:], axis=0) >= 0).all()
+    assert seen[horizon + 12 : -4, 30:60].max() == 1
 
 
 def test_the_light_of_a_picture_is_found_again() -> None:
