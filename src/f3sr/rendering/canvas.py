@@ -22,7 +22,16 @@ from f3sr.rendering.layers import (
     light_maps,
 )
 from f3sr.rendering.light import DIRECT, Light
-from f3sr.rendering.picture_kernels import BLUR_SUM, STEPS, blur, compose, count_lights, light_left, mark_changed
+from f3sr.rendering.picture_kernels import (
+    BLUR_SUM,
+    STEPS,
+    blur_columns,
+    blur_rows,
+    compose,
+    count_lights,
+    light_left,
+    mark_changed,
+)
 from f3sr.rendering.surface_kernels import Lamps, View, mark_shadowed, shade, tile_depths
 from f3sr.rendering.textures import linear, srgb
 
@@ -34,9 +43,9 @@ CELL = 2
 """Side of the cells that the ground's shadows are drawn in [px]: they are soft."""
 TILE = 16
 """Side of the squares whose objects are coloured anew or not at all [px]."""
-SKY_BLUR = 2
-"""Reach of the filter over the sky's shadows [cells]; that over the disc's is 1. The sky's lights lie far apart, and
-each has an edge."""
+BLURS = 1, 2
+"""Reach of the filters over the shadows of the disc and of the sky [cells]: the sky's lights lie far apart, and each
+has an edge."""
 QUIET = 12
 """Frames without motion after which an object is drawn with those that stay."""
 BANDS = 4
@@ -88,7 +97,8 @@ class Canvas:
         self._weight = raster.fixed(s.light.hidden / BLUR_SUM, np.float64)
         self._still, self._drawn = self._buffers(), self._buffers()
         self._color, self._cover = np.zeros((h, w, 3), np.float32), np.zeros((h, w), np.uint8)
-        self._counts, self._blurred = (np.zeros((2, self._cells.height, self._cells.width), np.int32) for _ in range(2))
+        shape = 2, self._cells.height, self._cells.width
+        self._counts, self._rows, self._blurred = (np.zeros(shape, np.int32) for _ in range(3))
         tiles = -(-h // TILE), -(-w // TILE)
         self._depths, self._dirty = np.zeros((*tiles, 2), np.float32), np.ones(tiles, np.bool_)
         count = len(s.things.vertices)
@@ -134,7 +144,7 @@ class Canvas:
         else:
             self._settle(view, poses, changed)
             squares = [self._square(v, k) for v in (before, view) for k in changed]
-            texels = self._texels(np.concatenate([old[changed], poses[changed]]), changed + changed)
+            texels = np.array([self._texels(T[k], k) for k in changed for T in (old, poses)])
             self._restore(squares, texels)
             self._add(self._drawn, view, poses, [k for k in range(len(poses)) if k not in self._stays])
             self._measure_and_mark(squares, view, texels)
@@ -177,13 +187,10 @@ class Canvas:
         (left, top), (right, bottom) = (np.clip(v, 0, [columns, rows]).astype(int).tolist() for v in (low, high))
         return top, bottom, left, right
 
-    def _texels(self, poses: Array, chosen: Sequence[int]) -> Array:
-        """(L, 4) first and last column, first and last row of every map that objects at some poses reach."""
-        s = self._setting
-        vertices = [
-            transform(T, kind[k].vertices) for T, k in zip(poses, chosen, strict=True) for kind in s.things.casters
-        ]
-        return self._drawn.maps.reached(np.concatenate([np.empty((0, 3)), *vertices]))
+    def _texels(self, T: Array, k: int) -> Array:
+        """(L, 4) first and last column, first and last row of every map that an object at a pose reaches."""
+        points = [transform(T, kind[k].vertices) for kind in self._setting.things.casters]
+        return self._drawn.maps.reached(np.concatenate(points))
 
     def _restore(self, squares: Sequence[Rectangle], texels: Array) -> None:
         """Take over the still buffers where something moved."""
@@ -193,9 +200,10 @@ class Canvas:
             self._drawn.face[window] = self._still.face[window]
             self._drawn.nearness[window] = self._still.nearness[window]
         size = self._drawn.maps.nearest.shape[1]
-        for light, (left, right, top, bottom) in enumerate(np.clip(texels, 0, size).astype(int).tolist()):
-            window = light, slice(top, bottom + 1), slice(left, right + 1)
-            self._drawn.maps.nearest[window] = self._still.maps.nearest[window]
+        for reached in np.clip(texels, 0, size).astype(int).tolist():
+            for light, (left, right, top, bottom) in enumerate(reached):
+                window = light, slice(top, bottom + 1), slice(left, right + 1)
+                self._drawn.maps.nearest[window] = self._still.maps.nearest[window]
         np.copyto(self._drawn.bits, self._still.bits)
 
     def _measure_and_mark(self, squares: Sequence[Rectangle], view: View, texels: Array | None = None) -> None:
@@ -227,13 +235,15 @@ class Canvas:
         def count(band: tuple[int, int]) -> None:
             count_lights(self._drawn.bits, DISC_WORDS, SET_BITS, *band, self._counts)
 
-        def smooth_direct(band: tuple[int, int]) -> None:
-            blur(self._counts[0], 1, *band, self._blurred[0])
+        def along_rows(band: tuple[int, int]) -> None:
+            for kind, reach in enumerate(BLURS):
+                blur_rows(self._counts[kind], reach, *band, self._rows[kind])
 
-        def smooth_sky(band: tuple[int, int]) -> None:
-            blur(self._counts[1], SKY_BLUR, *band, self._blurred[1])
+        def along_columns(band: tuple[int, int]) -> None:
+            for kind, reach in enumerate(BLURS):
+                blur_columns(self._rows[kind], reach, *band, self._blurred[kind])
 
-        for step in (count, smooth_direct, smooth_sky):
+        for step in (count, along_rows, along_columns):
             raster.in_bands(step, (0, self._cells.height), raster.THREADS)
 
     def _compose(self) -> None:

@@ -6,20 +6,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.background.membrane import membrane
-from f3sr.background.regions import Mask, grown
+from f3sr.background.regions import Mask, distance_to, grown
 from f3sr.frames import Array, Camera
 
 NEAR, FAR = 1.5, 3.0
 """Radii of the scene's ball within which the ground shows all of its shadows, and beyond which it shows none: a table
 ends somewhere, and walls take no shadows."""
+SEAM = 0.01
+"""Distance over which light goes on into a completed background, in shares of the picture's longer side."""
 DARKEST = 0.2
 """Least share of light that a background is taken to hold already: it is divided by it."""
 
 
 def ground_seen(camera: Camera, limit: Mask | None, ball: tuple[Array, float]) -> NDArray[np.float32]:
-    """(h, w) how much of its shadows the ground z = 0 shows: 1 where the ray through a pixel meets it from above, within
-    ``limit`` where that is known, and less and less from ``NEAR`` to ``FAR`` radii of the scene's ``ball`` from its
-    middle, for there it may not be the ground."""
+    """(h, w) how much of its shadows the ground z = 0 shows: 1 where the ray through a pixel meets it from above,
+    within ``limit`` where that is known, and less and less from ``NEAR`` to ``FAR`` radii of the scene's ``ball`` from
+    its middle, for there it may not be the ground."""
     h, w = camera.height, camera.width
     x, y = np.arange(w) + 0.5, np.arange(h)[:, None] + 0.5
     to_world = camera.T_world_camera[:3, :3] @ np.linalg.inv(camera.K)
@@ -37,10 +39,12 @@ def shadows_within(
     """(h, w, 3) the share of light that the background's pixels hold already.
 
     Where the background is the photo, it holds the photo's shadows, ``rest`` (h, w, 3). Where it was completed, it goes
-    on from there without a seam of light; so does what it is divided by.
+    on from there without a seam of light, and so does this; but patches come from lit places, so a little farther in
+    it holds none.
     """
     completed = grown(np.any(photo != background, axis=2) | objects, 1)
     if not completed.any() or completed.all():
         return np.ones_like(rest) if completed.all() else np.maximum(rest, DARKEST)
-    held = membrane(rest, ~completed)
+    share = np.exp(-distance_to(~completed) / (SEAM * max(completed.shape)))[..., None]
+    held = 1 - share * (1 - membrane(rest, ~completed))
     return np.maximum(np.where(completed[..., None], held, rest), DARKEST).astype(np.float32)

@@ -11,10 +11,8 @@ from f3sr.kernels import inline_kernel, kernel
 
 STEPS = 65535
 """Steps of linear light in the table that ends in sRGB: the darkest ones of eight bits are 20 of these wide."""
-TAPS = np.array([[16, 0, 0, 0, 0], [4, 8, 4, 0, 0], [1, 4, 6, 4, 1]], np.int64)
-"""Binomial filters by their reach [cells]."""
 BLUR_SUM = 256
-"""Of the weights of ``blur``."""
+"""Of the weights of both blurs."""
 
 
 @kernel
@@ -34,21 +32,31 @@ def count_lights(
 
 
 @kernel
-def blur(counts: NDArray[Any], reach: int, top: int, bottom: int, blurred: NDArray[Any]) -> None:
-    """``counts`` (h, w) under a binomial filter of some ``reach``, 0 to 2 cells, times ``BLUR_SUM``, the border
-    repeated, in the rows [top, bottom)."""
-    height, width = counts.shape
+def blur_rows(counts: NDArray[Any], reach: int, top: int, bottom: int, blurred: NDArray[Any]) -> None:
+    """``counts`` (h, w) under a binomial filter of some ``reach``, 1 or 2 cells, along the rows [top, bottom), times
+    16, the border repeated."""
+    width = counts.shape[1]
     for y in range(top, bottom):
         for x in range(width):
-            total = 0
-            for dy in range(-reach, reach + 1):
-                row = min(max(y + dy, 0), height - 1)
-                line = 0
-                for dx in range(-reach, reach + 1):
-                    weight = TAPS[reach, dx + reach]
-                    line += weight * counts[row, min(max(x + dx, 0), width - 1)]
-                total += TAPS[reach, dy + reach] * line
-            blurred[y, x] = total
+            a, b, c, d = max(x - 2, 0), max(x - 1, 0), min(x + 1, width - 1), min(x + 2, width - 1)
+            if reach == 1:
+                blurred[y, x] = 4 * (counts[y, b] + 2 * counts[y, x] + counts[y, c])
+            else:
+                inner = 4 * (counts[y, b] + counts[y, c]) + 6 * counts[y, x]
+                blurred[y, x] = counts[y, a] + inner + counts[y, d]
+
+
+@kernel
+def blur_columns(rows: NDArray[Any], reach: int, top: int, bottom: int, blurred: NDArray[Any]) -> None:
+    """The same along columns: after both, times ``BLUR_SUM``."""
+    height, width = rows.shape
+    for y in range(top, bottom):
+        a, b, c, d = max(y - 2, 0), max(y - 1, 0), min(y + 1, height - 1), min(y + 2, height - 1)
+        for x in range(width):
+            if reach == 1:
+                blurred[y, x] = 4 * (rows[b, x] + 2 * rows[y, x] + rows[c, x])
+            else:
+                blurred[y, x] = rows[a, x] + 4 * (rows[b, x] + rows[c, x]) + 6 * rows[y, x] + rows[d, x]
 
 
 @kernel
@@ -117,7 +125,7 @@ def compose(
 ) -> None:
     """The rows [top, bottom) of ``picture``, where squares of ``tile`` pixels are ``dirty``: objects over the
     background (h, w, 3), whose linear light ``linear[value]`` is multiplied by ``light_left`` over the share that was
-    left in the background ``already`` (h, w, 3)."""
+    left in the background ``already`` (h, w, 3), never more than 1: where a shadow left, the background is believed."""
     width = cover.shape[1]
     for y in range(top, bottom):
         rows = _between(y, cell, blurred.shape[1])
@@ -129,7 +137,7 @@ def compose(
             objects = cover[y, x] / (samples * samples)
             for c in range(3):
                 left = np.float32(1 - receives[y, x] * (weight[0, c] * direct + weight[1, c] * sky))
-                factor = left / already[y, x, c]
+                factor = min(left / already[y, x, c], np.float32(1))
                 if objects == 0 and factor == 1:
                     picture[y, x, c] = background[y, x, c]
                 else:

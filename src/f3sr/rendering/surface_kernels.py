@@ -425,8 +425,9 @@ def mark_shadowed(
     texel: float,
     dirty: NDArray[Any],
 ) -> None:
-    """Set ``dirty`` (rows, columns) where what a tile shows may read a texel of ``changed`` (L, 4), the first and last
-    column and row of every light's map that was drawn anew. Points are read ``reach`` [m] around themselves."""
+    """Set ``dirty`` (rows, columns) where what a tile shows may read a texel of ``changed`` (k, L, 4), the first and
+    last column and row of parts of every light's map that were drawn anew. Points are read ``reach`` [m] around
+    themselves."""
     corners = np.empty((8, 3))
     for i in range(depths.shape[0]):
         for j in range(depths.shape[1]):
@@ -455,13 +456,11 @@ def mark_shadowed(
                     )
                     u0, u1, v0, v1 = min(u0, u), max(u1, u), min(v0, v), max(v1, v)
                 around = reach / texel + 2
-                if (
-                    u1 + around >= changed[light, 0]
-                    and u0 - around <= changed[light, 1]
-                    and v1 + around >= changed[light, 2]
-                    and v0 - around <= changed[light, 3]
-                ):
-                    dirty[i, j] = True
+                u0, u1, v0, v1 = u0 - around, u1 + around, v0 - around, v1 + around
+                for k in range(len(changed)):
+                    part = changed[k, light]
+                    dirty[i, j] |= u1 >= part[0] and u0 <= part[1] and v1 >= part[2] and v0 <= part[3]
+                if dirty[i, j]:
                     break
 
 
