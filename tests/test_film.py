@@ -20,7 +20,7 @@ from f3sr.errors import InputError
 from f3sr.film import FILM, PLAYER, STRIP, encode, key_moments, make_film
 from f3sr.film.captions import captioned, font, slowed, speed_words, wrapped
 from f3sr.film.moments import FEWEST, MOST
-from f3sr.film.player import LARGEST_PLAYER
+from f3sr.film.player import LARGEST_REST
 from f3sr.film.strip import Title, strip
 from f3sr.film.timeline import pairs_of
 from f3sr.film.times import factor, finer, rate_of
@@ -92,8 +92,10 @@ def test_frame_k_shows_picture_k():
 
 
 def test_the_same_frames_give_the_same_bytes_and_the_index_comes_first():
-    first, second = encode(moving(9), 30), encode(moving(9), 30)
-    assert first.data == second.data
+    first = encode(moving(9), 30)
+    for k in range(60):  # with other films in between, that leave other memory behind
+        encode(moving(1 + k % 7, 96 + k % 40, 64 + k % 20), 30)
+        assert encode(moving(9), 30).data == first.data
     boxes, at = [], 0
     while at < len(first.data):
         size = int.from_bytes(first.data[at : at + 4], "big")
@@ -317,7 +319,7 @@ def test_a_film_is_its_three_files_and_the_same_again():
     assert {k: v == again[k] for k, v in files.items()} == dict.fromkeys(files, True)
     with opened(files[FILM]) as file:
         assert file.streams.video[0].frames == len(g.played.rollout.time)
-    assert len(files[PLAYER]) < LARGEST_PLAYER and files[PLAYER].count(b"http://") == 0
+    assert len(files[PLAYER]) < LARGEST_REST + 1.4 * len(files[FILM]) and files[PLAYER].count(b"http://") == 0
 
 
 def test_a_slow_film_has_four_times_the_frames_at_the_same_rate():

@@ -140,6 +140,16 @@ def test_half_speed_takes_twice_as_long(opened: Opened):
     opened.state("player.pause()")
 
 
+def test_it_repeats_where_asked_to(opened: Opened):
+    opened.at(0)
+    opened.state("window.back = 0; setInterval(() => {if (player.frame < window.was) back++; was = player.frame}, 5)")
+    opened.tab.click("#repeat")
+    opened.state("player.play()")
+    opened.until("window.back >= 1 && player.playing")
+    opened.tab.click("#repeat")
+    opened.until("!player.playing")
+
+
 def test_keys_step_and_jump(opened: Opened):
     last = len(given().played.rollout.time) - 1
     opened.at(0)
