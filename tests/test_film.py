@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import html
 import io
 import json
 import re
+import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
@@ -16,7 +18,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from f3sr.errors import InputError
+from f3sr.errors import InputError, OutputError
 from f3sr.film import FILM, PLAYER, STRIP, encode, key_moments, make_film
 from f3sr.film.captions import captioned, font, slowed, speed_words, wrapped
 from f3sr.film.moments import FEWEST, MOST
@@ -174,6 +176,15 @@ def test_what_is_no_film_is_told(frames: list[NDArray[Any]], fps: float, found: 
         encode(frames, fps)
 
 
+def test_a_full_disk_is_told(monkeypatch: pytest.MonkeyPatch):
+    def full(*_: Any, **__: Any) -> str:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(tempfile, "mkdtemp", full)
+    with pytest.raises(OutputError, match="no space left"):
+        encode(moving(2), 30)
+
+
 # --- times ------------------------------------------------------------------------------------------------------------
 
 
@@ -329,6 +340,24 @@ def test_a_slow_film_has_four_times_the_frames_at_the_same_rate():
         stream = file.streams.video[0]
         assert stream.frames == 4 * (samples - 1) + 1 and stream.average_rate == 30
     assert "at 1/4 speed" in files[PLAYER].decode()
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3])
+def test_the_shortest_rollouts_are_films_too(samples: int):
+    g = given()
+    whole = g.played.rollout
+    rollout = replace(
+        whole,
+        time=whole.time[:samples],
+        T_world_object=whole.T_world_object[:samples],
+        contacts=whole.contacts[whole.contacts["time"] <= whole.time[samples - 1] + 1e-9],
+    )
+    verdict = verify(g.scene, g.played.plan, rollout)
+    moments = key_moments(g.scene, g.played.plan, rollout, verdict)
+    assert [moments[0].frame, moments[-1].frame] == [0, samples - 1] and "end" in moments[-1].what
+    files = make_film(g.scene, g.played.plan, rollout, verdict, unlit(g.scene))
+    with opened(files[FILM]) as file:
+        assert file.streams.video[0].frames == samples
 
 
 def test_every_frame_is_drawn_once_and_in_order():

@@ -108,7 +108,8 @@ def test_film_and_rollout_show_the_frame_that_is_asked_for(opened: Opened):
         shown = np.reshape(wide, (120, 160, 4))[..., :3].astype(float)
         errors = [np.mean((draw(rollout.T_world_object[j]) - shown) ** 2) for j in range(last + 1)]
         wanted = draw(rollout.T_world_object[k]).astype(float)
-        assert errors[k] == min(errors) and np.abs((shown - wanted).mean((0, 1))).max() < 1.5
+        assert errors[k] == min(errors)
+        assert np.abs((shown - wanted).mean((0, 1))).max() < 1.2  # most is one colour, which is rounded one way
         assert f"frame {k} / {last}" in opened.tab.inner_text("#where")
 
 
