@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import html
 import io
 import json
 import re
+import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
@@ -16,11 +18,11 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from f3sr.errors import InputError
+from f3sr.errors import InputError, OutputError
 from f3sr.film import FILM, PLAYER, STRIP, encode, key_moments, make_film
 from f3sr.film.captions import captioned, font, slowed, speed_words, wrapped
 from f3sr.film.moments import FEWEST, MOST
-from f3sr.film.player import LARGEST_PLAYER
+from f3sr.film.player import LARGEST_REST
 from f3sr.film.strip import Title, strip
 from f3sr.film.timeline import pairs_of
 from f3sr.film.times import factor, finer, rate_of
@@ -92,8 +94,10 @@ def test_frame_k_shows_picture_k():
 
 
 def test_the_same_frames_give_the_same_bytes_and_the_index_comes_first():
-    first, second = encode(moving(9), 30), encode(moving(9), 30)
-    assert first.data == second.data
+    first = encode(moving(9), 30)
+    for k in range(60):  # with other films in between, that leave other memory behind
+        encode(moving(1 + k % 7, 96 + k % 40, 64 + k % 20), 30)
+        assert encode(moving(9), 30).data == first.data
     boxes, at = [], 0
     while at < len(first.data):
         size = int.from_bytes(first.data[at : at + 4], "big")
@@ -170,6 +174,15 @@ def test_colours_come_back():
 def test_what_is_no_film_is_told(frames: list[NDArray[Any]], fps: float, found: str):
     with pytest.raises(InputError, match=found):
         encode(frames, fps)
+
+
+def test_a_full_disk_is_told(monkeypatch: pytest.MonkeyPatch):
+    def full(*_: Any, **__: Any) -> str:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(tempfile, "mkdtemp", full)
+    with pytest.raises(OutputError, match="no space left"):
+        encode(moving(2), 30)
 
 
 # --- times ------------------------------------------------------------------------------------------------------------
@@ -317,7 +330,7 @@ def test_a_film_is_its_three_files_and_the_same_again():
     assert {k: v == again[k] for k, v in files.items()} == dict.fromkeys(files, True)
     with opened(files[FILM]) as file:
         assert file.streams.video[0].frames == len(g.played.rollout.time)
-    assert len(files[PLAYER]) < LARGEST_PLAYER and files[PLAYER].count(b"http://") == 0
+    assert len(files[PLAYER]) < LARGEST_REST + 1.4 * len(files[FILM]) and files[PLAYER].count(b"http://") == 0
 
 
 def test_a_slow_film_has_four_times_the_frames_at_the_same_rate():
@@ -327,6 +340,24 @@ def test_a_slow_film_has_four_times_the_frames_at_the_same_rate():
         stream = file.streams.video[0]
         assert stream.frames == 4 * (samples - 1) + 1 and stream.average_rate == 30
     assert "at 1/4 speed" in files[PLAYER].decode()
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3])
+def test_the_shortest_rollouts_are_films_too(samples: int):
+    g = given()
+    whole = g.played.rollout
+    rollout = replace(
+        whole,
+        time=whole.time[:samples],
+        T_world_object=whole.T_world_object[:samples],
+        contacts=whole.contacts[whole.contacts["time"] <= whole.time[samples - 1] + 1e-9],
+    )
+    verdict = verify(g.scene, g.played.plan, rollout)
+    moments = key_moments(g.scene, g.played.plan, rollout, verdict)
+    assert [moments[0].frame, moments[-1].frame] == [0, samples - 1] and "end" in moments[-1].what
+    files = make_film(g.scene, g.played.plan, rollout, verdict, unlit(g.scene))
+    with opened(files[FILM]) as file:
+        assert file.streams.video[0].frames == samples
 
 
 def test_every_frame_is_drawn_once_and_in_order():

@@ -108,7 +108,8 @@ def test_film_and_rollout_show_the_frame_that_is_asked_for(opened: Opened):
         shown = np.reshape(wide, (120, 160, 4))[..., :3].astype(float)
         errors = [np.mean((draw(rollout.T_world_object[j]) - shown) ** 2) for j in range(last + 1)]
         wanted = draw(rollout.T_world_object[k]).astype(float)
-        assert errors[k] == min(errors) and np.abs((shown - wanted).mean((0, 1))).max() < 1.5
+        assert errors[k] == min(errors)
+        assert np.abs((shown - wanted).mean((0, 1))).max() < 1.2  # most is one colour, which is rounded one way
         assert f"frame {k} / {last}" in opened.tab.inner_text("#where")
 
 
@@ -138,6 +139,16 @@ def test_half_speed_takes_twice_as_long(opened: Opened):
     opened.until("player.frame > 3")
     assert opened.state("film.playbackRate") == 0.5
     opened.state("player.pause()")
+
+
+def test_it_repeats_where_asked_to(opened: Opened):
+    opened.at(0)
+    opened.state("window.back = 0; setInterval(() => {if (player.frame < window.was) back++; was = player.frame}, 5)")
+    opened.tab.click("#repeat")
+    opened.state("player.play()")
+    opened.until("window.back >= 1 && player.playing")
+    opened.tab.click("#repeat")
+    opened.until("!player.playing")
 
 
 def test_keys_step_and_jump(opened: Opened):

@@ -4,7 +4,7 @@
   const $ = (id) => document.getElementById(id);
   const data = JSON.parse($("player-data").textContent);
   const last = data.frames - 1, film = $("film"), slider = $("slider");
-  let frame = 0, playing = false, rate = 1;
+  let frame = 0, playing = false, rate = 1, repeat = false;
   let filmFrame = -1; // the one that the film really shows, where the browser tells
   let filmFails = false;
 
@@ -140,7 +140,7 @@
       started = started || [now, frame];
       const k = Math.min(last, started[1] + Math.floor(((now - started[0]) / 1000) * data.fps * rate));
       if (k !== frame) show(k);
-      if (k === last) return pause();
+      if (k === last) return ended();
     } else show(Math.min(last, Math.floor(film.currentTime * data.fps + 1e-3)));
     requestAnimationFrame(tick);
   };
@@ -163,12 +163,14 @@
     film.currentTime = (frame + 0.5) / data.fps;
     film.play().then(() => requestAnimationFrame(tick), () => { if (playing && !filmFails) pause(); });
   };
-  film.addEventListener("ended", () => {
+  const ended = () => {
     if (!playing) return;
     state(false);
     show(last);
-    showFilm(last);
-  });
+    if (repeat) play();
+    else showFilm(last);
+  };
+  film.addEventListener("ended", ended);
   const seek = (k) => {
     const next = Math.max(0, Math.min(last, Math.round(k)));
     if (playing) pause();
@@ -187,6 +189,10 @@
     rate = Number(e.target.value);
     started = null;
     film.playbackRate = rate;
+  });
+  $("repeat").addEventListener("click", () => {
+    repeat = !repeat;
+    $("repeat").setAttribute("aria-pressed", String(repeat));
   });
   slider.addEventListener("input", () => seek(Number(slider.value)));
   for (const b of moments) b.addEventListener("click", () => seek(Number(b.dataset.frame)));

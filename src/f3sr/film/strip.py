@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from PIL import Image, ImageDraw
 
+from f3sr.export.gltf import encode_png
 from f3sr.film.captions import INK, PAPER, captioned, font, wrapped
 from f3sr.film.moments import Moment
 from f3sr.film.video import Picture
@@ -54,9 +55,7 @@ def strip(moments: Sequence[Moment], pictures: Sequence[Picture], title: Title) 
             for n, line in enumerate(words[k]):
                 draw.text((left, top + height + 6 + n * (up + down)), line, fill=INK, font=font(TEXT))
         top += step
-    with io.BytesIO() as file:
-        sheet.save(file, "PNG", optimize=True)
-        return file.getvalue()
+    return encode_png(np.asarray(sheet))
 
 
 def clock(time: float) -> str:
