@@ -301,7 +301,7 @@ def test_what_was_missed_is_said_at_the_end():
     verdict = verify(g.scene, plan, g.played.rollout)
     assert not verdict.met
     end = key_moments(g.scene, plan, g.played.rollout, verdict)[-1]
-    assert verdict.conditions[0].said in end.what
+    assert f"missed: {verdict.conditions[0].said}" in end.what
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6])

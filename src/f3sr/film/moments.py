@@ -83,7 +83,7 @@ def _events(seen: Seen, plan: Plan, verdict: Verdict) -> Iterator[Moment]:
     yield _moment(seen, end, "end", 0)
     for judged in verdict.conditions:
         if not judged.met:
-            yield _moment(seen, end, judged.said, 0)
+            yield _moment(seen, end, f"missed: {judged.said}", 0)
 
 
 def _moment(seen: Seen, time: float, what: str, rank: int) -> Moment:
