@@ -32,6 +32,7 @@ from f3sr.goals.plan import Contact
 from f3sr.goals.verify import verify
 from f3sr.scene import GROUND
 from film_scene import film_files, given, unlit
+from goal_scene import BLOCK, LID
 
 av = pytest.importorskip("av")
 HOSTILE = "</script><img src=x onerror=alert(1)>\"' \u2028\u202e\0" + "9" * 10_000
@@ -380,7 +381,7 @@ def test_pairs_are_those_of_the_rollout():
         rows = rollout.touches(p.a, p.b)
         assert p.forces.max() == rows["force"].max()
         for row in rows:
-            k = int(np.searchsorted(rollout.time, row["time"] - 1e-6))
+            k = min(int(np.searchsorted(rollout.time, row["time"] + 1e-9, side="right")), len(rollout.time) - 1)
             assert p.forces[k] >= row["force"] and rollout.time[k] >= row["time"] - 1e-6
     assert all(p.rests for p in pairs if p.a == GROUND and p.b in (0, 3))  # the box and the crate just stand
 
@@ -397,3 +398,10 @@ def test_hostile_words_stay_words():
     data = re.search(r'<script type="application/json" id="player-data">(.*?)</script>', text, re.S)
     assert data and json.loads(data[1])["names"][0].startswith("0 </script><img")
     assert html.escape("</script><img src=x") in text
+
+
+def test_what_rests_touches_in_every_frame_but_the_first() -> None:
+    """A row's time is that of the step's start: on a sample's time it belongs to the frame after."""
+    found = {(p.a, p.b): p.forces for p in pairs_of(given().played.rollout)}
+    block, lid = found[GROUND, BLOCK], found[BLOCK, LID]
+    assert block[0] == 0 and (block[1:] > 0).all() and (lid[1:] > 0).all()

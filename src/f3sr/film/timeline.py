@@ -43,7 +43,7 @@ class Pair:
 def pairs_of(rollout: Rollout) -> tuple[Pair, ...]:
     """Every pair that touches, the one with the largest force first."""
     rows, T = rollout.contacts, len(rollout.time)
-    frames = np.minimum(np.searchsorted(rollout.time, rows["time"] - 1e-6), T - 1)
+    frames = np.minimum(np.searchsorted(rollout.time, rows["time"] + 1e-6, side="right"), T - 1)
     found: list[Pair] = []
     tallest = float(rows["force"].max(initial=0.0))
     for a, b in sorted({(int(r["a"]), int(r["b"])) for r in rows}):
