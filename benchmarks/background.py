@@ -19,16 +19,18 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_edt, gaussian_filter
 
-from f3sr import patchmatch
-from f3sr.background import BackgroundConfig, complete_background
+from f3sr import inputs, patchmatch
+from f3sr.background import BackgroundConfig, complete_background, widened
 from f3sr.background.shadows import ShadowConfig
+from f3sr.background.support import support_of
+from f3sr.pipeline import SKIPPABLE, reconstruct
 from f3sr.scene import Photo
 from tables import show
 
 REPO = Path(__file__).resolve().parents[1]
 Pixels = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
-Fill = Callable[[Pixels, Mask], Pixels]
+Fill = Callable[[Pixels, Mask, Mask], Pixels]
 
 AS_GIVEN = BackgroundConfig(margin=0.0, shadows=ShadowConfig(reach=0.0))
 """A hole as it is."""
@@ -40,6 +42,8 @@ TRIALS = 300
 """Places tried for a made hole."""
 LEAST = 400
 """Pixels of the smallest object that counts."""
+SHOWN, SIDE, AROUND = 2, 150, 12
+"""Objects of every photo on the sheet, the side of a picture there, and what is shown around an object [px]."""
 TIMED = (960, 720)
 """Size of the photo that is timed [px]."""
 
@@ -55,12 +59,13 @@ def main() -> None:
     patchmatch.warm_up()
     fills = dict(_fills())
     rows: dict[str, list[dict[str, Any]]] = {"removed": [], "made": []}
+    crops: list[Pixels] = []
     for place in places:
-        rgb, masks = read(place)
-        background = complete_background(Photo(rgb=rgb), masks)
+        rgb, masks, support = read(place)
+        background = complete_background(Photo(rgb=rgb), masks, support=support)
         pictures = {"photo": rgb}
         for name, fill in fills.items():
-            pictures[name] = background.rgb if name == "f3sr" else fill(rgb, background.replaced)
+            pictures[name] = background.rgb if name == "f3sr" else fill(rgb, background.replaced, support)
             rows["removed"] += [
                 {"photo": place.name, "object": k, "by": name, **_removal(pictures[name], background.replaced, part)}
                 for k, part in _parts(background.replaced, masks)
@@ -68,11 +73,12 @@ def main() -> None:
         made = _made_holes(masks, background.replaced, np.random.default_rng(0))
         hole = np.any([background.replaced, *made.values()], axis=0)
         for name, fill in fills.items():
-            filled = fill(rgb, hole)
+            filled = fill(rgb, hole, support)
             rows["made"] += [
                 {"photo": place.name, "object": k, "by": name, **_against_truth(filled, rgb, part)}
                 for k, part in made.items()
             ]
+        crops += [_crops(pictures, part) for _, part in list(_parts(background.replaced, masks))[:SHOWN]]
         if arguments.out:
             arguments.out.mkdir(parents=True, exist_ok=True)
             sheet = Image.fromarray(np.hstack(list(pictures.values())))
@@ -83,23 +89,41 @@ def main() -> None:
     _print_time(places)
     if arguments.out:
         (arguments.out / "results.json").write_text(json.dumps(rows, indent=1))
+        Image.fromarray(_sheet(crops)).save(arguments.out / "removed.jpg", quality=85)
 
 
-def read(place: Path) -> tuple[Pixels, list[Mask]]:
-    """A photo and the masks of its objects."""
-    rgb = np.asarray(Image.open(next(place.glob("image.*"))).convert("RGB"))
-    return rgb, [np.asarray(Image.open(file).convert("L")) > 127 for file in sorted((place / "masks").glob("*.png"))]
+def read(place: Path) -> tuple[Pixels, list[Mask], Mask]:
+    """A photo, the masks of its objects, and where it shows their support, as the pipeline finds it."""
+    scene = reconstruct(inputs.read(place), skip=[stage for stage in SKIPPABLE if stage != "level"]).direct
+    masks = [o.mask for o in scene]
+    return scene.photo.rgb, masks, support_of(scene, widened(masks, BackgroundConfig().margin))
+
+
+def _crops(pictures: Mapping[str, Pixels], part: Mask) -> Pixels:
+    """What was removed, as the photo and every method has it, beside each other."""
+    rows, columns = np.flatnonzero(part.any(1)), np.flatnonzero(part.any(0))
+    half = max(np.ptp(rows), np.ptp(columns)) // 2 + AROUND
+    box = (int(columns.mean()) - half, int(rows.mean()) - half, int(columns.mean()) + half, int(rows.mean()) + half)
+    return np.hstack([np.asarray(Image.fromarray(p).crop(box).resize((SIDE, SIDE))) for p in pictures.values()])
+
+
+def _sheet(crops: list[Pixels]) -> Pixels:
+    """Two columns of rows."""
+    half = -(-len(crops) // 2)
+    blank = np.full_like(crops[0], 255)
+    columns = [np.vstack(([*crops, blank])[k * half : (k + 1) * half]) for k in range(2)]
+    return np.hstack([columns[0], np.full((columns[0].shape[0], 12, 3), 255, np.uint8), columns[1]])
 
 
 def _fills() -> Iterator[tuple[str, Fill]]:
-    yield "f3sr", lambda rgb, hole: complete_background(Photo(rgb=rgb), [hole], AS_GIVEN).rgb
+    yield "f3sr", lambda rgb, hole, support: complete_background(Photo(rgb=rgb), [hole], AS_GIVEN, support=support).rgb
     try:
         import cv2
     except ImportError:
         print("no peers: cv2 cannot be imported")
         return
     for name, method in (("Telea", cv2.INPAINT_TELEA), ("NS", cv2.INPAINT_NS)):
-        yield name, lambda rgb, hole, method=method: cv2.inpaint(rgb, hole.astype(np.uint8), PEER_RADIUS, method)
+        yield name, lambda rgb, hole, _, method=method: cv2.inpaint(rgb, hole.astype(np.uint8), PEER_RADIUS, method)
 
 
 def _parts(replaced: Mask, masks: list[Mask]) -> Iterator[tuple[int, Mask]]:
@@ -205,13 +229,14 @@ def _print(kind: str, lines: list[dict[str, Any]], fills: Mapping[str, Fill]) ->
 
 def _print_time(places: list[Path]) -> None:
     place = next((p for p in places if len(list((p / "masks").glob("*.png"))) == 8), places[0])
-    rgb, masks = read(place)
+    rgb, masks, support = read(place)
     photo = Photo(rgb=np.asarray(Image.fromarray(rgb).resize(TIMED)))
     small = [np.asarray(Image.fromarray(m).resize(TIMED, Image.Resampling.NEAREST)) for m in masks]
+    ground = np.asarray(Image.fromarray(support).resize(TIMED, Image.Resampling.NEAREST))
     runs: list[tuple[float, float]] = []
     for _ in range(3):
         wall, cpu = time.perf_counter(), time.process_time()
-        complete_background(photo, small)
+        complete_background(photo, small, support=ground)
         runs.append((time.perf_counter() - wall, time.process_time() - cpu))
     wall, cpu = sorted(runs)[1]
     print(f"\n{TIMED[0]}x{TIMED[1]}, {len(masks)} objects: {wall:.2f} s wall, {cpu:.2f} s of processor, median of 3")

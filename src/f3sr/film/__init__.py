@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from dataclasses import replace
 from fractions import Fraction
 
+from f3sr.daemon import ahead
 from f3sr.film.captions import slowed
 from f3sr.film.moments import Moment, frame_at, key_moments
 from f3sr.film.payload import Shown
@@ -39,7 +40,7 @@ def make_film(
     drawn = finer(scene, plan, rollout, slow)
     moments = tuple(replace(m, frame=frame_at(drawn, m.time)) for m in key_moments(scene, plan, rollout, verdict))
     kept: dict[int, Picture] = {}
-    frames = _noted(map(draw, drawn.T_world_object), {m.frame for m in moments}, kept)
+    frames = _noted(ahead(map(draw, drawn.T_world_object)), {m.frame for m in moments}, kept)
     video = encode(slowed(frames, slow), rate_of(drawn) / slow)
     pictures = [kept[m.frame] for m in moments]
     shown = Shown(scene=scene, plan=plan, rollout=drawn, verdict=verdict, video=video, moments=moments, slow=slow)
