@@ -35,13 +35,13 @@ from f3sr.rendering.picture_kernels import (
 from f3sr.rendering.surface_kernels import Lamps, View, mark_shadowed, shade, tile_depths
 from f3sr.rendering.textures import linear, srgb
 
-GRID = np.full((4, 4), 2.0**13)
-GRID[:3, 3] = 2.0**15
-"""Poses are rounded to one part of this, turns to .1 mrad and places to 30 um: a hundredth of a pixel, and more than an
-engine's tremble at rest."""
+GRID = np.full((4, 4), 2.0**12)
+GRID[:3, 3] = 2.0**14
+"""Poses are rounded to one part of this, turns to .25 mrad and places to 60 um: some hundredths of a pixel, and more
+than an engine's tremble at rest."""
 CELL = 2
 """Side of the cells that the ground's shadows are drawn in [px]: they are soft."""
-TILE = 16
+TILE = 8
 """Side of the squares whose objects are coloured anew or not at all [px]."""
 BLURS = 1, 2
 """Reach of the filters over the shadows of the disc and of the sky [cells]: the sky's lights lie far apart, and each
@@ -75,7 +75,9 @@ class Setting:
     receives: NDArray[np.float32]
     """(h, w) how much of its shadows the ground shows."""
     already: NDArray[np.float32]
-    """(h, w, 3) the share of its light that the background shows."""
+    """(h, w, 3) the share of its light that the background shows already."""
+    rest_light: NDArray[np.float32]
+    """(h, w, 3) the share of its light that the ground keeps beside the scene at rest."""
 
 
 class Canvas:
@@ -188,7 +190,7 @@ class Canvas:
         return top, bottom, left, right
 
     def _texels(self, T: Array, k: int) -> Array:
-        """(L, 4) first and last column, first and last row of every map that an object at a pose reaches."""
+        """(L, 5) what of every map an object at a pose reaches: see ``Maps.reached``."""
         points = [transform(T, kind[k].vertices) for kind in self._setting.things.casters]
         return self._drawn.maps.reached(np.concatenate(points))
 
@@ -200,7 +202,7 @@ class Canvas:
             self._drawn.face[window] = self._still.face[window]
             self._drawn.nearness[window] = self._still.nearness[window]
         size = self._drawn.maps.nearest.shape[1]
-        for reached in np.clip(texels, 0, size).astype(int).tolist():
+        for reached in np.clip(texels[..., :4], 0, size).astype(int).tolist():
             for light, (left, right, top, bottom) in enumerate(reached):
                 window = light, slice(top, bottom + 1), slice(left, right + 1)
                 self._drawn.maps.nearest[window] = self._still.maps.nearest[window]

@@ -17,6 +17,8 @@ from f3sr.rendering.textures import srgb
 
 CANDIDATES = 120
 """Directions of the upper half of the sphere that are tried first: 13 degrees apart."""
+THIN = 4
+"""Every how many of the samples these are tried on."""
 SPREAD = np.radians(12.0)
 """Width of the light around each of them [rad]."""
 ANGLES = tuple(np.radians([2.0, 5.0, 10.0, 18.0, 30.0]))
@@ -88,13 +90,12 @@ def find_light(
     sky = 2 * arriving.mean(1)
     groups = objects + 1
     undirected = _fit(evidence, _bases(evidence, np.zeros(len(sky)), sky), groups)
-    first = evidence.thinned(3)
-    thin = arriving[::3]
+    first, thin, thin_sky = evidence.thinned(THIN), arriving[::THIN].copy(), sky[::THIN]
     misfits: list[float] = []
     for d in wide.directions:
         share = np.exp((wide.directions @ d - 1) / SPREAD**2)
         misfits.append(
-            _fit(first, _bases(first, thin @ (share / share.sum()), sky[::3]), groups).misfit
+            _fit(first, _bases(first, thin @ (share / share.sum()), thin_sky), groups).misfit
             if d[2] >= LEAST_HEIGHT
             else np.inf
         )

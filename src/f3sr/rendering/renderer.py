@@ -60,11 +60,21 @@ class Renderer:
             things=things,
             ball=ball,
             receives=ground_seen(view, scene.ground_mask if camera is None else None, ball),
-            already=np.ones((view.height, view.width, 3), np.float32),
+            already=_whole(view),
+            rest_light=_whole(view),
         )
-        if camera is None and config.shadows.enabled:
-            setting = replace(setting, already=_held(scene, setting))
+        if config.shadows.enabled:
+            setting = replace(setting, rest_light=Canvas.light_left(setting, poses_at_rest(scene)))
+        if camera is None:
+            objects = union_of([o.mask for o in scene.objects], background.shape[:2])
+            already = shadows_within(setting.rest_light, scene.photo.rgb, background, objects)
+            setting = replace(setting, already=already)
         return cls(setting, decisions)
+
+    @property
+    def rest_light(self) -> NDArray[np.float32]:
+        """(h, w, 3) the share of its light that the ground keeps beside the scene at rest."""
+        return self.setting.rest_light
 
     def frame(self, T_world_object: ArrayLike) -> NDArray[np.uint8]:
         """The picture (h, w, 3) with the objects at poses (N, 4, 4), in the scene's order."""
@@ -93,8 +103,5 @@ def ball_around(scene: Scene) -> tuple[Array, float]:
     return (low + high) / 2, MARGIN * max(float(np.linalg.norm(high - low)) / 2, 1e-3)
 
 
-def _held(scene: Scene, setting: Setting) -> NDArray[np.float32]:
-    """What of the ground's light the background shows already."""
-    objects = union_of([o.mask for o in scene.objects], setting.background.shape[:2])
-    rest = Canvas.light_left(setting, poses_at_rest(scene))
-    return shadows_within(rest, scene.photo.rgb, setting.background, objects)
+def _whole(camera: Camera) -> NDArray[np.float32]:
+    return np.ones((camera.height, camera.width, 3), np.float32)

@@ -425,9 +425,9 @@ def mark_shadowed(
     texel: float,
     dirty: NDArray[Any],
 ) -> None:
-    """Set ``dirty`` (rows, columns) where what a tile shows may read a texel of ``changed`` (k, L, 4), the first and
-    last column and row of parts of every light's map that were drawn anew. Points are read ``reach`` [m] around
-    themselves."""
+    """Set ``dirty`` (rows, columns) where what a tile shows may be shaded by what ``changed`` (k, L, 5): the first and
+    last column and row of parts of every light's map that were drawn anew, and the largest place in them. Points are
+    looked at ``reach`` [m] around themselves."""
     corners = np.empty((8, 3))
     for i in range(depths.shape[0]):
         for j in range(depths.shape[1]):
@@ -439,27 +439,20 @@ def mark_shadowed(
                 for c in range(3):
                     corners[k, c] = z * (rays[c, 0] * x + rays[c, 1] * y + rays[c, 2]) + rays[c, 3]
             for light in range(len(frames)):
-                u0, u1, v0, v1 = np.inf, -np.inf, np.inf, -np.inf
+                u0, u1, v0, v1, low = np.inf, -np.inf, np.inf, -np.inf, np.inf
+                f = frames[light]
                 for k in range(8):
                     x, y, z = corners[k, 0], corners[k, 1], corners[k, 2]
-                    u = (
-                        frames[light, 0, 0] * x
-                        + frames[light, 0, 1] * y
-                        + frames[light, 0, 2] * z
-                        + frames[light, 0, 3]
-                    )
-                    v = (
-                        frames[light, 1, 0] * x
-                        + frames[light, 1, 1] * y
-                        + frames[light, 1, 2] * z
-                        + frames[light, 1, 3]
-                    )
+                    u = f[0, 0] * x + f[0, 1] * y + f[0, 2] * z + f[0, 3]
+                    v = f[1, 0] * x + f[1, 1] * y + f[1, 2] * z + f[1, 3]
                     u0, u1, v0, v1 = min(u0, u), max(u1, u), min(v0, v), max(v1, v)
+                    low = min(low, f[2, 0] * x + f[2, 1] * y + f[2, 2] * z + f[2, 3] - reach)
                 around = reach / texel + 2
                 u0, u1, v0, v1 = u0 - around, u1 + around, v0 - around, v1 + around
                 for k in range(len(changed)):
                     part = changed[k, light]
-                    dirty[i, j] |= u1 >= part[0] and u0 <= part[1] and v1 >= part[2] and v0 <= part[3]
+                    if part[4] > low and u1 >= part[0] and u0 <= part[1] and v1 >= part[2] and v0 <= part[3]:
+                        dirty[i, j] = True
                 if dirty[i, j]:
                     break
 
