@@ -35,10 +35,10 @@ from f3sr.rendering.picture_kernels import (
 from f3sr.rendering.surface_kernels import Lamps, View, mark_shadowed, shade, tile_depths
 from f3sr.rendering.textures import linear, srgb
 
-GRID = np.full((4, 4), 2.0**13)
-GRID[:3, 3] = 2.0**15
-"""Poses are rounded to one part of this, turns to .1 mrad and places to 30 um: a hundredth of a pixel, and more than an
-engine's tremble at rest."""
+GRID = np.full((4, 4), 2.0**12)
+GRID[:3, 3] = 2.0**14
+"""Poses are rounded to one part of this, turns to .25 mrad and places to 60 um: some hundredths of a pixel, and more
+than an engine's tremble at rest."""
 CELL = 2
 """Side of the cells that the ground's shadows are drawn in [px]: they are soft."""
 TILE = 8

@@ -17,6 +17,8 @@ from f3sr.rendering.textures import srgb
 
 CANDIDATES = 120
 """Directions of the upper half of the sphere that are tried first: 13 degrees apart."""
+THIN = 4
+"""Every how many of the samples these are tried on."""
 SPREAD = np.radians(12.0)
 """Width of the light around each of them [rad]."""
 ANGLES = tuple(np.radians([2.0, 5.0, 10.0, 18.0, 30.0]))
@@ -88,13 +90,12 @@ def find_light(
     sky = 2 * arriving.mean(1)
     groups = objects + 1
     undirected = _fit(evidence, _bases(evidence, np.zeros(len(sky)), sky), groups)
-    first = evidence.thinned(3)
-    thin = arriving[::3]
+    first, thin, thin_sky = evidence.thinned(THIN), arriving[::THIN].copy(), sky[::THIN]
     misfits: list[float] = []
     for d in wide.directions:
         share = np.exp((wide.directions @ d - 1) / SPREAD**2)
         misfits.append(
-            _fit(first, _bases(first, thin @ (share / share.sum()), sky[::3]), groups).misfit
+            _fit(first, _bases(first, thin @ (share / share.sum()), thin_sky), groups).misfit
             if d[2] >= LEAST_HEIGHT
             else np.inf
         )
@@ -192,12 +193,12 @@ def _fit(evidence: Evidence, bases: Array, groups: int) -> Fit:
 
 def _gains(group: NDArray[np.int64], lit: Array, photo: Array, weight: Array, groups: int) -> Array:
     """Exposures (groups, 3), drawn towards that of all objects together where there are few samples."""
-    own = group < groups - 1
-    whole = (weight * lit * photo)[own].sum(0) / np.maximum((weight * lit * lit)[own].sum(0), 1e-12)
-    above, below = np.empty((groups, 3)), np.empty((groups, 3))
-    for c in range(3):
-        above[:, c] = np.bincount(group, (weight * lit * photo)[:, c], groups)
-        below[:, c] = np.bincount(group, (weight * lit * lit)[:, c], groups)
+    weighted = weight * lit
+    above, below = (
+        np.stack([np.bincount(group, x[:, c], groups) for c in range(3)], axis=1)
+        for x in (weighted * photo, weighted * lit)
+    )
+    whole = above[:-1].sum(0) / np.maximum(below[:-1].sum(0), 1e-12)
     count = np.maximum(np.bincount(group, minlength=groups), 1)
     prior = PRIOR * (below.mean(1) / count)[:, None]  # of all channels: a dark one tells little of its own
     return (above + prior * whole) / np.maximum(below + prior, 1e-12)
