@@ -23,7 +23,7 @@ SHORT = 8
 
 
 def warm_up() -> None:
-    """Compile the kernel that Python calls, with the types that it is called with; the others belong to their callers."""
+    """Compile the kernel that Python calls, with the types that it is called with; the rest belong to their callers."""
     vertices, K = np.array([[0.0, 0, 1]]), np.eye(3)
     for given in (vertices, K):
         given.setflags(write=False)
