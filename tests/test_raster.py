@@ -255,7 +255,7 @@ def test_equal_input_in_any_layout_compiles_no_second_kernel():
     other = draw(np.asfortranarray(vertices), faces.astype(np.int64)[:, ::-1][:, ::-1], near=NEAR)
     assert same(one, other)
     assert np.array_equal(silhouette(vertices.tolist(), faces.tolist(), K, 8, 8, near=1), draw_mask_at_1(vertices))
-    for kernel in ("_project", "_cover", "_nearest"):
+    for kernel in ("project", "_cover", "_nearest"):
         assert len(getattr(raster, kernel).signatures) == 1
 
 

@@ -272,6 +272,22 @@ def test_a_picture_without_shading_has_no_direction() -> None:
     assert np.abs(renderer.frame(at_rest(scene)).astype(int) - photo)[shown].mean() < 2
 
 
+def test_a_texture_that_lies_some_pixels_off_tints_nothing() -> None:
+    """Blue and yellow stripes have most contrast in red: a regression's slope would take most of that channel."""
+    stripes = np.where((np.arange(64) // 4 % 2)[:, None], (230, 200, 20), (20, 60, 140)).astype(np.uint8)
+    texture = stripes[None].repeat(64, axis=0)
+    above = camera_at(np.array([0, 0, 1.0]), np.zeros(3), focal=300, size=(240, 180))
+    shown, off = (sheet(0.6, 0.4, Material(texture=x)) for x in (texture, np.roll(texture, 2, axis=1)))
+    photo = Renderer.of(scene_of([off], [pose(t=[0, 0, 0.1])], above), plain(above), config=PLAIN).frame(
+        [pose(t=[0, 0, 0.1])]
+    )
+    scene = scene_of([shown], [pose(t=[0, 0, 0.1])], above, photo)
+    drawn = Renderer.of(scene, plain(above)).frame(at_rest(scene))
+    inside = scene.objects[0].mask
+    ratio = linear(drawn[inside] / 255).mean(0) / linear(photo[inside] / 255).mean(0)
+    assert np.abs(ratio / ratio.mean() - 1).max() < 0.05
+
+
 def big_table() -> Scene:
     camera = camera_at(np.array([0.1, -1.0, 0.7]), np.array([0.1, 0, 0.05]), focal=330, size=(288, 216))
     return scene_of([o.mesh for o in table().objects], list(at_rest(table())), camera)

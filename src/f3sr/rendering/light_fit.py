@@ -31,6 +31,9 @@ LEAST_HEIGHT = np.sin(np.radians(15.0))
 """Height of the lowest direct light that is believed: below, shadows have no end in the picture."""
 PRIOR = 40.0
 """Samples that the exposure of all objects together weighs in that of one."""
+MOST_TINT = 1.6
+"""Factor by which an object's exposure in one channel may differ from that of all objects, after its own brightness: in
+a channel in which a texture is black, a reflection would count as any exposure."""
 LOOSE = 1.5
 """Mean misfits beyond which a sample counts less and less."""
 DARKEST = 0.9
@@ -168,12 +171,12 @@ def _fit(evidence: Evidence, bases: Array, groups: int) -> Fit:
     slope = np.maximum(photo, 0.01) ** (1 / 2.4 - 1) * 1.055 / 2.4
     strength = used = np.array([0.5, 0.3 * bool(bases[:, 1].any()), 0.2, 0.0])
     gains = np.ones((groups, 3))
-    weight = slope.copy()
+    weight, likely = slope, np.ones_like(photo)
     count = np.maximum(np.bincount(group, minlength=groups), 1)
     misfit, shown = np.inf, albedo
     for _ in range(ROUNDS):
         lit = albedo * (bases @ strength)[:, None]
-        gains = _gains(group, lit, photo, weight**2, groups)
+        gains = _gains(group, lit, photo, likely, groups)
         shown = gains[group] * lit
         used = strength
         residual = slope * (photo - shown)
@@ -181,7 +184,8 @@ def _fit(evidence: Evidence, bases: Array, groups: int) -> Fit:
         mean = np.bincount(group, size, groups) / count
         spread = np.maximum(mean, 1e-3)[group][:, None]
         misfit = float((count * np.log(np.maximum(mean, 1e-3))).sum())
-        weight = slope / spread / np.sqrt(1 + (np.abs(residual) / (LOOSE * spread)) ** 2)
+        likely = 1 / (1 + (size[:, None] / (LOOSE * spread)) ** 2) * np.ones(3)
+        weight = slope / spread * np.sqrt(likely)
         scaled = (weight * gains[group] * albedo)[:, :, None] * bases[:, None, :]
         design, target = scaled.reshape(-1, 4), (weight * photo).reshape(-1)
         gram = design.T @ design
@@ -192,23 +196,21 @@ def _fit(evidence: Evidence, bases: Array, groups: int) -> Fit:
 
 
 def _gains(group: NDArray[np.int64], lit: Array, photo: Array, weight: Array, groups: int) -> Array:
-    """Exposures (groups, 3), drawn towards that of all objects together where there are few samples: light has one
-    colour for all of them, and differs between them in strength, as textures do. That of the ground is its own.
+    """Exposures (groups, 3), drawn towards that of all objects together where there are few samples.
 
-    Ratios of sums, not least squares: where textures lie beside the photo's by a few pixels, least squares takes the
-    more from a channel the more it varies, and yellow with blue letters becomes green."""
-    own = group < groups - 1
-    say = weight.mean(1, keepdims=True)
+    Ratios of sums, not slopes of a regression: where texture and photo lie some pixels apart, a slope is too small, and
+    most so in the channel with most contrast, which would tint the object.
+    """
     above, below = (
-        np.column_stack([np.bincount(group, (say * values)[:, c], groups) for c in range(3)]) for values in (photo, lit)
+        np.stack([np.bincount(group, x[:, c], groups) for c in range(3)], axis=1)
+        for x in (weight * photo, weight * lit)
     )
-    whole = above[:-1].sum(0) / np.maximum(below[:-1].sum(0), 1e-12) if own.any() else np.ones(3)
+    whole = above[:-1].sum(0) / np.maximum(below[:-1].sum(0), 1e-12)
     count = np.maximum(np.bincount(group, minlength=groups), 1)
-    prior = PRIOR * (below @ whole) / count
-    strength = (above.sum(1) + prior) / np.maximum(below @ whole + prior, 1e-12)
-    gains = strength[:, None] * whole
-    gains[-1] = (above[-1] + 1e-12) / np.maximum(below[-1] + 1e-12, 1e-12)
-    return gains
+    prior = PRIOR * (below.mean(1) / count)[:, None]  # of all channels: a dark one tells little of its own
+    gains = (above + prior * whole) / np.maximum(below + prior, 1e-12)
+    grey = ((above + prior * whole).sum(1) / np.maximum((below + prior) @ whole, 1e-12))[:, None] * whole
+    return np.clip(gains, grey / MOST_TINT, grey * MOST_TINT)
 
 
 def with_shadows_of(evidence: Evidence, light: Light, maps: tuple[Maps, Maps], ground: int) -> tuple[Light, bool]:
