@@ -14,7 +14,7 @@ from f3sr.errors import InputError
 from f3sr.frames import UP, Array, Camera, pose, rotation_from_vector
 from f3sr.mesh import Material, Mesh
 from f3sr.rendering import LightConfig, RenderConfig, Renderer, ShadowConfig
-from f3sr.rendering.canvas import Canvas
+from f3sr.rendering.canvas import GRID, Canvas
 from f3sr.rendering.light import Light
 from f3sr.rendering.shapes import smooth_normals
 from f3sr.rendering.surface_kernels import texture_at
@@ -121,6 +121,8 @@ def walk(steps: int, seed: int = 0) -> list[Array]:
 def test_without_light_and_motion_it_is_the_unlit_composite() -> None:
     scene = table()
     drawn = Renderer.of(scene, plain(), config=replace(PLAIN, samples=1)).frame(at_rest(scene))
+    rounded = np.rint(at_rest(scene) * GRID) / GRID
+    scene = scene.with_objects(*(replace(o, T_world_object=T) for o, T in zip(scene.objects, rounded, strict=True)))
     fragments = raster.render(scene.objects, scene.camera)
     unlit = np.rint(255 * raster.shade(fragments, scene.objects))
     expected = np.where((fragments.ids >= 0)[..., None], unlit, plain())
@@ -285,7 +287,7 @@ def test_a_texture_that_lies_some_pixels_off_tints_nothing() -> None:
     drawn = Renderer.of(scene, plain(above)).frame(at_rest(scene))
     inside = scene.objects[0].mask
     ratio = linear(drawn[inside] / 255).mean(0) / linear(photo[inside] / 255).mean(0)
-    assert np.abs(ratio / ratio.mean() - 1).max() < 0.05
+    assert np.abs(ratio - 1).max() < 0.05
 
 
 def big_table() -> Scene:

@@ -34,6 +34,8 @@ PRIOR = 40.0
 MOST_TINT = 1.6
 """Factor by which an object's exposure in one channel may differ from that of all objects, after its own brightness: in
 a channel in which a texture is black, a reflection would count as any exposure."""
+FINEST = 1 / 255
+"""Mean misfit below which nothing is told: a level of eight bits."""
 LOOSE = 1.5
 """Mean misfits beyond which a sample counts less and less."""
 DARKEST = 0.9
@@ -171,21 +173,20 @@ def _fit(evidence: Evidence, bases: Array, groups: int) -> Fit:
     slope = np.maximum(photo, 0.01) ** (1 / 2.4 - 1) * 1.055 / 2.4
     strength = used = np.array([0.5, 0.3 * bool(bases[:, 1].any()), 0.2, 0.0])
     gains = np.ones((groups, 3))
-    weight, likely = slope, np.ones_like(photo)
     count = np.maximum(np.bincount(group, minlength=groups), 1)
     misfit, shown = np.inf, albedo
     for _ in range(ROUNDS):
         lit = albedo * (bases @ strength)[:, None]
-        gains = _gains(group, lit, photo, likely, groups)
+        gains = _gains(group, lit, photo, groups)
         shown = gains[group] * lit
         used = strength
         residual = slope * (photo - shown)
         size = np.abs(residual).mean(1)
         mean = np.bincount(group, size, groups) / count
-        spread = np.maximum(mean, 1e-3)[group][:, None]
-        misfit = float((count * np.log(np.maximum(mean, 1e-3))).sum())
-        likely = 1 / (1 + (size[:, None] / (LOOSE * spread)) ** 2) * np.ones(3)
-        weight = slope / spread * np.sqrt(likely)
+        mean = np.maximum(mean, FINEST)
+        spread = mean[group][:, None]
+        misfit = float((count * np.log(mean)).sum())
+        weight = slope / spread / np.sqrt(1 + (np.abs(residual) / (LOOSE * spread)) ** 2)
         scaled = (weight * gains[group] * albedo)[:, :, None] * bases[:, None, :]
         design, target = scaled.reshape(-1, 4), (weight * photo).reshape(-1)
         gram = design.T @ design
@@ -195,16 +196,14 @@ def _fit(evidence: Evidence, bases: Array, groups: int) -> Fit:
     return Fit(used, gains, misfit, shown)
 
 
-def _gains(group: NDArray[np.int64], lit: Array, photo: Array, weight: Array, groups: int) -> Array:
-    """Exposures (groups, 3), drawn towards that of all objects together where there are few samples.
+def _gains(group: NDArray[np.int64], lit: Array, photo: Array, groups: int) -> Array:
+    """Exposures (groups, 3) with which mean colours agree, drawn towards that of all objects together where there are
+    few samples.
 
     Ratios of sums, not slopes of a regression: where texture and photo lie some pixels apart, a slope is too small, and
     most so in the channel with most contrast, which would tint the object.
     """
-    above, below = (
-        np.stack([np.bincount(group, x[:, c], groups) for c in range(3)], axis=1)
-        for x in (weight * photo, weight * lit)
-    )
+    above, below = (np.stack([np.bincount(group, x[:, c], groups) for c in range(3)], axis=1) for x in (photo, lit))
     whole = above[:-1].sum(0) / np.maximum(below[:-1].sum(0), 1e-12)
     count = np.maximum(np.bincount(group, minlength=groups), 1)
     prior = PRIOR * (below.mean(1) / count)[:, None]  # of all channels: a dark one tells little of its own
@@ -247,10 +246,9 @@ def _robust_slope(hidden: Array, ratio: Array) -> float:
 
 
 def common_exposure(evidence: Evidence, ground: int) -> Array:
-    """(3,) by which textures without light, all alike, come nearest to the photo."""
+    """(3,) by which textures without light, all alike, have the photo's mean colour on objects."""
     own = evidence.group < ground
-    albedo, photo = evidence.albedo[own], evidence.photo[own]
-    return (albedo * photo).sum(0) / np.maximum((albedo * albedo).sum(0), 1e-12)
+    return evidence.photo[own].sum(0) / np.maximum(evidence.albedo[own].sum(0), 1e-12)
 
 
 def picture_error(evidence: Evidence, shown: Array, ground: int) -> float:
