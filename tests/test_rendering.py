@@ -370,6 +370,8 @@ def test_a_side_view_needs_a_background_of_its_size_only() -> None:
     scene = big_table()
     side = camera_at(np.array([1.0, 0.3, 0.4]), np.array([0.1, 0, 0.1]))
     drawn = Renderer.of(scene, plain(side), camera=side, config=SHADOWS).frame(at_rest(scene))
+    again = Renderer.of(scene, plain(scene.camera), config=SHADOWS).seen_from(side, plain(side))
+    assert np.array_equal(again.frame(at_rest(scene)), drawn)
     assert drawn.shape == (72, 96, 3)
     assert (drawn != GREY).any()
     with pytest.raises(InputError, match="background"):

@@ -42,12 +42,7 @@ class Renderer:
         """
         config = config or RenderConfig()
         view = camera or scene.camera
-        if background.shape != (view.height, view.width, 3) or background.dtype != np.uint8:
-            raise InputError(
-                "background",
-                found=f"{background.dtype} of shape {background.shape}",
-                accepted=f"uint8 of shape {(view.height, view.width, 3)}, the camera's",
-            )
+        _check_size(background, view)
         things = Things.of(scene.objects, config)
         ball = ball_around(scene)
         light, gains, decisions = lit_as_photo(scene, background if camera is None else None, things, ball, config)
@@ -73,8 +68,23 @@ class Renderer:
 
     @property
     def rest_light(self) -> NDArray[np.float32]:
-        """(h, w, 3) the share of its light that the ground keeps beside the scene at rest."""
+        """(h, w, 3) the share of its light that the ground keeps beside the scene at rest; 1 in what ``seen_from``
+        gives."""
         return self.setting.rest_light
+
+    def seen_from(self, camera: Camera, background: NDArray[np.uint8]) -> Renderer:
+        """A renderer of the same things in the same light from elsewhere, over a picture of that camera's size; quick,
+        for side views and turntables of a film."""
+        _check_size(background, camera)
+        setting = replace(
+            self.setting,
+            camera=camera,
+            background=np.ascontiguousarray(background),
+            receives=ground_seen(camera, None, self.setting.ball),
+            already=_whole(camera),
+            rest_light=_whole(camera),
+        )
+        return Renderer(setting, self.decisions)
 
     def frame(self, T_world_object: ArrayLike) -> NDArray[np.uint8]:
         """The picture (h, w, 3) with the objects at poses (N, 4, 4), in the scene's order."""
@@ -101,6 +111,13 @@ def ball_around(scene: Scene) -> tuple[Array, float]:
     corners = np.concatenate([o.bounds_world for o in scene.objects])
     low, high = corners.min(0), corners.max(0)
     return (low + high) / 2, MARGIN * max(float(np.linalg.norm(high - low)) / 2, 1e-3)
+
+
+def _check_size(background: NDArray[np.uint8], camera: Camera) -> None:
+    wanted = camera.height, camera.width, 3
+    if background.shape != wanted or background.dtype != np.uint8:
+        found = f"{background.dtype} of shape {background.shape}"
+        raise InputError("background", found=found, accepted=f"uint8 of shape {wanted}, the camera's")
 
 
 def _whole(camera: Camera) -> NDArray[np.float32]:
