@@ -21,6 +21,8 @@ bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/run.py
 	$(BIN)/python benchmarks/alignment.py
 	$(BIN)/python benchmarks/goals/run.py
+	$(BIN)/python benchmarks/film.py
+	$(BIN)/python benchmarks/rendering.py --packages out/bench
 
 docs: $(VENV)/.docs
 	$(BIN)/mkdocs build --strict
