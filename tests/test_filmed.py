@@ -89,6 +89,16 @@ def _broken_rollout(rollout: Path) -> None:
     (rollout / ROLLOUT).write_bytes(b"PK nothing")
 
 
+def _empty_rollout(rollout: Path) -> None:
+    (rollout / ROLLOUT).write_bytes(b"")
+
+
+def _cut_rollout(rollout: Path) -> None:
+    data = bytearray((rollout / ROLLOUT).read_bytes())
+    data[200:400] = bytes(200)
+    (rollout / ROLLOUT).write_bytes(data)
+
+
 def _not_finite(rollout: Path) -> None:
     arrays = dict(np.load(rollout / ROLLOUT))
     arrays["T_world_object"][3, 1, 0, 3] = np.nan
@@ -102,6 +112,8 @@ def _not_finite(rollout: Path) -> None:
         (_other_scene, "another scene"),
         (_other_objects, "objects"),
         (_broken_rollout, "rollout.npz"),
+        (_empty_rollout, "rollout.npz"),
+        (_cut_rollout, "rollout.npz"),
         (_not_finite, "finite"),
     ],
 )

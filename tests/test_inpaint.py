@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import shutil
+import zipfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +15,7 @@ from PIL import Image
 
 from f3sr import inputs, raster
 from f3sr.background import BackgroundConfig
-from f3sr.background.support import faces_ground, support_of
+from f3sr.background.support import faces_ground, hiding, support_of
 from f3sr.cache import Store
 from f3sr.cli import main
 from f3sr.errors import InputError
@@ -97,6 +100,19 @@ def test_a_given_background_is_taken_and_one_of_another_size_refused(tmp_path: P
         inputs.read(folder)
 
 
+def test_what_may_hide_objects_is_what_stands_beside_them() -> None:
+    scene = seen_scene()
+    hole = scene[0].mask
+    support = support_of(scene, hole)
+    depth = hiding(scene, support, hole)
+    fragments = raster.render([box(1, size=(2.0, 0.1, 1.0), at=(0.0, 1.2, 0.5))], scene.camera)
+    wall = (fragments.ids == 1) & ~hole
+    assert np.isfinite(depth[wall]).mean() > 0.8 and np.isinf(depth[hole | support]).all()
+    seen = wall & np.isfinite(depth)
+    assert np.allclose(depth[seen], fragments.depth[seen], rtol=1e-3)
+    assert np.isinf(hiding(seen_scene(geometry=False), support, hole)).all()
+
+
 def test_it_is_stored_whatever_comes_after(tmp_path: Path) -> None:
     folder = tmp_path / "input"
     write_folder(folder)
@@ -108,6 +124,7 @@ def test_it_is_stored_whatever_comes_after(tmp_path: Path) -> None:
     assert first.inpainting is not None and again.inpainting is not None
     assert np.array_equal(first.inpainting.rgb, again.inpainting.rgb)
     assert np.array_equal(first.inpainting.support, again.inpainting.support)
+    assert np.array_equal(first.inpainting.kept, again.inpainting.kept)
     assert first.inpainting.report == again.inpainting.report
 
 
@@ -119,6 +136,8 @@ def test_a_package_has_it(tmp_path: Path) -> None:
     background, support = package.background(), package.support()
     assert background is not None and background.shape == package.scene.photo.rgb.shape
     assert support is not None and support.shape == background.shape[:2] and support.any()
+    kept = package.kept_depth()
+    assert kept is not None and kept.shape == support.shape and np.isinf(kept[support]).all()
     masks = np.any([o.mask for o in package.scene], axis=0)
     assert (background != package.scene.photo.rgb)[masks].any()
 
@@ -137,3 +156,31 @@ def test_no_plan_and_no_rollout_depends_on_it(tmp_path: Path, change: str) -> No
         assert main(["simulate", str(folder), GOAL, "-o", str(tmp_path / out), "--no-film"]) == 0
     for name in ("plan.json", "rollout.npz", "verdict.json"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+
+
+def _too_large(file: Path) -> None:
+    """A header that claims more than any photo has."""
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f4", "fortran_order": False, "shape": (10**6, 10**6)})
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("depth.npy", header.getvalue() + bytes(1000))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda file: file.write_bytes(b"PK nothing"),
+        lambda file: file.write_bytes(b""),
+        lambda file: np.savez(file, depth=np.ones((3, 4), np.float32)),
+        lambda file: np.savez(file, other=np.ones((48, 64), np.float32)),
+        lambda file: np.savez(file, depth=np.full((48, 64), np.nan, np.float32)),
+        lambda file: np.savez(file, depth=np.full((48, 64), -1, np.float32)),
+        lambda file: np.savez(file, depth=np.full((48, 64), "a")),
+        _too_large,
+    ],
+)
+def test_damaged_depths_are_told_in_one_line(tmp_path: Path, damage: Callable[[Path], object]) -> None:
+    package = goal_package(tmp_path / "package")
+    damage(package.folder / "kept_depth.npz")
+    with pytest.raises(InputError, match=r"kept_depth\.npz.*accepted"):
+        package.kept_depth()

@@ -383,3 +383,29 @@ def test_a_side_view_needs_a_background_of_its_size_only() -> None:
 def test_a_scene_without_objects_is_its_background() -> None:
     scene = scene_of([], [])
     assert np.array_equal(Renderer.of(scene, plain()).frame(np.zeros((0, 4, 4))), plain())
+
+
+def test_what_the_photo_shows_in_front_hides_objects() -> None:
+    """A post of the photo between the camera and the table: what goes behind it is hidden, what goes before it is not,
+    and no frame depends on those before."""
+    scene = table()
+    poses = at_rest(scene)
+    background = plain()
+    background[:, 40:60] = (20, 30, 90)
+    depth = np.full(background.shape[:2], np.inf, np.float32)
+    drawn = Renderer.of(scene, background, config=PLAIN).frame(poses)
+    post = np.zeros(depth.shape, np.bool_)
+    post[:, 40:60] = True
+    covered = post & (drawn != background).any(2)
+    assert covered.sum() > 100, "something is seen before the post"
+    depth[post] = 0.05
+    before = Renderer.of(scene, background, config=PLAIN, kept=depth)
+    assert np.array_equal(before.frame(poses)[post], background[post])
+    assert np.array_equal(before.frame(poses)[~post], drawn[~post])
+    depth[post] = 50.0
+    assert np.array_equal(Renderer.of(scene, background, config=PLAIN, kept=depth).frame(poses), drawn)
+    depth[post] = 0.05
+    walked = Renderer.of(scene, background, config=PLAIN, kept=depth)
+    for step in walk(4):
+        frame = walked.frame(step)
+    assert np.array_equal(frame, Renderer.of(scene, background, config=PLAIN, kept=depth).frame(step))

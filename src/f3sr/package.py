@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import re
+import zipfile
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +35,7 @@ from f3sr.images import open_image
 from f3sr.mesh import ConvexPart, MassProperties, Mesh
 from f3sr.mesh_io import load_mesh
 from f3sr.physics import DEFAULT_PHYSICS, PhysicsConfig, body_of
-from f3sr.place import BACKGROUND, MASKS, PAGE, PHOTO, SUPPORT, claimed, is_package, prepare_output
+from f3sr.place import BACKGROUND, KEPT, MASKS, PAGE, PHOTO, SUPPORT, claimed, is_package, prepare_output
 from f3sr.report import Report
 from f3sr.scene import Excluded, Ground, Motion, Node, Photo, Relation, Scene, SceneGraph, SceneObject, Support
 
@@ -65,6 +68,20 @@ class Package:
         """support.png (H, W): where background.png shows what things stand on; None where it is not there."""
         picture = self._picture(SUPPORT, "L")
         return None if picture is None else picture > 127
+
+    def kept_depth(self) -> NDArray[np.float32] | None:
+        """kept_depth.npz (H, W): depth [m] along the camera's axis of what background.png shows and may hide objects,
+        inf where nothing does; None where it is not there."""
+        file, shape = self.folder / KEPT, (self.scene.camera.height, self.scene.camera.width)
+        if not file.exists():
+            return None
+        accepted = f"depth (H, W) of {shape[1]}x{shape[0]} pixels, float32 and positive, as f3sr wrote it"
+        try:
+            with np.load(_inside(self.folder, KEPT), allow_pickle=False) as arrays:
+                depth = _stored(arrays, shape)
+        except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+            raise InputError(file, found=f"no depth ({str(error)[:100]})", accepted=accepted) from None
+        return depth
 
     def _picture(self, name: str, mode: str) -> NDArray[np.uint8] | None:
         """Read when asked for: only films need these, and whatever else a package is for goes on without."""
@@ -180,6 +197,7 @@ def _files(
     if inpainting is not None:
         yield BACKGROUND, encode_png(inpainting.rgb)
         yield SUPPORT, encode_png(255 * inpainting.support.astype(np.uint8))
+        yield KEPT, _npz(depth=inpainting.kept)
     encode_pngs(o.mesh for o in scene.objects)
     for o in scene.objects:
         mesh = o.mesh.with_vertices(o.scale * o.mesh.vertices)
@@ -259,6 +277,27 @@ def _read_object(folder: Path, record: ObjectRecord, size: tuple[int, int]) -> S
         supported_by=record.supported_by,
         motion=tuple(Motion(**m.model_dump()) for m in record.motion),
     )
+
+
+def _npz(**arrays: NDArray[Any]) -> bytes:
+    """Arrays as a zip of .npy files, the same bytes for the same values."""
+    with io.BytesIO() as file:
+        np.savez_compressed(file, **cast(Any, arrays))
+        return file.getvalue()
+
+
+def _stored(arrays: Any, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """The one array of a depth file; its header is looked at first, as a small file may claim any size."""
+    with arrays.zip.open("depth.npy") as stream:
+        version = np.lib.format.read_magic(stream)
+        header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        found, _, dtype = header(stream)
+    if found != shape or dtype != np.float32:
+        raise ValueError(f"{dtype} of shape {found}")
+    depth = arrays["depth"]
+    if not (depth > 0).all():
+        raise ValueError("depths that are not positive")
+    return depth
 
 
 def _read_image(folder: Path, path: str, size: tuple[int, int], mode: str) -> NDArray[np.uint8]:

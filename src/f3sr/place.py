@@ -25,12 +25,12 @@ from f3sr.export.scene_json import SCHEMA_FILE
 
 PHOTO = "photo.png"
 PAGE = "report.html"
-BACKGROUND, SUPPORT = "background.png", "support.png"
+BACKGROUND, SUPPORT, KEPT = "background.png", "support.png", "kept_depth.npz"
 MASKS = "masks"
 MARKER = ".f3sr-building"
 """In a folder that is being built; without it a folder of that name is somebody else's."""
 TOP_LEVEL = {
-    *("scene.json", SCHEMA_FILE, "scene.glb", "scene.xml", "report.json", PAGE, PHOTO, BACKGROUND, SUPPORT),
+    *("scene.json", SCHEMA_FILE, "scene.glb", "scene.xml", "report.json", PAGE, PHOTO, BACKGROUND, SUPPORT, KEPT),
     *(MASKS, "meshes", "collision", "visual", "pictures", "rollouts"),
 }
 """Everything that a package holds."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import numpy as np
 from annotated_types import Interval
@@ -17,6 +17,7 @@ from f3sr.levenberg import Local
 from f3sr.settings import settings
 
 Mask = NDArray[np.bool_]
+P = TypeVar("P", bound=np.generic)
 
 
 def iou(a: Mask, b: Mask, valid: Mask | None = None) -> float:
@@ -36,8 +37,8 @@ def union_of(masks: Iterable[Mask], shape: tuple[int, ...]) -> Mask:
     return union
 
 
-def resample(mask: Mask, width: int, height: int) -> Mask:
-    """A mask (h, w) read at the pixel centres of another resolution, nearest."""
+def resample(mask: NDArray[P], width: int, height: int) -> NDArray[P]:
+    """A mask, or any values (h, w), read at the pixel centres of another resolution, nearest."""
     rows = ((np.arange(height) + 0.5) * mask.shape[0] / height).astype(int)
     columns = ((np.arange(width) + 0.5) * mask.shape[1] / width).astype(int)
     return mask[rows][:, columns]

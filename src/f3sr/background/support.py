@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from f3sr.background.regions import Mask, closed, grown, opened, parts_of
 from f3sr.frames import Array, Camera, transform
@@ -29,6 +30,19 @@ def support_of(scene: Scene, hole: Mask) -> Mask:
         return below
     support = closed(seen | (_hull(seen) & (hole | ~known)), _speck(seen)) & below
     return support | (_specks(~support, hole) & below)
+
+
+def hiding(scene: Scene, support: Mask, hole: Mask) -> NDArray[np.float32]:
+    """Depths (H, W) [m] along the camera's axis of what the photo shows beside its objects and their support, and may
+    hide them: a chair's back, a wall's edge. Infinite elsewhere, and everywhere without geometry."""
+    shape = (scene.photo.height, scene.photo.width)
+    if scene.geometry is None:
+        return np.full(shape, np.inf, np.float32)
+    depth = np.where(scene.geometry.valid & (scene.geometry.points[..., 2] > 0), scene.geometry.points[..., 2], np.inf)
+    rows, columns = ((np.arange(n) * m) // n for n, m in zip(shape, depth.shape, strict=True))
+    depth = depth[rows][:, columns].astype(np.float32)
+    kept = opened(np.isfinite(depth) & ~support & ~hole, _speck(support))
+    return np.where(kept, depth, np.float32(np.inf))
 
 
 def faces_ground(camera: Camera) -> Mask:

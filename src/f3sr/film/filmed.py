@@ -52,11 +52,11 @@ def film_played(package: Package, played: Played, config: FilmConfig | None = No
     config = config or FilmConfig()
     background, told = _background(package)
     scene = replace(package.scene, ground_mask=package.support())
-    scene, background = _limited(scene, background, config.longest)
+    scene, background, kept = _limited(scene, background, package.kept_depth(), config.longest)
     width, height = scene.camera.width, scene.camera.height
     if (width, height) != (package.scene.camera.width, package.scene.camera.height):
         told += (f"filmed at {width}x{height}, as the photo is larger than {config.longest} pixels",)
-    renderer = Renderer.of(scene, background, config=config.render)
+    renderer = Renderer.of(scene, background, config=config.render, kept=kept)
     counted = _Counted(renderer)
     slow = Fraction(config.slow).limit_denominator(1000)
     files = make_film(scene, played.plan, played.rollout, played.verdict, counted, slow=slow)
@@ -83,12 +83,14 @@ def _background(package: Package) -> tuple[NDArray[np.uint8], tuple[str, ...]]:
     return completed.rgb, ("the package has no background.png: completed anew", *reasons)
 
 
-def _limited(scene: Scene, background: NDArray[np.uint8], longest: int) -> tuple[Scene, NDArray[np.uint8]]:
-    """The scene with at most so many pixels on its longer side, and the background with as many."""
+def _limited(
+    scene: Scene, background: NDArray[np.uint8], kept: NDArray[np.float32] | None, longest: int
+) -> tuple[Scene, NDArray[np.uint8], NDArray[np.float32] | None]:
+    """The scene with at most so many pixels on its longer side, and the background and its depths with as many."""
     camera = scene.camera.limited(longest)
     width, height = camera.width, camera.height
     if (width, height) == (scene.camera.width, scene.camera.height):
-        return scene, background
+        return scene, background, kept
 
     def smaller(o: SceneObject) -> SceneObject:
         return replace(o, mask=resample(o.mask, width, height))
@@ -102,4 +104,4 @@ def _limited(scene: Scene, background: NDArray[np.uint8], longest: int) -> tuple
         ground_mask=ground,
         geometry=None,
     )
-    return small, resized(background, width, height)
+    return small, resized(background, width, height), None if kept is None else resample(kept, width, height)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -73,7 +74,7 @@ def from_npz(file: Path) -> Rollout:
             )
     except OSError as error:
         raise InputError(file, found=f"no readable file ({reason(error)})", accepted=accepted) from None
-    except (ValueError, TypeError, KeyError, zipfile.BadZipFile) as error:
+    except (EOFError, ValueError, TypeError, KeyError, zipfile.BadZipFile, zlib.error) as error:
         raise InputError(file, found=str(error), accepted=accepted) from None
 
 

@@ -48,6 +48,8 @@ BLURS = 1, 2
 has an edge."""
 QUIET = 12
 """Frames without motion after which an object is drawn with those that stay."""
+HIDES = 1.03
+"""How much farther than what the background shows something is that it hides: geometry from one photo is no better."""
 BANDS = 4
 """Bands of rows per thread that are coloured: what is dear lies together."""
 
@@ -76,6 +78,8 @@ class Setting:
     """(h, w) how much of its shadows the ground shows."""
     already: NDArray[np.float32]
     """(h, w, 3) the share of its light that the background shows already."""
+    kept: NDArray[np.float32]
+    """(h, w) depth [m] of what the background shows and may hide objects, inf where nothing does."""
     rest_light: NDArray[np.float32]
     """(h, w, 3) the share of its light that the ground keeps beside the scene at rest."""
 
@@ -131,7 +135,9 @@ class Canvas:
     def _buffers(self) -> Buffers:
         s = self._setting
         maps = light_maps(s.light, s.ball, s.config.shadows.map_size)
-        return Buffers.empty(self._fine, maps, self._cells, len(self._words))
+        side = s.config.samples
+        kept = np.repeat(np.repeat((1 / (HIDES * s.kept)).astype(np.float32), side, 0), side, 1)
+        return Buffers.empty(self._fine, maps, self._cells, len(self._words), kept)
 
     def _draw(self, poses: Array) -> None:
         """Bring every buffer from the poses drawn last to ``poses``."""

@@ -97,18 +97,23 @@ class Buffers:
     maps: Maps
     bits: NDArray[np.uint8]
     """(words, cells h, cells w)"""
+    kept: NDArray[np.float32]
+    """(samples h, samples w) 1 / z of what the background shows and may hide objects, 0 where nothing does."""
 
     @classmethod
-    def empty(cls, fine: Camera, maps: Maps, cells: Camera, words: int) -> Self:
+    def empty(
+        cls, fine: Camera, maps: Maps, cells: Camera, words: int, kept: NDArray[np.float32] | None = None
+    ) -> Self:
         """For the pixels of a camera of all samples and of one of the ground's cells."""
         face = np.full((fine.height, fine.width), -1, np.int32)
         bits = np.zeros((words, cells.height, cells.width), np.uint8)
-        return cls(face, np.zeros(face.shape, np.float32), maps, bits)
+        kept = np.zeros(face.shape, np.float32) if kept is None else kept
+        return cls(face, kept.copy(), maps, bits, kept)
 
     def clear(self) -> None:
         """Forget everything drawn."""
-        for array, value in zip(self._arrays, (-1, 0, -np.inf, 0), strict=True):
-            array.fill(value)
+        for array, value in zip(self._arrays, (-1, self.kept, -np.inf, 0), strict=True):
+            array[:] = value
 
     def take(self, other: Buffers) -> None:
         """Become equal to other buffers of the same shape."""

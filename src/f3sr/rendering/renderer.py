@@ -34,11 +34,14 @@ class Renderer:
         background: NDArray[np.uint8],
         camera: Camera | None = None,
         config: RenderConfig | None = None,
+        *,
+        kept: NDArray[np.float32] | None = None,
     ) -> Renderer:
         """A renderer of the objects of a finished ``scene`` over ``background`` (h, w, 3) uint8 sRGB.
 
         The light is that of the photo, fitted with the scene at rest, whichever ``camera`` draws; with the photo's own,
-        ``background`` is the photo completed behind its objects. Raises InputError where sizes do not agree.
+        ``background`` is the photo completed behind its objects, and ``kept`` (h, w) the depth [m] of what it shows
+        that may hide objects, inf where nothing does. Raises InputError where sizes do not agree.
         """
         config = config or RenderConfig()
         view = camera or scene.camera
@@ -57,6 +60,7 @@ class Renderer:
             receives=ground_seen(view, scene.ground_mask if camera is None else None, ball),
             already=_whole(view),
             rest_light=_whole(view),
+            kept=_nothing(view) if kept is None or camera is not None else kept,
         )
         if config.shadows.enabled:
             setting = replace(setting, rest_light=Canvas.light_left(setting, poses_at_rest(scene)))
@@ -81,6 +85,7 @@ class Renderer:
             camera=camera,
             background=np.ascontiguousarray(background),
             receives=ground_seen(camera, None, self.setting.ball),
+            kept=_nothing(camera),
             already=_whole(camera),
             rest_light=_whole(camera),
         )
@@ -111,6 +116,11 @@ def ball_around(scene: Scene) -> tuple[Array, float]:
     corners = np.concatenate([o.bounds_world for o in scene.objects])
     low, high = corners.min(0), corners.max(0)
     return (low + high) / 2, MARGIN * max(float(np.linalg.norm(high - low)) / 2, 1e-3)
+
+
+def _nothing(camera: Camera) -> NDArray[np.float32]:
+    """(h, w) depths at which nothing hides anything."""
+    return np.full((camera.height, camera.width), np.inf, np.float32)
 
 
 def _check_size(background: NDArray[np.uint8], camera: Camera) -> None:
