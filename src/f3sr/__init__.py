@@ -24,6 +24,7 @@ _PUBLIC = {
     "Scene": "f3sr.scene",
     "SceneObject": "f3sr.scene",
     "Store": "f3sr.cache",
+    "Studio": "f3sr.film.filmed",
     "deliver": "f3sr.deliver",
     "evaluate": "f3sr.stages.evaluate",
     "film_played": "f3sr.film.filmed",

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import json as json_
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from tyro.conf import Positional, arg
 
+from f3sr.daemon import begun
 from f3sr.errors import F3srError, InputError, MissedError, OutputError, RefusedError, printable
 
 if TYPE_CHECKING:
+    from f3sr.film.filmed import Studio
     from f3sr.goals.play import Played
     from f3sr.goals.refusal import Refusal
     from f3sr.package import Package
@@ -56,10 +58,11 @@ def simulate(
     content = read_package(package)
     places = _places(out, package, max(len(goals), 1), overwrite)
     tellings = list[dict[str, Any]]()
+    studio = begun(_studio, content, slow) if film else None  # beside the search for the first goal
     for played, place, goal, seconds in _played(content, goals, plan, places, overwrite):
         tellings.append(_telling(goal, played, place, seconds, replayed=plan is not None))
-        if film and not isinstance(played, Refusal) and place is not None:
-            tellings[-1]["film"] = _film(content, played, place, slow)
+        if studio is not None and not isinstance(played, Refusal) and place is not None:
+            tellings[-1]["film"] = _film(studio.result, played, place)
         if not json and (tellings[-1]["state"] != "refused" or len(goals) > 1):  # one refusal is the error's line
             print("\n".join(printable(line) for line in _lines(tellings[-1])), flush=True)
     if json:
@@ -84,7 +87,7 @@ def film(rollout: Folder, /, package: Path | None = None, slow: float = 1.0, jso
     found = deliver.read_played(rollout, package)
     verdict = verify(found.package.scene, found.plan, found.rollout)
     played = Played(plan=found.plan, rollout=found.rollout, verdict=verdict)
-    told = _film(found.package, played, rollout.resolve(), slow)
+    told = _film(lambda: _studio(found.package, slow), played, rollout.resolve())
     if json:
         print(json_.dumps(told, allow_nan=False))
     else:
@@ -97,14 +100,19 @@ def _require_slow(slow: float) -> None:
     factor(slow)
 
 
-def _film(content: Package, played: Played, place: Path, slow: float) -> dict[str, Any]:
+def _studio(content: Package, slow: float) -> Studio:
+    from f3sr.film.filmed import FilmConfig, Studio
+
+    return Studio.of(content, FilmConfig(slow=slow))
+
+
+def _film(studio: Callable[[], Studio], played: Played, place: Path) -> dict[str, Any]:
     """Film what was played, write it, and tell of it as plain values."""
-    from f3sr.film.filmed import FilmConfig, film_played
     from f3sr.goals.deliver import write_film
     from f3sr.goals.files import FILM
 
     start = time.perf_counter()
-    made = film_played(content, played, FilmConfig(slow=slow))
+    made = studio().film(played)
     write_film(made.files, place)
     return {
         "file": str(place / FILM),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
 from annotated_types import Interval
@@ -44,34 +44,46 @@ class Filmed:
     decisions: tuple[str, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class Studio:
+    """A package's scene, light and background made ready for films of any number of goals."""
+
+    scene: Scene
+    renderer: Renderer
+    config: FilmConfig
+    told: tuple[str, ...]
+
+    @classmethod
+    def of(cls, package: Package, config: FilmConfig | None = None) -> Self:
+        """Raises InputError where what the package holds for films is damaged or not of the photo's size."""
+        config = config or FilmConfig()
+        background, told = _background(package)
+        scene = replace(package.scene, ground_mask=package.support())
+        scene, background, kept = _limited(scene, background, package.kept_depth(), config.longest)
+        width, height = scene.camera.width, scene.camera.height
+        if (width, height) != (package.scene.camera.width, package.scene.camera.height):
+            told += (f"filmed at {width}x{height}, as the photo is larger than {config.longest} pixels",)
+        renderer = Renderer.of(scene, background, config=config.render, kept=kept)
+        return cls(scene, renderer, config, (*told, *renderer.decisions))
+
+    def film(self, played: Played) -> Filmed:
+        """The same bytes for the same package, rollout and settings, whatever was filmed before."""
+        slow = Fraction(self.config.slow).limit_denominator(1000)
+        frames = 0
+
+        def draw(poses: NDArray[np.float64]) -> NDArray[np.uint8]:
+            nonlocal frames
+            frames += 1
+            return self.renderer.frame(poses)
+
+        files = make_film(self.scene, played.plan, played.rollout, played.verdict, draw, slow=slow)
+        size = self.scene.camera.width, self.scene.camera.height
+        return Filmed(files=files, frames=frames, size=size, decisions=self.told)
+
+
 def film_played(package: Package, played: Played, config: FilmConfig | None = None) -> Filmed:
-    """Film what was played in a package's scene; the same bytes for the same package, rollout and settings.
-
-    Raises InputError where the package's background or support is no picture of the photo's size.
-    """
-    config = config or FilmConfig()
-    background, told = _background(package)
-    scene = replace(package.scene, ground_mask=package.support())
-    scene, background, kept = _limited(scene, background, package.kept_depth(), config.longest)
-    width, height = scene.camera.width, scene.camera.height
-    if (width, height) != (package.scene.camera.width, package.scene.camera.height):
-        told += (f"filmed at {width}x{height}, as the photo is larger than {config.longest} pixels",)
-    renderer = Renderer.of(scene, background, config=config.render, kept=kept)
-    counted = _Counted(renderer)
-    slow = Fraction(config.slow).limit_denominator(1000)
-    files = make_film(scene, played.plan, played.rollout, played.verdict, counted, slow=slow)
-    return Filmed(files=files, frames=counted.frames, size=(width, height), decisions=(*told, *renderer.decisions))
-
-
-class _Counted:
-    """A renderer that counts its frames."""
-
-    def __init__(self, renderer: Renderer) -> None:
-        self.renderer, self.frames = renderer, 0
-
-    def __call__(self, poses: NDArray[np.float64]) -> NDArray[np.uint8]:
-        self.frames += 1
-        return self.renderer.frame(poses)
+    """Film what was played in a package's scene: ``Studio.of(package, config).film(played)``."""
+    return Studio.of(package, config).film(played)
 
 
 def _background(package: Package) -> tuple[NDArray[np.uint8], tuple[str, ...]]:
