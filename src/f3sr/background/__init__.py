@@ -75,7 +75,8 @@ def complete_background(
     if not hole.any():
         return Background(rgb=photo.rgb, replaced=hole, shadows=shadows)
     filled, decisions = _layered(picture, hole, config, support)
-    rgb = np.where(hole[..., None], _colours(filled), photo.rgb)
+    rgb = photo.rgb.copy()
+    rgb[hole] = _colours(filled[hole])
     return Background(rgb=rgb, replaced=hole, shadows=shadows, decisions=decisions)
 
 

@@ -33,6 +33,8 @@ SMOOTH_PERCENTILE, SHARP_PERCENTILE = 75.0, 10.0
 """Of the mismatches, where a vote's say falls to 1/e: on the way (Wexler et al. 2007) and in the last round."""
 HELD = 0.1
 """Shares of the longer side over which votes for a colour outweigh those for its steps."""
+RIM = 2
+"""Pixels around a hole that patches vote for too [px]."""
 NOWHERE = -1
 OPPONENT = np.array([[2, 2, 2], [6**0.5, -(6**0.5), 0], [2**0.5, 2**0.5, -(8**0.5)]], np.float32) / np.float32(12**0.5)
 """Rows: light, red against green, both against blue, of unit length and at right angles."""
@@ -90,15 +92,17 @@ def complete(picture: Picture, hole: Mask, config: CompletionConfig, *, apart: M
     What the picture has in its hole does not matter, nor does the number of threads.
     """
     none = np.zeros_like(hole)
-    levels = [_Level((picture @ OPPONENT.T).astype(np.float32), hole, none if apart is None else apart & ~hole)]
+    levels = [_Level(np.asarray(picture @ OPPONENT.T, np.float32), hole, none if apart is None else apart & ~hole)]
     if not levels[0].sources.any():
         return None
     while levels[-1].picture[..., 0].size > config.working_pixels and _enough(levels[-1].coarser()):
         levels.append(levels[-1].coarser())
     voted, nearest = _searched(levels[-1], config)
-    for fine, coarse in zip(levels[-2::-1], levels[:0:-1], strict=True):
-        voted, nearest = _detailed(fine, coarse, voted, nearest)
-    return (_seamless(levels[0], voted) @ OPPONENT).astype(np.float32)
+    while len(levels) > 1:  # what is done with is let go: a large photo's levels take as much as the process
+        coarse = levels.pop()
+        voted, nearest = _detailed(levels[-1], coarse, voted, nearest)
+    del nearest
+    return np.asarray(_seamless(levels.pop(), voted) @ OPPONENT, np.float32)
 
 
 def _enough(level: _Level) -> bool:
@@ -222,8 +226,8 @@ class _Rounds:
 
 
 def _ring(hole: Mask, apart: Mask) -> Mask:
-    """The two pixels around a hole that hold what it is filled with."""
-    return grown(hole, 2) & ~hole & ~apart
+    """The pixels around a hole that hold what it is filled with."""
+    return grown(hole, RIM) & ~hole & ~apart
 
 
 def _finer(nearest: NDArray[np.int32], y: NDArray[np.int32], x: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -237,11 +241,20 @@ def _detailed(
     """The coarser result at twice the resolution, each pixel with the detail that its source has there."""
     y, x = np.nonzero(doubled_mask(nearest[..., 0] >= 0, fine.hole.shape))
     result = doubled(voted, fine.hole.shape)
-    detail = fine.picture - doubled(coarse.picture, fine.hole.shape)
     finer = np.full((*fine.hole.shape, 2), NOWHERE, np.int32)
     finer[y, x] = _finer(nearest, y.astype(np.int32), x.astype(np.int32))
-    result[y, x] += detail[finer[y, x, 0], finer[y, x, 1]]
+    sy, sx = finer[y, x].T
+    result[y, x] += fine.picture[sy, sx] - _doubled_at(coarse.picture, sy, sx)
     return result, finer
+
+
+def _doubled_at(values: Picture, y: NDArray[np.int32], x: NDArray[np.int32]) -> Picture:
+    """``doubled`` at some pixels (k,) only: (k, c)."""
+    h, w = values.shape[:2]
+    near, far = (y // 2, x // 2), (y // 2 + np.where(y % 2, 1, -1), x // 2 + np.where(x % 2, 1, -1))
+    far = np.clip(far[0], 0, h - 1), np.clip(far[1], 0, w - 1)
+    rows = [np.float32(0.75) * values[near[0], c] + np.float32(0.25) * values[far[0], c] for c in (near[1], far[1])]
+    return (np.float32(0.75) * rows[0] + np.float32(0.25) * rows[1]).astype(np.float32)
 
 
 def doubled_mask(mask: Mask, shape: tuple[int, ...]) -> Mask:
@@ -252,10 +265,16 @@ def doubled_mask(mask: Mask, shape: tuple[int, ...]) -> Mask:
 def _seamless(level: _Level, voted: Picture) -> Picture:
     """What was voted for, shifted by a membrane that meets the photo at the hole's border (Perez et al., "Poisson image
     editing", 2003): the gradients stay, the light goes over without a step."""
-    ring = _ring(level.hole, level.apart)
-    step = np.where(ring[..., None], level.picture - voted, np.float32(0))
-    step = np.clip(step, -LARGEST, LARGEST)
-    return np.where(level.hole[..., None], voted + membrane(step, ring), level.picture)
+    rows, columns = np.flatnonzero(level.hole.any(1)), np.flatnonzero(level.hole.any(0))
+    box = slice(max(rows[0] - RIM, 0), rows[-1] + RIM + 1), slice(max(columns[0] - RIM, 0), columns[-1] + RIM + 1)
+    hole, votes = level.hole[box], voted[box]
+    ring = _ring(hole, level.apart[box])
+    step = np.zeros_like(votes)
+    step[ring] = np.clip(level.picture[box][ring] - votes[ring], -LARGEST, LARGEST)
+    step = membrane(step, ring)
+    result = level.picture.copy()
+    result[box][hole] = votes[hole] + step[hole]
+    return result
 
 
 def _unpadded(values: NDArray[T]) -> NDArray[T]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from f3sr.background.regions import Mask
 from f3sr.patchmatch import Picture, relax
@@ -28,8 +29,16 @@ def membrane(values: Picture, known: Mask, bend: Picture | None = None, hold: fl
         start = doubled(membrane(coarse, some, quads(bend).sum(axis=(1, 3)), 4 * hold), known.shape)
     result = np.where(known[..., None], values, start)
     sweeps = SWEEPS if max(known.shape) > COARSEST else 8 * SWEEPS
-    relax(result, np.ascontiguousarray(np.argwhere(~known), np.int32), bend, hold, sweeps)
+    relax(result, _places(~known), bend, hold, sweeps)
     return result
+
+
+def _places(mask: Mask) -> NDArray[np.int32]:
+    """Rows and columns (k, 2) of a mask's pixels, in rows."""
+    flat = np.flatnonzero(mask)
+    places = np.empty((len(flat), 2), np.int32)
+    np.divmod(flat, mask.shape[1], out=(places[:, 0], places[:, 1]), casting="same_kind")
+    return places
 
 
 def halved(values: Picture, known: Mask) -> tuple[Picture, Mask]:
@@ -50,8 +59,10 @@ def doubled(values: Picture, shape: tuple[int, ...]) -> Picture:
     """At twice the resolution, cut to ``shape`` (h, w), linear between the middles of pixels."""
     for axis in (0, 1):
         n = values.shape[axis]
-        near = np.repeat(values, 2, axis)
         steps = np.arange(2 * n) // 2 + np.where(np.arange(2 * n) % 2, 1, -1)
         far = np.take(values, np.clip(steps, 0, n - 1), axis)
-        values = np.float32(0.75) * near + np.float32(0.25) * far
+        far *= np.float32(0.25)
+        values = np.repeat(values, 2, axis)
+        values *= np.float32(0.75)
+        values += far
     return values[: shape[0], : shape[1]]

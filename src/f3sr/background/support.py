@@ -47,9 +47,9 @@ def hiding(scene: Scene, support: Mask, hole: Mask) -> NDArray[np.float32]:
 
 def faces_ground(camera: Camera) -> Mask:
     """Pixels (H, W) whose rays meet the plane z = 0 in front of the camera."""
-    y, x = np.mgrid[: camera.height, : camera.width] + 0.5
-    rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ (camera.T_world_camera[:3, :3] @ np.linalg.inv(camera.K)).T
-    return np.asarray(rays[..., 2] * camera.center[2] < 0, np.bool_)
+    a, b, c = camera.T_world_camera[2, :3] @ np.linalg.inv(camera.K) * camera.center[2]
+    x, y = np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5
+    return np.asarray((a * x + c)[None] < (-b * y)[:, None], np.bool_)
 
 
 def _seen(scene: Scene) -> tuple[Mask, Mask]:
