@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +16,9 @@ import pytest
 from PIL import Image
 
 from f3sr.cli import main
-from f3sr.film.filmed import FilmConfig, film_played
+from f3sr.errors import OutputError
+from f3sr.film.captions import captioned, slowed
+from f3sr.film.filmed import FilmConfig, Studio, film_played
 from f3sr.goals.files import FILM, FILMS, PLAN, ROLLOUT, STRIP, VERDICT
 from f3sr.goals.play import Played, simulate_goal
 from f3sr.package import Package
@@ -99,6 +105,27 @@ def _cut_rollout(rollout: Path) -> None:
     (rollout / ROLLOUT).write_bytes(data)
 
 
+def _pipe(rollout: Path) -> None:
+    (rollout / ROLLOUT).unlink()
+    os.mkfifo(rollout / ROLLOUT)
+
+
+def _with(**changes: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], None]:
+    """A rollout with some arrays changed."""
+
+    def change(rollout: Path) -> None:
+        arrays = dict(np.load(rollout / ROLLOUT))
+        np.savez(rollout / ROLLOUT, **{name: changes.get(name, lambda a: a)(a) for name, a in arrays.items()})
+
+    return change
+
+
+def _of_nobody(contacts: np.ndarray) -> np.ndarray:
+    contacts = contacts.copy()
+    contacts["b"][0] = 77
+    return contacts
+
+
 def _not_finite(rollout: Path) -> None:
     arrays = dict(np.load(rollout / ROLLOUT))
     arrays["T_world_object"][3, 1, 0, 3] = np.nan
@@ -113,6 +140,13 @@ def _not_finite(rollout: Path) -> None:
         (_other_objects, "objects"),
         (_broken_rollout, "rollout.npz"),
         (_empty_rollout, "rollout.npz"),
+        (_pipe, "regular file"),
+        (_with(time=lambda time: time[:0]), "rollout.npz"),
+        (_with(time=lambda time: 0 * time), "times"),
+        (_with(T_world_object=lambda T: 50 * T), "rotations"),
+        (_with(T_world_object=lambda T: T * [1, 1, -1, 1]), "mirror"),
+        (_with(T_world_object=lambda T: T + np.array([[0, 0, 0, 1e300]] * 3 + [[0] * 4])), "places"),
+        (_with(contacts=lambda contacts: _of_nobody(contacts)), "contacts"),
         (_cut_rollout, "rollout.npz"),
         (_not_finite, "finite"),
     ],
@@ -145,14 +179,50 @@ def test_a_speed_that_no_player_has_is_refused_first(
     assert "factor" in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
-def test_a_broken_background_fails_the_film_and_leaves_the_rollout(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("name", ["background.png", "support.png", "kept_depth.npz"])
+def test_what_a_film_needs_is_read_before_a_goal_is_played(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
     folder = goal_package(tmp_path / "package").folder
-    (folder / "background.png").write_bytes(b"no picture")
+    (folder / name).write_bytes(b"damaged")
     assert main(["simulate", str(folder), GOAL, "-o", str(tmp_path / "out")]) == 2
-    assert "background.png" in capsys.readouterr().err
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {PLAN, ROLLOUT, VERDICT}
+    assert name in capsys.readouterr().err and not (tmp_path / "out").exists()
+    assert main(["simulate", str(folder), GOAL, "-o", str(tmp_path / "out"), "--no-film"]) == 0
+
+
+def test_a_film_that_fails_keeps_its_verdict_and_the_other_goals(
+    package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OutputError("film: no space left")
+
+    monkeypatch.setattr(Studio, "film", full)
+    call = ["simulate", str(package.folder), GOAL, "push the banana", GOAL, "-o", str(tmp_path / "out")]
+    assert main([*call, "--json"]) == 1
+    told = capsys.readouterr()
+    goals = json.loads(told.out)["goals"]
+    assert [g["state"] for g in goals] == ["met", "refused", "met"] and "no space" in goals[2]["film_error"]
+    assert "no space" in told.err and (tmp_path / "out" / "3" / VERDICT).exists()
+
+
+def test_what_leaves_the_support_is_told(package: Package) -> None:
+    found = simulate_goal(package, GOAL)
+    assert isinstance(found, Played)
+    shape = package.scene.photo.rgb.shape[:2]
+    for support, told in ((np.ones(shape, bool), False), (np.zeros(shape, bool), True)):
+        studio = Studio.of(package)
+        studio = replace(studio, scene=replace(studio.scene, ground_mask=support))
+        assert any("no edge" in d for d in studio.film(found).decisions) == told
+
+
+@pytest.mark.parametrize("where", ["captions", "strip"])
+def test_the_narrowest_pictures_have_captions(where: str) -> None:
+    for height, width in ((480, 20), (16, 640), (16, 16)):
+        picture = np.zeros((height, width, 3), np.uint8)
+        if where == "captions":
+            assert next(iter(slowed([picture], Fraction(4)))).shape == picture.shape
+        else:
+            assert captioned(picture, "0.00 s").shape == picture.shape
 
 
 def test_a_package_without_background_is_filmed_and_that_is_told(package: Package) -> None:

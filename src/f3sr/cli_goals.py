@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as json_
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -57,16 +57,27 @@ def simulate(
     _require_slow(slow)
     content = read_package(package)
     places = _places(out, package, max(len(goals), 1), overwrite)
-    tellings = list[dict[str, Any]]()
+    tellings, failed = list[dict[str, Any]](), None
+    if film:
+        _make_ready(content, json)
     studio = begun(_studio, content, slow) if film else None  # beside the search for the first goal
     for played, place, goal, seconds in _played(content, goals, plan, places, overwrite):
         tellings.append(_telling(goal, played, place, seconds, replayed=plan is not None))
-        if studio is not None and not isinstance(played, Refusal) and place is not None:
-            tellings[-1]["film"] = _film(studio.result, played, place)
         if not json and (tellings[-1]["state"] != "refused" or len(goals) > 1):  # one refusal is the error's line
-            print("\n".join(printable(line) for line in _lines(tellings[-1])), flush=True)
+            _show(_lines(tellings[-1]))
+        if studio is None or isinstance(played, Refusal) or place is None:
+            continue
+        try:
+            tellings[-1]["film"] = told = _film(studio.result, played, place)
+        except F3srError as error:  # the rollout stands, and so do the other goals
+            failed = failed or error
+            tellings[-1]["film_error"] = str(error)
+        else:
+            _show(() if json else _film_lines(told))
     if json:
         print(json_.dumps({"goals": tellings}, allow_nan=False))
+    if failed:
+        raise failed
     _end(tellings)
 
 
@@ -91,7 +102,23 @@ def film(rollout: Folder, /, package: Path | None = None, slow: float = 1.0, jso
     if json:
         print(json_.dumps(told, allow_nan=False))
     else:
-        print("\n".join(printable(line) for line in _film_lines(told)))
+        _show(_film_lines(told))
+
+
+def _make_ready(content: Package, quiet: bool) -> None:
+    """What a film needs, before a goal is played for it: its pictures are read, its kernels compiled."""
+    from f3sr import console, kernels
+
+    for read in (content.background, content.support, content.kept_depth):
+        read()
+    if not kernels.is_warm():
+        with console.steps_shown(quiet=quiet) as progress:
+            kernels.warm_up(progress)
+
+
+def _show(lines: Iterable[str]) -> None:
+    for line in lines:
+        print(printable(line), flush=True)
 
 
 def _require_slow(slow: float) -> None:
@@ -247,7 +274,6 @@ def _lines(told: dict[str, Any]) -> Iterator[str]:
     yield from [f"nearest:   {told['nearest']}"] if told["nearest"] else []
     yield f"verdict:   {told['state']}, {_counted(told['rollouts'])}, {told['seconds']:.1f} s"
     yield f"written:   {told['folder']}"
-    yield from _film_lines(told["film"]) if "film" in told else ()
 
 
 def _counted(rollouts: int) -> str:

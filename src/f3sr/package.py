@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import re
-import zipfile
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -16,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import JsonValue, ValidationError
 
 import f3sr
-from f3sr import strict_json
+from f3sr import npz, strict_json
 from f3sr.errors import InputError, reason
 from f3sr.export.gltf import encode_png, encode_pngs, mesh_to_glb, scene_to_glb
 from f3sr.export.mjcf import collision_files, to_mjcf
@@ -31,7 +29,7 @@ from f3sr.export.scene_json import (
     to_json,
 )
 from f3sr.frames import Camera
-from f3sr.images import open_image
+from f3sr.images import as_rgb, open_image
 from f3sr.mesh import ConvexPart, MassProperties, Mesh
 from f3sr.mesh_io import load_mesh
 from f3sr.physics import DEFAULT_PHYSICS, PhysicsConfig, body_of
@@ -77,10 +75,13 @@ class Package:
             return None
         accepted = f"depth (H, W) of {shape[1]}x{shape[0]} pixels, float32 and positive, as f3sr wrote it"
         try:
-            with np.load(_inside(self.folder, KEPT), allow_pickle=False) as arrays:
-                depth = _stored(arrays, shape)
-        except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error) as error:
-            raise InputError(file, found=f"no depth ({str(error)[:100]})", accepted=accepted) from None
+            depth = npz.load(_inside(self.folder, KEPT), ["depth"])["depth"]
+        except OSError as error:
+            raise InputError(file, found=reason(error), accepted=accepted) from None
+        except ValueError as error:
+            raise InputError(file, found=str(error), accepted=accepted) from None
+        if depth.shape != shape or depth.dtype != np.float32 or not (depth > 0).all():
+            raise InputError(file, found=f"{depth.dtype} of shape {depth.shape}", accepted=accepted)
         return depth
 
     def _picture(self, name: str, mode: str) -> NDArray[np.uint8] | None:
@@ -286,23 +287,10 @@ def _npz(**arrays: NDArray[Any]) -> bytes:
         return file.getvalue()
 
 
-def _stored(arrays: Any, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """The one array of a depth file; its header is looked at first, as a small file may claim any size."""
-    with arrays.zip.open("depth.npy") as stream:
-        version = np.lib.format.read_magic(stream)
-        header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        found, _, dtype = header(stream)
-    if found != shape or dtype != np.float32:
-        raise ValueError(f"{dtype} of shape {found}")
-    depth = arrays["depth"]
-    if not (depth > 0).all():
-        raise ValueError("depths that are not positive")
-    return depth
-
-
 def _read_image(folder: Path, path: str, size: tuple[int, int], mode: str) -> NDArray[np.uint8]:
     """An image of the package, (height, width) or (height, width, 3), of the camera's size."""
-    image = np.asarray(open_image(_inside(folder, path)).convert(mode))
+    image = as_rgb(open_image(_inside(folder, path)))
+    image = image if mode == "RGB" else image.max(axis=2)
     if image.shape[1::-1] != size:
         raise InputError(
             folder / path,

@@ -61,7 +61,7 @@ class Caption:
     @classmethod
     def of(cls, text: str, size: tuple[int, int], corner: Corner) -> Caption:
         height, width = size
-        letters = font(max(SMALLEST, round(height * HEIGHT_SHARE)))
+        letters = font(max(SMALLEST, round(min(height, width) * HEIGHT_SHARE)))
         pad = max(3, round(letters.size / 3))
         line = shortened(plain(text), lambda t: letters.getlength(t) <= width - 4 * pad)
         up, down = letters.getmetrics()
@@ -80,7 +80,8 @@ class Caption:
     def on(self, rgb: Picture) -> Picture:
         out = rgb.copy()
         area = out[self.top : self.top + len(self.light), self.left : self.left + self.light.shape[1]]
-        area[:] = self.light + (area * self.kept + 127) // 255
+        high, wide = area.shape[:2]  # less than the plate on pictures that are hardly any
+        area[:] = self.light[:high, :wide] + (area * self.kept[:high, :wide] + 127) // 255
         return out
 
 

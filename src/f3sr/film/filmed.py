@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Annotated, Self
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from f3sr.background import complete_background
 from f3sr.film import make_film
+from f3sr.frames import transform
 from f3sr.goals.play import Played
 from f3sr.package import Package
 from f3sr.pictures import resized
@@ -20,6 +21,9 @@ from f3sr.rendering import RenderConfig, Renderer
 from f3sr.scene import Photo, Scene, SceneObject
 from f3sr.settings import settings
 from f3sr.silhouette import resample
+
+STANDS = 0.01
+"""Height over the plane of the support up to which something counts as on it [m]."""
 
 
 @settings
@@ -58,7 +62,10 @@ class Studio:
         """Raises InputError where what the package holds for films is damaged or not of the photo's size."""
         config = config or FilmConfig()
         background, told = _background(package)
-        scene = replace(package.scene, ground_mask=package.support())
+        support = package.support()
+        if support is None:
+            told += ("the package has no support.png: shadows fall on all below the horizon, near the objects",)
+        scene = replace(package.scene, ground_mask=support)
         scene, background, kept = _limited(scene, background, package.kept_depth(), config.longest)
         width, height = scene.camera.width, scene.camera.height
         if (width, height) != (package.scene.camera.width, package.scene.camera.height):
@@ -78,7 +85,23 @@ class Studio:
 
         files = make_film(self.scene, played.plan, played.rollout, played.verdict, draw, slow=slow)
         size = self.scene.camera.width, self.scene.camera.height
-        return Filmed(files=files, frames=frames, size=size, decisions=self.told)
+        return Filmed(files=files, frames=frames, size=size, decisions=(*self.told, *self._beyond(played)))
+
+    def _beyond(self, played: Played) -> Iterator[str]:
+        """Objects that end on the plane of the support but not on what the photo shows of it: physics knows no edge."""
+        support, camera = self.scene.ground_mask, self.scene.camera
+        if support is None:
+            return
+        for o, T in zip(self.scene, played.rollout.T_world_object[-1], strict=True):
+            corners = np.concatenate([transform(T, part.vertices) for part in o.solids])
+            foot = corners[corners[:, 2] <= corners[:, 2].min() + STANDS]
+            if foot[:, 2].min() > STANDS or np.allclose(T, o.T_world_object, atol=STANDS):
+                continue
+            (u, v), depth = (values[0] for values in camera.project(foot.mean(0)[None]))
+            inside = depth > 0 and 0 <= u < camera.width and 0 <= v < camera.height
+            if inside and not support[int(v), int(u)]:
+                name = o.label or f"object {o.id}"
+                yield f"{name} ends beyond the edge of what the photo shows it on: in physics the ground has no edge"
 
 
 def film_played(package: Package, played: Played, config: FilmConfig | None = None) -> Filmed:
@@ -90,7 +113,8 @@ def _background(package: Package) -> tuple[NDArray[np.uint8], tuple[str, ...]]:
     background = package.background()
     if background is not None:
         return background, ()
-    completed = complete_background(package.scene.photo, [o.mask for o in package.scene])
+    masks = [o.mask for o in package.scene]
+    completed = complete_background(package.scene.photo, masks, support=package.support())
     reasons = tuple(d.reason for d in completed.decisions)
     return completed.rgb, ("the package has no background.png: completed anew", *reasons)
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from f3sr import interrupts
 from f3sr.errors import InputError, OutputError, reason
 
 Picture = NDArray[np.uint8]
@@ -81,8 +83,8 @@ def encode(frames: Iterable[Picture], fps: Fraction | float) -> Video:
     if first is None:
         raise InputError("film", found="no frame", accepted="at least one")
     try:
-        with tempfile.TemporaryDirectory(prefix="f3sr-film-") as folder:
-            file = Path(folder) / "film.mp4"  # the index comes first only in a file that can be read again
+        with _room() as folder:
+            file = folder / "film.mp4"  # the index comes first only in a file that can be read again
             with _Encoder(file, first, rate) as encoder:
                 encoder.add(first)
                 for frame in shown:
@@ -93,6 +95,18 @@ def encode(frames: Iterable[Picture], fps: Fraction | float) -> Video:
     except OSError as error:
         raise OutputError(f"film: could not be written to {tempfile.gettempdir()} ({reason(error)})") from error
     return Video(data=data, width=encoder.width, height=encoder.height, frames=encoder.count, fps=rate)
+
+
+@contextmanager
+def _room() -> Generator[Path]:
+    """A temporary folder that is gone afterwards, also where a signal ends the process."""
+    with interrupts.undone(
+        lambda: tempfile.TemporaryDirectory(prefix="f3sr-film-", ignore_cleanup_errors=True), lambda t: t.cleanup()
+    ) as folder:
+        try:
+            yield Path(folder.name)
+        finally:
+            folder.cleanup()
 
 
 class _Encoder:
