@@ -85,6 +85,12 @@ def _other_scene(rollout: Path) -> None:
     (rollout / PLAN).write_text(json.dumps(plan | {"scene": "0" * 64}))
 
 
+def _condition_of_nobody(rollout: Path) -> None:
+    plan = json.loads((rollout / PLAN).read_text())
+    plan["task"]["conditions"][0]["a"] = 77
+    (rollout / PLAN).write_text(json.dumps(plan))
+
+
 def _other_objects(rollout: Path) -> None:
     arrays = dict(np.load(rollout / ROLLOUT))
     arrays["ids"] = arrays["ids"] + 1
@@ -137,6 +143,7 @@ def _not_finite(rollout: Path) -> None:
     [
         (_no_plan, "plan.json"),
         (_other_scene, "another scene"),
+        (_condition_of_nobody, "plan.json"),
         (_other_objects, "objects"),
         (_broken_rollout, "rollout.npz"),
         (_empty_rollout, "rollout.npz"),

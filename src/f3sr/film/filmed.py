@@ -84,7 +84,8 @@ class Studio:
             return self.renderer.frame(poses)
 
         files = make_film(self.scene, played.plan, played.rollout, played.verdict, draw, slow=slow)
-        size = self.scene.camera.width, self.scene.camera.height
+        width, height = self.scene.camera.width, self.scene.camera.height
+        size = width + width % 2, height + height % 2  # films have even sides
         return Filmed(files=files, frames=frames, size=size, decisions=(*self.told, *self._beyond(played)))
 
     def _beyond(self, played: Played) -> Iterator[str]:

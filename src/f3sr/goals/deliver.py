@@ -16,9 +16,9 @@ from pathlib import Path
 from f3sr import interrupts
 from f3sr.errors import InputError, OutputError, reason
 from f3sr.folder import MAX_JSON_BYTES
+from f3sr.goals import checks, verify
 from f3sr.goals import plan as plans
 from f3sr.goals import rollout as rollouts
-from f3sr.goals import verify
 from f3sr.goals.files import FILMS, PLAN, ROLLOUT, VERDICT
 from f3sr.goals.plan import Plan
 from f3sr.goals.play import Played, scene_sha
@@ -158,6 +158,8 @@ def read_played(folder: Path, package: Path | None = None) -> Found:
     content = read_package(package)
     if plan.scene != scene_sha(content):
         raise InputError(folder, found=f"a rollout of another scene than {package}", accepted="one of this package")
+    if fault := next(checks.faults_of(plan, content.scene), None):
+        raise InputError(folder / PLAN, found=fault, accepted="a plan that this package can be played by")
     if rollout.ids.tolist() != [o.id for o in content.scene]:
         accepted = f"objects {[o.id for o in content.scene]}, as the scene has them"
         raise InputError(folder / ROLLOUT, found=f"objects {rollout.ids.tolist()[:20]}", accepted=accepted)
