@@ -54,7 +54,8 @@ def simulate(
     from f3sr.package import read_package
 
     _require_goals(goals, plan)
-    _require_slow(slow)
+    if film and slow != 1:
+        _require_slow(slow)
     content = read_package(package)
     places = _places(out, package, max(len(goals), 1), overwrite)
     tellings, failed = list[dict[str, Any]](), None

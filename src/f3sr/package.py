@@ -289,8 +289,10 @@ def _npz(**arrays: NDArray[Any]) -> bytes:
 
 def _read_image(folder: Path, path: str, size: tuple[int, int], mode: str) -> NDArray[np.uint8]:
     """An image of the package, (height, width) or (height, width, 3), of the camera's size."""
-    image = as_rgb(open_image(_inside(folder, path)))
-    image = image if mode == "RGB" else image.max(axis=2)
+    opened = open_image(_inside(folder, path))
+    image = np.asarray(opened) if mode == opened.mode else as_rgb(opened)
+    if mode == "L" and image.ndim == 3:
+        image = image.max(axis=2)
     if image.shape[1::-1] != size:
         raise InputError(
             folder / path,
