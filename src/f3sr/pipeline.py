@@ -34,6 +34,8 @@ SKIPPABLE = (
     *("level", "align", "align-camera", "align-objects", "relate", "decompose", "separate", "settle"),
     *("close", "refine", "describe", "evaluate", "inpaint"),
 )
+BESIDE = 2_000_000
+"""Pixels of the photo up to which it is completed beside the other stages: that takes 100 bytes a pixel for a while."""
 REPEATED_BY_REFINE = {"align", "align-objects", "separate", "settle"}
 """Stages that ``refine`` does again: without one of them there is no refining either."""
 
@@ -106,6 +108,7 @@ def reconstruct(
         Inpainting.restored,
         Inpainting.stored,
         config.inpaint,
+        later=inputs.photo.rgb[..., 0].size > BESIDE,
     )
     scene = run.stage("align", align, scene, _without(config.align, skip))
     scene = run.stage("relate", relate, scene, config.relate)

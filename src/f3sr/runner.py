@@ -88,18 +88,21 @@ class Runner:
         restored: Callable[[Any, Arrays], T],
         stored: Callable[[T], tuple[Any, Arrays]],
         config: Any = None,
+        *,
+        later: bool = False,
     ) -> Callable[[], T | None]:
-        """Begin what no later stage needs in a thread of its own; the call that is returned waits for it. It is stored
-        by what came before it, whatever comes after."""
+        """Begin what no later stage needs in a thread of its own; the call that is returned waits for it, or does it
+        where it is to come ``later``. It is stored by what came before it, whatever comes after."""
         key = digest(self.key, name, asdict(config) if config is not None else None)
         found = self.store.load(key) if self.store and name not in self.skip else None
-        going_on = begun(work) if found is None and name not in self.skip else None
+        needed = found is None and name not in self.skip
+        going_on = begun(work) if needed and not later else None
 
         def ended() -> T | None:
-            if going_on is None:
+            if not needed:
                 return self._known(name, found, restored)
             with timed(name, self._told):
-                result = going_on.result()
+                result = work() if going_on is None else going_on.result()
                 if self.store:
                     self.store.save(key, *stored(result))
             return result
