@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -198,7 +197,7 @@ def _files(
     if inpainting is not None:
         yield BACKGROUND, encode_png(inpainting.rgb)
         yield SUPPORT, encode_png(255 * inpainting.support.astype(np.uint8))
-        yield KEPT, _npz(depth=inpainting.kept)
+        yield KEPT, npz.dump(depth=inpainting.kept)
     encode_pngs(o.mesh for o in scene.objects)
     for o in scene.objects:
         mesh = o.mesh.with_vertices(o.scale * o.mesh.vertices)
@@ -278,13 +277,6 @@ def _read_object(folder: Path, record: ObjectRecord, size: tuple[int, int]) -> S
         supported_by=record.supported_by,
         motion=tuple(Motion(**m.model_dump()) for m in record.motion),
     )
-
-
-def _npz(**arrays: NDArray[Any]) -> bytes:
-    """Arrays as a zip of .npy files, the same bytes for the same values."""
-    with io.BytesIO() as file:
-        np.savez_compressed(file, **cast(Any, arrays))
-        return file.getvalue()
 
 
 def _read_image(folder: Path, path: str, size: tuple[int, int], mode: str) -> NDArray[np.uint8]:

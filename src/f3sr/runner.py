@@ -72,14 +72,7 @@ class Runner:
     ) -> T | None:
         """A result from the store, else from ``work``; None when the stage is skipped."""
         self.key = digest(self.key, name, name in self.skip, asdict(config) if config is not None else None)
-        found = self.store.load(self.key) if self.store and name not in self.skip else None
-        if found is not None or name in self.skip:
-            return self._known(name, found, restored)
-        with timed(name, self._told):
-            result = work()
-            if self.store:  # first of all: what is said to be done stays done
-                self.store.save(self.key, *stored(result))
-        return result
+        return self._ready(self.key, name, work, restored, stored, later=True)()
 
     def beside(
         self,
@@ -94,6 +87,19 @@ class Runner:
         """Begin what no later stage needs in a thread of its own; the call that is returned waits for it, or does it
         where it is to come ``later``. It is stored by what came before it, whatever comes after."""
         key = digest(self.key, name, asdict(config) if config is not None else None)
+        return self._ready(key, name, work, restored, stored, later=later)
+
+    def _ready(
+        self,
+        key: str,
+        name: str,
+        work: Callable[[], T],
+        restored: Callable[[Any, Arrays], T],
+        stored: Callable[[T], tuple[Any, Arrays]],
+        *,
+        later: bool,
+    ) -> Callable[[], T | None]:
+        """What gives the result, from the store or from ``work``, which begins now unless it is to come ``later``."""
         found = self.store.load(key) if self.store and name not in self.skip else None
         needed = found is None and name not in self.skip
         going_on = begun(work) if needed and not later else None
@@ -103,7 +109,7 @@ class Runner:
                 return self._known(name, found, restored)
             with timed(name, self._told):
                 result = work() if going_on is None else going_on.result()
-                if self.store:
+                if self.store:  # first of all: what is said to be done stays done
                     self.store.save(key, *stored(result))
             return result
 

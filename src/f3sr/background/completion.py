@@ -95,8 +95,8 @@ def complete(picture: Picture, hole: Mask, config: CompletionConfig, *, apart: M
     levels = [_Level(np.asarray(picture @ OPPONENT.T, np.float32), hole, none if apart is None else apart & ~hole)]
     if not levels[0].sources.any():
         return None
-    while levels[-1].picture[..., 0].size > config.working_pixels and _enough(levels[-1].coarser()):
-        levels.append(levels[-1].coarser())
+    while levels[-1].hole.size > config.working_pixels and _enough(coarser := levels[-1].coarser()):
+        levels.append(coarser)
     voted, nearest = _searched(levels[-1], config)
     while len(levels) > 1:  # what is done with is let go: a large photo's levels take as much as the process
         coarse = levels.pop()

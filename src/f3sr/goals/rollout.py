@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,9 +55,7 @@ class Rollout:
 
 def to_npz(rollout: Rollout) -> bytes:
     """The arrays as a zip of .npy files, the same bytes for the same values."""
-    with io.BytesIO() as file:
-        np.savez_compressed(file, **{name: getattr(rollout, name) for name in _NAMES})
-        return file.getvalue()
+    return npz.dump(**{name: getattr(rollout, name) for name in _NAMES})
 
 
 def from_npz(file: Path) -> Rollout:
