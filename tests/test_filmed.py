@@ -19,10 +19,13 @@ from f3sr.cli import main
 from f3sr.errors import OutputError
 from f3sr.film.captions import captioned, slowed
 from f3sr.film.filmed import FilmConfig, Studio, film_played
+from f3sr.film.held import Held
+from f3sr.frames import pose, transform
 from f3sr.goals.files import FILM, FILMS, PLAN, ROLLOUT, STRIP, VERDICT
 from f3sr.goals.play import Played, simulate_goal
 from f3sr.package import Package
-from goal_scene import CAN, goal_package
+from f3sr.scene import Scene
+from goal_scene import BALL, CAN, CRATE, goal_package, goal_scene
 
 av = pytest.importorskip("av")
 GOAL = "knock over the cereal box"
@@ -237,6 +240,42 @@ def test_a_package_without_background_is_filmed_and_that_is_told(package: Packag
     assert isinstance(found, Played)
     made = film_played(package, found)
     assert any("background.png" in d for d in made.decisions) and made.files[FILM][4:8] == b"ftyp"
+
+
+def seen_from_there(scene: Scene, k: int, T: np.ndarray) -> np.ndarray:
+    """Pixels (n, 2) of an object's vertices at a pose."""
+    o = scene.objects[k]
+    return scene.camera.project(transform(T, o.scale * o.mesh.vertices))[0]
+
+
+def test_what_creeps_is_drawn_anew_when_it_is_seen_elsewhere_and_what_trembles_is_not() -> None:
+    scene, rng = goal_scene(), np.random.default_rng(0)
+    rest = np.array([o.T_world_object for o in scene])
+    here, there = (seen_from_there(scene, CAN, T) for T in (rest[CAN], pose(t=[1e-3, 0, 0]) @ rest[CAN]))
+    pixel = 1e-3 / np.linalg.norm(here - there, axis=1).max()
+    frames = np.repeat(rest[None], 60, axis=0)
+    frames[:, CAN, 0, 3] += 0.02 * pixel * np.arange(60)
+    frames[:, CRATE, :3, 3] += 0.01 * pixel * rng.normal(size=(60, 3))
+    frames[:, BALL, 0, 3] += 0.01 * np.arange(60)
+    held = Held(scene, 0.1)
+    shown = np.array([held(T) for T in frames])
+    different = [len(np.unique(shown[:, k].reshape(60, 16), axis=0)) for k in range(len(rest))]
+    assert different[CRATE] == 1 and 5 < different[CAN] < 15 and different[BALL] == 60
+    assert np.array_equal(shown[:, BALL], frames[:, BALL]), "what moves is where it is"
+    for drawn, T in zip(shown[:, CAN], frames[:, CAN], strict=True):
+        away = seen_from_there(scene, CAN, drawn) - seen_from_there(scene, CAN, T)
+        assert np.linalg.norm(away, axis=1).max() <= 0.1
+
+
+def test_what_is_behind_the_camera_is_never_held() -> None:
+    scene = goal_scene()
+    behind = np.array([o.T_world_object for o in scene])
+    behind[BALL, :3, 3] = scene.camera.center - 3 * scene.camera.T_world_camera[:3, 2]
+    held = Held(scene, 1.0)
+    held(behind)
+    farther = behind.copy()
+    farther[BALL, :3, 3] -= 1e-9
+    assert np.array_equal(held(farther), farther)
 
 
 def test_a_large_photo_is_filmed_smaller_and_that_is_told(package: Package) -> None:

@@ -29,8 +29,6 @@ from f3sr.mesh import Material as Appearance
 from f3sr.mesh import Mesh
 from f3sr.page import LARGEST_PAGE, report_page
 from f3sr.page.graph import levels
-from f3sr.page.light_mesh import lightened
-from f3sr.page.markup import Markup, clean, el
 from f3sr.page.masks import cards
 from f3sr.page.material import Material
 from f3sr.page.objects import moves
@@ -39,6 +37,8 @@ from f3sr.page.words import number
 from f3sr.pipeline import SKIPPABLE, Config, Reconstruction, reconstruct
 from f3sr.report import Decision, Report
 from f3sr.scene import GROUND, Excluded, Node, Relation, Scene, SceneGraph, Support
+from f3sr.web.light_mesh import lightened
+from f3sr.web.markup import Markup, clean, el
 from folders import write_folder
 from scenes import box, box_stack_scene, scene_of
 

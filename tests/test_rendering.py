@@ -14,7 +14,7 @@ from f3sr.errors import InputError
 from f3sr.frames import UP, Array, Camera, pose, rotation_from_vector
 from f3sr.mesh import Material, Mesh
 from f3sr.rendering import LightConfig, RenderConfig, Renderer, ShadowConfig
-from f3sr.rendering.canvas import GRID, Canvas
+from f3sr.rendering.canvas import Canvas
 from f3sr.rendering.light import Light
 from f3sr.rendering.shapes import smooth_normals
 from f3sr.rendering.surface_kernels import texture_at
@@ -98,7 +98,7 @@ def table() -> Scene:
 def lit(scene: Scene, light: Light, config: RenderConfig = SHADOWS) -> Canvas:
     """A canvas with a given light, whatever the photo says."""
     setting = Renderer.of(scene, plain(scene.camera), config=config).setting
-    return Canvas(replace(setting, light=light, already=np.ones_like(setting.already)))
+    return Canvas(replace(setting, light=light))
 
 
 def walk(steps: int, seed: int = 0) -> list[Array]:
@@ -121,8 +121,6 @@ def walk(steps: int, seed: int = 0) -> list[Array]:
 def test_without_light_and_motion_it_is_the_unlit_composite() -> None:
     scene = table()
     drawn = Renderer.of(scene, plain(), config=replace(PLAIN, samples=1)).frame(at_rest(scene))
-    rounded = np.rint(at_rest(scene) * GRID) / GRID
-    scene = scene.with_objects(*(replace(o, T_world_object=T) for o, T in zip(scene.objects, rounded, strict=True)))
     fragments = raster.render(scene.objects, scene.camera)
     unlit = np.rint(255 * raster.shade(fragments, scene.objects))
     expected = np.where((fragments.ids >= 0)[..., None], unlit, plain())

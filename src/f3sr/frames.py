@@ -52,6 +52,11 @@ def transform(T: Array, points: Array) -> Array:
     return points @ T[:3, :3].T + T[:3, 3]
 
 
+def box_corners(bounds: Array) -> Array:
+    """The corners (8, 3) of a box between its lowest and its highest, ``bounds`` (2, 3)."""
+    return bounds[[[k >> i & 1 for i in range(3)] for k in range(8)], range(3)]
+
+
 def rotation_about(axis: ArrayLike, angle: float) -> Array:
     """Rotation matrix of ``angle`` [rad] about ``axis`` (Rodrigues)."""
     return rotation_from_vector(np.asarray(axis, float) / np.linalg.norm(axis) * angle)

@@ -27,6 +27,7 @@ KEPT_VERSIONS = 4
 KERNEL_MODULES = (
     *("triangles", "raster", "contour", "contact", "patches", "crossings", "inside", "patchmatch"),
     *("rendering.surface_kernels", "rendering.shadow_kernels", "rendering.picture_kernels"),
+    *("rendering.texture_kernels", "rendering.fit_kernels"),
 )
 """Modules of this package that hold numba kernels; each has a ``warm_up()`` that calls every one of them."""
 

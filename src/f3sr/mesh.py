@@ -85,13 +85,24 @@ class Mesh:
         return float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
 
     @cached_property
+    def weld(self) -> tuple[Array, NDArray[np.int32]]:
+        """The different places (k, 3) of the vertices, which texture seams split, in order of x, y and z, and which of
+        them each vertex (n,) is at."""
+        order = np.lexsort(self.vertices.T[::-1])
+        placed = self.vertices[order]
+        new = np.ones(len(order), np.bool_)
+        new[1:] = (placed[1:] != placed[:-1]).any(1)
+        place = np.empty(len(order), np.int32)
+        place[order] = np.cumsum(new) - 1
+        return placed[new], place
+
+    @cached_property
     def welded(self) -> tuple[Array, NDArray[np.int32]]:
-        """Vertices and faces after merging vertices at equal places (texture seams split them) and dropping
-        triangles that collapse."""
-        unique, inverse = np.unique(self.vertices, axis=0, return_inverse=True)
-        faces = inverse.reshape(-1)[self.faces].astype(np.int32)
+        """Vertices and faces after merging vertices at equal places and dropping triangles that collapse."""
+        places, place = self.weld
+        faces = place[self.faces]
         a, b, c = faces.T
-        return unique, np.ascontiguousarray(faces[(a != b) & (b != c) & (c != a)])
+        return places, np.ascontiguousarray(faces[(a != b) & (b != c) & (c != a)])
 
     @cached_property
     def hull(self) -> ConvexPart:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from f3sr.background import complete_background
 from f3sr.film import make_film
+from f3sr.film.held import Held
 from f3sr.frames import transform
 from f3sr.goals.play import Played
 from f3sr.package import Package
@@ -34,6 +35,9 @@ class FilmConfig:
     """Longer side of a film [px]; of a larger photo it is a smaller picture, which players and time bear better."""
     slow: Annotated[float, Interval(ge=0.125, le=100)] = 1.0
     """How many times slower than life; then the factor is written on the picture."""
+    still: Annotated[float, Interval(ge=0, le=1)] = 0.1
+    """How far an object must be seen from where it was drawn to be drawn anew [px]: engines creep and tremble at rest,
+    and samples lie half a pixel apart."""
     render: RenderConfig = field(default_factory=RenderConfig)
 
 
@@ -76,12 +80,13 @@ class Studio:
     def film(self, played: Played) -> Filmed:
         """The same bytes for the same package, rollout and settings, whatever was filmed before."""
         slow = Fraction(self.config.slow).limit_denominator(1000)
+        held = Held(self.scene, self.config.still)
         frames = 0
 
         def draw(poses: NDArray[np.float64]) -> NDArray[np.uint8]:
             nonlocal frames
             frames += 1
-            return self.renderer.frame(poses)
+            return self.renderer.frame(held(poses))
 
         files = make_film(self.scene, played.plan, played.rollout, played.verdict, draw, slow=slow)
         width, height = self.scene.camera.width, self.scene.camera.height

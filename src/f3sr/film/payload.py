@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import base64
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 
 from f3sr.film.moments import Moment
 from f3sr.film.timeline import pairs_of
 from f3sr.film.video import Video
-from f3sr.frames import Array, Camera, quaternion_from_rotation
+from f3sr.frames import Array, quaternion_from_rotation
 from f3sr.goals.plan import Plan
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.seen import Seen
 from f3sr.goals.verify import Verdict
-from f3sr.page.light_mesh import lightened
-from f3sr.page.markup import Markup, clean
-from f3sr.page.viewer import Textures, packed_mesh
 from f3sr.scene import Scene
+from f3sr.web.document import data
+from f3sr.web.light_mesh import lightened
+from f3sr.web.markup import Markup, clean
+from f3sr.web.packed import Textures, packed_camera, packed_mesh
 
 FEWEST_FACES = 200
 """Of one mesh."""
@@ -48,12 +47,12 @@ def payload(shown: Shown, *, faces: int, texture: int) -> Markup:
     scene, rollout = shown.scene, shown.rollout
     textures = Textures(texture)
     each = max(FEWEST_FACES, faces // len(scene.objects))
-    data = {
+    values = {
         "fps": float(shown.video.fps),
         "frames": shown.video.frames,
         "step": float(rollout.time[-1]) / max(1, len(rollout.time) - 1),
         "view": {
-            "camera": _camera(scene.camera),
+            "camera": packed_camera(scene.camera),
             "bounds": _bounds(scene, rollout),
             "objects": [{"mesh": packed_mesh(lightened(o.mesh, each), textures.index)} for o in scene],
             "path": np.round(Seen(rollout, scene).way(shown.plan.task.active), 5).ravel().tolist(),
@@ -68,13 +67,7 @@ def payload(shown: Shown, *, faces: int, texture: int) -> Markup:
             if not p.rests
         ],
     }
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
-    return Markup(text.replace("<", "\\u003c"))
-
-
-def _camera(camera: Camera) -> dict[str, Any]:
-    K, T = camera.K.ravel().tolist(), camera.T_world_camera.ravel().tolist()
-    return {"width": camera.width, "height": camera.height, "K": K, "T": T}
+    return data(values)
 
 
 def _poses(rollout: Rollout) -> Array:

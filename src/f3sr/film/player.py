@@ -6,22 +6,20 @@ import base64
 from pathlib import Path
 from typing import Any
 
-import f3sr.page
 from f3sr.errors import OutputError
 from f3sr.film.captions import speed_words
 from f3sr.film.payload import Shown, payload
 from f3sr.film.strip import clock
 from f3sr.film.timeline import pairs_of, timeline
 from f3sr.film.words import named, told
-from f3sr.page.document import document, part
-from f3sr.page.markup import Child, Markup, clean, el
+from f3sr.web.document import WEB, document, part
+from f3sr.web.markup import Child, Markup, clean, el
 
 LARGEST_REST = 6 * 10**6
 """Bytes of a page beside its film: what loads in a second or two on a phone. The film is as long as it is."""
 SIZES = ((80_000, 512), (40_000, 256), (12_000, 128), (3_000, 64))
 """Triangles of all meshes and longest side of a texture [px], tried in order until the page is small enough."""
 HERE = Path(__file__).parent
-PAGE = Path(f3sr.page.__file__).parent
 KEYS = (
     "Space plays; ← → step a frame, with Shift ten; Home, End. 3-D: drag to turn, Shift or two fingers to move, wheel "
     "(after a click) or pinch to zoom; W A S D, +, −; 1 photo, 2 top, 3 side."
@@ -46,8 +44,8 @@ def _page(shown: Shown, faces: int, texture: int) -> bytes:
             el("main", _stage(shown), _controls(shown), _moments(shown), _timeline(shown), _words(shown)),
             el("script", payload(shown, faces=faces, texture=texture), type="application/json", id="player-data"),
         ],
-        style=part(PAGE / "page.css", HERE / "player.css"),
-        script=part(PAGE / "view3d.js", HERE / "player.js"),
+        style=part(WEB / "page.css", HERE / "player.css"),
+        script=part(WEB / "view3d.js", HERE / "player.js"),
         films=True,
     )
 

@@ -14,8 +14,8 @@ from f3sr.goals.conditions import Judged
 from f3sr.goals.plan import Plan
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.verify import Verdict
-from f3sr.page.markup import Child, Markup, el
 from f3sr.scene import Scene
+from f3sr.web.markup import Child, Markup, el
 
 STEADY = 3.0
 """Times its median force that a contact may reach and still be rest."""

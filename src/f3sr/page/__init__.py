@@ -8,10 +8,8 @@ from pathlib import Path
 from f3sr.errors import OutputError
 from f3sr.page.compare import compare
 from f3sr.page.decisions import decisions
-from f3sr.page.document import document, part
 from f3sr.page.graph import graph
 from f3sr.page.head import head, verdict
-from f3sr.page.markup import Child, el
 from f3sr.page.masks import masks
 from f3sr.page.material import Material, Sizes
 from f3sr.page.objects import objects
@@ -19,6 +17,8 @@ from f3sr.page.scores import scores
 from f3sr.page.stages import stages
 from f3sr.page.viewer import viewer
 from f3sr.pipeline import Reconstruction
+from f3sr.web.document import WEB, document, part
+from f3sr.web.markup import Child, el
 
 __all__ = ["LARGEST_PAGE", "report_page"]
 
@@ -60,6 +60,6 @@ def _page(m: Material) -> bytes:
     return document(
         f"f3sr: {verdict(m)}",
         [head(m, links), el("main", sections)],
-        style=part(HERE / "page.css"),
-        script=part(HERE / "view3d.js", HERE / "viewer.js"),
+        style=part(WEB / "page.css"),
+        script=part(WEB / "view3d.js", HERE / "viewer.js"),
     )

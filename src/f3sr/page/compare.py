@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from f3sr.frames import Array, Camera
+from f3sr.frames import Array, Camera, box_corners
 from f3sr.measures import Details, Gap, Overlap
-from f3sr.page.images import figure, img
-from f3sr.page.markup import Child, Markup, el, join
 from f3sr.page.material import Material, look_alike
 from f3sr.page.words import counted, length, name_of, share
 from f3sr.pictures import composite, ground_row, side_camera, side_cameras, side_view
 from f3sr.scene import GROUND, Scene
+from f3sr.web.images import figure, img
+from f3sr.web.markup import Child, Markup, el, join
 
 SIDE = (720, 420)
 """Width and height of a side view [px]."""
@@ -122,8 +122,7 @@ def _sunk(g: Gap, scene: Scene) -> Mark:
 
 
 def _overlap(o: Overlap, scene: Scene) -> Mark:
-    low, high = np.array(o.low), np.array(o.high)
-    corners = np.array([[(low, high)[k >> i & 1][i] for i in range(3)] for k in range(8)])
+    corners = box_corners(np.array([o.low, o.high]))
     names = f"{name_of(o.a, scene)}, {name_of(o.b, scene)}"
     words = f"{o.a} and {o.b} overlap ({names}; {counted(o.crossings, 'crossing')} of triangles)"
     return Mark(corners, words)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from f3sr.page.markup import Markup, el, join
 from f3sr.page.material import Material
 from f3sr.page.words import about, counted, told
 from f3sr.report import Decision, Report
 from f3sr.scene import Scene
+from f3sr.web.markup import Markup, el, join
 
 
 def decisions(m: Material) -> Markup:

@@ -6,11 +6,11 @@ import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from f3sr.page.markup import Child, Markup, clean, el, join
 from f3sr.page.material import Material
 from f3sr.page.words import about, counted, name_of, ratio, share, told
 from f3sr.report import Decision
 from f3sr.scene import GROUND, Predicate, Relation, Scene
+from f3sr.web.markup import Child, Markup, clean, el, join
 
 BOX = (106, 46)
 """Width and height of an object's box [px]."""

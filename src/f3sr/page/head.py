@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from f3sr.measures import visible_ious
-from f3sr.page.images import figure, img
-from f3sr.page.markup import Child, Markup, el, join
 from f3sr.page.material import Material, look_alike
 from f3sr.page.words import about, counted, length, listed, name_of, ratio, share, told
 from f3sr.physics import DEFAULT_PHYSICS
 from f3sr.pipeline import SKIPPABLE
 from f3sr.refinement import RefineConfig
 from f3sr.scene import SceneObject
+from f3sr.web.images import figure, img
+from f3sr.web.markup import Child, Markup, el, join
 
 TIPPED = RefineConfig().topple
 FAR_OFF = 0.5

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from f3sr.mask_panels import MaskPanels, mask_panels
-from f3sr.page.images import figure, img
-from f3sr.page.markup import Child, Markup, el, join
 from f3sr.page.material import Material
 from f3sr.page.words import counted, name_of, ratio, share
 from f3sr.scene import Scene, SceneObject
 from f3sr.visibility import nearer_objects
+from f3sr.web.images import figure, img
+from f3sr.web.markup import Child, Markup, el, join
 
 SHOWN_AT_ONCE = 12
 """Objects whose panels are not folded away; the rest opens at a click, and in print."""

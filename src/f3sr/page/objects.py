@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from f3sr.frames import rotation_angle, transform
 from f3sr.measures import ObjectMeasures
-from f3sr.page.images import img
-from f3sr.page.markup import Child, Markup, el, join
 from f3sr.page.material import Material, by_id
 from f3sr.page.words import counted, length, name_of, number, quantity, ratio, share, told
 from f3sr.physics import body_of
 from f3sr.pictures import resized
 from f3sr.scene import Motion, SceneObject
+from f3sr.web.images import img
+from f3sr.web.markup import Child, Markup, el, join
 
 THUMBNAIL = 96
 """Longest side [px]."""

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from f3sr.measures import IMAGE_MEASURES, Measures
-from f3sr.page.markup import Child, Markup, el, join
 from f3sr.page.material import Material
 from f3sr.page.words import number, quantity, told
 from f3sr.stages.evaluate import Evaluation, Fitted
+from f3sr.web.markup import Child, Markup, el, join
 
 
 @dataclass(frozen=True, kw_only=True)

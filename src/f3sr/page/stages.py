@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from f3sr.page.images import figure, img
-from f3sr.page.markup import Child, Markup, el, join
 from f3sr.page.masks import legend
 from f3sr.page.material import Material, look_alike
 from f3sr.page.words import about, counted, quantity, told
 from f3sr.pictures import resized
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene
+from f3sr.web.images import figure, img
+from f3sr.web.markup import Child, Markup, el, join
 
 PURPOSE = {
     "assemble": "Brings photo, masks, geometry and meshes into one camera frame.",

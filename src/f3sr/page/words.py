@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from f3sr.page.markup import Child, Markup, el, join
 from f3sr.scene import GROUND, Scene
+from f3sr.web.markup import Child, Markup, el, join
 
 NO_VALUE = "–"
 NBSP = "\u00a0"

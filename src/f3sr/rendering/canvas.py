@@ -33,12 +33,8 @@ from f3sr.rendering.picture_kernels import (
     mark_changed,
 )
 from f3sr.rendering.surface_kernels import Lamps, View, mark_shadowed, shade, tile_depths
-from f3sr.rendering.textures import linear, srgb
+from f3sr.rendering.textures import LINEAR, srgb
 
-GRID = np.full((4, 4), 2.0**12)
-GRID[:3, 3] = 2.0**14
-"""Poses are rounded to one part of this, turns to .25 mrad and places to 60 um: some hundredths of a pixel, and more
-than an engine's tremble at rest."""
 CELL = 2
 """Side of the cells that the ground's shadows are drawn in [px]: they are soft."""
 TILE = 8
@@ -53,7 +49,6 @@ HIDES = 1.03
 BANDS = 4
 """Bands of rows per thread that are coloured: what is dear lies together."""
 
-LINEAR = raster.fixed(linear(np.arange(256) / 255), np.float64)
 TABLE = raster.fixed(np.rint(255 * srgb(np.arange(STEPS + 1) / STEPS)), np.uint8)
 SET_BITS = raster.fixed([bin(k).count("1") for k in range(256)], np.int64)
 
@@ -76,12 +71,8 @@ class Setting:
     """Middle and radius [m] of what the light's maps cover."""
     receives: NDArray[np.float32]
     """(h, w) how much of its shadows the ground shows."""
-    already: NDArray[np.float32]
-    """(h, w, 3) the share of its light that the background shows already."""
     kept: NDArray[np.float32]
     """(h, w) depth [m] of what the background shows and may hide objects, inf where nothing does."""
-    rest_light: NDArray[np.float32]
-    """(h, w, 3) the share of its light that the ground keeps beside the scene at rest."""
 
 
 class Canvas:
@@ -94,9 +85,11 @@ class Canvas:
 
     def __init__(self, setting: Setting) -> None:
         s, samples = setting, setting.config.samples
+        self.setting = setting
+        self.already = np.ones((s.camera.height, s.camera.width, 3), np.float32)
+        """The share of its light that the background shows already: to be set before the first picture, if any."""
         h, w = s.camera.height, s.camera.width
         K = s.camera.K * [[1 / CELL], [1 / CELL], [1]]
-        self._setting = setting
         self._fine = s.camera.resized(samples * w, samples * h)
         self._cells = replace(s.camera, K=K, width=-(-w // CELL), height=-(-h // CELL))
         self._words = ground_words(s.light)
@@ -113,27 +106,24 @@ class Canvas:
         self._stays: frozenset[int] = frozenset()
         self._view: View | None = None
         self._blurred_before = np.full_like(self._blurred, -1)
-        self._picture = np.empty_like(s.background)
+        self._picture, self._composed = np.empty_like(s.background), False
 
     def drawn(self, poses: Array) -> NDArray[np.uint8]:
         """The picture (h, w, 3) with the objects at ``poses`` (N, 4, 4)."""
-        poses = np.rint(poses * GRID) / GRID
-        if self._view is None or not np.array_equal(poses, self._poses):
-            self._draw(poses)
+        self._draw(poses)
+        if not self._composed:
             self._compose()
         return self._picture.copy()
 
-    @classmethod
-    def light_left(cls, setting: Setting, poses: Array) -> NDArray[np.float32]:
+    def light_left(self, poses: Array) -> NDArray[np.float32]:
         """(h, w, 3) the share of its light that the ground keeps beside objects at ``poses`` (N, 4, 4)."""
-        canvas = cls(setting)
-        canvas._draw(np.rint(poses * GRID) / GRID)
-        left = np.empty((*setting.receives.shape, 3), np.float32)
-        light_left(canvas._blurred, CELL, canvas._weight, raster.fixed(setting.receives, np.float32), left)
+        self._draw(poses)
+        left = np.empty((*self.setting.receives.shape, 3), np.float32)
+        light_left(self._blurred, CELL, self._weight, raster.fixed(self.setting.receives, np.float32), left)
         return left
 
     def _buffers(self) -> Buffers:
-        s = self._setting
+        s = self.setting
         maps = light_maps(s.light, s.ball, s.config.shadows.map_size)
         side = s.config.samples
         kept = np.repeat(np.repeat((1 / (HIDES * s.kept)).astype(np.float32), side, 0), side, 1)
@@ -141,7 +131,9 @@ class Canvas:
 
     def _draw(self, poses: Array) -> None:
         """Bring every buffer from the poses drawn last to ``poses``."""
-        s, before, old = self._setting, self._view, self._poses
+        s, before, old = self.setting, self._view, self._poses
+        if before is not None and np.array_equal(poses, old):
+            return
         view = s.things.seen_by(self._fine, poses, s.config.near)
         changed = np.flatnonzero((poses != old).any((1, 2))).tolist()
         if before is None:
@@ -156,7 +148,7 @@ class Canvas:
             self._restore(squares, texels)
             self._add(self._drawn, view, poses, [k for k in range(len(poses)) if k not in self._stays])
             self._measure_and_mark(squares, view, texels)
-        self._poses, self._view = poses, view
+        self._poses, self._view, self._composed = poses, view, False
         self._shade(view)
         self._count()
 
@@ -174,7 +166,7 @@ class Canvas:
 
     def _add(self, buffers: Buffers, view: View, poses: Array, chosen: Sequence[int]) -> None:
         """Draw some objects into all buffers."""
-        s = self._setting
+        s = self.setting
         if not chosen:
             return
         draw_surfaces(s.things, view, chosen, s.config.near, buffers)
@@ -185,11 +177,11 @@ class Canvas:
 
     def _square(self, view: View, k: int) -> Rectangle:
         """The tiles that an object may be seen in."""
-        first, stop = self._setting.things.first_vertex[k : k + 2].tolist()
+        first, stop = self.setting.things.first_vertex[k : k + 2].tolist()
         rows, columns = self._dirty.shape
         if view.clipped[k] or first == stop:
             return (0, rows, 0, columns)
-        side = TILE * self._setting.config.samples
+        side = TILE * self.setting.config.samples
         low = np.floor((view.points[first:stop, 3:].min(0) - 1) / side)
         high = np.floor((view.points[first:stop, 3:].max(0) + 1) / side) + 1
         (left, top), (right, bottom) = (np.clip(v, 0, [columns, rows]).astype(int).tolist() for v in (low, high))
@@ -197,12 +189,12 @@ class Canvas:
 
     def _texels(self, T: Array, k: int) -> Array:
         """(L, 5) what of every map an object at a pose reaches: see ``Maps.reached``."""
-        points = [transform(T, kind[k].vertices) for kind in self._setting.things.casters]
+        points = [transform(T, kind[k].vertices) for kind in self.setting.things.casters]
         return self._drawn.maps.reached(np.concatenate(points))
 
     def _restore(self, squares: Sequence[Rectangle], texels: Array) -> None:
         """Take over the still buffers where something moved."""
-        side = TILE * self._setting.config.samples
+        side = TILE * self.setting.config.samples
         for top, bottom, left, right in squares:
             window = slice(top * side, bottom * side), slice(left * side, right * side)
             self._drawn.face[window] = self._still.face[window]
@@ -216,7 +208,7 @@ class Canvas:
 
     def _measure_and_mark(self, squares: Sequence[Rectangle], view: View, texels: Array | None = None) -> None:
         """Find the tiles to colour: some squares of them, and those that read one of some ``texels``."""
-        side, maps = TILE * self._setting.config.samples, self._drawn.maps
+        side, maps = TILE * self.setting.config.samples, self._drawn.maps
         self._dirty[:] = False
         for top, bottom, left, right in squares:
             tile_depths(self._drawn.nearness, side, top, bottom, left, right, self._depths)
@@ -226,7 +218,7 @@ class Canvas:
             mark_shadowed(self._depths, side, view.rays, maps.frames, fixed, maps.offset, maps.texel, self._dirty)
 
     def _shade(self, view: View) -> None:
-        s, drawn = self._setting, self._drawn
+        s, drawn = self.setting, self._drawn
         maps = drawn.maps
         strength, gains = (raster.fixed(values, np.float64) for values in (s.light.strength, s.gains))
         lamps = Lamps(maps.directions, maps.frames, maps.nearest, DIRECT, maps.offset, maps.bias, strength, gains)
@@ -256,11 +248,11 @@ class Canvas:
 
     def _compose(self) -> None:
         """Bring the picture up to date where colours or the ground's shadows have changed."""
-        s = self._setting
+        s = self.setting
         mark_changed(self._blurred, self._blurred_before, TILE // CELL, self._dirty)
         np.copyto(self._blurred_before, self._blurred)
         background, picture = raster.fixed(s.background, np.uint8), self._picture
-        receives, already = (raster.fixed(values, np.float32) for values in (s.receives, s.already))
+        receives, already = (raster.fixed(values, np.float32) for values in (s.receives, self.already))
 
         def finish(band: tuple[int, int]) -> None:
             compose(
@@ -269,3 +261,4 @@ class Canvas:
             )
 
         raster.in_bands(finish, (0, s.camera.height), raster.THREADS)
+        self._composed = True

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import raster
 from f3sr.background.regions import grown
-from f3sr.frames import Array, Camera
+from f3sr.frames import UP, Array, Camera
 from f3sr.rendering.surface_kernels import Shapes, Textures, View, seen_at
-from f3sr.rendering.textures import linear
+from f3sr.rendering.textures import LINEAR
 from f3sr.scene import Scene
 from f3sr.silhouette import union_of
 
 Mask = NDArray[np.bool_]
+Samples = tuple[NDArray[np.int64], Array, Array, Array, Array]
+"""Group, albedo, photo, points and normals."""
 
 BLUR = 7
 """Side [px] of the square over which colours of photo and texture are compared: details lie a few pixels apart."""
@@ -43,15 +48,22 @@ class Evidence:
     normals: Array
     """(n, 3)"""
 
+    @classmethod
+    def of(cls, parts: Sequence[Samples]) -> Self:
+        """Some samples, one after the other."""
+        group = np.concatenate([np.zeros(0, np.int64), *(p[0] for p in parts)])
+        rest = (np.concatenate([np.zeros((0, 3)), *(p[k] for p in parts)]) for k in range(1, 5))
+        albedo, photo, points, normals = (raster.fixed(values, np.float64) for values in rest)
+        return cls(group=raster.fixed(group, np.int64), albedo=albedo, photo=photo, points=points, normals=normals)
+
+    @cached_property
+    def slope(self) -> Array:
+        """(n, 3) of sRGB values over linear light, at the photo's."""
+        return raster.fixed(np.maximum(self.photo, 0.01) ** (1 / 2.4 - 1) * 1.055 / 2.4, np.float64)
+
     def thinned(self, step: int) -> Evidence:
         s = slice(None, None, max(step, 1))
-        return Evidence(
-            group=self.group[s],
-            albedo=self.albedo[s],
-            photo=self.photo[s],
-            points=self.points[s],
-            normals=self.normals[s],
-        )
+        return Evidence.of([(self.group[s], self.albedo[s], self.photo[s], self.points[s], self.normals[s])])
 
 
 def evidence_of(
@@ -67,62 +79,63 @@ def evidence_of(
     samples: int,
 ) -> Evidence:
     """``view`` and ``face`` (h, w) are of the photo's camera with one sample a pixel, ``ball`` holds the scene."""
-    table = linear(np.arange(256) / 255)
-    photo, behind = table[scene.photo.rgb], table[background]
-    parts = [_of_objects(scene, photo, shapes, textures, view, face, near, samples)]
-    parts.append(_of_ground(scene, photo, behind, np.any(scene.photo.rgb != background, axis=2), ball, samples))
-    return Evidence(
-        **{
-            name: np.concatenate([getattr(p, name) for p in parts])
-            for name in ("group", "albedo", "photo", "points", "normals")
-        }
-    )
-
-
-def _of_objects(
-    scene: Scene,
-    photo: Array,
-    shapes: Shapes,
-    textures: Textures,
-    view: View,
-    face: NDArray[np.int32],
-    near: float,
-    samples: int,
-) -> Evidence:
     shown = np.where(face >= 0, shapes.object[np.maximum(face, 0)], -1)
-    found: list[tuple[int, NDArray[np.int64], Array]] = []
-    for k, o in enumerate(scene.objects):
-        whole = (shown == k) & o.mask
-        inner = whole & ~grown(~whole, INSIDE)
-        pixels = np.argwhere(inner if np.count_nonzero(inner) >= FEW else whole)
-        if len(pixels) >= FEW:
-            found.append((k, pixels, _blurred(photo, whole, pixels)))
-    step = max(1, int((sum(len(p) for _, p, _ in found) / samples) ** 0.5))
-    groups, albedos, photos, places, normals = [], [], [], [], []
-    for k, pixels, seen in found:
-        whole = (shown == k) & scene.objects[k].mask
-        albedo, place, normal = _seen(shapes, textures, view, near, np.argwhere(whole), face)
-        picture = np.zeros((*face.shape, 3), np.float32)
-        picture[whole] = albedo
-        lookup = np.full(face.shape, -1, np.int64)
-        lookup[whole] = np.arange(len(place))
-        kept = (pixels[:, 0] % step == 0) & (pixels[:, 1] % step == 0)
-        kept = kept if np.count_nonzero(kept) >= FEW else np.ones(len(pixels), np.bool_)
-        chosen = pixels[kept]
-        rows = lookup[chosen[:, 0], chosen[:, 1]]
-        groups.append(np.full(len(chosen), k))
-        albedos.append(_blurred(picture, whole, chosen))
-        photos.append(seen[kept])
-        places.append(place[rows])
-        normals.append(normal[rows])
-    empty = np.zeros((0, 3))
-    return Evidence(
-        group=np.concatenate([np.zeros(0, np.int64), *groups]),
-        albedo=np.concatenate([empty, *albedos]),
-        photo=np.concatenate([empty, *photos]),
-        points=np.concatenate([empty, *places]),
-        normals=np.concatenate([empty, *normals]),
-    )
+    patches = [_Patch.of((shown == k) & o.mask) for k, o in enumerate(scene.objects)]
+    inner = {k: pixels for k, patch in enumerate(patches) if len(pixels := patch.inner()) >= FEW}
+    step = max(1, int((sum(map(len, inner.values())) / samples) ** 0.5))
+    parts = [_of_ground(scene, background, ball, samples)]
+    for k, pixels in inner.items():
+        kept = (pixels % step == 0).all(1)
+        chosen = pixels[kept] if np.count_nonzero(kept) >= FEW else pixels
+        everywhere = patches[k].pixels()
+        albedo, place, normal = _seen(shapes, textures, view, near, everywhere, face)
+        seen = LINEAR[scene.photo.rgb[tuple(everywhere.T)]]
+        rows = patches[k].rows(chosen)
+        means = patches[k].means(albedo, chosen), patches[k].means(seen, chosen)
+        parts.append((np.full(len(chosen), k), *means, place[rows], normal[rows]))
+    return Evidence.of(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class _Patch:
+    """What shows an object: a mask within a window of the picture."""
+
+    corner: NDArray[np.int64]
+    """(2,) first row and column of the window."""
+    mask: Mask
+
+    @classmethod
+    def of(cls, whole: Mask) -> Self:
+        """The window is ``INSIDE`` pixels wider than what a mask (h, w) holds, within the picture."""
+        spans = [np.flatnonzero(whole.any(axis)) for axis in (1, 0)]
+        if not len(spans[0]):
+            return cls(np.zeros(2, np.int64), whole[:0, :0])
+        (top, bottom), (left, right) = ((max(s[0] - INSIDE, 0), s[-1] + 1 + INSIDE) for s in spans)
+        return cls(np.array([top, left]), whole[top:bottom, left:right])
+
+    def inner(self) -> NDArray[np.int64]:
+        """Pixels (n, 2) of the picture away from the mask's border, or all where these are few."""
+        inner = self.mask & ~grown(~self.mask, INSIDE)
+        return np.argwhere(inner if np.count_nonzero(inner) >= FEW else self.mask) + self.corner
+
+    def pixels(self) -> NDArray[np.int64]:
+        """All (n, 2) of the picture, in rows."""
+        return np.argwhere(self.mask) + self.corner
+
+    def rows(self, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Which of ``pixels`` some are."""
+        number = np.cumsum(self.mask).reshape(self.mask.shape) - 1
+        return number[tuple((chosen - self.corner).T)]
+
+    def means(self, colors: Array, chosen: NDArray[np.int64]) -> Array:
+        """Means (n, 3) of the ``colors`` of all pixels over the squares around some of them."""
+        from scipy.ndimage import uniform_filter
+
+        picture = np.zeros((*self.mask.shape, 4), np.float32)
+        picture[self.mask, :3], picture[self.mask, 3] = colors, 1
+        sums = uniform_filter(picture, BLUR, axes=(0, 1), mode="constant")
+        own = sums[tuple((chosen - self.corner).T)].astype(float)
+        return own[:, :3] / np.maximum(own[:, 3:], 1e-6)
 
 
 def _seen(
@@ -132,18 +145,6 @@ def _seen(
     fixed = raster.fixed(pixels, np.int64), raster.fixed(face, np.int32)
     seen_at(shapes, textures, view, near, *fixed, albedo, place, normal)
     return albedo, place, normal
-
-
-def _blurred(picture: NDArray[np.floating], where: Mask, pixels: NDArray[np.int64]) -> Array:
-    """Means (n, 3) of the picture around some pixels, over ``where`` only."""
-    from scipy.ndimage import uniform_filter
-
-    (y0, x0), (y1, x1) = np.argwhere(where).min(0), np.argwhere(where).max(0) + 1
-    window = where[y0:y1, x0:x1, None].astype(np.float32)
-    stacked = np.concatenate([picture[y0:y1, x0:x1].astype(np.float32) * window, window], axis=2)
-    sums = np.stack([uniform_filter(stacked[..., c], BLUR, mode="constant") for c in range(4)], axis=2)
-    own = sums[pixels[:, 0] - y0, pixels[:, 1] - x0].astype(float)
-    return own[:, :3] / np.maximum(own[:, 3:], 1e-6)
 
 
 def ground_points(camera: Camera, pixels: NDArray[np.int64]) -> Array:
@@ -156,21 +157,14 @@ def ground_points(camera: Camera, pixels: NDArray[np.int64]) -> Array:
     return camera.center + far[:, None] * rays
 
 
-def _of_ground(
-    scene: Scene, photo: Array, behind: Array, changed: Mask, ball: tuple[Array, float], samples: int
-) -> Evidence:
+def _of_ground(scene: Scene, background: NDArray[np.uint8], ball: tuple[Array, float], samples: int) -> Samples:
     """Ground that was completed, outside the objects: there alone photo and background differ."""
-    masks = grown(union_of([o.mask for o in scene.objects], changed.shape), APART)
-    pixels = np.argwhere(changed & ~masks)
+    photo = scene.photo.rgb
+    changed = np.any(photo != background, axis=2)
+    pixels = np.argwhere(changed & ~grown(union_of([o.mask for o in scene.objects], changed.shape), APART))
     points = ground_points(scene.camera, pixels)
     near = np.linalg.norm(points[:, :2] - ball[0][:2], axis=1) < REACH * ball[1]
     step = max(1, int(np.ceil(np.count_nonzero(near) / samples)))
     pixels, points = pixels[near][::step], points[near][::step]
-    y, x = pixels.T
-    return Evidence(
-        group=np.full(len(pixels), len(scene.objects)),
-        albedo=behind[y, x],
-        photo=photo[y, x],
-        points=points,
-        normals=np.tile([0.0, 0.0, 1.0], (len(pixels), 1)),
-    )
+    group, up = np.full(len(pixels), len(scene.objects)), np.tile(UP, (len(pixels), 1))
+    return group, LINEAR[background[tuple(pixels.T)]], LINEAR[photo[tuple(pixels.T)]], points, up

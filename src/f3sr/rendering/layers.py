@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import raster
+from f3sr.daemon import begun
 from f3sr.frames import Array, Camera, transform
 from f3sr.rendering.config import RenderConfig
 from f3sr.rendering.light import DIRECT, DIRECT_ON_GROUND, SKY, SKY_ON_GROUND, Light, disc, even_sky, ground_sky
@@ -45,7 +46,7 @@ class Things:
     """Per object, in its frame at its scale."""
     outward: tuple[bool, ...]
     """Per object, whether its back is always hidden by its front."""
-    casters: tuple[tuple[Caster, ...], tuple[Caster, ...]]
+    casters: tuple[tuple[Caster, ...], ...]
     """Of the disc's and of the sky's shadows, per object, likewise."""
     first_face: NDArray[np.int64]
     first_vertex: NDArray[np.int64]
@@ -53,12 +54,13 @@ class Things:
     @classmethod
     def of(cls, objects: Sequence[SceneObject], config: RenderConfig) -> Self:
         shadows = config.shadows
+        casters = begun(casters_of, objects, shadows.caster_faces, shadows.sky_caster_faces)
         return cls(
             shapes=shapes_of(objects, crease=config.crease),
             textures=textures_of(objects),
             vertices=tuple(o.scale * o.mesh.vertices for o in objects),
             outward=tuple(faces_outward(*o.mesh.welded) for o in objects),
-            casters=(casters_of(objects, shadows.caster_faces), casters_of(objects, shadows.sky_caster_faces)),
+            casters=casters.result(),
             first_face=starts_of([len(o.mesh.faces) for o in objects]),
             first_vertex=starts_of([len(o.mesh.vertices) for o in objects]),
         )

@@ -8,9 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from f3sr import raster
 from f3sr.frames import Array, rotation_about
 from f3sr.rendering.config import LightConfig
 from f3sr.rendering.evidence import FEW, Evidence
+from f3sr.rendering.fit_kernels import add_equations, sum_lit, sum_misfits
 from f3sr.rendering.light import DIRECT, Light, disc, even_sky
 from f3sr.rendering.shadow_maps import Caster, Maps
 from f3sr.rendering.textures import srgb
@@ -57,13 +59,17 @@ DEFAULT = Light(
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """``strength`` (4,): even, direct, sky, below; ``gains`` (groups, 3); ``misfit``: sum over samples of the logarithm
-    of their group's mean misfit; ``shown`` (n, 3): their colours."""
+    """``strength`` (4,) in ``bases`` (n, 4): even, direct, sky, below; ``gains`` (groups, 3); ``misfit``: sum over
+    samples of the logarithm of their group's mean misfit."""
 
     strength: Array
     gains: Array
     misfit: float
-    shown: Array
+    bases: Array
+
+    def shown(self, evidence: Evidence) -> Array:
+        """(n, 3) the samples' colours."""
+        return self.gains[evidence.group] * evidence.albedo * (self.bases @ self.strength)[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +124,8 @@ def find_light(
     chosen = best if directed else undirected
     light = _light(chosen.strength, direction if directed else DEFAULT.direction, angle if directed else DEFAULT.angle)
     scale = _on_open_ground(chosen.strength, light.direction)
-    return Found(light, chosen.gains[:objects] * scale, directed, best.misfit / n, undirected.misfit / n, chosen.shown)
+    shown = chosen.shown(evidence)
+    return Found(light, chosen.gains[:objects] * scale, directed, best.misfit / n, undirected.misfit / n, shown)
 
 
 def _on_open_ground(strength: Array, direction: Array) -> float:
@@ -169,44 +176,38 @@ def _fit(evidence: Evidence, bases: Array, groups: int) -> Fit:
     are weighed as sRGB would show them and by their group's spread (iteratively, so strays count less)."""
     from scipy.optimize import nnls
 
-    group, albedo, photo = evidence.group, evidence.albedo, evidence.photo
-    slope = np.maximum(photo, 0.01) ** (1 / 2.4 - 1) * 1.055 / 2.4
+    e, bases = evidence, raster.fixed(bases, np.float64)
     strength = used = np.array([0.5, 0.3 * bool(bases[:, 1].any()), 0.2, 0.0])
     gains = np.ones((groups, 3))
-    count = np.maximum(np.bincount(group, minlength=groups), 1)
-    misfit, shown = np.inf, albedo
+    count = np.bincount(e.group, minlength=groups)
+    above = np.stack([np.bincount(e.group, e.photo[:, c], groups) for c in range(3)], axis=1).astype(float)
+    misfit = np.inf
     for _ in range(ROUNDS):
-        lit = albedo * (bases @ strength)[:, None]
-        gains = _gains(group, lit, photo, groups)
-        shown = gains[group] * lit
+        below, misfits = np.zeros((groups, 3)), np.zeros(groups)
+        sum_lit(e.group, e.albedo, bases, strength, below)
+        gains = _gains(above, below, count)
         used = strength
-        residual = slope * (photo - shown)
-        size = np.abs(residual).mean(1)
-        mean = np.bincount(group, size, groups) / count
-        mean = np.maximum(mean, FINEST)
-        spread = mean[group][:, None]
-        misfit = float((count * np.log(mean)).sum())
-        weight = slope / spread / np.sqrt(1 + (np.abs(residual) / (LOOSE * spread)) ** 2)
-        scaled = (weight * gains[group] * albedo)[:, :, None] * bases[:, None, :]
-        design, target = scaled.reshape(-1, 4), (weight * photo).reshape(-1)
-        gram = design.T @ design
+        sum_misfits(e.group, e.albedo, e.photo, e.slope, bases, used, gains, misfits)
+        spread = np.maximum(misfits / np.maximum(count, 1), FINEST)
+        misfit = float((count * np.log(spread)).sum())
+        gram, target = np.zeros((4, 4)), np.zeros(4)
+        add_equations(e.group, e.albedo, e.photo, e.slope, bases, used, gains, spread, LOOSE, gram, target)
+        gram += np.tril(gram, -1).T
         root = np.linalg.cholesky(gram + 1e-9 * np.trace(gram) * np.eye(4)).T
-        strength = nnls(root, np.linalg.solve(root.T, design.T @ target))[0]
+        strength = nnls(root, np.linalg.solve(root.T, target))[0]
         strength /= max(float(strength.sum()), 1e-9)
-    return Fit(used, gains, misfit, shown)
+    return Fit(used, gains, misfit, bases)
 
 
-def _gains(group: NDArray[np.int64], lit: Array, photo: Array, groups: int) -> Array:
-    """Exposures (groups, 3) with which mean colours agree, drawn towards that of all objects together where there are
-    few samples.
+def _gains(above: Array, below: Array, count: NDArray[np.int64]) -> Array:
+    """Exposures (groups, 3) with which sums of colours of the photo, ``above``, and lit ones, ``below`` (groups, 3),
+    agree, drawn towards that of all objects together where there are few samples.
 
     Ratios of sums, not slopes of a regression: where texture and photo lie some pixels apart, a slope is too small, and
     most so in the channel with most contrast, which would tint the object.
     """
-    above, below = (np.stack([np.bincount(group, x[:, c], groups) for c in range(3)], axis=1) for x in (photo, lit))
     whole = above[:-1].sum(0) / np.maximum(below[:-1].sum(0), 1e-12)
-    count = np.maximum(np.bincount(group, minlength=groups), 1)
-    prior = PRIOR * (below.mean(1) / count)[:, None]  # of all channels: a dark one tells little of its own
+    prior = PRIOR * (below.mean(1) / np.maximum(count, 1))[:, None]  # of all channels: a dark one tells little
     gains = (above + prior * whole) / np.maximum(below + prior, 1e-12)
     grey = ((above + prior * whole).sum(1) / np.maximum((below + prior) @ whole, 1e-12))[:, None] * whole
     return np.clip(gains, grey / MOST_TINT, grey * MOST_TINT)

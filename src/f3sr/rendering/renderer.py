@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,9 +22,12 @@ from f3sr.silhouette import union_of
 class Renderer:
     """Draws frames; made by ``Renderer.of``. It keeps what it drew last, so one thread at a time may use it."""
 
-    def __init__(self, setting: Setting, decisions: tuple[str, ...] = ()) -> None:
-        self.setting = setting
+    def __init__(self, canvas: Canvas, decisions: tuple[str, ...], rest_light: NDArray[np.float32]) -> None:
+        self._canvas = canvas
         self.decisions = decisions
+        self.rest_light = rest_light
+        """(h, w, 3) the share of its light that the ground keeps beside the scene at rest, as the photo's camera sees
+        it; 1 from elsewhere."""
 
     @classmethod
     def of(
@@ -58,23 +60,19 @@ class Renderer:
             things=things,
             ball=ball,
             receives=ground_seen(view, scene.ground_mask if camera is None else None, ball),
-            already=_whole(view),
-            rest_light=_whole(view),
             kept=_nothing(view) if kept is None or camera is not None else kept,
         )
-        if config.shadows.enabled:
-            setting = replace(setting, rest_light=Canvas.light_left(setting, poses_at_rest(scene)))
-        if camera is None:
-            objects = union_of([o.mask for o in scene.objects], background.shape[:2])
-            already = shadows_within(setting.rest_light, scene.photo.rgb, background, objects)
-            setting = replace(setting, already=already)
-        return cls(setting, decisions)
+        canvas = Canvas(setting)
+        if camera is not None:
+            return cls(canvas, decisions, canvas.already)
+        rest_light = canvas.light_left(poses_at_rest(scene)) if config.shadows.enabled else canvas.already
+        objects = union_of([o.mask for o in scene.objects], background.shape[:2])
+        canvas.already = shadows_within(rest_light, scene.photo.rgb, background, objects)
+        return cls(canvas, decisions, rest_light)
 
     @property
-    def rest_light(self) -> NDArray[np.float32]:
-        """(h, w, 3) the share of its light that the ground keeps beside the scene at rest; 1 in what ``seen_from``
-        gives."""
-        return self.setting.rest_light
+    def setting(self) -> Setting:
+        return self._canvas.setting
 
     def seen_from(self, camera: Camera, background: NDArray[np.uint8]) -> Renderer:
         """A renderer of the same things in the same light from elsewhere, over a picture of that camera's size; quick,
@@ -86,10 +84,9 @@ class Renderer:
             background=np.ascontiguousarray(background),
             receives=ground_seen(camera, None, self.setting.ball),
             kept=_nothing(camera),
-            already=_whole(camera),
-            rest_light=_whole(camera),
         )
-        return Renderer(setting, self.decisions)
+        canvas = Canvas(setting)
+        return Renderer(canvas, self.decisions, canvas.already)
 
     def frame(self, T_world_object: ArrayLike) -> NDArray[np.uint8]:
         """The picture (h, w, 3) with the objects at poses (N, 4, 4), in the scene's order."""
@@ -98,10 +95,6 @@ class Renderer:
         if poses.shape != expected or not np.isfinite(poses).all():
             raise InputError("poses", found=f"shape {poses.shape}", accepted=f"finite ones of shape {expected}")
         return self._canvas.drawn(poses)
-
-    @cached_property
-    def _canvas(self) -> Canvas:
-        return Canvas(self.setting)
 
 
 def poses_at_rest(scene: Scene) -> Array:
@@ -128,7 +121,3 @@ def _check_size(background: NDArray[np.uint8], camera: Camera) -> None:
     if background.shape != wanted or background.dtype != np.uint8:
         found = f"{background.dtype} of shape {background.shape}"
         raise InputError("background", found=found, accepted=f"uint8 of shape {wanted}, the camera's")
-
-
-def _whole(camera: Camera) -> NDArray[np.float32]:
-    return np.ones((camera.height, camera.width, 3), np.float32)

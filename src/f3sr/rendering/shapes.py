@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -39,13 +40,13 @@ def _joined(arrays: Sequence[NDArray[Any]], dtype: Any, *shape: int) -> NDArray[
 
 def smooth_normals(mesh: Mesh, crease: float) -> NDArray[np.float32]:
     """Unit normals (m, 3, 3) of every face's corners, in the mesh's frame."""
-    unique, welded = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    faces = welded.reshape(-1)[mesh.faces]
+    places, place = mesh.weld
+    faces = place[mesh.faces]
     order = np.argsort(faces.ravel(), kind="stable")
-    first = np.searchsorted(faces.ravel()[order], np.arange(len(unique) + 1))
+    first = np.searchsorted(faces.ravel()[order], np.arange(len(places) + 1))
     out = np.empty((len(faces), 3, 3), np.float32)
     corner_normals(
-        raster.fixed(unique, np.float64),
+        raster.fixed(places, np.float64),
         raster.fixed(faces, np.int32),
         raster.fixed(first, np.int64),
         raster.fixed(order // 3, np.int64),
@@ -67,9 +68,11 @@ def _vertex_colors(mesh: Mesh) -> Array:
     return linear(mesh.vertex_colors / 255)
 
 
-def casters_of(objects: Sequence[SceneObject], faces: int) -> tuple[Caster, ...]:
-    """Every object in its frame at its scale, with about ``faces`` triangles or fewer."""
-    return tuple(_caster(o.scale, *_simplified(o.mesh, faces)) for o in objects)
+def casters_of(objects: Sequence[SceneObject], *faces: int) -> tuple[tuple[Caster, ...], ...]:
+    """For each number of ``faces``, most first, every object in its frame at its scale with about so many triangles or
+    fewer."""
+    made = [_casters(o, faces) for o in objects]
+    return tuple(tuple(casters[k] for casters in made) for k in range(len(faces)))
 
 
 def faces_outward(vertices: Array, faces: NDArray[np.int32]) -> bool:
@@ -77,34 +80,50 @@ def faces_outward(vertices: Array, faces: NDArray[np.int32]) -> bool:
     return is_closed(faces) and signed_volume(vertices, faces) > 0
 
 
-def _caster(scale: float, vertices: Array, faces: NDArray[np.int32]) -> Caster:
-    return Caster(scale * vertices, faces, faces_outward(vertices, faces))
-
-
-def _simplified(mesh: Mesh, faces: int) -> tuple[Array, NDArray[np.int32]]:
-    """Garland and Heckbert, "Surface simplification using quadric error metrics" (1997), on the welded surface, and
-    nowhere outside of it, where it would shade the very surface that it stands for."""
-    vertices, triangles = mesh.welded
-    if len(triangles) <= faces:
-        return vertices, triangles
+def _casters(o: SceneObject, faces: Sequence[int]) -> list[Caster]:
+    """Of an object with fewer and fewer triangles, by Garland and Heckbert, "Surface simplification using quadric error
+    metrics" (1997), on the welded surface, and nowhere outside of it, where they would shade the very surface that they
+    stand for."""
     import fast_simplification
 
-    simplified: Any = fast_simplification.simplify(vertices, triangles, target_count=faces)
-    return _withdrawn(np.asarray(simplified[0], np.float64), vertices, triangles), np.asarray(simplified[1], np.int32)
+    vertices, triangles = o.mesh.welded
+    within, made = _Within(vertices, triangles), list[Caster]()
+    for count in faces:
+        if len(triangles) > count:
+            simplified: Any = fast_simplification.simplify(vertices, triangles, target_count=count)
+            vertices = within.moved(np.asarray(simplified[0], np.float64))
+            triangles = np.asarray(simplified[1], np.int32)
+        made.append(Caster(o.scale * vertices, triangles, faces_outward(vertices, triangles)))
+    return made
 
 
-def _withdrawn(points: Array, vertices: Array, faces: NDArray[np.int32]) -> Array:
-    """``points`` (k, 3) that stand out of a surface moved back to it, against the normal of its nearest vertex."""
-    from scipy.spatial import KDTree
+class _Within:
+    """Moves points that stand out of a surface back to it, against the normal of its nearest vertex."""
 
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    sums = np.zeros_like(vertices)
-    for k in range(3):
-        np.add.at(sums, faces[:, k], np.cross(b - a, c - a))
-    nearest = np.asarray(KDTree(vertices).query(points)[1])
-    normals = sums[nearest] / np.maximum(np.linalg.norm(sums[nearest], axis=1), 1e-30)[:, None]
-    out = ((points - vertices[nearest]) * normals).sum(1)
-    return points - np.maximum(out, 0)[:, None] * normals
+    def __init__(self, vertices: Array, faces: NDArray[np.int32]) -> None:
+        self._vertices, self._faces = vertices, faces
+
+    @cached_property
+    def _tree(self) -> Any:
+        from scipy.spatial import KDTree
+
+        return KDTree(self._vertices)
+
+    @cached_property
+    def _sums(self) -> Array:
+        """(n, 3) along the normals of the vertices."""
+        corners = self._vertices[self._faces]
+        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        rows, count = self._faces.ravel(), len(self._vertices)
+        sums = [np.bincount(rows, np.repeat(across[:, c], 3), count) for c in range(3)]
+        return np.asarray(np.stack(sums, axis=1), np.float64)
+
+    def moved(self, points: Array) -> Array:
+        """(k, 3)"""
+        nearest = np.asarray(self._tree.query(points)[1])
+        normals = self._sums[nearest] / np.maximum(np.linalg.norm(self._sums[nearest], axis=1), 1e-30)[:, None]
+        out = ((points - self._vertices[nearest]) * normals).sum(1)
+        return points - np.maximum(out, 0)[:, None] * normals
 
 
 def starts_of(counts: Sequence[int]) -> NDArray[np.int64]:

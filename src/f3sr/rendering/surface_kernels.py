@@ -9,14 +9,13 @@ from numpy.typing import NDArray
 
 from f3sr.kernels import inline_kernel, kernel
 from f3sr.rendering.shadow_kernels import arriving
+from f3sr.rendering.texture_kernels import UNIT
 from f3sr.triangles import bounds, centres, corner, determinant, edge_functions, row_of, span
 
 SAME = 0.97
 """Cosine of normals up to which samples of a pixel share the light of one of them."""
 NEARBY = 0.01
 """Share of their distance to the camera up to which they do."""
-UNIT = 65535.0
-"""White in textures of 16 bits."""
 
 
 class Shapes(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 import PIL.Image
 from numpy.typing import NDArray
 
-from f3sr.page.markup import Child, Markup, el
+from f3sr.web.markup import Child, Markup, el
 
 QUALITY = 82
 """Of JPEG pictures; thin coloured lines keep their colour (no chroma subsampling)."""

@@ -42,17 +42,13 @@ def _collapsed(mesh: Mesh, faces: int) -> tuple[NDArray[np.float64], Indices]:
     """Places (k, 3) of the remaining vertices, and for every old vertex (n,) which of them it became."""
     import fast_simplification
 
-    places, weld = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    weld = weld.reshape(-1)
-    triangles = weld[mesh.faces]
-    a, b, c = triangles.T
-    triangles = np.ascontiguousarray(triangles[(a != b) & (b != c) & (c != a)], np.int32)
+    places, triangles = mesh.welded
     middle, size = places.mean(0), max(float(np.ptp(places, axis=0).max()), 1e-300)
     unit = np.ascontiguousarray((places - middle) / size, np.float32)
     simplify: Any = fast_simplification.simplify  # its annotations forget what it returns
     _, _, collapses = simplify(unit, triangles, target_count=faces, return_collapses=True)
     points, _, became = fast_simplification.replay_simplification(unit, triangles, collapses)
-    return np.asarray(points, float) * size + middle, np.asarray(became, np.int64)[weld]
+    return np.asarray(points, float) * size + middle, np.asarray(became, np.int64)[mesh.weld[1]]
 
 
 def _nearest_of_side(mesh: Mesh, points: NDArray[np.float64], cluster: Indices) -> tuple[Indices, Indices]:

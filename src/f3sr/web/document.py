@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import json
 from pathlib import Path
 from string import Template
+from typing import Any
 
-from f3sr.page.markup import Child, Markup, join
+from f3sr.web.markup import Child, Markup, join
+
+WEB = Path(__file__).parent
+"""Holds the style and scripts that pages share."""
 
 
 def document(title: str, body: Child, *, style: Markup, script: Markup, films: bool = False) -> bytes:
@@ -16,9 +21,14 @@ def document(title: str, body: Child, *, style: Markup, script: Markup, films: b
         f"default-src 'none'; img-src data:; {'media-src data:; ' if films else ''}"
         f"style-src {_hash(style)}; script-src {_hash(script)}; base-uri 'none'; form-action 'none'"
     )
-    template = Template(part(Path(__file__).parent / "page.html"))
+    template = Template(part(WEB / "page.html"))
     text = template.substitute(policy=policy, title=join(title), style=style, script=script, body=join(body))
     return text.encode("utf-8")
+
+
+def data(values: Any) -> Markup:
+    """Plain values as JSON that cannot end its script element."""
+    return Markup(json.dumps(values, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"))
 
 
 def part(*files: Path) -> Markup:

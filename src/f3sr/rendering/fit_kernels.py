@@ -1,0 +1,83 @@
+"""Kernels of the light's fit: sums over samples of what a light makes of their albedo, per group of samples."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numpy.typing import NDArray
+
+from f3sr.kernels import inline_kernel, kernel
+
+
+@inline_kernel
+def _lit(bases: NDArray[Any], i: int, strength: NDArray[Any]) -> float:
+    return bases[i, 0] * strength[0] + bases[i, 1] * strength[1] + bases[i, 2] * strength[2] + bases[i, 3] * strength[3]
+
+
+@kernel
+def sum_lit(
+    group: NDArray[Any], albedo: NDArray[Any], bases: NDArray[Any], strength: NDArray[Any], sums: NDArray[Any]
+) -> None:
+    """Add to ``sums`` (groups, 3) the albedo (n, 3) of their samples under light of ``strength`` (4,) in ``bases``
+    (n, 4)."""
+    for i in range(len(group)):
+        light = _lit(bases, i, strength)
+        for c in range(3):
+            sums[group[i], c] += light * albedo[i, c]
+
+
+@kernel
+def sum_misfits(
+    group: NDArray[Any],
+    albedo: NDArray[Any],
+    photo: NDArray[Any],
+    slope: NDArray[Any],
+    bases: NDArray[Any],
+    strength: NDArray[Any],
+    gains: NDArray[Any],
+    sums: NDArray[Any],
+) -> None:
+    """Add to ``sums`` (groups,) the misfits of their samples, each the mean over channels of the difference to the
+    photo (n, 3) times ``slope`` (n, 3), under the light and exposures ``gains`` (groups, 3)."""
+    for i in range(len(group)):
+        light, g = _lit(bases, i, strength), group[i]
+        misfit = 0.0
+        for c in range(3):
+            misfit += abs(slope[i, c] * (photo[i, c] - gains[g, c] * light * albedo[i, c]))
+        sums[g] += misfit / 3
+
+
+@kernel
+def add_equations(
+    group: NDArray[Any],
+    albedo: NDArray[Any],
+    photo: NDArray[Any],
+    slope: NDArray[Any],
+    bases: NDArray[Any],
+    strength: NDArray[Any],
+    gains: NDArray[Any],
+    spread: NDArray[Any],
+    loose: float,
+    gram: NDArray[Any],
+    target: NDArray[Any],
+) -> None:
+    """Add the normal equations ``gram`` (4, 4), its lower half, and ``target`` (4,) of the strengths with which
+    exposed samples are as the photo, each weighed by ``slope`` over its group's ``spread`` (groups,) and less the more
+    it is off, beyond ``loose`` of these."""
+    for i in range(len(group)):
+        light, g = _lit(bases, i, strength), group[i]
+        for c in range(3):
+            exposed = gains[g, c] * albedo[i, c]
+            off = slope[i, c] * (photo[i, c] - exposed * light) / (loose * spread[g])
+            weight = (slope[i, c] / spread[g]) ** 2 / (1 + off * off)
+            for j in range(4):
+                target[j] += weight * exposed * bases[i, j] * photo[i, c]
+                for k in range(j + 1):
+                    gram[j, k] += weight * exposed * exposed * bases[i, j] * bases[i, k]
+
+
+def warm_up() -> None:
+    """Compile every kernel of this module by drawing a tiny film with all."""
+    from f3sr.rendering import trial
+
+    trial.draw()

@@ -1,0 +1,74 @@
+"""Kernels that make a texture's levels of detail: its borders, halves of halves, and what no triangle shows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.kernels import kernel
+
+UNIT = 65535.0
+"""White in textures of 16 bits."""
+
+
+@kernel
+def border(
+    texture: NDArray[Any], table: NDArray[Any], drawn: NDArray[Any], sums: NDArray[Any], weights: NDArray[Any]
+) -> None:
+    """``sums`` (h, w, 3) and ``weights`` (h, w): the colours ``table`` (256, 3) of a texture (h, w, 3) where it is
+    ``drawn`` (h, w); beside that, which bilinear samples touch, the mean of the drawn neighbours; 0 elsewhere."""
+    height, width = drawn.shape
+    for y in range(height):
+        for x in range(width):
+            r = g = b = count = np.float32(0)
+            if drawn[y, x]:
+                r, g, b = table[texture[y, x, 0], 0], table[texture[y, x, 1], 1], table[texture[y, x, 2], 2]
+                count = np.float32(1)
+            else:
+                for i in range(max(y - 1, 0), min(y + 2, height)):
+                    for j in range(max(x - 1, 0), min(x + 2, width)):
+                        if drawn[i, j]:
+                            r += table[texture[i, j, 0], 0]
+                            g += table[texture[i, j, 1], 1]
+                            b += table[texture[i, j, 2], 2]
+                            count += np.float32(1)
+            share = 1 / count if count > 0 else np.float32(0)
+            sums[y, x, 0], sums[y, x, 1], sums[y, x, 2] = r * share, g * share, b * share
+            weights[y, x] = count * share
+
+
+@kernel
+def halve(sums: NDArray[Any], weights: NDArray[Any], half_sums: NDArray[Any], half_weights: NDArray[Any]) -> None:
+    """Means of two by two texels; the last row or column of an odd side counts twice."""
+    height, width = weights.shape
+    for y in range(half_weights.shape[0]):
+        i0, i1 = 2 * y, min(2 * y + 1, height - 1)
+        for x in range(half_weights.shape[1]):
+            j0, j1 = 2 * x, min(2 * x + 1, width - 1)
+            half_weights[y, x] = (weights[i0, j0] + weights[i0, j1] + weights[i1, j0] + weights[i1, j1]) / 4
+            for c in range(3):
+                total = sums[i0, j0, c] + sums[i0, j1, c] + sums[i1, j0, c] + sums[i1, j1, c]
+                half_sums[y, x, c] = total / 4
+
+
+@kernel
+def settle(sums: NDArray[Any], weights: NDArray[Any], coarser: NDArray[Any], texels: NDArray[Any]) -> None:
+    """``texels`` (h, w, 3) of 16 bits: sums over weights, or the ``coarser`` level's where nothing is known."""
+    height, width = weights.shape
+    for y in range(height):
+        for x in range(width):
+            known = weights[y, x] > 0
+            for c in range(3):
+                if known:
+                    texels[y, x, c] = int(sums[y, x, c] / weights[y, x] * UNIT + 0.5)
+                else:
+                    texels[y, x, c] = coarser[y // 2, x // 2, c]
+
+
+def warm_up() -> None:
+    """Compile every kernel of this module by drawing a tiny film with all."""
+    from f3sr.rendering import trial
+
+    trial.draw()
