@@ -21,7 +21,7 @@ Picture = NDArray[np.uint8]
 
 CRF = 18
 """x264's constant rate factor: errors that are not seen, at 250 to 450 kB a second of 960x720."""
-PRESET = "medium"
+PRESET = "veryfast"
 KEY_SECONDS = 1.0
 """Film time between key frames [s]: a player that is asked for a frame decodes from the key frame before it; half of
 this makes files a third larger."""

@@ -32,6 +32,7 @@ from f3sr.rendering.picture_kernels import (
     light_left,
     mark_changed,
 )
+from f3sr.rendering.shadow_kernels import note_changes
 from f3sr.rendering.surface_kernels import Lamps, View, mark_shadowed, shade, tile_depths
 from f3sr.rendering.textures import LINEAR, srgb
 
@@ -42,6 +43,8 @@ TILE = 8
 BLURS = 1, 2
 """Reach of the filters over the shadows of the disc and of the sky [cells]: the sky's lights lie far apart, and each
 has an edge."""
+BLOCK = 2
+"""Side of the squares of a light's map that have changed or not [texel]."""
 QUIET = 12
 """Frames without motion after which an object is drawn with those that stay."""
 HIDES = 1.03
@@ -95,6 +98,9 @@ class Canvas:
         self._words = ground_words(s.light)
         self._weight = raster.fixed(s.light.hidden / BLUR_SUM, np.float64)
         self._still, self._drawn = self._buffers(), self._buffers()
+        lights, size, _ = self._drawn.maps.nearest.shape
+        self._nearest_before = self._drawn.maps.nearest.copy()
+        self._spans = np.empty((lights, -(-size // BLOCK), -(-size // BLOCK), 2), np.float32)
         self._color, self._cover = np.zeros((h, w, 3), np.float32), np.zeros((h, w), np.uint8)
         shape = 2, self._cells.height, self._cells.width
         self._counts, self._rows, self._blurred = (np.zeros(shape, np.int32) for _ in range(3))
@@ -140,14 +146,16 @@ class Canvas:
             self._stays = frozenset(range(len(poses)))
             self._add(self._still, view, poses, sorted(self._stays))
             self._drawn.take(self._still)
-            self._measure_and_mark([(0, self._dirty.shape[0], 0, self._dirty.shape[1])], view)
+            np.copyto(self._nearest_before, self._drawn.maps.nearest)
+            self._measure([(0, self._dirty.shape[0], 0, self._dirty.shape[1])])
         else:
             self._settle(view, poses, changed)
             squares = [self._square(v, k) for v in (before, view) for k in changed]
-            texels = np.array([self._texels(T[k], k) for k in changed for T in (old, poses)])
+            texels = np.stack([self._texels(T[k], k) for k in changed for T in (old, poses)])
             self._restore(squares, texels)
             self._add(self._drawn, view, poses, [k for k in range(len(poses)) if k not in self._stays])
-            self._measure_and_mark(squares, view, texels)
+            self._measure(squares)
+            self._mark_shadowed(view, texels)
         self._poses, self._view, self._composed = poses, view, False
         self._shade(view)
         self._count()
@@ -187,35 +195,50 @@ class Canvas:
         (left, top), (right, bottom) = (np.clip(v, 0, [columns, rows]).astype(int).tolist() for v in (low, high))
         return top, bottom, left, right
 
-    def _texels(self, T: Array, k: int) -> Array:
-        """(L, 5) what of every map an object at a pose reaches: see ``Maps.reached``."""
+    def _texels(self, T: Array, k: int) -> NDArray[np.int64]:
+        """(L, 4) what of every map an object at a pose reaches: see ``Maps.reached``."""
         points = [transform(T, kind[k].vertices) for kind in self.setting.things.casters]
         return self._drawn.maps.reached(np.concatenate(points))
 
-    def _restore(self, squares: Sequence[Rectangle], texels: Array) -> None:
+    def _restore(self, squares: Sequence[Rectangle], texels: NDArray[np.int64]) -> None:
         """Take over the still buffers where something moved."""
         side = TILE * self.setting.config.samples
         for top, bottom, left, right in squares:
             window = slice(top * side, bottom * side), slice(left * side, right * side)
             self._drawn.face[window] = self._still.face[window]
             self._drawn.nearness[window] = self._still.nearness[window]
-        size = self._drawn.maps.nearest.shape[1]
-        for reached in np.clip(texels[..., :4], 0, size).astype(int).tolist():
+        for reached in np.maximum(texels, 0).tolist():
             for light, (left, right, top, bottom) in enumerate(reached):
                 window = light, slice(top, bottom + 1), slice(left, right + 1)
                 self._drawn.maps.nearest[window] = self._still.maps.nearest[window]
         np.copyto(self._drawn.bits, self._still.bits)
 
-    def _measure_and_mark(self, squares: Sequence[Rectangle], view: View, texels: Array | None = None) -> None:
-        """Find the tiles to colour: some squares of them, and those that read one of some ``texels``."""
-        side, maps = TILE * self.setting.config.samples, self._drawn.maps
+    def _measure(self, squares: Sequence[Rectangle]) -> None:
+        """Look at what some squares of tiles show, which are to be coloured."""
         self._dirty[:] = False
         for top, bottom, left, right in squares:
+            side = TILE * self.setting.config.samples
             tile_depths(self._drawn.nearness, side, top, bottom, left, right, self._depths)
             self._dirty[top:bottom, left:right] = True
-        if texels is not None:
-            fixed = raster.fixed(texels, np.float64)
-            mark_shadowed(self._depths, side, view.rays, maps.frames, fixed, maps.offset, maps.texel, self._dirty)
+
+    def _mark_shadowed(self, view: View, texels: NDArray[np.int64]) -> None:
+        """Find the tiles whose light has changed with some ``texels`` (k, L, 4) of the maps."""
+        maps, spans, limits = self._drawn.maps, self._spans, np.empty((len(self._spans), 5))
+        parts = raster.fixed(texels.swapaxes(0, 1), np.int64)
+
+        def note(light: int) -> None:
+            before = self._nearest_before[light]
+            note_changes(maps.nearest[light], before, parts[light], BLOCK, spans[light], limits[light])
+
+        raster.share(note, range(len(spans)))
+
+        def mark(band: tuple[int, int]) -> None:
+            mark_shadowed(
+                *(self._depths, TILE * self.setting.config.samples, view.rays, maps.frames, spans, BLOCK, limits),
+                *(maps.offset, maps.bias, maps.texel, *band, self._dirty),
+            )
+
+        raster.in_bands(mark, (0, len(self._dirty)), BANDS * raster.THREADS)
 
     def _shade(self, view: View) -> None:
         s, drawn = self.setting, self._drawn

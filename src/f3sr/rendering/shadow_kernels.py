@@ -49,6 +49,36 @@ def cast_map(
                         nearest[row, column] = t
 
 
+@kernel
+def note_changes(
+    nearest: NDArray[Any],
+    before: NDArray[Any],
+    parts: NDArray[Any],
+    block: int,
+    spans: NDArray[Any],
+    limits: NDArray[Any],
+) -> None:
+    """Make ``before`` (s, s) equal to a light's map in some ``parts`` (k, 4), first and last column and row of each,
+    and ``spans`` (b, b, 2) the least and the largest place, old or new, of what changed in squares of ``block``
+    texels; inf and -inf where nothing did. ``limits`` (5,): the first and last column and row that changed, and the
+    largest place."""
+    side = len(nearest)
+    spans[:, :, 0], spans[:, :, 1] = np.inf, -np.inf
+    limits[0], limits[1], limits[2], limits[3], limits[4] = np.inf, -np.inf, np.inf, -np.inf, -np.inf
+    for k in range(len(parts)):
+        for row in range(max(parts[k, 2], 0), min(parts[k, 3] + 1, side)):
+            for column in range(max(parts[k, 0], 0), min(parts[k, 1] + 1, side)):
+                new, old = nearest[row, column], before[row, column]
+                if new != old:
+                    i, j = row // block, column // block
+                    spans[i, j, 0] = min(spans[i, j, 0], new, old)
+                    spans[i, j, 1] = max(spans[i, j, 1], new, old)
+                    limits[0], limits[1] = min(limits[0], column), max(limits[1], column)
+                    limits[2], limits[3] = min(limits[2], row), max(limits[3], row)
+                    limits[4] = max(limits[4], new, old)
+                    before[row, column] = new
+
+
 Line = tuple[float, float, float]
 """a and b of a line x = a y + b, and 1 where a triangle lies to its right, -1 to its left; 0 for a level line, where it
 lies at a y + b >= 0."""

@@ -66,15 +66,15 @@ class Maps:
 
         raster.share(draw, range(len(self.directions))[lights])
 
-    def reached(self, points: Array) -> Array:
-        """(L, 5) first and last column, first and last row of every map that a surface through points (n, 3) and within
-        their hull can change, and its largest place; none where there are no points."""
+    def reached(self, points: Array) -> NDArray[np.int64]:
+        """(L, 4) first and last column, first and last row of every map that a surface through points (n, 3) and within
+        their hull can change; none where there are no points."""
         if not len(points):
-            return np.tile([0.0, -1.0, 0.0, -1.0, -np.inf], (len(self.directions), 1))
-        placed = self.frames[:, :, :3] @ points.T + self.frames[:, :, 3:]
+            return np.tile([0, -1, 0, -1], (len(self.directions), 1))
+        placed = self.frames[:, :2, :3] @ points.T + self.frames[:, :2, 3:]
         low, high = placed.min(2), placed.max(2)
-        texels = np.floor([low[:, 0], high[:, 0], low[:, 1], high[:, 1]])
-        return np.column_stack([*texels, high[:, 2]])
+        texels = np.floor(np.column_stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]]))
+        return np.clip(texels, -1, self.nearest.shape[1]).astype(np.int64)
 
     def arriving(self, points: Array, normals: Array) -> Array:
         """(n, L) cosines times visibility at points (n, 3) with normals (n, 3)."""

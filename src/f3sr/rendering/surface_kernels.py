@@ -413,22 +413,48 @@ def tile_depths(
             out[i, j, 0], out[i, j, 1] = (low, high) if high > 0 else (np.float32(0), np.float32(0))
 
 
+@inline_kernel
+def _is_clear(
+    middle: NDArray[Any],
+    radius: float,
+    frame: NDArray[Any],
+    limits: NDArray[Any],
+    around: float,
+    texel: float,
+    offset: float,
+) -> bool:
+    """Whether a ball reads nothing of a map within its ``limits``."""
+    x, y, z = middle[0], middle[1], middle[2]
+    u = frame[0, 0] * x + frame[0, 1] * y + frame[0, 2] * z + frame[0, 3]
+    v = frame[1, 0] * x + frame[1, 1] * y + frame[1, 2] * z + frame[1, 3]
+    t = frame[2, 0] * x + frame[2, 1] * y + frame[2, 2] * z + frame[2, 3]
+    reach = radius / texel + around + 1
+    beside = u + reach < limits[0] or u - reach > limits[1] or v + reach < limits[2] or v - reach > limits[3]
+    return beside or t - radius - offset >= limits[4]
+
+
 @kernel
 def mark_shadowed(
     depths: NDArray[Any],
     side: int,
     rays: NDArray[Any],
     frames: NDArray[Any],
-    changed: NDArray[Any],
-    reach: float,
+    spans: NDArray[Any],
+    block: int,
+    limits: NDArray[Any],
+    offset: float,
+    bias: float,
     texel: float,
+    top: int,
+    bottom: int,
     dirty: NDArray[Any],
 ) -> None:
-    """Set ``dirty`` (rows, columns) where what a tile shows may be shaded by what ``changed`` (k, L, 5): the first and
-    last column and row of parts of every light's map that were drawn anew, and the largest place in them. Points are
-    looked at ``reach`` [m] around themselves."""
-    corners = np.empty((8, 3))
-    for i in range(depths.shape[0]):
+    """Set ``dirty`` (rows, columns), in the rows [top, bottom), where the light of what a tile shows may be another,
+    because a texel of a map that it reads has been on one side of it and is on the other: ``spans`` (L, b, b, 2) and
+    ``limits`` (L, 5) of ``note_changes``."""
+    corners, middle = np.empty((8, 3)), np.empty(3)
+    around, last = offset / texel + 0.75, spans.shape[1] - 1
+    for i in range(top, bottom):
         for j in range(depths.shape[1]):
             if dirty[i, j] or depths[i, j, 1] == 0:
                 continue
@@ -437,21 +463,29 @@ def mark_shadowed(
                 z = 1 / float(depths[i, j, k >> 2])
                 for c in range(3):
                     corners[k, c] = z * (rays[c, 0] * x + rays[c, 1] * y + rays[c, 2]) + rays[c, 3]
+            radius = 0.0
+            for c in range(3):
+                middle[c] = corners[:, c].mean()
+                radius += ((corners[:, c].max() - corners[:, c].min()) / 2) ** 2
+            radius = np.sqrt(radius)
             for light in range(len(frames)):
-                u0, u1, v0, v1, low = np.inf, -np.inf, np.inf, -np.inf, np.inf
+                if _is_clear(middle, radius, frames[light], limits[light], around, texel, offset):
+                    continue
+                u0, u1, v0, v1, low, high = np.inf, -np.inf, np.inf, -np.inf, np.inf, -np.inf
                 f = frames[light]
                 for k in range(8):
                     x, y, z = corners[k, 0], corners[k, 1], corners[k, 2]
                     u = f[0, 0] * x + f[0, 1] * y + f[0, 2] * z + f[0, 3]
                     v = f[1, 0] * x + f[1, 1] * y + f[1, 2] * z + f[1, 3]
+                    t = f[2, 0] * x + f[2, 1] * y + f[2, 2] * z + f[2, 3]
                     u0, u1, v0, v1 = min(u0, u), max(u1, u), min(v0, v), max(v1, v)
-                    low = min(low, f[2, 0] * x + f[2, 1] * y + f[2, 2] * z + f[2, 3] - reach)
-                around = reach / texel + 2
-                u0, u1, v0, v1 = u0 - around, u1 + around, v0 - around, v1 + around
-                for k in range(len(changed)):
-                    part = changed[k, light]
-                    if part[4] > low and u1 >= part[0] and u0 <= part[1] and v1 >= part[2] and v0 <= part[3]:
-                        dirty[i, j] = True
+                    low, high = min(low, t - offset), max(high, t + offset + bias)
+                first_column, last_column = max((u0 - around) // block, 0), min((u1 + around) // block, last)
+                first_row, last_row = max((v0 - around) // block, 0), min((v1 + around) // block, last)
+                for row in range(int(first_row), int(last_row) + 1):
+                    for column in range(int(first_column), int(last_column) + 1):
+                        if spans[light, row, column, 1] > low and spans[light, row, column, 0] <= high:
+                            dirty[i, j] = True
                 if dirty[i, j]:
                     break
 
