@@ -106,7 +106,7 @@ def test_order_and_deadlines(scene: Scene) -> None:
     late = one(Displaced(a=1, at_least=0.15, within=0.3), rollout, scene)
     assert not late.met and late.margin == pytest.approx(-0.2) and late.unit == "s" and "late" in late.said
     nothing, then = judge((Displaced(a=0, at_least=1.0), Contact(a=0, b=1, after=0)), rollout, scene)
-    assert not nothing.met and not then.met and then.said.startswith("what it is to come after")
+    assert not nothing.met and not then.met and then.said.startswith("condition 1, which it comes after,")
     with pytest.raises(ValueError, match="an earlier one"):
         TaskSpec(kind="slide", active=0, conditions=(Contact(a=0, b=1, after=0),), interpretation="")
 

@@ -27,7 +27,7 @@ from f3sr.film.strip import Title, strip
 from f3sr.film.timeline import pairs_of
 from f3sr.film.times import factor, finer, rate_of
 from f3sr.film.video import even, yuv420
-from f3sr.film.words import told
+from f3sr.film.words import clock, happened, told
 from f3sr.goals.plan import Contact
 from f3sr.goals.verify import verify
 from f3sr.scene import GROUND
@@ -280,6 +280,11 @@ def test_moments_are_few_in_order_and_hold_every_met_condition(goal: str):
         if judged.met and judged.time is not None and isinstance(judged.condition, Contact):
             near = [m for m in moments if abs(played.rollout.time[m.frame] - judged.time) < 0.09]
             assert near, judged.said
+            words = happened(judged.condition, g.scene)
+            told_at = {clock(m.time) if w == words else w for m in moments for w in m.what if w.startswith(words)}
+            assert told_at <= {clock(judged.time), f"{words} ({clock(judged.time)})"}, (
+                "the verdict's time, and no other"
+            )
     for m in moments:  # the first frame that shows it
         assert m.time - 1e-6 <= played.rollout.time[m.frame] < m.time + 1 / 30 + 1e-6
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from f3sr.film.words import happened, metres, named
+from f3sr.film.words import clock, happened, metres, named
 from f3sr.frames import Array
 from f3sr.goals.plan import Contact, Displaced, Height, Plan, Rolled
 from f3sr.goals.rollout import Rollout
@@ -153,15 +153,24 @@ def _impact(seen: Seen, plan: Plan, verdict: Verdict) -> Iterator[Moment]:
 
 def _merged(moments: list[Moment]) -> list[Moment]:
     """Moments of a frame, or so close that they look the same, as one, at the last of their frames; the start stays."""
-    found: list[Moment] = []
+    groups = list[list[Moment]]()
     for m in moments:
-        last = found[-1] if found else None
+        last = groups[-1][-1] if groups else None
         if last and (m.frame == last.frame or (last.frame > 0 and m.time - last.time < CLOSE)):
-            what = (*last.what, *(w for w in m.what if w not in last.what))
-            found[-1] = replace(m, what=what, rank=min(last.rank, m.rank))
+            groups[-1].append(m)
         else:
-            found.append(m)
-    return found
+            groups.append([m])
+    return [_one(group) for group in groups]
+
+
+def _one(group: Sequence[Moment]) -> Moment:
+    """The last with all that is said; what was earlier than its clock shows with its own time."""
+    last, times = group[-1], dict[str, str]()
+    for m in group:
+        for words in m.what:
+            times.setdefault(words, clock(m.time))
+    what = tuple(words if time == clock(last.time) else f"{words} ({time})" for words, time in times.items())
+    return replace(last, what=what, rank=min(m.rank for m in group))
 
 
 def _least(moments: list[Moment]) -> Moment:

@@ -13,7 +13,7 @@ from f3sr.export.gltf import encode_png
 from f3sr.film.captions import INK, PAPER, captioned, font, wrapped
 from f3sr.film.moments import Moment
 from f3sr.film.video import Picture
-from f3sr.film.words import told
+from f3sr.film.words import clock, told
 from f3sr.pictures import resized
 
 CELL = 480
@@ -56,10 +56,6 @@ def strip(moments: Sequence[Moment], pictures: Sequence[Picture], title: Title) 
                 draw.text((left, top + height + 6 + n * (up + down)), line, fill=INK, font=font(TEXT))
         top += step
     return encode_png(np.asarray(sheet))
-
-
-def clock(time: float) -> str:
-    return f"{time:.2f} s"
 
 
 def _entitle(draw: ImageDraw.ImageDraw, title: Title, width: int) -> None:

@@ -38,6 +38,10 @@ def told(statements: Sequence[str]) -> str:
     return line
 
 
+def clock(time: float) -> str:
+    return f"{time:.2f} s"
+
+
 def metres(length: float) -> str:
     """A length as people say it."""
     if length < 0.0995:

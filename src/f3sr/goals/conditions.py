@@ -55,12 +55,14 @@ def judge(conditions: Sequence[p.Condition], rollout: Rollout, scene: Scene) -> 
     seen = Seen(rollout, scene)
     found: list[Judged] = []
     for condition in conditions:
-        before = None if condition.after is None else found[condition.after]
-        if before is not None and not before.met:
-            said = f"what it is to come after did not happen: {before.said}"
-            found.append(replace(before, condition=condition, said=said))
-            continue
-        start = 0.0 if before is None or before.time is None else before.time
+        start = 0.0
+        if condition.after is not None:
+            before = found[condition.after]
+            if not before.met:
+                said = f"condition {condition.after + 1}, which it comes after, did not happen"
+                found.append(replace(before, condition=condition, said=said))
+                continue
+            start = before.time or 0.0
         found.append(_in_time(_MEASURES[type(condition)](condition, seen, start), condition.within))
     return found
 
