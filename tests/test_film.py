@@ -282,9 +282,7 @@ def test_moments_are_few_in_order_and_hold_every_met_condition(goal: str):
             assert near, judged.said
             words = happened(judged.condition, g.scene)
             told_at = {clock(m.time) if w == words else w for m in moments for w in m.what if w.startswith(words)}
-            assert told_at <= {clock(judged.time), f"{words} ({clock(judged.time)})"}, (
-                "and no other time"
-            )
+            assert told_at <= {clock(judged.time), f"{words} ({clock(judged.time)})"}, "and no other time"
     for m in moments:  # the first frame that shows it
         assert m.time - 1e-6 <= played.rollout.time[m.frame] < m.time + 1 / 30 + 1e-6
 

@@ -185,14 +185,10 @@ class Canvas:
 
     def _square(self, view: View, k: int) -> Rectangle:
         """The tiles that an object may be seen in."""
-        first, stop = self.setting.things.first_vertex[k : k + 2].tolist()
-        rows, columns = self._dirty.shape
-        if view.clipped[k] or first == stop:
-            return (0, rows, 0, columns)
-        side = TILE * self.setting.config.samples
-        low = np.floor((view.points[first:stop, 3:].min(0) - 1) / side)
-        high = np.floor((view.points[first:stop, 3:].max(0) + 1) / side) + 1
-        (left, top), (right, bottom) = (np.clip(v, 0, [columns, rows]).astype(int).tolist() for v in (low, high))
+        side, most = TILE * self.setting.config.samples, self._dirty.shape
+        low = np.clip(np.floor((view.extents[k, [2, 0]] - 1) / side), 0, most)
+        high = np.clip(np.floor((view.extents[k, [3, 1]] + 1) / side) + 1, 0, most)
+        (top, left), (bottom, right) = low.astype(int).tolist(), high.astype(int).tolist()
         return top, bottom, left, right
 
     def _texels(self, T: Array, k: int) -> NDArray[np.int64]:

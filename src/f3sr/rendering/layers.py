@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -18,7 +17,7 @@ from f3sr.rendering.light import DIRECT, DIRECT_ON_GROUND, SKY, SKY_ON_GROUND, L
 from f3sr.rendering.shadow_kernels import cast_on_ground
 from f3sr.rendering.shadow_maps import Caster, Maps, world_casters
 from f3sr.rendering.shapes import casters_of, faces_outward, shapes_of, starts_of
-from f3sr.rendering.surface_kernels import Shapes, Textures, View, nearest_faces
+from f3sr.rendering.surface_kernels import Shapes, Textures, View, find_extents, nearest_faces
 from f3sr.rendering.textures import textures_of
 from f3sr.scene import SceneObject
 from f3sr.triangles import project
@@ -72,13 +71,13 @@ class Things:
         for k, (T, v) in enumerate(zip(poses, self.vertices, strict=True)):
             seen = raster.fixed(camera.to_camera(transform(T, v)), np.float64)
             project(seen, K, near, points[self.first_vertex[k] : self.first_vertex[k + 1]])
-        starts = self.first_vertex
-        clipped = [bool((points[a:b, 2] < near).any()) for a, b in pairwise(starts.tolist())]
+        extents = np.empty((len(self.vertices), 4))
+        find_extents(points, raster.fixed(self.first_vertex, np.int64), near, extents)
         rays = np.column_stack([camera.T_world_camera[:3, :3] @ np.linalg.inv(camera.K), camera.center])
         return View(
             points=raster.fixed(points, np.float64),
             turns=raster.fixed(poses[:, :3, :3], np.float64),
-            clipped=raster.fixed(clipped, np.bool_),
+            extents=raster.fixed(extents, np.float64),
             rays=raster.fixed(rays, np.float64),
         )
 
@@ -129,30 +128,30 @@ class Buffers:
 
 def draw_surfaces(things: Things, view: View, chosen: Sequence[int], near: float, buffers: Buffers) -> None:
     """Draw the faces of some objects."""
-    height = len(buffers.face)
 
     def draw(band: tuple[int, int]) -> None:
         for k in chosen:
             faces = int(things.first_face[k]), int(things.first_face[k + 1])
             nearest_faces(
-                *(view.points, things.shapes.faces, *faces, things.outward[k] and not view.clipped[k]),
+                *(
+                    view.points,
+                    things.shapes.faces,
+                    *faces,
+                    things.outward[k] and bool(np.isfinite(view.extents[k, 0])),
+                ),
                 *(near, *band, buffers.face, buffers.nearness),
             )
 
-    raster.in_bands(draw, _rows(view, things, chosen, height), raster.THREADS)
+    raster.in_bands(draw, _rows(view, chosen, len(buffers.face)), raster.THREADS)
 
 
-def _rows(view: View, things: Things, chosen: Sequence[int], height: int) -> tuple[int, int]:
-    """The rows that some objects may touch: all, when one reaches behind the near plane."""
-    low, high = float(height), 0.0
-    for k in chosen:
-        v = view.points[things.first_vertex[k] : things.first_vertex[k + 1], 4]
-        if len(v):
-            low, high = np.minimum(low, v.min()), np.maximum(high, v.max())
-    if not np.isfinite(low + high):
-        return 0, height
-    first, last = np.clip([np.floor(low - 1), np.ceil(high + 1)], 0, height)
-    return int(first), max(int(first), int(last))
+def _rows(view: View, chosen: Sequence[int], height: int) -> tuple[int, int]:
+    """The rows that some objects may touch."""
+    low, high = view.extents[list(chosen), 2].min(initial=np.inf), view.extents[list(chosen), 3].max(initial=-np.inf)
+    if low > high:
+        return 0, 0
+    first, last = np.clip([low - 1, high + 1], 0, height)
+    return int(np.floor(first)), int(np.ceil(last))
 
 
 def ground_words(light: Light) -> list[Array]:

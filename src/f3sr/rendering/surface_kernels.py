@@ -57,8 +57,9 @@ class View(NamedTuple):
     """(V, 5) projected vertices on the grid of samples."""
     turns: NDArray[np.float64]
     """(O, 3, 3) rotations of the objects."""
-    clipped: NDArray[np.bool_]
-    """(O,) whether any of an object's vertices lies before the near plane."""
+    extents: NDArray[np.float64]
+    """(O, 4) least and largest u, least and largest v of every object: infinite, -inf first, where one of its vertices
+    lies before the near plane; inf first where it has none."""
     rays: NDArray[np.float64]
     """(3, 4): a sample (x, y, 1) at depth z lies at z times the first three columns' product with it, plus the last."""
 
@@ -82,6 +83,20 @@ class Lamps(NamedTuple):
     """(4, 3) linear light per channel: even, direct, of the sky, from below."""
     gains: NDArray[np.float64]
     """(O, 3) exposure of every object."""
+
+
+@kernel
+def find_extents(points: NDArray[Any], starts: NDArray[Any], near: float, extents: NDArray[Any]) -> None:
+    """``View.extents`` of objects whose vertices begin at ``starts`` (O + 1,) in ``points``."""
+    for k in range(len(extents)):
+        u0, u1, v0, v1 = np.inf, -np.inf, np.inf, -np.inf
+        for i in range(starts[k], starts[k + 1]):
+            if points[i, 2] < near:
+                u0, u1, v0, v1 = -np.inf, np.inf, -np.inf, np.inf
+                break
+            u0, u1 = min(u0, points[i, 3]), max(u1, points[i, 3])
+            v0, v1 = min(v0, points[i, 4]), max(v1, points[i, 4])
+        extents[k, 0], extents[k, 1], extents[k, 2], extents[k, 3] = u0, u1, v0, v1
 
 
 @kernel
