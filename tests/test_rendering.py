@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -336,6 +337,51 @@ def test_the_photo_stays_as_it_is_where_it_was_not_completed() -> None:
     outside = ~grown(near | objects, 2)
     assert (photo[outside] != GREY).any()  # shadows of the sky reach there
     assert np.array_equal(renderer.frame(at_rest(scene))[outside], photo[outside])
+
+
+def shadowed() -> tuple[Scene, NDArray[np.bool_], NDArray[np.bool_]]:
+    """``big_table`` in a photo whose shadows are redder and darker than any light's, ground beside its objects, and the
+    part of it in shadow."""
+    scene = big_table()
+    light = Light(direction=np.array([0.5, 0, 0.87]), angle=0.2, direct=np.full(3, 0.6), sky=np.full(3, 0.4))
+    photo = lit(scene, light).drawn(at_rest(scene))
+    ground = ~grown(raster.visible_ids(scene.objects, scene.camera) >= 0, 4)
+    dark = ground & (photo < GREY - 12).all(2)
+    photo = np.where(dark[..., None], photo * [0.9, 0.8, 0.75], photo).astype(np.uint8)
+    return replace(scene, photo=Photo(rgb=photo)), ground, dark
+
+
+def test_the_scene_at_rest_has_the_photos_own_shadows_and_what_leaves_takes_its_own_along() -> None:
+    scene, ground, dark = shadowed()
+    renderer = Renderer.of(scene, plain(scene.camera))
+    assert dark.sum() > 300
+    off = np.abs(renderer.frame(at_rest(scene)).astype(int) - scene.photo.rgb)
+    assert off[dark].mean() < 4 and off[ground].mean() < 2
+    away = at_rest(scene)
+    away[:, :3, 3] += [0, -40.0, 0]  # behind the camera
+    assert np.array_equal(renderer.frame(away), plain(scene.camera)), "and the background is whole"
+    assert not renderer.decisions[1:]
+
+
+def test_shadows_of_the_photo_go_without_a_step() -> None:
+    scene, ground, _ = shadowed()
+    renderer = Renderer.of(scene, plain(scene.camera))
+    frames = []
+    for k in range(9):
+        T = at_rest(scene)
+        T[:, 2, 3] += 0.002 * k
+        frames.append(renderer.frame(T)[ground].astype(int))
+    assert max(np.abs(b - a).mean() for a, b in pairwise(frames)) < 1.5
+    assert np.abs(frames[1] - frames[0]).mean() < 2 * np.abs(frames[2] - frames[1]).mean() + 0.1
+
+
+def test_a_background_in_another_light_says_nothing_of_the_photos_shadows() -> None:
+    scene, _, dark = shadowed()
+    other = np.full_like(scene.photo.rgb, [30, 200, 60])
+    renderer = Renderer.of(scene, other)
+    assert any("not lit as the photo" in d for d in renderer.decisions)
+    tint = renderer.frame(at_rest(scene))[dark].astype(float)
+    assert np.all(tint[:, 1] > 2 * tint[:, 0])
 
 
 def test_what_flies_past_the_camera_is_cut_at_the_near_plane() -> None:

@@ -89,8 +89,7 @@ class Canvas:
     def __init__(self, setting: Setting) -> None:
         s, samples = setting, setting.config.samples
         self.setting = setting
-        self.already = np.ones((s.camera.height, s.camera.width, 3), np.float32)
-        """The share of its light that the background shows already: to be set before the first picture, if any."""
+        self._rest = self._shown = np.ones((s.camera.height, s.camera.width, 3), np.float32)
         h, w = s.camera.height, s.camera.width
         K = s.camera.K * [[1 / CELL], [1 / CELL], [1]]
         self._fine = s.camera.resized(samples * w, samples * h)
@@ -120,6 +119,11 @@ class Canvas:
         if not self._composed:
             self._compose()
         return self._picture.copy()
+
+    def rests(self, light: NDArray[np.float32], shown: NDArray[np.float32]) -> None:
+        """Tell of the scene at rest the ground's ``light`` (h, w, 3), as ``light_left`` gives it, and what of the
+        background's is ``shown`` (h, w, 3) with it: before the first picture."""
+        self._rest, self._shown = light, shown
 
     def light_left(self, poses: Array) -> NDArray[np.float32]:
         """(h, w, 3) the share of its light that the ground keeps beside objects at ``poses`` (N, 4, 4)."""
@@ -271,11 +275,12 @@ class Canvas:
         mark_changed(self._blurred, self._blurred_before, TILE // CELL, self._dirty)
         np.copyto(self._blurred_before, self._blurred)
         background, picture = raster.fixed(s.background, np.uint8), self._picture
-        receives, already = (raster.fixed(values, np.float32) for values in (s.receives, self.already))
+        ground = (raster.fixed(values, np.float32) for values in (s.receives, self._rest, self._shown))
+        receives, rest, shown = ground
 
         def finish(band: tuple[int, int]) -> None:
             compose(
-                *(background, LINEAR, self._blurred, CELL, self._weight, receives, already, s.config.samples),
+                *(background, LINEAR, self._blurred, CELL, self._weight, receives, rest, shown, s.config.samples),
                 *(self._color, self._cover, TABLE, TILE, self._dirty, *band, picture),
             )
 

@@ -6,16 +6,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.background.membrane import membrane
-from f3sr.background.regions import Mask, distance_to, grown
+from f3sr.background.regions import Mask, grown
 from f3sr.frames import Array, Camera
+from f3sr.rendering.textures import LINEAR
 
 NEAR, FAR = 1.5, 3.0
 """Radii of the scene's ball within which the ground shows all of its shadows, and beyond which it shows none: a table
 ends somewhere, and walls take no shadows."""
-SEAM = 0.01
-"""Distance over which light goes on into a completed background, in shares of the picture's longer side."""
-DARKEST = 0.2
-"""Least share of light that a background is taken to hold already: it is divided by it."""
+APART = 3
+"""Pixels from objects at which ground is looked at: their borders hold mixed colours."""
+DARK = 0.004
+"""Linear light below which a pixel tells no ratio: a level of eight bits is more than a tenth of it."""
+RATIOS = 0.1, 1.5
+"""What the photo may show of the background's light: shadows are no darker, and little is lit by objects."""
+CLEAR = 0.98
+"""Share of light from which ground is not in shadow."""
+DOUBT = 0.01
+"""How much light drawn shadows must take for a darker place in the photo to be one of theirs rather than its grain."""
+AGREES = 0.2
+"""Median of the logarithm of photo over background, out of shadows, up to which they are of one place and light."""
 
 
 def ground_seen(camera: Camera, limit: Mask | None, ball: tuple[Array, float]) -> NDArray[np.float32]:
@@ -33,18 +42,23 @@ def ground_seen(camera: Camera, limit: Mask | None, ball: tuple[Array, float]) -
     return (shown if limit is None else shown * limit).astype(np.float32)
 
 
-def shadows_within(
+def light_shown(
     rest: NDArray[np.float32], photo: NDArray[np.uint8], background: NDArray[np.uint8], objects: Mask
-) -> NDArray[np.float32]:
-    """(h, w, 3) the share of light that the background's pixels hold already.
+) -> tuple[NDArray[np.float32], bool]:
+    """(h, w, 3) the share of the background's light that the ground shows with the scene at rest, and whether the
+    photo tells it.
 
-    Where the background is the photo, it holds the photo's shadows, ``rest`` (h, w, 3). Where it was completed, it goes
-    on from there without a seam of light, and so does this; but patches come from lit places, so a little farther in
-    it holds none.
+    ``rest`` (h, w, 3) is that of the drawn shadows. Where the photo shows ground in them, it is the photo's own, so
+    that the film begins with its shadows; elsewhere it is 1, as what is darker there is no shadow that could leave with
+    an object; under and beside objects, ``rest`` corrected as around them. A background whose light is another where
+    there are no shadows at all is not of this photo, which then tells nothing.
     """
-    completed = grown(np.any(photo != background, axis=2) | objects, 1)
-    if not completed.any() or completed.all():
-        return np.ones_like(rest) if completed.all() else np.maximum(rest, DARKEST)
-    share = np.exp(-distance_to(~completed) / (SEAM * max(completed.shape)))[..., None]
-    held = 1 - share * (1 - membrane(rest, ~completed))
-    return np.maximum(np.where(completed[..., None], held, rest), DARKEST).astype(np.float32)
+    hidden = grown(objects, APART)
+    ratio = np.clip(LINEAR[photo] / np.maximum(LINEAR[background], DARK), *RATIOS).astype(np.float32)
+    there = rest < CLEAR
+    open_ground = ~hidden & ~there.any(2)
+    if np.count_nonzero(open_ground) and np.median(np.abs(np.log(ratio[open_ground]))) > AGREES:
+        return rest, False
+    shown = np.where(np.any(photo != background, axis=2)[..., None], ratio ** ((1 - rest) / (1 - rest + DOUBT)), 1)
+    correction = membrane(np.log(shown / rest).astype(np.float32), ~hidden)
+    return np.where(hidden[..., None], rest * np.exp(correction), shown).astype(np.float32), True

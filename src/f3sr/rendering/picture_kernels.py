@@ -11,6 +11,8 @@ from f3sr.kernels import inline_kernel, kernel
 
 STEPS = 65535
 """Steps of linear light in the table that ends in sRGB: the darkest ones of eight bits are 20 of these wide."""
+LEAST_LIGHT = np.float32(0.02)
+"""Share of its light that ground keeps in any shadow."""
 BLUR_SUM = 256
 """Of the weights of both blurs."""
 
@@ -88,6 +90,11 @@ def _bilinear(values: NDArray[Any], kind: int, rows: tuple[int, int, float], col
     return (1 - rows[2]) * upper + rows[2] * lower
 
 
+@inline_kernel
+def _kept(receives: Any, hidden: float) -> Any:
+    return np.float32(max(1 - receives * hidden, LEAST_LIGHT))
+
+
 @kernel
 def light_left(
     blurred: NDArray[Any], cell: int, weight: NDArray[Any], receives: NDArray[Any], left: NDArray[Any]
@@ -101,7 +108,17 @@ def light_left(
             columns = _between(x, cell, blurred.shape[2])
             direct, sky = _bilinear(blurred, 0, rows, columns), _bilinear(blurred, 1, rows, columns)
             for c in range(3):
-                left[y, x, c] = 1 - receives[y, x] * (weight[0, c] * direct + weight[1, c] * sky)
+                left[y, x, c] = _kept(receives[y, x], weight[0, c] * direct + weight[1, c] * sky)
+
+
+@inline_kernel
+def ground_light(left: Any, rest: Any, shown: Any) -> Any:
+    """The share of the background's light that ground shows: as much as at rest, ``shown``, where as much is ``left``
+    as there was at ``rest``; less as shadows come; and as shadows leave, the background's, without a step between."""
+    if left <= rest:
+        return shown * (left / rest)
+    gone = (left - rest) / (1 - rest)
+    return min(left * (shown / rest + gone * (1 - shown / rest)), max(shown, np.float32(1)))
 
 
 @kernel
@@ -112,7 +129,8 @@ def compose(
     cell: int,
     weight: NDArray[Any],
     receives: NDArray[Any],
-    already: NDArray[Any],
+    rest: NDArray[Any],
+    shown: NDArray[Any],
     samples: int,
     color: NDArray[Any],
     cover: NDArray[Any],
@@ -124,8 +142,7 @@ def compose(
     picture: NDArray[Any],
 ) -> None:
     """The rows [top, bottom) of ``picture``, where squares of ``tile`` pixels are ``dirty``: objects over the
-    background (h, w, 3), whose linear light ``linear[value]`` is multiplied by ``light_left`` over the share that was
-    left in the background ``already`` (h, w, 3), never more than 1: where a shadow left, the background is believed."""
+    background (h, w, 3), whose linear light ``linear[value]`` is multiplied by ``ground_light``."""
     width = cover.shape[1]
     for y in range(top, bottom):
         rows = _between(y, cell, blurred.shape[1])
@@ -136,8 +153,8 @@ def compose(
             direct, sky = _bilinear(blurred, 0, rows, columns), _bilinear(blurred, 1, rows, columns)
             objects = cover[y, x] / (samples * samples)
             for c in range(3):
-                left = np.float32(1 - receives[y, x] * (weight[0, c] * direct + weight[1, c] * sky))
-                factor = min(left / already[y, x, c], np.float32(1))
+                left = _kept(receives[y, x], weight[0, c] * direct + weight[1, c] * sky)
+                factor = ground_light(left, rest[y, x, c], shown[y, x, c])
                 if objects == 0 and factor == 1:
                     picture[y, x, c] = background[y, x, c]
                 else:

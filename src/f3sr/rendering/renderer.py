@@ -11,23 +11,29 @@ from f3sr.errors import InputError
 from f3sr.frames import Array, Camera
 from f3sr.rendering.canvas import Canvas, Setting
 from f3sr.rendering.config import RenderConfig
-from f3sr.rendering.ground import ground_seen, shadows_within
+from f3sr.rendering.ground import ground_seen, light_shown
 from f3sr.rendering.layers import Things
 from f3sr.rendering.lighting import lit_as_photo
 from f3sr.rendering.shadow_maps import MARGIN
 from f3sr.scene import Scene
 from f3sr.silhouette import union_of
 
+OTHER_LIGHT = (
+    "shadows: the background is not lit as the photo is; drawn as the light makes them, not as the photo shows"
+)
+
 
 class Renderer:
     """Draws frames; made by ``Renderer.of``. It keeps what it drew last, so one thread at a time may use it."""
 
-    def __init__(self, canvas: Canvas, decisions: tuple[str, ...], rest_light: NDArray[np.float32]) -> None:
+    def __init__(
+        self, canvas: Canvas, decisions: tuple[str, ...], rest_light: NDArray[np.float32] | None = None
+    ) -> None:
         self._canvas = canvas
         self.decisions = decisions
         self.rest_light = rest_light
         """(h, w, 3) the share of its light that the ground keeps beside the scene at rest, as the photo's camera sees
-        it; 1 from elsewhere."""
+        it; None from elsewhere, and without shadows."""
 
     @classmethod
     def of(
@@ -63,12 +69,13 @@ class Renderer:
             kept=_nothing(view) if kept is None or camera is not None else kept,
         )
         canvas = Canvas(setting)
-        if camera is not None:
-            return cls(canvas, decisions, canvas.already)
-        rest_light = canvas.light_left(poses_at_rest(scene)) if config.shadows.enabled else canvas.already
+        if camera is not None or not config.shadows.enabled:
+            return cls(canvas, decisions)
+        light = canvas.light_left(poses_at_rest(scene))
         objects = union_of([o.mask for o in scene.objects], background.shape[:2])
-        canvas.already = shadows_within(rest_light, scene.photo.rgb, background, objects)
-        return cls(canvas, decisions, rest_light)
+        shown, told = light_shown(light, scene.photo.rgb, background, objects)
+        canvas.rests(light, shown)
+        return cls(canvas, decisions if told else (*decisions, OTHER_LIGHT), light)
 
     @property
     def setting(self) -> Setting:
@@ -85,8 +92,7 @@ class Renderer:
             receives=ground_seen(camera, None, self.setting.ball),
             kept=_nothing(camera),
         )
-        canvas = Canvas(setting)
-        return Renderer(canvas, self.decisions, canvas.already)
+        return Renderer(Canvas(setting), self.decisions)
 
     def frame(self, T_world_object: ArrayLike) -> NDArray[np.uint8]:
         """The picture (h, w, 3) with the objects at poses (N, 4, 4), in the scene's order."""
