@@ -114,11 +114,12 @@ def light_left(
 @inline_kernel
 def ground_light(left: Any, rest: Any, shown: Any) -> Any:
     """The share of the background's light that ground shows: as much as at rest, ``shown``, where as much is ``left``
-    as there was at ``rest``; less as shadows come; and as shadows leave, the background's, without a step between."""
+    as there was at ``rest``; less as shadows come; and what is left as those of the rest go, without a step between:
+    what the photo told of them is soon of no account."""
     if left <= rest:
         return shown * (left / rest)
-    gone = (left - rest) / (1 - rest)
-    return min(left * (shown / rest + gone * (1 - shown / rest)), max(shown, np.float32(1)))
+    stays = (1 - left) / (1 - rest)
+    return left + (shown - rest) * stays * stays
 
 
 @kernel
