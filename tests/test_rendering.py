@@ -16,6 +16,8 @@ from f3sr.frames import UP, Array, Camera, pose, rotation_from_vector
 from f3sr.mesh import Material, Mesh
 from f3sr.rendering import LightConfig, RenderConfig, Renderer, ShadowConfig
 from f3sr.rendering.canvas import Canvas
+from f3sr.rendering.colour_mix import colour_mix
+from f3sr.rendering.evidence import Evidence
 from f3sr.rendering.light import Light
 from f3sr.rendering.shapes import smooth_normals
 from f3sr.rendering.surface_kernels import texture_at
@@ -453,3 +455,29 @@ def test_what_the_photo_shows_in_front_hides_objects() -> None:
     for step in walk(4):
         frame = walked.frame(step)
     assert np.array_equal(frame, Renderer.of(scene, background, config=PLAIN, kept=depth).frame(step))
+
+
+# --- the colours of the photo's camera ------------------------------------------------------------------------------
+
+
+def seen_by_another_camera(M: Array, noise: float = 0.02) -> tuple[Evidence, Array]:
+    """Samples of four objects in patches of one colour each, through a camera that mixes colours by ``M`` (3, 3) and
+    exposes each object otherwise."""
+    rng = np.random.default_rng(3)
+    count, each = 120, 12
+    group = np.repeat(np.arange(count) % 4, each)
+    lit = np.repeat(rng.uniform(0.02, 0.8, (count, 3)), each, axis=0)
+    photo = rng.uniform(0.5, 1.5, 4)[group][:, None] * (lit @ M.T) * rng.normal(1, noise, lit.shape)
+    points = np.repeat(rng.uniform(-1, 1, (count, 3)), each, axis=0)
+    return Evidence.of([(group, lit, photo, points, np.tile(UP, (len(group), 1)))]), lit
+
+
+def test_the_colours_of_another_camera_are_found() -> None:
+    M = np.array([[0.75, 0.2, 0.05], [0.1, 0.8, 0.1], [0.05, 0.25, 0.7]])
+    found = colour_mix(*seen_by_another_camera(M), objects=4, side=0.01)
+    assert found is not None and found[1] > 0.5
+    assert np.abs(found[0] - M).max() < 0.04 and np.allclose(found[0].sum(1), 1)
+
+
+def test_where_no_colours_are_mixed_nothing_is_made_of_it() -> None:
+    assert colour_mix(*seen_by_another_camera(np.diag([0.8, 1.0, 1.3]), noise=0.2), objects=4, side=0.01) is None

@@ -66,8 +66,8 @@ class Setting:
     camera: Camera
     background: NDArray[np.uint8]
     light: Light
-    gains: Array
-    """(N, 3) exposure of every object, in linear light."""
+    exposures: Array
+    """(N, 3, 3) of every object, from a texture's colour to its exposed one, in linear light."""
     config: RenderConfig
     things: Things
     ball: tuple[Array, float]
@@ -243,8 +243,8 @@ class Canvas:
     def _shade(self, view: View) -> None:
         s, drawn = self.setting, self._drawn
         maps = drawn.maps
-        strength, gains = (raster.fixed(values, np.float64) for values in (s.light.strength, s.gains))
-        lamps = Lamps(maps.directions, maps.frames, maps.nearest, DIRECT, maps.offset, maps.bias, strength, gains)
+        strength, exposed = (raster.fixed(values, np.float64) for values in (s.light.strength, s.exposures))
+        lamps = Lamps(maps.directions, maps.frames, maps.nearest, DIRECT, maps.offset, maps.bias, strength, exposed)
 
         def draw(band: tuple[int, int]) -> None:
             shade(

@@ -67,22 +67,21 @@ class Fit:
     misfit: float
     bases: Array
 
-    def shown(self, evidence: Evidence) -> Array:
-        """(n, 3) the samples' colours."""
-        return self.gains[evidence.group] * evidence.albedo * (self.bases @ self.strength)[:, None]
+    def lit(self, evidence: Evidence) -> Array:
+        """(n, 3) the samples' colours before exposure."""
+        return evidence.albedo * (self.bases @ self.strength)[:, None]
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A light, exposures (N, 3), whether it has a direction, and the two misfits that this rests on."""
+    """A light, whether it has a direction, and the two misfits that this rests on."""
 
     light: Light
-    gains: Array
     directed: bool
     misfit: float
     undirected: float
-    shown: Array
-    """(n, 3) the samples' colours under it."""
+    lit: Array
+    """(n, 3) the samples' colours under it, before exposure."""
 
 
 def find_light(
@@ -123,9 +122,8 @@ def find_light(
     directed = undirected.misfit - best.misfit >= config.least_gain * n and best.strength[1] > 0
     chosen = best if directed else undirected
     light = _light(chosen.strength, direction if directed else DEFAULT.direction, angle if directed else DEFAULT.angle)
-    scale = _on_open_ground(chosen.strength, light.direction)
-    shown = chosen.shown(evidence)
-    return Found(light, chosen.gains[:objects] * scale, directed, best.misfit / n, undirected.misfit / n, shown)
+    lit = chosen.lit(evidence) / _on_open_ground(chosen.strength, light.direction)
+    return Found(light, directed, best.misfit / n, undirected.misfit / n, lit)
 
 
 def _on_open_ground(strength: Array, direction: Array) -> float:
@@ -180,12 +178,12 @@ def _fit(evidence: Evidence, bases: Array, groups: int) -> Fit:
     strength = used = np.array([0.5, 0.3 * bool(bases[:, 1].any()), 0.2, 0.0])
     gains = np.ones((groups, 3))
     count = np.bincount(e.group, minlength=groups)
-    above = np.stack([np.bincount(e.group, e.photo[:, c], groups) for c in range(3)], axis=1).astype(float)
+    above = sums_of(e.photo, e.group, groups)
     misfit = np.inf
     for _ in range(ROUNDS):
         below, misfits = np.zeros((groups, 3)), np.zeros(groups)
         sum_lit(e.group, e.albedo, bases, strength, below)
-        gains = _gains(above, below, count)
+        gains = exposures_of_sums(above, below, count)
         used = strength
         sum_misfits(e.group, e.albedo, e.photo, e.slope, bases, used, gains, misfits)
         spread = np.maximum(misfits / np.maximum(count, 1), FINEST)
@@ -199,7 +197,18 @@ def _fit(evidence: Evidence, bases: Array, groups: int) -> Fit:
     return Fit(used, gains, misfit, bases)
 
 
-def _gains(above: Array, below: Array, count: NDArray[np.int64]) -> Array:
+def exposures(evidence: Evidence, lit: Array, groups: int) -> Array:
+    """(groups, 3) with which ``lit`` colours (n, 3) of samples are the photo's."""
+    above, below = (sums_of(values, evidence.group, groups) for values in (evidence.photo, lit))
+    return exposures_of_sums(above, below, np.bincount(evidence.group, minlength=groups))
+
+
+def sums_of(values: Array, group: NDArray[np.int64], groups: int) -> Array:
+    """(groups, 3) of the values (n, 3) in each group."""
+    return np.array([np.bincount(group, values[:, c], groups) for c in range(3)], np.float64).T
+
+
+def exposures_of_sums(above: Array, below: Array, count: NDArray[np.int64] | Array) -> Array:
     """Exposures (groups, 3) with which sums of colours of the photo, ``above``, and lit ones, ``below`` (groups, 3),
     agree, drawn towards that of all objects together where there are few samples.
 

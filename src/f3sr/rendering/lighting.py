@@ -8,11 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.frames import Array
+from f3sr.rendering.colour_mix import colour_mix
 from f3sr.rendering.config import RenderConfig
 from f3sr.rendering.evidence import Evidence, evidence_of
 from f3sr.rendering.layers import Buffers, Things, draw_surfaces
 from f3sr.rendering.light import DIRECT_ON_GROUND, SKY_ON_GROUND, Light, disc, ground_sky
-from f3sr.rendering.light_fit import DEFAULT, Found, common_exposure, find_light, picture_error, with_shadows_of
+from f3sr.rendering.light_fit import (
+    DEFAULT,
+    Found,
+    common_exposure,
+    exposures,
+    find_light,
+    picture_error,
+    with_shadows_of,
+)
 from f3sr.rendering.shadow_maps import Caster, Maps
 from f3sr.rendering.surface_kernels import View
 from f3sr.report import keep_better
@@ -20,6 +29,9 @@ from f3sr.scene import Scene
 
 UNLIT = replace(DEFAULT, unlit=True)
 """Objects as their textures are, shadows on the ground of the default light."""
+
+PATCH = 1 / 16
+"""Side of the patches whose colours are compared, in radii of the scene's ball."""
 
 
 def lit_as_photo(
@@ -29,33 +41,40 @@ def lit_as_photo(
     ball: tuple[Array, float],
     config: RenderConfig,
 ) -> tuple[Light, Array, tuple[str, ...]]:
-    """Light, exposures (N, 3) and decisions. Without the photo's ``background`` the ground tells nothing."""
+    """Light, exposures (N, 3, 3) and decisions. Without the photo's ``background`` the ground tells nothing."""
     count = len(scene.objects)
+    unexposed = np.tile(np.eye(3), (count, 1, 1))
     if not config.light.enabled or not count:
-        return UNLIT, np.ones((count, 3)), ()
+        return UNLIT, unexposed, ()
     evidence = _evidence(scene, scene.photo.rgb if background is None else background, things, ball, config)
     if not (evidence.group < count).any():
-        return UNLIT, np.ones((count, 3)), ("light: no object can be compared with the photo; shown without",)
+        return UNLIT, unexposed, ("light: no object can be compared with the photo; shown without",)
     poses = np.array([o.T_world_object for o in scene.objects])
     casters = things.casting(poses, range(count)).disc
     side = config.shadows.map_size // 2
     found = find_light(evidence, casters, ball=ball, objects=count, side=side, config=config.light)
-    exposure = common_exposure(evidence, count)
+    mix = colour_mix(evidence, found.lit, objects=count, side=PATCH * ball[1])
+    matrix = np.eye(3) if mix is None else mix[0]
+    mixed = np.maximum(found.lit @ matrix.T, 0)
+    gains = exposures(evidence, mixed, count + 1)
+    shown, exposure = gains[evidence.group] * mixed, common_exposure(evidence, count)
     best, guard = keep_better(
         evidence.albedo * exposure,
-        found.shown,
+        shown,
         score=lambda shown: -picture_error(evidence, shown, count),
         step="light",
         measure="minus the difference of colours on objects",
     )
-    if best is not found.shown:
-        reason = f"{guard.choice}, {guard.reason}"
-        return UNLIT, np.tile(exposure, (count, 1)), (f"{reason}; objects are shown without light, at one exposure",)
+    if best is not shown:
+        reason = f"{guard.choice}, {guard.reason}; objects are shown without light, at one exposure"
+        return UNLIT, np.tile(np.diag(exposure), (count, 1, 1)), (reason,)
     light, evident = _with_shadows(evidence, found.light, casters, ball, side, count)
     decisions = [_told(found)]
+    if mix is not None:
+        decisions.append(f"colours: mixed as the photo's camera does; {100 * mix[1]:.0f}% less off than without")
     if not evident:
         decisions.append("shadows: the photo's ground shows too little of them; as dark as the light makes them")
-    return light, found.gains, tuple(decisions)
+    return light, gains[:count, :, None] * matrix, tuple(decisions)
 
 
 def _with_shadows(

@@ -56,12 +56,12 @@ class Renderer:
         _check_size(background, view)
         things = Things.of(scene.objects, config)
         ball = ball_around(scene)
-        light, gains, decisions = lit_as_photo(scene, background if camera is None else None, things, ball, config)
+        light, exposures, decisions = lit_as_photo(scene, background if camera is None else None, things, ball, config)
         setting = Setting(
             camera=view,
             background=np.ascontiguousarray(background),
             light=light,
-            gains=gains,
+            exposures=exposures,
             config=config,
             things=things,
             ball=ball,

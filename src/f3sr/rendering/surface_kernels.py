@@ -81,8 +81,8 @@ class Lamps(NamedTuple):
     """By how much an occluder must be nearer to the light [m]."""
     strength: NDArray[np.float64]
     """(4, 3) linear light per channel: even, direct, of the sky, from below."""
-    gains: NDArray[np.float64]
-    """(O, 3) exposure of every object."""
+    exposures: NDArray[np.float64]
+    """(O, 3, 3) from every object's colours to exposed ones."""
 
 
 @kernel
@@ -292,6 +292,15 @@ def _place(rays: NDArray[Any], x: float, y: float, depth: float) -> Vector:
     )
 
 
+@inline_kernel
+def _exposed(exposures: NDArray[Any], o: Any, r: float, g: float, b: float) -> Vector:
+    return (
+        max(exposures[o, 0, 0] * r + exposures[o, 0, 1] * g + exposures[o, 0, 2] * b, 0.0),
+        max(exposures[o, 1, 0] * r + exposures[o, 1, 1] * g + exposures[o, 1, 2] * b, 0.0),
+        max(exposures[o, 2, 0] * r + exposures[o, 2, 1] * g + exposures[o, 2, 2] * b, 0.0),
+    )
+
+
 @kernel
 def shade(
     shapes: Shapes,
@@ -313,7 +322,7 @@ def shade(
     rows [top, bottom), where squares of ``tile`` pixels are ``dirty``. ``face`` and ``nearness`` (samples h, samples w)
     are drawn. Samples of a pixel that lie and face alike share the light of the first."""
     faces, points, rays, turns = shapes.faces, view.points, view.rays, view.turns
-    owners, normals, strength, gains = shapes.object, shapes.normals, lamps.strength, lamps.gains
+    owners, normals, strength, exposures = shapes.object, shapes.normals, lamps.strength, lamps.exposures
     size, width, whole = float(max(face.shape)), cover.shape[1], samples * samples
     for row in range(top, bottom):
         for column in range(width):
@@ -342,8 +351,8 @@ def shade(
                     e0 = strength[0, 0] + strength[1, 0] * direct + strength[2, 0] * sky + strength[3, 0] * below
                     e1 = strength[0, 1] + strength[1, 1] * direct + strength[2, 1] * sky + strength[3, 1] * below
                     e2 = strength[0, 2] + strength[1, 2] * direct + strength[2, 2] * sky + strength[3, 2] * below
-                    e0, e1, e2 = e0 * gains[o, 0], e1 * gains[o, 1], e2 * gains[o, 2]
                     lit, lx, ly, lz, ld = o, nx, ny, nz, depth
+                r, g, b = _exposed(exposures, o, r, g, b)
                 total0 += area * min(r * e0, 1.0)
                 total1 += area * min(g * e1, 1.0)
                 total2 += area * min(b * e2, 1.0)
