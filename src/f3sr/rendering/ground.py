@@ -16,13 +16,15 @@ ends somewhere, and walls take no shadows."""
 APART = 3
 """Pixels from objects at which ground is looked at: their borders hold mixed colours."""
 DARK = 0.004
-"""Linear light below which a pixel tells no ratio: a level of eight bits is more than a tenth of it."""
+"""Linear light that a pixel is taken to have at least: below, a level of eight bits is more than a tenth of it."""
 RATIOS = 0.1, 1.5
 """What the photo may show of the background's light: shadows are no darker, and little is lit by objects."""
 CLEAR = 0.98
 """Share of light from which ground is not in shadow."""
 DOUBT = 0.01
 """How much light drawn shadows must take for a darker place in the photo to be one of theirs rather than its grain."""
+THIN = 4
+"""Every how many pixels along each side ground in light is looked at."""
 AGREES = 0.2
 """Median of the logarithm of photo over background, out of shadows, up to which they are of one place and light."""
 
@@ -51,14 +53,16 @@ def light_shown(
     ``rest`` (h, w, 3) is that of the drawn shadows. Where the photo shows ground in them, it is the photo's own, so
     that the film begins with its shadows; elsewhere it is 1, as what is darker there is no shadow that could leave with
     an object; under and beside objects, ``rest`` corrected as around them. A background whose light is another where
-    there are no shadows at all is not of this photo, which then tells nothing.
+    there are no shadows at all is not of this photo, which then tells nothing; a little is another exposure.
     """
     hidden = grown(objects, APART)
-    ratio = np.clip(LINEAR[photo] / np.maximum(LINEAR[background], DARK), *RATIOS).astype(np.float32)
-    there = rest < CLEAR
-    open_ground = ~hidden & ~there.any(2)
-    if np.count_nonzero(open_ground) and np.median(np.abs(np.log(ratio[open_ground]))) > AGREES:
-        return rest, False
-    shown = np.where(np.any(photo != background, axis=2)[..., None], ratio ** ((1 - rest) / (1 - rest + DOUBT)), 1)
+    lit = LINEAR.astype(np.float32).clip(DARK)
+    ratio = lit[photo] / lit[background]
+    in_light = ratio[::THIN, ::THIN][(~hidden & (rest >= CLEAR).all(2))[::THIN, ::THIN]]
+    if len(in_light):
+        if np.median(np.abs(np.log(in_light))) > AGREES:
+            return rest, False
+        ratio /= np.median(in_light, axis=0)
+    shown = np.clip(ratio, *RATIOS) ** ((1 - rest) / (1 - rest + DOUBT))
     correction = membrane(np.log(shown / rest).astype(np.float32), ~hidden)
     return np.where(hidden[..., None], rest * np.exp(correction), shown).astype(np.float32), True
