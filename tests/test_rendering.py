@@ -318,6 +318,14 @@ def test_a_frame_does_not_depend_on_those_before() -> None:
         assert np.array_equal(film.drawn(T), Canvas(setting).drawn(T))
 
 
+def test_poses_that_are_changed_in_place_are_drawn_anew() -> None:
+    renderer, T = Renderer.of(table(), plain(), config=SHADOWS), at_rest(table())
+    before = renderer.frame(T)
+    T[1, 2, 3] += 0.2
+    after = renderer.frame(T)
+    assert not np.array_equal(before, after) and np.array_equal(after, renderer.frame(T.copy()))
+
+
 def test_what_moves_away_leaves_no_trace() -> None:
     scene = table()
     renderer = Renderer.of(scene, plain(), config=PLAIN)
@@ -342,14 +350,16 @@ def test_the_photo_stays_as_it_is_where_it_was_not_completed() -> None:
 
 
 def shadowed() -> tuple[Scene, NDArray[np.bool_], NDArray[np.bool_]]:
-    """``big_table`` in a photo whose shadows are redder and darker than any light's, ground beside its objects, and the
+    """``big_table`` in a photo whose shadows are redder than the light's, ground beside its objects, and the
     part of it in shadow."""
     scene = big_table()
     light = Light(direction=np.array([0.5, 0, 0.87]), angle=0.2, direct=np.full(3, 0.6), sky=np.full(3, 0.4))
     photo = lit(scene, light).drawn(at_rest(scene))
     ground = ~grown(raster.visible_ids(scene.objects, scene.camera) >= 0, 4)
     dark = ground & (photo < GREY - 12).all(2)
-    photo = np.where(dark[..., None], photo * [0.9, 0.8, 0.75], photo).astype(np.uint8)
+    left = linear(photo / 255) / linear(np.array(GREY / 255))
+    tinted = np.rint(255 * srgb(linear(np.array(GREY / 255)) * (1 - [0.95, 1.0, 1.05] * (1 - left))))
+    photo = np.where(ground[..., None], tinted, photo).astype(np.uint8)
     return replace(scene, photo=Photo(rgb=photo)), ground, dark
 
 
@@ -363,6 +373,18 @@ def test_the_scene_at_rest_has_the_photos_own_shadows_and_what_leaves_takes_its_
     away[:, :3, 3] += [0, -40.0, 0]  # behind the camera
     assert np.array_equal(renderer.frame(away), plain(scene.camera)), "and the background is whole"
     assert not renderer.decisions[1:]
+
+
+def test_what_an_object_sheds_of_its_colour_past_its_mask_is_no_light() -> None:
+    scene, ground, _ = shadowed()
+    objects = raster.visible_ids(scene.objects, scene.camera) >= 0
+    rim = grown(objects, 7) & ground
+    photo = np.where(rim[..., None], [150, 40, 40], scene.photo.rgb).astype(np.uint8)
+    renderer = Renderer.of(replace(scene, photo=Photo(rgb=photo)), plain(scene.camera))
+    T = at_rest(scene)
+    T[:, :3, 3] += [0.01, 0, 0]
+    shown = renderer.frame(T)[rim].astype(int)
+    assert np.abs(shown[:, 0] - shown[:, 2]).mean() < 12
 
 
 def test_shadows_of_the_photo_go_without_a_step() -> None:

@@ -22,9 +22,9 @@ Picture = NDArray[np.uint8]
 CRF = 18
 """x264's constant rate factor: errors that are not seen, at 250 to 450 kB a second of 960x720."""
 PRESET = "veryfast"
-KEY_SECONDS = 1.0
-"""Film time between key frames [s]: a player that is asked for a frame decodes from the key frame before it; half of
-this makes files a third larger."""
+KEY_SECONDS = 4.0
+"""Film time between key frames [s]: a player that is asked for a frame decodes from the key frame before it, but at
+each the grain of what stands still is another by a level."""
 SMALLEST, LARGEST = 16, 8192
 """Sides of a frame [px]; players decode no larger ones."""
 FASTEST = 240

@@ -40,9 +40,9 @@ CELL = 2
 """Side of the cells that the ground's shadows are drawn in [px]: they are soft."""
 TILE = 8
 """Side of the squares whose objects are coloured anew or not at all [px]."""
-BLURS = 1, 2
-"""Reach of the filters over the shadows of the disc and of the sky [cells]: the sky's lights lie far apart, and each
-has an edge."""
+BLURS = 1, 2, 1, 2
+"""Reach of the filters over the shadows of the disc and of the sky, now and of those at rest too [cells]: the sky's
+lights lie far apart, and each has an edge."""
 BLOCK = 2
 """Side of the squares of a light's map that have changed or not [texel]."""
 QUIET = 12
@@ -97,11 +97,12 @@ class Canvas:
         self._words = ground_words(s.light)
         self._weight = raster.fixed(s.light.hidden / BLUR_SUM, np.float64)
         self._still, self._drawn = self._buffers(), self._buffers()
+        self._rest_bits = np.zeros_like(self._drawn.bits)
         lights, size, _ = self._drawn.maps.nearest.shape
         self._nearest_before = self._drawn.maps.nearest.copy()
         self._spans = np.empty((lights, -(-size // BLOCK), -(-size // BLOCK), 2), np.float32)
         self._color, self._cover = np.zeros((h, w, 3), np.float32), np.zeros((h, w), np.uint8)
-        shape = 2, self._cells.height, self._cells.width
+        shape = len(BLURS), self._cells.height, self._cells.width
         self._counts, self._rows, self._blurred = (np.zeros(shape, np.int32) for _ in range(3))
         tiles = -(-h // TILE), -(-w // TILE)
         self._depths, self._dirty = np.zeros((*tiles, 2), np.float32), np.ones(tiles, np.bool_)
@@ -121,9 +122,11 @@ class Canvas:
         return self._picture.copy()
 
     def rests(self, light: NDArray[np.float32], shown: NDArray[np.float32]) -> None:
-        """Tell of the scene at rest the ground's ``light`` (h, w, 3), as ``light_left`` gives it, and what of the
-        background's is ``shown`` (h, w, 3) with it: before the first picture."""
-        self._rest, self._shown = light, shown
+        """What was drawn last is the scene at rest, where ``light_left`` gave ``light`` (h, w, 3) and the photo has
+        ``shown`` (h, w, 3) of the background's."""
+        self._rest, self._shown, self._rest_bits = light, shown, self._drawn.bits.copy()
+        self._count()
+        self._composed = False
 
     def light_left(self, poses: Array) -> NDArray[np.float32]:
         """(h, w, 3) the share of its light that the ground keeps beside objects at ``poses`` (N, 4, 4)."""
@@ -256,7 +259,7 @@ class Canvas:
 
     def _count(self) -> None:
         def count(band: tuple[int, int]) -> None:
-            count_lights(self._drawn.bits, DISC_WORDS, SET_BITS, *band, self._counts)
+            count_lights(self._drawn.bits, self._rest_bits, DISC_WORDS, SET_BITS, *band, self._counts)
 
         def along_rows(band: tuple[int, int]) -> None:
             for kind, reach in enumerate(BLURS):

@@ -15,6 +15,8 @@ NEAR, FAR = 1.5, 3.0
 ends somewhere, and walls take no shadows."""
 APART = 3
 """Pixels from objects at which ground is looked at: their borders hold mixed colours."""
+TINT = 1.4
+"""How far a shadow's channels may differ beyond those of the drawn one: more is an object's colour past its mask."""
 DARK = 0.004
 """Linear light that a pixel is taken to have at least: below, a level of eight bits is more than a tenth of it."""
 RATIOS = 0.1, 1.5
@@ -55,14 +57,16 @@ def light_shown(
     an object; under and beside objects, ``rest`` corrected as around them. A background whose light is another where
     there are no shadows at all is not of this photo, which then tells nothing; a little is another exposure.
     """
-    hidden = grown(objects, APART)
     lit = LINEAR.astype(np.float32).clip(DARK)
     ratio = lit[photo] / lit[background]
+    hidden = grown(objects, APART)
     in_light = ratio[::THIN, ::THIN][(~hidden & (rest >= CLEAR).all(2))[::THIN, ::THIN]]
     if len(in_light):
         if np.median(np.abs(np.log(in_light))) > AGREES:
             return rest, False
         ratio /= np.median(in_light, axis=0)
+    tint = ratio / rest
+    hidden |= grown(tint.max(2) > TINT * tint.min(2), 2)
     shown = np.clip(ratio, *RATIOS) ** ((1 - rest) / (1 - rest + DOUBT))
     correction = membrane(np.log(shown / rest).astype(np.float32), ~hidden)
     return np.where(hidden[..., None], rest * np.exp(correction), shown).astype(np.float32), True

@@ -19,18 +19,26 @@ BLUR_SUM = 256
 
 @kernel
 def count_lights(
-    bits: NDArray[Any], direct: int, set_bits: NDArray[Any], top: int, bottom: int, counts: NDArray[Any]
+    bits: NDArray[Any],
+    rest_bits: NDArray[Any],
+    direct: int,
+    set_bits: NDArray[Any],
+    top: int,
+    bottom: int,
+    counts: NDArray[Any],
 ) -> None:
-    """How many lights are hidden at every pixel of the rows [top, bottom): ``counts`` (2, h, w) of the direct light,
-    which the first ``direct`` words of ``bits`` (words, h, w) are of, and of the sky."""
+    """How many lights are hidden at every pixel of the rows [top, bottom): ``counts`` (4, h, w) of the direct light,
+    which the first ``direct`` words of ``bits`` (words, h, w) are of, and of the sky, then of those of both that are
+    hidden in ``rest_bits`` too."""
     words, width = bits.shape[0], bits.shape[2]
     for y in range(top, bottom):
         for x in range(width):
-            counts[0, y, x] = counts[1, y, x] = 0
+            counts[0, y, x] = counts[1, y, x] = counts[2, y, x] = counts[3, y, x] = 0
         for word in range(words):
             kind = 0 if word < direct else 1
             for x in range(width):
                 counts[kind, y, x] += set_bits[bits[word, y, x]]
+                counts[2 + kind, y, x] += set_bits[bits[word, y, x] & rest_bits[word, y, x]]
 
 
 @kernel
@@ -63,10 +71,10 @@ def blur_columns(rows: NDArray[Any], reach: int, top: int, bottom: int, blurred:
 
 @kernel
 def mark_changed(values: NDArray[Any], before: NDArray[Any], side: int, dirty: NDArray[Any]) -> None:
-    """Set ``dirty`` (rows, columns) for squares of ``side`` cells in or next to which ``values`` (2, h, w) are others
-    than ``before``."""
+    """Set ``dirty`` (rows, columns) for squares of ``side`` cells in or next to which ``values`` (k, h, w) are
+    others than ``before``."""
     rows, columns = dirty.shape
-    for kind in range(2):
+    for kind in range(len(values)):
         for y in range(values.shape[1]):
             for x in range(values.shape[2]):
                 if values[kind, y, x] != before[kind, y, x]:
@@ -91,8 +99,17 @@ def _bilinear(values: NDArray[Any], kind: int, rows: tuple[int, int, float], col
 
 
 @inline_kernel
-def _kept(receives: Any, hidden: float) -> Any:
-    return np.float32(max(1 - receives * hidden, LEAST_LIGHT))
+def _hidden(
+    blurred: NDArray[Any], first: int, rows: tuple[int, int, float], columns: tuple[int, int, float]
+) -> tuple[float, float]:
+    """Of the direct light and of the sky, between cells."""
+    return _bilinear(blurred, first, rows, columns), _bilinear(blurred, first + 1, rows, columns)
+
+
+@inline_kernel
+def _left(receives: Any, hidden: tuple[float, float], weight: NDArray[Any], c: int) -> Any:
+    """The share of its light in a channel that the ground keeps."""
+    return np.float32(max(1 - receives * (weight[0, c] * hidden[0] + weight[1, c] * hidden[1]), LEAST_LIGHT))
 
 
 @kernel
@@ -106,20 +123,18 @@ def light_left(
         rows = _between(y, cell, blurred.shape[1])
         for x in range(width):
             columns = _between(x, cell, blurred.shape[2])
-            direct, sky = _bilinear(blurred, 0, rows, columns), _bilinear(blurred, 1, rows, columns)
+            hidden = _hidden(blurred, 0, rows, columns)
             for c in range(3):
-                left[y, x, c] = _kept(receives[y, x], weight[0, c] * direct + weight[1, c] * sky)
+                left[y, x, c] = _left(receives[y, x], hidden, weight, c)
 
 
 @inline_kernel
-def ground_light(left: Any, rest: Any, shown: Any) -> Any:
-    """The share of the background's light that ground shows: as much as at rest, ``shown``, where as much is ``left``
-    as there was at ``rest``; less as shadows come; and what is left as those of the rest go, without a step between:
-    what the photo told of them is soon of no account."""
-    if left <= rest:
-        return shown * (left / rest)
-    stays = (1 - left) / (1 - rest)
-    return left + (shown - rest) * stays * stays
+def ground_light(left: Any, stays: Any, rest: Any, shown: Any) -> Any:
+    """The share of the background's light that ground shows where ``left`` of it is not hidden now, ``stays`` not by
+    what hid it at rest too, and ``rest`` was not hidden at rest: at rest what the photo has ``shown``, as those shadows
+    leave what is left, without a step between and soon without what the photo told of them; times new shadows."""
+    share = (1 - stays) / (1 - rest) if rest < 1 else np.float32(0)
+    return (stays + (shown - rest) * share * share) * (left / stays)
 
 
 @kernel
@@ -151,11 +166,11 @@ def compose(
             if not dirty[y // tile, x // tile]:
                 continue
             columns = _between(x, cell, blurred.shape[2])
-            direct, sky = _bilinear(blurred, 0, rows, columns), _bilinear(blurred, 1, rows, columns)
+            now, still = _hidden(blurred, 0, rows, columns), _hidden(blurred, 2, rows, columns)
             objects = cover[y, x] / (samples * samples)
             for c in range(3):
-                left = _kept(receives[y, x], weight[0, c] * direct + weight[1, c] * sky)
-                factor = ground_light(left, rest[y, x, c], shown[y, x, c])
+                left, stays = _left(receives[y, x], now, weight, c), _left(receives[y, x], still, weight, c)
+                factor = ground_light(left, stays, rest[y, x, c], shown[y, x, c])
                 if objects == 0 and factor == 1:
                     picture[y, x, c] = background[y, x, c]
                 else:

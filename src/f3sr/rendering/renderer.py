@@ -96,7 +96,7 @@ class Renderer:
 
     def frame(self, T_world_object: ArrayLike) -> NDArray[np.uint8]:
         """The picture (h, w, 3) with the objects at poses (N, 4, 4), in the scene's order."""
-        poses = np.asarray(T_world_object, np.float64)
+        poses = np.array(T_world_object, np.float64)
         expected = (len(self.setting.things.vertices), 4, 4)
         if poses.shape != expected or not np.isfinite(poses).all():
             raise InputError("poses", found=f"shape {poses.shape}", accepted=f"finite ones of shape {expected}")
