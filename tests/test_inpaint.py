@@ -175,6 +175,7 @@ def _too_large(file: Path) -> None:
         lambda file: np.savez(file, other=np.ones((48, 64), np.float32)),
         lambda file: np.savez(file, depth=np.full((48, 64), np.nan, np.float32)),
         lambda file: np.savez(file, depth=np.full((48, 64), -1, np.float32)),
+        lambda file: np.savez(file, depth=np.full((48, 64), 1e-30, np.float32)),
         lambda file: np.savez(file, depth=np.full((48, 64), "a")),
         _too_large,
     ],

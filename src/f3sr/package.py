@@ -41,6 +41,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Package", "SceneDocument", "is_package", "prepare_output", "read_package", "scene_schema", "write_package"]
 
+NEAREST_KEPT = 0.001
+"""Least depth [m] of what may hide objects: a lens can come no nearer."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Package:
@@ -72,15 +75,17 @@ class Package:
         file, shape = self.folder / KEPT, (self.scene.camera.height, self.scene.camera.width)
         if not file.exists():
             return None
-        accepted = f"depth (H, W) of {shape[1]}x{shape[0]} pixels, float32 and positive, as f3sr wrote it"
+        accepted = f"depth (H, W) of {shape[1]}x{shape[0]} pixels, float32, {NEAREST_KEPT} m or more, as f3sr wrote it"
         try:
             depth = npz.load(_inside(self.folder, KEPT), ["depth"])["depth"]
         except OSError as error:
             raise InputError(file, found=reason(error), accepted=accepted) from None
         except ValueError as error:
             raise InputError(file, found=str(error), accepted=accepted) from None
-        if depth.shape != shape or depth.dtype != np.float32 or not (depth > 0).all():
+        if depth.shape != shape or depth.dtype != np.float32:
             raise InputError(file, found=f"{depth.dtype} of shape {depth.shape}", accepted=accepted)
+        if not (depth >= NEAREST_KEPT).all():
+            raise InputError(file, found=f"a depth of {depth[~(depth >= NEAREST_KEPT)][0]:.3g} m", accepted=accepted)
         return depth
 
     def _picture(self, name: str, mode: str) -> NDArray[np.uint8] | None:
