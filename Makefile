@@ -10,7 +10,7 @@ demo: $(VENV)/.core
 	$(BIN)/f3sr demo -o $(OUT)/demo --overwrite
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 check: $(VENV)/.dev
 	$(BIN)/ruff check .
