@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import os
@@ -213,6 +214,34 @@ def test_a_film_that_fails_keeps_its_verdict_and_the_other_goals(
     goals = json.loads(told.out)["goals"]
     assert [g["state"] for g in goals] == ["met", "refused", "met"] and "no space" in goals[2]["film_error"]
     assert "no space" in told.err and (tmp_path / "out" / "3" / VERDICT).exists()
+
+
+def test_what_was_decided_for_all_films_is_told_once(
+    package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calls = ["push the can 5 cm to the left", "push the can 5 cm to the right"]
+    assert main(["simulate", str(package.folder), *calls, "-o", str(tmp_path / "out")]) == 0
+    printed = capsys.readouterr().out
+    decided = [line for line in printed.splitlines() if line.startswith("decided:")]
+    assert decided and len(decided) == len(set(decided)) and printed.count("film.mp4") == 2
+
+
+def test_a_place_where_no_film_can_be_is_refused_before_filming(
+    package: Package, rollout: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Studio, "of", lambda *_: pytest.fail("filmed"))
+    copy = shutil.copytree(rollout, tmp_path / "copy", ignore=shutil.ignore_patterns(*FILMS))
+    (copy / FILM).mkdir()
+    assert main(["film", str(copy), "--package", str(package.folder)]) == 1
+    assert "film.mp4: is a folder" in capsys.readouterr().err
+    (copy / FILM).rmdir()
+    monkeypatch.setattr("tempfile.TemporaryFile", _full)
+    assert main(["film", str(copy), "--package", str(package.folder)]) == 1
+    assert "could not be written into (no space left" in capsys.readouterr().err.lower()
+
+
+def _full(**_: object) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def test_what_leaves_the_support_is_told(package: Package) -> None:

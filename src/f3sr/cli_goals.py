@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as json_
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -58,7 +58,7 @@ def simulate(
         _require_slow(slow)
     content = read_package(package)
     places = _places(out, package, max(len(goals), 1), overwrite)
-    tellings, failed = list[dict[str, Any]](), None
+    tellings, failed, decided = list[dict[str, Any]](), None, set[str]()
     if film:
         _make_ready(content, json)
     studio = begun(_studio, content, slow) if film else None  # beside the search for the first goal
@@ -74,7 +74,8 @@ def simulate(
             failed = failed or error
             tellings[-1]["film_error"] = str(error)
         else:
-            _show(() if json else _film_lines(told))
+            _show(() if json else _film_lines(told, decided))
+            decided.update(told["decisions"])
     if json:
         print(json_.dumps({"goals": tellings}, allow_nan=False))
     if failed:
@@ -97,13 +98,14 @@ def film(rollout: Folder, /, package: Path | None = None, slow: float = 1.0, jso
 
     _require_slow(slow)
     found = deliver.read_played(rollout, package)
+    deliver.require_film_place(rollout)
     verdict = verify(found.package.scene, found.plan, found.rollout)
     played = Played(plan=found.plan, rollout=found.rollout, verdict=verdict)
     told = _film(lambda: _studio(found.package, slow), played, rollout.resolve())
     if json:
         print(json_.dumps(told, allow_nan=False))
     else:
-        _show(_film_lines(told))
+        _show(_film_lines(told, ()))
 
 
 def _make_ready(content: Package, quiet: bool) -> None:
@@ -151,10 +153,11 @@ def _film(studio: Callable[[], Studio], played: Played, place: Path) -> dict[str
     }
 
 
-def _film_lines(told: dict[str, Any]) -> Iterator[str]:
+def _film_lines(told: dict[str, Any], known: Container[str]) -> Iterator[str]:
+    """What was decided for a film, but for what is ``known``, and where it is."""
     from f3sr.goals.files import PLAYER
 
-    yield from (f"decided:   {decision}" for decision in told["decisions"])
+    yield from (f"decided:   {decision}" for decision in told["decisions"] if decision not in known)
     width, height = told["size"]
     yield f"film:      {told['file']}, {told['frames']} frames of {width}x{height}, {told['seconds']:.1f} s"
     yield f"to play:   {Path(told['file']).with_name(PLAYER)}"

@@ -8,6 +8,7 @@ import fcntl
 import os
 import secrets
 import shutil
+import tempfile
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -120,8 +121,20 @@ def _written(played: Played, parent: Path) -> Generator[Path]:
         raise OutputError(f"{parent}: could not be written into ({reason(error)})") from error
 
 
+def require_film_place(folder: Path) -> None:
+    """Raises OutputError where no film could be written beside the rollout in a folder."""
+    if taken := next((folder / name for name in FILMS if (folder / name).is_dir()), None):
+        raise OutputError(f"{taken}: is a folder, where a film's file goes")
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OutputError(f"{folder}: could not be written into ({reason(error)})") from error
+
+
 def write_film(files: Mapping[str, bytes], folder: Path) -> None:
     """Put the files of a film beside the rollout they show, each whole or not at all; older ones are replaced."""
+    require_film_place(folder)
     try:
         with _building(folder) as building:
             for name, data in files.items():
