@@ -12,7 +12,7 @@ COLUMNS = (
     *("centre_pct", "chamfer_pct", "support_precision", "support_recall", "wall_s", "cpu_s", "peak_mb"),
 )
 """Of the table with a line per scene; the others are in the table of means and in results.json."""
-PICTURE = ("mIoU", "mIoU_visible", "PSNR", "mIoU_exact", "mIoU_visible_exact")
+PICTURE = ("mIoU", "mIoU_visible", "PSNR")
 """Those that depend on the camera: all that direct composition has of a fitted one."""
 SHORT = {"mIoU_visible": "visible", "support_precision": "sup.prec", "support_recall": "sup.rec"}
 

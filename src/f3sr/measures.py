@@ -18,7 +18,7 @@ Point = tuple[float, float, float]
 """A place in the world [m]."""
 SAMPLES = 20_000
 """Surface points per object for gaps."""
-IMAGE_MEASURES = ("mIoU", "mIoU_visible", "PSNR", "mIoU_exact", "mIoU_visible_exact")
+IMAGE_MEASURES = ("mIoU", "mIoU_visible", "PSNR")
 """Those that depend on the camera; all others do not."""
 PART_SAMPLES = 600
 """Surface points per convex part for the distance of proxies from their mesh."""
@@ -38,9 +38,6 @@ class Measures:
     """Mean IoU of visible pixels (id buffer) with the masks; an excluded mask counts 0."""
     PSNR: float
     """Unlit colours against the photo over the union of masks [dB]."""
-    mIoU_exact: float
-    """mIoU at the pixel centres; ``mIoU`` and the two after it are on the referee's grid, half a pixel off."""
-    mIoU_visible_exact: float
     R_pen: float
     """Equation 12."""
     N_cross: int
@@ -180,43 +177,30 @@ def _seen(scene: Scene) -> tuple[dict[str, float], list[float], list[float]]:
     """The IMAGE_MEASURES by name; per object the IoU of its full silhouette and of its visible pixels."""
     total = len(scene.objects) + len(scene.excluded)
     full, visible, psnr = image_agreement(scene)
-    full_exact, visible_exact = exact_agreement(scene)
-    values = sum(full) / total, sum(visible) / total, psnr, sum(full_exact) / total, sum(visible_exact) / total
-    return dict(zip(IMAGE_MEASURES, values, strict=True)), full, visible
+    return dict(zip(IMAGE_MEASURES, (sum(full) / total, sum(visible) / total, psnr), strict=True)), full, visible
 
 
 def image_agreement(scene: Scene) -> tuple[list[float], list[float], float]:
     """IoU of each full silhouette, IoU of each object's visible pixels, and PSNR [dB] over the union of masks.
 
-    On the referee's grid: every second pixel against the ray through its upper left corner, so half a pixel of shift
-    lowers every score alike. PSNR compares unlit texture colours with the photo; uncovered mask pixels are black.
+    Pixels are sampled at their centres. PSNR compares unlit texture colours with the photo; mask pixels without an
+    object are black.
     """
-    camera = scene.camera
-    half = camera.K * [[0.5], [0.5], [1]]
-    camera = replace(camera, width=camera.width // 2, height=camera.height // 2, K=half)
-    rows, columns = slice(1, 2 * camera.height, 2), slice(1, 2 * camera.width, 2)
-    masks = {o.id: o.mask[rows, columns] for o in scene}
-    photo, union = scene.photo.rgb[rows, columns], union_of(masks.values(), (camera.height, camera.width))
+    camera, photo = scene.camera, scene.photo.rgb
+    union = union_of((o.mask for o in scene), photo.shape[:2])
     ids = np.empty(union.shape, np.int32)
     errors: list[Array] = []
     for strip, fragments in raster.strips(scene.objects, camera):
         ids[strip] = fragments.ids
         rendered = raster.shade(fragments, scene.objects, filter="nearest")
         errors.append(rendered[union[strip]] - photo[strip][union[strip]] / 255)
-    full = [iou(full_silhouette(o, camera), masks[o.id]) for o in scene]
-    visible = [iou(ids == o.id, masks[o.id]) for o in scene]
+    full = [iou(full_silhouette(o, camera), o.mask) for o in scene]
+    visible = [iou(ids == o.id, o.mask) for o in scene]
     return full, visible, float(-10 * np.log10(max(np.mean(np.concatenate(errors) ** 2), 1e-12)))
 
 
-def exact_agreement(scene: Scene) -> tuple[list[float], list[float]]:
-    """IoU of each full silhouette, and of each object's visible pixels, exact: every pixel at its centre."""
-    full = [iou(full_silhouette(o, scene.camera), o.mask) for o in scene]
-    ids = raster.visible_ids(scene.objects, scene.camera)
-    return full, [iou(ids == o.id, o.mask) for o in scene]
-
-
 def visible_iou(scene: Scene) -> float:
-    """mIoU_visible alone, at the pixel centres: the mean IoU of visible pixels with the masks."""
+    """mIoU_visible alone: the mean IoU of visible pixels with the masks."""
     return mean_over_masks(visible_ious(scene), scene)
 
 
@@ -226,7 +210,7 @@ def mean_over_masks(ious: Mapping[int, float], scene: Scene) -> float:
 
 
 def visible_ious(scene: Scene) -> dict[int, float]:
-    """The IoU of every object's visible pixels with its mask, at the pixel centres, by id."""
+    """The IoU of every object's visible pixels with its mask, by id."""
     ids = raster.visible_ids(scene.objects, scene.camera)
     return {o.id: iou(ids == o.id, o.mask) for o in scene}
 

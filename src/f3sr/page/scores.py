@@ -73,13 +73,6 @@ OTHERS = (
         better="higher",
         meaning="The same as mIoU with only the pixels that are seen in the whole scene.",
     ),
-    Score(
-        field="mIoU_exact",
-        title="mIoU exact",
-        better="higher",
-        meaning="mIoU at pixel centres; the protocol's grid is half a pixel off.",
-    ),
-    Score(field="mIoU_visible_exact", title="mIoU visible exact", better="higher", meaning="mIoU visible likewise."),
     Score(field="N_cross", title="N_cross", better="lower", meaning="Pairs of triangles behind R_pen."),
     Score(
         field="gap_pct",
