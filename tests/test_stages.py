@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,11 +18,11 @@ from f3sr.stages.align.config import FacetConfig
 from f3sr.stages.assemble import assemble
 from f3sr.stages.decompose import decompose
 from f3sr.stages.evaluate import direct_composition, evaluate
-from f3sr.stages.level import LevelConfig, fit_plane, level, vote
+from f3sr.stages.level import LevelConfig, fit_plane, level, plane_errors, vote
 from f3sr.stages.separate import SeparateConfig, separate
 from f3sr.stages.settle import settle
 from f3sr.visibility import nearer_objects, visible_region
-from folders import boxes, camera, write_folder
+from folders import boxes, camera, to_depth, write_folder
 from scenes import box, box_stack_scene, scene_of
 
 
@@ -119,6 +120,35 @@ def test_strays_metres_away_tilt_nothing():
     normal = R @ [0, 0, 1] * np.sign(-(R @ [0, 0, 1])[1])
     assert np.degrees(np.arccos(np.clip(fitted.normal @ normal, -1, 1))) < 0.1
     assert fitted.normal[1] < 0 and fitted.offset == pytest.approx(normal @ [0, 0.2, 1.5], abs=1e-3)
+
+
+@pytest.mark.parametrize("wave", [0.0, 0.002], ids=["independent", "correlated"])
+def test_the_error_of_a_plane_covers_the_truth(wave: float):
+    """Independent noise: two standard errors, no more. Noise that neighbours share: no less, although the residual
+    over the square root of n would be a tenth of it."""
+    rng = np.random.default_rng(4)
+    rows = []
+    for _ in range(20):
+        x, y = rng.uniform(-0.5, 0.5, (2, 4000))
+        a, b = rng.uniform(0, 2 * np.pi, 2)
+        z = 0.001 * rng.normal(size=len(x)) + wave * np.sin(8 * x + a) * np.sin(8 * y + b)
+        true = np.linalg.lstsq(np.column_stack([x, y, np.ones_like(x)]), z)[0]
+        rows.append([np.hypot(true[0], true[1]), abs(true[2]), *plane_errors(np.column_stack([x, y, z]))])
+    tilt, height, tilt_error, height_error = np.array(rows).T
+    assert (tilt <= tilt_error).mean() >= 0.9 and (height <= height_error).mean() >= 0.8
+    if not wave:
+        assert np.median(tilt_error) < 4 * np.sqrt(np.mean(tilt**2))
+        assert np.median(height_error) < 4 * np.sqrt(np.mean(height**2))
+
+
+def test_only_a_sensor_measures_the_ground(exact: Scene, tmp_path: Path):
+    estimated, _ = level(exact)
+    assert np.isinf([estimated.ground.tilt_error, estimated.ground.height_error]).all()
+    write_folder(tmp_path / "input")
+    to_depth(tmp_path / "input")
+    measured, report = level(assemble(inputs.read(tmp_path / "input"))[0])
+    assert 0 < measured.ground.height_error < 1e-3 and 0 < measured.ground.tilt_error < np.radians(0.1)
+    assert report.value("ground height error") == pytest.approx(1000 * measured.ground.height_error)
 
 
 def test_the_camera_is_on_the_upper_side_of_the_ground_and_a_photo_upside_down_is_told(exact: Scene):
@@ -224,6 +254,15 @@ def test_separate_leaves_contact_but_no_overlap(rays: float):
     assert up.bounds_world[0, 2] == pytest.approx(low.bounds_world[1, 2] + GAP, abs=1e-4)
     assert measure(scene).N_cross == 0
     assert side.bounds_world[0, 0] - low.bounds_world[1, 0] == pytest.approx(GAP, abs=1e-4)
+
+
+@pytest.mark.parametrize("error", [np.inf, 0.0004, 0.0])
+def test_the_ground_moves_by_no_more_than_the_error_of_its_height(error: float):
+    sunken = scene_of(*(box(k, at=(0.2 * k, 0, 0.03)) for k in range(3)))
+    scene, _ = separate(replace(sunken, ground=replace(sunken.ground, height_error=error)))
+    moved = float(scene.camera.center[2] - sunken.camera.center[2])
+    assert moved == pytest.approx(min(0.02 + GAP, error), abs=1e-9)
+    assert all(o.bounds_world[0, 2] == pytest.approx(GAP, abs=1e-5) for o in scene)
 
 
 def test_moving_along_viewing_rays_changes_no_silhouette():

@@ -3,7 +3,7 @@ that changing them gives to points in camera axes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -35,9 +35,9 @@ class ObjectFreedom:
         center = self.anchor + self.basis @ a
         turns = _left_jacobian(omega)[:, [2, 0, 1]].T
         fields = [
-            *(_field(shift=b) for b in self.basis.T),
-            *(_field(turn=axis, about=center) for axis in turns),
-            _field(growth=1 / s, about=center),
+            *(_velocity(shift=b) for b in self.basis.T),
+            *(_velocity(turn=axis, about=center) for axis in turns),
+            _velocity(growth=1 / s, about=center),
         ]
         return np.array([r * _in_camera(f, camera) for r, f in zip(self.reach, fields, strict=True)])
 
@@ -50,37 +50,43 @@ class ObjectFreedom:
 class CameraFreedom:
     """Six degrees of freedom about the scene's centre, so that turning and shifting decouple, or seven.
 
-    Parameters u (6,) in [-1, 1], times ``reach``: a rotation vector [rad] and a shift [m] of the scene in camera axes,
-    x -> R (x - center) + center + t, with ``center`` (3,) [m] in the axes of ``camera``, the one it starts from. A
-    seventh is the logarithm of the factor on the focal lengths.
+    Parameters u (6,) in [-1, 1], times ``reach``: a rotation vector [rad] and a shift [m] of the scene along ``axes``,
+    x -> R (x - center) + center + t, with ``center`` (3,) [m] in the axes of ``camera``, the one it starts from. The
+    columns of ``axes`` (3, 3) are unit vectors in those axes too. A seventh is the logarithm of the factor on the focal
+    lengths.
     """
 
     camera: Camera
     center: Array
     reach: Array
+    axes: Array = field(default_factory=lambda: np.eye(3))
 
     def at(self, u: Array) -> Camera:
         """The camera that sees the scene so."""
-        v = self.reach * u
-        R = rotation_from_vector(v[:3])
-        T_old_new = pose(R.T, self.center - R.T @ (self.center + v[3:6]))
-        moved = self.camera.moved(self.camera.T_world_camera @ T_old_new)
-        return moved.zoomed(float(np.exp(v[6]))) if len(v) > 6 else moved
+        turn, shift, zoom = self._values(u)
+        R = rotation_from_vector(turn)
+        T_old_new = pose(R.T, self.center - R.T @ (self.center + shift))
+        return self.camera.moved(self.camera.T_world_camera @ T_old_new).zoomed(zoom)
 
     def velocities(self, u: Array) -> Array:
         """(6, 3, 4), or 7: how points in the axes of the moved camera move with each parameter; a longer focal length
         moves a picture as if its points moved away from the axis."""
-        v = self.reach * u
-        center = self.center + v[3:6]
+        turn, shift, _ = self._values(u)
+        center = self.center + shift
         fields = [
-            *(_field(turn=axis, about=center) for axis in _left_jacobian(v[:3]).T),
-            *(_field(shift=axis) for axis in np.eye(3)),
+            *(_velocity(turn=axis, about=center) for axis in (_left_jacobian(turn) @ self.axes).T),
+            *(_velocity(shift=axis) for axis in self.axes.T),
             np.diag([1.0, 1, 0, 0])[:3],
         ]
-        return self.reach[:, None, None] * np.array(fields[: len(v)])
+        return self.reach[:, None, None] * np.array(fields[: len(u)])
+
+    def _values(self, u: Array) -> tuple[Array, Array, float]:
+        """Rotation vector and shift in camera axes, and the factor on the focal lengths."""
+        v = self.reach * u
+        return self.axes @ v[:3], self.axes @ v[3:6], float(np.exp(v[6])) if len(v) > 6 else 1.0
 
 
-def _field(
+def _velocity(
     *, shift: Array | None = None, turn: Array | None = None, growth: float = 0.0, about: Array | None = None
 ) -> Array:
     """The affine velocity (3, 4) of x -> shift + (turn x + growth) (x - about)."""

@@ -117,7 +117,7 @@ def _depth_map(folder: InputFolder, name: str, photo: Photo) -> tuple[Geometry, 
     rays = _pixel_rays(K_depth * [[w / width], [h / height], [1]], w, h)
     valid = _usable(folder, path, depth, depth[..., None], depth > 0)
     points = rays * np.where(valid, depth, 0)[..., None]
-    return Geometry(points=points.astype(np.float32), valid=valid), K
+    return Geometry(points=points.astype(np.float32), valid=valid, source="sensor"), K
 
 
 class _Intrinsics(BaseModel):

@@ -18,6 +18,7 @@ GROUND = -1
 """The id of the ground in supports and contacts."""
 
 Mobility = Literal["dynamic", "fixed"]
+GeometrySource = Literal["estimate", "sensor"]
 
 
 def name_of(id: int) -> str:
@@ -48,11 +49,14 @@ class Geometry:
     """Per-pixel geometry of the photo, in camera axes; its resolution need not be the photo's.
 
     ``points`` (h, w, 3) [m], meaningful where ``valid`` (h, w); ``normals`` (h, w, 3) unit or None.
+    ``source`` says whether a depth sensor measured it or a network estimated it: the errors of an estimate's focal
+    length, scale and shift show in no residual.
     """
 
     points: NDArray[np.float32]
     valid: NDArray[np.bool_]
     normals: NDArray[np.float32] | None = None
+    source: GeometrySource = "estimate"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", frozen(self.points, np.float32))
@@ -77,6 +81,10 @@ class Ground:
     source: str = "provisional"
     confidence: float = 0.0
     """In [0, 1]: the share of candidate ground points that lie on the plane."""
+    tilt_error: float = np.inf
+    """Two standard errors of the normal [rad]; inf where nothing measured it."""
+    height_error: float = np.inf
+    """Two standard errors of the plane's height amid its points [m]; inf where nothing measured it."""
 
 
 @dataclass(frozen=True, kw_only=True)

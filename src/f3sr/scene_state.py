@@ -32,6 +32,8 @@ def pack(scene: Scene) -> tuple[dict[str, Any], Arrays]:
             "offset": float(ground.offset),
             "source": ground.source,
             "confidence": float(ground.confidence),
+            "tilt_error": float(ground.tilt_error),
+            "height_error": float(ground.height_error),
         },
         "graph": asdict(scene.graph),
         "objects": {str(o.id): _pack_object(o) for o in scene},

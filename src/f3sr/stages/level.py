@@ -16,6 +16,9 @@ from f3sr.scene import Geometry, Ground, Scene
 from f3sr.settings import settings
 from f3sr.silhouette import union_of
 
+GROUPS = 4
+"""Strips along each of two axes that split the ground's points into groups for the jackknife: 16 in all."""
+
 
 @settings
 class LevelConfig:
@@ -63,6 +66,9 @@ def level(scene: Scene, config: LevelConfig | None = None) -> tuple[Scene, Repor
     R_g = rotation_between(scene.camera.T_world_camera[:3, :3] @ normal_camera, [0, 0, 1])
     T = pose(R_g, [0, 0, height - (R_g @ scene.camera.center)[2]])
     ground = Ground(source=source, confidence=plane.inliers)
+    if scene.geometry and scene.geometry.source == "sensor":
+        tilt_error, height_error = plane_errors(points[on_plane])
+        ground = replace(ground, tilt_error=tilt_error, height_error=height_error)
     moved = _move_all(scene, T, ground)
     lowest = min(o.bounds_world[0, 2] for o in moved)
     report = Report(
@@ -71,6 +77,7 @@ def level(scene: Scene, config: LevelConfig | None = None) -> tuple[Scene, Repor
             Measure(name="tilt removed", after=np.degrees(rotation_angle(R_g)), unit="deg"),
             Measure(name="ground points on the plane", after=100 * plane.inliers, unit="%"),
             Measure(name="ground residual", after=1000 * plane.residual, unit="mm"),
+            *_errors_of(ground),
             Measure(name="normals that agree", after=100 * agreement, unit="%"),
             Measure(name="lowest vertex", after=1000 * float(lowest), unit="mm"),
         ),
@@ -112,6 +119,44 @@ def fit_plane(points: Array, rng: np.random.Generator, config: LevelConfig) -> P
     share = float((np.abs(points @ normal - offset) < tolerance).mean())
     residual = float(np.sqrt(np.mean((points[on_plane] @ normal - offset) ** 2)))
     return Plane(normal=normal, offset=offset, inliers=share, residual=residual)
+
+
+def plane_errors(points: Array) -> tuple[float, float]:
+    """Two standard errors of a plane fitted to points (n, 3): of its normal [rad] and of its height amid them [m].
+
+    Delete-a-group jackknife (Efron 1982) over ``GROUPS`` contiguous groups of equally many points, for the errors of
+    neighbours are alike: a residual divided by the square root of n would be far too small.
+    """
+    center = points.mean(0)
+    axes = np.linalg.svd((points - center).T @ (points - center))[0]
+    u, v, height = ((points - center) @ axes).T
+    strip = _ranks(u) * GROUPS // len(points)
+    rows = np.column_stack([u, v, np.ones_like(u)])
+    groups = strip * GROUPS
+    for k in range(GROUPS):
+        groups[strip == k] += _ranks(v[strip == k]) * GROUPS // np.count_nonzero(strip == k)
+    fits: list[Array] = []
+    for k in np.unique(groups):
+        left = groups != k
+        fits.append(np.linalg.lstsq(rows[left], height[left])[0])
+    G = len(fits)
+    slope_u, slope_v, offset = np.sqrt((G - 1) / G * ((np.array(fits) - np.mean(fits, axis=0)) ** 2).sum(0))
+    return 2 * float(np.hypot(slope_u, slope_v)), 2 * float(offset)
+
+
+def _ranks(values: Array) -> NDArray[np.int64]:
+    """The place of each value (n,) in their ascending order."""
+    return np.argsort(np.argsort(values, kind="stable"))
+
+
+def _errors_of(ground: Ground) -> list[Measure]:
+    """The ground's measured errors, where there are any."""
+    if not np.isfinite(ground.tilt_error):
+        return []
+    return [
+        Measure(name="ground tilt error", after=np.degrees(ground.tilt_error), unit="deg"),
+        Measure(name="ground height error", after=1000 * ground.height_error, unit="mm"),
+    ]
 
 
 def _upside_down(plane: Plane) -> list[Decision]:

@@ -42,11 +42,12 @@ def _fitted(scene: Scene, config: AlignConfig, *, focal: bool) -> Camera:
     union = union_of(masks, (small.height, small.width))
     center = small.to_camera(np.mean([o.bounds_world.mean(0) for o in scene], axis=0)[None])[0]
     shift = step.translation * float(np.linalg.norm(center))
-    reach = [step.rotation] * 3 + [shift] * 3 + [step.focal_range] * focal
+    tilt, height = min(step.rotation, scene.ground.tilt_error), min(shift, scene.ground.height_error)
+    reach = [tilt, tilt, step.rotation, shift, shift, height] + [step.focal_range] * focal
     fit = CameraFit(
         surface=Surface.of([(o.vertices_world, o.mesh.faces) for o in scene]),
         target=Target.of(union, weights=replace(config.weights, centroid=0.0, area=0.0)),
-        freedom=CameraFreedom(camera=small, center=center, reach=np.array(reach)),
+        freedom=CameraFreedom(camera=small, center=center, reach=np.array(reach), axes=small.T_camera_world[:3, :3]),
         prior=step.prior,
     )
     return fit.best(iterations=step.iterations).resized(scene.camera.width, scene.camera.height)

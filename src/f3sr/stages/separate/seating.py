@@ -45,12 +45,12 @@ def grounded(scene: Scene, config: SeparateConfig) -> Scene:
     stands is one number for all, which they know better than a few points beside them.
 
     Everything moves vertically together, the camera too, so that no pixel and no depth changes. Where a fixed object
-    stands on the ground, that tells its height.
+    stands on the ground, that tells its height. The ground moves by no more than the error of its measured height.
     """
     standing = [o for o in scene if o.supported_by == GROUND]
     if not standing or any(o.mobility == "fixed" for o in standing):
         return scene
-    limit = config.max_ray_scale * float(scene.camera.center[2])
+    limit = min(config.max_ray_scale * float(scene.camera.center[2]), scene.ground.height_error)
     lowest = float(np.median([min(p.vertices[:, 2].min() for p in o.colliders_world) for o in standing]))
     T = pose(t=-float(np.clip(lowest - config.clearance, -limit, limit)) * UP)
     objects = tuple(o.moved(T, stage="separate", reason="with everything, to the height of the ground") for o in scene)
