@@ -120,12 +120,12 @@ def adam(
     objective: Callable[[Array], Local], start: Array, *, bounds: tuple[Array, Array], rate: Array, steps: int
 ) -> Minimum:
     """The least value met on Adam's way from ``start`` (p,) inside ``bounds`` (Kingma and Ba 2015, algorithm 1)."""
-    x, best = start, Minimum(x=start, value=math.inf, evaluations=steps)
+    x, best = start, Minimum(x=start, value=math.inf)
     m, v = np.zeros_like(x), np.zeros_like(x)
     for k in range(1, steps + 1):
         here = objective(x)
         if here.value < best.value:
-            best = Minimum(x=x, value=here.value, evaluations=steps)
+            best = Minimum(x=x, value=here.value)
         m = MOMENTS[0] * m + (1 - MOMENTS[0]) * here.gradient
         v = MOMENTS[1] * v + (1 - MOMENTS[1]) * here.gradient**2
         step = rate * (m / (1 - MOMENTS[0] ** k)) / (np.sqrt(v / (1 - MOMENTS[1] ** k)) + EPSILON)

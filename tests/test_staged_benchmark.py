@@ -84,7 +84,7 @@ def test_adam_finds_the_middle_of_a_bowl_and_the_best_of_a_box() -> None:
     for middle, expected in (([0.3, -0.2], [0.3, -0.2]), ([2.0, -3.0], [1.0, -1.0])):
         objective = partial(bowl, np.array(middle))
         found = staged.adam(objective, 0 * ones, bounds=(-ones, ones), rate=0.05 * ones, steps=200)
-        assert np.allclose(found.x, expected, atol=1e-2) and found.evaluations == 200
+        assert np.allclose(found.x, expected, atol=1e-2)
 
 
 def bowl(middle: Array, x: Array) -> Local:

@@ -45,11 +45,10 @@ class Local:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Minimum:
-    """Where a search ended, at ``x`` (p,), and how often it looked."""
+    """Where a search ended, at ``x`` (p,)."""
 
     x: Array
     value: float
-    evaluations: int
 
 
 def minimise(
@@ -69,14 +68,12 @@ def minimise(
     least, damping, most = DAMPING
     x = np.clip(start, low, high)
     here = objective(x)
-    evaluations = 1
     for _ in range(iterations):
         free = ~(((x <= low) & (here.gradient > 0)) | ((x >= high) & (here.gradient < 0)))
         trial = np.clip(x + _step(here, free, damping), low, high)
         if not np.any(np.abs(trial - x) > SMALLEST_STEP * (high - low)):
             break
         there = objective(trial)
-        evaluations += 1
         if there.value < here.value:
             gain = here.value - there.value
             x, here, damping = trial, there, max(0.3 * damping, least)
@@ -86,7 +83,7 @@ def minimise(
             damping = max(8 * damping, 1e-2)
             if damping > most:
                 break
-    return Minimum(x=x, value=here.value, evaluations=evaluations)
+    return Minimum(x=x, value=here.value)
 
 
 def _step(here: Local, free: NDArray[np.bool_], damping: float) -> Array:

@@ -215,11 +215,6 @@ def exact_agreement(scene: Scene) -> tuple[list[float], list[float]]:
     return full, [iou(ids == o.id, o.mask) for o in scene]
 
 
-def visible_iou(scene: Scene) -> float:
-    """mIoU_visible alone, at the pixel centres: the mean IoU of visible pixels with the masks."""
-    return mean_over_masks(visible_ious(scene), scene)
-
-
 def mean_over_masks(ious: Mapping[int, float], scene: Scene) -> float:
     """The mean of IoUs by id over all masks of a scene; one without an object counts 0."""
     return sum(ious.values()) / (len(scene.objects) + len(scene.excluded))
