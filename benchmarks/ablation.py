@@ -14,14 +14,19 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import contact as bench
 import contact_report
-from f3sr import kernels, package
+import peers
+import staged
+from f3sr import kernels, package, pipeline
 from f3sr.pipeline import Config, Reconstruction
+from f3sr.report import Report
 from f3sr.scene import Scene
 from f3sr.stages.evaluate import direct_composition
 
@@ -56,6 +61,8 @@ class Variant:
 
     settings: Mapping[str, Any] = field(default_factory=dict[str, Any])
     skip: tuple[str, ...] = ()
+    instead: Mapping[str, Callable[..., tuple[Scene, Report]]] = field(default_factory=dict[str, Any])
+    """What runs in place of stages of these names."""
     optional: bool = False
     """Its settings may be missing, of a part that is not there: then the row is left out."""
     end: Step = _result
@@ -67,15 +74,13 @@ ROWS: Mapping[str, Variant] = {
     "no homothety": Variant(settings={"separate.max_ray_scale": 0.0}),
     "no facets": Variant(settings={"align.facets.enabled": False}),
     "no re-alignment": Variant(settings={"refine.rounds": 0}),
-    "no cover": Variant(settings={"decompose.method": "coacd"}),
+    "no cover": Variant(instead={"decompose": peers.stage("coacd")}),
     "no footings": Variant(settings={"separate.footing.enabled": False}),
     "no statics": Variant(settings={"separate.landing.max_turn": 0.0, "separate.balancing.max_shift": 0.0}),
     "no closing": Variant(skip=("close",)),
     "no damping": Variant(settings={"settle.settling.damping": 1e-9}),
     "report's contact": Variant(skip=tuple(bench.after_proxies()), end=_report_recipe),
-    "report's recipe": Variant(
-        settings={"align.method": "report"}, skip=tuple(bench.after_proxies()), end=_report_recipe
-    ),
+    "report's recipe": Variant(instead={"align": staged.align}, skip=tuple(bench.after_proxies()), end=_report_recipe),
     "direct composition": Variant(skip=tuple(bench.after_proxies()), end=_as_it_came),
 }
 """By name. ``report's contact`` is its separation and settling after our alignment, ``report's recipe`` its alignment
@@ -142,7 +147,11 @@ def _with(config: Any, names: list[str], value: Any) -> Any:
 def run(folder: Path, variant: Variant) -> Reconstruction:
     """What the stages make of a scene under a variant, the last of them never: measures are taken here."""
     config = configured(Config(), variant.settings)
-    return bench.reconstructed(folder, config, skip=sorted({"evaluate", *variant.skip}))
+    with ExitStack() as stack:
+        for name, stage in variant.instead.items():
+            stack.enter_context(mock.patch.object(pipeline, name, stage))
+        stored = not variant.instead  # keys of stored results do not know of these stages
+        return bench.reconstructed(folder, config, skip=sorted({"evaluate", *variant.skip}), stored=stored)
 
 
 def row(result: Reconstruction, variant: Variant, folder: Path, args: argparse.Namespace) -> bench.Row:

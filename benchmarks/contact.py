@@ -97,9 +97,12 @@ def stage_times(folder: Path) -> tuple[Row, Reconstruction]:
     return cpu, pipeline.reconstruct(inputs.read(folder), skip=["evaluate"], progress=told)
 
 
-def reconstructed(folder: Path, config: Config | None = None, *, skip: Sequence[str] = ()) -> Reconstruction:
-    """One scene, as far as it is not in the store already."""
-    return pipeline.reconstruct(inputs.read(folder), config, skip=skip, store=Store.default())
+def reconstructed(
+    folder: Path, config: Config | None = None, *, skip: Sequence[str] = (), stored: bool = True
+) -> Reconstruction:
+    """One scene, as far as it is not in the store already, if that may be used."""
+    store = Store.default() if stored else None
+    return pipeline.reconstruct(inputs.read(folder), config, skip=skip, store=store)
 
 
 def after_proxies() -> list[str]:

@@ -18,12 +18,13 @@ from typing import Any
 
 import numpy as np
 
+import peers
 import tables
 from f3sr import measures, proxies
 from f3sr.mesh_io import load_mesh
-from f3sr.proxies import ProxyConfig
 from f3sr.scene import SceneObject
 
+METHODS = ("cuts", *peers.PEERS)
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 COLUMNS = ("parts", "facets", "cpu_s", "inflation", "outside", "out_pct", "far_pct", "mean", "p99", "largest", "floor")
 """``outside``: largest of a vertex; ``out_pct`` and ``far_pct`` as the referee measures them; then the excess where
@@ -43,11 +44,11 @@ def assets(data: Path) -> Iterator[tuple[str, str, Path]]:
         yield file.parent.name, file.parent.name, file
 
 
-def measured(file: Path, config: ProxyConfig, cache: Path) -> dict[str, float]:
-    """One asset by one method, decomposed anew."""
+def measured(file: Path, method: str, cache: Path) -> dict[str, float]:
+    """One asset by one method, decomposed anew: ``cuts`` are the product's."""
     mesh = load_mesh(file)
     before, start = _cpu(), time.monotonic()
-    proxy = proxies.decompose(mesh, config, cache_dir=cache)
+    proxy = proxies.decompose(mesh, cache_dir=cache) if method == "cuts" else peers.decompose(mesh, method)
     cpu, wall = _cpu() - before, time.monotonic() - start
     mask = np.zeros((1, 1), bool)
     o = SceneObject(id=0, label="", mask_name="", mask=mask, mesh=mesh, T_world_object=np.eye(4), parts=proxy.parts)
@@ -85,7 +86,7 @@ def means(rows: list[dict[str, float]]) -> dict[str, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=DATA)
-    parser.add_argument("--methods", nargs="+", default=["cuts", "coacd", "vhacd"])
+    parser.add_argument("--methods", nargs="+", default=METHODS, choices=METHODS)
     parser.add_argument("--assets", nargs="+", help="names such as dev_03_mixed/03")
     parser.add_argument("--all", action="store_true", help="every asset, not one per model")
     parser.add_argument("-o", "--out", type=Path, default=Path("out/proxies"))
@@ -98,10 +99,9 @@ def main() -> None:
             chosen.setdefault(name if args.all or args.assets else model, (name, model, file))
     results: dict[str, dict[str, dict[str, float]]] = {method: {} for method in args.methods}
     for method in args.methods:
-        config = ProxyConfig(method=method)
         for name, model, file in chosen.values():
             cache = args.out / f"cache-{time.time_ns()}"
-            row = measured(file, config, cache)
+            row = measured(file, method, cache)
             results[method][name] = row
             label = f"{method:6} {name:18} {model.removeprefix('ycb_')[:18]:18}"
             print(label, "  ".join(f"{k} {row[k]:.3g}" for k in (*COLUMNS, "wall_s") if k in row), flush=True)

@@ -16,9 +16,10 @@ from typing import TypeVar
 
 import numpy as np
 
+import resting
 import stacks
 import tables
-from f3sr import balancing, physics, resting, statics
+from f3sr import balancing, physics, statics
 from f3sr.bodies import StaticBody, bodies_of, contacts_of
 from f3sr.contact import Polytope
 from f3sr.frames import UP, pose, rotation_about
@@ -62,7 +63,7 @@ def compare(count: int) -> None:
         for seed in range(count):
             objects = stacks.stack(seed, spread=spread)
             bodies = bodies_of(objects)
-            found, seconds = timed(lambda bodies=bodies: statics.stability(bodies, per_body=False))
+            found, seconds = timed(lambda bodies=bodies: statics.stability(bodies))
             times.append(seconds)
             travel = physics.release(objects, seconds=SECONDS).D_max
             table[int(found.stands), int(travel < FELL)] += 1
@@ -144,7 +145,7 @@ def growth() -> None:
             bodies.append(StaticBody(id=id, parts=parts, mass=0.3, centers=center, friction=0.6))
         contacts, finding = timed(lambda bodies=bodies: contacts_of(bodies))
         _, quick = timed(lambda bodies=bodies, contacts=contacts: statics.stands(bodies, contacts))
-        _, full = timed(lambda bodies=bodies, contacts=contacts: statics.stability(bodies, contacts, per_body=False))
+        _, full = timed(lambda bodies=bodies, contacts=contacts: statics.stability(bodies, contacts))
         row = [count, 30 * count, len(contacts), *(round(1000 * s) for s in (finding, quick, full))]
         table.append([str(x) for x in row])
     tables.show(table)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from f3sr.frames import T_UP_FROM_CAMERA, Array, Camera, pose
+from f3sr.measures import mean_over_masks, visible_ious
 from f3sr.mesh import ConvexPart, Material, Mesh
 from f3sr.scene import GROUND, Ground, Photo, Relation, Scene, SceneGraph, SceneObject, Support
 
@@ -120,3 +121,8 @@ def _revolved(profile: Array, poles: tuple[float, float], sides: int = 32) -> Me
         a, b = 2 + k * sides, 2 + (k + 1) * sides
         faces += [np.column_stack([a + i, a + j, b + j]), np.column_stack([a + i, b + j, b + i])]
     return Mesh(vertices=vertices, faces=np.concatenate(faces).astype(np.int32))
+
+
+def visible_iou(scene: Scene) -> float:
+    """mIoU_visible at the pixel centres: the mean IoU of visible pixels with the masks."""
+    return mean_over_masks(visible_ious(scene), scene)

@@ -15,7 +15,6 @@ from f3sr.frames import T_UP_FROM_CAMERA, Array, Camera, pose, rotation_about, r
 from f3sr.freedom import ObjectFreedom
 from f3sr.mesh import Mesh
 from f3sr.scene import Geometry, Photo, Scene, SceneObject
-from f3sr.searches import answered, together
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.align.config import AppearanceConfig, CameraConfig, DepthConfig, FacetConfig, TiltConfig
 from f3sr.window import sampled, window_around
@@ -345,24 +344,3 @@ def test_a_window_shows_what_the_photo_shows_there() -> None:
     assert (seen[40:] == -1).all() and (seen[:, :5] == -1).all()
     coarse = image[::2, ::2]
     assert np.array_equal(sampled(coarse, CAMERA, CAMERA.resized(WIDTH // 2, HEIGHT // 2), fill=-1), coarse)
-
-
-def test_searches_together_are_those_alone() -> None:
-    asked: list[list[int]] = []
-
-    def search(start: int, steps: int):
-        total = 0
-        for k in range(steps):
-            a, b = yield [start + k, start - k]
-            total += a * b
-        return total
-
-    def squares(questions: list[int]) -> list[int]:
-        asked.append(list(questions))
-        return [q * q for q in questions]
-
-    alone = [answered(search(*args), squares) for args in ((5, 3), (7, 0), (2, 1))]
-    asked.clear()
-    assert answered(together([search(5, 3), search(7, 0), search(2, 1)]), squares) == alone
-    assert asked == [[5, 5, 2, 2], [6, 4], [7, 3]]
-    assert answered(together([]), squares) == []

@@ -101,14 +101,6 @@ def test_interval_of_boxes():
     assert lo >= hi
 
 
-def test_escape_of_boxes_is_horizontal():
-    a, b = box(), box(size=(1, 3, 1), center=(0.3, 0.1, 0.95))
-    length, direction = contact.horizontal_escape(a, b)
-    assert length == pytest.approx(0.7)
-    assert np.allclose(direction, [-1, 0])
-    assert contact.horizontal_escape(a, box(center=(0, 0, 2))) == (0, pytest.approx([0, 0]))
-
-
 def test_edge_against_edge():
     """Two boxes turned by 45 degrees about crossing axes touch with one edge each."""
     a = box().moved(pose(rotation_about([1, 0, 0], np.pi / 4)))
@@ -176,7 +168,6 @@ def test_identical_boxes():
     assert contact.overlap_depth(a, a) == pytest.approx(1)
     lo, hi = contact.forbidden_interval(a, a, UP)
     assert lo == pytest.approx(-hi)
-    assert contact.horizontal_escape(a, a)[0] > 0
 
 
 @pytest.mark.parametrize("angle", [1e-3, 1e-6, 1e-9, 1e-12, 1e-15])
@@ -197,24 +188,17 @@ def test_copies_shifted_by_almost_nothing():
 # Against independent answers
 
 
-def test_depth_and_escape_against_the_minkowski_hull():
+def test_depth_against_the_minkowski_hull():
     overlaps = 0
     for seed in range(60):
         rng = np.random.default_rng(seed)
         a, b = random_hull(rng), random_hull(rng)
-        normals, offsets = minkowski_planes(a, b)
+        _, offsets = minkowski_planes(a, b)
         depth = contact.overlap_depth(a, b)
         assert (depth > 0) == (offsets.min() > 0)
-        length, direction = contact.horizontal_escape(a, b)
         if depth > 0:
             overlaps += 1
             assert depth == pytest.approx(offsets.min(), abs=1e-9)
-            lengths = np.linalg.norm(normals[:, :2], axis=1)
-            assert length == pytest.approx((offsets / lengths).min(), abs=1e-9)
-            move = np.append((length + 1e-6) * direction, 0)
-            assert contact.overlap_depth(a.shifted(move), b) <= 0
-        else:
-            assert length == 0
     assert 20 < overlaps < 58
 
 

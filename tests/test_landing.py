@@ -13,12 +13,11 @@ import pytest
 from f3sr import contact, physics
 from f3sr.bodies import bodies_of
 from f3sr.frames import UP, pose, rotation_about, rotation_angle
-from f3sr.landing import LandingConfig, land, land_all
-from f3sr.resting import rest
+from f3sr.landing import LandingConfig, land
 from test_statics import GAP, block, body
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-stacks = importlib.import_module("stacks")
+resting, stacks = (importlib.import_module(name) for name in ("resting", "stacks"))
 
 EXACT = np.radians(0.02)
 
@@ -116,7 +115,7 @@ def test_what_leans_on_a_wall_stays() -> None:
 @pytest.mark.parametrize("seed", [4, 8, 12])
 def test_tilted_stacks_lie_down_one_after_the_other_and_rest(seed: int) -> None:
     objects = stacks.stack(seed, spread=0.015, tilt=np.radians(3))
-    found = land_all(bodies_of(objects), {o.id: o.supported_by for o in objects})
+    found = resting.land_all(bodies_of(objects), {o.id: o.supported_by for o in objects})
     assert all(x.stands for x in found.landings.values())
     landed = [replace(o, T_world_object=found.motions[o.id] @ o.T_world_object) for o in objects]
     assert not any(
@@ -129,7 +128,7 @@ def test_rest_lands_and_shifts_until_all_stand() -> None:
     """Tilted bodies of which some would tip with what they carry: landing alone does not do, nor shifts alone."""
     objects = stacks.stack(14, spread=0.015, tilt=np.radians(3))
     bodies, supports = bodies_of(objects), {o.id: o.supported_by for o in objects}
-    found = rest(bodies, supports, LandingConfig(max_shift=0.15))
+    found = resting.rest(bodies, supports, LandingConfig(max_shift=0.15))
     assert not found.before.stands and found.after.stands and not found.tipped
     rested = [replace(o, T_world_object=found.motions[o.id] @ o.T_world_object) for o in objects]
     assert physics.release(objects, seconds=1).D_max > 0.05
@@ -137,5 +136,6 @@ def test_rest_lands_and_shifts_until_all_stand() -> None:
 
 
 def test_rest_leaves_what_stands() -> None:
-    found = rest([body(0, block(at=(0, 0, 0.05 + GAP))), body(1, block(at=(0, 0, 0.15 + 2 * GAP)))], {0: -1, 1: 0})
+    bodies = [body(0, block(at=(0, 0, 0.05 + GAP))), body(1, block(at=(0, 0, 0.15 + 2 * GAP)))]
+    found = resting.rest(bodies, {0: -1, 1: 0})
     assert all(np.allclose(T, np.eye(4), atol=1e-6) for T in found.motions.values()) and found.after.stands

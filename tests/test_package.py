@@ -22,7 +22,7 @@ from f3sr import package, place
 from f3sr.errors import InputError, OutputError
 from f3sr.frames import pose, rotation_about, transform
 from f3sr.mesh import ConvexPart, Material, Mesh
-from f3sr.mesh_io import load_mesh, save_glb
+from f3sr.mesh_io import load_mesh, load_part, save_glb
 from f3sr.package import Package, read_package, scene_schema, write_package
 from f3sr.physics import build_spec, release, settle
 from f3sr.report import Decision, Measure, Report
@@ -122,7 +122,7 @@ def test_loading_agrees_with_trimesh_on_a_scene_graph(tmp_path: Path) -> None:
     assert np.array_equal(mesh.vertices, expected.vertices) and np.array_equal(mesh.faces, expected.faces)
 
 
-@pytest.mark.parametrize("suffix", ["obj", "ply", "glb", "gltf"])
+@pytest.mark.parametrize("suffix", ["obj", "glb", "gltf"])
 def test_formats(suffix: str, tmp_path: Path) -> None:
     mesh = trimesh.Trimesh(box_mesh().vertices, box_mesh().faces, process=False)
     if suffix == "gltf":
@@ -130,7 +130,7 @@ def test_formats(suffix: str, tmp_path: Path) -> None:
         (tmp_path / "m.gltf").write_bytes(files["model.gltf"])
     else:
         mesh.export(tmp_path / f"m.{suffix}")
-    again = load_mesh(tmp_path / f"m.{suffix}")
+    again = (load_part if suffix == "obj" else load_mesh)(tmp_path / f"m.{suffix}")
     assert np.allclose(again.vertices[again.faces], mesh.triangles, atol=1e-7)
 
 
@@ -153,11 +153,7 @@ BROKEN = {
     "garbage.glb": (b"\0" * 100, "broken glTF|unreadable"),
     "short.glb": (b"glTF", "broken glTF"),
     "empty.glb": (glb({"asset": ASSET, "scenes": [{"nodes": []}]}), "no faces"),
-    "empty.obj": (b"", "unreadable|no faces"),
-    "points.obj": (obj(""), "unreadable|no faces"),
-    "nan.obj": (obj("v nan 0 0\nf 1 2 4"), "NaN|unreadable"),
-    "dangling.obj": (obj("f 1 2 9"), "do not exist|unreadable"),
-    "escape.obj": (b"mtllib ../../etc/passwd\n" + obj("f 1 2 3"), "reference to '../../etc/passwd'"),
+    "other.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", r"type '.obj'"),
     "uri.glb": (
         glb({"asset": ASSET, "buffers": [{"uri": "http://x/y.bin", "byteLength": 1}]}),
         "reference to",
@@ -183,14 +179,36 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize("name", BROKEN)
+BROKEN_PARTS = {
+    "other.glb": (b"glTF", "type '.glb'"),
+    "missing.obj": (None, "no such file"),
+    "empty.obj": (b"", "unreadable|no faces"),
+    "points.obj": (obj(""), "unreadable|no faces"),
+    "nan.obj": (obj("v nan 0 0\nf 1 2 4"), "NaN|unreadable"),
+    "far.obj": (obj("v 1e16 0 0\nf 1 2 4"), "beyond 1e"),
+    "dangling.obj": (obj("f 1 2 9"), "do not exist|unreadable"),
+}
+
+
+@pytest.mark.parametrize("name", [*BROKEN, *BROKEN_PARTS])
 def test_a_broken_mesh_is_refused_by_name(name: str, tmp_path: Path) -> None:
-    content, found = BROKEN[name]
+    content, found = (BROKEN | BROKEN_PARTS)[name]
     if content is not None:
         (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError, match=found) as caught:
-        load_mesh(tmp_path / name)
+        (load_part if name in BROKEN_PARTS else load_mesh)(tmp_path / name)
     assert name in caught.value.where
+
+
+@pytest.mark.timeout(20)
+def test_a_part_is_read_without_any_file_that_it_names(tmp_path: Path) -> None:
+    """Whoever opens the pipe for its material waits forever."""
+    os.mkfifo(tmp_path / "pipe.mtl")
+    (tmp_path / "m.obj").write_bytes(b"mtllib pipe.mtl\nusemtl a\n" + obj("f 1 2 3"))
+    part = load_part(tmp_path / "m.obj")
+    assert len(part.faces) == 1 and part.vertex_colors is None and part.uv is None
+    with pytest.raises(InputError, match="1 faces; accepted: at most 0"):
+        load_part(tmp_path / "m.obj", max_faces=0)
 
 
 def test_limits_on_faces_and_pixels(tmp_path: Path) -> None:

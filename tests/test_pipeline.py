@@ -11,9 +11,9 @@ import pytest
 
 from f3sr import inputs
 from f3sr.errors import InputError
-from f3sr.measures import visible_iou
 from f3sr.pipeline import SKIPPABLE, Config, Reconstruction, reconstruct
 from folders import write_folder
+from scenes import visible_iou
 
 IDS = [(2, "02_big_box.png"), (5, "05_small_box.png"), (7, "07_tall_box.png")]
 

@@ -416,13 +416,6 @@ def test_a_crash_leaves_one_hull_and_says_so(tmp_path, monkeypatch):
     assert distance_outside(proxy, surface_points(L_SHAPE)).max() < 1e-7
 
 
-@pytest.mark.parametrize("method", ["coacd", "vhacd"])
-def test_the_peers_are_there_for_comparison(tmp_path, method):
-    pytest.importorskip(method if method == "coacd" else "vhacdx")
-    proxy = decompose(L_SHAPE, replace(QUICK, method=method), cache_dir=tmp_path)
-    assert proxy.method == method and len(proxy.parts) >= 2
-
-
 def test_a_large_mesh_reaches_the_worker_and_its_answer_us(tmp_path):
     """More than a pipe holds, to a worker that starts slowly."""
     vertices, faces = L_SHAPE.vertices, L_SHAPE.faces

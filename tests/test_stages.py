@@ -11,7 +11,7 @@ import pytest
 from f3sr import inputs, raster
 from f3sr.balancing import BalanceConfig
 from f3sr.frames import T_UP_FROM_CAMERA, invert_pose, pose, rotation_about, rotation_from_vector
-from f3sr.measures import measure, visible_iou
+from f3sr.measures import measure
 from f3sr.scene import GROUND, Geometry, Relation, Scene, SceneGraph, Support
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.align.config import FacetConfig
@@ -23,7 +23,7 @@ from f3sr.stages.separate import SeparateConfig, separate
 from f3sr.stages.settle import settle
 from f3sr.visibility import nearer_objects, visible_region
 from folders import boxes, camera, to_depth, write_folder
-from scenes import box, box_stack_scene, scene_of
+from scenes import box, box_stack_scene, scene_of, visible_iou
 
 
 @pytest.fixture(scope="module")

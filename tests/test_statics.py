@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 
 from f3sr import physics, statics
-from f3sr.bodies import StaticBody, bodies_of, contacts_of
+from f3sr.bodies import StaticBody, bodies_of, contacts_of, islands
 from f3sr.contact import Polytope
-from f3sr.equilibrium import EDGES, FALLS
+from f3sr.equilibrium import EDGES, FALLS, Balance
 from f3sr.frames import UP, pose, rotation_about
 from f3sr.mesh import ConvexPart
 from f3sr.patches import Contacts, find_contacts
+from f3sr.physics import DEFAULT_PHYSICS
 from f3sr.scene import GROUND, SceneObject
-from f3sr.statics import contact_loads, stability
+from f3sr.statics import stability
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 stacks = importlib.import_module("stacks")
@@ -104,7 +105,6 @@ def test_a_box_over_an_edge_tips_at_its_overhang(d: float) -> None:
     bodies = [body(0, block(), fixed=True), body(1, block((0.1, 0.1, 0.3), (d, 0, 0.25 + GAP)), friction=2.0)]
     found = stability(bodies)
     assert found.stands and found.margin == pytest.approx(np.arctan((0.05 - d) / 0.15), abs=2e-3)
-    assert found.first == {1} and found.margins[1] == pytest.approx(found.margin, abs=2e-3)
 
 
 def test_a_box_beyond_an_edge_falls_and_says_how_much_tilt_would_hold_it() -> None:
@@ -125,7 +125,7 @@ def test_a_block_on_a_slope(angle: float, friction: float, holds: bool) -> None:
     slope = body(0, block((1, 1, 0.1), (0, 0, 1), R), fixed=True, friction=friction)
     on_it = body(1, block((0.1, 0.1, 0.05), np.array([0, 0, 1]) + R @ [0, 0, 0.075 + GAP], R), friction=friction)
     found = stability([slope, on_it])
-    assert found.stands == holds and found.needs_friction == holds
+    assert found.stands == holds
     assert found.margin == pytest.approx(np.arctan(friction) - angle, abs=0.03)
 
 
@@ -142,22 +142,10 @@ def test_a_leaning_plank_stands_when_it_is_steep(angle: float, stands: bool) -> 
     assert stability(smooth, ground_friction=0.6).stands == stands
 
 
-def test_a_bridge_is_carried_half_by_each_pier_and_falls_without_one() -> None:
+def test_a_bridge_falls_without_one_of_its_piers() -> None:
     piers = [body(k, block(at=(x, 0, 0.05))) for k, x in ((0, -0.1), (1, 0.1))]
     plank = body(2, block((0.3, 0.1, 0.02), (0, 0, 0.11 + GAP)), mass=0.4)
-    loads = contact_loads([*piers, plank])
-    half = 0.2 * statics.GRAVITY
-    assert loads == pytest.approx(
-        {(2, 0): half, (2, 1): half, (0, GROUND): 5 * half + half, (1, GROUND): 5 * half + half}, rel=1e-6
-    )
     assert stability([*piers, plank]).stands and stability([piers[0], plank]).moving == {2}
-
-
-def test_loads_follow_the_lever() -> None:
-    piers = [body(k, block((0.01, 0.1, 0.1), (x, 0, 0.05))) for k, x in ((0, -0.1), (1, 0.2))]
-    plank = body(2, block((0.5, 0.1, 0.02), (0, 0, 0.11 + GAP)))
-    loads = contact_loads([*piers, plank])
-    assert loads[2, 0] / loads[2, 1] == pytest.approx(2, rel=0.05)
 
 
 def test_an_arch_stands_by_friction_alone() -> None:
@@ -168,14 +156,14 @@ def test_an_arch_stands_by_friction_alone() -> None:
         leg = block((0.02, 0.1, 0.4), R=rotation_about([0, 1, 0], -side * (np.pi / 2 - angle)))
         inner = leg.bounds[1, 0] if side < 0 else -leg.bounds[0, 0]
         legs.append(body(id, leg.shifted((side * (inner + GAP / 2), 0, GAP - leg.bounds[0, 2]))))
-    found = stability(legs)
-    assert found.stands and found.needs_friction
+    assert stability(legs).stands
+    assert not stability([replace(leg, friction=0.0) for leg in legs], ground_friction=0.0).stands
     assert stability([legs[0]]).moving == {0}
 
 
 def test_what_touches_nothing_falls_whatever_the_tilt_and_fixed_things_never_do() -> None:
     found = stability([body(0, block(at=(0, 0, 0.5))), body(1, block(at=(1, 0, 0.5)), fixed=True)])
-    assert found.margin == FALLS and found.moving == {0} and found.margins == {0: FALLS}
+    assert found.margin == FALLS and found.moving == {0}
     assert stability([body(1, block(at=(1, 0, 0.5)), fixed=True)]).stands
 
 
@@ -217,14 +205,16 @@ def test_a_larger_world_stands_alike(k: float) -> None:
     found = stability(large, contacts_of(large, reach=k * 6e-4))
     once = stability(bodies)
     assert found.margin == pytest.approx(once.margin, abs=2e-3)
-    assert found.margins == pytest.approx(once.margins, abs=2e-3)
 
 
 def test_forces_balance_weights_and_pull_at_nothing() -> None:
     for seed in (6, 12, 26):
         bodies = bodies_of(stacks.stack(seed))
         contacts = contacts_of(bodies)
-        forces = statics.contact_forces(bodies, contacts)
+        forces = np.zeros((len(contacts), 3))
+        for group in islands(bodies, contacts):
+            balance = Balance(group, bodies, contacts, DEFAULT_PHYSICS.ground_friction[0])
+            forces[balance.rows] = statics.GRAVITY * balance.eased(np.zeros(2))[0]
         assert (np.einsum("ki,ki->k", forces, contacts.normals) >= -1e-9).all()
         for b in bodies:
             sign = (contacts.upper == b.id).astype(float) - (contacts.lower == b.id)
@@ -263,15 +253,6 @@ def test_the_margin_is_where_balance_ends() -> None:
 @pytest.mark.parametrize("seed", range(10))
 def test_stacks_that_stand_stay_and_those_that_do_not_move(seed: int) -> None:
     objects: tuple[SceneObject, ...] = stacks.stack(seed)
-    found = stability(bodies_of(objects), per_body=False)
+    found = stability(bodies_of(objects))
     travel = physics.release(objects, seconds=1.5).D_max
     assert travel < 1e-3 if found.stands else travel > 2e-3
-
-
-def test_loads_are_those_of_the_simulated_state() -> None:
-    objects = stacks.stack(26)
-    simulated = physics.settle(objects).loads
-    ours = contact_loads(bodies_of(objects))
-    assert ours.keys() == simulated.keys()
-    for pair, load in simulated.items():
-        assert ours[pair] == pytest.approx(load, rel=0.05)

@@ -22,7 +22,6 @@ from f3sr.equilibrium import Balance
 from f3sr.frames import UP, Array, pose
 from f3sr.physics import DEFAULT_PHYSICS
 from f3sr.settings import settings
-from f3sr.statics import stability
 
 DIRECTIONS = 6
 """Of tilted gravity. The tilts are so large that all smaller ones in between are balanced too."""
@@ -67,13 +66,12 @@ DEFAULT_BALANCE = BalanceConfig()
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Balanced:
-    """Where the bodies are to be shifted, and how they stand before and after. Margins as in ``Stability``."""
+    """Where the bodies are to be shifted, and how they stand then."""
 
     shifts: Mapping[int, Array]
     """(3,) [m] of every body that moves; zero for the others."""
-    before: float
     after: float
-    """Margins of the whole scene [rad]."""
+    """Margin of the whole scene [rad], as in ``Stability``."""
     unbalanced: frozenset[int]
     """Bodies that move without tilt even after the shifts."""
     below_margin: frozenset[int]
@@ -102,7 +100,6 @@ def balance(
     What is minimised is the sum of the square roots of these costs, so few bodies move.
     """
     state = _State(bodies, supports, config, clearance, weights or {}, max_shifts or {}, ground_friction)
-    before = stability(bodies, ground_friction=ground_friction, per_body=False).margin
     state.seat_all()
     rounds = 0
     seated = dict(state.bodies), dict(state.shifts)
@@ -110,7 +107,7 @@ def balance(
         rounds += 1
     if rounds:
         state.undo_in_vain(*seated)
-    return state.result(before, rounds)
+    return state.result(rounds)
 
 
 class _State:
@@ -247,7 +244,7 @@ class _State:
         groups = [g for g in groups if among is None or any(b.id in among for b in g)]
         return [_Programme(Balance(g, bodies, contacts, self.ground_friction, edges=CONE_EDGES), self) for g in groups]
 
-    def result(self, before: float, rounds: int) -> Balanced:
+    def result(self, rounds: int) -> Balanced:
         bodies = tuple(self.bodies.values())
         contacts = contacts_of(bodies)
         wanted = self.config.margin - 1e-3
@@ -256,14 +253,13 @@ class _State:
         margins = [np.pi / 2]
         for group in islands(bodies, contacts):
             balance = Balance(group, bodies, contacts, self.ground_friction)
-            margins.append(balance.margin()[0])
+            margins.append(balance.margin())
             if margins[-1] < 0:
                 unbalanced |= balance.moving()
             elif margins[-1] < wanted:
                 below |= {b.id for b in group}
         return Balanced(
             shifts=self.shifts,
-            before=before,
             after=min(margins),
             unbalanced=unbalanced,
             below_margin=below,

@@ -33,9 +33,6 @@ that rounding cannot turn the contact they end in back into a collision."""
 PARALLEL = 1e-12
 """Sine below which a facet counts as parallel to a direction: rounding of unit vectors."""
 
-NEVER = (np.inf, -np.inf)
-"""The empty interval."""
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Polytope:
@@ -144,24 +141,9 @@ def overlap_depth(a: Polytope, b: Polytope) -> float:
 def forbidden_interval(a: Polytope, b: Polytope, direction: ArrayLike) -> tuple[float, float]:
     """The open interval (lo, hi) of t where ``a`` moved by ``t * direction`` (3,) collides with ``b``.
 
-    Never: ``NEVER``, whose lo is greater than its hi.
+    Never: (inf, -inf), whose lo is greater than its hi.
     """
     return _interval(*a.packed, *b.packed, np.asarray(direction, float), _touch(a, b) / 2)
-
-
-def horizontal_escape(a: Polytope, b: Polytope) -> tuple[float, Array]:
-    """The smallest horizontal move of ``a`` out of ``b``: length and direction (2,); zeros when apart.
-
-    Exact: the horizontal shifts that overlap form a convex polygon; its nearest edge is the way out.
-    """
-    normals, heights = facets(a, b)
-    if heights.min() <= _touch(a, b):
-        return 0.0, np.zeros(2)
-    lengths = np.linalg.norm(normals[:, :2], axis=1)
-    usable = lengths > PARALLEL
-    distances = heights[usable] / lengths[usable]
-    nearest = int(np.argmin(distances))
-    return float(distances[nearest]), -normals[usable][nearest, :2] / lengths[usable][nearest]
 
 
 def facets(a: Polytope, b: Polytope) -> tuple[Array, Array]:
@@ -411,7 +393,7 @@ def _interval(
     u: Array,
     slack: float,
 ) -> tuple[float, float]:
-    """Where ``t u`` lies in all half-spaces ``normal . x > slack - height``; NEVER where it is in none."""
+    """Where ``t u`` lies in all half-spaces ``normal . x > slack - height``; (inf, -inf) where it is in none."""
     lo, hi = -np.inf, np.inf
     still = PARALLEL * np.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     for k in range(len(faces_a)):

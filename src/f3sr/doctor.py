@@ -90,21 +90,9 @@ def _parts() -> Iterator[Check]:
     )
     yield _tried("assets", "given", _glb_round_trip)
     yield Check(group="assets", name="from the photo", state="missing", found="not in this version: they must be given")
-    yield _torch("cuda")
-    yield _torch("torch-cpu")
     yield _tried("decomposition", "cuts", _decomposed)
     yield _tried("physics", "MuJoCo", _dropped)
     yield _tried("solids", "manifold3d", _united)
-
-
-def _torch(device: Literal["cuda", "torch-cpu"]) -> Check:
-    """Whether silhouettes can be compared with masks on a device; the CPU's kernels do it everywhere."""
-    try:
-        from f3sr.devices import open_torch
-
-        return _check("alignment", device, f"{open_torch(device).name}, agrees with the kernels")
-    except Exception as error:
-        return Check(group="alignment", name=device, state="missing", found=str(error).splitlines()[0])
 
 
 def _tried(group: str, name: str, probe: Callable[[], str]) -> Check:

@@ -46,7 +46,6 @@ class Balance:
         contacts: Contacts,
         ground_friction: float,
         *,
-        friction: float | None = None,
         edges: int = EDGES,
     ) -> None:
         self.group = tuple(group)
@@ -56,8 +55,6 @@ class Balance:
         self.rows = np.flatnonzero(np.isin(contacts.upper, members) | np.isin(contacts.lower, members))
         self.contacts = contacts.of(self.rows)
         rough = {GROUND: ground_friction, **{b.id: b.friction for b in bodies}}
-        if friction is not None:
-            rough = dict.fromkeys(rough, friction)
         pairs = zip(self.contacts.upper.tolist(), self.contacts.lower.tolist(), strict=True)
         self.friction = np.array([max(rough[a], rough[b]) for a, b in pairs])
         self.sizes = np.array([b.size for b in self.group])
@@ -117,37 +114,35 @@ class Balance:
         """Whether it stands untilted, with every set of centres."""
         return all(self._farthest(np.zeros(2), c, still=True) is not None for c in range(self.choices))
 
-    def margin(self) -> tuple[float, frozenset[int]]:
-        """The least tilt that moves it [rad], and the ids that it moves first."""
-        found = [self._margin(c) for c in range(self.choices)]
-        return min(found, key=lambda m: m[0])
+    def margin(self) -> float:
+        """The least tilt that moves it [rad]."""
+        return min(self._margin(c) for c in range(self.choices))
 
-    def _margin(self, center: int) -> tuple[float, frozenset[int]]:
+    def _margin(self, center: int) -> float:
         """How far the origin lies inside the set of tilts that are balanced.
 
         The signed distance is the least reach of the set over all directions. Corners found so far span an inner
         bound; the next direction is that in which the inner bound is nearest.
         """
         corners: list[Array] = []
-        least, first = np.inf, frozenset[int]()
+        least = np.inf
         directions = [np.array([np.cos(a), np.sin(a)]) for a in 2 * np.pi * np.arange(3) / 3]
         for _ in range(40):
             found = self._farthest(directions.pop(0), center)
             if found is None:
-                return FALLS, self._moving(center)
-            corner, reach, movers = found
+                return FALLS
+            corner, reach = found
             corners.append(corner)
-            if reach < least:
-                least, first = reach, movers
+            least = min(least, reach)
             if not directions:
                 inner, direction = _signed_distance(np.array(corners))
                 if least - inner < TOLERANCE:
                     break
                 directions = [direction]
-        return (np.pi / 2 if least >= STEEPEST * (1 - 1e-9) else float(np.arctan(least))), first
+        return np.pi / 2 if least >= STEEPEST * (1 - 1e-9) else float(np.arctan(least))
 
-    def _farthest(self, u: Array, center: int, *, still: bool = False) -> tuple[Array, float, frozenset[int]] | None:
-        """The balanced tilt (2,) farthest along u, how far, and which bodies move beyond it; None when there is none.
+    def _farthest(self, u: Array, center: int, *, still: bool = False) -> tuple[Array, float] | None:
+        """The balanced tilt (2,) farthest along u, and how far; None when there is none.
 
         ``still``: no tilt at all.
         """
@@ -167,7 +162,7 @@ class Balance:
         if solution.status != 0:
             return None
         tilt = solution.x[n:]
-        return tilt, float(u @ tilt), self._movers(solution.eqlin.marginals)
+        return tilt, float(u @ tilt)
 
     def moving(self) -> frozenset[int]:
         """Which bodies move under untilted gravity, with one set of centres or another."""
@@ -191,12 +186,9 @@ class Balance:
         speeds = np.abs(motion).reshape(-1, 6).max(1)
         return frozenset(b.id for b, s in zip(self.group, speeds, strict=True) if s > MOVES * max(speeds.max(), 1e-9))
 
-    def forces(self, tilt: Array, center: int = 0) -> Array:
-        """(k, 3) [kg] forces of least squares on the upper bodies."""
-        return self.eased(tilt, center)[0]
-
     def eased(self, tilt: Array, center: int = 0) -> tuple[Array, float]:
-        """These forces, and what they leave unbalanced: the length of the wrench, in weights and sizes."""
+        """(k, 3) [kg] forces of least squares on the upper bodies, and what they leave unbalanced: the length of the
+        wrench, in weights and sizes."""
         upright, lean = self.weights(center)
         wanted = upright + lean @ tilt
         f = least_forces(self.wrenches, wanted)

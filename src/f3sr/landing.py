@@ -15,7 +15,7 @@ import numpy as np
 from annotated_types import Interval
 
 from f3sr import contact
-from f3sr.bodies import StaticBody, carried, contacts_of, rigid, supports_first
+from f3sr.bodies import StaticBody, contacts_of
 from f3sr.contact import Polytope
 from f3sr.equilibrium import Balance
 from f3sr.frames import UP, Array, pose, rotation_about, rotation_angle
@@ -125,50 +125,6 @@ def _level_box(parts: Sequence[Polytope]) -> tuple[Array, Array]:
 
 def _is_near(part: Polytope, low: Array, high: Array) -> bool:
     return bool((part.bounds[0, :2] <= high).all() and (part.bounds[1, :2] >= low).all())
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Landed:
-    """Where all bodies come to lie, one after the other."""
-
-    motions: Mapping[int, Array]
-    """(4, 4) rigid motion of the world per id."""
-    landings: Mapping[int, Landing]
-    """How each body came to lie, with what it carries, after all below it had."""
-
-
-def land_all(
-    bodies: Sequence[StaticBody],
-    supports: Mapping[int, int | None],
-    config: LandingConfig = DEFAULT_LANDING,
-    *,
-    clearance: float = 4e-4,
-    ground_friction: float = DEFAULT_PHYSICS.ground_friction[0],
-) -> Landed:
-    """Land every movable body with what it carries as one rigid thing, supports first, all others held still.
-
-    ``supports``: what each body rests on, None for those that stay where they are with what they carry. What overlaps
-    at the start is raised out of it. What tips with its load lies down as it would without, and does not stand.
-    """
-    now = {b.id: b for b in bodies}
-    motions = {b.id: np.eye(4) for b in bodies}
-    landings: dict[int, Landing] = {}
-    for id in supports_first(supports):
-        if now[id].fixed or supports[id] is None:
-            continue
-        members = {i for i in carried(id, supports) if not now[i].fixed}
-        whole = rigid([now[i] for i in sorted(members)], id)
-        others = [b for i, b in now.items() if i not in members]
-        found = land(whole, others, config, clearance=clearance, ground_friction=ground_friction)
-        if found.tipped and len(members) > 1:  # what it carries lies too far out, which other shifts may mend
-            unladen = replace(whole, centers=now[id].centers)
-            found = land(unladen, others, config, clearance=clearance, ground_friction=ground_friction)
-            found = replace(found, stands=False)
-        landings[id] = found
-        for i in members:
-            now[i] = now[i].moved(found.T)
-            motions[i] = found.T @ motions[i]
-    return Landed(motions=motions, landings=landings)
 
 
 class _Fall:

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.frames import Array
-from f3sr.searches import Search, answered
 
 SMALLEST_STEP = 1e-6
 """Of the box's half width: below it the search has arrived."""
@@ -46,11 +45,10 @@ class Local:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Minimum:
-    """Where a search ended, at ``x`` (p,), and how often it looked."""
+    """Where a search ended, at ``x`` (p,)."""
 
     x: Array
     value: float
-    evaluations: int
 
 
 def minimise(
@@ -61,32 +59,21 @@ def minimise(
     iterations: int = 15,
     tolerance: float = 1e-5,
 ) -> Minimum:
-    """``descent`` on a function."""
-    search = descent(start, bounds=bounds, iterations=iterations, tolerance=tolerance)
-    return answered(search, lambda points: [objective(x) for x in points])
-
-
-def descent(
-    start: Array, *, bounds: tuple[Array, Array], iterations: int = 15, tolerance: float = 1e-5
-) -> Search[Array, Local, Minimum]:
     """The least value reached from ``start`` (p,) with lower and upper ``bounds`` (p,), each step accepted only if
     the objective falls (Marquardt 1963, with steps clipped to the box and bounds that press outward held).
 
-    Asks for the objective near points (p,). Ends after ``iterations`` trials, or when a step gains less than
-    ``tolerance``.
+    Ends after ``iterations`` trials, or when a step gains less than ``tolerance``.
     """
     low, high = bounds
     least, damping, most = DAMPING
     x = np.clip(start, low, high)
-    (here,) = yield [x]
-    evaluations = 1
+    here = objective(x)
     for _ in range(iterations):
         free = ~(((x <= low) & (here.gradient > 0)) | ((x >= high) & (here.gradient < 0)))
         trial = np.clip(x + _step(here, free, damping), low, high)
         if not np.any(np.abs(trial - x) > SMALLEST_STEP * (high - low)):
             break
-        (there,) = yield [trial]
-        evaluations += 1
+        there = objective(trial)
         if there.value < here.value:
             gain = here.value - there.value
             x, here, damping = trial, there, max(0.3 * damping, least)
@@ -96,7 +83,7 @@ def descent(
             damping = max(8 * damping, 1e-2)
             if damping > most:
                 break
-    return Minimum(x=x, value=here.value, evaluations=evaluations)
+    return Minimum(x=x, value=here.value)
 
 
 def _step(here: Local, free: NDArray[np.bool_], damping: float) -> Array:

@@ -199,11 +199,6 @@ def image_agreement(scene: Scene) -> tuple[list[float], list[float], float]:
     return full, visible, float(-10 * np.log10(max(np.mean(np.concatenate(errors) ** 2), 1e-12)))
 
 
-def visible_iou(scene: Scene) -> float:
-    """mIoU_visible alone: the mean IoU of visible pixels with the masks."""
-    return mean_over_masks(visible_ious(scene), scene)
-
-
 def mean_over_masks(ious: Mapping[int, float], scene: Scene) -> float:
     """The mean of IoUs by id over all masks of a scene; one without an object counts 0."""
     return sum(ious.values()) / (len(scene.objects) + len(scene.excluded))

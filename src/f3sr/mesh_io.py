@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import io
-import re
-from collections.abc import Iterator
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from f3sr.errors import InputError, reason
 from f3sr.export.gltf import mesh_to_glb
 from f3sr.gltf import Piece, read_gltf
 from f3sr.mesh import Material, Mesh
 
-FORMATS = (".glb", ".gltf", ".obj", ".ply")
+MESHES, PARTS = (".glb", ".gltf"), (".obj",)
+"""Types of files with visual meshes, and with collision parts."""
 MAX_FACES = 5_000_000
 """Of one file: twenty times what generators make. Vertices may be three times as many, for faces may share none."""
 MAX_COORDINATE = 1e15
@@ -27,23 +26,32 @@ MAX_TEXTURE_PIXELS = 8192 * 8192
 
 
 def load_mesh(path: Path, *, max_faces: int = MAX_FACES, max_texture_pixels: int = MAX_TEXTURE_PIXELS) -> Mesh:
-    """Read a GLB, glTF with everything embedded, OBJ or PLY file as one mesh in the file's own axes.
+    """Read a GLB, or a glTF with everything embedded, as one mesh in the file's own axes.
 
     All geometries of the file come with their node transforms, in the order of
     ``trimesh.load(path, force="mesh", process=False)``. Nothing is merged or flipped, no triangle dropped.
     Raises InputError, naming the file, for what cannot be read or is not a finite triangle mesh.
     """
     path = Path(path)
-    data = _read_bytes(path)
-    if path.suffix.lower() in (".glb", ".gltf"):
-        pieces = read_gltf(path, data, max_faces=max_faces, max_texture_pixels=max_texture_pixels)
-    else:
-        pieces = _read_with_trimesh(path, data)
-    pieces = [p for p in pieces if len(p.faces)]
-    if not pieces:
-        raise InputError(path, found="no faces", accepted="a mesh with at least one triangle")
-    _check_pieces(path, pieces, max_faces=max_faces, max_texture_pixels=max_texture_pixels)
-    return _joined(pieces)
+    data = _read_bytes(path, MESHES)
+    pieces = read_gltf(path, data, max_faces=max_faces, max_texture_pixels=max_texture_pixels)
+    return _joined(_checked(path, pieces))
+
+
+def load_part(path: Path, *, max_faces: int = MAX_FACES) -> Mesh:
+    """Read the vertices and triangles of an OBJ file, in its own axes; no file that it names is opened.
+
+    Raises InputError, naming the file, for what cannot be read or is not a finite triangle mesh.
+    """
+    path = Path(path)
+    data = _read_bytes(path, PARTS)
+    try:
+        piece = _shape(data)
+    except Exception as error:  # trimesh raises whatever its parser stumbles over
+        raise _refused(path, f"an unreadable file ({type(error).__name__}: {error})"[:300], PARTS) from error
+    if len(piece.faces) > max_faces:
+        raise InputError(path, found=f"{len(piece.faces):,} faces", accepted=f"at most {max_faces:,}")
+    return _joined(_checked(path, [piece]))
 
 
 def save_glb(mesh: Mesh, path: Path) -> None:
@@ -51,121 +59,37 @@ def save_glb(mesh: Mesh, path: Path) -> None:
     Path(path).write_bytes(mesh_to_glb(mesh, name=Path(path).stem))
 
 
-def _read_bytes(path: Path) -> bytes:
-    if path.suffix.lower() not in FORMATS:
-        raise _refused(path, f"a file of type {path.suffix!r}")
+def _read_bytes(path: Path, formats: Sequence[str]) -> bytes:
+    if path.suffix.lower() not in formats:
+        raise _refused(path, f"a file of type {path.suffix!r}", formats)
     try:
         if path.exists() and not path.is_file():  # reading a pipe would wait forever
-            raise _refused(path, "no regular file")
+            raise _refused(path, "no regular file", formats)
         return path.read_bytes()
     except FileNotFoundError:
-        raise _refused(path, "no such file") from None
+        raise _refused(path, "no such file", formats) from None
     except OSError as error:
-        raise _refused(path, f"an unreadable file ({reason(error)})") from error
+        raise _refused(path, f"an unreadable file ({reason(error)})", formats) from error
 
 
-def _refused(path: Path, found: str) -> InputError:
-    return InputError(path, found=found, accepted=f"a mesh file ({', '.join(FORMATS)})")
+def _refused(path: Path, found: str, formats: Sequence[str]) -> InputError:
+    return InputError(path, found=found, accepted=f"a mesh file ({', '.join(formats)})")
 
 
-def _read_with_trimesh(path: Path, data: bytes) -> list[Piece]:
-    """The geometries of an OBJ or PLY file."""
-    import trimesh
-    from trimesh.resolvers import FilePathResolver
-
-    _check_side_files(path, data)
-    kind, resolver = path.suffix.lower()[1:], FilePathResolver(str(path))
-    try:
-        scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=resolver, process=False)
-        return list(_pieces(scene))
-    except Exception as error:  # trimesh raises whatever its parsers stumble over
-        raise _refused(path, f"an unreadable file ({type(error).__name__}: {error})"[:300]) from error
-
-
-def _check_side_files(path: Path, data: bytes) -> None:
-    """What an OBJ or PLY names must lie in its folder: trimesh would leave it out silently."""
-    text = data.decode("utf-8", errors="replace")
-    if path.suffix.lower() == ".ply":
-        header = text.partition("end_header")[0]
-        names = re.findall(r"^comment TextureFile (.+)$", header, flags=re.MULTILINE)
-    else:
-        names = re.findall(r"^\s*mtllib\s+(.+)$", text, flags=re.MULTILINE)
-    for name in (n.strip() for n in names):
-        side = _inside(path, name)
-        if side.suffix.lower() == ".mtl":
-            lines = side.read_text(errors="replace")
-            for picture in re.findall(r"^\s*map_Kd\s+(.+)$", lines, flags=re.MULTILINE):
-                _inside(path, picture.strip())
-
-
-def _inside(path: Path, name: str) -> Path:
-    folder = path.resolve().parent
-    side = (folder / name).resolve()
-    if not side.is_relative_to(folder) or not side.is_file():
-        raise InputError(path, found=f"a reference to {name[:80]!r}", accepted="files that exist in the same folder")
-    return side
-
-
-def _pieces(scene: Any) -> Iterator[Piece]:
-    """Our view of the triangle meshes of a trimesh.Scene, in its order, each once per node that shows it."""
+def _shape(data: bytes) -> Piece:
+    """The vertices and triangles of an OBJ file."""
     import trimesh
 
-    for geometry in scene.dump():
-        if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
-            # The copies that dump() makes lose vertex colours beside a texture.
-            yield _piece(geometry, scene.geometry[geometry.metadata["name"]].visual)
+    shape: Any = trimesh.load(io.BytesIO(data), file_type="obj", force="mesh", process=False, skip_materials=True)
+    vertices, faces = np.array(shape.vertices, float), np.array(shape.faces, np.int64)
+    return Piece(vertices=vertices, faces=faces.reshape(-1, 3), uv=None, colors=None, material=Material())
 
 
-def _piece(geometry: Any, visual: Any) -> Piece:
-    n = len(geometry.vertices)
-    uv = getattr(visual, "uv", None)
-    return Piece(
-        vertices=np.array(geometry.vertices, float),
-        faces=np.array(geometry.faces, np.int64),
-        uv=np.array(uv, float)[:, :2] if uv is not None and len(uv) == n else None,
-        colors=_vertex_colors(visual, n),
-        material=_material(visual),
-    )
-
-
-def _vertex_colors(visual: Any, n: int) -> NDArray[np.uint8] | None:
-    """(n, 3) sRGB. Colours per face are averaged onto the vertices."""
-    from trimesh.visual.color import to_rgba
-
-    if visual.kind in ("vertex", "face"):
-        colors = visual.vertex_colors
-    else:
-        colors = getattr(visual, "vertex_attributes", {}).get("color")
-    if colors is None or len(colors) != n:
-        return None
-    colors = np.array(colors)
-    if colors.dtype == np.uint16:
-        colors = colors / 65535.0
-    return np.array(to_rgba(colors)[:, :3], np.uint8)
-
-
-def _material(visual: Any) -> Material:
-    """Base colour and texture. An OBJ's diffuse colour does not tint its picture: exporters leave it grey."""
-    material = getattr(visual, "material", None)
-    if material is None:
-        return Material()
-    picture = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
-    factor = material.baseColorFactor if hasattr(material, "baseColorFactor") else None
-    if factor is None and picture is None:
-        factor = getattr(material, "diffuse", None)
-    color = (255, 255, 255) if factor is None else (int(c) for c in factor[:3])
-    r, g, b = (c / 255 for c in color)
-    texture = None if picture is None else np.asarray(picture.convert("RGB"), np.uint8)
-    return Material(base_color=(r, g, b), texture=texture)
-
-
-def _check_pieces(path: Path, pieces: list[Piece], *, max_faces: int, max_texture_pixels: int) -> None:
-    count = sum(len(p.faces) for p in pieces)
-    if count > max_faces:
-        raise InputError(path, found=f"{count:,} faces", accepted=f"at most {max_faces:,}")
-    pixels = sum({id(p.material): _pixels(p.material) for p in pieces}.values())
-    if pixels > max_texture_pixels:
-        raise _too_many_pixels(path, pixels, max_texture_pixels)
+def _checked(path: Path, pieces: Sequence[Piece]) -> list[Piece]:
+    """Those that have faces."""
+    pieces = [p for p in pieces if len(p.faces)]
+    if not pieces:
+        raise InputError(path, found="no faces", accepted="a mesh with at least one triangle")
     for p in pieces:
         numbers = [p.vertices] if p.uv is None else [p.vertices, p.uv]
         if not all((np.abs(v) <= MAX_COORDINATE).all() for v in numbers):  # NaN is not
@@ -173,14 +97,7 @@ def _check_pieces(path: Path, pieces: list[Piece], *, max_faces: int, max_textur
             raise InputError(path, found=found, accepted="finite coordinates")
         if p.faces.min() < 0 or p.faces.max() >= len(p.vertices):
             raise InputError(path, found="faces of vertices that do not exist", accepted="a consistent mesh")
-
-
-def _too_many_pixels(path: Path, found: int, accepted: int) -> InputError:
-    return InputError(path, found=f"textures of {found:,} pixels", accepted=f"at most {accepted:,}")
-
-
-def _pixels(material: Material) -> int:
-    return 0 if material.texture is None else material.texture.shape[0] * material.texture.shape[1]
+    return pieces
 
 
 def _key(material: Material) -> tuple[Any, ...]:

@@ -29,8 +29,8 @@ from f3sr.export.scene_json import (
 )
 from f3sr.frames import Camera
 from f3sr.images import as_rgb, open_image
-from f3sr.mesh import ConvexPart, MassProperties, Mesh
-from f3sr.mesh_io import load_mesh
+from f3sr.mesh import ConvexPart, MassProperties
+from f3sr.mesh_io import load_mesh, load_part
 from f3sr.physics import DEFAULT_PHYSICS, PhysicsConfig, body_of
 from f3sr.place import BACKGROUND, KEPT, MASKS, PAGE, PHOTO, SUPPORT, claimed, is_package, prepare_output
 from f3sr.report import Report
@@ -264,7 +264,7 @@ def _read_object(folder: Path, record: ObjectRecord, size: tuple[int, int]) -> S
         label=record.label,
         mask_name=record.mask,
         mask=_read_image(folder, f"{MASKS}/{record.mask}", size, "L") > 127,
-        mesh=_read_mesh(folder, record.mesh),
+        mesh=load_mesh(_inside(folder, record.mesh)),
         T_world_object=np.array(record.T_world_object),
         parts=tuple(_read_part(folder, path) for path in record.collision),
         mobility=record.mobility,
@@ -310,17 +310,13 @@ def _inside(folder: Path, path: str) -> Path:
     return file
 
 
-def _read_mesh(folder: Path, path: str) -> Mesh:
-    return load_mesh(_inside(folder, path))
-
-
 DENT = 1e-4
 """Share of the volume of its hull that a part may lack, by rounding, and be taken as it is written."""
 
 
 def _read_part(folder: Path, path: str) -> ConvexPart:
     """As it is written, so that physics is the same to the bit; the hull of what is not convex."""
-    mesh = _read_mesh(folder, path)
+    mesh = load_part(_inside(folder, path))
     try:
         part, hull = ConvexPart(vertices=mesh.vertices, faces=mesh.faces), mesh.hull
         return part if abs(part.volume - hull.volume) <= DENT * hull.volume else hull

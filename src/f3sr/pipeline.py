@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, field, replace
 
 from pydantic import JsonValue
 
-from f3sr import devices
 from f3sr.background import BackgroundConfig
 from f3sr.cache import Store, digest
 from f3sr.inputs import Inputs
@@ -96,8 +95,6 @@ def reconstruct(
         skip = {*skip, "refine"}
     if "settle" in skip:
         skip = {*skip, "close"}
-    devices.require(config.align.device, "align.device")
-    devices.require(config.refine.align.device, "refine.align.device")
     run = Runner(inputs.key, skip=skip, skippable=SKIPPABLE, store=store, progress=progress)
 
     scene = run.stage("assemble", _assembled, as_given(inputs), config.assemble, inputs=inputs)

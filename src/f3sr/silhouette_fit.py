@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
 from f3sr.contour import MOMENT_X, MOMENT_Y, VALID, Integrals
 from f3sr.frames import Array, Camera
 from f3sr.freedom import CameraFreedom, ObjectFreedom
-from f3sr.levenberg import Local, Minimum, descent, minimise
+from f3sr.levenberg import Local, Minimum, minimise
 from f3sr.scene import SceneObject
-from f3sr.searches import Search, together
 from f3sr.silhouette import LossWeights, Mask, Surface, Target, iou, loss
 from f3sr.window import sampled, window_around
-
-R = TypeVar("R")
 
 EQUATION_8 = np.array([1, 1, 1, 0, 0, 1.0])
 """The report's freedom: shifts, yaw and scale."""
@@ -57,19 +53,18 @@ class ObjectFit:
         """Over the silhouette, with their derivatives by u."""
         return self.shown(u).integrals(self.camera, self.target.fields, self.freedom.velocities(u, self.camera))
 
-    def objective(self, u: Array, integrals: Integrals) -> Local:
-        return loss(integrals, self.target).plus_squares(self.prior, u)
+    def objective(self, u: Array) -> Local:
+        return loss(self.integrals(u), self.target).plus_squares(self.prior, u)
 
-    def best(self, yaws: Iterable[float], *, kept: int, iterations: int) -> FitSearch[Minimum]:
+    def best(self, yaws: Iterable[float], *, kept: int, iterations: int) -> Minimum:
         """The best of the seeds with these yaws [rad] and of where the object is, the first ``kept`` refined."""
-        starts = [np.zeros(6), *(yield from together([self.seed(yaw) for yaw in yaws]))]
-        found = yield [(self, u) for u in starts]
-        values = [self.objective(u, f).value for u, f in zip(starts, found, strict=True)]
+        starts = [np.zeros(6), *(self.seed(yaw) for yaw in yaws)]
+        values = [self.objective(u).value for u in starts]
         ranked = [starts[k] for k in np.argsort(values, kind="stable")]
-        refined = yield from together([self.refined(u, iterations=iterations // 2) for u in ranked[:kept]])
-        return (yield from self.refined(min(refined, key=lambda m: m.value).x, iterations=iterations))
+        refined = [self.refined(u, iterations=iterations // 2) for u in ranked[:kept]]
+        return self.refined(min(refined, key=lambda m: m.value).x, iterations=iterations)
 
-    def seed(self, yaw: float) -> FitSearch[Array]:
+    def seed(self, yaw: float) -> Array:
         """A start (6,) with a yaw [rad], in closed form: the centroid gives the shift, the square root of the ratio of
         areas the scale."""
         reach = self.freedom.reach
@@ -77,11 +72,11 @@ class ObjectFit:
         depth = self.camera.to_camera(self.freedom.anchor[None])[0, 2]
         pixels_per_shift = self.camera.K[:2, :2] @ (self.camera.T_camera_world[:3, :3] @ self.freedom.basis)[:2] / depth
         for _ in range(SEED_STEPS):
-            (found,) = yield [(self, u)]
-            area = found.value[VALID]
+            found = self.integrals(u).value
+            area = found[VALID]
             if area < SMALLEST_AREA:
                 break
-            offset = self.target.centroid - found.value[[MOMENT_X, MOMENT_Y]] / area
+            offset = self.target.centroid - found[[MOMENT_X, MOMENT_Y]] / area
             u = u.copy()
             u[:2] += np.linalg.lstsq(pixels_per_shift, offset)[0] / reach[:2]
             u[5] = ((1 + u[5] * reach[5]) * np.sqrt(self.target.area / area) - 1) / reach[5]
@@ -90,31 +85,15 @@ class ObjectFit:
 
     def refined(
         self, u: Array, *, iterations: int, free: Array = EQUATION_8, also: Callable[[Array], Local] | None = None
-    ) -> FitSearch[Minimum]:
+    ) -> Minimum:
         """The best near a start (6,) that keeps what is not ``free`` (6,); ``also`` adds to the objective."""
         reach = free * (self.freedom.reach > 0)
-        low, high = np.where(reach, -1.0, u), np.where(reach, 1.0, u)
-        return (yield from self.told(descent(u, bounds=(low, high), iterations=iterations), also))
+        bounds = np.where(reach, -1.0, u), np.where(reach, 1.0, u)
 
-    def told(self, search: Search[Array, Local, R], also: Callable[[Array], Local] | None = None) -> FitSearch[R]:
-        """A search over parameters (6,), told this fit's objective from the integrals that are asked for."""
-        try:
-            points = next(search)
-            while True:
-                found = yield [(self, u) for u in points]
-                local = [self.objective(u, f) for u, f in zip(points, found, strict=True)]
-                points = search.send([f + also(u) for f, u in zip(local, points, strict=True)] if also else local)
-        except StopIteration as end:
-            return end.value
+        def objective(u: Array) -> Local:
+            return self.objective(u) + also(u) if also else self.objective(u)
 
-
-FitSearch = Search[tuple[ObjectFit, Array], Integrals, R]
-"""A search that asks for the integrals of fits at parameters (6,)."""
-
-
-def one_by_one(questions: Sequence[tuple[ObjectFit, Array]]) -> list[Integrals]:
-    """The answers to a search, on this processor."""
-    return [fit.integrals(u) for fit, u in questions]
+        return minimise(objective, u, bounds=bounds, iterations=iterations)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -9,10 +9,8 @@ import numpy as np
 
 from f3sr.frames import UP, Array
 from f3sr.goals import launch
-from f3sr.goals.language import Launch, Tried
-from f3sr.goals.setting import CLEARANCE, Aim, Launches, Setting
+from f3sr.goals.setting import CLEARANCE, Aim, Launches, Search, Setting
 from f3sr.scene import GROUND
-from f3sr.searches import Search
 from f3sr.statics import GRAVITY
 
 ARCS = (0.4, 0.9, 1.6, 2.8)
@@ -99,7 +97,7 @@ def throwing(s: Setting) -> Launches:
         yield from _arcs(s, *s.raised)
 
 
-def _arcs(s: Setting, start: Array, lift: Array | None) -> Search[Launch, Tried, bool]:
+def _arcs(s: Setting, start: Array, lift: Array | None) -> Search[bool]:
     """Returns whether the first met something at once, which a start above it would not."""
     arcs = (0.12, *ARCS) if s.task.way == "into" or s.task.manner == "hard" else ARCS
     ways = list[tuple[bool, int, Array, float]]()
@@ -147,7 +145,7 @@ def striking(s: Setting, target: int) -> Launches:
         yield from _strikes(s, target, *s.raised)
 
 
-def _strikes(s: Setting, target: int, start: Array, lift: Array | None) -> Search[Launch, Tried, bool]:
+def _strikes(s: Setting, target: int, start: Array, lift: Array | None) -> Search[bool]:
     """Returns whether the first met something at once, which a start above it would not."""
     low, high = s.layout.span(target)
     ways = list[tuple[bool, int, Array, float]]()

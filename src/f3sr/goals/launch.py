@@ -23,11 +23,6 @@ class Twist:
     angular: Array
 
 
-def slide_speed(distance: float, friction: float) -> float:
-    """At which something sets off that friction stops after a distance [m]: v^2 = 2 mu g s."""
-    return math.sqrt(2 * friction * GRAVITY * distance)
-
-
 def height_speed(height: float) -> float:
     """At which something leaves upwards that rises by a height [m]."""
     return math.sqrt(2 * GRAVITY * height)
@@ -64,19 +59,6 @@ def throw(start: Array, target: Array, apex: float) -> tuple[Array, float]:
     up = math.sqrt(2 * GRAVITY * (apex - start[2]))
     seconds = (up + math.sqrt(2 * GRAVITY * (apex - target[2]))) / GRAVITY
     return np.append((target - start)[:2] / seconds, up), seconds
-
-
-def lowest_throw(start: Array, target: Array) -> Array:
-    """The slowest velocity (3,) that takes a point to the target: |v|^2 = g (h + sqrt(h^2 + d^2)) for a target h above
-    and d away."""
-    way = target - start
-    d, h = float(np.linalg.norm(way[:2])), float(way[2])
-    straight = math.hypot(h, d)
-    speed = math.sqrt(GRAVITY * (h + straight))
-    if d < 1e-9:
-        return np.array([0.0, 0.0, speed])
-    steep = math.atan2(h + straight, d)
-    return np.append(speed * math.cos(steep) * way[:2] / d, speed * math.sin(steep))
 
 
 def bounce(start: Array, target: Array, floor: float, restitution: float, apex: float) -> tuple[Array, float]:

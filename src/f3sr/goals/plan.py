@@ -6,7 +6,7 @@ Every number has a limit. They hold for any scene; whether a plan suits one is f
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -15,7 +15,6 @@ from f3sr.export.scene_json import Id, IdOrGround, Share, Vector3, dump_json
 from f3sr.scene import Mobility
 
 SCHEMA_VERSION = 1
-DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 Kind = Literal[
     "topple",
@@ -318,16 +317,6 @@ class Plan(_Record):
     simulation: SimulationPlan
     rollouts: Annotated[int, Field(ge=0)] = 0
     """How many it took to find."""
-
-
-def plan_schema() -> dict[str, Any]:
-    """JSON Schema of plan.json."""
-    return {"$schema": DIALECT, **Plan.model_json_schema()}
-
-
-def task_schema() -> dict[str, Any]:
-    """JSON Schema of a plan's task by itself: what a Planner answers."""
-    return {"$schema": DIALECT, **TaskSpec.model_json_schema()}
 
 
 def to_json(plan: Plan) -> bytes:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
@@ -25,7 +27,6 @@ from f3sr.goals.plan import (
 from f3sr.goals.pool import Pool
 from f3sr.physics import body_of
 from f3sr.scene import GROUND
-from f3sr.searches import Search
 from f3sr.statics import GRAVITY
 
 RAMP = 0.1
@@ -42,8 +43,11 @@ AT_ONCE = 0.12
 CLEARANCE = 0.006
 """Above what it is let go over, at least [m]."""
 
-Launches = Search[Launch, Tried, None]
-"""Asks for launches to be tried, a few at a time, and is told what came of them."""
+Result = TypeVar("Result")
+
+Search = Generator[Sequence[Launch], Sequence[Tried], Result]
+"""Yields launches to be tried, is sent what came of each, returns its result."""
+Launches = Search[None]
 
 
 @dataclass(eq=False)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
@@ -12,7 +11,7 @@ from pydantic import BaseModel, ConfigDict
 from f3sr.export.scene_json import dump_json
 from f3sr.frames import rotation_angle
 from f3sr.goals.conditions import Judged, Unit, judge
-from f3sr.goals.plan import DIALECT, Condition, Kind, Plan
+from f3sr.goals.plan import Condition, Kind, Plan
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.simulate import as_planned
 from f3sr.scene import GROUND, Scene
@@ -87,11 +86,6 @@ class VerdictDocument(BaseModel):
     broken_rules: tuple[str, ...]
     """What no rollout may do: drive anything but the active object, push it after it touched its target, start
     elsewhere than the scene."""
-
-
-def verdict_schema() -> dict[str, Any]:
-    """JSON Schema of verdict.json."""
-    return {"$schema": DIALECT, **VerdictDocument.model_json_schema()}
 
 
 def to_json(verdict: Verdict) -> bytes:

@@ -33,7 +33,6 @@ FRAME = re.compile(
     r"see) (?=\w)"
 )
 """Before a subject that is to do something: ``make the ball roll``."""
-WHERE_IT_WAS = r"where it (?:was|started|came from|stood)|its (?:old |original |starting )?(?:place|spot|point)"
 IDIOMS: tuple[tuple[str, str], ...] = (
     (r"\bplease\b|\bkindly\b", " "),
     (r"\bgive (.{1,80}?) an? (?:gentle|little|light|small) (\w+)", r"gently \2 \1"),

@@ -37,7 +37,7 @@ __all__ = ["Excess", "Proxy", "ProxyConfig", "check", "decompose", "decompose_al
 GRID = 2.0**-26
 """Normalised vertices are rounded to this step, so that the asset's unit and place change no byte."""
 
-Method = Literal["hull", "cuts", "coacd", "vhacd", "hull-fallback"]
+Method = Literal["hull", "cuts", "hull-fallback"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,7 +155,7 @@ def _decompose_unit(
         return _proxy(one_hull(vertices, faces, config), "hull", decisions, config)
     outcome = run_worker(vertices, faces, config, cancelled)
     if outcome.fitted:
-        return _proxy(outcome.fitted, config.method, (), config)
+        return _proxy(outcome.fitted, "cuts", (), config)
     failed = Decision(choice="one hull", reason=f"the decomposition was {outcome.reason}", fallback=True)
     proxy = _proxy(one_hull(vertices, faces, config), "hull-fallback", (failed,), config)
     return replace(proxy, cut_short=outcome.cut_short)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from annotated_types import Interval
 
@@ -13,8 +13,6 @@ from f3sr.settings import settings
 class ProxyConfig:
     """How meshes become convex parts. Lengths are shares of the mesh's size, times per object and attempt."""
 
-    method: Literal["cuts", "coacd", "vhacd"] = "cuts"
-    """How: ``cuts`` cover the surface; ``coacd`` and ``vhacd`` are these packages as they are, for comparison."""
     hull_volume_ratio: Annotated[float, Interval(gt=0, le=1)] = 0.93
     """One hull if the closed mesh fills this share of it: splitting would add little."""
     tolerance: Annotated[float, Interval(ge=0.0005, le=0.2)] = 0.004

@@ -18,7 +18,7 @@ import numpy as np
 
 from f3sr import interrupts
 from f3sr.frames import Array
-from f3sr.proxies import parts, peers
+from f3sr.proxies import parts
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.parts import Fitted
 from f3sr.proxies.store import config_json, packed, unpacked
@@ -108,7 +108,7 @@ def work(config_text: str, parent: str) -> None:
         vertices, faces = data["vertices"], data["faces"]
     answer = os.dup(1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for the words of the libraries
-    fitted = (parts if config.method == "cuts" else peers).several(vertices, faces, config)
+    fitted = parts.several(vertices, faces, config)
     with os.fdopen(answer, "wb") as stream:
         archive = io.BytesIO()
         np.savez(archive, allow_pickle=False, **packed(fitted))

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 
-from f3sr.devices import results_of
 from f3sr.measures import full_silhouette
 from f3sr.outlines import outlined
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene, SceneObject
 from f3sr.silhouette import iou, resample
-from f3sr.silhouette_fit import FitSearch
 from f3sr.stages.align.camera import align_camera
 from f3sr.stages.align.config import AlignConfig as AlignConfig
 from f3sr.stages.align.objects import View, align_object
 from f3sr.visibility import nearer_objects, visible_region
+
+MOST_THREADS = 8
+"""Objects that are searched at the same time, each in a thread of its own: the kernels release the GIL."""
 
 
 def align(
@@ -37,13 +40,12 @@ def align(
     if config.objects:
         nearer = nearer_objects(scene)
 
-        def search(o: SceneObject) -> FitSearch[tuple[SceneObject, list[Decision]]]:
+        def aligned(o: SceneObject) -> tuple[SceneObject, list[Decision]]:
             view = View(scene=scene, valid=visible_region(o, nearer[o.id]), textured=full[o.id].mesh)
-            return (yield from align_object(o, view, config))
+            return align_object(o, view, config)
 
-        chosen = [o for o in scene if only is None or o.id in only]
-        results, told = results_of(map(search, chosen), config.device)
-        decisions += told
+        with ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1)) as pool:
+            results = list(pool.map(aligned, (o for o in scene if only is None or o.id in only)))
         scene = scene.with_objects(*(o for o, _ in results))
         decisions += [d for _, several in results for d in several]
     after = _ious(scene, config)

@@ -9,7 +9,6 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Interval, Len
 
-from f3sr.devices import Device
 from f3sr.settings import settings
 from f3sr.silhouette import LossWeights
 
@@ -112,9 +111,6 @@ class AlignConfig:
     """Refine the camera first."""
     objects: bool = True
     """Refine the objects."""
-    method: Literal["exact", "report"] = "exact"
-    """How objects are searched: Levenberg-Marquardt from closed-form seeds and the extensions below, or the report's
-    staged Adam against whole masks without any, to compare with."""
     freedom: Literal["image", "support"] = "image"
     """Objects shift in the image plane and scale about their middle (equation 8), or, where they already rest, shift
     horizontally and scale about the middle of their base, so that they stay on their support."""
@@ -141,9 +137,6 @@ class AlignConfig:
     """Below it a mask and a mesh, fitted, do not show the same thing: the object stays as it came."""
     weights: LossWeights = field(default_factory=LossWeights)
     """Of the loss that silhouettes are compared by."""
-    device: Device = "auto"
-    """Where silhouettes are compared with masks: the CPU's kernels, a GPU through torch, torch on the CPU (a check,
-    slower), or what works best here."""
     camera_step: CameraConfig = field(default_factory=CameraConfig)
     tilt: TiltConfig = field(default_factory=TiltConfig)
     appearance: AppearanceConfig = field(default_factory=AppearanceConfig)

@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from f3sr import raster, staged
+from f3sr import raster
 from f3sr.appearance import Appearance, principal_axes
 from f3sr.depth_evidence import DepthEvidence
 from f3sr.facets import resting_turn
@@ -22,7 +22,7 @@ from f3sr.mesh import Mesh, mass_properties
 from f3sr.report import Decision, keep_better
 from f3sr.scene import Scene, SceneObject
 from f3sr.silhouette import Mask
-from f3sr.silhouette_fit import EQUATION_8, EVERYTHING, SMALLEST_AREA, FitSearch, ObjectFit, object_fit
+from f3sr.silhouette_fit import EQUATION_8, EVERYTHING, SMALLEST_AREA, ObjectFit, object_fit
 from f3sr.stages.align.config import AlignConfig
 from f3sr.window import sampled, window_around
 
@@ -74,13 +74,11 @@ class _Evidence:
     appearance: Appearance | None
 
 
-_Phase = Callable[[_Placed, _Evidence, View, AlignConfig], FitSearch[tuple[_Placed, list[Decision]]]]
+_Phase = Callable[[_Placed, _Evidence, View, AlignConfig], tuple[_Placed, list[Decision]]]
 
 
-def align_object(o: SceneObject, view: View, config: AlignConfig) -> FitSearch[tuple[SceneObject, list[Decision]]]:
+def align_object(o: SceneObject, view: View, config: AlignConfig) -> tuple[SceneObject, list[Decision]]:
     """The object where its silhouette fits its mask best, and whatever the extensions make better."""
-    if config.method == "report":
-        return (yield from staged.align_object(o, view.scene.camera, resolution=config.resolution))
     if reason := _not_comparable(o, view):
         return o, [Decision(choice="kept as it came", reason=reason, about=o.id, fallback=True)]
     fit = object_fit(
@@ -91,7 +89,7 @@ def align_object(o: SceneObject, view: View, config: AlignConfig) -> FitSearch[t
     evidence = _evidence(o, view, config)
     decisions: list[Decision] = []
     for phase in _phases(evidence, config):
-        placed, more = yield from phase(placed, evidence, view, config)
+        placed, more = phase(placed, evidence, view, config)
         decisions += more
         if placed.iou < config.least_iou:
             reason = f"its mask and its mesh do not show the same thing: valid mask IoU {placed.iou:.2f} at best"
@@ -155,9 +153,9 @@ def _evidence(o: SceneObject, view: View, config: AlignConfig) -> _Evidence:
 # --- phases ---------------------------------------------------------------------------------------------------------
 
 
-def _fitted(placed: _Placed, _: _Evidence, __: View, config: AlignConfig) -> FitSearch[tuple[_Placed, list[Decision]]]:
+def _fitted(placed: _Placed, _: _Evidence, __: View, config: AlignConfig) -> tuple[_Placed, list[Decision]]:
     """Equations 8 and 9: the best of several seeds."""
-    found = yield from placed.fit.best(config.yaw_seeds, kept=config.kept_seeds, iterations=config.iterations)
+    found = placed.fit.best(config.yaw_seeds, kept=config.kept_seeds, iterations=config.iterations)
     kept, decision = keep_better(
         placed, placed.moved(found.x), score=_iou, step="object", measure="valid mask IoU",
         tolerance=config.iou_tolerance, about=placed.base.id,
@@ -165,16 +163,14 @@ def _fitted(placed: _Placed, _: _Evidence, __: View, config: AlignConfig) -> Fit
     return kept, [decision]
 
 
-def _polished(
-    placed: _Placed, evidence: _Evidence, view: View, config: AlignConfig
-) -> FitSearch[tuple[_Placed, list[Decision]]]:
+def _polished(placed: _Placed, evidence: _Evidence, view: View, config: AlignConfig) -> tuple[_Placed, list[Decision]]:
     """All degrees of freedom together, silhouette and appearance, also from the turn that the photo's detail tells."""
     free = EVERYTHING if config.tilt.enabled else EQUATION_8
     was = _scores(placed, evidence, view, config)
     best, now = placed, was
     for start in (placed, *_turned(placed, was.correlation, evidence, view, config)):
         also = _mismatch(start, evidence, view, config)
-        found = yield from start.fit.refined(start.u, iterations=config.iterations, free=free, also=also)
+        found = start.fit.refined(start.u, iterations=config.iterations, free=free, also=also)
         scores = _scores(start.moved(found.x), evidence, view, config)
         if scores.total > now.total and scores.iou >= was.iou - config.appearance.loss and scores.agrees(was):
             best, now = start.moved(found.x), scores
@@ -201,16 +197,14 @@ def _turned(placed: _Placed, correlation: float, evidence: _Evidence, view: View
     return []
 
 
-def _standing(
-    placed: _Placed, evidence: _Evidence, view: View, config: AlignConfig
-) -> FitSearch[tuple[_Placed, list[Decision]]]:
+def _standing(placed: _Placed, evidence: _Evidence, view: View, config: AlignConfig) -> tuple[_Placed, list[Decision]]:
     """On the nearest stable facet, where that is near and the picture does not mind."""
     turn = _resting_turn(_textured(placed.object, view), config.facets.most)
     if turn is None:
         return placed, []
     standing = _after(placed, turn, view, config)
     also = _mismatch(standing, evidence, view, config)
-    found = yield from standing.fit.refined(standing.u, iterations=config.iterations // 2, also=also)
+    found = standing.fit.refined(standing.u, iterations=config.iterations // 2, also=also)
     was, now = (_scores(p, evidence, view, config) for p in (placed, standing.moved(found.x)))
     is_kept = now.total >= was.total - config.facets.loss
     decision = Decision(
@@ -222,9 +216,8 @@ def _standing(
 
 def _at_its_depth(
     placed: _Placed, evidence: _Evidence, view: View, config: AlignConfig
-) -> FitSearch[tuple[_Placed, list[Decision]]]:
+) -> tuple[_Placed, list[Decision]]:
     """Along its viewing rays to where the geometry sees it; no silhouette changes."""
-    yield from ()
     assert evidence.depth is not None
     camera, limits = view.scene.camera, config.depth
     was = evidence.depth.residual(placed.object)

@@ -172,7 +172,7 @@ def _stands(layout: Layout, id: int, config: SeparateConfig) -> bool:
     everything = [whole, *others]
     contacts = contacts_of(everything, reach=ROOM)
     friction = DEFAULT_PHYSICS.ground_friction[0]
-    return Balance([whole], everything, contacts, friction).margin()[0] >= config.footing.min_margin
+    return Balance([whole], everything, contacts, friction).margin() >= config.footing.min_margin
 
 
 def _footing_decision(o: SceneObject, wedges: tuple[ConvexPart, ...]) -> Decision:

@@ -22,7 +22,7 @@ def steady(layout: Layout, config: SeparateConfig) -> tuple[list[Measure], list[
     bodies = bodies_of([layout.object(o.id) for o in scene], parts=layout.bodies)
     if not config.margin and stands(bodies):
         return [], []
-    was = stability(bodies, per_body=False)
+    was = stability(bodies)
     before = float(np.degrees(was.margin))
     margin = Measure(name="stability margin", before=before, after=before, unit="deg")
     if not was.moving:

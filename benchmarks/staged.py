@@ -1,10 +1,10 @@
-"""The report's own search for an object's pose, kept as a peer: Adam on translation, then yaw, then scale."""
+"""The report's own search for objects' poses, kept as a peer: Adam on translation, then yaw, then scale."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -12,11 +12,13 @@ import numpy as np
 from f3sr.frames import Array, Camera
 from f3sr.freedom import ObjectFreedom
 from f3sr.levenberg import Local, Minimum
-from f3sr.report import Decision, keep_better
-from f3sr.scene import SceneObject
-from f3sr.searches import Search
+from f3sr.outlines import outlined
+from f3sr.report import Decision, Report, keep_better
+from f3sr.scene import Scene, SceneObject
 from f3sr.silhouette import LossWeights
-from f3sr.silhouette_fit import FitSearch, ObjectFit, object_fit
+from f3sr.silhouette_fit import ObjectFit, object_fit
+from f3sr.stages import align as stage
+from f3sr.stages.align import AlignConfig
 
 SHIFT, YAW, SCALE = 0.35, math.radians(35), 0.25
 """Bounds of equation 8: shift over the object's size, yaw [rad], change of scale."""
@@ -53,13 +55,25 @@ PHASES = (
 """The report's; it gives rates for its camera only (.015 for turns, .01 else), which are taken here."""
 
 
-def align_object(o: SceneObject, camera: Camera, *, resolution: int) -> FitSearch[tuple[SceneObject, list[Decision]]]:
+def align(scene: Scene, config: AlignConfig | None = None) -> tuple[Scene, Report]:
+    """Stands in for the stage of this name: its camera, then every object by the report's recipe."""
+    config = config or AlignConfig()
+    scene, report = stage.align(scene, replace(config, objects=False))
+    if not config.objects:
+        return scene, report
+    found = [align_object(outlined(o, config.max_faces), scene.camera, resolution=config.resolution) for o in scene]
+    decisions = (*report.decisions, *(d for _, of_one in found for d in of_one))
+    scene = scene.with_objects(*(replace(o, mesh=scene[o.id].mesh) for o, _ in found))
+    return scene, Report(stage="align", decisions=decisions)
+
+
+def align_object(o: SceneObject, camera: Camera, *, resolution: int) -> tuple[SceneObject, list[Decision]]:
     """The object where the report's recipe puts it: four bounded freedoms, its whole mask, nothing of who hides whom.
 
     Every phase is undone where it loses more than ``PHASE_TOLERANCE``; all are where the end is worse than the start.
     """
     fit = staged_fit(o, camera, resolution=resolution)
-    u, decisions = yield from staged(fit, about=o.id)
+    u, decisions = staged(fit, about=o.id)
     u, decision = keep_better(np.zeros(6), u, score=fit.iou, step="object", measure="mask IoU", about=o.id)
     decisions.append(decision)
     if not u.any():
@@ -81,11 +95,11 @@ def staged_fit(o: SceneObject, camera: Camera, *, resolution: int) -> ObjectFit:
 
 def staged(
     fit: ObjectFit, *, phases: Sequence[Phase] = PHASES, about: int | None = None
-) -> FitSearch[tuple[Array, list[Decision]]]:
+) -> tuple[Array, list[Decision]]:
     """Where one phase after the other leads, and which of them were kept."""
     u, decisions = np.zeros(6), list[Decision]()
     for phase in phases:
-        found = yield from _phase(fit, u, phase)
+        found = _phase(fit, u, phase)
         u, decision = keep_better(
             u, found, score=fit.iou, step=phase.name, measure="mask IoU", tolerance=PHASE_TOLERANCE, about=about
         )
@@ -93,24 +107,25 @@ def staged(
     return u, decisions
 
 
-def _phase(fit: ObjectFit, u: Array, phase: Phase) -> FitSearch[Array]:
+def _phase(fit: ObjectFit, u: Array, phase: Phase) -> Array:
     places = product(np.linspace(-1, 1, phase.seeds), repeat=len(phase.freedoms))
     starts = [_with(u, phase.freedoms, place) for place in places]
-    found = yield [(fit, start) for start in starts]
-    values = [fit.objective(start, f).value for start, f in zip(starts, found, strict=True)]
+    values = [fit.objective(start).value for start in starts]
     rate = _with(np.zeros(6), phase.freedoms, [phase.rate] * len(phase.freedoms))
-    search = adam(starts[int(np.argmin(values))], bounds=(-np.ones(6), np.ones(6)), rate=rate, steps=phase.steps)
-    return (yield from fit.told(search)).x
+    start, bounds = starts[int(np.argmin(values))], (-np.ones(6), np.ones(6))
+    return adam(fit.objective, start, bounds=bounds, rate=rate, steps=phase.steps).x
 
 
-def adam(start: Array, *, bounds: tuple[Array, Array], rate: Array, steps: int) -> Search[Array, Local, Minimum]:
+def adam(
+    objective: Callable[[Array], Local], start: Array, *, bounds: tuple[Array, Array], rate: Array, steps: int
+) -> Minimum:
     """The least value met on Adam's way from ``start`` (p,) inside ``bounds`` (Kingma and Ba 2015, algorithm 1)."""
-    x, best = start, Minimum(x=start, value=math.inf, evaluations=steps)
+    x, best = start, Minimum(x=start, value=math.inf)
     m, v = np.zeros_like(x), np.zeros_like(x)
     for k in range(1, steps + 1):
-        (here,) = yield [x]
+        here = objective(x)
         if here.value < best.value:
-            best = Minimum(x=x, value=here.value, evaluations=steps)
+            best = Minimum(x=x, value=here.value)
         m = MOMENTS[0] * m + (1 - MOMENTS[0]) * here.gradient
         v = MOMENTS[1] * v + (1 - MOMENTS[1]) * here.gradient**2
         step = rate * (m / (1 - MOMENTS[0] ** k)) / (np.sqrt(v / (1 - MOMENTS[1] ** k)) + EPSILON)
