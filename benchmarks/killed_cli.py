@@ -101,15 +101,15 @@ def _kill_stored(count: int) -> None:
 
 
 def _kill_writing(count: int) -> None:
-    _before(importlib.import_module("f3sr.place").Claim, "write", lambda *_: True, count)
+    _before(importlib.import_module("f3sr.atomic_folder").Claim, "write", lambda *_: True, count)
 
 
 def _kill_first_rename(count: int) -> None:
-    _before(os, "rename", lambda _, target: str(target).endswith(".previous"), count)
+    _before(os, "rename", lambda _, target: Path(target).name == "previous", count)
 
 
 def _kill_second_rename(count: int) -> None:
-    _before(os, "rename", lambda source, _: str(source).endswith(".building"), count)
+    _before(os, "rename", lambda source, _: Path(source).name == "new", count)
 
 
 def _kill_deletion(count: int) -> None:
@@ -119,7 +119,7 @@ def _kill_deletion(count: int) -> None:
 
     def rename(source: Any, target: Any) -> None:
         original(source, target)
-        if str(source).endswith(".building"):
+        if Path(source).name == "new":
             _replaced.append(source)
 
     os.rename = rename

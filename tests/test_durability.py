@@ -175,7 +175,7 @@ def test_a_full_disk_leaves_the_old_package(cache: Path, tmp_path: Path, folder:
     before = kills.digests(place / "out")
     process = start("reconstruct", folder, "-o", place / "out", *QUICK, cache=cache, preexec_fn=small_files)
     _, errors = process.communicate()
-    assert process.returncode == 1 and errors == f"f3sr: {place / 'out'}: could not be written (File too large)\n"
+    assert process.returncode == 1 and errors == f"f3sr: {place / 'out'}: could not be written (file too large)\n"
     assert kills.digests(place / "out") == before and [p.name for p in place.iterdir()] == ["out"]
     assert not list(cache.rglob("*.part"))
 

@@ -11,6 +11,7 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -177,12 +178,24 @@ def test_what_is_no_film_is_told(frames: list[NDArray[Any]], fps: float, found: 
         encode(frames, fps)
 
 
-def test_a_full_disk_is_told(monkeypatch: pytest.MonkeyPatch):
-    def full(*_: Any, **__: Any) -> str:
-        raise OSError(errno.ENOSPC, "No space left on device")
+def test_an_encoder_makes_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A process that is killed while it films leaves none."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
 
-    monkeypatch.setattr(tempfile, "mkdtemp", full)
-    with pytest.raises(OutputError, match="no space left"):
+    def watched():
+        for frame in moving(4):
+            assert not list(tmp_path.iterdir())
+            yield frame
+
+    assert encode(watched(), 30).frames == 4
+
+
+def test_an_encoder_that_fails_is_told(monkeypatch: pytest.MonkeyPatch):
+    def full(*_: Any, **__: Any) -> None:
+        raise av.FFmpegError(errno.ENOMEM, "Cannot allocate memory")
+
+    monkeypatch.setattr(av, "open", full)
+    with pytest.raises(OutputError, match="the encoder failed"):
         encode(moving(2), 30)
 
 

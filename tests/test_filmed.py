@@ -235,12 +235,12 @@ def test_a_place_where_no_film_can_be_is_refused_before_filming(
     assert main(["film", str(copy), "--package", str(package.folder)]) == 1
     assert "film.mp4: is a folder" in capsys.readouterr().err
     (copy / FILM).rmdir()
-    monkeypatch.setattr("tempfile.TemporaryFile", _full)
+    monkeypatch.setattr(Path, "mkdir", _full)
     assert main(["film", str(copy), "--package", str(package.folder)]) == 1
-    assert "could not be written into (no space left" in capsys.readouterr().err.lower()
+    assert "could not be written (no space left" in capsys.readouterr().err.lower()
 
 
-def _full(**_: object) -> None:
+def _full(*_: object, **__: object) -> None:
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 

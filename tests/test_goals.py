@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from f3sr import atomic_folder
 from f3sr.errors import InputError, OutputError
 from f3sr.export.scene_json import dump_json
 from f3sr.frames import Array, pose
@@ -491,6 +492,7 @@ def test_a_plan_belongs_to_one_scene(package: Package) -> None:
         (lambda text: text.replace(b'"duration": ', b'"duration": NaN, "x": ', 1), "NaN"),
         (lambda text: text.replace(b'"timestep": ', b'"timestep": 1e9, "x": ', 1), "simulation"),
         (lambda text: text.replace(b'"schema_version": 1', b'"schema_version": 9'), "schema_version"),
+        (lambda text: text.replace(b'"schema_version": 1', b'"schema_version": true'), "schema_version"),
         (lambda text: b"[" * 100_000, "nested"),
         (lambda text: b" " * 10_000_001, "bytes"),
         (lambda text: b"\xff\xfe", "UTF-8"),
@@ -553,14 +555,16 @@ def test_processes_that_write_at_once_get_numbers_of_their_own(package: Package,
 
 def test_what_a_killed_process_left_is_cleared_and_what_another_holds_is_not(package: Package, tmp_path: Path) -> None:
     found = played(package, "knock over the cereal box")
-    left, foreign = tmp_path / ".0000.building", tmp_path / ".mine.building"
-    left.mkdir()
-    (left / deliver.MARKER).touch()
-    foreign.mkdir()
-    with deliver._building(tmp_path) as held:  # pyright: ignore[reportPrivateUsage]
-        deliver.write_played(found, tmp_path / "out")
-        assert held.exists() and not left.exists() and foreign.exists()
-    assert sorted(p.name for p in tmp_path.iterdir()) == [".mine.building", "out"]
+    folder = goal_package(tmp_path / "package").folder
+    left, foreign = folder / "rollouts" / ".1.building", folder / "rollouts" / ".2.building"
+    for building in (left, foreign):
+        (building / "new").mkdir(parents=True)
+    (left / atomic_folder.MARKER).touch()
+    with atomic_folder.claimed(folder / "rollouts" / "3", lambda _: None) as held:
+        assert deliver.write_next(found, folder).name == "4"
+        held.write("x", b"")
+        held.replace()
+    assert sorted(p.name for p in (folder / "rollouts").iterdir()) == [".2.building", "3", "4"]
 
 
 def test_limits_grow_with_the_scene_up_to_a_person() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import struct
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,7 +17,8 @@ import pytest
 import trimesh
 from PIL import Image
 
-from f3sr import package, place
+from f3sr import atomic_folder, package
+from f3sr.cli import main
 from f3sr.errors import InputError, OutputError
 from f3sr.frames import pose, rotation_about, transform
 from f3sr.mesh import ConvexPart, Material, Mesh
@@ -461,7 +461,7 @@ def test_labels_are_text_and_nothing_else(label: str, tmp_path: Path) -> None:
 # --- whole or not at all ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("point", ["mesh_to_glb", "to_mjcf", "to_json", "_replace", "_move"])
+@pytest.mark.parametrize("point", ["mesh_to_glb", "to_mjcf", "to_json", "replace", "rename"])
 @pytest.mark.parametrize("error", [RuntimeError("stop"), OSError(28, "No space left on device"), KeyboardInterrupt()])
 def test_a_failing_write_leaves_the_old_package(
     point: str, error: BaseException, stack: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -472,7 +472,8 @@ def test_a_failing_write_leaves_the_old_package(
     def fail(*_: Any, **__: Any) -> Any:
         raise error
 
-    monkeypatch.setattr(place if point.startswith("_") else package, point, fail)
+    owner = {"replace": atomic_folder.Claim, "rename": Path}.get(point, package)
+    monkeypatch.setattr(owner, point, fail)
     with pytest.raises(OutputError if isinstance(error, OSError) else type(error)):
         write_package(box_stack_scene(2), out)
     assert tree(out) == before and [p.name for p in tmp_path.iterdir()] == ["out"]
@@ -482,53 +483,41 @@ def test_a_failing_second_rename_brings_the_old_package_back(
     stack: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = write_package(stack, tmp_path / "out")
-    before, move = tree(out), place._move
+    before, rename = tree(out), Path.rename
 
     def fail(source: Path, target: Path) -> None:
-        if source.name.endswith(".building"):
+        if source.name == "new":
             raise OSError(5, "Input/output error")
-        move(source, target)
+        rename(source, target)
 
-    monkeypatch.setattr(place, "_move", fail)
-    with pytest.raises(OutputError, match="Input/output"):
+    monkeypatch.setattr(Path, "rename", fail)
+    with pytest.raises(OutputError, match="input/output"):
         write_package(box_stack_scene(2), out)
     assert tree(out) == before and [p.name for p in tmp_path.iterdir()] == ["out"]
 
 
 def test_a_killed_run_is_tidied_up_by_the_next(stack: Scene, tmp_path: Path) -> None:
-    out = write_package(stack, tmp_path / "out")
+    """Every step of a kill is in test_atomic_folder.py."""
+    out, building = write_package(stack, tmp_path / "out"), tmp_path / ".out.building"
     before = tree(out)
-    out.rename(tmp_path / ".out.previous")  # killed between the two renames
-    (tmp_path / ".out.building").mkdir()
-    (tmp_path / ".out.building" / "half").write_text("")
-    (tmp_path / ".out.building" / place.MARKER).write_text("")
-    assert package.prepare_output(out) == out
-    assert tree(out) == before and [p.name for p in tmp_path.iterdir()] == ["out"]
-    (tmp_path / ".out.previous").mkdir()  # killed while the old one was being deleted
-    (tmp_path / ".out.previous" / "scene.json").write_bytes((out / "scene.json").read_bytes())
-    package.prepare_output(out)
-    assert tree(out) == before and [p.name for p in tmp_path.iterdir()] == ["out"]
-    shutil.copytree(out, tmp_path / ".out.building")  # killed when all was written, before the renames
-    package.prepare_output(out)
-    assert tree(out) == before and [p.name for p in tmp_path.iterdir()] == ["out"]
-
-
-@pytest.mark.parametrize("name", [".out.building", ".out.previous"])
-def test_folders_of_others_in_the_way_are_left_alone(name: str, stack: Scene, tmp_path: Path) -> None:
-    (tmp_path / name).mkdir()
-    (tmp_path / name / "precious").write_text("mine")
-    with pytest.raises(OutputError, match="in the way"):
-        write_package(stack, tmp_path / "out")
-    assert (tmp_path / name / "precious").read_text() == "mine" and not (tmp_path / "out").exists()
+    for killed in ("building", "between", "deleting"):
+        (building / "new").mkdir(parents=True)
+        (building / atomic_folder.MARKER).write_bytes(atomic_folder.MARK)
+        if killed == "between":
+            out.rename(building / "previous")
+        if killed == "deleting":
+            (building / "new").rename(building / "previous")
+        assert package.prepare_output(out) == out
+        assert tree(out) == before and [p.name for p in tmp_path.iterdir()] == ["out"]
 
 
 def test_a_second_writer_is_told_so(stack: Scene, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    with place.claimed(out, overwrite=False) as first:
+    with atomic_folder.claimed(out, lambda _: None):
         for attempt in (write_package, lambda _, out: package.prepare_output(out)):
             with pytest.raises(OutputError, match="another run is writing it"):
                 attempt(stack, out)
-        assert (first.folder / place.MARKER).exists()
+        assert (tmp_path / ".out.building" / atomic_folder.MARKER).exists()
     assert not list(tmp_path.iterdir())
     assert write_package(stack, out).exists()
 
@@ -591,6 +580,8 @@ def spoiled(out: Path, change: Callable[[dict[str, Any]], Any]) -> None:
 
 SPOILS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "version": (lambda t: t.update(schema_version=2), "schema_version"),
+    "true for a version": (lambda t: t.update(schema_version=True), "schema_version"),
+    "a version with a point": (lambda t: t.update(schema_version=1.0), "schema_version"),
     "unknown key": (lambda t: t.update(more=1), "more"),
     "missing key": (lambda t: t.pop("camera"), "camera"),
     "path above": (lambda t: t["objects"][0].update(mesh="../m.glb"), "objects.0.mesh"),
@@ -625,6 +616,26 @@ def test_missing_and_linked_files_are_refused_by_name(stack: Scene, tmp_path: Pa
         read_package(out)
     with pytest.raises(InputError, match=r"scene\.json: found no such file"):
         read_package(tmp_path)
+
+
+def test_a_scene_document_elsewhere_is_refused(stack: Scene, tmp_path: Path) -> None:
+    out = write_package(stack, tmp_path / "out")
+    (out / "scene.json").rename(tmp_path / "outside.json")
+    (out / "scene.json").symlink_to(tmp_path / "outside.json")
+    with pytest.raises(InputError, match=r"scene\.json: found a path that leaves the package"):
+        read_package(out)
+
+
+@pytest.mark.parametrize("path", ["x" * 100_000, "x y/" * 25_000 + "x", "\u202e" * 50_000, "../" * 30_000])
+def test_what_is_overlong_is_cut_in_messages(
+    path: str, stack: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = write_package(stack, tmp_path / "out")
+    spoiled(out, lambda t: t["objects"][0].update(mesh=path))
+    for call in (["goals", str(out)], ["goals", str(out / path)]):
+        assert main(call) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1 and len(error) < 1200 and "accepted" in error
 
 
 def test_a_flat_collision_part_is_refused_by_name(stack: Scene, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import tyro
 from tyro.conf import Positional, arg
 
 from f3sr import cli_goals, interrupts
-from f3sr.errors import F3srError, InputError, MissedError, RefusedError, printable
+from f3sr.errors import F3srError, InputError, MissedError, RefusedError, one_line
 
 Folder = Positional[Path]
 Out = Annotated[Path, arg(aliases=["-o"])]
@@ -80,11 +80,12 @@ def reconstruct(
         overwrite: Also replace a package that holds rollouts.
         json: Print one JSON object instead of text.
     """
-    from f3sr import console, inputs, kernels, package, pipeline, settings
+    from f3sr import atomic_folder, console, inputs, kernels, package, pipeline, settings
     from f3sr.cache import Store
     from f3sr.deliver import deliver
     from f3sr.progress import timed
 
+    atomic_folder.recover(out)
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
     with console.steps_shown(quiet=json) as progress:
         with timed("read", progress):
@@ -127,12 +128,13 @@ def evaluate(
         config: TOML file of settings, as for ``reconstruct``; a package needs only those of [evaluate].
         json: Print one JSON object instead of a table.
     """
-    from f3sr import console, inputs, kernels, pipeline, settings
+    from f3sr import atomic_folder, console, inputs, kernels, pipeline, settings
     from f3sr.cache import Store
     from f3sr.package import read_package
     from f3sr.progress import timed
     from f3sr.stages import evaluate as stage
 
+    atomic_folder.recover(folder)
     if not 1e-3 <= true_scale <= 1e3:
         raise InputError("--true-scale", found=str(true_scale), accepted="a positive number from 0.001 to 1000")
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
@@ -224,7 +226,7 @@ def _json(value: object) -> str:
 
 
 def _fail(code: int, message: str) -> int:
-    print(f"f3sr: {printable(message)}", file=sys.stderr)
+    print(f"f3sr: {one_line(message)}", file=sys.stderr)
     return code
 
 

@@ -50,9 +50,11 @@ def simulate(
         overwrite: Also replace an older rollout.
         json: Print one JSON object instead of text.
     """
+    from f3sr.atomic_folder import recover
     from f3sr.goals.refusal import Refusal
     from f3sr.package import read_package
 
+    recover(*(place for place in (package, out, plan) if place))
     _require_goals(goals, plan)
     if film and slow != 1:
         _require_slow(slow)
@@ -98,10 +100,10 @@ def film(rollout: Folder, /, package: Path | None = None, slow: float = 1.0, jso
 
     _require_slow(slow)
     found = deliver.read_played(rollout, package)
-    deliver.require_film_place(rollout)
+    place = deliver.require_film_place(rollout)
     verdict = verify(found.package.scene, found.plan, found.rollout)
     played = Played(plan=found.plan, rollout=found.rollout, verdict=verdict)
-    told = _film(lambda: _studio(found.package, slow), played, rollout.resolve())
+    told = _film(lambda: _studio(found.package, slow), played, place)
     if json:
         print(json_.dumps(told, allow_nan=False))
     else:
@@ -197,10 +199,10 @@ def _require_goals(goals: Sequence[str], plan: Path | None) -> None:
 
 def _places(out: Path | None, package: Path, count: int, overwrite: bool) -> list[Path] | list[None]:
     """Where rollouts go, checked; None for the package's next number."""
-    from f3sr.goals.deliver import PLAN, next_folder, require_place
+    from f3sr.goals.deliver import PLAN, require_next, require_place
 
     if out is None:
-        require_place(next_folder(package), package)
+        require_next(package)
         return [None] * count
     if count == 1:
         return [require_place(out, package, overwrite=overwrite)]

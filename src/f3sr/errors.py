@@ -5,14 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 LONGEST = 300
-"""Characters of what was found that a message holds."""
+"""Characters of a value or a path that a message holds, and"""
+LONGEST_LINE = 1000
+"""of a whole message."""
 
 
 class F3srError(Exception):
     """Base of every error that f3sr raises on purpose; its message is one line that any terminal can show."""
 
     def __init__(self, message: str) -> None:
-        super().__init__(printable(message))
+        super().__init__(one_line(message))
 
 
 class InputError(F3srError):
@@ -20,8 +22,8 @@ class InputError(F3srError):
 
     def __init__(self, where: str | Path, *, found: str, accepted: str) -> None:
         self.where, self.accepted = str(where), accepted
-        self.found = found if len(found) <= LONGEST else found[: LONGEST - 3] + "..."
-        super().__init__(f"{where}: found {self.found}; accepted: {accepted}")
+        self.found = cut(found)
+        super().__init__(f"{cut(self.where)}: found {self.found}; accepted: {accepted}")
 
 
 class OutputError(F3srError):
@@ -40,6 +42,17 @@ def reason(error: OSError | ValueError | RuntimeError) -> str:
     """What the system says of a failed access, in the middle of a sentence."""
     text = (getattr(error, "strerror", None) or "unreadable").strip()
     return text[:1].lower() + text[1:]
+
+
+def one_line(message: str) -> str:
+    """A message as any terminal can show it."""
+    return cut(printable(message), LONGEST_LINE)
+
+
+def cut(text: str, most: int = LONGEST) -> str:
+    """The text without its middle where it is longer: what begins it and what ends it tell the most."""
+    half = (most - 3) // 2
+    return text if len(text) <= most else f"{text[:half]}...{text[-half:]}"
 
 
 def printable(text: str) -> str:

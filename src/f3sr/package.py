@@ -14,6 +14,7 @@ from pydantic import JsonValue, ValidationError
 
 import f3sr
 from f3sr import npz, strict_json
+from f3sr.atomic_folder import claimed, recover
 from f3sr.errors import InputError, reason
 from f3sr.export.gltf import encode_png, encode_pngs, mesh_to_glb, scene_to_glb
 from f3sr.export.mjcf import collision_files, to_mjcf
@@ -31,8 +32,20 @@ from f3sr.frames import Camera
 from f3sr.images import as_rgb, open_image
 from f3sr.mesh import ConvexPart, MassProperties
 from f3sr.mesh_io import load_mesh, load_part
+from f3sr.package_folder import (
+    BACKGROUND,
+    KEPT,
+    MASKS,
+    PAGE,
+    PHOTO,
+    SCENE,
+    SUPPORT,
+    is_package,
+    placed,
+    prepare_output,
+    require_replaceable,
+)
 from f3sr.physics import DEFAULT_PHYSICS, PhysicsConfig, body_of
-from f3sr.place import BACKGROUND, KEPT, MASKS, PAGE, PHOTO, SUPPORT, claimed, is_package, prepare_output
 from f3sr.report import Report
 from f3sr.scene import Excluded, Ground, Motion, Node, Photo, Relation, Scene, SceneGraph, SceneObject, Support
 
@@ -121,8 +134,8 @@ def write_package(
     after everything has been written beside it.
     Raises OutputError when something else than an f3sr package is there, or one with rollouts and not ``overwrite``.
     """
-    out = Path(out).resolve()
-    with claimed(out, overwrite=overwrite) as claim:
+    out = placed(out)
+    with claimed(out, lambda out: require_replaceable(out, overwrite=overwrite)) as claim:
         for name, data in _files(
             scene,
             direct=direct,
@@ -135,14 +148,15 @@ def write_package(
             physics=physics,
         ):
             claim.write(name, data)
-        claim.commit()
+        claim.replace()
     return out
 
 
 def read_package(folder: Path) -> Package:
     """Read a package; InputError names the file that is missing, malformed or outside the folder."""
     folder = Path(folder)
-    document = _read_document(folder / "scene.json")
+    recover(folder)
+    document = _read_document(_inside(folder, SCENE))
     size = document.camera.width, document.camera.height
     photo = Photo(rgb=_read_image(folder, PHOTO, size, "RGB"))
     ground = document.ground

@@ -10,7 +10,7 @@ from pathlib import PurePosixPath
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, JsonValue, model_validator
 
 from f3sr.export.mjcf import collision_path
 from f3sr.frames import Array
@@ -49,6 +49,14 @@ def _rigid(T: Matrix4) -> Matrix4:
     return T
 
 
+def _whole(version: object) -> object:
+    """Not true nor 1.0, which equal 1."""
+    if type(version) is not int:
+        raise ValueError("accepted: a whole number")
+    return version
+
+
+Version = Annotated[Literal[1], BeforeValidator(_whole)]
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Vector3 = tuple[Number, Number, Number]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
@@ -186,7 +194,7 @@ class SceneDocument(_Record):
     model_config = ConfigDict(title="f3sr scene")
 
     schema_: Annotated[str, Field(alias="$schema")] = SCHEMA_FILE
-    schema_version: Literal[1]
+    schema_version: Version
     units: Literal["m"]
     up: Literal["z"]
     quaternion: Literal["wxyz"]

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Generator, Iterable
-from contextlib import contextmanager
+import io
+from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import interrupts
-from f3sr.errors import InputError, OutputError, reason
+from f3sr.errors import InputError, OutputError
 
 Picture = NDArray[np.uint8]
 """(h, w, 3) sRGB."""
@@ -75,52 +72,40 @@ def encode(frames: Iterable[Picture], fps: Fraction | float) -> Video:
     """Frames (h, w, 3) uint8 sRGB of one size, taken one at a time, as a film of ``fps`` frames a second.
 
     Raises InputError for what is no film: no frame, frames of several sizes, too large or too many a second;
-    OutputError where the encoder, or the disk that it writes through, fails.
+    OutputError where the encoder fails.
     """
     rate = _rate(fps)
     shown = _checked(frames)
     first = next(shown, None)
     if first is None:
         raise InputError("film", found="no frame", accepted="at least one")
+    file = io.BytesIO()
     try:
-        with _room() as folder:
-            file = folder / "film.mp4"  # the index comes first only in a file that can be read again
-            with _Encoder(file, first, rate) as encoder:
-                encoder.add(first)
-                for frame in shown:
-                    encoder.add(frame)
-            data = file.read_bytes()
+        with _Encoder(file, first, rate) as encoder:
+            encoder.add(first)
+            for frame in shown:
+                encoder.add(frame)
     except _av().FFmpegError as error:
         raise OutputError(f"film: the encoder failed ({error.strerror})") from error
-    except OSError as error:
-        raise OutputError(f"film: could not be written to {tempfile.gettempdir()} ({reason(error)})") from error
-    return Video(data=data, width=encoder.width, height=encoder.height, frames=encoder.count, fps=rate)
-
-
-@contextmanager
-def _room() -> Generator[Path]:
-    """A temporary folder that is gone afterwards, also where a signal ends the process."""
-    with interrupts.undone(
-        lambda: tempfile.TemporaryDirectory(prefix="f3sr-film-", ignore_cleanup_errors=True), lambda t: t.cleanup()
-    ) as folder:
-        try:
-            yield Path(folder.name)
-        finally:
-            folder.cleanup()
+    return Video(data=file.getvalue(), width=encoder.width, height=encoder.height, frames=encoder.count, fps=rate)
 
 
 class _Encoder:
     """An open file that frames are added to."""
 
-    def __init__(self, file: Path, first: Picture, rate: Fraction) -> None:
+    def __init__(self, file: io.BytesIO, first: Picture, rate: Fraction) -> None:
         av = _av()
         self.count, self.tick = 0, 1 / rate
         self.height, self.width = (n + n % 2 for n in first.shape[:2])
         scale = -(-TICKS // rate.numerator) * rate.numerator
         options = {"movflags": "+faststart", "fflags": "+bitexact", "use_editlist": "0", "movie_timescale": str(scale)}
-        self._file: Any = av.open(
-            str(file), "w", format="mp4", options={**options, "video_track_timescale": str(scale)}
-        )
+
+        def again(*_: object) -> io.BytesIO:
+            """What was written, to be read while the index is put before it."""
+            return io.BytesIO(file.getvalue())
+
+        options["video_track_timescale"] = str(scale)
+        self._file: Any = av.open(file, "w", format="mp4", options=options, io_open=again)
         self._stream: Any = self._file.add_stream("libx264", rate=rate, options=OPTIONS)
         context = self._stream.codec_context
         context.thread_count = 1

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from f3sr import strict_json
-from f3sr.export.scene_json import Id, IdOrGround, Share, Vector3, dump_json
+from f3sr.export.scene_json import Id, IdOrGround, Share, Vector3, Version, dump_json
 from f3sr.scene import Mobility
 
 SCHEMA_VERSION = 1
@@ -306,7 +306,7 @@ class SimulationPlan(_Record):
 class Plan(_Record):
     """Everything that decides a rollout of one scene."""
 
-    schema_version: Literal[1] = SCHEMA_VERSION
+    schema_version: Version = SCHEMA_VERSION
     goal: Words
     scene: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
     """SHA-256 of the package's scene.json: a plan belongs to one scene."""

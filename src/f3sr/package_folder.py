@@ -1,0 +1,113 @@
+"""A package's folder: the names in it, how it is told from other folders, and which places may be written."""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+from pathlib import Path
+
+from f3sr import atomic_folder
+from f3sr.errors import OutputError
+from f3sr.export.scene_json import SCHEMA_FILE
+
+SCENE = "scene.json"
+PHOTO = "photo.png"
+PAGE = "report.html"
+BACKGROUND, SUPPORT, KEPT = "background.png", "support.png", "kept_depth.npz"
+MASKS = "masks"
+ROLLOUTS = "rollouts"
+"""The one folder of a package that goals may write into."""
+TOP_LEVEL = {
+    *(SCENE, SCHEMA_FILE, "scene.glb", "scene.xml", "report.json", PAGE, PHOTO, BACKGROUND, SUPPORT, KEPT),
+    *(MASKS, "meshes", "collision", "visual", "pictures", ROLLOUTS),
+}
+"""Everything that a package holds."""
+
+
+def is_package(folder: Path) -> bool:
+    """True when the folder has a scene.json that looks like ours, of whatever version."""
+    try:
+        if not stat.S_ISREG((folder / SCENE).lstat().st_mode):  # reading a pipe would wait forever
+            return False
+        tree = json.loads((folder / SCENE).read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return False
+    if not isinstance(tree, dict) or tree.get("$schema") != SCHEMA_FILE:
+        return False
+    provenance = tree.get("provenance")
+    return isinstance(provenance, dict) and "f3sr" in provenance
+
+
+def prepare_output(out: Path, *, inputs: Path | None = None, overwrite: bool = False) -> Path:
+    """Tidy up after an interrupted run, and refuse early a place that a package may not take.
+
+    ``inputs`` is the folder a run reads: neither may lie inside the other. Returns the full path of ``out``.
+    Raises OutputError; makes no folder that stays.
+    """
+    out = placed(out)
+    if inputs is not None:
+        source = Path(inputs).resolve()
+        if out.is_relative_to(source) or source.is_relative_to(out):
+            raise OutputError(f"{out}: the output and the input folder {source} may not hold one another")
+    return atomic_folder.check(out, lambda out: require_replaceable(out, overwrite=overwrite))
+
+
+def placed(out: Path, *, rollout: bool = False) -> Path:
+    """The full path of a folder to be written, once what killed runs left there is tidied up.
+
+    Raises OutputError for a path that leads nowhere, through a link in a package, or into a package, where only a
+    ``rollout`` may go below ``rollouts``.
+    """
+    path = Path(out).absolute()
+    with atomic_folder.told(path):
+        atomic_folder.recover(path)
+        try:
+            full = path.resolve()
+        except (ValueError, RuntimeError):  # NUL bytes; loops of links, on Pythons below 3.13
+            raise OutputError(f"{path}: leads nowhere; give another folder") from None
+        for link in (p for p in (path, *path.parents) if p.is_symlink()):
+            if not link.exists():
+                raise OutputError(f"{link}: is a link to nothing; give another folder")
+            if package := _package_around(link.parent):
+                raise OutputError(f"{link}: is a link in the package {package}; nothing is written through it")
+        if blocked := next((p for p in full.parents if p.exists() and not p.is_dir()), None):
+            raise OutputError(f"{full}: cannot be made, {blocked} is a file")
+        if not full.name:
+            raise OutputError(f"{full}: the root of the file system cannot be replaced")
+        package = _package_around(full.parent)
+        if package and not (rollout and package / ROLLOUTS in full.parents):
+            allowed = f"there only rollouts below {package / ROLLOUTS}"
+            raise OutputError(f"{full}: is inside the package {package}; {allowed}")
+    return full
+
+
+def require_replaceable(out: Path, *, overwrite: bool) -> None:
+    """Raises OutputError unless a package may take the place ``out``."""
+    if not os.path.lexists(out) or _is_empty(out):
+        return
+    if not is_package(out):
+        raise OutputError(f"{out}: is {_contents(out)}; only an f3sr package or an empty folder is replaced")
+    if strangers := sorted(p.name for p in out.iterdir() if p.name not in TOP_LEVEL):
+        raise OutputError(f"{out}: holds {strangers[0]}, which f3sr did not write; move it away first")
+    rollouts = out / ROLLOUTS
+    if rollouts.is_dir() and not _is_empty(rollouts) and not overwrite:
+        raise OutputError(f"{out}: holds rollouts; a package with rollouts is replaced only with --overwrite")
+
+
+def _package_around(folder: Path) -> Path | None:
+    """The package that a folder is, or lies in."""
+    full = folder.resolve()
+    return next((p for p in (full, *full.parents) if is_package(p)), None)
+
+
+def _is_empty(folder: Path) -> bool:
+    return folder.is_dir() and not any(folder.iterdir())
+
+
+def _contents(place: Path) -> str:
+    """What is there, in a few words."""
+    if not place.is_dir():
+        return "a file"
+    names = sorted(p.name for p in place.iterdir())
+    return f"a folder with {len(names)} other things ({', '.join(names[:3])}{', ...' if len(names) > 3 else ''})"
