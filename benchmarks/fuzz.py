@@ -214,9 +214,9 @@ def _load() -> None:
 
 def _forget_cache_folder() -> None:
     """Stage results go to the sandbox; compiled kernels stay where they were found."""
-    from f3sr import kernels
+    from f3sr.cache_folder import cache_folder
 
-    kernels.cache_root.cache_clear()
+    cache_folder.cache_clear()
 
 
 def _in_a_process(box: Path) -> tuple[int, float, float]:

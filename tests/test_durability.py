@@ -41,7 +41,9 @@ QUICK = ("--skip", "align,refine,evaluate")
 def compiled() -> Path:
     """The folder of compiled kernels."""
     kernels.warm_up()
-    return kernels.CACHE_DIR
+    folder = kernels.kernel_folder()
+    assert folder
+    return folder
 
 
 @pytest.fixture

@@ -28,6 +28,10 @@ class OutputError(F3srError):
     """The place where results should go cannot take them."""
 
 
+class F3srWarning(UserWarning):
+    """Something that works, but not as it was asked for; its message is one line."""
+
+
 class RefusedError(F3srError):
     """A goal that cannot be acted on; nothing was written for it."""
 
