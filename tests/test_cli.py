@@ -187,10 +187,26 @@ assert seconds < 0.3 and not heavy
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def test_every_public_name_is_the_same_whatever_was_imported_since():
+    """A module of the same name takes a function's place as soon as anything imports it."""
+    code = """
+import importlib, pkgutil, f3sr
+before = {name: getattr(f3sr, name) for name in f3sr.__all__}
+for module in pkgutil.walk_packages(f3sr.__path__, "f3sr."):
+    if "torch" not in module.name and "__main__" not in module.name:
+        importlib.import_module(module.name)
+changed = [name for name in f3sr.__all__ if getattr(f3sr, name) is not before[name]]
+assert not changed, changed
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def test_every_public_name_can_be_had():
     import f3sr
 
     for name in f3sr.__all__:
         assert getattr(f3sr, name) is not None
+    assert set(f3sr.__all__) <= set(dir(f3sr))
     with pytest.raises(AttributeError, match="it has Camera"):
         _ = f3sr.nothing

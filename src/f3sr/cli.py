@@ -82,7 +82,7 @@ def reconstruct(
     """
     from f3sr import console, inputs, kernels, package, pipeline, settings
     from f3sr.cache import Store
-    from f3sr.deliver import deliver
+    from f3sr.delivery import deliver
     from f3sr.progress import timed
 
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
