@@ -249,7 +249,7 @@ def _child(box: Path) -> int:
     os.setsid()
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    os.environ |= {"HOME": str(box / "home"), "TMPDIR": str(box / "tmp")}
+    os.environ |= {"F3SR_TRACEBACK": "1", "HOME": str(box / "home"), "TMPDIR": str(box / "tmp")}
     tempfile.tempdir = None
     os.chdir(box)
     for number, name in ((1, "stdout"), (2, "stderr")):
