@@ -52,8 +52,8 @@ def as_seen_by_all(place: Path) -> None:
     (place / "tmp").chmod(0o1777)
 
 
-def run(code: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+def run(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False)
 
 
 # --- which one ------------------------------------------------------------------------------------------------------
@@ -294,6 +294,15 @@ sys.exit(code)
     as_seen_by_all(place)
     done = run(code)
     assert done.returncode == 0 and f"{place}/tmp/f3sr-{STRANGER}, " in done.stderr and "Trace" not in done.stderr
+
+
+def test_the_command_says_in_one_line_that_a_folder_is_not_used(place: Path, monkeypatch: pytest.MonkeyPatch):
+    (place / "shared").mkdir()
+    (place / "shared").chmod(0o777)
+    monkeypatch.setenv("F3SR_CACHE_DIR", str(place / "shared"))
+    done = run("from f3sr import cli, doctor; doctor.examine = lambda: list(doctor._caches()); cli.run()", "doctor")
+    assert done.returncode == 0 and str(temporary(place)) in done.stdout
+    assert done.stderr.startswith(f"f3sr: {place}/shared: ") and done.stderr.count("\n") == 1
 
 
 def test_importing_kernels_touches_no_folder_and_reads_no_sources(place: Path):
