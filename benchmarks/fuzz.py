@@ -214,9 +214,9 @@ def _load() -> None:
 
 def _forget_cache_folder() -> None:
     """Stage results go to the sandbox; compiled kernels stay where they were found."""
-    from f3sr import kernels
+    from f3sr.cache_folder import cache_folder
 
-    kernels.cache_root.cache_clear()
+    cache_folder.cache_clear()
 
 
 def _in_a_process(box: Path) -> tuple[int, float, float]:
@@ -249,7 +249,7 @@ def _child(box: Path) -> int:
     os.setsid()
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    os.environ |= {"HOME": str(box / "home"), "TMPDIR": str(box / "tmp")}
+    os.environ |= {"F3SR_TRACEBACK": "1", "HOME": str(box / "home"), "TMPDIR": str(box / "tmp")}
     tempfile.tempdir = None
     os.chdir(box)
     for number, name in ((1, "stdout"), (2, "stderr")):

@@ -258,9 +258,10 @@ def main() -> int:
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     kernels.warm_up()
+    compiled = list(filter(None, [kernels.kernel_folder()]))
     trials: list[Trial] = []
     with tempfile.TemporaryDirectory(prefix="f3sr-kills-") as work:
-        kills = Kills(arguments.folder.resolve(), Path(work) / "work", [kernels.CACHE_DIR])
+        kills = Kills(arguments.folder.resolve(), Path(work) / "work", compiled)
         print(f"{'point':14} {'had':4} {'last told':16} {'stages':8} {'found':8} {'next s':>6}  verdict", flush=True)
         for point in points(arguments.seed):
             trials.append(kills.trial(point))

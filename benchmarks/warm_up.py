@@ -3,6 +3,7 @@
 import json
 
 from f3sr import kernels
+from f3sr.cache_folder import within
 
 kernels.warm_up()
-print(json.dumps([str(kernels.CACHE_DIR), str(kernels.cache_root() / "proxies")]))
+print(json.dumps([str(kernels.kernel_folder()), str(within("proxies"))]))

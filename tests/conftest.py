@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
+os.environ["F3SR_TRACEBACK"] = "1"  # what nobody foresaw shows where it was
 
 DATA = HERE.parents[1] / "shared" / "data"
 

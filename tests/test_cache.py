@@ -62,6 +62,25 @@ def test_damaged_and_missing_entries_are_none_and_made_anew(tmp_path: Path):
     assert [p.name for p in tmp_path.iterdir()] == ["key.npz"]
 
 
+def test_a_valid_archive_with_other_content_is_made_anew(given: inputs.Inputs, tmp_path: Path):
+    """Of something else, of another stage, or the same but written by something else."""
+    store, skip = Store(tmp_path), ["align", "refine", "evaluate", "inpaint"]
+    cold = reconstruct(given, store=store, skip=skip)
+    files = sorted(tmp_path.iterdir(), key=lambda p: p.stat().st_mtime_ns)
+    np.savez(files[0], anything=np.zeros(3))
+    files[1].write_bytes(files[2].read_bytes())
+    with np.load(files[3]) as archive:
+        np.savez(files[3], **archive)
+    again = reconstruct(given, store=store, skip=skip)
+    assert again.resumed == ("relate", "separate", "settle", "close", "describe") and again.reports == cold.reports
+    assert len(reconstruct(given, store=store, skip=skip).resumed) == len(cold.reports)
+
+
+def test_a_store_without_a_folder_keeps_nothing():
+    Store(None).save("key", {}, {})
+    assert Store(None).load("key") is None
+
+
 def test_a_store_that_cannot_write_keeps_nothing(tmp_path: Path):
     (tmp_path / "file").write_text("")
     store = Store(tmp_path / "file" / "below")

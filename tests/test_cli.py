@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tomllib
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -12,7 +13,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from f3sr import doctor, settings
+import f3sr
+from f3sr import doctor, interrupts, options, settings
 from f3sr.cli import main
 from f3sr.measures import IMAGE_MEASURES
 from f3sr.package import read_package
@@ -140,6 +142,91 @@ def test_config_prints_what_config_files_hold(tmp_path: Path, capsys: pytest.Cap
     assert settings.read(tmp_path / "settings.toml", Config()) == Config()
 
 
+# --- what nobody foresaw ------------------------------------------------------------------------------------------
+
+
+def fails_with(error: Exception, monkeypatch: pytest.MonkeyPatch, traceback: str = "") -> None:
+    def fail(_: object) -> str:
+        raise error
+
+    monkeypatch.setenv("F3SR_TRACEBACK", traceback)
+    monkeypatch.setattr(interrupts, "_written", [])
+    monkeypatch.setattr(settings, "describe", fail)
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (KeyError("x"), "unforeseen KeyError: 'x'"),
+        (ValueError("one\nand more"), "unforeseen ValueError: one"),
+        (RecursionError(), "unforeseen RecursionError"),
+        (MemoryError(), "out of memory"),
+        (np._core._exceptions._ArrayMemoryError((10**12,), np.dtype(float)), "out of memory: Unable to allocate 7.28"),
+        (ImportError("a.so: failed to map segment"), "unforeseen ImportError: a.so: failed to map segment"),
+        (AssertionError("y" * 9999), "unforeseen AssertionError: yyy"),
+        (UnicodeDecodeError("utf-8", b"\xff", 0, 1, "\x1b[2J"), "unforeseen UnicodeDecodeError"),
+    ],
+)
+def test_an_error_that_nobody_foresaw_is_one_line(
+    error: Exception, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    fails_with(error, monkeypatch)
+    assert main(["config"]) == 1
+    line = capsys.readouterr().err
+    assert line.startswith(f"f3sr: {said}") and line.count("\n") == 1 and len(line) < 400 and line[:-1].isprintable()
+    assert line.endswith("; nothing was written; F3SR_TRACEBACK=1 shows where\n")
+
+
+def test_an_error_tells_the_first_cause_that_was_given(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    error = ImportError("\n\nIMPORTANT: PLEASE READ THIS")
+    error.__cause__ = MemoryError()
+    fails_with(error, monkeypatch)
+    assert main(["config"]) == 1 and capsys.readouterr().err.startswith("f3sr: out of memory; ")
+
+
+def test_the_traceback_is_shown_where_it_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    fails_with(KeyError("x"), monkeypatch, traceback="1")
+    assert main(["config"]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("Traceback") and "in fail" in said and said.splitlines()[-1].startswith("f3sr: unforeseen")
+
+
+# --- help ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "accepted"),
+    [
+        ("reconstruct", "--skip", options.SKIPPABLE),
+        ("reconstruct", "--ignore", options.PARTS),
+        ("reconstruct", "--asset-frame", options.ASSET_FRAMES),
+        ("evaluate", "--ignore", options.PARTS),
+    ],
+)
+def test_help_names_all_that_an_option_accepts(
+    command: str, option: str, accepted: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+):
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    said = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert ", ".join(accepted) in said.partition(f"{option} STR")[2].partition(" --")[0]
+
+
+def test_the_package_says_what_it_is():
+    project = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+    assert project["version"] == f3sr.__version__ and project["authors"]
+    assert "Typing :: Typed" in project["classifiers"] and (Path(f3sr.__file__).parent / "py.typed").is_file()
+
+
+def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"f3sr {f3sr.__version__}\n"
+
+
 # --- doctor -------------------------------------------------------------------------------------------------
 
 
@@ -187,10 +274,24 @@ assert seconds < 0.3 and not heavy
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_every_public_name_can_be_had():
-    import f3sr
+def test_every_public_name_is_the_same_whatever_was_imported_since():
+    """A module of the same name takes a function's place as soon as anything imports it."""
+    code = """
+import importlib, pkgutil, f3sr
+before = {name: getattr(f3sr, name) for name in f3sr.__all__}
+for module in pkgutil.walk_packages(f3sr.__path__, "f3sr."):
+    if "torch" not in module.name and "__main__" not in module.name:
+        importlib.import_module(module.name)
+changed = [name for name in f3sr.__all__ if getattr(f3sr, name) is not before[name]]
+assert not changed, changed
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
+
+def test_every_public_name_can_be_had():
     for name in f3sr.__all__:
         assert getattr(f3sr, name) is not None
+    assert set(f3sr.__all__) <= set(dir(f3sr))
     with pytest.raises(AttributeError, match="it has Camera"):
         _ = f3sr.nothing

@@ -33,3 +33,21 @@ def test_the_examples_run(name: str, tmp_path: Path) -> None:
 def test_links_lead_to_files(file: str) -> None:
     for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", (ROOT / file).read_text()):
         assert (ROOT / file).parent.joinpath(target).exists(), target
+
+
+def named_pages() -> list[tuple[str, str]]:
+    """Pages of docs/ that sources and pages name, by path or as "docs: page"."""
+    files = [*(ROOT / "src").rglob("*.py"), *(ROOT / "docs").glob("*.md"), ROOT / "README.md", ROOT / "mkdocs.yml"]
+    files += [*(ROOT / "benchmarks").rglob("*.py"), *(ROOT / "benchmarks").glob("*.md"), *(ROOT / "tests").glob("*.py")]
+    found: list[tuple[str, str]] = []
+    for file in files:
+        text = file.read_text()
+        names = [*re.findall(r"\bdocs/([\w/.-]+\.\w+)", text), *(f"{n}.md" for n in re.findall(r"\(docs: (\w+)", text))]
+        names += re.findall(r"^  - .*: ([\w/]+\.md)$", text, flags=re.MULTILINE) if file.suffix == ".yml" else []
+        found += [(str(file.relative_to(ROOT)), name) for name in names]
+    return found
+
+
+def test_pages_that_are_named_exist() -> None:
+    assert len(named_pages()) > 30
+    assert [where for where in named_pages() if not (ROOT / "docs" / where[1]).exists()] == []

@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from f3sr import example, kernels, package
+from f3sr import example, kernels, package, settings
 from f3sr.cache import Store
 from f3sr.errors import OutputError
 from f3sr.package import read_package, write_package
+from f3sr.pipeline import Config
 from f3sr.report import Report
 from f3sr.runner import Runner
 from folders import write_folder
@@ -41,7 +42,9 @@ QUICK = ("--skip", "align,refine,evaluate")
 def compiled() -> Path:
     """The folder of compiled kernels."""
     kernels.warm_up()
-    return kernels.CACHE_DIR
+    folder = kernels.kernel_folder()
+    assert folder
+    return folder
 
 
 @pytest.fixture
@@ -131,6 +134,20 @@ def test_a_signal_during_compilation_ends_at_once(tmp_path: Path, folder: Path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("after", [0.0, 0.02, 0.05, 0.1, 0.2, 0.3])
+def test_a_signal_after_the_last_line_does_not_kill(after: float, cache: Path):
+    """The command has ended by then, or says that it was interrupted."""
+    process = start("config", cache=cache)
+    assert process.stdout and process.stderr
+    last = settings.describe(Config()).splitlines(keepends=True)[-1]
+    while process.stdout.readline() != last:
+        pass
+    time.sleep(after)
+    process.send_signal(signal.SIGINT)
+    errors = process.stderr.read()
+    assert (process.wait(), errors) in ((0, ""), (1, INTERRUPTED))
+
+
 def test_nohup_is_respected(cache: Path):
     def ignore() -> None:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
@@ -205,6 +222,27 @@ def test_preparing_leaves_no_folder(tmp_path: Path):
     package.prepare_output(tmp_path / "a" / "b")
     package.prepare_output(tmp_path / "c")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("megabytes", [60, 300, 450])
+def test_little_memory_is_one_line(megabytes: int, cache: Path):
+    """Where Python finds out. What a library does that finds out itself, as LLVM, is to abort."""
+
+    def little() -> None:
+        resource.setrlimit(resource.RLIMIT_AS, (megabytes << 20, megabytes << 20))
+
+    alone = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    process = start("config", cache=cache, preexec_fn=little, env={"F3SR_TRACEBACK": "", **alone})
+    _, errors = process.communicate()
+    assert process.returncode == 1 and errors.startswith("f3sr: ") and errors.count("\n") == 1, errors
+
+
+def test_no_threads_are_one_line(cache: Path):
+    """Root may start as many as it wants, so it becomes somebody; the watch over signals is the first thread."""
+    code = "import threading, f3sr.__main__ as m; threading.Thread.start = lambda _: 1 / 0; m.run()"
+    done = subprocess.run([sys.executable, "-c", code], env={**os.environ, "F3SR_TRACEBACK": ""}, capture_output=True)
+    assert done.returncode == 1
+    assert done.stderr.startswith(b"f3sr: unforeseen ZeroDivisionError") and done.stderr.count(b"\n") == 1
 
 
 # --- rivals ----------------------------------------------------------------------------------------------------

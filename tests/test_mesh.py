@@ -24,6 +24,17 @@ def of(m: trimesh.Trimesh) -> Mesh:
     return Mesh(vertices=m.vertices, faces=m.faces)
 
 
+def test_a_hull_for_which_memory_is_lacking_is_not_said_to_be_flat(monkeypatch: pytest.MonkeyPatch):
+    from scipy.spatial import QhullError
+
+    def full(_: object) -> None:
+        raise QhullError("QH6082 qhull error (qh_memalloc): insufficient memory to allocate 880 bytes")
+
+    monkeypatch.setattr("scipy.spatial.ConvexHull", full)
+    with pytest.raises(MemoryError):
+        ConvexPart.hull_of(box_mesh((1, 1, 1)).vertices)
+
+
 def test_box_mass_properties_are_the_textbook_ones():
     a, b, c = 0.2, 0.3, 0.5
     m = trimesh.creation.box((a, b, c))

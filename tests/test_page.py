@@ -307,6 +307,9 @@ def test_without_evaluation_and_with_any_stage_skipped(given: inputs.Inputs):
     for skip in [s for s in SKIPPABLE if s not in ("refine", "evaluate")]:
         text = report_page(reconstruct(given, skip=[skip, "refine", "evaluate"])).decode()
         assert Tags(text).open == [] and "Not measured" in text and "evaluate" in text[: text.index("<section")]
+        (told,) = re.findall(r"<b>Skipped</b>: ([^<]*)", text)
+        closing = {"close"} if skip == "settle" else set[str]()
+        assert set(re.split(", | and ", told)) == {s for s in (skip, "refine", "evaluate", *closing) if "-" not in s}
     everything = reconstruct(given, skip=SKIPPABLE)
     assert "No stage had anything to decide" in report_page(everything).decode()
 

@@ -404,6 +404,19 @@ def test_scattered_triangles_are_covered(tmp_path):
     assert distance_outside(proxy, surface_points(mesh)).max() < 1e-6 * mesh.diagonal
 
 
+@pytest.mark.parametrize(
+    ("code", "words"),
+    [(1, "MemoryError\n"), (1, "numpy._ArrayMemoryError: 9 GiB\n"), (-6, "what():  std::bad_alloc\n")],
+)
+def test_what_a_lack_of_memory_left_is_not_kept(code, words, tmp_path, monkeypatch):
+    """Another run may have it."""
+    with monkeypatch.context() as patched:
+        patched.setattr(proxies, "run_worker", lambda *_: worker.explained(code, words, QUICK))
+        proxy = decompose(L_SHAPE, QUICK, cache_dir=tmp_path)
+    assert proxy.cut_short and "out of memory" in proxy.decisions[0].reason
+    assert decompose(L_SHAPE, QUICK, cache_dir=tmp_path).method == "cuts"
+
+
 def test_a_crash_leaves_one_hull_and_says_so(tmp_path, monkeypatch):
     def crash(*_):
         return worker.explained(-6, "", QUICK)

@@ -25,7 +25,7 @@ _PUBLIC = {
     "SceneObject": "f3sr.scene",
     "Store": "f3sr.cache",
     "Studio": "f3sr.film.filmed",
-    "deliver": "f3sr.deliver",
+    "deliver": "f3sr.delivery",
     "evaluate": "f3sr.stages.evaluate",
     "film_played": "f3sr.film.filmed",
     "read_inputs": "f3sr.inputs",

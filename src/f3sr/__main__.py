@@ -1,14 +1,29 @@
 """The process of the ``f3sr`` command: signals are looked after before anything heavy is imported."""
 
+import os
+from contextlib import suppress
+
 from f3sr import interrupts
 
 
 def run() -> None:
-    """Console script."""
-    interrupts.watch()
-    from f3sr import cli
+    """Console script. The process ends without taking the interpreter apart, which takes up to half a second: a signal
+    would kill it then, although its result is told."""
+    os._exit(_code())
 
-    cli.run()
+
+def _code() -> int:
+    try:
+        interrupts.watch()
+        from f3sr import cli
+
+        return cli.run()
+    except Exception as error:  # no memory or no threads for the libraries
+        from f3sr.errors import printable, unforeseen
+
+        with suppress(OSError):  # nobody reads stderr
+            os.write(2, f"f3sr: {printable(unforeseen(error, interrupts.state()))}\n".encode(errors="replace"))
+        return 1
 
 
 if __name__ == "__main__":

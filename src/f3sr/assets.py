@@ -30,7 +30,6 @@ MAX_SCENE_TEXTURE_PIXELS = 400_000_000
 """Of all textures together: 1.2 GB decoded."""
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".fbx")
 """Files in assets/ that look like an object's mesh: each must belong to a mask."""
-ASSET_FRAMES = ("auto", "opencv", "opengl", "pytorch3d")
 ONE_PER_MASK = "one mesh per mask"
 
 

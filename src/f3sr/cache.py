@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import hashlib
 import io
 import json
 import os
-import tempfile
 from functools import cache
 from pathlib import Path
 from typing import Any, Self, cast
@@ -16,14 +14,12 @@ from typing import Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import interrupts
-from f3sr.kernels import cache_root
+from f3sr.cache_files import PART, is_orphan, read_sealed, write_sealed
+from f3sr.cache_folder import within
 
 Arrays = dict[str, NDArray[Any]]
 DOCUMENT = "document.json"
 DEFAULT_LIMIT_GB = 5.0
-PART = ".part"
-"""Suffix of a file that is being written."""
 
 
 def digest(*values: Any) -> str:
@@ -53,81 +49,53 @@ def limit_bytes() -> int:
 class Store:
     """A folder of results, each in a file of its own that appears whole or not at all.
 
-    It takes at most ``share`` of the limit for stored results; what was used longest ago goes first.
+    It takes at most ``share`` of the limit for stored results; what was used longest ago goes first. Without a folder
+    it keeps nothing.
     """
 
-    def __init__(self, folder: Path, *, share: float = 0.9) -> None:
+    def __init__(self, folder: Path | None, *, share: float = 0.9) -> None:
         self.folder, self.share = folder, share
 
     @classmethod
     def default(cls) -> Self:
         """Where the command line keeps its results: ``stages`` in f3sr's cache."""
-        return cls(cache_root() / "stages")
+        return cls(within("stages"))
 
     def load(self, key: str) -> tuple[Any, Arrays] | None:
-        """The document and arrays stored under ``key``; None when there are none, or only damaged ones."""
-        path = self._path(key)
-        try:
-            with np.load(path, allow_pickle=False) as archive:
-                arrays = {name: archive[name] for name in archive.files}
-            document = json.loads(arrays.pop(DOCUMENT).tobytes())
-        except Exception:  # numpy and zipfile raise many kinds for a damaged archive; it is made anew
+        """The document and arrays that ``save`` stored under this key; None when there are none as they were saved."""
+        if self.folder is None or (data := read_sealed(_file(self.folder, key), key)) is None:
             return None
-        with contextlib.suppress(OSError):  # a cache that others own can be read all the same
-            os.utime(path)
-        return document, arrays
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        with contextlib.suppress(OSError):  # another process may have deleted it
+            os.utime(_file(self.folder, key))
+        return json.loads(arrays.pop(DOCUMENT).tobytes()), arrays
 
     def save(self, key: str, document: Any, arrays: Arrays) -> None:
         """Store a result; a folder that cannot be written to keeps nothing, and that is all."""
+        if self.folder is None:
+            return
         text = np.frombuffer(json.dumps(document, allow_nan=True).encode(), np.uint8)
         archive = io.BytesIO()
         np.savez(archive, allow_pickle=False, **cast(Any, {DOCUMENT: text, **arrays}))
-        write_whole(self._path(key), archive.getvalue())
-        self._tidy()
+        write_sealed(_file(self.folder, key), archive.getvalue(), key)
+        self._tidy(self.folder)
 
-    def _path(self, key: str) -> Path:
-        return self.folder / f"{key}.npz"
-
-    def _tidy(self) -> None:
+    def _tidy(self, folder: Path) -> None:
         """Delete what killed runs left half written, and the results used longest ago until the rest fits.
 
         Other processes may do the same at the same time: a file that is gone is as good as deleted.
         """
         room = self.share * limit_bytes()
-        for file, status in sorted(_files(self.folder), key=lambda pair: -pair[1].st_mtime_ns):
+        for file, status in sorted(_files(folder), key=lambda pair: -pair[1].st_mtime_ns):
             room -= status.st_size
             if room < 0 or (file.suffix == PART and is_orphan(file)):
                 with contextlib.suppress(OSError):
                     file.unlink()
 
 
-def write_whole(file: Path, data: bytes) -> None:
-    """Write a cache file in one step; an unwritable folder or a full disk leaves it as it was."""
-    part = None
-    with interrupts.held():
-        try:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            handle, part = tempfile.mkstemp(dir=file.parent, suffix=PART)
-            with os.fdopen(handle, "wb") as stream:
-                with contextlib.suppress(OSError):  # a file system without locks
-                    fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                stream.write(data)
-                stream.flush()
-                Path(part).replace(file)
-        except OSError:
-            if part:
-                with contextlib.suppress(OSError):
-                    Path(part).unlink()
-
-
-def is_orphan(part: Path) -> bool:
-    """Whether the process that was writing the file is gone, and its lock with it."""
-    try:
-        with part.open("rb") as stream:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return True
-    except OSError:
-        return False
+def _file(folder: Path, key: str) -> Path:
+    return folder / f"{key}.npz"
 
 
 def _files(folder: Path) -> list[tuple[Path, os.stat_result]]:

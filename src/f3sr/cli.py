@@ -6,6 +6,7 @@ import io
 import json
 import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,11 +14,20 @@ from typing import Annotated, Any
 import tyro
 from tyro.conf import Positional, arg
 
-from f3sr import cli_goals, interrupts
-from f3sr.errors import F3srError, InputError, MissedError, RefusedError, one_line
+import f3sr
+from f3sr import cli_goals, interrupts, options
+from f3sr.errors import F3srError, F3srWarning, InputError, MissedError, RefusedError, one_line, printable, unforeseen
 
 Folder = Positional[Path]
 Out = Annotated[Path, arg(aliases=["-o"])]
+Skip = Annotated[str, arg(help=f"Stages to leave out, comma separated: {', '.join(options.SKIPPABLE)}.")]
+Ignore = Annotated[
+    str, arg(help=f"Parts of the input to treat as absent, comma separated: {', '.join(options.PARTS)}.")
+]
+Axes = Annotated[str, arg(help=f"Axes of posed GLBs that come without poses.json: {', '.join(options.ASSET_FRAMES)}.")]
+
+
+VERSION = "f3sr --version prints the version."
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -32,12 +42,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         "config": config,
         "doctor": doctor,
     }
+    arguments = list(sys.argv[1:] if argv is None else argv)
     try:
+        if arguments == ["--version"]:
+            print(f"f3sr {f3sr.__version__}")
+            return 0
         tyro.extras.subcommand_cli_from_dict(
             commands,
             prog="f3sr",
-            description="From one photo with object masks to a 3-D scene that a physics engine can run.",
-            args=argv,
+            description=f"From one photo with object masks to a 3-D scene that a physics engine can run. {VERSION}",
+            args=arguments,
         )
     except InputError as error:
         return _fail(2, str(error))
@@ -53,6 +67,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(1, f"{error.filename or 'system'}: {error.strerror or error}")
     except KeyboardInterrupt:
         return _fail(1, f"interrupted; {interrupts.state()}")
+    except Exception as error:  # the last line of defence: what nobody foresaw is one line too
+        return _fail(1, unforeseen(error, interrupts.state()))
     return 0
 
 
@@ -60,9 +76,9 @@ def reconstruct(
     folder: Folder,
     /,
     out: Out,
-    skip: str = "",
-    ignore: str = "",
-    asset_frame: str = "auto",
+    skip: Skip = "",
+    ignore: Ignore = "",
+    asset_frame: Axes = "auto",
     config: Path | None = None,
     overwrite: bool = False,
     json: bool = False,
@@ -72,17 +88,13 @@ def reconstruct(
     Args:
         folder: Holds image.png|jpg, masks/*.png, geometry.npz (or depth and intrinsics.json), assets/, ground.png.
         out: Where the package goes; an older f3sr package there is replaced.
-        skip: Stages to leave out, comma separated: level, align, align-camera, align-objects, relate, decompose,
-            separate, settle, refine, describe, evaluate.
-        ignore: Parts of the input to treat as absent, comma separated: assets, geometry, ground, scene_graph.
-        asset_frame: Axes of posed GLBs that come without poses.json: auto, opencv, opengl or pytorch3d.
         config: TOML file of settings; those it does not name stay as ``f3sr config`` prints them.
         overwrite: Also replace a package that holds rollouts.
         json: Print one JSON object instead of text.
     """
     from f3sr import atomic_folder, console, inputs, kernels, package, pipeline, settings
     from f3sr.cache import Store
-    from f3sr.deliver import deliver
+    from f3sr.delivery import deliver
     from f3sr.progress import timed
 
     atomic_folder.recover(out)
@@ -110,8 +122,8 @@ def evaluate(
     folder: Folder,
     /,
     true_scale: float = 1.0,
-    ignore: str = "",
-    asset_frame: str = "auto",
+    ignore: Ignore = "",
+    asset_frame: Axes = "auto",
     config: Path | None = None,
     json: bool = False,
 ) -> None:
@@ -123,8 +135,6 @@ def evaluate(
     Args:
         folder: A package that ``f3sr reconstruct`` wrote, or the input of one.
         true_scale: Factor from the scene's lengths to true metres, where it is known; physics depends on it.
-        ignore: Parts of an input to treat as absent, as for ``reconstruct``.
-        asset_frame: Axes of an input's posed GLBs, as for ``reconstruct``.
         config: TOML file of settings, as for ``reconstruct``; a package needs only those of [evaluate].
         json: Print one JSON object instead of a table.
     """
@@ -230,9 +240,9 @@ def _fail(code: int, message: str) -> int:
     return code
 
 
-def run() -> None:
-    """The whole life of the process. Names that a terminal's encoding lacks are escaped, not fatal."""
-    interrupts.watch()
+def run() -> int:
+    """The whole life of a process, to its exit code. Names that a terminal's encoding lacks are escaped, not fatal."""
+    warnings.formatwarning = _as_line
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -240,7 +250,16 @@ def run() -> None:
         code = main()
     except SystemExit as end:  # --help and wrong arguments
         code = end.code if isinstance(end.code, int) else 1
-    sys.exit(_flushed(code))
+    return _flushed(code)
+
+
+def _as_line(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> str:
+    """f3sr's own warnings as one line, others as Python shows them."""
+    own = issubclass(category, F3srWarning)
+    return f"f3sr: {printable(str(message))}\n" if own else _with_place(message, category, *where, **more)
+
+
+_with_place = warnings.formatwarning
 
 
 def _flushed(code: int) -> int:

@@ -18,6 +18,7 @@ import numpy as np
 
 import f3sr
 from f3sr import kernels
+from f3sr.cache_folder import cache_folder
 from f3sr.mesh import ConvexPart, Mesh
 
 State = Literal["ok", "missing", "failed"]
@@ -189,7 +190,11 @@ def usable_memory() -> float:
 
 
 def _caches() -> Iterator[Check]:
-    root = kernels.cache_root()
+    root = cache_folder()
+    if root is None:
+        found = "none that this user alone can write to; every run compiles its kernels"
+        yield Check(group="cache", name="folder", state="missing", found=found)
+        return
     yield _space("folder", root, group="cache")
     compiled = "compiled" if kernels.is_warm() else "not compiled yet: the first run takes half a minute longer"
     yield _check("cache", "kernels", compiled)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import traceback
 from pathlib import Path
 
 LONGEST = 300
 """Characters of a value or a path that a message holds, and"""
 LONGEST_LINE = 1000
 """of a whole message."""
+TRACEBACK = "F3SR_TRACEBACK"
+"""Variable of the environment that asks for the traceback of an error nobody foresaw."""
 
 
 class F3srError(Exception):
@@ -30,12 +34,30 @@ class OutputError(F3srError):
     """The place where results should go cannot take them."""
 
 
+class F3srWarning(UserWarning):
+    """Something that works, but not as it was asked for; its message is one line."""
+
+
 class RefusedError(F3srError):
     """A goal that cannot be acted on; nothing was written for it."""
 
 
 class MissedError(F3srError):
     """A goal whose best rollout does not meet it; it was written all the same."""
+
+
+def unforeseen(error: Exception, state: str) -> str:
+    """One line on an error that nobody raised on purpose; ``state`` says what is on disk.
+
+    Where ``$F3SR_TRACEBACK`` is set its traceback is printed first."""
+    if os.environ.get(TRACEBACK):
+        traceback.print_exception(error)
+    cause: BaseException = error
+    while cause.__cause__ is not None:
+        cause = cause.__cause__
+    kind = "out of memory" if isinstance(cause, MemoryError) else f"unforeseen {type(cause).__name__}"
+    said = ": ".join(filter(None, (kind, str(cause).strip().partition("\n")[0])))
+    return f"{cut(said)}; {state}; {TRACEBACK}=1 shows where"
 
 
 def reason(error: OSError | ValueError | RuntimeError) -> str:

@@ -6,25 +6,24 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal, Self, get_args
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from f3sr.assets import ASSET_FRAMES, PosedAsset, read_assets, require_size
+from f3sr.assets import PosedAsset, read_assets, require_size
 from f3sr.cache import digest
 from f3sr.errors import InputError
 from f3sr.folder import InputFolder
 from f3sr.frames import Array, transform
 from f3sr.images import as_rgb, open_image
 from f3sr.masks import Instance, read_instances, read_mask
+from f3sr.options import ASSET_FRAMES, PARTS
 from f3sr.point_maps import read_geometry
 from f3sr.report import Decision
 from f3sr.scene import GROUND, Geometry, Photo, Predicate, Relation, SceneGraph
 
-Part = Literal["assets", "geometry", "ground", "scene_graph", "background"]
-PARTS: tuple[str, ...] = get_args(Part)
 PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 MAX_RELATIONS = 10_000

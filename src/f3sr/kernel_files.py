@@ -1,7 +1,8 @@
 """Compiled kernels on disk: one file per kernel and signature, whole or absent, its digest checked before it is run.
 
-numba's own cache keeps an index that two processes overwrite for each other, and unpickles whatever the disk gives: a
-damaged file fails every run, or is run. Here a file that cannot be trusted is one that is not there.
+numba's own cache (``njit(cache=True)``) does not serve: it makes its folders when a module is imported, keeps an index
+that two processes overwrite for each other, and unpickles whatever the disk gives, so that a damaged file fails every
+run, or is run. Here a file that cannot be trusted is one that is not there.
 """
 
 from __future__ import annotations
@@ -17,58 +18,52 @@ from typing import Any, cast
 import numba
 from numba.core.compiler import CompileResult
 
-from f3sr.cache import PART, is_orphan, write_whole
+from f3sr.cache_files import PART, is_orphan, read_sealed, write_sealed
 
 SUFFIX = ".kernel"
-DIGEST = hashlib.sha256().digest_size
 
 
 class KernelFiles:
-    """What a numba dispatcher asks for compiled code: one instance per kernel."""
+    """What a numba dispatcher asks for compiled code: one instance per kernel. ``folder`` says where files are kept,
+    None for nowhere; it is asked when the kernel is compiled or used first."""
 
-    def __init__(self, function: Callable[..., Any], folder: Path) -> None:
+    def __init__(self, function: Callable[..., Any], folder: Callable[[], Path | None]) -> None:
         self._name = f"{function.__module__}.{function.__qualname__}"
-        self._code = hashlib.sha256(function.__code__.co_code).hexdigest()
+        self._code = function.__code__.co_code
         self._folder = folder
 
     @property
-    def cache_path(self) -> str:
-        return str(self._folder)
+    def cache_path(self) -> str | None:
+        folder = self._folder()
+        return str(folder) if folder else None
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled kernel for a signature, None where there is none to trust."""
         target_context.refresh()
-        data = read(self._path(sig, target_context.codegen()))
+        file = self._file(sig, target_context.codegen())
+        data = file and read_sealed(file, file.name)
         return data and cast(Any, CompileResult)._rebuild(target_context, *pickle.loads(data))
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a compiled kernel; a folder that cannot be written to keeps nothing, and that is all."""
-        if not data.lifted and not data.library.has_dynamic_globals:
-            code = pickle.dumps(data._reduce())
-            write_whole(self._path(sig, data.codegen), hashlib.sha256(code).digest() + code)
+        file = self._file(sig, data.codegen)
+        if file and not data.lifted and not data.library.has_dynamic_globals:
+            write_sealed(file, pickle.dumps(data._reduce()), file.name)
 
     def flush(self) -> None:
         pass
 
     enable = disable = flush
 
-    def _path(self, sig: Any, codegen: Any) -> Path:
+    def _file(self, sig: Any, codegen: Any) -> Path | None:
         key = repr((numba.__version__, sys.version, str(sig), codegen.magic_tuple(), self._code))
-        return self._folder / f"{self._name}-{hashlib.sha256(key.encode()).hexdigest()[:16]}{SUFFIX}"
-
-
-def read(file: Path) -> bytes | None:
-    """What was written, None when it is not there or not whole."""
-    try:
-        data = file.read_bytes()
-    except OSError:
-        return None
-    return data[DIGEST:] if hashlib.sha256(data[DIGEST:]).digest() == data[:DIGEST] else None
+        folder = self._folder()
+        return folder and folder / f"{self._name}-{hashlib.sha256(key.encode()).hexdigest()[:16]}{SUFFIX}"
 
 
 def discard_damaged(folder: Path) -> int:
     """Delete the files that cannot be trusted; how many there were."""
-    damaged = [file for file in folder.glob(f"*{SUFFIX}") if read(file) is None]
+    damaged = [file for file in folder.glob(f"*{SUFFIX}") if read_sealed(file, file.name) is None]
     orphans = [file for file in folder.glob(f"*{PART}") if is_orphan(file)]
     for file in damaged + orphans:
         with contextlib.suppress(OSError):

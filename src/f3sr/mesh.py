@@ -140,12 +140,14 @@ class ConvexPart:
 
     @classmethod
     def hull_of(cls, points: Array) -> Self:
-        """The convex hull of points (n, 3). Raises ValueError when they span no volume."""
+        """The convex hull of points (n, 3). Raises ValueError when they span no volume, MemoryError when qhull does."""
         from scipy.spatial import ConvexHull, QhullError
 
         try:
             hull = ConvexHull(points)
         except (QhullError, ValueError) as error:
+            if "insufficient memory" in str(error):
+                raise MemoryError(f"hull of {len(points)} points") from error
             raise ValueError(f"{len(points)} points span no volume") from error
         corners = np.sort(hull.vertices)
         faces = np.searchsorted(corners, hull.simplices).astype(np.int32)

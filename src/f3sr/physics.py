@@ -31,7 +31,7 @@ Friction = Annotated[float, Interval(ge=0, le=10)]
 
 @settings
 class PhysicsConfig:
-    """Contact model and time stepping, chosen for piles that rest (docs: physics)."""
+    """Contact model and time stepping, chosen for piles that rest (docs: measures)."""
 
     timestep: Annotated[float, Interval(gt=0, le=0.005)] = 0.002
     """[s], at most half of solref's first value."""
@@ -270,7 +270,7 @@ def contact_loads(model: MjModel, data: MjData, ids: Sequence[int]) -> dict[tupl
 
 
 def release(objects: Sequence[SceneObject], *, true_scale: float = 1.0, seconds: float = 5.0) -> Release:
-    """Let the scene go from rest, undamped, and measure it: one protocol for every method (design 5).
+    """Let the scene go from rest, undamped, and measure it: one protocol for every method (docs: measures).
 
     Unlike the product's own model all objects have friction .6, rolling friction .001 and 600 kg/m3 of the
     visual volume spread evenly over their parts, and lengths are multiplied by ``true_scale``. D is sampled

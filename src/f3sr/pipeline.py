@@ -10,6 +10,7 @@ from pydantic import JsonValue
 from f3sr.background import BackgroundConfig
 from f3sr.cache import Store, digest
 from f3sr.inputs import Inputs
+from f3sr.options import SKIPPABLE
 from f3sr.progress import Progress, silent
 from f3sr.proxies import ProxyConfig
 from f3sr.refinement import RefineConfig, Rested, refine
@@ -29,10 +30,6 @@ from f3sr.stages.relate import RelateConfig, describe, relate
 from f3sr.stages.separate import SeparateConfig, separate
 from f3sr.stages.settle import SettleStageConfig, restless, settle
 
-SKIPPABLE = (
-    *("level", "align", "align-camera", "align-objects", "relate", "decompose", "separate", "settle"),
-    *("close", "refine", "describe", "evaluate", "inpaint"),
-)
 BESIDE = 2_000_000
 """Pixels of the photo up to which it is completed beside the other stages: that takes 100 bytes a pixel for a while."""
 REPEATED_BY_REFINE = {"align", "align-objects", "separate", "settle"}

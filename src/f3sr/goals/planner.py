@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from f3sr.goals.directions import Direction, world_vector
 from f3sr.goals.feasible import impossible
 from f3sr.goals.layout import Layout
 from f3sr.goals.limits import limits_of
+from f3sr.goals.meant import Meant
 from f3sr.goals.names import names, resolve_request
 from f3sr.goals.plan import Kind, TaskSpec
 from f3sr.goals.refusal import Refusal
@@ -58,22 +59,6 @@ SAID: dict[Direction, str] = {
     "up": "up",
     "down": "down",
 }
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Meant:
-    """A request whose words are settled: objects, direction and metres."""
-
-    request: Request
-    active: int
-    target: int | None
-    direction: Array | None
-    """Unit vector (3,) of the world."""
-    amount: float
-    """[m]"""
-    asked: bool
-    """Whether the words gave the amount."""
-    assumptions: tuple[str, ...]
 
 
 def tasks_of(goal: str, scene: Scene) -> Sequence[TaskSpec] | Refusal:

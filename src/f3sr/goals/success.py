@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from f3sr.goals import plan as p
 from f3sr.goals.layout import Layout, way_between
+from f3sr.goals.meant import Meant
 from f3sr.scene import GROUND
-
-if TYPE_CHECKING:
-    from f3sr.goals.planner import Meant
 
 Conditions = tuple[p.Condition, ...]
 Reading = tuple[Conditions, str]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from f3sr.measures import visible_ious
+from f3sr.options import SKIPPABLE
 from f3sr.page.material import Material, look_alike
 from f3sr.page.words import about, counted, length, listed, name_of, ratio, share, told
 from f3sr.physics import DEFAULT_PHYSICS
-from f3sr.pipeline import SKIPPABLE
 from f3sr.refinement import RefineConfig
 from f3sr.scene import SceneObject
 from f3sr.web.images import figure, img
@@ -181,6 +181,6 @@ def _lean(a: SceneObject, b: SceneObject) -> float:
 
 
 def skipped_stages(m: Material) -> list[str]:
-    """Stages without a result; parts of stages are not told from their settings."""
-    done = {*m.result.scenes, *(["evaluate"] if m.result.evaluation else [])}
+    """Stages without a report; parts of stages are not told from their settings."""
+    done = {*(report.stage for report in m.result.reports), *(["evaluate"] if m.result.evaluation else [])}
     return [name for name in SKIPPABLE if name not in done and "-" not in name]

@@ -20,9 +20,9 @@ from typing import Any, Literal
 import numpy as np
 
 from f3sr.cache import Arrays, Store
+from f3sr.cache_folder import within
 from f3sr.errors import InputError
 from f3sr.frames import Array, transform
-from f3sr.kernels import cache_root
 from f3sr.mesh import ConvexPart, Mesh
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.fit import Excess
@@ -75,7 +75,7 @@ def decompose(
     config = config or ProxyConfig()
     check(mesh, name)
     vertices, faces, T_mesh_unit = _normalised(mesh)
-    store, key = Store(cache_dir or cache_root() / "proxies", share=0.1), key_of(vertices, faces, config)
+    store, key = Store(cache_dir or within("proxies"), share=0.1), key_of(vertices, faces, config)
     if found := store.load(key):
         proxy = _restored(*found)
     else:

@@ -26,6 +26,8 @@ from f3sr.proxies.surface import Faces
 
 LOOK_UP_S = 0.2
 """How often a thread that waits for a worker looks whether all has been called off [s]."""
+NO_MEMORY = ("MemoryError", "bad_alloc", "insufficient memory", "allocate memory", "Memory allocation")
+"""Last words of Python and of libraries that get no memory: another run may get it."""
 PR_SET_PDEATHSIG = 1
 """From Linux' sys/prctl.h."""
 
@@ -89,6 +91,8 @@ def explained(code: int, errors: str, config: ProxyConfig) -> Outcome:
 
     if -code in (signal.SIGXCPU, signal.SIGKILL):
         return Outcome(reason=f"killed after {config.cpu_limit_s:g} s of processor time", cut_short=True)
+    if any(words in errors for words in NO_MEMORY):
+        return Outcome(reason="out of memory", cut_short=True)
     if code < 0:
         return Outcome(reason=f"crashed with {signal.Signals(-code).name}")
     last = (errors.strip().splitlines() or ["no message"])[-1]

@@ -74,10 +74,3 @@ def add_equations(
                 target[j] += weight * exposed * bases[i, j] * photo[i, c]
                 for k in range(j + 1):
                     gram[j, k] += weight * exposed * exposed * bases[i, j] * bases[i, k]
-
-
-def warm_up() -> None:
-    """Compile every kernel of this module by drawing a tiny film with all."""
-    from f3sr.rendering import trial
-
-    trial.draw()

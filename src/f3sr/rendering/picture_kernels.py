@@ -177,10 +177,3 @@ def compose(
                     value = (1 - objects) * linear[background[y, x, c]] * factor
                     value += color[y, x, c] / (samples * samples)
                     picture[y, x, c] = table[int(min(max(value, 0.0), 1.0) * STEPS + 0.5)]
-
-
-def warm_up() -> None:
-    """Compile every kernel of this module by drawing a tiny film with all."""
-    from f3sr.rendering import trial
-
-    trial.draw()

@@ -232,10 +232,3 @@ def arrivals(
         x, y, z = points[i, 0] + offset * nx, points[i, 1] + offset * ny, points[i, 2] + offset * nz
         for light in range(len(directions)):
             out[i, light] = arriving(x, y, z, nx, ny, nz, light, directions, frames, maps, bias)
-
-
-def warm_up() -> None:
-    """Compile every kernel of this module by drawing a tiny film with all."""
-    from f3sr.rendering import trial
-
-    trial.draw()

@@ -512,10 +512,3 @@ def mark_shadowed(
                             dirty[i, j] = True
                 if dirty[i, j]:
                     break
-
-
-def warm_up() -> None:
-    """Compile every kernel of this module by drawing a tiny film with all."""
-    from f3sr.rendering import trial
-
-    trial.draw()

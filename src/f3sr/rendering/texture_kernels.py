@@ -65,10 +65,3 @@ def settle(sums: NDArray[Any], weights: NDArray[Any], coarser: NDArray[Any], tex
                     texels[y, x, c] = int(sums[y, x, c] / weights[y, x] * UNIT + 0.5)
                 else:
                     texels[y, x, c] = coarser[y // 2, x // 2, c]
-
-
-def warm_up() -> None:
-    """Compile every kernel of this module by drawing a tiny film with all."""
-    from f3sr.rendering import trial
-
-    trial.draw()

@@ -16,8 +16,8 @@ SIDE = 32
 """Of the picture [px]: small, and large enough that the light is looked for."""
 
 
-def draw() -> None:
-    """Draw a tent on the ground from above, at rest and moved."""
+def warm_up() -> None:
+    """Compile every kernel of the renderer: draw a tent on the ground from above, at rest and moved."""
     mesh = Mesh(
         vertices=np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [0, 0, 0.5]]) / 4,
         faces=np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]], np.int32),

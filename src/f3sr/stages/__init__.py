@@ -1,1 +1,1 @@
-"""The stages: each one file, each ``stage(scene, ..., config) -> (scene, report)``, none importing another."""
+"""The stages, each a file or a folder: ``stage(scene, ..., config) -> (scene, report)``; none imports another."""

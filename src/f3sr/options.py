@@ -1,0 +1,16 @@
+"""What options of the commands accept, where no library has to be loaded to say so."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+SKIPPABLE = (
+    *("level", "align", "align-camera", "align-objects", "relate", "decompose", "separate", "settle"),
+    *("close", "refine", "describe", "evaluate", "inpaint"),
+)
+"""Stages, and parts of ``align``, that ``--skip`` leaves out."""
+Part = Literal["assets", "geometry", "ground", "scene_graph", "background"]
+PARTS: tuple[str, ...] = get_args(Part)
+"""Parts of a prompted-image folder that ``--ignore`` treats as absent."""
+ASSET_FRAMES = ("auto", "opencv", "opengl", "pytorch3d")
+"""Axes of posed GLBs that come without ``poses.json``, for ``--asset-frame``."""
