@@ -16,8 +16,10 @@ from typing import Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import interrupts
+from f3sr import interrupts, npz
+from f3sr.errors import InputError
 from f3sr.kernels import cache_root
+from f3sr.limited_file import opened
 
 Arrays = dict[str, NDArray[Any]]
 DOCUMENT = "document.json"
@@ -68,10 +70,10 @@ class Store:
         """The document and arrays stored under ``key``; None when there are none, or only damaged ones."""
         path = self._path(key)
         try:
-            with np.load(path, allow_pickle=False) as archive:
-                arrays = {name: archive[name] for name in archive.files}
+            with opened(path) as file:
+                arrays = npz.read_all(file, str(path))
             document = json.loads(arrays.pop(DOCUMENT).tobytes())
-        except Exception:  # numpy and zipfile raise many kinds for a damaged archive; it is made anew
+        except (InputError, KeyError, ValueError, RecursionError):  # damaged: it is made anew
             return None
         with contextlib.suppress(OSError):  # a cache that others own can be read all the same
             os.utime(path)

@@ -12,21 +12,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.errors import InputError, reason
+from f3sr import limited_file
+from f3sr.errors import InputError
 from f3sr.export.gltf import mesh_to_glb
 from f3sr.gltf import Piece, read_gltf
+from f3sr.limited_file import MAX_FILE_BYTES, MAX_JSON_BYTES
 from f3sr.mesh import Material, Mesh
 
 FORMATS = (".glb", ".gltf", ".obj", ".ply")
+ACCEPTED = f"a mesh file ({', '.join(FORMATS)})"
 MAX_FACES = 5_000_000
 """Of one file: twenty times what generators make. Vertices may be three times as many, for faces may share none."""
+MAX_TEXT_BYTES = 200_000_000
+"""Of a file that is no GLB, or that one names: reading text takes fifteen times its size; two million triangles."""
 MAX_COORDINATE = 1e15
 """Largest coordinate: single precision holds its square."""
 MAX_TEXTURE_PIXELS = 8192 * 8192
 """Over all base colour textures of one file: a single one of the largest size that graphics cards must take."""
 
 
-def load_mesh(path: Path, *, max_faces: int = MAX_FACES, max_texture_pixels: int = MAX_TEXTURE_PIXELS) -> Mesh:
+def load_mesh(
+    path: Path,
+    *,
+    max_faces: int = MAX_FACES,
+    max_texture_pixels: int = MAX_TEXTURE_PIXELS,
+    max_bytes: int = MAX_FILE_BYTES,
+) -> Mesh:
     """Read a GLB, glTF with everything embedded, OBJ or PLY file as one mesh in the file's own axes.
 
     All geometries of the file come with their node transforms, in the order of
@@ -34,7 +45,7 @@ def load_mesh(path: Path, *, max_faces: int = MAX_FACES, max_texture_pixels: int
     Raises InputError, naming the file, for what cannot be read or is not a finite triangle mesh.
     """
     path = Path(path)
-    data = _read_bytes(path)
+    data = _read_bytes(path, max_bytes)
     if path.suffix.lower() in (".glb", ".gltf"):
         pieces = read_gltf(path, data, max_faces=max_faces, max_texture_pixels=max_texture_pixels)
     else:
@@ -51,21 +62,15 @@ def save_glb(mesh: Mesh, path: Path) -> None:
     Path(path).write_bytes(mesh_to_glb(mesh, name=Path(path).stem))
 
 
-def _read_bytes(path: Path) -> bytes:
+def _read_bytes(path: Path, max_bytes: int) -> bytes:
     if path.suffix.lower() not in FORMATS:
         raise _refused(path, f"a file of type {path.suffix!r}")
-    try:
-        if path.exists() and not path.is_file():  # reading a pipe would wait forever
-            raise _refused(path, "no regular file")
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise _refused(path, "no such file") from None
-    except OSError as error:
-        raise _refused(path, f"an unreadable file ({reason(error)})") from error
+    most = MAX_FILE_BYTES if path.suffix.lower() == ".glb" else MAX_TEXT_BYTES
+    return limited_file.read(path, most=min(most, max_bytes), accepted=ACCEPTED)
 
 
 def _refused(path: Path, found: str) -> InputError:
-    return InputError(path, found=found, accepted=f"a mesh file ({', '.join(FORMATS)})")
+    return InputError(path, found=found, accepted=ACCEPTED)
 
 
 def _read_with_trimesh(path: Path, data: bytes) -> list[Piece]:
@@ -93,7 +98,7 @@ def _check_side_files(path: Path, data: bytes) -> None:
     for name in (n.strip() for n in names):
         side = _inside(path, name)
         if side.suffix.lower() == ".mtl":
-            lines = side.read_text(errors="replace")
+            lines = limited_file.read(side, most=MAX_JSON_BYTES).decode(errors="replace")
             for picture in re.findall(r"^\s*map_Kd\s+(.+)$", lines, flags=re.MULTILINE):
                 _inside(path, picture.strip())
 
@@ -103,6 +108,8 @@ def _inside(path: Path, name: str) -> Path:
     side = (folder / name).resolve()
     if not side.is_relative_to(folder) or not side.is_file():
         raise InputError(path, found=f"a reference to {name[:80]!r}", accepted="files that exist in the same folder")
+    if side.stat().st_size > MAX_TEXT_BYTES:
+        raise InputError(side, found=f"{side.stat().st_size:,} bytes", accepted=f"at most {MAX_TEXT_BYTES:,} bytes")
     return side
 
 

@@ -19,8 +19,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from f3sr import interrupts
-from f3sr.errors import OutputError
+from f3sr import interrupts, limited_file
+from f3sr.bounds import MAX_SCENE_BYTES
+from f3sr.errors import InputError, OutputError
 from f3sr.export.scene_json import SCHEMA_FILE
 
 PHOTO = "photo.png"
@@ -124,8 +125,8 @@ def _told_as_output_error(out: Path) -> Generator[None]:
 def is_package(folder: Path) -> bool:
     """True when the folder has a scene.json that looks like ours, of whatever version."""
     try:
-        tree = json.loads((folder / "scene.json").read_bytes())
-    except (OSError, ValueError, RecursionError):
+        tree = json.loads(limited_file.read(folder / "scene.json", most=MAX_SCENE_BYTES))
+    except (InputError, ValueError, RecursionError):
         return False
     if not isinstance(tree, dict) or tree.get("$schema") != SCHEMA_FILE:
         return False
