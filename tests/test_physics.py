@@ -59,7 +59,7 @@ assert data.warning.number.sum() > 0
 spec = build_spec([box(0)])
 spec.bodies[1].mass = 1e300
 compiled(spec)
-told = []
+told, data = [], engine().MjData(model)
 engine().set_mju_user_warning(told.append)
 data.qpos[0] = np.nan
 engine().mj_step(model, data)

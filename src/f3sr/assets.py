@@ -114,7 +114,8 @@ def require_solidity(path: Path, mesh: Mesh) -> None:
 
 def _is_thin(mesh: Mesh) -> bool:
     """Whether its vertices spread so little along some direction that its hull, which takes longer, must tell."""
-    spread = np.linalg.eigvalsh(np.cov((mesh.vertices - mesh.vertices.mean(0)).T))
+    away = mesh.vertices - mesh.vertices.mean(0)
+    spread = np.linalg.eigvalsh(away.T @ away / len(away))
     return bool(spread[0] <= (THIN * mesh.diagonal) ** 2)
 
 
