@@ -25,6 +25,7 @@ import numpy as np
 from PIL import Image
 
 from folders import HEIGHT, WIDTH, add_graph, camera, to_depth, to_posed, write_folder
+from hostile_npz import HOSTILE, npy
 
 Spoil = Callable[[Path], Any]
 EMPTY = np.zeros((HEIGHT, WIDTH))
@@ -223,6 +224,11 @@ def depth_array(change: Callable[[np.ndarray], Any]) -> Spoil:
         np.save(folder / "depth.npy", change(given))
 
     return apply
+
+
+def depth_bytes(data: bytes) -> Spoil:
+    """A depth.npy of other bytes."""
+    return in_order(depth_array(lambda d: d), write("depth.npy", data))
 
 
 def on_one_ray(folder: Path) -> None:
@@ -428,9 +434,23 @@ WRONG: dict[str, tuple[Spoil, str, str]] = {
     "an empty npz": (write("geometry.npz", b""), "geometry.npz", "no readable npz"),
     "a broken npz": (write("geometry.npz", b"PK\x03\x04junk"), "geometry.npz", "no readable npz"),
     "an npz cut off": (truncated("geometry.npz"), "geometry.npz", "no readable npz"),
-    "an npz member that is no array": (no_array, "geometry.npz", "no readable npz"),
-    "an npz bomb": (bomb, "geometry.npz", "bytes of arrays"),
+    "an npz member that is no array": (no_array, "geometry.npz", "points that is no array"),
+    "an npz bomb": (bomb, "geometry.npz", "points that is no array"),
     "pickled objects": (geometry(points=np.array([{}], object)), "geometry.npz", "Python objects"),
+    **{
+        f"points with {case}": (lambda f, case=case: HOSTILE[case][0](f / "geometry.npz", "points"), "geometry.npz", found)
+        for case, found in (
+            ("U0 of 10^12 elements", "points of type"),
+            ("a shape of 10^400", "shape beyond"),
+            ("9,000 brackets", "header of 9,000 bytes"),
+            ("9,000 minus signs", "header of 9,001 bytes"),
+            ("fewer bytes than it claims", "points (3,)"),
+            ("complex numbers", "complex numbers"),
+            ("an encrypted entry", "encrypted"),
+            ("entries that overlap", "overlap"),
+            ("600,000 entries", "directory of"),
+        )
+    },
     "points of the wrong shape": (geometry(points=np.zeros((4, 4))), "geometry.npz", "(4, 4)"),
     "points of whole numbers": (geometry(points=lambda p: p.astype(int)), "geometry.npz", "int64"),
     "points of text": (geometry(points=lambda p: p.astype("U4")), "geometry.npz", "<U4"),
@@ -460,7 +480,13 @@ WRONG: dict[str, tuple[Spoil, str, str]] = {
     "a depth map of another aspect": (depth_map(lambda d: d[:40]), "depth.png", "96x40"),
     "a depth map in three dimensions": (depth_array(lambda d: d[..., None]), "depth.npy", "(72, 96, 1)"),
     "a depth map that is all infinite": (depth_array(lambda d: d + np.inf), "depth.npy", "no valid depth"),
-    "a depth map of Python objects": (depth_array(lambda d: d.astype(object)), "depth.npy", "no readable npy"),
+    "a depth map of Python objects": (depth_array(lambda d: d.astype(object)), "depth.npy", "Python objects"),
+    "a depth map of 10^12 empty texts": (
+        depth_bytes(npy("'<U0'", f"({10**12}, 1)")), "depth.npy", "depth of type",
+    ),
+    "a depth map of 10^11 numbers": (depth_bytes(npy("'<f8'", f"({10**11}, 1)")), "depth.npy", "more than 100,000,000"),
+    "a depth map with a header of brackets": (depth_bytes(npy("", "", header="(" * 9000)), "depth.npy", "header of 9,000"),
+    "a depth map cut off": (depth_bytes(npy("'<f8'", "(72, 96)", bytes(80))), "depth.npy", "in a file of"),
     "a depth scale of 1e30": (intrinsics(depth_scale=1e30), "depth.png", "median depth"),
     "a depth scale of zero": (intrinsics(depth_scale=0), "intrinsics.json", "depth_scale"),
     "K of text": (intrinsics(K=[["200", "0", "50"], ["0", "200", "40"], ["0", "0", "1"]]), "intrinsics.json", "K.0.0"),

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from time import perf_counter
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from f3sr.goals.play import Played, simulate_goal
 from f3sr.package import Package
 from f3sr.scene import Scene
 from goal_scene import BALL, CAN, CRATE, goal_package, goal_scene
+from hostile_npz import HOSTILE
 
 av = pytest.importorskip("av")
 GOAL = "knock over the cereal box"
@@ -136,6 +138,25 @@ def _of_nobody(contacts: np.ndarray) -> np.ndarray:
     return contacts
 
 
+def _hostile(case: str, name: str) -> Callable[[Path], None]:
+    return lambda rollout: HOSTILE[case][0](rollout / ROLLOUT, name)
+
+
+def _many_samples(rollout: Path) -> None:
+    """So many that filming them would never end."""
+    arrays = dict(np.load(rollout / ROLLOUT))
+    poses = np.broadcast_to(arrays["T_world_object"][:1], (200_000, *arrays["T_world_object"].shape[1:]))
+    np.savez_compressed(rollout / ROLLOUT, **arrays | {"time": np.arange(2e5) / 2e4, "T_world_object": poses})
+
+
+def _more_samples(rollout: Path) -> None:
+    """More than its plan gives in as much time."""
+    arrays = dict(np.load(rollout / ROLLOUT))
+    poses = np.broadcast_to(arrays["T_world_object"][:1], (1000, *arrays["T_world_object"].shape[1:]))
+    time = np.linspace(0, arrays["time"][-1], 1000)
+    np.savez_compressed(rollout / ROLLOUT, **arrays | {"time": time, "T_world_object": poses})
+
+
 def _not_finite(rollout: Path) -> None:
     arrays = dict(np.load(rollout / ROLLOUT))
     arrays["T_world_object"][3, 1, 0, 3] = np.nan
@@ -151,7 +172,7 @@ def _not_finite(rollout: Path) -> None:
         (_other_objects, "objects"),
         (_broken_rollout, "rollout.npz"),
         (_empty_rollout, "rollout.npz"),
-        (_pipe, "regular file"),
+        (_pipe, "a pipe"),
         (_with(time=lambda time: time[:0]), "rollout.npz"),
         (_with(time=lambda time: 0 * time), "times"),
         (_with(T_world_object=lambda T: 50 * T), "rotations"),
@@ -160,6 +181,26 @@ def _not_finite(rollout: Path) -> None:
         (_with(contacts=lambda contacts: _of_nobody(contacts)), "contacts"),
         (_cut_rollout, "rollout.npz"),
         (_not_finite, "finite"),
+        (_many_samples, "more than 1,001 values"),
+        (_more_samples, "1000 samples"),
+        (_with(time=lambda time: 2 * time), "as its plan has them"),
+        (_with(time=lambda time: time + 0j), "time of complex numbers"),
+        (_with(time=lambda time: time.astype(str)), "time ("),
+        (_with(time=lambda time: time * 1e307), "as its plan has them"),
+        (_with(time=lambda time: time * np.nan), "times that do not rise"),
+        (_with(ids=lambda ids: ids * np.nan), "ids (6,) float64"),
+        (_with(ids=lambda ids: ids.astype(np.uint64) + 2**63), "ids (6,) uint64"),
+        (_with(ids=lambda ids: ids[:-1]), "T_world_object ("),
+        (_with(T_world_object=lambda T: T[:-1]), "T_world_object ("),
+        (_with(T_world_object=lambda T: T + 0j), "T_world_object of complex numbers"),
+        (_with(contacts=lambda contacts: contacts["time"]), "contacts ("),
+        (_hostile("U0 of 10^12 elements", "time"), "time of type"),
+        (_hostile("V0 of 10^12 elements", "contacts"), "contacts of raw bytes"),
+        (_hostile("a shape of 10^400", "ids"), "shape beyond"),
+        (_hostile("9,000 brackets", "time"), "header of 9,000 bytes"),
+        (_hostile("9,000 minus signs", "T_world_object"), "header of 9,001 bytes"),
+        (_hostile("an encrypted entry", "ids"), "encrypted"),
+        (_hostile("a bomb", "contacts"), "in an entry of 4,000,000,000 bytes"),
     ],
 )
 def test_what_is_no_rollout_of_the_package_is_told_in_one_line(
@@ -168,9 +209,10 @@ def test_what_is_no_rollout_of_the_package_is_told_in_one_line(
     copy = shutil.copytree(rollout, tmp_path / "copy", ignore=shutil.ignore_patterns(*FILMS))
     change(copy)
     before = sorted(copy.iterdir())
+    start = perf_counter()
     assert main(["film", str(copy), "--package", str(package.folder)]) == 2
     error = capsys.readouterr().err
-    assert message in error and error.count("\n") == 1
+    assert message in error and error.count("\n") == 1 and perf_counter() - start < 5
     assert sorted(copy.iterdir()) == before, "nothing is left"
 
 
@@ -180,6 +222,20 @@ def test_a_rollout_without_its_package_says_how_to_name_it(
     copy = shutil.copytree(rollout, tmp_path / "copy")
     assert main(["film", str(copy)]) == 2
     assert "--package" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("case", ["U0 of 10^12 elements", "a shape of 10^400", "3,000 brackets", "a bomb"])
+def test_hostile_depths_of_a_package_are_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], case: str
+) -> None:
+    package = goal_package(tmp_path / "package")
+    shape = package.scene.camera.height, package.scene.camera.width
+    np.savez(package.folder / "kept_depth.npz", depth=np.full(shape, np.inf, np.float32))
+    assert package.kept_depth() is not None
+    HOSTILE[case][0](package.folder / "kept_depth.npz", "depth")
+    assert main(["simulate", str(package.folder), GOAL, "-o", str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert "kept_depth.npz: found depth" in error and error.count("\n") == 1 and not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("slow", ["0", "nan", "-1", "1000"])

@@ -8,7 +8,10 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -88,7 +91,7 @@ def test_the_menu(package: Package, capsys: pytest.CaptureFixture[str]) -> None:
     [
         (["{package}"], 2, "no goal"),
         (["{package}", TOPPLE, "--plan", "{tmp}/plan.json"], 2, "both"),
-        (["{package}", "--plan", "{tmp}/none.json"], 2, "no readable file"),
+        (["{package}", "--plan", "{tmp}/none.json"], 2, "no such file"),
         (["{tmp}", TOPPLE], 2, "scene.json"),
         (["{tmp}/none", TOPPLE], 2, "scene.json"),
         (["{package}", TOPPLE, "-o", "{package}"], 1, "the package"),
@@ -152,6 +155,63 @@ def test_a_plan_of_another_package_is_bad_input(
     (other / "scene.json").write_text((other / "scene.json").read_text() + " ")
     assert main(["simulate", str(other), "--plan", str(tmp_path / "out/plan.json"), "-o", str(tmp_path / "two")]) == 2
     assert "another scene" in capsys.readouterr().err and not (tmp_path / "two").exists()
+
+
+def in_steps(duration: float, timestep: float, **more: int) -> Callable[[dict[str, Any]], None]:
+    return lambda plan: plan["simulation"].update(duration=duration, timestep=timestep, **more)
+
+
+def made_of(**values: float) -> Callable[[dict[str, Any]], None]:
+    return lambda plan: plan["semantics"][0].update(values)
+
+
+def aimed(x: float) -> Callable[[dict[str, Any]], None]:
+    return lambda plan: plan["task"].update(direction=[x, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        (in_steps(10, 1e-5), "simulation.timestep"),
+        (in_steps(10, 1e-300), "simulation.timestep"),
+        (in_steps(10, 1e-4, steps_per_sample=1000), "100,000 steps; accepted: at most 40,000"),
+        (in_steps(10, 1 / 960, steps_per_sample=1), "9601 samples; accepted: 3 to 1001"),
+        (in_steps(1e-300, 1 / 960), "1 samples"),
+        (in_steps(1e300, 1 / 960), "simulation.duration"),
+        (aimed(1e308), "task.direction.0"),
+        (aimed(1e-300), "no length"),
+        (lambda plan: plan["task"]["conditions"][0].update(direction=[1e308, 0, 0], type="displaced"), "direction"),
+        (lambda plan: plan["task"].update(active=2**63), "task.active"),
+        (made_of(mass=1e300), "semantics.0.mass"),
+        (made_of(density=1.0, mass=1.0), "by its volume"),
+        (lambda plan: plan["initial"]["velocities"][0].update(angular=[1e308, 0, 0]), "angular"),
+    ],
+)
+def test_a_plan_beyond_all_bounds_is_one_line(
+    package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str], change, found: str
+) -> None:
+    assert main(["simulate", str(package.folder), TOPPLE, "-o", str(tmp_path / "out")]) == 0
+    plan = json.loads((tmp_path / "out/plan.json").read_text())
+    change(plan)
+    (tmp_path / "plan.json").write_text(json.dumps(plan))
+    capsys.readouterr()
+    call = ["simulate", str(package.folder), "--plan", str(tmp_path / "plan.json"), "-o", str(tmp_path / "again")]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert main(call) == 2
+    error = capsys.readouterr().err
+    assert "plan.json" in error and found in error and error.count("\n") == 1 and not (tmp_path / "again").exists()
+
+
+@pytest.mark.parametrize(
+    ("target", "found"), [("/dev/zero", "a device"), ("..", "a folder"), ("plan.json", "too many")]
+)
+def test_a_plan_that_is_no_file_is_refused_at_once(
+    package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str], target: str, found: str
+) -> None:
+    (tmp_path / "plan.json").symlink_to(target)
+    assert main(["simulate", str(package.folder), "--plan", str(tmp_path / "plan.json")]) == 2
+    assert found in capsys.readouterr().err
 
 
 def test_an_interrupted_call_leaves_nothing_half_written(package: Package, tmp_path: Path) -> None:

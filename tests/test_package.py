@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import struct
+import time
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,9 +21,11 @@ import trimesh
 from PIL import Image
 
 from f3sr import atomic_folder, package
+from f3sr.bounds import MAX_OBJECT_PARTS
 from f3sr.cli import main
 from f3sr.errors import InputError, OutputError
 from f3sr.frames import pose, rotation_about, transform
+from f3sr.goals.limits import limits_of
 from f3sr.mesh import ConvexPart, Material, Mesh
 from f3sr.mesh_io import load_mesh, load_part, save_glb
 from f3sr.package import Package, read_package, scene_schema, write_package
@@ -253,7 +258,7 @@ def test_a_place_beyond_all_bounds_is_refused(stack: Scene, tmp_path: Path) -> N
     document = json.loads((out / "scene.json").read_text())
     document["objects"][0]["T_world_object"][0][3] = 1e300
     (out / "scene.json").write_text(json.dumps(document))
-    with pytest.raises(InputError, match="m from the origin"):
+    with pytest.raises(InputError, match="less than or equal to 1000000"):
         read_package(out)
 
 
@@ -578,6 +583,53 @@ def spoiled(out: Path, change: Callable[[dict[str, Any]], Any]) -> None:
     (out / "scene.json").write_text(json.dumps(tree))
 
 
+def first(**values: Any) -> Callable[[dict[str, Any]], Any]:
+    """Of the first object."""
+    return lambda t: t["objects"][0].update(values)
+
+
+def placed(x: float) -> Callable[[dict[str, Any]], Any]:
+    """The first object elsewhere."""
+    return lambda t: t["objects"][0]["T_world_object"][0].__setitem__(3, x)
+
+
+def camera(**values: Any) -> Callable[[dict[str, Any]], Any]:
+    return lambda t: t["camera"].update(values)
+
+
+def focal(fx: float, *, last: tuple[float, ...] = (0, 0, 1)) -> Callable[[dict[str, Any]], Any]:
+    return camera(K=[[fx, 0, 32], [0, fx, 24], last])
+
+
+def direct(**values: Any) -> Callable[[dict[str, Any]], Any]:
+    return lambda t: t["direct"]["objects"][0].update(values)
+
+
+def last_id(id: int) -> Callable[[dict[str, Any]], Any]:
+    """The last object under another id, wherever it is named."""
+
+    def change(t: dict[str, Any]) -> None:
+        old = t["objects"][-1]["id"]
+        t["objects"][-1]["id"] = t["direct"]["objects"][-1]["id"] = id
+        for r in t["scene_graph"]["relations"]:
+            r.update({k: id for k in ("subject", "object") if r[k] == old})
+
+    return change
+
+
+def diagonal(*values: float) -> list[list[float]]:
+    return np.diag(values).tolist()
+
+
+def nobody(t: dict[str, Any]) -> None:
+    t.update(objects=[], direct=None, scene_graph={"relations": [], "source": "nobody"})
+
+
+def repeated(count: int) -> Callable[[dict[str, Any]], Any]:
+    """One part file named so many times in each object."""
+    return lambda t: [o.update(collision=o["collision"][:1] * count) for o in t["objects"]]
+
+
 SPOILS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "version": (lambda t: t.update(schema_version=2), "schema_version"),
     "true for a version": (lambda t: t.update(schema_version=True), "schema_version"),
@@ -592,17 +644,202 @@ SPOILS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "twice an id": (lambda t: t["objects"][1].update(id=0), "unique"),
     "unknown support": (lambda t: t["objects"][1].update(supported_by=7), "7"),
     "mask twice": (lambda t: t["excluded"].append({"mask": t["objects"][0]["mask"], "reason": ""}), "twice"),
-}
+    "no objects": (nobody, "objects = .*at least 1 item"),
+    "an id of 2^31": (last_id(2**31), "objects.2.id = 2147483648; accepted: less than or equal to 2147483647"),
+    "an id of 2^63": (last_id(2**63), "objects.2.id"),
+    "an id below zero": (last_id(-1), "objects.2.id"),
+    "an id of true": (first(id=True), "objects.0.id"),
+    "direct scale 1e300": (direct(scale=1e300), "direct.objects.0.scale"),
+    "direct scale 1e-300": (direct(scale=1e-300), "direct.objects.0.scale"),
+    "direct scale 1e5": (direct(scale=1e5), "direct object 0 of 1.73e[+]04 m; accepted"),
+    "direct far away": (
+        lambda t: t["direct"]["objects"][0]["T_world_object"][0].__setitem__(3, 9e5), "direct object 0 .* its own size",
+    ),
+    "mass 1e300": (first(mass=1e300), "objects.0.mass"),
+    "mass 1e-300": (first(mass=1e-300), "objects.0.mass"),
+    "mass of a mountain": (first(mass=1e13, density=1000), "of 1e[+]10 m3"),
+    "density 1e-300": (first(density=1e-300), "objects.0.density"),
+    "density 1e300": (first(density=1e300), "objects.0.density"),
+    "a mass of no volume": (first(mass=1e-14, density=1000), "volume of 1e-17 m3"),
+    "inertia 0": (first(inertia=diagonal(0, 0, 0)), "principal moments"),
+    "inertia below zero": (first(inertia=diagonal(-1e-3, -1e-3, -1e-3)), "principal moments"),
+    "inertia that no body has": (first(inertia=diagonal(1e-3, 1e-3, 3e-3)), "principal moments"),
+    "inertia 1e300": (first(inertia=diagonal(1e300, 1e300, 1e300)), "objects.0.inertia"),
+    "inertia 1e-16": (first(inertia=diagonal(1e-16, 1e-16, 1e-16)), "what can move"),
+    "inertia of a wheel of ten kilometres": (first(inertia=diagonal(1e8, 1e8, 1e8)), "at most 2000 m"),
+    "inertia not symmetric": (first(inertia=[[1e-3, 5e-4, 0], [0, 1e-3, 0], [0, 0, 1e-3]]), "not symmetric"),
+    "centre of mass 1e300": (first(center_of_mass=[1e300, 0, 0]), "objects.0.center_of_mass"),
+    "centre of mass a metre away": (first(center_of_mass=[1, 0, 0]), "center_of_mass away from its mesh"),
+    "an object 900 km away": (placed(9e5), "object 0 5.2e[+]06 times its own size away"),
+    "an object 1e300 m away": (placed(1e300), "T_world_object.0.3"),
+    "a rotation of 1e200": (
+        lambda t: t["objects"][0]["T_world_object"][0].__setitem__(0, 1e200), "T_world_object.0.0",
+    ),
+    "friction 1e300": (first(friction=1e300), "objects.0.friction"),
+    "rolling friction of a metre": (first(rolling_friction=1.0), "objects.0.rolling_friction"),
+    "a label of 40 kB": (first(label="x " * 20_000), "objects.0.label"),
+    "a material of 40 kB": (first(material="x " * 20_000), "objects.0.material"),
+    "K of zeros": (camera(K=[[0, 0, 0]] * 3), "K = .*accepted: .*0, 0, 1"),
+    "K with a last row of zeros": (focal(60, last=(0, 0, 0)), "K = .*accepted: .*0, 0, 1"),
+    "K of 1e300": (focal(1e300), "camera.K.0.0"),
+    "K below zero": (focal(-60), "focal lengths -60"),
+    "K of a focal length of a millionth": (focal(1e-6), "focal lengths 1e-06"),
+    "K turned": (camera(K=[[60, 0, 32], [1, 60, 24], [0, 0, 1]]), "accepted: .*fy"),
+    "K that looks elsewhere": (camera(K=[[60, 0, 1e7], [0, 60, 24], [0, 0, 1]]), "principal point"),
+    "a camera of a billion pixels": (camera(width=10**9), "camera.width"),
+    "a ground without direction": (lambda t: t["ground"].update(normal=[0, 0, 0]), "length 1"),
+    "a ground 1e300 m below": (lambda t: t["ground"].update(offset=-1e300), "ground.offset"),
+    "a motion that scales by 1e300": (
+        first(motion=[{"stage": "x", "translation": [0, 0, 0], "rotation": 0, "scale": 1e300, "reason": ""}]), "scale",
+    ),
+    "20,000 parts of an object": (repeated(20_000), "objects.0.collision = .*at most 320 items"),
+    "no parts": (first(collision=[]), "objects.0.collision"),
+    "a provenance of 10,000 lists": (
+        lambda t: t["provenance"].update(a=json.loads("[" * 400 + "]" * 400)), "provenance",
+    ),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", SPOILS)
 def test_a_spoiled_document_is_refused(name: str, stack: Scene, tmp_path: Path) -> None:
     change, found = SPOILS[name]
-    out = write_package(stack, tmp_path / "out")
+    out = write_package(stack, tmp_path / "out", direct=stack)
+    read_package(out)
     spoiled(out, change)
-    with pytest.raises(InputError, match=found) as caught:
+    with warnings.catch_warnings(), pytest.raises(InputError, match=found) as caught:
+        warnings.simplefilter("error")
         read_package(out)
-    assert caught.value.where.endswith("scene.json")
+    message = str(caught.value)
+    assert caught.value.where.endswith("scene.json") and "\n" not in message and len(message) < 700
+
+
+@pytest.mark.parametrize("change", [last_id(2**31 - 1), placed(1000.0), focal(5.0), first(friction=4.0)])
+def test_what_is_just_within_the_bounds_is_a_package(
+    change: Callable[[dict[str, Any]], Any], stack: Scene, tmp_path: Path
+) -> None:
+    out = write_package(stack, tmp_path / "out", direct=stack)
+    spoiled(out, change)
+    scene = read_package(out).scene
+    assert release(scene.objects, seconds=0.1).D_max < 0.1
+    assert limits_of(scene).lift <= 1e4
+
+
+@pytest.mark.parametrize("command", [["evaluate"], ["simulate", "push the box"], ["goals"]])
+@pytest.mark.parametrize("name", ["no objects", "an id of 2^63", "mass 1e300", "inertia 0", "an object 900 km away"])
+def test_every_command_refuses_a_spoiled_package_in_one_line(
+    name: str,
+    command: list[str],
+    stack: Scene,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    out = write_package(stack, tmp_path / "out", direct=stack)
+    spoiled(out, SPOILS[name][0])
+    before = tree(tmp_path)
+    assert main([command[0], str(out), *command[1:]]) == 2
+    out_text, error = capfd.readouterr()
+    assert (out_text, error.count("\n")) == ("", 1) and "scene.json" in error
+    assert tree(tmp_path) == before
+
+
+def test_a_scene_that_no_package_may_hold_is_not_written(stack: Scene, tmp_path: Path) -> None:
+    light = replace(stack[0], density=1e-3)
+    with pytest.raises(OutputError, match=r"none that a package may hold.*objects.0.density"):
+        write_package(stack.with_objects(light), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def sparse(file: Path, size: int) -> None:
+    """A file that takes no room."""
+    with file.open("wb") as stream:
+        stream.truncate(size)
+
+
+def into(name: str, target: str) -> Callable[[Path], None]:
+    def change(out: Path) -> None:
+        (out / name).unlink()
+        (out / name).symlink_to(target)
+
+    return change
+
+
+def of_bytes(name: str, size: int) -> Callable[[Path], None]:
+    return lambda out: sparse(out / name, size)
+
+
+def flat(out: Path) -> None:
+    mesh = load_mesh(out / "meshes/00.glb")
+    save_glb(mesh.with_vertices(mesh.vertices * [1, 1, 0]), out / "meshes/00.glb")
+
+
+def of_another_size(factor: float) -> Callable[[Path], None]:
+    def change(out: Path) -> None:
+        mesh = load_mesh(out / "meshes/00.glb")
+        save_glb(mesh.with_vertices(mesh.vertices * factor), out / "meshes/00.glb")
+
+    return change
+
+
+def pipe(out: Path) -> None:
+    (out / "collision/00/00.obj").unlink()
+    os.mkfifo(out / "collision/00/00.obj")
+
+
+def part_elsewhere(out: Path) -> None:
+    text = (out / "collision/00/00.obj").read_text()
+    moved = re.sub(r"^v (\S+)", lambda m: f"v {float(m[1]) + 9}", text, flags=re.MULTILINE)
+    (out / "collision/00/00.obj").write_text(moved)
+
+
+LARGE = 3_000_000_000
+FILES: dict[str, tuple[Callable[[Path], None], str]] = {
+    "scene.json of 3 GB": (of_bytes("scene.json", LARGE), r"scene\.json: found 3,000,000,000 bytes"),
+    "scene.json of 70 MB": (of_bytes("scene.json", 70_000_000), r"scene\.json: found 70,000,000 bytes"),
+    "a part of 3 GB": (of_bytes("collision/00/00.obj", LARGE), r"00\.obj: found 3,000,000,000 bytes"),
+    "a part of 60 MB": (of_bytes("collision/00/00.obj", 60_000_000), r"00\.obj: found 60,000,000 bytes"),
+    "a mesh of 3 GB": (of_bytes("meshes/00.glb", LARGE), r"00\.glb: found 3,000,000,000 bytes"),
+    "a photo of 3 GB": (of_bytes("photo.png", LARGE), r"photo\.png: found 3,000,000,000 bytes"),
+    "a photo that is a device": (into("photo.png", "/dev/zero"), "photo.png"),
+    "a part that is a pipe": (
+        pipe,
+        r"00\.obj: found a pipe",
+    ),
+    "a flat mesh": (flat, r"00\.glb: found a flat mesh"),
+    "a mesh of a tenth of a millimetre": (of_another_size(1e-3), "object 0 of 0.000173 m"),
+    "a mesh of 17 km": (of_another_size(1e5), "object 0 of 1.73e[+]04 m"),
+    "a mesh far smaller than its mass": (of_another_size(0.3), "mass of 0.001 m3|away from its mesh"),
+    "a part away from its mesh": (part_elsewhere, "collision parts away from its mesh"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_spoiled_file_of_a_package_is_refused_at_once(name: str, stack: Scene, tmp_path: Path) -> None:
+    change, found = FILES[name]
+    out = write_package(stack, tmp_path / "out")
+    change(out)
+    start = time.perf_counter()
+    with pytest.raises(InputError, match=found):
+        read_package(out)
+    assert time.perf_counter() - start < 2
+
+
+def test_an_obj_that_names_a_material_of_a_gigabyte_is_refused(stack: Scene, tmp_path: Path) -> None:
+    out = write_package(stack, tmp_path / "out")
+    (out / "collision/00/00.obj").write_text("mtllib m.mtl\n" + (out / "collision/00/00.obj").read_text())
+    sparse(out / "collision/00/m.mtl", 1_000_000_000)
+    with pytest.raises(InputError, match=r"m\.mtl: found 1,000,000,000 bytes"):
+        read_package(out)
+
+
+def test_a_part_named_often_is_read_once(stack: Scene, tmp_path: Path) -> None:
+    out = write_package(stack, tmp_path / "out")
+    spoiled(out, repeated(MAX_OBJECT_PARTS))
+    start = time.perf_counter()
+    parts = read_package(out).scene[0].parts
+    assert len(parts) == MAX_OBJECT_PARTS and len(set(map(id, parts))) == 1 and time.perf_counter() - start < 2
 
 
 def test_missing_and_linked_files_are_refused_by_name(stack: Scene, tmp_path: Path) -> None:

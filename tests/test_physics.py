@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import f3sr
 from f3sr.frames import rotation_about
 from f3sr.mesh import ConvexPart
 from f3sr.physics import (
@@ -37,6 +42,40 @@ def test_a_dropped_box_comes_to_rest_on_the_plane() -> None:
     assert result.max_speed == pytest.approx(np.sqrt(2 * G * 0.005), rel=0.1)
     x, y, z = result.T_world_object[0][:3, 3]
     assert 0.05 - 1e-5 < z < 0.05 + TWO_MARGINS and abs(x - 0.2) < 1e-4 and abs(y + 0.1) < 1e-4
+
+
+def test_the_engine_prints_nothing_and_writes_no_file(tmp_path: Path) -> None:
+    """States that blow up, and models of numbers that it doubts."""
+    program = """
+import numpy as np
+from f3sr.physics import build_spec, compiled, engine
+from scenes import box
+model = compiled(build_spec([box(0)]))
+data = engine().MjData(model)
+for value in (np.nan, np.inf, 1e30):
+    data.qpos[0] = data.qvel[0] = value
+    engine().mj_step(model, data)
+assert data.warning.number.sum() > 0
+spec = build_spec([box(0)])
+spec.bodies[1].mass = 1e300
+compiled(spec)
+told, data = [], engine().MjData(model)
+engine().set_mju_user_warning(told.append)
+data.qpos[0] = np.nan
+engine().mj_step(model, data)
+assert told
+"""
+    paths = os.pathsep.join([str(Path(f3sr.__file__).parents[1]), str(Path(__file__).parent)])
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_settled_stack_does_not_move_when_released() -> None:

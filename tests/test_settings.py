@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -75,6 +77,10 @@ def test_every_setting_says_its_meaning_and_its_range() -> None:
         ("[align]\nmax_yaw = 1\nmax_yaw = 2", "no TOML"),
         ("\x00", "no TOML"),
         ("a = " + "[" * 100_000, "no TOML"),
+        ("a" + ".a" * 5_000 + " = 1", "no TOML (nested too deeply)"),
+        ("[align]\nmax_yaw" + ".a" * 5_000 + " = 1", "no TOML (nested too deeply)"),
+        ("[align]\nmax_yaw = " + "1" * 5_000, "no TOML"),
+        ("[align]\nmax_yaw = '" + "x" * 5_000 + "'", "accepted: a number"),
         ("# " + "x" * 1_000_001, "bytes; accepted: at most 1,000,000"),
     ],
 )
@@ -85,10 +91,33 @@ def test_an_error_names_file_key_value_and_what_is_accepted(tmp_path: Path, text
     assert str(caught.value).startswith(f"{file}: found ") and said in str(caught.value)
 
 
-@pytest.mark.parametrize("place", [".", "missing.toml"])
-def test_what_is_no_file_is_an_input_error(tmp_path: Path, place: str) -> None:
-    with pytest.raises(InputError, match="no readable file"):
-        settings.read(tmp_path / place, Config())
+def pipe(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def long(path: Path) -> None:
+    """A file of a gigabyte that takes no room."""
+    with path.open("wb") as file:
+        file.truncate(1_000_000_000)
+
+
+@pytest.mark.parametrize(
+    ("make", "found"),
+    [
+        (lambda path: None, "no such file"),
+        (Path.mkdir, "a folder"),
+        (lambda path: path.symlink_to("/dev/zero"), "a device"),
+        (lambda path: path.symlink_to(path.name), "too many levels"),
+        (pipe, "a pipe"),
+        (long, "1,000,000,000 bytes"),
+    ],
+)
+def test_what_is_no_file_of_settings_is_refused_at_once(
+    tmp_path: Path, make: Callable[[Path], None], found: str
+) -> None:
+    make(tmp_path / "settings.toml")
+    with pytest.raises(InputError, match=rf"settings\.toml: found {found}"):
+        settings.read(tmp_path / "settings.toml", Config())
 
 
 def test_settings_made_in_python_are_checked_too() -> None:

@@ -21,6 +21,8 @@ MIN_SIZE, MAX_SIZE = 1e-3, 1e3
 """Sizes of objects accepted, in metres of the geometry: single-precision files and contact margins end there."""
 MIN_FILL = 1e-9
 """Smallest volume of a mesh's hull, in cubes of its diagonal: a hair of 1 m that is 30 micrometres thick."""
+THIN = 1e-4
+"""Spread of vertices, in diagonals, from which on a mesh surely has a hull."""
 MAX_FOLDS = 200.0
 """Largest area of a mesh in squares of its diagonal. A box has up to 2, the generated meshes we have up to 3; a soup of
 hundreds of layers is no object, and measuring its penetration would cost memory by its area."""
@@ -54,7 +56,7 @@ def read_assets(folder: InputFolder, masks: Mapping[int, str], frame: str) -> di
     assets, used = _sam3d_assets(folder, masks) if given else _posed_assets(folder, names, masks, frame)
     if extra := [n for n in names if Path(n).suffix.lower() in MESH_SUFFIXES and n not in used]:
         raise InputError(folder.path(f"assets/{extra[0]}"), found="a mesh of no mask", accepted=ONE_PER_MASK)
-    _require_total(place, [a.mesh for a in assets.values()])
+    require_total(place, [a.mesh for a in assets.values()])
     for id, asset in assets.items():
         require_size(asset.source, masks[id], asset)
         _require_thickness(asset.source, masks[id], asset.mesh)
@@ -71,7 +73,7 @@ def require_size(path: Path, mask: str, asset: PosedAsset, *, factor: float = 1.
         )
 
 
-def _require_total(place: Path, meshes: Sequence[Mesh]) -> None:
+def require_total(place: Path, meshes: Sequence[Mesh]) -> None:
     faces = sum(len(m.faces) for m in meshes)
     textures = [t for m in meshes for material in m.materials if (t := material.texture) is not None]
     pixels = sum(t.shape[0] * t.shape[1] for t in textures)
@@ -89,15 +91,15 @@ def _mesh(folder: InputFolder, id: int, relative: str) -> Mesh:
     used = mesh.without_unused()
     if count := len(mesh.vertices) - len(used.vertices):
         folder.decide(f"{file.name}: {count} vertices left out", "no triangle uses them", id)
-    _require_solidity(file, used)
+    require_solidity(file, used)
     return used
 
 
-def _require_solidity(path: Path, mesh: Mesh) -> None:
+def require_solidity(path: Path, mesh: Mesh) -> None:
     """A mesh has a place in a scene if it spans a volume and its triangles have an area, not far too much of it."""
     accepted = "a mesh that spans a volume"
     try:
-        _ = mesh.hull
+        _ = mesh.hull if _is_thin(mesh) else None
     except ValueError as error:
         raise InputError(path, found="a flat mesh without any thickness", accepted=accepted) from error
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
@@ -107,6 +109,13 @@ def _require_solidity(path: Path, mesh: Mesh) -> None:
     if folds > MAX_FOLDS:
         found, accepted = f"a surface of {folds:,.0f} times its diagonal squared", f"at most {MAX_FOLDS:.0f} times"
         raise InputError(path, found=found, accepted=accepted)
+
+
+def _is_thin(mesh: Mesh) -> bool:
+    """Whether its vertices spread so little along some direction that its hull, which takes longer, must tell."""
+    away = mesh.vertices - mesh.vertices.mean(0)
+    spread = np.linalg.eigvalsh(away.T @ away / len(away))
+    return bool(spread[0] <= (THIN * mesh.diagonal) ** 2)
 
 
 def _require_thickness(path: Path, mask: str, mesh: Mesh) -> None:

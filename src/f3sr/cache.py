@@ -14,6 +14,7 @@ from typing import Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from f3sr import npz
 from f3sr.cache_files import PART, is_orphan, read_sealed, write_sealed
 from f3sr.cache_folder import within
 
@@ -65,8 +66,7 @@ class Store:
         """The document and arrays that ``save`` stored under this key; None when there are none as they were saved."""
         if self.folder is None or (data := read_sealed(_file(self.folder, key), key)) is None:
             return None
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+        arrays = npz.read_all(io.BytesIO(data), str(_file(self.folder, key)))
         with contextlib.suppress(OSError):  # another process may have deleted it
             os.utime(_file(self.folder, key))
         return json.loads(arrays.pop(DOCUMENT).tobytes()), arrays

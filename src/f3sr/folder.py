@@ -4,22 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
-import stat
 import unicodedata
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar, cast
 
 from pydantic import BaseModel, ValidationError
 
 from f3sr import strict_json
 from f3sr.errors import InputError, printable, reason
+from f3sr.limited_file import MAX_FILE_BYTES, MAX_JSON_BYTES, opened
 from f3sr.report import Decision
-
-MAX_FILE_BYTES = 2_000_000_000
-"""Largest file read: points and normals of the largest photo in half precision fit."""
-MAX_JSON_BYTES = 10_000_000
-"""Largest JSON document: poses of a thousand objects take 400 kB."""
 
 MAX_PATH = 500
 """Longest path in a document, in characters: what messages can show and file systems hold."""
@@ -63,16 +57,8 @@ class InputFolder:
     def file(self, relative: str, *, base: str = "", most: int = MAX_FILE_BYTES) -> Path:
         """A readable file of the folder of at most so many bytes, its sha256 noted."""
         path = self.path(relative, base=base)
-        try:
-            kind = path.stat()
-            if not stat.S_ISREG(kind.st_mode):
-                raise InputError(path, found=_kind(kind.st_mode), accepted="a readable file")
-            if kind.st_size > most:
-                raise InputError(path, found=f"{kind.st_size:,} bytes", accepted=f"at most {most:,} bytes")
-            with path.open("rb") as file:
-                digest = hashlib.file_digest(file, "sha256").hexdigest()
-        except OSError as error:
-            raise InputError(path, found=reason(error), accepted="a readable file") from error
+        with opened(path, most=most) as file:
+            digest = hashlib.file_digest(cast(Any, file), "sha256").hexdigest()
         self.digests[path.relative_to(self.root).as_posix()] = digest
         return path
 
@@ -106,38 +92,14 @@ class InputFolder:
     def document(self, relative: str, model: type[M]) -> M:
         """A JSON file, validated."""
         path = self.file(relative, most=MAX_JSON_BYTES)
-        try:
-            value = strict_json.loads(path.read_bytes())
-        except ValueError as error:
-            raise InputError(path, found=f"no valid JSON ({error})", accepted="a JSON document") from error
+        value = strict_json.read(path)
         try:
             return model.model_validate(value)
         except ValidationError as error:
-            found, accepted = _problem(error, ", ".join(model.model_fields))
+            found, accepted = strict_json.problem(error, ", ".join(model.model_fields))
             raise InputError(path, found=found, accepted=accepted) from error
 
     def decide(self, choice: str, reason: str, about: int | None = None, *, fallback: bool = False) -> None:
         self.decisions.append(
             Decision(choice=printable(choice), reason=printable(reason), about=about, fallback=fallback)
         )
-
-
-def _kind(mode: int) -> str:
-    """What is there instead of a regular file."""
-    kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
-    return kinds.get(stat.S_IFMT(mode), "a device")
-
-
-def _problem(error: ValidationError, fields: str) -> tuple[str, str]:
-    """What a document holds, and what is accepted, of the first thing that is wrong with it."""
-    first = error.errors(include_url=False)[0]
-    where, message = ".".join(map(str, first["loc"])) or "the document", first["msg"]
-    if first["type"] == "missing":
-        return f"no {where}", f"an object with {fields}"
-    if first["type"] == "value_error":
-        found, _, accepted = message.removeprefix("Value error, ").partition("; accepted: ")
-        return f"{where}: {found}", accepted or f"an object with {fields}"
-    if first["type"] in ("model_type", "dict_type"):
-        return f"{where} = {first['input']!r:.60}", "an object" if first["loc"] else f"an object with {fields}"
-    wanted = re.sub(r"^(Input should be|(Value|List|String) should have) | after validation", "", message)
-    return f"{where} = {first['input']!r:.60}", wanted

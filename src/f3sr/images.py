@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
-from f3sr.errors import InputError, reason
+from f3sr.errors import InputError
+from f3sr.limited_file import opened
 
 MAX_PIXELS = 100_000_000
 """Largest photo, mask or depth image: twice what cameras of full format give, 300 MB decoded."""
@@ -22,9 +23,7 @@ ACCEPTED = f"a PNG or JPEG image of at most {MAX_PIXELS:,} pixels"
 def open_image(path: Path) -> Image.Image:
     """A decoded PNG or JPEG image, turned as its EXIF orientation says; InputError when unreadable or too large."""
     try:
-        if path.exists() and not path.is_file():  # reading a pipe would wait forever
-            raise InputError(path, found="no regular file", accepted="a readable file")
-        with path.open("rb") as file:
+        with opened(path) as file:
             image = decode_image(file, ("PNG", "JPEG"), size_only=True)
             if image.width * image.height > MAX_PIXELS or min(image.size) < MIN_SIDE:
                 raise InputError(
@@ -36,8 +35,6 @@ def open_image(path: Path) -> Image.Image:
                 raise InputError(path, found="an animation", accepted="a still image")
             file.seek(0)
             return decode_image(file, ("PNG", "JPEG"))
-    except OSError as error:
-        raise InputError(path, found=reason(error), accepted="a readable file") from error
     except ValueError as error:
         raise InputError(path, found=f"no readable image: {error}", accepted=ACCEPTED) from error
 

@@ -10,15 +10,19 @@ from typing import Any
 
 import numpy as np
 
-from f3sr.errors import InputError, reason
+from f3sr import limited_file
+from f3sr.errors import InputError
 from f3sr.export.gltf import mesh_to_glb
 from f3sr.gltf import Piece, read_gltf
+from f3sr.limited_file import MAX_FILE_BYTES
 from f3sr.mesh import Material, Mesh
 
 MESHES, PARTS = (".glb", ".gltf"), (".obj",)
 """Types of files with visual meshes, and with collision parts."""
 MAX_FACES = 5_000_000
 """Of one file: twenty times what generators make. Vertices may be three times as many, for faces may share none."""
+MAX_TEXT_BYTES = 200_000_000
+"""Of a file that is no GLB, or that one names: reading text takes fifteen times its size; two million triangles."""
 MAX_COORDINATE = 1e15
 """Largest coordinate: single precision holds its square."""
 MAX_TEXTURE_PIXELS = 8192 * 8192
@@ -33,18 +37,18 @@ def load_mesh(path: Path, *, max_faces: int = MAX_FACES, max_texture_pixels: int
     Raises InputError, naming the file, for what cannot be read or is not a finite triangle mesh.
     """
     path = Path(path)
-    data = _read_bytes(path, MESHES)
+    data = _read_bytes(path, MESHES, MAX_FILE_BYTES if path.suffix.lower() == ".glb" else MAX_TEXT_BYTES)
     pieces = read_gltf(path, data, max_faces=max_faces, max_texture_pixels=max_texture_pixels)
     return _joined(_checked(path, pieces))
 
 
-def load_part(path: Path, *, max_faces: int = MAX_FACES) -> Mesh:
+def load_part(path: Path, *, max_faces: int = MAX_FACES, max_bytes: int = MAX_TEXT_BYTES) -> Mesh:
     """Read the vertices and triangles of an OBJ file, in its own axes; no file that it names is opened.
 
     Raises InputError, naming the file, for what cannot be read or is not a finite triangle mesh.
     """
     path = Path(path)
-    data = _read_bytes(path, PARTS)
+    data = _read_bytes(path, PARTS, max_bytes)
     try:
         piece = _shape(data)
     except Exception as error:  # trimesh raises whatever its parser stumbles over
@@ -59,21 +63,18 @@ def save_glb(mesh: Mesh, path: Path) -> None:
     Path(path).write_bytes(mesh_to_glb(mesh, name=Path(path).stem))
 
 
-def _read_bytes(path: Path, formats: Sequence[str]) -> bytes:
+def _read_bytes(path: Path, formats: Sequence[str], most: int) -> bytes:
     if path.suffix.lower() not in formats:
         raise _refused(path, f"a file of type {path.suffix!r}", formats)
-    try:
-        if path.exists() and not path.is_file():  # reading a pipe would wait forever
-            raise _refused(path, "no regular file", formats)
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise _refused(path, "no such file", formats) from None
-    except OSError as error:
-        raise _refused(path, f"an unreadable file ({reason(error)})", formats) from error
+    return limited_file.read(path, most=most, accepted=_accepted(formats))
 
 
 def _refused(path: Path, found: str, formats: Sequence[str]) -> InputError:
-    return InputError(path, found=found, accepted=f"a mesh file ({', '.join(formats)})")
+    return InputError(path, found=found, accepted=_accepted(formats))
+
+
+def _accepted(formats: Sequence[str]) -> str:
+    return f"a mesh file ({', '.join(formats)})"
 
 
 def _shape(data: bytes) -> Piece:

@@ -14,8 +14,10 @@ from pydantic import JsonValue, ValidationError
 
 import f3sr
 from f3sr import npz, strict_json
+from f3sr.assets import require_solidity, require_total
 from f3sr.atomic_folder import claimed, recover
-from f3sr.errors import InputError, reason
+from f3sr.bounds import MAX_OBJECT, MAX_PART_BYTES, MAX_SCENE_BYTES, MAX_SIZES_AWAY, MIN_OBJECT
+from f3sr.errors import InputError
 from f3sr.export.gltf import encode_png, encode_pngs, mesh_to_glb, scene_to_glb
 from f3sr.export.mjcf import collision_files, to_mjcf
 from f3sr.export.scene_json import (
@@ -30,7 +32,8 @@ from f3sr.export.scene_json import (
 )
 from f3sr.frames import Camera
 from f3sr.images import as_rgb, open_image
-from f3sr.mesh import ConvexPart, MassProperties
+from f3sr.masks import MAX_MASK_PIXELS
+from f3sr.mesh import ConvexPart, MassProperties, Mesh
 from f3sr.mesh_io import load_mesh, load_part
 from f3sr.package_folder import (
     BACKGROUND,
@@ -88,17 +91,11 @@ class Package:
         file, shape = self.folder / KEPT, (self.scene.camera.height, self.scene.camera.width)
         if not file.exists():
             return None
-        accepted = f"depth (H, W) of {shape[1]}x{shape[0]} pixels, float32, {NEAREST_KEPT} m or more, as f3sr wrote it"
-        try:
-            depth = npz.load(_inside(self.folder, KEPT), ["depth"])["depth"]
-        except OSError as error:
-            raise InputError(file, found=reason(error), accepted=accepted) from None
-        except ValueError as error:
-            raise InputError(file, found=str(error), accepted=accepted) from None
-        if depth.shape != shape or depth.dtype != np.float32:
-            raise InputError(file, found=f"{depth.dtype} of shape {depth.shape}", accepted=accepted)
+        wanted = {"depth": npz.Wanted(dtype=np.dtype(np.float32), shape=shape)}
+        depth = npz.read(_inside(self.folder, KEPT), wanted)["depth"]
         if not (depth >= NEAREST_KEPT).all():
-            raise InputError(file, found=f"a depth of {depth[~(depth >= NEAREST_KEPT)][0]:.3g} m", accepted=accepted)
+            found = f"a depth of {depth[~(depth >= NEAREST_KEPT)][0]:.3g} m"
+            raise InputError(file, found=found, accepted=f"{NEAREST_KEPT} m or more")
         return depth
 
     def _picture(self, name: str, mode: str) -> NDArray[np.uint8] | None:
@@ -160,21 +157,22 @@ def read_package(folder: Path) -> Package:
     size = document.camera.width, document.camera.height
     photo = Photo(rgb=_read_image(folder, PHOTO, size, "RGB"))
     ground = document.ground
+    camera = Camera(
+        width=size[0],
+        height=size[1],
+        K=np.array(document.camera.K),
+        T_world_camera=np.array(document.camera.T_world_camera),
+    )
     scene = Scene(
         photo=photo,
-        camera=Camera(
-            width=size[0],
-            height=size[1],
-            K=np.array(document.camera.K),
-            T_world_camera=np.array(document.camera.T_world_camera),
-        ),
+        camera=camera,
         ground=Ground(
             normal=np.array(ground.normal),
             offset=ground.offset,
             source=ground.source,
             confidence=ground.confidence,
         ),
-        objects=tuple(_read_object(folder, record, size) for record in document.objects),
+        objects=_read_objects(folder, document, camera),
         graph=SceneGraph(
             relations=tuple(Relation(**r.model_dump()) for r in document.scene_graph.relations),
             source=document.scene_graph.source,
@@ -182,7 +180,11 @@ def read_package(folder: Path) -> Package:
         ),
         excluded=tuple(Excluded(mask=e.mask, reason=e.reason) for e in document.excluded),
     )
-    return Package(folder=folder, document=document, scene=scene, direct=_direct(document, scene))
+    direct = _direct(document, scene)
+    if direct is not None:
+        for o in direct:
+            _require_sound(folder, o, direct.camera, "direct object")
+    return Package(folder=folder, document=document, scene=scene, direct=direct)
 
 
 def _direct(document: SceneDocument, scene: Scene) -> Scene | None:
@@ -255,32 +257,66 @@ def _plain(value: Any) -> Any:
 
 def _read_document(file: Path) -> SceneDocument:
     accepted = "the scene.json of an f3sr package, schema_version 1"
+    tree = strict_json.read(file, most=MAX_SCENE_BYTES, accepted=accepted)
     try:
-        if file.exists() and not file.is_file():  # reading a pipe would wait forever
-            raise InputError(file, found="no regular file", accepted=accepted)
-        tree = strict_json.loads(file.read_bytes())
-    except OSError as error:
-        raise InputError(file, found=reason(error), accepted=accepted) from None
-    except ValueError as error:
-        raise InputError(file, found=f"no JSON ({error})", accepted=accepted) from None
-    try:
-        return SceneDocument.model_validate(tree)
+        document = SceneDocument.model_validate(tree)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        place = ".".join(map(str, first["loc"])) or "the document"
-        found = f"{error.error_count()} errors, the first at {place}: {first['msg']}"
-        raise InputError(file, found=found, accepted=accepted) from None
+        found, wanted = strict_json.problem(error, ", ".join(SceneDocument.model_fields))
+        raise InputError(file, found=found, accepted=wanted) from None
+    pixels = document.camera.width * document.camera.height * len(document.objects)
+    if pixels > MAX_MASK_PIXELS:
+        raise InputError(file, found=f"masks of {pixels:,} pixels", accepted=f"at most {MAX_MASK_PIXELS:,}")
+    return document
 
 
-def _read_object(folder: Path, record: ObjectRecord, size: tuple[int, int]) -> SceneObject:
+def _read_objects(folder: Path, document: SceneDocument, camera: Camera) -> tuple[SceneObject, ...]:
+    """All objects, within the limits that hold for all meshes together."""
+    objects, parts = list[SceneObject](), dict[str, ConvexPart]()
+    for record in document.objects:
+        objects.append(o := _read_object(folder, record, (camera.width, camera.height), parts))
+        require_total(folder / "meshes", [o.mesh for o in objects])
+        _require_sound(folder, o, camera, "object")
+    return tuple(objects)
+
+
+def _require_sound(folder: Path, o: SceneObject, camera: Camera, name: str) -> None:
+    if fault := next(_faults(o, camera), None):
+        found, _, accepted = fault.partition("; accepted: ")
+        raise InputError(folder / "scene.json", found=f"{name} {o.id} {found}", accepted=accepted)
+
+
+def _faults(o: SceneObject, camera: Camera) -> Iterator[str]:
+    """What no object is that a photo shows and physics can move: its mesh, its parts and its body must fit together."""
+    size = o.scale * o.mesh.diagonal
+    if not MIN_OBJECT <= size <= MAX_OBJECT:
+        yield f"of {size:.3g} m; accepted: objects of {MIN_OBJECT} to {MAX_OBJECT:,.0f} m"
+        return
+    if (away := float(np.linalg.norm(o.T_world_object[:3, 3] - camera.center)) / size) > MAX_SIZES_AWAY:
+        yield f"{away:.3g} times its own size away from the camera; accepted: at most {MAX_SIZES_AWAY:,.0f} times"
+    low, high = o.mesh.bounds + np.array([[-1], [1]]) * o.mesh.diagonal
+    if not all((low <= p.vertices).all() and (p.vertices <= high).all() for p in o.parts):
+        yield "with collision parts away from its mesh; accepted: parts that cover it"
+    if o.solid is None:
+        return
+    if not ((low <= o.solid.center) & (o.solid.center <= high)).all():
+        yield "with a center_of_mass away from its mesh; accepted: one within it"
+    if o.solid.volume > o.mesh.diagonal**3:
+        yield f"with a mass of {o.solid.volume:.3g} m3; accepted: at most {o.mesh.diagonal**3:.3g} m3 of its density"
+
+
+def _read_object(
+    folder: Path, record: ObjectRecord, size: tuple[int, int], parts: dict[str, ConvexPart]
+) -> SceneObject:
+    """``parts``: those read so far, by their path."""
+    parts |= {path: _read_part(folder, path) for path in dict.fromkeys(record.collision) if path not in parts}
     return SceneObject(
         id=record.id,
         label=record.label,
         mask_name=record.mask,
         mask=_read_image(folder, f"{MASKS}/{record.mask}", size, "L") > 127,
-        mesh=load_mesh(_inside(folder, record.mesh)),
+        mesh=_read_mesh(folder, record.mesh),
         T_world_object=np.array(record.T_world_object),
-        parts=tuple(_read_part(folder, path) for path in record.collision),
+        parts=tuple(parts[path] for path in record.collision),
         mobility=record.mobility,
         density=record.density,
         solid=MassProperties(
@@ -324,13 +360,19 @@ def _inside(folder: Path, path: str) -> Path:
     return file
 
 
+def _read_mesh(folder: Path, path: str) -> Mesh:
+    mesh = load_mesh(_inside(folder, path))
+    require_solidity(folder / path, mesh)
+    return mesh
+
+
 DENT = 1e-4
 """Share of the volume of its hull that a part may lack, by rounding, and be taken as it is written."""
 
 
 def _read_part(folder: Path, path: str) -> ConvexPart:
     """As it is written, so that physics is the same to the bit; the hull of what is not convex."""
-    mesh = load_part(_inside(folder, path))
+    mesh = load_part(_inside(folder, path), max_bytes=MAX_PART_BYTES)
     try:
         part, hull = ConvexPart(vertices=mesh.vertices, faces=mesh.faces), mesh.hull
         return part if abs(part.volume - hull.volume) <= DENT * hull.volume else hull

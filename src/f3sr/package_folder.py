@@ -7,8 +7,9 @@ import os
 import stat
 from pathlib import Path
 
-from f3sr import atomic_folder
-from f3sr.errors import OutputError
+from f3sr import atomic_folder, limited_file
+from f3sr.bounds import MAX_SCENE_BYTES
+from f3sr.errors import InputError, OutputError
 from f3sr.export.scene_json import SCHEMA_FILE
 
 SCENE = "scene.json"
@@ -28,10 +29,10 @@ TOP_LEVEL = {
 def is_package(folder: Path) -> bool:
     """True when the folder has a scene.json that looks like ours, of whatever version."""
     try:
-        if not stat.S_ISREG((folder / SCENE).lstat().st_mode):  # reading a pipe would wait forever
+        if not stat.S_ISREG((folder / SCENE).lstat().st_mode):  # a link may lead anywhere
             return False
-        tree = json.loads((folder / SCENE).read_bytes())
-    except (OSError, ValueError, RecursionError):
+        tree = json.loads(limited_file.read(folder / SCENE, most=MAX_SCENE_BYTES))
+    except (OSError, InputError, ValueError, RecursionError):
         return False
     if not isinstance(tree, dict) or tree.get("$schema") != SCHEMA_FILE:
         return False

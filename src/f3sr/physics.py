@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
-from contextlib import contextmanager
+import re
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal, NamedTuple
+from functools import cache
+from typing import Annotated, Any, Literal, NamedTuple, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -153,11 +155,25 @@ class Release(NamedTuple):
     """Largest travel of a centre of mass [m]."""
 
 
+@cache
 def engine() -> Any:
-    """The ``mujoco`` module, imported on first use."""
+    """The ``mujoco`` module, imported on first use.
+
+    Its warnings go neither to the terminal nor to a MUJOCO_LOG.TXT in the working folder: what f3sr makes of a state
+    that blows up is said by f3sr. A ``mujoco.set_mju_user_warning`` of a caller's is told them all the same.
+    """
     import mujoco
 
+    log = cast(Any, mujoco).MjLogConfig.get()
+    log.logto_file = log.logto_console = False
+    log.set()
+    warnings.filterwarnings("ignore", category=UserWarning, module=re.escape(__name__))  # of ``compiled``
     return mujoco
+
+
+def compiled(spec: MjSpec) -> MjModel:
+    """The model of a specification. Raises ValueError where MuJoCo takes some number for impossible."""
+    return spec.compile()
 
 
 def body_name(id: int) -> str:
@@ -216,28 +232,27 @@ def settle(
     from where the release ended. A scene that blows up is reported, not raised.
     """
     mujoco = engine()
-    model = build_spec(objects, config).compile()
+    model = compiled(build_spec(objects, config))
     checks = [(model, settling.check_time)]
     if settling.even_masses:
-        checks.append((_even_spec(objects, config).compile(), settling.release_time))
+        checks.append((compiled(_even_spec(objects, config)), settling.release_time))
     for m, _ in checks:
         m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
     run = _Settling(model, settling)
     data, calm = mujoco.MjData(model), False
     drifts = np.full(len(objects), np.inf)
-    with silent():
-        for _ in range(settling.rounds):
-            run.until_rest(data)
-            drifts, calm = np.zeros(len(objects)), not run.exploded
-            for m, seconds in checks:
-                released = run.fresh(m, data)
-                travels, calm = run.undamped(m, released, seconds)
-                drifts = np.maximum(drifts, travels)
-                if not calm:
-                    data = run.fresh(model, released)
-                    break
-            if calm or run.exploded or run.seconds >= settling.time_limit:
+    for _ in range(settling.rounds):
+        run.until_rest(data)
+        drifts, calm = np.zeros(len(objects)), not run.exploded
+        for m, seconds in checks:
+            released = run.fresh(m, data)
+            travels, calm = run.undamped(m, released, seconds)
+            drifts = np.maximum(drifts, travels)
+            if not calm:
+                data = run.fresh(model, released)
                 break
+        if calm or run.exploded or run.seconds >= settling.time_limit:
+            break
     return Settled(
         T_world_object={o.id: o.T_world_object if run.exploded else _pose_of(model, data, o) for o in objects},
         at_rest=calm and not run.exploded,
@@ -279,19 +294,18 @@ def release(objects: Sequence[SceneObject], *, true_scale: float = 1.0, seconds:
     mujoco = engine()
     if not objects:
         return Release(0.0, 0.0)
-    model = _release_spec(objects, true_scale).compile()
+    model = compiled(_release_spec(objects, true_scale))
     data = mujoco.MjData(model)
     K_max = D_max = 0.0
-    with silent():
-        mujoco.mj_forward(model, data)
-        centers = data.xipos[1:].copy()
-        for step in range(int(seconds / model.opt.timestep)):
-            mujoco.mj_step(model, data)
-            if step < 500:
-                mujoco.mj_energyVel(model, data)
-                K_max = max(K_max, float(data.energy[1]))
-            if step % 10 == 9:
-                D_max = max(D_max, float(np.linalg.norm(data.xipos[1:] - centers, axis=1).max()))
+    mujoco.mj_forward(model, data)
+    centers = data.xipos[1:].copy()
+    for step in range(int(seconds / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+        if step < 500:
+            mujoco.mj_energyVel(model, data)
+            K_max = max(K_max, float(data.energy[1]))
+        if step % 10 == 9:
+            D_max = max(D_max, float(np.linalg.norm(data.xipos[1:] - centers, axis=1).max()))
     return Release(K_max, D_max)
 
 
@@ -502,18 +516,3 @@ def _pose_of(model: MjModel, data: MjData, o: SceneObject) -> Array:
         return o.T_world_object
     q = data.joint(body_name(o.id)).qpos
     return pose(rotation_from_quaternion(q[3:]), q[:3])
-
-
-@contextmanager
-def silent() -> Generator[None]:
-    """MuJoCo's warnings go to a log file in the working folder unless somebody takes them."""
-    mujoco = engine()
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(_ignore)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)
-
-
-def _ignore(_: str) -> None: ...

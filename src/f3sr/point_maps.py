@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from f3sr import npz
 from f3sr.errors import InputError
 from f3sr.folder import InputFolder
 from f3sr.frames import Array
@@ -27,12 +27,18 @@ MAX_CENTER = 30.0
 """How far the principal point may lie from the image's corner, in longer image sides: far crops of a photo."""
 MAX_STRETCH = 1.1
 """Aspect of the geometry over the photo's, either way, that passes without a decision: networks round to tiles."""
-KEYS = ("points", "pointmap", "pcd", "mask", "normal", "intrinsics", "coordinate_system")
-"""Arrays of geometry.npz that mean something here."""
-MAX_BYTES = 2_000_000_000
-"""Most bytes these may inflate to: points and normals of a photo of the largest size accepted, in half precision."""
 MIN_FOCAL, MAX_FOCAL = 0.1, 30.0
 """Focal lengths accepted, in longer image sides: from wider than any rectilinear lens to a 1000 mm telephoto."""
+
+WANTED = {
+    "points": npz.Wanted(kinds="f", shape=("h", "w", 3), most=3 * MAX_PIXELS, also=("pointmap", "pcd")),
+    "mask": npz.Wanted(shape=("h", "w"), optional=True),
+    "normal": npz.Wanted(shape=("h", "w", 3), optional=True),
+    "intrinsics": npz.Wanted(shape=(3, 3), optional=True),
+    "coordinate_system": npz.Wanted(kinds="U", optional=True),
+}
+"""Arrays of geometry.npz that mean something here."""
+DEPTH = npz.Wanted(kinds="fiu", shape=("h", "w"), most=MAX_PIXELS)
 
 Row = Annotated[list[float], Field(min_length=3, max_length=3)]
 
@@ -71,21 +77,17 @@ def read_geometry(folder: InputFolder, photo: Photo) -> tuple[Geometry, Array]:
 
 def _point_map(folder: InputFolder, photo: Photo) -> tuple[Geometry, Array]:
     path = folder.file("geometry.npz")
-    data = _open_npz(path)
-    points = next((data[k] for k in ("points", "pointmap", "pcd") if k in data), None)
-    if points is None or points.ndim != 3 or points.shape[2] != 3 or points.dtype.kind != "f":
-        found = ", ".join(f"{k} {v.shape} {v.dtype}" for k, v in data.items())
-        raise InputError(path, found=found or "nothing", accepted="points (h, w, 3) of floats")
-    _require_pixels(path, points)
+    data = npz.read(path, WANTED)
+    points = data["points"]
     to_camera = camera_frame(path, str(data.get("coordinate_system", "opencv")))
-    valid = _array(path, data, "mask", points.shape[:2], default=np.ones(points.shape[:2], bool)) > 0
+    valid = data.get("mask", np.ones(points.shape[:2], bool)) > 0
     points, finite = _turned(points, to_camera)
     valid = _usable(folder, path, points[..., 2], points, valid & finite)
-    normals = _array(path, data, "normal", points.shape)
+    normals = data.get("normal")
     if normals is not None:
         normals, _ = _turned(np.where(np.abs(normals) <= 1.5, normals, 0), to_camera)
     geometry = Geometry(points=np.where(valid[..., None], points, 0), valid=valid, normals=normals)
-    intrinsics = _array(path, data, "intrinsics", (3, 3))
+    intrinsics = data.get("intrinsics")
     if intrinsics is None:
         K = _checked_K(path, _fit_intrinsics(path, geometry, photo), photo)
         folder.decide(
@@ -100,10 +102,7 @@ def _point_map(folder: InputFolder, photo: Photo) -> tuple[Geometry, Array]:
 def _depth_map(folder: InputFolder, name: str, photo: Photo) -> tuple[Geometry, Array]:
     meta = folder.document("intrinsics.json", _Intrinsics)
     path = folder.file(name)
-    values = _load_npy(path) if path.suffix == ".npy" else _load_png(path)
-    if values.ndim != 2 or values.dtype.kind not in "fiu" or not values.size:
-        raise InputError(path, found=f"an array {values.shape} of {values.dtype}", accepted="(h, w) numbers")
-    _require_pixels(path, values)
+    values = npz.read_npy(path, "depth", DEPTH) if path.suffix == ".npy" else _load_png(path)
     h, w = values.shape
     if meta.width and meta.height and abs(w * meta.height - h * meta.width) > max(meta.width, meta.height):
         raise InputError(path, found=f"{w}x{h} pixels", accepted=f"the aspect of {meta.width}x{meta.height}")
@@ -128,25 +127,6 @@ class _Intrinsics(BaseModel):
     depth_scale: float = Field(default=0.001, gt=0)
 
 
-def _open_npz(path: Path) -> dict[str, NDArray[Any]]:
-    """The arrays this module reads; others are left alone. Sizes are checked before anything is inflated."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            size = sum(i.file_size for i in archive.infolist() if Path(i.filename).stem in KEYS)
-        if size > MAX_BYTES:
-            raise InputError(path, found=f"{size:,} bytes of arrays", accepted=f"at most {MAX_BYTES:,}")
-        with np.load(path, allow_pickle=False) as archive:
-            data = {k: archive[k] for k in archive.files if k in KEYS}
-        if any(not isinstance(v, np.ndarray) for v in data.values()):
-            raise ValueError("a member that is no array")
-        return data
-    except InputError:
-        raise
-    except Exception as error:  # numpy and zipfile raise many kinds for a broken archive
-        found = "Python objects" if "pickle" in str(error) else "no readable npz"
-        raise InputError(path, found=found, accepted="an npz archive of arrays of numbers") from error
-
-
 def _load_png(path: Path) -> NDArray[Any]:
     image = open_image(path)
     if not image.mode.startswith("I"):
@@ -154,29 +134,6 @@ def _load_png(path: Path) -> NDArray[Any]:
             path, found=f"pixels of kind {image.mode}, at most 8 bits a channel", accepted="16-bit grey depth"
         )
     return np.asarray(image)
-
-
-def _load_npy(path: Path) -> NDArray[Any]:
-    try:
-        values = np.load(path, mmap_mode="r", allow_pickle=False)
-        if not isinstance(values, np.ndarray):
-            raise ValueError("an archive of arrays")
-        return values
-    except (OSError, ValueError, EOFError, MemoryError, OverflowError) as error:
-        raise InputError(path, found="no readable npy", accepted="a 2-D array of numbers") from error
-
-
-def _array(
-    path: Path,
-    data: dict[str, NDArray[Any]],
-    key: str,
-    shape: tuple[int, ...],
-    default: NDArray[Any] | None = None,
-) -> Any:
-    value = data.get(key, default)
-    if value is not None and (value.shape != shape or value.dtype.kind not in "fiub"):
-        raise InputError(path, found=f"{key} {value.shape} {value.dtype}", accepted=f"{key} {shape} of numbers")
-    return value
 
 
 def camera_frame(where: Path, name: str) -> Array:
@@ -207,12 +164,6 @@ def _checked_K(path: Path, K: Array, photo: Photo) -> Array:
             f"within {MAX_CENTER * longest:.0f} px (in geometry.npz divided by the photo's width and height)",
         )
     return K
-
-
-def _require_pixels(path: Path, values: NDArray[Any]) -> None:
-    h, w = values.shape[:2]
-    if h * w > MAX_PIXELS:
-        raise InputError(path, found=f"{w}x{h} pixels", accepted=f"at most {MAX_PIXELS:,} pixels")
 
 
 def _turned(vectors: NDArray[Any], R: Array) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:

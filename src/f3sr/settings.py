@@ -14,12 +14,13 @@ from typing import Any, TypeVar, cast, dataclass_transform
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
+from f3sr import limited_file
 from f3sr.errors import InputError
 
 T = TypeVar("T")
 
-LARGEST_FILE = 1_000_000
-"""Bytes of the largest configuration file that is read."""
+MAX_BYTES = 1_000_000
+"""Largest file of settings: all of them with their meanings take 40 kB."""
 
 LONGEST_SHOWN = 80
 """Characters of a wrong value that an error repeats."""
@@ -46,15 +47,14 @@ def settings(cls: type[T]) -> type[T]:
 def read(file: Path, defaults: T) -> T:
     """``defaults`` with what a TOML file sets; InputError names the file, the key, what it holds and what it may."""
     accepted = "a TOML file of settings, as `f3sr config` prints one"
+    data = limited_file.read(file, most=MAX_BYTES, accepted=accepted)
     try:
-        if file.stat().st_size > LARGEST_FILE:
-            raise InputError(file, found=f"{file.stat().st_size:,} bytes", accepted=f"at most {LARGEST_FILE:,}")
-        given = tomllib.loads(file.read_text("utf-8"))
-    except OSError as error:
-        raise InputError(file, found=f"no readable file ({error.strerror})", accepted=accepted) from None
-    except (ValueError, RecursionError) as error:
+        given = tomllib.loads(data.decode("utf-8"))
+        complete = json.dumps(_overlaid(asdict(cast(Any, defaults)), given), default=str)
+    except RecursionError:
+        raise InputError(file, found="no TOML (nested too deeply)", accepted=accepted) from None
+    except ValueError as error:
         raise InputError(file, found=f"no TOML ({error})", accepted=accepted) from None
-    complete = json.dumps(_overlaid(asdict(cast(Any, defaults)), given), default=str)
     try:
         return cast(T, TypeAdapter(type(defaults)).validate_json(complete))
     except ValidationError as error:

@@ -3,10 +3,27 @@
 from __future__ import annotations
 
 import json
+import re
+from pathlib import Path
 from typing import Any
+
+from pydantic import ValidationError
+
+from f3sr import limited_file
+from f3sr.errors import InputError
+from f3sr.limited_file import MAX_JSON_BYTES
 
 MAX_DIGITS = 400
 """Longest whole number: no float is longer."""
+
+
+def read(file: Path, *, most: int = MAX_JSON_BYTES, accepted: str = "a JSON document") -> Any:
+    """The value of a JSON file of at most so many bytes. Raises InputError."""
+    data = limited_file.read(file, most=most, accepted=accepted)
+    try:
+        return loads(data)
+    except ValueError as error:
+        raise InputError(file, found=f"no valid JSON ({error})", accepted=accepted) from error
 
 
 def loads(data: bytes) -> Any:
@@ -39,3 +56,18 @@ def _whole(digits: str) -> int:
 
 def _no_number(name: str) -> Any:
     raise ValueError(f"{name} is no JSON number")
+
+
+def problem(error: ValidationError, fields: str) -> tuple[str, str]:
+    """What a document holds, and what is accepted, of the first thing that is wrong with it."""
+    first = error.errors(include_url=False)[0]
+    where, message = ".".join(map(str, first["loc"])) or "the document", first["msg"]
+    if first["type"] == "missing":
+        return f"no {where}", f"an object with {fields}"
+    if first["type"] == "value_error":
+        found, _, accepted = message.removeprefix("Value error, ").partition("; accepted: ")
+        return f"{where}: {found}", accepted or f"an object with {fields}"
+    if first["type"] in ("model_type", "dict_type"):
+        return f"{where} = {first['input']!r:.60}", "an object" if first["loc"] else f"an object with {fields}"
+    wanted = re.sub(r"^(Input should be|(Value|List|Tuple|String) should have) | after validation", "", message)
+    return f"{where} = {first['input']!r:.60}", wanted

@@ -10,8 +10,45 @@ from pathlib import PurePosixPath
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, JsonValue, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    JsonValue,
+    ValidationError,
+    model_validator,
+)
 
+from f3sr import strict_json
+from f3sr.bounds import (
+    MAX_OBJECT_PARTS,
+    MAX_OBJECTS,
+    MAX_SCENE_PARTS,
+    MAX_VOLUME,
+    MIN_VOLUME,
+    Density,
+    Friction,
+    Id,
+    IdOrGround,
+    Inertia,
+    Intrinsics,
+    Label,
+    Mass,
+    Number,
+    Place,
+    RigidMatrix4,
+    RollingFriction,
+    Scale,
+    Share,
+    Side,
+    UnitVector3,
+    Vector3,
+    inertia_fault,
+    intrinsics_fault,
+)
+from f3sr.errors import OutputError
 from f3sr.export.mjcf import collision_path
 from f3sr.frames import Array
 from f3sr.physics import body_of
@@ -19,34 +56,20 @@ from f3sr.scene import GROUND, Mobility, Predicate, RelationSource, Scene, Scene
 
 SCHEMA_VERSION = 1
 SCHEMA_FILE = "scene.schema.json"
-FARTHEST = 1e6
-"""From the origin that anything may be [m]: beyond it float32 meshes have no millimetres, nor decimetres."""
 
 
 def _safe_path(path: str) -> str:
     """A relative POSIX path that stays in its folder."""
     pure = PurePosixPath(path)
     if pure.is_absolute() or ".." in pure.parts or "\\" in path or ":" in path or "\0" in path or path in ("", "."):
-        raise ValueError("accepted: a relative path inside the package, with forward slashes")
+        raise ValueError(f"{path[:60]!r}; accepted: a relative path inside the package, with forward slashes")
     return path
 
 
 def _file_name(name: str) -> str:
     if "/" in name or "\\" in name or name in ("", ".", ".."):
-        raise ValueError("accepted: the bare name of a file")
+        raise ValueError(f"{name[:60]!r}; accepted: the bare name of a file")
     return name
-
-
-def _rigid(T: Matrix4) -> Matrix4:
-    matrix = np.array(T)
-    R = matrix[:3, :3]
-    if not np.allclose(R @ R.T, np.eye(3), atol=1e-5) or np.linalg.det(R) < 0:
-        raise ValueError("accepted: a rigid transform (rotation and translation, no scale, no mirror)")
-    if np.abs(matrix).max() > FARTHEST:
-        raise ValueError(f"accepted: places at most {FARTHEST:,.0f} m from the origin")
-    if not np.array_equal(matrix[3], [0, 0, 0, 1]):
-        raise ValueError("accepted: a last row of 0 0 0 1")
-    return T
 
 
 def _whole(version: object) -> object:
@@ -57,19 +80,8 @@ def _whole(version: object) -> object:
 
 
 Version = Annotated[Literal[1], BeforeValidator(_whole)]
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Vector3 = tuple[Number, Number, Number]
-Matrix3 = tuple[Vector3, Vector3, Vector3]
-Row4 = tuple[Number, Number, Number, Number]
-Matrix4 = tuple[Row4, Row4, Row4, Row4]
-RigidMatrix4 = Annotated[Matrix4, AfterValidator(_rigid)]
 Path = Annotated[str, AfterValidator(_safe_path)]
 FileName = Annotated[str, AfterValidator(_file_name)]
-Id = Annotated[int, Field(ge=0, strict=True)]
-IdOrGround = Annotated[int, Field(ge=GROUND, strict=True)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 
 
 class _Record(BaseModel):
@@ -79,17 +91,23 @@ class _Record(BaseModel):
 class CameraRecord(_Record):
     """Pinhole camera: OpenCV axes, pixel centres at +0.5."""
 
-    width: Annotated[int, Field(gt=0)]
-    height: Annotated[int, Field(gt=0)]
-    K: Matrix3
+    width: Side
+    height: Side
+    K: Intrinsics
     T_world_camera: RigidMatrix4
+
+    @model_validator(mode="after")
+    def _has_rays(self) -> Self:
+        if fault := intrinsics_fault(np.array(self.K), self.width, self.height):
+            raise ValueError(fault)
+        return self
 
 
 class GroundRecord(_Record):
     """The support plane normal . x = offset in the world."""
 
-    normal: Vector3
-    offset: Number
+    normal: UnitVector3
+    offset: Place
     source: str
     confidence: Share
 
@@ -105,9 +123,9 @@ class MotionRecord(_Record):
     """How a stage moved an object: centre [m], turn [rad], scale factor."""
 
     stage: str
-    translation: Vector3
+    translation: tuple[Number, Number, Number]
     rotation: Number
-    scale: Positive
+    scale: Scale
     reason: str
 
 
@@ -115,25 +133,35 @@ class ObjectRecord(_Record):
     """One object. Lengths in its own frame, metres; world points are T_world_object @ v."""
 
     id: Id
-    label: str
+    label: Label
     mask: FileName
     mesh: Path
-    collision: Annotated[tuple[Path, ...], Field(min_length=1)]
+    collision: Annotated[tuple[Path, ...], Field(min_length=1, max_length=MAX_OBJECT_PARTS)]
     T_world_object: RigidMatrix4
     mobility: Mobility
-    mass: Positive
-    inertia: Matrix3
+    mass: Mass
+    inertia: Inertia
     """kg m2 about the centre of mass, object axes."""
     center_of_mass: Vector3
-    density: Positive
+    density: Density
     volume_source: Literal["mesh", "proxies"]
-    friction: NonNegative
-    rolling_friction: NonNegative
+    friction: Friction
+    rolling_friction: RollingFriction
     restitution: Share
-    material: str
+    material: Label
     supports: tuple[SupportRecord, ...]
     supported_by: IdOrGround | None
     motion: tuple[MotionRecord, ...]
+
+    @model_validator(mode="after")
+    def _is_a_body(self) -> Self:
+        """A volume, and an inertia, that a body of its mass can have."""
+        volume = self.mass / self.density
+        if not MIN_VOLUME <= volume <= MAX_VOLUME:
+            raise ValueError(f"a volume of {volume:.3g} m3; accepted: {MIN_VOLUME:.0e} to {MAX_VOLUME:.0e} m3")
+        if fault := inertia_fault(np.array(self.inertia), self.mass, free=self.mobility == "dynamic"):
+            raise ValueError(fault)
+        return self
 
 
 class ExcludedRecord(_Record):
@@ -178,7 +206,7 @@ class DirectObjectRecord(_Record):
 
     id: Id
     T_world_object: RigidMatrix4
-    scale: Positive
+    scale: Scale
 
 
 class DirectRecord(_Record):
@@ -200,7 +228,7 @@ class SceneDocument(_Record):
     quaternion: Literal["wxyz"]
     camera: CameraRecord
     ground: GroundRecord
-    objects: tuple[ObjectRecord, ...]
+    objects: Annotated[tuple[ObjectRecord, ...], Field(min_length=1, max_length=MAX_OBJECTS)]
     excluded: tuple[ExcludedRecord, ...]
     scene_graph: SceneGraphRecord
     direct: DirectRecord | None = None
@@ -209,21 +237,23 @@ class SceneDocument(_Record):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        """Ids sorted and unique, masks unique, references to ids that exist."""
+        """Ids sorted and unique, masks unique, references to ids that exist, parts that can be held."""
+        if (parts := sum(len(o.collision) for o in self.objects)) > MAX_SCENE_PARTS:
+            raise ValueError(f"{parts:,} collision parts; accepted: at most {MAX_SCENE_PARTS:,}")
         ids = [o.id for o in self.objects]
         if ids != sorted(set(ids)):
             raise ValueError(f"object ids {ids}; accepted: unique and ascending")
         masks = [o.mask for o in self.objects] + [e.mask for e in self.excluded]
         if len(set(masks)) != len(masks):
-            raise ValueError("a mask occurs twice among objects and excluded")
+            raise ValueError("a mask that occurs twice; accepted: once, of an object or excluded")
         named = {s.id for o in self.objects for s in o.supports} | {GROUND}
         named |= {o.supported_by for o in self.objects if o.supported_by is not None}
         named |= {i for r in self.scene_graph.relations for i in (r.subject, r.object)}
         named |= {n.id for n in self.scene_graph.nodes}
         if self.direct and [o.id for o in self.direct.objects] != ids:
-            raise ValueError(f"direct composition of other ids than {ids}")
+            raise ValueError(f"direct composition of other objects; accepted: of {ids}")
         if unknown := sorted(named - {GROUND, *ids}):
-            raise ValueError(f"references to ids {unknown}; the objects are {ids}")
+            raise ValueError(f"references to ids {unknown}; accepted: {ids}")
         return self
 
 
@@ -243,7 +273,7 @@ def to_document(
     """The scene as its document, beside where ``direct`` has the same objects; measures that are not finite become
     null."""
     camera, ground = scene.camera, scene.ground
-    return SceneDocument.model_validate(
+    return _validated(
         {
             "schema_version": SCHEMA_VERSION,
             "units": "m",
@@ -273,6 +303,15 @@ def to_document(
             "provenance": dict(provenance),
         }
     )
+
+
+def _validated(tree: dict[str, Any]) -> SceneDocument:
+    """What is written can be read. Raises OutputError where a stage made what no package may hold."""
+    try:
+        return SceneDocument.model_validate(tree)
+    except ValidationError as error:
+        found, accepted = strict_json.problem(error, ", ".join(SceneDocument.model_fields))
+        raise OutputError(f"the scene is none that a package may hold: {found}; accepted: {accepted}") from error
 
 
 def to_json(document: SceneDocument) -> bytes:

@@ -6,10 +6,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from f3sr.bounds import MIN_MOMENT
 from f3sr.errors import F3srError
 from f3sr.goals.language import Launch
 from f3sr.goals.limits import beyond, limits_of
 from f3sr.goals.plan import InitialConditions, Plan, Semantics, SimulationPlan, TaskSpec
+from f3sr.goals.rollout import MAX_SAMPLES, Rollout
 from f3sr.physics import body_of
 from f3sr.scene import GROUND, Scene
 
@@ -62,6 +64,9 @@ def semantics_faults(semantics: Sequence[Semantics], scene: Scene) -> Iterator[s
         mass = body_of(o).mass * s.density / o.density
         if not np.isclose(s.mass, mass, rtol=1e-6):
             yield f"object {s.id} of {s.density:.6g} kg/m3 weighs {s.mass:.6g} kg; accepted: {mass:.6g}, by its volume"
+        least = float(np.linalg.eigvalsh(body_of(o).inertia)[0]) * s.density / o.density
+        if o.mobility == "dynamic" and least < MIN_MOMENT:
+            yield f"object {s.id} has a moment of {least:.3g} kg m2; accepted: at least {MIN_MOMENT:.3g} to move"
         if s.mobility != o.mobility:
             yield f"object {s.id} is {s.mobility}; accepted: {o.mobility}, as the package has it"
 
@@ -87,6 +92,17 @@ def _in_time(initial: InitialConditions, simulation: SimulationPlan) -> Iterator
         )
     if any(i.time + i.duration > simulation.duration for i in initial.impulses):
         yield f"an impulse ends after the rollout; accepted: within {simulation.duration:.3g} s"
-    samples = simulation.duration / (simulation.timestep * simulation.steps_per_sample)
-    if not 2 <= samples <= 100 * LONGEST:
-        yield f"{samples:.0f} samples; accepted: 2 to {100 * LONGEST:.0f}"
+    if not 2 < simulation.samples <= MAX_SAMPLES:
+        yield f"{simulation.samples} samples; accepted: 3 to {MAX_SAMPLES}"
+
+
+def rollout_faults(rollout: Rollout, plan: Plan) -> Iterator[str]:
+    """Of a rollout that was read: samples that its plan does not give."""
+    simulation = plan.simulation
+    every = simulation.timestep * simulation.steps_per_sample
+    due = every * np.arange(simulation.samples)
+    if len(rollout.time) != len(due) or np.abs(rollout.time - due).max() > every / 100:
+        yield (
+            f"{len(rollout.time)} samples until {rollout.time[-1]:.3f} s; "
+            f"accepted: {len(due)} as its plan has them, one every {every:.3g} s"
+        )

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from f3sr import limited_file
 from f3sr.atomic_folder import BusyError, being_written, check, claimed, recover, recover_all
-from f3sr.errors import InputError, OutputError, reason
-from f3sr.folder import MAX_JSON_BYTES
+from f3sr.errors import InputError, OutputError
 from f3sr.goals import checks, verify
 from f3sr.goals import plan as plans
 from f3sr.goals import rollout as rollouts
@@ -17,6 +17,7 @@ from f3sr.goals.files import FILMS, PLAN, ROLLOUT, VERDICT
 from f3sr.goals.plan import Plan
 from f3sr.goals.play import Played, scene_sha
 from f3sr.goals.rollout import Rollout
+from f3sr.limited_file import MAX_JSON_BYTES
 from f3sr.package import Package, read_package
 from f3sr.package_folder import ROLLOUTS, is_package, placed
 
@@ -144,6 +145,9 @@ def read_played(folder: Path, package: Path | None = None) -> Found:
     if rollout.ids.tolist() != [o.id for o in content.scene]:
         accepted = f"objects {[o.id for o in content.scene]}, as the scene has them"
         raise InputError(folder / ROLLOUT, found=f"objects {rollout.ids.tolist()[:20]}", accepted=accepted)
+    if fault := next(checks.rollout_faults(rollout, plan), None):
+        found, _, accepted = fault.partition("; accepted: ")
+        raise InputError(folder / ROLLOUT, found=found, accepted=accepted)
     return Found(plan=plan, rollout=rollout, package=content)
 
 
@@ -151,14 +155,9 @@ def read_plan(file: Path) -> Plan:
     """A plan.json; InputError says what is wrong with it."""
     accepted = "a plan.json that f3sr wrote"
     recover(file)
+    data = limited_file.read(file, most=MAX_JSON_BYTES, accepted=accepted)
     try:
-        if file.exists() and not file.is_file():
-            raise InputError(file, found="no regular file", accepted=accepted)
-        if file.stat().st_size > MAX_JSON_BYTES:
-            raise InputError(file, found=f"{file.stat().st_size:,} bytes", accepted=f"at most {MAX_JSON_BYTES:,}")
-        return plans.from_json(file.read_bytes())
-    except OSError as error:
-        raise InputError(file, found=f"no readable file ({reason(error)})", accepted=accepted) from None
+        return plans.from_json(data)
     except ValueError as error:
         raise InputError(file, found=_first_line(error), accepted=accepted) from None
 

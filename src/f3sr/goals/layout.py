@@ -48,7 +48,7 @@ class Layout:
 
     @cached_property
     def model(self) -> Any:
-        return self._model or physics.build_spec(self.scene.objects).compile()
+        return self._model or physics.compiled(physics.build_spec(self.scene.objects))
 
     @cached_property
     def data(self) -> Any:

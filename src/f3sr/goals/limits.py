@@ -14,6 +14,8 @@ from f3sr.statics import GRAVITY
 
 HIGHEST = 4.0
 """Diagonals of the scene that a throw rises at most: more is out of any picture."""
+HIGHEST_EVER = 1e4
+"""The same [m] where a scene is a landscape: no plan holds more."""
 FASTEST = 12.0
 """Speed that a hand gives without a run-up [m/s]: an underarm throw of a ball."""
 IMPULSE = 60.0
@@ -29,7 +31,12 @@ SLACK = 1 + 1e-9
 def limits_of(scene: Scene) -> Limits:
     """The limits that suit a scene: speeds that its size calls for, at most a person's."""
     highest = HIGHEST * scene.diagonal
-    return Limits(speed=min(FASTEST, math.sqrt(2 * GRAVITY * highest)), impulse=IMPULSE, force=FORCE, lift=highest)
+    return Limits(
+        speed=min(FASTEST, math.sqrt(2 * GRAVITY * highest)),
+        impulse=IMPULSE,
+        force=FORCE,
+        lift=min(HIGHEST_EVER, highest),
+    )
 
 
 def whirl(o: SceneObject, angular: Array) -> float:

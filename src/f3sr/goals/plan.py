@@ -11,10 +11,15 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from f3sr import strict_json
-from f3sr.export.scene_json import Id, IdOrGround, Share, Vector3, Version, dump_json
+from f3sr.bounds import Density, Direction3, Friction, Id, IdOrGround, Mass, RollingFriction, Share
+from f3sr.export.scene_json import Version, dump_json
 from f3sr.scene import Mobility
 
 SCHEMA_VERSION = 1
+MIN_TIMESTEP = 1e-4
+"""Shortest time step of a plan [s]: a tenth of what contacts need."""
+MAX_STEPS = 40_000
+"""Most steps of a rollout: four times what the longest takes at the usual step."""
 
 Kind = Literal[
     "topple",
@@ -72,7 +77,7 @@ class Displaced(_Condition):
     a: Id
     at_least: Metres
     at_most: Metres | None = None
-    direction: Vector3 | None = None
+    direction: Direction3 | None = None
 
 
 class Toppled(_Condition):
@@ -183,7 +188,7 @@ class TaskSpec(_Record):
     way: Way | None = None
     passives: tuple[Id, ...] = ()
     """Other objects that it takes along, as they rest on or in the active one or the target; they stay free."""
-    direction: Vector3 | None = None
+    direction: Direction3 | None = None
     """Unit vector of the world."""
     amount: Metres | None = None
     """How far it is to go, or how high it is to rise or to be let go [m]."""
@@ -213,12 +218,12 @@ class Semantics(_Record):
     id: Id
     material: Annotated[str, Field(max_length=80)]
     structure: Literal["solid", "hollow"]
-    mass: Annotated[float, Field(gt=0, le=1e7, allow_inf_nan=False)]
+    mass: Mass
     """[kg]"""
-    density: Annotated[float, Field(ge=1, le=25_000, allow_inf_nan=False)]
+    density: Density
     """[kg/m3] of its solid's volume, air inside included."""
-    friction: Annotated[float, Field(ge=0, le=4, allow_inf_nan=False)]
-    rolling_friction: Annotated[float, Field(ge=0, le=0.1, allow_inf_nan=False)]
+    friction: Friction
+    rolling_friction: RollingFriction
     """[m]"""
     restitution: Share
     damping: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] = 0.0
@@ -295,12 +300,27 @@ class SimulationPlan(_Record):
 
     duration: Annotated[float, Field(gt=0, le=30, allow_inf_nan=False)]
     """[s]"""
-    timestep: Annotated[float, Field(gt=0, le=0.002, allow_inf_nan=False)] = 1 / 960
+    timestep: Annotated[float, Field(ge=MIN_TIMESTEP, le=0.002, allow_inf_nan=False)] = 1 / 960
     """[s]"""
     steps_per_sample: Annotated[int, Field(ge=1, le=1000)] = 32
     """A sample every so many steps: 30 in a second."""
     limits: Limits | None = None
     """That the initial conditions keep."""
+
+    @model_validator(mode="after")
+    def _ends(self) -> SimulationPlan:
+        if self.steps > MAX_STEPS:
+            raise ValueError(f"{self.steps:,} steps; accepted: at most {MAX_STEPS:,}")
+        return self
+
+    @property
+    def steps(self) -> int:
+        return round(self.duration / self.timestep)
+
+    @property
+    def samples(self) -> int:
+        """Of the whole rollout, that at 0 with them."""
+        return self.steps // self.steps_per_sample + 1
 
 
 class Plan(_Record):

@@ -55,7 +55,7 @@ def pool_of(o: SceneObject) -> Pool | None:
 def _surface(o: SceneObject) -> tuple[Array, Array, Array]:
     """Heights (CELLS, CELLS) seen from above, what is beside it as low as its lowest point, and its bounding box."""
     mujoco = engine()
-    model = physics.build_spec([o]).compile()
+    model = physics.compiled(physics.build_spec([o]))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     corners = np.concatenate([transform(o.T_world_object, q.vertices) for q in physics.body_of(o).parts])

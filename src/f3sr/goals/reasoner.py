@@ -7,9 +7,6 @@ contacts are soft, and a pile that rests on them would sink.
 
 from __future__ import annotations
 
-from pydantic import ValidationError
-
-from f3sr.errors import InputError
 from f3sr.goals.materials import Material, material_of
 from f3sr.goals.plan import Kind, Semantics, Source, TaskSpec
 from f3sr.physics import body_of
@@ -29,24 +26,18 @@ def semantics_of(task: TaskSpec, scene: Scene) -> tuple[Semantics, ...]:
 def declared(o: SceneObject, *, source: Source = "scene") -> Semantics:
     """What the package says of an object."""
     known = material_of(o.label)
-    try:
-        return Semantics(
-            id=o.id,
-            material=o.material[:80],
-            structure=known.structure if known else "solid",
-            mass=body_of(o).mass,
-            density=o.density,
-            friction=o.friction,
-            rolling_friction=o.rolling_friction,
-            restitution=o.restitution,
-            mobility=o.mobility,
-            source=source,
-        )
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        raise InputError(
-            "scene.json", found=f"object {o.id} with {first['loc'][0]} {first['input']}", accepted=str(first["msg"])
-        ) from None
+    return Semantics(
+        id=o.id,
+        material=o.material[:80],
+        structure=known.structure if known else "solid",
+        mass=body_of(o).mass,
+        density=o.density,
+        friction=o.friction,
+        rolling_friction=o.rolling_friction,
+        restitution=o.restitution,
+        mobility=o.mobility,
+        source=source,
+    )
 
 
 def _of(o: SceneObject, *, bounces: bool) -> Semantics:

@@ -11,14 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import npz
-from f3sr.errors import InputError, reason
-from f3sr.export.scene_json import FARTHEST
+from f3sr.bounds import FARTHEST, MAX_OBJECTS
+from f3sr.errors import InputError
 from f3sr.frames import Array, frozen
 from f3sr.scene import GROUND
 
 CONTACT = np.dtype([("time", np.float64), ("a", np.int64), ("b", np.int64), ("force", np.float64)])
 """A row of ``contacts``: time [s] of the largest normal force [N] between two ids since the sample before, the ground
 GROUND and first, else the lower id."""
+MAX_SAMPLES = 1001
+"""Samples of a rollout: a hundred in each of ten seconds, and the first."""
+MAX_CONTACTS = 10_000_000
+"""Rows of contacts of a rollout: ten thousand pairs at every sample."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -55,26 +59,14 @@ class Rollout:
 
 def to_npz(rollout: Rollout) -> bytes:
     """The arrays as a zip of .npy files, the same bytes for the same values."""
-    return npz.dump(**{name: getattr(rollout, name) for name in _NAMES})
+    return npz.dump(**{name: getattr(rollout, name) for name in _ARRAYS})
 
 
 def from_npz(file: Path) -> Rollout:
     """A rollout that was written; InputError names the file and what is wrong with it."""
     accepted = "a rollout that f3sr wrote: time, ids, T_world_object, contacts"
-    try:
-        arrays = npz.load(file, _NAMES)
-        rollout = Rollout(
-            time=np.asarray(arrays["time"], float),
-            ids=np.asarray(arrays["ids"], np.int64),
-            T_world_object=np.asarray(arrays["T_world_object"], float),
-            contacts=np.asarray(arrays["contacts"], CONTACT),
-        )
-        fault = next(_faults(rollout), None)
-    except OSError as error:
-        raise InputError(file, found=f"no readable file ({reason(error)})", accepted=accepted) from None
-    except (ValueError, TypeError, IndexError) as error:
-        raise InputError(file, found=str(error), accepted=accepted) from None
-    if fault:
+    rollout = Rollout(**npz.read(file, _ARRAYS, accepted=accepted))
+    if fault := next(_faults(rollout), None):
         raise InputError(file, found=fault, accepted=accepted)
     return rollout
 
@@ -104,4 +96,9 @@ def _faults(rollout: Rollout) -> Iterator[str]:
 
 TURN = 1e-5
 """By which R R^T may differ from 1."""
-_NAMES = ("time", "ids", "T_world_object", "contacts")
+_ARRAYS = {
+    "time": npz.Wanted(kinds="f", shape=("T",), most=MAX_SAMPLES),
+    "ids": npz.Wanted(kinds="i", shape=("N",), most=MAX_OBJECTS),
+    "T_world_object": npz.Wanted(kinds="f", shape=("T", "N", 4, 4)),
+    "contacts": npz.Wanted(dtype=CONTACT, shape=("C",), most=MAX_CONTACTS),
+}

@@ -90,7 +90,7 @@ def _nearest(seen: Seen, a: int, b: int, samples: NDArray[np.int64]) -> tuple[fl
     Samples whose bounding spheres are farther apart than the least so far are left out."""
     mujoco = physics.engine()
     objects = [seen.of(a), seen.of(b)]
-    model = physics.build_spec([replace(o, mobility="dynamic") for o in objects]).compile()
+    model = physics.compiled(physics.build_spec([replace(o, mobility="dynamic") for o in objects]))
     data = mujoco.MjData(model)
     radii = [max(float(np.linalg.norm(q.vertices, axis=1).max()) for q in parts_of(o)) for o in objects]
     poses = [seen.rollout.poses(id) for id in (a, b)]

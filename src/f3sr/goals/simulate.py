@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from f3sr import physics
-from f3sr.export.scene_json import Vector3
+from f3sr.bounds import Vector3
 from f3sr.frames import Array, pose, rotation_from_quaternion, rotation_from_vector
 from f3sr.goals.plan import Impulse, InitialConditions, Plan, Semantics, Velocity
 from f3sr.goals.rollout import CONTACT, Rollout
@@ -45,7 +45,7 @@ def simulate(scene: Scene, plan: Plan, *, until: Watch | None = None, model: Any
 
 def model_of(objects: Sequence[SceneObject], timestep: float) -> Any:
     """MuJoCo's model of what ``as_planned`` gives; it serves any number of rollouts, also at once."""
-    model = physics.build_spec(objects, PhysicsConfig(timestep=timestep)).compile()
+    model = physics.compiled(physics.build_spec(objects, PhysicsConfig(timestep=timestep)))
     model.opt.disableflags |= int(engine().mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
     return model
 
@@ -110,24 +110,23 @@ class _Run:
         kept = self._kept(plan)
         times, poses, contacts = [0.0], [self._poses()], list[tuple[float, int, int, float]]()
         peaks = _Peaks(self.model, self.ids)
-        with physics.silent():
-            for step in range(steps):
-                for push in pushes:
-                    if push.first <= step < push.last:
-                        self.data.xfrc_applied[push.body] += push.wrench
-                mujoco.mj_step(self.model, self.data)
-                self.data.xfrc_applied[:] = 0
-                self.data.qvel *= kept
-                peaks.feel(self.data, step * simulation.timestep)
-                if (step + 1) % simulation.steps_per_sample:
-                    continue
-                times.append((step + 1) * simulation.timestep)
-                if not np.isfinite(self.data.qpos).all():
-                    raise FloatingPointError(f"the simulation blew up after {times[-1]:.3f} s")
-                poses.append(self._poses())
-                contacts += peaks.taken()
-                if until is not None and until(times[-1], self.data):
-                    break
+        for step in range(steps):
+            for push in pushes:
+                if push.first <= step < push.last:
+                    self.data.xfrc_applied[push.body] += push.wrench
+            mujoco.mj_step(self.model, self.data)
+            self.data.xfrc_applied[:] = 0
+            self.data.qvel *= kept
+            peaks.feel(self.data, step * simulation.timestep)
+            if (step + 1) % simulation.steps_per_sample:
+                continue
+            times.append((step + 1) * simulation.timestep)
+            if not np.isfinite(self.data.qpos).all():
+                raise FloatingPointError(f"the simulation blew up after {times[-1]:.3f} s")
+            poses.append(self._poses())
+            contacts += peaks.taken()
+            if until is not None and until(times[-1], self.data):
+                break
         return Rollout(
             time=np.array(times),
             ids=np.array(self.ids, np.int64),

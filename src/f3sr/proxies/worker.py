@@ -16,7 +16,7 @@ from typing import IO
 
 import numpy as np
 
-from f3sr import interrupts
+from f3sr import interrupts, npz
 from f3sr.frames import Array
 from f3sr.proxies import parts
 from f3sr.proxies.config import ProxyConfig
@@ -54,8 +54,7 @@ def run_worker(vertices: Array, faces: Faces, config: ProxyConfig, cancelled: th
                 process.wait()
         if process.returncode == 0:
             answer.seek(0)
-            with np.load(answer, allow_pickle=False) as data:
-                return Outcome(fitted=unpacked(data))
+            return Outcome(fitted=unpacked(npz.read_all(answer, "the worker's answer")))
         errors.seek(0)
         return explained(process.returncode, errors.read().decode(errors="replace"), config)
 
@@ -108,8 +107,8 @@ def work(config_text: str, parent: str) -> None:
     seconds = max(1, round(config.cpu_limit_s))
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    with np.load(io.BytesIO(sys.stdin.buffer.read()), allow_pickle=False) as data:
-        vertices, faces = data["vertices"], data["faces"]
+    given = npz.read_all(io.BytesIO(sys.stdin.buffer.read()), "the mesh")
+    vertices, faces = given["vertices"], given["faces"]
     answer = os.dup(1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for the words of the libraries
     fitted = parts.several(vertices, faces, config)

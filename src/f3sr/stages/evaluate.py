@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Self
 
-from f3sr import physics
 from f3sr.daemon import begun
 from f3sr.foreign_camera import ForeignCameraConfig, fitted_camera
 from f3sr.frames import pose
@@ -97,11 +96,10 @@ def evaluate(
     camera that came with them sees them, and as one that is fitted to their own masks, the report's protocol for
     scenes of others."""
     config = config or EvaluateConfig()
-    with physics.silent():
-        beside = begun(_composed, direct, scene, config, true_scale) if direct else None
-        result, result_details = measure_with_details(scene, true_scale=true_scale)
-        result_fitted = _seen_by_its_own(scene, result, "the result", config) if foreign else None
-        composed, details, fitted = beside.result() if beside else (None, None, None)
+    beside = begun(_composed, direct, scene, config, true_scale) if direct else None
+    result, result_details = measure_with_details(scene, true_scale=true_scale)
+    result_fitted = _seen_by_its_own(scene, result, "the result", config) if foreign else None
+    composed, details, fitted = beside.result() if beside else (None, None, None)
     return Evaluation(
         result=result,
         direct=composed,
