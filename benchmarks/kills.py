@@ -190,7 +190,9 @@ class Kills:
             return f"no package: {error}"
         if found not in (self.new, self.old):
             return "a package that is neither the old nor the new one"
-        done = subprocess.run([sys.executable, "-c", CHECK, str(out)], check=False, capture_output=True, text=True)
+        _copied(out, self.work / "looked")  # reading a package tidies up beside it, which is for the next run
+        command = [sys.executable, "-c", CHECK, str(self.work / "looked")]
+        done = subprocess.run(command, check=False, capture_output=True, text=True)
         if done.returncode:
             return f"a broken package: {done.stderr.strip().splitlines()[-1]}"
         return "new" if found == self.new else "old"

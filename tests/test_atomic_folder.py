@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from f3sr import cli
+from f3sr.atomic_folder import claimed
 from f3sr.errors import InputError, OutputError
 from f3sr.goals.deliver import read_plan, write_film, write_next, write_played
 from f3sr.goals.files import FILMS, PLAN
@@ -424,6 +425,13 @@ def test_a_rollout_whose_film_cannot_be_put_there_is_told_before_filming(
     assert "file name too long" in capsys.readouterr().err and names(tmp_path) == ["package", place.name]
 
 
+@pytest.mark.skipif(not os.path.ismount("/proc"), reason="no file system in a place of its own")
+@pytest.mark.parametrize("write", [prepare_output, lambda place: write_film(NEW, place)])
+def test_what_no_rename_can_replace_is_told_first(write: Callable[[Path], object]) -> None:
+    with pytest.raises(OutputError, match="mount point"):
+        write(Path("/proc"))
+
+
 @pytest.mark.parametrize("where", ["rollouts", "rollouts/deep"])
 def test_a_package_does_not_go_into_another(where: str, package: Path) -> None:
     before = sorted(package.rglob("*"))
@@ -485,6 +493,15 @@ def test_runs_that_begin_at_once_do_not_take_each_others_parents_away(tmp_path: 
         with ThreadPoolExecutor(8) as pool:
             list(pool.map(lambda n, k=k: prepare_output(tmp_path / str(k) / "sweep" / str(n)), range(8)))
     assert {p.name for p in tmp_path.rglob("*") if not p.name.isdecimal()} <= {"sweep"}, "empty parents at most"
+
+
+def test_a_reader_leaves_a_writer_alone(tmp_path: Path) -> None:
+    with claimed(tmp_path / "r", lambda _: None) as claim:
+        claim.write("x", b"whole")
+        with pytest.raises(InputError):
+            read_plan(tmp_path / "r" / PLAN)
+        claim.replace()
+    assert tree(tmp_path) == {"r/x": b"whole"}
 
 
 def test_films_and_rollouts_at_once_end_whole(played: Played, tmp_path: Path) -> None:

@@ -74,8 +74,8 @@ def placed(out: Path, *, rollout: bool = False) -> Path:
                 raise OutputError(f"{link}: is a link in the package {package}; nothing is written through it")
         if blocked := next((p for p in full.parents if p.exists() and not p.is_dir()), None):
             raise OutputError(f"{full}: cannot be made, {blocked} is a file")
-        if not full.name:
-            raise OutputError(f"{full}: the root of the file system cannot be replaced")
+        if full.is_mount():  # the root too
+            raise OutputError(f"{full}: is a mount point, which nothing can replace; give a folder in it")
         package = _package_around(full.parent)
         if package and not (rollout and package / ROLLOUTS in full.parents):
             allowed = f"there only rollouts below {package / ROLLOUTS}"
