@@ -15,7 +15,7 @@ import numpy as np
 
 from f3sr import contact, physics
 from f3sr.contact import Body, Polytope
-from f3sr.frames import UP, Array, pose
+from f3sr.core.transforms import UP, Array, pose
 from f3sr.physics import PhysicsConfig
 from f3sr.scene import Scene, SceneObject
 

@@ -23,7 +23,8 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 
 from f3sr import example
-from f3sr.frames import Array, Camera, transform
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import Array, transform
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 import make_tabletop

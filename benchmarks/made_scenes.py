@@ -11,8 +11,9 @@ import numpy as np
 import trimesh
 
 from f3sr import physics, raster
-from f3sr.frames import Array, Camera, pose, rotation_about
-from f3sr.mesh import ConvexPart, Mesh
+from f3sr.core.camera import Camera
+from f3sr.core.mesh import ConvexPart, Mesh
+from f3sr.core.transforms import Array, pose, rotation_about
 from f3sr.scene import Ground, Photo, Scene, SceneObject
 
 WIDTH, HEIGHT = 640, 480

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from f3sr.frames import Array
-from f3sr.mesh import ConvexPart, Mesh
+from f3sr.core.mesh import ConvexPart, Mesh
+from f3sr.core.transforms import Array
 from f3sr.proxies import GRID, Excess, ProxyConfig, fit
 from f3sr.proxies.parts import Fitted, decimated, nearly_convex, one_hull
 from f3sr.proxies.surface import Faces, Nearest, surroundings

@@ -19,7 +19,7 @@ from PIL import Image
 
 from f3sr import kernels, raster
 from f3sr.background import complete_background
-from f3sr.frames import Array, rotation_from_vector
+from f3sr.core.transforms import Array, rotation_from_vector
 from f3sr.package import is_package, read_package
 from f3sr.rendering import Renderer
 from f3sr.rendering.textures import linear, srgb

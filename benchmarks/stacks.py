@@ -9,8 +9,8 @@ import numpy as np
 
 from f3sr import contact
 from f3sr.contact import Polytope
-from f3sr.frames import UP, Array, pose, rotation_about
-from f3sr.mesh import ConvexPart, Mesh, union
+from f3sr.core.mesh import ConvexPart, Mesh, union
+from f3sr.core.transforms import UP, Array, pose, rotation_about
 from f3sr.patches import Contacts, find_contacts
 from f3sr.scene import GROUND, SceneObject
 

@@ -9,9 +9,10 @@ from itertools import product
 
 import numpy as np
 
-from f3sr.frames import Array, Camera
+from f3sr.core.camera import Camera
+from f3sr.core.levenberg_marquardt import Local, Minimum
+from f3sr.core.transforms import Array
 from f3sr.freedom import ObjectFreedom
-from f3sr.levenberg import Local, Minimum
 from f3sr.outlines import outlined
 from f3sr.report import Decision, Report, keep_better
 from f3sr.scene import Scene, SceneObject

@@ -22,10 +22,10 @@ import tables
 from f3sr import balancing, physics, statics
 from f3sr.bodies import StaticBody, bodies_of, contacts_of
 from f3sr.contact import Polytope
-from f3sr.frames import UP, pose, rotation_about
+from f3sr.core.mesh import ConvexPart
+from f3sr.core.transforms import UP, pose, rotation_about
 from f3sr.kernels import warm_up
 from f3sr.landing import LandingConfig
-from f3sr.mesh import ConvexPart
 from f3sr.scene import SceneObject
 
 SPREADS = (0.02, 0.03, 0.04)

@@ -17,7 +17,7 @@ from PIL import Image
 
 import poses
 from f3sr import crossings
-from f3sr.frames import invert_pose
+from f3sr.core.transforms import invert_pose
 from f3sr.mesh_io import load_mesh
 from f3sr.package import read_package
 from f3sr.physics import filling

@@ -11,7 +11,7 @@ from pathlib import Path
 import manifold3d as mf
 import numpy as np
 
-from f3sr.frames import Array, pose, rotation_about
+from f3sr.core.transforms import Array, pose, rotation_about
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 from tabletop import shapes

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
-from f3sr.frames import Array, invert_pose, transform
+from f3sr.core.transforms import Array, invert_pose, transform
 from f3sr.measures import sample_surface
 from f3sr.mesh_io import load_mesh
 from f3sr.package import read_package

@@ -18,7 +18,7 @@ from vtkmodules.vtkRenderingCore import (
     vtkWindowToImageFilter,
 )
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 from f3sr.scene import Scene, SceneObject
 
 

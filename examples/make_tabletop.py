@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from f3sr.frames import Array, Camera, pose, rotation_about
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import Array, pose, rotation_about
 from tabletop import degrade, render
 from tabletop.degrade import NONE, Damage
 from tabletop.settle import Rest, settle

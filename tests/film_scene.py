@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import raster
+from f3sr.core.transforms import Array
 from f3sr.film import make_film
-from f3sr.frames import Array
 from f3sr.goals.play import Played, simulate_goal
 from f3sr.package import Package
 from f3sr.scene import Photo, Scene

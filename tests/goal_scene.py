@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from f3sr.frames import pose
-from f3sr.mesh import ConvexPart, Mesh
+from f3sr.core.mesh import ConvexPart, Mesh
+from f3sr.core.transforms import pose
 from f3sr.package import Package, read_package, write_package
 from f3sr.scene import GROUND, Scene, SceneObject, Support
 from scenes import HEIGHT, WIDTH, ball_mesh, box, scene_of

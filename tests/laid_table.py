@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from f3sr.frames import Camera
+from f3sr.core.camera import Camera
 from f3sr.scene import GROUND, Photo, Relation, Scene, SceneGraph, SceneObject, Support
 from scenes import HEIGHT, WIDTH, box, scene_of
 

@@ -10,10 +10,11 @@ import trimesh
 
 from f3sr import raster
 from f3sr.appearance import Appearance
+from f3sr.core.camera import Camera
+from f3sr.core.mesh import Mesh
+from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose, rotation_about, rotation_angle
 from f3sr.depth_evidence import DepthEvidence
-from f3sr.frames import T_UP_FROM_CAMERA, Array, Camera, pose, rotation_about, rotation_angle
 from f3sr.freedom import ObjectFreedom
-from f3sr.mesh import Mesh
 from f3sr.scene import Geometry, Photo, Scene, SceneObject
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.align.config import AppearanceConfig, CameraConfig, DepthConfig, FacetConfig, TiltConfig

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from f3sr.frames import rotation_about, rotation_angle
+from f3sr.core.transforms import rotation_about, rotation_angle
 from f3sr.measures import full_silhouette
 from f3sr.stages.align import AlignConfig
 from scenes import box_mesh

@@ -13,7 +13,7 @@ import pytest
 from f3sr import contact, physics, statics
 from f3sr.balancing import BalanceConfig, balance
 from f3sr.bodies import StaticBody, bodies_of
-from f3sr.frames import UP, pose, rotation_about
+from f3sr.core.transforms import UP, pose, rotation_about
 from f3sr.scene import GROUND
 from f3sr.statics import stability
 from test_statics import GAP, block, body

@@ -10,7 +10,7 @@ import pytest
 
 from f3sr import inputs, scene_state
 from f3sr.cache import Store, digest
-from f3sr.mesh import ConvexPart
+from f3sr.core.mesh import ConvexPart
 from f3sr.pipeline import Config, reconstruct
 from f3sr.scene import Motion
 from folders import write_folder

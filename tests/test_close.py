@@ -11,9 +11,9 @@ from scipy.spatial import HalfspaceIntersection
 
 from f3sr import raster
 from f3sr.contact import Polytope
-from f3sr.frames import Array, pose
+from f3sr.core.mesh import ConvexPart, Mesh
+from f3sr.core.transforms import Array, pose
 from f3sr.meeting import meeting
-from f3sr.mesh import ConvexPart, Mesh
 from f3sr.refinement import Rested
 from f3sr.scene import GROUND, Scene, SceneObject, Support
 from f3sr.stages.close import CloseConfig, close, lowered

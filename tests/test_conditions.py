@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pytest
 
-from f3sr.frames import Array, pose, rotation_about
+from f3sr.core.transforms import Array, pose, rotation_about
 from f3sr.goals.conditions import Judged, judge
 from f3sr.goals.plan import (
     AtRest,

@@ -11,8 +11,8 @@ from scipy.spatial import ConvexHull
 
 from f3sr import contact
 from f3sr.contact import Polytope
-from f3sr.frames import pose, rotation_about
-from f3sr.mesh import ConvexPart
+from f3sr.core.mesh import ConvexPart
+from f3sr.core.transforms import pose, rotation_about
 
 UP = np.array([0.0, 0, 1])
 SEEDS = range(25)

@@ -13,7 +13,7 @@ import pytest
 
 from f3sr import contact, pipeline
 from f3sr.contact import Polytope
-from f3sr.frames import pose, rotation_about
+from f3sr.core.transforms import pose, rotation_about
 from f3sr.pipeline import Config
 from f3sr.report import Report
 from f3sr.scene import GROUND, Scene

@@ -8,9 +8,10 @@ import trimesh
 from scipy.ndimage import distance_transform_edt
 
 from f3sr import contour, raster
-from f3sr.frames import Array, Camera, pose, rotation_from_vector, transform
+from f3sr.core.camera import Camera
+from f3sr.core.levenberg_marquardt import Local, minimise
+from f3sr.core.transforms import Array, pose, rotation_from_vector, transform
 from f3sr.freedom import CameraFreedom, ObjectFreedom
-from f3sr.levenberg import Local, minimise
 
 R = rotation_from_vector([0.5, 0.3, 0.2])
 RING = trimesh.creation.torus(0.3, 0.1, major_sections=48, minor_sections=24)

@@ -18,11 +18,11 @@ import pytest
 from PIL import Image
 
 from f3sr.cli import main
+from f3sr.core.transforms import pose, transform
 from f3sr.errors import OutputError
 from f3sr.film.captions import captioned, slowed
 from f3sr.film.filmed import FilmConfig, Studio, film_played
 from f3sr.film.held import Held
-from f3sr.frames import pose, transform
 from f3sr.goals.files import FILM, FILMS, PLAN, ROLLOUT, STRIP, VERDICT
 from f3sr.goals.play import Played, simulate_goal
 from f3sr.package import Package

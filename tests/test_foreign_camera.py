@@ -12,6 +12,9 @@ import pytest
 import trimesh
 
 from f3sr import inputs, raster
+from f3sr.core.camera import Camera
+from f3sr.core.mesh import Mesh
+from f3sr.core.transforms import rotation_about
 from f3sr.foreign_camera import (
     ForeignCameraConfig,
     InstancesFit,
@@ -19,10 +22,8 @@ from f3sr.foreign_camera import (
     iou_loss,
     mean_iou,
 )
-from f3sr.frames import Camera, rotation_about
 from f3sr.freedom import CameraFreedom
 from f3sr.measures import IMAGE_MEASURES, Measures, measure
-from f3sr.mesh import Mesh
 from f3sr.outlines import outlined
 from f3sr.pipeline import SKIPPABLE, composed_directly, reconstruct
 from f3sr.scene import Photo, Scene

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from f3sr.frames import (
-    Camera,
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import (
     invert_pose,
     pose,
     quaternion_from_rotation,

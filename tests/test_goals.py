@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from f3sr import atomic_folder
+from f3sr.core.transforms import Array, pose
 from f3sr.errors import InputError, OutputError
 from f3sr.export.scene_json import dump_json
-from f3sr.frames import Array, pose
 from f3sr.goals import deliver
 from f3sr.goals.checks import PlanError, faults_of
 from f3sr.goals.language import Launch, Tried

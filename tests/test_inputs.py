@@ -20,9 +20,9 @@ import broken_inputs
 from broken_inputs import BIG, WRONG, Spoil, broken, in_order
 from f3sr import inputs
 from f3sr.cli import main
+from f3sr.core.mesh import Mesh
+from f3sr.core.transforms import transform
 from f3sr.errors import InputError
-from f3sr.frames import transform
-from f3sr.mesh import Mesh
 from folders import HEIGHT, WIDTH, boxes, camera, to_depth, to_posed
 
 

@@ -6,7 +6,7 @@ import manifold3d as mf
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.frames import Array, rotation_from_vector
+from f3sr.core.transforms import Array, rotation_from_vector
 from f3sr.inside import winding_number
 from scenes import box_mesh
 

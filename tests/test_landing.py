@@ -12,7 +12,7 @@ import pytest
 
 from f3sr import contact, physics
 from f3sr.bodies import bodies_of
-from f3sr.frames import UP, pose, rotation_about, rotation_angle
+from f3sr.core.transforms import UP, pose, rotation_about, rotation_angle
 from f3sr.landing import LandingConfig, land
 from test_statics import GAP, block, body
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 from f3sr.goals import launch
 from f3sr.goals.plan import Velocity
 from f3sr.goals.simulate import simulate

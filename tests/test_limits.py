@@ -14,11 +14,11 @@ from pathlib import Path
 PAGE = Path(__file__).parents[1] / "docs" / "limits.md"
 LIMITS = {
     "Files": [
-        ("size of a file [bytes]", "limited_file.MAX_FILE_BYTES"),
-        ("size of a JSON document [bytes]", "limited_file.MAX_JSON_BYTES"),
+        ("size of a file [bytes]", "files.limited_file.MAX_FILE_BYTES"),
+        ("size of a JSON document [bytes]", "files.limited_file.MAX_JSON_BYTES"),
         ("size of a file of settings [bytes]", "settings.MAX_BYTES"),
         ("length of a path in a document", "folder.MAX_PATH"),
-        ("digits of a whole number in JSON", "strict_json.MAX_DIGITS"),
+        ("digits of a whole number in JSON", "files.strict_json.MAX_DIGITS"),
         ("relations of a kind in scene_graph.json", "inputs.MAX_RELATIONS"),
         ("characters of a relation's reason", "inputs.MAX_REASON"),
     ],
@@ -32,9 +32,9 @@ LIMITS = {
         ("digits of an id", "masks.MAX_ID_DIGITS"),
     ],
     "Geometry": [
-        ("bytes of the arrays read from an npz file", "npz.MAX_ARRAY_BYTES"),
-        ("arrays in an npz file", "npz.MAX_ENTRIES"),
-        ("header of an array [bytes]", "npz.MAX_HEADER"),
+        ("bytes of the arrays read from an npz file", "files.npz.MAX_ARRAY_BYTES"),
+        ("arrays in an npz file", "files.npz.MAX_ENTRIES"),
+        ("header of an array [bytes]", "files.npz.MAX_HEADER"),
         ("valid pixels, at least", "point_maps.MIN_VALID"),
         ("median depth [m], at least", "point_maps.MIN_DEPTH"),
         ("median depth [m]", "point_maps.MAX_DEPTH"),

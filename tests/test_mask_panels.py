@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from f3sr.frames import pose
+from f3sr.core.transforms import pose
 from f3sr.mask_panels import mask_panels
 from f3sr.measures import full_silhouette
 from f3sr.pictures import BOTH, MASK_ONLY, RENDER_ONLY, TINT

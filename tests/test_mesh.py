@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from f3sr.frames import pose, rotation_about
-from f3sr.mesh import (
+from f3sr.core.mesh import (
     ConvexPart,
     Mesh,
     is_closed,
@@ -17,6 +16,7 @@ from f3sr.mesh import (
     surface_flaws,
     union,
 )
+from f3sr.core.transforms import pose, rotation_about
 from scenes import box_mesh
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from f3sr.frames import T_UP_FROM_CAMERA, rotation_about
+from f3sr.core.transforms import T_UP_FROM_CAMERA, rotation_about
 from f3sr.goals.colours import BASIC, colours
 from f3sr.goals.directions import Direction, world_vector
 from f3sr.goals.names import Named, names, resolve, resolve_request

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from f3sr import npz
 from f3sr.errors import InputError
+from f3sr.files import npz
 from hostile_npz import HOSTILE, entry, npy
 
 RECORD = np.dtype([("time", np.float64), ("id", np.int64)])

@@ -23,10 +23,10 @@ from PIL import Image
 from f3sr import atomic_folder, package
 from f3sr.bounds import MAX_OBJECT_PARTS
 from f3sr.cli import main
+from f3sr.core.mesh import ConvexPart, Material, Mesh
+from f3sr.core.transforms import pose, rotation_about, transform
 from f3sr.errors import InputError, OutputError
-from f3sr.frames import pose, rotation_about, transform
 from f3sr.goals.limits import limits_of
-from f3sr.mesh import ConvexPart, Material, Mesh
 from f3sr.mesh_io import load_mesh, load_part, save_glb
 from f3sr.package import Package, read_package, scene_schema, write_package
 from f3sr.physics import build_spec, release, settle

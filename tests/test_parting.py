@@ -9,8 +9,8 @@ import pytest
 
 from f3sr import contact
 from f3sr.contact import Polytope
-from f3sr.frames import UP, pose, rotation_about
-from f3sr.mesh import ConvexPart
+from f3sr.core.mesh import ConvexPart
+from f3sr.core.transforms import UP, pose, rotation_about
 from f3sr.parting import part
 
 EVEN = np.eye(2)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from f3sr.mesh import Mesh, union
+from f3sr.core.mesh import Mesh, union
 from f3sr.proxies import ProxyConfig
 from scenes import box, box_mesh, scene_of
 

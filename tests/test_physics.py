@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import f3sr
-from f3sr.frames import rotation_about
-from f3sr.mesh import ConvexPart
+from f3sr.core.mesh import ConvexPart
+from f3sr.core.transforms import rotation_about
 from f3sr.physics import (
     PhysicsConfig,
     SettleConfig,

@@ -11,8 +11,8 @@ import pytest
 
 from f3sr import contact, proxies
 from f3sr.contact import Polytope
+from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.errors import InputError
-from f3sr.mesh import ConvexPart, Mesh
 from f3sr.proxies import ProxyConfig, decompose, decompose_all, worker
 from f3sr.proxies.cuts import clipped
 from f3sr.proxies.fit import excess

@@ -12,8 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 from f3sr import raster
-from f3sr.frames import Array, Camera, pose, rotation_from_vector, transform
-from f3sr.mesh import Material, Mesh
+from f3sr.core.camera import Camera
+from f3sr.core.mesh import Material, Mesh
+from f3sr.core.transforms import Array, pose, rotation_from_vector, transform
 from f3sr.raster import EMPTY, Fragments, rasterize, render, shade, silhouette, strips, visible_ids
 from f3sr.scene import SceneObject
 

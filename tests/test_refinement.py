@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from f3sr import raster
-from f3sr.frames import pose
+from f3sr.core.transforms import pose
 from f3sr.refinement import RefineConfig, Rested, refine
 from f3sr.scene import Scene
 from scenes import box, scene_of

@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 
 from f3sr import scene_state
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import Array, pose, rotation_about
 from f3sr.export.scene_json import SceneGraphRecord
-from f3sr.frames import Array, Camera, pose, rotation_about
 from f3sr.raster import visible_ids
 from f3sr.scene import GROUND, Geometry, Photo, Predicate, Relation, Scene, SceneGraph, SceneObject, Support
 from f3sr.stages.relate import Candidate, RelateConfig, describe, forest, relate

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from f3sr import raster
 from f3sr.background.regions import grown
+from f3sr.core.camera import Camera
+from f3sr.core.mesh import Material, Mesh
+from f3sr.core.transforms import UP, Array, pose, rotation_from_vector
 from f3sr.errors import InputError
-from f3sr.frames import UP, Array, Camera, pose, rotation_from_vector
-from f3sr.mesh import Material, Mesh
 from f3sr.rendering import LightConfig, RenderConfig, Renderer, ShadowConfig
 from f3sr.rendering.canvas import Canvas
 from f3sr.rendering.colour_mix import colour_mix

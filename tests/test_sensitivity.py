@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from f3sr import raster
-from f3sr.frames import Camera, pose
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import pose
 from f3sr.sensitivity import loss_matrix, loss_per_pixel
 from f3sr.silhouette import iou
 from scenes import box, scene_of

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from f3sr.frames import Array, pose, rotation_angle, rotation_from_vector
+from f3sr.core.mesh import ConvexPart, Mesh
+from f3sr.core.transforms import Array, pose, rotation_angle, rotation_from_vector
 from f3sr.goals.plan import (
     Displaced,
     Impulse,
@@ -24,7 +25,6 @@ from f3sr.goals.plan import (
 )
 from f3sr.goals.rollout import Rollout, from_npz, to_npz
 from f3sr.goals.simulate import simulate
-from f3sr.mesh import ConvexPart, Mesh
 from f3sr.physics import body_of
 from f3sr.restitution import LEAST, damping_ratio_of, restitution_of, solref
 from f3sr.scene import GROUND, Scene, SceneObject

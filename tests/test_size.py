@@ -11,8 +11,8 @@ import manifold3d as mf
 import numpy as np
 import pytest
 
-from f3sr.frames import rotation_about
-from f3sr.mesh import Material, Mesh
+from f3sr.core.mesh import Material, Mesh
+from f3sr.core.transforms import rotation_about
 from f3sr.scene import SceneObject
 from folders import camera, write_folder
 from scenes import box

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from f3sr.frames import Array, pose, rotation_about
-from f3sr.levenberg import Local
+from f3sr.core.levenberg_marquardt import Local
+from f3sr.core.transforms import Array, pose, rotation_about
 from f3sr.measures import full_silhouette
 from f3sr.scene import Photo, Scene, SceneObject
 from f3sr.silhouette import iou

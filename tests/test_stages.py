@@ -10,7 +10,7 @@ import pytest
 
 from f3sr import inputs, raster
 from f3sr.balancing import BalanceConfig
-from f3sr.frames import T_UP_FROM_CAMERA, invert_pose, pose, rotation_about, rotation_from_vector
+from f3sr.core.transforms import T_UP_FROM_CAMERA, invert_pose, pose, rotation_about, rotation_from_vector
 from f3sr.measures import measure
 from f3sr.scene import GROUND, Geometry, Relation, Scene, SceneGraph, Support
 from f3sr.stages.align import AlignConfig, align
@@ -200,7 +200,7 @@ def test_align_recovers_perturbed_assets(wrong: Scene):
 def test_align_of_a_heavy_mesh_is_that_of_its_outline_and_keeps_the_mesh(wrong: Scene):
     import trimesh
 
-    from f3sr.mesh import Mesh
+    from f3sr.core.mesh import Mesh
 
     def heavy(o):
         v, f = o.mesh.vertices, o.mesh.faces

@@ -13,9 +13,9 @@ import pytest
 from f3sr import physics, statics
 from f3sr.bodies import StaticBody, bodies_of, contacts_of, islands
 from f3sr.contact import Polytope
+from f3sr.core.mesh import ConvexPart
+from f3sr.core.transforms import UP, pose, rotation_about
 from f3sr.equilibrium import EDGES, FALLS, Balance
-from f3sr.frames import UP, pose, rotation_about
-from f3sr.mesh import ConvexPart
 from f3sr.patches import Contacts, find_contacts
 from f3sr.physics import DEFAULT_PHYSICS
 from f3sr.scene import GROUND, SceneObject

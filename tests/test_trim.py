@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from f3sr.contact import Polytope
-from f3sr.mesh import ConvexPart, Mesh
+from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.proxies import trim
 from f3sr.proxies.trim import Near, Surface
 from scenes import ball_mesh, dish_mesh

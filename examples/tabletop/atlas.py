@@ -14,7 +14,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 
 MARGIN = 0.006
 """Gap around each chart, as a share of the texture's side."""

@@ -20,14 +20,8 @@ from PIL import Image
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
-from f3sr.frames import (
-    Array,
-    Camera,
-    quaternion_from_rotation,
-    rotation_between,
-    rotation_from_vector,
-    transform,
-)
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import Array, quaternion_from_rotation, rotation_between, rotation_from_vector, transform
 from tabletop import looks
 from tabletop.atlas import bake, unwrap
 from tabletop.render import tone

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from PIL import Image, ImageDraw, ImageFilter, ImageFont
 from scipy.ndimage import map_coordinates
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 
 Look = Callable[[Array], Array]
 

@@ -14,7 +14,8 @@ from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from f3sr.frames import Array, Camera, invert_pose, transform
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import Array, invert_pose, transform
 from tabletop import looks
 from tabletop.things import Thing, arrange, room
 

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from f3sr.frames import Array, pose, quaternion_from_rotation, rotation_from_quaternion
+from f3sr.core.transforms import Array, pose, quaternion_from_rotation, rotation_from_quaternion
 from tabletop.things import Thing
 
 TIMESTEP = 0.002

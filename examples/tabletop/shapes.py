@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 
 SEGMENTS = 128
 """Facets around an axis of revolution."""

@@ -8,7 +8,7 @@ from functools import cached_property
 import manifold3d as mf
 import numpy as np
 
-from f3sr.frames import Array, pose, rotation_about
+from f3sr.core.transforms import Array, pose, rotation_about
 from tabletop import looks, shapes
 from tabletop.looks import Look
 from tabletop.shapes import Shape

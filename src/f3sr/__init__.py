@@ -12,11 +12,11 @@ __version__ = "0.1.0"
 
 _PUBLIC = {
     "GROUND": "f3sr.scene",
-    "Camera": "f3sr.frames",
+    "Camera": "f3sr.core.camera",
     "Config": "f3sr.pipeline",
     "F3srError": "f3sr.errors",
     "InputError": "f3sr.errors",
-    "Mesh": "f3sr.mesh",
+    "Mesh": "f3sr.core.mesh",
     "OutputError": "f3sr.errors",
     "Played": "f3sr.goals.play",
     "Refusal": "f3sr.goals.refusal",

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import raster
-from f3sr.frames import Array, Camera
-from f3sr.levenberg import Local
-from f3sr.mesh import mass_properties
+from f3sr.core.camera import Camera
+from f3sr.core.levenberg_marquardt import Local
+from f3sr.core.mesh import mass_properties
+from f3sr.core.transforms import Array
 from f3sr.scene import Photo, SceneObject
 from f3sr.silhouette import Mask
 from f3sr.window import sampled

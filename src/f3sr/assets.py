@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from f3sr import sam3d
+from f3sr.core.mesh import Mesh, surface_flaws
+from f3sr.core.transforms import Array, pose
 from f3sr.errors import InputError
 from f3sr.folder import InputFolder
-from f3sr.frames import Array, pose
-from f3sr.mesh import Mesh, surface_flaws
 from f3sr.mesh_io import load_mesh
 from f3sr.point_maps import camera_frame
 

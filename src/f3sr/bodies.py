@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from f3sr.contact import Body, Polytope
-from f3sr.frames import Array, frozen, transform
+from f3sr.core.transforms import Array, frozen, transform
 from f3sr.patches import REACH, Contacts, find_contacts
 from f3sr.physics import DEFAULT_PHYSICS, PhysicsConfig, body_of
 from f3sr.scene import GROUND, SceneObject

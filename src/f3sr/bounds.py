@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 from f3sr.scene import GROUND
 
 MAX_ID = 2**31 - 1

@@ -14,9 +14,9 @@ from typing import Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import npz
 from f3sr.cache_files import PART, is_orphan, read_sealed, write_sealed
 from f3sr.cache_folder import within
+from f3sr.files import npz
 
 Arrays = dict[str, NDArray[Any]]
 DOCUMENT = "document.json"

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 from f3sr.kernels import inline_kernel, kernel
 
 AREA, VALID, MOMENT_X, MOMENT_Y, MISMATCH = range(5)

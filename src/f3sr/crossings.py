@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 from f3sr.kernels import inline_kernel, kernel
 
 EDGE_LENGTH = 0.01

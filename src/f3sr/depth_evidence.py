@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import raster
-from f3sr.frames import Camera
+from f3sr.core.camera import Camera
 from f3sr.scene import Geometry, SceneObject
 from f3sr.silhouette import Mask
 from f3sr.window import sampled

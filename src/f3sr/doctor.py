@@ -19,7 +19,7 @@ import numpy as np
 import f3sr
 from f3sr import kernels
 from f3sr.cache_folder import cache_folder
-from f3sr.mesh import ConvexPart, Mesh
+from f3sr.core.mesh import ConvexPart, Mesh
 
 State = Literal["ok", "missing", "failed"]
 
@@ -137,7 +137,7 @@ def _dropped() -> str:
 
 
 def _united() -> str:
-    from f3sr.mesh import signed_volume, union
+    from f3sr.core.mesh import signed_volume, union
 
     low, high = _box((0.1, 0.1, 0.1)), _box((0.1, 0.1, 0.1), at=(0.05, 0, 0))
     vertices, faces = union([*_hulls(low), *_hulls(high)])
@@ -154,7 +154,7 @@ def _box(size: tuple[float, float, float], at: tuple[float, float, float] = (0, 
 
 
 def _l_shape() -> Mesh:
-    from f3sr.mesh import union
+    from f3sr.core.mesh import union
 
     vertices, faces = union([*_hulls(_box((0.2, 0.1, 0.05))), *_hulls(_box((0.05, 0.1, 0.2), at=(-0.075, 0, 0.075)))])
     return Mesh(vertices=vertices, faces=faces)

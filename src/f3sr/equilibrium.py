@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.bodies import StaticBody
-from f3sr.frames import UP, Array
+from f3sr.core.transforms import UP, Array
 from f3sr.patches import Contacts, hull_corners, tangents
 from f3sr.scene import GROUND
 

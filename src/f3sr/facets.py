@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from f3sr.frames import Array, rotation_between
-from f3sr.mesh import ConvexPart
+from f3sr.core.mesh import ConvexPart
+from f3sr.core.transforms import Array, rotation_between
 
 
 def stable_normals(hull: ConvexPart, center: Array) -> Array:

@@ -10,9 +10,9 @@ from typing import Any, TypeVar, cast
 
 from pydantic import BaseModel, ValidationError
 
-from f3sr import strict_json
 from f3sr.errors import InputError, printable, reason
-from f3sr.limited_file import MAX_FILE_BYTES, MAX_JSON_BYTES, opened
+from f3sr.files import strict_json
+from f3sr.files.limited_file import MAX_FILE_BYTES, MAX_JSON_BYTES, opened
 from f3sr.report import Decision
 
 MAX_PATH = 500

@@ -11,9 +11,10 @@ import numpy as np
 from annotated_types import Interval
 
 from f3sr.contour import AREA, MISMATCH, Integrals
-from f3sr.frames import Array, Camera, rotation_angle
+from f3sr.core.camera import Camera
+from f3sr.core.levenberg_marquardt import Local, minimise
+from f3sr.core.transforms import Array, rotation_angle
 from f3sr.freedom import CameraFreedom
-from f3sr.levenberg import Local, minimise
 from f3sr.measures import full_silhouette
 from f3sr.outlines import outlined
 from f3sr.report import Decision

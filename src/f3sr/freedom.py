@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from f3sr.frames import Array, Camera, pose, rotation_from_vector
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import Array, pose, rotation_from_vector
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

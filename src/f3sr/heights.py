@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import raster
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 
 EYE_DISTANCE = 1e4
 """Distance of the virtual eye in units of the grid's extent: perspective shifts a point by less than 1e-4 of it."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
 from f3sr.errors import InputError
-from f3sr.limited_file import opened
+from f3sr.files.limited_file import opened
 
 MAX_PIXELS = 100_000_000
 """Largest photo, mask or depth image: twice what cameras of full format give, 300 MB decoded."""

@@ -14,9 +14,9 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from f3sr.assets import PosedAsset, read_assets, require_size
 from f3sr.cache import digest
+from f3sr.core.transforms import Array, transform
 from f3sr.errors import InputError
 from f3sr.folder import InputFolder
-from f3sr.frames import Array, transform
 from f3sr.images import as_rgb, open_image
 from f3sr.masks import Instance, read_instances, read_mask
 from f3sr.options import ASSET_FRAMES, PARTS

@@ -17,8 +17,8 @@ from annotated_types import Interval
 from f3sr import contact
 from f3sr.bodies import StaticBody, contacts_of
 from f3sr.contact import Polytope
+from f3sr.core.transforms import UP, Array, pose, rotation_about, rotation_angle
 from f3sr.equilibrium import Balance
-from f3sr.frames import UP, Array, pose, rotation_about, rotation_angle
 from f3sr.patches import REACH, find_contacts, hull_corners
 from f3sr.physics import DEFAULT_PHYSICS
 from f3sr.settings import settings

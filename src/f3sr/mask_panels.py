@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from f3sr import raster
-from f3sr.frames import Camera
+from f3sr.core.camera import Camera
 from f3sr.pictures import BOTH, MASK_ONLY, RENDER_ONLY, TINT, Image, resized
 from f3sr.scene import Scene, SceneObject
 from f3sr.silhouette import Mask, iou, resample, union_of

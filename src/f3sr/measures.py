@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import crossings, physics, raster
-from f3sr.frames import Array, Camera
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import Array
 from f3sr.inside import union_distance, winding_number
 from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.silhouette import iou, union_of

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import heights
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 from f3sr.scene import GROUND, SceneObject
 
 CELLS = 96

@@ -7,7 +7,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from f3sr.mesh import Mesh
+from f3sr.core.mesh import Mesh
 from f3sr.scene import SceneObject
 
 _KNOWN: WeakKeyDictionary[Mesh, dict[int, Mesh]] = WeakKeyDictionary()

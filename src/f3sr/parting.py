@@ -18,7 +18,7 @@ import numpy as np
 
 from f3sr import contact
 from f3sr.contact import Body
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 
 INSIDE = 1e-7
 """Depth [m] below which a point counts as outside a polygon: rounding of the programmes."""

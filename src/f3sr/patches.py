@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.contact import Body, Polytope, face_facets, facets
-from f3sr.frames import UP, Array, frozen
+from f3sr.core.mesh import ConvexPart
+from f3sr.core.transforms import UP, Array, frozen
 from f3sr.kernels import kernel
-from f3sr.mesh import ConvexPart
 from f3sr.scene import GROUND
 
 REACH = 6e-4

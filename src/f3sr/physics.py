@@ -14,8 +14,8 @@ import numpy as np
 from annotated_types import Interval
 
 from f3sr import restitution
-from f3sr.frames import Array, pose, quaternion_from_rotation, rotation_from_quaternion
-from f3sr.mesh import ConvexPart, MassProperties, Mesh, solid_properties
+from f3sr.core.mesh import ConvexPart, MassProperties, Mesh, solid_properties
+from f3sr.core.transforms import Array, pose, quaternion_from_rotation, rotation_from_quaternion
 from f3sr.scene import GROUND, SceneObject
 from f3sr.settings import settings
 

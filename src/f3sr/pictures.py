@@ -11,7 +11,8 @@ import PIL.Image
 from numpy.typing import NDArray
 
 from f3sr import raster
-from f3sr.frames import Array, Camera, pose
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import Array, pose
 from f3sr.scene import Scene
 from f3sr.silhouette import resample
 

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator
 
-from f3sr.frames import Array, rotation_from_quaternion
+from f3sr.core.transforms import Array, rotation_from_quaternion
 
 LOCAL_FROM_GLB = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """A: vertices of the exported GLB back to the model's Z-up frame."""

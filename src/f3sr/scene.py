@@ -11,8 +11,9 @@ from weakref import ReferenceType, ref
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.frames import Array, Camera, frozen, transform
-from f3sr.mesh import ConvexPart, MassProperties, Mesh
+from f3sr.core.camera import Camera
+from f3sr.core.mesh import ConvexPart, MassProperties, Mesh
+from f3sr.core.transforms import Array, frozen, transform
 
 GROUND = -1
 """The id of the ground in supports and contacts."""
@@ -189,7 +190,7 @@ class SceneObject:
 
     def moved(self, T: Array, *, stage: str, reason: str, scale: float = 1.0) -> Self:
         """Apply the world similarity ``x -> T (scale * x)``, T rigid (4, 4), and note it in ``motion``."""
-        from f3sr.frames import rotation_angle
+        from f3sr.core.transforms import rotation_angle
 
         R, t = T[:3, :3], T[:3, 3]
         T_new = np.eye(4)

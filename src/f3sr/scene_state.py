@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.frames import Array
-from f3sr.mesh import ConvexPart
+from f3sr.core.mesh import ConvexPart
+from f3sr.core.transforms import Array
 from f3sr.scene import Ground, Motion, Node, Relation, Scene, SceneGraph, SceneObject, Support
 
 Arrays = dict[str, NDArray[Any]]

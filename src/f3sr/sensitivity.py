@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.frames import Array, Camera
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import Array
 
 
 def loss_per_pixel(mask: NDArray[np.bool_]) -> Array:

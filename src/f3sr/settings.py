@@ -14,8 +14,8 @@ from typing import Any, TypeVar, cast, dataclass_transform
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
-from f3sr import limited_file
 from f3sr.errors import InputError
+from f3sr.files import limited_file
 
 T = TypeVar("T")
 

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from f3sr import contour, raster
 from f3sr.contour import MISMATCH, MOMENT_X, MOMENT_Y, VALID, Integrals
-from f3sr.frames import Array, Camera, transform
-from f3sr.levenberg import Local
+from f3sr.core.camera import Camera
+from f3sr.core.levenberg_marquardt import Local
+from f3sr.core.transforms import Array, transform
 from f3sr.settings import settings
 
 Mask = NDArray[np.bool_]

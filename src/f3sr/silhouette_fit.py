@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from f3sr.contour import MOMENT_X, MOMENT_Y, VALID, Integrals
-from f3sr.frames import Array, Camera
+from f3sr.core.camera import Camera
+from f3sr.core.levenberg_marquardt import Local, Minimum, minimise
+from f3sr.core.transforms import Array
 from f3sr.freedom import CameraFreedom, ObjectFreedom
-from f3sr.levenberg import Local, Minimum, minimise
 from f3sr.scene import SceneObject
 from f3sr.silhouette import LossWeights, Mask, Surface, Target, iou, loss
 from f3sr.window import sampled, window_around

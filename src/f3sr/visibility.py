@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from f3sr import raster
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 from f3sr.scene import Scene, SceneObject
 from f3sr.silhouette import Mask, union_of
 

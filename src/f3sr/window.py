@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.frames import Array, Camera
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import Array
 from f3sr.scene import SceneObject
 
 MARGIN = 0.15

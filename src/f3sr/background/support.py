@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.background.regions import Mask, closed, grown, opened, parts_of
-from f3sr.frames import Array, Camera, transform
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import Array, transform
 from f3sr.scene import Scene
 
 NEAR = 0.02

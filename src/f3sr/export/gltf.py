@@ -14,8 +14,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.frames import Array
-from f3sr.mesh import Material, Mesh
+from f3sr.core.mesh import Material, Mesh
+from f3sr.core.transforms import Array
 from f3sr.scene import SceneObject
 
 T_YUP_ZUP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])

@@ -9,10 +9,11 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from numpy.typing import NDArray
 
+from f3sr.core.camera import Camera
+from f3sr.core.mesh import Mesh
+from f3sr.core.transforms import Array, quaternion_from_rotation
 from f3sr.export.gltf import png_of
 from f3sr.export.obj import part_to_obj, to_obj
-from f3sr.frames import Array, Camera, quaternion_from_rotation
-from f3sr.mesh import Mesh
 from f3sr.physics import DEFAULT_PHYSICS, GROUND_NAME, Body, PhysicsConfig, body_of
 from f3sr.scene import SceneObject
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.frames import Array
-from f3sr.mesh import ConvexPart
+from f3sr.core.mesh import ConvexPart
+from f3sr.core.transforms import Array
 
 BLOCK = 20_000
 """Rows that are written at a time."""

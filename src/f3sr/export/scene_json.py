@@ -21,7 +21,6 @@ from pydantic import (
     model_validator,
 )
 
-from f3sr import strict_json
 from f3sr.bounds import (
     MAX_OBJECT_PARTS,
     MAX_OBJECTS,
@@ -48,9 +47,10 @@ from f3sr.bounds import (
     inertia_fault,
     intrinsics_fault,
 )
+from f3sr.core.transforms import Array
 from f3sr.errors import OutputError
 from f3sr.export.mjcf import collision_path
-from f3sr.frames import Array
+from f3sr.files import strict_json
 from f3sr.physics import body_of
 from f3sr.scene import GROUND, Mobility, Predicate, RelationSource, Scene, SceneObject
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from dataclasses import replace
 from fractions import Fraction
 
+from f3sr.core.transforms import Array
 from f3sr.daemon import ahead
 from f3sr.film.captions import slowed
 from f3sr.film.moments import Moment, frame_at, key_moments
@@ -14,7 +15,6 @@ from f3sr.film.player import player
 from f3sr.film.strip import Title, strip
 from f3sr.film.times import factor, finer, rate_of
 from f3sr.film.video import Picture, Video, encode
-from f3sr.frames import Array
 from f3sr.goals.files import FILM, FILMS, PLAYER, STRIP
 from f3sr.goals.plan import Plan
 from f3sr.goals.rollout import Rollout

@@ -12,9 +12,9 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 
 from f3sr.background import complete_background
+from f3sr.core.transforms import transform
 from f3sr.film import make_film
 from f3sr.film.held import Held
-from f3sr.frames import transform
 from f3sr.goals.play import Played
 from f3sr.package import Package
 from f3sr.pictures import resized

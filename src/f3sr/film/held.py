@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from f3sr.frames import Array, box_corners, transform
+from f3sr.core.transforms import Array, box_corners, transform
 from f3sr.scene import Scene
 
 

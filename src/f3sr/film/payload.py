@@ -9,10 +9,10 @@ from fractions import Fraction
 
 import numpy as np
 
+from f3sr.core.transforms import Array, quaternion_from_rotation
 from f3sr.film.moments import Moment
 from f3sr.film.timeline import pairs_of
 from f3sr.film.video import Video
-from f3sr.frames import Array, quaternion_from_rotation
 from f3sr.goals.plan import Plan
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.seen import Seen

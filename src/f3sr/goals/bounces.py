@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from f3sr.frames import UP, Array, rotation_about
+from f3sr.core.transforms import UP, Array, rotation_about
 from f3sr.goals import launch
 from f3sr.goals.flights import AFTER, AIMS, goal_of, is_blocked
 from f3sr.goals.language import Tried

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 
 PIXELS = 4000
 """Pixels of a mask that colours are counted in, at most."""

@@ -14,11 +14,11 @@ from typing import Any, Literal
 import numpy as np
 
 from f3sr.contact import Polytope
-from f3sr.frames import Array, vector_from_rotation
+from f3sr.core.mesh import ConvexPart
+from f3sr.core.transforms import Array, vector_from_rotation
 from f3sr.goals import plan as p
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.seen import Seen, outside, parts_of
-from f3sr.mesh import ConvexPart
 from f3sr.scene import GROUND, Scene
 
 Unit = Literal["m", "rad", "m/s", "s"]

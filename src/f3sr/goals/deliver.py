@@ -7,9 +7,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from f3sr import limited_file
 from f3sr.atomic_folder import BusyError, being_written, check, claimed, recover, recover_all
 from f3sr.errors import InputError, OutputError
+from f3sr.files import limited_file
+from f3sr.files.limited_file import MAX_JSON_BYTES
 from f3sr.goals import checks, verify
 from f3sr.goals import plan as plans
 from f3sr.goals import rollout as rollouts
@@ -17,7 +18,6 @@ from f3sr.goals.files import FILMS, PLAN, ROLLOUT, VERDICT
 from f3sr.goals.plan import Plan
 from f3sr.goals.play import Played, scene_sha
 from f3sr.goals.rollout import Rollout
-from f3sr.limited_file import MAX_JSON_BYTES
 from f3sr.package import Package, read_package
 from f3sr.package_folder import ROLLOUTS, is_package, placed
 

@@ -11,7 +11,8 @@ from typing import Literal
 
 import numpy as np
 
-from f3sr.frames import UP, Array, Camera
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import UP, Array
 
 Direction = Literal["left", "right", "away", "towards", "up", "down"]
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from f3sr.frames import UP, Array
+from f3sr.core.transforms import UP, Array
 from f3sr.goals import launch
 from f3sr.goals.setting import CLEARANCE, Aim, Launches, Search, Setting
 from f3sr.scene import GROUND

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 from f3sr.statics import GRAVITY
 
 

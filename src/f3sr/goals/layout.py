@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from f3sr import physics
-from f3sr.frames import UP, Array, transform
+from f3sr.core.transforms import UP, Array, transform
 from f3sr.goals.pool import Pool, pool_of
 from f3sr.physics import DEFAULT_PHYSICS, Body, engine
 from f3sr.restitution import solref

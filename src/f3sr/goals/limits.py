@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 from f3sr.goals.plan import Impulse, InitialConditions, Limits
 from f3sr.physics import body_of
 from f3sr.scene import Scene, SceneObject

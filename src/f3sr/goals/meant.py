@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 from f3sr.goals.request import Request
 
 

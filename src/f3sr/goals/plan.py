@@ -10,9 +10,9 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from f3sr import strict_json
 from f3sr.bounds import Density, Direction3, Friction, Id, IdOrGround, Mass, RollingFriction, Share
 from f3sr.export.scene_json import Version, dump_json
+from f3sr.files import strict_json
 from f3sr.scene import Mobility
 
 SCHEMA_VERSION = 1

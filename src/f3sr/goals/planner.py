@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from f3sr.frames import UP, Array
+from f3sr.core.transforms import UP, Array
 from f3sr.goals import success
 from f3sr.goals.amounts import Amount
 from f3sr.goals.directions import Direction, world_vector

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from f3sr import physics
-from f3sr.frames import UP, Array, transform
+from f3sr.core.transforms import UP, Array, transform
 from f3sr.physics import engine
 from f3sr.scene import SceneObject
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from f3sr.frames import UP, Array
+from f3sr.core.transforms import UP, Array
 from f3sr.goals import launch
 from f3sr.goals.flights import striking, throwing_far
 from f3sr.goals.setting import Aim, Launches, Setting

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import physics
-from f3sr.frames import Array, quaternion_from_rotation, transform
+from f3sr.core.mesh import ConvexPart
+from f3sr.core.transforms import Array, quaternion_from_rotation, transform
 from f3sr.goals.layout import outline
 from f3sr.goals.rollout import Rollout
-from f3sr.mesh import ConvexPart
 from f3sr.scene import GROUND, Scene, SceneObject
 
 LAST = 0.2

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from f3sr.frames import UP, Array
+from f3sr.core.transforms import UP, Array
 from f3sr.goals.language import Launch, Tried
 from f3sr.goals.launch import height_speed
 from f3sr.goals.layout import Layout

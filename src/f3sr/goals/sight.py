@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 from f3sr.goals import colours, nouns
 from f3sr.goals.phrases import Axis
 from f3sr.goals.tokens import canonical, words_of

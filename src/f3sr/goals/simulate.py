@@ -18,7 +18,7 @@ import numpy as np
 
 from f3sr import physics
 from f3sr.bounds import Vector3
-from f3sr.frames import Array, pose, rotation_from_quaternion, rotation_from_vector
+from f3sr.core.transforms import Array, pose, rotation_from_quaternion, rotation_from_vector
 from f3sr.goals.plan import Impulse, InitialConditions, Plan, Semantics, Velocity
 from f3sr.goals.rollout import CONTACT, Rollout
 from f3sr.physics import PhysicsConfig, body_name, engine

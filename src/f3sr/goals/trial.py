@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from f3sr.frames import transform
+from f3sr.core.transforms import transform
 from f3sr.goals.language import Launch, Tried
 from f3sr.goals.layout import Layout
 from f3sr.goals.plan import InitialConditions, Plan, Semantics, SimulationPlan, TaskSpec

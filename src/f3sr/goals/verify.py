@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from f3sr.core.transforms import rotation_angle
 from f3sr.export.scene_json import dump_json
-from f3sr.frames import rotation_angle
 from f3sr.goals.conditions import Judged, Unit, judge
 from f3sr.goals.plan import Condition, Kind, Plan
 from f3sr.goals.rollout import Rollout

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from f3sr.frames import Array, Camera, box_corners
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import Array, box_corners
 from f3sr.measures import Details, Gap, Overlap
 from f3sr.page.material import Material, look_alike
 from f3sr.page.words import counted, length, name_of, share

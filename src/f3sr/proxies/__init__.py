@@ -21,9 +21,9 @@ import numpy as np
 
 from f3sr.cache import Arrays, Store
 from f3sr.cache_folder import within
+from f3sr.core.mesh import ConvexPart, Mesh
+from f3sr.core.transforms import Array, transform
 from f3sr.errors import InputError
-from f3sr.frames import Array, transform
-from f3sr.mesh import ConvexPart, Mesh
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.fit import Excess
 from f3sr.proxies.parts import Fitted, nearly_convex, one_hull

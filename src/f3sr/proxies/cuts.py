@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.hulls import Hull, bulk, hull_of, outermost, spread
 from f3sr.proxies.surface import CORE_STEP, Samples, Subject, stand_off

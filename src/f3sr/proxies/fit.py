@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.frames import Array
-from f3sr.mesh import ConvexPart, is_closed, signed_volume, union
+from f3sr.core.mesh import ConvexPart, is_closed, signed_volume, union
+from f3sr.core.transforms import Array
 from f3sr.proxies.hulls import outside, planes
 from f3sr.proxies.surface import Faces, Nearest, Samples, Surroundings, samples_of, stand_off
 

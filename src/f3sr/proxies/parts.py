@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from f3sr.frames import Array
-from f3sr.mesh import ConvexPart, is_closed, signed_volume
+from f3sr.core.mesh import ConvexPart, is_closed, signed_volume
+from f3sr.core.transforms import Array
 from f3sr.proxies import fit
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.cuts import Piece, cut_up

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from f3sr.frames import Array
-from f3sr.mesh import ConvexPart
+from f3sr.core.mesh import ConvexPart
+from f3sr.core.transforms import Array
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.hulls import planes
 

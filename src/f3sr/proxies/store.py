@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from f3sr.cache import Arrays
-from f3sr.frames import Array
-from f3sr.mesh import ConvexPart
+from f3sr.core.mesh import ConvexPart
+from f3sr.core.transforms import Array
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.fit import Excess
 from f3sr.proxies.parts import Fitted

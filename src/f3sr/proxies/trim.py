@@ -15,8 +15,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from f3sr.contact import Polytope
-from f3sr.frames import Array
-from f3sr.mesh import ConvexPart, Mesh
+from f3sr.core.mesh import ConvexPart, Mesh
+from f3sr.core.transforms import Array
 from f3sr.proxies.cuts import below
 from f3sr.proxies.hulls import qhull_of
 from f3sr.proxies.simplify import corners_of, merged

@@ -16,8 +16,9 @@ from typing import IO
 
 import numpy as np
 
-from f3sr import interrupts, npz
-from f3sr.frames import Array
+from f3sr import interrupts
+from f3sr.core.transforms import Array
+from f3sr.files import npz
 from f3sr.proxies import parts
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.parts import Fitted

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import raster
-from f3sr.frames import Array, Camera, transform
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import Array, transform
 from f3sr.rendering.config import RenderConfig
 from f3sr.rendering.layers import (
     DISC_WORDS,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 from f3sr.rendering.evidence import Evidence
 from f3sr.rendering.light_fit import exposures_of_sums, sums_of
 

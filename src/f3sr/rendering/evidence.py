@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from f3sr import raster
 from f3sr.background.regions import grown
-from f3sr.frames import UP, Array, Camera
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import UP, Array
 from f3sr.rendering.surface_kernels import Shapes, Textures, View, seen_at
 from f3sr.rendering.textures import LINEAR
 from f3sr.scene import Scene

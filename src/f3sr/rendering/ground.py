@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from f3sr.background.membrane import membrane
 from f3sr.background.regions import Mask, grown
-from f3sr.frames import Array, Camera
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import Array
 from f3sr.rendering.textures import LINEAR
 
 NEAR, FAR = 1.5, 3.0

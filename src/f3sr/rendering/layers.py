@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import raster
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import Array, transform
 from f3sr.daemon import begun
-from f3sr.frames import Array, Camera, transform
 from f3sr.rendering.config import RenderConfig
 from f3sr.rendering.light import DIRECT, DIRECT_ON_GROUND, SKY, SKY_ON_GROUND, Light, disc, even_sky, ground_sky
 from f3sr.rendering.shadow_kernels import cast_on_ground

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from f3sr.frames import Array, rotation_between
+from f3sr.core.transforms import Array, rotation_between
 
 DIRECT, SKY = 16, 16
 """Lights that stand for the disc and for the sky on objects."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import raster
-from f3sr.frames import Array, rotation_about
+from f3sr.core.transforms import Array, rotation_about
 from f3sr.rendering.config import LightConfig
 from f3sr.rendering.evidence import FEW, Evidence
 from f3sr.rendering.fit_kernels import add_equations, sum_lit, sum_misfits

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 from f3sr.rendering.colour_mix import colour_mix
 from f3sr.rendering.config import RenderConfig
 from f3sr.rendering.evidence import Evidence, evidence_of

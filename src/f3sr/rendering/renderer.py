@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import Array
 from f3sr.errors import InputError
-from f3sr.frames import Array, Camera
 from f3sr.rendering.canvas import Canvas, Setting
 from f3sr.rendering.config import RenderConfig
 from f3sr.rendering.ground import ground_seen, light_shown

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import raster
-from f3sr.frames import Array, transform
+from f3sr.core.transforms import Array, transform
 from f3sr.rendering.shadow_kernels import arrivals, cast_map
 
 MARGIN = 1.6

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import raster
-from f3sr.mesh import Material, Mesh
+from f3sr.core.mesh import Material, Mesh
 from f3sr.rendering.surface_kernels import Textures
 from f3sr.rendering.texture_kernels import border, halve, settle
 from f3sr.scene import SceneObject

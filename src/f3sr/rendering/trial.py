@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from f3sr.frames import UP, Camera, pose, rotation_about
-from f3sr.mesh import Material, Mesh
+from f3sr.core.camera import Camera
+from f3sr.core.mesh import Material, Mesh
+from f3sr.core.transforms import UP, pose, rotation_about
 from f3sr.rendering.config import RenderConfig, ShadowConfig
 from f3sr.rendering.renderer import Renderer
 from f3sr.scene import Photo, Scene, SceneObject

@@ -14,7 +14,7 @@ from annotated_types import Interval
 from f3sr import contact
 from f3sr.bodies import supports_first
 from f3sr.contact import Polytope
-from f3sr.frames import UP, Array, pose, transform
+from f3sr.core.transforms import UP, Array, pose, transform
 from f3sr.measures import visible_ious
 from f3sr.meeting import Meeting, meeting
 from f3sr.patches import find_contacts

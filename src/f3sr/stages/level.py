@@ -10,7 +10,7 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from f3sr.frames import Array, pose, rotation_angle, rotation_between
+from f3sr.core.transforms import Array, pose, rotation_angle, rotation_between
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Geometry, Ground, Scene
 from f3sr.settings import settings

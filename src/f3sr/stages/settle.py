@@ -10,7 +10,7 @@ import numpy as np
 from annotated_types import Interval
 
 from f3sr import physics
-from f3sr.frames import Array, invert_pose, rotation_angle
+from f3sr.core.transforms import Array, invert_pose, rotation_angle
 from f3sr.physics import PhysicsConfig, SettleConfig
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene, SceneObject, Support, name_of

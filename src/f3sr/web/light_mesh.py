@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.mesh import Mesh
+from f3sr.core.mesh import Mesh
 
 Indices = NDArray[np.int64]
 

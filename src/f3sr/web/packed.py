@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.frames import Array, Camera
-from f3sr.mesh import ConvexPart, Mesh
+from f3sr.core.camera import Camera
+from f3sr.core.mesh import ConvexPart, Mesh
+from f3sr.core.transforms import Array
 from f3sr.pictures import resized
 from f3sr.web.images import data_uri
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import transform
 from f3sr.depth_evidence import DepthEvidence
-from f3sr.frames import Camera, transform
 from f3sr.freedom import CameraFreedom
 from f3sr.report import Decision
 from f3sr.scene import Geometry, Scene

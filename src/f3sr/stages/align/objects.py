@@ -13,12 +13,12 @@ import numpy as np
 
 from f3sr import raster
 from f3sr.appearance import Appearance, principal_axes
+from f3sr.core.levenberg_marquardt import Local
+from f3sr.core.mesh import Mesh, mass_properties
+from f3sr.core.transforms import UP, Array, pose, rotation_about
 from f3sr.depth_evidence import DepthEvidence
 from f3sr.facets import resting_turn
-from f3sr.frames import UP, Array, pose, rotation_about
 from f3sr.freedom import ObjectFreedom
-from f3sr.levenberg import Local
-from f3sr.mesh import Mesh, mass_properties
 from f3sr.report import Decision, keep_better
 from f3sr.scene import Scene, SceneObject
 from f3sr.silhouette import Mask

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 from f3sr.scene import Relation
 from f3sr.stages.relate.known import Known
 

@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 from f3sr.scene import GROUND, Scene
 from f3sr.stages.relate.config import RelateConfig
 from f3sr.stages.relate.picture import Common, Picture

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 from f3sr.scene import GROUND, Relation
 from f3sr.stages.relate.beside import Nearest, smaller_size, touches
 from f3sr.stages.relate.known import Known

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 from f3sr.scene import Node, SceneObject
 from f3sr.stages.relate.inside import rims
 from f3sr.stages.relate.known import Known

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import raster
-from f3sr.frames import Array, Camera
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import Array
 from f3sr.raster import EMPTY
 from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.silhouette import resample

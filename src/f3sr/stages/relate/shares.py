@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import nnls
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 from f3sr.scene import GROUND, Support
 from f3sr.stages.relate.known import Known, leads
 from f3sr.stages.relate.supports import Candidate, lowest_of

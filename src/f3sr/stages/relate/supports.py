@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 from f3sr.scene import GROUND, SceneObject
 from f3sr.stages.relate.config import RelateConfig
 from f3sr.stages.relate.known import Known

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr import heights
-from f3sr.frames import Array, Camera, pose
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import Array, pose
 from f3sr.heights import Grid
 from f3sr.scene import Scene
 

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from f3sr import contact, parting
-from f3sr.frames import UP, Array
+from f3sr.core.transforms import UP, Array
 from f3sr.report import Decision
 from f3sr.scene import GROUND, Scene, name_of
 from f3sr.stages.separate.config import SeparateConfig

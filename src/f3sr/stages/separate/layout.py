@@ -10,8 +10,8 @@ import numpy as np
 
 from f3sr import contact
 from f3sr.contact import Polytope
-from f3sr.frames import Array, pose, transform
-from f3sr.mesh import ConvexPart
+from f3sr.core.mesh import ConvexPart
+from f3sr.core.transforms import Array, pose, transform
 from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.sensitivity import loss_matrix
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from f3sr import contact
-from f3sr.frames import UP, pose
+from f3sr.core.transforms import UP, pose
 from f3sr.scene import GROUND, Scene
 from f3sr.stages.separate.config import SeparateConfig
 from f3sr.stages.separate.layout import Layout, moved, supports_first

@@ -8,11 +8,11 @@ import numpy as np
 
 from f3sr import landing
 from f3sr.bodies import StaticBody, bodies_of, contacts_of, rigid
+from f3sr.core.mesh import ConvexPart
+from f3sr.core.transforms import UP, Array, pose, rotation_from_vector, transform, vector_from_rotation
 from f3sr.equilibrium import Balance
 from f3sr.footing import GROUND_PLANE, FootingConfig, Plane, flush, footing, support_plane
-from f3sr.frames import UP, Array, pose, rotation_from_vector, transform, vector_from_rotation
 from f3sr.measures import visible_ious
-from f3sr.mesh import ConvexPart
 from f3sr.physics import DEFAULT_PHYSICS
 from f3sr.report import Decision
 from f3sr.scene import GROUND, SceneObject

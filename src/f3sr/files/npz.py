@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.errors import InputError
-from f3sr.limited_file import opened
+from f3sr.files.limited_file import opened
 
 MAX_ENTRIES = 100_000
 """Most arrays in an .npz file: a cached scene of 500 objects of 100 parts has as many."""

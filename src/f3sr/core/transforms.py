@@ -1,4 +1,4 @@
-"""Poses, rotations and the pinhole camera, in the project's one convention.
+"""Poses and rotations, in the project's one convention.
 
 World: right-handed, +Z up, metres. Camera: OpenCV axes (x right, y down, z forward). ``T_a_b`` maps points of
 frame b into frame a, so inner letters cancel: ``T_world_camera @ T_camera_object``. Pixel (0, 0) is the top-left
@@ -7,9 +7,7 @@ corner of the top-left pixel; pixel centres lie at +0.5. Quaternions are wxyz.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -107,72 +105,3 @@ def quaternion_from_rotation(R: Array) -> Array:
 def rotation_angle(R: Array) -> float:
     """The angle [rad] of a rotation matrix."""
     return float(np.arccos(np.clip((np.trace(R) - 1) / 2, -1, 1)))
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Camera:
-    """A pinhole camera with an exact, possibly off-centre K.
-
-    ``K`` (3, 3) in pixels, ``T_world_camera`` (4, 4) rigid, ``width`` and ``height`` in pixels.
-    """
-
-    width: int
-    height: int
-    K: Array
-    T_world_camera: Array
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "K", frozen(self.K))
-        object.__setattr__(self, "T_world_camera", frozen(self.T_world_camera))
-
-    @cached_property
-    def T_camera_world(self) -> Array:
-        return invert_pose(self.T_world_camera)
-
-    @property
-    def center(self) -> Array:
-        """The camera's centre in the world (3,) [m]."""
-        return self.T_world_camera[:3, 3]
-
-    def to_camera(self, points_world: Array) -> Array:
-        return transform(self.T_camera_world, points_world)
-
-    def project(self, points_world: Array) -> tuple[Array, Array]:
-        """Pixels (n, 2) and z-depths (n,) [m] of world points (n, 3)."""
-        points_camera = self.to_camera(points_world)
-        z = points_camera[:, 2]
-        homogeneous = points_camera @ self.K.T
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return homogeneous[:, :2] / homogeneous[:, 2:], z
-
-    def homothety(self, k: float) -> Array:
-        """The T (4, 4) with which x -> T (k x) is X -> C + k (X - C) about the camera's centre C.
-
-        Every point stays on its viewing ray, so no silhouette changes.
-        """
-        return pose(t=(1 - k) * self.center)
-
-    def moved(self, T_world_camera: Array) -> Self:
-        return replace(self, T_world_camera=T_world_camera)
-
-    def zoomed(self, factor: float) -> Self:
-        """The same place and pixels with ``factor`` times the focal lengths."""
-        K = self.K.copy()
-        K[:2, :2] *= factor
-        return replace(self, K=K)
-
-    def resized(self, width: int, height: int) -> Self:
-        """The same view sampled with another number of pixels."""
-        scale = np.array([[width / self.width], [height / self.height], [1.0]])
-        return replace(self, width=width, height=height, K=self.K * scale)
-
-    def limited(self, longest: int) -> Self:
-        """The same view with at most ``longest`` pixels on its longer side."""
-        scale = min(1.0, longest / max(self.width, self.height))
-        return self.resized(max(1, round(self.width * scale)), max(1, round(self.height * scale)))
-
-    def cropped(self, x: int, y: int, width: int, height: int) -> Self:
-        """The view of the pixels from column ``x`` and row ``y`` on; it may reach beyond the image."""
-        K = self.K.copy()
-        K[:2, 2] -= [x, y]
-        return replace(self, width=width, height=height, K=K)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.frames import Array
+from f3sr.core.transforms import Array
 
 SMALLEST_STEP = 1e-6
 """Of the box's half width: below it the search has arrived."""

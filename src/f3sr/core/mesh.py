@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.frames import Array, frozen, transform
+from f3sr.core.transforms import Array, frozen, transform
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

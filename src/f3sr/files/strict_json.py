@@ -9,9 +9,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from f3sr import limited_file
 from f3sr.errors import InputError
-from f3sr.limited_file import MAX_JSON_BYTES
+from f3sr.files import limited_file
+from f3sr.files.limited_file import MAX_JSON_BYTES
 
 MAX_DIGITS = 400
 """Longest whole number: no float is longer."""

@@ -1,0 +1,1 @@
+"""What everything else is computed with: transforms, the camera, meshes, bounded least squares."""

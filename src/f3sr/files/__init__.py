@@ -1,0 +1,1 @@
+"""Bytes from outside to checked values: files of limited size, arrays, JSON."""
