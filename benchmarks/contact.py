@@ -23,10 +23,11 @@ import baseline
 import contact_report
 import tables
 import truth
-from f3sr import contact, inputs, kernels, measures, pipeline
-from f3sr.cache import Store, code_version
+from f3sr import contact, inputs, measures, pipeline
 from f3sr.contact import Polytope
 from f3sr.pipeline import Config, Reconstruction
+from f3sr.runtime import kernels
+from f3sr.runtime.result_store import Store, code_version
 from f3sr.scene import Scene
 from run import REPO, find
 

@@ -22,9 +22,10 @@ from PIL import Image, ImageDraw, ImageFont
 
 import contact as bench
 import tables
-from f3sr import example, kernels, physics
+from f3sr import example, physics
 from f3sr.core.transforms import Array, pose, rotation_about, rotation_from_vector
 from f3sr.physics import SettleConfig
+from f3sr.runtime import kernels
 from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.stages.separate import separate
 from f3sr.stages.settle import SettleStageConfig

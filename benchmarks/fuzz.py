@@ -204,7 +204,7 @@ def summary(verdicts: list[Verdict], seed: int, seconds: float) -> dict[str, Any
 
 def _load() -> None:
     """Everything a run imports and compiles, once, before the processes fork."""
-    from f3sr import inputs, kernels, package, pictures, pipeline  # noqa: F401
+    from f3sr.runtime import kernels
 
     kernels.warm_up()
     for name in ("trimesh", "mujoco", "manifold3d", "rich.table", "tyro", "scipy.optimize", "scipy.spatial"):
@@ -214,7 +214,7 @@ def _load() -> None:
 
 def _forget_cache_folder() -> None:
     """Stage results go to the sandbox; compiled kernels stay where they were found."""
-    from f3sr.cache_folder import cache_folder
+    from f3sr.runtime.cache_folder import cache_folder
 
     cache_folder.cache_clear()
 

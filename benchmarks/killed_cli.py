@@ -24,9 +24,9 @@ STAGES = (
 def main() -> None:
     point, notes = sys.argv[1], int(sys.argv[2])
     kind, _, count = point.partition(":")
-    from f3sr import interrupts
+    from f3sr.runtime import signals
 
-    interrupts.watch()
+    signals.watch()
     pipeline = importlib.import_module("f3sr.pipeline")
     for name in STAGES:
         calls = int(count) if kind == name else 0
@@ -96,12 +96,12 @@ def _kill_storing(count: int) -> None:
 
 def _kill_stored(count: int) -> None:
     """A stage's result is in the store, and nothing has been said of it yet."""
-    store = importlib.import_module("f3sr.cache").Store
+    store = importlib.import_module("f3sr.runtime.result_store").Store
     _before(store, "_tidy", lambda self: self.folder.name == "stages", count)
 
 
 def _kill_writing(count: int) -> None:
-    _before(importlib.import_module("f3sr.atomic_folder").Claim, "write", lambda *_: True, count)
+    _before(importlib.import_module("f3sr.runtime.atomic_folder").Claim, "write", lambda *_: True, count)
 
 
 def _kill_first_rename(count: int) -> None:

@@ -251,7 +251,8 @@ def show(trial: Trial) -> str:
 
 
 def main() -> int:
-    from f3sr import example, kernels
+    from f3sr import example
+    from f3sr.runtime import kernels
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--folder", type=Path, default=example.folder())

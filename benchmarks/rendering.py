@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from f3sr import kernels, raster
+from f3sr import raster
 from f3sr.background import complete_background
 from f3sr.core.transforms import Array, rotation_from_vector
 from f3sr.package import is_package, read_package
 from f3sr.rendering import Renderer
 from f3sr.rendering.textures import linear, srgb
+from f3sr.runtime import kernels
 from f3sr.scene import Photo, Scene
 from f3sr.silhouette import union_of
 from tables import show

@@ -24,8 +24,8 @@ from f3sr.bodies import StaticBody, bodies_of, contacts_of
 from f3sr.contact import Polytope
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, pose, rotation_about
-from f3sr.kernels import warm_up
 from f3sr.landing import LandingConfig
+from f3sr.runtime.kernels import warm_up
 from f3sr.scene import SceneObject
 
 SPREADS = (0.02, 0.03, 0.04)

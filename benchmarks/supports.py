@@ -18,9 +18,9 @@ import numpy as np
 
 import made_scenes
 from f3sr import inputs
-from f3sr.cache import Store
 from f3sr.core.transforms import pose
 from f3sr.pipeline import reconstruct
+from f3sr.runtime.result_store import Store
 from f3sr.scene import Scene
 from f3sr.stages.relate import describe, relate
 

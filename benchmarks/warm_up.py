@@ -2,8 +2,8 @@
 
 import json
 
-from f3sr import kernels
-from f3sr.cache_folder import within
+from f3sr.runtime import kernels
+from f3sr.runtime.cache_folder import within
 
 kernels.warm_up()
 print(json.dumps([str(kernels.kernel_folder()), str(within("proxies"))]))

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from f3sr import inputs, scene_state
-from f3sr.cache import Store, digest
+from f3sr import inputs
 from f3sr.core.mesh import ConvexPart
 from f3sr.pipeline import Config, reconstruct
+from f3sr.runtime import scene_serialization
+from f3sr.runtime.result_store import Store, digest
 from f3sr.scene import Motion
 from folders import write_folder
 from scenes import box_stack_scene
@@ -36,10 +37,10 @@ def test_a_scene_comes_back_exactly(tmp_path: Path):
     moved = replace(base[1], scale=1 / 3, supported_by=None, motion=(note,), friction=0.123, footing=(foot,))
     changed = base.with_objects(moved)
     store = Store(tmp_path)
-    store.save("key", *scene_state.pack(changed))
+    store.save("key", *scene_serialization.pack(changed))
     found = store.load("key")
     assert found is not None
-    scene = scene_state.unpack(base, *found)
+    scene = scene_serialization.unpack(base, *found)
     for a, b in zip(changed, scene, strict=True):
         assert np.array_equal(a.T_world_object, b.T_world_object) and a.scale == b.scale and a.motion == b.motion
         assert a.supported_by == b.supported_by and a.supports == b.supports and a.friction == b.friction

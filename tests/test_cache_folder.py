@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from f3sr.cache_files import read_sealed, write_sealed, write_whole
-from f3sr.cache_folder import cache_folder, within
 from f3sr.errors import F3srWarning
+from f3sr.runtime.cache_files import read_sealed, write_sealed, write_whole
+from f3sr.runtime.cache_folder import cache_folder, within
 
 ROOT_ONLY = pytest.mark.skipif(os.geteuid() != 0, reason="becomes another user")
 STRANGER, OTHER = 4242, 4243
@@ -123,7 +123,7 @@ def test_without_any_place_for_it_there_is_no_cache(place: Path, monkeypatch: py
     monkeypatch.setattr("tempfile.gettempdir", none)
     monkeypatch.setenv("F3SR_CACHE_DIR", "/dev/null")
     assert decided() == (None, [])
-    monkeypatch.setattr("f3sr.cache_folder.cache_folder", lambda: None)
+    monkeypatch.setattr("f3sr.runtime.cache_folder.cache_folder", lambda: None)
     assert within("stages") is None
 
 
@@ -239,8 +239,8 @@ def test_a_kernel_planted_by_another_user_is_not_run(place: Path, monkeypatch: p
     cache.mkdir(mode=0o755)
     code = """
 import os
-from f3sr import kernels, kernel_files
-from f3sr.cache_folder import cache_folder
+from f3sr.runtime import kernels, kernel_files
+from f3sr.runtime.cache_folder import cache_folder
 def planted(file, key):
     read.append(file)
     return original(file, key)
@@ -283,7 +283,7 @@ def test_a_user_id_without_home_and_entry_can_run_commands(place: Path):
     code = """
 import os, pwd, sys
 from f3sr import cli, doctor
-from f3sr.cache_folder import cache_folder
+from f3sr.runtime.cache_folder import cache_folder
 list(doctor._caches()), cli.main(["config"]), cache_folder.cache_clear()
 del os.environ["HOME"]
 os.setgroups([]); os.setgid(4242); os.setuid(4242)
@@ -310,7 +310,8 @@ def test_importing_kernels_touches_no_folder_and_reads_no_sources(place: Path):
 import sys
 opened = []
 sys.addaudithook(lambda event, args: opened.append((event, str(args[0]))) if event in ("open", "os.mkdir") else None)
-from f3sr import kernels, raster
+from f3sr.runtime import kernels
+from f3sr import raster
 assert not [o for o in opened if "cache" in o[1] and "__pycache__" not in o[1] and ".py" not in o[1]], opened
 assert not [o for o in opened if o[0] == "os.mkdir"], opened
 assert kernels.kernel_folder.cache_info().currsize == 0

@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 
 import f3sr
-from f3sr import doctor, interrupts, options, settings
+from f3sr import doctor, options, settings
 from f3sr.cli import main
 from f3sr.measures import IMAGE_MEASURES
 from f3sr.package import read_package
 from f3sr.pipeline import Config
+from f3sr.runtime import signals
 from folders import write_folder
 
 
@@ -150,7 +151,7 @@ def fails_with(error: Exception, monkeypatch: pytest.MonkeyPatch, traceback: str
         raise error
 
     monkeypatch.setenv("F3SR_TRACEBACK", traceback)
-    monkeypatch.setattr(interrupts, "_written", [])
+    monkeypatch.setattr(signals, "_written", [])
     monkeypatch.setattr(settings, "describe", fail)
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from f3sr.daemon import AHEAD, ahead, begun
+from f3sr.runtime.daemon_thread import AHEAD, ahead, begun
 
 
 def test_the_result_comes_back_from_another_thread():
@@ -25,7 +25,9 @@ def test_what_it_raises_is_raised_where_the_result_is_asked_for():
 
 
 def test_an_interrupted_process_does_not_wait_for_it():
-    program = "import time; from f3sr.daemon import begun; begun(time.sleep, 60); raise KeyboardInterrupt"
+    program = (
+        "import time; from f3sr.runtime.daemon_thread import begun; begun(time.sleep, 60); raise KeyboardInterrupt"
+    )
     ended = subprocess.run([sys.executable, "-c", program], timeout=30, capture_output=True, check=False)
     assert b"KeyboardInterrupt" in ended.stderr
 

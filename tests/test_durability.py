@@ -17,13 +17,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from f3sr import example, kernels, package, settings
-from f3sr.cache import Store
+from f3sr import example, package, settings
 from f3sr.errors import OutputError
 from f3sr.package import read_package, write_package
 from f3sr.pipeline import Config
 from f3sr.report import Report
-from f3sr.runner import Runner
+from f3sr.runtime import kernels
+from f3sr.runtime.result_store import Store
+from f3sr.runtime.stage_runner import Runner
 from folders import write_folder
 from scenes import box_stack_scene
 
@@ -313,7 +314,8 @@ def test_damaged_kernel_files_are_told_once_and_made_anew(cache: Path):
     data = bytearray(files[1].read_bytes())
     data[len(data) // 2] ^= 1
     files[1].write_bytes(data)
-    code = "from f3sr import kernels; kernels.warm_up(lambda step: print(step) if step.state == 'started' else None)"
+    told = "lambda step: print(step) if step.state == 'started' else None"
+    code = f"from f3sr.runtime import kernels; kernels.warm_up({told})"
     said = [
         subprocess.run(
             [sys.executable, "-c", code],

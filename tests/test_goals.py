@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from f3sr import atomic_folder
 from f3sr.core.transforms import Array, pose
 from f3sr.errors import InputError, OutputError
 from f3sr.export.scene_json import dump_json
@@ -50,6 +49,7 @@ from f3sr.goals.verify import VerdictDocument, verify
 from f3sr.goals.verify import to_json as verdict_json
 from f3sr.package import Package
 from f3sr.physics import body_of
+from f3sr.runtime import atomic_folder
 from f3sr.scene import GROUND, Scene, Support
 from goal_scene import BALL, BLOCK, CAN, CARTON, CRATE, GAP, LID, goal_package, goal_scene
 from scenes import box

@@ -16,12 +16,12 @@ from PIL import Image
 from f3sr import inputs, raster
 from f3sr.background import BackgroundConfig
 from f3sr.background.support import faces_ground, hiding, support_of
-from f3sr.cache import Store
 from f3sr.cli import main
 from f3sr.core.transforms import pose, rotation_about
 from f3sr.errors import InputError
 from f3sr.package import read_package
 from f3sr.pipeline import SKIPPABLE, reconstruct
+from f3sr.runtime.result_store import Store
 from f3sr.scene import Geometry, Scene
 from f3sr.stages.inpaint import inpaint
 from folders import write_folder

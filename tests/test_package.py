@@ -20,7 +20,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from f3sr import atomic_folder, package
+from f3sr import package
 from f3sr.bounds import MAX_OBJECT_PARTS
 from f3sr.cli import main
 from f3sr.core.mesh import ConvexPart, Material, Mesh
@@ -31,6 +31,7 @@ from f3sr.mesh_io import load_mesh, load_part, save_glb
 from f3sr.package import Package, read_package, scene_schema, write_package
 from f3sr.physics import build_spec, release, settle
 from f3sr.report import Decision, Measure, Report
+from f3sr.runtime import atomic_folder
 from f3sr.scene import Excluded, Scene
 from scenes import HEIGHT, WIDTH, box, box_mesh, box_stack_scene, scene_of
 

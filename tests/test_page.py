@@ -21,7 +21,6 @@ from PIL import Image
 
 import f3sr.page as page
 from f3sr import inputs
-from f3sr.cache import Store
 from f3sr.core.mesh import Material as Appearance
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import pose, rotation_about
@@ -36,6 +35,7 @@ from f3sr.page.scores import MAIN, OTHERS
 from f3sr.page.words import number
 from f3sr.pipeline import SKIPPABLE, Config, Reconstruction, reconstruct
 from f3sr.report import Decision, Report
+from f3sr.runtime.result_store import Store
 from f3sr.scene import GROUND, Excluded, Node, Relation, Scene, SceneGraph, Support
 from f3sr.web.light_mesh import lightened
 from f3sr.web.markup import Markup, clean, el

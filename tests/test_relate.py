@@ -15,11 +15,11 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from f3sr import scene_state
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, pose, rotation_about
 from f3sr.export.scene_json import SceneGraphRecord
 from f3sr.raster import visible_ids
+from f3sr.runtime import scene_serialization
 from f3sr.scene import GROUND, Geometry, Photo, Predicate, Relation, Scene, SceneGraph, SceneObject, Support
 from f3sr.stages.relate import Candidate, RelateConfig, describe, forest, relate
 from f3sr.stages.relate.nodes import colours, place
@@ -532,8 +532,8 @@ def test_places_are_thirds_of_the_photo():
 
 
 def test_the_graph_survives_the_store_and_fits_its_schema(related: Scene):
-    document, arrays = scene_state.pack(related)
-    assert scene_state.unpack(related, document, arrays).graph == related.graph
+    document, arrays = scene_serialization.pack(related)
+    assert scene_serialization.unpack(related, document, arrays).graph == related.graph
     record = SceneGraphRecord.model_validate(asdict(related.graph))
     assert len(record.nodes) == len(related.objects) and len(record.relations) == len(related.graph.relations)
 

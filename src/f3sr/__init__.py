@@ -23,7 +23,7 @@ _PUBLIC = {
     "Reconstruction": "f3sr.pipeline",
     "Scene": "f3sr.scene",
     "SceneObject": "f3sr.scene",
-    "Store": "f3sr.cache",
+    "Store": "f3sr.runtime.result_store",
     "Studio": "f3sr.film.filmed",
     "deliver": "f3sr.delivery",
     "evaluate": "f3sr.stages.evaluate",

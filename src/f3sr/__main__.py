@@ -3,7 +3,7 @@
 import os
 from contextlib import suppress
 
-from f3sr import interrupts
+from f3sr.runtime import signals
 
 
 def run() -> None:
@@ -14,7 +14,7 @@ def run() -> None:
 
 def _code() -> int:
     try:
-        interrupts.watch()
+        signals.watch()
         from f3sr import cli
 
         return cli.run()
@@ -22,7 +22,7 @@ def _code() -> int:
         from f3sr.errors import printable, unforeseen
 
         with suppress(OSError):  # nobody reads stderr
-            os.write(2, f"f3sr: {printable(unforeseen(error, interrupts.state()))}\n".encode(errors="replace"))
+            os.write(2, f"f3sr: {printable(unforeseen(error, signals.state()))}\n".encode(errors="replace"))
         return 1
 
 

@@ -15,8 +15,9 @@ import tyro
 from tyro.conf import Positional, arg
 
 import f3sr
-from f3sr import cli_goals, interrupts, options
+from f3sr import cli_goals, options
 from f3sr.errors import F3srError, F3srWarning, InputError, MissedError, RefusedError, one_line, printable, unforeseen
+from f3sr.runtime import signals
 
 Folder = Positional[Path]
 Out = Annotated[Path, arg(aliases=["-o"])]
@@ -62,13 +63,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     except F3srError as error:
         return _fail(1, str(error))
     except BrokenPipeError:
-        return _fail(1, f"nobody reads the output; {interrupts.state()}")
+        return _fail(1, f"nobody reads the output; {signals.state()}")
     except OSError as error:
         return _fail(1, f"{error.filename or 'system'}: {error.strerror or error}")
     except KeyboardInterrupt:
-        return _fail(1, f"interrupted; {interrupts.state()}")
+        return _fail(1, f"interrupted; {signals.state()}")
     except Exception as error:  # the last line of defence: what nobody foresaw is one line too
-        return _fail(1, unforeseen(error, interrupts.state()))
+        return _fail(1, unforeseen(error, signals.state()))
     return 0
 
 
@@ -92,10 +93,11 @@ def reconstruct(
         overwrite: Also replace a package that holds rollouts.
         json: Print one JSON object instead of text.
     """
-    from f3sr import atomic_folder, console, inputs, kernels, package, pipeline, settings
-    from f3sr.cache import Store
+    from f3sr import console, inputs, package, pipeline, settings
     from f3sr.delivery import deliver
-    from f3sr.progress import timed
+    from f3sr.runtime import atomic_folder, kernels
+    from f3sr.runtime.progress import timed
+    from f3sr.runtime.result_store import Store
 
     atomic_folder.recover(out)
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
@@ -138,10 +140,11 @@ def evaluate(
         config: TOML file of settings, as for ``reconstruct``; a package needs only those of [evaluate].
         json: Print one JSON object instead of a table.
     """
-    from f3sr import atomic_folder, console, inputs, kernels, pipeline, settings
-    from f3sr.cache import Store
+    from f3sr import console, inputs, pipeline, settings
     from f3sr.package import read_package
-    from f3sr.progress import timed
+    from f3sr.runtime import atomic_folder, kernels
+    from f3sr.runtime.progress import timed
+    from f3sr.runtime.result_store import Store
     from f3sr.stages import evaluate as stage
 
     atomic_folder.recover(folder)
@@ -269,5 +272,5 @@ def _flushed(code: int) -> int:
             stream.flush()
         except OSError as error:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())  # or Python tries, and complains, again
-            code = code or _fail(1, f"the output could not be written ({error.strerror}); {interrupts.state()}")
+            code = code or _fail(1, f"the output could not be written ({error.strerror}); {signals.state()}")
     return code

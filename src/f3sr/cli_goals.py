@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from tyro.conf import Positional, arg
 
-from f3sr.daemon import begun
 from f3sr.errors import F3srError, InputError, MissedError, OutputError, RefusedError, printable
+from f3sr.runtime.daemon_thread import begun
 
 if TYPE_CHECKING:
     from f3sr.film.filmed import Studio
@@ -50,9 +50,9 @@ def simulate(
         overwrite: Also replace an older rollout.
         json: Print one JSON object instead of text.
     """
-    from f3sr.atomic_folder import recover
     from f3sr.goals.refusal import Refusal
     from f3sr.package import read_package
+    from f3sr.runtime.atomic_folder import recover
 
     recover(*(place for place in (package, out, plan) if place))
     _require_goals(goals, plan)
@@ -112,7 +112,8 @@ def film(rollout: Folder, /, package: Path | None = None, slow: float = 1.0, jso
 
 def _make_ready(content: Package, quiet: bool) -> None:
     """What a film needs, before a goal is played for it: its pictures are read, its kernels compiled."""
-    from f3sr import console, kernels
+    from f3sr import console
+    from f3sr.runtime import kernels
 
     for read in (content.background, content.support, content.kept_depth):
         read()

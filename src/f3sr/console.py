@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from f3sr import interrupts
-from f3sr.progress import Progress, Step, silent
+from f3sr.runtime import signals
+from f3sr.runtime.progress import Progress, Step, silent
 
 CURSOR_BACK = b"\r\x1b[K\x1b[?25h"
 """What a terminal needs when the bar ends in the middle: an empty line and its cursor."""
@@ -44,7 +44,7 @@ def _with_a_clock() -> Generator[Progress]:
 
     columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
     bar = Bar(*columns, transient=True, console=_console())
-    with interrupts.undone(lambda: bar, lambda _: os.write(1, CURSOR_BACK)), bar:
+    with signals.undone(lambda: bar, lambda _: os.write(1, CURSOR_BACK)), bar:
         task = bar.add_task("starting")
 
         def tell(step: Step) -> None:

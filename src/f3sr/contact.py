@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, frozen
-from f3sr.kernels import kernel
+from f3sr.runtime.kernels import kernel
 
 COPLANAR = 1e-7
 """Triangles merge into one facet when they leave its plane by less than this share of the polytope's size."""

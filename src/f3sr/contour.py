@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array
-from f3sr.kernels import inline_kernel, kernel
+from f3sr.runtime.kernels import inline_kernel, kernel
 
 AREA, VALID, MOMENT_X, MOMENT_Y, MISMATCH = range(5)
 """Rows of ``Integrals.value`` and ``Integrals.gradient``."""

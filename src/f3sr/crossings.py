@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array
-from f3sr.kernels import inline_kernel, kernel
+from f3sr.runtime.kernels import inline_kernel, kernel
 
 EDGE_LENGTH = 0.01
 """Target edge length as a share of the scene's diagonal (equation 12's protocol)."""

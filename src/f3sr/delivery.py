@@ -7,7 +7,7 @@ from pathlib import Path
 from f3sr import package, pictures
 from f3sr.page import report_page
 from f3sr.pipeline import Reconstruction
-from f3sr.progress import Progress, silent, timed
+from f3sr.runtime.progress import Progress, silent, timed
 
 
 def deliver(result: Reconstruction, out: str | Path, *, overwrite: bool = False, progress: Progress = silent) -> Path:

@@ -17,9 +17,9 @@ from typing import Literal
 import numpy as np
 
 import f3sr
-from f3sr import kernels
-from f3sr.cache_folder import cache_folder
 from f3sr.core.mesh import ConvexPart, Mesh
+from f3sr.runtime import kernels
+from f3sr.runtime.cache_folder import cache_folder
 
 State = Literal["ok", "missing", "failed"]
 

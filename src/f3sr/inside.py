@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from f3sr.contact import Polytope
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array
-from f3sr.kernels import inline_kernel, kernel
+from f3sr.runtime.kernels import inline_kernel, kernel
 
 PER_CELL = 2.0
 """Triangles per cell of the grid that finds those over a point, about."""

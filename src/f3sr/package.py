@@ -14,7 +14,6 @@ from pydantic import JsonValue, ValidationError
 
 import f3sr
 from f3sr.assets import require_solidity, require_total
-from f3sr.atomic_folder import claimed, recover
 from f3sr.bounds import MAX_OBJECT, MAX_PART_BYTES, MAX_SCENE_BYTES, MAX_SIZES_AWAY, MIN_OBJECT
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, MassProperties, Mesh
@@ -50,6 +49,7 @@ from f3sr.package_folder import (
 )
 from f3sr.physics import DEFAULT_PHYSICS, PhysicsConfig, body_of
 from f3sr.report import Report
+from f3sr.runtime.atomic_folder import claimed, recover
 from f3sr.scene import Excluded, Ground, Motion, Node, Photo, Relation, Scene, SceneGraph, SceneObject, Support
 
 if TYPE_CHECKING:

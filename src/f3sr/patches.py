@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from f3sr.contact import Body, Polytope, face_facets, facets
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, Array, frozen
-from f3sr.kernels import kernel
+from f3sr.runtime.kernels import kernel
 from f3sr.scene import GROUND
 
 REACH = 6e-4

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.kernels import inline_kernel, kernel
+from f3sr.runtime.kernels import inline_kernel, kernel
 
 Picture = NDArray[np.float32]
 """(h, w, 3): logarithms of colour, here of light and twice of its colour, or what is to be spread like them."""

@@ -8,14 +8,14 @@ from dataclasses import asdict, dataclass, field, replace
 from pydantic import JsonValue
 
 from f3sr.background import BackgroundConfig
-from f3sr.cache import Store, digest
 from f3sr.inputs import Inputs
 from f3sr.options import SKIPPABLE
-from f3sr.progress import Progress, silent
 from f3sr.proxies import ProxyConfig
 from f3sr.refinement import RefineConfig, Rested, refine
 from f3sr.report import Report
-from f3sr.runner import Runner
+from f3sr.runtime.progress import Progress, silent
+from f3sr.runtime.result_store import Store, digest
+from f3sr.runtime.stage_runner import Runner
 from f3sr.scene import Scene
 from f3sr.settings import changed, settings
 from f3sr.stages.align import AlignConfig, align

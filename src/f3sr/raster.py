@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Material, Mesh
 from f3sr.core.transforms import Array, pose
-from f3sr.kernels import inline_kernel, kernel
+from f3sr.runtime.kernels import inline_kernel, kernel
 from f3sr.scene import SceneObject
 from f3sr.triangles import SHORT, bounds, centres, corner, determinant, edge_functions, inside, project, row_of, span
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.kernels import inline_kernel, kernel
+from f3sr.runtime.kernels import inline_kernel, kernel
 
 PAD = 1e-6
 """Slack [px] of bounding boxes: wider than any rounding error, so that only the edge functions decide."""

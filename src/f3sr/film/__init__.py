@@ -7,7 +7,6 @@ from dataclasses import replace
 from fractions import Fraction
 
 from f3sr.core.transforms import Array
-from f3sr.daemon import ahead
 from f3sr.film.captions import slowed
 from f3sr.film.moments import Moment, frame_at, key_moments
 from f3sr.film.payload import Shown
@@ -19,6 +18,7 @@ from f3sr.goals.files import FILM, FILMS, PLAYER, STRIP
 from f3sr.goals.plan import Plan
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.verify import Verdict
+from f3sr.runtime.daemon_thread import ahead
 from f3sr.scene import Scene
 
 __all__ = ["FILM", "FILMS", "PLAYER", "STRIP", "Moment", "Video", "encode", "key_moments", "make_film"]

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from f3sr.atomic_folder import BusyError, being_written, check, claimed, recover, recover_all
 from f3sr.errors import InputError, OutputError
 from f3sr.files import limited_file
 from f3sr.files.limited_file import MAX_JSON_BYTES
@@ -20,6 +19,7 @@ from f3sr.goals.play import Played, scene_sha
 from f3sr.goals.rollout import Rollout
 from f3sr.package import Package, read_package
 from f3sr.package_folder import ROLLOUTS, is_package, placed
+from f3sr.runtime.atomic_folder import BusyError, being_written, check, claimed, recover, recover_all
 
 FILES = {PLAN, ROLLOUT, VERDICT, *FILMS}
 

@@ -19,8 +19,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from f3sr.cache import Arrays, Store
-from f3sr.cache_folder import within
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import Array, transform
 from f3sr.errors import InputError
@@ -31,6 +29,8 @@ from f3sr.proxies.store import key_of, packed, unpacked
 from f3sr.proxies.surface import Faces
 from f3sr.proxies.worker import run_worker
 from f3sr.report import Decision
+from f3sr.runtime.cache_folder import within
+from f3sr.runtime.result_store import Arrays, Store
 
 __all__ = ["Excess", "Proxy", "ProxyConfig", "check", "decompose", "decompose_all", "split"]
 

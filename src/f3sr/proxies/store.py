@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from f3sr.cache import Arrays
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.fit import Excess
 from f3sr.proxies.parts import Fitted
 from f3sr.proxies.surface import Faces
+from f3sr.runtime.result_store import Arrays
 
 PROXY_VERSION = 3
 """Part of the cache key; raise it when the same input and config give other parts."""

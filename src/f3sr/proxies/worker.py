@@ -16,7 +16,6 @@ from typing import IO
 
 import numpy as np
 
-from f3sr import interrupts
 from f3sr.core.transforms import Array
 from f3sr.files import npz
 from f3sr.proxies import parts
@@ -24,6 +23,7 @@ from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.parts import Fitted
 from f3sr.proxies.store import config_json, packed, unpacked
 from f3sr.proxies.surface import Faces
+from f3sr.runtime import signals
 
 LOOK_UP_S = 0.2
 """How often a thread that waits for a worker looks whether all has been called off [s]."""
@@ -45,7 +45,7 @@ def run_worker(vertices: Array, faces: Faces, config: ProxyConfig, cancelled: th
     with tempfile.TemporaryFile() as mesh, tempfile.TemporaryFile() as answer, tempfile.TemporaryFile() as errors:
         np.savez(mesh, vertices=vertices, faces=faces)
         mesh.seek(0)
-        with interrupts.undone(lambda: _start(config, mesh, answer, errors), subprocess.Popen.kill) as process:
+        with signals.undone(lambda: _start(config, mesh, answer, errors), subprocess.Popen.kill) as process:
             try:
                 _wait(process, config.wall_limit_s, cancelled)
             except subprocess.TimeoutExpired:

@@ -6,7 +6,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from f3sr.kernels import inline_kernel, kernel
+from f3sr.runtime.kernels import inline_kernel, kernel
 
 
 @inline_kernel

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from f3sr import raster
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, transform
-from f3sr.daemon import begun
 from f3sr.rendering.config import RenderConfig
 from f3sr.rendering.light import DIRECT, DIRECT_ON_GROUND, SKY, SKY_ON_GROUND, Light, disc, even_sky, ground_sky
 from f3sr.rendering.shadow_kernels import cast_on_ground
@@ -20,6 +19,7 @@ from f3sr.rendering.shadow_maps import Caster, Maps, world_casters
 from f3sr.rendering.shapes import casters_of, faces_outward, shapes_of, starts_of
 from f3sr.rendering.surface_kernels import Shapes, Textures, View, find_extents, nearest_faces
 from f3sr.rendering.textures import textures_of
+from f3sr.runtime.daemon_thread import begun
 from f3sr.scene import SceneObject
 from f3sr.triangles import project
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.kernels import inline_kernel, kernel
+from f3sr.runtime.kernels import inline_kernel, kernel
 
 STEPS = 65535
 """Steps of linear light in the table that ends in sRGB: the darkest ones of eight bits are 20 of these wide."""

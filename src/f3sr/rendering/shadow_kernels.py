@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.kernels import inline_kernel, kernel
+from f3sr.runtime.kernels import inline_kernel, kernel
 from f3sr.triangles import Point, bounds, centres, corner, determinant, edge_functions, row_of, span
 
 FADE = 12.0

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.kernels import inline_kernel, kernel
 from f3sr.rendering.shadow_kernels import arriving
 from f3sr.rendering.texture_kernels import UNIT
+from f3sr.runtime.kernels import inline_kernel, kernel
 from f3sr.triangles import bounds, centres, corner, determinant, edge_functions, row_of, span
 
 SAME = 0.97

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.kernels import kernel
+from f3sr.runtime.kernels import kernel
 
 UNIT = 65535.0
 """White in textures of 16 bits."""

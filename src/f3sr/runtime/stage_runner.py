@@ -6,12 +6,12 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict
 from typing import Any, TypeVar
 
-from f3sr import scene_state
-from f3sr.cache import Arrays, Store, code_version, digest
-from f3sr.daemon import begun
 from f3sr.errors import InputError
-from f3sr.progress import Progress, Step, timed
 from f3sr.report import Report, report_of
+from f3sr.runtime import scene_serialization
+from f3sr.runtime.daemon_thread import begun
+from f3sr.runtime.progress import Progress, Step, timed
+from f3sr.runtime.result_store import Arrays, Store, code_version, digest
 from f3sr.scene import Scene
 
 T = TypeVar("T")
@@ -42,7 +42,7 @@ class Runner:
         """The scene after the stage; ``scene`` itself when the stage is skipped."""
 
         def restored(document: Any, arrays: Arrays) -> tuple[Scene, Report]:
-            return scene_state.unpack(scene, document["scene"], arrays), report_of(document["report"])
+            return scene_serialization.unpack(scene, document["scene"], arrays), report_of(document["report"])
 
         def worked() -> tuple[Scene, Report]:
             changed, report = work(scene, config, **more)
@@ -51,7 +51,7 @@ class Runner:
             return changed, report
 
         def stored(result: tuple[Scene, Report]) -> tuple[Any, Arrays]:
-            document, arrays = scene_state.pack(result[0])
+            document, arrays = scene_serialization.pack(result[0])
             return {"scene": document, "report": asdict(result[1])}, arrays
 
         result = self.value(name, worked, restored, stored, config)

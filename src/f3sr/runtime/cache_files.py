@@ -9,8 +9,8 @@ import os
 import tempfile
 from pathlib import Path
 
-from f3sr import interrupts
-from f3sr.cache_folder import PRIVATE, is_ours
+from f3sr.runtime import signals
+from f3sr.runtime.cache_folder import PRIVATE, is_ours
 
 PART = ".part"
 """Suffix of a file that is being written."""
@@ -40,7 +40,7 @@ def _seal(data: bytes, key: str) -> bytes:
 def write_whole(file: Path, data: bytes) -> None:
     """Write a cache file in one step; an unwritable folder or a full disk leaves it as it was."""
     part = None
-    with interrupts.held():
+    with signals.held():
         try:
             file.parent.mkdir(mode=PRIVATE, parents=True, exist_ok=True)
             handle, part = tempfile.mkstemp(dir=file.parent, suffix=PART)

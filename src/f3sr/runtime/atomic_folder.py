@@ -19,8 +19,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from f3sr import interrupts
 from f3sr.errors import OutputError, reason
+from f3sr.runtime import signals
 
 MARKER, MARK = ".f3sr-building", b"f3sr: a folder being written, version 1\n"
 BUILDING = ".building"
@@ -45,7 +45,7 @@ class Claim:
 
     def write(self, name: str, data: bytes) -> None:
         """Build one file, by its path relative to ``out``."""
-        with interrupts.held():
+        with signals.held():
             file = building_of(self.out) / NEW / name
             file.parent.mkdir(parents=True, exist_ok=True)
             file.write_bytes(data)
@@ -53,23 +53,23 @@ class Claim:
     def replace(self) -> None:
         """Put what was built in the place of ``out``."""
         building = building_of(self.out)
-        with interrupts.held():
+        with signals.held():
             if self.out.exists():
                 self.out.rename(building / PREVIOUS)
             (building / NEW).rename(self.out)
-            interrupts.wrote(self.out)
+            signals.wrote(self.out)
 
     def add(self) -> None:
         """Put the files that were built into ``out``, beside its others."""
         building = building_of(self.out)
-        with interrupts.held():
+        with signals.held():
             (building / NEW).rename(building / ADDED)
             _finish(self.out)
-            interrupts.wrote(self.out)
+            signals.wrote(self.out)
 
     def release(self) -> None:
         """Leave nothing that is half done, and let others write. What cannot be deleted the next command deletes."""
-        with interrupts.held(), contextlib.suppress(OSError, OutputError):
+        with signals.held(), contextlib.suppress(OSError, OutputError):
             lock, self.lock = self.lock, None
             if lock is not None:
                 _end(self.out, lock)
@@ -83,7 +83,7 @@ def claimed(out: Path, allowed: Callable[[Path], object]) -> Generator[Claim]:
     ``allowed`` looks at ``out`` and raises OutputError where it may not be written. Raises BusyError where another
     process has the right, OutputError where the file system refuses.
     """
-    with told(out), interrupts.undone(lambda: _claim(out), Claim.release) as claim:
+    with told(out), signals.undone(lambda: _claim(out), Claim.release) as claim:
         try:
             allowed(out)
             yield claim
@@ -112,7 +112,7 @@ def recover(*places: Path) -> None:
         out, *names = map(Path, place.absolute().parts)
         while names and os.path.exists(out):  # noqa: PTH110 - false, not an error, for impossible names
             out /= names.pop(0)
-            with contextlib.suppress(OSError, ValueError, OutputError), interrupts.held():
+            with contextlib.suppress(OSError, ValueError, OutputError), signals.held():
                 if os.path.lexists(building_of(out) / MARKER):
                     _end(out, _locked(out, surely=True))
 

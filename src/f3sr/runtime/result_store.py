@@ -14,9 +14,9 @@ from typing import Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.cache_files import PART, is_orphan, read_sealed, write_sealed
-from f3sr.cache_folder import within
 from f3sr.files import npz
+from f3sr.runtime.cache_files import PART, is_orphan, read_sealed, write_sealed
+from f3sr.runtime.cache_folder import within
 
 Arrays = dict[str, NDArray[Any]]
 DOCUMENT = "document.json"
@@ -32,7 +32,7 @@ def digest(*values: Any) -> str:
 @cache
 def code_version() -> str:
     """Hash of this package's sources: a result never outlives the code that made it."""
-    here = Path(__file__).parent
+    here = Path(__file__).parents[1]
     hashed = hashlib.sha256()
     for path in sorted(here.rglob("*.py")):
         hashed.update(path.relative_to(here).as_posix().encode() + path.read_bytes())

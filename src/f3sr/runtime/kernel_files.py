@@ -18,7 +18,7 @@ from typing import Any, cast
 import numba
 from numba.core.compiler import CompileResult
 
-from f3sr.cache_files import PART, is_orphan, read_sealed, write_sealed
+from f3sr.runtime.cache_files import PART, is_orphan, read_sealed, write_sealed
 
 SUFFIX = ".kernel"
 

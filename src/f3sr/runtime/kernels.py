@@ -15,8 +15,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from f3sr.cache_folder import within
-from f3sr.progress import Progress, silent, timed
+from f3sr.runtime.cache_folder import within
+from f3sr.runtime.progress import Progress, silent, timed
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -36,9 +36,9 @@ WARM_UPS = (*(name for name in KERNEL_MODULES if "." not in name), "rendering.tr
 
 
 def _source_hash() -> str:
-    here = Path(__file__).parent
+    here = Path(__file__).parents[1]
     digest = hashlib.sha256()
-    for name in ("kernels", "kernel_files", "cache_files", *KERNEL_MODULES):
+    for name in ("runtime.kernels", "runtime.kernel_files", "runtime.cache_files", *KERNEL_MODULES):
         digest.update((here / f"{name.replace('.', '/')}.py").read_bytes())
     return digest.hexdigest()[:16]
 
@@ -53,7 +53,7 @@ def kernel(function: F) -> F:
     """``njit`` with the project's options: GIL released, cached on disk, IEEE arithmetic for equal bytes."""
     from numba import njit
 
-    from f3sr.kernel_files import KernelFiles
+    from f3sr.runtime.kernel_files import KernelFiles
 
     dispatcher = cast(Any, njit(nogil=True, fastmath=False, error_model="numpy")(function))
     dispatcher._cache = KernelFiles(function, kernel_folder)  # where ``njit(cache=True)`` puts numba's own
@@ -86,7 +86,7 @@ def warm_up(progress: Progress = silent) -> None:
         with timed("compiling kernels for this run only, as no folder can keep them", progress):
             _call_all()
         return
-    from f3sr.kernel_files import discard_damaged
+    from f3sr.runtime.kernel_files import discard_damaged
 
     step = "kernels" if is_warm() else "compiling kernels, once per machine"
     if damaged := discard_damaged(folder):
@@ -103,8 +103,8 @@ def _call_all() -> None:
 
 
 def _tell_warm(folder: Path) -> None:
-    from f3sr.cache_files import write_whole
-    from f3sr.kernel_files import SUFFIX
+    from f3sr.runtime.cache_files import write_whole
+    from f3sr.runtime.kernel_files import SUFFIX
 
     write_whole(folder / WARM, "\n".join(sorted(file.name for file in folder.glob(f"*{SUFFIX}"))).encode())
 
