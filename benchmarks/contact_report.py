@@ -13,10 +13,11 @@ from itertools import combinations
 
 import numpy as np
 
-from f3sr import contact, physics
+from f3sr import contact
 from f3sr.contact import Body, Polytope
 from f3sr.core.transforms import UP, Array, pose
-from f3sr.physics import PhysicsConfig
+from f3sr.physics import mujoco_model
+from f3sr.physics.mujoco_model import PhysicsConfig
 from f3sr.scene import Scene, SceneObject
 
 GAP = 1e-3
@@ -106,10 +107,10 @@ def shortest(A: Body, B: Body, direction: Array) -> float:
 
 def settle(scene: Scene) -> Scene:
     """A fixed time of strongly damped physics, whatever still moves then; as it was where that blows up."""
-    mujoco = physics.engine()
+    mujoco = mujoco_model.engine()
     config = PhysicsConfig(ground_friction=(STATIC_FRICTION, 0.005, 0.001))
     objects = [replace(o, friction=STATIC_FRICTION, density=DENSITY) for o in scene]
-    model = physics.build_spec(objects, config).compile()
+    model = mujoco_model.build_spec(objects, config).compile()
     data = mujoco.MjData(model)
     rates = np.array([LINEAR_DAMPING] * 3 + [ANGULAR_DAMPING] * 3)
     damping = np.tile(1 - rates * config.timestep, model.nv // 6)
@@ -121,8 +122,8 @@ def settle(scene: Scene) -> Scene:
     return scene.with_objects(*(at_rest(o, data) for o in scene if o.mobility == "dynamic"))
 
 
-def at_rest(o: SceneObject, data: physics.MjData) -> SceneObject:
-    body = data.body(physics.body_name(o.id))
+def at_rest(o: SceneObject, data: mujoco_model.MjData) -> SceneObject:
+    body = data.body(mujoco_model.body_name(o.id))
     return replace(o, T_world_object=pose(body.xmat.reshape(3, 3), body.xpos))
 
 

@@ -22,9 +22,10 @@ from PIL import Image, ImageDraw, ImageFont
 
 import contact as bench
 import tables
-from f3sr import example, physics
+from f3sr import example
 from f3sr.core.transforms import Array, pose, rotation_about, rotation_from_vector
-from f3sr.physics import SettleConfig
+from f3sr.physics import settling as physics_settling
+from f3sr.physics.settling import SettleConfig
 from f3sr.runtime import kernels
 from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.stages.separate import separate
@@ -94,7 +95,7 @@ def outcome(scene: Scene, damping: float | None) -> dict[str, float]:
     """How many objects of a scene are unstable, and why, once it has settled with a damping rate [1/s]."""
     config = SettleStageConfig()
     settling = config.settling if damping is None else _with_rate(config.settling, damping)
-    settled = physics.settle(scene.objects, config.physics, settling=settling)
+    settled = physics_settling.settle(scene.objects, config.physics, settling=settling)
     after = {o.id: replace(o, T_world_object=settled.T_world_object[o.id]) for o in scene}
     toppled = {o.id for o in scene if tilt(o, after[o.id]) > TOPPLED}
     slid = {o.id for o in scene if slide(o, after, scene) > OFF}

@@ -10,10 +10,11 @@ from itertools import pairwise
 import numpy as np
 import trimesh
 
-from f3sr import physics, raster
+from f3sr import raster
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import Array, pose, rotation_about
+from f3sr.physics import settling
 from f3sr.scene import Ground, Photo, Scene, SceneObject
 
 WIDTH, HEIGHT = 640, 480
@@ -40,7 +41,7 @@ def made(family: str, seed: int) -> Made | None:
     rng = np.random.default_rng([seed, sorted(FAMILIES).index(family)])
     shapes = FAMILIES[family](rng)
     objects = objects_of(shapes)
-    rest = physics.settle(objects)
+    rest = settling.settle(objects)
     if not rest.at_rest:
         return None
     objects = tuple(replace(o, T_world_object=rest.T_world_object[o.id]) for o in objects)

@@ -11,7 +11,7 @@ from f3sr.balancing import DEFAULT_BALANCE, BalanceConfig, balance
 from f3sr.bodies import StaticBody, carried, rigid, supports_first
 from f3sr.core.transforms import Array, pose
 from f3sr.landing import DEFAULT_LANDING, Landing, LandingConfig, land
-from f3sr.physics import DEFAULT_PHYSICS
+from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 from f3sr.statics import Stability, stability
 
 ROUNDS = 3

@@ -19,12 +19,13 @@ import numpy as np
 import resting
 import stacks
 import tables
-from f3sr import balancing, physics, statics
+from f3sr import balancing, statics
 from f3sr.bodies import StaticBody, bodies_of, contacts_of
 from f3sr.contact import Polytope
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, pose, rotation_about
 from f3sr.landing import LandingConfig
+from f3sr.physics import release
 from f3sr.runtime.kernels import warm_up
 from f3sr.scene import SceneObject
 
@@ -65,7 +66,7 @@ def compare(count: int) -> None:
             bodies = bodies_of(objects)
             found, seconds = timed(lambda bodies=bodies: statics.stability(bodies))
             times.append(seconds)
-            travel = physics.release(objects, seconds=SECONDS).D_max
+            travel = release.release(objects, seconds=SECONDS).D_max
             table[int(found.stands), int(travel < FELL)] += 1
             if not found.stands:
                 outcomes.append(repaired(objects, bodies, travel))
@@ -96,7 +97,7 @@ def repaired(
     """Whether it stands after shifts; travel [m] without and with them; largest shift [m]; processor time [s]."""
     supports = {o.id: o.supported_by for o in objects}
     found, seconds = timed(lambda: balancing.balance(bodies, supports))
-    after = physics.release(shifted(objects, found), seconds=SECONDS).D_max
+    after = release.release(shifted(objects, found), seconds=SECONDS).D_max
     shift = max(float(np.linalg.norm(s[:2])) for s in found.shifts.values())
     return not found.unbalanced, travel, after, shift, seconds
 
@@ -112,7 +113,7 @@ def lying(count: int) -> None:
             allowed = LandingConfig(max_shift=0.15)
             found, seconds = timed(lambda a=bodies, b=supports, c=allowed: resting.rest(a, b, c))
             after = tuple(replace(o, T_world_object=found.motions[o.id] @ o.T_world_object) for o in objects)
-            travels = [physics.release(o, seconds=SECONDS).D_max for o in (objects, after)]
+            travels = [release.release(o, seconds=SECONDS).D_max for o in (objects, after)]
             rows.append((travels[0], found.after.stands, travels[1], seconds))
         before, stands, travel, seconds = (np.array(x) for x in zip(*rows, strict=True))
         counts = [count, (before < RESTS).sum(), stands.sum(), (stands & (travel < RESTS)).sum()]

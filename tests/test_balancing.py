@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from f3sr import contact, physics, statics
+from f3sr import contact, statics
 from f3sr.balancing import BalanceConfig, balance
 from f3sr.bodies import StaticBody, bodies_of
 from f3sr.core.transforms import UP, pose, rotation_about
+from f3sr.physics import release
 from f3sr.scene import GROUND
 from f3sr.statics import stability
 from test_statics import GAP, block, body
@@ -108,5 +109,5 @@ def test_stacks_that_fell_rest_after_their_shifts(seed: int) -> None:
     assert not stability(bodies).stands and found.success
     assert statics.stands(after(bodies, found))
     shifted = [replace(o, T_world_object=pose(t=found.shifts[o.id]) @ o.T_world_object) for o in objects]
-    assert physics.release(objects, seconds=1.5).D_max > 0.05
-    assert physics.release(shifted, seconds=1.5).D_max < 2e-3
+    assert release.release(objects, seconds=1.5).D_max > 0.05
+    assert release.release(shifted, seconds=1.5).D_max < 2e-3

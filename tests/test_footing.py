@@ -11,7 +11,7 @@ from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import pose, rotation_about, rotation_angle
 from f3sr.footing import GROUND_PLANE, FootingConfig, Plane, flush, footing, support_plane
 from f3sr.inside import union_distance
-from f3sr.physics import settle
+from f3sr.physics.settling import settle
 from f3sr.scene import SceneObject
 from f3sr.stages.separate import SeparateConfig, separate
 from scenes import box, scene_of

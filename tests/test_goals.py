@@ -48,7 +48,7 @@ from f3sr.goals.trial import LINGERS, ROLLOUTS, SHORTEST, Still, Trials
 from f3sr.goals.verify import VerdictDocument, verify
 from f3sr.goals.verify import to_json as verdict_json
 from f3sr.package import Package
-from f3sr.physics import body_of
+from f3sr.physics.mujoco_model import body_of
 from f3sr.runtime import atomic_folder
 from f3sr.scene import GROUND, Scene, Support
 from goal_scene import BALL, BLOCK, CAN, CARTON, CRATE, GAP, LID, goal_package, goal_scene

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from f3sr import contact, physics
+from f3sr import contact
 from f3sr.bodies import bodies_of
 from f3sr.core.transforms import UP, pose, rotation_about, rotation_angle
 from f3sr.landing import LandingConfig, land
+from f3sr.physics import release, settling
 from test_statics import GAP, block, body
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
@@ -85,12 +86,12 @@ def test_it_ends_as_damped_physics_does_and_rests(seed: int) -> None:
     found = land(bodies_of([thing])[0], bodies_of([slab]), LandingConfig(max_turn=0.6, max_drop=10))
     assert found.stands
     ours = found.T @ thing.T_world_object
-    theirs = physics.settle([thing, slab]).T_world_object[0]
+    theirs = settling.settle([thing, slab]).T_world_object[0]
     assert rotation_angle(ours[:3, :3].T @ theirs[:3, :3]) < np.radians(2.5)
     up = (ours[2, :3], theirs[2, :3])
     assert np.degrees(np.arccos(np.clip(up[0] @ up[1], -1, 1))) < 0.1
     rests = replace(thing, T_world_object=ours)
-    assert physics.release([rests, slab], seconds=1).D_max < 2e-4
+    assert release.release([rests, slab], seconds=1).D_max < 2e-4
 
 
 def test_what_would_tip_over_an_edge_is_shifted_over_it_when_that_is_allowed() -> None:
@@ -121,7 +122,7 @@ def test_tilted_stacks_lie_down_one_after_the_other_and_rest(seed: int) -> None:
     assert not any(
         contact.collide(stacks.world_parts(a), stacks.world_parts(b)) for a in landed for b in landed if a.id < b.id
     )
-    assert physics.release(objects, seconds=1).D_max > 5e-3 > 1e-3 > physics.release(landed, seconds=1).D_max
+    assert release.release(objects, seconds=1).D_max > 5e-3 > 1e-3 > release.release(landed, seconds=1).D_max
 
 
 def test_rest_lands_and_shifts_until_all_stand() -> None:
@@ -131,8 +132,8 @@ def test_rest_lands_and_shifts_until_all_stand() -> None:
     found = resting.rest(bodies, supports, LandingConfig(max_shift=0.15))
     assert not found.before.stands and found.after.stands and not found.tipped
     rested = [replace(o, T_world_object=found.motions[o.id] @ o.T_world_object) for o in objects]
-    assert physics.release(objects, seconds=1).D_max > 0.05
-    assert physics.release(rested, seconds=1).D_max < 1e-3
+    assert release.release(objects, seconds=1).D_max > 0.05
+    assert release.release(rested, seconds=1).D_max < 1e-3
 
 
 def test_rest_leaves_what_stands() -> None:

@@ -11,7 +11,7 @@ from f3sr.core.transforms import Array
 from f3sr.goals import launch
 from f3sr.goals.plan import Velocity
 from f3sr.goals.simulate import simulate
-from f3sr.physics import body_of
+from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import SceneObject
 from scenes import box, scene_of
 from test_simulate import centers, plan_of

@@ -29,7 +29,9 @@ from f3sr.errors import InputError, OutputError
 from f3sr.goals.limits import limits_of
 from f3sr.mesh_io import load_mesh, load_part, save_glb
 from f3sr.package import Package, read_package, scene_schema, write_package
-from f3sr.physics import build_spec, release, settle
+from f3sr.physics.mujoco_model import build_spec
+from f3sr.physics.release import release
+from f3sr.physics.settling import settle
 from f3sr.report import Decision, Measure, Report
 from f3sr.runtime import atomic_folder
 from f3sr.scene import Excluded, Scene
@@ -909,7 +911,7 @@ if __name__ == "__main__":
 
 def test_what_is_read_is_to_physics_what_was_written(tmp_path: Path) -> None:
     """Masses, centres, inertias and the corners of parts, to the bit: a rollout magnifies every difference."""
-    from f3sr.physics import build_spec, engine
+    from f3sr.physics.mujoco_model import build_spec, engine
 
     scene = box_stack_scene(3)
     out = write_package(scene, tmp_path / "out")

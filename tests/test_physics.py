@@ -14,15 +14,9 @@ import pytest
 import f3sr
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import rotation_about
-from f3sr.physics import (
-    PhysicsConfig,
-    SettleConfig,
-    body_of,
-    build_spec,
-    filling,
-    release,
-    settle,
-)
+from f3sr.physics.mujoco_model import PhysicsConfig, body_of, build_spec
+from f3sr.physics.release import filling, release
+from f3sr.physics.settling import SettleConfig, settle
 from f3sr.scene import SceneObject
 from scenes import box, box_mesh, box_stack_scene
 
@@ -48,7 +42,7 @@ def test_the_engine_prints_nothing_and_writes_no_file(tmp_path: Path) -> None:
     """States that blow up, and models of numbers that it doubts."""
     program = """
 import numpy as np
-from f3sr.physics import build_spec, compiled, engine
+from f3sr.physics.mujoco_model import build_spec, compiled, engine
 from scenes import box
 model = compiled(build_spec([box(0)]))
 data = engine().MjData(model)

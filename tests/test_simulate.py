@@ -25,8 +25,8 @@ from f3sr.goals.plan import (
 )
 from f3sr.goals.rollout import Rollout, from_npz, to_npz
 from f3sr.goals.simulate import simulate
-from f3sr.physics import body_of
-from f3sr.restitution import LEAST, damping_ratio_of, restitution_of, solref
+from f3sr.physics.mujoco_model import body_of
+from f3sr.physics.restitution import LEAST, damping_ratio_of, restitution_of, solref
 from f3sr.scene import GROUND, Scene, SceneObject
 from scenes import ball_mesh, box, box_stack_scene, scene_of
 

@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from f3sr import physics, statics
+from f3sr import statics
 from f3sr.bodies import StaticBody, bodies_of, contacts_of, islands
 from f3sr.contact import Polytope
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, pose, rotation_about
 from f3sr.equilibrium import EDGES, FALLS, Balance
 from f3sr.patches import Contacts, find_contacts
-from f3sr.physics import DEFAULT_PHYSICS
+from f3sr.physics import release
+from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 from f3sr.scene import GROUND, SceneObject
 from f3sr.statics import stability
 
@@ -254,5 +255,5 @@ def test_the_margin_is_where_balance_ends() -> None:
 def test_stacks_that_stand_stay_and_those_that_do_not_move(seed: int) -> None:
     objects: tuple[SceneObject, ...] = stacks.stack(seed)
     found = stability(bodies_of(objects))
-    travel = physics.release(objects, seconds=1.5).D_max
+    travel = release.release(objects, seconds=1.5).D_max
     assert travel < 1e-3 if found.stands else travel > 2e-3

@@ -20,7 +20,7 @@ from f3sr import contact
 from f3sr.bodies import StaticBody, carried, chain_below, contacts_of, islands, supports_first
 from f3sr.core.transforms import UP, Array, pose
 from f3sr.equilibrium import Balance
-from f3sr.physics import DEFAULT_PHYSICS
+from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 from f3sr.settings import settings
 
 DIRECTIONS = 6

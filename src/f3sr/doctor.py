@@ -120,14 +120,14 @@ def _decomposed() -> str:
 
 
 def _dropped() -> str:
-    from f3sr import physics
+    from f3sr.physics import settling
     from f3sr.scene import SceneObject
 
     box = _box((0.1, 0.1, 0.1))
     T = np.eye(4)
     T[2, 3] = 0.06
     mask = np.ones((1, 1), bool)
-    fallen = physics.settle(
+    fallen = settling.settle(
         [SceneObject(id=0, label="", mask_name="", mask=mask, mesh=box, T_world_object=T, parts=_hulls(box))]
     )
     height = fallen.T_world_object[0][2, 3]

@@ -20,7 +20,7 @@ from f3sr import heights
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, transform
 from f3sr.facets import stable_normals
-from f3sr.physics import body_of
+from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import SceneObject
 from f3sr.settings import settings
 

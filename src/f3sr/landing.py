@@ -20,7 +20,7 @@ from f3sr.contact import Polytope
 from f3sr.core.transforms import UP, Array, pose, rotation_about, rotation_angle
 from f3sr.equilibrium import Balance
 from f3sr.patches import REACH, find_contacts, hull_corners
-from f3sr.physics import DEFAULT_PHYSICS
+from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 from f3sr.settings import settings
 
 STEP = np.radians(2.0)

@@ -8,10 +8,11 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import crossings, physics, raster
+from f3sr import crossings, raster
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array
 from f3sr.inside import union_distance, winding_number
+from f3sr.physics import release
 from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.silhouette import iou, union_of
 
@@ -128,7 +129,7 @@ def measure_with_details(scene: Scene, *, true_scale: float = 1.0) -> tuple[Meas
     image, full, visible = _seen(scene)
     surfaces = [(o.T_world_asset, o.mesh.welded) for o in scene]
     pen = crossings.penetration([(v @ T[:3, :3].T + T[:3, 3], f) for T, (v, f) in surfaces])
-    K, D = physics.release(scene.objects, true_scale=true_scale)
+    K, D = release.release(scene.objects, true_scale=true_scale)
     gaps = gaps_of(scene.objects)
     out, far = zip(*(proxy_distances(o) for o in scene), strict=True)
     measures = Measures(

@@ -47,7 +47,7 @@ from f3sr.package_folder import (
     prepare_output,
     require_replaceable,
 )
-from f3sr.physics import DEFAULT_PHYSICS, PhysicsConfig, body_of
+from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, PhysicsConfig, body_of
 from f3sr.report import Report
 from f3sr.runtime.atomic_folder import claimed, recover
 from f3sr.scene import Excluded, Ground, Motion, Node, Photo, Relation, Scene, SceneGraph, SceneObject, Support

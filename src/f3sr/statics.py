@@ -14,7 +14,7 @@ import numpy as np
 from f3sr.bodies import StaticBody, contacts_of, islands
 from f3sr.equilibrium import Balance
 from f3sr.patches import Contacts
-from f3sr.physics import DEFAULT_PHYSICS
+from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 
 GRAVITY = 9.81
 """[m/s2]; what stands does not depend on it."""

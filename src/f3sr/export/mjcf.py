@@ -1,4 +1,4 @@
-"""MJCF: the scene as a MuJoCo file, the same model as ``physics.build_spec`` with pictures on it."""
+"""MJCF: the scene as a MuJoCo file, the same model as ``mujoco_model.build_spec`` with pictures on it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import Array, quaternion_from_rotation
 from f3sr.export.gltf import png_of
 from f3sr.export.obj import part_to_obj, to_obj
-from f3sr.physics import DEFAULT_PHYSICS, GROUND_NAME, Body, PhysicsConfig, body_of
+from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, GROUND_NAME, Body, PhysicsConfig, body_of
 from f3sr.scene import SceneObject
 
 VISUAL_GROUP, COLLISION_GROUP = 2, 3

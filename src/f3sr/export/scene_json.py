@@ -51,7 +51,7 @@ from f3sr.core.transforms import Array
 from f3sr.errors import OutputError
 from f3sr.export.mjcf import collision_path
 from f3sr.files import strict_json
-from f3sr.physics import body_of
+from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import GROUND, Mobility, Predicate, RelationSource, Scene, SceneObject
 
 SCHEMA_VERSION = 1

@@ -12,7 +12,7 @@ from f3sr.goals.flights import AFTER, AIMS, goal_of, is_blocked
 from f3sr.goals.language import Tried
 from f3sr.goals.layout import way_between
 from f3sr.goals.setting import Launches, Setting
-from f3sr.restitution import LEAST
+from f3sr.physics.restitution import LEAST
 from f3sr.scene import GROUND
 from f3sr.statics import GRAVITY
 

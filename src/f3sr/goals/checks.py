@@ -12,7 +12,7 @@ from f3sr.goals.language import Launch
 from f3sr.goals.limits import beyond, limits_of
 from f3sr.goals.plan import InitialConditions, Plan, Semantics, SimulationPlan, TaskSpec
 from f3sr.goals.rollout import MAX_SAMPLES, Rollout
-from f3sr.physics import body_of
+from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import GROUND, Scene
 
 LIFTED = {"drop", "lift_and_drop", "throw", "bounce"}

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from f3sr import physics
 from f3sr.core.transforms import UP, Array, transform
 from f3sr.goals.pool import Pool, pool_of
-from f3sr.physics import DEFAULT_PHYSICS, Body, engine
-from f3sr.restitution import solref
+from f3sr.physics import mujoco_model
+from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, Body, engine
+from f3sr.physics.restitution import solref
 from f3sr.scene import GROUND, Scene
 
 ROUND = 0.24
@@ -48,7 +48,7 @@ class Layout:
 
     @cached_property
     def model(self) -> Any:
-        return self._model or physics.compiled(physics.build_spec(self.scene.objects))
+        return self._model or mujoco_model.compiled(mujoco_model.build_spec(self.scene.objects))
 
     @cached_property
     def data(self) -> Any:
@@ -58,7 +58,7 @@ class Layout:
 
     def body(self, id: int) -> Body:
         if id not in self._bodies:
-            self._bodies[id] = physics.body_of(self.scene[id])
+            self._bodies[id] = mujoco_model.body_of(self.scene[id])
         return self._bodies[id]
 
     def mass(self, id: int) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from f3sr.core.transforms import Array
 from f3sr.goals.plan import Impulse, InitialConditions, Limits
-from f3sr.physics import body_of
+from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import Scene, SceneObject
 from f3sr.statics import GRAVITY
 

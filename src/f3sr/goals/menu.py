@@ -9,7 +9,7 @@ import numpy as np
 from f3sr.goals.layout import Layout
 from f3sr.goals.materials import material_of
 from f3sr.goals.names import names
-from f3sr.restitution import LEAST
+from f3sr.physics.restitution import LEAST
 from f3sr.scene import Scene
 
 FLAT = 0.4

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from f3sr import physics
 from f3sr.core.transforms import UP, Array, transform
-from f3sr.physics import engine
+from f3sr.physics import mujoco_model
+from f3sr.physics.mujoco_model import engine
 from f3sr.scene import SceneObject
 
 CELLS = 25
@@ -55,10 +55,10 @@ def pool_of(o: SceneObject) -> Pool | None:
 def _surface(o: SceneObject) -> tuple[Array, Array, Array]:
     """Heights (CELLS, CELLS) seen from above, what is beside it as low as its lowest point, and its bounding box."""
     mujoco = engine()
-    model = physics.compiled(physics.build_spec([o]))
+    model = mujoco_model.compiled(mujoco_model.build_spec([o]))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    corners = np.concatenate([transform(o.T_world_object, q.vertices) for q in physics.body_of(o).parts])
+    corners = np.concatenate([transform(o.T_world_object, q.vertices) for q in mujoco_model.body_of(o).parts])
     low, high = corners.min(0), corners.max(0)
     surface, hit = np.full((CELLS, CELLS), low[2]), np.zeros(1, np.int32)
     for i, j in np.ndindex(CELLS, CELLS):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from f3sr.goals.materials import Material, material_of
 from f3sr.goals.plan import Kind, Semantics, Source, TaskSpec
-from f3sr.physics import body_of
+from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import Scene, SceneObject
 
 FLYING: set[Kind] = {"drop", "throw", "bounce", "launch_and_return"}

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import physics
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, quaternion_from_rotation, transform
 from f3sr.goals.layout import outline
 from f3sr.goals.rollout import Rollout
+from f3sr.physics import mujoco_model
 from f3sr.scene import GROUND, Scene, SceneObject
 
 LAST = 0.2
@@ -31,7 +31,7 @@ class Seen:
 
     def way(self, id: int) -> Array:
         """(T, 3) of a centre of mass [m]."""
-        T, center = self.rollout.poses(id), physics.body_of(self.scene[id]).center
+        T, center = self.rollout.poses(id), mujoco_model.body_of(self.scene[id]).center
         return T[:, :3, :3] @ center + T[:, :3, 3]
 
     def lean(self, id: int) -> Array:
@@ -75,7 +75,7 @@ class Seen:
 
 def parts_of(o: SceneObject) -> Sequence[ConvexPart]:
     """In the object's frame, metres."""
-    return physics.body_of(o).parts
+    return mujoco_model.body_of(o).parts
 
 
 def outside(points: Array, corners: Array) -> Array:
@@ -88,9 +88,9 @@ def _nearest(seen: Seen, a: int, b: int, samples: NDArray[np.int64]) -> tuple[fl
     """The least distance [m] of two objects at some samples, and when [s], by MuJoCo's own distances of parts.
 
     Samples whose bounding spheres are farther apart than the least so far are left out."""
-    mujoco = physics.engine()
+    mujoco = mujoco_model.engine()
     objects = [seen.of(a), seen.of(b)]
-    model = physics.compiled(physics.build_spec([replace(o, mobility="dynamic") for o in objects]))
+    model = mujoco_model.compiled(mujoco_model.build_spec([replace(o, mobility="dynamic") for o in objects]))
     data = mujoco.MjData(model)
     radii = [max(float(np.linalg.norm(q.vertices, axis=1).max()) for q in parts_of(o)) for o in objects]
     poses = [seen.rollout.poses(id) for id in (a, b)]
@@ -110,7 +110,7 @@ def _nearest(seen: Seen, a: int, b: int, samples: NDArray[np.int64]) -> tuple[fl
 
 def _distance(model: Any, data: Any) -> float:
     """Between the geoms of the first and the second body [m]."""
-    mujoco = physics.engine()
+    mujoco = mujoco_model.engine()
     first, second = (np.flatnonzero(model.geom_bodyid == body).tolist() for body in (1, 2))
     between, least = np.zeros(6), 1e3
     for g in first:

@@ -25,7 +25,7 @@ from f3sr.goals.plan import (
     Velocity,
 )
 from f3sr.goals.pool import Pool
-from f3sr.physics import body_of
+from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import GROUND
 from f3sr.statics import GRAVITY
 

@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from f3sr import physics
 from f3sr.bounds import Vector3
 from f3sr.core.transforms import Array, pose, rotation_from_quaternion, rotation_from_vector
 from f3sr.goals.plan import Impulse, InitialConditions, Plan, Semantics, Velocity
 from f3sr.goals.rollout import CONTACT, Rollout
-from f3sr.physics import PhysicsConfig, body_name, engine
+from f3sr.physics import mujoco_model
+from f3sr.physics.mujoco_model import PhysicsConfig, body_name, engine
 from f3sr.scene import GROUND, Scene, SceneObject
 
 TOUCH = 1e-9
@@ -45,7 +45,7 @@ def simulate(scene: Scene, plan: Plan, *, until: Watch | None = None, model: Any
 
 def model_of(objects: Sequence[SceneObject], timestep: float) -> Any:
     """MuJoCo's model of what ``as_planned`` gives; it serves any number of rollouts, also at once."""
-    model = physics.compiled(physics.build_spec(objects, PhysicsConfig(timestep=timestep)))
+    model = mujoco_model.compiled(mujoco_model.build_spec(objects, PhysicsConfig(timestep=timestep)))
     model.opt.disableflags |= int(engine().mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
     return model
 
@@ -82,7 +82,7 @@ def _made_of(o: SceneObject, s: Semantics) -> SceneObject:
 def _turned(o: SceneObject, rotation: Vector3) -> Array:
     """The pose (4, 4) of an object turned about its centre of mass by a rotation vector."""
     T, R = o.T_world_object, rotation_from_vector(np.array(rotation))
-    center = T[:3, :3] @ physics.body_of(o).center + T[:3, 3]
+    center = T[:3, :3] @ mujoco_model.body_of(o).center + T[:3, 3]
     return pose(R, center - R @ center) @ T
 
 

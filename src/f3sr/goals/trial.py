@@ -17,7 +17,7 @@ from f3sr.goals.rollout import Rollout
 from f3sr.goals.seen import LAST
 from f3sr.goals.simulate import as_planned, model_of, simulate
 from f3sr.goals.verify import verify
-from f3sr.physics import engine
+from f3sr.physics.mujoco_model import engine
 from f3sr.scene import GROUND, Scene
 
 ROLLOUTS = 64

@@ -9,9 +9,10 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 
-from f3sr import physics
 from f3sr.core.transforms import Array, invert_pose, rotation_angle
-from f3sr.physics import PhysicsConfig, SettleConfig
+from f3sr.physics import settling as physics_settling
+from f3sr.physics.mujoco_model import PhysicsConfig
+from f3sr.physics.settling import SettleConfig
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene, SceneObject, Support, name_of
 from f3sr.settings import settings
@@ -34,7 +35,7 @@ def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene
     A simulation that blows up leaves the scene as it was, a Decision.
     """
     config = config or SettleStageConfig()
-    result = physics.settle(scene.objects, config.physics, settling=config.settling)
+    result = physics_settling.settle(scene.objects, config.physics, settling=config.settling)
     drift = max(result.drifts.values())
     decisions: list[Decision] = []
     if result.exploded:

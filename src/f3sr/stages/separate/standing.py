@@ -13,7 +13,7 @@ from f3sr.core.transforms import UP, Array, pose, rotation_from_vector, transfor
 from f3sr.equilibrium import Balance
 from f3sr.footing import GROUND_PLANE, FootingConfig, Plane, flush, footing, support_plane
 from f3sr.measures import visible_ious
-from f3sr.physics import DEFAULT_PHYSICS
+from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 from f3sr.report import Decision
 from f3sr.scene import GROUND, SceneObject
 from f3sr.stages.separate.config import SeparateConfig

@@ -1,0 +1,1 @@
+"""The one MuJoCo model of the product, and what is run with it."""

@@ -1,0 +1,252 @@
+"""The one MuJoCo model of the product: the bodies of objects, their contacts and the ground."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Annotated, Any, Literal, cast
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from annotated_types import Interval
+
+from f3sr.core.mesh import ConvexPart, MassProperties, Mesh, solid_properties
+from f3sr.core.transforms import Array, quaternion_from_rotation
+from f3sr.physics import restitution
+from f3sr.scene import GROUND, SceneObject
+from f3sr.settings import settings
+
+GROUND_NAME = "ground"
+
+MjSpec = MjModel = MjData = MjsMesh = Any
+"""MuJoCo's classes, which carry no type information."""
+
+
+Share = Annotated[float, Interval(ge=0, lt=1)]
+Length = Annotated[float, Interval(gt=0, le=1)]
+Power = Annotated[float, Interval(ge=1, le=10)]
+Friction = Annotated[float, Interval(ge=0, le=10)]
+
+
+@settings
+class PhysicsConfig:
+    """Contact model and time stepping, chosen for piles that rest (docs: measures)."""
+
+    timestep: Annotated[float, Interval(gt=0, le=0.005)] = 0.002
+    """[s], at most half of solref's first value."""
+    gravity: Annotated[float, Interval(ge=-100, le=0)] = -9.81
+    """Along world z [m/s2]."""
+    impratio: Annotated[float, Interval(ge=1, le=100)] = 10.0
+    """Friction to normal impedance: higher slips less in the elliptic cone."""
+    solref: tuple[Length, Annotated[float, Interval(gt=0, le=10)]] = (0.005, 1.0)
+    """Contact time constant [s], at least two time steps, and damping ratio. .02 creeps ten times more."""
+    solimp: tuple[Share, Share, Length, Share, Power] = (0.95, 0.99, 0.0005, 0.5, 2.0)
+    """Contact impedance: least, most, width [m], midpoint, power."""
+    condim: Literal[4, 6] = 6
+    """Contact dimensions: 6 adds rolling friction, without which balls never stop."""
+    torsional_friction: Annotated[float, Interval(ge=0, le=1)] = 0.005
+    """[m]: friction against spinning about the contact normal."""
+    ground_friction: tuple[Friction, Friction, Friction] = (0.6, 0.005, 0.001)
+    """Sliding, torsional [m] and rolling [m] friction of the ground; a contact takes the larger of two."""
+    margin: Annotated[float, Interval(ge=0, le=1e-3)] = 1.6e-4
+    """Contact distance of each body [m]: it keeps soft contact from turning into overlap. MuJoCo adds the margins of
+    two bodies, so that they rest two margins apart. Four fifths of the release protocol's: where the true scale is a
+    fifth larger than a photo tells, what rests must not fall to the protocol's margin (K .0021 -> .00002 J)."""
+    multiccd: bool = True
+    """Several contact points per pair of parts. Off, stacks explode."""
+
+    def __post_init__(self) -> None:
+        if self.solref[0] < 2 * self.timestep:
+            raise ValueError("solref whose first value is at least two time steps")
+        if self.solimp[0] > self.solimp[1]:
+            raise ValueError("solimp whose first value is at most its second")
+
+
+DEFAULT_PHYSICS = PhysicsConfig()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Body:
+    """An object as the engine sees it, in its own frame, metres, scale baked in."""
+
+    name: str
+    T_world_body: Array
+    fixed: bool
+    mass: float
+    """[kg]"""
+    center: Array
+    """Centre of mass (3,) [m]."""
+    inertia: Array
+    """(3, 3) [kg m2] about the centre of mass."""
+    from_mesh: bool
+    """True when the mass is that of the visual mesh, False when of the union of the parts."""
+    friction: tuple[float, float, float]
+    """Sliding, torsional, rolling."""
+    solref: tuple[float, float] | None
+    """Of the contacts of what bounces; None where the model's own hold."""
+    parts: tuple[ConvexPart, ...]
+
+
+@cache
+def engine() -> Any:
+    """The ``mujoco`` module, imported on first use.
+
+    Its warnings go neither to the terminal nor to a MUJOCO_LOG.TXT in the working folder: what f3sr makes of a state
+    that blows up is said by f3sr. A ``mujoco.set_mju_user_warning`` of a caller's is told them all the same.
+    """
+    import mujoco
+
+    log = cast(Any, mujoco).MjLogConfig.get()
+    log.logto_file = log.logto_console = False
+    log.set()
+    warnings.filterwarnings("ignore", category=UserWarning, module=re.escape(__name__))  # of ``compiled``
+    return mujoco
+
+
+def compiled(spec: MjSpec) -> MjModel:
+    """The model of a specification. Raises ValueError where MuJoCo takes some number for impossible."""
+    return spec.compile()
+
+
+def body_name(id: int) -> str:
+    return f"object_{id:02d}"
+
+
+def body_of(o: SceneObject, config: PhysicsConfig = DEFAULT_PHYSICS) -> Body:
+    """The rigid body of an object: mass and inertia of its solid at its density, its parts in metres."""
+    solid, from_mesh = _solid(o.mesh, o.parts or (o.mesh.hull,)) if o.solid is None else (o.solid, o.mesh.is_solid)
+    scale = np.diag([o.scale, o.scale, o.scale, 1.0])
+    return Body(
+        name=body_name(o.id),
+        T_world_body=o.T_world_object,
+        fixed=o.mobility == "fixed",
+        mass=o.density * solid.volume * o.scale**3,
+        center=solid.center * o.scale,
+        inertia=o.density * solid.inertia * o.scale**5,
+        from_mesh=from_mesh,
+        friction=(o.friction, config.torsional_friction, o.rolling_friction),
+        solref=restitution.solref(o.restitution),
+        parts=tuple(part.moved(scale) for part in o.solids),
+    )
+
+
+def build_spec(objects: Sequence[SceneObject], config: PhysicsConfig = DEFAULT_PHYSICS) -> MjSpec:
+    """The editable MuJoCo model: the ground, and per object a body with one mesh geom per convex part.
+
+    Bodies are named ``object_03``, their geoms and meshes ``object_03_00``; dynamic ones have a free joint of
+    the body's name. The body frame is the object frame.
+    """
+    spec = empty_spec(config)
+    for o in objects:
+        add_body(spec, body_of(o, config), config)
+    return spec
+
+
+def contact_loads(model: MjModel, data: MjData, ids: Sequence[int]) -> dict[tuple[int, int], float]:
+    """Who carries whom in a state: (carried, carrier) to the net upward contact force [N], positive entries only.
+
+    Body k + 1 of the model is the object ``ids[k]``; the world is the ground.
+    """
+    mujoco = engine()
+    mujoco.mj_forward(model, data)
+    names = [GROUND, *ids]
+    lift: dict[tuple[int, int], float] = {}
+    wrench = np.zeros(6)
+    for k in range(data.ncon):
+        contact = data.contact[k]
+        mujoco.mj_contactForce(model, data, k, wrench)
+        upward = float((contact.frame.reshape(3, 3).T @ wrench[:3])[2])  # on the second geom's body
+        first, second = (names[model.geom_bodyid[g]] for g in contact.geom)
+        lift[second, first] = lift.get((second, first), 0.0) + upward
+        lift[first, second] = lift.get((first, second), 0.0) - upward
+    return {(a, b): force for (a, b), force in lift.items() if force > 0 and a != GROUND and a != b}
+
+
+_SOLIDS: WeakKeyDictionary[Mesh, tuple[tuple[ConvexPart, ...], MassProperties, bool]] = WeakKeyDictionary()
+
+
+def _solid(mesh: Mesh, parts: tuple[ConvexPart, ...]) -> tuple[MassProperties, bool]:
+    """``solid_properties``, once per mesh: only its scale and density change from stage to stage."""
+    known = _SOLIDS.get(mesh)
+    if known is None or not (known[2] or known[0] == parts):
+        _SOLIDS[mesh] = known = (parts, *solid_properties(mesh, parts))
+    return known[1], known[2]
+
+
+def empty_spec(config: PhysicsConfig, margin: float | None = None) -> MjSpec:
+    """Options and the ground plane z = 0."""
+    mujoco = engine()
+    spec = mujoco.MjSpec()
+    spec.compiler.balanceinertia = True  # thin solids: rounding may break the triangle inequality of moments
+    spec.option.timestep = config.timestep
+    spec.option.gravity = [0, 0, config.gravity]
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.impratio = config.impratio
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    spec.option.noslip_iterations = 0
+    if not config.multiccd:
+        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MULTICCD)
+    spec.worldbody.add_geom(
+        name=GROUND_NAME,
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[20, 20, 0.1],
+        friction=config.ground_friction,
+        **contact_options(config, margin),
+    )
+    return spec
+
+
+def contact_options(config: PhysicsConfig, margin: float | None = None) -> dict[str, Any]:
+    return {
+        "condim": config.condim,
+        "solref": config.solref,
+        "solimp": config.solimp,
+        "margin": config.margin if margin is None else margin,
+    }
+
+
+def add_body(
+    spec: MjSpec,
+    body: Body,
+    config: PhysicsConfig,
+    *,
+    even_density: float | None = None,
+    margin: float | None = None,
+) -> None:
+    """The body with its explicit inertia, or with the same density in all its parts when one is given."""
+    mujoco = engine()
+    T, moment = body.T_world_body, body.inertia
+    node = spec.worldbody.add_body(name=body.name, pos=T[:3, 3], quat=quaternion_from_rotation(T[:3, :3]))
+    if not body.fixed:
+        node.add_freejoint(name=body.name)
+    if even_density is None:
+        node.explicitinertial = True
+        node.mass, node.ipos = body.mass, body.center
+        node.fullinertia = [*np.diag(moment), moment[0, 1], moment[0, 2], moment[1, 2]]
+    for k, part in enumerate(body.parts):
+        name = f"{body.name}_{k:02d}"
+        mesh = add_mesh(spec, name, part)
+        geom = node.add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=name,
+            friction=body.friction,
+            **contact_options(config, margin),
+        )
+        if body.solref is not None:
+            geom.solref, geom.priority = body.solref, 1
+        if even_density is None:
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # takes thin parts too
+        else:
+            geom.density = even_density
+
+
+def add_mesh(spec: MjSpec, name: str, part: ConvexPart) -> MjsMesh:
+    return spec.add_mesh(
+        name=name,
+        uservert=part.vertices.astype(np.float32).ravel(),
+        userface=part.faces.astype(np.int32).ravel(),
+    )
