@@ -18,7 +18,7 @@ import baseline
 import basin
 import tables
 import variants
-from f3sr.mesh_io import load_mesh
+from f3sr.io.mesh_files import load_mesh
 from f3sr.runtime import kernels
 from f3sr.stages.align import AlignConfig
 from run import REPO, find

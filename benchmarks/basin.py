@@ -20,8 +20,8 @@ from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh, mass_properties
 from f3sr.core.transforms import pose, rotation_about
 from f3sr.facets import resting_turn
+from f3sr.io.mesh_files import load_mesh
 from f3sr.measures import full_silhouette
-from f3sr.mesh_io import load_mesh
 from f3sr.scene import Photo, Scene, SceneObject
 from f3sr.silhouette import Mask, iou, union_of
 from f3sr.stages.align import AlignConfig, align

@@ -23,8 +23,9 @@ import baseline
 import contact_report
 import tables
 import truth
-from f3sr import contact, inputs, measures, pipeline
+from f3sr import contact, measures, pipeline
 from f3sr.contact import Polytope
+from f3sr.io import inputs
 from f3sr.pipeline import Config, Reconstruction
 from f3sr.runtime import kernels
 from f3sr.runtime.result_store import Store, code_version

@@ -17,7 +17,7 @@ import numpy as np
 from f3sr import raster
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import Array, invert_pose
-from f3sr.mesh_io import load_mesh
+from f3sr.io.mesh_files import load_mesh
 from f3sr.scene import Scene
 
 LABELLED = (

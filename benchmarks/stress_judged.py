@@ -18,7 +18,7 @@ from PIL import Image
 import poses
 from f3sr import crossings
 from f3sr.core.transforms import invert_pose
-from f3sr.mesh_io import load_mesh
+from f3sr.io.mesh_files import load_mesh
 from f3sr.package import read_package
 from f3sr.physics.release import filling
 from f3sr.pictures import pictures_of

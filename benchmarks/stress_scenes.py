@@ -23,7 +23,7 @@ from f3sr import raster
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import UP, Array, invert_pose, pose, transform
-from f3sr.mesh_io import save_glb
+from f3sr.io.mesh_files import save_glb
 from f3sr.scene import SceneObject
 from stress_things import Item, Stage
 from tabletop import degrade, shapes

@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 import made_scenes
-from f3sr import inputs
 from f3sr.core.transforms import pose
+from f3sr.io import inputs
 from f3sr.pipeline import reconstruct
 from f3sr.runtime.result_store import Store
 from f3sr.scene import Scene

@@ -13,7 +13,7 @@ from statistics import fmean, median
 import looks
 import poses
 import staged
-from f3sr import inputs
+from f3sr.io import inputs
 from f3sr.measures import full_silhouette, image_agreement
 from f3sr.scene import Scene
 from f3sr.silhouette import Mask, iou

@@ -295,7 +295,7 @@ def header(at: int, value: int) -> Spoil:
 
 def vertices(change: Callable[[np.ndarray], np.ndarray]) -> Spoil:
     def apply(folder: Path) -> None:
-        from f3sr.mesh_io import load_mesh, save_glb
+        from f3sr.io.mesh_files import load_mesh, save_glb
 
         mesh = load_mesh(folder / "assets/02.glb")
         save_glb(mesh.with_vertices(change(np.array(mesh.vertices))), folder / "assets/02.glb")
@@ -322,7 +322,7 @@ def textured(image: bytes | None, **info: Any) -> Spoil:
     """The big box with a picture on it."""
 
     def apply(folder: Path) -> None:
-        from f3sr.mesh_io import save_glb
+        from f3sr.io.mesh_files import save_glb
         from scenes import box_mesh
 
         save_glb(box_mesh((0.16, 0.08, 0.12), textured=True), folder / "assets/02.glb")
@@ -369,7 +369,7 @@ def far_pose(z: float) -> Spoil:
 
 def turned_posed(folder: Path) -> None:
     """Posed GLBs in axes that are not told from their bounds."""
-    from f3sr.mesh_io import load_mesh, save_glb
+    from f3sr.io.mesh_files import load_mesh, save_glb
 
     to_posed(folder)
     for path in (folder / "assets").glob("*.glb"):

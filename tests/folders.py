@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from f3sr import raster, sam3d
+from f3sr import raster
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, pose, quaternion_from_rotation, rotation_about
-from f3sr.mesh_io import save_glb
+from f3sr.io import sam3d
+from f3sr.io.mesh_files import save_glb
 from f3sr.scene import SceneObject
 from scenes import box
 

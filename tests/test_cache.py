@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from f3sr import inputs
 from f3sr.core.mesh import ConvexPart
+from f3sr.io import inputs
 from f3sr.pipeline import Config, reconstruct
 from f3sr.runtime import scene_serialization
 from f3sr.runtime.result_store import Store, digest

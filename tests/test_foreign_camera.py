@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from f3sr import inputs, raster
+from f3sr import raster
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import rotation_about
@@ -23,6 +23,7 @@ from f3sr.foreign_camera import (
     mean_iou,
 )
 from f3sr.freedom import CameraFreedom
+from f3sr.io import inputs
 from f3sr.measures import IMAGE_MEASURES, Measures, measure
 from f3sr.outlines import outlined
 from f3sr.pipeline import SKIPPABLE, composed_directly, reconstruct

@@ -12,7 +12,7 @@ import trimesh
 from PIL import Image
 
 from broken_inputs import glb
-from f3sr.mesh_io import load_mesh
+from f3sr.io.mesh_files import load_mesh
 from scenes import box_mesh
 
 

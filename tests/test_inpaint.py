@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from f3sr import inputs, raster
+from f3sr import raster
 from f3sr.background import BackgroundConfig
 from f3sr.background.support import faces_ground, hiding, support_of
 from f3sr.cli import main
 from f3sr.core.transforms import pose, rotation_about
 from f3sr.errors import InputError
+from f3sr.io import inputs
 from f3sr.package import read_package
 from f3sr.pipeline import SKIPPABLE, reconstruct
 from f3sr.runtime.result_store import Store

@@ -18,11 +18,11 @@ from PIL import Image
 
 import broken_inputs
 from broken_inputs import BIG, WRONG, Spoil, broken, in_order
-from f3sr import inputs
 from f3sr.cli import main
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import transform
 from f3sr.errors import InputError
+from f3sr.io import inputs
 from folders import HEIGHT, WIDTH, boxes, camera, to_depth, to_posed
 
 
@@ -175,7 +175,7 @@ def palette(name: str) -> Spoil:
 
 def mesh(change: Callable[[Mesh], Mesh]) -> Spoil:
     def apply(folder: Path) -> None:
-        from f3sr.mesh_io import load_mesh, save_glb
+        from f3sr.io.mesh_files import load_mesh, save_glb
 
         save_glb(change(load_mesh(folder / "assets/02.glb")), folder / "assets/02.glb")
 

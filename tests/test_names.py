@@ -349,7 +349,7 @@ def test_singulars():
 
 @pytest.mark.parametrize("scene", ["scenes/dev_00_stack", "scenes/dev_01_contain", "real/ycb_table_1"])
 def test_objects_of_real_photos_are_found_by_name_and_colour(shared_data: Path, scene: str):
-    from f3sr import inputs
+    from f3sr.io import inputs
     from f3sr.pipeline import SKIPPABLE, reconstruct
 
     skipped = [s for s in SKIPPABLE if s not in ("level", "relate")]

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from f3sr import inputs
 from f3sr.errors import InputError
+from f3sr.io import inputs
 from f3sr.pipeline import SKIPPABLE, Config, Reconstruction, reconstruct
 from folders import write_folder
 from scenes import visible_iou

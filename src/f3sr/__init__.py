@@ -28,7 +28,7 @@ _PUBLIC = {
     "deliver": "f3sr.delivery",
     "evaluate": "f3sr.stages.evaluate",
     "film_played": "f3sr.film.filmed",
-    "read_inputs": "f3sr.inputs",
+    "read_inputs": "f3sr.io.inputs",
     "read_package": "f3sr.package",
     "reconstruct": "f3sr.pipeline",
     "replay_plan": "f3sr.goals.play",

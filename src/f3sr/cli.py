@@ -93,8 +93,9 @@ def reconstruct(
         overwrite: Also replace a package that holds rollouts.
         json: Print one JSON object instead of text.
     """
-    from f3sr import console, inputs, package, pipeline, settings
+    from f3sr import console, package, pipeline, settings
     from f3sr.delivery import deliver
+    from f3sr.io import inputs
     from f3sr.runtime import atomic_folder, kernels
     from f3sr.runtime.progress import timed
     from f3sr.runtime.result_store import Store
@@ -140,7 +141,8 @@ def evaluate(
         config: TOML file of settings, as for ``reconstruct``; a package needs only those of [evaluate].
         json: Print one JSON object instead of a table.
     """
-    from f3sr import console, inputs, pipeline, settings
+    from f3sr import console, pipeline, settings
+    from f3sr.io import inputs
     from f3sr.package import read_package
     from f3sr.runtime import atomic_folder, kernels
     from f3sr.runtime.progress import timed

@@ -105,7 +105,7 @@ def _tried(group: str, name: str, probe: Callable[[], str]) -> Check:
 
 
 def _glb_round_trip() -> str:
-    from f3sr.mesh_io import load_mesh, save_glb
+    from f3sr.io.mesh_files import load_mesh, save_glb
 
     with tempfile.TemporaryDirectory(prefix="f3sr-doctor-") as folder:
         file = Path(folder, "box.glb")

@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 from pydantic import JsonValue, ValidationError
 
 import f3sr
-from f3sr.assets import require_solidity, require_total
 from f3sr.bounds import MAX_OBJECT, MAX_PART_BYTES, MAX_SCENE_BYTES, MAX_SIZES_AWAY, MIN_OBJECT
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, MassProperties, Mesh
 from f3sr.errors import InputError
-from f3sr.export.gltf import encode_png, encode_pngs, mesh_to_glb, scene_to_glb
 from f3sr.export.mjcf import collision_files, to_mjcf
 from f3sr.export.scene_json import (
     SCHEMA_FILE,
@@ -31,9 +29,11 @@ from f3sr.export.scene_json import (
     to_json,
 )
 from f3sr.files import npz, strict_json
-from f3sr.images import as_rgb, open_image
-from f3sr.masks import MAX_MASK_PIXELS
-from f3sr.mesh_io import load_mesh, load_part
+from f3sr.io.assets import require_solidity, require_total
+from f3sr.io.gltf_writer import encode_png, encode_pngs, mesh_to_glb, scene_to_glb
+from f3sr.io.images import as_rgb, open_image
+from f3sr.io.masks import MAX_MASK_PIXELS
+from f3sr.io.mesh_files import load_mesh, load_part
 from f3sr.package_folder import (
     BACKGROUND,
     KEPT,

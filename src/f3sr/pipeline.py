@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pydantic import JsonValue
 
 from f3sr.background import BackgroundConfig
-from f3sr.inputs import Inputs
+from f3sr.io.inputs import Inputs
 from f3sr.options import SKIPPABLE
 from f3sr.proxies import ProxyConfig
 from f3sr.refinement import RefineConfig, Rested, refine

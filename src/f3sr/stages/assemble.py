@@ -8,10 +8,11 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 
-from f3sr import raster, sam3d
+from f3sr import raster
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose, transform
-from f3sr.inputs import Inputs, Instance, PosedAsset
+from f3sr.io import sam3d
+from f3sr.io.inputs import Inputs, Instance, PosedAsset
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Geometry, Scene, SceneGraph, SceneObject
 from f3sr.settings import settings

@@ -12,9 +12,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from f3sr.core.transforms import Array
 from f3sr.errors import InputError
 from f3sr.files import npz
-from f3sr.folder import InputFolder
-from f3sr.images import MAX_PIXELS, open_image
-from f3sr.sam3d import OPENCV_FROM_PYTORCH3D
+from f3sr.io.images import MAX_PIXELS, open_image
+from f3sr.io.input_folder import InputFolder
+from f3sr.io.sam3d import OPENCV_FROM_PYTORCH3D
 from f3sr.scene import Geometry, Photo
 
 MIN_VALID = 100

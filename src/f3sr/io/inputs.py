@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from f3sr.assets import PosedAsset, read_assets, require_size
 from f3sr.core.transforms import Array, transform
 from f3sr.errors import InputError
-from f3sr.folder import InputFolder
-from f3sr.images import as_rgb, open_image
-from f3sr.masks import Instance, read_instances, read_mask
+from f3sr.io.assets import PosedAsset, read_assets, require_size
+from f3sr.io.geometry import read_geometry
+from f3sr.io.images import as_rgb, open_image
+from f3sr.io.input_folder import InputFolder
+from f3sr.io.masks import Instance, read_instances, read_mask
 from f3sr.options import ASSET_FRAMES, PARTS
-from f3sr.point_maps import read_geometry
 from f3sr.report import Decision
 from f3sr.runtime.result_store import digest
 from f3sr.scene import GROUND, Geometry, Photo, Predicate, Relation, SceneGraph

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.errors import InputError
-from f3sr.folder import InputFolder
-from f3sr.images import open_image
+from f3sr.io.images import open_image
+from f3sr.io.input_folder import InputFolder
 from f3sr.scene import Photo
 
 MAX_OVERLAP = 0.05

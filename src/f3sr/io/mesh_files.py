@@ -12,10 +12,10 @@ import numpy as np
 
 from f3sr.core.mesh import Material, Mesh
 from f3sr.errors import InputError
-from f3sr.export.gltf import mesh_to_glb
 from f3sr.files import limited_file
 from f3sr.files.limited_file import MAX_FILE_BYTES
-from f3sr.gltf import Piece, read_gltf
+from f3sr.io.gltf_reader import Piece, read_gltf
+from f3sr.io.gltf_writer import mesh_to_glb
 
 MESHES, PARTS = (".glb", ".gltf"), (".obj",)
 """Types of files with visual meshes, and with collision parts."""

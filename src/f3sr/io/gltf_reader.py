@@ -20,7 +20,7 @@ from f3sr.core.mesh import Material
 from f3sr.core.transforms import Array
 from f3sr.errors import InputError
 from f3sr.files import strict_json
-from f3sr.images import decode_image
+from f3sr.io.images import decode_image
 
 MAX_PARTS = 10_000
 """Most nodes, and most primitives shown: a generated mesh has one of each; assembled scenes have hundreds."""

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from f3sr import sam3d
 from f3sr.core.mesh import Mesh, surface_flaws
 from f3sr.core.transforms import Array, pose
 from f3sr.errors import InputError
-from f3sr.folder import InputFolder
-from f3sr.mesh_io import load_mesh
-from f3sr.point_maps import camera_frame
+from f3sr.io import sam3d
+from f3sr.io.geometry import camera_frame
+from f3sr.io.input_folder import InputFolder
+from f3sr.io.mesh_files import load_mesh
 
 MIN_SIZE, MAX_SIZE = 1e-3, 1e3
 """Sizes of objects accepted, in metres of the geometry: single-precision files and contact margins end there."""
