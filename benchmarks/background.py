@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_edt, gaussian_filter
 
-from f3sr import patchmatch
-from f3sr.background import BackgroundConfig, complete_background, widened
+from f3sr.background import BackgroundConfig, complete_background, patchmatch, widened
 from f3sr.background.shadows import ShadowConfig
 from f3sr.background.support import support_of
 from f3sr.io import inputs

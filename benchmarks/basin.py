@@ -23,8 +23,8 @@ from f3sr.facets import resting_turn
 from f3sr.io.mesh_files import load_mesh
 from f3sr.measures import full_silhouette
 from f3sr.scene import Photo, Scene, SceneObject
-from f3sr.silhouette import Mask, iou, union_of
 from f3sr.stages.align import AlignConfig, align
+from f3sr.vision.silhouette import Mask, iou, union_of
 
 MESHES = (
     *("ycb_mug", "gso_frypan", "ycb_a_toy_airplane", "ycb_windex_bottle", "ycb_mustard_bottle", "ycb_cracker_box"),

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from f3sr import contour
+from f3sr.vision import silhouette_integrals
 
 
 class Work:
@@ -22,17 +22,17 @@ class Work:
 
 @contextmanager
 def counted() -> Iterator[Work]:
-    work, lock, integrate = Work(), threading.Lock(), contour.integrate
+    work, lock, integrate = Work(), threading.Lock(), silhouette_integrals.integrate
 
-    def counting(*args: Any, **kwargs: Any) -> contour.Integrals:
+    def counting(*args: Any, **kwargs: Any) -> silhouette_integrals.Integrals:
         with lock:
             work.evaluations += 1
         return integrate(*args, **kwargs)
 
-    contour.integrate = counting
+    silhouette_integrals.integrate = counting
     start = time.process_time()
     try:
         yield work
     finally:
         work.cpu = time.process_time() - start
-        contour.integrate = integrate
+        silhouette_integrals.integrate = integrate

@@ -10,12 +10,12 @@ from itertools import pairwise
 import numpy as np
 import trimesh
 
-from f3sr import raster
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import Array, pose, rotation_about
 from f3sr.physics import settling
 from f3sr.scene import Ground, Photo, Scene, SceneObject
+from f3sr.vision import rasterizer
 
 WIDTH, HEIGHT = 640, 480
 FEWEST_PIXELS = 80
@@ -209,7 +209,7 @@ def camera(rng: np.random.Generator) -> Camera:
 
 
 def photographed(objects: tuple[SceneObject, ...], camera: Camera, rng: np.random.Generator) -> Scene:
-    ids = raster.visible_ids(objects, camera)
+    ids = rasterizer.visible_ids(objects, camera)
     return Scene(
         photo=Photo(rgb=rng.integers(0, 256, (HEIGHT, WIDTH, 3), np.uint8)),
         camera=camera,

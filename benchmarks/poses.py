@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from f3sr import raster
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import Array, invert_pose
 from f3sr.io.mesh_files import load_mesh
 from f3sr.scene import Scene
+from f3sr.vision import rasterizer
 
 LABELLED = (
     *("ycb_cracker_box", "ycb_gelatin_box", "ycb_sugar_box", "hope_macaroni_and_cheese"),
@@ -48,7 +48,7 @@ def depth_residual(scene: Scene) -> float:
     small = scene.camera.resized(w, h)
     residuals: list[Array] = []
     for o in scene:
-        depth = raster.render([o], small).depth
+        depth = rasterizer.render([o], small).depth
         where = geometry.inside(o.mask) & np.isfinite(depth)
         residuals.append(np.abs(depth[where] - geometry.points[where][:, 2]))
     return float(np.median(np.concatenate(residuals)))

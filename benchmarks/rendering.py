@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from f3sr import raster
 from f3sr.background import complete_background
 from f3sr.core.transforms import Array, rotation_from_vector
 from f3sr.package import is_package, read_package
@@ -25,7 +24,8 @@ from f3sr.rendering import Renderer
 from f3sr.rendering.textures import linear, srgb
 from f3sr.runtime import kernels
 from f3sr.scene import Photo, Scene
-from f3sr.silhouette import union_of
+from f3sr.vision import rasterizer
+from f3sr.vision.silhouette import union_of
 from tables import show
 
 REPO = Path(__file__).resolve().parents[1]
@@ -80,9 +80,9 @@ def likeness(scene: Scene, out: Path | None) -> list[float]:
     renderer = Renderer.of(scene, background.rgb)
     seconds = time.process_time() - began
     frame = renderer.frame(np.array([o.T_world_object for o in scene.objects]))
-    fragments = raster.render(scene.objects, scene.camera)
+    fragments = rasterizer.render(scene.objects, scene.camera)
     seen, inside = fragments.ids >= 0, union_of(masks, photo.shape[:2])
-    unlit = raster.shade(fragments, scene.objects)
+    unlit = rasterizer.shade(fragments, scene.objects)
     both = seen & inside
     light, wanted = linear(unlit[both]), linear(photo[both] / 255)
     gain = (light * wanted).sum(0) / (light * light).sum(0)

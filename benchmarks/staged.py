@@ -12,14 +12,14 @@ import numpy as np
 from f3sr.core.camera import Camera
 from f3sr.core.levenberg_marquardt import Local, Minimum
 from f3sr.core.transforms import Array
-from f3sr.freedom import ObjectFreedom
-from f3sr.outlines import outlined
 from f3sr.report import Decision, Report, keep_better
 from f3sr.scene import Scene, SceneObject
-from f3sr.silhouette import LossWeights
-from f3sr.silhouette_fit import ObjectFit, object_fit
 from f3sr.stages import align as stage
 from f3sr.stages.align import AlignConfig
+from f3sr.vision.decimated import outlined
+from f3sr.vision.motion_params import ObjectFreedom
+from f3sr.vision.silhouette import LossWeights
+from f3sr.vision.silhouette_fit import ObjectFit, object_fit
 
 SHIFT, YAW, SCALE = 0.35, math.radians(35), 0.25
 """Bounds of equation 8: shift over the object's size, yaw [rad], change of scale."""

@@ -21,8 +21,8 @@ from f3sr.core.transforms import invert_pose
 from f3sr.io.mesh_files import load_mesh
 from f3sr.package import read_package
 from f3sr.physics.release import filling
-from f3sr.pictures import pictures_of
 from f3sr.scene import Scene
+from f3sr.vision.pictures import pictures_of
 
 FALLEN = 20.0
 """Turn from upright beyond what it truly has from which on an object has fallen over [deg]."""

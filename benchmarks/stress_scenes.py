@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import stress_things
-from f3sr import raster
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import UP, Array, invert_pose, pose, transform
 from f3sr.io.mesh_files import save_glb
 from f3sr.scene import SceneObject
+from f3sr.vision import rasterizer
 from stress_things import Item, Stage
 from tabletop import degrade, shapes
 from tabletop.degrade import Damage
@@ -75,7 +75,7 @@ def write(data: Path, case: Case) -> Path:
     rest = settle(stage.items, seconds=stage.seconds)
     everything = [object_of(k, m, T) for k, (m, T) in enumerate(zip(meshes, rest.T_world_object, strict=True))]
     camera = viewpoint(stage, everything)
-    seen = raster.visible_ids(everything, camera)
+    seen = rasterizer.visible_ids(everything, camera)
     kept = [k for k in range(len(everything)) if np.count_nonzero(seen == k) >= MIN_PIXELS]
     damage = GENERATED if stage.generated else PUSHED
     write_picture(folder, [everything[k] for k in kept], [stage.items[k].label for k in kept], camera)
@@ -155,10 +155,10 @@ def wall_behind(objects: Sequence[SceneObject]) -> float:
 
 def write_picture(folder: Path, objects: Sequence[SceneObject], labels: Sequence[str], camera: Camera) -> None:
     """The photo, unlit as our own renders are, the masks and where the floor shows."""
-    fragments = raster.render(objects, camera)
+    fragments = rasterizer.render(objects, camera)
     _, on_floor = background(camera, wall_behind(objects))
-    empty = fragments.ids == raster.EMPTY
-    photo = raster.shade(fragments, objects)
+    empty = fragments.ids == rasterizer.EMPTY
+    photo = rasterizer.shade(fragments, objects)
     photo[empty] = np.where(on_floor[..., None], FLOOR_COLOR, WALL_COLOR)[empty]
     Image.fromarray(np.round(255 * photo).astype(np.uint8)).save(folder / "image.png")
     save_mask(folder / "ground.png", empty & on_floor)
@@ -175,7 +175,7 @@ def write_geometry(
 ) -> None:
     """A point map with normals at half size, as wrong as a network's."""
     small = camera.resized(WIDTH // 2, HEIGHT // 2)
-    fragments = raster.render(objects, small)
+    fragments = rasterizer.render(objects, small)
     depth, on_floor = background(small, wall_behind(objects))
     normals = np.where(on_floor[..., None], UP, [0.0, -1, 0])
     hit = fragments.face >= 0

@@ -16,12 +16,12 @@ import staged
 from f3sr.io import inputs
 from f3sr.measures import full_silhouette, image_agreement
 from f3sr.scene import Scene
-from f3sr.silhouette import Mask, iou
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.align.config import AppearanceConfig, DepthConfig, FacetConfig, TiltConfig
 from f3sr.stages.assemble import assemble
 from f3sr.stages.level import level
-from f3sr.visibility import nearer_objects, visible_region
+from f3sr.vision.occlusion import nearer_objects, visible_region
+from f3sr.vision.silhouette import Mask, iou
 
 Numbers = dict[str, float]
 Step = Callable[[Scene], Scene]

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import raster
 from f3sr.core.transforms import Array
 from f3sr.film import make_film
 from f3sr.goals.play import Played, simulate_goal
 from f3sr.package import Package
 from f3sr.scene import Photo, Scene
+from f3sr.vision import rasterizer
 from goal_scene import goal_package, goal_scene
 
 GOAL = "throw the ball at the soup can"
@@ -52,9 +52,9 @@ def enlarged(scene: Scene) -> Scene:
 def unlit(scene: Scene) -> Callable[[Array], NDArray[np.uint8]]:
     def draw(poses: Array) -> NDArray[np.uint8]:
         objects = [replace(o, T_world_object=T) for o, T in zip(scene, poses, strict=True)]
-        fragments = raster.render(objects, scene.camera)
-        picture, covered = scene.photo.rgb.copy(), fragments.ids != raster.EMPTY
-        shown = raster.shade(fragments, objects) * (0.3 + 0.1 * (fragments.ids[..., None] % 6))
+        fragments = rasterizer.render(objects, scene.camera)
+        picture, covered = scene.photo.rgb.copy(), fragments.ids != rasterizer.EMPTY
+        shown = rasterizer.shade(fragments, objects) * (0.3 + 0.1 * (fragments.ids[..., None] % 6))
         picture[covered] = (255 * shown[covered]).round()
         return picture
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from f3sr import raster
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, pose, quaternion_from_rotation, rotation_about
 from f3sr.io import sam3d
 from f3sr.io.mesh_files import save_glb
 from f3sr.scene import SceneObject
+from f3sr.vision import rasterizer
 from scenes import box
 
 WIDTH, HEIGHT = 192, 144
@@ -73,7 +73,7 @@ def write_folder(
 ) -> Truth:
     """Write a folder of boxes; assets are off by about ``perturb`` (share of size, and radians of yaw)."""
     eye, truth = eye or camera(), objects or boxes()
-    fragments = raster.render(truth, eye)
+    fragments = rasterizer.render(truth, eye)
     (folder / "masks").mkdir(parents=True)
     (folder / "assets").mkdir()
     photo = np.full((eye.height, eye.width, 3), (150, 120, 90), np.uint8)
@@ -91,7 +91,7 @@ def write_folder(
         )
         entries.append(_sam3d_entry(wrong, eye, f"{name}.png"))
     Image.fromarray(photo).save(folder / "image.png")
-    Image.fromarray((255 * (fragments.ids == raster.EMPTY)).astype(np.uint8)).save(folder / "ground.png")
+    Image.fromarray((255 * (fragments.ids == rasterizer.EMPTY)).astype(np.uint8)).save(folder / "ground.png")
     (folder / "assets" / "poses.json").write_text(json.dumps({"convention": "sam-3d-objects", "objects": entries}))
     np.savez(folder / "geometry.npz", **_geometry(fragments.depth, eye))
     return Truth(eye, truth)

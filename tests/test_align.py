@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 import trimesh
 
-from f3sr import raster
-from f3sr.appearance import Appearance
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose, rotation_about, rotation_angle
-from f3sr.depth_evidence import DepthEvidence
-from f3sr.freedom import ObjectFreedom
 from f3sr.scene import Geometry, Photo, Scene, SceneObject
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.align.config import AppearanceConfig, CameraConfig, DepthConfig, FacetConfig, TiltConfig
-from f3sr.window import sampled, window_around
+from f3sr.vision import rasterizer
+from f3sr.vision.crop import sampled, window_around
+from f3sr.vision.depth_residual import DepthEvidence
+from f3sr.vision.motion_params import ObjectFreedom
+from f3sr.vision.photometric import Appearance
 
 WIDTH, HEIGHT = 320, 240
 K = np.array([[300.0, 0, 158], [0, 300, 121], [0, 0, 1]])
@@ -63,8 +63,8 @@ def thing(id: int, mesh: Mesh, at: tuple[float, float, float], *, yaw: float = 0
 
 def photographed(*objects: SceneObject) -> Scene:
     """The scene with the photo, the masks and the geometry that its camera would see."""
-    fragments = raster.render(objects, CAMERA)
-    rgb = (255 * raster.shade(fragments, objects)).round().astype(np.uint8)
+    fragments = rasterizer.render(objects, CAMERA)
+    rgb = (255 * rasterizer.shade(fragments, objects)).round().astype(np.uint8)
     seen = np.isfinite(fragments.depth)
     y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
     depth = np.where(seen, fragments.depth, 0)

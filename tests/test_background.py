@@ -10,8 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, gaussian_filter
 
-from f3sr import patchmatch
-from f3sr.background import BackgroundConfig, complete_background
+from f3sr.background import BackgroundConfig, complete_background, patchmatch
 from f3sr.background.completion import CompletionConfig
 from f3sr.background.membrane import membrane
 from f3sr.background.shadows import ShadowConfig

@@ -311,7 +311,7 @@ import sys
 opened = []
 sys.addaudithook(lambda event, args: opened.append((event, str(args[0]))) if event in ("open", "os.mkdir") else None)
 from f3sr.runtime import kernels
-from f3sr import raster
+from f3sr.vision import rasterizer
 assert not [o for o in opened if "cache" in o[1] and "__pycache__" not in o[1] and ".py" not in o[1]], opened
 assert not [o for o in opened if o[0] == "os.mkdir"], opened
 assert kernels.kernel_folder.cache_info().currsize == 0

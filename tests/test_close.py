@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.spatial import HalfspaceIntersection
 
-from f3sr import raster
 from f3sr.contact import Polytope
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import Array, pose
@@ -18,6 +17,7 @@ from f3sr.refinement import Rested
 from f3sr.scene import GROUND, Scene, SceneObject, Support
 from f3sr.stages.close import CloseConfig, close, lowered
 from f3sr.stages.settle import settle
+from f3sr.vision import rasterizer
 from scenes import ball_mesh, box, dish_mesh, scene_of
 
 CONFIG = CloseConfig()
@@ -149,7 +149,7 @@ def test_a_footing_that_holds_the_mesh_up_is_shaved():
 
 
 def seen(scene: Scene) -> Scene:
-    ids = raster.render(scene.objects, scene.camera).ids
+    ids = rasterizer.render(scene.objects, scene.camera).ids
     return scene.with_objects(*(replace(o, mask=ids == o.id) for o in scene))
 
 

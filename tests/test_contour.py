@@ -7,11 +7,11 @@ import pytest
 import trimesh
 from scipy.ndimage import distance_transform_edt
 
-from f3sr import contour, raster
 from f3sr.core.camera import Camera
 from f3sr.core.levenberg_marquardt import Local, minimise
 from f3sr.core.transforms import Array, pose, rotation_from_vector, transform
-from f3sr.freedom import CameraFreedom, ObjectFreedom
+from f3sr.vision import rasterizer, silhouette_integrals
+from f3sr.vision.motion_params import CameraFreedom, ObjectFreedom
 
 R = rotation_from_vector([0.5, 0.3, 0.2])
 RING = trimesh.creation.torus(0.3, 0.1, major_sections=48, minor_sections=24)
@@ -29,11 +29,11 @@ def camera(pixels: int) -> Camera:
     return Camera(width=pixels, height=pixels, K=K, T_world_camera=pose(forward, [0.03, -1.5, 0.02]))
 
 
-def fields(mask: np.ndarray) -> contour.Fields:
+def fields(mask: np.ndarray) -> silhouette_integrals.Fields:
     """Those of the report's loss against a mask."""
     outside, inside = distance_transform_edt(~mask), distance_transform_edt(mask)
     leak = 1 / max(mask.shape)
-    return contour.Fields(
+    return silhouette_integrals.Fields(
         valid=np.ones(mask.shape, np.float32),
         mismatch=(1 - 2.0 * mask + leak * outside).astype(np.float32),
         stiffness=(1 / np.maximum(outside + inside, 1) + leak * ~mask).astype(np.float32),
@@ -45,7 +45,7 @@ class Problem:
 
     def __init__(self, name: str, pixels: int) -> None:
         self.vertices, self.faces = MESHES[name]
-        self.camera, self.edges = camera(pixels), contour.unique_edges(self.faces)
+        self.camera, self.edges = camera(pixels), silhouette_integrals.unique_edges(self.faces)
         self.freedom = ObjectFreedom(
             anchor=self.vertices.mean(0),
             basis=self.camera.T_world_camera[:3, :2],
@@ -60,20 +60,20 @@ class Problem:
 
     def silhouette(self, u: Array) -> np.ndarray:
         c = self.camera
-        return raster.silhouette(self.points(u), self.faces, c.K, c.width, c.height)
+        return rasterizer.silhouette(self.points(u), self.faces, c.K, c.width, c.height)
 
-    def integrals(self, u: Array) -> contour.Integrals:
+    def integrals(self, u: Array) -> silhouette_integrals.Integrals:
         velocities = self.freedom.velocities(u, self.camera)
-        return contour.integrate(
-            self.points(u), self.edges, self.silhouette(u), self.camera.K, self.fields, velocities, near=raster.NEAR
+        return silhouette_integrals.integrate(
+            self.points(u), self.edges, self.silhouette(u), self.camera.K, self.fields, velocities, near=rasterizer.NEAR
         )
 
     def objective(self, u: Array) -> Local:
         found = self.integrals(u)
         area = np.count_nonzero(self.mask)
         return Local(
-            value=1 + found.value[contour.MISMATCH] / area,
-            gradient=found.gradient[contour.MISMATCH] / area,
+            value=1 + found.value[silhouette_integrals.MISMATCH] / area,
+            gradient=found.gradient[silhouette_integrals.MISMATCH] / area,
             curvature=found.curvature / area,
         )
 
@@ -92,19 +92,19 @@ def test_gradients_are_those_of_central_differences(name: str, pixels: int, tole
 
 def test_areas_are_right_to_a_fraction_of_a_pixel() -> None:
     """A square that faces the camera, anywhere between the pixels."""
-    edges = contour.unique_edges(np.array([[0, 1, 2], [0, 2, 3]], np.int32))
+    edges = silhouette_integrals.unique_edges(np.array([[0, 1, 2], [0, 2, 3]], np.int32))
     for side, shift in ((20.0, 0.0), (20.3, 0.17), (17.71, 0.63)):
         corners = np.array([[0, 0], [side, 0], [side, side], [0, side]]) + 5 + shift
         points = np.column_stack([corners, np.ones(4)])
-        mask = raster.silhouette(points, np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.eye(3), 40, 40)
+        mask = rasterizer.silhouette(points, np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.eye(3), 40, 40)
         ones = np.ones((40, 40), np.float32)
-        found = contour.integrate(
-            points, edges, mask, np.eye(3), contour.Fields(valid=ones, mismatch=ones, stiffness=ones),
+        found = silhouette_integrals.integrate(
+            points, edges, mask, np.eye(3), silhouette_integrals.Fields(valid=ones, mismatch=ones, stiffness=ones),
             np.zeros((0, 3, 4)), near=0.1,
         )  # fmt: skip
-        area = found.value[contour.AREA]
+        area = found.value[silhouette_integrals.AREA]
         assert area == pytest.approx(side**2, abs=1.0)
-        middle = found.value[[contour.MOMENT_X, contour.MOMENT_Y]] / area
+        middle = found.value[[silhouette_integrals.MOMENT_X, silhouette_integrals.MOMENT_Y]] / area
         assert middle == pytest.approx(np.full(2, 5 + shift + side / 2), abs=0.05)
 
 
@@ -130,7 +130,7 @@ def test_tessellation_changes_next_to_nothing() -> None:
     coarse = problem.integrals(np.full(6, 0.1))
     finer = trimesh.remesh.subdivide(*trimesh.remesh.subdivide(problem.vertices, problem.faces))
     problem.vertices, problem.faces = np.asarray(finer[0]), np.asarray(finer[1], np.int32)
-    problem.edges = contour.unique_edges(problem.faces)
+    problem.edges = silhouette_integrals.unique_edges(problem.faces)
     fine = problem.integrals(np.full(6, 0.1))
     assert np.allclose(coarse.value, fine.value, rtol=1e-9)
     assert np.allclose(coarse.gradient, fine.gradient, rtol=1e-6, atol=1e-6)
@@ -197,16 +197,16 @@ def ball() -> tuple[Array, np.ndarray]:
 @pytest.mark.parametrize(("width", "height"), [(97, 64), (8, 200), (1, 9), (161, 161)])
 def test_edges_that_are_sorted_out_cross_no_outline(shape, shift: float, width: int, height: int) -> None:
     vertices, faces = shape()
-    points, edges = vertices + np.array([shift, -0.3 * shift, 1.2]), contour.unique_edges(faces)
+    points, edges = vertices + np.array([shift, -0.3 * shift, 1.2]), silhouette_integrals.unique_edges(faces)
     K = np.array([[160.0, 0, width / 2], [0, 160, height / 2], [0, 0, 1]])
-    mask = raster.silhouette(points, faces[::3] if shape is soup else faces, K, width, height)
+    mask = rasterizer.silhouette(points, faces[::3] if shape is soup else faces, K, width, height)
     pixels, inverse_depth = np.empty((len(points), 2)), np.empty(len(points))
-    contour._project(points, K, raster.NEAR, pixels, inverse_depth)
-    chosen = contour._at_outline(pixels, inverse_depth, edges, mask)
+    silhouette_integrals._project(points, K, rasterizer.NEAR, pixels, inverse_depth)
+    chosen = silhouette_integrals._at_outline(pixels, inverse_depth, edges, mask)
     assert len(chosen) < len(edges)
     for upright in (False, True):
         (cells, crossed, place), (few, by, at) = (
-            contour._outline(pixels, inverse_depth, e, mask, upright=upright) for e in (edges, chosen)
+            silhouette_integrals._outline(pixels, inverse_depth, e, mask, upright=upright) for e in (edges, chosen)
         )
         assert np.array_equal(cells, few) and np.array_equal(place, at)
         assert np.array_equal(edges[crossed], chosen[by])

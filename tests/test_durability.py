@@ -309,7 +309,7 @@ def test_seeds_threads_and_places_change_no_byte(cache: Path, compiled: Path, tm
 
 
 def test_damaged_kernel_files_are_told_once_and_made_anew(cache: Path):
-    files = sorted(cache.glob("kernels-*/f3sr.raster.*.kernel"))
+    files = sorted(cache.glob("kernels-*/f3sr.vision.rasterizer.*.kernel"))
     files[0].write_bytes(files[0].read_bytes()[:1000])
     data = bytearray(files[1].read_bytes())
     data[len(data) // 2] ^= 1

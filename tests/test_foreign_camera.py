@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from f3sr import raster
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import rotation_about
@@ -22,14 +21,15 @@ from f3sr.foreign_camera import (
     iou_loss,
     mean_iou,
 )
-from f3sr.freedom import CameraFreedom
 from f3sr.io import inputs
 from f3sr.measures import IMAGE_MEASURES, Measures, measure
-from f3sr.outlines import outlined
 from f3sr.pipeline import SKIPPABLE, composed_directly, reconstruct
 from f3sr.scene import Photo, Scene
-from f3sr.silhouette import Surface, Target, iou
 from f3sr.stages.evaluate import DIRECT, Evaluation, direct_composition, evaluate
+from f3sr.vision import rasterizer
+from f3sr.vision.decimated import outlined
+from f3sr.vision.motion_params import CameraFreedom
+from f3sr.vision.silhouette import Surface, Target, iou
 from folders import boxes, camera, write_folder
 
 EYE = camera().resized(640, 480)
@@ -43,7 +43,7 @@ def scene() -> Scene:
 
 
 def silhouette(o, eye: Camera) -> np.ndarray:
-    return raster.silhouette(eye.to_camera(o.vertices_world), o.mesh.faces, eye.K, eye.width, eye.height)
+    return rasterizer.silhouette(eye.to_camera(o.vertices_world), o.mesh.faces, eye.K, eye.width, eye.height)
 
 
 def freedom(s: Scene, *, turn: float, way: float) -> CameraFreedom:

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from f3sr import raster
 from f3sr.background import BackgroundConfig
 from f3sr.background.support import faces_ground, hiding, support_of
 from f3sr.cli import main
@@ -25,6 +24,7 @@ from f3sr.pipeline import SKIPPABLE, reconstruct
 from f3sr.runtime.result_store import Store
 from f3sr.scene import Geometry, Scene
 from f3sr.stages.inpaint import inpaint
+from f3sr.vision import rasterizer
 from folders import write_folder
 from goal_scene import goal_package
 from scenes import box, scene_of
@@ -37,7 +37,7 @@ def seen_scene(*, geometry: bool = True) -> Scene:
     scene = scene_of(
         box(0, size=(0.1, 0.1, 0.1), at=(0, 0, 0.05)), box(1, size=(2.0, 0.1, 1.0), at=(0.0, 1.2, 0.5), label="wall")
     )
-    fragments = raster.render(scene.objects, scene.camera)
+    fragments = rasterizer.render(scene.objects, scene.camera)
     y, x = np.mgrid[: scene.camera.height, : scene.camera.width] + 0.5
     rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(scene.camera.K).T
     up = scene.camera.T_world_camera[2, :3]
@@ -55,7 +55,7 @@ def test_the_support_is_the_ground_and_goes_on_behind_objects() -> None:
     scene = seen_scene()
     hole = scene[0].mask
     support = support_of(scene, hole)
-    wall = raster.render([box(1, size=(2.0, 0.1, 1.0), at=(0.0, 1.2, 0.5))], scene.camera).ids == 1
+    wall = rasterizer.render([box(1, size=(2.0, 0.1, 1.0), at=(0.0, 1.2, 0.5))], scene.camera).ids == 1
     assert hole.any() and support[hole].mean() > 0.95 and wall.sum() > 100
     assert support[wall & ~hole].mean() < 0.1, "a wall is no support but for its foot"
     assert support[~wall & ~hole & faces_ground(scene.camera)].mean() > 0.99
@@ -106,7 +106,7 @@ def test_what_may_hide_objects_is_what_stands_beside_them() -> None:
     hole = scene[0].mask
     support = support_of(scene, hole)
     depth = hiding(scene, support, hole)
-    fragments = raster.render([box(1, size=(2.0, 0.1, 1.0), at=(0.0, 1.2, 0.5))], scene.camera)
+    fragments = rasterizer.render([box(1, size=(2.0, 0.1, 1.0), at=(0.0, 1.2, 0.5))], scene.camera)
     wall = (fragments.ids == 1) & ~hole
     assert np.isfinite(depth[wall]).mean() > 0.8 and np.isinf(depth[hole | support]).all()
     seen = wall & np.isfinite(depth)

@@ -10,10 +10,10 @@ import pytest
 from f3sr.core.transforms import pose
 from f3sr.mask_panels import mask_panels
 from f3sr.measures import full_silhouette
-from f3sr.pictures import BOTH, MASK_ONLY, RENDER_ONLY, TINT
 from f3sr.scene import Photo, Scene, SceneObject
-from f3sr.silhouette import iou
-from f3sr.visibility import nearer_objects
+from f3sr.vision.occlusion import nearer_objects
+from f3sr.vision.pictures import BOTH, MASK_ONLY, RENDER_ONLY, TINT
+from f3sr.vision.silhouette import iou
 from folders import boxes, camera
 
 GREY = 128
@@ -22,9 +22,9 @@ EYE = camera().resized(384, 288)
 
 def scene() -> Scene:
     """The boxes of the test folder with the masks they have in the picture, on grey."""
-    from f3sr import raster
+    from f3sr.vision import rasterizer
 
-    ids = raster.render(boxes(), EYE).ids
+    ids = rasterizer.render(boxes(), EYE).ids
     rgb = np.full((EYE.height, EYE.width, 3), GREY, np.uint8)
     return Scene(photo=Photo(rgb=rgb), camera=EYE, objects=tuple(replace(o, mask=ids == o.id) for o in boxes()))
 

@@ -530,15 +530,15 @@ def test_fingers_turn_and_pinch(browser: Any, text: str, tmp_path: Path):
 
 @pytest.mark.timeout(120)
 def test_the_view_starts_where_the_photo_was_taken(opened: Any, result: Reconstruction):
-    from f3sr import raster
+    from f3sr.vision import rasterizer
 
     shown = picture(opened)
     opened.click("#photo-behind")
     alone = picture(opened)
     camera = result.scene.camera.resized(shown.shape[1], shown.shape[0])
-    ids = raster.render(result.scene.objects, camera).ids
+    ids = rasterizer.render(result.scene.objects, camera).ids
     drawn = np.abs(shown - picture_of_photo(result, camera.width, camera.height)).max(2) > 60
-    assert drawn[ids == raster.EMPTY].mean() < 0.01  # the photo lies exactly behind
+    assert drawn[ids == rasterizer.EMPTY].mean() < 0.01  # the photo lies exactly behind
     colored = alone[..., :3].max(2) - alone[..., :3].min(2) > 60
     for o in result.scene:
         own = ids == o.id

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from f3sr import raster
 from f3sr.film import PLAYER, make_film
 from f3sr.film.timeline import pairs_of
 from f3sr.goals.verify import verify
+from f3sr.vision import rasterizer
 from film_scene import film_files, given, unlit
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -237,7 +237,7 @@ def test_hovering_names_what_is_there(opened: Opened):
     opened.at(0)
     box = opened.tab.locator("#view").bounding_box()
     camera = g.scene.camera.resized(round(box["width"]), round(box["height"]))
-    ids = raster.render(g.scene.objects, camera).ids
+    ids = rasterizer.render(g.scene.objects, camera).ids
     for o in g.scene:
         rows, columns = np.nonzero(ids == o.id)
         k = int(np.argmin(np.hypot(rows - rows.mean(), columns - columns.mean())))
@@ -257,8 +257,8 @@ def test_the_view_starts_where_the_photo_was_taken(opened: Opened):
         f"(() => {{const found = []; for (let y = 0; y < {height}; y += 9) for (let x = 0; x < {width}; x += 9) "
         "found.push(player.view.pick(x + 0.5, y + 0.5)); return found})()"
     )
-    ids = raster.render(g.scene.objects, g.scene.camera.resized(width, height)).ids[::9, ::9]
-    known = np.array([raster.EMPTY, *(o.id for o in g.scene)])
+    ids = rasterizer.render(g.scene.objects, g.scene.camera.resized(width, height)).ids[::9, ::9]
+    known = np.array([rasterizer.EMPTY, *(o.id for o in g.scene)])
     agree = known[np.array(picked).reshape(ids.shape) + 1] == ids
     assert len(np.unique(ids)) == len(known) and agree.mean() > 0.995
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from f3sr import raster
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Material, Mesh
 from f3sr.core.transforms import Array, pose, rotation_from_vector, transform
-from f3sr.raster import EMPTY, Fragments, rasterize, render, shade, silhouette, strips, visible_ids
 from f3sr.scene import SceneObject
+from f3sr.vision import rasterizer
+from f3sr.vision.rasterizer import EMPTY, Fragments, rasterize, render, shade, silhouette, strips, visible_ids
 
 SHARED = Path(__file__).parents[2] / "shared"
 NEAR = 0.05
@@ -257,7 +257,7 @@ def test_equal_input_in_any_layout_compiles_no_second_kernel():
     assert same(one, other)
     assert np.array_equal(silhouette(vertices.tolist(), faces.tolist(), K, 8, 8, near=1), draw_mask_at_1(vertices))
     for kernel in ("project", "_cover", "_nearest"):
-        assert len(getattr(raster, kernel).signatures) == 1
+        assert len(getattr(rasterizer, kernel).signatures) == 1
 
 
 def draw_mask_at_1(vertices: Array) -> NDArray[np.bool_]:

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from f3sr import raster
 from f3sr.core.transforms import pose
 from f3sr.refinement import RefineConfig, Rested, refine
 from f3sr.scene import Scene
+from f3sr.vision import rasterizer
 from scenes import box, scene_of
 
 ONCE = RefineConfig(rounds=1)
@@ -21,7 +21,7 @@ ONCE = RefineConfig(rounds=1)
 def seen() -> Scene:
     """Two boxes far apart, the masks what the camera sees."""
     scene = scene_of(box(0, at=(-0.25, 0, 0.05)), box(1, at=(0.25, 0, 0.05)))
-    ids = raster.render(scene.objects, scene.camera).ids
+    ids = rasterizer.render(scene.objects, scene.camera).ids
     return scene.with_objects(*(replace(o, mask=ids == o.id) for o in scene))
 
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from f3sr import raster
 from f3sr.background.regions import grown
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Material, Mesh
@@ -24,6 +23,7 @@ from f3sr.rendering.shapes import smooth_normals
 from f3sr.rendering.surface_kernels import texture_at
 from f3sr.rendering.textures import linear, srgb, textures_of
 from f3sr.scene import Photo, Scene, SceneObject
+from f3sr.vision import rasterizer
 
 NO_LIGHT = LightConfig(enabled=False)
 PLAIN = RenderConfig(light=NO_LIGHT, shadows=ShadowConfig(enabled=False))
@@ -79,7 +79,7 @@ def scene_of(meshes: list[Mesh], poses: list[Array], camera: Camera = OBLIQUE, r
         SceneObject(id=k, label="", mask_name="", mask=np.zeros(size, np.bool_), mesh=m, T_world_object=T)
         for k, (m, T) in enumerate(zip(meshes, poses, strict=True))
     ]
-    seen = raster.visible_ids(shown, camera)
+    seen = rasterizer.visible_ids(shown, camera)
     objects = tuple(replace(o, mask=seen == o.id) for o in shown)
     return Scene(photo=Photo(rgb=plain(camera) if rgb is None else rgb), camera=camera, objects=objects)
 
@@ -125,8 +125,8 @@ def walk(steps: int, seed: int = 0) -> list[Array]:
 def test_without_light_and_motion_it_is_the_unlit_composite() -> None:
     scene = table()
     drawn = Renderer.of(scene, plain(), config=replace(PLAIN, samples=1)).frame(at_rest(scene))
-    fragments = raster.render(scene.objects, scene.camera)
-    unlit = np.rint(255 * raster.shade(fragments, scene.objects))
+    fragments = rasterizer.render(scene.objects, scene.camera)
+    unlit = np.rint(255 * rasterizer.shade(fragments, scene.objects))
     expected = np.where((fragments.ids >= 0)[..., None], unlit, plain())
     assert (fragments.ids >= 0).mean() > 0.05
     assert np.abs(drawn.astype(int) - expected).max() <= 1
@@ -139,7 +139,7 @@ def test_a_texture_is_turned_as_the_raster_turns_it() -> None:
     above = camera_at(np.array([0, 0, 1.0]), np.zeros(3), focal=60)
     scene = scene_of([sheet(1, 0.8, Material(texture=texture))], [pose(t=[0, 0, 0.1])], above)
     drawn = Renderer.of(scene, plain(above), config=replace(PLAIN, samples=1)).frame(at_rest(scene))
-    expected = np.rint(255 * raster.shade(raster.render(scene.objects, above), scene.objects, filter="nearest"))
+    expected = np.rint(255 * rasterizer.shade(rasterizer.render(scene.objects, above), scene.objects, filter="nearest"))
     solid = (expected.max(2) == 250) & (drawn.max(2) == 250)
     assert solid.sum() > 30
     assert np.array_equal(drawn[solid] > 125, expected[solid] > 125)
@@ -196,7 +196,7 @@ def test_a_ball_shows_the_cosine() -> None:
     direction = np.array([0.8, 0.1, 0.6]) / np.linalg.norm([0.8, 0.1, 0.6])
     light = Light(direction=direction, angle=0.01, even=np.full(3, 0.1), direct=np.full(3, 0.7))
     drawn = lit(scene, light).drawn(at_rest(scene))
-    fragments = raster.render(scene.objects, scene.camera)
+    fragments = rasterizer.render(scene.objects, scene.camera)
     normals = smooth_normals(scene.objects[0].mesh, 0.7)[fragments.face]
     n = (normals * fragments.bary[..., None]).sum(2)
     cosine = n @ direction
@@ -224,7 +224,7 @@ def test_a_penumbra_is_as_wide_as_height_and_disc_make_it(height: float, angle: 
     world = above.center[:, None] + 3.0 * (above.T_world_camera[:3, :3] @ ray)
     t = np.clip(world[0] / (height * np.tan(angle)), -1, 1)
     expected = 1 - (np.arccos(t) - t * np.sqrt(1 - t * t)) / np.pi
-    ground = raster.render(scene.objects, above).ids[middle] == raster.EMPTY
+    ground = rasterizer.render(scene.objects, above).ids[middle] == rasterizer.EMPTY
     left = linear(drawn[middle, :, 0] / 255) / linear(np.array(GREY / 255))
     assert (ground & (np.abs(t) < 1)).sum() > 5
     assert np.abs(left - expected)[ground][2:].max() < 0.06
@@ -272,7 +272,7 @@ def test_a_picture_without_shading_has_no_direction() -> None:
     photo = Renderer.of(scene, plain(scene.camera), config=PLAIN).frame(at_rest(scene))
     renderer = Renderer.of(replace(scene, photo=Photo(rgb=photo)), plain(scene.camera))
     assert "no direction" in renderer.decisions[0]
-    shown = raster.visible_ids(scene.objects, scene.camera) >= 0
+    shown = rasterizer.visible_ids(scene.objects, scene.camera) >= 0
     assert np.abs(renderer.frame(at_rest(scene)).astype(int) - photo)[shown].mean() < 2
 
 
@@ -303,7 +303,7 @@ def big_table() -> Scene:
 def test_the_number_of_threads_changes_no_byte(monkeypatch: pytest.MonkeyPatch) -> None:
     scene, films = table(), []
     for threads in (1, 2, 5):
-        monkeypatch.setattr(raster, "THREADS", threads)
+        monkeypatch.setattr(rasterizer, "THREADS", threads)
         renderer = Renderer.of(scene, plain(), config=SHADOWS)
         films.append([renderer.frame(T) for T in walk(4)])
     assert all(np.array_equal(a, b) for film in films[1:] for a, b in zip(films[0], film, strict=True))
@@ -344,7 +344,7 @@ def test_the_photo_stays_as_it_is_where_it_was_not_completed() -> None:
     near[40:190, 60:240] = True
     background = np.where(near[..., None], plain(scene.camera), photo)
     renderer = Renderer.of(replace(scene, photo=Photo(rgb=photo)), background)
-    objects = raster.visible_ids(scene.objects, scene.camera) >= 0
+    objects = rasterizer.visible_ids(scene.objects, scene.camera) >= 0
     outside = ~grown(near | objects, 2)
     assert (photo[outside] != GREY).any()  # shadows of the sky reach there
     assert np.array_equal(renderer.frame(at_rest(scene))[outside], photo[outside])
@@ -356,7 +356,7 @@ def shadowed() -> tuple[Scene, NDArray[np.bool_], NDArray[np.bool_]]:
     scene = big_table()
     light = Light(direction=np.array([0.5, 0, 0.87]), angle=0.2, direct=np.full(3, 0.6), sky=np.full(3, 0.4))
     photo = lit(scene, light).drawn(at_rest(scene))
-    ground = ~grown(raster.visible_ids(scene.objects, scene.camera) >= 0, 4)
+    ground = ~grown(rasterizer.visible_ids(scene.objects, scene.camera) >= 0, 4)
     dark = ground & (photo < GREY - 12).all(2)
     left = linear(photo / 255) / linear(np.array(GREY / 255))
     tinted = np.rint(255 * srgb(linear(np.array(GREY / 255)) * (1 - [0.95, 1.0, 1.05] * (1 - left))))
@@ -378,7 +378,7 @@ def test_the_scene_at_rest_has_the_photos_own_shadows_and_what_leaves_takes_its_
 
 def test_what_an_object_sheds_of_its_colour_past_its_mask_is_no_light() -> None:
     scene, ground, _ = shadowed()
-    objects = raster.visible_ids(scene.objects, scene.camera) >= 0
+    objects = rasterizer.visible_ids(scene.objects, scene.camera) >= 0
     rim = grown(objects, 7) & ground
     photo = np.where(rim[..., None], [150, 40, 40], scene.photo.rgb).astype(np.uint8)
     renderer = Renderer.of(replace(scene, photo=Photo(rgb=photo)), plain(scene.camera))
@@ -416,7 +416,7 @@ def test_what_flies_past_the_camera_is_cut_at_the_near_plane() -> None:
     renderer = Renderer.of(scene, plain(), config=replace(PLAIN, samples=1))
     drawn = renderer.frame(poses)
     moved = [replace(o, T_world_object=T) for o, T in zip(scene.objects, poses, strict=True)]
-    ids = raster.render(moved, OBLIQUE, near=PLAIN.near).ids
+    ids = rasterizer.render(moved, OBLIQUE, near=PLAIN.near).ids
     assert (ids == 0).mean() > 0.3
     assert np.array_equal((drawn != GREY).any(2), ids >= 0)
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from f3sr import raster
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import pose
-from f3sr.sensitivity import loss_matrix, loss_per_pixel
-from f3sr.silhouette import iou
+from f3sr.vision import rasterizer
+from f3sr.vision.iou_sensitivity import loss_matrix, loss_per_pixel
+from f3sr.vision.silhouette import iou
 from scenes import box, scene_of
 
 
@@ -29,7 +29,7 @@ def test_the_loss_of_a_shift_is_that_of_its_rendered_silhouette(shift: tuple[flo
 
     def silhouette(t: tuple[float, float, float]) -> np.ndarray:
         points = camera.to_camera(o.vertices_world + np.array(t))
-        return raster.silhouette(points, o.mesh.faces, camera.K, camera.width, camera.height)
+        return rasterizer.silhouette(points, o.mesh.faces, camera.K, camera.width, camera.height)
 
     mask = silhouette((0, 0, 0))
     W = loss_matrix(mask, camera, o.bounds_world.mean(0))

@@ -15,8 +15,8 @@ from f3sr.core.levenberg_marquardt import Local
 from f3sr.core.transforms import Array, pose, rotation_about
 from f3sr.measures import full_silhouette
 from f3sr.scene import Photo, Scene, SceneObject
-from f3sr.silhouette import iou
 from f3sr.stages.align import AlignConfig
+from f3sr.vision.silhouette import iou
 from scenes import box, scene_of
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))

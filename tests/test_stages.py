@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from f3sr import raster
 from f3sr.balancing import BalanceConfig
 from f3sr.core.transforms import T_UP_FROM_CAMERA, invert_pose, pose, rotation_about, rotation_from_vector
 from f3sr.io import inputs
@@ -22,7 +21,8 @@ from f3sr.stages.evaluate import direct_composition, evaluate
 from f3sr.stages.level import LevelConfig, fit_plane, level, plane_errors, vote
 from f3sr.stages.separate import SeparateConfig, separate
 from f3sr.stages.settle import settle
-from f3sr.visibility import nearer_objects, visible_region
+from f3sr.vision import rasterizer
+from f3sr.vision.occlusion import nearer_objects, visible_region
 from folders import boxes, camera, to_depth, write_folder
 from scenes import box, box_stack_scene, scene_of, visible_iou
 
@@ -105,9 +105,9 @@ def test_level_finds_the_true_camera(exact: Scene):
 
 
 def test_level_changes_no_pixel(exact: Scene):
-    before = raster.render(exact.objects, exact.camera)
+    before = rasterizer.render(exact.objects, exact.camera)
     scene, _ = level(exact)
-    after = raster.render(scene.objects, scene.camera)
+    after = rasterizer.render(scene.objects, scene.camera)
     assert np.mean(before.ids != after.ids) < 1e-3
 
 
@@ -270,7 +270,7 @@ def test_moving_along_viewing_rays_changes_no_silhouette():
     before = overlapping_stack()
     after, _ = separate(before.with_objects(replace(before[2], T_world_object=pose(t=[0.4, 0, 0.05]))))
     for o in after.objects[:2]:
-        a, b = (raster.silhouette(s.camera.to_camera(s[o.id].vertices_world), o.mesh.faces, s.camera.K, 64, 48)
+        a, b = (rasterizer.silhouette(s.camera.to_camera(s[o.id].vertices_world), o.mesh.faces, s.camera.K, 64, 48)
                 for s in (before, after))  # fmt: skip
         assert np.mean(a != b) < 2e-3
         assert after[o.id].scale != 1
@@ -371,7 +371,7 @@ def test_decompose_covers_every_vertex(wrong: Scene):
 def test_rotating_the_world_changes_no_image(wrong: Scene):
     T = pose(rotation_from_vector([0.4, -1.0, 2.0]), [3, -2, 1])
     turned = moved_world(wrong, T)
-    a, b = (raster.render(s.objects, s.camera) for s in (wrong, turned))
+    a, b = (rasterizer.render(s.objects, s.camera) for s in (wrong, turned))
     assert np.mean(a.ids != b.ids) < 1e-3
     back = moved_world(turned, invert_pose(T))
     assert np.allclose(back[2].T_world_object, wrong[2].T_world_object, atol=1e-9)

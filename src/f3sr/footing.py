@@ -16,13 +16,13 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from f3sr import heights
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, transform
 from f3sr.facets import stable_normals
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import SceneObject
 from f3sr.settings import settings
+from f3sr.vision import height_map
 
 
 @settings
@@ -123,7 +123,7 @@ def support_plane(o: SceneObject, tops: Sequence[ConvexPart], config: FootingCon
     vertices = np.concatenate([p.vertices for p in tops])
     starts = np.cumsum([0, *(len(p.vertices) for p in tops)])
     faces = np.concatenate([p.faces + start for p, start in zip(tops, starts, strict=False)])
-    top = heights.upper(vertices, faces, underside.grid)
+    top = height_map.upper(vertices, faces, underside.grid)
     try:
         tops_hull = ConvexPart.hull_of(underside.grid.points(np.where(underside.cells, top, np.nan)))
     except ValueError:
@@ -176,7 +176,7 @@ class _Underside:
     """What of a body lies on the facet it would fall onto, in the cells of a height map from below."""
 
     facet: Plane
-    grid: heights.Grid
+    grid: height_map.Grid
     cells: NDArray[np.bool_]
     """Which cells (rows, columns) belong to it."""
     corners: Array
@@ -199,8 +199,8 @@ class _Underside:
         if facet is None or outline is None:
             return None
         low, high = o.bounds_world
-        grid = heights.Grid.over(low, high, float((high - low)[:2].max()) / config.cells)
-        z = heights.lower(o.vertices_world, o.mesh.faces, grid)
+        grid = height_map.Grid.over(low, high, float((high - low)[:2].max()) / config.cells)
+        z = height_map.lower(o.vertices_world, o.mesh.faces, grid)
         points = grid.points(z)
         on_it = facet.heights(points) <= config.flat * o.size
         cells = np.isfinite(z)

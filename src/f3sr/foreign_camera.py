@@ -10,17 +10,17 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 
-from f3sr.contour import AREA, MISMATCH, Integrals
 from f3sr.core.camera import Camera
 from f3sr.core.levenberg_marquardt import Local, minimise
 from f3sr.core.transforms import Array, rotation_angle
-from f3sr.freedom import CameraFreedom
 from f3sr.measures import full_silhouette
-from f3sr.outlines import outlined
 from f3sr.report import Decision
 from f3sr.scene import Scene
 from f3sr.settings import settings
-from f3sr.silhouette import Surface, Target, iou, loss, resample
+from f3sr.vision.decimated import outlined
+from f3sr.vision.motion_params import CameraFreedom
+from f3sr.vision.silhouette import Surface, Target, iou, loss, resample
+from f3sr.vision.silhouette_integrals import AREA, MISMATCH, Integrals
 
 Term = Callable[[Integrals, Target], Local]
 """What one object adds to the objective."""

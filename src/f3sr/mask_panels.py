@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from f3sr import raster
 from f3sr.core.camera import Camera
-from f3sr.pictures import BOTH, MASK_ONLY, RENDER_ONLY, TINT, Image, resized
 from f3sr.scene import Scene, SceneObject
-from f3sr.silhouette import Mask, iou, resample, union_of
+from f3sr.vision import rasterizer
+from f3sr.vision.pictures import BOTH, MASK_ONLY, RENDER_ONLY, TINT, Image, resized
+from f3sr.vision.silhouette import Mask, iou, resample, union_of
 
 MARGIN = 0.12
 """Around what a panel shows, as a share of its longer side."""
@@ -93,7 +93,7 @@ def _box_of(mask: Mask) -> Window:
 def _seen(o: SceneObject, camera: Camera) -> Window:
     """Rows and columns around an object's projection, inside the image; the whole image where it comes too near."""
     pixels, z = camera.project(o.vertices_world)
-    if z.min() <= raster.NEAR:
+    if z.min() <= rasterizer.NEAR:
         return slice(0, camera.height), slice(0, camera.width)
     low = np.clip(np.floor(pixels.min(0)), 0, [camera.width, camera.height]).astype(int)
     high = np.clip(np.ceil(pixels.max(0)), 0, [camera.width, camera.height]).astype(int)
@@ -126,4 +126,4 @@ def _grown(part: slice, by: int, limits: slice) -> slice:
 def _silhouette(o: SceneObject, camera: Camera, window: Window) -> Mask:
     rows, columns = window
     view = camera.cropped(columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
-    return raster.silhouette(view.to_camera(o.vertices_world), o.mesh.faces, view.K, view.width, view.height)
+    return rasterizer.silhouette(view.to_camera(o.vertices_world), o.mesh.faces, view.K, view.width, view.height)

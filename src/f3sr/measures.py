@@ -8,13 +8,14 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import crossings, raster
+from f3sr import crossings
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array
 from f3sr.inside import union_distance, winding_number
 from f3sr.physics import release
 from f3sr.scene import GROUND, Scene, SceneObject
-from f3sr.silhouette import iou, union_of
+from f3sr.vision import rasterizer
+from f3sr.vision.silhouette import iou, union_of
 
 Point = tuple[float, float, float]
 """A place in the world [m]."""
@@ -192,9 +193,9 @@ def image_agreement(scene: Scene) -> tuple[list[float], list[float], float]:
     union = union_of((o.mask for o in scene), photo.shape[:2])
     ids = np.empty(union.shape, np.int32)
     errors: list[Array] = []
-    for strip, fragments in raster.strips(scene.objects, camera):
+    for strip, fragments in rasterizer.strips(scene.objects, camera):
         ids[strip] = fragments.ids
-        rendered = raster.shade(fragments, scene.objects, filter="nearest")
+        rendered = rasterizer.shade(fragments, scene.objects, filter="nearest")
         errors.append(rendered[union[strip]] - photo[strip][union[strip]] / 255)
     full = [iou(full_silhouette(o, camera), o.mask) for o in scene]
     visible = [iou(ids == o.id, o.mask) for o in scene]
@@ -208,14 +209,14 @@ def mean_over_masks(ious: Mapping[int, float], scene: Scene) -> float:
 
 def visible_ious(scene: Scene) -> dict[int, float]:
     """The IoU of every object's visible pixels with its mask, by id."""
-    ids = raster.visible_ids(scene.objects, scene.camera)
+    ids = rasterizer.visible_ids(scene.objects, scene.camera)
     return {o.id: iou(ids == o.id, o.mask) for o in scene}
 
 
 def full_silhouette(o: SceneObject, camera: Camera) -> NDArray[np.bool_]:
     """The object's silhouette (H, W) as if it were alone."""
     vertices = camera.to_camera(o.vertices_world)
-    return raster.silhouette(vertices, o.mesh.faces, camera.K, camera.width, camera.height)
+    return rasterizer.silhouette(vertices, o.mesh.faces, camera.K, camera.width, camera.height)
 
 
 # --- floating, sunken and contained objects -------------------------------------------------------------------------

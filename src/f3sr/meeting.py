@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import heights
 from f3sr.core.transforms import Array
 from f3sr.scene import GROUND, SceneObject
+from f3sr.vision import height_map
 
 CELLS = 96
 """Cells along the longer side of what two objects share, seen from above."""
@@ -47,9 +47,9 @@ def _between(upper: SceneObject, lower: SceneObject) -> Meeting | None:
     for _ in range(LOOKS):
         if (high <= low).any():
             break
-        grid = heights.Grid.over(low, high, float((high - low).max()) / CELLS)
-        above = heights.lower(upper.vertices_world, _over(upper, low, high), grid)
-        below = heights.upper(lower.vertices_world, _over(lower, low, high), grid)
+        grid = height_map.Grid.over(low, high, float((high - low).max()) / CELLS)
+        above = height_map.lower(upper.vertices_world, _over(upper, low, high), grid)
+        below = height_map.upper(lower.vertices_world, _over(lower, low, high), grid)
         gap = np.where(above - below > -THROUGH, above - below, np.inf)
         k = int(np.argmin(gap))
         if not np.isfinite(gap.flat[k]):

@@ -10,10 +10,10 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from f3sr import patchmatch
+from f3sr.background import patchmatch
 from f3sr.background.membrane import doubled, membrane, quads
+from f3sr.background.patchmatch import RADIUS, SIDE, Picture
 from f3sr.background.regions import Mask, distance_to, grown, squared
-from f3sr.patchmatch import RADIUS, SIDE, Picture
 from f3sr.settings import settings
 
 T = TypeVar("T", bound=np.generic)

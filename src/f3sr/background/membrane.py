@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from f3sr.background.patchmatch import Picture, relax
 from f3sr.background.regions import Mask
-from f3sr.patchmatch import Picture, relax
 
 SWEEPS = 12
 """Sweeps per level: what is left after them the next finer level corrects; below a grey level at the end."""

@@ -16,9 +16,9 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
+from f3sr.background.patchmatch import Picture
 from f3sr.background.regions import Mask, closed, distance_to, grown, opened, parts_of, without_holes
 from f3sr.core.transforms import Array
-from f3sr.patchmatch import Picture
 from f3sr.settings import settings
 
 LOOKED_AT = 400

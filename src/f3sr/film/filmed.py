@@ -17,11 +17,11 @@ from f3sr.film import make_film
 from f3sr.film.held import Held
 from f3sr.goals.play import Played
 from f3sr.package import Package
-from f3sr.pictures import resized
 from f3sr.rendering import RenderConfig, Renderer
 from f3sr.scene import Photo, Scene, SceneObject
 from f3sr.settings import settings
-from f3sr.silhouette import resample
+from f3sr.vision.pictures import resized
+from f3sr.vision.silhouette import resample
 
 STANDS = 0.01
 """Height over the plane of the support up to which something counts as on it [m]."""

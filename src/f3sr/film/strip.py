@@ -14,7 +14,7 @@ from f3sr.film.moments import Moment
 from f3sr.film.video import Picture
 from f3sr.film.words import clock, told
 from f3sr.io.gltf_writer import encode_png
-from f3sr.pictures import resized
+from f3sr.vision.pictures import resized
 
 CELL = 480
 """Width of a picture [px]: three beside each other are still readable where a page is 900 wide."""

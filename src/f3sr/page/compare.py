@@ -13,8 +13,8 @@ from f3sr.core.transforms import Array, box_corners
 from f3sr.measures import Details, Gap, Overlap
 from f3sr.page.material import Material, look_alike
 from f3sr.page.words import counted, length, name_of, share
-from f3sr.pictures import composite, ground_row, side_camera, side_cameras, side_view
 from f3sr.scene import GROUND, Scene
+from f3sr.vision.pictures import composite, ground_row, side_camera, side_cameras, side_view
 from f3sr.web.images import figure, img
 from f3sr.web.markup import Child, Markup, el, join
 

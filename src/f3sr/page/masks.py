@@ -11,7 +11,7 @@ from f3sr.mask_panels import MaskPanels, mask_panels
 from f3sr.page.material import Material
 from f3sr.page.words import counted, name_of, ratio, share
 from f3sr.scene import Scene, SceneObject
-from f3sr.visibility import nearer_objects
+from f3sr.vision.occlusion import nearer_objects
 from f3sr.web.images import figure, img
 from f3sr.web.markup import Child, Markup, el, join
 

@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from f3sr.measures import Details, ObjectMeasures
-from f3sr.pictures import Backdrop, overlay
 from f3sr.pipeline import Reconstruction
 from f3sr.scene import Scene
 from f3sr.stages.evaluate import direct_composition
+from f3sr.vision.pictures import Backdrop, overlay
 from f3sr.web.images import img
 from f3sr.web.markup import Markup
 

@@ -14,8 +14,8 @@ from f3sr.measures import ObjectMeasures
 from f3sr.page.material import Material, by_id
 from f3sr.page.words import counted, length, name_of, number, quantity, ratio, share, told
 from f3sr.physics.mujoco_model import body_of
-from f3sr.pictures import resized
 from f3sr.scene import Motion, SceneObject
+from f3sr.vision.pictures import resized
 from f3sr.web.images import img
 from f3sr.web.markup import Child, Markup, el, join
 

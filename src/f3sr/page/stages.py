@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from f3sr.page.masks import legend
 from f3sr.page.material import Material, look_alike
 from f3sr.page.words import about, counted, quantity, told
-from f3sr.pictures import resized
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene
+from f3sr.vision.pictures import resized
 from f3sr.web.images import figure, img
 from f3sr.web.markup import Child, Markup, el, join
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from f3sr.page.material import Material
-from f3sr.pictures import turned_view
 from f3sr.scene import Scene, SceneObject
+from f3sr.vision.pictures import turned_view
 from f3sr.web.document import data
 from f3sr.web.images import figure, img
 from f3sr.web.light_mesh import lightened

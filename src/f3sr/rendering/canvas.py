@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import raster
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, transform
 from f3sr.rendering.config import RenderConfig
@@ -36,6 +35,7 @@ from f3sr.rendering.picture_kernels import (
 from f3sr.rendering.shadow_kernels import note_changes
 from f3sr.rendering.surface_kernels import Lamps, View, mark_shadowed, shade, tile_depths
 from f3sr.rendering.textures import LINEAR, srgb
+from f3sr.vision import rasterizer
 
 CELL = 2
 """Side of the cells that the ground's shadows are drawn in [px]: they are soft."""
@@ -53,8 +53,8 @@ HIDES = 1.03
 BANDS = 4
 """Bands of rows per thread that are coloured: what is dear lies together."""
 
-TABLE = raster.fixed(np.rint(255 * srgb(np.arange(STEPS + 1) / STEPS)), np.uint8)
-SET_BITS = raster.fixed([bin(k).count("1") for k in range(256)], np.int64)
+TABLE = rasterizer.fixed(np.rint(255 * srgb(np.arange(STEPS + 1) / STEPS)), np.uint8)
+SET_BITS = rasterizer.fixed([bin(k).count("1") for k in range(256)], np.int64)
 
 Rectangle = tuple[int, int, int, int]
 """First row, row after the last, first column, column after the last."""
@@ -96,7 +96,7 @@ class Canvas:
         self._fine = s.camera.resized(samples * w, samples * h)
         self._cells = replace(s.camera, K=K, width=-(-w // CELL), height=-(-h // CELL))
         self._words = ground_words(s.light)
-        self._weight = raster.fixed(s.light.hidden / BLUR_SUM, np.float64)
+        self._weight = rasterizer.fixed(s.light.hidden / BLUR_SUM, np.float64)
         self._still, self._drawn = self._buffers(), self._buffers()
         self._rest_bits = np.zeros_like(self._drawn.bits)
         lights, size, _ = self._drawn.maps.nearest.shape
@@ -133,7 +133,7 @@ class Canvas:
         """(h, w, 3) the share of its light that the ground keeps beside objects at ``poses`` (N, 4, 4)."""
         self._draw(poses)
         left = np.empty((*self.setting.receives.shape, 3), np.float32)
-        light_left(self._blurred, CELL, self._weight, raster.fixed(self.setting.receives, np.float32), left)
+        light_left(self._blurred, CELL, self._weight, rasterizer.fixed(self.setting.receives, np.float32), left)
         return left
 
     def _buffers(self) -> Buffers:
@@ -228,13 +228,13 @@ class Canvas:
     def _mark_shadowed(self, view: View, texels: NDArray[np.int64]) -> None:
         """Find the tiles whose light has changed with some ``texels`` (k, L, 4) of the maps."""
         maps, spans, limits = self._drawn.maps, self._spans, np.empty((len(self._spans), 5))
-        parts = raster.fixed(texels.swapaxes(0, 1), np.int64)
+        parts = rasterizer.fixed(texels.swapaxes(0, 1), np.int64)
 
         def note(light: int) -> None:
             before = self._nearest_before[light]
             note_changes(maps.nearest[light], before, parts[light], BLOCK, spans[light], limits[light])
 
-        raster.share(note, range(len(spans)))
+        rasterizer.share(note, range(len(spans)))
 
         def mark(band: tuple[int, int]) -> None:
             mark_shadowed(
@@ -242,12 +242,12 @@ class Canvas:
                 *(maps.offset, maps.bias, maps.texel, *band, self._dirty),
             )
 
-        raster.in_bands(mark, (0, len(self._dirty)), BANDS * raster.THREADS)
+        rasterizer.in_bands(mark, (0, len(self._dirty)), BANDS * rasterizer.THREADS)
 
     def _shade(self, view: View) -> None:
         s, drawn = self.setting, self._drawn
         maps = drawn.maps
-        strength, exposed = (raster.fixed(values, np.float64) for values in (s.light.strength, s.exposures))
+        strength, exposed = (rasterizer.fixed(values, np.float64) for values in (s.light.strength, s.exposures))
         lamps = Lamps(maps.directions, maps.frames, maps.nearest, DIRECT, maps.offset, maps.bias, strength, exposed)
 
         def draw(band: tuple[int, int]) -> None:
@@ -256,7 +256,7 @@ class Canvas:
                 *(TILE, self._dirty, drawn.face, drawn.nearness, self._color, self._cover),
             )
 
-        raster.in_bands(draw, (0, s.camera.height), BANDS * raster.THREADS)
+        rasterizer.in_bands(draw, (0, s.camera.height), BANDS * rasterizer.THREADS)
 
     def _count(self) -> None:
         def count(band: tuple[int, int]) -> None:
@@ -271,15 +271,15 @@ class Canvas:
                 blur_columns(self._rows[kind], reach, *band, self._blurred[kind])
 
         for step in (count, along_rows, along_columns):
-            raster.in_bands(step, (0, self._cells.height), raster.THREADS)
+            rasterizer.in_bands(step, (0, self._cells.height), rasterizer.THREADS)
 
     def _compose(self) -> None:
         """Bring the picture up to date where colours or the ground's shadows have changed."""
         s = self.setting
         mark_changed(self._blurred, self._blurred_before, TILE // CELL, self._dirty)
         np.copyto(self._blurred_before, self._blurred)
-        background, picture = raster.fixed(s.background, np.uint8), self._picture
-        ground = (raster.fixed(values, np.float32) for values in (s.receives, self._rest, self._shown))
+        background, picture = rasterizer.fixed(s.background, np.uint8), self._picture
+        ground = (rasterizer.fixed(values, np.float32) for values in (s.receives, self._rest, self._shown))
         receives, rest, shown = ground
 
         def finish(band: tuple[int, int]) -> None:
@@ -288,5 +288,5 @@ class Canvas:
                 *(self._color, self._cover, TABLE, TILE, self._dirty, *band, picture),
             )
 
-        raster.in_bands(finish, (0, s.camera.height), raster.THREADS)
+        rasterizer.in_bands(finish, (0, s.camera.height), rasterizer.THREADS)
         self._composed = True

@@ -10,14 +10,14 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import raster
 from f3sr.background.regions import grown
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import UP, Array
 from f3sr.rendering.surface_kernels import Shapes, Textures, View, seen_at
 from f3sr.rendering.textures import LINEAR
 from f3sr.scene import Scene
-from f3sr.silhouette import union_of
+from f3sr.vision import rasterizer
+from f3sr.vision.silhouette import union_of
 
 Mask = NDArray[np.bool_]
 Samples = tuple[NDArray[np.int64], Array, Array, Array, Array]
@@ -54,13 +54,13 @@ class Evidence:
         """Some samples, one after the other."""
         group = np.concatenate([np.zeros(0, np.int64), *(p[0] for p in parts)])
         rest = (np.concatenate([np.zeros((0, 3)), *(p[k] for p in parts)]) for k in range(1, 5))
-        albedo, photo, points, normals = (raster.fixed(values, np.float64) for values in rest)
-        return cls(group=raster.fixed(group, np.int64), albedo=albedo, photo=photo, points=points, normals=normals)
+        albedo, photo, points, normals = (rasterizer.fixed(values, np.float64) for values in rest)
+        return cls(group=rasterizer.fixed(group, np.int64), albedo=albedo, photo=photo, points=points, normals=normals)
 
     @cached_property
     def slope(self) -> Array:
         """(n, 3) of sRGB values over linear light, at the photo's."""
-        return raster.fixed(np.maximum(self.photo, 0.01) ** (1 / 2.4 - 1) * 1.055 / 2.4, np.float64)
+        return rasterizer.fixed(np.maximum(self.photo, 0.01) ** (1 / 2.4 - 1) * 1.055 / 2.4, np.float64)
 
     def thinned(self, step: int) -> Evidence:
         s = slice(None, None, max(step, 1))
@@ -143,7 +143,7 @@ def _seen(
     shapes: Shapes, textures: Textures, view: View, near: float, pixels: NDArray[np.int64], face: NDArray[np.int32]
 ) -> tuple[Array, Array, Array]:
     albedo, place, normal = (np.empty((len(pixels), 3)) for _ in range(3))
-    fixed = raster.fixed(pixels, np.int64), raster.fixed(face, np.int32)
+    fixed = rasterizer.fixed(pixels, np.int64), rasterizer.fixed(face, np.int32)
     seen_at(shapes, textures, view, near, *fixed, albedo, place, normal)
     return albedo, place, normal
 

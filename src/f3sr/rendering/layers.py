@@ -9,7 +9,6 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import raster
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, transform
 from f3sr.rendering.config import RenderConfig
@@ -21,7 +20,8 @@ from f3sr.rendering.surface_kernels import Shapes, Textures, View, find_extents,
 from f3sr.rendering.textures import textures_of
 from f3sr.runtime.daemon_thread import begun
 from f3sr.scene import SceneObject
-from f3sr.triangles import project
+from f3sr.vision import rasterizer
+from f3sr.vision.scan_conversion import project
 
 WORD = 8
 """Lights whose shadows share a byte of every pixel."""
@@ -68,18 +68,18 @@ class Things:
     def seen_by(self, camera: Camera, poses: Array, near: float) -> View:
         """Vertices on the pixels of ``camera``, with the objects at ``poses`` (N, 4, 4)."""
         points = np.empty((int(self.first_vertex[-1]), 5))
-        K = raster.fixed(camera.K, np.float64)
+        K = rasterizer.fixed(camera.K, np.float64)
         for k, (T, v) in enumerate(zip(poses, self.vertices, strict=True)):
-            seen = raster.fixed(camera.to_camera(transform(T, v)), np.float64)
+            seen = rasterizer.fixed(camera.to_camera(transform(T, v)), np.float64)
             project(seen, K, near, points[self.first_vertex[k] : self.first_vertex[k + 1]])
         extents = np.empty((len(self.vertices), 4))
-        find_extents(points, raster.fixed(self.first_vertex, np.int64), near, extents)
+        find_extents(points, rasterizer.fixed(self.first_vertex, np.int64), near, extents)
         rays = np.column_stack([camera.T_world_camera[:3, :3] @ np.linalg.inv(camera.K), camera.center])
         return View(
-            points=raster.fixed(points, np.float64),
-            turns=raster.fixed(poses[:, :3, :3], np.float64),
-            extents=raster.fixed(extents, np.float64),
-            rays=raster.fixed(rays, np.float64),
+            points=rasterizer.fixed(points, np.float64),
+            turns=rasterizer.fixed(poses[:, :3, :3], np.float64),
+            extents=rasterizer.fixed(extents, np.float64),
+            rays=rasterizer.fixed(rays, np.float64),
         )
 
     def casting(self, poses: Array, chosen: Sequence[int]) -> Casting:
@@ -143,7 +143,7 @@ def draw_surfaces(things: Things, view: View, chosen: Sequence[int], near: float
                 *(near, *band, buffers.face, buffers.nearness),
             )
 
-    raster.in_bands(draw, _rows(view, chosen, len(buffers.face)), raster.THREADS)
+    rasterizer.in_bands(draw, _rows(view, chosen, len(buffers.face)), rasterizer.THREADS)
 
 
 def _rows(view: View, chosen: Sequence[int], height: int) -> tuple[int, int]:
@@ -158,20 +158,20 @@ def _rows(view: View, chosen: Sequence[int], height: int) -> tuple[int, int]:
 def ground_words(light: Light) -> list[Array]:
     """Directions of the lights, ``WORD`` to a byte: first those of the disc, then those of the sky."""
     lights = np.concatenate([disc(light.direction, light.angle, DIRECT_ON_GROUND), ground_sky(SKY_ON_GROUND)])
-    return [raster.fixed(lights[k : k + WORD], np.float64) for k in range(0, len(lights), WORD)]
+    return [rasterizer.fixed(lights[k : k + WORD], np.float64) for k in range(0, len(lights), WORD)]
 
 
 def draw_ground_shadows(
     casting: Casting, camera: Camera, words: Sequence[Array], near: float, bits: NDArray[np.uint8]
 ) -> None:
     """Set the bits (words, h, w) of the lights that some casters hide from the ground, as ``camera`` sees it."""
-    P = raster.fixed(camera.K @ camera.T_camera_world[:3], np.float64)
+    P = rasterizer.fixed(camera.K @ camera.T_camera_world[:3], np.float64)
 
     def draw(word: int) -> None:
         for caster in casting.disc if word < DISC_WORDS else casting.sky:
             cast_on_ground(*caster, P, words[word], near, bits[word])
 
-    raster.share(draw, range(len(words)))
+    rasterizer.share(draw, range(len(words)))
 
 
 def draw_maps(casting: Casting, maps: Maps) -> None:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import raster
 from f3sr.core.transforms import Array, rotation_about
 from f3sr.rendering.config import LightConfig
 from f3sr.rendering.evidence import FEW, Evidence
@@ -16,6 +15,7 @@ from f3sr.rendering.fit_kernels import add_equations, sum_lit, sum_misfits
 from f3sr.rendering.light import DIRECT, Light, disc, even_sky
 from f3sr.rendering.shadow_maps import Caster, Maps
 from f3sr.rendering.textures import srgb
+from f3sr.vision import rasterizer
 
 CANDIDATES = 120
 """Directions of the upper half of the sphere that are tried first: 13 degrees apart."""
@@ -174,7 +174,7 @@ def _fit(evidence: Evidence, bases: Array, groups: int) -> Fit:
     are weighed as sRGB would show them and by their group's spread (iteratively, so strays count less)."""
     from scipy.optimize import nnls
 
-    e, bases = evidence, raster.fixed(bases, np.float64)
+    e, bases = evidence, rasterizer.fixed(bases, np.float64)
     strength = used = np.array([0.5, 0.3 * bool(bases[:, 1].any()), 0.2, 0.0])
     gains = np.ones((groups, 3))
     count = np.bincount(e.group, minlength=groups)

@@ -17,7 +17,7 @@ from f3sr.rendering.layers import Things
 from f3sr.rendering.lighting import lit_as_photo
 from f3sr.rendering.shadow_maps import MARGIN
 from f3sr.scene import Scene
-from f3sr.silhouette import union_of
+from f3sr.vision.silhouette import union_of
 
 OTHER_LIGHT = (
     "shadows: the background is not lit as the photo is; drawn as the light makes them, not as the photo shows"

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.runtime.kernels import inline_kernel, kernel
-from f3sr.triangles import Point, bounds, centres, corner, determinant, edge_functions, row_of, span
+from f3sr.vision.scan_conversion import Point, bounds, centres, corner, determinant, edge_functions, row_of, span
 
 FADE = 12.0
 """Texels from the border of a map over which its shadows fade: what leaves the scene does not lose them at once."""

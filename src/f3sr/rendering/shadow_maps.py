@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import raster
 from f3sr.core.transforms import Array, transform
 from f3sr.rendering.shadow_kernels import arrivals, cast_map
+from f3sr.vision import rasterizer
 
 MARGIN = 1.6
 """Of the ball that maps cover, in radii of the scene at rest: what moves out of it loses its shadows on objects, not
@@ -47,7 +47,7 @@ class Maps:
         texel = 2 * radius / side
         frames = np.array([_frame(d, center, texel, side) for d in directions]).reshape(-1, 3, 4)
         nearest = np.full((len(directions), side, side), -np.inf, np.float32)
-        return cls(raster.fixed(directions, np.float64), raster.fixed(frames, np.float64), nearest, texel)
+        return cls(rasterizer.fixed(directions, np.float64), rasterizer.fixed(frames, np.float64), nearest, texel)
 
     @property
     def offset(self) -> float:
@@ -64,7 +64,7 @@ class Maps:
             for caster in casters:
                 cast_map(*caster, self.frames[light], self.nearest[light])
 
-        raster.share(draw, range(len(self.directions))[lights])
+        rasterizer.share(draw, range(len(self.directions))[lights])
 
     def reached(self, points: Array) -> NDArray[np.int64]:
         """(L, 4) first and last column, first and last row of every map that a surface through points (n, 3) and within
@@ -80,11 +80,11 @@ class Maps:
         """(n, L) cosines times visibility at points (n, 3) with normals (n, 3)."""
         out = np.empty((len(points), len(self.directions)))
         arrivals(
-            raster.fixed(points, np.float64),
-            raster.fixed(normals, np.float64),
+            rasterizer.fixed(points, np.float64),
+            rasterizer.fixed(normals, np.float64),
             self.directions,
             self.frames,
-            raster.fixed(self.nearest, np.float32),
+            rasterizer.fixed(self.nearest, np.float32),
             self.offset,
             self.bias,
             out,
@@ -103,6 +103,6 @@ def _frame(direction: Array, center: Array, texel: float, side: int) -> Array:
 def world_casters(casters: Sequence[Caster], poses: Array) -> list[Caster]:
     """Casters of objects at ``poses`` (N, 4, 4), as kernels take them."""
     return [
-        Caster(raster.fixed(transform(T, c.vertices), np.float64), raster.fixed(c.faces, np.int32), c.closed)
+        Caster(rasterizer.fixed(transform(T, c.vertices), np.float64), rasterizer.fixed(c.faces, np.int32), c.closed)
         for T, c in zip(poses, casters, strict=True)
     ]

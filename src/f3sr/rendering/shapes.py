@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import raster
 from f3sr.core.mesh import Mesh, is_closed, signed_volume
 from f3sr.core.transforms import Array
 from f3sr.rendering.shadow_maps import Caster
 from f3sr.rendering.surface_kernels import Shapes, corner_normals
 from f3sr.rendering.textures import linear
 from f3sr.scene import SceneObject
+from f3sr.vision import rasterizer
 
 
 def shapes_of(objects: Sequence[SceneObject], *, crease: float) -> Shapes:
@@ -35,7 +35,7 @@ def shapes_of(objects: Sequence[SceneObject], *, crease: float) -> Shapes:
 
 def _joined(arrays: Sequence[NDArray[Any]], dtype: Any, *shape: int) -> NDArray[Any]:
     """Some arrays of rows of a ``shape``, one after the other, as kernels take them."""
-    return raster.fixed(np.concatenate([np.empty((0, *shape), dtype), *arrays]), dtype)
+    return rasterizer.fixed(np.concatenate([np.empty((0, *shape), dtype), *arrays]), dtype)
 
 
 def smooth_normals(mesh: Mesh, crease: float) -> NDArray[np.float32]:
@@ -46,10 +46,10 @@ def smooth_normals(mesh: Mesh, crease: float) -> NDArray[np.float32]:
     first = np.searchsorted(faces.ravel()[order], np.arange(len(places) + 1))
     out = np.empty((len(faces), 3, 3), np.float32)
     corner_normals(
-        raster.fixed(places, np.float64),
-        raster.fixed(faces, np.int32),
-        raster.fixed(first, np.int64),
-        raster.fixed(order // 3, np.int64),
+        rasterizer.fixed(places, np.float64),
+        rasterizer.fixed(faces, np.int32),
+        rasterizer.fixed(first, np.int64),
+        rasterizer.fixed(order // 3, np.int64),
         float(np.cos(crease)),
         out,
     )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from f3sr.rendering.shadow_kernels import arriving
 from f3sr.rendering.texture_kernels import UNIT
 from f3sr.runtime.kernels import inline_kernel, kernel
-from f3sr.triangles import bounds, centres, corner, determinant, edge_functions, row_of, span
+from f3sr.vision.scan_conversion import bounds, centres, corner, determinant, edge_functions, row_of, span
 
 SAME = 0.97
 """Cosine of normals up to which samples of a pixel share the light of one of them."""
@@ -115,7 +115,7 @@ def nearest_faces(
     """Draw the faces [first, stop) into ``face`` (h, w) and ``nearness`` (h, w), 1 / z, in the rows [top, bottom).
 
     Of equally near faces the first is kept, in whatever order they are drawn. 1 / z is linear over the picture:
-    (e_a + e_b + e_c) / det in the terms of ``raster``. ``outward``: faces that show their back are hidden by others.
+    (e_a + e_b + e_c) / det in terms of ``rasterizer``. ``outward``: faces that show their back are hidden by others.
     """
     width = face.shape[1]
     size = float(max(face.shape))

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import raster
 from f3sr.core.mesh import Material, Mesh
 from f3sr.rendering.surface_kernels import Textures
 from f3sr.rendering.texture_kernels import border, halve, settle
 from f3sr.scene import SceneObject
+from f3sr.vision import rasterizer
 
 WHITE = np.full((1, 1, 3), 255, np.uint8)
 
@@ -26,7 +26,7 @@ def srgb(light: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055)
 
 
-LINEAR = raster.fixed(linear(np.arange(256) / 255), np.float64)
+LINEAR = rasterizer.fixed(linear(np.arange(256) / 255), np.float64)
 """Linear light of the 256 sRGB values."""
 
 
@@ -54,12 +54,12 @@ def textures_of(objects: Sequence[SceneObject]) -> Textures:
         ]
         _fill(*shown[k], levels)
 
-    raster.share(fill, range(len(shown)))
+    rasterizer.share(fill, range(len(shown)))
     return Textures(
-        texels=raster.fixed(texels, np.uint16),
-        starts=raster.fixed(starts, np.int64),
-        sizes=raster.fixed(sizes, np.int32),
-        levels=raster.fixed([len(levels) for levels in shapes], np.int32),
+        texels=rasterizer.fixed(texels, np.uint16),
+        starts=rasterizer.fixed(starts, np.int64),
+        sizes=rasterizer.fixed(sizes, np.int32),
+        levels=rasterizer.fixed([len(levels) for levels in shapes], np.int32),
     )
 
 
@@ -78,8 +78,8 @@ def _fill(mesh: Mesh, material: int, levels: Sequence[NDArray[np.uint16]]) -> No
     texture = _texture(mesh, shown)
     sums = [np.empty(level.shape, np.float32) for level in levels]
     weights = [np.empty(level.shape[:2], np.float32) for level in levels]
-    drawn = raster.fixed(_drawn(mesh, material, texture.shape[:2]), np.bool_)
-    border(raster.fixed(texture, np.uint8), _colors(shown), drawn, sums[0], weights[0])
+    drawn = rasterizer.fixed(_drawn(mesh, material, texture.shape[:2]), np.bool_)
+    border(rasterizer.fixed(texture, np.uint8), _colors(shown), drawn, sums[0], weights[0])
     for fine in range(len(levels) - 1):
         halve(sums[fine], weights[fine], sums[fine + 1], weights[fine + 1])
     for level in range(len(levels) - 1, -1, -1):
@@ -93,7 +93,7 @@ def _texture(mesh: Mesh, material: Material) -> NDArray[np.uint8]:
 def _colors(material: Material) -> NDArray[np.float32]:
     """(256, 3) linear light of base colour times texture, both sRGB values as the viewers of the field have it."""
     table = np.arange(256)[:, None] / 255 * np.asarray(material.base_color)
-    return raster.fixed(linear(np.clip(table, 0, 1)), np.float32)
+    return rasterizer.fixed(linear(np.clip(table, 0, 1)), np.float32)
 
 
 def _drawn(mesh: Mesh, material: int, size: tuple[int, int]) -> NDArray[np.bool_]:
@@ -106,7 +106,7 @@ def _drawn(mesh: Mesh, material: int, size: tuple[int, int]) -> NDArray[np.bool_
     if uv is None or h * w == 1 or not len(faces) or not ((uv[faces] >= 0) & (uv[faces] <= 1)).all():
         return np.ones(size, np.bool_)
     flat = np.column_stack([uv[:, 0] * w, (1 - uv[:, 1]) * h, np.ones(len(uv))])
-    drawn = raster.silhouette(flat, faces, np.eye(3), w, h)
+    drawn = rasterizer.silhouette(flat, faces, np.eye(3), w, h)
     x, y = np.minimum(flat[np.unique(faces), :2].astype(int), [w - 1, h - 1]).T
     around = np.pad(drawn, 1)
     alone = ~np.any([around[y + i, x + j] for i in range(3) for j in range(3)], axis=0)

@@ -26,7 +26,16 @@ WARM = "warm"
 """File in such a folder that names the files of all compiled kernels; its age tells when it was used last."""
 
 KERNEL_MODULES = (
-    *("triangles", "raster", "contour", "contact", "patches", "crossings", "inside", "patchmatch"),
+    *(
+        "vision.scan_conversion",
+        "vision.rasterizer",
+        "vision.silhouette_integrals",
+        "contact",
+        "patches",
+        "crossings",
+        "inside",
+        "background.patchmatch",
+    ),
     *("rendering.surface_kernels", "rendering.shadow_kernels", "rendering.picture_kernels"),
     *("rendering.texture_kernels", "rendering.fit_kernels"),
 )

@@ -8,7 +8,6 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 
-from f3sr import raster
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose, transform
 from f3sr.io import sam3d
@@ -16,7 +15,8 @@ from f3sr.io.inputs import Inputs, Instance, PosedAsset
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Geometry, Scene, SceneGraph, SceneObject
 from f3sr.settings import settings
-from f3sr.silhouette import iou, resample
+from f3sr.vision import rasterizer
+from f3sr.vision.silhouette import iou, resample
 
 
 @settings
@@ -85,7 +85,7 @@ def _depth_ratio(o: SceneObject, camera: Camera, geometry: Geometry) -> float | 
     """Median of rendered depth over geometry depth where the render, the mask and valid geometry meet."""
     h, w = geometry.valid.shape
     small = camera.resized(w, h)
-    depth = raster.render([o], small).depth
+    depth = rasterizer.render([o], small).depth
     where = geometry.inside(o.mask) & np.isfinite(depth)
     if not where.any():
         return None
@@ -152,5 +152,5 @@ def _other_readings(objects: tuple[SceneObject, ...], camera: Camera) -> dict[st
 
 def _overlap(vertices_world: Array, o: SceneObject, camera: Camera) -> float:
     small = camera.limited(256)
-    rendered = raster.silhouette(small.to_camera(vertices_world), o.mesh.faces, small.K, small.width, small.height)
+    rendered = rasterizer.silhouette(small.to_camera(vertices_world), o.mesh.faces, small.K, small.width, small.height)
     return iou(rendered, resample(o.mask, small.width, small.height))

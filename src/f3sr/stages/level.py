@@ -14,7 +14,7 @@ from f3sr.core.transforms import Array, pose, rotation_angle, rotation_between
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Geometry, Ground, Scene
 from f3sr.settings import settings
-from f3sr.silhouette import union_of
+from f3sr.vision.silhouette import union_of
 
 GROUPS = 4
 """Strips along each of two axes that split the ground's points into groups for the jackknife: 16 in all."""

@@ -10,14 +10,14 @@ from dataclasses import replace
 import numpy as np
 
 from f3sr.measures import full_silhouette
-from f3sr.outlines import outlined
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene, SceneObject
-from f3sr.silhouette import iou, resample
 from f3sr.stages.align.camera import align_camera
 from f3sr.stages.align.config import AlignConfig as AlignConfig
 from f3sr.stages.align.objects import View, align_object
-from f3sr.visibility import nearer_objects, visible_region
+from f3sr.vision.decimated import outlined
+from f3sr.vision.occlusion import nearer_objects, visible_region
+from f3sr.vision.silhouette import iou, resample
 
 MOST_THREADS = 8
 """Objects that are searched at the same time, each in a thread of its own: the kernels release the GIL."""

@@ -9,14 +9,14 @@ import numpy as np
 
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import transform
-from f3sr.depth_evidence import DepthEvidence
-from f3sr.freedom import CameraFreedom
 from f3sr.report import Decision
 from f3sr.scene import Geometry, Scene
-from f3sr.silhouette import Surface, Target, resample, union_of
-from f3sr.silhouette_fit import CameraFit
 from f3sr.stages.align.config import AlignConfig
-from f3sr.window import sampled
+from f3sr.vision.crop import sampled
+from f3sr.vision.depth_residual import DepthEvidence
+from f3sr.vision.motion_params import CameraFreedom
+from f3sr.vision.silhouette import Surface, Target, resample, union_of
+from f3sr.vision.silhouette_fit import CameraFit
 
 Score = Callable[[Scene], float]
 

@@ -10,7 +10,7 @@ import numpy as np
 from annotated_types import Interval, Len
 
 from f3sr.settings import settings
-from f3sr.silhouette import LossWeights
+from f3sr.vision.silhouette import LossWeights
 
 Turn = Annotated[float, Interval(ge=-np.pi, le=np.pi)]
 Weight = Annotated[float, Interval(ge=0, le=10)]

@@ -11,20 +11,20 @@ from functools import cached_property
 
 import numpy as np
 
-from f3sr import raster
-from f3sr.appearance import Appearance, principal_axes
 from f3sr.core.levenberg_marquardt import Local
 from f3sr.core.mesh import Mesh, mass_properties
 from f3sr.core.transforms import UP, Array, pose, rotation_about
-from f3sr.depth_evidence import DepthEvidence
 from f3sr.facets import resting_turn
-from f3sr.freedom import ObjectFreedom
 from f3sr.report import Decision, keep_better
 from f3sr.scene import Scene, SceneObject
-from f3sr.silhouette import Mask
-from f3sr.silhouette_fit import EQUATION_8, EVERYTHING, SMALLEST_AREA, ObjectFit, object_fit
 from f3sr.stages.align.config import AlignConfig
-from f3sr.window import sampled, window_around
+from f3sr.vision import rasterizer
+from f3sr.vision.crop import sampled, window_around
+from f3sr.vision.depth_residual import DepthEvidence
+from f3sr.vision.motion_params import ObjectFreedom
+from f3sr.vision.photometric import Appearance, principal_axes
+from f3sr.vision.silhouette import Mask
+from f3sr.vision.silhouette_fit import EQUATION_8, EVERYTHING, SMALLEST_AREA, ObjectFit, object_fit
 
 NEAR_VERTICAL = 0.9
 """Cosine to the vertical from which on an axis is taken for it."""
@@ -114,7 +114,7 @@ def _not_comparable(o: SceneObject, view: View) -> str | None:
     """Why an object and its mask cannot be compared at all."""
     camera = view.scene.camera
     pixels, z = camera.project(o.vertices_world)
-    if z.min() <= raster.NEAR:
+    if z.min() <= rasterizer.NEAR:
         return "it reaches behind the camera"
     if np.any(pixels.max(0) < 0) or np.any(pixels.min(0) > [camera.width, camera.height]):
         return "it lies outside of the picture"

@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import raster
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array
-from f3sr.raster import EMPTY
 from f3sr.scene import GROUND, Scene, SceneObject
-from f3sr.silhouette import resample
+from f3sr.vision import rasterizer
+from f3sr.vision.rasterizer import EMPTY
+from f3sr.vision.silhouette import resample
 
 RESOLUTION = 512
 """Longer side [px] of the pictures that relations are read from."""
@@ -162,7 +162,7 @@ def _view(o: SceneObject, camera: Camera) -> View:
     """Rendered in a window around its projection only."""
     row, stop_row, column, stop_column = _window(o, camera, 0.0)
     window = camera.cropped(column, row, stop_column - column, stop_row - row)
-    return View(row=row, column=column, depth=raster.render([o], window).depth)
+    return View(row=row, column=column, depth=rasterizer.render([o], window).depth)
 
 
 def _whole(o: SceneObject, camera: Camera, view: View) -> int:
@@ -172,7 +172,7 @@ def _whole(o: SceneObject, camera: Camera, view: View) -> int:
         return view.pixels
     wide = camera.cropped(column, row, stop_column - column, stop_row - row)
     vertices = wide.to_camera(o.vertices_world)
-    return int(np.count_nonzero(raster.silhouette(vertices, o.mesh.faces, wide.K, wide.width, wide.height)))
+    return int(np.count_nonzero(rasterizer.silhouette(vertices, o.mesh.faces, wide.K, wide.width, wide.height)))
 
 
 def _window(o: SceneObject, camera: Camera, beyond: float) -> tuple[int, int, int, int]:
@@ -182,7 +182,7 @@ def _window(o: SceneObject, camera: Camera, beyond: float) -> tuple[int, int, in
     low, high = np.array([-x, -y]), np.array([camera.width + x, camera.height + y])
     pixels, z = camera.project(o.vertices_world)
     first, last = low, high
-    if z.min() > raster.NEAR:
+    if z.min() > rasterizer.NEAR:
         first = np.clip(np.floor(pixels.min(0)) - 1, low, high - 1)
         last = np.clip(np.ceil(pixels.max(0)) + 1, first + 1, high)
     (column, row), (stop_column, stop_row) = (np.rint(p).astype(int).tolist() for p in (first, last))

@@ -9,11 +9,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import heights
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, pose
-from f3sr.heights import Grid
 from f3sr.scene import Scene
+from f3sr.vision import height_map
+from f3sr.vision.height_map import Grid
 
 STEEPEST = 0.1
 """Least cosine of a slope: steeper cells are walls, whose distance is their horizontal one, in a grid of cells."""
@@ -70,7 +70,7 @@ class Surfaces:
         first, last = vertices.min(0), vertices.max(0)
         size = float(np.linalg.norm(last - first))
         grid = Grid.over(first, last, max(float((last - first)[:2].max()), 1e-3 * size) / cells)
-        high, low = heights.upper(vertices, faces, grid), heights.lower(vertices, faces, grid)
+        high, low = height_map.upper(vertices, faces, grid), height_map.lower(vertices, faces, grid)
         if not np.any(np.isfinite(high) & np.isfinite(low)):
             high, low = _of_vertices(vertices, grid)
         return cls(id=id, size=size, vertices=vertices, faces=faces, grid=grid, high=high, low=low)
@@ -156,7 +156,7 @@ class Surfaces:
             vertices=self.vertices,
             faces=faces,
             grid=self.grid,
-            high=heights.upper(self.vertices, faces, self.grid),
+            high=height_map.upper(self.vertices, faces, self.grid),
             low=self.low,
         )
 

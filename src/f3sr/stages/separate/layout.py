@@ -13,7 +13,7 @@ from f3sr.contact import Polytope
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, pose, transform
 from f3sr.scene import GROUND, Scene, SceneObject
-from f3sr.sensitivity import loss_matrix
+from f3sr.vision.iou_sensitivity import loss_matrix
 
 Saved = tuple[dict[int, Any], ...]
 """A layout's state."""

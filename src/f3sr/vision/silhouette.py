@@ -10,12 +10,12 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from f3sr import contour, raster
-from f3sr.contour import MISMATCH, MOMENT_X, MOMENT_Y, VALID, Integrals
 from f3sr.core.camera import Camera
 from f3sr.core.levenberg_marquardt import Local
 from f3sr.core.transforms import Array, transform
 from f3sr.settings import settings
+from f3sr.vision import rasterizer, silhouette_integrals
+from f3sr.vision.silhouette_integrals import MISMATCH, MOMENT_X, MOMENT_Y, VALID, Integrals
 
 Mask = NDArray[np.bool_]
 P = TypeVar("P", bound=np.generic)
@@ -70,7 +70,7 @@ class Target:
     area: float
     centroid: Array
     weights: LossWeights
-    fields: contour.Fields
+    fields: silhouette_integrals.Fields
 
     @classmethod
     def of(cls, mask: Mask, valid: Mask | None = None, weights: LossWeights | None = None) -> Target:
@@ -95,7 +95,7 @@ class Target:
             area=float(max(np.count_nonzero(visible), 1)),
             centroid=centroid(visible),
             weights=weights,
-            fields=contour.Fields(
+            fields=silhouette_integrals.Fields(
                 valid=valid.astype(np.float32),
                 mismatch=(valid * (1 - 2 * mask.astype(np.float32) + leak * outside)).astype(np.float32),
                 stiffness=(valid * stiffness).astype(np.float32),
@@ -116,7 +116,9 @@ class Surface:
         """Several meshes, vertices (n, 3) [m] and faces (m, 3) each, as one."""
         starts = np.cumsum([0] + [len(v) for v, _ in meshes])
         faces = np.concatenate([f + n for (_, f), n in zip(meshes, starts, strict=False)]).astype(np.int32)
-        return cls(vertices=np.concatenate([v for v, _ in meshes]), faces=faces, edges=contour.unique_edges(faces))
+        return cls(
+            vertices=np.concatenate([v for v, _ in meshes]), faces=faces, edges=silhouette_integrals.unique_edges(faces)
+        )
 
     def moved(self, T: Array, scale: float) -> Surface:
         return replace(self, vertices=transform(T, scale * self.vertices))
@@ -124,13 +126,15 @@ class Surface:
     def silhouette(self, camera: Camera) -> Mask:
         """(h, w) pixels whose centres it covers."""
         points = camera.to_camera(self.vertices)
-        return raster.silhouette(points, self.faces, camera.K, camera.width, camera.height)
+        return rasterizer.silhouette(points, self.faces, camera.K, camera.width, camera.height)
 
-    def integrals(self, camera: Camera, fields: contour.Fields, velocities: Array) -> Integrals:
-        """``contour.integrate`` over the silhouette; ``velocities`` (p, 3, 4) in camera axes."""
+    def integrals(self, camera: Camera, fields: silhouette_integrals.Fields, velocities: Array) -> Integrals:
+        """``silhouette_integrals.integrate`` over the silhouette; ``velocities`` (p, 3, 4) in camera axes."""
         points = camera.to_camera(self.vertices)
-        mask = raster.silhouette(points, self.faces, camera.K, camera.width, camera.height)
-        return contour.integrate(points, self.edges, mask, camera.K, fields, velocities, near=raster.NEAR)
+        mask = rasterizer.silhouette(points, self.faces, camera.K, camera.width, camera.height)
+        return silhouette_integrals.integrate(
+            points, self.edges, mask, camera.K, fields, velocities, near=rasterizer.NEAR
+        )
 
 
 def loss(integrals: Integrals, target: Target) -> Local:

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import raster
 from f3sr.core.camera import Camera
 from f3sr.scene import Geometry, SceneObject
-from f3sr.silhouette import Mask
-from f3sr.window import sampled
+from f3sr.vision import rasterizer
+from f3sr.vision.crop import sampled
+from f3sr.vision.silhouette import Mask
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -37,12 +37,12 @@ class DepthEvidence:
         """``shown`` (h, w): the window's pixels that show the object. ``camera`` is the one of the whole photo."""
         z = np.where(geometry.valid, geometry.points[..., 2], np.float32(np.nan))
         depth = sampled(z, camera, window, fill=np.nan)
-        depth[~shown | ~(depth > raster.NEAR)] = np.nan
+        depth[~shown | ~(depth > rasterizer.NEAR)] = np.nan
         return cls(depth=depth, camera=window)
 
     def residual(self, o: SceneObject) -> DepthResidual:
         """Of an object where it is."""
-        rendered = raster.render([o], self.camera).depth
+        rendered = rasterizer.render([o], self.camera).depth
         both = np.isfinite(rendered) & np.isfinite(self.depth)
         if not both.any():
             return DepthResidual(median=0.0, spread=np.inf, size=np.inf, pixels=0)

@@ -10,11 +10,11 @@ import numpy as np
 import PIL.Image
 from numpy.typing import NDArray
 
-from f3sr import raster
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, pose
 from f3sr.scene import Scene
-from f3sr.silhouette import resample
+from f3sr.vision import rasterizer
+from f3sr.vision.silhouette import resample
 
 Image = NDArray[np.uint8]
 
@@ -48,7 +48,7 @@ class Backdrop:
     @classmethod
     def of(cls, scene: Scene, longest: int = LONGEST) -> Self:
         camera = scene.camera.limited(longest)
-        wanted = np.full((camera.height, camera.width), raster.EMPTY, np.int32)
+        wanted = np.full((camera.height, camera.width), rasterizer.EMPTY, np.int32)
         for o in scene:
             wanted[resample(o.mask, camera.width, camera.height)] = o.id
         return cls(rgb=resized(scene.photo.rgb, camera.width, camera.height), wanted=wanted)
@@ -93,8 +93,8 @@ def overlay(scene: Scene, backdrop: Backdrop | None = None) -> Image:
     """Masks against visible renders over the greyed photo: red only mask, green only render, blue both; what lies
     between two objects' pixels is drawn dark, so that swapped ids show."""
     backdrop = backdrop or Backdrop.of(scene)
-    ids, wanted = raster.render(scene.objects, backdrop.camera(scene)).ids, backdrop.wanted
-    has_mask, has_render = wanted != raster.EMPTY, ids != raster.EMPTY
+    ids, wanted = rasterizer.render(scene.objects, backdrop.camera(scene)).ids, backdrop.wanted
+    has_mask, has_render = wanted != rasterizer.EMPTY, ids != rasterizer.EMPTY
     kind = has_mask + 2 * has_render.astype(np.uint8)
     kind[has_mask & has_render & (wanted != ids)] = 4
     colors = np.array([(0, 0, 0), MASK_ONLY, RENDER_ONLY, BOTH, np.multiply(SWAPPED, BOTH)], np.float32)
@@ -186,10 +186,10 @@ def resized(picture: Image, width: int, height: int) -> Image:
 
 def _textured(scene: Scene, camera: Camera, behind: Image) -> Image:
     """The textured, unlit render over a picture of the camera's size."""
-    fragments = raster.render(scene.objects, camera)
-    covered = fragments.ids != raster.EMPTY
+    fragments = rasterizer.render(scene.objects, camera)
+    covered = fragments.ids != rasterizer.EMPTY
     picture = behind.copy()
-    picture[covered] = (255 * raster.shade(fragments, scene.objects)[covered]).round()
+    picture[covered] = (255 * rasterizer.shade(fragments, scene.objects)[covered]).round()
     return picture
 
 

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from f3sr import raster
 from f3sr.core.transforms import Array
 from f3sr.scene import Scene, SceneObject
-from f3sr.silhouette import Mask, union_of
+from f3sr.vision import rasterizer
+from f3sr.vision.silhouette import Mask, union_of
 
 RESOLUTION = 384
 """Longer side [px] of the images that depths are compared in."""
@@ -21,7 +21,7 @@ def nearer_objects(scene: Scene) -> dict[int, list[SceneObject]]:
     """Per object, those that may hide it: told by the rendered depths where two objects overlap in the picture, else by
     their median depths. Two that cannot be ordered may hide each other."""
     small = scene.camera.limited(RESOLUTION)
-    depths = {o.id: raster.render([o], small).depth for o in scene}
+    depths = {o.id: rasterizer.render([o], small).depth for o in scene}
     return {o.id: [p for p in scene if p.id != o.id and _nearer(depths[p.id], depths[o.id])] for o in scene}
 
 

@@ -1,6 +1,6 @@
 """Triangle scan conversion in kernels: projection, homogeneous edge functions and the spans of pixels they hold.
 
-``raster`` explains the method; every z-buffer of the product draws with these.
+``rasterizer`` explains the method; every z-buffer of the product draws with these.
 """
 
 from __future__ import annotations

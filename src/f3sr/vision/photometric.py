@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import raster
 from f3sr.core.camera import Camera
 from f3sr.core.levenberg_marquardt import Local
 from f3sr.core.mesh import mass_properties
 from f3sr.core.transforms import Array
 from f3sr.scene import Photo, SceneObject
-from f3sr.silhouette import Mask
-from f3sr.window import sampled
+from f3sr.vision import rasterizer
+from f3sr.vision.crop import sampled
+from f3sr.vision.silhouette import Mask
 
 FINE, COARSE = 0.7, 8.0
 """Widths [px] of the Gaussians between which detail is compared: noise is finer, shading and shadows are coarser."""
@@ -74,9 +74,9 @@ class Appearance:
 
     def _rendered(self, o: SceneObject) -> tuple[NDArray[np.float32], Mask, Array]:
         """Detail (h, w, 3) of the render, where it can be compared (h, w), and its depth (h, w)."""
-        fragments = raster.render([o], self.camera)
-        covered = fragments.ids != raster.EMPTY
-        rgb = raster.shade(fragments, [o]).astype(np.float32)
+        fragments = rasterizer.render([o], self.camera)
+        covered = fragments.ids != rasterizer.EMPTY
+        rgb = rasterizer.shade(fragments, [o]).astype(np.float32)
         return _detail(rgb, covered), covered & self.shown, fragments.depth
 
 

@@ -33,7 +33,18 @@ from f3sr.core.mesh import Material, Mesh
 from f3sr.core.transforms import Array, pose
 from f3sr.runtime.kernels import inline_kernel, kernel
 from f3sr.scene import SceneObject
-from f3sr.triangles import SHORT, bounds, centres, corner, determinant, edge_functions, inside, project, row_of, span
+from f3sr.vision.scan_conversion import (
+    SHORT,
+    bounds,
+    centres,
+    corner,
+    determinant,
+    edge_functions,
+    inside,
+    project,
+    row_of,
+    span,
+)
 
 EMPTY = -2
 """The id of a pixel that shows no object; -1 is the ground's."""
@@ -416,8 +427,8 @@ def _paint(
             for k in range(3):
                 image[pixel, k] *= (wa * colors[a, k] + wb * colors[b, k] + wc * colors[c, k]) / 255
         if len(uv):
-            u = wa * uv[a, 0] + wb * uv[b, 0] + wc * uv[c, 0]
-            v = wa * uv[a, 1] + wb * uv[b, 1] + wc * uv[c, 1]
+            u = float(wa * uv[a, 0] + wb * uv[b, 0] + wc * uv[c, 0])
+            v = float(wa * uv[a, 1] + wb * uv[b, 1] + wc * uv[c, 1])
             x0, x1, fx = _texels(u % 1, texture.shape[1], nearest)
             y0, y1, fy = _texels(1 - v % 1, texture.shape[0], nearest)  # the one flip of v: row 0 is the top
             for k in range(3):

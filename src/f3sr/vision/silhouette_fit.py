@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from f3sr.contour import MOMENT_X, MOMENT_Y, VALID, Integrals
 from f3sr.core.camera import Camera
 from f3sr.core.levenberg_marquardt import Local, Minimum, minimise
 from f3sr.core.transforms import Array
-from f3sr.freedom import CameraFreedom, ObjectFreedom
 from f3sr.scene import SceneObject
-from f3sr.silhouette import LossWeights, Mask, Surface, Target, iou, loss
-from f3sr.window import sampled, window_around
+from f3sr.vision.crop import sampled, window_around
+from f3sr.vision.motion_params import CameraFreedom, ObjectFreedom
+from f3sr.vision.silhouette import LossWeights, Mask, Surface, Target, iou, loss
+from f3sr.vision.silhouette_integrals import MOMENT_X, MOMENT_Y, VALID, Integrals
 
 EQUATION_8 = np.array([1, 1, 1, 0, 0, 1.0])
 """The report's freedom: shifts, yaw and scale."""

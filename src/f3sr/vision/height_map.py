@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import raster
 from f3sr.core.transforms import Array
+from f3sr.vision import rasterizer
 
 EYE_DISTANCE = 1e4
 """Distance of the virtual eye in units of the grid's extent: perspective shifts a point by less than 1e-4 of it."""
@@ -57,5 +57,5 @@ def _seen(vertices: Array, faces: NDArray[np.int32], grid: Grid, *, sign: float)
     focal = EYE_DISTANCE * extent / grid.cell
     K = np.array([[focal, 0, grid.columns / 2], [0, focal, grid.rows / 2], [0, 0, 1]])
     ids = np.zeros(len(faces), np.int32)
-    depth = raster.rasterize(points, faces, ids, K, grid.columns, grid.rows).depth
+    depth = rasterizer.rasterize(points, faces, ids, K, grid.columns, grid.rows).depth
     return np.where(np.isfinite(depth), eye - sign * depth, np.nan)
