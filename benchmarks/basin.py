@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 import looks
+from f3sr.contact.stable_facets import resting_turn
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh, mass_properties
 from f3sr.core.transforms import pose, rotation_about
-from f3sr.facets import resting_turn
 from f3sr.io.mesh_files import load_mesh
 from f3sr.measures import full_silhouette
 from f3sr.scene import Photo, Scene, SceneObject

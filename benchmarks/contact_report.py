@@ -13,8 +13,8 @@ from itertools import combinations
 
 import numpy as np
 
-from f3sr import contact
-from f3sr.contact import Body, Polytope
+from f3sr.contact import polytopes
+from f3sr.contact.polytopes import Body, Polytope
 from f3sr.core.transforms import UP, Array, pose
 from f3sr.physics import mujoco_model
 from f3sr.physics.mujoco_model import PhysicsConfig
@@ -91,14 +91,14 @@ def pushed_apart(layout: Layout, a: int, b: int) -> bool:
 def shortest(A: Body, B: Body, direction: Array) -> float:
     """The way along a direction after which A is free of B: doubled until it is, then bisected. It finds no first way
     out where there are several."""
-    if not contact.collide(A, B):
+    if not polytopes.collide(A, B):
         return 0.0
     low, high = 0.0, GAP
-    while contact.collide(shifted(A, high * direction), B):
+    while polytopes.collide(shifted(A, high * direction), B):
         low, high = high, 2 * high
     for _ in range(BISECTIONS):
         half = (low + high) / 2
-        if contact.collide(shifted(A, half * direction), B):
+        if polytopes.collide(shifted(A, half * direction), B):
             low = half
         else:
             high = half

@@ -68,7 +68,7 @@ def measured(file: Path, method: str, cache: Path) -> dict[str, float]:
 
 def _facets(part: Any) -> int:
     """Polygons, not triangles."""
-    from f3sr.contact import Polytope
+    from f3sr.contact.polytopes import Polytope
 
     return len(Polytope.of(part).normals)
 

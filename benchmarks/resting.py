@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from f3sr.balancing import DEFAULT_BALANCE, BalanceConfig, balance
-from f3sr.bodies import StaticBody, carried, rigid, supports_first
+from f3sr.contact.stability import Stability, stability
+from f3sr.contact.stabilize import DEFAULT_BALANCE, BalanceConfig, balance
+from f3sr.contact.static_bodies import StaticBody, carried, rigid, supports_first
+from f3sr.contact.tipping import DEFAULT_LANDING, Landing, LandingConfig, land
 from f3sr.core.transforms import Array, pose
-from f3sr.landing import DEFAULT_LANDING, Landing, LandingConfig, land
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
-from f3sr.statics import Stability, stability
 
 ROUNDS = 3
 """Of lying down and shifting; the first does nearly all."""

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from f3sr import contact
-from f3sr.contact import Polytope
+from f3sr.contact import polytopes
+from f3sr.contact.contact_patches import Contacts, find_contacts
+from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart, Mesh, union
 from f3sr.core.transforms import UP, Array, pose, rotation_about
-from f3sr.patches import Contacts, find_contacts
 from f3sr.scene import GROUND, SceneObject
 
 CLEARANCE = 4e-4
@@ -82,7 +82,7 @@ def stack(
         low = min(p.bounds[0, 2] for p in parts)
         lift = CLEARANCE - low
         raised = [p.shifted(lift * UP) for p in parts]
-        lift += contact.smallest_shift(raised, below, UP, CLEARANCE) if below else 0.0
+        lift += polytopes.smallest_shift(raised, below, UP, CLEARANCE) if below else 0.0
         objects.append(replace(o, T_world_object=pose(t=lift * UP) @ T))
         below += world_parts(objects[-1])
     touching = find_contacts({o.id: world_parts(o) for o in objects})

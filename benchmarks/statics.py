@@ -19,12 +19,12 @@ import numpy as np
 import resting
 import stacks
 import tables
-from f3sr import balancing, statics
-from f3sr.bodies import StaticBody, bodies_of, contacts_of
-from f3sr.contact import Polytope
+from f3sr.contact import stability, stabilize
+from f3sr.contact.polytopes import Polytope
+from f3sr.contact.static_bodies import StaticBody, bodies_of, contacts_of
+from f3sr.contact.tipping import LandingConfig
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, pose, rotation_about
-from f3sr.landing import LandingConfig
 from f3sr.physics import release
 from f3sr.runtime.kernels import warm_up
 from f3sr.scene import SceneObject
@@ -49,7 +49,7 @@ def timed(job: Callable[[], T]) -> tuple[T, float]:
     return result, time.process_time() - start
 
 
-def shifted(objects: Objects, found: balancing.Balanced) -> Objects:
+def shifted(objects: Objects, found: stabilize.Balanced) -> Objects:
     return tuple(replace(o, T_world_object=pose(t=found.shifts[o.id]) @ o.T_world_object) for o in objects)
 
 
@@ -64,7 +64,7 @@ def compare(count: int) -> None:
         for seed in range(count):
             objects = stacks.stack(seed, spread=spread)
             bodies = bodies_of(objects)
-            found, seconds = timed(lambda bodies=bodies: statics.stability(bodies))
+            found, seconds = timed(lambda bodies=bodies: stability.stability(bodies))
             times.append(seconds)
             travel = release.release(objects, seconds=SECONDS).D_max
             table[int(found.stands), int(travel < FELL)] += 1
@@ -96,7 +96,7 @@ def repaired(
 ) -> tuple[bool, float, float, float, float]:
     """Whether it stands after shifts; travel [m] without and with them; largest shift [m]; processor time [s]."""
     supports = {o.id: o.supported_by for o in objects}
-    found, seconds = timed(lambda: balancing.balance(bodies, supports))
+    found, seconds = timed(lambda: stabilize.balance(bodies, supports))
     after = release.release(shifted(objects, found), seconds=SECONDS).D_max
     shift = max(float(np.linalg.norm(s[:2])) for s in found.shifts.values())
     return not found.unbalanced, travel, after, shift, seconds
@@ -145,8 +145,8 @@ def growth() -> None:
             center = at + 0.01 * UP
             bodies.append(StaticBody(id=id, parts=parts, mass=0.3, centers=center, friction=0.6))
         contacts, finding = timed(lambda bodies=bodies: contacts_of(bodies))
-        _, quick = timed(lambda bodies=bodies, contacts=contacts: statics.stands(bodies, contacts))
-        _, full = timed(lambda bodies=bodies, contacts=contacts: statics.stability(bodies, contacts))
+        _, quick = timed(lambda bodies=bodies, contacts=contacts: stability.stands(bodies, contacts))
+        _, full = timed(lambda bodies=bodies, contacts=contacts: stability.stability(bodies, contacts))
         row = [count, 30 * count, len(contacts), *(round(1000 * s) for s in (finding, quick, full))]
         table.append([str(x) for x in row])
     tables.show(table)

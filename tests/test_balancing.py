@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from f3sr import contact, statics
-from f3sr.balancing import BalanceConfig, balance
-from f3sr.bodies import StaticBody, bodies_of
+from f3sr.contact import polytopes
+from f3sr.contact import stability as statics
+from f3sr.contact.stability import stability
+from f3sr.contact.stabilize import BalanceConfig, balance
+from f3sr.contact.static_bodies import StaticBody, bodies_of
 from f3sr.core.transforms import UP, pose, rotation_about
 from f3sr.physics import release
 from f3sr.scene import GROUND
-from f3sr.statics import stability
 from test_statics import GAP, block, body
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
@@ -76,7 +77,7 @@ def test_bodies_are_not_pushed_into_their_neighbours() -> None:
     thing = body(1, block((0.1, 0.1, 0.2), (0.06, 0, 0.2 + GAP)))
     found = balance([shelf, thing, wall], {0: GROUND, 1: 0, 2: GROUND})
     moved = after([shelf, thing, wall], found)
-    assert not contact.collide(moved[1].parts, moved[2].parts)
+    assert not polytopes.collide(moved[1].parts, moved[2].parts)
     assert not found.success and found.unbalanced == {1}
 
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial import HalfspaceIntersection
 
-from f3sr.contact import Polytope
+from f3sr.contact.polytopes import Polytope
+from f3sr.contact.vertical_gap import meeting
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import Array, pose
-from f3sr.meeting import meeting
 from f3sr.refinement import Rested
 from f3sr.scene import GROUND, Scene, SceneObject, Support
 from f3sr.stages.close import CloseConfig, close, lowered

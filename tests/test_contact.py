@@ -9,8 +9,8 @@ import pytest
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
-from f3sr import contact
-from f3sr.contact import Polytope
+from f3sr.contact import polytopes
+from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import pose, rotation_about
 
@@ -90,14 +90,14 @@ def test_facets_and_edges_obey_euler_on_random_hulls():
 
 @pytest.mark.parametrize(("x", "depth"), [(0.9, 0.1), (0.5, 0.5), (0.0, 1.0), (1.0, 0.0), (1.2, -0.2)])
 def test_depth_of_boxes(x, depth):
-    assert contact.overlap_depth(box(), box(center=(x, 0, 0))) == pytest.approx(depth, abs=1e-15)
+    assert polytopes.overlap_depth(box(), box(center=(x, 0, 0))) == pytest.approx(depth, abs=1e-15)
 
 
 def test_interval_of_boxes():
     a, b = box(), box(center=(0.2, 0, 3))
-    assert contact.forbidden_interval(a, b, UP) == pytest.approx((2, 4), abs=1e-8)
-    assert contact.forbidden_interval(a, b, 2 * UP) == pytest.approx((1, 2), abs=1e-8)
-    lo, hi = contact.forbidden_interval(a, b, (1.0, 0, 0))
+    assert polytopes.forbidden_interval(a, b, UP) == pytest.approx((2, 4), abs=1e-8)
+    assert polytopes.forbidden_interval(a, b, 2 * UP) == pytest.approx((1, 2), abs=1e-8)
+    lo, hi = polytopes.forbidden_interval(a, b, (1.0, 0, 0))
     assert lo >= hi
 
 
@@ -105,42 +105,42 @@ def test_edge_against_edge():
     """Two boxes turned by 45 degrees about crossing axes touch with one edge each."""
     a = box().moved(pose(rotation_about([1, 0, 0], np.pi / 4)))
     b = box().moved(pose(rotation_about([0, 1, 0], np.pi / 4), [0, 0, np.sqrt(2) - 0.01]))
-    assert contact.overlap_depth(a, b) == pytest.approx(0.01, abs=1e-12)
-    assert contact.smallest_shift([b], [a], UP) == pytest.approx(0.01, abs=1e-8)
+    assert polytopes.overlap_depth(a, b) == pytest.approx(0.01, abs=1e-12)
+    assert polytopes.smallest_shift([b], [a], UP) == pytest.approx(0.01, abs=1e-8)
 
 
 def test_a_shift_passes_through_what_hangs_above():
     """A gap that is too low for the body is no place to stop; one that is high enough is."""
     body, floor = [box()], box(size=(5, 5, 1), center=(0, 0, -0.5))
-    assert contact.smallest_shift(body, [floor], UP) == pytest.approx(0.5, abs=1e-8)
+    assert polytopes.smallest_shift(body, [floor], UP) == pytest.approx(0.5, abs=1e-8)
     shelf = [floor, box(size=(5, 5, 0.2), center=(0, 0, 1.0))]
-    assert contact.smallest_shift(body, shelf, UP) == pytest.approx(1.6, abs=1e-8)
+    assert polytopes.smallest_shift(body, shelf, UP) == pytest.approx(1.6, abs=1e-8)
     high_shelf = [floor, box(size=(5, 5, 0.2), center=(0, 0, 1.2))]
-    assert contact.smallest_shift(body, high_shelf, UP) == pytest.approx(0.5, abs=1e-8)
+    assert polytopes.smallest_shift(body, high_shelf, UP) == pytest.approx(0.5, abs=1e-8)
 
 
 def test_clearance_is_left_behind_only():
     body = [box()]
-    assert contact.smallest_shift(body, [box(center=(0, 0, -1.0))], UP, clearance=0.1) == pytest.approx(0.1)
-    assert contact.smallest_shift(body, [box(center=(0, 0, -1.04))], UP, clearance=0.1) == pytest.approx(0.06)
-    assert contact.smallest_shift(body, [box(center=(0, 0, -1.2))], UP, clearance=0.1) == 0
-    assert contact.smallest_shift(body, [box(center=(0, 0, 1.01))], UP, clearance=0.1) == 0
+    assert polytopes.smallest_shift(body, [box(center=(0, 0, -1.0))], UP, clearance=0.1) == pytest.approx(0.1)
+    assert polytopes.smallest_shift(body, [box(center=(0, 0, -1.04))], UP, clearance=0.1) == pytest.approx(0.06)
+    assert polytopes.smallest_shift(body, [box(center=(0, 0, -1.2))], UP, clearance=0.1) == 0
+    assert polytopes.smallest_shift(body, [box(center=(0, 0, 1.01))], UP, clearance=0.1) == 0
 
 
 def test_free_travel():
     body = [box()]
-    assert contact.free_travel(body, [box(center=(3, 0, 0))], (1, 0, 0)) == pytest.approx(2, abs=1e-8)
-    assert contact.free_travel(body, [box(center=(-3, 0, 0))], (1, 0, 0)) == np.inf
-    assert contact.free_travel(body, [box(center=(0.5, 0, 0))], (1, 0, 0)) == 0
+    assert polytopes.free_travel(body, [box(center=(3, 0, 0))], (1, 0, 0)) == pytest.approx(2, abs=1e-8)
+    assert polytopes.free_travel(body, [box(center=(-3, 0, 0))], (1, 0, 0)) == np.inf
+    assert polytopes.free_travel(body, [box(center=(0.5, 0, 0))], (1, 0, 0)) == 0
 
 
 def test_a_horizontal_move_leaves_a_union_not_a_part():
     """Out of two overlapping walls at once: the way out of either alone would end in the other."""
     walls = [box(size=(1, 9, 1)), box(size=(1, 9, 1), center=(0.8, 0, 0))]
     body = [box(size=(0.2, 0.2, 0.2), center=(0.45, 0, 0))]
-    move = contact.smallest_horizontal_move(body, walls)
+    move = polytopes.smallest_horizontal_move(body, walls)
     assert move == pytest.approx([0.95, 0], abs=1e-8)
-    assert np.allclose(contact.smallest_horizontal_move(body, [box(center=(5, 0, 0))]), 0)
+    assert np.allclose(polytopes.smallest_horizontal_move(body, [box(center=(5, 0, 0))]), 0)
 
 
 # Touching and nearly coincident bodies
@@ -148,25 +148,25 @@ def test_a_horizontal_move_leaves_a_union_not_a_part():
 
 def test_touching_is_no_collision():
     a, b = box(), box(center=(0, 0, 1))
-    assert not contact.collide([a], [b])
-    assert not contact.collide([a], [b.shifted((0, 0, -1e-10))])
-    assert contact.collide([a], [b.shifted((0, 0, -1e-6))])
-    assert not contact.collide([a], [b.shifted((0, 0, -1e-3))], tolerance=2e-3)
-    assert contact.smallest_shift([b], [a], UP) == 0
+    assert not polytopes.collide([a], [b])
+    assert not polytopes.collide([a], [b.shifted((0, 0, -1e-10))])
+    assert polytopes.collide([a], [b.shifted((0, 0, -1e-6))])
+    assert not polytopes.collide([a], [b.shifted((0, 0, -1e-3))], tolerance=2e-3)
+    assert polytopes.smallest_shift([b], [a], UP) == 0
 
 
 def test_what_rests_may_slide():
     R = rotation_about([1, 2, 3], 0.7)
     a, b = box().moved(pose(R)), box(center=(0, 0, 1)).moved(pose(R))
-    assert contact.free_travel([b], [a], R @ [1, 0, 0]) == np.inf
-    assert contact.free_travel([b], [a], R @ UP) == np.inf
-    assert contact.free_travel([b], [a], -R @ UP) == pytest.approx(0, abs=1e-8)
+    assert polytopes.free_travel([b], [a], R @ [1, 0, 0]) == np.inf
+    assert polytopes.free_travel([b], [a], R @ UP) == np.inf
+    assert polytopes.free_travel([b], [a], -R @ UP) == pytest.approx(0, abs=1e-8)
 
 
 def test_identical_boxes():
     a = box().moved(pose(rotation_about([3, 1, 2], 1.1)))
-    assert contact.overlap_depth(a, a) == pytest.approx(1)
-    lo, hi = contact.forbidden_interval(a, a, UP)
+    assert polytopes.overlap_depth(a, a) == pytest.approx(1)
+    lo, hi = polytopes.forbidden_interval(a, a, UP)
     assert lo == pytest.approx(-hi)
 
 
@@ -174,7 +174,7 @@ def test_identical_boxes():
 def test_nearly_parallel_boxes(angle):
     """The depth changes no faster than the turn: nearly parallel edges lose or invent no axis."""
     a, b = box(), box(center=(0.1, 0.2, 0.9)).moved(pose(rotation_about([1, 1, 1], angle)))
-    assert contact.overlap_depth(a, b) == pytest.approx(0.1, abs=2 * angle + 1e-12)
+    assert polytopes.overlap_depth(a, b) == pytest.approx(0.1, abs=2 * angle + 1e-12)
 
 
 def test_copies_shifted_by_almost_nothing():
@@ -182,7 +182,7 @@ def test_copies_shifted_by_almost_nothing():
         rng = np.random.default_rng(seed)
         a = random_hull(rng, 40)
         b = a.moved(pose(rotation_about(random_direction(rng), 1e-7), 1e-8 * rng.normal(size=3)))
-        assert contact.overlap_depth(a, b) == pytest.approx(minkowski_planes(a, b)[1].min(), rel=1e-6)
+        assert polytopes.overlap_depth(a, b) == pytest.approx(minkowski_planes(a, b)[1].min(), rel=1e-6)
 
 
 # Against independent answers
@@ -194,7 +194,7 @@ def test_depth_against_the_minkowski_hull():
         rng = np.random.default_rng(seed)
         a, b = random_hull(rng), random_hull(rng)
         _, offsets = minkowski_planes(a, b)
-        depth = contact.overlap_depth(a, b)
+        depth = polytopes.overlap_depth(a, b)
         assert (depth > 0) == (offsets.min() > 0)
         if depth > 0:
             overlaps += 1
@@ -208,7 +208,7 @@ def test_interval_against_linear_programming():
         rng = np.random.default_rng(seed)
         a, b, u = random_hull(rng), random_hull(rng), random_direction(rng)
         expected = lp_interval(a, b, u)
-        interval = contact.forbidden_interval(a, b, u)
+        interval = polytopes.forbidden_interval(a, b, u)
         assert (interval[0] < interval[1]) == (expected is not None)
         if expected is not None:
             found += 1
@@ -221,15 +221,15 @@ def test_horizontal_move_against_a_sweep_of_directions():
     for seed in range(6):
         rng = np.random.default_rng(seed)
         A, B = random_body(rng), random_body(rng)
-        move = contact.smallest_horizontal_move(A, B)
+        move = polytopes.smallest_horizontal_move(A, B)
         length = np.linalg.norm(move)
         if length == 0:
-            assert not contact.collide(A, B)
+            assert not polytopes.collide(A, B)
             continue
-        assert not contact.collide([p.shifted([*move, 0]) for p in A], B)
+        assert not polytopes.collide([p.shifted([*move, 0]) for p in A], B)
         angles = np.linspace(0, 2 * np.pi, 180, endpoint=False)
-        ways = [contact.smallest_shift(A, B, (np.cos(w), np.sin(w), 0)) for w in angles]
-        toward = contact.smallest_shift(A, B, (*(move / length), 0))
+        ways = [polytopes.smallest_shift(A, B, (np.cos(w), np.sin(w), 0)) for w in angles]
+        toward = polytopes.smallest_shift(A, B, (*(move / length), 0))
         assert toward == pytest.approx(length, abs=1e-7)
         assert min(ways) >= length - 1e-7
 
@@ -244,11 +244,11 @@ def test_moving_both_bodies_changes_nothing():
         R = rotation_about(random_direction(rng), rng.uniform(0, 3))
         T = pose(R, rng.normal(size=3))
         moved_a, moved_b = a.moved(T), b.moved(T)
-        depth = contact.overlap_depth(a, b)
+        depth = polytopes.overlap_depth(a, b)
         if depth > 0:
-            assert contact.overlap_depth(moved_a, moved_b) == pytest.approx(depth, abs=1e-9)
-        before = contact.forbidden_interval(a, b, u)
-        after = contact.forbidden_interval(moved_a, moved_b, R @ u)
+            assert polytopes.overlap_depth(moved_a, moved_b) == pytest.approx(depth, abs=1e-9)
+        before = polytopes.forbidden_interval(a, b, u)
+        after = polytopes.forbidden_interval(moved_a, moved_b, R @ u)
         assert after == pytest.approx(before, abs=1e-7)
 
 
@@ -265,8 +265,8 @@ def test_swapping_the_bodies_negates_the_interval():
     for seed in SEEDS:
         rng = np.random.default_rng(seed)
         a, b, u = random_hull(rng), random_hull(rng), random_direction(rng)
-        lo, hi = contact.forbidden_interval(b, a, u)
-        assert contact.forbidden_interval(a, b, u) == pytest.approx((-hi, -lo), abs=1e-9)
+        lo, hi = polytopes.forbidden_interval(b, a, u)
+        assert polytopes.forbidden_interval(a, b, u) == pytest.approx((-hi, -lo), abs=1e-9)
 
 
 def test_the_smallest_shift_is_free_and_smallest():
@@ -274,14 +274,14 @@ def test_the_smallest_shift_is_free_and_smallest():
     for seed in SEEDS:
         rng = np.random.default_rng(seed)
         A, B, u = random_body(rng), random_body(rng), random_direction(rng)
-        t = contact.smallest_shift(A, B, u)
-        assert (t > 0) == contact.collide(A, B)
-        assert not contact.collide([p.shifted((t + 1e-9) * u) for p in A], B)
+        t = polytopes.smallest_shift(A, B, u)
+        assert (t > 0) == polytopes.collide(A, B)
+        assert not polytopes.collide([p.shifted((t + 1e-9) * u) for p in A], B)
         if t > 0:
             moved += 1
-            assert contact.collide([p.shifted((t - 1e-6) * u) for p in A], B)
+            assert polytopes.collide([p.shifted((t - 1e-6) * u) for p in A], B)
             for s in rng.uniform(0, t - 1e-6, 5):
-                assert contact.collide([p.shifted(s * u) for p in A], B)
+                assert polytopes.collide([p.shifted(s * u) for p in A], B)
     assert moved > 10
 
 
@@ -290,10 +290,10 @@ def test_free_travel_ends_in_contact():
         rng = np.random.default_rng(seed)
         A, B, u = random_body(rng, 2), random_body(rng, 2), random_direction(rng)
         A = [p.shifted(-4 * u) for p in A]
-        t = contact.free_travel(A, B, u)
+        t = polytopes.free_travel(A, B, u)
         if 0 < t < np.inf:
-            assert not contact.collide([p.shifted((t - 1e-9) * u) for p in A], B)
-            assert contact.collide([p.shifted((t + 1e-5) * u) for p in A], B)
+            assert not polytopes.collide([p.shifted((t - 1e-9) * u) for p in A], B)
+            assert polytopes.collide([p.shifted((t + 1e-5) * u) for p in A], B)
 
 
 def test_an_open_surface_is_refused():
@@ -307,7 +307,7 @@ def test_a_sliver_between_two_facets_does_not_make_them_one():
     sides = {tuple(np.round(n).astype(int)): d for n, d in zip(polytope.normals, polytope.offsets, strict=True)}
     low, high = {tuple(-n): 0.0 for n in np.eye(3, dtype=int)}, {tuple(n): 1.0 for n in np.eye(3, dtype=int)}
     assert sides == pytest.approx(low | high)
-    assert contact.overlap_depth(polytope, box(center=(0.5, 0.5, 1.45))) == pytest.approx(0.05)
+    assert polytopes.overlap_depth(polytope, box(center=(0.5, 0.5, 1.45))) == pytest.approx(0.05)
 
 
 def polygon(rng: np.random.Generator) -> np.ndarray | None:
@@ -325,7 +325,7 @@ def test_no_free_place_is_nearer(seed: int):
     """Not even without slack, where rounding puts crossings of sides into the polygons that they belong to."""
     rng = np.random.default_rng(seed)
     polygons = [p for p in (polygon(rng) for _ in range(12)) if p is not None]
-    at = contact.nearest_free(polygons, 0.0)
+    at = polytopes.nearest_free(polygons, 0.0)
 
     def depth(x: np.ndarray) -> np.ndarray:
         return np.max([(x @ p[:, :2].T + p[:, 2]).min(-1) for p in polygons], axis=0)
@@ -344,5 +344,5 @@ def test_thousands_of_polygons_take_no_minutes():
     middles = rng.uniform(-1, 1, (4000, 2))
     polygons = [np.column_stack([around, 0.1 - around @ m]) for m in middles]
     start = time.process_time()
-    at = contact.nearest_free(polygons, 0.0)
+    at = polytopes.nearest_free(polygons, 0.0)
     assert 0.8 < np.abs(at).max() < 1.2 and time.process_time() - start < 5

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from f3sr import contact, pipeline
-from f3sr.contact import Polytope
+from f3sr import pipeline
+from f3sr.contact import polytopes
+from f3sr.contact.polytopes import Polytope
 from f3sr.core.transforms import pose, rotation_about
 from f3sr.pipeline import Config
 from f3sr.report import Report
@@ -28,7 +29,7 @@ bench, report, damping, ablation, stress, judged, things = (
 
 def overlaps(scene: Scene) -> bool:
     bodies = [[Polytope.of(p) for p in o.colliders_world] for o in scene]
-    return any(contact.collide(a, b) for i, a in enumerate(bodies) for b in bodies[:i])
+    return any(polytopes.collide(a, b) for i, a in enumerate(bodies) for b in bodies[:i])
 
 
 # --- the report's recipe --------------------------------------------------------------------------------------------

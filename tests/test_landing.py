@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from f3sr import contact
-from f3sr.bodies import bodies_of
+from f3sr.contact import polytopes
+from f3sr.contact.static_bodies import bodies_of
+from f3sr.contact.tipping import LandingConfig, land
 from f3sr.core.transforms import UP, pose, rotation_about, rotation_angle
-from f3sr.landing import LandingConfig, land
 from f3sr.physics import release, settling
 from test_statics import GAP, block, body
 
@@ -48,7 +48,7 @@ def test_a_plank_over_an_edge_leans_from_it_to_the_floor() -> None:
     plank = body(0, block((0.4, 0.05, 0.02), (0.15, 0, 0.3)))
     found = land(plank, [shelf], LandingConfig(max_turn=1.0, max_drop=10))
     assert found.stands and found.turn == pytest.approx(np.arcsin(1 / 3), abs=EXACT)
-    assert not contact.collide(plank.moved(found.T).parts, shelf.parts)
+    assert not polytopes.collide(plank.moved(found.T).parts, shelf.parts)
 
 
 def test_what_would_turn_too_far_or_drop_too_low_stays_and_says_so() -> None:
@@ -120,7 +120,7 @@ def test_tilted_stacks_lie_down_one_after_the_other_and_rest(seed: int) -> None:
     assert all(x.stands for x in found.landings.values())
     landed = [replace(o, T_world_object=found.motions[o.id] @ o.T_world_object) for o in objects]
     assert not any(
-        contact.collide(stacks.world_parts(a), stacks.world_parts(b)) for a in landed for b in landed if a.id < b.id
+        polytopes.collide(stacks.world_parts(a), stacks.world_parts(b)) for a in landed for b in landed if a.id < b.id
     )
     assert release.release(objects, seconds=1).D_max > 5e-3 > 1e-3 > release.release(landed, seconds=1).D_max
 

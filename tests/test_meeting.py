@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from f3sr.contact.vertical_gap import meeting
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import pose
-from f3sr.meeting import meeting
 from f3sr.scene import GROUND, SceneObject
 from scenes import ball_mesh, box, dish_mesh
 

@@ -7,11 +7,11 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from f3sr import contact
-from f3sr.contact import Polytope
+from f3sr.contact import polytopes
+from f3sr.contact.joint_separation import part
+from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, pose, rotation_about
-from f3sr.parting import part
 
 EVEN = np.eye(2)
 GAP = 4e-4
@@ -32,7 +32,7 @@ def at(bodies, found):
 
 
 def overlapping(bodies):
-    return [(a, b) for a, b in all_pairs(bodies) if contact.collide(bodies[a], bodies[b])]
+    return [(a, b) for a, b in all_pairs(bodies) if polytopes.collide(bodies[a], bodies[b])]
 
 
 def heap(seed: int, count: int, *, crowding: float = 0.5):
@@ -57,7 +57,7 @@ def one_pair_after_the_other(bodies, rounds=64):
     for _ in range(rounds):
         busy = False
         for a, b in all_pairs(bodies):
-            t = contact.smallest_horizontal_move(bodies[a], bodies[b])
+            t = polytopes.smallest_horizontal_move(bodies[a], bodies[b])
             if length := float(np.linalg.norm(t)):
                 t = t * (1 + 1e-9 / length)
                 moved[a], moved[b] = moved[a] + t / 2, moved[b] - t / 2

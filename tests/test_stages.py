@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from f3sr.balancing import BalanceConfig
+from f3sr.contact.stabilize import BalanceConfig
 from f3sr.core.transforms import T_UP_FROM_CAMERA, invert_pose, pose, rotation_about, rotation_from_vector
 from f3sr.io import inputs
 from f3sr.measures import measure

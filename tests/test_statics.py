@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from f3sr import statics
-from f3sr.bodies import StaticBody, bodies_of, contacts_of, islands
-from f3sr.contact import Polytope
+from f3sr.contact import stability as statics
+from f3sr.contact.contact_patches import Contacts, find_contacts
+from f3sr.contact.force_balance import EDGES, FALLS, Balance
+from f3sr.contact.polytopes import Polytope
+from f3sr.contact.stability import stability
+from f3sr.contact.static_bodies import StaticBody, bodies_of, contacts_of, islands
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, pose, rotation_about
-from f3sr.equilibrium import EDGES, FALLS, Balance
-from f3sr.patches import Contacts, find_contacts
 from f3sr.physics import release
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 from f3sr.scene import GROUND, SceneObject
-from f3sr.statics import stability
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 stacks = importlib.import_module("stacks")

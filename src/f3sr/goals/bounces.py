@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from f3sr.contact.stability import GRAVITY
 from f3sr.core.transforms import UP, Array, rotation_about
 from f3sr.goals import launch
 from f3sr.goals.flights import AFTER, AIMS, goal_of, is_blocked
@@ -14,7 +15,6 @@ from f3sr.goals.layout import way_between
 from f3sr.goals.setting import Launches, Setting
 from f3sr.physics.restitution import LEAST
 from f3sr.scene import GROUND
-from f3sr.statics import GRAVITY
 
 
 def bouncing(s: Setting) -> Launches:

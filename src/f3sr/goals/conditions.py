@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from f3sr.contact import Polytope
+from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, vector_from_rotation
 from f3sr.goals import plan as p

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from f3sr.contact.stability import GRAVITY
 from f3sr.core.transforms import UP, Array
 from f3sr.goals import launch
 from f3sr.goals.setting import CLEARANCE, Aim, Launches, Search, Setting
 from f3sr.scene import GROUND
-from f3sr.statics import GRAVITY
 
 ARCS = (0.4, 0.9, 1.6, 2.8)
 """How far above what it flies over an arc's top is, in sizes of what flies."""

@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
+from f3sr.contact.stability import GRAVITY
 from f3sr.core.transforms import UP, Array
 from f3sr.goals import launch
 from f3sr.goals.flights import striking, throwing_far
 from f3sr.goals.setting import Aim, Launches, Setting
-from f3sr.statics import GRAVITY
 
 PACE = 0.6
 """At which a hand pushes things about [m/s]."""

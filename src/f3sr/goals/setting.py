@@ -10,6 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from f3sr.contact.stability import GRAVITY
 from f3sr.core.transforms import UP, Array
 from f3sr.goals.language import Launch, Tried
 from f3sr.goals.launch import height_speed
@@ -27,7 +28,6 @@ from f3sr.goals.plan import (
 from f3sr.goals.pool import Pool
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import GROUND
-from f3sr.statics import GRAVITY
 
 RAMP = 0.1
 """How long a push takes to bring something to its pace [s]."""

@@ -11,13 +11,13 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 
-from f3sr import contact
-from f3sr.bodies import supports_first
-from f3sr.contact import Polytope
+from f3sr.contact import polytopes as contact
+from f3sr.contact.contact_patches import find_contacts
+from f3sr.contact.polytopes import Polytope
+from f3sr.contact.static_bodies import supports_first
+from f3sr.contact.vertical_gap import Meeting, meeting
 from f3sr.core.transforms import UP, Array, pose, transform
 from f3sr.measures import visible_ious
-from f3sr.meeting import Meeting, meeting
-from f3sr.patches import find_contacts
 from f3sr.proxies import trim
 from f3sr.proxies.trim import Near, Place, Surface
 from f3sr.refinement import Rested, groups_of

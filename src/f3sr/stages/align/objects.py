@@ -11,10 +11,10 @@ from functools import cached_property
 
 import numpy as np
 
+from f3sr.contact.stable_facets import resting_turn
 from f3sr.core.levenberg_marquardt import Local
 from f3sr.core.mesh import Mesh, mass_properties
 from f3sr.core.transforms import UP, Array, pose, rotation_about
-from f3sr.facets import resting_turn
 from f3sr.report import Decision, keep_better
 from f3sr.scene import Scene, SceneObject
 from f3sr.stages.align.config import AlignConfig

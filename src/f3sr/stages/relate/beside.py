@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from f3sr import contact
-from f3sr.contact import Polytope
+from f3sr.contact import polytopes
+from f3sr.contact.polytopes import Polytope
 from f3sr.core.transforms import Array
 from f3sr.measures import sample_surface
 from f3sr.scene import Relation, Scene
@@ -136,14 +136,14 @@ def _apart(a: _Cloud, b: _Cloud, reach: float) -> Nearest | None:
     return Nearest(distance=float(distances[k]), place=place, exact=False)
 
 
-def _bodies(known: Known) -> dict[int, contact.Body]:
+def _bodies(known: Known) -> dict[int, polytopes.Body]:
     """Every object's proxies, in the plan."""
     scene: Scene = known.scene
     T = known.plan.T_plan_world
     return {o.id: tuple(Polytope.of(p).moved(T @ o.T_world_asset) for p in o.parts) for o in scene}
 
 
-def _touching(A: contact.Body, B: contact.Body, limit: float) -> Nearest | None:
+def _touching(A: polytopes.Body, B: polytopes.Body, limit: float) -> Nearest | None:
     """Where two bodies touch: the pair of parts with the least gap along a facet of their difference, which is their
     distance but where corners meet; None beyond ``limit``."""
     best: Nearest | None = None
@@ -151,7 +151,7 @@ def _touching(A: contact.Body, B: contact.Body, limit: float) -> Nearest | None:
         for b in B:
             if np.any(a.bounds[0] - limit > b.bounds[1]) or np.any(b.bounds[0] - limit > a.bounds[1]):
                 continue
-            gap = float(-contact.facets(a, b)[1].min())
+            gap = float(-polytopes.facets(a, b)[1].min())
             if gap <= limit and (best is None or gap < best.distance):
                 low, high = np.maximum(a.bounds[0], b.bounds[0]), np.minimum(a.bounds[1], b.bounds[1])
                 best = Nearest(distance=gap, place=(low + high) / 2, exact=True)

@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from f3sr import contact, parting
+from f3sr.contact import joint_separation, polytopes
 from f3sr.core.transforms import UP, Array
 from f3sr.report import Decision
 from f3sr.scene import GROUND, Scene, name_of
@@ -41,10 +41,10 @@ def take_beside(layout: Layout, config: SeparateConfig) -> list[Decision]:
 def _losses(layout: Layout, id: int, other: int, config: SeparateConfig) -> tuple[float, float]:
     """IoU lost where an object is lifted out of another one, and where both are moved apart; all of it at most."""
     bodies = {k: layout.bodies[k] for k in (id, other)}
-    rise = contact.smallest_shift(bodies[id], bodies[other], UP, config.clearance)
+    rise = polytopes.smallest_shift(bodies[id], bodies[other], UP, config.clearance)
     lifted = min(1.0, rise * float(np.sqrt(layout.loss(id)[2, 2])))
     weights = {k: weight_of(layout, k) for k in bodies if layout.scene[k].mobility == "dynamic"}
-    found = parting.part(bodies, [(id, other)], weights, clearance=config.clearance)
+    found = joint_separation.part(bodies, [(id, other)], weights, clearance=config.clearance)
     return lifted, 1.0 if found.unsolved else min(1.0, float(np.sqrt(found.cost)))
 
 
@@ -55,11 +55,11 @@ def part(layout: Layout, config: SeparateConfig) -> bool:
     A move may make others overlap, so it is repeated; what once overlapped is kept apart in all rounds."""
     moved, known = False, set[tuple[int, int]]()
     for _ in range(config.rounds):
-        pairs = {(a, b) for a, b in _unrelated(layout.scene) if contact.collide(layout.bodies[a], layout.bodies[b])}
+        pairs = {(a, b) for a, b in _unrelated(layout.scene) if polytopes.collide(layout.bodies[a], layout.bodies[b])}
         if not pairs:
             break
         known |= pairs
-        found = parting.part(
+        found = joint_separation.part(
             layout.bodies,
             sorted(known),
             {o.id: weight_of(layout, *layout.scene.subtree(o.id)) for o in layout.scene if o.mobility == "dynamic"},

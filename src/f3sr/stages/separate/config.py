@@ -7,9 +7,9 @@ from typing import Annotated
 
 from annotated_types import Interval
 
-from f3sr.balancing import BalanceConfig
-from f3sr.footing import FootingConfig
-from f3sr.landing import LandingConfig
+from f3sr.contact.footing import FootingConfig
+from f3sr.contact.stabilize import BalanceConfig
+from f3sr.contact.tipping import LandingConfig
 from f3sr.settings import settings
 
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from f3sr import contact
-from f3sr.contact import Polytope
+from f3sr.contact import polytopes as contact
+from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, pose, transform
 from f3sr.scene import GROUND, Scene, SceneObject

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from f3sr import contact
+from f3sr.contact import polytopes
 from f3sr.core.transforms import UP, pose
 from f3sr.scene import GROUND, Scene
 from f3sr.stages.separate.config import SeparateConfig
@@ -28,16 +28,16 @@ def seat(layout: Layout, config: SeparateConfig) -> None:
         layout.move(layout.scene.subtree(id), -gap(layout.bodies[id], id, layout, config) * UP)
 
 
-def gap(body: contact.Body, id: int, layout: Layout, config: SeparateConfig) -> float:
+def gap(body: polytopes.Body, id: int, layout: Layout, config: SeparateConfig) -> float:
     """How far a body hangs over its support and the ground [m]; negative: how far it must rise to be free of them."""
     lowest = min(float(p.bounds[0, 2]) for p in body) - config.clearance
     carriers = layout.carriers(id)
     if not carriers:
         return lowest
-    rise = max(contact.smallest_shift(body, carriers, UP, config.clearance), -lowest)
+    rise = max(polytopes.smallest_shift(body, carriers, UP, config.clearance), -lowest)
     if rise > 0:
         return -rise
-    return min(contact.free_travel(body, carriers, -UP) - config.clearance, lowest)
+    return min(polytopes.free_travel(body, carriers, -UP) - config.clearance, lowest)
 
 
 def grounded(scene: Scene, config: SeparateConfig) -> Scene:

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from f3sr import landing
-from f3sr.bodies import StaticBody, bodies_of, contacts_of, rigid
+from f3sr.contact import tipping
+from f3sr.contact.footing import GROUND_PLANE, FootingConfig, Plane, flush, footing, support_plane
+from f3sr.contact.force_balance import Balance
+from f3sr.contact.static_bodies import StaticBody, bodies_of, contacts_of, rigid
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, Array, pose, rotation_from_vector, transform, vector_from_rotation
-from f3sr.equilibrium import Balance
-from f3sr.footing import GROUND_PLANE, FootingConfig, Plane, flush, footing, support_plane
 from f3sr.measures import visible_ious
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 from f3sr.report import Decision
@@ -101,7 +101,7 @@ def _laid_down(layout: Layout, o: SceneObject, config: SeparateConfig) -> tuple[
     on the ground it keeps its place. What was done, and whether it stands."""
     members = layout.scene.subtree(o.id)
     whole, others = _parted(layout, o.id)
-    found = landing.land(whole, others, config.landing, clearance=config.clearance)
+    found = tipping.land(whole, others, config.landing, clearance=config.clearance)
     if found.tipped or found.turn < STILL:
         return None, found.stands
     if on_the_way := _lie_down_in_part(layout, o, whole.centers[0], found, config):
@@ -123,7 +123,7 @@ def _laid_down(layout: Layout, o: SceneObject, config: SeparateConfig) -> tuple[
 
 
 def _lie_down_in_part(
-    layout: Layout, o: SceneObject, center: Array, found: landing.Landing, config: SeparateConfig
+    layout: Layout, o: SceneObject, center: Array, found: tipping.Landing, config: SeparateConfig
 ) -> Decision | None:
     """The least of a landing's turn, about an object's centre (3,), after which a footing makes it stand."""
     before, angle = layout.saved(), float(np.degrees(found.turn))

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from f3sr.balancing import balance
-from f3sr.bodies import bodies_of
+from f3sr.contact.stability import stability, stands
+from f3sr.contact.stabilize import balance
+from f3sr.contact.static_bodies import bodies_of
 from f3sr.report import Decision, Measure
 from f3sr.stages.separate.apart import weight_of
 from f3sr.stages.separate.config import SeparateConfig
 from f3sr.stages.separate.layout import Layout
-from f3sr.statics import stability, stands
 
 
 def steady(layout: Layout, config: SeparateConfig) -> tuple[list[Measure], list[Decision]]:

@@ -16,9 +16,9 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
+from f3sr.contact.stable_facets import stable_normals
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, transform
-from f3sr.facets import stable_normals
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import SceneObject
 from f3sr.settings import settings

@@ -16,10 +16,10 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 
-from f3sr import contact
-from f3sr.bodies import StaticBody, carried, chain_below, contacts_of, islands, supports_first
+from f3sr.contact import polytopes
+from f3sr.contact.force_balance import Balance
+from f3sr.contact.static_bodies import StaticBody, carried, chain_below, contacts_of, islands, supports_first
 from f3sr.core.transforms import UP, Array, pose
-from f3sr.equilibrium import Balance
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 from f3sr.settings import settings
 
@@ -143,7 +143,7 @@ class _State:
                 self.shifts[id] = self.shifts[id] + t
 
     def collide(self, a: int, b: int) -> bool:
-        return contact.collide(self.bodies[a].parts, self.bodies[b].parts)
+        return polytopes.collide(self.bodies[a].parts, self.bodies[b].parts)
 
     def beside(self, ids: Sequence[int]) -> Iterator[tuple[int, int, Array]]:
         """Pairs of bodies, one of ``ids``, that shifts could bring together, and the sides (k, 3) to stay beyond.
@@ -154,7 +154,7 @@ class _State:
             if (a not in ids and b not in ids) or (a, b) in self.overlapping:
                 continue
             far = self.config.max_step * (self.bodies[a].size + self.bodies[b].size)
-            polygons = contact.forbidden_polygons(self.bodies[a].parts, self.bodies[b].parts, within=far)
+            polygons = polytopes.forbidden_polygons(self.bodies[a].parts, self.bodies[b].parts, within=far)
             sides = np.array([p[int(np.argmin(p[:, 2]))] for p in polygons]).reshape(-1, 3)
             sides = sides[(sides[:, 2] > -far) & (sides[:, 2] <= 0)]
             if len(sides):
@@ -171,11 +171,11 @@ class _State:
             return
         chain = [p for i in chain_below(id, self.supports) for p in self.bodies[i].parts]
         over_ground = min(float(p.bounds[0, 2]) for p in body.parts) - self.clearance
-        rise = contact.smallest_shift(body.parts, chain, UP, self.clearance) if chain else 0.0
+        rise = polytopes.smallest_shift(body.parts, chain, UP, self.clearance) if chain else 0.0
         rise = max(rise, -over_ground)
         if rise <= 0 and self.supports.get(id) is not None:
             others = [p for i, b in self.bodies.items() if i not in ids for p in b.parts]
-            drop = contact.free_travel(body.parts, others, -UP) - self.clearance if others else np.inf
+            drop = polytopes.free_travel(body.parts, others, -UP) - self.clearance if others else np.inf
             rise = -max(0.0, min(drop, over_ground))
         if abs(rise) > SEATED:
             self.move(ids, rise * UP)

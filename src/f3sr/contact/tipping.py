@@ -14,12 +14,12 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 
-from f3sr import contact
-from f3sr.bodies import StaticBody, contacts_of
-from f3sr.contact import Polytope
+from f3sr.contact import polytopes
+from f3sr.contact.contact_patches import REACH, find_contacts, hull_corners
+from f3sr.contact.force_balance import Balance
+from f3sr.contact.polytopes import Polytope
+from f3sr.contact.static_bodies import StaticBody, contacts_of
 from f3sr.core.transforms import UP, Array, pose, rotation_about, rotation_angle
-from f3sr.equilibrium import Balance
-from f3sr.patches import REACH, find_contacts, hull_corners
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 from f3sr.settings import settings
 
@@ -183,7 +183,7 @@ class _Fall:
         parts = self.parts
         drop = min(
             min(float(p.bounds[0, 2]) for p in parts),
-            contact.free_travel(parts, self.around, -UP) if self.around else np.inf,
+            polytopes.free_travel(parts, self.around, -UP) if self.around else np.inf,
         )
         self.motion = pose(t=-drop * UP) @ self.motion
         return drop
@@ -193,7 +193,7 @@ class _Fall:
         self.motion = pose(t=max(0.0, self._lift(self.parts, clearance)) * UP) @ self.motion
 
     def _lift(self, parts: Sequence[Polytope], clearance: float = 0.0) -> float:
-        lift = contact.smallest_shift(parts, self.around, UP, clearance) if self.around else 0.0
+        lift = polytopes.smallest_shift(parts, self.around, UP, clearance) if self.around else 0.0
         return max(lift, clearance - min(float(p.bounds[0, 2]) for p in parts))
 
     def stands(self, reach: float) -> bool:

@@ -16,8 +16,8 @@ from itertools import count
 
 import numpy as np
 
-from f3sr import contact
-from f3sr.contact import Body
+from f3sr.contact import polytopes
+from f3sr.contact.polytopes import Body
 from f3sr.core.transforms import Array
 
 INSIDE = 1e-7
@@ -115,7 +115,7 @@ class _Problem:
         self.moves = {id: np.linalg.inv(np.linalg.cholesky(np.asarray(weights[id], float)).T) for id in self.ids}
         self.obstacles: list[_Obstacle] = []
         for a, b in pairs:
-            polygons = [_grown(p, clearance) for p in contact.forbidden_polygons(bodies[a], bodies[b])]
+            polygons = [_grown(p, clearance) for p in polytopes.forbidden_polygons(bodies[a], bodies[b])]
             if polygons:
                 self.obstacles.append(_Obstacle((a, b), polygons, self.matrix(a) - self.matrix(b)))
 
@@ -165,7 +165,7 @@ class _Problem:
             for o in violated:
                 r = o.matrix @ x
                 here = [np.column_stack([p[:, :2], p[:, 2] + p[:, :2] @ r]) for p in o.polygons]
-                t = contact.nearest_free(here, 0.0)
+                t = polytopes.nearest_free(here, 0.0)
                 x = x + np.linalg.pinv(o.matrix) @ (t * (1 + 1e-6))
         return x
 

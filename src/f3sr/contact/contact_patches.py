@@ -15,7 +15,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.contact import Body, Polytope, face_facets, facets
+from f3sr.contact.polytopes import Body, Polytope, face_facets, facets
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, Array, frozen
 from f3sr.runtime.kernels import kernel

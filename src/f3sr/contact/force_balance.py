@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.bodies import StaticBody
+from f3sr.contact.contact_patches import Contacts, hull_corners, tangents
+from f3sr.contact.static_bodies import StaticBody
 from f3sr.core.transforms import UP, Array
-from f3sr.patches import Contacts, hull_corners, tangents
 from f3sr.scene import GROUND
 
 EDGES = 8

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from f3sr.bodies import StaticBody, contacts_of, islands
-from f3sr.equilibrium import Balance
-from f3sr.patches import Contacts
+from f3sr.contact.contact_patches import Contacts
+from f3sr.contact.force_balance import Balance
+from f3sr.contact.static_bodies import StaticBody, contacts_of, islands
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 
 GRAVITY = 9.81

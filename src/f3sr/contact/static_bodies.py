@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from f3sr.contact import Body, Polytope
+from f3sr.contact.contact_patches import REACH, Contacts, find_contacts
+from f3sr.contact.polytopes import Body, Polytope
 from f3sr.core.transforms import Array, frozen, transform
-from f3sr.patches import REACH, Contacts, find_contacts
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, PhysicsConfig, body_of
 from f3sr.scene import GROUND, SceneObject
 
