@@ -21,7 +21,7 @@ from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh, mass_properties
 from f3sr.core.transforms import pose, rotation_about
 from f3sr.io.mesh_files import load_mesh
-from f3sr.measures import full_silhouette
+from f3sr.metrics.measures import full_silhouette
 from f3sr.scene import Photo, Scene, SceneObject
 from f3sr.stages.align import AlignConfig, align
 from f3sr.vision.silhouette import Mask, iou, union_of

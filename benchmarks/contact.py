@@ -23,10 +23,11 @@ import baseline
 import contact_report
 import tables
 import truth
-from f3sr import measures, pipeline
+from f3sr import pipeline
 from f3sr.contact import polytopes
 from f3sr.contact.polytopes import Polytope
 from f3sr.io import inputs
+from f3sr.metrics import measures
 from f3sr.pipeline import Config, Reconstruction
 from f3sr.runtime import kernels
 from f3sr.runtime.result_store import Store, code_version

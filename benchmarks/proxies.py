@@ -20,8 +20,9 @@ import numpy as np
 
 import peers
 import tables
-from f3sr import measures, proxies
+from f3sr import proxies
 from f3sr.io.mesh_files import load_mesh
+from f3sr.metrics import measures
 from f3sr.scene import SceneObject
 
 METHODS = ("cuts", *peers.PEERS)

@@ -16,9 +16,9 @@ import numpy as np
 from PIL import Image
 
 import poses
-from f3sr import crossings
 from f3sr.core.transforms import invert_pose
 from f3sr.io.mesh_files import load_mesh
+from f3sr.metrics import penetration
 from f3sr.package import read_package
 from f3sr.physics.release import filling
 from f3sr.scene import Scene
@@ -98,7 +98,7 @@ def fallen(scene: Scene, true: Mapping[str, Any], objects: Path) -> list[int]:
 
 def crossing_pairs(scene: Scene) -> list[tuple[int, int]]:
     """Pairs whose visual meshes pierce each other."""
-    found = crossings.penetration([(o.vertices_world, o.mesh.faces) for o in scene])
+    found = penetration.penetration([(o.vertices_world, o.mesh.faces) for o in scene])
     ids = [o.id for o in scene]
     return [(ids[p.a], ids[p.b]) for p in found.pairs]
 

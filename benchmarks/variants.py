@@ -14,7 +14,7 @@ import looks
 import poses
 import staged
 from f3sr.io import inputs
-from f3sr.measures import full_silhouette, image_agreement
+from f3sr.metrics.measures import full_silhouette, image_agreement
 from f3sr.scene import Scene
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.align.config import AppearanceConfig, DepthConfig, FacetConfig, TiltConfig

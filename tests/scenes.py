@@ -10,7 +10,7 @@ import numpy as np
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, Material, Mesh
 from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose
-from f3sr.measures import mean_over_masks, visible_ious
+from f3sr.metrics.measures import mean_over_masks, visible_ious
 from f3sr.scene import GROUND, Ground, Photo, Relation, Scene, SceneGraph, SceneObject, Support
 
 WIDTH, HEIGHT = 64, 48

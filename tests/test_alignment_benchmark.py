@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from f3sr.core.transforms import rotation_about, rotation_angle
-from f3sr.measures import full_silhouette
+from f3sr.metrics.measures import full_silhouette
 from f3sr.stages.align import AlignConfig
 from scenes import box_mesh
 

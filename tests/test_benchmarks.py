@@ -84,7 +84,7 @@ def test_update_changes_values_only(expected, tmp_path: Path) -> None:
 
 
 def test_means_are_printed_for_direct_composition_with_both_cameras(capsys: pytest.CaptureFixture[str]) -> None:
-    from f3sr.measures import IMAGE_MEASURES
+    from f3sr.metrics.measures import IMAGE_MEASURES
 
     sys.path.insert(0, str(FOLDER))
     try:

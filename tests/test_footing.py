@@ -10,7 +10,7 @@ import pytest
 from f3sr.contact.footing import GROUND_PLANE, FootingConfig, Plane, flush, footing, support_plane
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import pose, rotation_about, rotation_angle
-from f3sr.inside import union_distance
+from f3sr.metrics.point_in_mesh import union_distance
 from f3sr.physics.settling import settle
 from f3sr.scene import SceneObject
 from f3sr.stages.separate import SeparateConfig, separate

@@ -14,15 +14,9 @@ import trimesh
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import rotation_about
-from f3sr.foreign_camera import (
-    ForeignCameraConfig,
-    InstancesFit,
-    fitted_camera,
-    iou_loss,
-    mean_iou,
-)
 from f3sr.io import inputs
-from f3sr.measures import IMAGE_MEASURES, Measures, measure
+from f3sr.metrics.camera_fit import ForeignCameraConfig, InstancesFit, fitted_camera, iou_loss, mean_iou
+from f3sr.metrics.measures import IMAGE_MEASURES, Measures, measure
 from f3sr.pipeline import SKIPPABLE, composed_directly, reconstruct
 from f3sr.scene import Photo, Scene
 from f3sr.stages.evaluate import DIRECT, Evaluation, direct_composition, evaluate

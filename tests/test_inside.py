@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array, rotation_from_vector
-from f3sr.inside import winding_number
+from f3sr.metrics.point_in_mesh import winding_number
 from scenes import box_mesh
 
 

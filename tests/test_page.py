@@ -23,9 +23,9 @@ import f3sr.page as page
 from f3sr.core.mesh import Material as Appearance
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import pose, rotation_about
-from f3sr.crossings import penetration
 from f3sr.io import inputs
-from f3sr.measures import IMAGE_MEASURES, Measures, full_silhouette, measure, measure_with_details
+from f3sr.metrics.measures import IMAGE_MEASURES, Measures, full_silhouette, measure, measure_with_details
+from f3sr.metrics.penetration import penetration
 from f3sr.page import LARGEST_PAGE, report_page
 from f3sr.page.graph import levels
 from f3sr.page.masks import cards

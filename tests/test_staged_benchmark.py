@@ -13,7 +13,7 @@ import numpy as np
 
 from f3sr.core.levenberg_marquardt import Local
 from f3sr.core.transforms import Array, pose, rotation_about
-from f3sr.measures import full_silhouette
+from f3sr.metrics.measures import full_silhouette
 from f3sr.scene import Photo, Scene, SceneObject
 from f3sr.stages.align import AlignConfig
 from f3sr.vision.silhouette import iou

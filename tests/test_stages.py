@@ -11,7 +11,7 @@ import pytest
 from f3sr.contact.stabilize import BalanceConfig
 from f3sr.core.transforms import T_UP_FROM_CAMERA, invert_pose, pose, rotation_about, rotation_from_vector
 from f3sr.io import inputs
-from f3sr.measures import measure
+from f3sr.metrics.measures import measure
 from f3sr.scene import GROUND, Geometry, Relation, Scene, SceneGraph, Support
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.align.config import FacetConfig

@@ -17,7 +17,7 @@ import numpy as np
 from annotated_types import Interval
 
 from f3sr.core.transforms import Array, rotation_angle
-from f3sr.measures import mean_over_masks, visible_ious
+from f3sr.metrics.measures import mean_over_masks, visible_ious
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene, SceneObject
 from f3sr.settings import settings

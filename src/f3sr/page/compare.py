@@ -10,7 +10,7 @@ import numpy as np
 
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, box_corners
-from f3sr.measures import Details, Gap, Overlap
+from f3sr.metrics.measures import Details, Gap, Overlap
 from f3sr.page.material import Material, look_alike
 from f3sr.page.words import counted, length, name_of, share
 from f3sr.scene import GROUND, Scene

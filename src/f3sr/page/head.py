@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from f3sr.measures import visible_ious
+from f3sr.metrics.measures import visible_ious
 from f3sr.options import SKIPPABLE
 from f3sr.page.material import Material, look_alike
 from f3sr.page.words import about, counted, length, listed, name_of, ratio, share, told

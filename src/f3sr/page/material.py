@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from f3sr.measures import Details, ObjectMeasures
+from f3sr.metrics.measures import Details, ObjectMeasures
 from f3sr.pipeline import Reconstruction
 from f3sr.scene import Scene
 from f3sr.stages.evaluate import direct_composition

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.transforms import rotation_angle, transform
-from f3sr.measures import ObjectMeasures
+from f3sr.metrics.measures import ObjectMeasures
 from f3sr.page.material import Material, by_id
 from f3sr.page.words import counted, length, name_of, number, quantity, ratio, share, told
 from f3sr.physics.mujoco_model import body_of

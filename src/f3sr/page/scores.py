@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from f3sr.measures import IMAGE_MEASURES, Measures
+from f3sr.metrics.measures import IMAGE_MEASURES, Measures
 from f3sr.page.material import Material
 from f3sr.page.words import number, quantity, told
 from f3sr.stages.evaluate import Evaluation, Fitted

@@ -17,7 +17,7 @@ from f3sr.contact.polytopes import Polytope
 from f3sr.contact.static_bodies import supports_first
 from f3sr.contact.vertical_gap import Meeting, meeting
 from f3sr.core.transforms import UP, Array, pose, transform
-from f3sr.measures import visible_ious
+from f3sr.metrics.measures import visible_ious
 from f3sr.proxies import trim
 from f3sr.proxies.trim import Near, Place, Surface
 from f3sr.refinement import Rested, groups_of

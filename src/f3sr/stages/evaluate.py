@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Self
 
 from f3sr.core.transforms import pose
-from f3sr.foreign_camera import ForeignCameraConfig, fitted_camera
-from f3sr.measures import Details, Gap, Measures, ObjectMeasures, Overlap, measure_with_details, seen_by
+from f3sr.metrics.camera_fit import ForeignCameraConfig, fitted_camera
+from f3sr.metrics.measures import Details, Gap, Measures, ObjectMeasures, Overlap, measure_with_details, seen_by
 from f3sr.report import Decision, Report
 from f3sr.runtime.daemon_thread import begun
 from f3sr.scene import Scene

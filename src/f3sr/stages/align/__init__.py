@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from f3sr.measures import full_silhouette
+from f3sr.metrics.measures import full_silhouette
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene, SceneObject
 from f3sr.stages.align.camera import align_camera

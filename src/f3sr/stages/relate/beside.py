@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 from f3sr.contact import polytopes
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.transforms import Array
-from f3sr.measures import sample_surface
+from f3sr.metrics.measures import sample_surface
 from f3sr.scene import Relation, Scene
 from f3sr.stages.relate.known import Known
 

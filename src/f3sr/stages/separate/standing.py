@@ -12,7 +12,7 @@ from f3sr.contact.force_balance import Balance
 from f3sr.contact.static_bodies import StaticBody, bodies_of, contacts_of, rigid
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, Array, pose, rotation_from_vector, transform, vector_from_rotation
-from f3sr.measures import visible_ious
+from f3sr.metrics.measures import visible_ious
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 from f3sr.report import Decision
 from f3sr.scene import GROUND, SceneObject

@@ -13,7 +13,7 @@ from annotated_types import Interval
 from f3sr.core.camera import Camera
 from f3sr.core.levenberg_marquardt import Local, minimise
 from f3sr.core.transforms import Array, rotation_angle
-from f3sr.measures import full_silhouette
+from f3sr.metrics.measures import full_silhouette
 from f3sr.report import Decision
 from f3sr.scene import Scene
 from f3sr.settings import settings

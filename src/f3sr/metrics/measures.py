@@ -8,10 +8,10 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr import crossings
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array
-from f3sr.inside import union_distance, winding_number
+from f3sr.metrics import penetration
+from f3sr.metrics.point_in_mesh import union_distance, winding_number
 from f3sr.physics import release
 from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.vision import rasterizer
@@ -129,7 +129,7 @@ def measure_with_details(scene: Scene, *, true_scale: float = 1.0) -> tuple[Meas
     """``measure``, and what it found per object and where."""
     image, full, visible = _seen(scene)
     surfaces = [(o.T_world_asset, o.mesh.welded) for o in scene]
-    pen = crossings.penetration([(v @ T[:3, :3].T + T[:3, 3], f) for T, (v, f) in surfaces])
+    pen = penetration.penetration([(v @ T[:3, :3].T + T[:3, 3], f) for T, (v, f) in surfaces])
     K, D = release.release(scene.objects, true_scale=true_scale)
     gaps = gaps_of(scene.objects)
     out, far = zip(*(proxy_distances(o) for o in scene), strict=True)
@@ -164,7 +164,7 @@ def seen_by(camera: Camera, scene: Scene, measures: Measures) -> Measures:
     return replace(measures, **image)
 
 
-def _overlap(pair: crossings.Crossing, objects: Sequence[SceneObject]) -> Overlap:
+def _overlap(pair: penetration.Crossing, objects: Sequence[SceneObject]) -> Overlap:
     low, high = pair.bounds
     return Overlap(a=objects[pair.a].id, b=objects[pair.b].id, crossings=pair.count, low=_point(low), high=_point(high))
 

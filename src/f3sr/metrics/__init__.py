@@ -1,0 +1,1 @@
+"""The measures of a scene, and what they are computed with."""
