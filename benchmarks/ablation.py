@@ -24,11 +24,12 @@ import contact as bench
 import contact_report
 import peers
 import staged
-from f3sr import package, pipeline
+from f3sr import pipeline
 from f3sr.pipeline import Config, Reconstruction
 from f3sr.report import Report
 from f3sr.runtime import kernels
 from f3sr.scene import Scene
+from f3sr.scene_package import package
 from f3sr.stages.evaluate import direct_composition
 
 COLUMNS = (

@@ -274,7 +274,7 @@ def check_package(out: Path, masks: Path) -> None:
     """Every mask is an object or excluded, all values are finite, and MuJoCo loads the scene."""
     import mujoco
 
-    from f3sr.package import read_package
+    from f3sr.scene_package.package import read_package
 
     package = read_package(out)
     names = {o.mask_name for o in package.scene.objects} | {e.mask for e in package.scene.excluded}

@@ -37,7 +37,7 @@ ATTEMPTS = 5
 CHECK = """
 import sys, mujoco
 from pathlib import Path
-from f3sr.package import read_package
+from f3sr.scene_package.package import read_package
 read_package(Path(sys.argv[1]))
 mujoco.MjModel.from_xml_path(sys.argv[1] + "/scene.xml")
 """

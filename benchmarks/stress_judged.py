@@ -19,9 +19,9 @@ import poses
 from f3sr.core.transforms import invert_pose
 from f3sr.io.mesh_files import load_mesh
 from f3sr.metrics import penetration
-from f3sr.package import read_package
 from f3sr.physics.release import filling
 from f3sr.scene import Scene
+from f3sr.scene_package.package import read_package
 from f3sr.vision.pictures import pictures_of
 
 FALLEN = 20.0

@@ -18,9 +18,9 @@ from scipy.spatial import KDTree
 from f3sr.core.transforms import Array, invert_pose, transform
 from f3sr.io.mesh_files import load_mesh
 from f3sr.metrics.measures import sample_surface
-from f3sr.package import read_package
 from f3sr.physics.release import release
 from f3sr.scene import GROUND, Scene
+from f3sr.scene_package.package import read_package
 from f3sr.stages.evaluate import direct_composition
 
 SAMPLES = 1500

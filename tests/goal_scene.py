@@ -10,8 +10,8 @@ import numpy as np
 
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import pose
-from f3sr.package import Package, read_package, write_package
 from f3sr.scene import GROUND, Scene, SceneObject, Support
+from f3sr.scene_package.package import Package, read_package, write_package
 from scenes import HEIGHT, WIDTH, ball_mesh, box, scene_of
 
 GAP = 3.2e-4

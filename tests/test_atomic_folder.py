@@ -18,8 +18,8 @@ from f3sr.errors import InputError, OutputError
 from f3sr.goals.deliver import read_plan, write_film, write_next, write_played
 from f3sr.goals.files import FILMS, PLAN
 from f3sr.goals.play import Played, simulate_goal
-from f3sr.package import prepare_output, read_package, write_package
 from f3sr.runtime.atomic_folder import claimed
+from f3sr.scene_package.package import prepare_output, read_package, write_package
 from folders import write_folder
 from goal_scene import goal_package
 from scenes import box_stack_scene

@@ -17,9 +17,9 @@ import f3sr
 from f3sr import doctor, options, settings
 from f3sr.cli import main
 from f3sr.metrics.measures import IMAGE_MEASURES
-from f3sr.package import read_package
 from f3sr.pipeline import Config
 from f3sr.runtime import signals
+from f3sr.scene_package.package import read_package
 from folders import write_folder
 
 

@@ -17,14 +17,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from f3sr import example, package, settings
+from f3sr import example, settings
 from f3sr.errors import OutputError
-from f3sr.package import read_package, write_package
 from f3sr.pipeline import Config
 from f3sr.report import Report
 from f3sr.runtime import kernels
 from f3sr.runtime.result_store import Store
 from f3sr.runtime.stage_runner import Runner
+from f3sr.scene_package import package
+from f3sr.scene_package.package import read_package, write_package
 from folders import write_folder
 from scenes import box_stack_scene
 
@@ -254,7 +255,7 @@ from pathlib import Path
 sys.path.insert(0, sys.argv[3])
 from scenes import box_stack_scene
 from f3sr.errors import OutputError
-from f3sr.package import write_package
+from f3sr.scene_package.package import write_package
 for _ in range(12):
     try:
         write_package(box_stack_scene(int(sys.argv[1])), Path(sys.argv[2]))

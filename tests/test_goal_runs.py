@@ -17,7 +17,7 @@ from f3sr.goals.rollout import to_npz
 from f3sr.goals.simulate import simulate
 from f3sr.goals.verify import to_json as verdict_json
 from f3sr.goals.verify import verify
-from f3sr.package import read_package, write_package
+from f3sr.scene_package.package import read_package, write_package
 from scenes import box_stack_scene
 from test_simulate import plan_of
 

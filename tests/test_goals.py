@@ -17,7 +17,6 @@ import pytest
 
 from f3sr.core.transforms import Array, pose
 from f3sr.errors import InputError, OutputError
-from f3sr.export.scene_json import dump_json
 from f3sr.goals import deliver
 from f3sr.goals.checks import PlanError, faults_of
 from f3sr.goals.language import Launch, Tried
@@ -47,10 +46,11 @@ from f3sr.goals.simulate import simulate
 from f3sr.goals.trial import LINGERS, ROLLOUTS, SHORTEST, Still, Trials
 from f3sr.goals.verify import VerdictDocument, verify
 from f3sr.goals.verify import to_json as verdict_json
-from f3sr.package import Package
 from f3sr.physics.mujoco_model import body_of
 from f3sr.runtime import atomic_folder
 from f3sr.scene import GROUND, Scene, Support
+from f3sr.scene_package.package import Package
+from f3sr.scene_package.scene_json import dump_json
 from goal_scene import BALL, BLOCK, CAN, CARTON, CRATE, GAP, LID, goal_package, goal_scene
 from scenes import box
 
@@ -100,7 +100,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Package:
 
 @cache
 def _known(folder: Path, goal: str) -> Played | Refusal:
-    from f3sr.package import read_package
+    from f3sr.scene_package.package import read_package
 
     return simulate_goal(read_package(folder), goal)
 

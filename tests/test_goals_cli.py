@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from f3sr import cli
-from f3sr.package import Package
+from f3sr.scene_package.package import Package
 from goal_scene import goal_package
 
 TOPPLE = "knock over the cereal box"

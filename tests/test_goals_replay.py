@@ -11,8 +11,8 @@ import pytest
 from f3sr.goals.plan import Impulse, Offset, Velocity, to_json
 from f3sr.goals.rollout import to_npz
 from f3sr.goals.simulate import simulate
-from f3sr.package import read_package, write_package
 from f3sr.physics.mujoco_model import body_of
+from f3sr.scene_package.package import read_package, write_package
 from scenes import box_stack_scene
 from test_simulate import made, plan_of
 

@@ -19,10 +19,10 @@ from f3sr.cli import main
 from f3sr.core.transforms import pose, rotation_about
 from f3sr.errors import InputError
 from f3sr.io import inputs
-from f3sr.package import read_package
 from f3sr.pipeline import SKIPPABLE, reconstruct
 from f3sr.runtime.result_store import Store
 from f3sr.scene import Geometry, Scene
+from f3sr.scene_package.package import read_package
 from f3sr.stages.inpaint import inpaint
 from f3sr.vision import rasterizer
 from folders import write_folder

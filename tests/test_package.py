@@ -20,21 +20,21 @@ import pytest
 import trimesh
 from PIL import Image
 
-from f3sr import package
-from f3sr.bounds import MAX_OBJECT_PARTS
 from f3sr.cli import main
 from f3sr.core.mesh import ConvexPart, Material, Mesh
 from f3sr.core.transforms import pose, rotation_about, transform
 from f3sr.errors import InputError, OutputError
 from f3sr.goals.limits import limits_of
 from f3sr.io.mesh_files import load_mesh, load_part, save_glb
-from f3sr.package import Package, read_package, scene_schema, write_package
 from f3sr.physics.mujoco_model import build_spec
 from f3sr.physics.release import release
 from f3sr.physics.settling import settle
 from f3sr.report import Decision, Measure, Report
 from f3sr.runtime import atomic_folder
 from f3sr.scene import Excluded, Scene
+from f3sr.scene_package import package
+from f3sr.scene_package.bounds import MAX_OBJECT_PARTS
+from f3sr.scene_package.package import Package, read_package, scene_schema, write_package
 from scenes import HEIGHT, WIDTH, box, box_mesh, box_stack_scene, scene_of
 
 SCHEMA = Path(__file__).parents[1] / "docs" / "scene.schema.json"

@@ -17,9 +17,9 @@ import pytest
 
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, pose, rotation_about
-from f3sr.export.scene_json import SceneGraphRecord
 from f3sr.runtime import scene_serialization
 from f3sr.scene import GROUND, Geometry, Photo, Predicate, Relation, Scene, SceneGraph, SceneObject, Support
+from f3sr.scene_package.scene_json import SceneGraphRecord
 from f3sr.stages.relate import Candidate, RelateConfig, describe, forest, relate
 from f3sr.stages.relate.nodes import colours, place
 from f3sr.stages.relate.order import INVERSE, SYMMETRIC

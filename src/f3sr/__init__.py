@@ -29,12 +29,12 @@ _PUBLIC = {
     "evaluate": "f3sr.stages.evaluate",
     "film_played": "f3sr.film.filmed",
     "read_inputs": "f3sr.io.inputs",
-    "read_package": "f3sr.package",
+    "read_package": "f3sr.scene_package.package",
     "reconstruct": "f3sr.pipeline",
     "replay_plan": "f3sr.goals.play",
     "simulate_goal": "f3sr.goals.play",
     "write_film": "f3sr.goals.deliver",
-    "write_package": "f3sr.package",
+    "write_package": "f3sr.scene_package.package",
     "write_played": "f3sr.goals.deliver",
 }
 

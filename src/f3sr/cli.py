@@ -93,12 +93,13 @@ def reconstruct(
         overwrite: Also replace a package that holds rollouts.
         json: Print one JSON object instead of text.
     """
-    from f3sr import console, package, pipeline, settings
+    from f3sr import console, pipeline, settings
     from f3sr.delivery import deliver
     from f3sr.io import inputs
     from f3sr.runtime import atomic_folder, kernels
     from f3sr.runtime.progress import timed
     from f3sr.runtime.result_store import Store
+    from f3sr.scene_package import package
 
     atomic_folder.recover(out)
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
@@ -143,10 +144,10 @@ def evaluate(
     """
     from f3sr import console, pipeline, settings
     from f3sr.io import inputs
-    from f3sr.package import read_package
     from f3sr.runtime import atomic_folder, kernels
     from f3sr.runtime.progress import timed
     from f3sr.runtime.result_store import Store
+    from f3sr.scene_package.package import read_package
     from f3sr.stages import evaluate as stage
 
     atomic_folder.recover(folder)

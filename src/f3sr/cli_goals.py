@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from f3sr.film.filmed import Studio
     from f3sr.goals.play import Played
     from f3sr.goals.refusal import Refusal
-    from f3sr.package import Package
+    from f3sr.scene_package.package import Package
 
 Folder = Positional[Path]
 Goals = Positional[tuple[str, ...]]
@@ -51,8 +51,8 @@ def simulate(
         json: Print one JSON object instead of text.
     """
     from f3sr.goals.refusal import Refusal
-    from f3sr.package import read_package
     from f3sr.runtime.atomic_folder import recover
+    from f3sr.scene_package.package import read_package
 
     recover(*(place for place in (package, out, plan) if place))
     _require_goals(goals, plan)
@@ -177,7 +177,7 @@ def goals(package: Folder, /, json: bool = False) -> None:
 
     from f3sr import console
     from f3sr.goals.menu import menu
-    from f3sr.package import read_package
+    from f3sr.scene_package.package import read_package
 
     entries = menu(read_package(package).scene)
     if json:

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pydantic import JsonValue
 
 from f3sr.background import BackgroundConfig
+from f3sr.background.inpainting import Inpainting
 from f3sr.io.inputs import Inputs
 from f3sr.options import SKIPPABLE
 from f3sr.proxies import ProxyConfig
@@ -24,7 +25,7 @@ from f3sr.stages.assemble import AssembleConfig, as_given, assemble
 from f3sr.stages.close import CloseConfig, close
 from f3sr.stages.decompose import decompose
 from f3sr.stages.evaluate import EvaluateConfig, Evaluation, direct_composition, evaluate
-from f3sr.stages.inpaint import Inpainting, inpaint
+from f3sr.stages.inpaint import inpaint
 from f3sr.stages.level import LevelConfig, level
 from f3sr.stages.relate import RelateConfig, describe, relate
 from f3sr.stages.separate import SeparateConfig, separate

@@ -17,9 +17,9 @@ from f3sr.goals.files import FILMS, PLAN, ROLLOUT, VERDICT
 from f3sr.goals.plan import Plan
 from f3sr.goals.play import Played, scene_sha
 from f3sr.goals.rollout import Rollout
-from f3sr.package import Package, read_package
-from f3sr.package_folder import ROLLOUTS, is_package, placed
 from f3sr.runtime.atomic_folder import BusyError, being_written, check, claimed, recover, recover_all
+from f3sr.scene_package.package import Package, read_package
+from f3sr.scene_package.package_folder import ROLLOUTS, is_package, placed
 
 FILES = {PLAN, ROLLOUT, VERDICT, *FILMS}
 

@@ -10,10 +10,10 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from f3sr.bounds import Density, Direction3, Friction, Id, IdOrGround, Mass, RollingFriction, Share
-from f3sr.export.scene_json import Version, dump_json
 from f3sr.files import strict_json
 from f3sr.scene import Mobility
+from f3sr.scene_package.bounds import Density, Direction3, Friction, Id, IdOrGround, Mass, RollingFriction, Share
+from f3sr.scene_package.scene_json import Version, dump_json
 
 SCHEMA_VERSION = 1
 MIN_TIMESTEP = 1e-4

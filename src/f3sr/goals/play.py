@@ -17,8 +17,8 @@ from f3sr.goals.rules import Rules
 from f3sr.goals.simulate import simulate
 from f3sr.goals.trial import IN_FRAME, OverlapError, Trials, in_frame, rating, sure
 from f3sr.goals.verify import Verdict, verify
-from f3sr.package import Package
 from f3sr.scene import Scene
+from f3sr.scene_package.package import Package
 
 READINGS = 4
 """Of a goal that are tried, the strictest first."""

@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from f3sr.bounds import Vector3
 from f3sr.core.transforms import Array, pose, rotation_from_quaternion, rotation_from_vector
 from f3sr.goals.plan import Impulse, InitialConditions, Plan, Semantics, Velocity
 from f3sr.goals.rollout import CONTACT, Rollout
 from f3sr.physics import mujoco_model
 from f3sr.physics.mujoco_model import PhysicsConfig, body_name, engine
 from f3sr.scene import GROUND, Scene, SceneObject
+from f3sr.scene_package.bounds import Vector3
 
 TOUCH = 1e-9
 """Force [N] of a pair whose forces cancel: it touches."""

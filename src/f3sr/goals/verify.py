@@ -9,12 +9,12 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from f3sr.core.transforms import rotation_angle
-from f3sr.export.scene_json import dump_json
 from f3sr.goals.conditions import Judged, Unit, judge
 from f3sr.goals.plan import Condition, Kind, Plan
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.simulate import as_planned
 from f3sr.scene import GROUND, Scene
+from f3sr.scene_package.scene_json import dump_json
 
 DROPPED: set[Kind] = {"drop", "lift_and_drop"}
 """Kinds that start where something is let go."""

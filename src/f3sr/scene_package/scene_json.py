@@ -21,7 +21,13 @@ from pydantic import (
     model_validator,
 )
 
-from f3sr.bounds import (
+from f3sr.core.transforms import Array
+from f3sr.errors import OutputError
+from f3sr.exporters.mjcf import collision_path
+from f3sr.files import strict_json
+from f3sr.physics.mujoco_model import body_of
+from f3sr.scene import GROUND, Mobility, Predicate, RelationSource, Scene, SceneObject
+from f3sr.scene_package.bounds import (
     MAX_OBJECT_PARTS,
     MAX_OBJECTS,
     MAX_SCENE_PARTS,
@@ -47,12 +53,6 @@ from f3sr.bounds import (
     inertia_fault,
     intrinsics_fault,
 )
-from f3sr.core.transforms import Array
-from f3sr.errors import OutputError
-from f3sr.export.mjcf import collision_path
-from f3sr.files import strict_json
-from f3sr.physics.mujoco_model import body_of
-from f3sr.scene import GROUND, Mobility, Predicate, RelationSource, Scene, SceneObject
 
 SCHEMA_VERSION = 1
 SCHEMA_FILE = "scene.schema.json"

@@ -13,28 +13,22 @@ from numpy.typing import NDArray
 from pydantic import JsonValue, ValidationError
 
 import f3sr
-from f3sr.bounds import MAX_OBJECT, MAX_PART_BYTES, MAX_SCENE_BYTES, MAX_SIZES_AWAY, MIN_OBJECT
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, MassProperties, Mesh
 from f3sr.errors import InputError
-from f3sr.export.mjcf import collision_files, to_mjcf
-from f3sr.export.scene_json import (
-    SCHEMA_FILE,
-    ObjectRecord,
-    SceneDocument,
-    dump_json,
-    mesh_path,
-    scene_schema,
-    to_document,
-    to_json,
-)
+from f3sr.exporters.mjcf import collision_files, to_mjcf
 from f3sr.files import npz, strict_json
 from f3sr.io.assets import require_solidity, require_total
 from f3sr.io.gltf_writer import encode_png, encode_pngs, mesh_to_glb, scene_to_glb
 from f3sr.io.images import as_rgb, open_image
 from f3sr.io.masks import MAX_MASK_PIXELS
 from f3sr.io.mesh_files import load_mesh, load_part
-from f3sr.package_folder import (
+from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, PhysicsConfig, body_of
+from f3sr.report import Report
+from f3sr.runtime.atomic_folder import claimed, recover
+from f3sr.scene import Excluded, Ground, Motion, Node, Photo, Relation, Scene, SceneGraph, SceneObject, Support
+from f3sr.scene_package.bounds import MAX_OBJECT, MAX_PART_BYTES, MAX_SCENE_BYTES, MAX_SIZES_AWAY, MIN_OBJECT
+from f3sr.scene_package.package_folder import (
     BACKGROUND,
     KEPT,
     MASKS,
@@ -47,13 +41,19 @@ from f3sr.package_folder import (
     prepare_output,
     require_replaceable,
 )
-from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, PhysicsConfig, body_of
-from f3sr.report import Report
-from f3sr.runtime.atomic_folder import claimed, recover
-from f3sr.scene import Excluded, Ground, Motion, Node, Photo, Relation, Scene, SceneGraph, SceneObject, Support
+from f3sr.scene_package.scene_json import (
+    SCHEMA_FILE,
+    ObjectRecord,
+    SceneDocument,
+    dump_json,
+    mesh_path,
+    scene_schema,
+    to_document,
+    to_json,
+)
 
 if TYPE_CHECKING:
-    from f3sr.stages.inpaint import Inpainting
+    from f3sr.background.inpainting import Inpainting
 
 __all__ = ["Package", "SceneDocument", "is_package", "prepare_output", "read_package", "scene_schema", "write_package"]
 

@@ -7,11 +7,11 @@ import os
 import stat
 from pathlib import Path
 
-from f3sr.bounds import MAX_SCENE_BYTES
 from f3sr.errors import InputError, OutputError
-from f3sr.export.scene_json import SCHEMA_FILE
 from f3sr.files import limited_file
 from f3sr.runtime import atomic_folder
+from f3sr.scene_package.bounds import MAX_SCENE_BYTES
+from f3sr.scene_package.scene_json import SCHEMA_FILE
 
 SCENE = "scene.json"
 PHOTO = "photo.png"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import Array, quaternion_from_rotation
-from f3sr.export.obj import part_to_obj, to_obj
+from f3sr.exporters.obj import part_to_obj, to_obj
 from f3sr.io.gltf_writer import png_of
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, GROUND_NAME, Body, PhysicsConfig, body_of
 from f3sr.scene import SceneObject
