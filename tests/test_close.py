@@ -13,7 +13,7 @@ from f3sr.contact.polytopes import Polytope
 from f3sr.contact.vertical_gap import meeting
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import Array, pose
-from f3sr.refinement import Rested
+from f3sr.metrics.contact_groups import SettledScene
 from f3sr.scene import GROUND, Scene, SceneObject, Support
 from f3sr.stages.close import CloseConfig, close, lowered
 from f3sr.stages.settle import settle
@@ -64,9 +64,9 @@ def gap(scene: Scene, id: int) -> float:
     return meeting(scene[id], [o for o in scene if o.id != id]).gap
 
 
-def settled(scene: Scene) -> Rested:
+def settled(scene: Scene) -> SettledScene:
     """Physics that leaves everything where it is."""
-    return Rested(scene=scene, restless=frozenset())
+    return SettledScene(scene=scene, restless=frozenset())
 
 
 def outside(o: SceneObject) -> float:
@@ -106,8 +106,8 @@ def test_splits_add_no_more_parts_than_allowed(added: int):
 
 
 def test_it_rests_there():
-    def physics(scene: Scene) -> Rested:
-        return Rested(scene=settle(scene)[0], restless=frozenset())
+    def physics(scene: Scene) -> SettledScene:
+        return SettledScene(scene=settle(scene)[0], restless=frozenset())
 
     scene = ball_in_a_dish()
     after, report = close(scene, replace(CONFIG, loss=1.0), settled=physics)
@@ -156,11 +156,11 @@ def seen(scene: Scene) -> Scene:
 @pytest.mark.parametrize(
     ("end", "why"),
     [
-        (lambda s: Rested(scene=s, restless=frozenset([0])), "does not come to rest"),
+        (lambda s: SettledScene(scene=s, restless=frozenset([0])), "does not come to rest"),
         (lambda s: settled(s.with_objects(s[0].moved(pose(t=[0.03, 0, 0]), stage="settle", reason=""))), "visible IoU"),
     ],
 )
-def test_what_does_not_rest_or_rolls_away_is_left_as_it_was(end: Callable[[Scene], Rested], why: str):
+def test_what_does_not_rest_or_rolls_away_is_left_as_it_was(end: Callable[[Scene], SettledScene], why: str):
     scene = seen(scene_of(ball_on_the_ground()))
     after, report = close(scene, CONFIG, settled=end)
     assert after is scene
@@ -176,9 +176,9 @@ def test_only_groups_that_change_are_settled_and_each_is_kept_for_itself():
     scene = seen(scene_of(box(0, at=(0, 0, 0.05 + CONFIG.clearance)), *apart))
     given: list[list[int]] = []
 
-    def physics(scene: Scene) -> Rested:
+    def physics(scene: Scene) -> SettledScene:
         given.append([o.id for o in scene])
-        return Rested(scene=scene, restless=frozenset([2]))
+        return SettledScene(scene=scene, restless=frozenset([2]))
 
     after, _ = close(scene, replace(CONFIG, loss=1.0), settled=physics)
     assert given == [[1, 2], [2]], "what spoils its group twice is left alone"
@@ -212,12 +212,12 @@ def test_others_of_its_group_come_down_without_what_rolls_away():
     beside = replace(ball, id=1, T_world_object=pose(t=[2.05 * RADIUS, 0, 0]) @ ball.T_world_object)
     scene = seen(scene_of(ball, beside))
 
-    def physics(scene: Scene) -> Rested:
+    def physics(scene: Scene) -> SettledScene:
         """The first rolls whenever it is lowered."""
         o = next(o for o in scene if o.id == 0)
         if o.T_world_object[2, 3] < ball.T_world_object[2, 3] - 1e-6:
             scene = scene.with_objects(o.moved(pose(t=[-0.03, 0, 0]), stage="settle", reason="rolls"))
-        return Rested(scene=scene, restless=frozenset())
+        return SettledScene(scene=scene, restless=frozenset())
 
     after, report = close(scene, replace(CONFIG, apart=0.01, loss=0.3), settled=physics)
     assert gap(after, 0) == gap(scene, 0) and gap(after, 1) < 0.2 * gap(scene, 1)

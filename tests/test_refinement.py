@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from f3sr.core.transforms import pose
-from f3sr.refinement import RefineConfig, Rested, refine
+from f3sr.metrics.contact_groups import SettledScene
 from f3sr.scene import Scene
+from f3sr.stages.refine import RefineConfig, refine
 from f3sr.vision import rasterizer
 from scenes import box, scene_of
 
@@ -31,11 +32,11 @@ def shifted(scene: Scene, shifts: Mapping[int, float]) -> Scene:
 
 
 def refined(start: Scene, tried: Scene, *, restless: Collection[int] = (), before: Collection[int] = ()) -> Scene:
-    def again(_: Scene, ids: Collection[int]) -> Rested:
+    def again(_: Scene, ids: Collection[int]) -> SettledScene:
         kept = [tried[o.id] if o.id in ids else o for o in start]
-        return Rested(scene=start.with_objects(*kept), restless=frozenset(restless))
+        return SettledScene(scene=start.with_objects(*kept), restless=frozenset(restless))
 
-    state = Rested(scene=start, restless=frozenset(before))
+    state = SettledScene(scene=start, restless=frozenset(before))
     return refine(state, ONCE, parted=start, stood_up=again, realigned=again)[0]
 
 
@@ -60,12 +61,12 @@ def test_one_that_spoils_its_group_is_left_out_and_the_other_tried_alone(seen: S
     start = shifted(seen, {0: 0.03})
     calls: list[list[int]] = []
 
-    def again(scene: Scene, ids: Collection[int]) -> Rested:
+    def again(scene: Scene, ids: Collection[int]) -> SettledScene:
         calls.append(list(ids))
         tried = shifted(seen, {0: 0.0, 1: -0.42})
-        return Rested(scene=scene.with_objects(*(tried[id] for id in ids)), restless=frozenset())
+        return SettledScene(scene=scene.with_objects(*(tried[id] for id in ids)), restless=frozenset())
 
-    state = Rested(scene=start, restless=frozenset())
+    state = SettledScene(scene=start, restless=frozenset())
     after, report = refine(state, ONCE, parted=start, stood_up=again, realigned=again)
     assert calls == [[0, 1], [0]]
     assert [d.choice.rsplit(": ")[-1] for d in report.decisions] == ["rolled back", "accepted"]
@@ -76,11 +77,11 @@ def test_one_that_spoils_its_group_is_left_out_and_the_other_tried_alone(seen: S
 def test_a_round_without_gain_is_the_last(seen: Scene):
     calls: list[Collection[int]] = []
 
-    def again(scene: Scene, ids: Collection[int]) -> Rested:
+    def again(scene: Scene, ids: Collection[int]) -> SettledScene:
         calls.append(ids)
-        return Rested(scene=scene, restless=frozenset())
+        return SettledScene(scene=scene, restless=frozenset())
 
-    state = Rested(scene=seen, restless=frozenset())
+    state = SettledScene(scene=seen, restless=frozenset())
     scene, report = refine(state, RefineConfig(), parted=seen, stood_up=again, realigned=again)
     assert scene is seen and len(calls) == 1
     assert [d.choice for d in report.decisions] == ["re-alignment under contact: rolled back"]

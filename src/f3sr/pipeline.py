@@ -10,9 +10,9 @@ from pydantic import JsonValue
 from f3sr.background import BackgroundConfig
 from f3sr.background.inpainting import Inpainting
 from f3sr.io.inputs import Inputs
+from f3sr.metrics.contact_groups import SettledScene
 from f3sr.options import SKIPPABLE
 from f3sr.proxies import ProxyConfig
-from f3sr.refinement import RefineConfig, Rested, refine
 from f3sr.report import Report
 from f3sr.runtime.progress import Progress, silent
 from f3sr.runtime.result_store import Store, digest
@@ -27,6 +27,7 @@ from f3sr.stages.decompose import decompose
 from f3sr.stages.evaluate import EvaluateConfig, Evaluation, direct_composition, evaluate
 from f3sr.stages.inpaint import inpaint
 from f3sr.stages.level import LevelConfig, level
+from f3sr.stages.refine import RefineConfig, refine
 from f3sr.stages.relate import RelateConfig, describe, relate
 from f3sr.stages.separate import SeparateConfig, separate
 from f3sr.stages.settle import SettleStageConfig, restless, settle
@@ -162,12 +163,12 @@ def _refined(scene: Scene, config: Config, *, parted: Scene, settled: Report, cl
     parting = replace(config.separate, ground=False, margin=False)
     on_a_facet = replace(config.align, camera=False, facets=FacetConfig(most=config.refine.upright, loss=1.0))
 
-    def again(moved: Scene) -> Rested:
+    def again(moved: Scene) -> SettledScene:
         rested = _settled(separate(moved, parting)[0], config)
         return replace(rested, scene=_touching(rested, config)[0]) if closes else rested
 
     return refine(
-        Rested(scene=scene, restless=restless(settled, config.settle)),
+        SettledScene(scene=scene, restless=restless(settled, config.settle)),
         config.refine,
         parted=parted,
         stood_up=lambda scene, ids: again(align(scene, on_a_facet, only=ids)[0]),
@@ -176,17 +177,17 @@ def _refined(scene: Scene, config: Config, *, parted: Scene, settled: Report, cl
 
 
 def _closed(scene: Scene, config: Config, *, settled: Report) -> tuple[Scene, Report]:
-    return _touching(Rested(scene=scene, restless=restless(settled, config.settle)), config)
+    return _touching(SettledScene(scene=scene, restless=restless(settled, config.settle)), config)
 
 
-def _touching(rested: Rested, config: Config) -> tuple[Scene, Report]:
+def _touching(rested: SettledScene, config: Config) -> tuple[Scene, Report]:
     """``close`` with this pipeline's physics."""
     return close(rested.scene, config.close, settled=lambda scene: _settled(scene, config), restless=rested.restless)
 
 
-def _settled(scene: Scene, config: Config) -> Rested:
+def _settled(scene: Scene, config: Config) -> SettledScene:
     scene, report = settle(scene, config.settle)
-    return Rested(scene=scene, restless=restless(report, config.settle))
+    return SettledScene(scene=scene, restless=restless(report, config.settle))
 
 
 def _without(config: AlignConfig, skip: Collection[str]) -> AlignConfig:

@@ -17,10 +17,10 @@ from f3sr.contact.polytopes import Polytope
 from f3sr.contact.static_bodies import supports_first
 from f3sr.contact.vertical_gap import Meeting, meeting
 from f3sr.core.transforms import UP, Array, pose, transform
+from f3sr.metrics.contact_groups import SettledScene, groups_of
 from f3sr.metrics.measures import visible_ious
 from f3sr.proxies import trim
 from f3sr.proxies.trim import Near, Place, Surface
-from f3sr.refinement import Rested, groups_of
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.settings import settings
@@ -66,7 +66,7 @@ def close(
     scene: Scene,
     config: CloseConfig | None = None,
     *,
-    settled: Callable[[Scene], Rested],
+    settled: Callable[[Scene], SettledScene],
     restless: Collection[int] = (),
 ) -> tuple[Scene, Report]:
     """Lower what nowhere touches what it rests on, and settle it, until everything touches.
@@ -109,7 +109,7 @@ def _gap(o: SceneObject, scene: Scene) -> float:
 
 
 def _better(
-    before: Scene, tried: Scene, changed: frozenset[int], config: CloseConfig, settled: Callable[[Scene], Rested]
+    before: Scene, tried: Scene, changed: frozenset[int], config: CloseConfig, settled: Callable[[Scene], SettledScene]
 ) -> tuple[Scene, list[Decision], frozenset[int]]:
     """``before`` with those groups of objects as tried, once settled, that rest and are still seen; and which objects
     spoil the others. What has no part in it is not settled again."""

@@ -12,9 +12,9 @@ import numpy as np
 from f3sr.metrics.measures import full_silhouette
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene, SceneObject
-from f3sr.stages.align.camera import align_camera
+from f3sr.stages.align.camera_pose import align_camera
 from f3sr.stages.align.config import AlignConfig as AlignConfig
-from f3sr.stages.align.objects import View, align_object
+from f3sr.stages.align.object_pose import View, align_object
 from f3sr.vision.decimated import outlined
 from f3sr.vision.occlusion import nearer_objects, visible_region
 from f3sr.vision.silhouette import iou, resample

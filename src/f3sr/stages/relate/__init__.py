@@ -9,10 +9,10 @@ from f3sr.report import Decision, Measure, Report
 from f3sr.scene import GROUND, Scene, SceneObject, Support, name_of
 from f3sr.stages.relate.config import RelateConfig
 from f3sr.stages.relate.given import Given, canonical, held_against
-from f3sr.stages.relate.graph import Judged, graph_of
 from f3sr.stages.relate.known import Known
 from f3sr.stages.relate.leaning import rests_on
-from f3sr.stages.relate.shares import Carried, carried, without_circles
+from f3sr.stages.relate.load_shares import Carried, carried, without_circles
+from f3sr.stages.relate.scene_graph import Judged, graph_of
 from f3sr.stages.relate.supports import Candidate, candidates, forest, likelihood
 from f3sr.stages.relate.unseen import hangs
 

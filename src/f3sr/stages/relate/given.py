@@ -10,9 +10,9 @@ import numpy as np
 
 from f3sr.report import Decision
 from f3sr.scene import GROUND, Predicate, Relation, SceneGraph, name_of
-from f3sr.stages.relate.inside import surrounded
+from f3sr.stages.relate.containment import surrounded
+from f3sr.stages.relate.depth_order import INVERSE, SYMMETRIC, both_ways
 from f3sr.stages.relate.known import Known
-from f3sr.stages.relate.order import INVERSE, SYMMETRIC, both_ways
 from f3sr.stages.relate.supports import Candidate, above, object_contact
 
 FIRST = -100.0

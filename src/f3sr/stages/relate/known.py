@@ -11,7 +11,7 @@ import numpy as np
 from f3sr.core.transforms import Array
 from f3sr.scene import GROUND, Scene
 from f3sr.stages.relate.config import RelateConfig
-from f3sr.stages.relate.picture import Common, Picture
+from f3sr.stages.relate.image_evidence import Common, Picture
 from f3sr.stages.relate.surfaces import Plan, Surfaces, near_in_plan, surfaces_of
 
 NEAR = 0.5

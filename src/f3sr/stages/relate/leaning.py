@@ -6,9 +6,9 @@ from collections.abc import Collection, Mapping
 
 from f3sr.core.transforms import Array
 from f3sr.scene import GROUND, Relation
-from f3sr.stages.relate.beside import Nearest, smaller_size, touches
 from f3sr.stages.relate.known import Known
-from f3sr.stages.relate.shares import Carried, outside_of
+from f3sr.stages.relate.load_shares import Carried, outside_of
+from f3sr.stages.relate.proximity import Nearest, smaller_size, touches
 
 
 def leaning(

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array
 from f3sr.scene import Node, SceneObject
-from f3sr.stages.relate.inside import rims
+from f3sr.stages.relate.containment import rims
 from f3sr.stages.relate.known import Known
 from f3sr.stages.relate.surfaces import Surfaces
 

@@ -11,8 +11,8 @@ from scipy.special import ndtr
 from f3sr.core.transforms import Array
 from f3sr.scene import GROUND, SceneObject
 from f3sr.stages.relate.config import RelateConfig
+from f3sr.stages.relate.image_evidence import Common
 from f3sr.stages.relate.known import Known
-from f3sr.stages.relate.picture import Common
 from f3sr.stages.relate.surfaces import Plan, Surfaces
 
 RAY_STEPS = 16

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene, name_of
-from f3sr.stages.separate.apart import part, take_beside
 from f3sr.stages.separate.config import SeparateConfig
-from f3sr.stages.separate.layout import Layout
-from f3sr.stages.separate.seating import grounded, seat
+from f3sr.stages.separate.overlaps import part, take_beside
+from f3sr.stages.separate.placement import Layout
+from f3sr.stages.separate.stability_shifts import steady
 from f3sr.stages.separate.standing import stand
-from f3sr.stages.separate.steady import steady
+from f3sr.stages.separate.support_contact import grounded, seat
 
 __all__ = ["SeparateConfig", "separate"]
 

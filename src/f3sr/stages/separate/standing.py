@@ -17,8 +17,8 @@ from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 from f3sr.report import Decision
 from f3sr.scene import GROUND, SceneObject
 from f3sr.stages.separate.config import SeparateConfig
-from f3sr.stages.separate.layout import Layout, Saved, supports_first, supports_of
-from f3sr.stages.separate.seating import gap
+from f3sr.stages.separate.placement import Layout, Saved, supports_first, supports_of
+from f3sr.stages.separate.support_contact import gap
 
 STILL = 1e-3
 """Turn [rad] that is not worth laying an object down."""

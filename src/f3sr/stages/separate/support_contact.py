@@ -11,7 +11,7 @@ from f3sr.contact import polytopes
 from f3sr.core.transforms import UP, pose
 from f3sr.scene import GROUND, Scene
 from f3sr.stages.separate.config import SeparateConfig
-from f3sr.stages.separate.layout import Layout, moved, supports_first
+from f3sr.stages.separate.placement import Layout, moved, supports_first
 
 RAY_STEPS = 10
 """Places to either side that are tried along the viewing rays before the best is refined."""

@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
-from itertools import combinations
+from dataclasses import field
 from typing import Annotated
 
 import numpy as np
 from annotated_types import Interval
 
-from f3sr.core.transforms import Array, rotation_angle
-from f3sr.metrics.measures import mean_over_masks, visible_ious
+from f3sr.core.transforms import rotation_angle
+from f3sr.metrics.contact_groups import SettledScene, groups_of
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene, SceneObject
 from f3sr.settings import settings
@@ -61,30 +59,12 @@ class RefineConfig:
     )
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Rested:
-    """A scene after settling, and which of its objects do not rest."""
-
-    scene: Scene
-    restless: frozenset[int]
-
-    @cached_property
-    def ious(self) -> Mapping[int, float]:
-        """Of every object's visible pixels with its mask, by id."""
-        return visible_ious(self.scene)
-
-    @property
-    def seen(self) -> float:
-        """mIoU_visible."""
-        return mean_over_masks(self.ious, self.scene)
-
-
-Retried = Callable[[Scene, Collection[int]], Rested]
+Retried = Callable[[Scene, Collection[int]], SettledScene]
 """Moves some objects of a scene and settles all of it."""
 
 
 def refine(
-    state: Rested, config: RefineConfig, *, parted: Scene, stood_up: Retried, realigned: Retried
+    state: SettledScene, config: RefineConfig, *, parted: Scene, stood_up: Retried, realigned: Retried
 ) -> tuple[Scene, Report]:
     """Stand up what toppled since ``parted`` (before physics), then align again what rests, until nothing gains."""
     before = state.seen
@@ -107,8 +87,8 @@ def refine(
 
 
 def _round(
-    state: Rested, ids: Sequence[int], realigned: Retried, config: RefineConfig
-) -> tuple[Rested, list[Decision]]:
+    state: SettledScene, ids: Sequence[int], realigned: Retried, config: RefineConfig
+) -> tuple[SettledScene, list[Decision]]:
     """Some objects re-aligned; then, of groups that were undone, those that would gain alone."""
     step = "re-alignment under contact" + (f" of {_named(ids)}" if len(ids) < len(state.scene.objects) else "")
     tried = realigned(state.scene, ids)
@@ -127,8 +107,8 @@ def _named(ids: Sequence[int]) -> str:
 
 
 def _better(
-    state: Rested, tried: Rested, ids: Sequence[int], step: str, config: RefineConfig
-) -> tuple[Rested, Decision, list[int]]:
+    state: SettledScene, tried: SettledScene, ids: Sequence[int], step: str, config: RefineConfig
+) -> tuple[SettledScene, Decision, list[int]]:
     """``state`` with every group of ``tried`` that shows more of the photo, and rests unless it did not before; and
     which of the ``ids`` that were tried were undone."""
     was, now = state.ious, tried.ious
@@ -139,7 +119,7 @@ def _better(
         if g.intersection(ids) and _gain(g, was, now) > config.gain and g & tried.restless <= state.restless
     ]
     changed = {id for g in kept for id in g}
-    mixed = Rested(
+    mixed = SettledScene(
         scene=state.scene.with_objects(*(tried.scene[id] for id in sorted(changed))),
         restless=frozenset(state.restless - changed | tried.restless & changed),
     )
@@ -161,7 +141,7 @@ def _gain(group: Collection[int], was: Mapping[int, float], now: Mapping[int, fl
     return float(np.mean([now[id] - was[id] for id in group]))
 
 
-def _would_gain(state: Rested, tried: Rested, undone: Sequence[int], gain: float) -> list[int]:
+def _would_gain(state: SettledScene, tried: SettledScene, undone: Sequence[int], gain: float) -> list[int]:
     """Objects that show more of their masks in a state that was undone, without what will not rest there and all that
     carries it or is carried by it."""
     before, after = state.scene, tried.scene
@@ -171,34 +151,6 @@ def _would_gain(state: Rested, tried: Rested, undone: Sequence[int], gain: float
         for k in (*after.ancestors(id), *after.subtree(id), *before.ancestors(id))
     }
     return [id for id in undone if tried.ious[id] > state.ious[id] + gain and id not in bound]
-
-
-def groups_of(before: Scene, after: Scene, apart: float) -> list[set[int]]:
-    """Objects that come near each other in either scene, or one in its old and the other in its new place."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    ids = [o.id for o in before]
-    boxes = [[_boxes(scene[id]) for id in ids] for scene in (before, after)]
-    pairs = [
-        (i, j)
-        for i, j in combinations(range(len(ids)), 2)
-        if any(_are_near(a[i], b[j], apart) for a in boxes for b in boxes)
-    ]
-    rows, columns = np.array(pairs, int).reshape(-1, 2).T
-    links = coo_array((np.ones(len(rows)), (rows, columns)), shape=(len(ids), len(ids)))
-    count, group = connected_components(links, directed=False)
-    return [{ids[i] for i in np.flatnonzero(group == k)} for k in range(count)]
-
-
-def _boxes(o: SceneObject) -> Array:
-    """Boxes (n, 2, 3) of an object's convex parts."""
-    return np.array([[p.vertices.min(0), p.vertices.max(0)] for p in o.colliders_world] or [o.bounds_world])
-
-
-def _are_near(a: Array, b: Array, apart: float) -> bool:
-    between = np.maximum(a[:, None, 0] - b[None, :, 1], b[None, :, 0] - a[:, None, 1])
-    return bool((between < apart).all(-1).any())
 
 
 def _turn(a: SceneObject, b: SceneObject) -> float:

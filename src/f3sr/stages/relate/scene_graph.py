@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from f3sr.scene import GROUND, Relation, Scene, SceneGraph, SceneObject, Support
-from f3sr.stages.relate.beside import Nearest, nearest, next_to, touching
+from f3sr.stages.relate.containment import inside
+from f3sr.stages.relate.depth_order import depth_order, ids_of, overlaps
 from f3sr.stages.relate.given import FIRST, Given, with_found, with_given
-from f3sr.stages.relate.inside import inside
 from f3sr.stages.relate.known import Known
 from f3sr.stages.relate.leaning import leaning, rests_on
+from f3sr.stages.relate.load_shares import Carried
 from f3sr.stages.relate.nodes import nodes
-from f3sr.stages.relate.order import depth_order, ids_of, overlaps
-from f3sr.stages.relate.shares import Carried
+from f3sr.stages.relate.proximity import Nearest, nearest, next_to, touching
 from f3sr.stages.relate.supports import Candidate, likelihood
 
 FROM_GEOMETRY = "geometry and masks"

@@ -10,9 +10,9 @@ from f3sr.contact.stability import stability, stands
 from f3sr.contact.stabilize import balance
 from f3sr.contact.static_bodies import bodies_of
 from f3sr.report import Decision, Measure
-from f3sr.stages.separate.apart import weight_of
 from f3sr.stages.separate.config import SeparateConfig
-from f3sr.stages.separate.layout import Layout
+from f3sr.stages.separate.overlaps import weight_of
+from f3sr.stages.separate.placement import Layout
 
 
 def steady(layout: Layout, config: SeparateConfig) -> tuple[list[Measure], list[Decision]]:

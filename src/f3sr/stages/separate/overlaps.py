@@ -13,7 +13,7 @@ from f3sr.core.transforms import UP, Array
 from f3sr.report import Decision
 from f3sr.scene import GROUND, Scene, name_of
 from f3sr.stages.separate.config import SeparateConfig
-from f3sr.stages.separate.layout import Layout, supports_of
+from f3sr.stages.separate.placement import Layout, supports_of
 
 UNFELT = 0.1
 """IoU that a move by its own size costs an object in directions which the picture does not feel."""

@@ -1,0 +1,60 @@
+"""Objects that come near each other, and settled scenes that are compared group by group."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+
+from f3sr.core.transforms import Array
+from f3sr.metrics.measures import mean_over_masks, visible_ious
+from f3sr.scene import Scene, SceneObject
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SettledScene:
+    """A scene after settling, and which of its objects do not rest."""
+
+    scene: Scene
+    restless: frozenset[int]
+
+    @cached_property
+    def ious(self) -> Mapping[int, float]:
+        """Of every object's visible pixels with its mask, by id."""
+        return visible_ious(self.scene)
+
+    @property
+    def seen(self) -> float:
+        """mIoU_visible."""
+        return mean_over_masks(self.ious, self.scene)
+
+
+def groups_of(before: Scene, after: Scene, apart: float) -> list[set[int]]:
+    """Objects that come near each other in either scene, or one in its old and the other in its new place."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    ids = [o.id for o in before]
+    boxes = [[_boxes(scene[id]) for id in ids] for scene in (before, after)]
+    pairs = [
+        (i, j)
+        for i, j in combinations(range(len(ids)), 2)
+        if any(_are_near(a[i], b[j], apart) for a in boxes for b in boxes)
+    ]
+    rows, columns = np.array(pairs, int).reshape(-1, 2).T
+    links = coo_array((np.ones(len(rows)), (rows, columns)), shape=(len(ids), len(ids)))
+    count, group = connected_components(links, directed=False)
+    return [{ids[i] for i in np.flatnonzero(group == k)} for k in range(count)]
+
+
+def _boxes(o: SceneObject) -> Array:
+    """Boxes (n, 2, 3) of an object's convex parts."""
+    return np.array([[p.vertices.min(0), p.vertices.max(0)] for p in o.colliders_world] or [o.bounds_world])
+
+
+def _are_near(a: Array, b: Array, apart: float) -> bool:
+    between = np.maximum(a[:, None, 0] - b[None, :, 1], b[None, :, 0] - a[:, None, 1])
+    return bool((between < apart).all(-1).any())
