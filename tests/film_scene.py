@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array
 from f3sr.film import make_film
-from f3sr.goals.play import Played, simulate_goal
+from f3sr.play.goal_loop import Played, simulate_goal
 from f3sr.scene import Photo, Scene
 from f3sr.scene_package.package import Package
 from f3sr.vision import rasterizer

@@ -15,9 +15,9 @@ import pytest
 
 from f3sr import cli
 from f3sr.errors import InputError, OutputError
-from f3sr.goals.deliver import read_plan, write_film, write_next, write_played
-from f3sr.goals.files import FILMS, PLAN
-from f3sr.goals.play import Played, simulate_goal
+from f3sr.goals.file_names import FILMS, PLAN
+from f3sr.play.goal_loop import Played, simulate_goal
+from f3sr.play.rollout_folder import read_plan, write_film, write_next, write_played
 from f3sr.runtime.atomic_folder import claimed
 from f3sr.scene_package.package import prepare_output, read_package, write_package
 from folders import write_folder
@@ -401,7 +401,7 @@ def test_an_impossible_place_is_told_before_any_work(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("f3sr.goals.play.simulate_goal", lambda *_: pytest.fail("played"))
+    monkeypatch.setattr("f3sr.play.goal_loop.simulate_goal", lambda *_: pytest.fail("played"))
     monkeypatch.setattr("f3sr.pipeline.reconstruct", lambda *_, **__: pytest.fail("reconstructed"))
     write_folder(tmp_path / "input")
     out = str(tmp_path / way(tmp_path))

@@ -23,8 +23,8 @@ from f3sr.errors import OutputError
 from f3sr.film.captions import captioned, slowed
 from f3sr.film.filmed import FilmConfig, Studio, film_played
 from f3sr.film.held import Held
-from f3sr.goals.files import FILM, FILMS, PLAN, ROLLOUT, STRIP, VERDICT
-from f3sr.goals.play import Played, simulate_goal
+from f3sr.goals.file_names import FILM, FILMS, PLAN, ROLLOUT, STRIP, VERDICT
+from f3sr.play.goal_loop import Played, simulate_goal
 from f3sr.scene import Scene
 from f3sr.scene_package.package import Package
 from goal_scene import BALL, CAN, CRATE, goal_package, goal_scene

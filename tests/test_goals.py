@@ -17,12 +17,9 @@ import pytest
 
 from f3sr.core.transforms import Array, pose
 from f3sr.errors import InputError, OutputError
-from f3sr.goals import deliver
 from f3sr.goals.checks import PlanError, faults_of
-from f3sr.goals.language import Launch, Tried
-from f3sr.goals.layout import Layout
-from f3sr.goals.limits import limits_of
-from f3sr.goals.menu import menu
+from f3sr.goals.language_protocol import Launch, Tried
+from f3sr.goals.launch_limits import limits_of
 from f3sr.goals.plan import (
     Contact,
     Displaced,
@@ -36,17 +33,20 @@ from f3sr.goals.plan import (
     Velocity,
     to_json,
 )
-from f3sr.goals.play import Played, replay_plan, simulate_goal
-from f3sr.goals.reasoner import declared, semantics_of
 from f3sr.goals.refusal import Refusal
 from f3sr.goals.rollout import to_npz
-from f3sr.goals.rules import Rules
-from f3sr.goals.setting import Setting
+from f3sr.goals.scene_layout import Layout
 from f3sr.goals.simulate import simulate
-from f3sr.goals.trial import LINGERS, ROLLOUTS, SHORTEST, Still, Trials
 from f3sr.goals.verify import VerdictDocument, verify
 from f3sr.goals.verify import to_json as verdict_json
+from f3sr.language.capabilities import menu
+from f3sr.language.reasoner import declared, semantics_of
+from f3sr.launches.launch_context import Setting
 from f3sr.physics.mujoco_model import body_of
+from f3sr.play import rollout_folder
+from f3sr.play.goal_loop import Played, replay_plan, simulate_goal
+from f3sr.play.rule_based_language import Rules
+from f3sr.play.trials import LINGERS, ROLLOUTS, SHORTEST, Still, Trials
 from f3sr.runtime import atomic_folder
 from f3sr.scene import GROUND, Scene, Support
 from f3sr.scene_package.package import Package
@@ -498,7 +498,7 @@ def test_hostile_plans_are_told_in_one_line(package: Package, tmp_path: Path, ch
     file = tmp_path / "plan.json"
     file.write_bytes(change(to_json(played(package, "knock over the cereal box").plan)))
     with pytest.raises(InputError, match=message) as error:
-        deliver.read_plan(file)
+        rollout_folder.read_plan(file)
     assert str(error.value).isprintable()
 
 
@@ -523,16 +523,16 @@ def test_a_write_that_fails_leaves_nothing(package: Package, tmp_path: Path, mon
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(deliver.verify, "to_json", full)
+        patch.setattr(rollout_folder.verify, "to_json", full)
         with pytest.raises(OutputError, match="no space"):
-            deliver.write_played(found, out)
+            rollout_folder.write_played(found, out)
     assert not list(tmp_path.iterdir())
-    deliver.write_played(found, out)
+    rollout_folder.write_played(found, out)
     before = (out / "rollout.npz").read_bytes()
     with monkeypatch.context() as patch:
-        patch.setattr(deliver.verify, "to_json", full)
+        patch.setattr(rollout_folder.verify, "to_json", full)
         with pytest.raises(OutputError):
-            deliver.write_played(found, out, overwrite=True)
+            rollout_folder.write_played(found, out, overwrite=True)
     assert [p.name for p in tmp_path.iterdir()] == ["out"] and (out / "rollout.npz").read_bytes() == before
     assert sorted(p.name for p in out.iterdir()) == ["plan.json", "rollout.npz", "verdict.json"]
 
@@ -541,7 +541,7 @@ def test_processes_that_write_at_once_get_numbers_of_their_own(package: Package,
     found = played(package, "knock over the cereal box")
     folder = goal_package(tmp_path / "package").folder
     with ThreadPoolExecutor(4) as pool:
-        places = list(pool.map(lambda _: deliver.write_next(found, folder), range(8)))
+        places = list(pool.map(lambda _: rollout_folder.write_next(found, folder), range(8)))
     assert sorted(int(p.name) for p in places) == list(range(1, 9))
     assert {p.name for p in (folder / "rollouts").iterdir()} == {str(k) for k in range(1, 9)}
 
@@ -554,7 +554,7 @@ def test_what_a_killed_process_left_is_cleared_and_what_another_holds_is_not(pac
         (building / "new").mkdir(parents=True)
     (left / atomic_folder.MARKER).touch()
     with atomic_folder.claimed(folder / "rollouts" / "3", lambda _: None) as held:
-        assert deliver.write_next(found, folder).name == "4"
+        assert rollout_folder.write_next(found, folder).name == "4"
         held.write("x", b"")
         held.replace()
     assert sorted(p.name for p in (folder / "rollouts").iterdir()) == [".2.building", "3", "4"]

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from f3sr.core.transforms import Array
-from f3sr.goals import launch
 from f3sr.goals.plan import Velocity
 from f3sr.goals.simulate import simulate
+from f3sr.launches import ballistics
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import SceneObject
 from scenes import box, scene_of
@@ -20,23 +20,23 @@ STARTS = [(np.array([0.1, 0.2, 0.05]), np.array([0.7, -0.3, z])) for z in (0.0, 
 
 
 def flown(start: Array, velocity: Array, seconds: float) -> Array:
-    return start + velocity * seconds - np.array([0, 0, launch.GRAVITY / 2]) * seconds**2
+    return start + velocity * seconds - np.array([0, 0, ballistics.GRAVITY / 2]) * seconds**2
 
 
 @pytest.mark.parametrize(("start", "target"), STARTS)
 def test_a_throw_arrives_over_its_apex(start: Array, target: Array) -> None:
-    velocity, seconds = launch.throw(start, target, 0.6)
+    velocity, seconds = ballistics.throw(start, target, 0.6)
     assert np.allclose(flown(start, velocity, seconds), target)
-    assert flown(start, velocity, velocity[2] / launch.GRAVITY)[2] == pytest.approx(0.6)
+    assert flown(start, velocity, velocity[2] / ballistics.GRAVITY)[2] == pytest.approx(0.6)
     with pytest.raises(ValueError, match="an apex above"):
-        launch.throw(start, target, float(min(start[2], target[2])))
+        ballistics.throw(start, target, float(min(start[2], target[2])))
 
 
 @pytest.mark.parametrize(("start", "target"), STARTS)
 @pytest.mark.parametrize("restitution", [0.4, 0.8])
 def test_a_bounce_arrives_after_one_bounce(start: Array, target: Array, restitution: float) -> None:
-    velocity, seconds = launch.bounce(start, target, 0.03, restitution, 0.5)
-    up, g = velocity[2], launch.GRAVITY
+    velocity, seconds = ballistics.bounce(start, target, 0.03, restitution, 0.5)
+    up, g = velocity[2], ballistics.GRAVITY
     first = (up + math.sqrt(up**2 + 2 * g * (start[2] - 0.03))) / g
     landed = flown(start, velocity, first)
     assert landed[2] == pytest.approx(0.03)
@@ -46,7 +46,7 @@ def test_a_bounce_arrives_after_one_bounce(start: Array, target: Array, restitut
 
 
 def test_what_falls_from_high_bounces_higher() -> None:
-    velocity, _ = launch.bounce(np.array([0, 0, 2.0]), np.array([0.3, 0, 0.1]), 0.0, 0.8, 0.3)
+    velocity, _ = ballistics.bounce(np.array([0, 0, 2.0]), np.array([0.3, 0, 0.1]), 0.0, 0.8, 0.3)
     assert velocity[2] == 0 and velocity[0] > 0
 
 
@@ -55,7 +55,9 @@ def toppling(o: SceneObject, surplus: float) -> float:
     body, R = body_of(o), o.T_world_object[:3, :3]
     corners = np.concatenate([p.vertices for p in o.colliders_world])
     center = R @ body.center + o.T_world_object[:3, 3]
-    twist = launch.topple(corners, center, R @ body.inertia @ R.T, body.mass, np.array([1.0, 0, 0]), surplus=surplus)
+    twist = ballistics.topple(
+        corners, center, R @ body.inertia @ R.T, body.mass, np.array([1.0, 0, 0]), surplus=surplus
+    )
     assert twist is not None
     scene = scene_of(o)
     velocity = Velocity(id=o.id, linear=tuple(twist.linear.tolist()), angular=tuple(twist.angular.tolist()))
@@ -74,5 +76,5 @@ def test_just_enough_topples_and_less_does_not(size: tuple[float, float, float])
 
 def test_what_hangs_over_falls_by_itself() -> None:
     corners = np.array([[x, y, z] for x in (0, 0.1) for y in (0, 0.1) for z in (0, 0.1)])
-    over = launch.topple(corners, np.array([0.2, 0.05, 0.05]), np.eye(3), 1.0, np.array([1.0, 0, 0]), surplus=1.5)
+    over = ballistics.topple(corners, np.array([0.2, 0.05, 0.05]), np.eye(3), 1.0, np.array([1.0, 0, 0]), surplus=1.5)
     assert over is None

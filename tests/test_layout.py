@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from f3sr.goals.layout import Layout, way_between
-from f3sr.goals.pool import pool_of
-from f3sr.goals.setting import Aim
+from f3sr.goals.cavity import pool_of
+from f3sr.goals.scene_layout import Layout, way_between
+from f3sr.launches.launch_context import Aim
 from f3sr.scene import GROUND
 from goal_scene import BALL, BLOCK, CAN, CARTON, CRATE, LID, goal_scene
 

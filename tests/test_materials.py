@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from f3sr.goals.materials import material_of
+from f3sr.language.materials import material_of
 
 
 @pytest.mark.parametrize(

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from f3sr.core.transforms import T_UP_FROM_CAMERA, rotation_about
-from f3sr.goals.colours import BASIC, colours
-from f3sr.goals.directions import Direction, world_vector
-from f3sr.goals.names import Named, names, resolve, resolve_request
-from f3sr.goals.nouns import distance, singular
 from f3sr.goals.refusal import Refusal
-from f3sr.goals.request import Request
+from f3sr.language.grammar.colours import BASIC, colours
+from f3sr.language.grammar.directions import Direction, world_vector
+from f3sr.language.grammar.noun_lexicon import distance, singular
+from f3sr.language.grammar.request import Request
+from f3sr.language.reference_resolution import Named, names, resolve, resolve_request
 from f3sr.scene import GROUND, Node, Scene, SceneGraph
 from laid_table import RGB, camera_of, mirrored, painted, relabelled, table, thing
 

@@ -24,7 +24,7 @@ from f3sr.cli import main
 from f3sr.core.mesh import ConvexPart, Material, Mesh
 from f3sr.core.transforms import pose, rotation_about, transform
 from f3sr.errors import InputError, OutputError
-from f3sr.goals.limits import limits_of
+from f3sr.goals.launch_limits import limits_of
 from f3sr.io.mesh_files import load_mesh, load_part, save_glb
 from f3sr.physics.mujoco_model import build_spec
 from f3sr.physics.release import release

@@ -9,12 +9,12 @@ from typing import Any, get_args
 
 import pytest
 
-from f3sr.goals.amounts import Amount
-from f3sr.goals.names import Named, resolve_request
 from f3sr.goals.plan import Kind
 from f3sr.goals.refusal import Refusal
-from f3sr.goals.request import Outcome, Request
-from f3sr.goals.words import understand
+from f3sr.language.grammar.parser import understand
+from f3sr.language.grammar.quantities import Amount
+from f3sr.language.grammar.request import Outcome, Request
+from f3sr.language.reference_resolution import Named, resolve_request
 from laid_table import table
 
 

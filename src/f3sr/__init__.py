@@ -18,7 +18,7 @@ _PUBLIC = {
     "InputError": "f3sr.errors",
     "Mesh": "f3sr.core.mesh",
     "OutputError": "f3sr.errors",
-    "Played": "f3sr.goals.play",
+    "Played": "f3sr.play.goal_loop",
     "Refusal": "f3sr.goals.refusal",
     "Reconstruction": "f3sr.pipeline",
     "Scene": "f3sr.scene",
@@ -31,11 +31,11 @@ _PUBLIC = {
     "read_inputs": "f3sr.io.inputs",
     "read_package": "f3sr.scene_package.package",
     "reconstruct": "f3sr.pipeline",
-    "replay_plan": "f3sr.goals.play",
-    "simulate_goal": "f3sr.goals.play",
-    "write_film": "f3sr.goals.deliver",
+    "replay_plan": "f3sr.play.goal_loop",
+    "simulate_goal": "f3sr.play.goal_loop",
+    "write_film": "f3sr.play.rollout_folder",
     "write_package": "f3sr.scene_package.package",
-    "write_played": "f3sr.goals.deliver",
+    "write_played": "f3sr.play.rollout_folder",
 }
 
 __all__ = ["__version__", *sorted(_PUBLIC)]  # pyright: ignore[reportUnsupportedDunderAll]

@@ -16,8 +16,8 @@ from f3sr.runtime.daemon_thread import begun
 
 if TYPE_CHECKING:
     from f3sr.film.filmed import Studio
-    from f3sr.goals.play import Played
     from f3sr.goals.refusal import Refusal
+    from f3sr.play.goal_loop import Played
     from f3sr.scene_package.package import Package
 
 Folder = Positional[Path]
@@ -94,13 +94,13 @@ def film(rollout: Folder, /, package: Path | None = None, slow: float = 1.0, jso
         slow: How many times slower than life.
         json: Print one JSON object instead of text.
     """
-    from f3sr.goals import deliver
-    from f3sr.goals.play import Played
     from f3sr.goals.verify import verify
+    from f3sr.play import rollout_folder
+    from f3sr.play.goal_loop import Played
 
     _require_slow(slow)
-    found = deliver.read_played(rollout, package)
-    place = deliver.require_film_place(rollout)
+    found = rollout_folder.read_played(rollout, package)
+    place = rollout_folder.require_film_place(rollout)
     verdict = verify(found.package.scene, found.plan, found.rollout)
     played = Played(plan=found.plan, rollout=found.rollout, verdict=verdict)
     told = _film(lambda: _studio(found.package, slow), played, place)
@@ -141,8 +141,8 @@ def _studio(content: Package, slow: float) -> Studio:
 
 def _film(studio: Callable[[], Studio], played: Played, place: Path) -> dict[str, Any]:
     """Film what was played, write it, and tell of it as plain values."""
-    from f3sr.goals.deliver import write_film
-    from f3sr.goals.files import FILM
+    from f3sr.goals.file_names import FILM
+    from f3sr.play.rollout_folder import write_film
 
     start = time.perf_counter()
     made = studio().film(played)
@@ -158,7 +158,7 @@ def _film(studio: Callable[[], Studio], played: Played, place: Path) -> dict[str
 
 def _film_lines(told: dict[str, Any], known: Container[str]) -> Iterator[str]:
     """What was decided for a film, but for what is ``known``, and where it is."""
-    from f3sr.goals.files import PLAYER
+    from f3sr.goals.file_names import PLAYER
 
     yield from (f"decided:   {decision}" for decision in told["decisions"] if decision not in known)
     width, height = told["size"]
@@ -176,7 +176,7 @@ def goals(package: Folder, /, json: bool = False) -> None:
     from dataclasses import asdict
 
     from f3sr import console
-    from f3sr.goals.menu import menu
+    from f3sr.language.capabilities import menu
     from f3sr.scene_package.package import read_package
 
     entries = menu(read_package(package).scene)
@@ -200,7 +200,7 @@ def _require_goals(goals: Sequence[str], plan: Path | None) -> None:
 
 def _places(out: Path | None, package: Path, count: int, overwrite: bool) -> list[Path] | list[None]:
     """Where rollouts go, checked; None for the package's next number."""
-    from f3sr.goals.deliver import PLAN, require_next, require_place
+    from f3sr.play.rollout_folder import PLAN, require_next, require_place
 
     if out is None:
         require_next(package)
@@ -216,9 +216,9 @@ def _played(
     content: Package, goals: Sequence[str], plan: Path | None, places: Sequence[Path | None], overwrite: bool
 ) -> Iterator[tuple[Played | Refusal, Path | None, str, float]]:
     """Every goal played and written as soon as it is, with its place, words and seconds."""
-    from f3sr.goals.deliver import read_plan, write_next, write_played
-    from f3sr.goals.play import replay_plan, simulate_goal
     from f3sr.goals.refusal import Refusal
+    from f3sr.play.goal_loop import replay_plan, simulate_goal
+    from f3sr.play.rollout_folder import read_plan, write_next, write_played
 
     read = None if plan is None else read_plan(plan)
     for goal, place in zip([read.goal] if read else goals, places, strict=True):

@@ -14,7 +14,7 @@ from f3sr.film.player import player
 from f3sr.film.strip import Title, strip
 from f3sr.film.times import factor, finer, rate_of
 from f3sr.film.video import Picture, Video, encode
-from f3sr.goals.files import FILM, FILMS, PLAYER, STRIP
+from f3sr.goals.file_names import FILM, FILMS, PLAYER, STRIP
 from f3sr.goals.plan import Plan
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.verify import Verdict

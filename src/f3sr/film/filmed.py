@@ -15,7 +15,7 @@ from f3sr.background import complete_background
 from f3sr.core.transforms import transform
 from f3sr.film import make_film
 from f3sr.film.held import Held
-from f3sr.goals.play import Played
+from f3sr.play.goal_loop import Played
 from f3sr.rendering import RenderConfig, Renderer
 from f3sr.scene import Photo, Scene, SceneObject
 from f3sr.scene_package.package import Package

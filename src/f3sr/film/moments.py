@@ -12,7 +12,7 @@ from f3sr.core.transforms import Array
 from f3sr.film.words import clock, happened, metres, named
 from f3sr.goals.plan import Contact, Displaced, Height, Plan, Rolled
 from f3sr.goals.rollout import Rollout
-from f3sr.goals.seen import Seen
+from f3sr.goals.rollout_queries import Seen
 from f3sr.goals.verify import Verdict
 from f3sr.scene import GROUND, Scene
 

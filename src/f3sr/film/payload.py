@@ -15,7 +15,7 @@ from f3sr.film.timeline import pairs_of
 from f3sr.film.video import Video
 from f3sr.goals.plan import Plan
 from f3sr.goals.rollout import Rollout
-from f3sr.goals.seen import Seen
+from f3sr.goals.rollout_queries import Seen
 from f3sr.goals.verify import Verdict
 from f3sr.scene import Scene
 from f3sr.web.document import data

@@ -18,7 +18,7 @@ from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, vector_from_rotation
 from f3sr.goals import plan as p
 from f3sr.goals.rollout import Rollout
-from f3sr.goals.seen import Seen, outside, parts_of
+from f3sr.goals.rollout_queries import Seen, outside, parts_of
 from f3sr.scene import GROUND, Scene
 
 Unit = Literal["m", "rad", "m/s", "s"]

@@ -1,0 +1,198 @@
+"""Where things are in a scene, for whoever sets one off: outlines, free ways, tops, friction, the photo's frame."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from f3sr.core.transforms import UP, Array, transform
+from f3sr.goals.cavity import Pool, pool_of
+from f3sr.physics import mujoco_model
+from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, Body, engine
+from f3sr.physics.restitution import solref
+from f3sr.scene import GROUND, Scene
+
+ROUND = 0.24
+"""Share by which the radii of what rolls differ at most: an octagon's differ by .08, a square's by .3."""
+
+
+def outline(points: Array) -> Array:
+    """Sides (k, 3) of the convex hull of points (n, 2): inside is ``n . x + c <= 0`` with unit normals n."""
+    from scipy.spatial import ConvexHull
+
+    return np.asarray(ConvexHull(points).equations)
+
+
+def way_between(a: Array, b: Array, u: Array) -> tuple[float, float]:
+    """From which to which shift along ``u`` (2,) the hull of points ``a`` (n, 2) overlaps that of ``b`` (m, 2); empty
+    where the first is not less."""
+    sides = outline((b[:, None] - a[None]).reshape(-1, 2))
+    speed, room = sides[:, :2] @ u, -sides[:, 2]
+    if (room[np.abs(speed) < 1e-12] < 0).any():
+        return np.inf, -np.inf
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = room / speed
+    return float(np.max(t[speed < -1e-12], initial=-np.inf)), float(np.min(t[speed > 1e-12], initial=np.inf))
+
+
+class Layout:
+    """A scene of objects as a plan makes them, at rest, and MuJoCo's model of it."""
+
+    def __init__(self, scene: Scene, model: Any = None) -> None:
+        self.scene, self._model = scene, model
+        self._bodies: dict[int, Body] = {}
+        self._corners: dict[int, Array] = {}
+        self._pools: dict[int, Pool | None] = {}
+
+    @cached_property
+    def model(self) -> Any:
+        return self._model or mujoco_model.compiled(mujoco_model.build_spec(self.scene.objects))
+
+    @cached_property
+    def data(self) -> Any:
+        data = engine().MjData(self.model)
+        engine().mj_forward(self.model, data)
+        return data
+
+    def body(self, id: int) -> Body:
+        if id not in self._bodies:
+            self._bodies[id] = mujoco_model.body_of(self.scene[id])
+        return self._bodies[id]
+
+    def mass(self, id: int) -> float:
+        return self.body(id).mass
+
+    def loaded_mass(self, id: int) -> float:
+        """With all that rests on it [kg]."""
+        return sum(self.mass(i) for i in self.scene.subtree(id))
+
+    def center(self, id: int) -> Array:
+        """Centre of mass (3,) [m]."""
+        return transform(self.scene[id].T_world_object, self.body(id).center[None])[0]
+
+    def inertia(self, id: int) -> Array:
+        """(3, 3) about the centre of mass, in the world."""
+        R = self.scene[id].T_world_object[:3, :3]
+        return np.asarray(R @ self.body(id).inertia @ R.T)
+
+    def corners(self, id: int) -> Array:
+        """(n, 3): corners of what touches, in the world."""
+        if id not in self._corners:
+            parts = np.concatenate([q.vertices for q in self.body(id).parts])
+            self._corners[id] = transform(self.scene[id].T_world_object, parts)
+        return self._corners[id]
+
+    def span(self, id: int) -> Array:
+        """(2, 3): lowest and highest corner of the bounding box."""
+        return np.stack([self.corners(id).min(0), self.corners(id).max(0)])
+
+    def hull(self, id: int) -> Array:
+        """(k, 2): corners of the outline seen from above."""
+        from scipy.spatial import ConvexHull
+
+        flat = self.corners(id)[:, :2]
+        return flat[ConvexHull(flat).vertices]
+
+    def size(self, id: int) -> float:
+        return float(np.linalg.norm(np.ptp(self.span(id), axis=0)))
+
+    def support(self, id: int) -> int:
+        """What mainly carries it; the ground where nothing is known."""
+        below = self.scene[id].supported_by
+        return GROUND if below is None else below
+
+    def friction(self, id: int) -> float:
+        """Between an object and what carries it, as the engine takes it: the larger, or that of what bounces."""
+        o, below = self.scene[id], self.support(id)
+        if solref(o.restitution) is not None:
+            return o.friction
+        other = DEFAULT_PHYSICS.ground_friction[0] if below == GROUND else self.scene[below].friction
+        return max(o.friction, other)
+
+    def is_ball(self, id: int) -> bool:
+        """Whether it rolls whichever way."""
+        return all(self.rolls(id, np.array([np.cos(a), np.sin(a), 0.0])) for a in np.linspace(0, np.pi, 4, False))
+
+    def rolls(self, id: int, direction: Array) -> bool:
+        """Whether it is round seen across a horizontal direction: about its middle as far to every side."""
+        corners = self.corners(id) - self.span(id).mean(0)
+        angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+        far = np.max(corners @ (np.outer(direction, np.cos(angles)) + np.outer(UP, np.sin(angles))), axis=0)
+        return bool(far.min() > (1 - ROUND) * far.max())
+
+    def meets(self, id: int, direction: Array) -> list[tuple[float, int]]:
+        """What an object meets along a horizontal direction, nearest first, with the way until then [m]; what it
+        stands on, what stands on it and what it lies in are left out."""
+        own, (low, high), found = self.hull(id), self.span(id)[:, 2], list[tuple[float, int]]()
+        besides = {*self.scene.subtree(id), *self.scene.ancestors(id), *(s.id for s in self.scene[id].supports)}
+        for o in self.scene:
+            bottom, top = self.span(o.id)[:, 2]
+            if o.id in besides or bottom > high - 2e-3 or top < low + 2e-3:
+                continue
+            first, last = way_between(own, self.hull(o.id), direction[:2])
+            if first < last and last > 0 and (first > -1e-3 or last > 0.3 * self.size(id)):
+                found.append((max(first, 0.0), o.id))
+        return sorted(found)
+
+    def over_the_edge(self, id: int, support: int, direction: Array) -> float:
+        """How far the centre of mass of what stands on something is from its edge along a direction [m]."""
+        sides = outline(self.hull(support))
+        speed = sides[:, :2] @ direction[:2]
+        room = -(sides[:, :2] @ self.center(id)[:2] + sides[:, 2])
+        ahead = speed > 1e-9
+        return float(np.min(room[ahead] / speed[ahead]))
+
+    def top(self, x: float, y: float, *, without: int = GROUND) -> tuple[float, int]:
+        """Height of the highest surface at a place and whose it is; one object may be looked through."""
+        above, hit = np.array([x, y, 100.0]), np.zeros(1, np.int32)
+        body = -1 if without == GROUND else [o.id for o in self.scene].index(without) + 1
+        far = engine().mj_ray(self.model, self.data, above, -UP, None, 1, body, hit)
+        body = int(self.model.geom_bodyid[hit[0]]) if far >= 0 else 0
+        return (100.0 - far if far >= 0 else 0.0), GROUND if body == 0 else self.scene.objects[body - 1].id
+
+    def pool(self, id: int) -> Pool | None:
+        """What of it would hold water; None where that is too little for things to lie in."""
+        if id not in self._pools:
+            self._pools[id] = pool_of(self.scene[id])
+        return self._pools[id]
+
+    def spots(self, id: int) -> list[Array]:
+        """Places (2,) on an object where nothing else stands, the nearest to its middle first."""
+        low, high = self.span(id)[:, :2]
+        found = list[tuple[float, Array]]()
+        for i, j in np.ndindex(7, 7):
+            place = low + (high - low) * (np.array([i, j]) + 0.5) / 7
+            round_it = [place + 0.05 * (high - low) * k for k in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))]
+            tops = [self.top(float(x), float(y)) for x, y in round_it]
+            if all(whose == id for _, whose in tops):
+                found.append((float(np.linalg.norm((place - (low + high) / 2) / (high - low))) - 1e-6 * i, place))
+        return [place for _, place in sorted(found, key=lambda f: f[0])]
+
+    def under(self, id: int, shift: Array, *, reach: tuple[float, float] = (0.5, 0.97)) -> list[tuple[float, int]]:
+        """Heights of the surfaces below an object's outline shifted by (2,), and whose they are, itself left out."""
+        hull = self.hull(id) + shift
+        middle = hull.mean(0)
+        places = [
+            middle,
+            *(middle + f * (corner - middle) for corner in hull[:: max(1, len(hull) // 8)] for f in reach),
+        ]
+        return [self.top(float(x), float(y), without=id) for x, y in places]
+
+    def in_frame(self, id: int, shift: Array) -> float:
+        """Share of an object's corners that the photo's frame holds when it is shifted (3,)."""
+        return self.share_in_frame(self.corners(id) + shift)
+
+    def share_in_frame(self, points: Array) -> float:
+        camera = self.scene.camera
+        pixels, depth = camera.project(points)
+        inside = (pixels >= 0).all(1) & (pixels[:, 0] <= camera.width) & (pixels[:, 1] <= camera.height) & (depth > 0)
+        return float(inside.mean())
+
+    def room(self, id: int, direction: Array, farthest: float) -> float:
+        """How far an object can go along a direction and stay mostly in the photo's frame [m], at most so far."""
+        steps = np.linspace(0, farthest, 25)
+        seen = [self.in_frame(id, s * direction) >= 0.7 for s in steps]
+        first = next((k for k, ok in enumerate(seen) if not ok), len(steps))
+        return float(steps[max(first - 1, 0)])

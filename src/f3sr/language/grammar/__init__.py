@@ -1,0 +1,1 @@
+"""Words to requests: plain English taken apart, before any scene is looked at."""

@@ -1,0 +1,234 @@
+"""From a goal's clauses to the one kind of plan that they ask for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import cast
+
+from f3sr.goals.plan import Kind
+from f3sr.goals.refusal import Reason, Refusal, quoted
+from f3sr.language.grammar.clause_arguments import DIRECTIONS, DROPPED, PLACED, Clause
+from f3sr.language.grammar.directions import Direction, contradict
+from f3sr.language.grammar.normaliser import spoken
+from f3sr.language.grammar.noun_lexicon import GROUND_NAMES
+from f3sr.language.grammar.outcome_clauses import IT, continued, several
+from f3sr.language.grammar.referring_expressions import AT, ORDERS, RELATIONS
+from f3sr.language.grammar.request import Outcome, Preposition, Request
+from f3sr.language.grammar.verb_lexicon import STRIKES, Family
+
+MOVED: set[Family] = {"push", "pull", "roll", *DROPPED}
+"""Families that may say where to by another object's place."""
+FORWARD: dict[Family, Direction] = {"pull": "towards"}
+"""Where a verb leads when nothing else says so."""
+
+
+def request(clauses: Sequence[Clause], *, let: bool = False) -> Request | Refusal:
+    """The request of a goal's clauses; ``let``: said as ``let the ball fall``."""
+    first, rest = _placed(clauses[0]), list(clauses[1:])
+    if first.family == "lift" and rest:
+        first, rest = _lifted(clauses[0], _placed(rest[0])), rest[1:]
+    found = _single(first, let=let)
+    for clause in rest:
+        if isinstance(found, Refusal):
+            return found
+        found = continued(found, _placed(clause))
+    return found if isinstance(found, Refusal) else _checked(found)
+
+
+def _lifted(lift: Clause, then: Clause) -> Clause:
+    """``lift the can and drop it on the box`` is one goal of the second verb."""
+    what, _, above = (lift.object or lift.subject).partition(" above ")
+    before = [("onto", above)] if above else [t for t in lift.targets if t[0] != "off"]
+    if then.object.split()[:1] == ["it"]:
+        then = replace(then, object=" ".join([what, *then.object.split()[1:]]))
+    elif then.subject in IT and then.object in IT:
+        then = replace(then, subject="", object=what)
+    elif then.object != what:
+        return replace(then, verb="several")
+    family: Family = "put" if then.family in ("drop", "fall", "put", "lift") else then.family
+    aside: list[Direction] = [d for d in lift.directions if d not in ("up", *then.directions)]
+    directions = [*aside, *then.directions]
+    return replace(then, verb="lift", family=family, targets=then.targets or before, directions=directions)
+
+
+def _is_lifted(c: Clause) -> bool:
+    return c.verb == "lift" and c.family != "lift"
+
+
+def _placed(c: Clause) -> Clause:
+    """With ``on`` and ``in`` read as where to, for the families where they mean that."""
+    words = (c.object or "").split()
+    at = next((i for i in reversed(range(len(words))) if words[i] in PLACED), None)
+    if c.targets or c.family not in DROPPED | {"roll"} or at is None or at + 1 >= len(words):
+        return c
+    if (words[at + 1] in ORDERS and at + 2 == len(words)) or (c.family == "roll" and words[at] != "in"):
+        return c
+    return replace(c, object=" ".join(words[:at]), targets=[(PLACED[words[at]], " ".join(words[at + 1 :]))])
+
+
+def _single(c: Clause, *, let: bool) -> Request | Refusal:
+    """The request of one clause."""
+    if c.verb == "several":
+        return several()
+    c = _left(_sides_of(c))
+    targets = [t for t in c.targets if t[0] != "off" or c.family == "bounce"] or c.targets
+    if len(targets) > 1:
+        return _refused("several", "the goal names two targets; accepted: one")
+    c = replace(c, targets=targets)
+    if refused := _unnamed(c) or _unclear(c):
+        return refused
+    return _of_family(c, let=let)
+
+
+def _left(c: Clause) -> Clause:
+    """``knock the can on the box off`` leaves the box."""
+    _, on, support = c.object.partition(" on ")
+    return replace(c, targets=[("off", support)]) if c.off and on and not c.targets else c
+
+
+def _unnamed(c: Clause) -> Refusal | None:
+    """What is missing: the object, a target, a name in it."""
+    if not c.object or c.object.split()[0] in RELATIONS | AT:
+        return _refused("grammar", f"the goal does not say what to {c.verb}; accepted: '{c.verb} the red cup ...'")
+    if (c.off or c.family == "collide") and not c.targets:
+        return _refused("grammar", f"the goal does not say {'off' if c.off else 'with'} what; accepted: a thing's name")
+    for preposition, words in c.targets:
+        if all(w in ORDERS for w in words.split()) and words:
+            found = f"{quoted(spoken(f'{preposition} {words}'))} names nothing"
+            return _refused("direction", f"{found}; accepted: {DIRECTIONS}, or a thing's name")
+        if not words or words.split()[0] in RELATIONS | AT:
+            found = f"nothing is named after {quoted(spoken(preposition))}"
+            return _refused("grammar", f"{found}; accepted: a thing's name")
+    return None
+
+
+def _sides_of(c: Clause) -> Clause:
+    """One pattern for ``hit Y with X``, ``X hits Y`` and ``X falls``: the object is set off."""
+    over = c.over or c.family == "tip"
+    hitting = c.family in ("hit", "push", "pull", "tip", "collide")
+    if c.family == "collide" and not c.targets and not c.tool and " and " in c.object:
+        first, _, second = c.object.partition(" and ")
+        return replace(c, object=first, targets=[("into", second)])
+    if c.tool and c.family == "collide":
+        return replace(c, subject="", object=c.subject or c.object, targets=[("into", c.tool), *c.targets], tool="")
+    if c.tool and hitting:
+        return replace(c, object=c.tool, targets=[("into", c.object), *c.targets], tool="", family="hit", over=over)
+    if c.subject and c.object and hitting:
+        return replace(
+            c, subject="", object=c.subject, targets=[("into", c.object), *c.targets], family="hit", over=over
+        )
+    if c.subject and not c.object:
+        return replace(c, subject="", object=c.subject)
+    return c
+
+
+def _of_family(c: Clause, *, let: bool) -> Request | Refusal:
+    if c.subject or c.tool:
+        return _refused("grammar", f"{quoted(spoken(c.tool or c.subject))} has no part in what the goal asks for")
+    preposition = c.targets[0][0] if c.targets else None
+    match c.family:
+        case "tip" | "push" | "pull" | "hit" | "collide":
+            return _pushed(c, preposition)
+        case "roll":
+            return _request("roll", c)
+        case "drop" | "put" | "lift":
+            return _dropped(c)
+        case "throw" | "jump":
+            up = c.directions == ["up"] or (c.family == "jump" and not c.directions)
+            returns = up and not c.targets
+            return _request("launch_and_return" if returns else "throw", c)
+        case "bounce":
+            return _request("bounce", c)
+        case "fall":
+            return _fallen(c, let=let, off=preposition == "off")
+        case "return":
+            return _refused(
+                "verb", f"{quoted(c.verb)} alone is no goal; accepted: 'throw the ball up and let it fall back'"
+            )
+
+
+def _dropped(c: Clause) -> Request | Refusal:
+    if c.family == "lift" and not c.targets:
+        return _refused("grammar", "nothing holds what is lifted; accepted: 'lift ... and drop it on ...'")
+    if c.family == "put" and not _is_lifted(c) and not c.targets:
+        return _refused("grammar", f"the goal does not say where to {c.verb} it; accepted: on or into a thing")
+    return _request("lift_and_drop", c) if c.family != "drop" else _from_above(c)
+
+
+def _from_above(c: Clause) -> Request:
+    """``drop it from 20 cm up`` says from where."""
+    return _request("drop", replace(c, directions=[d for d in c.directions if d != "up"]))
+
+
+def _pushed(c: Clause, preposition: str | None) -> Request | Refusal:
+    if c.directions == ["up"] and not (c.targets or c.over) and (c.family == "hit" or c.verb in STRIKES):
+        return _request("launch_and_return", c)
+    if {"up", "down"} & set(c.directions):
+        return _refused("direction", "pushing goes along the ground; accepted: left, right, away from me, towards me")
+    over = c.over or c.family == "tip"
+    if c.family == "hit" and c.targets and over:
+        topples = Outcome(what="topple", whose="target")
+        return replace(_request("push_into", c), outcome=topples)
+    if preposition in ("off", "away-from"):
+        return _request("slide", c)
+    if over:
+        return _request("topple", c)
+    if preposition:
+        onto = c.verb == "move" and preposition == "onto"
+        return _request("lift_and_drop" if onto else "push_into", c)
+    return _request("slide", c if c.directions else replace(c, directions=_own_direction(c)))
+
+
+def _own_direction(c: Clause) -> list[Direction]:
+    return [FORWARD[c.family]] if c.family in FORWARD else []
+
+
+def _fallen(c: Clause, *, let: bool, off: bool) -> Request | Refusal:
+    if c.over or not {"up", "down"}.issuperset(c.directions):
+        return _request("topple", c)
+    if off:
+        return _request("slide", c)
+    if c.targets or let:
+        return _from_above(c)
+    return _refused("ambiguous", "'fall' may mean to fall over or to be dropped; accepted: 'falls over' or 'drop it'")
+
+
+def _unclear(c: Clause) -> Refusal | None:
+    """A place beside another object, of which nobody can tell whether it says which one or where to."""
+    relation = next((w for w in c.object.split() if w in RELATIONS and w != "with"), None)
+    if relation is None or _is_lifted(c) or c.family not in MOVED or c.targets or c.directions or c.over:
+        return None
+    anchor = c.object.partition(f"{relation} ")[2]
+    told = relation in ("under", "nearest-to", "farthest-from")
+    if told or anchor in GROUND_NAMES or anchor in ORDERS:
+        return None
+    where = "into" if relation == "in" else "onto" if relation == "on" else "towards"
+    message = (
+        f"{quoted(spoken(c.object))} may say which one or where to; accepted: a direction besides, or "
+        f"'{where} the {spoken(anchor)}'"
+    )
+    return _refused("ambiguous", message)
+
+
+def _request(kind: Kind, c: Clause) -> Request:
+    preposition, target = c.targets[0] if c.targets else (None, None)
+    return Request(
+        kind=kind,
+        active=c.object,
+        target=target,
+        preposition=cast(Preposition | None, preposition),
+        direction=tuple(dict.fromkeys(c.directions)),
+    )
+
+
+def _checked(r: Request) -> Request | Refusal:
+    if contradict(r.direction):
+        return _refused("contradiction", f"the goal leads {' and '.join(r.direction)} at once; accepted: one of them")
+    if {"up", "down"} & set(r.direction) and r.kind in ("roll", "topple", "slide", "push_into"):
+        return _refused("direction", f"{spoken(r.kind)} goes along the ground; accepted: left, right, away, towards me")
+    return r
+
+
+def _refused(reason: Reason, message: str) -> Refusal:
+    return Refusal(reason=reason, message=message)

@@ -1,0 +1,98 @@
+"""What further clauses add to a request: ``so that it falls over``, ``and let it land in the bowl``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import cast
+
+from f3sr.goals.plan import Kind
+from f3sr.goals.refusal import Refusal
+from f3sr.language.grammar.clause_arguments import Clause
+from f3sr.language.grammar.request import Outcome, Preposition, Request, What
+from f3sr.language.grammar.verb_lexicon import Family
+
+IT = {"", "it", "itself", "them"}
+RETURNING: set[Family] = {"fall", "return", "throw", "drop"}
+"""Families that say how a throw ends."""
+OUTCOMES: dict[Family, What] = {
+    "tip": "topple",
+    "fall": "topple",
+    "push": "move",
+    "roll": "roll",
+    "bounce": "bounce",
+    "return": "return",
+}
+"""What a further clause's verb says of how it ends."""
+
+
+def continued(r: Request, c: Clause) -> Request | Refusal:
+    """A request with what a further clause adds: what it hits, where it ends, what comes of it."""
+    if (struck := _struck(c)) and r.target is None and _whose(c.subject, r) == "active":
+        return _with_target(r, "onto" if r.kind in ("drop", "lift_and_drop") else "into", struck)
+    whose = _whose(c.subject or c.object, r)
+    if set(c.directions) - {"up", "down", *r.direction}:
+        return several()
+    if whose is None or (c.subject and c.object not in IT):
+        return several()
+    if c.targets and r.target is None and whose == "active":
+        return _ended(r, c)
+    if c.family in RETURNING and r.kind in ("throw", "launch_and_return") and r.target is None:
+        return _fallen_back(r, c)
+    what = _outcome(c)
+    if what is None or c.targets or c.tool:
+        return several()
+    if whose == "either":
+        whose = "target" if what in ("topple", "move") and r.kind != "topple" else "active"
+    return replace(r, outcome=Outcome(what=what, whose="target" if whose == "target" else "active"))
+
+
+def _fallen_back(r: Request, c: Clause) -> Request:
+    """``throw it up and let it fall``; what is thrown aside falls anyway, and can at most be asked to return."""
+    if not set(r.direction) - {"up"}:
+        return replace(r, kind="launch_and_return")
+    return replace(r, outcome=Outcome(what="return", whose="active")) if c.family == "return" else r
+
+
+def _struck(c: Clause) -> str:
+    """What is hit in ``so that it hits the box``, ``and bumps into the box``."""
+    if c.family not in ("hit", "collide", "push"):
+        return ""
+    into = [words for preposition, words in c.targets if preposition in ("into", "against", "to")]
+    struck = c.tool or (into or [c.object if c.family != "push" else ""])[0]
+    return "" if struck in IT or (into and c.object not in IT) else struck
+
+
+def _ended(r: Request, c: Clause) -> Request | Refusal:
+    """``and it lands in the bowl``, ``so that it bounces off the box``"""
+    preposition, target = c.targets[0]
+    if c.family == "bounce" and r.kind in ("throw", "launch_and_return"):
+        r = replace(r, kind="bounce")
+    elif c.family not in RETURNING:
+        return several()
+    return _with_target(r, cast(Preposition, preposition), target)
+
+
+def _with_target(r: Request, preposition: Preposition, target: str) -> Request:
+    kinds: dict[Kind, Kind] = {"launch_and_return": "throw"}
+    if preposition != "off":
+        kinds["slide"] = "push_into"
+    return replace(r, kind=kinds.get(r.kind, r.kind), target=target, preposition=preposition)
+
+
+def _outcome(c: Clause) -> What | None:
+    return "topple" if c.over else OUTCOMES.get(c.family)
+
+
+def _whose(subject: str, r: Request) -> str | None:
+    """Whether a clause is about the active object, the target, either, or neither (None)."""
+    if subject in IT:
+        return "active" if r.target is None else "either"
+    words = set(subject.split())
+    if r.target and words <= set(r.target.split()):
+        return "target"
+    return "active" if words <= set(r.active.split()) else None
+
+
+def several() -> Refusal:
+    message = "the goal asks for more than one thing; accepted: one goal at a time, as 'push the cup left'"
+    return Refusal(reason="several", message=message)

@@ -1,0 +1,224 @@
+"""The Planner by rules: words to what is to be done with what, which way, how far, and what must come of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from f3sr.core.transforms import UP, Array
+from f3sr.goals.launch_limits import limits_of
+from f3sr.goals.plan import Kind, TaskSpec
+from f3sr.goals.refusal import Refusal
+from f3sr.goals.scene_layout import Layout
+from f3sr.language import success_conditions
+from f3sr.language.feasibility import impossible
+from f3sr.language.grammar.directions import Direction, world_vector
+from f3sr.language.grammar.normaliser import spoken
+from f3sr.language.grammar.parser import understand
+from f3sr.language.grammar.quantities import Amount
+from f3sr.language.grammar.request import Request
+from f3sr.language.meant import Meant
+from f3sr.language.reference_resolution import names, resolve_request
+from f3sr.scene import GROUND, Scene
+
+FAR_ENOUGH: dict[Kind, float] = {
+    "slide": 0.8,
+    "push_into": 0.8,
+    "roll": 1.5,
+    "drop": 0.8,
+    "lift_and_drop": 0.25,
+    "throw": 2.0,
+    "bounce": 1.5,
+    "launch_and_return": 1.5,
+}
+"""How far or how high something goes where no words say so, in its own sizes: to be seen, and to stay in the photo."""
+VAGUE = {"slightly": 0.25, "far": 2.5}
+MANNER = {"gently": 0.7, "hard": 1.4}
+"""What such words make of that."""
+LEAST = 0.25
+"""Least way in the object's sizes, where the photo or a neighbour leaves less."""
+FARTHEST = 3.0
+"""Diagonals of the scene that anything is to go at most."""
+SIDES: tuple[tuple[Direction, ...], ...] = (
+    ("right",),
+    ("left",),
+    ("away",),
+    ("towards",),
+    ("away", "right"),
+    ("away", "left"),
+    ("towards", "right"),
+    ("towards", "left"),
+)
+SAID: dict[Direction, str] = {
+    "left": "to the left",
+    "right": "to the right",
+    "away": "away from the camera",
+    "towards": "towards the camera",
+    "up": "up",
+    "down": "down",
+}
+
+
+def tasks_of(goal: str, scene: Scene) -> Sequence[TaskSpec] | Refusal:
+    """What a goal asks for, the strictest reading first: what comes later leaves out what nobody said."""
+    request = understand(goal)
+    if isinstance(request, Refusal):
+        return request
+    named = resolve_request(request, scene)
+    if isinstance(named, Refusal):
+        return named
+    layout = Layout(scene)
+    if refused := impossible(request, named.active, named.target, layout):
+        return refused
+    meant = _meant(request, named.active, named.target, layout)
+    if isinstance(meant, Refusal):
+        return meant
+    return [_task(meant, conditions, left, scene) for conditions, left in success_conditions.readings(meant, layout)]
+
+
+def _task(meant: Meant, conditions: success_conditions.Conditions, left: str, scene: Scene) -> TaskSpec:
+    d, called = meant.direction, names(scene)
+    return TaskSpec(
+        kind=meant.request.kind,
+        active=meant.active,
+        target=meant.target,
+        passives=_taken_along(meant, scene),
+        way=meant.request.preposition,
+        direction=None if d is None else (float(d[0]), float(d[1]), float(d[2])),
+        amount=meant.amount,
+        manner=meant.request.manner,
+        phases=tuple(success_conditions.phases(conditions, called)),
+        conditions=conditions,
+        interpretation=_interpretation(meant, called),
+        assumptions=(*meant.assumptions, *([left] if left else [])),
+    )
+
+
+def _taken_along(meant: Meant, scene: Scene) -> tuple[int, ...]:
+    """What rests on or in the active object and the target."""
+    both = {meant.active, meant.target} - {None, GROUND}
+    return tuple(sorted({i for id in both if id is not None for i in scene.subtree(id)} - both))
+
+
+def _interpretation(meant: Meant, called: dict[int, str]) -> str:
+    r = meant.request
+    words = ["push" if r.kind == "push_into" else spoken(r.kind.replace("_", " ")), called[meant.active]]
+    if meant.target is not None:
+        words += [spoken(r.preposition or "to"), "the ground" if meant.target == GROUND else called[meant.target]]
+    words += [SAID[d] for d in r.direction]
+    if meant.asked:
+        words.append(f"by {meant.amount:.3g} m")
+    if r.outcome:
+        words.append(f"so that {'it' if r.outcome.whose == 'active' else 'the other'} {r.outcome.what}s")
+    return " ".join(words)
+
+
+def _meant(r: Request, active: int, target: int | None, layout: Layout) -> Meant | Refusal:
+    amount = _amount(r, active, layout)
+    limit = limits_of(layout.scene).lift if r.kind in ("drop", "lift_and_drop", "launch_and_return") else None
+    limit = limit or FARTHEST * layout.scene.diagonal
+    if isinstance(r.amount, Amount) and amount > limit:
+        message = f"{amount:.3g} m is more than this scene has room for; accepted: at most {limit:.2g} m"
+        return Refusal(reason="amount", message=message)
+    meant = Meant(
+        request=r,
+        active=active,
+        target=target,
+        direction=None,
+        amount=amount,
+        asked=isinstance(r.amount, Amount),
+        assumptions=(),
+    )
+    return _fitted(_directed(meant, layout), layout)
+
+
+def _amount(r: Request, active: int, layout: Layout) -> float:
+    """Metres, as said or as usual."""
+    sides = np.ptp(layout.span(active), axis=0)
+    own = {"length": max(sides[:2]), "width": min(sides[:2]), "height": sides[2], "m": 1.0}
+    if isinstance(r.amount, Amount):
+        return float(r.amount.value * own[r.amount.unit])
+    usual = FAR_ENOUGH.get(r.kind, 1.0) * layout.size(active)
+    return usual * VAGUE.get(r.amount or "", 1.0) * (MANNER.get(r.manner or "", 1.0))
+
+
+def _directed(meant: Meant, layout: Layout) -> Meant:
+    """With a direction: said, to or from the target, or where there is most room."""
+    r, target = meant.request, meant.target
+    flat: list[Direction] = [d for d in r.direction if d not in ("up", "down")]
+    if flat:
+        return replace(meant, direction=world_vector(flat, layout.scene.camera))
+    if r.kind in ("drop", "lift_and_drop", "launch_and_return"):
+        return meant
+    if target is not None and target != GROUND and r.preposition != "off":
+        way = layout.center(target) - layout.center(meant.active)
+        way = way * [1, 1, 0] * (-1 if r.preposition == "away-from" else 1)
+        if np.linalg.norm(way) > 1e-6:
+            return replace(meant, direction=way / np.linalg.norm(way))
+    if r.kind == "topple":
+        return _with_direction(meant, _toppling_side(meant.active, layout), "where it falls most easily and freely")
+    best = max(SIDES[:4], key=lambda side: _room(meant, world_vector(side, layout.scene.camera), layout))
+    return _with_direction(meant, world_vector(best, layout.scene.camera), SAID[best[0]])
+
+
+def _with_direction(meant: Meant, direction: Array, said: str) -> Meant:
+    return replace(
+        meant, direction=direction, assumptions=(*meant.assumptions, f"direction: {said}, since none was said")
+    )
+
+
+def _room(meant: Meant, direction: Array, layout: Layout) -> float:
+    """How much of a way an object can go, free and in the photo [m]; off something, how near its edge is."""
+    a, r = meant.active, meant.request
+    if r.preposition == "off" and meant.target is not None and meant.target != GROUND:
+        edge = layout.over_the_edge(a, meant.target, direction)
+        fall = direction * (edge + 1.5 * layout.size(a)) - UP * (layout.span(a)[0, 2])
+        return -edge - (3 * layout.size(a) if layout.in_frame(a, fall) < 0.7 else 0.0)
+    free = next((way for way, _ in layout.meets(a, direction)), np.inf)
+    return min(meant.amount, free) + min(meant.amount, layout.room(a, direction, meant.amount))
+
+
+def _toppling_side(id: int, layout: Layout) -> Array:
+    """Of 16 directions that over the nearest edge of its base, unless something is there or the photo ends."""
+    height, center = float(np.ptp(layout.span(id)[:, 2])), layout.center(id)
+
+    def cost(u: Array) -> float:
+        corners = layout.corners(id)
+        base = corners[corners[:, 2] <= corners[:, 2].min() + 0.02 * height]
+        edge = float(((base - center) @ u).max())
+        free = next((way for way, _ in layout.meets(id, u)), np.inf)
+        blocked = max(0.0, 1 - free / max(height, 1e-9))
+        return edge / height + 2 * blocked + (1 - layout.in_frame(id, 0.6 * height * u))
+
+    angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    return min((np.array([np.cos(a), np.sin(a), 0.0]) for a in angles), key=cost)
+
+
+def _fitted(meant: Meant, layout: Layout) -> Meant:
+    """An amount that nobody said kept inside the photo and before what is in the way."""
+    if meant.asked or meant.request.kind == "topple":
+        return meant
+    a, least = meant.active, LEAST * layout.size(meant.active)
+    up = meant.request.kind in ("drop", "lift_and_drop", "launch_and_return", "bounce")
+    direction = UP if up else meant.direction
+    if direction is None:
+        return meant
+    far = min(meant.amount, layout.room(a, direction, meant.amount))
+    if not up and meant.target is None and meant.request.kind in ("slide", "roll"):
+        far = min([far, *(0.8 * way for way, _ in layout.meets(a, direction)[:1])])
+    amount = max(far, least)
+    fitted = replace(meant, amount=amount)
+    if not _matters(meant):
+        return fitted
+    said = f"{'height' if up else 'distance'}: {amount:.2g} m, since none was said"
+    return replace(fitted, assumptions=(*meant.assumptions, said))
+
+
+def _matters(meant: Meant) -> bool:
+    """Whether the amount says how far or how high, and not the target."""
+    kind, way = meant.request.kind, meant.request.preposition
+    if kind in ("drop", "lift_and_drop", "launch_and_return"):
+        return True
+    return kind in ("slide", "roll", "throw", "bounce") and (meant.target is None or way in ("towards", "away-from"))

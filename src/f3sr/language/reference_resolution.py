@@ -1,0 +1,242 @@
+"""Which object of a scene a phrase means, or why none: by label, synonym, colour, size, order, place and support."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from f3sr.goals.refusal import Reason, Refusal, listed, quoted
+from f3sr.language.grammar import noun_lexicon
+from f3sr.language.grammar.colours import NAMED
+from f3sr.language.grammar.normaliser import canonical, plain, spoken
+from f3sr.language.grammar.referring_expressions import Phrase, parsed
+from f3sr.language.grammar.request import Request
+from f3sr.language.object_queries import Sight
+from f3sr.scene import GROUND, Scene
+
+PRONOUNS = {"it", "itself", "back"}
+"""They mean the active object."""
+SHOWN = 8
+"""Objects that a refusal tells apart."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Named:
+    """The ids of what a request names."""
+
+    active: int
+    target: int | None = None
+
+
+def resolve_request(request: Request, scene: Scene) -> Named | Refusal:
+    """The objects of a request; refused where its words fail, its active object cannot move or is its own target."""
+    sight = Sight(scene)
+    active = _resolved(request.active, sight, None)
+    if isinstance(active, Refusal):
+        return active
+    if active == GROUND or scene[active].mobility == "fixed":
+        message = f"{quoted(spoken(request.active))} is fixed; accepted: an object that can move"
+        free = [o.id for o in scene if o.mobility == "dynamic"]
+        return Refusal(reason="fixed", message=message, candidates=_told_apart(free, sight))
+    target = None if request.target is None else _resolved(request.target, sight, active)
+    if isinstance(target, Refusal):
+        return target
+    if target == active:
+        message = f"{quoted(spoken(request.active))} is also its target; accepted: another object"
+        others = [o.id for o in scene if o.id != active]
+        return Refusal(reason="same", message=message, candidates=_told_apart(others, sight))
+    return Named(active=active, target=target)
+
+
+def resolve(phrase: str, scene: Scene, *, active: int | None = None) -> int | Refusal:
+    """The id of the one object that a phrase means, GROUND for the ground; ``it`` is the ``active`` object.
+
+    A refusal's candidates are phrases that select one object each.
+    """
+    return _resolved(phrase, Sight(scene), active)
+
+
+def names(scene: Scene) -> dict[int, str]:
+    """A phrase for every object that selects it and nothing else."""
+    sight = Sight(scene)
+    return {o.id: _distinct(o.id, sight) for o in scene}
+
+
+def _resolved(phrase: str, sight: Sight, active: int | None) -> int | Refusal:
+    words = plain(phrase)
+    if isinstance(words, Refusal):
+        return words
+    words = canonical(words)
+    if words in PRONOUNS and active is not None:
+        return active
+    if words in PRONOUNS - {"back"}:
+        return Refusal(reason="ambiguous", message=f"nothing is named that {quoted(words)} could mean")
+    found = _meant(words, sight)
+    if isinstance(found, Refusal):
+        return found
+    ids, plural = found
+    if plural:
+        return _many("plural", f"{quoted(spoken(words))} is more than one object", ids, sight)
+    if len(ids) > 1:
+        return _many("ambiguous", f"{quoted(spoken(words))} may be {len(ids)} objects", ids, sight)
+    return ids[0]
+
+
+def _meant(words: str, sight: Sight) -> tuple[list[int], bool] | Refusal:
+    """All objects that canonical words fit, at least one, and whether the words mean several."""
+    tokens = noun_lexicon.compounded(words.split())
+    if len(tokens) > 1 and (labelled := [id for id, label in sight.labels.items() if label == tokens]):
+        return labelled, False
+    phrase = parsed(words, sight.vocabulary)
+    if isinstance(phrase, Refusal):
+        return phrase
+    ids = _matching(phrase, sight)
+    if isinstance(ids, Refusal):
+        return ids
+    return ids, phrase.plural or _plural_noun(phrase, sight)
+
+
+def _matching(phrase: Phrase, sight: Sight) -> list[int] | Refusal:
+    """All objects that a phrase fits, at least one. Where it describes, everything that might be called so is looked
+    at, and the best named of what remains is taken: the white bottle may be labelled a cleanser."""
+    best, any_ = _called(phrase, sight)
+    if not best:
+        return _unknown(phrase, sight)
+    if best == [GROUND] or not (phrase.colours or phrase.relation or phrase.orders):
+        return best
+    found = _described(phrase, any_, sight)
+    if isinstance(found, Refusal):
+        return found
+    return [id for id in found if id in best] or found
+
+
+def _described(phrase: Phrase, ids: list[int], sight: Sight) -> list[int] | Refusal:
+    """Those of some objects that a phrase's adjectives fit: colours and relations first, order last."""
+    coloured = [id for id in ids if all(set(NAMED[c]) & set(sight.colours(id)) for c in phrase.colours)]
+    if not coloured:
+        return _none_such(phrase, f"none of {len(ids)} is {' and '.join(phrase.colours)}", ids, sight)
+    ids = coloured
+    if phrase.relation:
+        relation, anchor = phrase.relation
+        anchors = _matching(anchor, sight)
+        if isinstance(anchors, Refusal):
+            return anchors
+        related = sight.related(relation, ids, anchors)
+        if not related:
+            return _none_such(phrase, f"nothing so called is {spoken(relation)} {anchor.words}", ids, sight)
+        ids = related
+    return _in_order(phrase, ids, sight)
+
+
+def _in_order(phrase: Phrase, ids: list[int], sight: Sight) -> list[int] | Refusal:
+    for order in phrase.orders:
+        if order.axis is None:
+            return _many("ambiguous", f"{quoted(phrase.words)} does not say from which side", ids, sight)
+        picked = sight.picked(order.axis, order.rank, ids)
+        if not picked:
+            return _none_such(phrase, f"there are only {len(ids)}", ids, sight)
+        ids = picked
+    return ids
+
+
+def _called(phrase: Phrase, sight: Sight) -> tuple[list[int], list[int]]:
+    """The objects that the phrase's names fit best, and all that they fit but for those that share an adjective."""
+    everything = [o.id for o in sight.scene]
+    if phrase.id is not None or not phrase.names:
+        ids = [id for id in everything if phrase.id in (None, id)]
+        return ids, ids
+    fits = {id: noun_lexicon.fit(phrase.names, label) for id, label in sight.labels.items()}
+    known = {id: level for id, level in fits.items() if level is not None}
+    if known:
+        best = min(known.values())
+        return [id for id in known if known[id] == best], [id for id in known if known[id] in (best, 0, 2, 3)]
+    name, *more = phrase.names
+    ids = [GROUND] if name in noun_lexicon.GROUND_NAMES else _shaped(noun_lexicon.singular(name), sight)
+    return ([], []) if more else (ids, ids)
+
+
+def _shaped(name: str, sight: Sight) -> list[int]:
+    """Objects without a label by their form."""
+    return [id for id, description in sight.shapes.items() if noun_lexicon.fits_shape(name, description)]
+
+
+def _plural_noun(phrase: Phrase, sight: Sight) -> bool:
+    """``the cups``; what is itself a label's plural, or like ``crackers`` only a part of one, names one thing."""
+    head = phrase.names[-1:]
+    several = any(noun_lexicon.singular(n) != n and n not in sight.vocabulary for n in head)
+    return several and any(noun_lexicon.fit(phrase.names, label) in (0, 2, 3) for label in sight.labels.values())
+
+
+# --- refusals -----------------------------------------------------------------------------------------------------
+
+
+def _many(reason: Reason, found: str, ids: Sequence[int], sight: Sight) -> Refusal:
+    apart = _told_apart(ids, sight)
+    return Refusal(reason=reason, message=f"{found}: say {_some_of(ids, apart)}", candidates=apart)
+
+
+def _none_such(phrase: Phrase, why: str, ids: Sequence[int], sight: Sight) -> Refusal:
+    apart = _told_apart(ids, sight)
+    message = f"no {quoted(phrase.words)} here, {why}; accepted: {_some_of(ids, apart)}"
+    return Refusal(reason="unknown", message=message, candidates=apart)
+
+
+def _unknown(phrase: Phrase, sight: Sight) -> Refusal:
+    if "and" in phrase.names:
+        ids = [o.id for o in sight.scene]
+        apart = _told_apart(ids, sight)
+        message = f"{quoted(phrase.words)} is more than one object; accepted: one of {_some_of(ids, apart)}"
+        return Refusal(reason="plural", message=message, candidates=apart)
+    near = _nearest_names(phrase, sight)
+    ids = near or [o.id for o in sight.scene]
+    apart = _told_apart(ids, sight)
+    hint = "did you mean" if near else "the scene has"
+    message = f"no {quoted(phrase.words)} here; {hint} {_some_of(ids, apart)}"
+    return Refusal(reason="unknown", message=message, candidates=apart)
+
+
+def _nearest_names(phrase: Phrase, sight: Sight) -> list[int]:
+    """Objects of which a word of the label is spelt much like one of the phrase's, the likest first."""
+    far = {
+        id: min((noun_lexicon.distance(a, b) / max(len(a), len(b)) for a in phrase.names for b in label), default=1.0)
+        for id, label in sight.labels.items()
+    }
+    return [id for id in sorted(far, key=lambda id: far[id]) if far[id] <= 0.4][:3]
+
+
+# --- telling apart ------------------------------------------------------------------------------------------------
+
+
+def _some_of(ids: Sequence[int], apart: tuple[str, ...]) -> str:
+    """Objects told apart, and how many were left out."""
+    left = len([id for id in ids if id != GROUND]) - len(apart)
+    return listed((*apart, f"{left} more that 'f3sr goals' lists") if left else apart)
+
+
+def _told_apart(ids: Sequence[int], sight: Sight) -> tuple[str, ...]:
+    return tuple(_distinct(id, sight) for id in ids[:SHOWN] if id != GROUND)
+
+
+def _distinct(id: int, sight: Sight) -> str:
+    """The first phrase that selects one object alone."""
+    for words in _phrases(id, sight):
+        if _meant(canonical(words), sight) == ([id], False):
+            return words
+    return f"object {id}"
+
+
+def _phrases(id: int, sight: Sight) -> Iterator[str]:
+    """Phrases for an object, the shortest first."""
+    label = " ".join(sight.labels[id])
+    base = spoken(label) if label and not isinstance(plain(label), Refusal) else "object"
+    if label:
+        yield base
+    for colour in sight.colours(id):
+        yield f"{colour} {base}"
+    for order in ("left", "right", "middle", "front", "back", "upper", "lower", "small", "big", "tall"):
+        yield f"{order} {base}"
+    for support in sight.scene[id].supports:
+        if support.id != GROUND and (below := " ".join(sight.labels.get(support.id, ()))):
+            yield f"{base} on {below}"
+    for rank in ("second", "third", "fourth", "fifth"):
+        yield f"{rank} {base} from left"

@@ -1,0 +1,51 @@
+"""The Builder by rules: which launches to try for a task, one search per kind, told of everything that was tried."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from f3sr.goals.language_protocol import Launch, Tried
+from f3sr.goals.launch_limits import limits_of
+from f3sr.goals.plan import Kind, TaskSpec
+from f3sr.goals.scene_layout import Layout
+from f3sr.launches import bounces, flights, pushes
+from f3sr.launches.launch_context import Launches, Setting
+
+SEARCHES: Mapping[Kind, Callable[[Setting], Launches]] = {
+    "topple": pushes.toppling,
+    "slide": pushes.sliding,
+    "push_into": pushes.pushing,
+    "roll": pushes.rolling,
+    "drop": flights.dropping,
+    "lift_and_drop": flights.dropping,
+    "throw": flights.throwing,
+    "bounce": bounces.bouncing,
+    "launch_and_return": flights.launching,
+}
+
+
+@dataclass(eq=False)
+class Builder:
+    """The search for one task. It goes on from where it is as long as it is told of what it asked for, and starts anew
+    on anything else, so that its answer depends on its arguments alone."""
+
+    task: TaskSpec
+    layout: Layout
+    told: list[Tried] = field(default_factory=list[Tried])
+    asked: Sequence[Launch] = ()
+    search: Launches | None = None
+
+    def next(self, tried: Sequence[Tried]) -> Sequence[Launch]:
+        if self.search is None or list(tried[: len(self.told)]) != self.told:
+            setting = Setting(self.task, self.layout, limits_of(self.layout.scene))
+            self.search, self.told = SEARCHES[self.task.kind](setting), []
+            self.asked = next(self.search, ())
+        while len(self.told) + len(self.asked) <= len(tried) and self.asked:
+            answers = tried[len(self.told) : len(self.told) + len(self.asked)]
+            self.told = [*self.told, *answers]
+            try:
+                self.asked = self.search.send(answers)
+            except StopIteration:
+                self.asked = ()
+        return self.asked

@@ -1,0 +1,1 @@
+"""Goals played: launches tried, judged and written."""

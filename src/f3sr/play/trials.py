@@ -1,0 +1,210 @@
+"""Trials of launches: rollouts that end when all is still, judged, counted and rated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from f3sr.core.transforms import transform
+from f3sr.goals.language_protocol import Launch, Tried
+from f3sr.goals.plan import InitialConditions, Plan, Semantics, SimulationPlan, TaskSpec
+from f3sr.goals.rollout import Rollout
+from f3sr.goals.rollout_queries import LAST
+from f3sr.goals.scene_layout import Layout
+from f3sr.goals.simulate import as_planned, model_of, simulate
+from f3sr.goals.verify import verify
+from f3sr.language.reasoner import declared
+from f3sr.physics.mujoco_model import engine
+from f3sr.scene import GROUND, Scene
+
+ROLLOUTS = 64
+"""That the search for one goal may take."""
+WORK = 240.0
+"""Seconds simulated in all of them, times the objects of the scene: at most about 9 s of a processor."""
+SLOW, SLOWLY = 0.01, 0.1
+"""Speeds [m/s, rad/s] below which everything counts as still."""
+LINGERS = 1.5
+"""How long a rollout goes on at most for what its goal is not about, once all else is still [s]."""
+SHORTEST = 0.8
+"""Of a rollout [s]: less is over before anybody sees it."""
+RUNAWAY, WHIRL = 2.0, 400.0
+"""Times the limit of speeds, and turning [rad/s], from which on something was thrown by a contact: the trial ends."""
+SURE = 0.03
+"""Relative margin from which on a plan that meets its conditions is not bettered."""
+IN_FRAME = 0.5
+"""Share of the active object that is to be in the photo's frame when the goal is met."""
+OVERLAP = 1e-3
+"""Deepest overlap with which something may start elsewhere [m]."""
+REST, DRIFT = 0.25, 5e-4
+"""For how long [s] things are watched whether they rest as a plan makes them, and how far they may move [m]."""
+
+
+class OverlapError(Exception):
+    """A start inside something else."""
+
+
+@dataclass(eq=False)
+class Trials:
+    """Rollouts of one goal in one scene."""
+
+    scene: Scene
+    goal: str
+    scene_sha: str
+    rollouts: int = 0
+    seconds: float = 0.0
+    _models: dict[Any, Any] = field(default_factory=dict[Any, Any])
+    _rollouts: dict[Any, Rollout] = field(default_factory=dict[Any, Rollout])
+
+    @property
+    def spent(self) -> bool:
+        return self.rollouts >= ROLLOUTS or self.seconds * len(self.scene.objects) >= WORK
+
+    def plan(self, task: TaskSpec, semantics: Sequence[Semantics], launch: Launch, rollouts: int = 0) -> Plan:
+        return Plan(
+            goal=self.goal,
+            scene=self.scene_sha,
+            task=task,
+            semantics=tuple(semantics),
+            initial=launch.initial,
+            simulation=launch.simulation,
+            rollouts=rollouts,
+        )
+
+    def run(self, task: TaskSpec, semantics: Sequence[Semantics], launch: Launch) -> Tried:
+        """The launch with the duration that it took, its rollout and verdict.
+
+        Raises OverlapError or FloatingPointError."""
+        plan = self.plan(task, semantics, launch)
+        key = (plan.semantics, launch)
+        if key not in self._rollouts:
+            self._rollouts[key] = self._rollout(plan)
+        rollout = self._rollouts[key]
+        ended = launch.simulation.model_copy(update={"duration": float(rollout.time[-1])})
+        launch = Launch(initial=launch.initial, simulation=ended)
+        return Tried(
+            launch=launch, rollout=rollout, verdict=verify(self.scene, self.plan(task, semantics, launch), rollout)
+        )
+
+    def _rollout(self, plan: Plan) -> Rollout:
+        """Another reading of the same words may ask for the same launch: that is no new rollout."""
+        model, task = self._model(plan), plan.task
+        last = max((i.time + i.duration for i in plan.initial.impulses), default=0.0)
+        watched = {task.active, *(c.a for c in task.conditions), *({task.target} - {None, GROUND})}
+        rows = [k for k, o in enumerate(o for o in self.scene if o.mobility == "dynamic") if o.id in watched]
+        self.rollouts += 1
+        limits = plan.simulation.limits
+        watch = Still(last, rows, fastest=RUNAWAY * limits.speed if limits else np.inf)
+        try:
+            rollout = simulate(self.scene, plan, until=watch, model=model)
+        except FloatingPointError:
+            end = watch.last - 2 * plan.simulation.timestep * plan.simulation.steps_per_sample
+            if end <= 0:
+                raise
+            rollout = simulate(self.scene, plan, until=lambda time, _: time >= end, model=model)
+        self.seconds += float(rollout.time[-1])
+        return rollout
+
+    def steady(self, semantics: Sequence[Semantics]) -> tuple[Semantics, ...]:
+        """The semantics with which the scene rests: what moves by itself, and what it touches, gets back what the
+        package has, with which it was settled."""
+        known = {o.id: declared(o) for o in self.scene}
+        made, active = list(semantics), InitialConditions()
+        simulation = SimulationPlan(duration=REST)
+        for _ in range(3):
+            model = self._model_of(made, active, simulation.timestep)
+            moved = _drifts(model, round(REST / simulation.timestep))
+            restless = {o.id for o, far in zip(self.scene, moved, strict=True) if far > DRIFT}
+            near = {n for id in restless for n in self._neighbours(id)} | restless
+            changed = [known[s.id] if s.id in near else s for s in made]
+            if changed == made:
+                break
+            made = changed
+        return tuple(made)
+
+    def _neighbours(self, id: int) -> set[int]:
+        below = {s.id for s in self.scene[id].supports}
+        above = {o.id for o in self.scene if any(s.id == id for s in o.supports)}
+        return below | above
+
+    def _model(self, plan: Plan) -> Any:
+        model = self._model_of(plan.semantics, plan.initial, plan.simulation.timestep)
+        if plan.initial.offsets:
+            _require_clear(model, [o.id for o in self.scene].index(plan.task.active) + 1)
+        return model
+
+    def _model_of(self, semantics: Sequence[Semantics], initial: InitialConditions, timestep: float) -> Any:
+        """The last few models are kept: one serves all launches from the same start."""
+        key = (tuple(semantics), initial.offsets, timestep)
+        if key not in self._models:
+            if len(self._models) > 3:
+                self._models.pop(next(iter(self._models)))
+            self._models[key] = model_of(as_planned(self.scene, semantics, initial), timestep)
+        return self._models[key]
+
+
+class Still:
+    """Ends a rollout once what its goal is about has not moved for as long as counts as its end, and the others are
+    still too or have had ``LINGERS``, or anything is faster than ``fastest`` [m/s]; ``rows`` are the places of what the
+    goal is about among all that can move."""
+
+    def __init__(self, after: float, rows: Sequence[int], *, fastest: float) -> None:
+        self.after, self.since, self.rows = max(after, SHORTEST - LAST), np.inf, list(rows)
+        self.fastest, self.last = fastest, 0.0
+
+    def __call__(self, time: float, data: Any) -> bool:
+        self.last, every = time, np.abs(data.qvel).reshape(-1, 6)
+        if every[:, :3].max() > self.fastest or every[:, 3:].max() > WHIRL:
+            return True
+        moves = (every[:, :3].max(1) >= SLOW) | (every[:, 3:].max(1) >= SLOWLY)
+        still = time > self.after and not moves[self.rows].any()
+        self.since = min(self.since, time) if still else np.inf
+        return time - self.since >= (LINGERS if moves.any() else LAST)
+
+
+def sure(tried: Tried) -> bool:
+    """Whether it is met, and not by a hair."""
+    graded = [c.relative for c in tried.verdict.conditions if c.condition.type != "contact"]
+    return tried.verdict.met and min(graded, default=1.0) >= SURE
+
+
+def in_frame(tried: Tried, layout: Layout, active: int) -> float:
+    """Share of the active object in the photo's frame at the last event of the goal."""
+    times = [c.time for c in tried.verdict.conditions if c.time is not None]
+    time = max(times, default=float(tried.rollout.time[-1]))
+    sample = int(np.argmin(np.abs(tried.rollout.time - time)))
+    start = layout.scene[active].T_world_object
+    moved = tried.rollout.poses(active)[sample] @ np.linalg.inv(start)
+    return layout.share_in_frame(transform(moved, layout.corners(active)))
+
+
+def rating(tried: Tried, layout: Layout, active: int) -> tuple[bool, bool, bool, float]:
+    """Better is more: met, in the frame, sure, with more margin."""
+    return (
+        tried.verdict.met,
+        in_frame(tried, layout, active) >= IN_FRAME,
+        sure(tried),
+        min(tried.verdict.margin, 10 * SURE),
+    )
+
+
+def _drifts(model: Any, steps: int) -> np.ndarray[Any, Any]:
+    """How far every body's centre of mass moves by itself [m]."""
+    mujoco = engine()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    start = data.xipos[1:].copy()
+    mujoco.mj_step(model, data, steps)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    return np.linalg.norm(data.xipos[1:] - start, axis=1)
+
+
+def _require_clear(model: Any, body: int) -> None:
+    data = engine().MjData(model)
+    engine().mj_forward(model, data)
+    mine = (model.geom_bodyid[data.contact.geom] == body).any(1) if data.ncon else np.zeros(0, bool)
+    if (data.contact.dist[mine] < -OVERLAP).any():
+        raise OverlapError("the active object would start inside something else")
