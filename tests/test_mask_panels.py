@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from f3sr.core.transforms import pose
-from f3sr.mask_panels import mask_panels
 from f3sr.metrics.measures import full_silhouette
+from f3sr.report_page.mask_panels import mask_panels
 from f3sr.scene import Photo, Scene, SceneObject
 from f3sr.vision.occlusion import nearer_objects
 from f3sr.vision.pictures import BOTH, MASK_ONLY, RENDER_ONLY, TINT

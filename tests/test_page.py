@@ -19,22 +19,22 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import f3sr.page as page
+import f3sr.report_page as page
 from f3sr.core.mesh import Material as Appearance
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import pose, rotation_about
 from f3sr.io import inputs
 from f3sr.metrics.measures import IMAGE_MEASURES, Measures, full_silhouette, measure, measure_with_details
 from f3sr.metrics.penetration import penetration
-from f3sr.page import LARGEST_PAGE, report_page
-from f3sr.page.graph import levels
-from f3sr.page.masks import cards
-from f3sr.page.material import Material
-from f3sr.page.objects import moves
-from f3sr.page.scores import MAIN, OTHERS
-from f3sr.page.words import number
 from f3sr.pipeline import SKIPPABLE, Config, Reconstruction, reconstruct
 from f3sr.report import Decision, Report
+from f3sr.report_page import LARGEST_PAGE, report_page
+from f3sr.report_page.formatting import number
+from f3sr.report_page.graph_drawing import levels
+from f3sr.report_page.mask_comparison import cards
+from f3sr.report_page.object_table import moves
+from f3sr.report_page.page_data import Material
+from f3sr.report_page.scores import MAIN, OTHERS
 from f3sr.runtime.result_store import Store
 from f3sr.scene import GROUND, Excluded, Node, Relation, Scene, SceneGraph, Support
 from f3sr.web.light_mesh import lightened

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from f3sr.page import report_page
 from f3sr.pipeline import Reconstruction
+from f3sr.report_page import report_page
 from f3sr.runtime.progress import Progress, silent, timed
 from f3sr.scene_package import package
 from f3sr.vision import pictures

@@ -6,9 +6,9 @@ import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from f3sr.page.material import Material
-from f3sr.page.words import about, counted, name_of, ratio, share, told
 from f3sr.report import Decision
+from f3sr.report_page.formatting import about, counted, name_of, ratio, share, told
+from f3sr.report_page.page_data import Material
 from f3sr.scene import GROUND, Predicate, Relation, Scene
 from f3sr.web.markup import Child, Markup, clean, el, join
 

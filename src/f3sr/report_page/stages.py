@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from f3sr.page.masks import legend
-from f3sr.page.material import Material, look_alike
-from f3sr.page.words import about, counted, quantity, told
 from f3sr.report import Decision, Measure, Report
+from f3sr.report_page.formatting import about, counted, quantity, told
+from f3sr.report_page.mask_comparison import legend
+from f3sr.report_page.page_data import Material, look_alike
 from f3sr.scene import Scene
 from f3sr.vision.pictures import resized
-from f3sr.web.images import figure, img
+from f3sr.web.figures import figure, img
 from f3sr.web.markup import Child, Markup, el, join
 
 PURPOSE = {

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from f3sr.metrics.measures import IMAGE_MEASURES, Measures
-from f3sr.page.material import Material
-from f3sr.page.words import number, quantity, told
+from f3sr.report_page.formatting import number, quantity, told
+from f3sr.report_page.page_data import Material
 from f3sr.stages.evaluate import Evaluation, Fitted
 from f3sr.web.markup import Child, Markup, el, join
 

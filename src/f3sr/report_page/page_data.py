@@ -13,7 +13,7 @@ from f3sr.pipeline import Reconstruction
 from f3sr.scene import Scene
 from f3sr.stages.evaluate import direct_composition
 from f3sr.vision.pictures import Backdrop, overlay
-from f3sr.web.images import img
+from f3sr.web.figures import img
 from f3sr.web.markup import Markup
 
 SAME = 1e-9

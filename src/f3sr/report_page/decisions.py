@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from f3sr.page.material import Material
-from f3sr.page.words import about, counted, told
 from f3sr.report import Decision, Report
+from f3sr.report_page.formatting import about, counted, told
+from f3sr.report_page.page_data import Material
 from f3sr.scene import Scene
 from f3sr.web.markup import Markup, el, join
 

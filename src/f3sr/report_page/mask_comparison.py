@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from f3sr.mask_panels import MaskPanels, mask_panels
-from f3sr.page.material import Material
-from f3sr.page.words import counted, name_of, ratio, share
+from f3sr.report_page.formatting import counted, name_of, ratio, share
+from f3sr.report_page.mask_panels import MaskPanels, mask_panels
+from f3sr.report_page.page_data import Material
 from f3sr.scene import Scene, SceneObject
 from f3sr.vision.occlusion import nearer_objects
-from f3sr.web.images import figure, img
+from f3sr.web.figures import figure, img
 from f3sr.web.markup import Child, Markup, el, join
 
 SHOWN_AT_ONCE = 12

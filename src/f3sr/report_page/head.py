@@ -6,12 +6,12 @@ import numpy as np
 
 from f3sr.metrics.measures import visible_ious
 from f3sr.options import SKIPPABLE
-from f3sr.page.material import Material, look_alike
-from f3sr.page.words import about, counted, length, listed, name_of, ratio, share, told
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
+from f3sr.report_page.formatting import about, counted, length, listed, name_of, ratio, share, told
+from f3sr.report_page.page_data import Material, look_alike
 from f3sr.scene import SceneObject
 from f3sr.stages.refine import RefineConfig
-from f3sr.web.images import figure, img
+from f3sr.web.figures import figure, img
 from f3sr.web.markup import Child, Markup, el, join
 
 TIPPED = RefineConfig().topple

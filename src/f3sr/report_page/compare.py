@@ -11,11 +11,11 @@ import numpy as np
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, box_corners
 from f3sr.metrics.measures import Details, Gap, Overlap
-from f3sr.page.material import Material, look_alike
-from f3sr.page.words import counted, length, name_of, share
+from f3sr.report_page.formatting import counted, length, name_of, share
+from f3sr.report_page.page_data import Material, look_alike
 from f3sr.scene import GROUND, Scene
 from f3sr.vision.pictures import composite, ground_row, side_camera, side_cameras, side_view
-from f3sr.web.images import figure, img
+from f3sr.web.figures import figure, img
 from f3sr.web.markup import Child, Markup, el, join
 
 SIDE = (720, 420)

@@ -6,17 +6,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 from f3sr.errors import OutputError
-from f3sr.page.compare import compare
-from f3sr.page.decisions import decisions
-from f3sr.page.graph import graph
-from f3sr.page.head import head, verdict
-from f3sr.page.masks import masks
-from f3sr.page.material import Material, Sizes
-from f3sr.page.objects import objects
-from f3sr.page.scores import scores
-from f3sr.page.stages import stages
-from f3sr.page.viewer import viewer
 from f3sr.pipeline import Reconstruction
+from f3sr.report_page.compare import compare
+from f3sr.report_page.decisions import decisions
+from f3sr.report_page.graph_drawing import graph
+from f3sr.report_page.head import head, verdict
+from f3sr.report_page.mask_comparison import masks
+from f3sr.report_page.object_table import objects
+from f3sr.report_page.page_data import Material, Sizes
+from f3sr.report_page.scores import scores
+from f3sr.report_page.stages import stages
+from f3sr.report_page.viewer import viewer
 from f3sr.web.document import WEB, document, part
 from f3sr.web.markup import Child, el
 

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from f3sr.page.material import Material
+from f3sr.report_page.page_data import Material
 from f3sr.scene import Scene, SceneObject
 from f3sr.vision.pictures import turned_view
 from f3sr.web.document import data
-from f3sr.web.images import figure, img
+from f3sr.web.figures import figure, img
 from f3sr.web.light_mesh import lightened
 from f3sr.web.markup import Markup, clean, el
 from f3sr.web.packed import Textures, packed_camera, packed_mesh, packed_parts
