@@ -419,7 +419,7 @@ def test_an_impossible_place_is_told_before_any_work(
 def test_a_rollout_whose_film_cannot_be_put_there_is_told_before_filming(
     package: Path, played: Played, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("f3sr.film.filmed.Studio.of", lambda *_: pytest.fail("filmed"))
+    monkeypatch.setattr("f3sr.film.studio.Studio.of", lambda *_: pytest.fail("filmed"))
     place = write_played(played, tmp_path / "r").rename(tmp_path / ("x" * 250))
     assert cli.main(["film", str(place), "--package", str(package)]) == 1
     assert "file name too long" in capsys.readouterr().err and names(tmp_path) == ["package", place.name]

@@ -22,13 +22,13 @@ from PIL import Image
 from f3sr.errors import InputError, OutputError
 from f3sr.film import FILM, PLAYER, STRIP, encode, key_moments, make_film
 from f3sr.film.captions import captioned, font, slowed, speed_words, wrapped
+from f3sr.film.event_text import clock, happened, told
 from f3sr.film.moments import FEWEST, MOST
 from f3sr.film.player import LARGEST_REST
+from f3sr.film.slow_motion import factor, finer, rate_of
 from f3sr.film.strip import Title, strip
 from f3sr.film.timeline import pairs_of
-from f3sr.film.times import factor, finer, rate_of
 from f3sr.film.video import even, yuv420
-from f3sr.film.words import clock, happened, told
 from f3sr.goals.plan import Contact
 from f3sr.goals.verify import verify
 from f3sr.scene import GROUND

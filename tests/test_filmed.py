@@ -21,8 +21,8 @@ from f3sr.cli import main
 from f3sr.core.transforms import pose, transform
 from f3sr.errors import OutputError
 from f3sr.film.captions import captioned, slowed
-from f3sr.film.filmed import FilmConfig, Studio, film_played
-from f3sr.film.held import Held
+from f3sr.film.deadband import Held
+from f3sr.film.studio import FilmConfig, Studio, film_played
 from f3sr.goals.file_names import FILM, FILMS, PLAN, ROLLOUT, STRIP, VERDICT
 from f3sr.play.goal_loop import Played, simulate_goal
 from f3sr.scene import Scene

@@ -15,7 +15,7 @@ from f3sr.errors import F3srError, InputError, MissedError, OutputError, Refused
 from f3sr.runtime.daemon_thread import begun
 
 if TYPE_CHECKING:
-    from f3sr.film.filmed import Studio
+    from f3sr.film.studio import Studio
     from f3sr.goals.refusal import Refusal
     from f3sr.play.goal_loop import Played
     from f3sr.scene_package.package import Package
@@ -128,13 +128,13 @@ def _show(lines: Iterable[str]) -> None:
 
 
 def _require_slow(slow: float) -> None:
-    from f3sr.film.times import factor
+    from f3sr.film.slow_motion import factor
 
     factor(slow)
 
 
 def _studio(content: Package, slow: float) -> Studio:
-    from f3sr.film.filmed import FilmConfig, Studio
+    from f3sr.film.studio import FilmConfig, Studio
 
     return Studio.of(content, FilmConfig(slow=slow))
 

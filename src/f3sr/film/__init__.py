@@ -11,8 +11,8 @@ from f3sr.film.captions import slowed
 from f3sr.film.moments import Moment, frame_at, key_moments
 from f3sr.film.payload import Shown
 from f3sr.film.player import player
+from f3sr.film.slow_motion import factor, finer, rate_of
 from f3sr.film.strip import Title, strip
-from f3sr.film.times import factor, finer, rate_of
 from f3sr.film.video import Picture, Video, encode
 from f3sr.goals.file_names import FILM, FILMS, PLAYER, STRIP
 from f3sr.goals.plan import Plan

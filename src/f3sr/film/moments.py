@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from f3sr.core.transforms import Array
-from f3sr.film.words import clock, happened, metres, named
+from f3sr.film.event_text import clock, happened, metres, named
 from f3sr.goals.plan import Contact, Displaced, Height, Plan, Rolled
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.rollout_queries import Seen

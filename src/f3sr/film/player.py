@@ -8,9 +8,9 @@ from typing import Any
 
 from f3sr.errors import OutputError
 from f3sr.film.captions import speed_words
+from f3sr.film.event_text import clock, named, told
 from f3sr.film.payload import Shown, payload
 from f3sr.film.timeline import pairs_of, timeline
-from f3sr.film.words import clock, named, told
 from f3sr.web.document import WEB, document, part
 from f3sr.web.markup import Child, Markup, clean, el
 

@@ -10,9 +10,9 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from f3sr.film.captions import INK, PAPER, captioned, font, wrapped
+from f3sr.film.event_text import clock, told
 from f3sr.film.moments import Moment
 from f3sr.film.video import Picture
-from f3sr.film.words import clock, told
 from f3sr.io.gltf_writer import encode_png
 from f3sr.vision.pictures import resized
 

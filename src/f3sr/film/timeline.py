@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.film.words import named
+from f3sr.film.event_text import named
 from f3sr.goals.conditions import Judged
 from f3sr.goals.plan import Plan
 from f3sr.goals.rollout import Rollout

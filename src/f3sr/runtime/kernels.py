@@ -40,7 +40,7 @@ KERNEL_MODULES = (
     *("rendering.texture_kernels", "rendering.fit_kernels"),
 )
 """Modules of this package that hold numba kernels."""
-WARM_UPS = (*(name for name in KERNEL_MODULES if "." not in name), "rendering.trial")
+WARM_UPS = (*(name for name in KERNEL_MODULES if "." not in name), "rendering.warm_up_film")
 """Modules with a ``warm_up()``; together these call every kernel."""
 
 

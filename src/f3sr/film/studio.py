@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from f3sr.background import complete_background
 from f3sr.core.transforms import transform
 from f3sr.film import make_film
-from f3sr.film.held import Held
+from f3sr.film.deadband import Held
 from f3sr.play.goal_loop import Played
 from f3sr.rendering import RenderConfig, Renderer
 from f3sr.scene import Photo, Scene, SceneObject
