@@ -244,7 +244,7 @@ def _in_a_process(box: Path) -> tuple[int, float, float]:
 
 def _child(box: Path) -> int:
     """Run the command and check its package; the exit code, 99 for an exception that reached us."""
-    from f3sr import cli
+    from f3sr.cli import main as cli
 
     os.setsid()
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))

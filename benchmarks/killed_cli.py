@@ -33,7 +33,7 @@ def main() -> None:
         setattr(pipeline, name, _noted(getattr(pipeline, name), name, notes, calls))
     if kind in KILLS:
         KILLS[kind](int(count))
-    from f3sr import cli
+    from f3sr.cli import main as cli
 
     sys.argv[1:] = sys.argv[3:]
     cli.run()

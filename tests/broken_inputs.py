@@ -670,7 +670,7 @@ def broken(name: str, place: Path) -> list[str]:
 
 def said(name: str) -> str:
     """What the command says of a broken folder."""
-    from f3sr.cli import main
+    from f3sr.cli.main import main
 
     errors = io.StringIO()
     with tempfile.TemporaryDirectory() as place, contextlib.chdir(place), contextlib.redirect_stderr(errors):

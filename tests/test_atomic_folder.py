@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from f3sr import cli
+from f3sr.cli import main
 from f3sr.errors import InputError, OutputError
 from f3sr.goals.file_names import FILMS, PLAN
 from f3sr.play.goal_loop import Played, simulate_goal
@@ -171,7 +171,7 @@ def test_the_next_command_brings_a_rollout_back_even_when_it_is_refused(
     before = tree(place)
     calls, number = SECOND_RENAME["rollout"]
     assert killed_before(number, lambda: write("rollout", place, played, new=True), calls) and not place.exists()
-    assert cli.main(command(place, package)) != 0
+    assert main.main(command(place, package)) != 0
     assert tree(place) == before and not [n for n in names(place.parent) if n.startswith(".")]
 
 
@@ -194,7 +194,7 @@ def test_the_next_command_brings_a_package_back(arguments: list[str], played: Pl
     before = tree(place)
     calls, number = SECOND_RENAME["package"]
     assert killed_before(number, lambda: write("package", place, played, new=True), calls) and not place.exists()
-    cli.main([a.format(place) for a in arguments])
+    main.main([a.format(place) for a in arguments])
     assert tree(place) == before and names(place.parent) == ["out"]
 
 
@@ -310,7 +310,7 @@ def test_no_link_leads_a_rollout_out_of_a_package(
     (tmp_path / link).symlink_to(tmp_path / target)
     before = sorted(tmp_path.rglob("*"))
     place = [] if out is None else ["-o", str(tmp_path / out)]
-    assert cli.main(["simulate", str(package), GOAL, "--no-film", *place]) == 1
+    assert main.main(["simulate", str(package), GOAL, "--no-film", *place]) == 1
     error = capsys.readouterr().err
     assert "link" in error and error.count("\n") == 1
     assert sorted(tmp_path.rglob("*")) == before
@@ -323,7 +323,7 @@ def test_a_film_does_not_follow_a_link_out_of_its_package(
     (package / "rollouts").mkdir()
     (package / "rollouts" / "1").symlink_to(elsewhere)
     before = tree(elsewhere)
-    assert cli.main(["film", str(package / "rollouts" / "1"), "--package", str(package)]) == 1
+    assert main.main(["film", str(package / "rollouts" / "1"), "--package", str(package)]) == 1
     assert "link" in capsys.readouterr().err and tree(elsewhere) == before
     with pytest.raises(OutputError, match="link"):
         write_film(NEW, package / "rollouts" / "1")
@@ -411,7 +411,7 @@ def test_an_impossible_place_is_told_before_any_work(
         "simulate": ["simulate", str(package), GOAL, "--no-film"],
         "several": ["simulate", str(package), GOAL, GOAL, "--no-film"],
     }
-    assert cli.main([*given[command], "-o", out]) == 1
+    assert main.main([*given[command], "-o", out]) == 1
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and len(error) < 1200 and sorted(tmp_path.rglob("*")) == before
 
@@ -421,7 +421,7 @@ def test_a_rollout_whose_film_cannot_be_put_there_is_told_before_filming(
 ) -> None:
     monkeypatch.setattr("f3sr.film.studio.Studio.of", lambda *_: pytest.fail("filmed"))
     place = write_played(played, tmp_path / "r").rename(tmp_path / ("x" * 250))
-    assert cli.main(["film", str(place), "--package", str(package)]) == 1
+    assert main.main(["film", str(place), "--package", str(package)]) == 1
     assert "file name too long" in capsys.readouterr().err and names(tmp_path) == ["package", place.name]
 
 
@@ -442,7 +442,7 @@ def test_a_package_does_not_go_into_another(where: str, package: Path) -> None:
 
 def test_a_file_where_rollouts_go_is_told(package: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (package / "rollouts").write_text("mine")
-    assert cli.main(["simulate", str(package), GOAL, "--no-film"]) == 1
+    assert main.main(["simulate", str(package), GOAL, "--no-film"]) == 1
     assert "rollouts is a file" in capsys.readouterr().err and (package / "rollouts").read_text() == "mine"
 
 

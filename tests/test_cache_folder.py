@@ -282,12 +282,12 @@ print(kernels.kernel_folder(), *read)
 def test_a_user_id_without_home_and_entry_can_run_commands(place: Path):
     code = """
 import os, pwd, sys
-from f3sr import cli, doctor
+from f3sr.cli import main, doctor
 from f3sr.runtime.cache_folder import cache_folder
-list(doctor._caches()), cli.main(["config"]), cache_folder.cache_clear()
+list(doctor._caches()), main.main(["config"]), cache_folder.cache_clear()
 del os.environ["HOME"]
 os.setgroups([]); os.setgid(4242); os.setuid(4242)
-code = cli.main(["config"])
+code = main.main(["config"])
 print([check.found for check in doctor._caches()], file=sys.stderr)
 sys.exit(code)
 """
@@ -300,7 +300,9 @@ def test_the_command_says_in_one_line_that_a_folder_is_not_used(place: Path, mon
     (place / "shared").mkdir()
     (place / "shared").chmod(0o777)
     monkeypatch.setenv("F3SR_CACHE_DIR", str(place / "shared"))
-    done = run("from f3sr import cli, doctor; doctor.examine = lambda: list(doctor._caches()); cli.run()", "doctor")
+    done = run(
+        "from f3sr.cli import main, doctor; doctor.examine = lambda: list(doctor._caches()); main.run()", "doctor"
+    )
     assert done.returncode == 0 and str(temporary(place)) in done.stdout
     assert done.stderr.startswith(f"f3sr: {place}/shared: ") and done.stderr.count("\n") == 1
 

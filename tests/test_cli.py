@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 
 import f3sr
-from f3sr import doctor, options, settings
-from f3sr.cli import main
+from f3sr import options, settings
+from f3sr.cli import doctor
+from f3sr.cli.main import main
 from f3sr.metrics.measures import IMAGE_MEASURES
 from f3sr.pipeline import Config
 from f3sr.runtime import signals

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from f3sr.cli import main
+from f3sr.cli.main import main
 from f3sr.core.transforms import pose, transform
 from f3sr.errors import OutputError
 from f3sr.film.captions import captioned, slowed

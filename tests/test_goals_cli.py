@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from f3sr import cli
+from f3sr.cli import main as cli
 from f3sr.scene_package.package import Package
 from goal_scene import goal_package
 

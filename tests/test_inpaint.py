@@ -15,7 +15,7 @@ from PIL import Image
 
 from f3sr.background import BackgroundConfig
 from f3sr.background.support import faces_ground, hiding, support_of
-from f3sr.cli import main
+from f3sr.cli.main import main
 from f3sr.core.transforms import pose, rotation_about
 from f3sr.errors import InputError
 from f3sr.io import inputs

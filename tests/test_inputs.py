@@ -18,7 +18,7 @@ from PIL import Image
 
 import broken_inputs
 from broken_inputs import BIG, WRONG, Spoil, broken, in_order
-from f3sr.cli import main
+from f3sr.cli.main import main
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import transform
 from f3sr.errors import InputError
@@ -362,7 +362,7 @@ def test_a_process_of_its_own_says_the_same(case: str, tmp_path: Path):
 
 
 def command(place: Path, **options: Any) -> subprocess.CompletedProcess[str]:
-    program = "from f3sr.cli import run; run()"
+    program = "from f3sr.cli.main import run; run()"
     arguments = [sys.executable, "-c", program, "reconstruct", "input", "-o", "new/out"]
     return subprocess.run(arguments, cwd=place, capture_output=True, text=True, timeout=60, **options)
 

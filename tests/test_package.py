@@ -20,7 +20,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from f3sr.cli import main
+from f3sr.cli.main import main
 from f3sr.core.mesh import ConvexPart, Material, Mesh
 from f3sr.core.transforms import pose, rotation_about, transform
 from f3sr.errors import InputError, OutputError

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from f3sr.cli import main
+from f3sr.cli.main import main
 
 
 @pytest.mark.slow

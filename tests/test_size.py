@@ -24,7 +24,7 @@ size (72 MB), or a second copy of every texture and mesh, breaks it."""
 
 SCRIPT = """
 import sys
-from f3sr.cli import main
+from f3sr.cli.main import main
 code = main(sys.argv[1:])
 status = open("/proc/self/status").read()
 print("peak", status.split("VmHWM:")[1].split()[0])

@@ -15,9 +15,9 @@ def run() -> None:
 def _code() -> int:
     try:
         signals.watch()
-        from f3sr import cli
+        from f3sr.cli import main
 
-        return cli.run()
+        return main.run()
     except Exception as error:  # no memory or no threads for the libraries
         from f3sr.errors import printable, unforeseen
 

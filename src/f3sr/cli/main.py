@@ -15,7 +15,8 @@ import tyro
 from tyro.conf import Positional, arg
 
 import f3sr
-from f3sr import cli_goals, options
+from f3sr import options
+from f3sr.cli import goal_commands
 from f3sr.errors import F3srError, F3srWarning, InputError, MissedError, RefusedError, one_line, printable, unforeseen
 from f3sr.runtime import signals
 
@@ -36,9 +37,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     commands: dict[str, Callable[..., Any]] = {
         "reconstruct": reconstruct,
         "evaluate": evaluate,
-        "simulate": cli_goals.simulate,
-        "film": cli_goals.film,
-        "goals": cli_goals.goals,
+        "simulate": goal_commands.simulate,
+        "film": goal_commands.film,
+        "goals": goal_commands.goals,
         "demo": demo,
         "config": config,
         "doctor": doctor,
@@ -93,7 +94,8 @@ def reconstruct(
         overwrite: Also replace a package that holds rollouts.
         json: Print one JSON object instead of text.
     """
-    from f3sr import console, pipeline, settings
+    from f3sr import pipeline, settings
+    from f3sr.cli import console
     from f3sr.delivery import deliver
     from f3sr.io import inputs
     from f3sr.runtime import atomic_folder, kernels
@@ -142,7 +144,8 @@ def evaluate(
         config: TOML file of settings, as for ``reconstruct``; a package needs only those of [evaluate].
         json: Print one JSON object instead of a table.
     """
-    from f3sr import console, pipeline, settings
+    from f3sr import pipeline, settings
+    from f3sr.cli import console
     from f3sr.io import inputs
     from f3sr.runtime import atomic_folder, kernels
     from f3sr.runtime.progress import timed
@@ -184,7 +187,7 @@ def demo(out: Out = Path("out/demo"), overwrite: bool = False) -> None:
     from f3sr import example
 
     reconstruct(example.folder(), out=out, overwrite=overwrite)
-    cli_goals.simulate(out, (example.GOAL,))
+    goal_commands.simulate(out, (example.GOAL,))
 
 
 def config() -> None:
@@ -202,8 +205,8 @@ def doctor(json: bool = False) -> None:
     """
     from dataclasses import asdict
 
-    from f3sr import console
-    from f3sr.doctor import examine
+    from f3sr.cli import console
+    from f3sr.cli.doctor import examine
 
     checks = examine()
     if json:

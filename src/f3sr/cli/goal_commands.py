@@ -112,7 +112,7 @@ def film(rollout: Folder, /, package: Path | None = None, slow: float = 1.0, jso
 
 def _make_ready(content: Package, quiet: bool) -> None:
     """What a film needs, before a goal is played for it: its pictures are read, its kernels compiled."""
-    from f3sr import console
+    from f3sr.cli import console
     from f3sr.runtime import kernels
 
     for read in (content.background, content.support, content.kept_depth):
@@ -175,7 +175,7 @@ def goals(package: Folder, /, json: bool = False) -> None:
     """
     from dataclasses import asdict
 
-    from f3sr import console
+    from f3sr.cli import console
     from f3sr.language.capabilities import menu
     from f3sr.scene_package.package import read_package
 
