@@ -20,7 +20,7 @@ from PIL import Image
 from scipy.ndimage import binary_dilation, binary_erosion, distance_transform_edt, gaussian_filter
 
 from f3sr.background import BackgroundConfig, complete_background, patchmatch, widened
-from f3sr.background.shadows import ShadowConfig
+from f3sr.background.shadows import PhotoShadowConfig
 from f3sr.background.support import support_of
 from f3sr.io import inputs
 from f3sr.pipeline import SKIPPABLE, reconstruct
@@ -32,7 +32,7 @@ Pixels = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 Fill = Callable[[Pixels, Mask, Mask], Pixels]
 
-AS_GIVEN = BackgroundConfig(margin=0.0, shadows=ShadowConfig(reach=0.0))
+AS_GIVEN = BackgroundConfig(margin=0.0, shadows=PhotoShadowConfig(reach=0.0))
 """A hole as it is."""
 PEER_RADIUS = 5
 """Neighbourhood of OpenCV's inpainting [px]."""

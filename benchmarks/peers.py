@@ -14,8 +14,8 @@ import numpy as np
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import Array
 from f3sr.proxies import GRID, Excess, ProxyConfig, fit
-from f3sr.proxies.parts import Fitted, decimated, nearly_convex, one_hull
-from f3sr.proxies.surface import Faces, Nearest, surroundings
+from f3sr.proxies.parts import FittedParts, decimated, nearly_convex, one_hull
+from f3sr.proxies.surface import Faces, NearestTriangles, surroundings
 from f3sr.report import Measure, Report
 from f3sr.scene import Scene
 
@@ -88,13 +88,13 @@ def stage(method: str) -> Callable[[Scene, ProxyConfig], tuple[Scene, Report]]:
     return decomposed
 
 
-def _fitted(parts: Sequence[ConvexPart], vertices: Array, faces: Faces, config: ProxyConfig) -> Fitted:
+def _fitted(parts: Sequence[ConvexPart], vertices: Array, faces: Faces, config: ProxyConfig) -> FittedParts:
     around = surroundings(vertices, faces, config)
-    return Fitted(
+    return FittedParts(
         parts=tuple(parts),
         inflation=fit.inflation(parts, vertices, faces),
         outside=fit.largest_outside(parts, vertices[np.unique(faces)]),
-        excess=fit.excess(parts, Nearest.on(vertices, faces), around, config.probe),
+        excess=fit.excess(parts, NearestTriangles.on(vertices, faces), around, config.probe),
     )
 
 

@@ -13,13 +13,13 @@ from scipy.ndimage import binary_dilation, gaussian_filter
 from f3sr.background import BackgroundConfig, complete_background, patchmatch
 from f3sr.background.completion import CompletionConfig
 from f3sr.background.membrane import membrane
-from f3sr.background.shadows import ShadowConfig
+from f3sr.background.shadows import PhotoShadowConfig
 from f3sr.scene import Photo
 
 Pixels = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-AS_GIVEN = BackgroundConfig(margin=0.0, shadows=ShadowConfig(reach=0.0))
+AS_GIVEN = BackgroundConfig(margin=0.0, shadows=PhotoShadowConfig(reach=0.0))
 """The hole as it is: nothing widened, no shadow."""
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from f3sr.contact.footing import GROUND_PLANE, FootingConfig, Plane, flush, footing, support_plane
+from f3sr.contact.footing import GROUND_PLANE, FootingConfig, SupportPlane, flush, footing, support_plane
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import pose, rotation_about, rotation_angle
 from f3sr.metrics.point_in_mesh import union_distance
@@ -47,7 +47,7 @@ def test_what_stands_on_a_slanted_underside_keeps_its_pose_with_a_footing_and_ti
 
 
 def test_a_footing_reaches_the_plane_and_not_below():
-    for plane in (GROUND_PLANE, Plane(normal=rotation_about([0, 1, 0], -0.03)[:, 2], offset=-0.03)):
+    for plane in (GROUND_PLANE, SupportPlane(normal=rotation_about([0, 1, 0], -0.03)[:, 2], offset=-0.03)):
         o = slanted(np.radians(5))
         (wedge,) = footing(o, plane, CONFIG)
         heights = plane.heights(wedge.moved(o.T_world_asset).vertices)

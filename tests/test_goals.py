@@ -35,13 +35,13 @@ from f3sr.goals.plan import (
 )
 from f3sr.goals.refusal import Refusal
 from f3sr.goals.rollout import to_npz
-from f3sr.goals.scene_layout import Layout
+from f3sr.goals.scene_layout import SceneLayout
 from f3sr.goals.simulate import simulate
 from f3sr.goals.verify import VerdictDocument, verify
 from f3sr.goals.verify import to_json as verdict_json
 from f3sr.language.capabilities import menu
 from f3sr.language.reasoner import declared, semantics_of
-from f3sr.launches.launch_context import Setting
+from f3sr.launches.launch_context import LaunchContext
 from f3sr.physics.mujoco_model import body_of
 from f3sr.play import rollout_folder
 from f3sr.play.goal_loop import Played, replay_plan, simulate_goal
@@ -209,7 +209,7 @@ def test_what_is_struck_is_not_lifted_by_that(tmp_path: Path, speed: float) -> N
     """A speed from one step to the next lifts it: the engine's cone of friction is convex."""
     package = goal_package(tmp_path / "package", replace(goal_scene(), objects=(goal_scene()[BLOCK],)))
     task = played(package, "push the block 5 cm to the left").plan.task
-    setting = Setting(task, Layout(package.scene), limits_of(package.scene))
+    setting = LaunchContext(task, SceneLayout(package.scene), limits_of(package.scene))
     rise = {}
     for launch in (
         setting.struck(setting.direction, speed, 0.5, seconds=0.1),

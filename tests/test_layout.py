@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from f3sr.goals.cavity import pool_of
-from f3sr.goals.scene_layout import Layout, way_between
+from f3sr.goals.cavity import cavity_of
+from f3sr.goals.scene_layout import SceneLayout, way_between
 from f3sr.launches.launch_context import Aim
 from f3sr.scene import GROUND
 from goal_scene import BALL, BLOCK, CAN, CARTON, CRATE, LID, goal_scene
 
 
 @pytest.fixture(scope="module")
-def layout() -> Layout:
-    return Layout(goal_scene())
+def layout() -> SceneLayout:
+    return SceneLayout(goal_scene())
 
 
 def test_the_way_between_squares_is_exact() -> None:
@@ -27,7 +27,7 @@ def test_the_way_between_squares_is_exact() -> None:
     assert not first < last
 
 
-def test_what_is_met_first_along_a_way(layout: Layout) -> None:
+def test_what_is_met_first_along_a_way(layout: SceneLayout) -> None:
     assert layout.meets(CARTON, np.array([1.0, 0, 0]))[:1] == []
     toward = layout.center(CAN) - layout.center(CARTON)
     met = layout.meets(CARTON, toward * [1, 1, 0] / np.linalg.norm(toward[:2]))
@@ -37,23 +37,23 @@ def test_what_is_met_first_along_a_way(layout: Layout) -> None:
     )
 
 
-def test_tops_look_through_what_is_told(layout: Layout) -> None:
+def test_tops_look_through_what_is_told(layout: SceneLayout) -> None:
     height, whose = layout.top(0.2, -0.2)
     assert whose == LID and height == pytest.approx(0.09, abs=1e-3)
     assert layout.top(0.2, -0.2, without=LID)[1] == BLOCK and layout.top(0.6, 0.6) == (0.0, GROUND)
 
 
-def test_a_crate_holds_water_and_a_block_does_not(layout: Layout) -> None:
+def test_a_crate_holds_water_and_a_block_does_not(layout: SceneLayout) -> None:
     pool = layout.pool(CRATE)
     assert pool is not None and np.allclose(pool.center, [0, 0.25], atol=0.01)
     assert pool.level == pytest.approx(0.1, abs=2e-3) and pool.depth == pytest.approx(0.09, abs=2e-3)
     assert pool.radius == pytest.approx(0.14 / np.sqrt(np.pi), rel=0.15)
     assert layout.pool(BLOCK) is None and layout.pool(BALL) is None
     leaking = replace(layout.scene[CRATE], parts=layout.scene[CRATE].parts[:4])
-    assert pool_of(leaking) is None, "a wall is missing"
+    assert cavity_of(leaking) is None, "a wall is missing"
 
 
-def test_what_rolls(layout: Layout) -> None:
+def test_what_rolls(layout: SceneLayout) -> None:
     assert layout.is_ball(BALL) and not layout.is_ball(CAN) and not layout.is_ball(BLOCK)
     assert not layout.rolls(CAN, np.array([1.0, 0, 0])), "it stands"
 

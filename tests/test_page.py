@@ -33,7 +33,7 @@ from f3sr.report_page.formatting import number
 from f3sr.report_page.graph_drawing import levels
 from f3sr.report_page.mask_comparison import cards
 from f3sr.report_page.object_table import moves
-from f3sr.report_page.page_data import Material
+from f3sr.report_page.page_data import PageData
 from f3sr.report_page.scores import MAIN, OTHERS
 from f3sr.runtime.result_store import Store
 from f3sr.scene import GROUND, Excluded, Node, Relation, Scene, SceneGraph, Support
@@ -148,7 +148,7 @@ def test_a_result_that_was_not_aligned_has_a_second_column_of_its_own(given: inp
 
 
 def test_every_object_has_its_panels_worst_first_with_the_numbers_they_show(result: Reconstruction, text: str):
-    m = Material(result, page.SIZES[0])
+    m = PageData(result, page.SIZES[0])
     section = text[text.index('id="masks"') : text.index('id="view"')]
     found = {c.o.id: c.panels for c in cards(m)}
     ordered = sorted(found, key=lambda id: found[id].ious[1])
@@ -178,7 +178,7 @@ def test_many_objects_have_small_panels_and_fold():
     section = section[section.index('id="masks"') : section.index('id="view"')]
     assert section.count('class="panel"') == 60 and section.index("<details>") > section.index('class="panel"')
     assert section[: section.index("<details>")].count('class="panel"') == 12 and "48 more objects" in section
-    sides = [max(p.shape) for c in cards(Material(result, page.SIZES[0])) for p in c.panels.pictures]
+    sides = [max(p.shape) for c in cards(PageData(result, page.SIZES[0])) for p in c.panels.pictures]
     assert len(sides) == 120 and max(sides) ** 2 * len(sides) <= 1.01 * page.SIZES[0].panels
     panels = section[section.index("Every object alone") :]
     assert len(panels) < 2.5 * page.SIZES[0].panels / 4  # even noise, the worst photo, stays bounded
@@ -197,7 +197,7 @@ def test_every_decision_is_told(result: Reconstruction, text: str):
 
 
 def test_moves_are_what_each_stage_did(result: Reconstruction, text: str):
-    m = Material(result, page.SIZES[0])
+    m = PageData(result, page.SIZES[0])
     for o in result.scene:
         found = moves(m, o.id)
         assert [x.stage for x in found] == list(dict.fromkeys(x.stage for x in o.motion))

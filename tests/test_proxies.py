@@ -19,7 +19,7 @@ from f3sr.proxies.cuts import clipped
 from f3sr.proxies.fit import excess
 from f3sr.proxies.parts import subject_of
 from f3sr.proxies.simplify import simplified_outward
-from f3sr.proxies.surface import Nearest, samples_of, surroundings
+from f3sr.proxies.surface import NearestTriangles, samples_of, surroundings
 
 QUICK = ProxyConfig(target_faces=600, samples=2000, tolerance=0.012, max_parts=24, surplus=1.5)
 
@@ -305,7 +305,7 @@ def test_the_excess_is_what_a_lid_stands_off():
     vertices, faces, _ = proxies._normalised(mesh)
     around = surroundings(vertices, faces, ProxyConfig())
     hull = ConvexPart.hull_of(vertices)
-    found = excess([hull], Nearest.on(vertices, faces), around, 0.03)
+    found = excess([hull], NearestTriangles.on(vertices, faces), around, 0.03)
     # The lid's middle is .35 from the two long walls and .45 from the floor.
     assert found.largest == pytest.approx(0.35 / mesh.diagonal, rel=0.05)
     assert found.at[2] == pytest.approx(vertices[:, 2].max())
@@ -314,7 +314,7 @@ def test_the_excess_is_what_a_lid_stands_off():
 
 def test_distances_to_a_surface_are_exact():
     cube = box_mesh()
-    nearest = Nearest.on(cube.vertices, cube.faces)
+    nearest = NearestTriangles.on(cube.vertices, cube.faces)
     points = np.array([(0, 0, 0.75), (1, 1, 0), (1, 1, 1), (0.5, 0.1, 0.2), (0, 0, 0.4)])
     assert nearest.distance(points) == pytest.approx([0.25, np.sqrt(0.5), np.sqrt(0.75), 0, 0.1])
 

@@ -8,7 +8,7 @@ import pytest
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.proxies import trim
-from f3sr.proxies.trim import Near, Surface
+from f3sr.proxies.trim import MeshSurface, Near
 from scenes import ball_mesh, dish_mesh
 
 NEAR = Near(tolerance=2e-4, radius=0.01, reach=0.05)
@@ -39,7 +39,7 @@ def surface_points(mesh: Mesh, count: int = 3000) -> np.ndarray:
 
 def touched(mesh: Mesh, parts: tuple[ConvexPart, ...], x: np.ndarray) -> tuple[tuple[ConvexPart, ...], float, float]:
     """The parts trimmed at the place nearest to x, and how far they stand off there before and after."""
-    surface = Surface.of(mesh)
+    surface = MeshSurface.of(mesh)
     there = trim.place_near(surface, parts, x, NEAR)
     assert there is not None
     less = trim.trimmed(surface, parts, there, NEAR)
@@ -94,7 +94,7 @@ def test_the_unit_of_the_asset_does_not_matter():
     small = dish_mesh()
     large = small.with_vertices(1000 * small.vertices)
     parts = touched(small, (ConvexPart.hull_of(small.vertices),), x)[0]
-    surface, whole = Surface.of(large), (ConvexPart.hull_of(large.vertices),)
+    surface, whole = MeshSurface.of(large), (ConvexPart.hull_of(large.vertices),)
     there = trim.place_near(surface, whole, 1000 * x, NEAR.scaled(1000))
     assert there is not None
     scaled = trim.trimmed(surface, whole, there, NEAR.scaled(1000))
@@ -106,7 +106,7 @@ def test_the_unit_of_the_asset_does_not_matter():
 def test_the_nearest_point_is_that_of_all_samples(seed: int):
     mesh = dish_mesh()
     x = np.random.default_rng(seed).uniform(-0.06, 0.06, 3)
-    nearest = Surface.of(mesh).nearest(x, 1.0)
+    nearest = MeshSurface.of(mesh).nearest(x, 1.0)
     assert nearest is not None
     distances = np.linalg.norm(surface_points(mesh, 40_000) - x, axis=1)
     assert np.linalg.norm(nearest - x) <= distances.min() + 1e-12
@@ -118,7 +118,7 @@ def test_a_part_of_a_sheet_is_left_as_it_is():
     mesh = dish_mesh()
     flat = ConvexPart.hull_of(np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-0.5, 0.5)]))
     sheet = Mesh(vertices=np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), faces=np.array([[0, 1, 2]], np.int32))
-    surface = Surface.of(sheet)
+    surface = MeshSurface.of(sheet)
     there = trim.place_on(surface, (flat,), np.array([0.2, 0.2, 0.0]), np.array([0.0, 0.0, 1.0]))
     less = trim.trimmed(surface, (flat,), there, NEAR)
     assert there.off == pytest.approx(0.5) and outside(less, sheet.vertices) < 1e-8 and mesh is not sheet

@@ -13,7 +13,7 @@ from f3sr.goals.plan import Kind
 from f3sr.goals.refusal import Refusal
 from f3sr.language.grammar.parser import understand
 from f3sr.language.grammar.quantities import Amount
-from f3sr.language.grammar.request import Outcome, Request
+from f3sr.language.grammar.request import Request, WantedOutcome
 from f3sr.language.reference_resolution import Named, resolve_request
 from laid_table import table
 
@@ -29,7 +29,7 @@ def cm(value: float) -> Amount:
     return Amount(value=round(value / 100, 9))
 
 
-TOPPLES_TARGET = Outcome(what="topple", whose="target")
+TOPPLES_TARGET = WantedOutcome(what="topple", whose="target")
 UNDERSTOOD = {
     # topple
     "knock over the can": asked("topple", "can"),
@@ -41,7 +41,7 @@ UNDERSTOOD = {
     "topple the bottle away from me": asked("topple", "bottle", None, "away"),
     "tip the bottle towards the ball": asked("topple", "bottle", ("towards", "ball")),
     "Tip the bottle toward the ball and let it roll": asked(
-        "topple", "bottle", ("towards", "ball"), outcome=Outcome(what="roll", whose="active")
+        "topple", "bottle", ("towards", "ball"), outcome=WantedOutcome(what="roll", whose="active")
     ),
     "make the can fall over": asked("topple", "can"),
     "I want the can to tip over to the right": asked("topple", "can", None, "right"),
@@ -82,7 +82,7 @@ UNDERSTOOD = {
     "move the object on the far right to the left": asked("slide", "object on right", None, "left"),
     "slide the plate 1½ m left": asked("slide", "plate", None, "left", amount=cm(150)),
     "push the plate 1 1/2 ft left": asked("slide", "plate", None, "left", amount=cm(45.72)),
-    "push the can until it falls over": asked("slide", "can", outcome=Outcome(what="topple", whose="active")),
+    "push the can until it falls over": asked("slide", "can", outcome=WantedOutcome(what="topple", whose="active")),
     "drag the bowl closer to me": asked("slide", "bowl", None, "towards"),
     "push me the mug": asked("slide", "mug", None, "towards"),
     "push the bottle towards the back of the table": asked("slide", "bottle", None, "away"),
@@ -98,7 +98,7 @@ UNDERSTOOD = {
         "push_into", "ball", ("into", "can"), outcome=TOPPLES_TARGET
     ),
     "strike the bottle with the apple so that it moves": asked(
-        "push_into", "apple", ("into", "bottle"), outcome=Outcome(what="move", whose="target")
+        "push_into", "apple", ("into", "bottle"), outcome=WantedOutcome(what="move", whose="target")
     ),
     "knock over the can with the ball": asked("push_into", "ball", ("into", "can"), outcome=TOPPLES_TARGET),
     "the can gets knocked over by the ball": asked("push_into", "ball", ("into", "can"), outcome=TOPPLES_TARGET),
@@ -163,7 +163,7 @@ UNDERSTOOD = {
     "make the ball fly over the box": asked("throw", "ball", ("over", "box")),
     "throw the ball to the left and let it fall": asked("throw", "ball", None, "left"),
     "throw the ball to the left so that it comes back": asked(
-        "throw", "ball", None, "left", outcome=Outcome(what="return", whose="active")
+        "throw", "ball", None, "left", outcome=WantedOutcome(what="return", whose="active")
     ),
     # bounce
     "bounce the ball off the box": asked("bounce", "ball", ("off", "box")),

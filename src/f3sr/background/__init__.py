@@ -14,7 +14,7 @@ from f3sr.background.completion import CompletionConfig, complete
 from f3sr.background.membrane import membrane
 from f3sr.background.patchmatch import Picture
 from f3sr.background.regions import Mask, closed, distance_to, grown, parts_of
-from f3sr.background.shadows import ShadowConfig, find_shadows
+from f3sr.background.shadows import PhotoShadowConfig, find_shadows
 from f3sr.report import Decision
 from f3sr.scene import Photo
 from f3sr.settings import settings
@@ -41,7 +41,7 @@ class BackgroundConfig:
     margin: Annotated[float, Interval(ge=0, le=0.1)] = 0.01
     """By how much masks are widened, in shares of the photo's longer side: their borders hold mixed colours, and masks
     are seldom exact to the pixel."""
-    shadows: ShadowConfig = field(default_factory=ShadowConfig)
+    shadows: PhotoShadowConfig = field(default_factory=PhotoShadowConfig)
     completion: CompletionConfig = field(default_factory=CompletionConfig)
 
 

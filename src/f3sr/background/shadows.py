@@ -55,7 +55,7 @@ LEAST = 0.015
 
 
 @settings
-class ShadowConfig:
+class PhotoShadowConfig:
     """Which darker pixels beside an object are its shadow."""
 
     reach: Annotated[float, Interval(ge=0, le=5)] = 1.0
@@ -66,7 +66,7 @@ class ShadowConfig:
 
 
 @dataclass(frozen=True, eq=False)
-class _View:
+class _SmallPhoto:
     """The photo, small: ``light`` (h, w) and ``colour`` (h, w, 2) [log], what is ``taken`` (h, w) by objects, the
     lower halves of these, ``base`` (h, w): what is behind an upper half is seldom what the object stands on; every
     pixel's ``distance`` (h, w) to them in shares of the reach, and whose that is (h, w), ``owner``."""
@@ -83,7 +83,9 @@ class _View:
         return self.distance <= 1
 
 
-def find_shadows(picture: Picture, masks: Sequence[Mask], config: ShadowConfig, support: Mask | None = None) -> Mask:
+def find_shadows(
+    picture: Picture, masks: Sequence[Mask], config: PhotoShadowConfig, support: Mask | None = None
+) -> Mask:
     """Pixels (h, w) of ``picture`` (h, w, 3), logarithms of colour, that lie in the shadow of a mask's object, all on
     the ``support`` (h, w) where that is known."""
     shape = picture.shape[:2]
@@ -110,7 +112,7 @@ def find_shadows(picture: Picture, masks: Sequence[Mask], config: ShadowConfig, 
     return large if support is None else large & support
 
 
-def _view(picture: Picture, masks: Sequence[Mask], step: int, reach: float) -> _View:
+def _view(picture: Picture, masks: Sequence[Mask], step: int, reach: float) -> _SmallPhoto:
     from scipy.ndimage import gaussian_filter
 
     small = _shrunk(picture, step)
@@ -133,7 +135,7 @@ def _view(picture: Picture, masks: Sequence[Mask], step: int, reach: float) -> _
     smooth = gaussian_filter(np.concatenate([small * weight, weight], 2), (sigma, sigma, 0))
     r, g, b = np.moveaxis(smooth[..., :3] / np.maximum(smooth[..., 3:], 1e-6), 2, 0)
     colour = np.stack([r - g, (r + g) / 2 - b], axis=-1)
-    return _View((r + g + b) / 3, colour, taken, base, distance, owner)
+    return _SmallPhoto((r + g + b) / 3, colour, taken, base, distance, owner)
 
 
 def _shrunk(values: NDArray[np.float32], step: int) -> NDArray[np.float32]:
@@ -144,7 +146,7 @@ def _shrunk(values: NDArray[np.float32], step: int) -> NDArray[np.float32]:
     return padded.reshape(padded.shape[0] // step, step, -1, step, c).mean(axis=(1, 3))
 
 
-def _darker(view: _View) -> tuple[Array, float]:
+def _darker(view: _SmallPhoto) -> tuple[Array, float]:
     """By how much (h, w) [log] each pixel is darker than its material nearby, and the deviation of that where no object
     is near."""
     free = ~view.taken
@@ -162,7 +164,7 @@ def _darker(view: _View) -> tuple[Array, float]:
     return darker, deviation
 
 
-def _light_around(view: _View, weight: Array) -> Array:
+def _light_around(view: _SmallPhoto, weight: Array) -> Array:
     """The mean light (h, w) of pixels of the same colour nearby, its own where there are none; the mean of what is left
     is added, which follows slopes of light (twicing, Tukey 1977)."""
     from scipy.ndimage import gaussian_filter, map_coordinates
@@ -187,14 +189,14 @@ def _light_around(view: _View, weight: Array) -> Array:
     return light + rest
 
 
-def _darkest(view: _View, darker: Array, masks: int) -> Array:
+def _darkest(view: _SmallPhoto, darker: Array, masks: int) -> Array:
     """How dark (n,) [log] it is close around each mask."""
     close = ~view.taken & (view.distance <= CLOSE)
     owned = [darker[close & (view.owner == k)] for k in range(masks)]
     return np.array([float(np.percentile(d, DARKEST)) if d.size else 0.0 for d in owned])
 
 
-def _edges(view: _View) -> Mask:
+def _edges(view: _SmallPhoto) -> Mask:
     """Pixels (h, w) across which the colour changes as that of a shadow does not: another material begins."""
     from scipy.ndimage import maximum_filter, minimum_filter
 

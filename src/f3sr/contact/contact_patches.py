@@ -87,7 +87,7 @@ def find_contacts(bodies: Mapping[int, Body], *, reach: float = REACH, ground: b
     )
 
 
-class _Patch(NamedTuple):
+class _ContactPatch(NamedTuple):
     """One normal (3,), and corners (k, 3) with how they follow the upper body (k, 3, 3)."""
 
     normal: Array
@@ -97,7 +97,7 @@ class _Patch(NamedTuple):
 
 class _Row(NamedTuple):
     owners: tuple[int, int]
-    patch: _Patch
+    patch: _ContactPatch
 
 
 def _rows(bodies: Mapping[int, Body], reach: float, ground: bool) -> Iterator[_Row]:
@@ -114,7 +114,7 @@ def _rows(bodies: Mapping[int, Body], reach: float, ground: bool) -> Iterator[_R
             continue
         upward = sum(p.normal[2] * len(p.points) for p in patches) >= 0
         if not upward:
-            patches = [_Patch(-p.normal, p.points, np.eye(3) - p.follow) for p in patches]
+            patches = [_ContactPatch(-p.normal, p.points, np.eye(3) - p.follow) for p in patches]
         yield from (_Row((a, b) if upward else (b, a), patch) for patch in _merged(patches, reach))
     if ground:
         for id, parts in bodies.items():
@@ -136,7 +136,7 @@ def _near(a: Array, b: Array, reach: float) -> NDArray[np.bool_]:
     return np.logical_and.reduce(near, axis=-1)
 
 
-def _between(a: Polytope, b: Polytope, reach: float) -> _Patch | None:
+def _between(a: Polytope, b: Polytope, reach: float) -> _ContactPatch | None:
     """The patch of two convex parts, its normal from b to a; None when they are further apart than reach."""
     normals, heights = face_facets(a, b)
     faces = len(normals)
@@ -164,10 +164,10 @@ def _between(a: Polytope, b: Polytope, reach: float) -> _Patch | None:
     )
     if not len(rows):
         return None
-    return _Patch(-n, rows[:, :3] - reach / 2 * n, rows[:, 3:].reshape(-1, 3, 3))
+    return _ContactPatch(-n, rows[:, :3] - reach / 2 * n, rows[:, 3:].reshape(-1, 3, 3))
 
 
-def _on_ground(part: Polytope, reach: float) -> _Patch | None:
+def _on_ground(part: Polytope, reach: float) -> _ContactPatch | None:
     if part.bounds[0, 2] > reach:
         return None
     starts, ends = part.edge_starts, part.edge_starts + part.edge_lengths[:, None] * part.edge_directions
@@ -176,10 +176,10 @@ def _on_ground(part: Polytope, reach: float) -> _Patch | None:
     crosses = (starts[:, 2] > reach) != (ends[:, 2] > reach)
     points = np.concatenate([part.vertices[part.vertices[:, 2] <= reach], crossing[crosses]])
     points[:, 2] = 0
-    return _Patch(UP, points, np.tile(np.eye(3), (len(points), 1, 1)))
+    return _ContactPatch(UP, points, np.tile(np.eye(3), (len(points), 1, 1)))
 
 
-def _merged(patches: list[_Patch], reach: float) -> Iterator[_Patch]:
+def _merged(patches: list[_ContactPatch], reach: float) -> Iterator[_ContactPatch]:
     """Patches in one plane as one, each reduced to the corners of its hull."""
     patches = sorted(patches, key=lambda p: -len(p.points))
     while patches:
@@ -191,11 +191,11 @@ def _merged(patches: list[_Patch], reach: float) -> Iterator[_Patch]:
         patches = [p for p, s in zip(patches, same, strict=True) if not s and p is not patches[0]]
         points, follow = np.concatenate([p.points for p in group]), np.concatenate([p.follow for p in group])
         if np.ptp(points, axis=0).max() < reach:  # no larger than what is not told apart: a point
-            yield _Patch(n, points.mean(0)[None], follow.mean(0)[None])
+            yield _ContactPatch(n, points.mean(0)[None], follow.mean(0)[None])
             continue
         u, v = tangents(n)
         corners = hull_corners(np.stack([points @ u, points @ v], axis=1), reach / 100)
-        yield _Patch(n, points[corners], follow[corners])
+        yield _ContactPatch(n, points[corners], follow[corners])
 
 
 def tangents(n: Array) -> tuple[Array, Array]:

@@ -48,7 +48,7 @@ class FootingConfig:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Plane:
+class SupportPlane:
     """``normal . x = offset`` in the world, the normal upward."""
 
     normal: Array
@@ -64,10 +64,10 @@ class Plane:
         return np.column_stack([points[:, :2], z])
 
 
-GROUND_PLANE = Plane(normal=np.array([0.0, 0.0, 1.0]), offset=0.0)
+GROUND_PLANE = SupportPlane(normal=np.array([0.0, 0.0, 1.0]), offset=0.0)
 
 
-def footing(o: SceneObject, plane: Plane, config: FootingConfig) -> tuple[ConvexPart, ...]:
+def footing(o: SceneObject, plane: SupportPlane, config: FootingConfig) -> tuple[ConvexPart, ...]:
     """The wedges (asset frame) that let an object stand as it is on a plane below it; none where it needs none, is
     round, would fall anyway, or where more than ``max_height`` would have to be filled in."""
     hull = _hull_of(o)
@@ -87,7 +87,7 @@ def footing(o: SceneObject, plane: Plane, config: FootingConfig) -> tuple[Convex
     )
 
 
-def flush(o: SceneObject, plane: Plane) -> tuple[ConvexPart, ...]:
+def flush(o: SceneObject, plane: SupportPlane) -> tuple[ConvexPart, ...]:
     """The parts of an object (asset frame) without what stands off its mesh toward a plane below it, so that it stands
     on its footing alone: beyond the mesh's lowest point they cover nothing."""
     lowest = float(plane.heights(o.vertices_world).min())
@@ -103,7 +103,7 @@ def _above(part: ConvexPart, normal: Array, offset: float) -> ConvexPart:
         return part
 
 
-def _wedge(outline: Array, facet: Plane, plane: Plane, lowest: float, grain: float) -> ConvexPart:
+def _wedge(outline: Array, facet: SupportPlane, plane: SupportPlane, lowest: float, grain: float) -> ConvexPart:
     """All between the facet, below which the body has nothing, and ``lowest`` above the plane, within an outline
     (k, 3); at least ``grain`` high, so that none is without volume."""
     top = facet.below(outline, grain)
@@ -112,7 +112,7 @@ def _wedge(outline: Array, facet: Plane, plane: Plane, lowest: float, grain: flo
     return ConvexPart.hull_of(np.concatenate([top, bottom]))
 
 
-def support_plane(o: SceneObject, tops: Sequence[ConvexPart], config: FootingConfig) -> Plane | None:
+def support_plane(o: SceneObject, tops: Sequence[ConvexPart], config: FootingConfig) -> SupportPlane | None:
     """The plane on which a flat underside of ``o`` would come to rest on what is below it: of the hull of the upper
     surfaces of ``tops`` (world) under its outline, the facet under its centre of mass; None when there is none or it
     is steep."""
@@ -139,7 +139,7 @@ def _hull_of(o: SceneObject) -> ConvexPart | None:
         return None
 
 
-def _facet_above(hull: ConvexPart, center: Array, config: FootingConfig) -> Plane | None:
+def _facet_above(hull: ConvexPart, center: Array, config: FootingConfig) -> SupportPlane | None:
     """The upper facet of a hull that a vertical line through ``center`` meets."""
     a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
@@ -150,10 +150,10 @@ def _facet_above(hull: ConvexPart, center: Array, config: FootingConfig) -> Plan
     if not met.any():
         return None
     k = int(np.argmax(met))
-    return Plane(normal=normals[k], offset=float(normals[k] @ a[k]))
+    return SupportPlane(normal=normals[k], offset=float(normals[k] @ a[k]))
 
 
-def _facet_below(hull: ConvexPart, center: Array, plane: Plane, config: FootingConfig) -> Plane | None:
+def _facet_below(hull: ConvexPart, center: Array, plane: SupportPlane, config: FootingConfig) -> SupportPlane | None:
     """What the body would fall onto, as a plane with an upward normal: its nearest stable facet or, where that is far,
     as of a tall body with a bulging underside, the mean of all facets that face down; None where none does."""
     near = np.cos(config.max_turn)
@@ -168,14 +168,14 @@ def _facet_below(hull: ConvexPart, center: Array, plane: Plane, config: FootingC
         if not normal.any():
             return None
         normal /= np.linalg.norm(normal)
-    return Plane(normal=normal, offset=float((hull.vertices @ normal).min()))
+    return SupportPlane(normal=normal, offset=float((hull.vertices @ normal).min()))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Underside:
     """What of a body lies on the facet it would fall onto, in the cells of a height map from below."""
 
-    facet: Plane
+    facet: SupportPlane
     grid: height_map.Grid
     cells: NDArray[np.bool_]
     """Which cells (rows, columns) belong to it."""
@@ -189,7 +189,7 @@ class _Underside:
     """Of the whole body."""
 
     @classmethod
-    def of(cls, o: SceneObject, hull: ConvexPart, plane: Plane, config: FootingConfig) -> _Underside | None:
+    def of(cls, o: SceneObject, hull: ConvexPart, plane: SupportPlane, config: FootingConfig) -> _Underside | None:
         """The underside of ``o``, whose ``hull`` is in the world; None where no stable facet is near, or of a body that
         is a line from above."""
         from scipy.ndimage import label
@@ -217,7 +217,7 @@ class _Underside:
             outline=outline,
         )
 
-    def carries(self, plane: Plane, lowest: float, config: FootingConfig) -> bool:
+    def carries(self, plane: SupportPlane, lowest: float, config: FootingConfig) -> bool:
         """Whether the body stands on it, were all of it ``lowest`` above the plane."""
         outline = _Outline.of(self.corners)
         if outline is None:

@@ -21,7 +21,7 @@ from f3sr.scene import Scene
 from f3sr.web.document import data
 from f3sr.web.light_mesh import lightened
 from f3sr.web.markup import Markup, clean
-from f3sr.web.packed import Textures, packed_camera, packed_mesh
+from f3sr.web.packed import TextureIndex, packed_camera, packed_mesh
 
 FEWEST_FACES = 200
 """Of one mesh."""
@@ -45,7 +45,7 @@ class Shown:
 def payload(shown: Shown, *, faces: int, texture: int) -> Markup:
     """All data as JSON that cannot end its script element."""
     scene, rollout = shown.scene, shown.rollout
-    textures = Textures(texture)
+    textures = TextureIndex(texture)
     each = max(FEWEST_FACES, faces // len(scene.objects))
     values = {
         "fps": float(shown.video.fps),

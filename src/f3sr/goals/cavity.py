@@ -21,7 +21,7 @@ WIDE = 0.12
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Pool:
+class Cavity:
     center: Array
     """(2,) [m] in the world."""
     level: float
@@ -32,7 +32,7 @@ class Pool:
     """Of a disc of the same area [m]."""
 
 
-def pool_of(o: SceneObject) -> Pool | None:
+def cavity_of(o: SceneObject) -> Cavity | None:
     """None where hardly any water stays."""
     surface, low, high = _surface(o)
     deep = _flooded(surface) - surface
@@ -44,7 +44,7 @@ def pool_of(o: SceneObject) -> Pool | None:
     at = low[:2] + (high - low)[:2] * (np.column_stack([i, j]) + 0.5) / CELLS
     area = float(wet.mean() * np.prod((high - low)[:2]))
     k = int(np.argmax(deep))
-    return Pool(
+    return Cavity(
         center=np.average(at, axis=0, weights=deep[wet]),
         level=float(surface.flat[k] + deep.flat[k]),
         depth=float(deep.flat[k]),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from f3sr.core.transforms import UP, Array, transform
-from f3sr.goals.cavity import Pool, pool_of
+from f3sr.goals.cavity import Cavity, cavity_of
 from f3sr.physics import mujoco_model
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, Body, engine
 from f3sr.physics.restitution import solref
@@ -37,14 +37,14 @@ def way_between(a: Array, b: Array, u: Array) -> tuple[float, float]:
     return float(np.max(t[speed < -1e-12], initial=-np.inf)), float(np.min(t[speed > 1e-12], initial=np.inf))
 
 
-class Layout:
+class SceneLayout:
     """A scene of objects as a plan makes them, at rest, and MuJoCo's model of it."""
 
     def __init__(self, scene: Scene, model: Any = None) -> None:
         self.scene, self._model = scene, model
         self._bodies: dict[int, Body] = {}
         self._corners: dict[int, Array] = {}
-        self._pools: dict[int, Pool | None] = {}
+        self._pools: dict[int, Cavity | None] = {}
 
     @cached_property
     def model(self) -> Any:
@@ -152,10 +152,10 @@ class Layout:
         body = int(self.model.geom_bodyid[hit[0]]) if far >= 0 else 0
         return (100.0 - far if far >= 0 else 0.0), GROUND if body == 0 else self.scene.objects[body - 1].id
 
-    def pool(self, id: int) -> Pool | None:
+    def pool(self, id: int) -> Cavity | None:
         """What of it would hold water; None where that is too little for things to lie in."""
         if id not in self._pools:
-            self._pools[id] = pool_of(self.scene[id])
+            self._pools[id] = cavity_of(self.scene[id])
         return self._pools[id]
 
     def spots(self, id: int) -> list[Array]:

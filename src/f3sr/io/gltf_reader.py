@@ -42,7 +42,7 @@ Index = Annotated[int, Field(ge=0)]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Piece:
+class Primitive:
     """One geometry of a mesh file, in the file's frame."""
 
     vertices: Array
@@ -56,7 +56,7 @@ class _BrokenError(ValueError):
     """What is wrong with the file, in a few words."""
 
 
-def read_gltf(path: Path, data: bytes, *, max_faces: int, max_texture_pixels: int) -> list[Piece]:
+def read_gltf(path: Path, data: bytes, *, max_faces: int, max_texture_pixels: int) -> list[Primitive]:
     """The triangles of the file's default scene, a piece per node and primitive.
 
     Pieces come in the order of ``trimesh.load_scene``; nothing is merged, turned or dropped. InputError for all that is
@@ -78,27 +78,27 @@ def read_gltf(path: Path, data: bytes, *, max_faces: int, max_texture_pixels: in
 # --- the JSON part ------------------------------------------------------------------------------------------------
 
 
-class _Record(BaseModel):
+class _GltfRecord(BaseModel):
     model_config = ConfigDict(strict=True, allow_inf_nan=False)
 
 
-class _Asset(_Record):
+class _Asset(_GltfRecord):
     version: str
 
 
-class _Buffer(_Record):
+class _Buffer(_GltfRecord):
     byteLength: Index
     uri: str | None = None
 
 
-class _View(_Record):
+class _BufferView(_GltfRecord):
     buffer: Index
     byteLength: Index
     byteOffset: Index = 0
     byteStride: Annotated[int, Field(ge=4, le=252)] | None = None
 
 
-class _Accessor(_Record):
+class _Accessor(_GltfRecord):
     componentType: int
     count: Index
     type: str
@@ -108,49 +108,49 @@ class _Accessor(_Record):
     sparse: dict[str, Any] | None = None
 
 
-class _Image(_Record):
+class _Image(_GltfRecord):
     uri: str | None = None
     bufferView: Index | None = None
 
 
-class _Texture(_Record):
+class _Texture(_GltfRecord):
     source: Index | None = None
     extensions: dict[str, Any] = {}
 
 
-class _TextureInfo(_Record):
+class _TextureInfo(_GltfRecord):
     index: Index
     texCoord: Index = 0
     extensions: dict[str, Any] = {}
 
 
-class _Surface(_Record):
+class _Surface(_GltfRecord):
     baseColorFactor: Annotated[list[float], Field(min_length=4, max_length=4)] | None = None
     baseColorTexture: _TextureInfo | None = None
 
 
-class _Diffuse(_Record):
+class _Diffuse(_GltfRecord):
     diffuseFactor: Annotated[list[float], Field(min_length=4, max_length=4)] | None = None
     diffuseTexture: _TextureInfo | None = None
 
 
-class _Material(_Record):
+class _Material(_GltfRecord):
     pbrMetallicRoughness: _Surface = _Surface()
     extensions: dict[str, Any] = {}
 
 
-class _Primitive(_Record):
+class _Primitive(_GltfRecord):
     attributes: dict[str, Index]
     indices: Index | None = None
     material: Index | None = None
     mode: int = TRIANGLES
 
 
-class _Mesh(_Record):
+class _Mesh(_GltfRecord):
     primitives: Annotated[list[_Primitive], Field(min_length=1)]
 
 
-class _Node(_Record):
+class _Node(_GltfRecord):
     children: list[Index] = []
     mesh: Index | None = None
     matrix: Annotated[list[float], Field(min_length=16, max_length=16)] | None = None
@@ -159,18 +159,18 @@ class _Node(_Record):
     scale: Annotated[list[float], Field(min_length=3, max_length=3)] = [1.0, 1.0, 1.0]
 
 
-class _Scene(_Record):
+class _Scene(_GltfRecord):
     nodes: list[Index] = []
 
 
-class _Document(_Record):
+class _Document(_GltfRecord):
     asset: _Asset
     scene: Index = 0
     scenes: list[_Scene] = []
     nodes: list[_Node] = []
     meshes: list[_Mesh] = []
     accessors: list[_Accessor] = []
-    bufferViews: list[_View] = []
+    bufferViews: list[_BufferView] = []
     buffers: list[_Buffer] = []
     materials: list[_Material] = []
     textures: list[_Texture] = []
@@ -292,7 +292,7 @@ class _Reader:
         images = {i for p, _ in shown if (i := self._image_of(p.material)) is not None}
         return sum(w * h for w, h in (self._picture(i, size_only=True) for i in sorted(images)))
 
-    def piece(self, primitive: _Primitive, T_file_node: Array) -> Piece:
+    def piece(self, primitive: _Primitive, T_file_node: Array) -> Primitive:
         """One primitive in the file's frame."""
         if primitive.mode != TRIANGLES:
             raise _BrokenError(f"a primitive of mode {primitive.mode}, no triangles")
@@ -304,7 +304,7 @@ class _Reader:
             vertices = np.dot(T_file_node, np.column_stack([vertices, np.ones(len(vertices))]).T).T[:, :3]
             if np.linalg.det(T_file_node[:3, :3]) < 0:  # a mirror turns triangles around; glTF says turn them back
                 faces = faces[:, ::-1]
-        return Piece(
+        return Primitive(
             vertices=vertices,
             faces=faces,
             uv=self._uv(primitive, len(vertices)),

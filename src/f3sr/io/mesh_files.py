@@ -14,7 +14,7 @@ from f3sr.core.mesh import Material, Mesh
 from f3sr.errors import InputError
 from f3sr.files import limited_file
 from f3sr.files.limited_file import MAX_FILE_BYTES
-from f3sr.io.gltf_reader import Piece, read_gltf
+from f3sr.io.gltf_reader import Primitive, read_gltf
 from f3sr.io.gltf_writer import mesh_to_glb
 
 MESHES, PARTS = (".glb", ".gltf"), (".obj",)
@@ -77,16 +77,16 @@ def _accepted(formats: Sequence[str]) -> str:
     return f"a mesh file ({', '.join(formats)})"
 
 
-def _shape(data: bytes) -> Piece:
+def _shape(data: bytes) -> Primitive:
     """The vertices and triangles of an OBJ file."""
     import trimesh
 
     shape: Any = trimesh.load(io.BytesIO(data), file_type="obj", force="mesh", process=False, skip_materials=True)
     vertices, faces = np.array(shape.vertices, float), np.array(shape.faces, np.int64)
-    return Piece(vertices=vertices, faces=faces.reshape(-1, 3), uv=None, colors=None, material=Material())
+    return Primitive(vertices=vertices, faces=faces.reshape(-1, 3), uv=None, colors=None, material=Material())
 
 
-def _checked(path: Path, pieces: Sequence[Piece]) -> list[Piece]:
+def _checked(path: Path, pieces: Sequence[Primitive]) -> list[Primitive]:
     """Those that have faces."""
     pieces = [p for p in pieces if len(p.faces)]
     if not pieces:
@@ -109,7 +109,7 @@ def _key(material: Material) -> tuple[Any, ...]:
     return material.base_color, texture.shape, hashlib.sha256(texture.tobytes()).digest()
 
 
-def _joined(pieces: list[Piece]) -> Mesh:
+def _joined(pieces: list[Primitive]) -> Mesh:
     """All pieces as one mesh, equal materials once; what a piece lacks is filled with zeros (uv) or white."""
     starts = np.cumsum([0, *(len(p.vertices) for p in pieces)])
     materials: dict[tuple[Any, ...], tuple[int, Material]] = {}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from f3sr.goals.scene_layout import Layout
+from f3sr.goals.scene_layout import SceneLayout
 from f3sr.language.materials import material_of
 from f3sr.language.reference_resolution import names
 from f3sr.physics.restitution import LEAST
@@ -31,14 +31,14 @@ class Entry:
 
 def menu(scene: Scene) -> tuple[Entry, ...]:
     """By id."""
-    layout, called = Layout(scene), names(scene)
+    layout, called = SceneLayout(scene), names(scene)
     return tuple(
         Entry(id=o.id, name=called[o.id], verbs=_verbs(o.id, layout), holds_things=layout.pool(o.id) is not None)
         for o in scene
     )
 
 
-def _verbs(id: int, layout: Layout) -> tuple[str, ...]:
+def _verbs(id: int, layout: SceneLayout) -> tuple[str, ...]:
     scene, sides = layout.scene, np.ptp(layout.span(id), axis=0)
     if scene[id].mobility == "fixed":
         return ()

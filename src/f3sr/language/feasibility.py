@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from f3sr.goals.refusal import Refusal
-from f3sr.goals.scene_layout import Layout
+from f3sr.goals.scene_layout import SceneLayout
 from f3sr.language.grammar.normaliser import spoken
 from f3sr.language.grammar.request import Request
 from f3sr.language.reference_resolution import names
@@ -15,7 +15,7 @@ FITS = 1.15
 """How much wider than an opening something may seem: openings are measured on a grid."""
 
 
-def impossible(r: Request, active: int, target: int | None, layout: Layout) -> Refusal | None:
+def impossible(r: Request, active: int, target: int | None, layout: SceneLayout) -> Refusal | None:
     """The first reason why a request cannot be played; None where physics is to say."""
     scene = layout.scene
     if r.kind == "topple" and layout.is_ball(active):
@@ -29,7 +29,7 @@ def impossible(r: Request, active: int, target: int | None, layout: Layout) -> R
     return None
 
 
-def _unsuited(r: Request, active: int, target: int, layout: Layout) -> Refusal | None:
+def _unsuited(r: Request, active: int, target: int, layout: SceneLayout) -> Refusal | None:
     """That the target is not one for what is asked."""
     scene, way, kind = layout.scene, r.preposition, r.kind
     if target == GROUND and way in ("into", "over", "off", "away-from", "towards"):
@@ -46,7 +46,7 @@ def _unsuited(r: Request, active: int, target: int, layout: Layout) -> Refusal |
     return _too_large(active, target, layout) if way == "into" and kind != "push_into" else None
 
 
-def _too_large(active: int, target: int, layout: Layout) -> Refusal | None:
+def _too_large(active: int, target: int, layout: SceneLayout) -> Refusal | None:
     """What lies in something passes its opening with its second largest side at most, of the smallest box around it."""
     from trimesh.bounds import oriented_bounds
 

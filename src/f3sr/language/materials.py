@@ -17,7 +17,7 @@ Structure = Literal["solid", "hollow"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Material:
+class MaterialPrior:
     """What a kind of thing is to physics."""
 
     name: str
@@ -65,13 +65,13 @@ _ROWS: tuple[tuple[str, str, Structure, float, float, float], ...] = (
 _KINDS = tuple(
     (
         re.compile(rf"\b(?:{words})s?\b"),
-        Material(name=name, structure=structure, density=density, friction=friction, restitution=restitution),
+        MaterialPrior(name=name, structure=structure, density=density, friction=friction, restitution=restitution),
     )
     for words, name, structure, density, friction, restitution in _ROWS
 )
 
 
-def material_of(label: str) -> Material | None:
+def material_of(label: str) -> MaterialPrior | None:
     """What a label tells; None where it tells nothing. What a thing is comes last in English, so of several words that
     tell something the last counts, and of those that end there the longest."""
     words = " ".join(re.findall(r"[a-z]+", label.lower()))

@@ -11,7 +11,7 @@ from f3sr.core.transforms import UP, Array
 from f3sr.goals.launch_limits import limits_of
 from f3sr.goals.plan import Kind, TaskSpec
 from f3sr.goals.refusal import Refusal
-from f3sr.goals.scene_layout import Layout
+from f3sr.goals.scene_layout import SceneLayout
 from f3sr.language import success_conditions
 from f3sr.language.feasibility import impossible
 from f3sr.language.grammar.directions import Direction, world_vector
@@ -69,7 +69,7 @@ def tasks_of(goal: str, scene: Scene) -> Sequence[TaskSpec] | Refusal:
     named = resolve_request(request, scene)
     if isinstance(named, Refusal):
         return named
-    layout = Layout(scene)
+    layout = SceneLayout(scene)
     if refused := impossible(request, named.active, named.target, layout):
         return refused
     meant = _meant(request, named.active, named.target, layout)
@@ -115,7 +115,7 @@ def _interpretation(meant: Meant, called: dict[int, str]) -> str:
     return " ".join(words)
 
 
-def _meant(r: Request, active: int, target: int | None, layout: Layout) -> Meant | Refusal:
+def _meant(r: Request, active: int, target: int | None, layout: SceneLayout) -> Meant | Refusal:
     amount = _amount(r, active, layout)
     limit = limits_of(layout.scene).lift if r.kind in ("drop", "lift_and_drop", "launch_and_return") else None
     limit = limit or FARTHEST * layout.scene.diagonal
@@ -134,7 +134,7 @@ def _meant(r: Request, active: int, target: int | None, layout: Layout) -> Meant
     return _fitted(_directed(meant, layout), layout)
 
 
-def _amount(r: Request, active: int, layout: Layout) -> float:
+def _amount(r: Request, active: int, layout: SceneLayout) -> float:
     """Metres, as said or as usual."""
     sides = np.ptp(layout.span(active), axis=0)
     own = {"length": max(sides[:2]), "width": min(sides[:2]), "height": sides[2], "m": 1.0}
@@ -144,7 +144,7 @@ def _amount(r: Request, active: int, layout: Layout) -> float:
     return usual * VAGUE.get(r.amount or "", 1.0) * (MANNER.get(r.manner or "", 1.0))
 
 
-def _directed(meant: Meant, layout: Layout) -> Meant:
+def _directed(meant: Meant, layout: SceneLayout) -> Meant:
     """With a direction: said, to or from the target, or where there is most room."""
     r, target = meant.request, meant.target
     flat: list[Direction] = [d for d in r.direction if d not in ("up", "down")]
@@ -169,7 +169,7 @@ def _with_direction(meant: Meant, direction: Array, said: str) -> Meant:
     )
 
 
-def _room(meant: Meant, direction: Array, layout: Layout) -> float:
+def _room(meant: Meant, direction: Array, layout: SceneLayout) -> float:
     """How much of a way an object can go, free and in the photo [m]; off something, how near its edge is."""
     a, r = meant.active, meant.request
     if r.preposition == "off" and meant.target is not None and meant.target != GROUND:
@@ -180,7 +180,7 @@ def _room(meant: Meant, direction: Array, layout: Layout) -> float:
     return min(meant.amount, free) + min(meant.amount, layout.room(a, direction, meant.amount))
 
 
-def _toppling_side(id: int, layout: Layout) -> Array:
+def _toppling_side(id: int, layout: SceneLayout) -> Array:
     """Of 16 directions that over the nearest edge of its base, unless something is there or the photo ends."""
     height, center = float(np.ptp(layout.span(id)[:, 2])), layout.center(id)
 
@@ -196,7 +196,7 @@ def _toppling_side(id: int, layout: Layout) -> Array:
     return min((np.array([np.cos(a), np.sin(a), 0.0]) for a in angles), key=cost)
 
 
-def _fitted(meant: Meant, layout: Layout) -> Meant:
+def _fitted(meant: Meant, layout: SceneLayout) -> Meant:
     """An amount that nobody said kept inside the photo and before what is in the way."""
     if meant.asked or meant.request.kind == "topple":
         return meant

@@ -8,7 +8,7 @@ contacts are soft, and a pile that rests on them would sink.
 from __future__ import annotations
 
 from f3sr.goals.plan import Kind, Semantics, Source, TaskSpec
-from f3sr.language.materials import Material, material_of
+from f3sr.language.materials import MaterialPrior, material_of
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import Scene, SceneObject
 
@@ -49,7 +49,7 @@ def _of(o: SceneObject, *, bounces: bool) -> Semantics:
     return _by_label(o, known, known.restitution if bounces else o.restitution)
 
 
-def _by_label(o: SceneObject, known: Material, restitution: float) -> Semantics:
+def _by_label(o: SceneObject, known: MaterialPrior, restitution: float) -> Semantics:
     return Semantics(
         id=o.id,
         material=known.name,

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from f3sr.goals import plan as p
-from f3sr.goals.scene_layout import Layout, way_between
+from f3sr.goals.scene_layout import SceneLayout, way_between
 from f3sr.language.meant import Meant
 from f3sr.scene import GROUND
 
@@ -39,7 +39,7 @@ SEEN = 0.25
 """Share of its size that the active object moves at least."""
 
 
-def readings(meant: Meant, layout: Layout) -> list[Reading]:
+def readings(meant: Meant, layout: SceneLayout) -> list[Reading]:
     """The strictest first."""
     made = _BY_KIND[meant.request.kind](meant, layout)
     outcome = meant.request.outcome
@@ -72,7 +72,7 @@ def phases(conditions: Sequence[p.Condition], called: Mapping[int, str]) -> Iter
                 yield f"{name(c.a)} {said.get(c.type, c.type)}"
 
 
-def _topple(m: Meant, layout: Layout) -> list[Reading]:
+def _topple(m: Meant, layout: SceneLayout) -> list[Reading]:
     onto = m.target is not None and m.target != GROUND
     conditions: list[p.Condition] = [p.Toppled(a=m.active, at_least=LEANS_ON) if onto else p.Toppled(a=m.active)]
     if m.request.direction or m.target is not None:
@@ -80,7 +80,7 @@ def _topple(m: Meant, layout: Layout) -> list[Reading]:
     return [(tuple(conditions), "")]
 
 
-def _slide(m: Meant, layout: Layout) -> list[Reading]:
+def _slide(m: Meant, layout: SceneLayout) -> list[Reading]:
     if m.request.preposition == "off" and m.target is not None and m.target != GROUND:
         off = p.Off(a=m.active, b=m.target)
         return [((off, p.Displaced(a=m.active, at_least=SEEN * layout.size(m.active))), "")]
@@ -91,7 +91,7 @@ def _slide(m: Meant, layout: Layout) -> list[Reading]:
     return [((way, p.Upright(a=m.active)), ""), ((loose,), "it may fall over on its way")]
 
 
-def _push_into(m: Meant, layout: Layout) -> list[Reading]:
+def _push_into(m: Meant, layout: SceneLayout) -> list[Reading]:
     target = _target(m)
     gap = _gap(m, layout)
     if m.request.preposition == "towards":
@@ -102,7 +102,7 @@ def _push_into(m: Meant, layout: Layout) -> list[Reading]:
     return _bumped(tuple(conditions), m, layout)
 
 
-def _bumped(conditions: Conditions, m: Meant, layout: Layout) -> list[Reading]:
+def _bumped(conditions: Conditions, m: Meant, layout: SceneLayout) -> list[Reading]:
     """What something runs into is seen to move, where it can be moved."""
     target = _target(m)
     if m.request.outcome is not None or target == GROUND or layout.scene[target].mobility == "fixed":
@@ -112,7 +112,7 @@ def _bumped(conditions: Conditions, m: Meant, layout: Layout) -> list[Reading]:
     return [((*conditions, moves), ""), (conditions, "it may not move what it meets")]
 
 
-def _roll(m: Meant, layout: Layout) -> list[Reading]:
+def _roll(m: Meant, layout: SceneLayout) -> list[Reading]:
     radius = float(np.ptp(layout.span(m.active)[:, 2])) / 2
 
     least = math.pi / 4 if m.direction is None or layout.rolls(m.active, m.direction) else FELL
@@ -134,7 +134,7 @@ def _roll(m: Meant, layout: Layout) -> list[Reading]:
     return _bumped(met, m, layout)
 
 
-def _drop(m: Meant, layout: Layout) -> list[Reading]:
+def _drop(m: Meant, layout: SceneLayout) -> list[Reading]:
     target = m.target if m.target is not None else layout.support(m.active)
     touch, rest = (*_fallen(m), p.Contact(a=m.active, b=target)), p.AtRest(a=m.active)
     ends = _ends(m, target, layout)
@@ -152,7 +152,7 @@ def _fallen(m: Meant) -> list[p.Condition]:
     return [p.Displaced(a=m.active, at_least=NEARLY * m.amount, direction=(0.0, 0.0, -1.0))]
 
 
-def _throw(m: Meant, layout: Layout) -> list[Reading]:
+def _throw(m: Meant, layout: SceneLayout) -> list[Reading]:
     a, target, way = m.active, m.target, m.request.preposition
     if target is None:
         rise = p.Height(a=a, at_least=min(0.1 * m.amount, 0.5 * layout.size(a)))
@@ -178,7 +178,7 @@ def _throw(m: Meant, layout: Layout) -> list[Reading]:
     return [((touch,), "")]
 
 
-def _bounce(m: Meant, layout: Layout) -> list[Reading]:
+def _bounce(m: Meant, layout: SceneLayout) -> list[Reading]:
     a, target, way = m.active, m.target, m.request.preposition
     seen = 0.1 * layout.size(a)
     up = p.Height(a=a, at_least=seen)
@@ -194,13 +194,13 @@ def _bounce(m: Meant, layout: Layout) -> list[Reading]:
     return [((up, floor, touch), "")]
 
 
-def _launch(m: Meant, layout: Layout) -> list[Reading]:
+def _launch(m: Meant, layout: SceneLayout) -> list[Reading]:
     near, up = max(0.6 * layout.size(m.active), 0.25 * m.amount), p.Height(a=m.active, at_least=m.amount)
     back = p.Returned(a=m.active, to_within=near, stays=False, after=0)
     return [((up, p.Returned(a=m.active, to_within=near)), ""), ((up, back), "where it goes after it is back")]
 
 
-def _ends(m: Meant, target: int, layout: Layout) -> list[p.Condition]:
+def _ends(m: Meant, target: int, layout: SceneLayout) -> list[p.Condition]:
     """Where it ends: inside what holds things, else on it. On a plate is on it, however it is said."""
     pool = None if target == GROUND else layout.pool(target)
     deep = pool is not None and pool.depth > 0.4 * float(np.ptp(layout.span(m.active)[:, 2]))
@@ -208,7 +208,7 @@ def _ends(m: Meant, target: int, layout: Layout) -> list[p.Condition]:
     return [p.Inside(a=m.active, b=target) if inside else p.On(a=m.active, b=target)]
 
 
-def _together(a: int, b: int, layout: Layout) -> bool:
+def _together(a: int, b: int, layout: SceneLayout) -> bool:
     """Whether two touch before anything happens: one carries the other, or they stand side by side."""
     carried = a != GROUND and b in {s.id for s in layout.scene[a].supports}
     return carried or (b != GROUND and a in {s.id for s in layout.scene[b].supports})
@@ -227,7 +227,7 @@ def _moved(m: Meant, far: float, *, exact: bool | None = None) -> p.Displaced:
     )
 
 
-def _outcome(m: Meant, layout: Layout, before: Sequence[p.Condition], moves: float) -> Sequence[p.Condition]:
+def _outcome(m: Meant, layout: SceneLayout, before: Sequence[p.Condition], moves: float) -> Sequence[p.Condition]:
     """What the words say comes of it, after the last contact of the goal itself."""
     if m.request.outcome is None:
         return ()
@@ -256,7 +256,7 @@ def _target(m: Meant) -> int:
     return m.target
 
 
-def _gap(m: Meant, layout: Layout) -> float:
+def _gap(m: Meant, layout: SceneLayout) -> float:
     """How far the active object is from its target along its direction [m]."""
     if m.target is None or m.target == GROUND or m.direction is None:
         return m.amount

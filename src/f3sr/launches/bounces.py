@@ -12,12 +12,12 @@ from f3sr.goals.language_protocol import Tried
 from f3sr.goals.scene_layout import way_between
 from f3sr.launches import ballistics
 from f3sr.launches.flights import AFTER, AIMS, goal_of, is_blocked
-from f3sr.launches.launch_context import Launches, Setting
+from f3sr.launches.launch_context import LaunchContext, Launches
 from f3sr.physics.restitution import LEAST
 from f3sr.scene import GROUND
 
 
-def bouncing(s: Setting) -> Launches:
+def bouncing(s: LaunchContext) -> Launches:
     """To the ground and from there to the target; the aim is corrected by where the bounce led."""
     e = s.layout.scene[s.active].restitution
     start, lift = s.start
@@ -54,7 +54,7 @@ def bouncing(s: Setting) -> Launches:
             shift[:2] += np.clip(goal[:2] - came, -s.size, s.size)
 
 
-def _bouncing_at(s: Setting, target: int, e: float) -> Launches:
+def _bouncing_at(s: LaunchContext, target: int, e: float) -> Launches:
     """To the ground somewhere on the way, from where the bounce leads to the target's side: wherever both flights are
     clear, straight on first."""
     start, lift = s.start
@@ -80,13 +80,13 @@ def _bouncing_at(s: Setting, target: int, e: float) -> Launches:
         yield [s.thrown(v, angular=s.rolling(v * [1, 1, 0]), lift=lift, seconds=seconds + AFTER)]
 
 
-def _ground_at(s: Setting, place: Array) -> bool:
+def _ground_at(s: LaunchContext, place: Array) -> bool:
     """Whether nothing but ground is under the object around a place."""
     around = [place[:2] + 0.7 * s.height * np.array(k) for k in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))]
     return all(s.layout.top(float(x), float(y), without=s.active)[1] == GROUND for x, y in around)
 
 
-def _bounce_blocked(s: Setting, start: Array, goal: Array, e: float, apex: float) -> bool:
+def _bounce_blocked(s: LaunchContext, start: Array, goal: Array, e: float, apex: float) -> bool:
     """Whether something is in the way of a bounce, or where it is to bounce is no ground."""
     v, _ = ballistics.bounce(start, goal, s.height, e, apex)
     down = math.sqrt(v[2] ** 2 + 2 * GRAVITY * (start[2] - s.height))
@@ -97,7 +97,7 @@ def _bounce_blocked(s: Setting, start: Array, goal: Array, e: float, apex: float
     return not _ground_at(s, place) or is_blocked(s, [(start, v, first), (place, off, second)], goal)
 
 
-def _skipping(s: Setting, start: Array, lift: Array | None) -> Launches:
+def _skipping(s: LaunchContext, start: Array, lift: Array | None) -> Launches:
     """What does not roll comes down before the target, and hops or slides on."""
     assert s.target is not None
     along = s.layout.corners(s.target) @ s.direction
@@ -110,7 +110,7 @@ def _skipping(s: Setting, start: Array, lift: Array | None) -> Launches:
         yield [s.thrown(v, lift=lift, seconds=seconds + AFTER)]
 
 
-def _came_down(s: Setting, tried: Tried, height: float) -> Array | None:
+def _came_down(s: LaunchContext, tried: Tried, height: float) -> Array | None:
     """Where (2,) the centre of mass was when it came down to a height after its first bounce; None where it never was
     so high."""
     flown = tried.rollout.touches(s.active, GROUND)["time"]
@@ -127,7 +127,7 @@ def _came_down(s: Setting, tried: Tried, height: float) -> Array | None:
     return np.asarray(way[k, :2] + t * (way[k + 1] - way[k])[:2])
 
 
-def _bouncing_up(s: Setting, start: Array, lift: Array | None) -> Launches:
+def _bouncing_up(s: LaunchContext, start: Array, lift: Array | None) -> Launches:
     for factor in (1.0, 1.6, 2.5):
         rise = factor * (s.task.amount or 1.5 * s.size)
         up = ballistics.height_speed(rise)

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from f3sr.goals.language_protocol import Launch, Tried
 from f3sr.goals.launch_limits import limits_of
 from f3sr.goals.plan import Kind, TaskSpec
-from f3sr.goals.scene_layout import Layout
+from f3sr.goals.scene_layout import SceneLayout
 from f3sr.launches import bounces, flights, pushes
-from f3sr.launches.launch_context import Launches, Setting
+from f3sr.launches.launch_context import LaunchContext, Launches
 
-SEARCHES: Mapping[Kind, Callable[[Setting], Launches]] = {
+SEARCHES: Mapping[Kind, Callable[[LaunchContext], Launches]] = {
     "topple": pushes.toppling,
     "slide": pushes.sliding,
     "push_into": pushes.pushing,
@@ -31,14 +31,14 @@ class Builder:
     on anything else, so that its answer depends on its arguments alone."""
 
     task: TaskSpec
-    layout: Layout
+    layout: SceneLayout
     told: list[Tried] = field(default_factory=list[Tried])
     asked: Sequence[Launch] = ()
     search: Launches | None = None
 
     def next(self, tried: Sequence[Tried]) -> Sequence[Launch]:
         if self.search is None or list(tried[: len(self.told)]) != self.told:
-            setting = Setting(self.task, self.layout, limits_of(self.layout.scene))
+            setting = LaunchContext(self.task, self.layout, limits_of(self.layout.scene))
             self.search, self.told = SEARCHES[self.task.kind](setting), []
             self.asked = next(self.search, ())
         while len(self.told) + len(self.asked) <= len(tried) and self.asked:

@@ -10,7 +10,7 @@ import numpy as np
 from f3sr.contact.stability import GRAVITY
 from f3sr.core.transforms import UP, Array
 from f3sr.launches import ballistics
-from f3sr.launches.launch_context import CLEARANCE, Aim, Launches, Search, Setting
+from f3sr.launches.launch_context import CLEARANCE, Aim, LaunchContext, Launches, Search
 from f3sr.scene import GROUND
 
 ARCS = (0.4, 0.9, 1.6, 2.8)
@@ -21,7 +21,7 @@ AFTER = 1.6
 """How long to look after a flight [s]."""
 
 
-def dropping(s: Setting) -> Launches:
+def dropping(s: LaunchContext) -> Launches:
     """Let go above the middle of the target, then above other places of it; lower where it does not stay."""
     height = max(s.task.amount or 0.3 * s.size, CLEARANCE)
     places = list(_places(s))
@@ -31,7 +31,7 @@ def dropping(s: Setting) -> Launches:
             yield [s.lifted(_above(s, place, drop), seconds=math.sqrt(2 * drop / GRAVITY) + AFTER + 0.6)]
 
 
-def _above(s: Setting, shift: Array, height: float) -> Array:
+def _above(s: LaunchContext, shift: Array, height: float) -> Array:
     """The offset (3,) to so far above whatever is under the object once it is shifted by (2,); above where it is, where
     nothing says onto what it falls."""
     if s.task.target is None:
@@ -40,7 +40,7 @@ def _above(s: Setting, shift: Array, height: float) -> Array:
     return np.array([*shift, surface + height - s.layout.span(s.active)[0, 2]])
 
 
-def _places(s: Setting) -> Iterator[Array]:
+def _places(s: LaunchContext) -> Iterator[Array]:
     """Shifts (2,) to above the target, the best first: all of the object over it and level there, near its middle."""
     middle = s.layout.hull(s.active).mean(0)
     if s.task.target is None:
@@ -69,7 +69,7 @@ def _places(s: Setting) -> Iterator[Array]:
     yield from (shift for _, _, shift in sorted(rated, key=lambda r: r[:2]))
 
 
-def _free_ground(s: Setting) -> Iterator[Array]:
+def _free_ground(s: LaunchContext) -> Iterator[Array]:
     """Shifts (2,) to places where only ground is below, the nearest in the photo first."""
     found = list[tuple[float, Array]]()
     for radius in np.arange(0, 6) * 0.5 * s.size:
@@ -82,7 +82,7 @@ def _free_ground(s: Setting) -> Iterator[Array]:
     yield from (shift for _, shift in sorted(found, key=lambda f: f[0]))
 
 
-def throwing(s: Setting) -> Launches:
+def throwing(s: LaunchContext) -> Launches:
     """Arcs to the middle of the target and to other parts of it, from flat to steep, those with a clear way first."""
     if s.task.way == "over" and s.target is not None:
         yield from _throwing_over(s, s.target)
@@ -97,7 +97,7 @@ def throwing(s: Setting) -> Launches:
         yield from _arcs(s, *s.raised)
 
 
-def _arcs(s: Setting, start: Array, lift: Array | None) -> Search[bool]:
+def _arcs(s: LaunchContext, start: Array, lift: Array | None) -> Search[bool]:
     """Returns whether the first met something at once, which a start above it would not."""
     arcs = (0.12, *ARCS) if s.task.way == "into" or s.task.manner == "hard" else ARCS
     ways = list[tuple[bool, int, Array, float]]()
@@ -113,7 +113,9 @@ def _arcs(s: Setting, start: Array, lift: Array | None) -> Search[bool]:
     return False
 
 
-def is_blocked(s: Setting, arcs: list[tuple[Array, Array, float]], goal: Array, *, near: float | None = None) -> bool:
+def is_blocked(
+    s: LaunchContext, arcs: list[tuple[Array, Array, float]], goal: Array, *, near: float | None = None
+) -> bool:
     """Whether anything but the target is in the way of flights, each from a point with a velocity for some time, up to
     ``near`` [m] the goal."""
     half = 0.5 * float(np.ptp(s.layout.corners(s.active) @ np.array([-s.direction[1], s.direction[0], 0.0])))
@@ -132,20 +134,20 @@ def is_blocked(s: Setting, arcs: list[tuple[Array, Array, float]], goal: Array, 
     return False
 
 
-def _extent(s: Setting) -> float:
+def _extent(s: LaunchContext) -> float:
     """How near to its target something is no longer on its way to it [m]."""
     wide = 0.0 if s.target is None else float(np.ptp(s.layout.hull(s.target), axis=0).max()) / 2
     return wide + 0.3 * s.size
 
 
-def striking(s: Setting, target: int) -> Launches:
+def striking(s: LaunchContext, target: int) -> Launches:
     """Flat and fast at the upper part of the target, then in arcs over what is in the way."""
     hindered = yield from _strikes(s, target, *s.start)
     if hindered:
         yield from _strikes(s, target, *s.raised)
 
 
-def _strikes(s: Setting, target: int, start: Array, lift: Array | None) -> Search[bool]:
+def _strikes(s: LaunchContext, target: int, start: Array, lift: Array | None) -> Search[bool]:
     """Returns whether the first met something at once, which a start above it would not."""
     low, high = s.layout.span(target)
     ways = list[tuple[bool, int, Array, float]]()
@@ -168,7 +170,7 @@ def _strikes(s: Setting, target: int, start: Array, lift: Array | None) -> Searc
     return False
 
 
-def goal_of(s: Setting, aim: float) -> tuple[Array, float]:
+def goal_of(s: LaunchContext, aim: float) -> tuple[Array, float]:
     """Where the centre of mass is to come down, and the height that it must clear before."""
     if s.target is None:
         goal = s.center + (s.task.amount or 2 * s.size) * s.direction
@@ -188,7 +190,7 @@ def goal_of(s: Setting, aim: float) -> tuple[Array, float]:
     return np.array([*place, middle[2]]), float(middle[2])
 
 
-def _throwing_over(s: Setting, target: int) -> Launches:
+def _throwing_over(s: LaunchContext, target: int) -> Launches:
     """Over the target and down behind it, higher and farther."""
     start, lift = s.start
     along = s.layout.corners(target) @ s.direction
@@ -222,7 +224,7 @@ def _apex_over(z0: float, z1: float, beyond: float, between: tuple[float, float]
     return high
 
 
-def throwing_far(s: Setting) -> Launches:
+def throwing_far(s: LaunchContext) -> Launches:
     """Half as high as a throw of 45 degrees; where it comes down is corrected by where it ends."""
     start, lift = s.start
     goal = (s.task.amount or 2 * s.size) * 1.08
@@ -240,7 +242,7 @@ def throwing_far(s: Setting) -> Launches:
         aim.ended(s.moved(tried))
 
 
-def launching(s: Setting) -> Launches:
+def launching(s: LaunchContext) -> Launches:
     """Straight up, a little more where friction or a load took some of it; then a little aside, to the middle of what
     it lay in."""
     rise = s.task.amount or 1.5 * s.size

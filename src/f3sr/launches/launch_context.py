@@ -12,7 +12,7 @@ import numpy as np
 
 from f3sr.contact.stability import GRAVITY
 from f3sr.core.transforms import UP, Array
-from f3sr.goals.cavity import Pool
+from f3sr.goals.cavity import Cavity
 from f3sr.goals.language_protocol import Launch, Tried
 from f3sr.goals.launch_limits import WHIRL, whirl
 from f3sr.goals.plan import (
@@ -24,7 +24,7 @@ from f3sr.goals.plan import (
     TaskSpec,
     Velocity,
 )
-from f3sr.goals.scene_layout import Layout
+from f3sr.goals.scene_layout import SceneLayout
 from f3sr.launches.ballistics import height_speed
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import GROUND
@@ -76,11 +76,11 @@ class Aim:
 
 
 @dataclass(frozen=True, eq=False)
-class Setting:
+class LaunchContext:
     """A task on a scene of objects as the plan makes them."""
 
     task: TaskSpec
-    layout: Layout
+    layout: SceneLayout
     limits: Limits
 
     @property
@@ -117,7 +117,7 @@ class Setting:
         return self.layout.friction(self.active) * GRAVITY
 
     @cached_property
-    def pool(self) -> Pool | None:
+    def pool(self) -> Cavity | None:
         """What it lies in, where that is something."""
         below = self.layout.support(self.active)
         return None if below == GROUND else self.layout.pool(below)

@@ -10,7 +10,7 @@ from f3sr.contact.stability import GRAVITY
 from f3sr.core.transforms import UP, Array
 from f3sr.launches import ballistics
 from f3sr.launches.flights import striking, throwing_far
-from f3sr.launches.launch_context import Aim, Launches, Setting
+from f3sr.launches.launch_context import Aim, LaunchContext, Launches
 
 PACE = 0.6
 """At which a hand pushes things about [m/s]."""
@@ -28,7 +28,7 @@ CLEAR = 0.005
 """From the target a push ends [m]."""
 
 
-def sliding(s: Setting) -> Launches:
+def sliding(s: LaunchContext) -> Launches:
     """A push along the direction; how far is corrected by how far it went, the pace where it fell."""
     if s.task.way == "off" and s.target is not None:
         yield from _sliding_off(s)
@@ -47,7 +47,7 @@ def sliding(s: Setting) -> Launches:
             aim.ended(s.moved(tried))
 
 
-def _sliding_off(s: Setting) -> Launches:
+def _sliding_off(s: LaunchContext) -> Launches:
     assert s.target is not None
     edge = s.layout.over_the_edge(s.active, s.target, s.direction)
     along = s.layout.corners(s.active) @ s.direction
@@ -58,7 +58,7 @@ def _sliding_off(s: Setting) -> Launches:
         yield from throwing_far(s)
 
 
-def pushing(s: Setting) -> Launches:
+def pushing(s: LaunchContext) -> Launches:
     """At the target from where it is met first, faster and faster."""
     if s.target is None or s.task.way == "towards":
         yield from sliding(s)
@@ -88,7 +88,7 @@ def pushing(s: Setting) -> Launches:
         yield from striking(s, s.target)
 
 
-def free_way(s: Setting, target: int) -> tuple[Array, float]:
+def free_way(s: LaunchContext, target: int) -> tuple[Array, float]:
     """The direction nearest to the goal's in which the target is what is met first, and the way until then [m]; the
     goal's own where there is none."""
     for angle in sorted(np.radians(np.arange(-50, 51, 5)), key=abs):
@@ -103,12 +103,12 @@ def free_way(s: Setting, target: int) -> tuple[Array, float]:
     return s.direction, met[0] if met else max(apart, 0.01)
 
 
-def _met_first(s: Setting, direction: Array) -> int | None:
+def _met_first(s: LaunchContext, direction: Array) -> int | None:
     met = s.layout.meets(s.active, direction)
     return met[0][1] if met else None
 
 
-def rolling(s: Setting) -> Launches:
+def rolling(s: LaunchContext) -> Launches:
     """Off with the turning of its speed, to a target faster and faster."""
     direction, gap = (s.direction, 0.0) if s.target is None else free_way(s, s.target)
     slow = GRAVITY * s.layout.scene[s.active].rolling_friction / max(s.height, 1e-3)
@@ -123,7 +123,7 @@ def rolling(s: Setting) -> Launches:
     yield from _rolling_far(s, direction)
 
 
-def _rolling_far(s: Setting, direction: Array) -> Launches:
+def _rolling_far(s: LaunchContext, direction: Array) -> Launches:
     """With the turning of its speed; v^2 is corrected by how far it went."""
     slow = GRAVITY * s.layout.scene[s.active].rolling_friction / max(s.height, 1e-3)
     needed = next((c for c in s.task.conditions if c.type == "displaced" and c.a == s.active), None)
@@ -137,7 +137,7 @@ def _rolling_far(s: Setting, direction: Array) -> Launches:
         aim.ended(s.moved(tried))
 
 
-def _hopping(s: Setting, direction: Array, speed: float) -> Launches:
+def _hopping(s: LaunchContext, direction: Array, speed: float) -> Launches:
     """Over the rim of what it lies in, rolling."""
     assert s.pool is not None
     v = speed * direction
@@ -150,7 +150,7 @@ LONG = 4.5
 """What rolls is looked at for so long [s]."""
 
 
-def toppling(s: Setting) -> Launches:
+def toppling(s: LaunchContext) -> Launches:
     """About the edge of the base, with more and more energy; where no words say so, also to other sides."""
     said = any(c.type == "displaced" for c in s.task.conditions)
     turned = np.array([-s.direction[1], s.direction[0], 0.0])

@@ -12,7 +12,7 @@ from f3sr.goals.language_protocol import Language, Launch, Tried
 from f3sr.goals.plan import Displaced, Height, Plan, Semantics, TaskSpec
 from f3sr.goals.refusal import Refusal
 from f3sr.goals.rollout import Rollout
-from f3sr.goals.scene_layout import Layout
+from f3sr.goals.scene_layout import SceneLayout
 from f3sr.goals.simulate import simulate
 from f3sr.goals.verify import Verdict, verify
 from f3sr.play.rule_based_language import Rules
@@ -104,7 +104,7 @@ class _Playing:
         """One reading: launches until one is surely met and in the frame, or there are no more."""
         semantics = tuple(self.language.reason(task, self.scene))
         checks.require(checks.semantics_faults(semantics, self.scene), of="semantics")
-        semantics, layout = self.trials.steady(semantics), Layout(self.scene)
+        semantics, layout = self.trials.steady(semantics), SceneLayout(self.scene)
         tried: list[Tried] = []
         met: int | None = None
         while not self.trials.spent and (met is None or self.trials.rollouts < met + MORE):
@@ -135,7 +135,7 @@ class _Playing:
             self.refused = Refusal(reason="impossible", message=str(error))
         return None
 
-    def _keep(self, task: TaskSpec, semantics: Sequence[Semantics], one: Tried, layout: Layout) -> None:
+    def _keep(self, task: TaskSpec, semantics: Sequence[Semantics], one: Tried, layout: SceneLayout) -> None:
         rated = rating(one, layout, task.active)
         if self.best is None or rated > rating(self.best[2], layout, self.best[0].active):
             self.best = (task, semantics, one)

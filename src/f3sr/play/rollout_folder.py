@@ -117,7 +117,7 @@ def _require_filmable(folder: Path) -> None:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Found:
+class StoredRollout:
     """A rollout's folder, and the package whose scene it plays."""
 
     plan: Plan
@@ -125,7 +125,7 @@ class Found:
     package: Package
 
 
-def read_played(folder: Path, package: Path | None = None) -> Found:
+def read_played(folder: Path, package: Path | None = None) -> StoredRollout:
     """A rollout that was written, with its package: the one that it lies in unless one is given.
 
     Raises InputError where either is missing or damaged, or the rollout is of another scene.
@@ -148,7 +148,7 @@ def read_played(folder: Path, package: Path | None = None) -> Found:
     if fault := next(checks.rollout_faults(rollout, plan), None):
         found, _, accepted = fault.partition("; accepted: ")
         raise InputError(folder / ROLLOUT, found=found, accepted=accepted)
-    return Found(plan=plan, rollout=rollout, package=content)
+    return StoredRollout(plan=plan, rollout=rollout, package=content)
 
 
 def read_plan(file: Path) -> Plan:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from f3sr.goals.language_protocol import Launch, Tried
 from f3sr.goals.plan import InitialConditions, Semantics, TaskSpec
 from f3sr.goals.refusal import Refusal
-from f3sr.goals.scene_layout import Layout
+from f3sr.goals.scene_layout import SceneLayout
 from f3sr.goals.simulate import as_planned
 from f3sr.language.planner import tasks_of
 from f3sr.language.reasoner import semantics_of
@@ -36,5 +36,5 @@ class Rules:
         last = self._last
         if last is None or last[0] is not task or last[1] is not semantics or last[2] is not scene:
             made = scene.with_objects(*as_planned(scene, semantics, InitialConditions()))
-            self._last = last = (task, semantics, scene, Builder(task, Layout(made)))
+            self._last = last = (task, semantics, scene, Builder(task, SceneLayout(made)))
         return last[3]

@@ -13,7 +13,7 @@ from f3sr.goals.language_protocol import Launch, Tried
 from f3sr.goals.plan import InitialConditions, Plan, Semantics, SimulationPlan, TaskSpec
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.rollout_queries import LAST
-from f3sr.goals.scene_layout import Layout
+from f3sr.goals.scene_layout import SceneLayout
 from f3sr.goals.simulate import as_planned, model_of, simulate
 from f3sr.goals.verify import verify
 from f3sr.language.reasoner import declared
@@ -170,7 +170,7 @@ def sure(tried: Tried) -> bool:
     return tried.verdict.met and min(graded, default=1.0) >= SURE
 
 
-def in_frame(tried: Tried, layout: Layout, active: int) -> float:
+def in_frame(tried: Tried, layout: SceneLayout, active: int) -> float:
     """Share of the active object in the photo's frame at the last event of the goal."""
     times = [c.time for c in tried.verdict.conditions if c.time is not None]
     time = max(times, default=float(tried.rollout.time[-1]))
@@ -180,7 +180,7 @@ def in_frame(tried: Tried, layout: Layout, active: int) -> float:
     return layout.share_in_frame(transform(moved, layout.corners(active)))
 
 
-def rating(tried: Tried, layout: Layout, active: int) -> tuple[bool, bool, bool, float]:
+def rating(tried: Tried, layout: SceneLayout, active: int) -> tuple[bool, bool, bool, float]:
     """Better is more: met, in the frame, sure, with more margin."""
     return (
         tried.verdict.met,

@@ -24,7 +24,7 @@ from f3sr.core.transforms import Array, transform
 from f3sr.errors import InputError
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.fit import Excess
-from f3sr.proxies.parts import Fitted, nearly_convex, one_hull
+from f3sr.proxies.parts import FittedParts, nearly_convex, one_hull
 from f3sr.proxies.store import key_of, packed, unpacked
 from f3sr.proxies.surface import Faces
 from f3sr.proxies.worker import run_worker
@@ -161,7 +161,7 @@ def _decompose_unit(
     return replace(proxy, cut_short=outcome.cut_short)
 
 
-def _proxy(fitted: Fitted, method: Method, decisions: tuple[Decision, ...], config: ProxyConfig) -> Proxy:
+def _proxy(fitted: FittedParts, method: Method, decisions: tuple[Decision, ...], config: ProxyConfig) -> Proxy:
     if fitted.inflation is not None and fitted.inflation > config.inflation_limit:
         reason = f"{fitted.inflation:.2f} of the volume of the mesh, {config.inflation_limit:g} is wanted"
         decisions = (*decisions, Decision(choice="parts larger than the mesh are kept", reason=reason))
@@ -180,7 +180,7 @@ def _proxy(fitted: Fitted, method: Method, decisions: tuple[Decision, ...], conf
 
 def _stored(proxy: Proxy) -> tuple[dict[str, Any], Arrays]:
     sheet = {"method": proxy.method, "decisions": [asdict(d) for d in proxy.decisions]}
-    fitted = Fitted(parts=proxy.parts, inflation=proxy.inflation, outside=proxy.outside, excess=proxy.excess)
+    fitted = FittedParts(parts=proxy.parts, inflation=proxy.inflation, outside=proxy.outside, excess=proxy.excess)
     return sheet, packed(fitted)
 
 

@@ -51,7 +51,7 @@ AROUND = spread(128)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Outline:
+class SimplifiedSurface:
     """Corners (n, 3), edges (m, 2) and triangles (k, 3, 3) of a simplified surface on which cuts are compared."""
 
     triangles: Array
@@ -59,7 +59,7 @@ class Outline:
     edges: NDArray[np.int64]
 
     @classmethod
-    def of(cls, triangles: Array) -> Outline:
+    def of(cls, triangles: Array) -> SimplifiedSurface:
         corners, inverse = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
         edges = np.sort(inverse.reshape(-1, 3)[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
         return cls(triangles=triangles, corners=corners, edges=np.unique(edges, axis=0))
@@ -84,7 +84,7 @@ class Piece:
     """What lies in one cell of space: the surface exactly (k, 3, 3) and simplified, its samples, the core (n, 3)."""
 
     triangles: Array
-    outline: Outline
+    outline: SimplifiedSurface
     core: Array
     samples: Samples
     hull: Hull | None
@@ -144,7 +144,7 @@ def _piece(
         off = stand_off(samples, hull.normals, hull.offsets)
     return Piece(
         triangles=triangles,
-        outline=Outline.of(outline),
+        outline=SimplifiedSurface.of(outline),
         core=core,
         samples=samples,
         hull=hull,
@@ -235,7 +235,7 @@ def _least(piece: Piece, directions: Array, reach: float, config: ProxyConfig) -
 
 
 def _bulks(
-    outline: Outline, core: Array, u: Array, offsets: Array, reach: float, *, few: bool = False
+    outline: SimplifiedSurface, core: Array, u: Array, offsets: Array, reach: float, *, few: bool = False
 ) -> Iterator[float]:
     """Of the hulls of both sides together, for cuts at some offsets; of ``few`` of their points where that will do."""
     for offset, sides in zip(offsets, outline.halves(u, offsets), strict=True):
@@ -257,7 +257,7 @@ def _looked_ahead(piece: Piece, u: Array, directions: Array, reach: float) -> Cu
     for half, core in zip(triangles, _parted(piece.core, u, offset, reach), strict=True):
         if not len(half):
             continue
-        outline = Outline.of(half)
+        outline = SimplifiedSurface.of(half)
         least = bulk(_first_look(np.concatenate([outline.corners, core]), u), LAYER)
         for w in directions:
             across = outline.corners @ w

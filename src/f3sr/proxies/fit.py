@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from f3sr.core.mesh import ConvexPart, is_closed, signed_volume, union
 from f3sr.core.transforms import Array
 from f3sr.proxies.hulls import outside, planes
-from f3sr.proxies.surface import Faces, Nearest, Samples, Surroundings, samples_of, stand_off
+from f3sr.proxies.surface import Faces, NearestTriangles, Samples, Surroundings, samples_of, stand_off
 
 PART_POINTS = 20_000
 """Points spread over all parts by area, at which the excess is measured."""
@@ -44,7 +44,7 @@ def largest_outside(parts: Sequence[ConvexPart], vertices: Array) -> float:
     return float(np.maximum(outside(parts, vertices).min(1), 0).max())
 
 
-def excess(parts: Sequence[ConvexPart], nearest: Nearest, around: Surroundings | None, probe: float) -> Excess:
+def excess(parts: Sequence[ConvexPart], nearest: NearestTriangles, around: Surroundings | None, probe: float) -> Excess:
     """Measured at points of the parts that lie in no other part and, where ``around`` is given, can be touched by a
     ball of radius ``probe``."""
     corners = np.concatenate([p.vertices for p in parts])

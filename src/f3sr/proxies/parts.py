@@ -16,7 +16,7 @@ from f3sr.proxies.fit import Excess
 from f3sr.proxies.hulls import Hull, hull_of, outside, planes, without_hidden
 from f3sr.proxies.joins import joined
 from f3sr.proxies.simplify import flats_of, simplified_outward
-from f3sr.proxies.surface import Faces, Nearest, Subject, area_of, samples_of, surroundings, weighted
+from f3sr.proxies.surface import Faces, NearestTriangles, Subject, area_of, samples_of, surroundings, weighted
 
 STRAY_SHARE = 0.02
 """Of the vertices of a mesh that is nearly its own hull, those that may lie deeper: the seam of a ball."""
@@ -25,7 +25,7 @@ LARGEST_HOLE = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fitted:
+class FittedParts:
     """Convex parts and how well they fit the mesh."""
 
     parts: tuple[ConvexPart, ...]
@@ -60,16 +60,18 @@ def _missing_share(triangles: Array) -> float:
     return float(np.linalg.norm(cross.sum(0)) / np.linalg.norm(cross, axis=1).sum())
 
 
-def one_hull(vertices: Array, faces: Faces, config: ProxyConfig) -> Fitted:
+def one_hull(vertices: Array, faces: Faces, config: ProxyConfig) -> FittedParts:
     points = vertices[np.unique(faces)]
     try:
         part = simplified_outward(points, config, most=config.most_faces(1))
     except ValueError:
         part = ConvexPart.hull_of(_thickened(points, config))
-    return _fitted([part], vertices, faces, fit.excess([part], Nearest.on(vertices, faces), None, config.probe))
+    return _fitted(
+        [part], vertices, faces, fit.excess([part], NearestTriangles.on(vertices, faces), None, config.probe)
+    )
 
 
-def several(vertices: Array, faces: Faces, config: ProxyConfig) -> Fitted:
+def several(vertices: Array, faces: Faces, config: ProxyConfig) -> FittedParts:
     """Parts that hold all of the surface, and those of the solid below it that cuts lay bare."""
     whole = ConvexPart.hull_of(vertices)
     subject = subject_of(vertices, faces, whole, config)
@@ -102,7 +104,7 @@ def subject_of(vertices: Array, faces: Faces, whole: ConvexPart, config: ProxyCo
         samples=weighted(touched, planes(whole), config),
         density=config.samples / area_of(vertices[faces]),
         around=around,
-        nearest=Nearest.on(vertices, faces),
+        nearest=NearestTriangles.on(vertices, faces),
     )
 
 
@@ -125,8 +127,8 @@ def _thickened(points: Array, config: ProxyConfig) -> Array:
     return np.concatenate([points - offset, points + offset])
 
 
-def _fitted(parts: Sequence[ConvexPart], vertices: Array, faces: Faces, excess: Excess) -> Fitted:
-    return Fitted(
+def _fitted(parts: Sequence[ConvexPart], vertices: Array, faces: Faces, excess: Excess) -> FittedParts:
+    return FittedParts(
         parts=tuple(parts),
         inflation=fit.inflation(parts, vertices, faces),
         outside=fit.largest_outside(parts, vertices[np.unique(faces)]),

@@ -14,7 +14,7 @@ from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.fit import Excess
-from f3sr.proxies.parts import Fitted
+from f3sr.proxies.parts import FittedParts
 from f3sr.proxies.surface import Faces
 from f3sr.runtime.result_store import Arrays
 
@@ -34,7 +34,7 @@ def config_json(config: ProxyConfig) -> str:
     return json.dumps(asdict(config), sort_keys=True)
 
 
-def packed(fitted: Fitted) -> Arrays:
+def packed(fitted: FittedParts) -> Arrays:
     """As arrays that ``unpacked`` reads: all vertices, all faces, the counts (parts, 2) of each, and the fit."""
     inflation, floor = (np.nan if x is None else x for x in (fitted.inflation, fitted.excess.floor))
     excess = fitted.excess
@@ -46,11 +46,11 @@ def packed(fitted: Fitted) -> Arrays:
     }
 
 
-def unpacked(data: Mapping[str, Any]) -> Fitted:
+def unpacked(data: Mapping[str, Any]) -> FittedParts:
     cuts = np.cumsum(data["counts"], axis=0)[:-1]
     vertices, faces = np.split(data["vertices"], cuts[:, 0]), np.split(data["faces"], cuts[:, 1])
     inflation, outside, mean, most, largest, floor, x, y, z = map(float, data["fit"])
-    return Fitted(
+    return FittedParts(
         parts=tuple(ConvexPart(vertices=v.copy(), faces=f.copy()) for v, f in zip(vertices, faces, strict=True)),
         inflation=None if np.isnan(inflation) else inflation,
         outside=outside,

@@ -85,7 +85,7 @@ class Surroundings:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Nearest:
+class NearestTriangles:
     """The nearest triangles to points: those of the nearest few of many points on the surface."""
 
     triangles: Array
@@ -93,7 +93,7 @@ class Nearest:
     tree: Any
 
     @classmethod
-    def on(cls, vertices: Array, faces: Faces) -> Nearest:
+    def on(cls, vertices: Array, faces: Faces) -> NearestTriangles:
         from scipy.spatial import KDTree
 
         samples = samples_of(vertices[faces], NEAREST_POINTS)
@@ -116,7 +116,7 @@ class Subject:
     samples: Samples
     density: float
     around: Surroundings
-    nearest: Nearest
+    nearest: NearestTriangles
 
     def bare(self, hull: Hull, config: ProxyConfig) -> Array:
         """How far points of a hull's surface lie off the mesh (n,) that could be touched if nothing else covered

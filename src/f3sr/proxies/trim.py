@@ -68,7 +68,7 @@ class Place:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Surface:
+class MeshSurface:
     """A mesh's triangles (n, 3, 3) with their boxes (n, 3) and its size, and what parts hold of it, once that is
     known."""
 
@@ -79,7 +79,7 @@ class Surface:
     held: WeakKeyDictionary[ConvexPart, _Held]
 
     @classmethod
-    def of(cls, mesh: Mesh) -> Surface:
+    def of(cls, mesh: Mesh) -> MeshSurface:
         triangles = mesh.vertices[mesh.faces]
         return cls(
             triangles=triangles,
@@ -102,7 +102,7 @@ class Surface:
         return points[int(distances.argmin())] if distances.min(initial=np.inf) <= reach else None
 
 
-def place_near(surface: Surface, parts: Sequence[ConvexPart], x: Array, near: Near) -> Place | None:
+def place_near(surface: MeshSurface, parts: Sequence[ConvexPart], x: Array, near: Near) -> Place | None:
     """The place of a surface nearest to a point (3,) off it; None where none is within reach, or where the point lies
     on it."""
     y = surface.nearest(x, near.reach)
@@ -111,13 +111,13 @@ def place_near(surface: Surface, parts: Sequence[ConvexPart], x: Array, near: Ne
     return place_on(surface, parts, y, (x - y) / length)
 
 
-def place_on(surface: Surface, parts: Sequence[ConvexPart], point: Array, outward: Array) -> Place:
+def place_on(surface: MeshSurface, parts: Sequence[ConvexPart], point: Array, outward: Array) -> Place:
     """A point (3,) of a surface as a place, touched from a direction (3,)."""
     off = _way_out([Polytope.of(p) for p in parts], point, outward, SLACK * surface.size)
     return Place(point=point, outward=outward, off=off)
 
 
-def trimmed(surface: Surface, parts: Sequence[ConvexPart], place: Place, near: Near) -> tuple[ConvexPart, ...]:
+def trimmed(surface: MeshSurface, parts: Sequence[ConvexPart], place: Place, near: Near) -> tuple[ConvexPart, ...]:
     """The parts, those that stand off more than allowed at a place cut back or split there; others are the same values.
     Together they hold all of the mesh that they held before."""
     now, added = list(parts), list[ConvexPart]()

@@ -20,7 +20,7 @@ from f3sr.core.transforms import Array
 from f3sr.files import npz
 from f3sr.proxies import parts
 from f3sr.proxies.config import ProxyConfig
-from f3sr.proxies.parts import Fitted
+from f3sr.proxies.parts import FittedParts
 from f3sr.proxies.store import config_json, packed, unpacked
 from f3sr.proxies.surface import Faces
 from f3sr.runtime import signals
@@ -34,13 +34,15 @@ PR_SET_PDEATHSIG = 1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
-    fitted: Fitted | None = None
+class WorkerResult:
+    fitted: FittedParts | None = None
     reason: str = ""
     cut_short: bool = False
 
 
-def run_worker(vertices: Array, faces: Faces, config: ProxyConfig, cancelled: threading.Event | None = None) -> Outcome:
+def run_worker(
+    vertices: Array, faces: Faces, config: ProxyConfig, cancelled: threading.Event | None = None
+) -> WorkerResult:
     """Split a normalised mesh in a subprocess of our own, killed at its processor or wall limit."""
     with tempfile.TemporaryFile() as mesh, tempfile.TemporaryFile() as answer, tempfile.TemporaryFile() as errors:
         np.savez(mesh, vertices=vertices, faces=faces)
@@ -49,13 +51,13 @@ def run_worker(vertices: Array, faces: Faces, config: ProxyConfig, cancelled: th
             try:
                 _wait(process, config.wall_limit_s, cancelled)
             except subprocess.TimeoutExpired:
-                return Outcome(reason=f"killed after {config.wall_limit_s:g} s", cut_short=True)
+                return WorkerResult(reason=f"killed after {config.wall_limit_s:g} s", cut_short=True)
             finally:
                 process.kill()
                 process.wait()
         if process.returncode == 0:
             answer.seek(0)
-            return Outcome(fitted=unpacked(npz.read_all(answer, "the worker's answer")))
+            return WorkerResult(fitted=unpacked(npz.read_all(answer, "the worker's answer")))
         errors.seek(0)
         return explained(process.returncode, errors.read().decode(errors="replace"), config)
 
@@ -85,18 +87,18 @@ def _wait(process: subprocess.Popen[bytes], limit_s: float, cancelled: threading
                 raise
 
 
-def explained(code: int, errors: str, config: ProxyConfig) -> Outcome:
+def explained(code: int, errors: str, config: ProxyConfig) -> WorkerResult:
     """What an exit code other than 0 means."""
     import signal
 
     if -code in (signal.SIGXCPU, signal.SIGKILL):
-        return Outcome(reason=f"killed after {config.cpu_limit_s:g} s of processor time", cut_short=True)
+        return WorkerResult(reason=f"killed after {config.cpu_limit_s:g} s of processor time", cut_short=True)
     if any(words in errors for words in NO_MEMORY):
-        return Outcome(reason="out of memory", cut_short=True)
+        return WorkerResult(reason="out of memory", cut_short=True)
     if code < 0:
-        return Outcome(reason=f"crashed with {signal.Signals(-code).name}")
+        return WorkerResult(reason=f"crashed with {signal.Signals(-code).name}")
     last = (errors.strip().splitlines() or ["no message"])[-1]
-    return Outcome(reason=f"failed: {last[:200]}")
+    return WorkerResult(reason=f"failed: {last[:200]}")
 
 
 def work(config_text: str, parent: str) -> None:

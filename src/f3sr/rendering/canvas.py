@@ -33,7 +33,7 @@ from f3sr.rendering.picture_kernels import (
     mark_changed,
 )
 from f3sr.rendering.shadow_kernels import note_changes
-from f3sr.rendering.surface_kernels import Lamps, View, mark_shadowed, shade, tile_depths
+from f3sr.rendering.surface_kernels import FrameGeometry, Lamps, mark_shadowed, shade, tile_depths
 from f3sr.rendering.textures import LINEAR, srgb
 from f3sr.vision import rasterizer
 
@@ -61,7 +61,7 @@ Rectangle = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Setting:
+class StillScene:
     """Everything about a film that does not move."""
 
     camera: Camera
@@ -87,7 +87,7 @@ class Canvas:
     tile by tile where neither what is seen nor a texel of light that it reads has changed.
     """
 
-    def __init__(self, setting: Setting) -> None:
+    def __init__(self, setting: StillScene) -> None:
         s, samples = setting, setting.config.samples
         self.setting = setting
         self._rest = self._shown = np.ones((s.camera.height, s.camera.width, 3), np.float32)
@@ -111,7 +111,7 @@ class Canvas:
         self._poses = np.full((count, 4, 4), np.nan)
         self._quiet = np.full(count, QUIET)
         self._stays: frozenset[int] = frozenset()
-        self._view: View | None = None
+        self._view: FrameGeometry | None = None
         self._blurred_before = np.full_like(self._blurred, -1)
         self._picture, self._composed = np.empty_like(s.background), False
 
@@ -168,7 +168,7 @@ class Canvas:
         self._shade(view)
         self._count()
 
-    def _settle(self, view: View, poses: Array, changed: Sequence[int]) -> None:
+    def _settle(self, view: FrameGeometry, poses: Array, changed: Sequence[int]) -> None:
         """Take what begins to move out of the still buffers and what has come to rest into them."""
         self._quiet += 1
         self._quiet[changed] = 0
@@ -180,7 +180,7 @@ class Canvas:
             self._add(self._still, view, poses, sorted(quiet - self._stays))
         self._stays = quiet
 
-    def _add(self, buffers: Buffers, view: View, poses: Array, chosen: Sequence[int]) -> None:
+    def _add(self, buffers: Buffers, view: FrameGeometry, poses: Array, chosen: Sequence[int]) -> None:
         """Draw some objects into all buffers."""
         s = self.setting
         if not chosen:
@@ -191,7 +191,7 @@ class Canvas:
             draw_maps(casting, buffers.maps)
             draw_ground_shadows(casting, self._cells, self._words, s.config.near, buffers.bits)
 
-    def _square(self, view: View, k: int) -> Rectangle:
+    def _square(self, view: FrameGeometry, k: int) -> Rectangle:
         """The tiles that an object may be seen in."""
         side, most = TILE * self.setting.config.samples, self._dirty.shape
         low = np.clip(np.floor((view.extents[k, [2, 0]] - 1) / side), 0, most)
@@ -225,7 +225,7 @@ class Canvas:
             tile_depths(self._drawn.nearness, side, top, bottom, left, right, self._depths)
             self._dirty[top:bottom, left:right] = True
 
-    def _mark_shadowed(self, view: View, texels: NDArray[np.int64]) -> None:
+    def _mark_shadowed(self, view: FrameGeometry, texels: NDArray[np.int64]) -> None:
         """Find the tiles whose light has changed with some ``texels`` (k, L, 4) of the maps."""
         maps, spans, limits = self._drawn.maps, self._spans, np.empty((len(self._spans), 5))
         parts = rasterizer.fixed(texels.swapaxes(0, 1), np.int64)
@@ -244,7 +244,7 @@ class Canvas:
 
         rasterizer.in_bands(mark, (0, len(self._dirty)), BANDS * rasterizer.THREADS)
 
-    def _shade(self, view: View) -> None:
+    def _shade(self, view: FrameGeometry) -> None:
         s, drawn = self.setting, self._drawn
         maps = drawn.maps
         strength, exposed = (rasterizer.fixed(values, np.float64) for values in (s.light.strength, s.exposures))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from f3sr.background.regions import grown
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import UP, Array
-from f3sr.rendering.surface_kernels import Shapes, Textures, View, seen_at
+from f3sr.rendering.surface_kernels import FrameGeometry, Shapes, Textures, seen_at
 from f3sr.rendering.textures import LINEAR
 from f3sr.scene import Scene
 from f3sr.vision import rasterizer
@@ -73,7 +73,7 @@ def evidence_of(
     *,
     shapes: Shapes,
     textures: Textures,
-    view: View,
+    view: FrameGeometry,
     face: NDArray[np.int32],
     near: float,
     ball: tuple[Array, float],
@@ -81,7 +81,7 @@ def evidence_of(
 ) -> Evidence:
     """``view`` and ``face`` (h, w) are of the photo's camera with one sample a pixel, ``ball`` holds the scene."""
     shown = np.where(face >= 0, shapes.object[np.maximum(face, 0)], -1)
-    patches = [_Patch.of((shown == k) & o.mask) for k, o in enumerate(scene.objects)]
+    patches = [_MaskWindow.of((shown == k) & o.mask) for k, o in enumerate(scene.objects)]
     inner = {k: pixels for k, patch in enumerate(patches) if len(pixels := patch.inner()) >= FEW}
     step = max(1, int((sum(map(len, inner.values())) / samples) ** 0.5))
     parts = [_of_ground(scene, background, ball, samples)]
@@ -98,7 +98,7 @@ def evidence_of(
 
 
 @dataclass(frozen=True, eq=False)
-class _Patch:
+class _MaskWindow:
     """What shows an object: a mask within a window of the picture."""
 
     corner: NDArray[np.int64]
@@ -140,7 +140,12 @@ class _Patch:
 
 
 def _seen(
-    shapes: Shapes, textures: Textures, view: View, near: float, pixels: NDArray[np.int64], face: NDArray[np.int32]
+    shapes: Shapes,
+    textures: Textures,
+    view: FrameGeometry,
+    near: float,
+    pixels: NDArray[np.int64],
+    face: NDArray[np.int32],
 ) -> tuple[Array, Array, Array]:
     albedo, place, normal = (np.empty((len(pixels), 3)) for _ in range(3))
     fixed = rasterizer.fixed(pixels, np.int64), rasterizer.fixed(face, np.int32)

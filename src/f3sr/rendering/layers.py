@@ -16,7 +16,7 @@ from f3sr.rendering.light import DIRECT, DIRECT_ON_GROUND, SKY, SKY_ON_GROUND, L
 from f3sr.rendering.shadow_kernels import cast_on_ground
 from f3sr.rendering.shadow_maps import Caster, Maps, world_casters
 from f3sr.rendering.shapes import casters_of, faces_outward, shapes_of, starts_of
-from f3sr.rendering.surface_kernels import Shapes, Textures, View, find_extents, nearest_faces
+from f3sr.rendering.surface_kernels import FrameGeometry, Shapes, Textures, find_extents, nearest_faces
 from f3sr.rendering.textures import textures_of
 from f3sr.runtime.daemon_thread import begun
 from f3sr.scene import SceneObject
@@ -65,7 +65,7 @@ class Things:
             first_vertex=starts_of([len(o.mesh.vertices) for o in objects]),
         )
 
-    def seen_by(self, camera: Camera, poses: Array, near: float) -> View:
+    def seen_by(self, camera: Camera, poses: Array, near: float) -> FrameGeometry:
         """Vertices on the pixels of ``camera``, with the objects at ``poses`` (N, 4, 4)."""
         points = np.empty((int(self.first_vertex[-1]), 5))
         K = rasterizer.fixed(camera.K, np.float64)
@@ -75,7 +75,7 @@ class Things:
         extents = np.empty((len(self.vertices), 4))
         find_extents(points, rasterizer.fixed(self.first_vertex, np.int64), near, extents)
         rays = np.column_stack([camera.T_world_camera[:3, :3] @ np.linalg.inv(camera.K), camera.center])
-        return View(
+        return FrameGeometry(
             points=rasterizer.fixed(points, np.float64),
             turns=rasterizer.fixed(poses[:, :3, :3], np.float64),
             extents=rasterizer.fixed(extents, np.float64),
@@ -127,7 +127,7 @@ class Buffers:
         return self.face, self.nearness, self.maps.nearest, self.bits
 
 
-def draw_surfaces(things: Things, view: View, chosen: Sequence[int], near: float, buffers: Buffers) -> None:
+def draw_surfaces(things: Things, view: FrameGeometry, chosen: Sequence[int], near: float, buffers: Buffers) -> None:
     """Draw the faces of some objects."""
 
     def draw(band: tuple[int, int]) -> None:
@@ -146,7 +146,7 @@ def draw_surfaces(things: Things, view: View, chosen: Sequence[int], near: float
     rasterizer.in_bands(draw, _rows(view, chosen, len(buffers.face)), rasterizer.THREADS)
 
 
-def _rows(view: View, chosen: Sequence[int], height: int) -> tuple[int, int]:
+def _rows(view: FrameGeometry, chosen: Sequence[int], height: int) -> tuple[int, int]:
     """The rows that some objects may touch."""
     low, high = view.extents[list(chosen), 2].min(initial=np.inf), view.extents[list(chosen), 3].max(initial=-np.inf)
     if low > high:

@@ -73,7 +73,7 @@ class Fit:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class FittedLight:
     """A light, whether it has a direction, and the two misfits that this rests on."""
 
     light: Light
@@ -92,7 +92,7 @@ def find_light(
     objects: int,
     side: int,
     config: LightConfig,
-) -> Found:
+) -> FittedLight:
     """The light that explains the evidence best. Misfits are per sample, so their difference is a share."""
     wide = Maps.empty(even_sky(CANDIDATES), *ball, side)
     wide.cast(casters)
@@ -123,7 +123,7 @@ def find_light(
     chosen = best if directed else undirected
     light = _light(chosen.strength, direction if directed else DEFAULT.direction, angle if directed else DEFAULT.angle)
     lit = chosen.lit(evidence) / _on_open_ground(chosen.strength, light.direction)
-    return Found(light, directed, best.misfit / n, undirected.misfit / n, lit)
+    return FittedLight(light, directed, best.misfit / n, undirected.misfit / n, lit)
 
 
 def _on_open_ground(strength: Array, direction: Array) -> float:

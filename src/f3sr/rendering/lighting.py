@@ -15,7 +15,7 @@ from f3sr.rendering.layers import Buffers, Things, draw_surfaces
 from f3sr.rendering.light import DIRECT_ON_GROUND, SKY_ON_GROUND, Light, disc, ground_sky
 from f3sr.rendering.light_fit import (
     DEFAULT,
-    Found,
+    FittedLight,
     common_exposure,
     exposures,
     find_light,
@@ -23,7 +23,7 @@ from f3sr.rendering.light_fit import (
     with_shadows_of,
 )
 from f3sr.rendering.shadow_maps import Caster, Maps
-from f3sr.rendering.surface_kernels import View
+from f3sr.rendering.surface_kernels import FrameGeometry
 from f3sr.report import keep_better
 from f3sr.scene import Scene
 
@@ -87,7 +87,7 @@ def _with_shadows(
     return with_shadows_of(evidence, light, maps, ground)
 
 
-def _told(found: Found) -> str:
+def _told(found: FittedLight) -> str:
     if not found.directed:
         return "light: no direction found in the photo; shadows fall from above, soft"
     x, y, z = found.light.direction
@@ -102,7 +102,7 @@ def _evidence(
     scene: Scene, background: NDArray[np.uint8], things: Things, ball: tuple[Array, float], config: RenderConfig
 ) -> Evidence:
     poses = np.array([o.T_world_object for o in scene.objects])
-    view: View = things.seen_by(scene.camera, poses, config.near)
+    view: FrameGeometry = things.seen_by(scene.camera, poses, config.near)
     maps = Maps.empty(np.zeros((0, 3)), *ball, 1)
     drawn = Buffers.empty(scene.camera, maps, scene.camera, 0)
     draw_surfaces(things, view, range(len(poses)), config.near, drawn)

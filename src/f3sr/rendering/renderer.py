@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array
 from f3sr.errors import InputError
-from f3sr.rendering.canvas import Canvas, Setting
+from f3sr.rendering.canvas import Canvas, StillScene
 from f3sr.rendering.config import RenderConfig
 from f3sr.rendering.ground import ground_seen, light_shown
 from f3sr.rendering.layers import Things
@@ -58,7 +58,7 @@ class Renderer:
         things = Things.of(scene.objects, config)
         ball = ball_around(scene)
         light, exposures, decisions = lit_as_photo(scene, background if camera is None else None, things, ball, config)
-        setting = Setting(
+        setting = StillScene(
             camera=view,
             background=np.ascontiguousarray(background),
             light=light,
@@ -79,7 +79,7 @@ class Renderer:
         return cls(canvas, decisions if told else (*decisions, OTHER_LIGHT), light)
 
     @property
-    def setting(self) -> Setting:
+    def setting(self) -> StillScene:
         return self._canvas.setting
 
     def seen_from(self, camera: Camera, background: NDArray[np.uint8]) -> Renderer:

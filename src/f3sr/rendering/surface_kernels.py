@@ -50,7 +50,7 @@ class Textures(NamedTuple):
     """(S,) how many there are, at least 1."""
 
 
-class View(NamedTuple):
+class FrameGeometry(NamedTuple):
     """Where everything is in one frame."""
 
     points: NDArray[np.float64]
@@ -305,7 +305,7 @@ def _exposed(exposures: NDArray[Any], o: Any, r: float, g: float, b: float) -> V
 def shade(
     shapes: Shapes,
     textures: Textures,
-    view: View,
+    view: FrameGeometry,
     lamps: Lamps,
     samples: int,
     near: float,
@@ -364,7 +364,7 @@ def shade(
 def seen_at(
     shapes: Shapes,
     textures: Textures,
-    view: View,
+    view: FrameGeometry,
     near: float,
     pixels: NDArray[Any],
     face: NDArray[Any],

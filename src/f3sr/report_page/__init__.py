@@ -13,7 +13,7 @@ from f3sr.report_page.graph_drawing import graph
 from f3sr.report_page.head import head, verdict
 from f3sr.report_page.mask_comparison import masks
 from f3sr.report_page.object_table import objects
-from f3sr.report_page.page_data import Material, Sizes
+from f3sr.report_page.page_data import PageData, Sizes
 from f3sr.report_page.scores import scores
 from f3sr.report_page.stages import stages
 from f3sr.report_page.viewer import viewer
@@ -32,7 +32,7 @@ SIZES = (
     Sizes(picture=400, panels=1_000_000, faces=8_000, texture=32),
 )
 """Tried in order until the page is small enough."""
-SECTIONS: tuple[tuple[str, str, Callable[[Material], Child]], ...] = (
+SECTIONS: tuple[tuple[str, str, Callable[[PageData], Child]], ...] = (
     ("measures", "Measures", scores),
     ("compare", "Before and after", compare),
     ("masks", "Masks", masks),
@@ -48,13 +48,13 @@ def report_page(result: Reconstruction) -> bytes:
     """The page of a reconstruction, at most ``LARGEST_PAGE`` bytes: the same for the same result, wherever and
     whenever it was made, and whether or not stages came from a store."""
     for sizes in SIZES:
-        page = _page(Material(result, sizes))
+        page = _page(PageData(result, sizes))
         if len(page) <= LARGEST_PAGE:
             return page
     raise OutputError(f"report.html: would have more than {LARGEST_PAGE:,} bytes with the smallest pictures")
 
 
-def _page(m: Material) -> bytes:
+def _page(m: PageData) -> bytes:
     links = el("nav", (el("a", title, href=f"#{id}") for id, title, _ in SECTIONS), aria_label="Sections")
     sections = [el("section", el("h2", title), make(m), id=id) for id, title, make in SECTIONS]
     return document(

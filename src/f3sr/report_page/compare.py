@@ -12,7 +12,7 @@ from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, box_corners
 from f3sr.metrics.measures import Details, Gap, Overlap
 from f3sr.report_page.formatting import counted, length, name_of, share
-from f3sr.report_page.page_data import Material, look_alike
+from f3sr.report_page.page_data import PageData, look_alike
 from f3sr.scene import GROUND, Scene
 from f3sr.vision.pictures import composite, ground_row, side_camera, side_cameras, side_view
 from f3sr.web.figures import figure, img
@@ -36,7 +36,7 @@ class Mark:
     words: str
 
 
-def compare(m: Material) -> Markup:
+def compare(m: PageData) -> Markup:
     return join(
         el("h3", "From the photo's camera"),
         el("div", _front(m), class_="row"),
@@ -54,7 +54,7 @@ def compare(m: Material) -> Markup:
     )
 
 
-def _front(m: Material) -> list[Markup]:
+def _front(m: PageData) -> list[Markup]:
     one = look_alike(m.given, m.direct)
     name = "Input as it came, and direct composition" if one else "Input as it came"
     note = ": levelling turns camera and objects together, so both look alike" if one else ""
@@ -65,7 +65,7 @@ def _front(m: Material) -> list[Markup]:
     return [*shown, figure(ours, join(el("b", "Ours"), ": unlit textures over the photo"))]
 
 
-def _sides(m: Material) -> list[Markup]:
+def _sides(m: PageData) -> list[Markup]:
     given = join(
         el("b", "Input as it came"),
         ". It knows no ground: z = 0 is the height of its camera, and gaps are not defined.",

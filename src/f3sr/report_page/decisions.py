@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from f3sr.report import Decision, Report
 from f3sr.report_page.formatting import about, counted, told
-from f3sr.report_page.page_data import Material
+from f3sr.report_page.page_data import PageData
 from f3sr.scene import Scene
 from f3sr.web.markup import Markup, el, join
 
 
-def decisions(m: Material) -> Markup:
+def decisions(m: PageData) -> Markup:
     taken = [r for r in m.result.reports if r.decisions]
     if not taken:
         return el("p", "No stage had anything to decide.", class_="fine")

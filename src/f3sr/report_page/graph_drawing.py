@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from f3sr.report import Decision
 from f3sr.report_page.formatting import about, counted, name_of, ratio, share, told
-from f3sr.report_page.page_data import Material
+from f3sr.report_page.page_data import PageData
 from f3sr.scene import GROUND, Predicate, Relation, Scene
 from f3sr.web.markup import Child, Markup, clean, el, join
 
@@ -53,7 +53,7 @@ class Spot:
         return EDGE + BOX[1] / 2 + STEP[1] * self.y
 
 
-def graph(m: Material) -> Markup:
+def graph(m: PageData) -> Markup:
     scene = m.scene
     return join(_supports(scene), _disagreements(m), _nodes(scene), _relations(scene))
 
@@ -184,7 +184,7 @@ def _box(spot: Spot, scene: Scene, id: int) -> Markup:
     )
 
 
-def _disagreements(m: Material) -> Child:
+def _disagreements(m: PageData) -> Child:
     """Where scene_graph.json says something else than geometry and the photo."""
     taken = [d for r in m.result.reports if r.stage in ("relate", "describe") for d in r.decisions if _of_given(d)]
     if not taken:

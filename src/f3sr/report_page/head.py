@@ -8,7 +8,7 @@ from f3sr.metrics.measures import visible_ious
 from f3sr.options import SKIPPABLE
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 from f3sr.report_page.formatting import about, counted, length, listed, name_of, ratio, share, told
-from f3sr.report_page.page_data import Material, look_alike
+from f3sr.report_page.page_data import PageData, look_alike
 from f3sr.scene import SceneObject
 from f3sr.stages.refine import RefineConfig
 from f3sr.web.figures import figure, img
@@ -23,7 +23,7 @@ REST_TRAVEL = 0.1
 """Largest travel of a centre of mass in 5 s of undamped physics [cm] that is called rest here."""
 
 
-def head(m: Material, links: Markup) -> Markup:
+def head(m: PageData, links: Markup) -> Markup:
     photo = img(m.backdrop.rgb, "The photo")
     size = f"{m.scene.photo.width} × {m.scene.photo.height} px"
     return el(
@@ -40,12 +40,12 @@ def head(m: Material, links: Markup) -> Markup:
     )
 
 
-def verdict(m: Material) -> str:
+def verdict(m: PageData) -> str:
     """One line for somebody who wants to use the scene."""
     return f"{counted(len(m.scene.objects), 'object')}, {_rest(m)}; {_contact(m)}"
 
 
-def _rest(m: Material) -> str:
+def _rest(m: PageData) -> str:
     if m.result.evaluation:
         travel = m.result.evaluation.result.D_max_cm
         return "at rest" if travel <= REST_TRAVEL else f"not at rest (moves {length(travel / 100)} in 5 s)"
@@ -57,7 +57,7 @@ def _rest(m: Material) -> str:
     return "at rest after settling" if rested[-1] or refined else "not at rest after settling"
 
 
-def _contact(m: Material) -> str:
+def _contact(m: PageData) -> str:
     if m.details is None:
         return "penetrations and gaps not measured"
     pairs = len(m.details.overlaps)
@@ -67,7 +67,7 @@ def _contact(m: Material) -> str:
     return f"{overlap}; {gap}"
 
 
-def _summary(m: Material) -> Child:
+def _summary(m: PageData) -> Child:
     """What the verdict leaves out, in small print."""
     parts: list[Child] = []
     if m.details:
@@ -85,7 +85,7 @@ def _summary(m: Material) -> Child:
     return el("p", parts, class_="summary") if parts else None
 
 
-def warnings(m: Material) -> Markup:
+def warnings(m: PageData) -> Markup:
     """Fallbacks first, then what was left out."""
     notes: list[Child] = [
         el(
@@ -116,7 +116,7 @@ def warnings(m: Material) -> Markup:
     return el("ul", notes, class_="warnings")
 
 
-def _off_their_masks(m: Material) -> list[Child]:
+def _off_their_masks(m: PageData) -> list[Child]:
     """Objects that the photo shows elsewhere."""
     off = [o for o in m.details.objects if o.IoU_visible < FAR_OFF] if m.details else []
     return [
@@ -132,7 +132,7 @@ def _off_their_masks(m: Material) -> list[Child]:
     ]
 
 
-def _paid(m: Material) -> list[Child]:
+def _paid(m: PageData) -> list[Child]:
     """Objects that contact and physics moved away from where they fitted their masks."""
     aligned = m.result.scenes.get("align")
     if aligned is None or not m.details:
@@ -155,7 +155,7 @@ def _paid(m: Material) -> list[Child]:
     ]
 
 
-def _tipped(m: Material) -> list[Child]:
+def _tipped(m: PageData) -> list[Child]:
     """Objects that physics turned over after they were put in place."""
     placed = m.result.scenes.get("separate")
     if placed is None:
@@ -180,7 +180,7 @@ def _lean(a: SceneObject, b: SceneObject) -> float:
     return float(np.arccos(np.clip(R[2, 2], -1, 1)))
 
 
-def skipped_stages(m: Material) -> list[str]:
+def skipped_stages(m: PageData) -> list[str]:
     """Stages without a report; parts of stages are not told from their settings."""
     done = {*(report.stage for report in m.result.reports), *(["evaluate"] if m.result.evaluation else [])}
     return [name for name in SKIPPABLE if name not in done and "-" not in name]

@@ -9,7 +9,7 @@ import numpy as np
 
 from f3sr.report_page.formatting import counted, name_of, ratio, share
 from f3sr.report_page.mask_panels import MaskPanels, mask_panels
-from f3sr.report_page.page_data import Material
+from f3sr.report_page.page_data import PageData
 from f3sr.scene import Scene, SceneObject
 from f3sr.vision.occlusion import nearer_objects
 from f3sr.web.figures import figure, img
@@ -37,7 +37,7 @@ class Card:
         return self.panels.ious[1]
 
 
-def masks(m: Material) -> Markup:
+def masks(m: PageData) -> Markup:
     found = sorted(cards(m), key=lambda c: (c.ours, c.o.id))
     first, rest = found[:SHOWN_AT_ONCE], found[SHOWN_AT_ONCE:]
     folded = el("details", el("summary", f"{counted(len(rest), 'more object')}, fitting better"), _grid(rest, m))
@@ -74,7 +74,7 @@ def legend() -> Markup:
     )
 
 
-def cards(m: Material) -> list[Card]:
+def cards(m: PageData) -> list[Card]:
     """Every object compared with its mask: in the input, in ours, and after the stage align."""
     states = [m.direct, m.scene, *([m.result.scenes["align"]] if "align" in m.result.scenes else [])]
     nearer = nearer_objects(m.scene)
@@ -82,7 +82,7 @@ def cards(m: Material) -> list[Card]:
     return [Card(o, mask_panels(o.id, states, nearer[o.id], longest=longest, drawn=(0, 1))) for o in m.scene]
 
 
-def _whole(m: Material) -> list[Markup]:
+def _whole(m: PageData) -> list[Markup]:
     how = "with alignment" if "align" in m.result.scenes else "not aligned either"
     return [
         figure(m.overlay(m.direct, "Masks and the input"), join(el("b", "Input"), ": as it came, without alignment")),
@@ -90,7 +90,7 @@ def _whole(m: Material) -> list[Markup]:
     ]
 
 
-def _grid(found: Sequence[Card], m: Material) -> Markup:
+def _grid(found: Sequence[Card], m: PageData) -> Markup:
     return el("div", (_card(c, m.scene) for c in found), class_="panels")
 
 

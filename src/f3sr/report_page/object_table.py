@@ -13,7 +13,7 @@ from f3sr.core.transforms import rotation_angle, transform
 from f3sr.metrics.measures import ObjectMeasures
 from f3sr.physics.mujoco_model import body_of
 from f3sr.report_page.formatting import counted, length, name_of, number, quantity, ratio, share, told
-from f3sr.report_page.page_data import Material, by_id
+from f3sr.report_page.page_data import PageData, by_id
 from f3sr.scene import Motion, SceneObject
 from f3sr.vision.pictures import resized
 from f3sr.web.figures import img
@@ -32,7 +32,7 @@ LOST = 0.05
 INFLATION = "proxy volume / mesh volume"
 
 
-def objects(m: Material) -> Markup:
+def objects(m: PageData) -> Markup:
     titles = ("Object", "Moved", "IoU visible", "Proxy", "Mass", "Rests on")
     before, after = by_id(m.direct_details), by_id(m.details)
     inflation = {
@@ -48,7 +48,7 @@ def objects(m: Material) -> Markup:
 
 def _row(
     o: SceneObject,
-    m: Material,
+    m: PageData,
     titles: tuple[str, ...],
     before: Mapping[int, ObjectMeasures],
     after: Mapping[int, ObjectMeasures],
@@ -66,7 +66,7 @@ def _row(
     return el("tr", head, (el("td", el("div", c), data_title=t) for t, c in zip(titles[1:], cells, strict=True)))
 
 
-def thumbnail(o: SceneObject, m: Material) -> NDArray[np.uint8]:
+def thumbnail(o: SceneObject, m: PageData) -> NDArray[np.uint8]:
     """The photo around the object's mask, the rest dimmed."""
     rows, columns = np.flatnonzero(o.mask.any(1)), np.flatnonzero(o.mask.any(0))
     if not len(rows):
@@ -91,7 +91,7 @@ class Move:
     reasons: tuple[str, ...]
 
 
-def moves(m: Material, id: int) -> list[Move]:
+def moves(m: PageData, id: int) -> list[Move]:
     """The stages that moved an object, in order. Levelling moves all as one and is no move."""
     found: list[Move] = []
     for (_, a), (stage, b) in pairwise(m.result.scenes.items()):
@@ -160,7 +160,7 @@ def _mass(o: SceneObject) -> Child:
     return join(el("span", quantity(body_of(o).mass, "kg", digits=3), class_="pair"), fixed)
 
 
-def _supports(o: SceneObject, m: Material) -> Child:
+def _supports(o: SceneObject, m: PageData) -> Child:
     if not o.supports:
         return el("span", "nothing known", class_="quiet")
     shares = sorted(o.supports, key=lambda s: -s.share)

@@ -35,7 +35,7 @@ class Sizes:
 
 
 @dataclass(frozen=True, eq=False)
-class Material:
+class PageData:
     """A result, and what several sections draw from it."""
 
     result: Reconstruction

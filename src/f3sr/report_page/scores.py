@@ -7,8 +7,8 @@ from typing import Literal
 
 from f3sr.metrics.measures import IMAGE_MEASURES, Measures
 from f3sr.report_page.formatting import number, quantity, told
-from f3sr.report_page.page_data import Material
-from f3sr.stages.evaluate import Evaluation, Fitted
+from f3sr.report_page.page_data import PageData
+from f3sr.stages.evaluate import Evaluation, FittedCameraMeasures
 from f3sr.web.markup import Child, Markup, el, join
 
 
@@ -115,7 +115,7 @@ OTHERS = (
 )
 
 
-def scores(m: Material) -> Markup:
+def scores(m: PageData) -> Markup:
     if m.result.evaluation is None:
         return el("p", "Not measured: the stage evaluate was skipped.", class_="fine")
     evaluation = m.result.evaluation
@@ -172,7 +172,7 @@ def _shown(value: float | None, score: Score) -> Markup:
     return quantity(value, score.unit, digits=score.digits)
 
 
-def _fitted(fitted: Fitted | None, score: Score) -> Child:
+def _fitted(fitted: FittedCameraMeasures | None, score: Score) -> Child:
     """The same as a fitted camera sees it, where that makes a difference."""
     if fitted is None or score.field not in IMAGE_MEASURES:
         return None

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from f3sr.report import Decision, Measure, Report
 from f3sr.report_page.formatting import about, counted, quantity, told
 from f3sr.report_page.mask_comparison import legend
-from f3sr.report_page.page_data import Material, look_alike
+from f3sr.report_page.page_data import PageData, look_alike
 from f3sr.scene import Scene
 from f3sr.vision.pictures import resized
 from f3sr.web.figures import figure, img
@@ -28,7 +28,7 @@ PURPOSE = {
 }
 
 
-def stages(m: Material) -> Markup:
+def stages(m: PageData) -> Markup:
     parts: list[Markup] = []
     before: Scene | None = None
     for number, report in enumerate(m.result.reports, start=1):
@@ -52,7 +52,7 @@ def stage(number: int, report: Report, pictures: Child, after: Scene) -> Markup:
     )
 
 
-def _background(m: Material) -> Child:
+def _background(m: PageData) -> Child:
     """What films are drawn over."""
     if m.result.inpainting is None:
         return None
@@ -61,7 +61,7 @@ def _background(m: Material) -> Child:
     return el("div", figure(picture, "The photo completed behind the objects"), class_="row")
 
 
-def _pictures(m: Material, name: str, before: Scene | None, after: Scene) -> Child:
+def _pictures(m: PageData, name: str, before: Scene | None, after: Scene) -> Child:
     """Both overlays, or a sentence where the stage leaves the picture as it was."""
     if before is None:
         return el("div", figure(m.overlay(after, f"After {name}"), "After: the input as it came"), class_="row")

@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from f3sr.report_page.page_data import Material
+from f3sr.report_page.page_data import PageData
 from f3sr.scene import Scene, SceneObject
 from f3sr.vision.pictures import turned_view
 from f3sr.web.document import data
 from f3sr.web.figures import figure, img
 from f3sr.web.light_mesh import lightened
 from f3sr.web.markup import Markup, clean, el
-from f3sr.web.packed import Textures, packed_camera, packed_mesh, packed_parts
+from f3sr.web.packed import TextureIndex, packed_camera, packed_mesh, packed_parts
 
 FACES_EACH = (400, 60_000)
 """Fewest and most triangles of one mesh in the view."""
@@ -29,7 +29,7 @@ STILL_TURN = np.radians(35)
 """How far the still picture's camera is turned from the photo's [rad]."""
 
 
-def viewer(m: Material) -> Markup:
+def viewer(m: PageData) -> Markup:
     """The view with its buttons; a still picture where it cannot be."""
     camera = m.backdrop.camera(m.scene)
     still = turned_view(m.scene, turn=STILL_TURN, width=camera.width, height=camera.height)
@@ -71,10 +71,10 @@ def _button(label: str, name: str, pressed: bool | None) -> Markup:
     return el("button", label, type="button", id=name, aria_pressed=state)
 
 
-def payload(m: Material) -> Markup:
+def payload(m: PageData) -> Markup:
     """All data of the view as JSON that cannot end its script element."""
     faces = int(np.clip(m.sizes.faces // len(m.scene.objects), *FACES_EACH))
-    textures = Textures(m.sizes.texture)
+    textures = TextureIndex(m.sizes.texture)
     document = {
         "cameras": {"direct": packed_camera(m.direct.camera), "ours": packed_camera(m.scene.camera)},
         "bounds": {"direct": _bounds(m.direct), "ours": _bounds(m.scene)},
@@ -89,7 +89,7 @@ def _bounds(scene: Scene) -> list[float]:
     return [*corners.min(0).tolist(), *corners.max(0).tolist()]
 
 
-def _object(o: SceneObject, direct: SceneObject, faces: int, textures: Textures) -> dict[str, Any]:
+def _object(o: SceneObject, direct: SceneObject, faces: int, textures: TextureIndex) -> dict[str, Any]:
     return {
         "id": o.id,
         "label": clean(o.label),

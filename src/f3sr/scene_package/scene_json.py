@@ -84,11 +84,11 @@ Path = Annotated[str, AfterValidator(_safe_path)]
 FileName = Annotated[str, AfterValidator(_file_name)]
 
 
-class _Record(BaseModel):
+class _SceneRecord(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
 
-class CameraRecord(_Record):
+class CameraRecord(_SceneRecord):
     """Pinhole camera: OpenCV axes, pixel centres at +0.5."""
 
     width: Side
@@ -103,7 +103,7 @@ class CameraRecord(_Record):
         return self
 
 
-class GroundRecord(_Record):
+class GroundRecord(_SceneRecord):
     """The support plane normal . x = offset in the world."""
 
     normal: UnitVector3
@@ -112,14 +112,14 @@ class GroundRecord(_Record):
     confidence: Share
 
 
-class SupportRecord(_Record):
+class SupportRecord(_SceneRecord):
     """What carries an object (-1: the ground) and its share of the load."""
 
     id: IdOrGround
     share: Share
 
 
-class MotionRecord(_Record):
+class MotionRecord(_SceneRecord):
     """How a stage moved an object: centre [m], turn [rad], scale factor."""
 
     stage: str
@@ -129,7 +129,7 @@ class MotionRecord(_Record):
     reason: str
 
 
-class ObjectRecord(_Record):
+class ObjectRecord(_SceneRecord):
     """One object. Lengths in its own frame, metres; world points are T_world_object @ v."""
 
     id: Id
@@ -164,14 +164,14 @@ class ObjectRecord(_Record):
         return self
 
 
-class ExcludedRecord(_Record):
+class ExcludedRecord(_SceneRecord):
     """A mask that is not an object, and why."""
 
     mask: FileName
     reason: str
 
 
-class RelationRecord(_Record):
+class RelationRecord(_SceneRecord):
     """``subject predicate object``, by object id."""
 
     subject: Id
@@ -183,7 +183,7 @@ class RelationRecord(_Record):
     """``given`` where scene_graph.json says it and geometry does not contradict."""
 
 
-class NodeRecord(_Record):
+class NodeRecord(_SceneRecord):
     """An object in words, and the share of its rendered silhouette that nothing hides or cuts."""
 
     id: Id
@@ -192,7 +192,7 @@ class NodeRecord(_Record):
     visibility: Share
 
 
-class SceneGraphRecord(_Record):
+class SceneGraphRecord(_SceneRecord):
     """Relations with an inverse (inside, contains; in_front_of, behind) come both ways, symmetric ones (next_to,
     touching, overlaps_2d) once, the lower id first; only supported_by names the ground, -1, as its object."""
 
@@ -201,7 +201,7 @@ class SceneGraphRecord(_Record):
     nodes: tuple[NodeRecord, ...] = ()
 
 
-class DirectObjectRecord(_Record):
+class DirectObjectRecord(_SceneRecord):
     """Where the input put an object: world points are ``T_world_object @ (scale * v)`` of the package's mesh."""
 
     id: Id
@@ -209,14 +209,14 @@ class DirectObjectRecord(_Record):
     scale: Scale
 
 
-class DirectRecord(_Record):
+class DirectRecord(_SceneRecord):
     """Direct composition: the input as it came, only levelled, to compare with."""
 
     T_world_camera: RigidMatrix4
     objects: tuple[DirectObjectRecord, ...]
 
 
-class SceneDocument(_Record):
+class SceneDocument(_SceneRecord):
     """scene.json of an f3sr scene package: right-handed world, +Z up, metres, kilograms, radians."""
 
     model_config = ConfigDict(title="f3sr scene")

@@ -20,7 +20,7 @@ from f3sr.core.transforms import UP, Array, pose, transform
 from f3sr.metrics.contact_groups import SettledScene, groups_of
 from f3sr.metrics.measures import visible_ious
 from f3sr.proxies import trim
-from f3sr.proxies.trim import Near, Place, Surface
+from f3sr.proxies.trim import MeshSurface, Near, Place
 from f3sr.report import Decision, Measure, Report
 from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.settings import settings
@@ -257,8 +257,8 @@ class _Lowered:
         return np.stack([bounds[:, 0].min(0), bounds[:, 1].max(0)])
 
     @cached_property
-    def _surface(self) -> Surface:
-        return Surface.of(self._start.mesh)
+    def _surface(self) -> MeshSurface:
+        return MeshSurface.of(self._start.mesh)
 
     def lower(self, drop: float) -> None:
         if not drop:

@@ -24,7 +24,7 @@ class EvaluateConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fitted:
+class FittedCameraMeasures:
     """The measures of a scene seen by a camera of its own, fitted to its masks inside bounds and then held."""
 
     measures: Measures
@@ -44,9 +44,9 @@ class Evaluation:
     direct: Measures | None
     result_details: Details
     direct_details: Details | None
-    result_fitted: Fitted | None = None
+    result_fitted: FittedCameraMeasures | None = None
     """None where the result's camera is aligned."""
-    direct_fitted: Fitted | None = None
+    direct_fitted: FittedCameraMeasures | None = None
 
     def stored(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """As plain values, for a store."""
@@ -112,26 +112,26 @@ def evaluate(
 
 def _composed(
     direct: Scene, scene: Scene, config: EvaluateConfig, true_scale: float
-) -> tuple[Measures, Details, Fitted]:
+) -> tuple[Measures, Details, FittedCameraMeasures]:
     """What is measured of direct composition."""
     composed = direct_composition(direct, scene)
     measures, details = measure_with_details(composed, true_scale=true_scale)
     return measures, details, _seen_by_its_own(composed, measures, DIRECT, config)
 
 
-def _seen_by_its_own(scene: Scene, measures: Measures, name: str, config: EvaluateConfig) -> Fitted:
+def _seen_by_its_own(scene: Scene, measures: Measures, name: str, config: EvaluateConfig) -> FittedCameraMeasures:
     camera, decision = fitted_camera(scene, config.foreign_camera)
-    return Fitted(
+    return FittedCameraMeasures(
         measures=seen_by(camera, scene, measures),
         T_world_camera=tuple(tuple(row) for row in camera.T_world_camera.tolist()),
         decision=replace(decision, choice=f"{name}: {decision.choice}"),
     )
 
 
-def _fitted(document: dict[str, Any] | None) -> Fitted | None:
+def _fitted(document: dict[str, Any] | None) -> FittedCameraMeasures | None:
     if document is None:
         return None
-    return Fitted(
+    return FittedCameraMeasures(
         measures=Measures(**document["measures"]),
         T_world_camera=tuple(map(tuple, document["T_world_camera"])),
         decision=Decision(**document["decision"]),

@@ -39,7 +39,7 @@ class LevelConfig:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Plane:
+class GroundPlane:
     """``normal . x = offset`` in the camera frame; ``inliers`` is the share of points on it, ``residual`` [m] their
     root mean square distance."""
 
@@ -89,7 +89,7 @@ def level(scene: Scene, config: LevelConfig | None = None) -> tuple[Scene, Repor
     return moved, report
 
 
-def fit_plane(points: Array, rng: np.random.Generator, config: LevelConfig) -> Plane:
+def fit_plane(points: Array, rng: np.random.Generator, config: LevelConfig) -> GroundPlane:
     """Robust plane through points (n, 3) in camera axes, its normal towards the camera, which sees its upper side
     (equation 4).
 
@@ -118,7 +118,7 @@ def fit_plane(points: Array, rng: np.random.Generator, config: LevelConfig) -> P
         normal, offset = -normal, -offset
     share = float((np.abs(points @ normal - offset) < tolerance).mean())
     residual = float(np.sqrt(np.mean((points[on_plane] @ normal - offset) ** 2)))
-    return Plane(normal=normal, offset=offset, inliers=share, residual=residual)
+    return GroundPlane(normal=normal, offset=offset, inliers=share, residual=residual)
 
 
 def plane_errors(points: Array) -> tuple[float, float]:
@@ -159,7 +159,7 @@ def _errors_of(ground: Ground) -> list[Measure]:
     ]
 
 
-def _upside_down(plane: Plane) -> list[Decision]:
+def _upside_down(plane: GroundPlane) -> list[Decision]:
     """A warning where up in the scene is down in the photo."""
     if plane.normal[1] <= 0:
         return []

@@ -22,7 +22,7 @@ LARGEST = 32767
 
 
 @dataclass
-class Textures:
+class TextureIndex:
     """Every texture once, by identity."""
 
     longest: int

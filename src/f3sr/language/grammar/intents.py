@@ -14,7 +14,7 @@ from f3sr.language.grammar.normaliser import spoken
 from f3sr.language.grammar.noun_lexicon import GROUND_NAMES
 from f3sr.language.grammar.outcome_clauses import IT, continued, several
 from f3sr.language.grammar.referring_expressions import AT, ORDERS, RELATIONS
-from f3sr.language.grammar.request import Outcome, Preposition, Request
+from f3sr.language.grammar.request import Preposition, Request, WantedOutcome
 from f3sr.language.grammar.verb_lexicon import STRIKES, Family
 
 MOVED: set[Family] = {"push", "pull", "roll", *DROPPED}
@@ -168,7 +168,7 @@ def _pushed(c: Clause, preposition: str | None) -> Request | Refusal:
         return _refused("direction", "pushing goes along the ground; accepted: left, right, away from me, towards me")
     over = c.over or c.family == "tip"
     if c.family == "hit" and c.targets and over:
-        topples = Outcome(what="topple", whose="target")
+        topples = WantedOutcome(what="topple", whose="target")
         return replace(_request("push_into", c), outcome=topples)
     if preposition in ("off", "away-from"):
         return _request("slide", c)

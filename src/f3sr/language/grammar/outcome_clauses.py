@@ -8,7 +8,7 @@ from typing import cast
 from f3sr.goals.plan import Kind
 from f3sr.goals.refusal import Refusal
 from f3sr.language.grammar.clause_arguments import Clause
-from f3sr.language.grammar.request import Outcome, Preposition, Request, What
+from f3sr.language.grammar.request import Preposition, Request, WantedOutcome, What
 from f3sr.language.grammar.verb_lexicon import Family
 
 IT = {"", "it", "itself", "them"}
@@ -43,14 +43,14 @@ def continued(r: Request, c: Clause) -> Request | Refusal:
         return several()
     if whose == "either":
         whose = "target" if what in ("topple", "move") and r.kind != "topple" else "active"
-    return replace(r, outcome=Outcome(what=what, whose="target" if whose == "target" else "active"))
+    return replace(r, outcome=WantedOutcome(what=what, whose="target" if whose == "target" else "active"))
 
 
 def _fallen_back(r: Request, c: Clause) -> Request:
     """``throw it up and let it fall``; what is thrown aside falls anyway, and can at most be asked to return."""
     if not set(r.direction) - {"up"}:
         return replace(r, kind="launch_and_return")
-    return replace(r, outcome=Outcome(what="return", whose="active")) if c.family == "return" else r
+    return replace(r, outcome=WantedOutcome(what="return", whose="active")) if c.family == "return" else r
 
 
 def _struck(c: Clause) -> str:

@@ -14,7 +14,7 @@ What = Literal["topple", "move", "roll", "bounce", "return"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class WantedOutcome:
     """What is to come of it beyond the kind: ``push the box into the can so that the can falls over``."""
 
     what: What
@@ -36,6 +36,6 @@ class Request:
     amount: Amount | Vague | None = None
     """How far it goes, or how high it is lifted."""
     manner: Manner | None = None
-    outcome: Outcome | None = None
+    outcome: WantedOutcome | None = None
     text: str = field(default="", compare=False)
     """The goal as it was typed."""

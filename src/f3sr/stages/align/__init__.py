@@ -14,7 +14,7 @@ from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene, SceneObject
 from f3sr.stages.align.camera_pose import align_camera
 from f3sr.stages.align.config import AlignConfig as AlignConfig
-from f3sr.stages.align.object_pose import View, align_object
+from f3sr.stages.align.object_pose import ObjectEvidence, align_object
 from f3sr.vision.decimated import outlined
 from f3sr.vision.occlusion import nearer_objects, visible_region
 from f3sr.vision.silhouette import iou, resample
@@ -41,7 +41,7 @@ def align(
         nearer = nearer_objects(scene)
 
         def aligned(o: SceneObject) -> tuple[SceneObject, list[Decision]]:
-            view = View(scene=scene, valid=visible_region(o, nearer[o.id]), textured=full[o.id].mesh)
+            view = ObjectEvidence(scene=scene, valid=visible_region(o, nearer[o.id]), textured=full[o.id].mesh)
             return align_object(o, view, config)
 
         with ThreadPoolExecutor(min(MOST_THREADS, os.cpu_count() or 1)) as pool:

@@ -33,7 +33,7 @@ BLIND_TURN = np.radians(16)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class View:
+class ObjectEvidence:
     """What the photo shows of one object: ``valid`` (H, W) is where nearer objects leave it visible."""
 
     scene: Scene
@@ -74,10 +74,10 @@ class _Evidence:
     appearance: Appearance | None
 
 
-_Phase = Callable[[_Placed, _Evidence, View, AlignConfig], tuple[_Placed, list[Decision]]]
+_Phase = Callable[[_Placed, _Evidence, ObjectEvidence, AlignConfig], tuple[_Placed, list[Decision]]]
 
 
-def align_object(o: SceneObject, view: View, config: AlignConfig) -> tuple[SceneObject, list[Decision]]:
+def align_object(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> tuple[SceneObject, list[Decision]]:
     """The object where its silhouette fits its mask best, and whatever the extensions make better."""
     if reason := _not_comparable(o, view):
         return o, [Decision(choice="kept as it came", reason=reason, about=o.id, fallback=True)]
@@ -110,7 +110,7 @@ def _phases(evidence: _Evidence, config: AlignConfig) -> list[_Phase]:
     return [phase for phase, is_on in wanted if is_on]
 
 
-def _not_comparable(o: SceneObject, view: View) -> str | None:
+def _not_comparable(o: SceneObject, view: ObjectEvidence) -> str | None:
     """Why an object and its mask cannot be compared at all."""
     camera = view.scene.camera
     pixels, z = camera.project(o.vertices_world)
@@ -123,7 +123,7 @@ def _not_comparable(o: SceneObject, view: View) -> str | None:
     return None
 
 
-def _freedom(o: SceneObject, view: View, config: AlignConfig) -> ObjectFreedom:
+def _freedom(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> ObjectFreedom:
     low, high = o.bounds_world
     middle = (low + high) / 2
     shift = config.max_shift * o.size
@@ -136,7 +136,7 @@ def _freedom(o: SceneObject, view: View, config: AlignConfig) -> ObjectFreedom:
     )
 
 
-def _evidence(o: SceneObject, view: View, config: AlignConfig) -> _Evidence:
+def _evidence(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> _Evidence:
     scene, camera = view.scene, view.scene.camera
     window = window_around(o, camera, config.appearance.resolution)
     shown = sampled(o.mask & view.valid, camera, window, fill=False)
@@ -153,7 +153,7 @@ def _evidence(o: SceneObject, view: View, config: AlignConfig) -> _Evidence:
 # --- phases ---------------------------------------------------------------------------------------------------------
 
 
-def _fitted(placed: _Placed, _: _Evidence, __: View, config: AlignConfig) -> tuple[_Placed, list[Decision]]:
+def _fitted(placed: _Placed, _: _Evidence, __: ObjectEvidence, config: AlignConfig) -> tuple[_Placed, list[Decision]]:
     """Equations 8 and 9: the best of several seeds."""
     found = placed.fit.best(config.yaw_seeds, kept=config.kept_seeds, iterations=config.iterations)
     kept, decision = keep_better(
@@ -163,7 +163,9 @@ def _fitted(placed: _Placed, _: _Evidence, __: View, config: AlignConfig) -> tup
     return kept, [decision]
 
 
-def _polished(placed: _Placed, evidence: _Evidence, view: View, config: AlignConfig) -> tuple[_Placed, list[Decision]]:
+def _polished(
+    placed: _Placed, evidence: _Evidence, view: ObjectEvidence, config: AlignConfig
+) -> tuple[_Placed, list[Decision]]:
     """All degrees of freedom together, silhouette and appearance, also from the turn that the photo's detail tells."""
     free = EVERYTHING if config.tilt.enabled else EQUATION_8
     was = _scores(placed, evidence, view, config)
@@ -181,7 +183,9 @@ def _polished(placed: _Placed, evidence: _Evidence, view: View, config: AlignCon
     return best, [decision]
 
 
-def _turned(placed: _Placed, correlation: float, evidence: _Evidence, view: View, config: AlignConfig) -> list[_Placed]:
+def _turned(
+    placed: _Placed, correlation: float, evidence: _Evidence, view: ObjectEvidence, config: AlignConfig
+) -> list[_Placed]:
     """The object turned about the vertical, or an axis its silhouette is blind to, to where the photo's detail fits
     far better; none where no turn does."""
     appearance, settings = evidence.appearance, config.appearance
@@ -197,7 +201,9 @@ def _turned(placed: _Placed, correlation: float, evidence: _Evidence, view: View
     return []
 
 
-def _standing(placed: _Placed, evidence: _Evidence, view: View, config: AlignConfig) -> tuple[_Placed, list[Decision]]:
+def _standing(
+    placed: _Placed, evidence: _Evidence, view: ObjectEvidence, config: AlignConfig
+) -> tuple[_Placed, list[Decision]]:
     """On the nearest stable facet, where that is near and the picture does not mind."""
     turn = _resting_turn(_textured(placed.object, view), config.facets.most)
     if turn is None:
@@ -215,7 +221,7 @@ def _standing(placed: _Placed, evidence: _Evidence, view: View, config: AlignCon
 
 
 def _at_its_depth(
-    placed: _Placed, evidence: _Evidence, view: View, config: AlignConfig
+    placed: _Placed, evidence: _Evidence, view: ObjectEvidence, config: AlignConfig
 ) -> tuple[_Placed, list[Decision]]:
     """Along its viewing rays to where the geometry sees it; no silhouette changes."""
     assert evidence.depth is not None
@@ -264,7 +270,7 @@ class _Scores:
         )
 
 
-def _scores(placed: _Placed, evidence: _Evidence, view: View, config: AlignConfig) -> _Scores:
+def _scores(placed: _Placed, evidence: _Evidence, view: ObjectEvidence, config: AlignConfig) -> _Scores:
     o = placed.object
     return _Scores(
         iou=placed.iou,
@@ -278,7 +284,9 @@ def _iou(placed: _Placed) -> float:
     return placed.iou
 
 
-def _mismatch(placed: _Placed, evidence: _Evidence, view: View, config: AlignConfig) -> Callable[[Array], Local] | None:
+def _mismatch(
+    placed: _Placed, evidence: _Evidence, view: ObjectEvidence, config: AlignConfig
+) -> Callable[[Array], Local] | None:
     """The appearance's term of the objective."""
     appearance, weight = evidence.appearance, config.appearance.weight
     if appearance is None or not weight:
@@ -292,7 +300,7 @@ def _mismatch(placed: _Placed, evidence: _Evidence, view: View, config: AlignCon
     return local
 
 
-def _after(placed: _Placed, T: Array, view: View, config: AlignConfig, *, scale: float = 1.0) -> _Placed:
+def _after(placed: _Placed, T: Array, view: ObjectEvidence, config: AlignConfig, *, scale: float = 1.0) -> _Placed:
     """The object moved by x -> T (scale x) from where it is, a new start of its freedom."""
     base = placed.object.moved(T, scale=scale, stage="align", reason="")
     T_u, s_u = placed.fit.freedom.similarity(placed.u)
@@ -301,7 +309,7 @@ def _after(placed: _Placed, T: Array, view: View, config: AlignConfig, *, scale:
     return _Placed(base=base, fit=fit, u=np.zeros(6))
 
 
-def _blind_axes(placed: _Placed, view: View, config: AlignConfig) -> Iterator[Array]:
+def _blind_axes(placed: _Placed, view: ObjectEvidence, config: AlignConfig) -> Iterator[Array]:
     """Own axes (3,), not near the vertical, about which the silhouette does not see a turn to either side."""
     o, least = placed.object, placed.iou - config.appearance.blind
     for axis in principal_axes(_textured(o, view)):
@@ -324,7 +332,7 @@ def _turned_by(o: SceneObject, T: Array) -> SceneObject:
     return o.moved(T, stage="align", reason="")
 
 
-def _textured(o: SceneObject, view: View) -> SceneObject:
+def _textured(o: SceneObject, view: ObjectEvidence) -> SceneObject:
     return o if o.mesh is view.textured else replace(o, mesh=view.textured)
 
 

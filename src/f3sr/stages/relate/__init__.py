@@ -12,7 +12,7 @@ from f3sr.stages.relate.given import Given, canonical, held_against
 from f3sr.stages.relate.known import Known
 from f3sr.stages.relate.leaning import rests_on
 from f3sr.stages.relate.load_shares import Carried, carried, without_circles
-from f3sr.stages.relate.scene_graph import Judged, graph_of
+from f3sr.stages.relate.scene_graph import FoundSupports, graph_of
 from f3sr.stages.relate.supports import Candidate, candidates, forest, likelihood
 from f3sr.stages.relate.unseen import hangs
 
@@ -36,7 +36,7 @@ def relate(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, Rep
     unseen = {o.id: why for o in scene if (why := _unseen(o, chosen[o.id], found[o.id], known))}
     objects = tuple(_supported(o, resting[o.id], o.id in unseen) for o in scene)
     related = scene.with_objects(*objects)
-    judged = Judged(found=found, chosen=chosen, resting=resting, given=given)
+    judged = FoundSupports(found=found, chosen=chosen, resting=resting, given=given)
     graph = graph_of(related, judged, known, exact=False)
     decisions = [*given.decisions, *_circles(given, chosen)]
     for o in related:
@@ -53,7 +53,7 @@ def describe(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, R
     given = held_against(scene.graph, found, known)
     chosen = {o.id: _main(o, found[o.id]) for o in scene if o.supported_by is not None}
     resting = {id: carried(c, found[id], known) for id, c in chosen.items()}
-    judged = Judged(found=found, chosen=chosen, resting=resting, given=given)
+    judged = FoundSupports(found=found, chosen=chosen, resting=resting, given=given)
     graph = graph_of(scene, judged, known, exact=True)
     carriers = {(o.id, s.id) for o in scene for s in o.supports}
     decisions = [

@@ -25,7 +25,7 @@ SAMPLES = 600
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class View:
+class ObjectRender:
     """One object rendered alone: ``depth`` (h, w) [m], inf where it is not, from ``row`` and ``column`` on."""
 
     row: int
@@ -77,7 +77,7 @@ class Picture:
     camera: Camera
     labels: NDArray[np.int32]
     """(H, W) the id that the photo shows, GROUND for the ground, EMPTY for what is neither."""
-    views: Mapping[int, View]
+    views: Mapping[int, ObjectRender]
 
     @classmethod
     def of(cls, scene: Scene) -> Picture:
@@ -158,14 +158,14 @@ def _labels(scene: Scene, camera: Camera) -> NDArray[np.int32]:
     return labels
 
 
-def _view(o: SceneObject, camera: Camera) -> View:
+def _view(o: SceneObject, camera: Camera) -> ObjectRender:
     """Rendered in a window around its projection only."""
     row, stop_row, column, stop_column = _window(o, camera, 0.0)
     window = camera.cropped(column, row, stop_column - column, stop_row - row)
-    return View(row=row, column=column, depth=rasterizer.render([o], window).depth)
+    return ObjectRender(row=row, column=column, depth=rasterizer.render([o], window).depth)
 
 
-def _whole(o: SceneObject, camera: Camera, view: View) -> int:
+def _whole(o: SceneObject, camera: Camera, view: ObjectRender) -> int:
     """Pixels of an object's silhouette, also those beyond the border of the picture."""
     row, stop_row, column, stop_column = _window(o, camera, BEYOND)
     if row >= 0 and column >= 0 and stop_row <= camera.height and stop_column <= camera.width:

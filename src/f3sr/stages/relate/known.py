@@ -12,7 +12,7 @@ from f3sr.core.transforms import Array
 from f3sr.scene import GROUND, Scene
 from f3sr.stages.relate.config import RelateConfig
 from f3sr.stages.relate.image_evidence import Common, Picture
-from f3sr.stages.relate.surfaces import Plan, Surfaces, near_in_plan, surfaces_of
+from f3sr.stages.relate.surfaces import FloorPlan, Surfaces, near_in_plan, surfaces_of
 
 NEAR = 0.5
 """Distance in plan, in sizes of the smaller one, within which two objects are looked at: shifts of three standard
@@ -25,7 +25,7 @@ class Known:
 
     scene: Scene
     config: RelateConfig
-    plan: Plan
+    plan: FloorPlan
     surfaces: Mapping[int, Surfaces]
     picture: Picture
     near: Mapping[int, tuple[int, ...]]
@@ -35,7 +35,7 @@ class Known:
 
     @classmethod
     def of(cls, scene: Scene, config: RelateConfig) -> Self:
-        plan = Plan.of(scene.camera)
+        plan = FloorPlan.of(scene.camera)
         surfaces = surfaces_of(scene, plan, config.cells)
         pairs = near_in_plan(surfaces.values(), max(NEAR, config.beside))
         near = {o.id: tuple(sorted(b for a, b in pairs if a == o.id)) for o in scene}

@@ -8,12 +8,12 @@ from f3sr.core.transforms import Array
 from f3sr.scene import GROUND, Relation
 from f3sr.stages.relate.known import Known
 from f3sr.stages.relate.load_shares import Carried, outside_of
-from f3sr.stages.relate.proximity import Nearest, smaller_size, touches
+from f3sr.stages.relate.proximity import SurfaceDistance, smaller_size, touches
 
 
 def leaning(
     resting: Mapping[int, Carried],
-    near: Mapping[tuple[int, int], Nearest],
+    near: Mapping[tuple[int, int], SurfaceDistance],
     above: Mapping[int, Collection[int]],
     known: Known,
 ) -> list[Relation]:
@@ -42,7 +42,7 @@ def leaning(
 
 
 def _contacts(
-    id: int, c: Carried, near: Mapping[tuple[int, int], Nearest], above: Collection[int], known: Known
+    id: int, c: Carried, near: Mapping[tuple[int, int], SurfaceDistance], above: Collection[int], known: Known
 ) -> list[tuple[Array, float, int]]:
     """All that an object touches: points (n, 2) in plan, height [m] over its lowest point, id."""
     found = [(p.points[:, :2], float(p.points[:, 2].mean()) - c.lowest, p.id) for p in c.patches]

@@ -20,7 +20,7 @@ SAMPLES = 3000
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Nearest:
+class SurfaceDistance:
     """How near two objects come: ``distance`` [m], negative in depth, and where: a point (3,) in the plan."""
 
     distance: float
@@ -29,12 +29,12 @@ class Nearest:
     """Told from proxies."""
 
 
-def nearest(known: Known, *, exact: bool) -> dict[tuple[int, int], Nearest]:
+def nearest(known: Known, *, exact: bool) -> dict[tuple[int, int], SurfaceDistance]:
     """The distance of all pairs of objects that may be next to each other, the lower id first. ``exact``: that of the
     proxies where those touch."""
     clouds = {o.id: _cloud(known, o.id) for o in known.scene}
     bodies = _bodies(known) if exact else {}
-    found: dict[tuple[int, int], Nearest] = {}
+    found: dict[tuple[int, int], SurfaceDistance] = {}
     for a, b in known.pairs():
         reach = known.config.beside * smaller_size(known, a, b)
         near = _touching(bodies[a], bodies[b], known.config.contact) if exact else None
@@ -44,14 +44,14 @@ def nearest(known: Known, *, exact: bool) -> dict[tuple[int, int], Nearest]:
     return found
 
 
-def touches(near: Nearest, size: float, known: Known) -> bool:
+def touches(near: SurfaceDistance, size: float, known: Known) -> bool:
     """Whether two objects count as touching; ``size`` is that of the smaller one."""
     if near.exact:
         return near.distance <= known.config.contact
     return near.distance <= known.config.touch * size
 
 
-def touching(near: Mapping[tuple[int, int], Nearest], known: Known, *, exact: bool) -> list[Relation]:
+def touching(near: Mapping[tuple[int, int], SurfaceDistance], known: Known, *, exact: bool) -> list[Relation]:
     """Once per pair. Where proxies are known only they tell."""
     relations: list[Relation] = []
     for (a, b), n in near.items():
@@ -74,7 +74,7 @@ def touching(near: Mapping[tuple[int, int], Nearest], known: Known, *, exact: bo
 
 
 def next_to(
-    near: Mapping[tuple[int, int], Nearest], related: Collection[tuple[int, int]], known: Known
+    near: Mapping[tuple[int, int], SurfaceDistance], related: Collection[tuple[int, int]], known: Known
 ) -> list[Relation]:
     """Once per pair: near each other and on one level, neither carrying nor containing the other (``related``)."""
     relations: list[Relation] = []
@@ -122,7 +122,7 @@ def _cloud(known: Known, id: int) -> _Cloud:
     return _Cloud(points, KDTree(points))
 
 
-def _apart(a: _Cloud, b: _Cloud, reach: float) -> Nearest | None:
+def _apart(a: _Cloud, b: _Cloud, reach: float) -> SurfaceDistance | None:
     """The nearest of the sampled points, None beyond ``reach``."""
     low, high = b.points.min(0) - reach, b.points.max(0) + reach
     asked = a.points[np.all((a.points >= low) & (a.points <= high), axis=1)]
@@ -133,7 +133,7 @@ def _apart(a: _Cloud, b: _Cloud, reach: float) -> Nearest | None:
     if not np.isfinite(distances[k]):
         return None
     place = (asked[k] + b.points[int(np.asarray(hits)[k])]) / 2
-    return Nearest(distance=float(distances[k]), place=place, exact=False)
+    return SurfaceDistance(distance=float(distances[k]), place=place, exact=False)
 
 
 def _bodies(known: Known) -> dict[int, polytopes.Body]:
@@ -143,10 +143,10 @@ def _bodies(known: Known) -> dict[int, polytopes.Body]:
     return {o.id: tuple(Polytope.of(p).moved(T @ o.T_world_asset) for p in o.parts) for o in scene}
 
 
-def _touching(A: polytopes.Body, B: polytopes.Body, limit: float) -> Nearest | None:
+def _touching(A: polytopes.Body, B: polytopes.Body, limit: float) -> SurfaceDistance | None:
     """Where two bodies touch: the pair of parts with the least gap along a facet of their difference, which is their
     distance but where corners meet; None beyond ``limit``."""
-    best: Nearest | None = None
+    best: SurfaceDistance | None = None
     for a in A:
         for b in B:
             if np.any(a.bounds[0] - limit > b.bounds[1]) or np.any(b.bounds[0] - limit > a.bounds[1]):
@@ -154,5 +154,5 @@ def _touching(A: polytopes.Body, B: polytopes.Body, limit: float) -> Nearest | N
             gap = float(-polytopes.facets(a, b)[1].min())
             if gap <= limit and (best is None or gap < best.distance):
                 low, high = np.maximum(a.bounds[0], b.bounds[0]), np.minimum(a.bounds[1], b.bounds[1])
-                best = Nearest(distance=gap, place=(low + high) / 2, exact=True)
+                best = SurfaceDistance(distance=gap, place=(low + high) / 2, exact=True)
     return best

@@ -15,7 +15,7 @@ from f3sr.stages.relate.known import Known
 from f3sr.stages.relate.leaning import leaning, rests_on
 from f3sr.stages.relate.load_shares import Carried
 from f3sr.stages.relate.nodes import nodes
-from f3sr.stages.relate.proximity import Nearest, nearest, next_to, touching
+from f3sr.stages.relate.proximity import SurfaceDistance, nearest, next_to, touching
 from f3sr.stages.relate.supports import Candidate, likelihood
 
 FROM_GEOMETRY = "geometry and masks"
@@ -24,7 +24,7 @@ SURE_FURTHER = 0.9
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Judged:
+class FoundSupports:
     """What was found of supports: every object's candidates, the chosen main ones, all that carries; and the given."""
 
     found: Mapping[int, Sequence[Candidate]]
@@ -33,7 +33,7 @@ class Judged:
     given: Given
 
 
-def graph_of(scene: Scene, judged: Judged, known: Known, *, exact: bool) -> SceneGraph:
+def graph_of(scene: Scene, judged: FoundSupports, known: Known, *, exact: bool) -> SceneGraph:
     """All relations of a scene whose objects have their supports; ``exact``: at rest, with proxies."""
     above = rests_on({o.id: [s.id for s in o.supports] for o in scene})
     near = nearest(known, exact=exact)
@@ -54,7 +54,7 @@ def graph_of(scene: Scene, judged: Judged, known: Known, *, exact: bool) -> Scen
     return SceneGraph(relations=with_given(relations, judged.given.relations), source=source, nodes=nodes(known))
 
 
-def _support_relations(scene: Scene, judged: Judged) -> list[Relation]:
+def _support_relations(scene: Scene, judged: FoundSupports) -> list[Relation]:
     """One per support, as sure as geometry and the photo are, or as it is given."""
     named = _named(judged.given)
     relations: list[Relation] = []
@@ -74,7 +74,7 @@ def _support_relations(scene: Scene, judged: Judged) -> list[Relation]:
 
 
 def _resting_relations(
-    scene: Scene, given: Given, near: Mapping[tuple[int, int], Nearest], known: Known
+    scene: Scene, given: Given, near: Mapping[tuple[int, int], SurfaceDistance], known: Known
 ) -> list[Relation]:
     """One per support of a scene at rest; contact of the proxies makes them sure."""
     named = _named(given)
@@ -103,7 +103,7 @@ def _support(o: SceneObject, s: Support, confidence: float, evidence: str, given
     )
 
 
-def _touch(a: int, b: int, near: Mapping[tuple[int, int], Nearest], known: Known) -> bool:
+def _touch(a: int, b: int, near: Mapping[tuple[int, int], SurfaceDistance], known: Known) -> bool:
     """Whether the proxies of two objects, or of one and the ground, touch."""
     if b == GROUND:
         o = known.scene[a]

@@ -13,7 +13,7 @@ from f3sr.scene import GROUND, SceneObject
 from f3sr.stages.relate.config import RelateConfig
 from f3sr.stages.relate.image_evidence import Common
 from f3sr.stages.relate.known import Known
-from f3sr.stages.relate.surfaces import Plan, Surfaces
+from f3sr.stages.relate.surfaces import FloorPlan, Surfaces
 
 RAY_STEPS = 16
 """Places to either side that are tried along the viewing rays."""
@@ -26,7 +26,7 @@ ENOUGH = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contact:
+class SupportFit:
     """How an object comes nearest to resting on something: moved by ``k`` along its viewing rays, with a ``gap`` [m]
     left (negative: a depth), ``overlap`` of its footprint over it. ``now`` is the gap where it is, None beside it."""
 
@@ -45,7 +45,7 @@ class Candidate:
     parent: int
     cost: float
     evidence: str
-    contact: Contact = Contact(k=1.0, gap=0.0, overlap=1.0, cost=0.0, now=None)
+    contact: SupportFit = SupportFit(k=1.0, gap=0.0, overlap=1.0, cost=0.0, now=None)
 
 
 def candidates(o: SceneObject, known: Known) -> list[Candidate]:
@@ -60,16 +60,16 @@ def candidates(o: SceneObject, known: Known) -> list[Candidate]:
     return [_judged(o.id, parent, contact, seen, known) for parent, contact in contacts.items()]
 
 
-def ground_contact(o: Surfaces, plan: Plan, config: RelateConfig) -> Contact:
+def ground_contact(o: Surfaces, plan: FloorPlan, config: RelateConfig) -> SupportFit:
     """Closed form: the least (x / ray_sigma)^2 + (gap(x) / height_sigma)^2, gap(x) = lowest - slope x, x = k - 1."""
     slope, ray, height = plan.eye - o.lowest, config.ray_sigma, config.height_sigma * o.size
     x = float(np.clip(o.lowest * slope / (slope**2 + (height / ray) ** 2), -0.9, 9))  # above the eye no k leads down
     gap = o.lowest - slope * x
     cost = 0.5 * ((x / ray) ** 2 + (gap / height) ** 2)
-    return Contact(k=1 + x, gap=gap, overlap=1.0, cost=cost, now=o.lowest)
+    return SupportFit(k=1 + x, gap=gap, overlap=1.0, cost=cost, now=o.lowest)
 
 
-def object_contact(id: int, other: int, known: Known) -> Contact | None:
+def object_contact(id: int, other: int, known: Known) -> SupportFit | None:
     """The likeliest contact of an object's underside with another's top along its viewing rays; None where their
     footprints never meet. Both distances are uncertain."""
     o, config = known.surfaces[id], known.config
@@ -86,7 +86,7 @@ def object_contact(id: int, other: int, known: Known) -> Contact | None:
         + config.overlap_cost * np.maximum(0, 1 - overlaps[tried] / config.full_overlap)
     )
     best, now = int(np.argmin(costs)), gaps[tried == RAY_STEPS]
-    return Contact(
+    return SupportFit(
         k=float(ks[tried[best]]),
         gap=float(gaps[best]),
         overlap=float(overlaps[tried[best]]),
@@ -132,7 +132,7 @@ def order_cost(common: Common | None, k: float, config: RelateConfig) -> float:
     return float(-np.log(right).mean()) * min(1.0, common.share / ENOUGH)
 
 
-def _judged(id: int, parent: int, contact: Contact, seen: Mapping[int, float], known: Known) -> Candidate:
+def _judged(id: int, parent: int, contact: SupportFit, seen: Mapping[int, float], known: Known) -> Candidate:
     config = known.config
     here = known.plan.along_rays(known.surfaces[id].underside, contact.k)
     through = min(1.0, sum(_through(id, q, here, contact.k, known) for q in known.near[id] if q != parent))
@@ -148,7 +148,7 @@ def _judged(id: int, parent: int, contact: Contact, seen: Mapping[int, float], k
     )
 
 
-def _evidence(contact: Contact, below: float, through: float) -> str:
+def _evidence(contact: SupportFit, below: float, through: float) -> str:
     now = "beside it" if contact.now is None else above(contact.now)
     moved = f"{above(contact.gap)} with {100 * contact.overlap:.0f}% of its footprint when moved "
     moved += f"{100 * abs(contact.k - 1):.1f}% {'farther' if contact.k >= 1 else 'nearer'}"

@@ -20,7 +20,7 @@ STEEPEST = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class FloorPlan:
     """Level axes below the camera, x along the picture's: no relation depends on where the world's own axes lie."""
 
     R: Array
@@ -29,7 +29,7 @@ class Plan:
     """Height of the camera's centre over the ground [m]."""
 
     @classmethod
-    def of(cls, camera: Camera) -> Plan:
+    def of(cls, camera: Camera) -> FloorPlan:
         right = camera.T_world_camera[:2, int(np.linalg.norm(camera.T_world_camera[:2, 0]) < 0.5)]  # x, or y if upright
         c, s = right / np.linalg.norm(right)
         x, y, z = camera.center
@@ -181,7 +181,7 @@ class Surfaces:
         return self.grid.points(np.where(self.footprint, z, np.nan))
 
 
-def surfaces_of(scene: Scene, plan: Plan, cells: int) -> Mapping[int, Surfaces]:
+def surfaces_of(scene: Scene, plan: FloorPlan, cells: int) -> Mapping[int, Surfaces]:
     """The surfaces of every object, by id."""
     return {o.id: Surfaces.of(o.id, plan.points(o.vertices_world), o.mesh.faces, cells) for o in scene}
 

@@ -8,7 +8,7 @@ from f3sr.report import Decision, Measure, Report
 from f3sr.scene import Scene, name_of
 from f3sr.stages.separate.config import SeparateConfig
 from f3sr.stages.separate.overlaps import part, take_beside
-from f3sr.stages.separate.placement import Layout
+from f3sr.stages.separate.placement import Placement
 from f3sr.stages.separate.stability_shifts import steady
 from f3sr.stages.separate.standing import stand
 from f3sr.stages.separate.support_contact import grounded, seat
@@ -33,7 +33,7 @@ def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene,
     config = config or SeparateConfig()
     scene = scene.with_objects(*(replace(o, footing=()) for o in scene if o.footing))
     came, scene = scene, grounded(scene, config) if config.ground else scene
-    layout = Layout(scene)
+    layout = Placement(scene)
     before = len(layout.collisions())
     decisions = take_beside(layout, config)
     for _ in range(PASSES):

@@ -13,13 +13,13 @@ from f3sr.core.transforms import UP, Array
 from f3sr.report import Decision
 from f3sr.scene import GROUND, Scene, name_of
 from f3sr.stages.separate.config import SeparateConfig
-from f3sr.stages.separate.placement import Layout, supports_of
+from f3sr.stages.separate.placement import Placement, supports_of
 
 UNFELT = 0.1
 """IoU that a move by its own size costs an object in directions which the picture does not feel."""
 
 
-def take_beside(layout: Layout, config: SeparateConfig) -> list[Decision]:
+def take_beside(layout: Placement, config: SeparateConfig) -> list[Decision]:
     """Take from objects that rest on several those but the main one that they must be lifted out of farther than the
     picture allows, where moving both apart shows more of the photo: they overlap by error, beside one another."""
     decisions: list[Decision] = []
@@ -38,7 +38,7 @@ def take_beside(layout: Layout, config: SeparateConfig) -> list[Decision]:
     return decisions
 
 
-def _losses(layout: Layout, id: int, other: int, config: SeparateConfig) -> tuple[float, float]:
+def _losses(layout: Placement, id: int, other: int, config: SeparateConfig) -> tuple[float, float]:
     """IoU lost where an object is lifted out of another one, and where both are moved apart; all of it at most."""
     bodies = {k: layout.bodies[k] for k in (id, other)}
     rise = polytopes.smallest_shift(bodies[id], bodies[other], UP, config.clearance)
@@ -48,7 +48,7 @@ def _losses(layout: Layout, id: int, other: int, config: SeparateConfig) -> tupl
     return lifted, 1.0 if found.unsolved else min(1.0, float(np.sqrt(found.cost)))
 
 
-def part(layout: Layout, config: SeparateConfig) -> bool:
+def part(layout: Placement, config: SeparateConfig) -> bool:
     """Part all unrelated pairs that overlap by one joint horizontal move, the one that the picture feels least; what an
     object carries goes with it. Returns whether anything moved.
 
@@ -74,7 +74,7 @@ def part(layout: Layout, config: SeparateConfig) -> bool:
     return moved
 
 
-def weight_of(layout: Layout, *ids: int) -> Array:
+def weight_of(layout: Placement, *ids: int) -> Array:
     """What moving bodies together costs (2, 2): the IoU that they lose, and a little per length of the first one's
     size."""
     felt = sum((layout.loss(k)[:2, :2] for k in ids), np.zeros((2, 2)))

@@ -19,7 +19,7 @@ Saved = tuple[dict[int, Any], ...]
 """A layout's state."""
 
 
-class Layout:
+class Placement:
     """Where the bodies are while they are being moved: polytopes in the world under ``x -> scale R x + shift``."""
 
     def __init__(self, scene: Scene) -> None:

@@ -12,10 +12,10 @@ from f3sr.contact.static_bodies import bodies_of
 from f3sr.report import Decision, Measure
 from f3sr.stages.separate.config import SeparateConfig
 from f3sr.stages.separate.overlaps import weight_of
-from f3sr.stages.separate.placement import Layout
+from f3sr.stages.separate.placement import Placement
 
 
-def steady(layout: Layout, config: SeparateConfig) -> tuple[list[Measure], list[Decision]]:
+def steady(layout: Placement, config: SeparateConfig) -> tuple[list[Measure], list[Decision]]:
     """Shift what would fall, with what it carries, until forces at the contacts can balance all weights, where that is
     possible within bounds. The margin is the least tilt of the whole scene that moves something; negative: it falls."""
     scene = layout.scene

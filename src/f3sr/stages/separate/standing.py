@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from f3sr.contact import tipping
-from f3sr.contact.footing import GROUND_PLANE, FootingConfig, Plane, flush, footing, support_plane
+from f3sr.contact.footing import GROUND_PLANE, FootingConfig, SupportPlane, flush, footing, support_plane
 from f3sr.contact.force_balance import Balance
 from f3sr.contact.static_bodies import StaticBody, bodies_of, contacts_of, rigid
 from f3sr.core.mesh import ConvexPart
@@ -17,7 +17,7 @@ from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 from f3sr.report import Decision
 from f3sr.scene import GROUND, SceneObject
 from f3sr.stages.separate.config import SeparateConfig
-from f3sr.stages.separate.placement import Layout, Saved, supports_first, supports_of
+from f3sr.stages.separate.placement import Placement, Saved, supports_first, supports_of
 from f3sr.stages.separate.support_contact import gap
 
 STILL = 1e-3
@@ -33,7 +33,7 @@ ROOM = 1.2e-3
 that they may keep a wedge that much off its support."""
 
 
-def stand(layout: Layout, config: SeparateConfig) -> list[Decision]:
+def stand(layout: Placement, config: SeparateConfig) -> list[Decision]:
     """Let every object stand before physics, supports first: as it is, on a footing, or turned until it lies."""
     decisions: list[Decision] = []
     for id in supports_first(layout.scene):
@@ -46,7 +46,7 @@ def stand(layout: Layout, config: SeparateConfig) -> list[Decision]:
     return decisions
 
 
-def _put_on_a_footing(layout: Layout, o: SceneObject, config: SeparateConfig) -> Decision | None:
+def _put_on_a_footing(layout: Placement, o: SceneObject, config: SeparateConfig) -> Decision | None:
     """Give an object where its body is now a footing, if that makes it stand and is in nobody's way."""
     plane = _plane_below(layout, o, config.footing) if config.footing.enabled else None
     wedges = footing(o, plane, config.footing) if plane else ()
@@ -61,7 +61,7 @@ def _put_on_a_footing(layout: Layout, o: SceneObject, config: SeparateConfig) ->
     return _footing_decision(o, wedges)
 
 
-def _lie_down(layout: Layout, o: SceneObject, config: SeparateConfig) -> Decision | None:
+def _lie_down(layout: Placement, o: SceneObject, config: SeparateConfig) -> Decision | None:
     """Let an object come to lie from where it is, or from farther back on its way along the viewing rays: what leans
     may have been moved past what it leans on. Of where it stands, what shows most of the photo is kept."""
     members, start = layout.scene.subtree(o.id), layout.saved()
@@ -96,7 +96,7 @@ class _Tried:
     decision: Decision | None
 
 
-def _laid_down(layout: Layout, o: SceneObject, config: SeparateConfig) -> tuple[Decision | None, bool]:
+def _laid_down(layout: Placement, o: SceneObject, config: SeparateConfig) -> tuple[Decision | None, bool]:
     """Turn an object, with all it carries, about its contacts until it lies, or only until a footing makes it stand;
     on the ground it keeps its place. What was done, and whether it stands."""
     members = layout.scene.subtree(o.id)
@@ -123,7 +123,7 @@ def _laid_down(layout: Layout, o: SceneObject, config: SeparateConfig) -> tuple[
 
 
 def _lie_down_in_part(
-    layout: Layout, o: SceneObject, center: Array, found: tipping.Landing, config: SeparateConfig
+    layout: Placement, o: SceneObject, center: Array, found: tipping.Landing, config: SeparateConfig
 ) -> Decision | None:
     """The least of a landing's turn, about an object's centre (3,), after which a footing makes it stand."""
     before, angle = layout.saved(), float(np.degrees(found.turn))
@@ -144,7 +144,7 @@ def _lie_down_in_part(
 
 
 def _turned_onto_a_footing(
-    layout: Layout, o: SceneObject, center: Array, turn: Array, config: SeparateConfig
+    layout: Placement, o: SceneObject, center: Array, turn: Array, config: SeparateConfig
 ) -> Decision | None:
     """Turn an object, with all it carries, by a rotation vector (3,) about a point (3,) and give it a footing; None
     where it would not stand there or be in somebody's way."""
@@ -158,7 +158,7 @@ def _turned_onto_a_footing(
     return decision if is_free and decision and _stands(layout, o.id, config) else None
 
 
-def _parted(layout: Layout, id: int) -> tuple[StaticBody, list[StaticBody]]:
+def _parted(layout: Placement, id: int) -> tuple[StaticBody, list[StaticBody]]:
     """A body with all it carries as one, and all others, held still."""
     members = layout.scene.subtree(id)
     bodies = {b.id: b for b in bodies_of([layout.object(k.id) for k in layout.scene], parts=layout.bodies)}
@@ -166,7 +166,7 @@ def _parted(layout: Layout, id: int) -> tuple[StaticBody, list[StaticBody]]:
     return whole, [replace(bodies[k], fixed=True) for k in bodies if k not in members]
 
 
-def _stands(layout: Layout, id: int, config: SeparateConfig) -> bool:
+def _stands(layout: Placement, id: int, config: SeparateConfig) -> bool:
     """Whether a body with all it carries stands by the margin that is asked of footings, all others held still."""
     whole, others = _parted(layout, id)
     everything = [whole, *others]
@@ -184,7 +184,7 @@ def _footing_decision(o: SceneObject, wedges: tuple[ConvexPart, ...]) -> Decisio
     return Decision(choice="given a footing", reason=reason, about=o.id)
 
 
-def _plane_below(layout: Layout, o: SceneObject, config: FootingConfig) -> Plane | None:
+def _plane_below(layout: Placement, o: SceneObject, config: FootingConfig) -> SupportPlane | None:
     """What a flat underside would rest on."""
     if o.supported_by == GROUND:
         return GROUND_PLANE

@@ -11,13 +11,13 @@ from f3sr.contact import polytopes
 from f3sr.core.transforms import UP, pose
 from f3sr.scene import GROUND, Scene
 from f3sr.stages.separate.config import SeparateConfig
-from f3sr.stages.separate.placement import Layout, moved, supports_first
+from f3sr.stages.separate.placement import Placement, moved, supports_first
 
 RAY_STEPS = 10
 """Places to either side that are tried along the viewing rays before the best is refined."""
 
 
-def seat(layout: Layout, config: SeparateConfig) -> None:
+def seat(layout: Placement, config: SeparateConfig) -> None:
     """Bring every object into contact with its support, supports first, with the supported subtree."""
     for id in supports_first(layout.scene):
         if layout.scene[id].supported_by is None:
@@ -28,7 +28,7 @@ def seat(layout: Layout, config: SeparateConfig) -> None:
         layout.move(layout.scene.subtree(id), -gap(layout.bodies[id], id, layout, config) * UP)
 
 
-def gap(body: polytopes.Body, id: int, layout: Layout, config: SeparateConfig) -> float:
+def gap(body: polytopes.Body, id: int, layout: Placement, config: SeparateConfig) -> float:
     """How far a body hangs over its support and the ground [m]; negative: how far it must rise to be free of them."""
     lowest = min(float(p.bounds[0, 2]) for p in body) - config.clearance
     carriers = layout.carriers(id)
@@ -57,7 +57,7 @@ def grounded(scene: Scene, config: SeparateConfig) -> Scene:
     return replace(scene, objects=objects, camera=scene.camera.moved(T @ scene.camera.T_world_camera))
 
 
-def _contact_scale(layout: Layout, id: int, config: SeparateConfig) -> float:
+def _contact_scale(layout: Placement, id: int, config: SeparateConfig) -> float:
     """The k by which the body is moved along its viewing rays before it is lifted or lowered onto its support.
 
     It is the most likely one: distances are known to ``depth_sigma`` and places in the picture to ``picture_sigma``,
