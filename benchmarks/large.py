@@ -60,7 +60,7 @@ def made(data: Path, case: dict[str, Any]) -> Path:
 
 def measured(folder: Path, out: Path, cache: Path, warmth: str) -> bool:
     """Reconstruct once and print what it took; whether that ended well and within the limit."""
-    command = [sys.executable, "-c", "from f3sr.cli.main import run; run()", "reconstruct", str(folder)]
+    command = [sys.executable, "-m", "f3sr", "reconstruct", str(folder)]
     building = out.with_name(f".{out.name}.building")
     seen = memory.watch(
         [*command, "-o", str(out), "--overwrite"],

@@ -362,8 +362,7 @@ def test_a_process_of_its_own_says_the_same(case: str, tmp_path: Path):
 
 
 def command(place: Path, **options: Any) -> subprocess.CompletedProcess[str]:
-    program = "from f3sr.cli.main import run; run()"
-    arguments = [sys.executable, "-c", program, "reconstruct", "input", "-o", "new/out"]
+    arguments = [sys.executable, "-m", "f3sr", "reconstruct", "input", "-o", "new/out"]
     return subprocess.run(arguments, cwd=place, capture_output=True, text=True, timeout=60, **options)
 
 

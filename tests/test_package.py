@@ -829,14 +829,6 @@ def test_a_spoiled_file_of_a_package_is_refused_at_once(name: str, stack: Scene,
     assert time.perf_counter() - start < 2
 
 
-def test_an_obj_that_names_a_material_of_a_gigabyte_is_refused(stack: Scene, tmp_path: Path) -> None:
-    out = write_package(stack, tmp_path / "out")
-    (out / "collision/00/00.obj").write_text("mtllib m.mtl\n" + (out / "collision/00/00.obj").read_text())
-    sparse(out / "collision/00/m.mtl", 1_000_000_000)
-    with pytest.raises(InputError, match=r"m\.mtl: found 1,000,000,000 bytes"):
-        read_package(out)
-
-
 def test_a_part_named_often_is_read_once(stack: Scene, tmp_path: Path) -> None:
     out = write_package(stack, tmp_path / "out")
     spoiled(out, repeated(MAX_OBJECT_PARTS))
