@@ -1,8 +1,9 @@
-"""Laws of the modules: none imports itself by way of others, however late."""
+"""Laws of the modules: which may import which, and one meaning for every name."""
 
 from __future__ import annotations
 
 import ast
+from collections import Counter
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -31,3 +32,65 @@ def test_no_module_imports_itself_by_way_of_others():
     arrows = {name: {i for i in imported(file) if i in MODULES and i != name} for name, file in MODULES.items()}
     assert sum(map(len, arrows.values())) > 300
     TopologicalSorter(arrows).prepare()  # CycleError names the modules
+
+
+FLOORS = (
+    ("f3sr", "errors", "options", "report", "core", "example"),
+    ("files", "scene"),
+    ("settings", "runtime"),
+    ("physics", "io", "vision"),
+    ("contact", "background", "exporters", "web"),
+    ("metrics", "proxies", "rendering", "scene_package"),
+    ("stages", "goals"),
+    ("pipeline", "language.grammar", "launches"),
+    ("language", "report_page"),
+    ("play", "delivery"),
+    ("film",),
+    ("cli",),
+    ("__main__",),
+)
+"""A folder or a module at the top imports only what stands on lines above its own: docs/architecture.md draws them."""
+FLOOR = {room: number for number, rooms in enumerate(FLOORS) for room in rooms}
+STAGES = "f3sr.stages."
+
+
+def room_of(module: str) -> str:
+    """The folder that a module lies in, or the module itself at the top."""
+    inside = module.removeprefix("f3sr").removeprefix(".")
+    return "language.grammar" if inside.startswith("language.grammar") else inside.partition(".")[0] or "f3sr"
+
+
+def test_imports_lead_downward_only():
+    upward = [
+        f"{module} imports {name}"
+        for module, file in MODULES.items()
+        for name in imported(file)
+        if name in MODULES and room_of(name) != room_of(module) and FLOOR[room_of(name)] >= FLOOR[room_of(module)]
+    ]
+    assert not upward
+
+
+def test_no_stage_imports_another():
+    """What two stages share lies in a folder below them. Only settings are handed on: refine repeats align with its own."""
+    across = [
+        f"{module} imports {name}"
+        for module, file in MODULES.items()
+        if module.startswith(STAGES)
+        for name in imported(file)
+        if name.startswith(STAGES) and name.split(".")[2] != module.split(".")[2] and not name.endswith(".config")
+    ]
+    assert not across
+
+
+def test_names_of_modules_and_classes_are_used_once():
+    """A name means one thing; every folder has its ``__init__`` and may have its ``config``."""
+    modules = Counter(file.name for file in MODULES.values())
+    shared = {"__init__.py", "__main__.py", "config.py"}
+    classes = Counter(
+        node.name
+        for file in MODULES.values()
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.ClassDef)
+    )
+    assert [name for name, count in modules.items() if count > 1 and name not in shared] == []
+    assert [name for name, count in classes.items() if count > 1] == []
