@@ -71,7 +71,7 @@ def test_imports_lead_downward_only():
 
 
 def test_no_stage_imports_another():
-    """What two stages share lies in a folder below them. Only settings are handed on: refine repeats align with its own."""
+    """What two stages share lies in a folder below them. Only settings are named: refine repeats align with its own."""
     across = [
         f"{module} imports {name}"
         for module, file in MODULES.items()

@@ -9,6 +9,7 @@ import numpy as np
 
 from f3sr.goals import plan as p
 from f3sr.goals.scene_layout import SceneLayout, way_between
+from f3sr.language.grammar.request import What
 from f3sr.language.meant import Meant
 from f3sr.scene import GROUND
 
@@ -227,6 +228,15 @@ def _moved(m: Meant, far: float, *, exact: bool | None = None) -> p.Displaced:
     )
 
 
+CONDITION_OF: Mapping[What, type[p.Condition]] = {
+    "topple": p.Toppled,
+    "roll": p.Rolled,
+    "bounce": p.Bounced,
+    "return": p.Returned,
+}
+"""The condition that an outcome in words asks for; one of its kind is enough."""
+
+
 def _outcome(m: Meant, layout: SceneLayout, before: Sequence[p.Condition], moves: float) -> Sequence[p.Condition]:
     """What the words say comes of it, after the last contact of the goal itself."""
     if m.request.outcome is None:
@@ -234,7 +244,7 @@ def _outcome(m: Meant, layout: SceneLayout, before: Sequence[p.Condition], moves
     what, id = m.request.outcome.what, m.active if m.request.outcome.whose == "active" else _target(m)
     touches = [k for k, c in enumerate(before) if c.type == "contact"]
     after = touches[-1] if touches else None
-    if any(c.type in ("toppled", "rolled", "bounced", "returned") and c.type.startswith(what[:3]) for c in before):
+    if (same := CONDITION_OF.get(what)) and any(isinstance(c, same) for c in before):
         return ()
     seen = moves * layout.size(id)
     match what:

@@ -27,7 +27,10 @@ def request(clauses: Sequence[Clause], *, let: bool = False) -> Request | Refusa
     """The request of a goal's clauses; ``let``: said as ``let the ball fall``."""
     first, rest = _placed(clauses[0]), list(clauses[1:])
     if first.family == "lift" and rest:
-        first, rest = _lifted(clauses[0], _placed(rest[0])), rest[1:]
+        lifted = _lifted(clauses[0], _placed(rest[0]))
+        if lifted is None:
+            return several()
+        first, rest = lifted, rest[1:]
     found = _single(first, let=let)
     for clause in rest:
         if isinstance(found, Refusal):
@@ -36,8 +39,8 @@ def request(clauses: Sequence[Clause], *, let: bool = False) -> Request | Refusa
     return found if isinstance(found, Refusal) else _checked(found)
 
 
-def _lifted(lift: Clause, then: Clause) -> Clause:
-    """``lift the can and drop it on the box`` is one goal of the second verb."""
+def _lifted(lift: Clause, then: Clause) -> Clause | None:
+    """``lift the can and drop it on the box`` is one goal of the second verb; None for two goals."""
     what, _, above = (lift.object or lift.subject).partition(" above ")
     before = [("onto", above)] if above else [t for t in lift.targets if t[0] != "off"]
     if then.object.split()[:1] == ["it"]:
@@ -45,7 +48,7 @@ def _lifted(lift: Clause, then: Clause) -> Clause:
     elif then.subject in IT and then.object in IT:
         then = replace(then, subject="", object=what)
     elif then.object != what:
-        return replace(then, verb="several")
+        return None
     family: Family = "put" if then.family in ("drop", "fall", "put", "lift") else then.family
     aside: list[Direction] = [d for d in lift.directions if d not in ("up", *then.directions)]
     directions = [*aside, *then.directions]
@@ -69,8 +72,6 @@ def _placed(c: Clause) -> Clause:
 
 def _single(c: Clause, *, let: bool) -> Request | Refusal:
     """The request of one clause."""
-    if c.verb == "several":
-        return several()
     c = _left(_sides_of(c))
     targets = [t for t in c.targets if t[0] != "off" or c.family == "bounce"] or c.targets
     if len(targets) > 1:
