@@ -12,7 +12,7 @@ from f3sr.goals.plan import Velocity
 from f3sr.goals.simulate import simulate
 from f3sr.launches import ballistics
 from f3sr.physics.mujoco_model import body_of
-from f3sr.scene import SceneObject
+from f3sr.scene import GRAVITY, SceneObject
 from scenes import box, scene_of
 from test_simulate import centers, plan_of
 
@@ -20,14 +20,14 @@ STARTS = [(np.array([0.1, 0.2, 0.05]), np.array([0.7, -0.3, z])) for z in (0.0, 
 
 
 def flown(start: Array, velocity: Array, seconds: float) -> Array:
-    return start + velocity * seconds - np.array([0, 0, ballistics.GRAVITY / 2]) * seconds**2
+    return start + velocity * seconds - np.array([0, 0, GRAVITY / 2]) * seconds**2
 
 
 @pytest.mark.parametrize(("start", "target"), STARTS)
 def test_a_throw_arrives_over_its_apex(start: Array, target: Array) -> None:
     velocity, seconds = ballistics.throw(start, target, 0.6)
     assert np.allclose(flown(start, velocity, seconds), target)
-    assert flown(start, velocity, velocity[2] / ballistics.GRAVITY)[2] == pytest.approx(0.6)
+    assert flown(start, velocity, velocity[2] / GRAVITY)[2] == pytest.approx(0.6)
     with pytest.raises(ValueError, match="an apex above"):
         ballistics.throw(start, target, float(min(start[2], target[2])))
 
@@ -36,7 +36,7 @@ def test_a_throw_arrives_over_its_apex(start: Array, target: Array) -> None:
 @pytest.mark.parametrize("restitution", [0.4, 0.8])
 def test_a_bounce_arrives_after_one_bounce(start: Array, target: Array, restitution: float) -> None:
     velocity, seconds = ballistics.bounce(start, target, 0.03, restitution, 0.5)
-    up, g = velocity[2], ballistics.GRAVITY
+    up, g = velocity[2], GRAVITY
     first = (up + math.sqrt(up**2 + 2 * g * (start[2] - 0.03))) / g
     landed = flown(start, velocity, first)
     assert landed[2] == pytest.approx(0.03)

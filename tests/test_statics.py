@@ -20,7 +20,7 @@ from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, pose, rotation_about
 from f3sr.physics import release
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
-from f3sr.scene import GROUND, SceneObject
+from f3sr.scene import GRAVITY, GROUND, SceneObject
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 stacks = importlib.import_module("stacks")
@@ -215,13 +215,13 @@ def test_forces_balance_weights_and_pull_at_nothing() -> None:
         forces = np.zeros((len(contacts), 3))
         for group in islands(bodies, contacts):
             balance = Balance(group, bodies, contacts, DEFAULT_PHYSICS.ground_friction[0])
-            forces[balance.rows] = statics.GRAVITY * balance.eased(np.zeros(2))[0]
+            forces[balance.rows] = GRAVITY * balance.eased(np.zeros(2))[0]
         assert (np.einsum("ki,ki->k", forces, contacts.normals) >= -1e-9).all()
         for b in bodies:
             sign = (contacts.upper == b.id).astype(float) - (contacts.lower == b.id)
             total = sign @ forces
             moment = sign @ np.cross(contacts.points - b.centers[0], forces)
-            weight = statics.GRAVITY * b.mass
+            weight = GRAVITY * b.mass
             assert np.allclose(total, weight * UP, atol=1e-5 * weight)
             assert np.allclose(moment, 0, atol=1e-5 * weight * b.size)
 

@@ -17,6 +17,8 @@ from f3sr.core.transforms import Array, frozen, transform
 
 GROUND = -1
 """The id of the ground in supports and contacts."""
+GRAVITY = 9.81
+"""Acceleration of free fall along -Z [m/s2]."""
 
 Mobility = Literal["dynamic", "fixed"]
 GeometrySource = Literal["estimate", "sensor"]

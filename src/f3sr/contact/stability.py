@@ -16,9 +16,6 @@ from f3sr.contact.force_balance import Balance
 from f3sr.contact.static_bodies import StaticBody, contacts_of, islands
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 
-GRAVITY = 9.81
-"""[m/s2]; what stands does not depend on it."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Stability:

@@ -14,7 +14,7 @@ from f3sr.goals.plan import Contact, Displaced, Height, Plan, Rolled
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.rollout_queries import Seen
 from f3sr.goals.verify import Verdict
-from f3sr.scene import GROUND, Scene
+from f3sr.scene import GRAVITY, GROUND, Scene
 
 FEWEST, MOST = 4, 6
 """Pictures of a strip."""
@@ -24,8 +24,6 @@ FLIES = 0.02
 """Height [m] above start and end from which something that touches nothing is said to fly."""
 SLOW = 0.02
 """Speed [m/s] of what is at rest."""
-GRAVITY = 9.81
-"""[m/s2]"""
 HARD = 5.0
 """Times its weight from which a contact is a blow."""
 FALLS = 0.15

@@ -6,11 +6,10 @@ import math
 
 import numpy as np
 
-from f3sr.contact.stability import GRAVITY
 from f3sr.core.transforms import Array
 from f3sr.goals.plan import Impulse, InitialConditions, Limits
 from f3sr.physics.mujoco_model import body_of
-from f3sr.scene import Scene, SceneObject
+from f3sr.scene import GRAVITY, Scene, SceneObject
 
 HIGHEST = 4.0
 """Diagonals of the scene that a throw rises at most: more is out of any picture."""

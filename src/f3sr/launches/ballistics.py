@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from f3sr.contact.stability import GRAVITY
 from f3sr.core.transforms import Array
+from f3sr.scene import GRAVITY
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

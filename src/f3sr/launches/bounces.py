@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from f3sr.contact.stability import GRAVITY
 from f3sr.core.transforms import UP, Array, rotation_about
 from f3sr.goals.language_protocol import Tried
 from f3sr.goals.scene_layout import way_between
@@ -14,7 +13,7 @@ from f3sr.launches import ballistics
 from f3sr.launches.flights import AFTER, AIMS, goal_of, is_blocked
 from f3sr.launches.launch_context import LaunchContext, Launches
 from f3sr.physics.restitution import LEAST
-from f3sr.scene import GROUND
+from f3sr.scene import GRAVITY, GROUND
 
 
 def bouncing(s: LaunchContext) -> Launches:

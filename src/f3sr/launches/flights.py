@@ -7,11 +7,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from f3sr.contact.stability import GRAVITY
 from f3sr.core.transforms import UP, Array
 from f3sr.launches import ballistics
 from f3sr.launches.launch_context import CLEARANCE, Aim, LaunchContext, Launches, Search
-from f3sr.scene import GROUND
+from f3sr.scene import GRAVITY, GROUND
 
 ARCS = (0.4, 0.9, 1.6, 2.8)
 """How far above what it flies over an arc's top is, in sizes of what flies."""

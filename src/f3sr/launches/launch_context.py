@@ -10,7 +10,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from f3sr.contact.stability import GRAVITY
 from f3sr.core.transforms import UP, Array
 from f3sr.goals.cavity import Cavity
 from f3sr.goals.language_protocol import Launch, Tried
@@ -27,7 +26,7 @@ from f3sr.goals.plan import (
 from f3sr.goals.scene_layout import SceneLayout
 from f3sr.launches.ballistics import height_speed
 from f3sr.physics.mujoco_model import body_of
-from f3sr.scene import GROUND
+from f3sr.scene import GRAVITY, GROUND
 
 RAMP = 0.1
 """How long a push takes to bring something to its pace [s]."""

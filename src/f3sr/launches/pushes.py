@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from f3sr.contact.stability import GRAVITY
 from f3sr.core.transforms import UP, Array
 from f3sr.launches import ballistics
 from f3sr.launches.flights import striking, throwing_far
 from f3sr.launches.launch_context import Aim, LaunchContext, Launches
+from f3sr.scene import GRAVITY
 
 PACE = 0.6
 """At which a hand pushes things about [m/s]."""

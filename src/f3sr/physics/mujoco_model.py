@@ -16,7 +16,7 @@ from annotated_types import Interval
 from f3sr.core.mesh import ConvexPart, MassProperties, Mesh, solid_properties
 from f3sr.core.transforms import Array, quaternion_from_rotation
 from f3sr.physics import restitution
-from f3sr.scene import GROUND, SceneObject
+from f3sr.scene import GRAVITY, GROUND, SceneObject
 from f3sr.settings import settings
 
 GROUND_NAME = "ground"
@@ -37,7 +37,7 @@ class PhysicsConfig:
 
     timestep: Annotated[float, Interval(gt=0, le=0.005)] = 0.002
     """[s], at most half of solref's first value."""
-    gravity: Annotated[float, Interval(ge=-100, le=0)] = -9.81
+    gravity: Annotated[float, Interval(ge=-100, le=0)] = -GRAVITY
     """Along world z [m/s2]."""
     impratio: Annotated[float, Interval(ge=1, le=100)] = 10.0
     """Friction to normal impedance: higher slips less in the elliptic cone."""
