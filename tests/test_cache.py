@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,15 @@ import pytest
 from f3sr.core.mesh import ConvexPart
 from f3sr.io import inputs
 from f3sr.pipeline import Config, reconstruct
+from f3sr.proxies import Excess
 from f3sr.runtime import scene_serialization
+from f3sr.runtime.progress import silent
+from f3sr.runtime.result_forms import PlainForm
 from f3sr.runtime.result_store import Store, digest
+from f3sr.runtime.stage_runner import Runner
 from f3sr.scene import Motion
+from f3sr.stages.decompose import Decomposed, ProxyFit
+from f3sr.stages.settle import Settled, SettleStageConfig, settle
 from folders import write_folder
 from scenes import box_stack_scene
 
@@ -47,6 +54,35 @@ def test_a_scene_comes_back_exactly(tmp_path: Path):
         assert all(np.array_equal(p.vertices, q.vertices) for p, q in zip(a.colliders, b.colliders, strict=True))
         assert len(a.footing) == len(b.footing)
     assert scene.graph == changed.graph and np.array_equal(scene.camera.T_world_camera, changed.camera.T_world_camera)
+
+
+def test_outcomes_come_back_exactly(given: inputs.Inputs, tmp_path: Path):
+    """Every value of every stage's outcome with its type, so that a resumed run writes the same bytes."""
+    result, store = reconstruct(given), Store(tmp_path)
+    assert {x.stage for x in result.outcomes} == {*STAGES} - {"evaluate"} and result.evaluation
+    for value in (*result.outcomes, result.evaluation):
+        form = PlainForm(type(value))
+        store.save("key", *form.packed(value))
+        found = store.load("key")
+        assert found is not None and json.dumps(asdict(form.unpacked(*found))) == json.dumps(asdict(value))
+
+
+def test_what_json_has_no_words_for_comes_back_too():
+    drifts = {3: float("inf"), 1: float("nan"), 2: 1 / 3}
+    fit = ProxyFit(
+        parts=2, inflation=None, excess=Excess(mean=0.1, most=0.2, largest=0.3, at=(1.0, 2.0, 3.0)), outside=0.0
+    )
+    for outcome in (Settled(drifts=drifts, restless=frozenset({3, 1})), Decomposed(fits={7: fit})):
+        form = PlainForm(type(outcome))
+        found = form.unpacked(json.loads(json.dumps(form.packed(outcome)[0])), {})
+        assert repr(found) == repr(outcome)
+
+
+def test_a_skipped_stage_did_nothing():
+    run = Runner("key", skip=["settle"], skippable=["settle"], store=None, progress=silent)
+    scene = box_stack_scene()
+    same, outcome = run.stage(Settled, settle, scene, SettleStageConfig())
+    assert same is scene and outcome == Settled() and not outcome.restless and not run.outcomes
 
 
 def test_damaged_and_missing_entries_are_none_and_made_anew(tmp_path: Path):
@@ -100,6 +136,7 @@ def test_resumed_runs_give_exactly_what_cold_ones_give(given: inputs.Inputs, tmp
         again = reconstruct(given, store=store)
         assert again.resumed == expected
         assert again.reports == cold.reports and again.evaluation == cold.evaluation
+        assert again.outcomes == cold.outcomes
         for o in cold.scene:
             assert np.array_equal(o.T_world_object, again.scene[o.id].T_world_object)
             assert o.motion == again.scene[o.id].motion
