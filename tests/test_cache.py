@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from f3sr import pipeline
 from f3sr.core.mesh import ConvexPart
 from f3sr.io import inputs
 from f3sr.pipeline import Config, reconstruct
@@ -156,6 +157,46 @@ def test_a_changed_setting_repeats_its_stage_and_what_follows(given: inputs.Inpu
     other = replace(quick, separate=replace(quick.separate, clearance=1e-3))
     assert reconstruct(given, other, store=store, skip=["evaluate"]).resumed == (*STAGES[:5], "inpaint")
     assert reconstruct(given, quick, store=store, skip=["evaluate", "relate"]).resumed == (*STAGES[:3], "inpaint")
+
+
+KINDS = {
+    kind.stage: kind
+    for kind in (
+        *(pipeline.Assembled, pipeline.Levelled, pipeline.Aligned, pipeline.Related, pipeline.Decomposed),
+        *(pipeline.Separated, pipeline.Settled, pipeline.Closed, pipeline.Refined, pipeline.Described),
+    )
+}
+
+
+class Keys(Store):
+    """Keeps nothing but the keys that it is asked for."""
+
+    def __init__(self) -> None:
+        super().__init__(None)
+        self.asked: list[str] = []
+
+    def load(self, key: str) -> None:
+        self.asked.append(key)
+
+
+@pytest.mark.parametrize("changed", [*STAGES[2:9]])
+def test_keys_change_from_the_stage_on_whose_settings_change(
+    changed: str, given: inputs.Inputs, monkeypatch: pytest.MonkeyPatch
+):
+    """``close`` and ``refine`` read settings of stages before them, which thereby are in their keys too."""
+    for name in STAGES[:10]:
+        monkeypatch.setattr(pipeline, name, lambda scene, config, kind=KINDS[name], **_: (scene, kind()))
+    field, value = {
+        "align": ("max_yaw", 0.5), "relate": ("max_gap", 0.123), "decompose": ("max_parts", 7),
+        "separate": ("clearance", 1e-3), "settle": ("min_share", 0.2), "close": ("loss", 0.1), "refine": ("rounds", 1),
+    }[changed]  # fmt: skip
+    config, runs = Config(), list[list[str]]()
+    other = replace(config, **{changed: replace(getattr(config, changed), **{field: value})})
+    for chosen in (config, other):
+        runs.append((keys := Keys()).asked)
+        reconstruct(given, chosen, store=keys, skip=["evaluate", "inpaint"])
+    same = [a == b for a, b in zip(*runs, strict=True)]
+    assert same == [k < STAGES.index(changed) for k in range(10)]
 
 
 def test_keys_name_every_byte_read(tmp_path: Path):

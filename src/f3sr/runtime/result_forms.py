@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -63,8 +63,7 @@ class ArraysForm(Generic[A, R]):
 
     def packed(self, result: tuple[A, R]) -> tuple[Any, Arrays]:
         made, outcome = result
-        arrays: Arrays = {f.name: getattr(made, f.name) for f in fields(self.of)}  # pyright: ignore
-        return PlainForm(self.kind).packed(outcome)[0], arrays
+        return PlainForm(self.kind).packed(outcome)[0], dict(vars(made))
 
     def unpacked(self, document: Any, arrays: Arrays) -> tuple[A, R]:
         return self.of(**arrays), PlainForm(self.kind).unpacked(document, arrays)
