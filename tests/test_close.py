@@ -111,7 +111,7 @@ def test_it_rests_there():
 
     scene = ball_in_a_dish()
     after, outcome = close(scene, replace(CONFIG, loss=1.0), settled=physics)
-    assert settle(after)[1].value("at rest")
+    assert settle(after)[1].at_rest
     assert gap(after, 1) < 0.1 * gap(scene, 1)
     assert any("accepted" in d.choice for d in outcome.decisions)
 
