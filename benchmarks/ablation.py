@@ -26,10 +26,11 @@ import peers
 import staged
 from f3sr import pipeline
 from f3sr.pipeline import Config, Reconstruction
-from f3sr.report import Report
+from f3sr.report import Outcome
 from f3sr.runtime import kernels
 from f3sr.scene import Scene
 from f3sr.scene_package import package
+from f3sr.stages.decompose import Decomposed
 from f3sr.stages.evaluate import direct_composition
 
 COLUMNS = (
@@ -39,7 +40,6 @@ COLUMNS = (
 )
 WORST = ("N_cross", "inside", "K_max_J", "D_max_cm", "gap_pct", "below_pct", "proxy_out_pct", "proxy_far_pct")
 """Measures of which the worst scene is shown too."""
-INFLATION = "proxy volume / mesh volume"
 """The measure of ``decompose`` that becomes ``inflation``: the largest of a scene."""
 
 Step = Callable[[Reconstruction], Scene]
@@ -63,7 +63,7 @@ class Variant:
 
     settings: Mapping[str, Any] = field(default_factory=dict[str, Any])
     skip: tuple[str, ...] = ()
-    instead: Mapping[str, Callable[..., tuple[Scene, Report]]] = field(default_factory=dict[str, Any])
+    instead: Mapping[str, Callable[..., tuple[Scene, Outcome]]] = field(default_factory=dict[str, Any])
     """What runs in place of stages of these names."""
     optional: bool = False
     """Its settings may be missing, of a part that is not there: then the row is left out."""
@@ -159,7 +159,8 @@ def run(folder: Path, variant: Variant) -> Reconstruction:
 def row(result: Reconstruction, variant: Variant, folder: Path, args: argparse.Namespace) -> bench.Row:
     """All measures of what a variant ends with."""
     found = bench.measured(variant.end(result), result.direct, folder, args.data / "objects")
-    inflated = [m.after for report in result.reports for m in report.measures if m.name == INFLATION]
+    fits = [fit for x in result.outcomes if isinstance(x, Decomposed) for fit in x.fits.values()]
+    inflated = [fit.inflation for fit in fits if fit.inflation is not None]
     return {**found, **({"inflation": max(inflated)} if inflated else {})}
 
 

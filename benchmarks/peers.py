@@ -16,8 +16,8 @@ from f3sr.core.transforms import Array
 from f3sr.proxies import GRID, Excess, ProxyConfig, fit
 from f3sr.proxies.parts import FittedParts, decimated, nearly_convex, one_hull
 from f3sr.proxies.surface import Faces, NearestTriangles, surroundings
-from f3sr.report import Measure, Report
 from f3sr.scene import Scene
+from f3sr.stages.decompose import Decomposed, ProxyFit
 
 COACD: dict[str, Any] = {
     "threshold": 0.05,
@@ -72,18 +72,17 @@ def decompose(mesh: Mesh, method: str, config: ProxyConfig | None = None) -> Pee
     )
 
 
-def stage(method: str) -> Callable[[Scene, ProxyConfig], tuple[Scene, Report]]:
+def stage(method: str) -> Callable[[Scene, ProxyConfig], tuple[Scene, Decomposed]]:
     """Stands in for the stage ``decompose``."""
 
-    def decomposed(scene: Scene, config: ProxyConfig) -> tuple[Scene, Report]:
+    def decomposed(scene: Scene, config: ProxyConfig) -> tuple[Scene, Decomposed]:
         found = {o.id: decompose(o.mesh, method, config) for o in scene}
-        inflated = [
-            Measure(name="proxy volume / mesh volume", after=p.inflation, about=id)
+        fits = {
+            id: ProxyFit(parts=len(p.parts), inflation=p.inflation, excess=p.excess, outside=p.outside)
             for id, p in found.items()
-            if p.inflation is not None
-        ]
+        }
         scene = scene.with_objects(*(replace(o, parts=found[o.id].parts) for o in scene))
-        return scene, Report(stage="decompose", measures=tuple(inflated))
+        return scene, Decomposed(fits=fits)
 
     return decomposed
 

@@ -12,7 +12,7 @@ import numpy as np
 from f3sr.core.camera import Camera
 from f3sr.core.levenberg_marquardt import Local, Minimum
 from f3sr.core.transforms import Array
-from f3sr.report import Decision, Report, keep_better
+from f3sr.report import Decision, keep_better
 from f3sr.scene import Scene, SceneObject
 from f3sr.stages import align as stage
 from f3sr.stages.align import AlignConfig
@@ -56,16 +56,16 @@ PHASES = (
 """The report's; it gives rates for its camera only (.015 for turns, .01 else), which are taken here."""
 
 
-def align(scene: Scene, config: AlignConfig | None = None) -> tuple[Scene, Report]:
+def align(scene: Scene, config: AlignConfig | None = None) -> tuple[Scene, stage.Aligned]:
     """Stands in for the stage of this name: its camera, then every object by the report's recipe."""
     config = config or AlignConfig()
-    scene, report = stage.align(scene, replace(config, objects=False))
+    scene, outcome = stage.align(scene, replace(config, objects=False))
     if not config.objects:
-        return scene, report
+        return scene, outcome
     found = [align_object(outlined(o, config.max_faces), scene.camera, resolution=config.resolution) for o in scene]
-    decisions = (*report.decisions, *(d for _, of_one in found for d in of_one))
+    decisions = (*outcome.decisions, *(d for _, of_one in found for d in of_one))
     scene = scene.with_objects(*(replace(o, mesh=scene[o.id].mesh) for o, _ in found))
-    return scene, Report(stage="align", decisions=decisions)
+    return scene, stage.Aligned(decisions=decisions)
 
 
 def align_object(o: SceneObject, camera: Camera, *, resolution: int) -> tuple[SceneObject, list[Decision]]:

@@ -18,7 +18,7 @@ from f3sr.metrics.measures import full_silhouette, image_agreement
 from f3sr.scene import Scene
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.align.config import AppearanceConfig, DepthConfig, FacetConfig, TiltConfig
-from f3sr.stages.assemble import assemble
+from f3sr.stages.assemble import as_given, assemble
 from f3sr.stages.level import level
 from f3sr.vision.occlusion import nearer_objects, visible_region
 from f3sr.vision.silhouette import Mask, iou
@@ -72,7 +72,7 @@ class Prepared:
 
     @classmethod
     def of(cls, folder: Path, objects: Path) -> Prepared:
-        scene, _ = level(assemble(inputs.read(folder))[0])
+        scene, _ = level(assemble(as_given(inputs.read(folder)))[0])
         nearer = nearer_objects(scene)
         return cls(
             scene=scene,

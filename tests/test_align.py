@@ -155,9 +155,9 @@ def test_a_geometry_that_does_not_know_moves_nothing() -> None:
     assert scene.geometry
     noise = np.random.default_rng(0).uniform(0.7, 1.5, scene.geometry.valid.shape)[..., None]
     vague = replace(scene, geometry=replace(scene.geometry, points=(scene.geometry.points * noise).astype(np.float32)))
-    _, report = align(vague, OBJECTS_ONLY)
-    assert not [d for d in report.decisions if "distance: accepted" in d.choice]
-    assert any("does not tell its distance" in d.choice for d in report.decisions)
+    _, outcome = align(vague, OBJECTS_ONLY)
+    assert not [d for d in outcome.decisions if "distance: accepted" in d.choice]
+    assert any("does not tell its distance" in d.choice for d in outcome.decisions)
 
 
 def _seen_by(scene: Scene, camera: Camera) -> Scene:
@@ -168,8 +168,8 @@ def test_a_camera_that_is_off_is_found_again() -> None:
     scene = three_things()
     T = pose(rotation_about([0.3, 1, 0.2], np.radians(0.8)), [0.01, -0.008, 0.006])
     wrong = _seen_by(scene, CAMERA.moved(CAMERA.T_world_camera @ T))
-    found, report = align(wrong, AlignConfig(objects=False))
-    assert report.value("mean mask IoU") > 0.97
+    found, outcome = align(wrong, AlignConfig(objects=False))
+    assert outcome.report.value("mean mask IoU") > 0.97
     assert np.linalg.norm(found.camera.center - CAMERA.center) < 0.01
 
 
@@ -201,9 +201,9 @@ def test_a_camera_that_the_geometry_contradicts_is_not_taken() -> None:
     grown = scene.with_objects(
         *(o.moved(pose(t=-0.08 * o.bounds_world.mean(0)), scale=1.08, stage="test", reason="") for o in scene)
     )
-    seen, report = align(grown, AlignConfig(objects=False))
+    seen, outcome = align(grown, AlignConfig(objects=False))
     assert seen.camera is grown.camera
-    assert "camera: rolled back" in [d.choice for d in report.decisions]
+    assert "camera: rolled back" in [d.choice for d in outcome.decisions]
     unknown, _ = align(replace(grown, geometry=None), AlignConfig(objects=False))
     assert unknown.camera is not grown.camera
 
@@ -226,10 +226,10 @@ BAD = {
 def test_what_cannot_be_aligned_stays_as_it_came_and_says_why(why: str) -> None:
     scene = photographed(thing(0, BOX, (-0.25, 0.1, 0.06)), thing(1, CAN, (0.1, 0, 0.07)))
     bad, other = BAD[why](scene), disturbed(scene[1], UP, 0.0, shift=0.02)
-    after, report = align(scene.with_objects(bad, other), OBJECTS_ONLY)
+    after, outcome = align(scene.with_objects(bad, other), OBJECTS_ONLY)
     assert after[0] is bad or np.array_equal(after[0].T_world_object, bad.T_world_object)
     assert after[0].scale == bad.scale
-    assert any(d.about == 0 and d.fallback and why in d.reason for d in report.decisions)
+    assert any(d.about == 0 and d.fallback and why in d.reason for d in outcome.decisions)
     assert np.linalg.norm(after[1].bounds_world.mean(0) - scene[1].bounds_world.mean(0)) < 0.005
 
 
@@ -237,16 +237,16 @@ def test_an_object_that_nearer_ones_hide_stays_as_it_came() -> None:
     near, far = thing(0, BOX, (0, -0.2, 0.06)), thing(1, CAN, (0, 0.3, 0.07))
     scene = photographed(near, far)
     hidden = replace(scene[1], mask=scene[0].mask)
-    after, report = align(scene.with_objects(hidden), OBJECTS_ONLY)
+    after, outcome = align(scene.with_objects(hidden), OBJECTS_ONLY)
     assert np.array_equal(after[1].T_world_object, hidden.T_world_object)
-    assert any(d.about == 1 and d.fallback and "nearer objects hide" in d.reason for d in report.decisions)
+    assert any(d.about == 1 and d.fallback and "nearer objects hide" in d.reason for d in outcome.decisions)
 
 
 def test_no_object_gets_a_worse_silhouette() -> None:
     scene = three_things()
-    _, report = align(scene)
+    _, outcome = align(scene)
     most = AlignConfig().facets.loss
-    assert all(m.after >= m.before - most for m in report.measures if m.before is not None and m.about is not None)
+    assert all(m.after >= m.before - most for m in outcome.measures if m.before is not None and m.about is not None)
 
 
 def test_what_the_border_of_the_photo_cuts_is_not_squeezed_into_it() -> None:

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from f3sr import pipeline
 from f3sr.core.mesh import ConvexPart
 from f3sr.io import inputs
 from f3sr.pipeline import Config, reconstruct
+from f3sr.proxies import Excess
+from f3sr.report import Outcome
 from f3sr.runtime import scene_serialization
+from f3sr.runtime.progress import silent
+from f3sr.runtime.result_forms import PlainForm
 from f3sr.runtime.result_store import Store, digest
+from f3sr.runtime.stage_runner import Runner
 from f3sr.scene import Motion
+from f3sr.stages.decompose import Decomposed, ProxyFit
+from f3sr.stages.evaluate import Evaluation
+from f3sr.stages.settle import Settled, SettleStageConfig, settle
 from folders import write_folder
 from scenes import box_stack_scene
 
@@ -47,6 +57,40 @@ def test_a_scene_comes_back_exactly(tmp_path: Path):
         assert all(np.array_equal(p.vertices, q.vertices) for p, q in zip(a.colliders, b.colliders, strict=True))
         assert len(a.footing) == len(b.footing)
     assert scene.graph == changed.graph and np.array_equal(scene.camera.T_world_camera, changed.camera.T_world_camera)
+
+
+def test_outcomes_come_back_exactly(given: inputs.Inputs, tmp_path: Path):
+    """Every value of every stage's outcome with its type, so that a resumed run writes the same bytes."""
+    result, store = reconstruct(given), Store(tmp_path)
+    assert {x.stage for x in result.outcomes} == {*STAGES} - {"evaluate"} and result.evaluation
+    for value in (*result.outcomes, result.evaluation):
+        form = PlainForm(type(value))
+        store.save("key", *form.packed(value))
+        found = store.load("key")
+        assert found is not None and _text(form.unpacked(*found)) == _text(value)
+
+
+def _text(value: Outcome | Evaluation) -> str:
+    """1 and 1.0 differ in it."""
+    return json.dumps(asdict(value), default=sorted)
+
+
+def test_what_json_has_no_words_for_comes_back_too():
+    drifts = {3: float("inf"), 1: float("nan"), 2: 1 / 3}
+    fit = ProxyFit(
+        parts=2, inflation=None, excess=Excess(mean=0.1, most=0.2, largest=0.3, at=(1.0, 2.0, 3.0)), outside=0.0
+    )
+    for outcome in (Settled(drifts=drifts, restless=frozenset({3, 1})), Decomposed(fits={7: fit})):
+        form = PlainForm(type(outcome))
+        found = form.unpacked(json.loads(json.dumps(form.packed(outcome)[0])), {})
+        assert repr(found) == repr(outcome)
+
+
+def test_a_skipped_stage_did_nothing():
+    run = Runner("key", skip=["settle"], skippable=["settle"], store=None, progress=silent)
+    scene = box_stack_scene()
+    same, outcome = run.stage(Settled, settle, scene, SettleStageConfig())
+    assert same is scene and outcome == Settled() and not outcome.restless and not run.outcomes
 
 
 def test_damaged_and_missing_entries_are_none_and_made_anew(tmp_path: Path):
@@ -100,6 +144,7 @@ def test_resumed_runs_give_exactly_what_cold_ones_give(given: inputs.Inputs, tmp
         again = reconstruct(given, store=store)
         assert again.resumed == expected
         assert again.reports == cold.reports and again.evaluation == cold.evaluation
+        assert again.outcomes == cold.outcomes
         for o in cold.scene:
             assert np.array_equal(o.T_world_object, again.scene[o.id].T_world_object)
             assert o.motion == again.scene[o.id].motion
@@ -112,6 +157,46 @@ def test_a_changed_setting_repeats_its_stage_and_what_follows(given: inputs.Inpu
     other = replace(quick, separate=replace(quick.separate, clearance=1e-3))
     assert reconstruct(given, other, store=store, skip=["evaluate"]).resumed == (*STAGES[:5], "inpaint")
     assert reconstruct(given, quick, store=store, skip=["evaluate", "relate"]).resumed == (*STAGES[:3], "inpaint")
+
+
+KINDS = {
+    kind.stage: kind
+    for kind in (
+        *(pipeline.Assembled, pipeline.Levelled, pipeline.Aligned, pipeline.Related, pipeline.Decomposed),
+        *(pipeline.Separated, pipeline.Settled, pipeline.Closed, pipeline.Refined, pipeline.Described),
+    )
+}
+
+
+class Keys(Store):
+    """Keeps nothing but the keys that it is asked for."""
+
+    def __init__(self) -> None:
+        super().__init__(None)
+        self.asked: list[str] = []
+
+    def load(self, key: str) -> None:
+        self.asked.append(key)
+
+
+@pytest.mark.parametrize("changed", [*STAGES[2:9]])
+def test_keys_change_from_the_stage_on_whose_settings_change(
+    changed: str, given: inputs.Inputs, monkeypatch: pytest.MonkeyPatch
+):
+    """``close`` and ``refine`` read settings of stages before them, which thereby are in their keys too."""
+    for name in STAGES[:10]:
+        monkeypatch.setattr(pipeline, name, lambda scene, config, kind=KINDS[name], **_: (scene, kind()))
+    field, value = {
+        "align": ("max_yaw", 0.5), "relate": ("max_gap", 0.123), "decompose": ("max_parts", 7),
+        "separate": ("clearance", 1e-3), "settle": ("min_share", 0.2), "close": ("loss", 0.1), "refine": ("rounds", 1),
+    }[changed]  # fmt: skip
+    config, runs = Config(), list[list[str]]()
+    other = replace(config, **{changed: replace(getattr(config, changed), **{field: value})})
+    for chosen in (config, other):
+        runs.append((keys := Keys()).asked)
+        reconstruct(given, chosen, store=keys, skip=["evaluate", "inpaint"])
+    same = [a == b for a, b in zip(*runs, strict=True)]
+    assert same == [k < STAGES.index(changed) for k in range(10)]
 
 
 def test_keys_name_every_byte_read(tmp_path: Path):

@@ -110,19 +110,19 @@ def test_it_rests_there():
         return SettledScene(scene=settle(scene)[0], restless=frozenset())
 
     scene = ball_in_a_dish()
-    after, report = close(scene, replace(CONFIG, loss=1.0), settled=physics)
-    assert settle(after)[1].value("at rest")
+    after, outcome = close(scene, replace(CONFIG, loss=1.0), settled=physics)
+    assert settle(after)[1].at_rest
     assert gap(after, 1) < 0.1 * gap(scene, 1)
-    assert any("accepted" in d.choice for d in report.decisions)
+    assert any("accepted" in d.choice for d in outcome.decisions)
 
 
 def test_what_touches_stays_the_same_value():
     scene = scene_of(box(0, at=(-0.3, 0, 0.05 + CONFIG.clearance)), replace(ball_on_the_ground(), id=1))
-    after, report = close(scene, CONFIG, settled=settled)
+    after, outcome = close(scene, CONFIG, settled=settled)
     assert after[0] is scene[0] and after[1] is not scene[1]
-    assert [m.about for m in report.measures if m.name == "convex parts"] == [1]
-    again, report = close(after, CONFIG, settled=settled)
-    assert again is after and not report.decisions
+    assert [m.about for m in outcome.measures if m.name == "convex parts"] == [1]
+    again, outcome = close(after, CONFIG, settled=settled)
+    assert again is after and not outcome.decisions
 
 
 def test_what_carries_something_comes_down_with_it():
@@ -162,10 +162,10 @@ def seen(scene: Scene) -> Scene:
 )
 def test_what_does_not_rest_or_rolls_away_is_left_as_it_was(end: Callable[[Scene], SettledScene], why: str):
     scene = seen(scene_of(ball_on_the_ground()))
-    after, report = close(scene, CONFIG, settled=end)
+    after, outcome = close(scene, CONFIG, settled=end)
     assert after is scene
-    assert len(report.decisions) == 2, "the second time farther around; then nothing is left to be tried"
-    assert all(d.choice.endswith("rolled back") and why in d.reason for d in report.decisions)
+    assert len(outcome.decisions) == 2, "the second time farther around; then nothing is left to be tried"
+    assert all(d.choice.endswith("rolled back") and why in d.reason for d in outcome.decisions)
 
 
 def test_only_groups_that_change_are_settled_and_each_is_kept_for_itself():
@@ -219,14 +219,14 @@ def test_others_of_its_group_come_down_without_what_rolls_away():
             scene = scene.with_objects(o.moved(pose(t=[-0.03, 0, 0]), stage="settle", reason="rolls"))
         return SettledScene(scene=scene, restless=frozenset())
 
-    after, report = close(scene, replace(CONFIG, apart=0.01, loss=0.3), settled=physics)
+    after, outcome = close(scene, replace(CONFIG, apart=0.01, loss=0.3), settled=physics)
     assert gap(after, 0) == gap(scene, 0) and gap(after, 1) < 0.2 * gap(scene, 1)
-    assert [d.choice.split(": ")[1] for d in report.decisions] == ["rolled back", "rolled back", "accepted"]
+    assert [d.choice.split(": ")[1] for d in outcome.decisions] == ["rolled back", "rolled back", "accepted"]
 
 
 def test_what_does_not_rest_is_left_alone_with_all_near_it():
     ball = ball_on_the_ground()
     far = replace(ball, id=1, T_world_object=pose(t=[0.4, 0, 0]) @ ball.T_world_object)
     scene = scene_of(ball, far)
-    after, report = close(scene, CONFIG, settled=settled, restless=[0])
-    assert after[0] is scene[0] and gap(after, 1) < gap(scene, 1) and len(report.decisions) == 1
+    after, outcome = close(scene, CONFIG, settled=settled, restless=[0])
+    assert after[0] is scene[0] and gap(after, 1) < gap(scene, 1) and len(outcome.decisions) == 1

@@ -20,10 +20,11 @@ import pytest
 from f3sr import example, settings
 from f3sr.errors import OutputError
 from f3sr.pipeline import Config
-from f3sr.report import Report
+from f3sr.report import Outcome
 from f3sr.runtime import kernels
 from f3sr.runtime.result_store import Store
 from f3sr.runtime.stage_runner import Runner
+from f3sr.scene import Scene
 from f3sr.scene_package import package
 from f3sr.scene_package.package import read_package, write_package
 from folders import write_folder
@@ -362,15 +363,27 @@ class Limit:
     cut: bool
 
 
+class A(Outcome):
+    stage = "a"
+
+
+class B(Outcome):
+    stage = "b"
+
+
+class C(Outcome):
+    stage = "c"
+
+
 def test_what_a_time_limit_cut_short_is_not_stored_nor_what_follows(tmp_path: Path):
-    def stage(scene: Any, config: Any) -> Any:
-        return scene, Report(stage="x", cut_short=config.cut)
+    def stage(scene: Scene, config: Limit, kind: type[Outcome]) -> tuple[Scene, Outcome]:
+        return scene, kind(cut_short=config.cut)
 
     def run() -> tuple[str, ...]:
         runner = Runner("key", skip=(), skippable=(), store=Store(tmp_path), progress=lambda _: None)
         scene = box_stack_scene()
-        for name, cut in (("a", False), ("b", True), ("c", False)):
-            scene = runner.stage(name, stage, scene, Limit(cut))
+        for kind, cut in ((A, False), (B, True), (C, False)):
+            scene, _ = runner.stage(kind, stage, scene, Limit(cut), kind)
         return tuple(runner.resumed)
 
     assert run() == () and run() == ("a",)

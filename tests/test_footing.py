@@ -126,9 +126,9 @@ def test_the_plane_below_is_the_top_of_what_carries():
 def test_a_stack_of_slanted_boxes_stands_as_it_is_seen():
     low = replace(slanted(np.radians(4)), id=0)
     top = replace(slanted(np.radians(-6)), id=1, supported_by=0, supports=(), T_world_object=pose(t=[0, 0, 0.24]))
-    scene, report = separate(scene_of(low, top), SeparateConfig(max_ray_scale=0.0))
-    assert report.value("overlapping pairs") == 0
-    assert [d.about for d in report.decisions if d.choice == "given a footing"] == [0, 1]
+    scene, outcome = separate(scene_of(low, top), SeparateConfig(max_ray_scale=0.0))
+    assert outcome.report.value("overlapping pairs") == 0
+    assert [d.about for d in outcome.decisions if d.choice == "given a footing"] == [0, 1]
     after = settle(scene.objects)
     assert after.at_rest
     for o in scene:
@@ -141,8 +141,8 @@ def test_a_stack_of_slanted_boxes_stands_as_it_is_seen():
 def test_without_footings_an_object_is_laid_down_in_its_place():
     o = slanted(np.radians(5))
     config = SeparateConfig(max_ray_scale=0.0, footing=FootingConfig(enabled=False))
-    scene, report = separate(scene_of(o), config)
-    assert [d.choice for d in report.decisions] == ["laid down by 5.0 degrees"]
+    scene, outcome = separate(scene_of(o), config)
+    assert [d.choice for d in outcome.decisions] == ["laid down by 5.0 degrees"]
     assert turned_by_physics(scene[0]) < 0.1
     assert np.linalg.norm(scene[0].bounds_world.mean(0)[:2] - o.bounds_world.mean(0)[:2]) < 0.01
 
@@ -160,6 +160,6 @@ def test_a_sheet_without_volume_is_no_reason_to_fail(axis: list[float]):
     o = sheet(rotation_about(axis, np.pi / 2))
     assert footing(o, GROUND_PLANE, CONFIG) == ()
     assert support_plane(o, box(1).colliders_world, CONFIG) is None
-    scene, report = separate(scene_of(o, box(1, at=(1, 1, 0.05))))
-    assert report.value("overlapping pairs") == 0
+    scene, outcome = separate(scene_of(o, box(1, at=(1, 1, 0.05))))
+    assert outcome.report.value("overlapping pairs") == 0
     assert np.isfinite(scene[0].T_world_object).all()

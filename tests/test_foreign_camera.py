@@ -18,6 +18,7 @@ from f3sr.io import inputs
 from f3sr.metrics.camera_fit import ForeignCameraConfig, InstancesFit, fitted_camera, iou_loss, mean_iou
 from f3sr.metrics.measures import IMAGE_MEASURES, Measures, measure
 from f3sr.pipeline import SKIPPABLE, composed_directly, reconstruct
+from f3sr.runtime.result_forms import PlainForm
 from f3sr.scene import Photo, Scene
 from f3sr.stages.evaluate import DIRECT, Evaluation, direct_composition, evaluate
 from f3sr.vision import rasterizer
@@ -198,10 +199,11 @@ def test_a_result_whose_camera_was_not_aligned_is_foreign(given: inputs.Inputs, 
 def test_an_evaluation_comes_back_from_plain_json(given: inputs.Inputs):
     found = evaluate(composed_directly(given), None, foreign=True)
     both = replace(found, direct=found.result, direct_details=found.result_details, direct_fitted=found.result_fitted)
+    form = PlainForm(Evaluation)
     for evaluation in (found, both, replace(found, result_fitted=None)):
-        document, arrays = evaluation.stored()
-        assert Evaluation.restored(json.loads(json.dumps(document)), arrays) == evaluation
-        assert asdict(evaluation) == document
+        document, arrays = form.packed(evaluation)
+        assert form.unpacked(json.loads(json.dumps(document)), arrays) == evaluation
+        assert json.loads(json.dumps(asdict(evaluation))) == document
 
 
 def test_direct_composition_alone_is_that_beside_a_result(given: inputs.Inputs):

@@ -74,9 +74,9 @@ def test_a_ground_mask_counts_and_nothing_above_the_horizon_does() -> None:
 
 def test_where_nothing_tells_the_support_that_is_told() -> None:
     scene = seen_scene(geometry=False)
-    decisions = inpaint(scene, BackgroundConfig()).report.decisions
+    decisions = inpaint(scene, BackgroundConfig())[1].decisions
     assert any(d.fallback and "horizon" in d.choice for d in decisions)
-    assert not inpaint(seen_scene(), BackgroundConfig()).report.fallbacks
+    assert not inpaint(seen_scene(), BackgroundConfig())[1].report.fallbacks
 
 
 def test_a_camera_that_looks_up_sees_no_support() -> None:
@@ -95,7 +95,7 @@ def test_a_given_background_is_taken_and_one_of_another_size_refused(tmp_path: P
     assert inputs.read(folder, ignore=["background"]).background is None
     result = reconstruct(read, skip=[s for s in SKIPPABLE if s not in ("level", "inpaint")])
     assert result.inpainting is not None and np.array_equal(result.inpainting.rgb, given)
-    assert any("as given" in d.choice for d in result.inpainting.report.decisions)
+    assert any("as given" in d.choice for d in result.reports[-1].decisions)
     Image.fromarray(given[1:]).save(folder / "background.png")
     with pytest.raises(InputError, match=r"background\.png.*pixels"):
         inputs.read(folder)
@@ -126,7 +126,7 @@ def test_it_is_stored_whatever_comes_after(tmp_path: Path) -> None:
     assert np.array_equal(first.inpainting.rgb, again.inpainting.rgb)
     assert np.array_equal(first.inpainting.support, again.inpainting.support)
     assert np.array_equal(first.inpainting.kept, again.inpainting.kept)
-    assert first.inpainting.report == again.inpainting.report
+    assert first.reports[-1] == again.reports[-1]
 
 
 def test_a_package_has_it(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from f3sr.io import inputs
 from f3sr.metrics.measures import IMAGE_MEASURES, Measures, full_silhouette, measure, measure_with_details
 from f3sr.metrics.penetration import penetration
 from f3sr.pipeline import SKIPPABLE, Config, Reconstruction, reconstruct
-from f3sr.report import Decision, Report
+from f3sr.report import Decision
 from f3sr.report_page import LARGEST_PAGE, report_page
 from f3sr.report_page.formatting import number
 from f3sr.report_page.graph_drawing import levels
@@ -37,6 +37,9 @@ from f3sr.report_page.page_data import PageData
 from f3sr.report_page.scores import MAIN, OTHERS
 from f3sr.runtime.result_store import Store
 from f3sr.scene import GROUND, Excluded, Node, Relation, Scene, SceneGraph, Support
+from f3sr.stages.assemble import Assembled
+from f3sr.stages.relate import Related
+from f3sr.stages.settle import Settled
 from f3sr.web.light_mesh import lightened
 from f3sr.web.markup import Markup, clean, el
 from folders import write_folder
@@ -65,8 +68,8 @@ def text(result: Reconstruction) -> str:
 
 def bare(scene: Scene, **changes: Any) -> Reconstruction:
     """A result that no stage has touched but the first."""
-    report = Report(stage="assemble")
-    values: dict[str, Any] = {"scene": scene, "direct": scene, "scenes": {"assemble": scene}, "reports": (report,)}
+    outcomes = (Assembled(),)
+    values: dict[str, Any] = {"scene": scene, "direct": scene, "scenes": {"assemble": scene}, "outcomes": outcomes}
     return Reconstruction(**{**values, "seconds": {}, "resumed": (), "config": Config(), "provenance": {}, **changes})
 
 
@@ -203,9 +206,8 @@ def test_moves_are_what_each_stage_did(result: Reconstruction, text: str):
         assert [x.stage for x in found] == list(dict.fromkeys(x.stage for x in o.motion))
         assert np.prod([x.scale for x in found]) == pytest.approx(o.scale / result.direct[o.id].scale)
         settled = next(x for x in found if x.stage == "settle")
-        told = next(r for r in result.reports if r.stage == "settle").measures
-        turned = next(x.after for x in told if x.name == "turned" and x.about == o.id)
-        assert np.degrees(settled.turn) == pytest.approx(turned, abs=1e-6)
+        told = next(x for x in result.outcomes if isinstance(x, Settled))
+        assert settled.turn == pytest.approx(told.turns[o.id], abs=1e-8)
     section = text[text.index('id="objects"') : text.index('id="supports"')]
     assert section.count("<dt>") == sum(len(moves(m, o.id)) for o in result.scene) > 0
 
@@ -259,7 +261,7 @@ def test_hostile_labels_names_and_texts_stay_text(result: Reconstruction):
         result,
         scene=hostile(result.scene),
         scenes={k: hostile(s) for k, s in result.scenes.items()},
-        reports=(replace(result.reports[0], decisions=(decision,)), *result.reports[1:]),
+        outcomes=(replace(result.outcomes[0], decisions=(decision,)), *result.outcomes[1:]),
     )
     text = report_page(wrong).decode()
     tags = Tags(text)
@@ -281,8 +283,8 @@ def test_the_scene_graph_is_told_with_what_is_given_and_refused():
     graph = SceneGraph(relations=(*scene.graph.relations, lean), source="scene_graph.json", nodes=nodes)
     refused = Decision(choice="given inside object 1 not followed", reason="30% of the directions", about=0)
     told = replace(scene, graph=graph)
-    reports = (Report(stage="assemble"), Report(stage="relate", decisions=(refused,)))
-    page = report_page(bare(told, scenes={"assemble": scene, "relate": told}, reports=reports)).decode()
+    outcomes = (Assembled(), Related(decisions=(refused,), disagreements=(refused,)))
+    page = report_page(bare(told, scenes={"assemble": scene, "relate": told}, outcomes=outcomes)).decode()
     section = page[page.index('id="supports"') : page.index('id="stages"')]
     assert section.count("</details>") == 2 and section.count('class="tag"') == 1
     for words in ("supported by: 2", "leaning on: 1", "it says so", "0.625", "red box 2", "30% of the directions"):

@@ -47,6 +47,6 @@ def test_a_box_is_one_hull_whatever_the_peer(monkeypatch: pytest.MonkeyPatch) ->
 def test_a_peer_that_finds_no_volume_leaves_one_hull_in_the_stage(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(peers, "PEERS", {"none": lambda *_: [np.zeros((4, 3))]})
     assert peers.decompose(l_shape(), "none", QUICK).method == "hull-fallback"
-    scene, report = peers.stage("none")(scene_of(box(1), box(2)), QUICK)
+    scene, outcome = peers.stage("none")(scene_of(box(1), box(2)), QUICK)
     assert [len(o.parts) for o in scene] == [1, 1]
-    assert [m.about for m in report.measures] == [1, 2]
+    assert [id for id, fit in outcome.fits.items() if fit.inflation is not None] == [1, 2]

@@ -36,8 +36,7 @@ def refined(start: Scene, tried: Scene, *, restless: Collection[int] = (), befor
         kept = [tried[o.id] if o.id in ids else o for o in start]
         return SettledScene(scene=start.with_objects(*kept), restless=frozenset(restless))
 
-    state = SettledScene(scene=start, restless=frozenset(before))
-    return refine(state, ONCE, parted=start, stood_up=again, realigned=again)[0]
+    return refine(start, ONCE, parted=start, stood_up=again, realigned=again, restless=before)[0]
 
 
 def test_the_one_that_gains_is_kept_and_the_one_that_loses_undone(seen: Scene):
@@ -66,10 +65,9 @@ def test_one_that_spoils_its_group_is_left_out_and_the_other_tried_alone(seen: S
         tried = shifted(seen, {0: 0.0, 1: -0.42})
         return SettledScene(scene=scene.with_objects(*(tried[id] for id in ids)), restless=frozenset())
 
-    state = SettledScene(scene=start, restless=frozenset())
-    after, report = refine(state, ONCE, parted=start, stood_up=again, realigned=again)
+    after, outcome = refine(start, ONCE, parted=start, stood_up=again, realigned=again)
     assert calls == [[0, 1], [0]]
-    assert [d.choice.rsplit(": ")[-1] for d in report.decisions] == ["rolled back", "accepted"]
+    assert [d.choice.rsplit(": ")[-1] for d in outcome.decisions] == ["rolled back", "accepted"]
     assert np.array_equal(after[0].T_world_object, seen[0].T_world_object)
     assert np.array_equal(after[1].T_world_object, seen[1].T_world_object)
 
@@ -81,7 +79,6 @@ def test_a_round_without_gain_is_the_last(seen: Scene):
         calls.append(ids)
         return SettledScene(scene=scene, restless=frozenset())
 
-    state = SettledScene(scene=seen, restless=frozenset())
-    scene, report = refine(state, RefineConfig(), parted=seen, stood_up=again, realigned=again)
+    scene, outcome = refine(seen, RefineConfig(), parted=seen, stood_up=again, realigned=again)
     assert scene is seen and len(calls) == 1
-    assert [d.choice for d in report.decisions] == ["re-alignment under contact: rolled back"]
+    assert [d.choice for d in outcome.decisions] == ["re-alignment under contact: rolled back"]

@@ -124,13 +124,13 @@ def told(scene: Scene) -> dict[tuple[int, str, int], float]:
 
 
 def test_a_stack_and_its_neighbours():
-    scene, report = relate(stack())
+    scene, outcome = relate(stack())
     assert {o.id: o.supported_by for o in scene} == {2: GROUND, 3: GROUND, 5: 2, 7: GROUND}
     assert scene.graph.of("supported_by") == {(2, GROUND), (3, GROUND), (5, 2), (7, GROUND)}
     assert (2, 7) in scene.graph.of("next_to") and (2, 5) in scene.graph.of("touching")
     assert (3, 2) in scene.graph.of("in_front_of") and (2, 3) in scene.graph.of("behind")
     assert not scene.graph.of("inside") | scene.graph.of("leaning_on")
-    assert len(report.decisions) == 4 and report.value("objects on the ground") == 3
+    assert len(outcome.decisions) == 4 and outcome.report.value("objects on the ground") == 3
 
 
 def test_a_ball_in_a_bowl_and_one_beside_it():
@@ -217,10 +217,10 @@ def hanging(height: float, *, geometry: bool = True) -> Scene:
 
 
 def test_what_hangs_high_above_all_stays_and_says_so():
-    scene, report = relate(hanging(0.4))
+    scene, outcome = relate(hanging(0.4))
     assert (scene[1].supported_by, scene[1].supports, scene[1].mobility) == (None, (), "fixed")
-    assert scene[0].supported_by == GROUND and report.value("objects on something unseen") == 1
-    assert [d.about for d in report.decisions if "unseen" in d.choice] == [1]
+    assert scene[0].supported_by == GROUND and outcome.report.value("objects on something unseen") == 1
+    assert [d.about for d in outcome.decisions if "unseen" in d.choice] == [1]
     assert not any(r.subject == 1 and r.predicate == "supported_by" for r in scene.graph.relations)
 
 
@@ -371,14 +371,14 @@ def near_tie() -> Scene:
 
 
 def test_a_given_support_that_geometry_allows_wins_and_the_other_is_told():
-    scene, report = relate(replace(near_tie(), graph=given((1, "supported_by", GROUND, 0.4))))
+    scene, outcome = relate(replace(near_tie(), graph=given((1, "supported_by", GROUND, 0.4))))
     assert relate(near_tie())[0][1].supported_by == 0
     assert scene[1].supported_by == GROUND and scene.graph.source == "scene_graph.json"
     support = next(r for r in scene.graph.relations if (r.subject, r.predicate) == (1, "supported_by"))
     assert (
         support.source == "given" and support.confidence == pytest.approx(0.4) and "so it was said" in support.evidence
     )
-    assert any(d.about == 1 and "as given, not on object 0" in d.choice for d in report.decisions)
+    assert any(d.about == 1 and "as given, not on object 0" in d.choice for d in outcome.decisions)
 
 
 @pytest.mark.parametrize(
@@ -387,9 +387,9 @@ def test_a_given_support_that_geometry_allows_wins_and_the_other_is_told():
 )
 def test_a_given_support_that_geometry_contradicts_is_not_followed(subject: int, carrier: int, figure: str):
     before = relate(stack())[0]
-    scene, report = relate(replace(stack(), graph=given((subject, "supported_by", carrier))))
+    scene, outcome = relate(replace(stack(), graph=given((subject, "supported_by", carrier))))
     assert {o.id: o.supported_by for o in scene} == {o.id: o.supported_by for o in before}
-    refused = [d for d in report.decisions if "not followed" in d.choice]
+    refused = [d for d in outcome.decisions if "not followed" in d.choice]
     assert [d.about for d in refused] == [subject] and figure in refused[0].reason
     assert all(r.source == "found" for r in scene.graph.relations)
 
@@ -397,9 +397,9 @@ def test_a_given_support_that_geometry_contradicts_is_not_followed(subject: int,
 def test_a_given_circle_is_opened_and_said():
     a, b = box(0, size=(0.2, 0.2, 0.02), at=(0, 0, 0.01)), box(1, size=(0.2, 0.2, 0.02), at=(0.01, 0, 0.025))
     circle = given((0, "supported_by", 1, 0.9), (1, "supported_by", 0, 0.8))
-    scene, report = relate(replace(photographed(a, b), graph=circle))
+    scene, outcome = relate(replace(photographed(a, b), graph=circle))
     assert {o.id: o.supported_by for o in scene} == {0: 1, 1: GROUND}
-    assert [d.about for d in report.decisions if "dropped" in d.choice] == [1]
+    assert [d.about for d in outcome.decisions if "dropped" in d.choice] == [1]
 
 
 def test_several_given_supports_all_count():
@@ -418,25 +418,25 @@ def test_several_given_supports_all_count():
     ],
 )
 def test_other_given_relations_are_held_against_geometry_too(wrong: tuple[int, str, int]):
-    scene, report = relate(replace(bowl_with_fruit(), graph=given(wrong)))
+    scene, outcome = relate(replace(bowl_with_fruit(), graph=given(wrong)))
     graph = scene.graph
     fine = wrong[1] == "behind" and (2, 1) in graph.of("behind")
-    assert fine or any("not followed" in d.choice for d in report.decisions)
+    assert fine or any("not followed" in d.choice for d in outcome.decisions)
     assert (2, 0) not in graph.of("inside") and (1, 2) not in graph.of("overlaps_2d")
 
 
 def test_given_relations_that_hold_are_kept_with_what_was_found():
-    scene, report = relate(replace(bowl_with_fruit(), graph=given((0, "contains", 1, 0.6), (0, "next_to", 2))))
+    scene, outcome = relate(replace(bowl_with_fruit(), graph=given((0, "contains", 1, 0.6), (0, "next_to", 2))))
     inside = {(r.subject, r.predicate): r for r in scene.graph.relations if {r.subject, r.object} == {0, 1}}
     assert inside[1, "inside"].source == inside[0, "contains"].source == "given"
     assert inside[1, "inside"].confidence == 0.6 and "found: a rim" in inside[1, "inside"].evidence
-    assert report.value("given relations") == report.value("given relations that geometry allows") == 2
+    assert outcome.report.value("given relations") == outcome.report.value("given relations that geometry allows") == 2
 
 
 def test_what_is_given_twice_or_both_ways_counts_once():
     twice = given((0, "next_to", 2, 0.3), (2, "next_to", 0, 0.9), (2, "next_to", 0, 0.5))
-    scene, report = relate(replace(bowl_with_fruit(), graph=twice))
-    assert report.value("given relations") == 1
+    scene, outcome = relate(replace(bowl_with_fruit(), graph=twice))
+    assert outcome.report.value("given relations") == 1
     assert told(scene)[0, "next_to", 2] == 0.9
 
 
@@ -447,9 +447,9 @@ def test_many_given_relations_cost_seconds_at_most():
     ]
     scene = replace(photographed(*boxes), graph=given(*everything))
     start = time.process_time()
-    _, report = relate(scene)
+    _, outcome = relate(scene)
     assert time.process_time() - start < 20
-    assert len(report.decisions) < 200 and any("more given relations" in d.choice for d in report.decisions)
+    assert len(outcome.decisions) < 200 and any("more given relations" in d.choice for d in outcome.decisions)
 
 
 # --- the final scene --------------------------------------------------------------------------------------------
@@ -471,9 +471,9 @@ def test_describe_tells_the_supports_that_the_objects_have_and_changes_none():
 def test_describe_drops_a_given_support_that_carries_nothing_at_rest():
     scene, _ = relate(replace(near_tie(), graph=given((1, "supported_by", GROUND))))
     rest = scene.with_objects(replace(scene[1], supports=(Support(id=0),), supported_by=0))
-    final, report = describe(rest)
+    final, outcome = describe(rest)
     assert final.graph.of("supported_by") == {(0, GROUND), (1, 0)}
-    assert any("carries nothing at rest" in d.choice and d.about == 1 for d in report.decisions)
+    assert any("carries nothing at rest" in d.choice and d.about == 1 for d in outcome.decisions)
 
 
 def test_proxies_tell_what_touches_to_a_fraction_of_a_millimetre():

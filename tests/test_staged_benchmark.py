@@ -94,7 +94,7 @@ def bowl(middle: Array, x: Array) -> Local:
 def test_the_stage_goes_back_to_the_mask_and_keeps_the_mesh() -> None:
     s = scene()
     start = disturbed(s[0], shift=np.array([0.03, 0.0, 0.02]), yaw=math.radians(10), scale=1.1)
-    end, report = staged.align(s.with_objects(start), AlignConfig(camera=False))
+    end, outcome = staged.align(s.with_objects(start), AlignConfig(camera=False))
     assert end[0].mesh is start.mesh
     assert iou(full_silhouette(end[0], s.camera), s[0].mask) > iou(full_silhouette(start, s.camera), s[0].mask) + 0.1
-    assert [d.choice.split(":")[0] for d in report.decisions[-4:]] == ["translation", "yaw", "scale", "object"]
+    assert [d.choice.split(":")[0] for d in outcome.decisions[-4:]] == ["translation", "yaw", "scale", "object"]

@@ -15,7 +15,7 @@ from f3sr.metrics.measures import measure
 from f3sr.scene import GROUND, Geometry, Relation, Scene, SceneGraph, Support
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.align.config import FacetConfig
-from f3sr.stages.assemble import assemble
+from f3sr.stages.assemble import as_given, assemble
 from f3sr.stages.decompose import decompose
 from f3sr.stages.evaluate import direct_composition, evaluate
 from f3sr.stages.level import LevelConfig, fit_plane, level, plane_errors, vote
@@ -32,7 +32,7 @@ def exact(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """An exact input, assembled."""
     folder = tmp_path_factory.mktemp("exact") / "input"
     write_folder(folder)
-    return assemble(inputs.read(folder))[0]
+    return assemble(as_given(inputs.read(folder)))[0]
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def wrong(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """Assets off by 6%, levelled."""
     folder = tmp_path_factory.mktemp("wrong") / "input"
     write_folder(folder, perturb=0.06, seed=3)
-    return level(assemble(inputs.read(folder))[0])[0]
+    return level(assemble(as_given(inputs.read(folder)))[0])[0]
 
 
 GAP = SeparateConfig().clearance
@@ -68,8 +68,8 @@ def test_assets_in_another_unit_come_to_the_depth_of_the_geometry(exact: Scene, 
         o["translation"] = [10 * x for x in o["translation"]]
         o["scale"] = [10 * x for x in o["scale"]]
     poses.write_text(json.dumps(document))
-    scene, report = assemble(inputs.read(tmp_path / "input"))
-    assert sum("viewing rays" in d.choice for d in report.decisions) == 3
+    scene, outcome = assemble(as_given(inputs.read(tmp_path / "input")))
+    assert sum("viewing rays" in d.choice for d in outcome.decisions) == 3
     for o in scene:
         assert o.scale == pytest.approx(exact[o.id].scale, rel=0.02)
     assert visible_iou(scene) > 0.98
@@ -88,20 +88,20 @@ def test_a_wrong_quaternion_convention_is_warned_of(tmp_path):
     for o in document["objects"]:
         o["rotation"] = [o["rotation"][0], *(-x for x in o["rotation"][1:])]
     poses.write_text(json.dumps(document))
-    _, report = assemble(inputs.read(tmp_path / "input"))
-    assert any("looks wrong" in d.choice and "inverse rotation" in d.reason for d in report.decisions)
+    _, outcome = assemble(as_given(inputs.read(tmp_path / "input")))
+    assert any("looks wrong" in d.choice and "inverse rotation" in d.reason for d in outcome.decisions)
 
 
 # --- level --------------------------------------------------------------------------------------------------
 
 
 def test_level_finds_the_true_camera(exact: Scene):
-    scene, report = level(exact)
+    scene, outcome = level(exact)
     up = scene.camera.T_world_camera[:3, :3].T @ [0, 0, 1]
     true_up = camera().T_world_camera[:3, :3].T @ [0, 0, 1]
     assert np.degrees(np.arccos(up @ true_up)) < 0.01
     assert scene.camera.center[2] == pytest.approx(camera().center[2], abs=1e-4)
-    assert report.value("ground residual") < 0.1 and scene.ground.confidence > 0.99
+    assert outcome.report.value("ground residual") < 0.1 and scene.ground.confidence > 0.99
 
 
 def test_level_changes_no_pixel(exact: Scene):
@@ -147,9 +147,9 @@ def test_only_a_sensor_measures_the_ground(exact: Scene, tmp_path: Path):
     assert np.isinf([estimated.ground.tilt_error, estimated.ground.height_error]).all()
     write_folder(tmp_path / "input")
     to_depth(tmp_path / "input")
-    measured, report = level(assemble(inputs.read(tmp_path / "input"))[0])
+    measured, outcome = level(assemble(as_given(inputs.read(tmp_path / "input")))[0])
     assert 0 < measured.ground.height_error < 1e-3 and 0 < measured.ground.tilt_error < np.radians(0.1)
-    assert report.value("ground height error") == pytest.approx(1000 * measured.ground.height_error)
+    assert outcome.report.value("ground height error") == pytest.approx(1000 * measured.ground.height_error)
 
 
 def test_the_camera_is_on_the_upper_side_of_the_ground_and_a_photo_upside_down_is_told(exact: Scene):
@@ -162,11 +162,11 @@ def test_the_camera_is_on_the_upper_side_of_the_ground_and_a_photo_upside_down_i
             replace(o, T_world_object=pose(rotation_about([0, 1, 0], np.pi)) @ o.T_world_object) for o in exact
         ),
     )
-    levelled, report = level(turned)
-    assert any("upside down" in d.choice and d.fallback for d in report.decisions)
+    levelled, outcome = level(turned)
+    assert any("upside down" in d.choice and d.fallback for d in outcome.decisions)
     assert levelled.camera.center[2] > 0
-    expected, report = level(exact)
-    assert not report.fallbacks
+    expected, outcome = level(exact)
+    assert not outcome.report.fallbacks
     assert np.allclose([o.bounds_world[:, 2] for o in levelled], [o.bounds_world[:, 2] for o in expected], atol=1e-4)
 
 
@@ -183,19 +183,19 @@ def test_the_vote_blends_agreeing_normals_only():
 
 def test_without_any_ground_the_lowest_vertex_is_the_ground(exact: Scene):
     nothing = Geometry(points=np.zeros((4, 4, 3)), valid=np.zeros((4, 4), bool))
-    scene, report = level(replace(exact, geometry=nothing))
+    scene, outcome = level(replace(exact, geometry=nothing))
     assert min(o.bounds_world[0, 2] for o in scene) == pytest.approx(0, abs=1e-9)
-    assert report.fallbacks
+    assert outcome.report.fallbacks
 
 
 # --- align --------------------------------------------------------------------------------------------------
 
 
 def test_align_recovers_perturbed_assets(wrong: Scene):
-    scene, report = align(wrong)
+    scene, outcome = align(wrong)
     assert visible_iou(wrong) < 0.9
     assert visible_iou(scene) > 0.95
-    assert all(m.after >= m.before - 0.02 for m in report.measures if m.before is not None)
+    assert all(m.after >= m.before - 0.02 for m in outcome.measures if m.before is not None)
 
 
 def test_align_of_a_heavy_mesh_is_that_of_its_outline_and_keeps_the_mesh(wrong: Scene):
@@ -248,8 +248,8 @@ def overlapping_stack() -> Scene:
 
 @pytest.mark.parametrize("rays", [0.0, 0.1])
 def test_separate_leaves_contact_but_no_overlap(rays: float):
-    scene, report = separate(overlapping_stack(), SeparateConfig(max_ray_scale=rays))
-    assert report.value("overlapping pairs") == 0
+    scene, outcome = separate(overlapping_stack(), SeparateConfig(max_ray_scale=rays))
+    assert outcome.report.value("overlapping pairs") == 0
     low, up, side = scene
     assert low.bounds_world[0, 2] == pytest.approx(GAP, abs=1e-5)
     assert up.bounds_world[0, 2] == pytest.approx(low.bounds_world[1, 2] + GAP, abs=1e-4)
@@ -280,18 +280,18 @@ def test_what_overlaps_beside_its_main_support_goes_aside_not_up():
     """.04 m into its neighbour: also resting on it would mean lifting it by .06 m."""
     first, second = box(0, at=(0, 0, 0.05)), box(1, size=(0.06, 0.06, 0.06), at=(0.04, 0, 0.03))
     also = replace(second, supports=(Support(id=GROUND, share=0.6), Support(id=0, share=0.4)))
-    scene, report = separate(scene_of(first, also), SeparateConfig(max_ray_scale=0.0))
-    assert report.value("overlapping pairs") == 0
+    scene, outcome = separate(scene_of(first, also), SeparateConfig(max_ray_scale=0.0))
+    assert outcome.report.value("overlapping pairs") == 0
     assert scene[1].bounds_world[0, 2] == pytest.approx(GAP, abs=1e-5)
-    assert [d.about for d in report.decisions if d.choice.startswith("beside object 0")] == [1]
+    assert [d.about for d in outcome.decisions if d.choice.startswith("beside object 0")] == [1]
     assert scene[1].supports == (Support(id=GROUND),)
 
 
 def test_what_is_said_to_be_inside_but_stands_beside_is_parted():
     scene = scene_of(box(0), box(1, at=(0.06, 0, 0.05)))
     relation = Relation(subject=1, predicate="inside", object=0, confidence=1.0, evidence="test")
-    after, report = separate(replace(scene, graph=SceneGraph(relations=(relation,), source="test")))
-    assert report.value("overlapping pairs") == 0
+    after, outcome = separate(replace(scene, graph=SceneGraph(relations=(relation,), source="test")))
+    assert outcome.report.value("overlapping pairs") == 0
     assert after[1].bounds_world[0, 2] == pytest.approx(GAP, abs=1e-4)
 
 
@@ -318,17 +318,17 @@ def overhanging(by: float) -> Scene:
 def test_what_would_fall_by_a_little_is_shifted_until_it_rests():
     before = overhanging(0.004)
     assert settle(before)[0][1].motion[-1].rotation > 0.5
-    scene, report = separate(before, SeparateConfig(max_ray_scale=0.0))
-    margin = next(m for m in report.measures if m.name == "stability margin")
+    scene, outcome = separate(before, SeparateConfig(max_ray_scale=0.0))
+    margin = next(m for m in outcome.measures if m.name == "stability margin")
     assert margin.before is not None and margin.before < 0 < margin.after
-    assert any(d.about == 1 and "shifted by" in d.choice for d in report.decisions)
+    assert any(d.about == 1 and "shifted by" in d.choice for d in outcome.decisions)
     assert np.linalg.norm(settle(scene)[0][1].T_world_object[:3, 3] - scene[1].T_world_object[:3, 3]) < 1e-3
 
 
 def test_what_no_shift_holds_is_told():
     config = SeparateConfig(max_ray_scale=0.0, balancing=BalanceConfig(max_shift=0.05))
-    scene, report = separate(overhanging(0.04), config)
-    assert any(d.about == 1 and "left to physics" in d.choice for d in report.decisions)
+    scene, outcome = separate(overhanging(0.04), config)
+    assert any(d.about == 1 and "left to physics" in d.choice for d in outcome.decisions)
     assert scene[1].T_world_object[0, 3] == pytest.approx(0.09, abs=1e-9)
 
 
@@ -351,8 +351,8 @@ def test_order_of_ids_does_not_matter_to_separation():
 
 def test_settle_brings_a_tilted_box_to_rest_and_says_how_far():
     tilted = box(0, at=(0, 0, 0.08), R=rotation_about([1, 0, 0], 0.2))
-    scene, report = settle(scene_of(tilted))
-    assert report.value("at rest") == 1
+    scene, outcome = settle(scene_of(tilted))
+    assert outcome.report.value("at rest") == 1
     assert scene[0].bounds_world[0, 2] == pytest.approx(0, abs=6e-4)
     assert scene[0].motion[-1].stage == "settle" and scene[0].motion[-1].rotation == pytest.approx(0.2, abs=0.02)
     result = measure(scene)
@@ -360,9 +360,9 @@ def test_settle_brings_a_tilted_box_to_rest_and_says_how_far():
 
 
 def test_decompose_covers_every_vertex(wrong: Scene):
-    scene, report = decompose(wrong)
+    scene, outcome = decompose(wrong)
     assert measure(scene).proxy_out_pct < 1e-6
-    assert all(m.after == 1 for m in report.measures if m.name == "convex parts")
+    assert all(m.after == 1 for m in outcome.measures if m.name == "convex parts")
 
 
 # --- laws over stages -----------------------------------------------------------------------------------------
@@ -403,10 +403,10 @@ def test_supports_after_settling_are_what_really_carries():
     left, right = (box(k, size=(0.1, 0.1, 0.1), at=(x, 0, 0.0504)) for k, x in ((0, -0.2), (1, 0.2)))
     beam = box(2, size=(0.6, 0.08, 0.04), at=(0.05, 0, 0.1212))
     beside = replace(box(3, at=(0, 0.4, 0.0504)), supported_by=2)
-    scene, report = settle(scene_of(left, right, beam, beside))
+    scene, outcome = settle(scene_of(left, right, beam, beside))
     shares = {s.id: s.share for s in scene[2].supports}
     # Levers: the centre is .25 m from the left block's middle and .15 m from the right one's.
     assert scene[2].supported_by == 1 and set(shares) == {0, 1}
     assert shares[1] == pytest.approx(0.625, abs=0.07)
     assert scene[3].supported_by == GROUND and [s.id for s in scene[0].supports] == [GROUND]
-    assert any("rests on object 1, not on the ground" in d.choice for d in report.decisions)
+    assert any("rests on object 1, not on the ground" in d.choice for d in outcome.decisions)

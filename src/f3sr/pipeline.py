@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 
 from pydantic import JsonValue
 
@@ -13,24 +14,25 @@ from f3sr.io.inputs import Inputs
 from f3sr.metrics.contact_groups import SettledScene
 from f3sr.options import SKIPPABLE
 from f3sr.proxies import ProxyConfig
-from f3sr.report import Report
+from f3sr.report import Outcome, Report
 from f3sr.runtime.progress import Progress, silent
+from f3sr.runtime.result_forms import ArraysForm, PlainForm
 from f3sr.runtime.result_store import Store, digest
 from f3sr.runtime.stage_runner import Runner
 from f3sr.scene import Scene
 from f3sr.settings import changed, settings
-from f3sr.stages.align import AlignConfig, align
+from f3sr.stages.align import AlignConfig, Aligned, align
 from f3sr.stages.align.config import FacetConfig
-from f3sr.stages.assemble import AssembleConfig, as_given, assemble
-from f3sr.stages.close import CloseConfig, close
-from f3sr.stages.decompose import decompose
+from f3sr.stages.assemble import AssembleConfig, Assembled, as_given, assemble
+from f3sr.stages.close import CloseConfig, Closed, close
+from f3sr.stages.decompose import Decomposed, decompose
 from f3sr.stages.evaluate import EvaluateConfig, Evaluation, direct_composition, evaluate
-from f3sr.stages.inpaint import inpaint
-from f3sr.stages.level import LevelConfig, level
-from f3sr.stages.refine import RefineConfig, refine
-from f3sr.stages.relate import RelateConfig, describe, relate
-from f3sr.stages.separate import SeparateConfig, separate
-from f3sr.stages.settle import SettleStageConfig, restless, settle
+from f3sr.stages.inpaint import Inpainted, inpaint
+from f3sr.stages.level import LevelConfig, Levelled, level
+from f3sr.stages.refine import RefineConfig, Refined, refine
+from f3sr.stages.relate import Described, RelateConfig, Related, describe, relate
+from f3sr.stages.separate import SeparateConfig, Separated, separate
+from f3sr.stages.settle import Settled, SettleStageConfig, settle
 
 BESIDE = 2_000_000
 """Pixels of the photo up to which it is completed beside the other stages: that takes 100 bytes a pixel for a while."""
@@ -63,7 +65,8 @@ class Reconstruction:
     direct: Scene
     scenes: Mapping[str, Scene]
     """The scene after every stage that was not skipped, in order; they share photo, masks and meshes."""
-    reports: tuple[Report, ...]
+    outcomes: tuple[Outcome, ...]
+    """Of every stage that was not skipped, in order."""
     seconds: dict[str, float]
     """Wall time [s] of every stage that was run."""
     resumed: tuple[str, ...]
@@ -74,6 +77,11 @@ class Reconstruction:
     evaluation: Evaluation | None = None
     inpainting: Inpainting | None = None
     """The photo completed behind the objects; nothing else depends on it."""
+
+    @property
+    def reports(self) -> tuple[Report, ...]:
+        """What every stage says of its work, for people."""
+        return tuple(outcome.report for outcome in self.outcomes)
 
 
 def reconstruct(
@@ -95,41 +103,50 @@ def reconstruct(
     if "settle" in skip:
         skip = {*skip, "close"}
     run = Runner(inputs.key, skip=skip, skippable=SKIPPABLE, store=store, progress=progress)
+    at_rest = partial(_rested, config=config.settle)
+    again = partial(_made_again, config=config, closes="close" not in skip)
+    on_a_facet = replace(config.align, camera=False, facets=FacetConfig(most=config.refine.upright, loss=1.0))
 
-    scene = run.stage("assemble", _assembled, as_given(inputs), config.assemble, inputs=inputs)
-    scene = direct = run.stage("level", level, scene, config.level)
+    scene, _ = run.stage(Assembled, assemble, as_given(inputs), config.assemble, told=inputs.decisions)
+    direct, _ = run.stage(Levelled, level, scene, config.level)
     inpainted = run.beside(
         "inpaint",
-        lambda: inpaint(direct, config.inpaint, given=inputs.background),
-        Inpainting.restored,
-        Inpainting.stored,
+        partial(inpaint, direct, config.inpaint, given=inputs.background),
+        ArraysForm(Inpainting, Inpainted),
         config.inpaint,
         later=inputs.photo.rgb[..., 0].size > BESIDE,
     )
-    scene = run.stage("align", align, scene, _without(config.align, skip))
-    scene = run.stage("relate", relate, scene, config.relate)
-    scene = run.stage("decompose", decompose, scene, config.decompose)
-    scene = parted = run.stage("separate", separate, scene, config.separate)
-    scene = run.stage("settle", settle, scene, config.settle)
-    settled = run.reports[-1]
-    scene = run.stage("close", _closed, scene, config, settled=settled)
-    scene = run.stage("refine", _refined, scene, config, parted=parted, settled=settled, closes="close" not in skip)
-    scene = run.stage("describe", describe, scene, config.relate)
+    scene, _ = run.stage(Aligned, align, direct, _without(config.align, skip))
+    scene, _ = run.stage(Related, relate, scene, config.relate)
+    scene, _ = run.stage(Decomposed, decompose, scene, config.decompose)
+    parted, _ = run.stage(Separated, separate, scene, config.separate)
+    scene, settled = run.stage(Settled, settle, parted, config.settle)
+    scene, _ = run.stage(Closed, close, scene, config.close, settled=at_rest, restless=settled.restless)
+    scene, _ = run.stage(
+        Refined,
+        refine,
+        scene,
+        config.refine,
+        parted=parted,
+        stood_up=partial(again, aligning=on_a_facet),
+        realigned=partial(again, aligning=config.refine.align),
+        restless=settled.restless,
+    )
+    scene, _ = run.stage(Described, describe, scene, config.relate)
     aligned = _without(config.align, skip).camera and "align" not in skip
     evaluation = run.value(
         "evaluate",
-        lambda: evaluate(scene, direct, config.evaluate, foreign=not aligned),
-        Evaluation.restored,
-        Evaluation.stored,
+        partial(evaluate, scene, direct, config.evaluate, foreign=not aligned),
+        PlainForm(Evaluation),
         config.evaluate,
     )
-    inpainting = inpainted()
+    inpainting, completed = inpainted() or (None, None)
 
     return Reconstruction(
         scene=scene,
         direct=direct,
         scenes=run.scenes,
-        reports=(*run.reports, *([inpainting.report] if inpainting else [])),
+        outcomes=(*run.outcomes, *([completed] if completed else [])),
         seconds=run.seconds,
         resumed=tuple(run.resumed),
         config=config,
@@ -154,40 +171,23 @@ def composed_directly(
     return direct_composition(result.direct, result.scene)
 
 
-def _assembled(_: Scene, config: AssembleConfig, *, inputs: Inputs) -> tuple[Scene, Report]:
-    return assemble(inputs, config)
+def _rested(scene: Scene, config: SettleStageConfig) -> SettledScene:
+    scene, settled = settle(scene, config)
+    return SettledScene(scene=scene, restless=settled.restless)
 
 
-def _refined(scene: Scene, config: Config, *, parted: Scene, settled: Report, closes: bool) -> tuple[Scene, Report]:
-    """``refine`` with this pipeline's stages: what is compared is what would be delivered, at rest and closed."""
-    parting = replace(config.separate, ground=False, margin=False)
-    on_a_facet = replace(config.align, camera=False, facets=FacetConfig(most=config.refine.upright, loss=1.0))
-
-    def again(moved: Scene) -> SettledScene:
-        rested = _settled(separate(moved, parting)[0], config)
-        return replace(rested, scene=_touching(rested, config)[0]) if closes else rested
-
-    return refine(
-        SettledScene(scene=scene, restless=restless(settled, config.settle)),
-        config.refine,
-        parted=parted,
-        stood_up=lambda scene, ids: again(align(scene, on_a_facet, only=ids)[0]),
-        realigned=lambda scene, ids: again(align(scene, config.refine.align, only=ids)[0]),
-    )
-
-
-def _closed(scene: Scene, config: Config, *, settled: Report) -> tuple[Scene, Report]:
-    return _touching(SettledScene(scene=scene, restless=restless(settled, config.settle)), config)
-
-
-def _touching(rested: SettledScene, config: Config) -> tuple[Scene, Report]:
-    """``close`` with this pipeline's physics."""
-    return close(rested.scene, config.close, settled=lambda scene: _settled(scene, config), restless=rested.restless)
-
-
-def _settled(scene: Scene, config: Config) -> SettledScene:
-    scene, report = settle(scene, config.settle)
-    return SettledScene(scene=scene, restless=restless(report, config.settle))
+def _made_again(
+    scene: Scene, ids: Collection[int], *, aligning: AlignConfig, config: Config, closes: bool
+) -> SettledScene:
+    """Some objects aligned once more, and what would be delivered of it: everything at rest and closed."""
+    scene, _ = align(scene, aligning, only=ids)
+    scene, _ = separate(scene, replace(config.separate, ground=False, margin=False))
+    rested = _rested(scene, config.settle)
+    if not closes:
+        return rested
+    at_rest = partial(_rested, config=config.settle)
+    scene, _ = close(rested.scene, config.close, settled=at_rest, restless=rested.restless)
+    return replace(rested, scene=scene)
 
 
 def _without(config: AlignConfig, skip: Collection[str]) -> AlignConfig:

@@ -1,10 +1,10 @@
-"""What a stage says about its work: measures before and after, decisions taken, and the one accept/rollback guard."""
+"""What a stage says about its work: a typed outcome, the report derived from it, and the one accept/rollback guard."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import ClassVar, TypeVar
 
 T = TypeVar("T")
 
@@ -40,7 +40,7 @@ class Report:
     measures: tuple[Measure, ...] = ()
     decisions: tuple[Decision, ...] = ()
     cut_short: bool = False
-    """A limit on time cut some of the work: another run may do better, so the result is not stored."""
+    """A limit on time cut some of the work."""
 
     def value(self, name: str) -> float:
         """The scene-wide measure of that name after the stage."""
@@ -51,13 +51,24 @@ class Report:
         return tuple(d for d in self.decisions if d.fallback)
 
 
-def report_of(document: dict[str, Any]) -> Report:
-    """A report from its plain values."""
-    return Report(
-        stage=document["stage"],
-        measures=tuple(Measure(**m) for m in document["measures"]),
-        decisions=tuple(Decision(**d) for d in document["decisions"]),
-    )
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What a stage found out beside its scene, typed, one class per stage; without arguments, of a stage that did
+    nothing. Fields are plain values, in SI units where nothing else is said, and can be stored."""
+
+    stage: ClassVar[str]
+    decisions: tuple[Decision, ...] = ()
+    cut_short: bool = False
+    """A limit on time cut some of the work: another run may do better, so the result is not stored."""
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        """The numbers for people, in the report's order and units."""
+        return ()
+
+    @property
+    def report(self) -> Report:
+        return Report(stage=self.stage, measures=self.measures, decisions=self.decisions, cut_short=self.cut_short)
 
 
 def keep_better(

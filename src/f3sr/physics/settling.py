@@ -64,7 +64,7 @@ DEFAULT_SETTLING = SettleConfig()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Settled:
+class SettleResult:
     """Where the objects came to rest."""
 
     T_world_object: Mapping[int, Array]
@@ -99,7 +99,7 @@ def settle(
     config: PhysicsConfig = DEFAULT_PHYSICS,
     *,
     settling: SettleConfig = DEFAULT_SETTLING,
-) -> Settled:
+) -> SettleResult:
     """Let the objects fall, slide and topple until they rest by themselves.
 
     Damped simulation up to rest, then an undamped release of the final positions; what still moves goes on
@@ -127,7 +127,7 @@ def settle(
                 break
         if calm or run.exploded or run.seconds >= settling.time_limit:
             break
-    return Settled(
+    return SettleResult(
         T_world_object={o.id: o.T_world_object if run.exploded else _pose_of(model, data, o) for o in objects},
         at_rest=calm and not run.exploded,
         exploded=run.exploded,

@@ -6,10 +6,10 @@ import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from f3sr.report import Decision
 from f3sr.report_page.formatting import about, counted, name_of, ratio, share, told
 from f3sr.report_page.page_data import PageData
 from f3sr.scene import GROUND, Predicate, Relation, Scene
+from f3sr.stages.relate import GraphOutcome
 from f3sr.web.markup import Child, Markup, clean, el, join
 
 BOX = (106, 46)
@@ -186,7 +186,7 @@ def _box(spot: Spot, scene: Scene, id: int) -> Markup:
 
 def _disagreements(m: PageData) -> Child:
     """Where scene_graph.json says something else than geometry and the photo."""
-    taken = [d for r in m.result.reports if r.stage in ("relate", "describe") for d in r.decisions if _of_given(d)]
+    taken = [d for x in m.result.outcomes if isinstance(x, GraphOutcome) for d in x.disagreements]
     if not taken:
         return None
     rows = (
@@ -194,10 +194,6 @@ def _disagreements(m: PageData) -> Child:
         for d in taken
     )
     return join(el("h3", "Given and found disagree"), _table(("About", "Choice", "Reason"), rows))
-
-
-def _of_given(d: Decision) -> bool:
-    return d.choice.startswith("given ") or " as given, not " in d.choice or " more given relations " in d.choice
 
 
 def _nodes(scene: Scene) -> Child:

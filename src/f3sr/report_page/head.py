@@ -11,6 +11,7 @@ from f3sr.report_page.formatting import about, counted, length, listed, name_of,
 from f3sr.report_page.page_data import PageData, look_alike
 from f3sr.scene import SceneObject
 from f3sr.stages.refine import RefineConfig
+from f3sr.stages.settle import Settled
 from f3sr.web.figures import figure, img
 from f3sr.web.markup import Child, Markup, el, join
 
@@ -49,7 +50,7 @@ def _rest(m: PageData) -> str:
     if m.result.evaluation:
         travel = m.result.evaluation.result.D_max_cm
         return "at rest" if travel <= REST_TRAVEL else f"not at rest (moves {length(travel / 100)} in 5 s)"
-    rested = [r.value("at rest") for r in m.result.reports if r.stage == "settle"]
+    rested = [x.at_rest for x in m.result.outcomes if isinstance(x, Settled)]
     if not rested:
         return "rest not measured"
     scenes = m.result.scenes

@@ -15,6 +15,7 @@ from f3sr.physics.mujoco_model import body_of
 from f3sr.report_page.formatting import counted, length, name_of, number, quantity, ratio, share, told
 from f3sr.report_page.page_data import PageData, by_id
 from f3sr.scene import Motion, SceneObject
+from f3sr.stages.decompose import Decomposed
 from f3sr.vision.pictures import resized
 from f3sr.web.figures import img
 from f3sr.web.markup import Child, Markup, el, join
@@ -29,15 +30,13 @@ NO_SHIFT, NO_TURN, NO_SCALE = 1e-4, np.radians(0.1), 1e-3
 """Shifts [m], turns [rad] and changes of scale that are not worth a word."""
 LOST = 0.05
 """A fall of the visible IoU that is marked."""
-INFLATION = "proxy volume / mesh volume"
 
 
 def objects(m: PageData) -> Markup:
     titles = ("Object", "Moved", "IoU visible", "Proxy", "Mass", "Rests on")
     before, after = by_id(m.direct_details), by_id(m.details)
-    inflation = {
-        x.about: x.after for r in m.result.reports for x in r.measures if x.name == INFLATION and x.about is not None
-    }
+    decomposed = (x for x in m.result.outcomes if isinstance(x, Decomposed))
+    inflation = {id: fit.inflation for x in decomposed for id, fit in x.fits.items()}
     return el(
         "table",
         el("thead", el("tr", (el("th", t, scope="col") for t in titles))),

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Annotated
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Annotated, ClassVar
 
 import numpy as np
 from annotated_types import Interval
@@ -12,7 +13,7 @@ from f3sr.core.camera import Camera
 from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose, transform
 from f3sr.io import sam3d
 from f3sr.io.inputs import Inputs, Instance, PosedAsset
-from f3sr.report import Decision, Measure, Report
+from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Geometry, Scene, SceneGraph, SceneObject
 from f3sr.settings import settings
 from f3sr.vision import rasterizer
@@ -26,6 +27,20 @@ class AssembleConfig:
     asset is moved along its viewing rays. Generators miss depth by up to about 15%; more is another unit."""
     convention_margin: Annotated[float, Interval(ge=0, le=1)] = 0.15
     """Mean IoU by which another pose convention must fit the masks better to be warned of."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Assembled(Outcome):
+    stage: ClassVar[str] = "assemble"
+    depth_ratios: Mapping[int, float] = field(default_factory=dict[int, float])
+    """Depth of assets as they came over the geometry's, by object id, where both are known."""
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        return tuple(
+            Measure(name="asset depth / geometry depth", before=ratio, after=ratio, about=id)
+            for id, ratio in self.depth_ratios.items()
+        )
 
 
 def as_given(inputs: Inputs) -> Scene:
@@ -42,30 +57,30 @@ def as_given(inputs: Inputs) -> Scene:
     )
 
 
-def assemble(inputs: Inputs, config: AssembleConfig | None = None) -> tuple[Scene, Report]:
-    """Bring everything into one frame: a level camera at the origin, objects where their assets' poses say.
+def assemble(
+    scene: Scene, config: AssembleConfig | None = None, *, told: Sequence[Decision] = ()
+) -> tuple[Scene, Assembled]:
+    """Bring a scene ``as_given`` into one frame: a level camera at the origin, objects where their assets' poses say.
 
     Assets whose depth contradicts the geometry inside their mask by more than ``max_depth_ratio`` are moved along
     their viewing rays and scaled alike about the camera centre, which leaves their silhouette as it was. Everything
-    gets one hull as its provisional proxy.
+    gets one hull as its provisional proxy. ``told`` are the decisions of reading the inputs.
     """
     config = config or AssembleConfig()
-    scene = as_given(inputs)
     camera = scene.camera
     objects = tuple(replace(o, parts=(o.mesh.hull,)) for o in scene)
-    decisions = [*inputs.decisions, *_check_convention(camera, objects, config)]
+    decisions = [*told, *_check_convention(camera, objects, config)]
     decisions += [d for o in objects if (d := _check_place(o, camera))]
-    measures: list[Measure] = []
+    ratios: dict[int, float] = {}
     placed: list[SceneObject] = []
     for o in objects:
-        ratio = _depth_ratio(o, camera, inputs.geometry)
+        ratio = _depth_ratio(o, camera, scene.geometry) if scene.geometry else None
         if ratio is not None:
-            measures.append(Measure(name="asset depth / geometry depth", before=ratio, after=ratio, about=o.id))
+            ratios[o.id] = ratio
             o, decision = _agree_with_geometry(o, ratio, camera, config)
             decisions += decision
         placed.append(o)
-    scene = scene.with_objects(*placed)
-    return scene, Report(stage="assemble", measures=tuple(measures), decisions=tuple(decisions))
+    return scene.with_objects(*placed), Assembled(depth_ratios=ratios, decisions=tuple(decisions))
 
 
 def _given_object(instance: Instance, asset: PosedAsset, camera: Camera) -> SceneObject:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from annotated_types import Interval
@@ -21,7 +21,7 @@ from f3sr.metrics.contact_groups import SettledScene, groups_of
 from f3sr.metrics.measures import visible_ious
 from f3sr.proxies import trim
 from f3sr.proxies.trim import MeshSurface, Near, Place
-from f3sr.report import Decision, Measure, Report
+from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.settings import settings
 
@@ -62,13 +62,34 @@ class CloseConfig:
     """Objects with this much room between them [m] do not feel each other, as in ``refine``."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Closed(Outcome):
+    """Pairs are before and after, mappings by object id."""
+
+    stage: ClassVar[str] = "close"
+    gaps: Mapping[int, tuple[float, float]] = field(default_factory=dict[int, tuple[float, float]])
+    """Below every object [m]."""
+    parts: Mapping[int, tuple[int, int]] = field(default_factory=dict[int, tuple[int, int]])
+    """How many convex parts, of what was cut."""
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        return (
+            *(
+                Measure(name="gap below", before=1000 * was, after=1000 * now, unit="mm", about=id)
+                for id, (was, now) in self.gaps.items()
+            ),
+            *(Measure(name="convex parts", before=was, after=now, about=id) for id, (was, now) in self.parts.items()),
+        )
+
+
 def close(
     scene: Scene,
     config: CloseConfig | None = None,
     *,
     settled: Callable[[Scene], SettledScene],
     restless: Collection[int] = (),
-) -> tuple[Scene, Report]:
+) -> tuple[Scene, Closed]:
     """Lower what nowhere touches what it rests on, and settle it, until everything touches.
 
     ``settled`` is physics. Of every round those groups of objects are kept that rest and stay where the photo shows
@@ -88,16 +109,12 @@ def close(
         decisions += told
         spoilt.update(spoiling)
     after = _gaps(scene)
-    measures = [
-        Measure(name="gap below", before=1000 * gaps[o.id], after=1000 * after[o.id], unit="mm", about=o.id)
-        for o in scene
-    ]
-    measures += [
-        Measure(name="convex parts", before=len(start[o.id].parts), after=len(o.parts), about=o.id)
-        for o in scene
-        if o.parts is not start[o.id].parts
-    ]
-    return scene, Report(stage="close", measures=tuple(measures), decisions=tuple(decisions))
+    cut = [(start[o.id], o) for o in scene if o.parts is not start[o.id].parts]
+    return scene, Closed(
+        gaps={id: (gap, after[id]) for id, gap in gaps.items()},
+        parts={now.id: (len(was.parts), len(now.parts)) for was, now in cut},
+        decisions=tuple(decisions),
+    )
 
 
 def _gaps(scene: Scene) -> Mapping[int, float]:

@@ -2,43 +2,80 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 from f3sr import proxies
 from f3sr.proxies import Excess, ProxyConfig
-from f3sr.report import Decision, Measure, Report
+from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene
 
 WIDE = 0.02
 """How far proxies must stand off at one place for a decision to name it [size]."""
 
 
-def decompose(scene: Scene, config: ProxyConfig | None = None) -> tuple[Scene, Report]:
+@dataclass(frozen=True, kw_only=True)
+class ProxyFit:
+    """How well the proxies of one object fit its mesh."""
+
+    parts: int
+    inflation: float | None
+    """Their volume over the mesh's; None where the mesh has none."""
+    excess: Excess
+    outside: float
+    """How far the mesh sticks out of them [size]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decomposed(Outcome):
+    stage: ClassVar[str] = "decompose"
+    fits: Mapping[int, ProxyFit] = field(default_factory=dict[int, ProxyFit])
+    """By object id."""
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        fits = self.fits.items()
+        return (
+            *(Measure(name="convex parts", after=f.parts, about=id) for id, f in fits),
+            *(
+                Measure(name="proxy volume / mesh volume", after=f.inflation, about=id)
+                for id, f in fits
+                if f.inflation is not None
+            ),
+            *(m for id, f in fits for m in _surface_measures(f, id)),
+        )
+
+
+def _surface_measures(fit: ProxyFit, id: int) -> list[Measure]:
+    """How far surfaces stand apart."""
+    excess = fit.excess
+    values = {
+        "proxies stand off the mesh, mean": excess.mean,
+        "proxies stand off the mesh, 99th of a hundred": excess.most,
+        "proxies stand off the mesh, largest": excess.largest,
+        "proxies stand off the mesh, floor of a cavity": excess.floor,
+        "mesh outside its proxies": fit.outside,
+    }
+    return [
+        Measure(name=name, after=100 * value, unit="% of the size", about=id)
+        for name, value in values.items()
+        if value is not None
+    ]
+
+
+def decompose(scene: Scene, config: ProxyConfig | None = None) -> tuple[Scene, Decomposed]:
     """Give every object its collision proxies, from the cache where the same mesh was decomposed before."""
     results = proxies.decompose_all([o.mesh for o in scene], config or ProxyConfig())
     pairs = list(zip(scene, results, strict=True))
-    measures = [Measure(name="convex parts", after=len(r.parts), about=o.id) for o, r in pairs]
-    measures += [
-        Measure(name="proxy volume / mesh volume", after=r.inflation, about=o.id)
-        for o, r in pairs
-        if r.inflation is not None
-    ]
-    for o, r in pairs:
-        excess = r.excess
-        values = {"mean": excess.mean, "99th of a hundred": excess.most, "largest": excess.largest}
-        values |= {} if excess.floor is None else {"floor of a cavity": excess.floor}
-        measures += [
-            Measure(name=f"proxies stand off the mesh, {which}", after=100 * value, unit="% of the size", about=o.id)
-            for which, value in values.items()
-        ]
-        measures.append(
-            Measure(name="mesh outside its proxies", after=100 * r.outside, unit="% of the size", about=o.id)
-        )
+    fits = {
+        o.id: ProxyFit(parts=len(r.parts), inflation=r.inflation, excess=r.excess, outside=r.outside) for o, r in pairs
+    }
     decisions = [replace(d, about=o.id) for o, r in pairs for d in r.decisions]
     scene = scene.with_objects(*(replace(o, parts=r.parts) for o, r in pairs))
     decisions += [_where(r.excess, o.id) for o, r in pairs if r.excess.largest > WIDE]
     cut_short = any(r.cut_short for r in results)
-    return scene, Report(stage="decompose", measures=tuple(measures), decisions=tuple(decisions), cut_short=cut_short)
+    return scene, Decomposed(fits=fits, decisions=tuple(decisions), cut_short=cut_short)
 
 
 def _where(excess: Excess, id: int) -> Decision:

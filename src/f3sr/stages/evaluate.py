@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Self
+from dataclasses import dataclass, field, replace
 
 from f3sr.core.transforms import pose
 from f3sr.metrics.camera_fit import ForeignCameraConfig, fitted_camera
-from f3sr.metrics.measures import Details, Gap, Measures, ObjectMeasures, Overlap, measure_with_details, seen_by
+from f3sr.metrics.measures import Details, Measures, measure_with_details, seen_by
 from f3sr.report import Decision, Report
 from f3sr.runtime.daemon_thread import begun
 from f3sr.scene import Scene
@@ -47,22 +46,6 @@ class Evaluation:
     result_fitted: FittedCameraMeasures | None = None
     """None where the result's camera is aligned."""
     direct_fitted: FittedCameraMeasures | None = None
-
-    def stored(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """As plain values, for a store."""
-        return asdict(self), {}
-
-    @classmethod
-    def restored(cls, document: dict[str, Any], _: dict[str, Any]) -> Self:
-        direct, details = document["direct"], document["direct_details"]
-        return cls(
-            result=Measures(**document["result"]),
-            direct=Measures(**direct) if direct else None,
-            result_details=_details(document["result_details"]),
-            direct_details=_details(details) if details else None,
-            result_fitted=_fitted(document["result_fitted"]),
-            direct_fitted=_fitted(document["direct_fitted"]),
-        )
 
     def rows(self, name: str = "f3sr") -> dict[str, Measures]:
         """Every row of the result table by its title, the result's own, ``name``, last."""
@@ -126,29 +109,6 @@ def _seen_by_its_own(scene: Scene, measures: Measures, name: str, config: Evalua
         T_world_camera=tuple(tuple(row) for row in camera.T_world_camera.tolist()),
         decision=replace(decision, choice=f"{name}: {decision.choice}"),
     )
-
-
-def _fitted(document: dict[str, Any] | None) -> FittedCameraMeasures | None:
-    if document is None:
-        return None
-    return FittedCameraMeasures(
-        measures=Measures(**document["measures"]),
-        T_world_camera=tuple(map(tuple, document["T_world_camera"])),
-        decision=Decision(**document["decision"]),
-    )
-
-
-def _details(document: dict[str, Any]) -> Details:
-    return Details(
-        objects=tuple(ObjectMeasures(**o) for o in document["objects"]),
-        gaps=tuple(Gap(**_with_points(g)) for g in document["gaps"]),
-        overlaps=tuple(Overlap(**_with_points(o)) for o in document["overlaps"]),
-    )
-
-
-def _with_points(document: dict[str, Any]) -> dict[str, Any]:
-    """JSON's lists are points."""
-    return {name: tuple(value) if isinstance(value, list) else value for name, value in document.items()}
 
 
 def direct_composition(levelled: Scene, result: Scene) -> Scene:

@@ -3,17 +3,38 @@ geometry, plan or rollout depends on it."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.background import BackgroundConfig, complete_background, widened
 from f3sr.background.inpainting import Inpainting
 from f3sr.background.support import hiding, support_of
-from f3sr.report import Decision, Measure, Report
+from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene
 
 
-def inpaint(scene: Scene, config: BackgroundConfig, *, given: NDArray[np.uint8] | None = None) -> Inpainting:
+@dataclass(frozen=True, kw_only=True)
+class Inpainted(Outcome):
+    stage: ClassVar[str] = "inpaint"
+    replaced: float = 0.0
+    """Share of the photo's pixels that was completed."""
+    shadows: float = 0.0
+    """Share of its pixels that are shadows."""
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        return (
+            Measure(name="replaced", after=100 * self.replaced, unit="% of the photo"),
+            Measure(name="of it shadows", after=100 * self.shadows, unit="% of the photo"),
+        )
+
+
+def inpaint(
+    scene: Scene, config: BackgroundConfig, *, given: NDArray[np.uint8] | None = None
+) -> tuple[Inpainting, Inpainted]:
     """The photo behind the objects of a levelled scene, or a ``given`` one (H, W, 3) of its size, pixel for pixel."""
     masks = [o.mask for o in scene]
     support = support_of(scene, widened(masks, config.margin))
@@ -24,13 +45,11 @@ def inpaint(scene: Scene, config: BackgroundConfig, *, given: NDArray[np.uint8] 
     if scene.geometry is None and scene.ground_mask is None:
         reason = "neither geometry nor a ground mask"
         decisions += (Decision(choice="support: all below the horizon", reason=reason, fallback=True),)
-    measures = (
-        Measure(name="replaced", after=100 * float(background.replaced.mean()), unit="% of the photo"),
-        Measure(name="of it shadows", after=100 * float(background.shadows.mean()), unit="% of the photo"),
+    outcome = Inpainted(
+        replaced=float(background.replaced.mean()), shadows=float(background.shadows.mean()), decisions=decisions
     )
     return Inpainting(
         rgb=background.rgb if given is None else given,
         support=support,
         kept=hiding(scene, support, widened(masks, 2 * config.margin)),
-        report=Report(stage="inpaint", measures=measures, decisions=decisions),
-    )
+    ), outcome

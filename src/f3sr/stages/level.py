@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array, pose, rotation_angle, rotation_between
-from f3sr.report import Decision, Measure, Report
+from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Geometry, Ground, Scene
 from f3sr.settings import settings
 from f3sr.vision.silhouette import union_of
@@ -49,7 +49,36 @@ class GroundPlane:
     residual: float
 
 
-def level(scene: Scene, config: LevelConfig | None = None) -> tuple[Scene, Report]:
+@dataclass(frozen=True, kw_only=True)
+class GroundFit:
+    """How well the ground plane is known: shares of 1, angles [rad], lengths [m]."""
+
+    tilt: float
+    """Removed by levelling."""
+    inliers: float
+    """Of the ground's points."""
+    residual: float
+    agreement: float
+    """Share of the normals that agree with the plane's."""
+    lowest: float
+    """Height of the lowest vertex."""
+    tilt_error: float
+    """Not finite where it was not measured, as the next."""
+    height_error: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Levelled(Outcome):
+    stage: ClassVar[str] = "level"
+    fit: GroundFit | None = None
+    """None without ground points."""
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        return _measures(self.fit) if self.fit else ()
+
+
+def level(scene: Scene, config: LevelConfig | None = None) -> tuple[Scene, Levelled]:
     """Turn and shift the whole scene, camera included, so that the support surface is z = 0 (equations 4 to 6).
 
     Without any ground point the scene's lowest vertex becomes z = 0, a fallback.
@@ -71,22 +100,17 @@ def level(scene: Scene, config: LevelConfig | None = None) -> tuple[Scene, Repor
         ground = replace(ground, tilt_error=tilt_error, height_error=height_error)
     moved = _move_all(scene, T, ground)
     lowest = min(o.bounds_world[0, 2] for o in moved)
-    report = Report(
-        stage="level",
-        measures=(
-            Measure(name="tilt removed", after=np.degrees(rotation_angle(R_g)), unit="deg"),
-            Measure(name="ground points on the plane", after=100 * plane.inliers, unit="%"),
-            Measure(name="ground residual", after=1000 * plane.residual, unit="mm"),
-            *_errors_of(ground),
-            Measure(name="normals that agree", after=100 * agreement, unit="%"),
-            Measure(name="lowest vertex", after=1000 * float(lowest), unit="mm"),
-        ),
-        decisions=(
-            Decision(choice=f"ground plane from {source}", reason=f"{len(points)} points"),
-            *_upside_down(plane),
-        ),
+    fit = GroundFit(
+        tilt=rotation_angle(R_g),
+        inliers=plane.inliers,
+        residual=plane.residual,
+        agreement=agreement,
+        lowest=float(lowest),
+        tilt_error=ground.tilt_error,
+        height_error=ground.height_error,
     )
-    return moved, report
+    decision = Decision(choice=f"ground plane from {source}", reason=f"{len(points)} points")
+    return moved, Levelled(fit=fit, decisions=(decision, *_upside_down(plane)))
 
 
 def fit_plane(points: Array, rng: np.random.Generator, config: LevelConfig) -> GroundPlane:
@@ -149,14 +173,19 @@ def _ranks(values: Array) -> NDArray[np.int64]:
     return np.argsort(np.argsort(values, kind="stable"))
 
 
-def _errors_of(ground: Ground) -> list[Measure]:
-    """The ground's measured errors, where there are any."""
-    if not np.isfinite(ground.tilt_error):
-        return []
-    return [
-        Measure(name="ground tilt error", after=np.degrees(ground.tilt_error), unit="deg"),
-        Measure(name="ground height error", after=1000 * ground.height_error, unit="mm"),
-    ]
+def _measures(fit: GroundFit) -> tuple[Measure, ...]:
+    errors = (
+        Measure(name="ground tilt error", after=np.degrees(fit.tilt_error), unit="deg"),
+        Measure(name="ground height error", after=1000 * fit.height_error, unit="mm"),
+    )
+    return (
+        Measure(name="tilt removed", after=np.degrees(fit.tilt), unit="deg"),
+        Measure(name="ground points on the plane", after=100 * fit.inliers, unit="%"),
+        Measure(name="ground residual", after=1000 * fit.residual, unit="mm"),
+        *(errors if np.isfinite(fit.tilt_error) else ()),
+        Measure(name="normals that agree", after=100 * fit.agreement, unit="%"),
+        Measure(name="lowest vertex", after=1000 * fit.lowest, unit="mm"),
+    )
 
 
 def _upside_down(plane: GroundPlane) -> list[Decision]:
@@ -224,7 +253,7 @@ def _move_all(scene: Scene, T: Array, ground: Ground) -> Scene:
     return replace(scene, camera=camera, objects=objects, ground=ground)
 
 
-def _lowest_vertex(scene: Scene) -> tuple[Scene, Report]:
+def _lowest_vertex(scene: Scene) -> tuple[Scene, Levelled]:
     lowest = min(o.bounds_world[0, 2] for o in scene)
     moved = _move_all(scene, pose(t=[0, 0, -lowest]), Ground(source="lowest vertex", confidence=0.0))
     decision = Decision(
@@ -232,4 +261,4 @@ def _lowest_vertex(scene: Scene) -> tuple[Scene, Report]:
         reason="no valid ground point",
         fallback=True,
     )
-    return moved, Report(stage="level", decisions=(decision,))
+    return moved, Levelled(decisions=(decision,))

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import field
-from typing import Annotated
+from dataclasses import dataclass, field
+from typing import Annotated, ClassVar
 
 import numpy as np
 from annotated_types import Interval
 
 from f3sr.core.transforms import rotation_angle
 from f3sr.metrics.contact_groups import SettledScene, groups_of
-from f3sr.report import Decision, Measure, Report
+from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene, SceneObject
 from f3sr.settings import settings
 from f3sr.stages.align.config import AlignConfig, AppearanceConfig, DepthConfig, FacetConfig, TiltConfig
@@ -63,10 +63,31 @@ Retried = Callable[[Scene, Collection[int]], SettledScene]
 """Moves some objects of a scene and settles all of it."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Refined(Outcome):
+    stage: ClassVar[str] = "refine"
+    seen: tuple[float, float] | None = None
+    """mIoU_visible before and after; None where nothing was tried."""
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        return (Measure(name="mIoU_visible", before=self.seen[0], after=self.seen[1]),) if self.seen else ()
+
+
 def refine(
-    state: SettledScene, config: RefineConfig, *, parted: Scene, stood_up: Retried, realigned: Retried
-) -> tuple[Scene, Report]:
-    """Stand up what toppled since ``parted`` (before physics), then align again what rests, until nothing gains."""
+    scene: Scene,
+    config: RefineConfig,
+    *,
+    parted: Scene,
+    stood_up: Retried,
+    realigned: Retried,
+    restless: Collection[int] = (),
+) -> tuple[Scene, Refined]:
+    """Stand up what toppled since ``parted`` (before physics), then align again what rests, until nothing gains.
+
+    ``restless`` are the ids of objects that do not rest as they are.
+    """
+    state = SettledScene(scene=scene, restless=frozenset(restless))
     before = state.seen
     decisions: list[Decision] = []
     if toppled := [o.id for o in state.scene if _turn(parted[o.id], o) > config.topple]:
@@ -82,8 +103,7 @@ def refine(
         decisions += told
         moving = {id for g in groups_of(state.scene, state.scene, config.apart) if g & state.restless for id in g}
         open = [id for id in open if id not in moving and state.ious[id] > was[id] + config.again]
-    measures = (Measure(name="mIoU_visible", before=before, after=state.seen),)
-    return state.scene, Report(stage="refine", measures=measures, decisions=tuple(decisions))
+    return state.scene, Refined(seen=(before, state.seen), decisions=tuple(decisions))
 
 
 def _round(

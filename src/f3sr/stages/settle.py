@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import field, replace
-from typing import Annotated
+from dataclasses import dataclass, field, replace
+from typing import Annotated, ClassVar
 
 import numpy as np
 from annotated_types import Interval
@@ -12,13 +12,10 @@ from annotated_types import Interval
 from f3sr.core.transforms import Array, invert_pose, rotation_angle
 from f3sr.physics import settling as physics_settling
 from f3sr.physics.mujoco_model import PhysicsConfig
-from f3sr.physics.settling import SettleConfig
-from f3sr.report import Decision, Measure, Report
+from f3sr.physics.settling import SettleConfig, SettleResult
+from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene, SceneObject, Support, name_of
 from f3sr.settings import settings
-
-DRIFT = "undamped drift"
-"""The measure of how far a centre of mass moves in the undamped check."""
 
 
 @settings
@@ -29,7 +26,42 @@ class SettleStageConfig:
     """Share of an object's load from which on something counts as its support."""
 
 
-def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene, Report]:
+@dataclass(frozen=True, kw_only=True)
+class Settled(Outcome):
+    """Mappings are by object id."""
+
+    stage: ClassVar[str] = "settle"
+    at_rest: bool = False
+    seconds: float = 0.0
+    """Time to rest [s]."""
+    drifts: Mapping[int, float] = field(default_factory=dict[int, float])
+    """How far centres of mass move in the undamped check [m]."""
+    travel: Mapping[int, float] = field(default_factory=dict[int, float])
+    """How far middles moved [m]."""
+    turns: Mapping[int, float] = field(default_factory=dict[int, float])
+    """By how much objects turned [rad]."""
+    restless: frozenset[int] = frozenset()
+    """Ids of the objects that do not rest."""
+
+    @property
+    def drift(self) -> float:
+        """The largest [m]."""
+        return max(self.drifts.values(), default=0.0)
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        drift = Measure(name="undamped drift", after=1000 * self.drift, unit="mm")
+        return (
+            Measure(name="at rest", after=float(self.at_rest)),
+            Measure(name="time to rest", after=self.seconds, unit="s"),
+            drift,
+            *(replace(drift, after=1000 * d, about=id) for id, d in self.drifts.items()),
+            *(Measure(name="moved", after=1000 * way, unit="mm", about=id) for id, way in self.travel.items()),
+            *(Measure(name="turned", after=np.degrees(a), unit="deg", about=id) for id, a in self.turns.items()),
+        )
+
+
+def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene, Settled]:
     """Let the objects come to rest under gravity; how far each one moved is reported.
 
     A simulation that blows up leaves the scene as it was, a Decision.
@@ -51,23 +83,22 @@ def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene
     if not result.exploded:
         moved = tuple(_carried(o, result.loads, config.min_share) for o in moved)
         decisions += _changed_supports(scene.objects, moved)
-    measures = [
-        Measure(name="at rest", after=float(result.at_rest)),
-        Measure(name="time to rest", after=result.seconds, unit="s"),
-        Measure(name=DRIFT, after=1000 * drift, unit="mm"),
-        *(Measure(name=DRIFT, after=1000 * result.drifts[o.id], unit="mm", about=o.id) for o in scene),
-        *(_travel(before, after) for before, after in zip(scene, moved, strict=True)),
-        *(_turn(before, after) for before, after in zip(scene, moved, strict=True)),
-    ]
-    return scene.with_objects(*moved), Report(stage="settle", measures=tuple(measures), decisions=tuple(decisions))
+    outcome = Settled(
+        at_rest=result.at_rest,
+        seconds=result.seconds,
+        drifts={o.id: result.drifts[o.id] for o in scene},
+        travel={a.id: _travel(a, b) for a, b in zip(scene, moved, strict=True)},
+        turns={a.id: _turn(a, b) for a, b in zip(scene, moved, strict=True)},
+        restless=_restless(result, config.settling.drift_limit),
+        decisions=tuple(decisions),
+    )
+    return scene.with_objects(*moved), outcome
 
 
-def restless(report: Report, config: SettleStageConfig) -> frozenset[int]:
-    """Ids of the objects that do not rest after ``settle``, by its report."""
-    drifts = {m.about: m.after for m in report.measures if m.name == DRIFT and m.about is not None}
-    limit = 1000 * config.settling.drift_limit
-    moving = frozenset(id for id, drift in drifts.items() if not drift <= limit)
-    return moving if moving or report.value("at rest") else frozenset(drifts)
+def _restless(result: SettleResult, limit: float) -> frozenset[int]:
+    """Objects that drift farther than ``limit`` [m]; all where none does and they are not at rest all the same."""
+    moving = frozenset(id for id, drift in result.drifts.items() if not drift <= limit)
+    return moving if moving or result.at_rest else frozenset(result.drifts)
 
 
 def _carried(o: SceneObject, loads: Mapping[tuple[int, int], float], min_share: float) -> SceneObject:
@@ -103,11 +134,9 @@ def _at(o: SceneObject, T_world_object: Array) -> SceneObject:
     return o if np.array_equal(T_world_object, o.T_world_object) else o.moved(T, stage="settle", reason="came to rest")
 
 
-def _travel(before: SceneObject, after: SceneObject) -> Measure:
-    distance = float(np.linalg.norm(after.bounds_world.mean(0) - before.bounds_world.mean(0)))
-    return Measure(name="moved", after=1000 * distance, unit="mm", about=after.id)
+def _travel(before: SceneObject, after: SceneObject) -> float:
+    return float(np.linalg.norm(after.bounds_world.mean(0) - before.bounds_world.mean(0)))
 
 
-def _turn(before: SceneObject, after: SceneObject) -> Measure:
-    R = after.T_world_object[:3, :3] @ before.T_world_object[:3, :3].T
-    return Measure(name="turned", after=np.degrees(rotation_angle(R)), unit="deg", about=after.id)
+def _turn(before: SceneObject, after: SceneObject) -> float:
+    return rotation_angle(after.T_world_object[:3, :3] @ before.T_world_object[:3, :3].T)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
 from f3sr.metrics.measures import full_silhouette
-from f3sr.report import Decision, Measure, Report
+from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene, SceneObject
 from f3sr.stages.align.camera_pose import align_camera
 from f3sr.stages.align.config import AlignConfig as AlignConfig
@@ -23,9 +24,27 @@ MOST_THREADS = 8
 """Objects that are searched at the same time, each in a thread of its own: the kernels release the GIL."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Aligned(Outcome):
+    """IoUs of full silhouettes with their masks by object id, at the working resolution."""
+
+    stage: ClassVar[str] = "align"
+    before: Mapping[int, float] = field(default_factory=dict[int, float])
+    after: Mapping[int, float] = field(default_factory=dict[int, float])
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        if not self.after:
+            return ()
+        return (
+            Measure(name="mean mask IoU", before=_mean(self.before), after=_mean(self.after)),
+            *(Measure(name="mask IoU", before=self.before[id], after=a, about=id) for id, a in self.after.items()),
+        )
+
+
 def align(
     scene: Scene, config: AlignConfig | None = None, *, only: Collection[int] | None = None
-) -> tuple[Scene, Report]:
+) -> tuple[Scene, Aligned]:
     """Refine the camera against the union of masks (equation 7), then each object from that camera (8, 9).
 
     Every step has a guard of its own. An object is compared only where nearer objects leave it visible.
@@ -36,7 +55,7 @@ def align(
     decisions: list[Decision] = []
     before = _ious(scene, config)
     if config.camera:
-        scene, decisions = align_camera(scene, config, score=lambda s: float(np.mean(_ious(s, config))))
+        scene, decisions = align_camera(scene, config, score=lambda s: _mean(_ious(s, config)))
     if config.objects:
         nearer = nearer_objects(scene)
 
@@ -49,15 +68,15 @@ def align(
         scene = scene.with_objects(*(o for o, _ in results))
         decisions += [d for _, several in results for d in several]
     after = _ious(scene, config)
-    measures = [
-        Measure(name="mask IoU", before=b, after=a, about=o.id) for o, b, a in zip(scene, before, after, strict=True)
-    ]
-    mean = Measure(name="mean mask IoU", before=float(np.mean(before)), after=float(np.mean(after)))
     scene = scene.with_objects(*(replace(o, mesh=full[o.id].mesh) for o in scene))
-    return scene, Report(stage="align", measures=(mean, *measures), decisions=tuple(decisions))
+    return scene, Aligned(before=before, after=after, decisions=tuple(decisions))
 
 
-def _ious(scene: Scene, config: AlignConfig) -> Sequence[float]:
+def _mean(ious: Mapping[int, float]) -> float:
+    return float(np.mean(list(ious.values())))
+
+
+def _ious(scene: Scene, config: AlignConfig) -> dict[int, float]:
     """IoU of each object's full silhouette with its mask, at the working resolution."""
     camera = scene.camera.limited(config.resolution)
-    return [iou(full_silhouette(o, camera), resample(o.mask, camera.width, camera.height)) for o in scene]
+    return {o.id: iou(full_silhouette(o, camera), resample(o.mask, camera.width, camera.height)) for o in scene}

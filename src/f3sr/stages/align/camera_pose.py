@@ -28,11 +28,11 @@ def align_camera(scene: Scene, config: AlignConfig, *, score: Score) -> tuple[Sc
     axes, fits the objects, for the focal length the ground too, no worse than before.
     """
     moved = _with(scene, _fitted(scene, config, focal=False))
-    scene, decision = _judged(scene, moved, "camera", config, score)
+    scene, decision = _judged(scene, moved, config, score, focal=False)
     if not config.camera_step.focal:
         return scene, [decision]
     zoomed = _with(scene, _fitted(scene, config, focal=True))
-    scene, focal = _judged(scene, zoomed, "focal length", config, score)
+    scene, focal = _judged(scene, zoomed, config, score, focal=True)
     return scene, [decision, focal]
 
 
@@ -73,15 +73,16 @@ class _Agreement:
     ground: float
 
 
-def _judged(scene: Scene, moved: Scene, step: str, config: AlignConfig, score: Score) -> tuple[Scene, Decision]:
+def _judged(scene: Scene, moved: Scene, config: AlignConfig, score: Score, *, focal: bool) -> tuple[Scene, Decision]:
+    """The better of two scenes; a ``focal`` length must gain, and leave the ground where it is."""
     was, now = (
         _Agreement(iou=score(s), depth=_depth_residual(s, config), ground=_ground_residual(s)) for s in (scene, moved)
     )
     is_better = now.iou >= was.iou - config.iou_tolerance and now.depth <= was.depth
-    if step != "camera":
+    if focal:
         is_better = is_better and now.iou > was.iou and now.ground <= was.ground
     decision = Decision(
-        choice=f"{step}: {'accepted' if is_better else 'rolled back'}",
+        choice=f"{'focal length' if focal else 'camera'}: {'accepted' if is_better else 'rolled back'}",
         reason=f"mean mask IoU {was.iou:.4f} -> {now.iou:.4f}, median depth residual {was.depth:.4f} -> {now.depth:.4f}"
         f" of the distance, ground {1000 * was.ground:.1f} -> {1000 * now.ground:.1f} mm off",
     )

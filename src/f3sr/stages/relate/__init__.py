@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import ClassVar, TypedDict
 
-from f3sr.report import Decision, Measure, Report
+from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import GROUND, Scene, SceneObject, Support, name_of
 from f3sr.stages.relate.config import RelateConfig
 from f3sr.stages.relate.given import Given, canonical, held_against
@@ -16,12 +17,50 @@ from f3sr.stages.relate.scene_graph import FoundSupports, graph_of
 from f3sr.stages.relate.supports import Candidate, candidates, forest, likelihood
 from f3sr.stages.relate.unseen import hangs
 
-__all__ = ["Candidate", "RelateConfig", "describe", "forest", "relate"]
+__all__ = ["Candidate", "Described", "GraphOutcome", "RelateConfig", "Related", "describe", "forest", "relate"]
 
 Found = Mapping[int, Sequence[Candidate]]
 
 
-def relate(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, Report]:
+@dataclass(frozen=True, kw_only=True)
+class GraphOutcome(Outcome):
+    """How many objects rest on what, and what became of given relations."""
+
+    on_ground: int = 0
+    on_objects: int = 0
+    on_unseen: int = 0
+    given: int = 0
+    """Different given relations."""
+    allowed: int = 0
+    """Those of them that geometry allows."""
+    disagreements: tuple[Decision, ...] = ()
+    """Those of the decisions that tell where given relations and geometry disagree."""
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        told = (
+            Measure(name="given relations", after=self.given),
+            Measure(name="given relations that geometry allows", after=self.allowed),
+        )
+        return (
+            Measure(name="objects on the ground", after=self.on_ground),
+            Measure(name="objects on objects", after=self.on_objects),
+            Measure(name="objects on something unseen", after=self.on_unseen),
+            *(told if self.given else ()),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Related(GraphOutcome):
+    stage: ClassVar[str] = "relate"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Described(GraphOutcome):
+    stage: ClassVar[str] = "describe"
+
+
+def relate(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, Related]:
     """Name every object's supports and build the scene graph.
 
     The support forest has one parent each and no cycles, the likeliest candidates first; given supports that geometry
@@ -38,14 +77,18 @@ def relate(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, Rep
     related = scene.with_objects(*objects)
     judged = FoundSupports(found=found, chosen=chosen, resting=resting, given=given)
     graph = graph_of(related, judged, known, exact=False)
-    decisions = [*given.decisions, *_circles(given, chosen)]
+    disagreements = [*given.decisions, *_circles(given, chosen)]
+    decisions = list(disagreements)
     for o in related:
-        decisions += _said(o, chosen[o.id], found[o.id], unseen.get(o.id))
-    report = Report(stage="relate", measures=_measures(related, given), decisions=tuple(decisions))
-    return replace(related, graph=graph), report
+        decisions.append(_said(o, chosen[o.id], found[o.id], unseen.get(o.id)))
+        if o.id not in unseen and (overruled := _overruled(chosen[o.id], found[o.id])):
+            decisions.append(overruled)
+            disagreements.append(overruled)
+    outcome = Related(decisions=tuple(decisions), disagreements=tuple(disagreements), **_counts(related, given))
+    return replace(related, graph=graph), outcome
 
 
-def describe(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, Report]:
+def describe(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, Described]:
     """The scene graph of a scene at rest: the supports are those that the objects have, from contact forces, contact is
     that of the proxies. No object changes; given relations that no longer hold are told and left out."""
     known = Known.of(scene, config or RelateConfig())
@@ -65,8 +108,8 @@ def describe(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, R
         for c in given.supports
         if (c.child, c.parent) not in carriers
     ]
-    report = Report(stage="describe", measures=_measures(scene, given), decisions=(*given.decisions, *decisions))
-    return replace(scene, graph=graph), report
+    told = (*given.decisions, *decisions)
+    return replace(scene, graph=graph), Described(decisions=told, disagreements=told, **_counts(scene, given))
 
 
 def _resting(chosen: Mapping[int, Candidate], found: Found, given: Given, known: Known) -> dict[int, Carried]:
@@ -115,44 +158,51 @@ def _circles(given: Given, chosen: Mapping[int, Candidate]) -> list[Decision]:
     ]
 
 
-def _said(o: SceneObject, chosen: Candidate, found: Sequence[Candidate], unseen: str | None) -> list[Decision]:
-    """What an object rests on and why, and where that is not what was found here."""
+def _said(o: SceneObject, chosen: Candidate, found: Sequence[Candidate], unseen: str | None) -> Decision:
+    """What an object rests on and why."""
     if unseen:
-        return [Decision(choice="rests on something unseen, kept fixed where it is", reason=unseen, about=o.id)]
+        return Decision(choice="rests on something unseen, kept fixed where it is", reason=unseen, about=o.id)
     further = _named(o.supports[1:])
     choice = f"rests on {name_of(chosen.parent)}" + (f", also on {further}" if further else "")
-    best = min(found, key=lambda c: (c.cost, c.parent))
-    if chosen.cost < 0 and best.parent != chosen.parent:
-        return [
-            Decision(choice=choice, reason=chosen.evidence, about=o.id),
-            Decision(
-                choice=f"rests on {name_of(chosen.parent)} as given, not on {name_of(best.parent)} as found",
-                reason=f"found: {best.evidence}",
-                about=o.id,
-            ),
-        ]
+    if _overruled(chosen, found):
+        return Decision(choice=choice, reason=chosen.evidence, about=o.id)
     rivals = [c for c in found if c.parent != chosen.parent]
     runner_up = min(rivals, key=lambda c: (c.cost, c.parent), default=None)
     against = f"; {name_of(runner_up.parent)}: {100 * likelihood(runner_up, found):.2g}% likely" if runner_up else ""
-    return [Decision(choice=choice, reason=chosen.evidence + against, about=o.id)]
+    return Decision(choice=choice, reason=chosen.evidence + against, about=o.id)
+
+
+def _overruled(chosen: Candidate, found: Sequence[Candidate]) -> Decision | None:
+    """Where a given support was chosen and another one found here."""
+    best = min(found, key=lambda c: (c.cost, c.parent))
+    if chosen.cost >= 0 or best.parent == chosen.parent:
+        return None
+    return Decision(
+        choice=f"rests on {name_of(chosen.parent)} as given, not on {name_of(best.parent)} as found",
+        reason=f"found: {best.evidence}",
+        about=chosen.child,
+    )
 
 
 def _named(supports: Sequence[Support]) -> str:
     return ", ".join(f"{name_of(s.id)} ({100 * s.share:.0f}%)" for s in supports)
 
 
-def _measures(scene: Scene, given: Given) -> tuple[Measure, ...]:
+class _Counts(TypedDict):
+    on_ground: int
+    on_objects: int
+    on_unseen: int
+    given: int
+    allowed: int
+
+
+def _counts(scene: Scene, given: Given) -> _Counts:
     on_ground = sum(o.supported_by == GROUND for o in scene)
     unseen = sum(o.supported_by is None for o in scene)
-    measures = [
-        Measure(name="objects on the ground", after=on_ground),
-        Measure(name="objects on objects", after=len(scene.objects) - on_ground - unseen),
-        Measure(name="objects on something unseen", after=unseen),
-    ]
-    if given.count:
-        kept = len(given.supports) + len(canonical(given.relations))
-        measures += [
-            Measure(name="given relations", after=given.count),
-            Measure(name="given relations that geometry allows", after=kept),
-        ]
-    return tuple(measures)
+    return {
+        "on_ground": on_ground,
+        "on_objects": len(scene.objects) - on_ground - unseen,
+        "on_unseen": unseen,
+        "given": given.count,
+        "allowed": len(given.supports) + len(canonical(given.relations)) if given.count else 0,
+    }

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
-from f3sr.report import Decision, Measure, Report
+import numpy as np
+
+from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene, name_of
 from f3sr.stages.separate.config import SeparateConfig
 from f3sr.stages.separate.overlaps import part, take_beside
@@ -13,13 +17,41 @@ from f3sr.stages.separate.stability_shifts import steady
 from f3sr.stages.separate.standing import stand
 from f3sr.stages.separate.support_contact import grounded, seat
 
-__all__ = ["SeparateConfig", "separate"]
+__all__ = ["SeparateConfig", "Separated", "separate"]
 
 PASSES = 3
 """Most times that objects are seated and then parted, which may take them off their supports again."""
 
 
-def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene, Report]:
+@dataclass(frozen=True, kw_only=True)
+class Separated(Outcome):
+    """Pairs are before and after."""
+
+    stage: ClassVar[str] = "separate"
+    overlaps: tuple[int, int] = (0, 0)
+    """Pairs of objects that overlap."""
+    margin: tuple[float, float] | None = None
+    """Of stability [rad]; None where it was not asked for."""
+    ground: float = 0.0
+    """How far up the ground moved [m]."""
+    travel: Mapping[int, float] = field(default_factory=dict[int, float])
+    """How far every object moved [m], by id."""
+    scale: Mapping[int, float] = field(default_factory=dict[int, float])
+    """By which it was scaled about the camera centre, by id."""
+
+    @property
+    def measures(self) -> tuple[Measure, ...]:
+        margins = [np.degrees(m) for m in self.margin or ()]
+        return (
+            Measure(name="overlapping pairs", before=self.overlaps[0], after=self.overlaps[1]),
+            *(Measure(name="stability margin", before=b, after=a, unit="deg") for b, a in [margins] if margins),
+            Measure(name="ground moved", after=1000 * self.ground, unit="mm"),
+            *(Measure(name="moved", after=1000 * way, unit="mm", about=id) for id, way in self.travel.items()),
+            *(Measure(name="scale along viewing rays", after=k, before=1.0, about=id) for id, k in self.scale.items()),
+        )
+
+
+def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene, Separated]:
     """Bring every object onto its support and part what overlaps (equations 10 and 11).
 
     First the ground is moved to where half of the objects on it would sink in. In forest order an object is then
@@ -43,18 +75,18 @@ def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene,
     else:
         seat(layout, config)
     decisions += stand(layout, config)
-    margins, told = steady(layout, config)
+    margin, told = steady(layout, config)
     decisions += told
     left = layout.collisions()
     decisions += [
         Decision(choice=f"still overlaps {name_of(b)} after separation", reason="no free place found", about=a)
         for a, b in left
     ]
-    height = 1000 * float(came.camera.center[2] - scene.camera.center[2])
-    measures = [Measure(name="overlapping pairs", before=before, after=len(left)), *margins]
-    measures += [Measure(name="ground moved", after=height, unit="mm")]
-    measures += [Measure(name="moved", after=1000 * layout.travel(o.id), unit="mm", about=o.id) for o in scene]
-    measures += [
-        Measure(name="scale along viewing rays", after=layout.scale[o.id], before=1.0, about=o.id) for o in scene
-    ]
-    return layout.moved_scene(), Report(stage="separate", measures=tuple(measures), decisions=tuple(decisions))
+    return layout.moved_scene(), Separated(
+        overlaps=(before, len(left)),
+        margin=margin,
+        ground=float(came.camera.center[2] - scene.camera.center[2]),
+        travel={o.id: layout.travel(o.id) for o in scene},
+        scale={o.id: layout.scale[o.id] for o in scene},
+        decisions=tuple(decisions),
+    )

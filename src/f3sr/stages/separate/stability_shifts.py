@@ -2,31 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from f3sr.contact.stability import stability, stands
 from f3sr.contact.stabilize import balance
 from f3sr.contact.static_bodies import bodies_of
-from f3sr.report import Decision, Measure
+from f3sr.report import Decision
 from f3sr.stages.separate.config import SeparateConfig
 from f3sr.stages.separate.overlaps import weight_of
 from f3sr.stages.separate.placement import Placement
 
 
-def steady(layout: Placement, config: SeparateConfig) -> tuple[list[Measure], list[Decision]]:
+def steady(layout: Placement, config: SeparateConfig) -> tuple[tuple[float, float] | None, list[Decision]]:
     """Shift what would fall, with what it carries, until forces at the contacts can balance all weights, where that is
-    possible within bounds. The margin is the least tilt of the whole scene that moves something; negative: it falls."""
+    possible within bounds. The margins [rad], before and after, are the least tilt of the whole scene that moves
+    something; negative: it falls. None where nobody asks for them and all stands."""
     scene = layout.scene
     bodies = bodies_of([layout.object(o.id) for o in scene], parts=layout.bodies)
     if not config.margin and stands(bodies):
-        return [], []
+        return None, []
     was = stability(bodies)
-    before = float(np.degrees(was.margin))
-    margin = Measure(name="stability margin", before=before, after=before, unit="deg")
+    unchanged = (was.margin, was.margin)
     if not was.moving:
-        return [margin], []
+        return unchanged, []
     found = balance(
         bodies,
         {o.id: o.supported_by if o.mobility == "dynamic" else None for o in scene},
@@ -35,7 +33,7 @@ def steady(layout: Placement, config: SeparateConfig) -> tuple[list[Measure], li
         weights={o.id: weight_of(layout, o.id) for o in scene},
     )
     if len(found.unbalanced) >= len(was.moving):
-        return [margin], [_falls(id) for id in sorted(was.moving)]
+        return unchanged, [_falls(id) for id in sorted(was.moving)]
     for id, shift in found.shifts.items():
         layout.move((id,), shift)
     shifted = [
@@ -47,10 +45,7 @@ def steady(layout: Placement, config: SeparateConfig) -> tuple[list[Measure], li
         for id, shift in sorted(found.shifts.items())
         if shift.any()
     ]
-    return [replace(margin, after=float(np.degrees(found.after)))], [
-        *shifted,
-        *(_falls(id) for id in sorted(found.unbalanced)),
-    ]
+    return (was.margin, found.after), [*shifted, *(_falls(id) for id in sorted(found.unbalanced))]
 
 
 def _falls(id: int) -> Decision:
