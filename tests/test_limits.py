@@ -25,7 +25,7 @@ LIMITS = {
     "Photo and masks": [
         ("pixels of an image", "io.images.MAX_PIXELS"),
         ("shortest side of an image [px], at least", "io.images.MIN_SIDE"),
-        ("io.masks", "io.masks.MAX_OBJECTS"),
+        ("masks", "io.masks.MAX_OBJECTS"),
         ("pixels of all masks together", "io.masks.MAX_MASK_PIXELS"),
         ("set pixels of a mask, at least", "io.masks.MIN_PIXELS"),
         ("overlap of two masks, below", "io.masks.MAX_OVERLAP"),
@@ -49,7 +49,7 @@ LIMITS = {
         ("faces of a file", "io.mesh_files.MAX_FACES"),
         ("texture pixels of a file", "io.mesh_files.MAX_TEXTURE_PIXELS"),
         ("coordinate in a file", "io.mesh_files.MAX_COORDINATE"),
-        ("size of an OBJ, PLY or glTF file, and of what it names [bytes]", "io.mesh_files.MAX_TEXT_BYTES"),
+        ("size of an OBJ or glTF file [bytes]", "io.mesh_files.MAX_TEXT_BYTES"),
         ("nodes, and primitives shown, of a file", "io.gltf_reader.MAX_PARTS"),
         ("bytes of a glTF file's JSON", "io.gltf_reader.MAX_TREE_BYTES"),
         ("faces of all meshes together", "io.assets.MAX_SCENE_FACES"),
@@ -145,7 +145,7 @@ def test_every_limit_of_the_readers_is_on_the_page():
     listed = {constant for limits in LIMITS.values() for _, constant in limits}
     modules = {constant.rsplit(".", 1)[0] for constant in listed}
     found = {f"{m}.{n}" for m in modules for n in _constants(m) if n.startswith(("MAX_", "MIN_"))}
-    assert found <= listed and listed - found == {"bounds.FARTHEST", "bounds.ROUNDING"}
+    assert found <= listed and listed - found == {"scene_package.bounds.FARTHEST", "scene_package.bounds.ROUNDING"}
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ MESHES, PARTS = (".glb", ".gltf"), (".obj",)
 MAX_FACES = 5_000_000
 """Of one file: twenty times what generators make. Vertices may be three times as many, for faces may share none."""
 MAX_TEXT_BYTES = 200_000_000
-"""Of a file that is no GLB, or that one names: reading text takes fifteen times its size; two million triangles."""
+"""Of a file that is no GLB: reading text takes fifteen times its size; two million triangles."""
 MAX_COORDINATE = 1e15
 """Largest coordinate: single precision holds its square."""
 MAX_TEXTURE_PIXELS = 8192 * 8192
