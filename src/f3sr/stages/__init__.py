@@ -1,1 +1,1 @@
-"""The stages, each a file or a folder: ``stage(scene, ..., config) -> (scene, report)``; none imports another."""
+"""The stages, each a file or a folder: ``stage(scene, ..., config) -> (scene, outcome)``; none imports another."""

@@ -148,8 +148,8 @@ def fit_plane(points: Array, rng: np.random.Generator, config: LevelConfig) -> G
 def plane_errors(points: Array) -> tuple[float, float]:
     """Two standard errors of a plane fitted to points (n, 3): of its normal [rad] and of its height amid them [m].
 
-    Delete-a-group jackknife (Efron 1982) over ``GROUPS`` contiguous groups of equally many points, for the errors of
-    neighbours are alike: a residual divided by the square root of n would be far too small.
+    Delete-a-group jackknife (Efron 1982) over ``GROUPS`` squared contiguous groups of equally many points: neighbours
+    have like errors, so the residual over the square root of n would be far too small.
     """
     center = points.mean(0)
     axes = np.linalg.svd((points - center).T @ (points - center))[0]
