@@ -65,7 +65,7 @@ def separate(scene: Scene, config: SeparateConfig | None = None) -> tuple[Scene,
     config = config or SeparateConfig()
     scene = scene.with_objects(*(replace(o, footing=()) for o in scene if o.footing))
     came, scene = scene, grounded(scene, config) if config.ground else scene
-    layout = Placement(scene)
+    layout = Placement(scene, config)
     before = len(layout.collisions())
     decisions = take_beside(layout, config)
     for _ in range(PASSES):

@@ -77,7 +77,7 @@ def part(layout: Placement, config: SeparateConfig) -> bool:
 def weight_of(layout: Placement, *ids: int) -> Array:
     """What moving bodies together costs (2, 2): the IoU that they lose, and a little per length of the first one's
     size."""
-    felt = sum((layout.loss(k)[:2, :2] for k in ids), np.zeros((2, 2)))
+    felt = sum((layout.loss(k)[:2, :2] + layout.depth_loss(k)[:2, :2] for k in ids), np.zeros((2, 2)))
     return felt + np.eye(2) * (UNFELT / layout.scene[ids[0]].size) ** 2
 
 

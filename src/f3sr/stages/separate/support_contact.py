@@ -65,7 +65,7 @@ def _contact_scale(layout: Placement, id: int, config: SeparateConfig) -> float:
     IoU that the lift costs; on another object a third term holds it in place. Over the ground height(k) is linear.
     """
     loss = float(np.sqrt(layout.loss(id)[2, 2]))
-    sigma = config.depth_sigma if layout.scene.geometry else config.unknown_depth_sigma
+    sigma = layout.depth_sigma[id]
     C, body = layout.scene.camera.center, layout.bodies[id]
     on_the_ground = layout.scene[id].supported_by == GROUND
     slide = 0.0 if on_the_ground else layout.distance(id) / (config.slide_sigma * layout.scene[id].size)
