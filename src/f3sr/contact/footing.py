@@ -67,14 +67,17 @@ class SupportPlane:
 GROUND_PLANE = SupportPlane(normal=np.array([0.0, 0.0, 1.0]), offset=0.0)
 
 
-def footing(o: SceneObject, plane: SupportPlane, config: FootingConfig) -> tuple[ConvexPart, ...]:
-    """The wedges (asset frame) that let an object stand as it is on a plane below it; none where it needs none, is
-    round, would fall anyway, or where more than ``max_height`` would have to be filled in."""
+def footing(
+    o: SceneObject, plane: SupportPlane, config: FootingConfig, *, below: float = 0.0
+) -> tuple[ConvexPart, ...]:
+    """The wedges (asset frame) that let an object stand as it is on a plane below it, down to ``below`` [m] under its
+    lowest point; none where it needs none, is round, would fall anyway, or where more than ``max_height`` would have to
+    be filled in."""
     hull = _hull_of(o)
     underside = _Underside.of(o, hull, plane, config) if hull else None
     if hull is None or underside is None:
         return ()
-    lowest = float(plane.heights(hull.vertices).min())
+    lowest = float(plane.heights(hull.vertices).min()) - below
     missing = plane.heights(underside.corners) - lowest
     if not len(missing) or missing.mean() > config.max_height * o.size or missing.max() <= GRAIN * o.size:
         return ()
@@ -85,6 +88,12 @@ def footing(o: SceneObject, plane: SupportPlane, config: FootingConfig) -> tuple
         _wedge(patch, underside.facet, plane, lowest, GRAIN * o.size).moved(T_asset_world)
         for patch in underside.patches(config.pieces)
     )
+
+
+def supplied(o: SceneObject) -> float:
+    """Height [m] that the footing of an object supplies below the lowest point of its mesh; 0 without one."""
+    lowest = min((float(p.moved(o.T_world_asset).vertices[:, 2].min()) for p in o.footing), default=np.inf)
+    return max(0.0, float(o.vertices_world[:, 2].min()) - lowest)
 
 
 def flush(o: SceneObject, plane: SupportPlane) -> tuple[ConvexPart, ...]:

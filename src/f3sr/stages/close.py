@@ -13,6 +13,7 @@ from annotated_types import Interval
 
 from f3sr.contact import polytopes as contact
 from f3sr.contact.contact_patches import find_contacts
+from f3sr.contact.footing import supplied
 from f3sr.contact.polytopes import Polytope
 from f3sr.contact.static_bodies import supports_first
 from f3sr.contact.vertical_gap import Meeting, meeting
@@ -195,6 +196,7 @@ class _Layout:
             return
         others = [b.now for k, b in self.bodies.items() if k not in members]
         goal = meeting(self.bodies[id].now, others)
+        goal = replace(goal, gap=goal.gap - self.bodies[id].supplied)
         near = self._near(id, goal.other)
         if goal.gap <= self.config.clearance + 2 * near.tolerance:
             return
@@ -261,6 +263,8 @@ class _Lowered:
         self._start, self._drop, self._most = o, 0.0, most
         self.now = o
         """The object as it is by now."""
+        self.supplied = supplied(o)
+        """Height [m] that its footing supplies below its mesh, which is no gap to be closed."""
 
     @cached_property
     def polytopes(self) -> tuple[Polytope, ...]:

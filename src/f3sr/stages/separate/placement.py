@@ -43,14 +43,16 @@ class Placement:
         self.shift: dict[int, Array] = {o.id: np.zeros(3) for o in scene}
         self.scale: dict[int, float] = {o.id: 1.0 for o in scene}
         self.rotation: dict[int, Array] = {o.id: np.eye(3) for o in scene}
+        self.missing: dict[int, float] = dict.fromkeys(self.bodies, 0.0)
+        """Height [m] of the underside that every mesh lacks: its body hangs that much over its support."""
 
     def saved(self) -> Saved:
         """Where everything is, for ``restore``."""
-        state = (self.bodies, self.footings, self.parts, self.shift, self.scale, self.rotation)
+        state = (self.bodies, self.footings, self.parts, self.shift, self.scale, self.rotation, self.missing)
         return tuple(dict(d) for d in state)
 
     def restore(self, saved: Saved) -> None:
-        self.bodies, self.footings, self.parts, self.shift, self.scale, self.rotation = (dict(d) for d in saved)
+        self.bodies, self.footings, self.parts, self.shift, self.scale, self.rotation, self.missing = map(dict, saved)
 
     def move(self, ids: tuple[int, ...], t: Array, *, scale: float = 1.0) -> None:
         """Apply ``x -> scale x + t`` to bodies; fixed ones stay."""

@@ -40,16 +40,26 @@ def stand(layout: Placement, config: SeparateConfig) -> list[Decision]:
         o = layout.object(id)
         if o.mobility == "fixed" or o.supported_by is None:
             continue
-        decision = _put_on_a_footing(layout, o, config) or _lie_down(layout, o, config)
+        decision = _put_on_a_footing(layout, o, config)
+        if decision is None:
+            _lower_without_footing(layout, id, config)
+            decision = _lie_down(layout, layout.object(id), config)
         if decision:
             decisions.append(decision)
     return decisions
 
 
+def _lower_without_footing(layout: Placement, id: int, config: SeparateConfig) -> None:
+    """Lower a body that hangs over its support for a footing that it does not get."""
+    if layout.missing[id]:
+        layout.missing[id] = 0.0
+        layout.move(layout.scene.subtree(id), -gap(layout.bodies[id], id, layout, config) * UP)
+
+
 def _put_on_a_footing(layout: Placement, o: SceneObject, config: SeparateConfig) -> Decision | None:
     """Give an object where its body is now a footing, if that makes it stand and is in nobody's way."""
     plane = _plane_below(layout, o, config.footing) if config.footing.enabled else None
-    wedges = footing(o, plane, config.footing) if plane else ()
+    wedges = footing(o, plane, config.footing, below=layout.missing[o.id]) if plane else ()
     if not plane or not wedges:
         return None
     before, was = layout.saved(), layout.collisions_of(o.id)

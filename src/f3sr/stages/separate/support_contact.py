@@ -13,6 +13,8 @@ from f3sr.scene import GROUND, Scene
 from f3sr.stages.separate.config import SeparateConfig
 from f3sr.stages.separate.placement import Placement, moved, supports_first
 
+LEAST_LOSS = 1e-6
+"""Least squared IoU lost per squared metre: a mask that fills the picture loses none."""
 RAY_STEPS = 10
 """Places to either side that are tried along the viewing rays before the best is refined."""
 
@@ -25,7 +27,28 @@ def seat(layout: Placement, config: SeparateConfig) -> None:
             continue
         if config.max_ray_scale:
             layout.along_rays(layout.scene.subtree(id), _contact_scale(layout, id, config))
-        layout.move(layout.scene.subtree(id), -gap(layout.bodies[id], id, layout, config) * UP)
+        above = gap(layout.bodies[id], id, layout, config)
+        layout.missing[id] = _missing_underside(layout, id, above, config)
+        layout.move(layout.scene.subtree(id), (layout.missing[id] - above) * UP)
+
+
+def _missing_underside(layout: Placement, id: int, above: float, config: SeparateConfig) -> float:
+    """Of the height [m] at which a body hangs over its support, what its generated underside most likely lacks."""
+    position, underside = _height_variances(layout, id, above, config)
+    return above * underside / (position + underside)
+
+
+def _height_variances(layout: Placement, id: int, above: float, config: SeparateConfig) -> tuple[float, float]:
+    """Variances [m2] of a body's height, known by the picture, and of its hidden underside.
+
+    Only a body that hangs over its support can lack some of its underside, and only a sensor knows distances better
+    than undersides are known.
+    """
+    position = config.picture_sigma**2 / max(float(layout.loss(id)[2, 2]), LEAST_LOSS)
+    geometry = layout.scene.geometry
+    if above <= 0 or geometry is None or geometry.source == "estimate":
+        return position, 0.0
+    return position, (config.underside_sigma * layout.scene[id].size) ** 2
 
 
 def gap(body: polytopes.Body, id: int, layout: Placement, config: SeparateConfig) -> float:
@@ -61,10 +84,10 @@ def _contact_scale(layout: Placement, id: int, config: SeparateConfig) -> float:
     """The k by which the body is moved along its viewing rays before it is lifted or lowered onto its support.
 
     It is the most likely one: distances are known to ``depth_sigma`` and places in the picture to ``picture_sigma``,
-    so k has the least (log k / depth_sigma)^2 + (loss(height(k)) / picture_sigma)^2 within its bound, where loss is the
-    IoU that the lift costs; on another object a third term holds it in place. Over the ground height(k) is linear.
+    so k has the least (log k / depth_sigma)^2 + height(k)^2 / variance within its bound, where the variance is that of
+    lifts by the picture and of the underside; on another object a third term holds it in place. Over the ground
+    height(k) is linear.
     """
-    loss = float(np.sqrt(layout.loss(id)[2, 2]))
     sigma = layout.depth_sigma[id]
     C, body = layout.scene.camera.center, layout.bodies[id]
     on_the_ground = layout.scene[id].supported_by == GROUND
@@ -76,8 +99,9 @@ def _contact_scale(layout: Placement, id: int, config: SeparateConfig) -> float:
         return gap(moved(body, (1 - k) * C, k), id, layout, config)
 
     def cost(k: float) -> float:
-        lifted = loss * height(k) / config.picture_sigma
-        return float(np.log(k) / sigma) ** 2 + (slide * (k - 1)) ** 2 + lifted**2
+        above = height(k)
+        variance = sum(_height_variances(layout, id, above, config))
+        return float(np.log(k) / sigma) ** 2 + (slide * (k - 1)) ** 2 + above**2 / variance
 
     low, high = layout.rays_left(id, config.max_ray_scale)
     tried = np.linspace(low, high, 2 * RAY_STEPS + 1)
