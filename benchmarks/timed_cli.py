@@ -23,21 +23,21 @@ def main() -> int:
     steps: Steps = {}
     modules = _timed(_modules, "import", steps)()
     for step, module, name in (
-        ("read", "inputs", "read"),
-        ("kernels", "kernels", "warm_up"),
+        ("read", "io.inputs", "read"),
+        ("kernels", "runtime.kernels", "warm_up"),
         ("stages", "pipeline", "reconstruct"),
-        ("pictures", "pictures", "pictures_of"),
-        ("package", "package", "write_package"),
+        ("pictures", "vision.pictures", "pictures_of"),
+        ("package", "scene_package.package", "write_package"),
     ):
         setattr(modules[module], name, _timed(getattr(modules[module], name), step, steps))
     modules["pipeline"].reconstruct = _telling(modules["pipeline"].reconstruct, steps)
-    code = modules["cli"].main(sys.argv[2:])
+    code = modules["cli.main"].main(sys.argv[2:])
     Path(sys.argv[1]).write_text(json.dumps(steps))
     return code
 
 
 def _modules() -> dict[str, Any]:
-    names = ("cli", "inputs", "kernels", "package", "pictures", "pipeline")
+    names = ("cli.main", "io.inputs", "runtime.kernels", "scene_package.package", "vision.pictures", "pipeline")
     return {name: importlib.import_module(f"f3sr.{name}") for name in names}
 
 
