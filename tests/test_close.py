@@ -44,7 +44,7 @@ def made(id: int, mesh: Mesh, parts: tuple[ConvexPart, ...], at: Array, on: int 
 def on_colliders(o: SceneObject, height: float) -> SceneObject:
     """The object raised until its colliders stand over a height."""
     low = min(float(p.vertices[:, 2].min()) for p in o.colliders_world)
-    return replace(o, T_world_object=pose(t=[0, 0, height + CONFIG.clearance - low]) @ o.T_world_object)
+    return replace(o, T_world_object=pose(t=[0, 0, height + CONFIG.contact.clearance - low]) @ o.T_world_object)
 
 
 def ball_on_the_ground() -> SceneObject:
@@ -78,10 +78,12 @@ def test_a_ball_comes_down_to_the_ground():
     scene = scene_of(ball_on_the_ground())
     assert gap(scene, 0) > 0.002
     after = lowered(scene, CONFIG)
-    allowed = CONFIG.clearance + 2 * CONFIG.tolerance * scene[0].size
-    assert CONFIG.clearance - 1e-7 < gap(after, 0) <= allowed + 1e-7
+    allowed = CONFIG.contact.clearance + 2 * CONFIG.tolerance * scene[0].size
+    assert CONFIG.contact.clearance - 1e-7 < gap(after, 0) <= allowed + 1e-7
     assert outside(after[0]) < 1e-8
-    assert min(float(p.vertices[:, 2].min()) for p in after[0].colliders_world) == pytest.approx(CONFIG.clearance)
+    assert min(float(p.vertices[:, 2].min()) for p in after[0].colliders_world) == pytest.approx(
+        CONFIG.contact.clearance
+    )
 
 
 def test_a_ball_comes_down_into_a_dish():
@@ -92,7 +94,7 @@ def test_a_ball_comes_down_into_a_dish():
     # Off the middle the vertical gap of two concentric-like balls is a little more than the shortest.
     middle = after[1].T_world_object[:3, 3] - after[0].T_world_object[:3, 3] - [0, 0, DISH]
     shortest = DISH - RADIUS - float(np.linalg.norm(middle))
-    assert 0 < shortest <= CONFIG.clearance + 2 * CONFIG.tolerance * size + 2e-4
+    assert 0 < shortest <= CONFIG.contact.clearance + 2 * CONFIG.tolerance * size + 2e-4
     assert all(outside(o) < 1e-8 for o in after)
     assert len(after[0].parts) <= 24 and len(after[1].parts) == 1
 
@@ -117,7 +119,7 @@ def test_it_rests_there():
 
 
 def test_what_touches_stays_the_same_value():
-    scene = scene_of(box(0, at=(-0.3, 0, 0.05 + CONFIG.clearance)), replace(ball_on_the_ground(), id=1))
+    scene = scene_of(box(0, at=(-0.3, 0, 0.05 + CONFIG.contact.clearance)), replace(ball_on_the_ground(), id=1))
     after, outcome = close(scene, CONFIG, settled=settled)
     assert after[0] is scene[0] and after[1] is not scene[1]
     assert [m.about for m in outcome.measures if m.name == "convex parts"] == [1]
@@ -128,12 +130,12 @@ def test_what_touches_stays_the_same_value():
 def test_what_carries_something_comes_down_with_it():
     ball = ball_on_the_ground()
     top = float(np.concatenate([p.vertices[:, 2] for p in ball.colliders_world]).max())
-    lid = made(1, box(1).mesh, box(1).parts, np.array([0, 0, top + CONFIG.clearance + 0.05]), on=0)
+    lid = made(1, box(1).mesh, box(1).parts, np.array([0, 0, top + CONFIG.contact.clearance + 0.05]), on=0)
     scene = scene_of(ball, lid)
     after = lowered(scene, CONFIG)
     drops = [scene[id].T_world_object[2, 3] - after[id].T_world_object[2, 3] for id in (0, 1)]
     assert drops[0] > 0.002 and drops[1] > drops[0] + 0.002, "and then onto what carries it"
-    assert gap(after, 1) <= CONFIG.clearance + 2 * CONFIG.tolerance * scene[0].size + 1e-7
+    assert gap(after, 1) <= CONFIG.contact.clearance + 2 * CONFIG.tolerance * scene[0].size + 1e-7
 
 
 def test_a_footing_that_holds_the_mesh_up_is_shaved():
@@ -143,8 +145,8 @@ def test_a_footing_that_holds_the_mesh_up_is_shaved():
     )
     scene = scene_of(on_colliders(replace(o, footing=(layer,)), 0.0))
     after = lowered(scene, CONFIG)
-    assert gap(scene, 0) == pytest.approx(0.003 + CONFIG.clearance)
-    assert gap(after, 0) == pytest.approx(CONFIG.clearance, abs=1e-6)
+    assert gap(scene, 0) == pytest.approx(0.003 + CONFIG.contact.clearance)
+    assert gap(after, 0) == pytest.approx(CONFIG.contact.clearance, abs=1e-6)
     assert after[0].parts is scene[0].parts and not after[0].footing
 
 
@@ -173,7 +175,7 @@ def test_only_groups_that_change_are_settled_and_each_is_kept_for_itself():
     apart = [
         replace(ball, id=id, T_world_object=pose(t=[x, 0, 0]) @ ball.T_world_object) for id, x in ((1, -0.3), (2, 0.3))
     ]
-    scene = seen(scene_of(box(0, at=(0, 0, 0.05 + CONFIG.clearance)), *apart))
+    scene = seen(scene_of(box(0, at=(0, 0, 0.05 + CONFIG.contact.clearance)), *apart))
     given: list[list[int]] = []
 
     def physics(scene: Scene) -> SettledScene:
@@ -209,7 +211,7 @@ def test_the_unit_of_an_asset_does_not_matter():
 
 def test_others_of_its_group_come_down_without_what_rolls_away():
     ball = ball_on_the_ground()
-    beside = replace(ball, id=1, T_world_object=pose(t=[2.05 * RADIUS, 0, 0]) @ ball.T_world_object)
+    beside = replace(ball, id=1, T_world_object=pose(t=[2.02 * RADIUS, 0, 0]) @ ball.T_world_object)
     scene = seen(scene_of(ball, beside))
 
     def physics(scene: Scene) -> SettledScene:
@@ -219,7 +221,7 @@ def test_others_of_its_group_come_down_without_what_rolls_away():
             scene = scene.with_objects(o.moved(pose(t=[-0.03, 0, 0]), stage="settle", reason="rolls"))
         return SettledScene(scene=scene, restless=frozenset())
 
-    after, outcome = close(scene, replace(CONFIG, apart=0.01, loss=0.3), settled=physics)
+    after, outcome = close(scene, replace(CONFIG, loss=0.3), settled=physics)
     assert gap(after, 0) == gap(scene, 0) and gap(after, 1) < 0.2 * gap(scene, 1)
     assert [d.choice.split(": ")[1] for d in outcome.decisions] == ["rolled back", "rolled back", "accepted"]
 

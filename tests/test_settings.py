@@ -12,7 +12,8 @@ import pytest
 
 from f3sr import settings
 from f3sr.errors import InputError
-from f3sr.pipeline import Config
+from f3sr.physics.mujoco_model import PhysicsConfig
+from f3sr.pipeline import Config, same_margin
 from f3sr.stages.align import AlignConfig
 
 PAGE = Path(__file__).parents[1] / "docs" / "settings.toml"
@@ -125,3 +126,17 @@ def test_settings_made_in_python_are_checked_too() -> None:
         AlignConfig(max_yaw=9.0)
     with pytest.raises(ValueError, match="max_yaw"):
         replace(AlignConfig(), max_yaw=-1.0)
+
+
+@pytest.mark.parametrize("margin", [None, 1e-4])
+def test_every_stage_has_the_margin_of_physics(margin: float | None) -> None:
+    """By default, and where it is set; clearance, reach and the rest grow in this order."""
+    physics = PhysicsConfig() if margin is None else PhysicsConfig(margin=margin)
+    given = replace(Config(), settle=replace(Config().settle, physics=physics))
+    config = given if margin is None else same_margin(given)
+    stages = (config.relate, config.separate, config.close, config.refine)
+    assert {stage.contact for stage in stages} == {config.settle.physics.contact}
+    found = config.separate.contact
+    assert config.separate.clearance == found.clearance == 2 * physics.margin
+    assert physics.margin < found.clearance < found.reach < found.loose < found.apart
+    assert settings.changed(given, Config()) == ({} if margin is None else {"settle.physics.margin": margin})

@@ -97,7 +97,8 @@ def reconstruct(
 
     Stages whose results are in ``store`` are not done again. ``progress`` is told of every stage.
     """
-    config = config or Config()
+    given = config or Config()
+    config = same_margin(given)
     if REPEATED_BY_REFINE & set(skip):
         skip = {*skip, "refine"}
     if "settle" in skip:
@@ -149,16 +150,28 @@ def reconstruct(
         outcomes=(*run.outcomes, *([completed] if completed else [])),
         seconds=run.seconds,
         resumed=tuple(run.resumed),
-        config=config,
+        config=given,
         provenance={
             "inputs": dict[str, JsonValue](inputs.digests),
-            "config": digest(asdict(config)),
-            "settings": changed(config, Config()),
+            "config": digest(asdict(given)),
+            "settings": changed(given, Config()),
             "skipped": list[JsonValue](sorted(skip)),
             "camera_aligned": aligned,
         },
         evaluation=evaluation,
         inpainting=inpainting,
+    )
+
+
+def same_margin(config: Config) -> Config:
+    """The settings with one contact margin for every stage: that of the physics in which the scene settles."""
+    contact = config.settle.physics.contact
+    return replace(
+        config,
+        relate=replace(config.relate, contact=contact),
+        separate=replace(config.separate, contact=contact),
+        close=replace(config.close, contact=contact),
+        refine=replace(config.refine, contact=contact),
     )
 
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from f3sr.contact.contact_patches import REACH, Contacts, find_contacts
+from f3sr.contact.contact_patches import Contacts, find_contacts
 from f3sr.contact.polytopes import Body, Polytope
 from f3sr.core.transforms import Array, frozen, transform
+from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, PhysicsConfig, body_of
 from f3sr.scene import GROUND, SceneObject
 
@@ -67,8 +68,8 @@ def _body_of(o: SceneObject, config: PhysicsConfig, parts: Body | None) -> Stati
     )
 
 
-def contacts_of(bodies: Sequence[StaticBody], *, reach: float = REACH) -> Contacts:
-    """Where the bodies touch each other and the ground."""
+def contacts_of(bodies: Sequence[StaticBody], *, reach: float = DEFAULT_MARGIN.reach) -> Contacts:
+    """Where the bodies touch each other and the ground: gaps of at most ``reach`` [m]."""
     return find_contacts({b.id: b.parts for b in bodies}, reach=reach)
 
 

@@ -15,11 +15,12 @@ import numpy as np
 from annotated_types import Interval
 
 from f3sr.contact import polytopes
-from f3sr.contact.contact_patches import REACH, find_contacts, hull_corners
+from f3sr.contact.contact_patches import find_contacts, hull_corners
 from f3sr.contact.force_balance import Balance
 from f3sr.contact.polytopes import Polytope
 from f3sr.contact.static_bodies import StaticBody, contacts_of
 from f3sr.core.transforms import UP, Array, pose, rotation_about, rotation_angle
+from f3sr.physics.contact_margin import DEFAULT_MARGIN, TOUCHING, ContactMargin
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 from f3sr.settings import settings
 
@@ -29,8 +30,6 @@ SHARP = 1e-6
 """Turn [rad] to which the next contact is found."""
 MEETS = 1e-7
 """Height [m] that a turned body may have to be raised without having met something."""
-TOUCHING = 3e-6
-"""Gap [m] that counts as contact while landing; what is left at the end closes by as little."""
 TRIES = 4
 """Shifts tried before a body that tips is given up."""
 EVENTS = 200
@@ -82,10 +81,10 @@ def land(
     surroundings: Sequence[StaticBody],
     config: LandingConfig = DEFAULT_LANDING,
     *,
-    clearance: float = 4e-4,
+    contact: ContactMargin = DEFAULT_MARGIN,
     ground_friction: float = DEFAULT_PHYSICS.ground_friction[0],
 ) -> Landing:
-    """Lower a body onto what is below, and let it turn until it is supported, ``clearance`` [m] above it.
+    """Lower a body onto what is below, and let it turn until it is supported, a clearance above it.
 
     Where it would tip over an edge it is shifted over it, as far as ``config`` allows, and tried again.
     """
@@ -94,10 +93,12 @@ def land(
     for _ in range(TRIES):
         fall = _Fall(body, around, ground_friction, shift)
         if fall.lie_down(config):
-            fall.rise(clearance)
+            fall.rise(contact.clearance)
             T = fall.motion
             length = float(np.linalg.norm(shift))
-            return Landing(T=T, turn=rotation_angle(T[:3, :3]), shift=length, stands=fall.stands(REACH), tipped=False)
+            return Landing(
+                T=T, turn=rotation_angle(T[:3, :3]), shift=length, stands=fall.stands(contact.reach), tipped=False
+            )
         shift = shift + fall.way_in(config.margin)
         if not fall.missing or np.linalg.norm(shift) > config.max_shift * body.size:
             break

@@ -16,6 +16,7 @@ from annotated_types import Interval
 from f3sr.core.mesh import ConvexPart, MassProperties, Mesh, solid_properties
 from f3sr.core.transforms import Array, quaternion_from_rotation
 from f3sr.physics import restitution
+from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.scene import GRAVITY, GROUND, SceneObject
 from f3sr.settings import settings
 
@@ -51,12 +52,17 @@ class PhysicsConfig:
     """[m]: friction against spinning about the contact normal."""
     ground_friction: tuple[Friction, Friction, Friction] = (0.6, 0.005, 0.001)
     """Sliding, torsional [m] and rolling [m] friction of the ground; a contact takes the larger of two."""
-    margin: Annotated[float, Interval(ge=0, le=1e-3)] = 1.6e-4
+    margin: Annotated[float, Interval(ge=0, le=1e-3)] = DEFAULT_MARGIN.body
     """Contact distance of each body [m]: it keeps soft contact from turning into overlap. MuJoCo adds the margins of
     two bodies, so that they rest two margins apart. Four fifths of the release protocol's: where the true scale is a
     fifth larger than a photo tells, what rests must not fall to the protocol's margin (K .0021 -> .00002 J)."""
     multiccd: bool = True
     """Several contact points per pair of parts. Off, stacks explode."""
+
+    @property
+    def contact(self) -> ContactMargin:
+        """The distances that follow from ``margin``."""
+        return ContactMargin(body=self.margin)
 
     def __post_init__(self) -> None:
         if self.solref[0] < 2 * self.timestep:

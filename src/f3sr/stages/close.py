@@ -19,14 +19,13 @@ from f3sr.contact.vertical_gap import Meeting, meeting
 from f3sr.core.transforms import UP, Array, pose, transform
 from f3sr.metrics.contact_groups import SettledScene, groups_of
 from f3sr.metrics.measures import visible_ious
+from f3sr.physics.contact_margin import DEFAULT_MARGIN, TOUCHING, ContactMargin
 from f3sr.proxies import trim
 from f3sr.proxies.trim import MeshSurface, Near, Place
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.settings import settings
 
-TOUCHING = 3e-6
-"""Gap [m] that counts as contact while something is lowered."""
 TRIES = 2
 """Times that an object is lowered that spoils a group; then the others are, without it."""
 STEPS = 24
@@ -45,8 +44,6 @@ class CloseConfig:
     settle. Twice as far in the next round, where what rolled away may stay."""
     reach: Annotated[float, Interval(gt=0, le=1)] = 0.1
     """How far from a contact the mesh is looked for, as a share of the same size: parts hardly stand off farther."""
-    clearance: Annotated[float, Interval(ge=0, le=0.01)] = 3.2e-4
-    """Gap left below what is lowered [m], as in ``separate``: two margins of physics."""
     added: Annotated[int, Interval(ge=0, le=1000)] = 64
     """Most convex parts that one object gets more by splits in one closing: as many as it has at most from the start.
     Crumpled meshes are hollow wherever they are touched, and every part costs time of physics."""
@@ -58,8 +55,8 @@ class CloseConfig:
     known. What loses more rolled away on the way down and is put back."""
     worth: Annotated[float, Interval(ge=0, le=100)] = 2.0
     """What more it may lose per size of an object by which the widest gap closes."""
-    apart: Annotated[float, Interval(gt=0, le=0.1)] = 2e-3
-    """Objects with this much room between them [m] do not feel each other, as in ``refine``."""
+    contact: ContactMargin = DEFAULT_MARGIN
+    """Its clearance is left below what is lowered. Objects with its ``apart`` between them do not affect each other."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +93,7 @@ def close(
     them. Groups with something ``restless``, which does not rest as it is, are left alone.
     """
     config = config or CloseConfig()
-    left = {id for g in groups_of(scene, scene, config.apart) if g.intersection(restless) for id in g}
+    left = {id for g in groups_of(scene, scene, config.contact.apart) if g.intersection(restless) for id in g}
     start, gaps = scene, _gaps(scene)
     decisions, spoilt = list[Decision](), Counter[int]()
     for k in range(config.rounds):
@@ -130,12 +127,12 @@ def _better(
 ) -> tuple[Scene, list[Decision], frozenset[int]]:
     """``before`` with those groups of objects as tried, once settled, that rest and are still seen; and which objects
     spoil the others. What has no part in it is not settled again."""
-    moving = frozenset(id for g in groups_of(before, tried, config.apart) if g & changed for id in g)
+    moving = frozenset(id for g in groups_of(before, tried, config.contact.apart) if g & changed for id in g)
     rested = settled(replace(tried, objects=tuple(o for o in tried if o.id in moving)))
     after = tried.with_objects(*rested.scene)
     was, now = visible_ious(before), visible_ious(after)
     scene, decisions, spoiling = before, list[Decision](), set[int]()
-    for group in groups_of(before, after, config.apart):
+    for group in groups_of(before, after, config.contact.apart):
         if not group & changed:
             continue
         losses = {id: was[id] - now[id] for id in sorted(group)}
@@ -196,7 +193,7 @@ class _Layout:
         others = [b.now for k, b in self.bodies.items() if k not in members]
         goal = meeting(self.bodies[id].now, others)
         near = self._near(id, goal.other)
-        if goal.gap <= self.config.clearance + 2 * near.tolerance:
+        if goal.gap <= self.config.contact.clearance + 2 * near.tolerance:
             return
         self._meet(id, goal, near)
         drop = 0.0
@@ -204,7 +201,7 @@ class _Layout:
             drop += self._move(members, self._room(members))
             if goal.gap - drop <= 2 * near.tolerance or not self._cut_free(members, goal.gap - drop):
                 break
-        self._move(members, self._room(members) - self.config.clearance)
+        self._move(members, self._room(members) - self.config.contact.clearance)
 
     def _meet(self, id: int, goal: Meeting, near: Near) -> None:
         """Cut back what stands between the two places that are to meet."""

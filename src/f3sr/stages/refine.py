@@ -16,6 +16,7 @@ from annotated_types import Interval
 
 from f3sr.core.transforms import rotation_angle
 from f3sr.metrics.contact_groups import SettledScene, groups_of
+from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene, SceneObject
 from f3sr.settings import settings
@@ -41,8 +42,8 @@ class RefineConfig:
     again: Annotated[float, Interval(ge=0, le=0.1)] = 3e-3
     """What gained less is not tried again: the next round gains a third of the one before, or less. Nor is a group that
     does not rest, which takes all the time that settling may."""
-    apart: Annotated[float, Interval(gt=0, le=0.1)] = 2e-3
-    """Objects with this much room between them [m] do not feel each other; contact keeps .4 mm."""
+    contact: ContactMargin = DEFAULT_MARGIN
+    """Objects with its ``apart`` between them do not affect each other."""
     align: AlignConfig = field(
         default_factory=lambda: AlignConfig(
             camera=False,
@@ -101,7 +102,9 @@ def refine(
         was = state.ious
         state, told = _round(state, open, realigned, config)
         decisions += told
-        moving = {id for g in groups_of(state.scene, state.scene, config.apart) if g & state.restless for id in g}
+        moving = {
+            id for g in groups_of(state.scene, state.scene, config.contact.apart) if g & state.restless for id in g
+        }
         open = [id for id in open if id not in moving and state.ious[id] > was[id] + config.again]
     return state.scene, Refined(seen=(before, state.seen), decisions=tuple(decisions))
 
@@ -132,7 +135,7 @@ def _better(
     """``state`` with every group of ``tried`` that shows more of the photo, and rests unless it did not before; and
     which of the ``ids`` that were tried were undone."""
     was, now = state.ious, tried.ious
-    groups = groups_of(state.scene, tried.scene, config.apart)
+    groups = groups_of(state.scene, tried.scene, config.contact.apart)
     kept = [
         g
         for g in groups

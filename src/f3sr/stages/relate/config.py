@@ -7,6 +7,7 @@ from typing import Annotated
 
 from annotated_types import Interval
 
+from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.settings import settings
 
 Share = Annotated[float, Interval(gt=0, le=1)]
@@ -77,9 +78,8 @@ class RelateConfig:
     """...in this share of the directions around it."""
     touch: Annotated[float, Interval(gt=0, le=0.5)] = 0.02
     """Largest distance of two objects that touch, in sizes of the smaller one, where only surfaces are known."""
-    contact: Annotated[float, Interval(ge=0, le=0.01)] = 6e-4
-    """Largest gap [m] between the proxies of two objects that touch once they rest: both contact margins and the
-    resting penetration."""
+    contact: ContactMargin = DEFAULT_MARGIN
+    """Its ``reach`` is the largest gap between the proxies of two objects that touch once they rest."""
     beside: Annotated[float, Interval(gt=0, le=2)] = 0.5
     """Largest distance of two objects next to each other, in sizes of the smaller one."""
     same_level: Share = 0.3

@@ -10,14 +10,15 @@ from annotated_types import Interval
 from f3sr.contact.footing import FootingConfig
 from f3sr.contact.stabilize import BalanceConfig
 from f3sr.contact.tipping import LandingConfig
+from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.settings import settings
 
 
 @settings
 class SeparateConfig:
-    clearance: Annotated[float, Interval(ge=0, le=0.01)] = 3.2e-4
-    """Gap left between parted objects [m] (eps_g of equation 11): the contact margins of the two
-    bodies added, so that nothing pushes when physics starts."""
+    contact: ContactMargin = DEFAULT_MARGIN
+    """Its clearance is left between parted objects (eps_g of equation 11), so that nothing pushes when physics starts.
+    """
     ground: bool = True
     """Move the ground first to where most of the objects on it stand."""
     max_ray_scale: Annotated[float, Interval(ge=0, le=0.5)] = 0.1
@@ -41,3 +42,8 @@ class SeparateConfig:
     footing: FootingConfig = field(default_factory=FootingConfig)
     balancing: BalanceConfig = field(default_factory=BalanceConfig)
     landing: LandingConfig = field(default_factory=lambda: LandingConfig(max_turn=0.5, max_shift=0.1))
+
+    @property
+    def clearance(self) -> float:
+        """[m]"""
+        return self.contact.clearance

@@ -19,9 +19,9 @@ def steady(layout: Placement, config: SeparateConfig) -> tuple[tuple[float, floa
     something; negative: it falls. None where nobody asks for them and all stands."""
     scene = layout.scene
     bodies = bodies_of([layout.object(o.id) for o in scene], parts=layout.bodies)
-    if not config.margin and stands(bodies):
+    if not config.margin and stands(bodies, reach=config.contact.reach):
         return None, []
-    was = stability(bodies)
+    was = stability(bodies, reach=config.contact.reach)
     unchanged = (was.margin, was.margin)
     if not was.moving:
         return unchanged, []
@@ -29,7 +29,7 @@ def steady(layout: Placement, config: SeparateConfig) -> tuple[tuple[float, floa
         bodies,
         {o.id: o.supported_by if o.mobility == "dynamic" else None for o in scene},
         config.balancing,
-        clearance=config.clearance,
+        contact=config.contact,
         weights={o.id: weight_of(layout, o.id) for o in scene},
     )
     if len(found.unbalanced) >= len(was.moving):

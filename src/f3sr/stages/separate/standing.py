@@ -28,9 +28,6 @@ BESIDE = 0.1
 """What is as near as this, in an object's sizes, it may lean on."""
 HALVINGS = 3
 """Of the turn until an object lies, to find the least eighth after which a footing makes it stand."""
-ROOM = 1.2e-3
-"""Gap [m] that counts as contact while it is asked whether a footing makes a body stand: parts stand off the mesh, so
-that they may keep a wedge that much off its support."""
 
 
 def stand(layout: Placement, config: SeparateConfig) -> list[Decision]:
@@ -101,7 +98,7 @@ def _laid_down(layout: Placement, o: SceneObject, config: SeparateConfig) -> tup
     on the ground it keeps its place. What was done, and whether it stands."""
     members = layout.scene.subtree(o.id)
     whole, others = _parted(layout, o.id)
-    found = tipping.land(whole, others, config.landing, clearance=config.clearance)
+    found = tipping.land(whole, others, config.landing, contact=config.contact)
     if found.tipped or found.turn < STILL:
         return None, found.stands
     if on_the_way := _lie_down_in_part(layout, o, whole.centers[0], found, config):
@@ -170,7 +167,7 @@ def _stands(layout: Placement, id: int, config: SeparateConfig) -> bool:
     """Whether a body with all it carries stands by the margin that is asked of footings, all others held still."""
     whole, others = _parted(layout, id)
     everything = [whole, *others]
-    contacts = contacts_of(everything, reach=ROOM)
+    contacts = contacts_of(everything, reach=config.contact.loose)
     friction = DEFAULT_PHYSICS.ground_friction[0]
     return Balance([whole], everything, contacts, friction).margin() >= config.footing.min_margin
 
