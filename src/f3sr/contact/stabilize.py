@@ -11,10 +11,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Annotated
 
 import numpy as np
-from annotated_types import Interval
 
 from f3sr.contact import polytopes
 from f3sr.contact.force_balance import Balance
@@ -22,7 +20,7 @@ from f3sr.contact.static_bodies import StaticBody, carried, chain_below, contact
 from f3sr.core.transforms import UP, Array, pose
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
-from f3sr.settings import settings
+from f3sr.settings import constants
 
 DIRECTIONS = 6
 """Of tilted gravity. The tilts are so large that all smaller ones in between are balanced too."""
@@ -45,21 +43,20 @@ BETTER = 0.99
 """Share of the unbalanced wrench that a round must be below to be worth it."""
 
 
-@settings
+@constants
 class BalanceConfig:
-    """How bodies are shifted until they stand."""
+    """How bodies are shifted until they stand. Lengths are shares of a body's size."""
 
-    margin: Annotated[float, Interval(ge=0, le=0.5)] = 0.03
-    """Least tilt of gravity [rad] that they shall bear: what proxies and masses are wrong by."""
-    max_shift: Annotated[float, Interval(ge=0, le=1)] = 0.15
-    """Largest shift, as a share of a body's size, where the caller sets none."""
-    max_step: Annotated[float, Interval(gt=0, le=1)] = 0.08
-    """Largest shift against its support in one round, as a share of a body's size: contacts are found anew after."""
-    rounds: Annotated[int, Interval(ge=1, le=100)] = 10
-    """Most rounds."""
-    most_bodies: Annotated[int, Interval(ge=1, le=1000)] = 16
-    """Larger islands of bodies that touch are left as they are: the time of a round grows with the cube of their
-    number, 1 s for 16."""
+    margin: float = 0.03
+    """Least tilt of gravity [rad] that bodies bear after shifts: what proxies and masses are wrong by."""
+    max_shift: float = 0.15
+    """Largest shift, where the caller sets none."""
+    max_step: float = 0.08
+    """Largest shift of a body against its support in one round, after which contacts are found anew."""
+    rounds: int = 10
+    """Most rounds of shifts."""
+    most_bodies: int = 16
+    """Most bodies of an island that is shifted. Time grows with the cube of their number, 1 s a round for 16."""
 
 
 DEFAULT_BALANCE = BalanceConfig()

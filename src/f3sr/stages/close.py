@@ -24,37 +24,41 @@ from f3sr.proxies import trim
 from f3sr.proxies.trim import MeshSurface, Near, Place
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import GROUND, Scene, SceneObject
-from f3sr.settings import settings
+from f3sr.settings import constants, settings
 
 TRIES = 2
-"""Times that an object is lowered that spoils a group; then the others are, without it."""
+"""Most attempts to lower an object whose move makes its group fail; then the others go down without it."""
 STEPS = 24
-"""Contacts that are cut free, one after the other, while one object is lowered."""
+"""Most contacts cut free, one after the other, while one object is lowered."""
+WORTH = 2.0
+"""Loss of visible IoU that is worth closing the widest gap, per size of the object above it."""
+
+
+@constants
+class CutBackConfig:
+    """How colliders are cut back where things touch. Lengths are shares of the smaller of the two sizes."""
+
+    tolerance: float = 5e-4
+    """Largest distance of a collider from its mesh at a contact, on each side."""
+    radius: float = 0.03
+    """Radius around a contact in which colliders are cut back: as far as things move while they settle. It doubles in
+    every round, where what rolled away may stay."""
+    reach: float = 0.1
+    """Largest distance from a contact at which the mesh is looked for: parts hardly stand off farther."""
+    added: int = 64
+    """Most convex parts that splits add to one object. Crumpled meshes are hollow at every contact, and every part
+    costs time of physics."""
 
 
 @settings
 class CloseConfig:
     """When something that rests shows a gap, and what may be done about it."""
 
-    tolerance: Annotated[float, Interval(gt=0, le=0.01)] = 5e-4
-    """How far colliders may stand off the mesh where things touch, on each side, as a share of the smaller of the two
-    sizes."""
-    radius: Annotated[float, Interval(gt=0, le=0.5)] = 0.03
-    """How far around such a place they are cut back, as a share of the same size: as far as things move while they
-    settle. Twice as far in the next round, where what rolled away may stay."""
-    reach: Annotated[float, Interval(gt=0, le=1)] = 0.1
-    """How far from a contact the mesh is looked for, as a share of the same size: parts hardly stand off farther."""
-    added: Annotated[int, Interval(ge=0, le=1000)] = 64
-    """Most convex parts that one object gets more by splits in one closing: as many as it has at most from the start.
-    Crumpled meshes are hollow wherever they are touched, and every part costs time of physics."""
     rounds: Annotated[int, Interval(ge=0, le=10)] = 3
-    """Most times that objects are lowered and settled: settling tilts them onto other contacts. What spoils a group in
-    two of them is left as it is in the third."""
+    """Most rounds in which objects are lowered and settled; settling tilts them onto other contacts."""
     loss: Annotated[float, Interval(ge=0, le=1)] = 0.02
-    """What the visible IoU of a group of objects that touch may lose in the mean: how well places in the picture are
-    known. What loses more rolled away on the way down and is put back."""
-    worth: Annotated[float, Interval(ge=0, le=100)] = 2.0
-    """What more it may lose per size of an object by which the widest gap closes."""
+    """Largest mean loss of visible IoU of a group of touching objects. What loses more is put back."""
+    cut: CutBackConfig = CutBackConfig()
     contact: ContactMargin = DEFAULT_MARGIN
     """Its clearance is left below what is lowered. Objects with its ``apart`` between them do not affect each other."""
 
@@ -97,7 +101,7 @@ def close(
     start, gaps = scene, _gaps(scene)
     decisions, spoilt = list[Decision](), Counter[int]()
     for k in range(config.rounds):
-        wider = replace(config, radius=min(0.5, config.radius * 2**k))
+        wider = replace(config, cut=replace(config.cut, radius=min(0.5, config.cut.radius * 2**k)))
         tried = lowered(scene, wider, but=left.union(id for id, times in spoilt.items() if times >= TRIES))
         changed = frozenset(o.id for o in scene if tried[o.id] is not o)
         if not changed:
@@ -143,7 +147,7 @@ def _better(
             reason += f", and object {_named(restless)} does not come to rest"
         if apart:
             reason += f", and object {_named(apart)}, which was not settled with it, is touched"
-        allowed = max(config.loss, config.worth * _closed(before, after, group & changed))
+        allowed = max(config.loss, WORTH * _closed(before, after, group & changed))
         is_better = not restless and not apart and loss <= allowed
         verdict = "accepted" if is_better else "rolled back"
         choice = f"colliders cut back of object {_named(group & changed)}: {verdict}"
@@ -183,7 +187,7 @@ class _Layout:
 
     def __init__(self, scene: Scene, config: CloseConfig) -> None:
         self.scene, self.config = scene, config
-        self.bodies = {o.id: _Lowered(o, len(o.parts) + config.added) for o in scene}
+        self.bodies = {o.id: _Lowered(o, len(o.parts) + config.cut.added) for o in scene}
 
     def lower(self, id: int) -> None:
         """Lower an object with all it carries until its mesh meets another one, or nothing more can be cut back."""
@@ -247,8 +251,8 @@ class _Layout:
 
     def _near(self, a: int, b: int) -> Near:
         size = min(self.scene[k].size for k in (a, b) if k != GROUND)
-        config = self.config
-        return Near(tolerance=config.tolerance * size, radius=config.radius * size, reach=config.reach * size)
+        cut = self.config.cut
+        return Near(tolerance=cut.tolerance * size, radius=cut.radius * size, reach=cut.reach * size)
 
 
 class _Lowered:

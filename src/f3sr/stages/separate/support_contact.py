@@ -10,9 +10,13 @@ import numpy as np
 from f3sr.contact import polytopes
 from f3sr.core.transforms import UP, pose
 from f3sr.scene import GROUND, Scene
-from f3sr.stages.separate.config import SeparateConfig
+from f3sr.stages.separate.config import PICTURE_SIGMA, SeparateConfig
 from f3sr.stages.separate.placement import Placement, moved, supports_first
+from f3sr.vision import depth_prior
 
+SLIDE_SIGMA = 0.25
+"""Standard deviation of an object's place on another one, as a share of its size: viewing rays must not take it over
+an edge."""
 RAY_STEPS = 10
 """Places to either side that are tried along the viewing rays before the best is refined."""
 
@@ -60,15 +64,15 @@ def grounded(scene: Scene, config: SeparateConfig) -> Scene:
 def _contact_scale(layout: Placement, id: int, config: SeparateConfig) -> float:
     """The k by which the body is moved along its viewing rays before it is lifted or lowered onto its support.
 
-    It is the most likely one: distances are known to ``depth_sigma`` and places in the picture to ``picture_sigma``,
-    so k has the least (log k / depth_sigma)^2 + (loss(height(k)) / picture_sigma)^2 within its bound, where loss is the
-    IoU that the lift costs; on another object a third term holds it in place. Over the ground height(k) is linear.
+    It is the most likely one: distances are known to ``depth_prior.sigma``, places in the picture to
+    ``PICTURE_SIGMA``, so k has the least (log k / sigma)^2 + (loss(height(k)) / PICTURE_SIGMA)^2 within its bound. The
+    loss is the IoU that the lift costs; on another object a third term holds it in place. Over the ground height(k) is linear.
     """
     loss = float(np.sqrt(layout.loss(id)[2, 2]))
-    sigma = config.depth_sigma if layout.scene.geometry else config.unknown_depth_sigma
+    sigma = depth_prior.sigma(has_geometry=layout.scene.geometry is not None)
     C, body = layout.scene.camera.center, layout.bodies[id]
     on_the_ground = layout.scene[id].supported_by == GROUND
-    slide = 0.0 if on_the_ground else layout.distance(id) / (config.slide_sigma * layout.scene[id].size)
+    slide = 0.0 if on_the_ground else layout.distance(id) / (SLIDE_SIGMA * layout.scene[id].size)
 
     def height(k: float) -> float:
         if on_the_ground:
@@ -76,7 +80,7 @@ def _contact_scale(layout: Placement, id: int, config: SeparateConfig) -> float:
         return gap(moved(body, (1 - k) * C, k), id, layout, config)
 
     def cost(k: float) -> float:
-        lifted = loss * height(k) / config.picture_sigma
+        lifted = loss * height(k) / PICTURE_SIGMA
         return float(np.log(k) / sigma) ** 2 + (slide * (k - 1)) ** 2 + lifted**2
 
     low, high = layout.rays_left(id, config.max_ray_scale)
