@@ -15,7 +15,7 @@ from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import Array
 from f3sr.proxies import GRID, Excess, ProxyConfig, fit
 from f3sr.proxies.parts import FittedParts, decimated, nearly_convex, one_hull
-from f3sr.proxies.surface import Faces, NearestTriangles, surroundings
+from f3sr.proxies.surface import PROBE, Faces, NearestTriangles, surroundings
 from f3sr.scene import Scene
 from f3sr.stages.decompose import Decomposed, ProxyFit
 
@@ -58,7 +58,7 @@ def decompose(mesh: Mesh, method: str, config: ProxyConfig | None = None) -> Pee
     if nearly_convex(vertices, faces, config):
         method, fitted = "hull", one_hull(vertices, faces, config)
     elif parts := _with_volume(PEERS[method](vertices, faces, config)):
-        fitted = _fitted(parts, vertices, faces, config)
+        fitted = _fitted(parts, vertices, faces)
     else:
         method, fitted = "hull-fallback", one_hull(vertices, faces, config)
     T_mesh_unit = np.diag([size, size, size, 1.0])
@@ -87,13 +87,13 @@ def stage(method: str) -> Callable[[Scene, ProxyConfig], tuple[Scene, Decomposed
     return decomposed
 
 
-def _fitted(parts: Sequence[ConvexPart], vertices: Array, faces: Faces, config: ProxyConfig) -> FittedParts:
-    around = surroundings(vertices, faces, config)
+def _fitted(parts: Sequence[ConvexPart], vertices: Array, faces: Faces) -> FittedParts:
+    around = surroundings(vertices, faces)
     return FittedParts(
         parts=tuple(parts),
         inflation=fit.inflation(parts, vertices, faces),
         outside=fit.largest_outside(parts, vertices[np.unique(faces)]),
-        excess=fit.excess(parts, NearestTriangles.on(vertices, faces), around, config.probe),
+        excess=fit.excess(parts, NearestTriangles.on(vertices, faces), around, PROBE),
     )
 
 
@@ -101,7 +101,7 @@ def _coacd(vertices: Array, faces: Faces, config: ProxyConfig) -> list[Array]:
     import coacd
 
     coacd.set_log_level("error")
-    mesh = coacd.Mesh(*decimated(vertices, faces, config.target_faces))
+    mesh = coacd.Mesh(*decimated(vertices, faces, config.cuts.target_faces))
     return [np.asarray(points, float) for points, _ in coacd.run_coacd(mesh, **COACD)]
 
 

@@ -12,6 +12,7 @@ from f3sr.contact.stabilize import DEFAULT_BALANCE, BalanceConfig, balance
 from f3sr.contact.static_bodies import StaticBody, carried, rigid, supports_first
 from f3sr.contact.tipping import DEFAULT_LANDING, Landing, LandingConfig, land
 from f3sr.core.transforms import Array, pose
+from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 
 ROUNDS = 3
@@ -38,7 +39,7 @@ def rest(
     landing: LandingConfig = DEFAULT_LANDING,
     balancing: BalanceConfig = DEFAULT_BALANCE,
     *,
-    clearance: float = 4e-4,
+    contact: ContactMargin = DEFAULT_MARGIN,
     weights: Mapping[int, Array] | None = None,
     max_shifts: Mapping[int, float] | None = None,
     ground_friction: float = DEFAULT_PHYSICS.ground_friction[0],
@@ -50,13 +51,13 @@ def rest(
     tipped: frozenset[int] = frozenset()
     for _ in range(ROUNDS):
         now = [b.moved(motions[b.id]) for b in bodies]
-        landed = land_all(now, supports, landing, clearance=clearance, ground_friction=ground_friction)
+        landed = land_all(now, supports, landing, contact=contact, ground_friction=ground_friction)
         now = [b.moved(landed.motions[b.id]) for b in now]
         balanced = balance(
             now,
             supports,
             balancing,
-            clearance=clearance,
+            contact=contact,
             weights=weights,
             max_shifts=max_shifts,
             ground_friction=ground_friction,
@@ -89,7 +90,7 @@ def land_all(
     supports: Mapping[int, int | None],
     config: LandingConfig = DEFAULT_LANDING,
     *,
-    clearance: float = 4e-4,
+    contact: ContactMargin = DEFAULT_MARGIN,
     ground_friction: float = DEFAULT_PHYSICS.ground_friction[0],
 ) -> Landed:
     """Land every movable body with what it carries as one rigid thing, supports first, all others held still.
@@ -106,10 +107,10 @@ def land_all(
         members = {i for i in carried(id, supports) if not now[i].fixed}
         whole = rigid([now[i] for i in sorted(members)], id)
         others = [b for i, b in now.items() if i not in members]
-        found = land(whole, others, config, clearance=clearance, ground_friction=ground_friction)
+        found = land(whole, others, config, contact=contact, ground_friction=ground_friction)
         if found.tipped and len(members) > 1:  # what it carries lies too far out, which other shifts may mend
             unladen = replace(whole, centers=now[id].centers)
-            found = land(unladen, others, config, clearance=clearance, ground_friction=ground_friction)
+            found = land(unladen, others, config, contact=contact, ground_friction=ground_friction)
             found = replace(found, stands=False)
         landings[id] = found
         for i in members:

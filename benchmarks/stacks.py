@@ -12,9 +12,10 @@ from f3sr.contact.contact_patches import Contacts, find_contacts
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart, Mesh, union
 from f3sr.core.transforms import UP, Array, pose, rotation_about
+from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.scene import GROUND, SceneObject
 
-CLEARANCE = 4e-4
+CLEARANCE = DEFAULT_MARGIN.clearance
 """Left between bodies [m], as the product does."""
 KINDS = ("box", "slab", "plate", "can", "angle", "table")
 

@@ -62,7 +62,9 @@ def align(scene: Scene, config: AlignConfig | None = None) -> tuple[Scene, stage
     scene, outcome = stage.align(scene, replace(config, objects=False))
     if not config.objects:
         return scene, outcome
-    found = [align_object(outlined(o, config.max_faces), scene.camera, resolution=config.resolution) for o in scene]
+    found = [
+        align_object(outlined(o, config.search.max_faces), scene.camera, resolution=config.resolution) for o in scene
+    ]
     decisions = (*outcome.decisions, *(d for _, of_one in found for d in of_one))
     scene = scene.with_objects(*(replace(o, mesh=scene[o.id].mesh) for o, _ in found))
     return scene, stage.Aligned(decisions=decisions)

@@ -139,7 +139,7 @@ def growth() -> None:
     for count in (5, 10, 20, 50):
         bodies = []
         for id in range(count):
-            at = np.array([0.25 * (id // 5), 0.003 * (id % 5), 4e-4 + (id % 5) * 0.0204])
+            at = np.array([0.25 * (id // 5), 0.003 * (id % 5), stacks.CLEARANCE + (id % 5) * 0.0204])
             T = pose(rotation_about(UP, 0.1 * id), at)
             parts = tuple(Polytope.of(p).moved(T) for p in one.parts)
             center = at + 0.01 * UP

@@ -10,11 +10,12 @@ import numpy as np
 
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import pose
+from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.scene import GROUND, Scene, SceneObject, Support
 from f3sr.scene_package.package import Package, read_package, write_package
 from scenes import HEIGHT, WIDTH, ball_mesh, box, scene_of
 
-GAP = 3.2e-4
+GAP = DEFAULT_MARGIN.clearance
 """Two contact margins: how far things rest from each other [m]."""
 CARTON, CAN, BALL, CRATE, BLOCK, LID = range(6)
 

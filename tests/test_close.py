@@ -21,6 +21,7 @@ from f3sr.vision import rasterizer
 from scenes import ball_mesh, box, dish_mesh, scene_of
 
 CONFIG = CloseConfig()
+GAP = CONFIG.contact.clearance
 RADIUS, DISH, WALL = 0.05, 0.5, 0.005
 TURN = 0.3
 """By how much the ball's polytope is turned [rad]: a corner is below."""
@@ -44,7 +45,7 @@ def made(id: int, mesh: Mesh, parts: tuple[ConvexPart, ...], at: Array, on: int 
 def on_colliders(o: SceneObject, height: float) -> SceneObject:
     """The object raised until its colliders stand over a height."""
     low = min(float(p.vertices[:, 2].min()) for p in o.colliders_world)
-    return replace(o, T_world_object=pose(t=[0, 0, height + CONFIG.clearance - low]) @ o.T_world_object)
+    return replace(o, T_world_object=pose(t=[0, 0, height + GAP - low]) @ o.T_world_object)
 
 
 def ball_on_the_ground() -> SceneObject:
@@ -78,10 +79,10 @@ def test_a_ball_comes_down_to_the_ground():
     scene = scene_of(ball_on_the_ground())
     assert gap(scene, 0) > 0.002
     after = lowered(scene, CONFIG)
-    allowed = CONFIG.clearance + 2 * CONFIG.tolerance * scene[0].size
-    assert CONFIG.clearance - 1e-7 < gap(after, 0) <= allowed + 1e-7
+    allowed = GAP + 2 * CONFIG.cut.tolerance * scene[0].size
+    assert GAP - 1e-7 < gap(after, 0) <= allowed + 1e-7
     assert outside(after[0]) < 1e-8
-    assert min(float(p.vertices[:, 2].min()) for p in after[0].colliders_world) == pytest.approx(CONFIG.clearance)
+    assert min(float(p.vertices[:, 2].min()) for p in after[0].colliders_world) == pytest.approx(GAP)
 
 
 def test_a_ball_comes_down_into_a_dish():
@@ -92,7 +93,7 @@ def test_a_ball_comes_down_into_a_dish():
     # Off the middle the vertical gap of two concentric-like balls is a little more than the shortest.
     middle = after[1].T_world_object[:3, 3] - after[0].T_world_object[:3, 3] - [0, 0, DISH]
     shortest = DISH - RADIUS - float(np.linalg.norm(middle))
-    assert 0 < shortest <= CONFIG.clearance + 2 * CONFIG.tolerance * size + 2e-4
+    assert 0 < shortest <= GAP + 2 * CONFIG.cut.tolerance * size + 2e-4
     assert all(outside(o) < 1e-8 for o in after)
     assert len(after[0].parts) <= 24 and len(after[1].parts) == 1
 
@@ -100,7 +101,7 @@ def test_a_ball_comes_down_into_a_dish():
 @pytest.mark.parametrize("added", [0, 3])
 def test_splits_add_no_more_parts_than_allowed(added: int):
     scene = ball_in_a_dish()
-    after = lowered(scene, replace(CONFIG, added=added))
+    after = lowered(scene, replace(CONFIG, cut=replace(CONFIG.cut, added=added)))
     assert all(len(b.parts) <= len(a.parts) + added for a, b in zip(scene, after, strict=True))
     assert len(lowered(scene, CONFIG)[0].parts) > len(scene[0].parts) + added, "more of them would help"
 
@@ -117,7 +118,7 @@ def test_it_rests_there():
 
 
 def test_what_touches_stays_the_same_value():
-    scene = scene_of(box(0, at=(-0.3, 0, 0.05 + CONFIG.clearance)), replace(ball_on_the_ground(), id=1))
+    scene = scene_of(box(0, at=(-0.3, 0, 0.05 + GAP)), replace(ball_on_the_ground(), id=1))
     after, outcome = close(scene, CONFIG, settled=settled)
     assert after[0] is scene[0] and after[1] is not scene[1]
     assert [m.about for m in outcome.measures if m.name == "convex parts"] == [1]
@@ -128,12 +129,12 @@ def test_what_touches_stays_the_same_value():
 def test_what_carries_something_comes_down_with_it():
     ball = ball_on_the_ground()
     top = float(np.concatenate([p.vertices[:, 2] for p in ball.colliders_world]).max())
-    lid = made(1, box(1).mesh, box(1).parts, np.array([0, 0, top + CONFIG.clearance + 0.05]), on=0)
+    lid = made(1, box(1).mesh, box(1).parts, np.array([0, 0, top + GAP + 0.05]), on=0)
     scene = scene_of(ball, lid)
     after = lowered(scene, CONFIG)
     drops = [scene[id].T_world_object[2, 3] - after[id].T_world_object[2, 3] for id in (0, 1)]
     assert drops[0] > 0.002 and drops[1] > drops[0] + 0.002, "and then onto what carries it"
-    assert gap(after, 1) <= CONFIG.clearance + 2 * CONFIG.tolerance * scene[0].size + 1e-7
+    assert gap(after, 1) <= GAP + 2 * CONFIG.cut.tolerance * scene[0].size + 1e-7
 
 
 def test_a_footing_that_holds_the_mesh_up_is_shaved():
@@ -143,8 +144,8 @@ def test_a_footing_that_holds_the_mesh_up_is_shaved():
     )
     scene = scene_of(on_colliders(replace(o, footing=(layer,)), 0.0))
     after = lowered(scene, CONFIG)
-    assert gap(scene, 0) == pytest.approx(0.003 + CONFIG.clearance)
-    assert gap(after, 0) == pytest.approx(CONFIG.clearance, abs=1e-6)
+    assert gap(scene, 0) == pytest.approx(0.003 + GAP)
+    assert gap(after, 0) == pytest.approx(GAP, abs=1e-6)
     assert after[0].parts is scene[0].parts and not after[0].footing
 
 
@@ -173,7 +174,7 @@ def test_only_groups_that_change_are_settled_and_each_is_kept_for_itself():
     apart = [
         replace(ball, id=id, T_world_object=pose(t=[x, 0, 0]) @ ball.T_world_object) for id, x in ((1, -0.3), (2, 0.3))
     ]
-    scene = seen(scene_of(box(0, at=(0, 0, 0.05 + CONFIG.clearance)), *apart))
+    scene = seen(scene_of(box(0, at=(0, 0, 0.05 + GAP)), *apart))
     given: list[list[int]] = []
 
     def physics(scene: Scene) -> SettledScene:
@@ -209,7 +210,7 @@ def test_the_unit_of_an_asset_does_not_matter():
 
 def test_others_of_its_group_come_down_without_what_rolls_away():
     ball = ball_on_the_ground()
-    beside = replace(ball, id=1, T_world_object=pose(t=[2.05 * RADIUS, 0, 0]) @ ball.T_world_object)
+    beside = replace(ball, id=1, T_world_object=pose(t=[2.02 * RADIUS, 0, 0]) @ ball.T_world_object)
     scene = seen(scene_of(ball, beside))
 
     def physics(scene: Scene) -> SettledScene:
@@ -219,7 +220,7 @@ def test_others_of_its_group_come_down_without_what_rolls_away():
             scene = scene.with_objects(o.moved(pose(t=[-0.03, 0, 0]), stage="settle", reason="rolls"))
         return SettledScene(scene=scene, restless=frozenset())
 
-    after, outcome = close(scene, replace(CONFIG, apart=0.01, loss=0.3), settled=physics)
+    after, outcome = close(scene, replace(CONFIG, loss=0.3), settled=physics)
     assert gap(after, 0) == gap(scene, 0) and gap(after, 1) < 0.2 * gap(scene, 1)
     assert [d.choice.split(": ")[1] for d in outcome.decisions] == ["rolled back", "rolled back", "accepted"]
 

@@ -137,7 +137,7 @@ def test_heavy_meshes_are_searched_light_and_judged_whole():
     light = outlined(s.objects[0], 1000)
     assert len(light.mesh.faces) <= 1000 < len(mesh.faces) and outlined(light, 1000) is light
     assert outlined(s.objects[1], 1000).mesh is light.mesh
-    found, decision = fitted_camera(s, ForeignCameraConfig(max_faces=1000))
+    found, decision = fitted_camera(s, max_faces=1000)
     assert mean_iou(s, found) > 0.98 and f"-> {mean_iou(s, found):.4f}" in decision.reason
 
 

@@ -11,6 +11,7 @@ from f3sr.core.transforms import Array
 from f3sr.goals.plan import Velocity
 from f3sr.goals.simulate import simulate
 from f3sr.launches import ballistics
+from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import GRAVITY, SceneObject
 from scenes import box, scene_of
@@ -69,7 +70,7 @@ def toppling(o: SceneObject, surplus: float) -> float:
 
 @pytest.mark.parametrize("size", [(0.1, 0.1, 0.25), (0.06, 0.12, 0.12)])
 def test_just_enough_topples_and_less_does_not(size: tuple[float, float, float]) -> None:
-    o = box(0, size=size, at=(0, 0, size[2] / 2 + 3.2e-4))
+    o = box(0, size=size, at=(0, 0, size[2] / 2 + DEFAULT_MARGIN.clearance))
     assert toppling(o, 1.5) == pytest.approx(np.pi / 2, abs=0.05)
     assert toppling(o, 0.6) < 0.05
 

@@ -12,9 +12,10 @@ from f3sr.contact.joint_separation import part
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, pose, rotation_about
+from f3sr.physics.contact_margin import DEFAULT_MARGIN
 
 EVEN = np.eye(2)
-GAP = 4e-4
+GAP = DEFAULT_MARGIN.clearance
 
 
 def block(x=0.0, y=0.0, *, size=(0.1, 0.1, 0.1), z=0.05, turn=0.0) -> Polytope:
@@ -70,8 +71,8 @@ def one_pair_after_the_other(bodies, rounds=64):
 
 def test_two_boxes_share_the_way() -> None:
     found = part({0: [block()], 1: [block(0.08, 0.01)]}, [(0, 1)], {0: EVEN, 1: EVEN})
-    assert np.allclose(found.shifts[0], [-0.0102, 0]) and np.allclose(found.shifts[1], [0.0102, 0])
-    assert found.optimal and not found.unsolved and found.cost == pytest.approx(2 * 0.0102**2, rel=1e-4)
+    assert np.allclose(found.shifts[0], [-0.01 - GAP / 2, 0]) and np.allclose(found.shifts[1], [0.01 + GAP / 2, 0])
+    assert found.optimal and not found.unsolved and found.cost == pytest.approx(2 * (0.01 + GAP / 2) ** 2, rel=1e-4)
 
 
 def test_the_light_one_moves_more() -> None:

@@ -14,9 +14,10 @@ import pytest
 import f3sr
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import rotation_about
+from f3sr.physics import mujoco_model
 from f3sr.physics.mujoco_model import PhysicsConfig, body_of, build_spec
 from f3sr.physics.release import filling, release
-from f3sr.physics.settling import SettleConfig, settle
+from f3sr.physics.settling import RestConfig, SettleConfig, settle
 from f3sr.scene import SceneObject
 from scenes import box, box_mesh, box_stack_scene
 
@@ -155,19 +156,19 @@ def test_friction_decides_whether_a_box_slides_down_a_slope(friction: float, sli
 
 def test_a_scene_without_rest_is_reported_within_the_time_limit() -> None:
     high = [box(0, at=(0, 0, 500))]
-    result = settle(high, settling=SettleConfig(time_limit=0.3, check_time=0.1, rest_time=0.05))
+    result = settle(high, settling=SettleConfig(time_limit=0.3, check_time=0.1, rest=RestConfig(window=0.05)))
     assert not result.at_rest and not result.exploded and result.seconds == pytest.approx(0.3, abs=0.01)
 
 
-def wild() -> PhysicsConfig:
-    """A configuration that no user can make, to see a simulation blow up."""
-    config = PhysicsConfig()
-    object.__setattr__(config, "gravity", -1e200)
-    return config
+@pytest.fixture
+def wild(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gravity at which a simulation blows up."""
+    monkeypatch.setattr(mujoco_model, "GRAVITY", 1e200)
 
 
+@pytest.mark.usefixtures("wild")
 def test_a_blow_up_is_reported_with_the_initial_poses() -> None:
-    result = settle([box(0)], wild())
+    result = settle([box(0)])
     assert result.exploded and not result.at_rest
     assert np.array_equal(result.T_world_object[0], box(0).T_world_object)
 
@@ -184,7 +185,7 @@ def test_rest_holds_for_both_distributions_of_mass() -> None:
     table = replace(box(0, size=(0.4, 0.4, 0.1)), mobility="fixed")
     slab = box(1, size=(0.3, 0.1, 0.02), at=(0.23, 0, 0.1105))
     slab = replace(slab, mesh=slab.mesh.with_vertices(slab.mesh.vertices * [0.2, 1, 1] - [0.12, 0, 0]))
-    lenient = settle([table, slab], settling=SettleConfig(even_masses=False))
+    lenient = settle([table, slab], settling=SettleConfig(rest=RestConfig(even_masses=False)))
     strict = settle([table, slab])
     assert lenient.at_rest and lenient.T_world_object[1][2, 3] > 0.1
     assert not (strict.at_rest and strict.T_world_object[1][2, 3] > 0.1)
@@ -204,11 +205,12 @@ def test_settling_carries_a_turned_frame_along() -> None:
     assert np.allclose(a.vertices_world, b.vertices_world, atol=1e-6)
 
 
+@pytest.mark.usefixtures("wild")
 def test_no_log_file_is_left(tmp_path: object, monkeypatch: pytest.MonkeyPatch) -> None:
     from pathlib import Path
 
     monkeypatch.chdir(str(tmp_path))
-    settle([box(0)], wild())
+    settle([box(0)])
     assert not list(Path.cwd().iterdir())
 
 

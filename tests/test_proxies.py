@@ -15,13 +15,14 @@ from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.errors import InputError
 from f3sr.proxies import ProxyConfig, decompose, decompose_all, worker
+from f3sr.proxies.config import CutConfig
 from f3sr.proxies.cuts import clipped
 from f3sr.proxies.fit import excess
 from f3sr.proxies.parts import subject_of
 from f3sr.proxies.simplify import simplified_outward
 from f3sr.proxies.surface import NearestTriangles, samples_of, surroundings
 
-QUICK = ProxyConfig(target_faces=600, samples=2000, tolerance=0.012, max_parts=24, surplus=1.5)
+QUICK = ProxyConfig(tolerance=0.012, max_parts=24, cuts=CutConfig(target_faces=600, samples=2000, surplus=1.5))
 
 
 def box_mesh(size=(1.0, 1.0, 1.0), center=(0.0, 0.0, 0.0)):
@@ -146,7 +147,7 @@ def test_a_simplified_hull_contains_the_exact_one_and_is_thin():
     points /= 2 * np.linalg.norm(points / [1, 0.6, 0.3], axis=1, keepdims=True)
     exact = ConvexPart.hull_of(points)
     for most in (12, 36):
-        part = simplified_outward(points, ProxyConfig(loose_tolerance=0.2), most=most)
+        part = simplified_outward(points, ProxyConfig(cuts=CutConfig(loose_tolerance=0.2)), most=most)
         polytope = Polytope.of(part)
         assert len(polytope.normals) <= most
         assert (points @ polytope.normals.T - polytope.offsets).max() < 1e-9
@@ -292,7 +293,7 @@ def area(triangles):
 
 def test_open_space_ends_at_walls_and_narrow_slots():
     vertices, faces, _ = proxies._normalised(crate())
-    around = surroundings(vertices, faces, ProxyConfig())
+    around = surroundings(vertices, faces)
     up = np.array([[0, 0, 1.0]])
     floor = np.array([[0.0, 0.0, vertices[:, 2].min() + 0.05 / crate().diagonal]])
     assert around.is_reached(floor, up, 0.03).all()
@@ -303,7 +304,7 @@ def test_open_space_ends_at_walls_and_narrow_slots():
 def test_the_excess_is_what_a_lid_stands_off():
     mesh = crate()
     vertices, faces, _ = proxies._normalised(mesh)
-    around = surroundings(vertices, faces, ProxyConfig())
+    around = surroundings(vertices, faces)
     hull = ConvexPart.hull_of(vertices)
     found = excess([hull], NearestTriangles.on(vertices, faces), around, 0.03)
     # The lid's middle is .35 from the two long walls and .45 from the floor.
@@ -363,7 +364,7 @@ def test_the_same_bytes_twice(tmp_path):
 
 
 def test_a_worker_over_its_limit_falls_back_and_is_not_cached(tmp_path):
-    greedy = ProxyConfig(cpu_limit_s=1, tolerance=0.0005, max_parts=256, samples=100_000)
+    greedy = ProxyConfig(cpu_limit_s=1, tolerance=0.0005, max_parts=256, cuts=CutConfig(samples=100_000))
     proxy = decompose(BOWL, greedy, cache_dir=tmp_path, about=3)
     assert proxy.cut_short
     assert proxy.method == "hull-fallback"

@@ -78,11 +78,6 @@ def test_what_sinks_in_is_lifted_whatever_measured_it():
         assert lowest(after[0]) == pytest.approx(CLEARANCE, abs=2e-5)
 
 
-def test_a_share_of_zero_trusts_every_underside():
-    after, _ = separate(hanging(0.003), SeparateConfig(underside_sigma=0))
-    assert lowest(after[0]) == pytest.approx(CLEARANCE, abs=2e-5)
-
-
 def test_of_two_that_overlap_the_one_at_its_measured_distance_stays():
     """Two boxes behind one another overlap along the viewing ray; the depth map shows where the front one is."""
     scene = scene_of(box(0, at=(0, -0.04, 0.05)), box(1, at=(0, 0.04, 0.05), size=(0.1, 0.1, 0.2)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tomllib
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -12,8 +13,10 @@ import pytest
 
 from f3sr import settings
 from f3sr.errors import InputError
-from f3sr.pipeline import Config
+from f3sr.physics.mujoco_model import PhysicsConfig
+from f3sr.pipeline import Config, same_margin
 from f3sr.stages.align import AlignConfig
+from f3sr.stages.align.config import CameraConfig, SearchConfig
 
 PAGE = Path(__file__).parents[1] / "docs" / "settings.toml"
 
@@ -33,13 +36,22 @@ def test_the_page_of_settings_is_what_the_program_prints() -> None:
 
 
 def test_a_file_changes_what_it_names_and_nothing_else(tmp_path: Path) -> None:
-    file = written(tmp_path, "[align]\nmax_yaw = 1\n[refine.align]\nmax_yaw = 0.5\n")
+    file = written(tmp_path, "[align]\nmax_yaw = 1\n[align.camera_step]\nfocal = true\n")
     config = settings.read(file, Config())
-    assert config.align == replace(Config().align, max_yaw=1.0)
-    assert config.refine.align == replace(Config().refine.align, max_yaw=0.5)
-    seeds = replace(Config(), align=AlignConfig(yaw_seeds=(0.0,)))
-    assert settings.changed(seeds, Config()) == {"align.yaw_seeds": [0.0]}  # as JSON has it
-    assert settings.changed(config, Config()) == {"align.max_yaw": 1.0, "refine.align.max_yaw": 0.5}
+    assert config == replace(Config(), align=AlignConfig(max_yaw=1.0, camera_step=CameraConfig(focal=True)))
+    assert settings.changed(config, Config()) == {"align.max_yaw": 1.0, "align.camera_step.focal": True}
+
+
+def test_constants_belong_to_keys_but_to_no_file_of_settings(tmp_path: Path) -> None:
+    varied = replace(Config(), align=AlignConfig(search=SearchConfig(yaw_seeds=(0.0,))))
+    assert settings.changed(varied, Config()) == {"align.search.yaw_seeds": [0.0]}  # as JSON has it
+    assert asdict(varied) != asdict(Config()) and settings.describe(varied) == settings.describe(Config())
+    assert settings.read(written(tmp_path, "[align]\nmax_yaw = 1\n"), varied).align.search == varied.align.search
+
+
+def test_settings_fit_on_two_screens() -> None:
+    text = settings.describe(Config())
+    assert len(leaves(tomllib.loads(text))) <= 42 and text.count("\n") <= 120
 
 
 def leaves(tree: dict[str, Any], path: str = "") -> list[tuple[str, str]]:
@@ -50,7 +62,7 @@ def leaves(tree: dict[str, Any], path: str = "") -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize("value", ['"1"', "1e999", "-1e9", "nan", "[]", "{ a = 1 }", "1979-05-27"])
 def test_no_setting_takes_nonsense(tmp_path: Path, value: str) -> None:
-    for table, name in leaves(asdict(Config())):
+    for table, name in leaves(tomllib.loads(settings.describe(Config()))):
         with pytest.raises(InputError) as caught:
             settings.read(written(tmp_path, f"[{table}]\n{name} = {value}\n"), Config())
         message = str(caught.value)
@@ -61,7 +73,9 @@ def test_every_setting_says_its_meaning_and_its_range() -> None:
     lines = settings.describe(Config()).splitlines()
     for k, line in enumerate(lines):
         if " = " in line and not line.startswith("#"):
-            assert len(lines[k - 2]) > 8 and lines[k - 1].startswith("# "), line
+            meaning, _, accepted = lines[k - 1].removeprefix("# ").rpartition(". (")
+            assert meaning and accepted.endswith(")"), line
+            assert all(len(sentence.split()) <= 20 for sentence in meaning.split(". ")), meaning
 
 
 @pytest.mark.parametrize(
@@ -69,6 +83,9 @@ def test_every_setting_says_its_meaning_and_its_range() -> None:
     [
         ("[align]\nmaxyaw = 1", "unknown align.maxyaw; accepted: in [align] resolution, camera"),
         ("[aling]\nmax_yaw = 1", "unknown aling; accepted: the tables assemble, level"),
+        ("[align.facets]\nmost = 0.1", "unknown align.facets; accepted: in [align] resolution, camera"),
+        ("[relate]\ncells = 48", "unknown relate; accepted: the tables assemble, level"),
+        ("[refine.align]\nmax_yaw = 0.1", "unknown refine.align; accepted: in [refine] rounds"),
         ("align = 3", "align = 3; accepted: a table [align]"),
         ("[align]\nmax_yaw = 9", "align.max_yaw = 9; accepted: a number > 0 and <= 3.1415927"),
         ("[align]\nfreedom = 'air'", 'align.freedom = "air"; accepted: one of "image", "support"'),
@@ -125,3 +142,17 @@ def test_settings_made_in_python_are_checked_too() -> None:
         AlignConfig(max_yaw=9.0)
     with pytest.raises(ValueError, match="max_yaw"):
         replace(AlignConfig(), max_yaw=-1.0)
+
+
+@pytest.mark.parametrize("margin", [None, 1e-4])
+def test_every_stage_has_the_margin_of_physics(margin: float | None) -> None:
+    """By default, and where it is set; clearance, reach and the rest grow in this order."""
+    physics = PhysicsConfig() if margin is None else PhysicsConfig(margin=margin)
+    given = replace(Config(), settle=replace(Config().settle, physics=physics))
+    config = given if margin is None else same_margin(given)
+    stages = (config.relate, config.separate, config.close, config.refine)
+    assert {stage.contact for stage in stages} == {config.settle.physics.contact}
+    found = config.separate.contact
+    assert config.separate.clearance == found.clearance == 2 * physics.margin
+    assert physics.margin < found.clearance < found.reach < found.loose < found.apart
+    assert settings.changed(given, Config()) == ({} if margin is None else {"settle.physics.margin": margin})

@@ -14,7 +14,7 @@ from f3sr.io import inputs
 from f3sr.metrics.measures import measure
 from f3sr.scene import GROUND, Geometry, Relation, Scene, SceneGraph, Support
 from f3sr.stages.align import AlignConfig, align
-from f3sr.stages.align.config import FacetConfig
+from f3sr.stages.align.config import FacetConfig, SearchConfig
 from f3sr.stages.assemble import as_given, assemble
 from f3sr.stages.decompose import decompose
 from f3sr.stages.evaluate import direct_composition, evaluate
@@ -174,11 +174,11 @@ def test_the_vote_blends_agreeing_normals_only():
     normal = np.array([0.0, -1, 0])
     tilted = rotation_about([1, 0, 0], np.radians(2)) @ normal
     far = rotation_about([1, 0, 0], np.radians(60)) @ normal
-    voted, share = vote(normal, np.array([tilted] * 8 + [far] * 2), LevelConfig())
+    voted, share = vote(normal, np.array([tilted] * 8 + [far] * 2))
     expected = (1 - 0.55) * normal + 0.55 * tilted
     assert share == 0.8 and np.allclose(voted, expected / np.linalg.norm(expected))
-    assert np.allclose(vote(normal, np.array([far] * 8 + [tilted] * 2), LevelConfig())[0], normal)
-    assert np.allclose(vote(normal, -np.array([tilted] * 10), LevelConfig())[0], voted)
+    assert np.allclose(vote(normal, np.array([far] * 8 + [tilted] * 2))[0], normal)
+    assert np.allclose(vote(normal, -np.array([tilted] * 10))[0], voted)
 
 
 def test_without_any_ground_the_lowest_vertex_is_the_ground(exact: Scene):
@@ -210,7 +210,7 @@ def test_align_of_a_heavy_mesh_is_that_of_its_outline_and_keeps_the_mesh(wrong: 
         return replace(o, mesh=Mesh(vertices=v, faces=f))
 
     big = wrong.with_objects(*(heavy(o) for o in wrong))
-    scene, _ = align(big, AlignConfig(max_faces=1000, camera=False))
+    scene, _ = align(big, AlignConfig(search=SearchConfig(max_faces=1000), camera=False))
     light, _ = align(wrong, AlignConfig(camera=False))
     assert all(o.mesh is big[o.id].mesh for o in scene)
     assert visible_iou(scene) == pytest.approx(visible_iou(light), abs=0.02)
@@ -223,7 +223,7 @@ def test_align_leaves_a_perfect_scene_almost_alone(exact: Scene):
 
 
 def test_align_never_accepts_what_the_picture_does_not_like(wrong: Scene):
-    scene, _ = align(wrong, AlignConfig(iterations=2, facets=FacetConfig(enabled=False)))
+    scene, _ = align(wrong, AlignConfig(search=SearchConfig(iterations=2), facets=FacetConfig(enabled=False)))
     assert visible_iou(scene) >= visible_iou(wrong)
 
 

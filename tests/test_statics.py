@@ -19,13 +19,14 @@ from f3sr.contact.static_bodies import StaticBody, bodies_of, contacts_of, islan
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, pose, rotation_about
 from f3sr.physics import release
+from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 from f3sr.scene import GRAVITY, GROUND, SceneObject
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 stacks = importlib.import_module("stacks")
 
-GAP = 4e-4
+GAP = DEFAULT_MARGIN.clearance
 ALONG_AN_EDGE = np.cos(np.pi / EDGES)
 """What the pyramid has of a cone's friction at least."""
 
@@ -203,7 +204,7 @@ def test_a_larger_world_stands_alike(k: float) -> None:
     large = [
         replace(b, parts=tuple(p.moved(T) for p in b.parts), centers=k * b.centers, mass=k**3 * b.mass) for b in bodies
     ]
-    found = stability(large, contacts_of(large, reach=k * 6e-4))
+    found = stability(large, contacts_of(large, reach=k * DEFAULT_MARGIN.reach))
     once = stability(bodies)
     assert found.margin == pytest.approx(once.margin, abs=2e-3)
 

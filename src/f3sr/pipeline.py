@@ -22,14 +22,13 @@ from f3sr.runtime.stage_runner import Runner
 from f3sr.scene import Scene
 from f3sr.settings import changed, settings
 from f3sr.stages.align import AlignConfig, Aligned, align
-from f3sr.stages.align.config import FacetConfig
 from f3sr.stages.assemble import AssembleConfig, Assembled, as_given, assemble
 from f3sr.stages.close import CloseConfig, Closed, close
 from f3sr.stages.decompose import Decomposed, decompose
 from f3sr.stages.evaluate import EvaluateConfig, Evaluation, direct_composition, evaluate
 from f3sr.stages.inpaint import Inpainted, inpaint
 from f3sr.stages.level import LevelConfig, Levelled, level
-from f3sr.stages.refine import RefineConfig, Refined, refine
+from f3sr.stages.refine import UPRIGHT, RefineConfig, Refined, refine
 from f3sr.stages.relate import Described, RelateConfig, Related, describe, relate
 from f3sr.stages.separate import SeparateConfig, Separated, separate
 from f3sr.stages.settle import Settled, SettleStageConfig, settle
@@ -97,7 +96,8 @@ def reconstruct(
 
     Stages whose results are in ``store`` are not done again. ``progress`` is told of every stage.
     """
-    config = config or Config()
+    given = config or Config()
+    config = same_margin(given)
     if REPEATED_BY_REFINE & set(skip):
         skip = {*skip, "refine"}
     if "settle" in skip:
@@ -105,7 +105,6 @@ def reconstruct(
     run = Runner(inputs.key, skip=skip, skippable=SKIPPABLE, store=store, progress=progress)
     at_rest = partial(_rested, config=config.settle)
     again = partial(_made_again, config=config, closes="close" not in skip)
-    on_a_facet = replace(config.align, camera=False, facets=FacetConfig(most=config.refine.upright, loss=1.0))
 
     scene, _ = run.stage(Assembled, assemble, as_given(inputs), config.assemble, told=inputs.decisions)
     direct, _ = run.stage(Levelled, level, scene, config.level)
@@ -128,8 +127,8 @@ def reconstruct(
         scene,
         config.refine,
         parted=parted,
-        stood_up=partial(again, aligning=on_a_facet),
-        realigned=partial(again, aligning=config.refine.align),
+        stood_up=partial(again, aligning=config.align.upright(within=UPRIGHT)),
+        realigned=partial(again, aligning=config.align.under_contact()),
         restless=settled.restless,
     )
     scene, _ = run.stage(Described, describe, scene, config.relate)
@@ -149,16 +148,28 @@ def reconstruct(
         outcomes=(*run.outcomes, *([completed] if completed else [])),
         seconds=run.seconds,
         resumed=tuple(run.resumed),
-        config=config,
+        config=given,
         provenance={
             "inputs": dict[str, JsonValue](inputs.digests),
-            "config": digest(asdict(config)),
-            "settings": changed(config, Config()),
+            "config": digest(asdict(given)),
+            "settings": changed(given, Config()),
             "skipped": list[JsonValue](sorted(skip)),
             "camera_aligned": aligned,
         },
         evaluation=evaluation,
         inpainting=inpainting,
+    )
+
+
+def same_margin(config: Config) -> Config:
+    """The settings with one contact margin for every stage: that of the physics in which the scene settles."""
+    contact = config.settle.physics.contact
+    return replace(
+        config,
+        relate=replace(config.relate, contact=contact),
+        separate=replace(config.separate, contact=contact),
+        close=replace(config.close, contact=contact),
+        refine=replace(config.refine, contact=contact),
     )
 
 
@@ -181,7 +192,7 @@ def _made_again(
 ) -> SettledScene:
     """Some objects aligned once more, and what would be delivered of it: everything at rest and closed."""
     scene, _ = align(scene, aligning, only=ids)
-    scene, _ = separate(scene, replace(config.separate, ground=False, margin=False))
+    scene, _ = separate(scene, config.separate, ground=False, margin=False)
     rested = _rested(scene, config.settle)
     if not closes:
         return rested

@@ -331,6 +331,16 @@ class Scene:
             chain.append(parent)
         return tuple(chain)
 
+    @property
+    def has_measured_depth(self) -> bool:
+        """Whether a depth sensor measured the geometry: it knows distances better than generated shapes are known."""
+        return self.geometry is not None and self.geometry.source == "sensor"
+
+    @property
+    def supports_first(self) -> tuple[int, ...]:
+        """Ids of all objects, each after those below it in the support forest."""
+        return tuple(sorted((o.id for o in self.objects), key=lambda id: (len(self.ancestors(id)), id)))
+
     @cached_property
     def diagonal(self) -> float:
         """Diagonal [m] of the box around all objects."""

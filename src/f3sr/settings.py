@@ -1,4 +1,7 @@
-"""What a user may set: configurations whose values are checked, read from TOML and shown with unit and meaning."""
+"""What a user may set: configurations whose values are checked, read from TOML and shown with unit and meaning.
+
+A configuration may also hold ``constants`` of its method: code may vary them, a file of settings may not.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,13 @@ import math
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, field, fields, is_dataclass
+from dataclasses import dataclass as plain_dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast, dataclass_transform
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
-from pydantic.dataclasses import dataclass
+from pydantic.dataclasses import dataclass, is_pydantic_dataclass
 
 from f3sr.errors import InputError
 from f3sr.files import limited_file
@@ -20,7 +24,7 @@ from f3sr.files import limited_file
 T = TypeVar("T")
 
 MAX_BYTES = 1_000_000
-"""Largest file of settings: all of them with their meanings take 40 kB."""
+"""Largest file of settings: all of them with their meanings take 8 kB."""
 
 LONGEST_SHOWN = 80
 """Characters of a wrong value that an error repeats."""
@@ -44,6 +48,13 @@ def settings(cls: type[T]) -> type[T]:
     return cast(type[T], dataclass(cls, frozen=True, kw_only=True, config=checks))
 
 
+@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(field,))
+def constants(cls: type[T]) -> type[T]:
+    """An immutable dataclass of a method's constants. Tests and ablations vary them; no file of settings names them.
+    Inside a configuration they belong to the key of its stored results."""
+    return plain_dataclass(cls, frozen=True, kw_only=True)
+
+
 def read(file: Path, defaults: T) -> T:
     """``defaults`` with what a TOML file sets; InputError names the file, the key, what it holds and what it may."""
     accepted = "a TOML file of settings, as `f3sr config` prints one"
@@ -55,6 +66,8 @@ def read(file: Path, defaults: T) -> T:
         raise InputError(file, found="no TOML (nested too deeply)", accepted=accepted) from None
     except ValueError as error:
         raise InputError(file, found=f"no TOML ({error})", accepted=accepted) from None
+    if unknown := _unknown(file, given, defaults):
+        raise unknown
     try:
         return cast(T, TypeAdapter(type(defaults)).validate_json(complete))
     except ValidationError as error:
@@ -63,12 +76,12 @@ def read(file: Path, defaults: T) -> T:
 
 
 def describe(config: object) -> str:
-    """A configuration as TOML, every value with its unit, range and meaning: what ``read`` reads."""
-    return "\n".join(_lines(config, "")) + "\n"
+    """A configuration as TOML, every setting with its unit, range and meaning: what ``read`` reads."""
+    return "\n\n".join("\n".join(table) for table in _tables(config, "")) + "\n"
 
 
 def changed(config: object, defaults: object) -> dict[str, Any]:
-    """The values that differ from the defaults, by dotted name, as JSON has them: tuples are lists."""
+    """The settings and constants that differ from the defaults, by dotted name, as JSON has them: tuples are lists."""
     values, standard = dict(_leaves(config)), dict(_leaves(defaults))
     return {
         name: list(value) if isinstance(value, tuple) else value
@@ -86,18 +99,28 @@ def _overlaid(base: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
+def _unknown(file: Path, given: Mapping[str, Any], config: object, table: str = "") -> InputError | None:
+    """What is wrong with the first name in a file that is no setting."""
+    known = _names(config)
+    for name, value in given.items():
+        path = f"{table}.{name}" if table else name
+        if name not in known:
+            where = f"in [{table}]" if table else "the tables"
+            return InputError(file, found=f"unknown {path}", accepted=f"{where} {', '.join(known)}")
+        inner = getattr(config, name)
+        if is_dataclass(inner) and isinstance(value, dict) and (error := _unknown(file, value, inner, path)):
+            return error
+    return None
+
+
 def _input_error(file: Path, error: Any, defaults: object, given: Any) -> InputError:
-    """The first thing that is wrong in a file, in the words of an InputError."""
+    """The first value that is wrong in a file, in the words of an InputError."""
     at, node, value = defaults, dict[str, Any](), given
     path: list[str] = []
     for step in map(str, error["loc"]):
         if not is_dataclass(at):
             break
-        table, path = ".".join(path), [*path, step]
-        value = value.get(step)
-        if step not in (known := [f.name for f in fields(at)]):
-            where = f"in [{table}]" if table else "the tables"
-            return InputError(file, found=f"unknown {'.'.join(path)}", accepted=f"{where} {', '.join(known)}")
+        path, value = [*path, step], value.get(step)
         at, node = getattr(at, step), _property(at, step)
     name = ".".join(path) or "the file"
     if error["type"] == "value_error":
@@ -111,21 +134,27 @@ def _shown(value: object) -> str:
     return text if len(text) <= LONGEST_SHOWN else text[:LONGEST_SHOWN] + "..."
 
 
-def _lines(config: object, path: str) -> Iterator[str]:
-    """A table: its values first, then the tables inside it, as TOML wants it."""
-    tables = [f.name for f in fields(cast(Any, config)) if is_dataclass(getattr(config, f.name))]
-    if len(tables) < len(fields(cast(Any, config))):
-        yield f"[{path}]"
-    for f in fields(cast(Any, config)):
-        if f.name not in tables:
-            node = _property(config, f.name)
-            meaning = " ".join(str(node.get("description", "")).split())
-            yield f"# {meaning}" if meaning else "#"
-            yield f"# {_range(node)}"
-            yield f"{f.name} = {json.dumps(getattr(config, f.name))}"
-            yield ""
+def _names(config: object) -> list[str]:
+    """What a user may set in a configuration: values and tables, no constants."""
+    values = {f.name: getattr(config, f.name) for f in fields(cast(Any, config))}
+    return [name for name, v in values.items() if not is_dataclass(v) or is_pydantic_dataclass(type(v))]
+
+
+def _tables(config: object, path: str) -> Iterator[list[str]]:
+    """Lines of a table, its values first, then of the tables inside it, as TOML wants it."""
+    names = _names(config)
+    tables = [name for name in names if is_dataclass(getattr(config, name))]
+    if len(tables) < len(names):
+        yield [f"[{path}]", *(line for name in names if name not in tables for line in _lines(config, name))]
     for name in tables:
-        yield from _lines(getattr(config, name), f"{path}.{name}" if path else name)
+        yield from _tables(getattr(config, name), f"{path}.{name}" if path else name)
+
+
+def _lines(config: object, name: str) -> tuple[str, str]:
+    """One setting: its meaning and range, then its value."""
+    node = _property(config, name)
+    meaning = " ".join(str(node.get("description", "")).split())
+    return f"# {meaning} ({_range(node)})", f"{name} = {json.dumps(getattr(config, name))}"
 
 
 def _leaves(config: object, path: str = "") -> Iterator[tuple[str, Any]]:

@@ -39,8 +39,7 @@ class BackgroundConfig:
     """The photo completed behind its objects."""
 
     margin: Annotated[float, Interval(ge=0, le=0.1)] = 0.01
-    """By how much masks are widened, in shares of the photo's longer side: their borders hold mixed colours, and masks
-    are seldom exact to the pixel."""
+    """Width by which masks grow [share of the photo's longer side]. Their borders hold mixed colours."""
     shadows: PhotoShadowConfig = field(default_factory=PhotoShadowConfig)
     completion: CompletionConfig = field(default_factory=CompletionConfig)
 

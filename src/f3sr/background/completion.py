@@ -41,17 +41,18 @@ OPPONENT = np.array([[2, 2, 2], [6**0.5, -(6**0.5), 0], [2**0.5, 2**0.5, -(8**0.
 LARGEST = np.array(patchmatch.LARGEST_SHIFT, np.float32)
 
 
+ROUNDS = 4
+"""Rounds of search and vote at the finest level; coarser levels, cheap and decisive, have two more each."""
+
+
 @settings
 class CompletionConfig:
     """How the photo is completed behind its objects."""
 
     working_pixels: Annotated[int, Interval(ge=10_000, le=20_000_000)] = 400_000
-    """Pixels of the finest level that patches are searched at [px]; finer levels take their detail from where these
-    came from. Time grows with it."""
-    rounds: Annotated[int, Interval(ge=1, le=50)] = 4
-    """Rounds of search and vote at the finest level; two more per coarser level, as those are cheap and decide."""
+    """Pixels of the finest level of the patch search [px]. Finer levels follow it; time grows with it."""
     seed: Annotated[int, Interval(ge=0, le=2**31 - 1)] = 0
-    """Of the random search: another seed is another, equally likely background."""
+    """Seed of the patch search. Another seed gives another, equally likely background."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +122,7 @@ def _searched(finest: _Level, config: CompletionConfig) -> tuple[Picture, NDArra
         else:
             assert guess is not None
             em.resume(nearest, guess)
-        em.run(config.rounds + 2 * depth, first=nearest is None)
+        em.run(ROUNDS + 2 * depth, first=nearest is None)
         guess = em.melded()
         nearest = em.nearest
     assert guess is not None and nearest is not None

@@ -59,10 +59,9 @@ class PhotoShadowConfig:
     """Which darker pixels beside an object are its shadow."""
 
     reach: Annotated[float, Interval(ge=0, le=5)] = 1.0
-    """How far shadows are looked for from a mask, in its own longer sides: with the light 45 degrees high a shadow is
-    as long as its object is tall. 0 finds none."""
+    """Largest distance of a shadow from its mask [longer side of the mask]. At 0 no shadows are found."""
     margin: Annotated[float, Interval(ge=0, le=0.1)] = 0.012
-    """By how much a found shadow is widened, in shares of the picture's longer side: its rim fades into the noise."""
+    """Width by which shadows grow [share of the photo's longer side]. Their rims fade into the noise."""
 
 
 @dataclass(frozen=True, eq=False)

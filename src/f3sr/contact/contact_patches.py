@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 from f3sr.contact.polytopes import Body, Polytope, face_facets, facets
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, Array, frozen
+from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.runtime.kernels import kernel
 from f3sr.scene import GROUND
 
-REACH = 6e-4
-"""Surfaces nearer than this touch [m]: bodies are left .4 mm apart, and what closes by moving .2 mm is at rest."""
 FACE_FIRST = 0.05
 """An axis across two edges replaces that of a face when it separates by this share of the reach more: the normals of
 nearly parallel edges are noise."""
@@ -72,7 +71,7 @@ class Contacts:
         return frozenset(zip(self.upper.tolist(), self.lower.tolist(), strict=True))
 
 
-def find_contacts(bodies: Mapping[int, Body], *, reach: float = REACH, ground: bool = True) -> Contacts:
+def find_contacts(bodies: Mapping[int, Body], *, reach: float = DEFAULT_MARGIN.reach, ground: bool = True) -> Contacts:
     """All contacts between bodies, given by id with their parts in the world, and with the ground z = 0."""
     rows = list(_rows(bodies, reach, ground))
     owners = np.array([r.owners for r in rows], np.int64).reshape(-1, 2)

@@ -10,10 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, cast
+from typing import cast
 
 import numpy as np
-from annotated_types import Interval
 from numpy.typing import NDArray
 
 from f3sr.contact.stable_facets import stable_normals
@@ -21,29 +20,29 @@ from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, transform
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import SceneObject
-from f3sr.settings import settings
+from f3sr.settings import constants
 from f3sr.vision import height_map
 
 
-@settings
+@constants
 class FootingConfig:
+    """Which undersides get a footing. Lengths are shares of the object's size."""
+
     enabled: bool = True
-    """Fill in under undersides; off, objects are laid down on them before physics."""
-    max_turn: Annotated[float, Interval(gt=0, le=0.7)] = 0.22
-    """Largest angle [rad] between the support and the facet an object would fall onto; generated undersides are off by
-    up to 12 degrees."""
-    max_height: Annotated[float, Interval(ge=0, le=0.2)] = 0.03
-    """Largest mean height of what is filled in, as a share of the object's size: beyond, it would look afloat."""
-    flat: Annotated[float, Interval(gt=0, le=0.1)] = 0.01
-    """What lies this near to that facet's plane belongs to the underside, as a share of the object's size."""
-    min_area: Annotated[float, Interval(ge=0, le=1)] = 0.15
-    """Least area of the underside's outline as a share of the object's, both seen from above: less is round (a ball has
-    .07), or too small to stand on."""
-    min_margin: Annotated[float, Interval(ge=0, le=0.5)] = 0.05
-    """By how much [rad] the object could be tilted on its footing before it falls."""
-    cells: Annotated[int, Interval(ge=8, le=512)] = 48
+    """Fill in under undersides. Without, objects are laid down on them before physics."""
+    max_turn: float = 0.22
+    """Largest angle [rad] from the support to the facet an object would fall onto. Undersides are off by up to .21."""
+    max_height: float = 0.03
+    """Largest mean height of a footing: a higher one looks afloat."""
+    flat: float = 0.01
+    """Largest distance of the underside from that facet's plane."""
+    min_area: float = 0.15
+    """Least area of the underside's outline, as a share of the object's seen from above. A ball has .07."""
+    min_margin: float = 0.05
+    """Least tilt [rad] at which an object on its footing falls."""
+    cells: int = 48
     """Cells along the longer side of the underside's height map."""
-    pieces: Annotated[int, Interval(ge=1, le=64)] = 8
+    pieces: int = 8
     """Most pieces, one for every patch of the underside: a chair has four legs."""
 
 

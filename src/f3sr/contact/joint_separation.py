@@ -19,6 +19,7 @@ import numpy as np
 from f3sr.contact import polytopes
 from f3sr.contact.polytopes import Body
 from f3sr.core.transforms import Array
+from f3sr.physics.contact_margin import DEFAULT_MARGIN
 
 INSIDE = 1e-7
 """Depth [m] below which a point counts as outside a polygon: rounding of the programmes."""
@@ -55,7 +56,7 @@ def part(
     weights: Mapping[int, Array],
     *,
     carriers: Mapping[int, int | None] | None = None,
-    clearance: float = 4e-4,
+    clearance: float = DEFAULT_MARGIN.clearance,
     nodes: int = NODES,
 ) -> Parted:
     """Part all ``pairs`` of bodies by the cheapest joint horizontal move.

@@ -14,6 +14,7 @@ import numpy as np
 from f3sr.contact.contact_patches import Contacts
 from f3sr.contact.force_balance import Balance
 from f3sr.contact.static_bodies import StaticBody, contacts_of, islands
+from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 
 
@@ -36,10 +37,11 @@ def stability(
     bodies: Sequence[StaticBody],
     contacts: Contacts | None = None,
     *,
+    reach: float = DEFAULT_MARGIN.reach,
     ground_friction: float = DEFAULT_PHYSICS.ground_friction[0],
 ) -> Stability:
-    """Whether the bodies stand, by what margin, and what moves."""
-    contacts = contacts_of(bodies) if contacts is None else contacts
+    """Whether the bodies stand, by what margin, and what moves; contacts are found within ``reach`` [m]."""
+    contacts = contacts_of(bodies, reach=reach) if contacts is None else contacts
     margin, moving = np.pi / 2, frozenset[int]()
     for group in islands(bodies, contacts):
         balance = Balance(group, bodies, contacts, ground_friction)
@@ -54,8 +56,9 @@ def stands(
     bodies: Sequence[StaticBody],
     contacts: Contacts | None = None,
     *,
+    reach: float = DEFAULT_MARGIN.reach,
     ground_friction: float = DEFAULT_PHYSICS.ground_friction[0],
 ) -> bool:
     """Whether the bodies stand under untilted gravity: one linear programme per island, the quickest answer."""
-    contacts = contacts_of(bodies) if contacts is None else contacts
+    contacts = contacts_of(bodies, reach=reach) if contacts is None else contacts
     return all(Balance(group, bodies, contacts, ground_friction).stands() for group in islands(bodies, contacts))

@@ -11,17 +11,16 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Annotated
 
 import numpy as np
-from annotated_types import Interval
 
 from f3sr.contact import polytopes
 from f3sr.contact.force_balance import Balance
 from f3sr.contact.static_bodies import StaticBody, carried, chain_below, contacts_of, islands, supports_first
 from f3sr.core.transforms import UP, Array, pose
+from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
-from f3sr.settings import settings
+from f3sr.settings import constants
 
 DIRECTIONS = 6
 """Of tilted gravity. The tilts are so large that all smaller ones in between are balanced too."""
@@ -44,21 +43,20 @@ BETTER = 0.99
 """Share of the unbalanced wrench that a round must be below to be worth it."""
 
 
-@settings
+@constants
 class BalanceConfig:
-    """How bodies are shifted until they stand."""
+    """How bodies are shifted until they stand. Lengths are shares of a body's size."""
 
-    margin: Annotated[float, Interval(ge=0, le=0.5)] = 0.03
-    """Least tilt of gravity [rad] that they shall bear: what proxies and masses are wrong by."""
-    max_shift: Annotated[float, Interval(ge=0, le=1)] = 0.15
-    """Largest shift, as a share of a body's size, where the caller sets none."""
-    max_step: Annotated[float, Interval(gt=0, le=1)] = 0.08
-    """Largest shift against its support in one round, as a share of a body's size: contacts are found anew after."""
-    rounds: Annotated[int, Interval(ge=1, le=100)] = 10
-    """Most rounds."""
-    most_bodies: Annotated[int, Interval(ge=1, le=1000)] = 16
-    """Larger islands of bodies that touch are left as they are: the time of a round grows with the cube of their
-    number, 1 s for 16."""
+    margin: float = 0.03
+    """Least tilt of gravity [rad] that bodies bear after shifts: what proxies and masses are wrong by."""
+    max_shift: float = 0.15
+    """Largest shift, where the caller sets none."""
+    max_step: float = 0.08
+    """Largest shift of a body against its support in one round, after which contacts are found anew."""
+    rounds: int = 10
+    """Most rounds of shifts."""
+    most_bodies: int = 16
+    """Most bodies of an island that is shifted. Time grows with the cube of their number, 1 s a round for 16."""
 
 
 DEFAULT_BALANCE = BalanceConfig()
@@ -88,7 +86,7 @@ def balance(
     supports: Mapping[int, int | None],
     config: BalanceConfig = DEFAULT_BALANCE,
     *,
-    clearance: float = 4e-4,
+    contact: ContactMargin = DEFAULT_MARGIN,
     weights: Mapping[int, Array] | None = None,
     max_shifts: Mapping[int, float] | None = None,
     ground_friction: float = DEFAULT_PHYSICS.ground_friction[0],
@@ -99,7 +97,7 @@ def balance(
     d' W d of its being d [m] off in x and y; by default 1 / size^2. ``max_shifts`` [m] per id bound how far it may go.
     What is minimised is the sum of the square roots of these costs, so few bodies move.
     """
-    state = _State(bodies, supports, config, clearance, weights or {}, max_shifts or {}, ground_friction)
+    state = _State(bodies, supports, config, contact, weights or {}, max_shifts or {}, ground_friction)
     state.seat_all()
     rounds = 0
     seated = dict(state.bodies), dict(state.shifts)
@@ -118,7 +116,7 @@ class _State:
         bodies: Sequence[StaticBody],
         supports: Mapping[int, int | None],
         config: BalanceConfig,
-        clearance: float,
+        contact: ContactMargin,
         weights: Mapping[int, Array],
         max_shifts: Mapping[int, float],
         ground_friction: float,
@@ -126,7 +124,7 @@ class _State:
         self.bodies = {b.id: b for b in bodies}
         self.supports = {b.id: supports.get(b.id) for b in bodies}
         self.config = config
-        self.clearance = clearance
+        self.contact = contact
         self.ground_friction = ground_friction
         self.roots = {b.id: _root(weights.get(b.id, np.eye(2) / b.size**2)) for b in bodies}
         self.bounds = {b.id: max_shifts.get(b.id, config.max_shift * b.size) for b in bodies}
@@ -170,12 +168,12 @@ class _State:
         if body.fixed:
             return
         chain = [p for i in chain_below(id, self.supports) for p in self.bodies[i].parts]
-        over_ground = min(float(p.bounds[0, 2]) for p in body.parts) - self.clearance
-        rise = polytopes.smallest_shift(body.parts, chain, UP, self.clearance) if chain else 0.0
+        over_ground = min(float(p.bounds[0, 2]) for p in body.parts) - self.contact.clearance
+        rise = polytopes.smallest_shift(body.parts, chain, UP, self.contact.clearance) if chain else 0.0
         rise = max(rise, -over_ground)
         if rise <= 0 and self.supports.get(id) is not None:
             others = [p for i, b in self.bodies.items() if i not in ids for p in b.parts]
-            drop = polytopes.free_travel(body.parts, others, -UP) - self.clearance if others else np.inf
+            drop = polytopes.free_travel(body.parts, others, -UP) - self.contact.clearance if others else np.inf
             rise = -max(0.0, min(drop, over_ground))
         if abs(rise) > SEATED:
             self.move(ids, rise * UP)
@@ -216,7 +214,7 @@ class _State:
     def falling(self) -> list[tuple[tuple[int, ...], frozenset[int]]]:
         """Per island that does not stand: its ids, and those that move."""
         bodies = tuple(self.bodies.values())
-        contacts = contacts_of(bodies)
+        contacts = contacts_of(bodies, reach=self.contact.reach)
         groups = [Balance(g, bodies, contacts, self.ground_friction) for g in islands(bodies, contacts)]
         return [(tuple(g.place), g.moving()) for g in groups if not g.stands()]
 
@@ -239,14 +237,14 @@ class _State:
     def programmes(self, among: Collection[int] | None = None) -> list[_Programme]:
         """One per island; only those with one of some bodies."""
         bodies = tuple(self.bodies.values())
-        contacts = contacts_of(bodies)
+        contacts = contacts_of(bodies, reach=self.contact.reach)
         groups = [g for g in islands(bodies, contacts) if len(g) <= self.config.most_bodies]
         groups = [g for g in groups if among is None or any(b.id in among for b in g)]
         return [_Programme(Balance(g, bodies, contacts, self.ground_friction, edges=CONE_EDGES), self) for g in groups]
 
     def result(self, rounds: int) -> Balanced:
         bodies = tuple(self.bodies.values())
-        contacts = contacts_of(bodies)
+        contacts = contacts_of(bodies, reach=self.contact.reach)
         wanted = self.config.margin - 1e-3
         unbalanced: frozenset[int] = frozenset()
         below: frozenset[int] = frozenset()

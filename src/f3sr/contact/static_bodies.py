@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from f3sr.contact.contact_patches import REACH, Contacts, find_contacts
+from f3sr.contact.contact_patches import Contacts, find_contacts
 from f3sr.contact.polytopes import Body, Polytope
 from f3sr.core.transforms import Array, frozen, transform
-from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, PhysicsConfig, body_of
+from f3sr.physics.contact_margin import DEFAULT_MARGIN
+from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import GROUND, SceneObject
 
 
@@ -45,16 +46,15 @@ class StaticBody:
 
 def bodies_of(
     objects: Iterable[SceneObject],
-    config: PhysicsConfig = DEFAULT_PHYSICS,
     *,
     parts: Mapping[int, Body] | None = None,
 ) -> tuple[StaticBody, ...]:
     """The objects as bodies; ``parts``: their parts in the world where somebody has them already."""
-    return tuple(_body_of(o, config, parts[o.id] if parts else None) for o in objects)
+    return tuple(_body_of(o, parts[o.id] if parts else None) for o in objects)
 
 
-def _body_of(o: SceneObject, config: PhysicsConfig, parts: Body | None) -> StaticBody:
-    body = body_of(o, config)
+def _body_of(o: SceneObject, parts: Body | None) -> StaticBody:
+    body = body_of(o)
     volumes = np.array([p.volume for p in o.solids])
     even = volumes @ np.array([p.centroid for p in o.solids]) / volumes.sum()
     return StaticBody(
@@ -67,8 +67,8 @@ def _body_of(o: SceneObject, config: PhysicsConfig, parts: Body | None) -> Stati
     )
 
 
-def contacts_of(bodies: Sequence[StaticBody], *, reach: float = REACH) -> Contacts:
-    """Where the bodies touch each other and the ground."""
+def contacts_of(bodies: Sequence[StaticBody], *, reach: float = DEFAULT_MARGIN.reach) -> Contacts:
+    """Where the bodies touch each other and the ground: gaps of at most ``reach`` [m]."""
     return find_contacts({b.id: b.parts for b in bodies}, reach=reach)
 
 

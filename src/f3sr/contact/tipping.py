@@ -9,19 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import numpy as np
-from annotated_types import Interval
 
 from f3sr.contact import polytopes
-from f3sr.contact.contact_patches import REACH, find_contacts, hull_corners
+from f3sr.contact.contact_patches import find_contacts, hull_corners
 from f3sr.contact.force_balance import Balance
 from f3sr.contact.polytopes import Polytope
 from f3sr.contact.static_bodies import StaticBody, contacts_of
 from f3sr.core.transforms import UP, Array, pose, rotation_about, rotation_angle
+from f3sr.physics.contact_margin import DEFAULT_MARGIN, TOUCHING, ContactMargin
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
-from f3sr.settings import settings
+from f3sr.settings import constants
 
 STEP = np.radians(2.0)
 """Largest turn [rad] between two looks at what is in the way: thin things are not turned through."""
@@ -29,8 +28,6 @@ SHARP = 1e-6
 """Turn [rad] to which the next contact is found."""
 MEETS = 1e-7
 """Height [m] that a turned body may have to be raised without having met something."""
-TOUCHING = 3e-6
-"""Gap [m] that counts as contact while landing; what is left at the end closes by as little."""
 TRIES = 4
 """Shifts tried before a body that tips is given up."""
 EVENTS = 200
@@ -44,18 +41,19 @@ STEEP = 0.2
 """Cosine between up and a contact's normal below which it carries nothing: the body leans there."""
 
 
-@settings
+@constants
 class LandingConfig:
-    """How far a body may go to lie down. What would have to go farther stays where it is."""
+    """How far a body may go to lie down. What would have to go farther stays where it is. Lengths are shares of its
+    size."""
 
-    max_turn: Annotated[float, Interval(ge=0, le=3.2)] = 0.35
-    """Largest turn on the way [rad], 20 degrees: farther is toppling (the report's instability), not lying down."""
-    max_drop: Annotated[float, Interval(ge=0, le=10)] = 0.5
-    """How far it may hang over what it lies down on, as a share of its size."""
-    max_shift: Annotated[float, Interval(ge=0, le=1)] = 0.0
-    """How far it may be shifted first where it would tip over an edge, as a share of its size."""
-    margin: Annotated[float, Interval(ge=0, le=0.5)] = 0.03
-    """How far inside that edge a shift brings its weight: tangent of the tilt it then bears."""
+    max_turn: float = 0.5
+    """Largest turn on the way [rad]: farther is toppling, not lying down."""
+    max_drop: float = 0.5
+    """Largest height over what it lies down on."""
+    max_shift: float = 0.1
+    """Largest shift, before it lies down, of a body that would tip over an edge."""
+    margin: float = 0.03
+    """Tangent of the tilt that a body bears at that edge after the shift."""
 
 
 DEFAULT_LANDING = LandingConfig()
@@ -82,10 +80,10 @@ def land(
     surroundings: Sequence[StaticBody],
     config: LandingConfig = DEFAULT_LANDING,
     *,
-    clearance: float = 4e-4,
+    contact: ContactMargin = DEFAULT_MARGIN,
     ground_friction: float = DEFAULT_PHYSICS.ground_friction[0],
 ) -> Landing:
-    """Lower a body onto what is below, and let it turn until it is supported, ``clearance`` [m] above it.
+    """Lower a body onto what is below, and let it turn until it is supported, a clearance above it.
 
     Where it would tip over an edge it is shifted over it, as far as ``config`` allows, and tried again.
     """
@@ -94,10 +92,12 @@ def land(
     for _ in range(TRIES):
         fall = _Fall(body, around, ground_friction, shift)
         if fall.lie_down(config):
-            fall.rise(clearance)
+            fall.rise(contact.clearance)
             T = fall.motion
             length = float(np.linalg.norm(shift))
-            return Landing(T=T, turn=rotation_angle(T[:3, :3]), shift=length, stands=fall.stands(REACH), tipped=False)
+            return Landing(
+                T=T, turn=rotation_angle(T[:3, :3]), shift=length, stands=fall.stands(contact.reach), tipped=False
+            )
         shift = shift + fall.way_in(config.margin)
         if not fall.missing or np.linalg.norm(shift) > config.max_shift * body.size:
             break

@@ -14,8 +14,17 @@ from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import Array, quaternion_from_rotation
 from f3sr.exporters.obj import part_to_obj, to_obj
 from f3sr.io.gltf_writer import png_of
-from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, GROUND_NAME, Body, PhysicsConfig, body_of
-from f3sr.scene import SceneObject
+from f3sr.physics.mujoco_model import (
+    CONDIM,
+    DEFAULT_PHYSICS,
+    GROUND_NAME,
+    IMPRATIO,
+    SOLIMP,
+    Body,
+    PhysicsConfig,
+    body_of,
+)
+from f3sr.scene import GRAVITY, SceneObject
 
 VISUAL_GROUP, COLLISION_GROUP = 2, 3
 """MuJoCo's viewers show groups 0 to 2 from the start."""
@@ -48,7 +57,7 @@ def to_mjcf(
     asset, world = ET.SubElement(root, "asset"), ET.SubElement(root, "worldbody")
     _surroundings(world, camera, config)
     for o in objects:
-        body = body_of(o, config)
+        body = body_of(o)
         node = _body(world, body)
         for look in _looks(o):
             yield from look.files
@@ -64,21 +73,21 @@ def _options(root: ET.Element, config: PhysicsConfig) -> None:
         root,
         "option",
         timestep=_text(config.timestep),
-        gravity=_text([0, 0, config.gravity]),
+        gravity=_text([0, 0, -GRAVITY]),
         cone="elliptic",
-        impratio=_text(config.impratio),
+        impratio=_text(IMPRATIO),
         integrator="Euler",
     )
-    ET.SubElement(option, "flag", multiccd="enable" if config.multiccd else "disable")
+    ET.SubElement(option, "flag", multiccd="enable")
     default = ET.SubElement(root, "default")
     collision = ET.SubElement(default, "default", {"class": "collision"})
     ET.SubElement(
         collision,
         "geom",
         group=str(COLLISION_GROUP),
-        condim=str(config.condim),
+        condim=str(CONDIM),
         solref=_text(config.solref),
-        solimp=_text(config.solimp),
+        solimp=_text(SOLIMP),
         margin=_text(config.margin),
         rgba="0.5 0.6 0.8 0.5",
     )

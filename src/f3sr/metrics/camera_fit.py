@@ -26,38 +26,41 @@ Term = Callable[[Integrals, Target], Local]
 """What one object adds to the objective."""
 
 
+MAX_FACES = 40_000
+"""Most faces of a mesh in the search; larger meshes are simplified."""
+ITERATIONS = 40
+"""Most steps of each of the two searches."""
+
+
 @settings
 class ForeignCameraConfig:
     max_rotation: Annotated[float, Interval(gt=0, le=np.pi / 4)] = math.radians(10)
-    """Trust region of the camera's turn about the scene's middle, per axis [rad]. Generous, as it is for others: twelve
-    raw scenes asked for at most 4.6 degrees and 4% of the distance, and twice these bounds changed no mIoU by .001."""
+    """Largest turn of the camera about the scene's middle, per axis [rad]. Twelve raw scenes asked for at most .08."""
     max_translation: Annotated[float, Interval(gt=0, le=0.5)] = 0.2
-    """Trust region of its move per axis, as a share of its distance to the scene."""
+    """Largest move of the camera per axis [share of its distance]. Twelve raw scenes asked for at most .04."""
     resolution: Annotated[int, Interval(ge=64, le=4096)] = 512
-    """Longer side [px] of the image it is searched in; it is judged in the photo's own."""
-    max_faces: Annotated[int, Interval(ge=1000, le=10_000_000)] = 40_000
-    """Larger meshes are simplified to as many faces for the search, as for align."""
-    iterations: Annotated[int, Interval(ge=1, le=1000)] = 40
-    """Steps tried by each of the two searches."""
+    """Longer side of the image of the search [px]. The result is judged at the photo's own resolution."""
 
 
-def fitted_camera(scene: Scene, config: ForeignCameraConfig | None = None) -> tuple[Camera, Decision]:
+def fitted_camera(
+    scene: Scene, config: ForeignCameraConfig | None = None, *, max_faces: int = MAX_FACES
+) -> tuple[Camera, Decision]:
     """The camera inside the bounds around the scene's own that sees its objects best, intrinsics fixed, and what came
     of it; never one with a lower mean IoU of full silhouettes with the masks (pixel centres, the photo's resolution).
 
     First every object's loss (equation 9 without priors), which pulls from afar, then 1 - IoU itself.
     """
     config = config or ForeignCameraConfig()
-    fit = _fit(scene, config)
+    fit = _fit(scene, config, max_faces)
     if not fit.targets:
         return scene.camera, Decision(
             choice="camera as given", reason="no object has a mask to fit it to", fallback=True
         )
     given = np.zeros(6)
-    pulled = fit.best(given, loss, iterations=config.iterations)
+    pulled = fit.best(given, loss, iterations=ITERATIONS)
     near = fit.without_distances()
     start = min((given, pulled), key=lambda u: near.objective(u, iou_loss).value)
-    polished = near.best(start, iou_loss, iterations=config.iterations)
+    polished = near.best(start, iou_loss, iterations=ITERATIONS)
     cameras = [scene.camera, *(scene.camera.moved(fit.freedom.at(u).T_world_camera) for u in (pulled, polished))]
     scores = [mean_iou(scene, camera) for camera in cameras]
     best = int(np.argmax(scores))
@@ -122,11 +125,11 @@ def iou_loss(integrals: Integrals, target: Target) -> Local:
     )
 
 
-def _fit(scene: Scene, config: ForeignCameraConfig) -> InstancesFit:
+def _fit(scene: Scene, config: ForeignCameraConfig, max_faces: int) -> InstancesFit:
     """The problem at the search's resolution, without objects whose masks have no pixel there."""
     small = scene.camera.limited(config.resolution)
     masks = [(o, resample(o.mask, small.width, small.height)) for o in scene]
-    shown = [(outlined(o, config.max_faces), mask) for o, mask in masks if mask.any()]
+    shown = [(outlined(o, max_faces), mask) for o, mask in masks if mask.any()]
     middle = np.median([o.bounds_world.mean(0) for o in scene], axis=0)
     center = scene.camera.to_camera(middle[None])[0]
     shift = config.max_translation * float(np.linalg.norm(center))

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -16,6 +16,7 @@ from annotated_types import Interval
 from f3sr.core.mesh import ConvexPart, MassProperties, Mesh, solid_properties
 from f3sr.core.transforms import Array, quaternion_from_rotation
 from f3sr.physics import restitution
+from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.scene import GRAVITY, GROUND, SceneObject
 from f3sr.settings import settings
 
@@ -25,9 +26,16 @@ MjSpec = MjModel = MjData = MjsMesh = Any
 """MuJoCo's classes, which carry no type information."""
 
 
-Share = Annotated[float, Interval(ge=0, lt=1)]
+IMPRATIO = 10.0
+"""Ratio of friction to normal impedance: the higher, the less contacts slip in the elliptic cone."""
+SOLIMP = (0.95, 0.99, 0.0005, 0.5, 2.0)
+"""Contact impedance: least, most, width [m], midpoint and power; stiff within half a millimetre."""
+CONDIM = 6
+"""Contact dimensions: six add rolling friction, without which balls never stop."""
+TORSIONAL_FRICTION = 0.005
+"""Friction against spinning about the contact normal [m]."""
+
 Length = Annotated[float, Interval(gt=0, le=1)]
-Power = Annotated[float, Interval(ge=1, le=10)]
 Friction = Annotated[float, Interval(ge=0, le=10)]
 
 
@@ -36,33 +44,22 @@ class PhysicsConfig:
     """Contact model and time stepping, chosen for piles that rest (docs: measures)."""
 
     timestep: Annotated[float, Interval(gt=0, le=0.005)] = 0.002
-    """[s], at most half of solref's first value."""
-    gravity: Annotated[float, Interval(ge=-100, le=0)] = -GRAVITY
-    """Along world z [m/s2]."""
-    impratio: Annotated[float, Interval(ge=1, le=100)] = 10.0
-    """Friction to normal impedance: higher slips less in the elliptic cone."""
+    """Time step [s], at most half of solref's first value."""
     solref: tuple[Length, Annotated[float, Interval(gt=0, le=10)]] = (0.005, 1.0)
-    """Contact time constant [s], at least two time steps, and damping ratio. .02 creeps ten times more."""
-    solimp: tuple[Share, Share, Length, Share, Power] = (0.95, 0.99, 0.0005, 0.5, 2.0)
-    """Contact impedance: least, most, width [m], midpoint, power."""
-    condim: Literal[4, 6] = 6
-    """Contact dimensions: 6 adds rolling friction, without which balls never stop."""
-    torsional_friction: Annotated[float, Interval(ge=0, le=1)] = 0.005
-    """[m]: friction against spinning about the contact normal."""
+    """Contact time constant [s] and damping ratio. A time constant of .02 creeps ten times more."""
     ground_friction: tuple[Friction, Friction, Friction] = (0.6, 0.005, 0.001)
-    """Sliding, torsional [m] and rolling [m] friction of the ground; a contact takes the larger of two."""
-    margin: Annotated[float, Interval(ge=0, le=1e-3)] = 1.6e-4
-    """Contact distance of each body [m]: it keeps soft contact from turning into overlap. MuJoCo adds the margins of
-    two bodies, so that they rest two margins apart. Four fifths of the release protocol's: where the true scale is a
-    fifth larger than a photo tells, what rests must not fall to the protocol's margin (K .0021 -> .00002 J)."""
-    multiccd: bool = True
-    """Several contact points per pair of parts. Off, stacks explode."""
+    """Sliding, torsional [m] and rolling [m] friction of the ground. A contact takes the larger of two bodies'."""
+    margin: Annotated[float, Interval(ge=0, le=1e-3)] = DEFAULT_MARGIN.body
+    """Contact margin of each body [m]. Bodies at rest are two margins apart."""
+
+    @property
+    def contact(self) -> ContactMargin:
+        """The distances that follow from ``margin``."""
+        return ContactMargin(body=self.margin)
 
     def __post_init__(self) -> None:
         if self.solref[0] < 2 * self.timestep:
             raise ValueError("solref whose first value is at least two time steps")
-        if self.solimp[0] > self.solimp[1]:
-            raise ValueError("solimp whose first value is at most its second")
 
 
 DEFAULT_PHYSICS = PhysicsConfig()
@@ -115,7 +112,7 @@ def body_name(id: int) -> str:
     return f"object_{id:02d}"
 
 
-def body_of(o: SceneObject, config: PhysicsConfig = DEFAULT_PHYSICS) -> Body:
+def body_of(o: SceneObject) -> Body:
     """The rigid body of an object: mass and inertia of its solid at its density, its parts in metres."""
     solid, from_mesh = _solid(o.mesh, o.parts or (o.mesh.hull,)) if o.solid is None else (o.solid, o.mesh.is_solid)
     scale = np.diag([o.scale, o.scale, o.scale, 1.0])
@@ -127,7 +124,7 @@ def body_of(o: SceneObject, config: PhysicsConfig = DEFAULT_PHYSICS) -> Body:
         center=solid.center * o.scale,
         inertia=o.density * solid.inertia * o.scale**5,
         from_mesh=from_mesh,
-        friction=(o.friction, config.torsional_friction, o.rolling_friction),
+        friction=(o.friction, TORSIONAL_FRICTION, o.rolling_friction),
         solref=restitution.solref(o.restitution),
         parts=tuple(part.moved(scale) for part in o.solids),
     )
@@ -141,7 +138,7 @@ def build_spec(objects: Sequence[SceneObject], config: PhysicsConfig = DEFAULT_P
     """
     spec = empty_spec(config)
     for o in objects:
-        add_body(spec, body_of(o, config), config)
+        add_body(spec, body_of(o), config)
     return spec
 
 
@@ -182,13 +179,11 @@ def empty_spec(config: PhysicsConfig, margin: float | None = None) -> MjSpec:
     spec = mujoco.MjSpec()
     spec.compiler.balanceinertia = True  # thin solids: rounding may break the triangle inequality of moments
     spec.option.timestep = config.timestep
-    spec.option.gravity = [0, 0, config.gravity]
+    spec.option.gravity = [0, 0, -GRAVITY]
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.impratio = config.impratio
+    spec.option.impratio = IMPRATIO
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.noslip_iterations = 0
-    if not config.multiccd:
-        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MULTICCD)
     spec.worldbody.add_geom(
         name=GROUND_NAME,
         type=mujoco.mjtGeom.mjGEOM_PLANE,
@@ -201,9 +196,9 @@ def empty_spec(config: PhysicsConfig, margin: float | None = None) -> MjSpec:
 
 def contact_options(config: PhysicsConfig, margin: float | None = None) -> dict[str, Any]:
     return {
-        "condim": config.condim,
+        "condim": CONDIM,
         "solref": config.solref,
-        "solimp": config.solimp,
+        "solimp": SOLIMP,
         "margin": config.margin if margin is None else margin,
     }
 

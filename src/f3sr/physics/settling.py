@@ -27,37 +27,42 @@ from f3sr.physics.mujoco_model import (
 )
 from f3sr.physics.release import RELEASE_MARGIN, filling
 from f3sr.scene import SceneObject
-from f3sr.settings import settings
+from f3sr.settings import constants, settings
+
+
+@constants
+class RestConfig:
+    """When a body counts as at rest."""
+
+    speed: float = 1e-3
+    """Largest mean speed of a centre of mass at rest [m/s]."""
+    turning: float = 1e-2
+    """Largest mean rate of turn at rest [rad/s]."""
+    window: float = 0.2
+    """Time over which speeds are averaged [s]: contacts that tremble by micrometres count as still."""
+    drift: float = 5e-4
+    """Largest travel of a centre of mass in an undamped check [m], half of what the release protocol may show. Soft
+    contacts creep on slopes, .1 mm in 5 s in piles and .4 mm in nested bowls, however long they settle."""
+    even_masses: bool = True
+    """Check again with masses spread evenly over the parts and a wider margin, as the release protocol has them. A pose
+    can stand with one centre of mass and tip with the other."""
 
 
 @settings
 class SettleConfig:
-    """When a scene counts as at rest, and how long to wait for it."""
+    """How a scene comes to rest, and how long to wait for it."""
 
     damping: Annotated[float, Interval(gt=0, le=50)] = 4.0
-    """[1/s]: velocities lose this rate while settling, never afterwards."""
-    linear_rest: Annotated[float, Interval(gt=0, le=1)] = 1e-3
-    """[m/s]: a centre of mass slower than this is at rest."""
-    angular_rest: Annotated[float, Interval(gt=0, le=10)] = 1e-2
-    """[rad/s]: a body that turns slower than this is at rest."""
-    rest_time: Annotated[float, Interval(gt=0, le=2)] = 0.2
-    """[s]: speeds are averaged over this time, so that contacts that chatter by micrometres count as still."""
+    """Damping rate of velocities while settling [1/s]. The checks are undamped."""
     time_limit: Annotated[float, Interval(gt=0, le=600)] = 10.0
-    """[s] of damped simulation, all rounds together."""
+    """Most damped simulation, all rounds together [s]."""
     check_time: Annotated[float, Interval(gt=0, le=60)] = 2.0
-    """[s] of the undamped check after each round."""
+    """Length of the undamped check after each round [s]."""
     release_time: Annotated[float, Interval(gt=0, le=60)] = 5.0
-    """[s] of the second one, as long as the release protocol: what tips over starts slowly."""
-    drift_limit: Annotated[float, Interval(gt=0, le=0.1)] = 5e-4
-    """[m]: largest travel of a centre of mass in the check, half of what the release protocol may show. Soft contacts
-    let what rests on a slope creep at a steady rate, .1 mm in 5 s in piles and .4 mm in nested bowls: no longer
-    settling ends that."""
-    even_masses: bool = True
-    """Check a second time with each mass spread evenly over the parts and a wider contact margin, as the release
-    protocol does: a pose can stand with the one centre of mass and tip with the other, a ball lie still until it is
-    touched."""
+    """Length of the second undamped check [s], as long as the release protocol: what tips starts slowly."""
     rounds: Annotated[int, Interval(ge=1, le=100)] = 16
-    """How often to settle and check again: what creeps may take eight."""
+    """Most rounds of settling and checking; scenes that creep take eight."""
+    rest: RestConfig = RestConfig()
 
 
 DEFAULT_SETTLING = SettleConfig()
@@ -89,7 +94,7 @@ def _even_spec(objects: Sequence[SceneObject], config: PhysicsConfig) -> MjSpec:
     so that a push like the protocol's comes first."""
     spec = empty_spec(config, RELEASE_MARGIN)
     for o in objects:
-        body = body_of(o, config)
+        body = body_of(o)
         add_body(spec, body, config, even_density=o.density * filling(o), margin=RELEASE_MARGIN)
     return spec
 
@@ -108,7 +113,7 @@ def settle(
     mujoco = engine()
     model = compiled(build_spec(objects, config))
     checks = [(model, settling.check_time)]
-    if settling.even_masses:
+    if settling.rest.even_masses:
         checks.append((compiled(_even_spec(objects, config)), settling.release_time))
     for m, _ in checks:
         m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
@@ -149,13 +154,13 @@ class _Settling:
     exploded: bool = False
 
     def until_rest(self, data: MjData) -> None:
-        """Damped steps until the mean speeds of a window of ``rest_time`` are low, or the time is up."""
+        """Damped steps until the mean speeds of a window of ``rest.window`` are low, or the time is up."""
         damping = 1 - self.config.damping * self.model.opt.timestep
         while self.seconds < self.config.time_limit and not self.exploded:
             before = _Snapshot.of(data)
             for _ in range(self._window):
                 self._step(self.model, data, damping)
-            self.seconds += self.config.rest_time
+            self.seconds += self.config.rest.window
             if self._slow(before, _Snapshot.of(data)):
                 return
 
@@ -164,7 +169,7 @@ class _Settling:
         engine().mj_forward(model, data)
         start = before = after = _Snapshot.of(data)
         drifts = np.zeros(model.nbody - 1)
-        for _ in range(max(1, round(seconds / self.config.rest_time))):
+        for _ in range(max(1, round(seconds / self.config.rest.window))):
             before = after
             for _ in range(self._window):
                 self._step(model, data, 1.0)
@@ -172,9 +177,9 @@ class _Settling:
                 way[:, 2] = np.minimum(way[:, 2], 0)  # what is pushed up by a wider margin does not fall
                 drifts = np.maximum(drifts, np.linalg.norm(way, axis=1)[1:])
             after = _Snapshot.of(data)
-            if self.exploded or drifts.max() > 20 * self.config.drift_limit:
+            if self.exploded or drifts.max() > 20 * self.config.rest.drift:
                 return drifts, False
-        return drifts, self._slow(before, after) and bool(drifts.max() <= self.config.drift_limit)
+        return drifts, self._slow(before, after) and bool(drifts.max() <= self.config.rest.drift)
 
     @staticmethod
     def fresh(model: MjModel, data: MjData) -> MjData:
@@ -185,8 +190,8 @@ class _Settling:
 
     @property
     def _window(self) -> int:
-        """Steps in ``rest_time``."""
-        return max(1, round(self.config.rest_time / self.model.opt.timestep))
+        """Steps in ``rest.window``."""
+        return max(1, round(self.config.rest.window / self.model.opt.timestep))
 
     def _step(self, model: MjModel, data: MjData, damping: float) -> None:
         """One step, noting the largest speed; ``cvel`` is (angular, linear) at each free body's centre of mass."""
@@ -198,11 +203,11 @@ class _Settling:
 
     def _slow(self, before: _Snapshot, after: _Snapshot) -> bool:
         """True when every body's mean speeds between two snapshots, one window apart, are below both limits."""
-        linear = np.linalg.norm(after.centers - before.centers, axis=1).max() / self.config.rest_time
+        linear = np.linalg.norm(after.centers - before.centers, axis=1).max() / self.config.rest.window
         turns = np.einsum("nij,nij->n", after.turns, before.turns)
-        angular = np.arccos(np.clip((turns.min() - 1) / 2, -1, 1)) / self.config.rest_time
+        angular = np.arccos(np.clip((turns.min() - 1) / 2, -1, 1)) / self.config.rest.window
         self.exploded = self.exploded or not np.isfinite(linear + angular)
-        return bool(linear < self.config.linear_rest and angular < self.config.angular_rest)
+        return bool(linear < self.config.rest.speed and angular < self.config.rest.turning)
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,6 +34,8 @@ from f3sr.runtime.result_store import Arrays, Store
 
 __all__ = ["Excess", "Proxy", "ProxyConfig", "check", "decompose", "decompose_all", "split"]
 
+INFLATION_LIMIT = 1.4
+"""Ratio of the volume of the parts to that of the mesh above which a decision names the object."""
 GRID = 2.0**-26
 """Normalised vertices are rounded to this step, so that the asset's unit and place change no byte."""
 
@@ -152,18 +154,18 @@ def _decompose_unit(
     """One hull where that is enough, else what the worker finds, else one hull again, which a decision tells."""
     if reason := nearly_convex(vertices, faces, config):
         decisions = (Decision(choice="one hull", reason=reason),)
-        return _proxy(one_hull(vertices, faces, config), "hull", decisions, config)
+        return _proxy(one_hull(vertices, faces, config), "hull", decisions)
     outcome = run_worker(vertices, faces, config, cancelled)
     if outcome.fitted:
-        return _proxy(outcome.fitted, "cuts", (), config)
+        return _proxy(outcome.fitted, "cuts", ())
     failed = Decision(choice="one hull", reason=f"the decomposition was {outcome.reason}", fallback=True)
-    proxy = _proxy(one_hull(vertices, faces, config), "hull-fallback", (failed,), config)
+    proxy = _proxy(one_hull(vertices, faces, config), "hull-fallback", (failed,))
     return replace(proxy, cut_short=outcome.cut_short)
 
 
-def _proxy(fitted: FittedParts, method: Method, decisions: tuple[Decision, ...], config: ProxyConfig) -> Proxy:
-    if fitted.inflation is not None and fitted.inflation > config.inflation_limit:
-        reason = f"{fitted.inflation:.2f} of the volume of the mesh, {config.inflation_limit:g} is wanted"
+def _proxy(fitted: FittedParts, method: Method, decisions: tuple[Decision, ...]) -> Proxy:
+    if fitted.inflation is not None and fitted.inflation > INFLATION_LIMIT:
+        reason = f"{fitted.inflation:.2f} of the volume of the mesh, {INFLATION_LIMIT:g} is wanted"
         decisions = (*decisions, Decision(choice="parts larger than the mesh are kept", reason=reason))
     return Proxy(
         parts=fitted.parts,

@@ -19,6 +19,8 @@ from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.hulls import Hull, bulk, hull_of, outermost, spread
 from f3sr.proxies.surface import CORE_STEP, Samples, Subject, stand_off
 
+OVERLAP = 2e-4
+"""How far both parts reach beyond their common cut [size]: no crack lies between them."""
 MIN_TOUCHED = 3
 """Samples that are no longer noise, of a hull's surface or of what faces one way."""
 STRAY = 8
@@ -120,11 +122,11 @@ class Cut:
 
 def cut_up(subject: Subject, config: ProxyConfig, most: int, *, is_shell: bool) -> list[Piece]:
     """At most ``most`` pieces of a mesh, ``surplus`` times as many as are wanted in the end."""
-    whole = _piece(subject, config, subject.triangles, subject.simplified, subject.around.core, subject.samples)
+    whole = _piece(subject, subject.triangles, subject.simplified, subject.around.core, subject.samples)
     queue, done, count = [(0.0, 0, whole)], list[Piece](), 0
     while queue and len(queue) + len(done) < most:
         _, _, piece = heapq.heappop(queue)
-        wanted = (len(queue) + len(done) + 1) / config.surplus
+        wanted = (len(queue) + len(done) + 1) / config.cuts.surplus
         halves = _halved(piece, subject, replace(config, tolerance=config.allowed(wanted, is_shell=is_shell)))
         if halves is None:
             done.append(piece)
@@ -135,9 +137,7 @@ def cut_up(subject: Subject, config: ProxyConfig, most: int, *, is_shell: bool) 
     return done + [piece for *_, piece in sorted(queue)]
 
 
-def _piece(
-    subject: Subject, config: ProxyConfig, triangles: Array, outline: Array, core: Array, samples: Samples
-) -> Piece:
+def _piece(subject: Subject, triangles: Array, outline: Array, core: Array, samples: Samples) -> Piece:
     hull = hull_of(np.concatenate([np.unique(triangles.reshape(-1, 3), axis=0), core]))
     off = np.zeros(len(samples.points))
     if hull is not None and len(off):
@@ -149,7 +149,7 @@ def _piece(
         samples=samples,
         hull=hull,
         off=off,
-        bare=np.zeros(0) if hull is None else subject.bare(hull, config),
+        bare=np.zeros(0) if hull is None else subject.bare(hull),
     )
 
 
@@ -163,12 +163,12 @@ def _halved(piece: Piece, subject: Subject, config: ProxyConfig) -> tuple[Piece,
         return None
     u, offset = cut.normal, cut.offset
     below = piece.samples.points @ u <= offset
-    surface = clipped(piece.triangles, u, offset, config.overlap)
+    surface = clipped(piece.triangles, u, offset, OVERLAP)
     outline = clipped(piece.outline.triangles, u, offset, 0.0)
     if not all(map(len, (*surface, *outline))):
         return None
     sides = zip(surface, outline, _parted(piece.core, u, offset, reach), (below, ~below), strict=True)
-    first, second = (_piece(subject, config, s, o, c, piece.samples.chosen(which)) for s, o, c, which in sides)
+    first, second = (_piece(subject, s, o, c, piece.samples.chosen(which)) for s, o, c, which in sides)
     return first, second
 
 

@@ -83,13 +83,13 @@ class _Joining:
     def _look_over(self, pair: tuple[int, int]) -> None:
         """A look at the hull itself costs more than at the samples in it: it is taken when the pair comes first."""
         both = self._pairs[pair]
-        bare = _but_a_few(self._subject.bare(both.hull, self._config))
+        bare = _but_a_few(self._subject.bare(both.hull))
         self._pairs[pair] = replace(both, off=max(both.off, bare), is_looked_over=True)
 
     def _price(self, pair: tuple[int, int]) -> float:
         """How far the joined hull stands off; nothing where that is no farther than one of the two did."""
         off = self._pairs[pair].off
-        return 0.0 if off <= max(self.parts[k].off for k in pair) and off <= self._config.loose_tolerance else off
+        return 0.0 if off <= max(self.parts[k].off for k in pair) and off <= self._config.cuts.loose_tolerance else off
 
     def _replace(self, pair: tuple[int, int]) -> None:
         part = self._pairs[pair]
@@ -116,7 +116,7 @@ class _Joining:
         if hull is None:
             return None
         added = hull.volume - first.hull.volume - second.hull.volume
-        if added > self._config.loose_tolerance * hull.area:
+        if added > self._config.cuts.loose_tolerance * hull.area:
             return None
         off = _off(hull, self._subject.samples)
         return Joined(hull=hull, shape=hull.corners, off=off, added=added, is_looked_over=False)

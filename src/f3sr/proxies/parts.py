@@ -16,8 +16,15 @@ from f3sr.proxies.fit import Excess
 from f3sr.proxies.hulls import Hull, hull_of, outside, planes, without_hidden
 from f3sr.proxies.joins import joined
 from f3sr.proxies.simplify import flats_of, simplified_outward
-from f3sr.proxies.surface import Faces, NearestTriangles, Subject, area_of, samples_of, surroundings, weighted
+from f3sr.proxies.surface import PROBE, Faces, NearestTriangles, Subject, area_of, samples_of, surroundings, weighted
 
+HULL_VOLUME_RATIO = 0.93
+"""Least share of its hull that a closed mesh fills to get one hull: splitting would add little."""
+SHELL_FILL = 0.5
+"""Share of its hull below which a closed mesh is a shell: a bowl, a mug, a pan. What lies in it would float on parts
+that bridge its curved wall."""
+SHEET = 0.004
+"""Thickness given to a mesh that spans no volume [size]."""
 STRAY_SHARE = 0.02
 """Of the vertices of a mesh that is nearly its own hull, those that may lie deeper: the seam of a ball."""
 LARGEST_HOLE = 0.02
@@ -50,7 +57,7 @@ def nearly_convex(vertices: Array, faces: Faces, config: ProxyConfig) -> str | N
     reason = f"surface within {depth:.1%} of its size below the hull"
     if is_closed(faces) and (volume := signed_volume(vertices, faces)) > 0:
         ratio = volume / hull.volume
-        return f"fills {ratio:.1%} of its hull, {reason}" if ratio >= config.hull_volume_ratio else None
+        return f"fills {ratio:.1%} of its hull, {reason}" if ratio >= HULL_VOLUME_RATIO else None
     return reason if _missing_share(vertices[faces]) <= LARGEST_HOLE else None
 
 
@@ -65,10 +72,8 @@ def one_hull(vertices: Array, faces: Faces, config: ProxyConfig) -> FittedParts:
     try:
         part = simplified_outward(points, config, most=config.most_faces(1))
     except ValueError:
-        part = ConvexPart.hull_of(_thickened(points, config))
-    return _fitted(
-        [part], vertices, faces, fit.excess([part], NearestTriangles.on(vertices, faces), None, config.probe)
-    )
+        part = ConvexPart.hull_of(_thickened(points))
+    return _fitted([part], vertices, faces, fit.excess([part], NearestTriangles.on(vertices, faces), None, PROBE))
 
 
 def several(vertices: Array, faces: Faces, config: ProxyConfig) -> FittedParts:
@@ -76,54 +81,54 @@ def several(vertices: Array, faces: Faces, config: ProxyConfig) -> FittedParts:
     whole = ConvexPart.hull_of(vertices)
     subject = subject_of(vertices, faces, whole, config)
     # An open surface has no volume, but its signed sum still tells a wall with two sides from a body.
-    is_shell = signed_volume(vertices, faces) < config.shell_fill * whole.volume
+    is_shell = signed_volume(vertices, faces) < SHELL_FILL * whole.volume
 
     def cut(most: int) -> list[Hull]:
-        return _hulls(cut_up(subject, config, most, is_shell=is_shell), config)
+        return _hulls(cut_up(subject, config, most, is_shell=is_shell))
 
-    hulls = joined(cut(round(config.surplus * config.max_parts)), subject, config, is_shell=is_shell)
+    hulls = joined(cut(round(config.cuts.surplus * config.max_parts)), subject, config, is_shell=is_shell)
     if len(hulls) > config.max_parts:  # what is left are no neighbours
         hulls = cut(config.max_parts)
-    base = flats_of(whole, config)
+    base = flats_of(whole)
     parts = without_hidden(
         [simplified_outward(h.corners, config, base, most=config.most_faces(len(hulls))) for h in hulls]
     )
-    excess = fit.excess(parts, subject.nearest, subject.around, config.probe)
+    excess = fit.excess(parts, subject.nearest, subject.around, PROBE)
     return _fitted(parts, vertices, faces, replace(excess, floor=fit.floor_excess(parts, subject.samples)))
 
 
 def subject_of(vertices: Array, faces: Faces, whole: ConvexPart, config: ProxyConfig) -> Subject:
     """All that cutting needs to know of a mesh with its hull ``whole``."""
-    around = surroundings(vertices, faces, config)
-    samples = samples_of(vertices[faces], config.samples)
-    touched = samples.chosen(around.is_reached(samples.points, samples.normals, config.probe))
-    simpler = decimated(vertices, faces, config.target_faces)
+    around = surroundings(vertices, faces)
+    samples = samples_of(vertices[faces], config.cuts.samples)
+    touched = samples.chosen(around.is_reached(samples.points, samples.normals, PROBE))
+    simpler = decimated(vertices, faces, config.cuts.target_faces)
     return Subject(
         triangles=vertices[faces],
         simplified=simpler[0][simpler[1]],
-        samples=weighted(touched, planes(whole), config),
-        density=config.samples / area_of(vertices[faces]),
+        samples=weighted(touched, planes(whole)),
+        density=config.cuts.samples / area_of(vertices[faces]),
         around=around,
         nearest=NearestTriangles.on(vertices, faces),
     )
 
 
-def _hulls(pieces: Sequence[Piece], config: ProxyConfig) -> list[Hull]:
+def _hulls(pieces: Sequence[Piece]) -> list[Hull]:
     """Of pieces; one that spans no volume, as a single layer of triangles does, gets a thickness."""
     found: list[Hull] = []
     for piece in pieces:
         points = np.concatenate([piece.triangles.reshape(-1, 3), piece.core])
-        hull = piece.hull or hull_of(_thickened(points, config))
+        hull = piece.hull or hull_of(_thickened(points))
         if hull is None:
             raise ValueError("a piece of the mesh spans no volume")
         found.append(hull)
     return found
 
 
-def _thickened(points: Array, config: ProxyConfig) -> Array:
+def _thickened(points: Array) -> Array:
     """A sheet with a thickness along its normal."""
     normal = np.linalg.svd(points - points.mean(0), full_matrices=False)[2][2]
-    offset = config.sheet / 2 * normal
+    offset = SHEET / 2 * normal
     return np.concatenate([points - offset, points + offset])
 
 

@@ -9,6 +9,10 @@ from f3sr.core.transforms import Array
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.hulls import planes
 
+THICKNESS = 0.002
+"""Largest distance of a simplified hull from the exact one [size]; it makes a can about 27-sided."""
+FLAT_SHARE = 0.02
+"""Least share of a hull's area by which facets of one direction are kept as one plane: bases stay flat."""
 SAME_FLAT = np.radians(2.0)
 """Facets turned by less than this [rad] belong to one flat: the noise of generated meshes."""
 
@@ -23,7 +27,7 @@ def simplified_outward(
     """A polytope of few facets around points (n, 3), in normalised units; it contains all of them.
 
     Its planes are the hull's flats, then, one by one, the hull plane that cuts off most of the corner that
-    stands out farthest, until all stand out by less than ``thickness`` or, with ``most`` facets, by less than
+    stands out farthest, until all stand out by less than ``THICKNESS`` or, with ``most`` facets, by less than
     ``loose_tolerance``; twice ``most`` are never exceeded. Where the points reach one of ``base``, the flats of the
     whole mesh, that plane is taken: all parts of an object end in one base.
     A hull too thin for that stays as it is. Raises ValueError when the points span no volume.
@@ -31,7 +35,7 @@ def simplified_outward(
     hull = ConvexPart.hull_of(points)
     normals, offsets = planes(hull)
     most = most or config.max_hull_faces
-    kept_normals, kept_offsets = (x[: most // 2] for x in _first_planes(hull, base, config))
+    kept_normals, kept_offsets = (x[: most // 2] for x in _first_planes(hull, base))
     while True:
         corners = corners_of(kept_normals, kept_offsets, hull)
         if corners is None:
@@ -39,7 +43,7 @@ def simplified_outward(
         excess = corners @ normals.T - offsets
         worst = int(excess.argmax())
         count = len(kept_offsets)
-        if excess.flat[worst] <= (config.thickness if count < most else config.loose_tolerance) or count >= 2 * most:
+        if excess.flat[worst] <= (THICKNESS if count < most else config.cuts.loose_tolerance) or count >= 2 * most:
             break
         plane = worst % len(offsets)
         kept_normals = np.vstack([kept_normals, normals[plane]])
@@ -47,19 +51,19 @@ def simplified_outward(
     return ConvexPart.hull_of(merged(corners))
 
 
-def flats_of(hull: ConvexPart, config: ProxyConfig) -> Planes:
+def flats_of(hull: ConvexPart) -> Planes:
     """The planes that a hull's flats lie in: what an object stands on."""
-    normals = _flats(hull, config.flat_share)
+    normals = _flats(hull, FLAT_SHARE)
     return normals, (hull.vertices @ normals.T).max(0)
 
 
-def _first_planes(hull: ConvexPart, base: Planes | None, config: ProxyConfig) -> Planes:
+def _first_planes(hull: ConvexPart, base: Planes | None) -> Planes:
     """The flats of the whole mesh that a part reaches, then its own ones that face elsewhere."""
-    own, own_offsets = flats_of(hull, config)
+    own, own_offsets = flats_of(hull)
     if base is None:
         return own, own_offsets
     shared, shared_offsets = base
-    reached = shared_offsets - (hull.vertices @ shared.T).max(0) <= config.thickness
+    reached = shared_offsets - (hull.vertices @ shared.T).max(0) <= THICKNESS
     shared, shared_offsets = shared[reached], shared_offsets[reached]
     elsewhere = (own @ shared.T).max(1, initial=-1) < np.cos(SAME_FLAT)
     return np.vstack([shared, own[elsewhere]]), np.append(shared_offsets, own_offsets[elsewhere])

@@ -12,9 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array
-from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.hulls import Hull
 
+PROBE = 0.03
+"""Radius [size] of the ball that must fit where something can touch a point. Slots, pores and corners that it does not
+fit into may be bridged, closed voids as well."""
+CELL = 0.01
+"""Cells [size] of the grid on which open space is told from the inside."""
+FLOOR_WEIGHT = 3.0
+"""Weight of the excess at the floor of a cavity. What lies in a pan is smaller and floats by more of its own size."""
 GRID_CELLS = 600_000
 """Most cells of the grid over a mesh's box: at a hundredth of the diagonal a cube has 200,000."""
 DENSE_POINTS = 3_000_000
@@ -118,13 +124,13 @@ class Subject:
     around: Surroundings
     nearest: NearestTriangles
 
-    def bare(self, hull: Hull, config: ProxyConfig) -> Array:
+    def bare(self, hull: Hull) -> Array:
         """How far points of a hull's surface lie off the mesh (n,) that could be touched if nothing else covered
         them; each counts as ``hull.area / n`` of it."""
         points = samples_of(hull.triangles, HULL_POINTS)
         inward = np.einsum("ij,ij->i", points.normals, points.points - hull.corners.mean(0)) < 0
         normals = np.where(inward[:, None], -points.normals, points.normals)
-        touched = self.around.is_reached(points.points, normals, config.probe)
+        touched = self.around.is_reached(points.points, normals, PROBE)
         off = np.zeros(HULL_POINTS)
         if touched.any():
             off[touched] = self.nearest.distance(points.points[touched])
@@ -147,15 +153,15 @@ def samples_of(triangles: Array, count: int) -> Samples:
     return Samples(points=points, normals=normals, triangle=triangle, weight=np.ones(count))
 
 
-def surroundings(vertices: Array, faces: Faces, config: ProxyConfig) -> Surroundings:
+def surroundings(vertices: Array, faces: Faces) -> Surroundings:
     """Open space is what can be walked to from outside, cell by cell, without touching the surface; the rest is
     solid, be the mesh closed or not."""
     import scipy.ndimage
 
     image: Any = scipy.ndimage
-    cell = _cell(vertices, faces, config)
-    low = vertices.min(0) - (config.probe + 4 * cell)
-    shape = np.ceil((vertices.max(0) + config.probe + 4 * cell - low) / cell).astype(int) + 1
+    cell = _cell(vertices, faces)
+    low = vertices.min(0) - (PROBE + 4 * cell)
+    shape = np.ceil((vertices.max(0) + PROBE + 4 * cell - low) / cell).astype(int) + 1
     occupied = np.zeros(shape, bool)
     occupied[tuple(((_dense(vertices, faces, 0.9 * cell) - low) / cell).astype(int).T)] = True
     # One cell thicker: points a cell apart may leave a gap that a path from face to face of cells slips through.
@@ -167,10 +173,10 @@ def surroundings(vertices: Array, faces: Faces, config: ProxyConfig) -> Surround
     return Surroundings(clearance=clearance, low=low, cell=cell, core=core)
 
 
-def _cell(vertices: Array, faces: Faces, config: ProxyConfig) -> float:
+def _cell(vertices: Array, faces: Faces) -> float:
     area = area_of(vertices[faces])
-    box = float(np.prod(np.ptp(vertices, axis=0) + 2 * config.probe))
-    return max(config.cell, (box / GRID_CELLS) ** (1 / 3), (4 * area / DENSE_POINTS) ** 0.5)
+    box = float(np.prod(np.ptp(vertices, axis=0) + 2 * PROBE))
+    return max(CELL, (box / GRID_CELLS) ** (1 / 3), (4 * area / DENSE_POINTS) ** 0.5)
 
 
 def area_of(triangles: Array) -> float:
@@ -211,7 +217,7 @@ def _stand_off(points: Array, facing_of: Array, normals: NDArray[np.float32], of
     return np.asarray(depth.min(1), np.float64)
 
 
-def weighted(samples: Samples, hull: tuple[Array, Array], config: ProxyConfig) -> Samples:
+def weighted(samples: Samples, hull: tuple[Array, Array]) -> Samples:
     """Samples whose weight rises to ``floor_weight`` where the surface faces the opening of a cavity: the floor on
     which things come to rest. Surface deep below the hull of the mesh is a cavity's, and faces its opening on the
     average."""
@@ -222,7 +228,7 @@ def weighted(samples: Samples, hull: tuple[Array, Array], config: ProxyConfig) -
     if (length := float(np.linalg.norm(opening))) < CAVITY_LEAN:
         return samples
     facing = np.where(deep, np.maximum(samples.normals @ opening / length, 0), 0)
-    return replace(samples, weight=1 + (config.floor_weight - 1) * facing**FLOOR_POWER)
+    return replace(samples, weight=1 + (FLOOR_WEIGHT - 1) * facing**FLOOR_POWER)
 
 
 def _to_triangles(p: Array, triangles: Array) -> Array:

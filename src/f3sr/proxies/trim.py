@@ -17,14 +17,12 @@ import numpy as np
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import Array
-from f3sr.proxies.cuts import below
+from f3sr.proxies.cuts import OVERLAP, below
 from f3sr.proxies.hulls import qhull_of
 from f3sr.proxies.simplify import corners_of, merged
 
 SLACK = 1e-9
 """What lies this far outside a part still counts as held by it [size of the mesh]."""
-OVERLAP = 2e-4
-"""How far both sides of a split reach beyond it [size of the mesh], as ``ProxyConfig.overlap``."""
 LEAST = 1e-8
 """Volume below which nothing is left as a part [size of the mesh, cubed]: MuJoCo refuses 1e-15 m3, which that is of
 things of 5 mm; what cutting leaves is larger than 4e-8 on real scenes, or a slip of rounding."""

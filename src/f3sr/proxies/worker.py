@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import subprocess
 import sys
@@ -15,6 +14,7 @@ from dataclasses import dataclass
 from typing import IO
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from f3sr.core.transforms import Array
 from f3sr.files import npz
@@ -106,7 +106,7 @@ def work(config_text: str, parent: str) -> None:
     import resource
 
     _die_with(int(parent))
-    config = ProxyConfig(**json.loads(config_text))
+    config = TypeAdapter(ProxyConfig).validate_json(config_text)
     seconds = max(1, round(config.cpu_limit_s))
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

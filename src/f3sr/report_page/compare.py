@@ -23,7 +23,7 @@ SIDE = (720, 420)
 MOST_BOXES = 3
 """Boxes of each kind (gaps, sunk objects, penetrations), the worst first."""
 SHOWN_SHARE = 0.005
-"""From which share of an object's size on a gap or a depth under the ground is boxed; contacts rest .4 mm apart."""
+"""From which share of an object's size on a gap or a depth under the ground is boxed."""
 LEAST_BOX = 30
 """Smallest side of a box [px]."""
 

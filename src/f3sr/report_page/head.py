@@ -10,12 +10,12 @@ from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 from f3sr.report_page.formatting import about, counted, length, listed, name_of, ratio, share, told
 from f3sr.report_page.page_data import PageData, look_alike
 from f3sr.scene import SceneObject
-from f3sr.stages.refine import RefineConfig
+from f3sr.stages.refine import TOPPLE
 from f3sr.stages.settle import Settled
 from f3sr.web.figures import figure, img
 from f3sr.web.markup import Child, Markup, el, join
 
-TIPPED = RefineConfig().topple
+TIPPED = TOPPLE
 FAR_OFF = 0.5
 """Visible IoU under which an object is not where the photo shows it."""
 PAID = 0.1

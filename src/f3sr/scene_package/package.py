@@ -224,7 +224,7 @@ def _files(
         mesh = o.mesh.with_vertices(o.scale * o.mesh.vertices)
         yield f"{MASKS}/{o.mask_name}", encode_png(255 * o.mask.astype(np.uint8))
         yield mesh_path(o.id), mesh_to_glb(mesh, name=f"object_{o.id:02d}")
-        yield from collision_files(o.id, body_of(o, physics)).items()
+        yield from collision_files(o.id, body_of(o)).items()
     yield "scene.glb", scene_to_glb(scene.objects)
     yield from to_mjcf(scene.objects, scene.camera, physics)
     for name, picture in pictures.items():

@@ -19,14 +19,14 @@ from f3sr.settings import settings
 from f3sr.vision import rasterizer
 from f3sr.vision.silhouette import iou, resample
 
+CONVENTION_MARGIN = 0.15
+"""Gain of mean mask IoU from which another pose convention gives a warning; true conventions win by more."""
+
 
 @settings
 class AssembleConfig:
     max_depth_ratio: Annotated[float, Interval(gt=1, le=10)] = 1.3
-    """Largest factor between an asset's visible depth and the geometry's inside its mask before the
-    asset is moved along its viewing rays. Generators miss depth by up to about 15%; more is another unit."""
-    convention_margin: Annotated[float, Interval(ge=0, le=1)] = 0.15
-    """Mean IoU by which another pose convention must fit the masks better to be warned of."""
+    """Largest ratio of an asset's depth to the geometry's, or its inverse. Beyond, the asset moves along its rays."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +69,7 @@ def assemble(
     config = config or AssembleConfig()
     camera = scene.camera
     objects = tuple(replace(o, parts=(o.mesh.hull,)) for o in scene)
-    decisions = [*told, *_check_convention(camera, objects, config)]
+    decisions = [*told, *_check_convention(camera, objects)]
     decisions += [d for o in objects if (d := _check_place(o, camera))]
     ratios: dict[int, float] = {}
     placed: list[SceneObject] = []
@@ -130,7 +130,7 @@ def _check_place(o: SceneObject, camera: Camera) -> Decision | None:
     )
 
 
-def _check_convention(camera: Camera, objects: tuple[SceneObject, ...], config: AssembleConfig) -> list[Decision]:
+def _check_convention(camera: Camera, objects: tuple[SceneObject, ...]) -> list[Decision]:
     """Warn when another known reading of the poses overlaps the masks far better (the declared one is kept)."""
     declared = float(np.mean([_overlap(o.vertices_world, o, camera) for o in objects]))
     best, name = declared, "declared"
@@ -138,7 +138,7 @@ def _check_convention(camera: Camera, objects: tuple[SceneObject, ...], config: 
         mean = float(np.mean([_overlap(v, o, camera) for v, o in zip(vertices, objects, strict=True)]))
         if mean > best:
             best, name = mean, alternative
-    if best - declared <= config.convention_margin:
+    if best - declared <= CONVENTION_MARGIN:
         return []
     return [
         Decision(

@@ -15,52 +15,52 @@ from f3sr.contact import polytopes as contact
 from f3sr.contact.contact_patches import find_contacts
 from f3sr.contact.footing import supplied
 from f3sr.contact.polytopes import Polytope
-from f3sr.contact.static_bodies import supports_first
 from f3sr.contact.vertical_gap import Meeting, meeting
 from f3sr.core.transforms import UP, Array, pose, transform
 from f3sr.metrics.contact_groups import SettledScene, groups_of
 from f3sr.metrics.measures import visible_ious
+from f3sr.physics.contact_margin import DEFAULT_MARGIN, TOUCHING, ContactMargin
 from f3sr.proxies import trim
 from f3sr.proxies.trim import MeshSurface, Near, Place
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import GROUND, Scene, SceneObject
-from f3sr.settings import settings
+from f3sr.settings import constants, settings
 
-TOUCHING = 3e-6
-"""Gap [m] that counts as contact while something is lowered."""
 TRIES = 2
-"""Times that an object is lowered that spoils a group; then the others are, without it."""
+"""Most attempts to lower an object whose move makes its group fail; then the others go down without it."""
 STEPS = 24
-"""Contacts that are cut free, one after the other, while one object is lowered."""
+"""Most contacts cut free, one after the other, while one object is lowered."""
+WORTH = 2.0
+"""Loss of visible IoU that is worth closing the widest gap, per size of the object above it."""
+
+
+@constants
+class CutBackConfig:
+    """How colliders are cut back where things touch. Lengths are shares of the smaller of the two sizes."""
+
+    tolerance: float = 5e-4
+    """Largest distance of a collider from its mesh at a contact, on each side."""
+    radius: float = 0.03
+    """Radius around a contact in which colliders are cut back: as far as things move while they settle. It doubles in
+    every round, where what rolled away may stay."""
+    reach: float = 0.1
+    """Largest distance from a contact at which the mesh is looked for: parts hardly stand off farther."""
+    added: int = 64
+    """Most convex parts that splits add to one object. Crumpled meshes are hollow at every contact, and every part
+    costs time of physics."""
 
 
 @settings
 class CloseConfig:
     """When something that rests shows a gap, and what may be done about it."""
 
-    tolerance: Annotated[float, Interval(gt=0, le=0.01)] = 5e-4
-    """How far colliders may stand off the mesh where things touch, on each side, as a share of the smaller of the two
-    sizes."""
-    radius: Annotated[float, Interval(gt=0, le=0.5)] = 0.03
-    """How far around such a place they are cut back, as a share of the same size: as far as things move while they
-    settle. Twice as far in the next round, where what rolled away may stay."""
-    reach: Annotated[float, Interval(gt=0, le=1)] = 0.1
-    """How far from a contact the mesh is looked for, as a share of the same size: parts hardly stand off farther."""
-    clearance: Annotated[float, Interval(ge=0, le=0.01)] = 3.2e-4
-    """Gap left below what is lowered [m], as in ``separate``: two margins of physics."""
-    added: Annotated[int, Interval(ge=0, le=1000)] = 64
-    """Most convex parts that one object gets more by splits in one closing: as many as it has at most from the start.
-    Crumpled meshes are hollow wherever they are touched, and every part costs time of physics."""
     rounds: Annotated[int, Interval(ge=0, le=10)] = 3
-    """Most times that objects are lowered and settled: settling tilts them onto other contacts. What spoils a group in
-    two of them is left as it is in the third."""
+    """Most rounds in which objects are lowered and settled; settling tilts them onto other contacts."""
     loss: Annotated[float, Interval(ge=0, le=1)] = 0.02
-    """What the visible IoU of a group of objects that touch may lose in the mean: how well places in the picture are
-    known. What loses more rolled away on the way down and is put back."""
-    worth: Annotated[float, Interval(ge=0, le=100)] = 2.0
-    """What more it may lose per size of an object by which the widest gap closes."""
-    apart: Annotated[float, Interval(gt=0, le=0.1)] = 2e-3
-    """Objects with this much room between them [m] do not feel each other, as in ``refine``."""
+    """Largest mean loss of visible IoU of a group of touching objects. What loses more is put back."""
+    cut: CutBackConfig = CutBackConfig()
+    contact: ContactMargin = DEFAULT_MARGIN
+    """Its clearance is left below what is lowered. Objects with its ``apart`` between them do not affect each other."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,11 +97,11 @@ def close(
     them. Groups with something ``restless``, which does not rest as it is, are left alone.
     """
     config = config or CloseConfig()
-    left = {id for g in groups_of(scene, scene, config.apart) if g.intersection(restless) for id in g}
+    left = {id for g in groups_of(scene, scene, config.contact.apart) if g.intersection(restless) for id in g}
     start, gaps = scene, _gaps(scene)
     decisions, spoilt = list[Decision](), Counter[int]()
     for k in range(config.rounds):
-        wider = replace(config, radius=min(0.5, config.radius * 2**k))
+        wider = replace(config, cut=replace(config.cut, radius=min(0.5, config.cut.radius * 2**k)))
         tried = lowered(scene, wider, but=left.union(id for id, times in spoilt.items() if times >= TRIES))
         changed = frozenset(o.id for o in scene if tried[o.id] is not o)
         if not changed:
@@ -131,12 +131,12 @@ def _better(
 ) -> tuple[Scene, list[Decision], frozenset[int]]:
     """``before`` with those groups of objects as tried, once settled, that rest and are still seen; and which objects
     spoil the others. What has no part in it is not settled again."""
-    moving = frozenset(id for g in groups_of(before, tried, config.apart) if g & changed for id in g)
+    moving = frozenset(id for g in groups_of(before, tried, config.contact.apart) if g & changed for id in g)
     rested = settled(replace(tried, objects=tuple(o for o in tried if o.id in moving)))
     after = tried.with_objects(*rested.scene)
     was, now = visible_ious(before), visible_ious(after)
     scene, decisions, spoiling = before, list[Decision](), set[int]()
-    for group in groups_of(before, after, config.apart):
+    for group in groups_of(before, after, config.contact.apart):
         if not group & changed:
             continue
         losses = {id: was[id] - now[id] for id in sorted(group)}
@@ -147,7 +147,7 @@ def _better(
             reason += f", and object {_named(restless)} does not come to rest"
         if apart:
             reason += f", and object {_named(apart)}, which was not settled with it, is touched"
-        allowed = max(config.loss, config.worth * _closed(before, after, group & changed))
+        allowed = max(config.loss, WORTH * _closed(before, after, group & changed))
         is_better = not restless and not apart and loss <= allowed
         verdict = "accepted" if is_better else "rolled back"
         choice = f"colliders cut back of object {_named(group & changed)}: {verdict}"
@@ -176,7 +176,7 @@ def lowered(scene: Scene, config: CloseConfig, *, but: Collection[int] = ()) -> 
     meets what is below. Objects for which nothing was to be done stay the same values.
     """
     layout = _Layout(scene, config)
-    for id in supports_first({o.id: o.supported_by for o in scene}):
+    for id in scene.supports_first:
         if scene[id].supported_by is not None and id not in but:
             layout.lower(id)
     return scene.with_objects(*(body.now for body in layout.bodies.values()))
@@ -187,7 +187,7 @@ class _Layout:
 
     def __init__(self, scene: Scene, config: CloseConfig) -> None:
         self.scene, self.config = scene, config
-        self.bodies = {o.id: _Lowered(o, len(o.parts) + config.added) for o in scene}
+        self.bodies = {o.id: _Lowered(o, len(o.parts) + config.cut.added) for o in scene}
 
     def lower(self, id: int) -> None:
         """Lower an object with all it carries until its mesh meets another one, or nothing more can be cut back."""
@@ -196,9 +196,10 @@ class _Layout:
             return
         others = [b.now for k, b in self.bodies.items() if k not in members]
         goal = meeting(self.bodies[id].now, others)
-        goal = replace(goal, gap=goal.gap - self.bodies[id].supplied)
+        if self.scene.has_measured_depth:
+            goal = replace(goal, gap=goal.gap - self.bodies[id].supplied)
         near = self._near(id, goal.other)
-        if goal.gap <= self.config.clearance + 2 * near.tolerance:
+        if goal.gap <= self.config.contact.clearance + 2 * near.tolerance:
             return
         self._meet(id, goal, near)
         drop = 0.0
@@ -206,7 +207,7 @@ class _Layout:
             drop += self._move(members, self._room(members))
             if goal.gap - drop <= 2 * near.tolerance or not self._cut_free(members, goal.gap - drop):
                 break
-        self._move(members, self._room(members) - self.config.clearance)
+        self._move(members, self._room(members) - self.config.contact.clearance)
 
     def _meet(self, id: int, goal: Meeting, near: Near) -> None:
         """Cut back what stands between the two places that are to meet."""
@@ -252,8 +253,8 @@ class _Layout:
 
     def _near(self, a: int, b: int) -> Near:
         size = min(self.scene[k].size for k in (a, b) if k != GROUND)
-        config = self.config
-        return Near(tolerance=config.tolerance * size, radius=config.radius * size, reach=config.reach * size)
+        cut = self.config.cut
+        return Near(tolerance=cut.tolerance * size, radius=cut.radius * size, reach=cut.reach * size)
 
 
 class _Lowered:

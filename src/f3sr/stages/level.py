@@ -20,22 +20,24 @@ GROUPS = 4
 """Strips along each of two axes that split the ground's points into groups for the jackknife: 16 in all."""
 
 
+MAX_POINTS = 50_000
+"""Most ground points used; more do not move the plane. The report samples as many."""
+HYPOTHESES = 400
+"""RANSAC planes tried. With half the points on the plane all of them miss it with p < 1e-23."""
+NORMAL_ANGLE = math.radians(35)
+"""Largest angle [rad] between the plane's normal and a surface normal that votes."""
+NORMAL_WEIGHT = 0.55
+"""Lambda of equation 5: weight of the surface normals against the plane's."""
+LOWER_REGION = 0.4
+"""Share of the image height, from below, searched for ground where there is no ground mask."""
+
+
 @settings
 class LevelConfig:
     seed: Annotated[int, Interval(ge=0)] = 0
-    """Of the RANSAC triples."""
-    max_points: Annotated[int, Interval(ge=100, le=1_000_000)] = 50_000
-    """Ground points used; the report samples as many."""
-    hypotheses: Annotated[int, Interval(ge=10, le=10000)] = 400
-    """RANSAC planes tried: with half the points on the plane 400 triples miss it with p < 1e-23."""
+    """Seed of the random choice of ground points."""
     tolerance: Annotated[float, Interval(gt=0, le=0.1)] = 0.01
-    """Distance to a RANSAC plane that counts as on it, as a share of the median ground depth."""
-    normal_angle: Annotated[float, Interval(gt=0, lt=np.pi / 2)] = math.radians(35)
-    """Normals within this angle [rad] of the plane's take part in the vote."""
-    normal_weight: Annotated[float, Interval(ge=0, le=1)] = 0.55
-    """Lambda of equation 5, scaled by how much better the normals agree than the points do."""
-    lower_region: Annotated[float, Interval(gt=0, le=1)] = 0.4
-    """Share of the image height, from below, searched for ground where there is no ground mask."""
+    """Largest distance of a ground point from the ground plane [share of the median ground depth]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -85,17 +87,17 @@ def level(scene: Scene, config: LevelConfig | None = None) -> tuple[Scene, Level
     """
     config = config or LevelConfig()
     rng = np.random.default_rng(config.seed)
-    points, normals, source = _ground_points(scene, config, rng)
+    points, normals, source = _ground_points(scene, rng)
     if len(points) < 3:
         return _lowest_vertex(scene)
     plane = fit_plane(points, rng, config)
-    normal_camera, agreement = vote(plane.normal, normals, config)
+    normal_camera, agreement = vote(plane.normal, normals)
     on_plane = np.abs(points @ plane.normal - plane.offset) < config.tolerance * _depth(points)
     height = -float(np.median(points[on_plane] @ normal_camera))
     R_g = rotation_between(scene.camera.T_world_camera[:3, :3] @ normal_camera, [0, 0, 1])
     T = pose(R_g, [0, 0, height - (R_g @ scene.camera.center)[2]])
     ground = Ground(source=source, confidence=plane.inliers)
-    if scene.geometry and scene.geometry.source == "sensor":
+    if scene.has_measured_depth:
         tilt_error, height_error = plane_errors(points[on_plane])
         ground = replace(ground, tilt_error=tilt_error, height_error=height_error)
     moved = _move_all(scene, T, ground)
@@ -121,7 +123,7 @@ def fit_plane(points: Array, rng: np.random.Generator, config: LevelConfig) -> G
     """
     tolerance = config.tolerance * _depth(points)
     sample = points[rng.choice(len(points), min(len(points), 2000), replace=False)]
-    a, b, c = (points[rng.integers(len(points), size=config.hypotheses)] for _ in range(3))
+    a, b, c = (points[rng.integers(len(points), size=HYPOTHESES)] for _ in range(3))
     normals = np.cross(b - a, c - a)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 1e-12)
@@ -196,25 +198,25 @@ def _upside_down(plane: GroundPlane) -> list[Decision]:
     return [Decision(choice="the photo is taken as upside down, or as looking up", reason=reason, fallback=True)]
 
 
-def vote(normal: Array, normals: Array | None, config: LevelConfig) -> tuple[Array, float]:
+def vote(normal: Array, normals: Array | None) -> tuple[Array, float]:
     """Blend the plane's normal with the median of the surface normals that agree with it (equation 5).
 
-    Returns the unit normal and the share of normals within ``normal_angle``. Fewer than half agreeing: no vote.
+    Returns the unit normal and the share of normals within ``NORMAL_ANGLE``. Fewer than half agreeing: no vote.
     """
     if normals is None or not len(normals):
         return normal, 0.0
     cosines = normals @ normal
     normals = np.where(cosines[:, None] < 0, -normals, normals)
-    agree = np.abs(cosines) > np.cos(config.normal_angle)
+    agree = np.abs(cosines) > np.cos(NORMAL_ANGLE)
     share = float(agree.mean())
     if share < 0.5:
         return normal, share
     median = np.median(normals[agree], axis=0)
-    blended = (1 - config.normal_weight) * normal + config.normal_weight * median / np.linalg.norm(median)
+    blended = (1 - NORMAL_WEIGHT) * normal + NORMAL_WEIGHT * median / np.linalg.norm(median)
     return blended / np.linalg.norm(blended), share
 
 
-def _ground_points(scene: Scene, config: LevelConfig, rng: np.random.Generator) -> tuple[Array, Array | None, str]:
+def _ground_points(scene: Scene, rng: np.random.Generator) -> tuple[Array, Array | None, str]:
     """Ground points (n, 3) and normals in the camera frame, and where they come from."""
     geometry = scene.geometry
     if geometry is None:
@@ -222,10 +224,10 @@ def _ground_points(scene: Scene, config: LevelConfig, rng: np.random.Generator) 
     if scene.ground_mask is not None and geometry.inside(scene.ground_mask).any():
         where, source = geometry.inside(scene.ground_mask), "ground mask"
     else:
-        where, source = _lower_region(scene, geometry, config), "lower image region"
+        where, source = _lower_region(scene, geometry), "lower image region"
     index = np.flatnonzero(where.ravel())
-    if len(index) > config.max_points:
-        index = np.sort(rng.choice(index, config.max_points, replace=False))
+    if len(index) > MAX_POINTS:
+        index = np.sort(rng.choice(index, MAX_POINTS, replace=False))
     points = geometry.points.reshape(-1, 3)[index].astype(float)
     if geometry.normals is None:
         return points, None, source
@@ -235,10 +237,10 @@ def _ground_points(scene: Scene, config: LevelConfig, rng: np.random.Generator) 
     return points, normals[good] / lengths[good, None], source
 
 
-def _lower_region(scene: Scene, geometry: Geometry, config: LevelConfig) -> NDArray[np.bool_]:
+def _lower_region(scene: Scene, geometry: Geometry) -> NDArray[np.bool_]:
     objects = union_of((o.mask for o in scene), (scene.photo.height, scene.photo.width))
     region = np.zeros_like(objects)
-    region[round((1 - config.lower_region) * scene.photo.height) :] = True
+    region[round((1 - LOWER_REGION) * scene.photo.height) :] = True
     return geometry.inside(region & ~objects)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -16,10 +16,20 @@ from annotated_types import Interval
 
 from f3sr.core.transforms import rotation_angle
 from f3sr.metrics.contact_groups import SettledScene, groups_of
+from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene, SceneObject
 from f3sr.settings import settings
-from f3sr.stages.align.config import AlignConfig, AppearanceConfig, DepthConfig, FacetConfig, TiltConfig
+
+TOPPLE = math.radians(20)
+"""Turn [rad] while settling from which an object has toppled; the report's instability."""
+UPRIGHT = math.radians(25)
+"""Largest turn [rad] onto the stable facet on which a toppled object is stood."""
+GAIN = 5e-4
+"""Least gain of mean mIoU_visible, over the objects that a round changes, for the round to be kept."""
+AGAIN = 3e-3
+"""Least gain for another round: the next gains a third, or less. Groups that do not rest are not tried again either,
+as they take all the time that settling may."""
 
 
 @settings
@@ -30,33 +40,10 @@ class RefineConfig:
     they turn about the vertical, shift horizontally and scale about their base, and are separated and settled again.
     """
 
-    topple: Annotated[float, Interval(gt=0, le=np.pi)] = math.radians(20)
-    """A turn while settling from which on an object has toppled [rad]; the report's instability."""
-    upright: Annotated[float, Interval(gt=0, le=np.pi / 2)] = math.radians(25)
-    """It is stood on a stable facet within this turn [rad]."""
     rounds: Annotated[int, Interval(ge=0, le=10)] = 4
-    """Most rounds; only what gained enough in one is tried again in the next."""
-    gain: Annotated[float, Interval(ge=0, le=0.1)] = 5e-4
-    """A round must gain this much of the mean mIoU_visible of what it changes."""
-    again: Annotated[float, Interval(ge=0, le=0.1)] = 3e-3
-    """What gained less is not tried again: the next round gains a third of the one before, or less. Nor is a group that
-    does not rest, which takes all the time that settling may."""
-    apart: Annotated[float, Interval(gt=0, le=0.1)] = 2e-3
-    """Objects with this much room between them [m] do not feel each other; contact keeps .4 mm."""
-    align: AlignConfig = field(
-        default_factory=lambda: AlignConfig(
-            camera=False,
-            freedom="support",
-            max_shift=0.2,
-            max_yaw=0.35,
-            max_scale=0.15,
-            yaw_seeds=(0.0,),
-            tilt=TiltConfig(enabled=False),
-            facets=FacetConfig(enabled=False),
-            depth=DepthConfig(enabled=False),
-            appearance=AppearanceConfig(known=0.0),
-        )
-    )
+    """Most rounds of re-alignment; each tries only what gained in the one before."""
+    contact: ContactMargin = DEFAULT_MARGIN
+    """Objects with its ``apart`` between them do not affect each other."""
 
 
 Retried = Callable[[Scene, Collection[int]], SettledScene]
@@ -90,7 +77,7 @@ def refine(
     state = SettledScene(scene=scene, restless=frozenset(restless))
     before = state.seen
     decisions: list[Decision] = []
-    if toppled := [o.id for o in state.scene if _turn(parted[o.id], o) > config.topple]:
+    if toppled := [o.id for o in state.scene if _turn(parted[o.id], o) > TOPPLE]:
         step = f"standing up what toppled: object {_named(toppled)}"
         state, decision, _ = _better(state, stood_up(parted, toppled), toppled, step, config)
         decisions.append(decision)
@@ -101,8 +88,10 @@ def refine(
         was = state.ious
         state, told = _round(state, open, realigned, config)
         decisions += told
-        moving = {id for g in groups_of(state.scene, state.scene, config.apart) if g & state.restless for id in g}
-        open = [id for id in open if id not in moving and state.ious[id] > was[id] + config.again]
+        moving = {
+            id for g in groups_of(state.scene, state.scene, config.contact.apart) if g & state.restless for id in g
+        }
+        open = [id for id in open if id not in moving and state.ious[id] > was[id] + AGAIN]
     return state.scene, Refined(seen=(before, state.seen), decisions=tuple(decisions))
 
 
@@ -114,7 +103,7 @@ def _round(
     tried = realigned(state.scene, ids)
     kept, decision, undone = _better(state, tried, ids, step, config)
     decisions = [decision]
-    alone = _would_gain(state, tried, undone, config.again)
+    alone = _would_gain(state, tried, undone, AGAIN)
     if alone and len(alone) < len(ids):
         step = f"re-alignment under contact of {_named(alone)} alone"
         kept, decision, _ = _better(kept, realigned(kept.scene, alone), alone, step, config)
@@ -132,11 +121,9 @@ def _better(
     """``state`` with every group of ``tried`` that shows more of the photo, and rests unless it did not before; and
     which of the ``ids`` that were tried were undone."""
     was, now = state.ious, tried.ious
-    groups = groups_of(state.scene, tried.scene, config.apart)
+    groups = groups_of(state.scene, tried.scene, config.contact.apart)
     kept = [
-        g
-        for g in groups
-        if g.intersection(ids) and _gain(g, was, now) > config.gain and g & tried.restless <= state.restless
+        g for g in groups if g.intersection(ids) and _gain(g, was, now) > GAIN and g & tried.restless <= state.restless
     ]
     changed = {id for g in kept for id in g}
     mixed = SettledScene(

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from annotated_types import Interval
 
 from f3sr.core.transforms import Array, invert_pose, rotation_angle
 from f3sr.physics import settling as physics_settling
@@ -17,13 +16,14 @@ from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene, SceneObject, Support, name_of
 from f3sr.settings import settings
 
+MIN_SHARE = 0.05
+"""Least share of an object's load by which something counts as its support."""
+
 
 @settings
 class SettleStageConfig:
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     settling: SettleConfig = field(default_factory=SettleConfig)
-    min_share: Annotated[float, Interval(ge=0, lt=1)] = 0.05
-    """Share of an object's load from which on something counts as its support."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +81,7 @@ def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene
         )
     moved = tuple(_at(o, result.T_world_object[o.id]) for o in scene)
     if not result.exploded:
-        moved = tuple(_carried(o, result.loads, config.min_share) for o in moved)
+        moved = tuple(_carried(o, result.loads) for o in moved)
         decisions += _changed_supports(scene.objects, moved)
     outcome = Settled(
         at_rest=result.at_rest,
@@ -89,7 +89,7 @@ def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene
         drifts={o.id: result.drifts[o.id] for o in scene},
         travel={a.id: _travel(a, b) for a, b in zip(scene, moved, strict=True)},
         turns={a.id: _turn(a, b) for a, b in zip(scene, moved, strict=True)},
-        restless=_restless(result, config.settling.drift_limit),
+        restless=_restless(result, config.settling.rest.drift),
         decisions=tuple(decisions),
     )
     return scene.with_objects(*moved), outcome
@@ -101,11 +101,11 @@ def _restless(result: SettleResult, limit: float) -> frozenset[int]:
     return moving if moving or result.at_rest else frozenset(result.drifts)
 
 
-def _carried(o: SceneObject, loads: Mapping[tuple[int, int], float], min_share: float) -> SceneObject:
+def _carried(o: SceneObject, loads: Mapping[tuple[int, int], float]) -> SceneObject:
     """The object with the supports that really carry it, the strongest first; as it was when nothing does."""
     forces = {carrier: force for (carried, carrier), force in loads.items() if carried == o.id}
     total = sum(forces.values())
-    shares = {id: force / total for id, force in forces.items() if force >= min_share * total}
+    shares = {id: force / total for id, force in forces.items() if force >= MIN_SHARE * total}
     if not shares:
         return o
     ordered = sorted(shares, key=lambda id: (-shares[id], id))

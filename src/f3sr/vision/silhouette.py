@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, TypeVar
+from typing import TypeVar
 
 import numpy as np
-from annotated_types import Interval
 from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
 from f3sr.core.levenberg_marquardt import Local
 from f3sr.core.transforms import Array, transform
-from f3sr.settings import settings
+from f3sr.settings import constants
 from f3sr.vision import rasterizer, silhouette_integrals
 from f3sr.vision.silhouette_integrals import MISMATCH, MOMENT_X, MOMENT_Y, VALID, Integrals
 
@@ -45,15 +44,15 @@ def resample(mask: NDArray[P], width: int, height: int) -> NDArray[P]:
     return mask[rows][:, columns]
 
 
-@settings
+@constants
 class LossWeights:
     """Weights of equations 7 and 9; the L1 and distance terms are per mask pixel, so that scenes compare."""
 
-    distance: Annotated[float, Interval(ge=0, le=10)] = 1.0
+    distance: float = 1.0
     """lambda_dt."""
-    centroid: Annotated[float, Interval(ge=0, le=100)] = 4.0
-    """lambda_c; centroids in shares of the longer image side."""
-    area: Annotated[float, Interval(ge=0, le=10)] = 0.1
+    centroid: float = 4.0
+    """lambda_c; centroids are shares of the longer image side."""
+    area: float = 0.1
     """lambda_a."""
 
 

@@ -51,7 +51,7 @@ def align(
     ``only`` names the objects to refine, all by default.
     """
     config = config or AlignConfig()
-    full, scene = scene, scene.with_objects(*(outlined(o, config.max_faces) for o in scene))
+    full, scene = scene, scene.with_objects(*(outlined(o, config.search.max_faces) for o in scene))
     decisions: list[Decision] = []
     before = _ious(scene, config)
     if config.camera:

@@ -15,8 +15,17 @@ from f3sr.stages.align.config import AlignConfig
 from f3sr.vision.crop import sampled
 from f3sr.vision.depth_residual import DepthEvidence
 from f3sr.vision.motion_params import CameraFreedom
-from f3sr.vision.silhouette import Surface, Target, resample, union_of
+from f3sr.vision.silhouette import LossWeights, Surface, Target, resample, union_of
 from f3sr.vision.silhouette_fit import CameraFit
+
+ITERATIONS = 25
+"""Most steps of the search for the camera."""
+PRIOR = 0.01
+"""Quadratic prior on the camera's motion over its bounds: masks without evidence leave the camera where it is."""
+FOCAL_RANGE = 0.1
+"""Largest change of the logarithm of the focal length."""
+EVIDENCE = 192
+"""Longer side [px] of the image in which depths are compared with the geometry."""
 
 Score = Callable[[Scene], float]
 
@@ -28,11 +37,11 @@ def align_camera(scene: Scene, config: AlignConfig, *, score: Score) -> tuple[Sc
     axes, fits the objects, for the focal length the ground too, no worse than before.
     """
     moved = _with(scene, _fitted(scene, config, focal=False))
-    scene, decision = _judged(scene, moved, config, score, focal=False)
+    scene, decision = _judged(scene, moved, score, focal=False)
     if not config.camera_step.focal:
         return scene, [decision]
     zoomed = _with(scene, _fitted(scene, config, focal=True))
-    scene, focal = _judged(scene, zoomed, config, score, focal=True)
+    scene, focal = _judged(scene, zoomed, score, focal=True)
     return scene, [decision, focal]
 
 
@@ -44,14 +53,14 @@ def _fitted(scene: Scene, config: AlignConfig, *, focal: bool) -> Camera:
     center = small.to_camera(np.mean([o.bounds_world.mean(0) for o in scene], axis=0)[None])[0]
     shift = step.translation * float(np.linalg.norm(center))
     tilt, height = min(step.rotation, scene.ground.tilt_error), min(shift, scene.ground.height_error)
-    reach = [tilt, tilt, step.rotation, shift, shift, height] + [step.focal_range] * focal
+    reach = [tilt, tilt, step.rotation, shift, shift, height] + [FOCAL_RANGE] * focal
     fit = CameraFit(
         surface=Surface.of([(o.vertices_world, o.mesh.faces) for o in scene]),
-        target=Target.of(union, weights=replace(config.weights, centroid=0.0, area=0.0)),
+        target=Target.of(union, weights=LossWeights(centroid=0.0, area=0.0)),
         freedom=CameraFreedom(camera=small, center=center, reach=np.array(reach), axes=small.T_camera_world[:3, :3]),
-        prior=step.prior,
+        prior=PRIOR,
     )
-    return fit.best(iterations=step.iterations).resized(scene.camera.width, scene.camera.height)
+    return fit.best(iterations=ITERATIONS).resized(scene.camera.width, scene.camera.height)
 
 
 def _with(scene: Scene, camera: Camera) -> Scene:
@@ -73,12 +82,10 @@ class _Agreement:
     ground: float
 
 
-def _judged(scene: Scene, moved: Scene, config: AlignConfig, score: Score, *, focal: bool) -> tuple[Scene, Decision]:
+def _judged(scene: Scene, moved: Scene, score: Score, *, focal: bool) -> tuple[Scene, Decision]:
     """The better of two scenes; a ``focal`` length must gain, and leave the ground where it is."""
-    was, now = (
-        _Agreement(iou=score(s), depth=_depth_residual(s, config), ground=_ground_residual(s)) for s in (scene, moved)
-    )
-    is_better = now.iou >= was.iou - config.iou_tolerance and now.depth <= was.depth
+    was, now = (_Agreement(iou=score(s), depth=_depth_residual(s), ground=_ground_residual(s)) for s in (scene, moved))
+    is_better = now.iou >= was.iou and now.depth <= was.depth
     if focal:
         is_better = is_better and now.iou > was.iou and now.ground <= was.ground
     decision = Decision(
@@ -89,11 +96,11 @@ def _judged(scene: Scene, moved: Scene, config: AlignConfig, score: Score, *, fo
     return (moved if is_better else scene), decision
 
 
-def _depth_residual(scene: Scene, config: AlignConfig) -> float:
+def _depth_residual(scene: Scene) -> float:
     """The median over objects of how far their depths are from the geometry's."""
     if not scene.geometry:
         return 0.0
-    small = scene.camera.limited(config.camera_step.evidence)
+    small = scene.camera.limited(EVIDENCE)
     sizes: list[float] = []
     for o in scene:
         shown = sampled(o.mask, scene.camera, small, fill=False)

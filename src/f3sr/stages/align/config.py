@@ -1,20 +1,15 @@
-"""What can be set about alignment."""
+"""What can be set about alignment, and the constants of its steps."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import field
+from dataclasses import field, replace
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Interval, Len
+from annotated_types import Interval
 
-from f3sr.settings import settings
-from f3sr.vision.silhouette import LossWeights
-
-Turn = Annotated[float, Interval(ge=-np.pi, le=np.pi)]
-Weight = Annotated[float, Interval(ge=0, le=10)]
-Share = Annotated[float, Interval(ge=0, le=1)]
+from f3sr.settings import constants, settings
 
 
 @settings
@@ -22,83 +17,82 @@ class CameraConfig:
     """Six degrees of freedom about the scene's middle, intrinsics fixed (equation 7)."""
 
     rotation: Annotated[float, Interval(gt=0, le=np.pi / 4)] = math.radians(1)
-    """Trust region of the camera's turn per axis [rad]. The ground tells gravity to half a degree
-    (.34 in the mean of ten known scenes); three degrees of freedom here made that 1.2 and gained .002 mIoU."""
+    """Largest turn of the camera per axis [rad]. The ground tells gravity to half a degree."""
     translation: Annotated[float, Interval(gt=0, le=0.5)] = 0.05
-    """Trust region of the camera's move, as a share of its distance to the scene."""
-    iterations: Annotated[int, Interval(ge=1, le=1000)] = 25
-    """Steps tried."""
-    prior: Weight = 0.01
-    """Quadratic prior on the motion over its trust region."""
+    """Largest move of the camera [share of its distance to the scene]."""
     focal: bool = False
-    """Then try other focal lengths too, kept where the mean IoU rises and the ground stays where it is."""
-    focal_range: Annotated[float, Interval(gt=0, lt=1)] = 0.1
-    """Largest change of the logarithm of the focal length."""
-    evidence: Annotated[int, Interval(ge=32, le=1024)] = 192
-    """Longer side [px] of the image in which depths are compared with the geometry, which may not fit worse."""
+    """Search the focal length too. It is kept where mean IoU rises and the ground fits no worse."""
 
 
-@settings
+@constants
+class SearchConfig:
+    """The search for one object's pose (equations 8 and 9)."""
+
+    max_faces: int = 8_000
+    """Most faces of a mesh in the search; larger meshes are simplified."""
+    yaw_seeds: tuple[float, ...] = tuple(math.radians(a) for a in (-30, -15, 0, 15, 30))
+    """Turns about the vertical at which a search starts [rad]."""
+    kept_seeds: int = 2
+    """Number of seeds that are refined, the best first."""
+    iterations: int = 12
+    """Most steps of the final search; each seed gets half of them."""
+    prior: tuple[float, float, float, float, float, float] = (0.01, 0.01, 0.05, 0.02, 0.02, 0.02)
+    """Quadratic priors on shifts, yaw, two tilts and scale, each over its bound. A silhouette without yaw prefers one
+    by noise; generated poses are right to ten degrees, which cost .0025 here."""
+
+
+@constants
 class TiltConfig:
-    """An extension of equation 8 by a full rotation, kept where the picture gains and the geometry does not object."""
+    """Equation 8 with a full rotation, kept where the picture gains and the geometry does not object."""
 
     enabled: bool = True
-    """Tilt is searched."""
-    most: Annotated[float, Interval(gt=0, le=np.pi / 4)] = 0.15
+    """Search tilt."""
+    most: float = 0.15
     """Largest tilt about each horizontal axis [rad]; generated poses tilt by up to ten degrees."""
-    spread: Annotated[float, Interval(ge=0, le=1)] = 0.01
-    """Spread of rendered depths about those of the geometry, as a share of the distance, up to which it does not
-    object: its own noise. Beyond, the spread may not grow."""
 
 
-@settings
+@constants
 class AppearanceConfig:
-    """The photo's detail against the textured render's: tells the turn of what a silhouette cannot tell."""
+    """Detail of the photo against that of the textured render: it tells turns that a silhouette does not."""
 
     enabled: bool = True
-    """Detail is compared, where an object has a texture or colours by vertex."""
-    resolution: Annotated[int, Interval(ge=32, le=1024)] = 128
+    """Compare detail of objects with a texture or vertex colours."""
+    resolution: int = 128
     """Longer side [px] of the window that is compared."""
-    weight: Weight = 0.1
-    """Of 1 - correlation beside the losses of the silhouette, of which 1 is the mask's whole area."""
-    search: Annotated[float, Interval(gt=0, le=np.pi)] = math.radians(40)
-    """Turns to either side that are searched [rad]."""
-    step: Annotated[float, Interval(gt=0, le=np.pi / 4)] = math.radians(8)
-    """Between two of them [rad]: detail of that window moves by a few pixels, from where the final search arrives."""
-    known: Share = 0.7
-    """Correlation from which on no other turn is tried."""
-    blind: Share = 0.02
-    """A silhouette is blind to a turn about an own axis that costs it no more IoU than this."""
-    gain: Share = 0.03
+    weight: float = 0.1
+    """Weight of 1 - correlation in the objective, in which the mask's whole area weighs 1."""
+    search: float = math.radians(40)
+    """Largest turn to either side that is tried [rad]."""
+    step: float = math.radians(8)
+    """Step between turns that are tried [rad]; it moves detail by a few pixels, which the final search corrects."""
+    known: float = 0.7
+    """Correlation from which no other turn is tried."""
+    blind: float = 0.02
+    """Largest loss of IoU by a turn about an own axis to which the silhouette counts as blind."""
+    gain: float = 0.03
     """Least gain of correlation for a turn to be tried."""
-    loss: Share = 0.005
-    """IoU that a better correlation may cost."""
+    loss: float = 0.005
+    """Largest loss of IoU for a better correlation."""
 
 
-@settings
+@constants
 class FacetConfig:
     """Objects are tried on their nearest stable facet; the picture guards what is turned."""
 
     enabled: bool = True
-    """Facets are tried."""
-    most: Annotated[float, Interval(gt=0, le=np.pi / 2)] = math.radians(10)
-    """Turns up to this are tried [rad]: tilts are known to a few degrees by then."""
-    loss: Share = 0.005
-    """What standing on a facet may cost of IoU and weighted correlation."""
+    """Try facets."""
+    most: float = math.radians(10)
+    """Largest turn onto a facet [rad]; the search before leaves a few degrees of tilt."""
+    loss: float = 0.005
+    """Largest loss of IoU and weighted correlation on a facet."""
 
 
-@settings
+@constants
 class DepthConfig:
-    """An object is moved along its viewing rays, silhouette unchanged, to where the geometry sees it."""
+    """An object moves along its viewing rays, silhouette unchanged, to where the geometry sees it."""
 
     enabled: bool = True
-    """Objects are moved so, where the photo has a geometry."""
-    most: Annotated[float, Interval(gt=0, lt=1)] = 0.2
-    """Largest move, as a share of the distance."""
-    pixels: Annotated[int, Interval(ge=1, le=100_000)] = 50
-    """Fewest pixels that must tell it."""
-    spread: Annotated[float, Interval(gt=0, le=1)] = 0.05
-    """Largest spread of those pixels about their median, as a share of the distance."""
+    """Move objects so, where the photo has a geometry. ``vision.depth_prior`` bounds the move."""
 
 
 @settings
@@ -106,39 +100,43 @@ class AlignConfig:
     """Equations 7 to 9 and their extensions."""
 
     resolution: Annotated[int, Interval(ge=64, le=4096)] = 384
-    """Longer side [px] of the image the camera is refined in, and of the window around one object."""
+    """Longer side [px] of the image for the camera, and of the window for one object."""
     camera: bool = True
-    """Refine the camera first."""
+    """Refine the camera."""
     objects: bool = True
     """Refine the objects."""
     freedom: Literal["image", "support"] = "image"
-    """Objects shift in the image plane and scale about their middle (equation 8), or, where they already rest, shift
-    horizontally and scale about the middle of their base, so that they stay on their support."""
-    max_faces: Annotated[int, Interval(ge=1000, le=10_000_000)] = 8_000
-    """Larger meshes are simplified to as many faces for the search."""
-    yaw_seeds: Annotated[tuple[Turn, ...], Len(1, 64)] = tuple(math.radians(a) for a in (-30, -15, 0, 15, 30))
-    """Turns about the vertical that a search starts from [rad]."""
-    kept_seeds: Annotated[int, Interval(ge=1, le=64)] = 2
-    """Seeds that are refined, the best first."""
-    iterations: Annotated[int, Interval(ge=1, le=1000)] = 12
-    """Steps tried by the final search; each seed gets half of them."""
+    """Plane in which objects shift: that of the image (equation 8), or the horizontal one of their support."""
     max_shift: Annotated[float, Interval(gt=0, le=2)] = 0.35
-    """Largest move in the image plane, as a share of the object's size; the report's bound."""
+    """Largest shift per axis [share of the object's size]; the report's bound."""
     max_yaw: Annotated[float, Interval(gt=0, le=np.pi)] = math.radians(45)
     """Largest turn about the vertical [rad]."""
     max_scale: Annotated[float, Interval(gt=0, lt=1)] = 0.25
-    """Largest change of scale; the report's bound."""
-    prior: tuple[Weight, Weight, Weight, Weight, Weight, Weight] = (0.01, 0.01, 0.05, 0.02, 0.02, 0.02)
-    """Quadratic priors on the shifts, yaw, two tilts and scale, each over its bound. A silhouette that is blind to yaw
-    prefers one or another by noise; a generated pose is right to ten degrees, of which this costs .0025."""
-    iou_tolerance: Annotated[float, Interval(ge=0, le=0.1)] = 0.0
-    """IoU an accepted step may lose."""
-    least_iou: Share = 0.2
-    """Below it a mask and a mesh, fitted, do not show the same thing: the object stays as it came."""
-    weights: LossWeights = field(default_factory=LossWeights)
-    """Of the loss that silhouettes are compared by."""
+    """Largest change of scale [share of the scale]; the report's bound."""
     camera_step: CameraConfig = field(default_factory=CameraConfig)
-    tilt: TiltConfig = field(default_factory=TiltConfig)
-    appearance: AppearanceConfig = field(default_factory=AppearanceConfig)
-    facets: FacetConfig = field(default_factory=FacetConfig)
-    depth: DepthConfig = field(default_factory=DepthConfig)
+    search: SearchConfig = SearchConfig()
+    tilt: TiltConfig = TiltConfig()
+    appearance: AppearanceConfig = AppearanceConfig()
+    facets: FacetConfig = FacetConfig()
+    depth: DepthConfig = DepthConfig()
+
+    def under_contact(self) -> AlignConfig:
+        """For objects that rest: they stay on their supports, and only small moves without tilt are tried."""
+        return replace(
+            self,
+            camera=False,
+            freedom="support",
+            max_shift=min(self.max_shift, 0.2),
+            max_yaw=min(self.max_yaw, 0.35),
+            max_scale=min(self.max_scale, 0.15),
+            search=replace(self.search, yaw_seeds=(0.0,)),
+            tilt=replace(self.tilt, enabled=False),
+            facets=replace(self.facets, enabled=False),
+            depth=replace(self.depth, enabled=False),
+            appearance=replace(self.appearance, known=0.0),
+        )
+
+    def upright(self, *, within: float) -> AlignConfig:
+        """For objects that toppled: they stand on their nearest stable facet ``within`` a turn [rad], whatever the
+        picture loses."""
+        return replace(self, camera=False, facets=FacetConfig(most=within, loss=1.0))

@@ -20,14 +20,17 @@ from f3sr.scene import Scene, SceneObject
 from f3sr.stages.align.config import AlignConfig
 from f3sr.vision import rasterizer
 from f3sr.vision.crop import sampled, window_around
+from f3sr.vision.depth_prior import GEOMETRY_PIXELS, GEOMETRY_REACH, GEOMETRY_SIGMA, GEOMETRY_SPREAD
 from f3sr.vision.depth_residual import DepthEvidence
 from f3sr.vision.motion_params import ObjectFreedom
 from f3sr.vision.photometric import Appearance, principal_axes
-from f3sr.vision.silhouette import Mask
+from f3sr.vision.silhouette import LossWeights, Mask
 from f3sr.vision.silhouette_fit import EQUATION_8, EVERYTHING, SMALLEST_AREA, ObjectFit, object_fit
 
 NEAR_VERTICAL = 0.9
 """Cosine to the vertical from which on an axis is taken for it."""
+LEAST_IOU = 0.2
+"""IoU below which a fitted mesh and its mask do not show the same thing; the object stays as it came."""
 BLIND_TURN = np.radians(16)
 """The turn that a silhouette is tried at: a smaller one is hidden by what is wrong of a shape [rad]."""
 
@@ -83,7 +86,7 @@ def align_object(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> t
         return o, [Decision(choice="kept as it came", reason=reason, about=o.id, fallback=True)]
     fit = object_fit(
         o, view.valid, view.scene.camera, _freedom(o, view, config),
-        resolution=config.resolution, weights=config.weights, prior=config.prior,
+        resolution=config.resolution, weights=LossWeights(), prior=config.search.prior,
     )  # fmt: skip
     placed = came = _Placed(base=o, fit=fit, u=np.zeros(6))
     evidence = _evidence(o, view, config)
@@ -91,7 +94,7 @@ def align_object(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> t
     for phase in _phases(evidence, config):
         placed, more = phase(placed, evidence, view, config)
         decisions += more
-        if placed.iou < config.least_iou:
+        if placed.iou < LEAST_IOU:
             reason = f"its mask and its mesh do not show the same thing: valid mask IoU {placed.iou:.2f} at best"
             return o, [Decision(choice="kept as it came", reason=reason, about=o.id, fallback=True)]
     if placed is came:
@@ -155,10 +158,10 @@ def _evidence(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> _Evi
 
 def _fitted(placed: _Placed, _: _Evidence, __: ObjectEvidence, config: AlignConfig) -> tuple[_Placed, list[Decision]]:
     """Equations 8 and 9: the best of several seeds."""
-    found = placed.fit.best(config.yaw_seeds, kept=config.kept_seeds, iterations=config.iterations)
+    found = placed.fit.best(config.search.yaw_seeds, kept=config.search.kept_seeds, iterations=config.search.iterations)
     kept, decision = keep_better(
         placed, placed.moved(found.x), score=_iou, step="object", measure="valid mask IoU",
-        tolerance=config.iou_tolerance, about=placed.base.id,
+        about=placed.base.id,
     )  # fmt: skip
     return kept, [decision]
 
@@ -172,7 +175,7 @@ def _polished(
     best, now = placed, was
     for start in (placed, *_turned(placed, was.correlation, evidence, view, config)):
         also = _mismatch(start, evidence, view, config)
-        found = start.fit.refined(start.u, iterations=config.iterations, free=free, also=also)
+        found = start.fit.refined(start.u, iterations=config.search.iterations, free=free, also=also)
         scores = _scores(start.moved(found.x), evidence, view, config)
         if scores.total > now.total and scores.iou >= was.iou - config.appearance.loss and scores.agrees(was):
             best, now = start.moved(found.x), scores
@@ -210,7 +213,7 @@ def _standing(
         return placed, []
     standing = _after(placed, turn, view, config)
     also = _mismatch(standing, evidence, view, config)
-    found = standing.fit.refined(standing.u, iterations=config.iterations // 2, also=also)
+    found = standing.fit.refined(standing.u, iterations=config.search.iterations // 2, also=also)
     was, now = (_scores(p, evidence, view, config) for p in (placed, standing.moved(found.x)))
     is_kept = now.total >= was.total - config.facets.loss
     decision = Decision(
@@ -225,12 +228,12 @@ def _at_its_depth(
 ) -> tuple[_Placed, list[Decision]]:
     """Along its viewing rays to where the geometry sees it; no silhouette changes."""
     assert evidence.depth is not None
-    camera, limits = view.scene.camera, config.depth
+    camera = view.scene.camera
     was = evidence.depth.residual(placed.object)
-    if was.pixels < limits.pixels or was.spread > limits.spread:
+    if was.pixels < GEOMETRY_PIXELS or was.spread > GEOMETRY_SPREAD:
         reason = f"{was.pixels} pixels in common, depths spread by {100 * was.spread:.1f} % of the distance"
         return placed, [Decision(choice="the geometry does not tell its distance", reason=reason, about=placed.base.id)]
-    k = float(np.clip(np.exp(-was.median), 1 - limits.most, 1 + limits.most))
+    k = float(np.clip(np.exp(-was.median), 1 - GEOMETRY_REACH, 1 + GEOMETRY_REACH))
     T = camera.homothety(k)
     moved = _after(placed, T, view, config, scale=k)
     now = evidence.depth.residual(moved.object)
@@ -238,7 +241,7 @@ def _at_its_depth(
         (placed, was), (moved, now), score=lambda c: -c[1].size, step="to the geometry's distance",
         measure="", about=placed.base.id,
     )  # fmt: skip
-    bound = ", the bound" if abs(k - 1) >= limits.most - 1e-9 else ""
+    bound = ", the bound" if abs(k - 1) >= GEOMETRY_REACH - 1e-9 else ""
     told = f"distance times {k:.3f}{bound}; depths {100 * was.size:.2f} -> {100 * now.size:.2f} % off"
     return kept[0], [replace(decision, reason=told)]
 
@@ -260,8 +263,8 @@ class _Scores:
         return self.iou + self.config.appearance.weight * self.correlation
 
     def agrees(self, before: _Scores) -> bool:
-        """Whether the geometry has no more to say against it than ``before``, or no more than its noise."""
-        return self.spread <= max(before.spread, self.config.tilt.spread)
+        """Whether depths spread about the geometry's no more than ``before``, or no more than the geometry's noise."""
+        return self.spread <= max(before.spread, GEOMETRY_SIGMA)
 
     def told(self, after: _Scores) -> str:
         return (

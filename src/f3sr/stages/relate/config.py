@@ -1,95 +1,79 @@
-"""The settings of relate."""
+"""The constants of relate."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated
 
-from annotated_types import Interval
-
-from f3sr.settings import settings
-
-Share = Annotated[float, Interval(gt=0, le=1)]
-Cost = Annotated[float, Interval(ge=0, le=20)]
+from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
+from f3sr.settings import constants
 
 
-@settings
+@constants
 class RelateConfig:
-    """Costs are negative log likelihoods: 1 is a third as likely, 3 one in twenty."""
+    """Costs are negative log likelihoods: 1 is a third as likely, 3 one in twenty. ``vision.depth_prior`` says how well
+    distances are known."""
 
-    cells: Annotated[int, Interval(ge=8, le=512)] = 48
+    cells: int = 48
     """Grid cells along an object's longer horizontal side for height maps."""
-    ray_sigma: Annotated[float, Interval(gt=0, le=0.5)] = 0.03
-    """How well the distance of an object from the camera is known, as a share of it (one standard deviation): that of
-    generated assets' poses."""
-    max_ray_scale: Annotated[float, Interval(gt=0, le=0.5)] = 0.12
-    """How far an object is moved along its viewing rays, as a share of its distance, to see what it could rest on."""
-    height_sigma: Annotated[float, Interval(gt=0, le=0.5)] = 0.04
-    """How well the height of an object over what it rests on is known otherwise, as a share of its size (tilt, shape).
-    """
-    max_gap: Share = 0.25
-    """Largest gap or depth between an object and its support that may be left after that, in object sizes: generated
-    poses miss an object's place by up to a fifth of its size."""
-    min_overlap: Annotated[float, Interval(gt=0, lt=1)] = 0.03
-    """Share of the object's footprint that must lie over a support."""
-    full_overlap: Share = 0.3
-    """Share of the footprint over a support from which on more overlap says nothing."""
-    overlap_cost: Cost = 2.0
+    height_sigma: float = 0.04
+    """Standard deviation of an object's height over its support by tilt and shape [size]."""
+    max_gap: float = 0.25
+    """Largest gap or depth left between an object and its support [size]; generated poses miss by up to a fifth."""
+    min_overlap: float = 0.03
+    """Least share of an object's footprint over a support."""
+    full_overlap: float = 0.3
+    """Share of the footprint over a support from which more overlap says nothing."""
+    overlap_cost: float = 2.0
     """Cost where nothing of the footprint overlaps."""
-    base: Share = 0.06
-    """What lies this near to an object's lowest point, in its sizes, is its base."""
-    through_cost: Cost = 3.0
+    base: float = 0.06
+    """Height of an object's base over its lowest point [size]."""
+    through_cost: float = 3.0
     """Cost of standing with the whole base in the middle of something else."""
-    order_cost: Cost = 1.0
-    """Weight of whether the photo shows that one of two overlapping objects that would be in front."""
-    order_sigma: Annotated[float, Interval(gt=0, le=0.2)] = 0.015
-    """How well the order of two surfaces in a pixel is known, as a share of their distance."""
-    seen_cost: Cost = 2.0
+    order_cost: float = 1.0
+    """Weight of the depth order: the photo must show the front one of two objects that overlap."""
+    order_sigma: float = 0.015
+    """Standard deviation of the depth difference of two surfaces in a pixel [share of their distance]."""
+    seen_cost: float = 2.0
     """Cost where the photo shows nothing of a support just below the object."""
-    below_pixels: Annotated[float, Interval(gt=0, le=0.1)] = 0.006
-    """How far below its mask's lower edge an object's support is looked for, as a share of the image height."""
-    edge_part: Share = 0.4
-    """The lowest part of a mask, as a share of its height, whose edge is looked below."""
-    share_reach: Annotated[float, Interval(gt=0, le=0.5)] = 0.03
-    """What lies within this distance under an object that rests, in its sizes, carries it too."""
-    share_overlap: Share = 0.05
-    """Share of the footprint that must lie over a further support that is not needed for balance."""
-    stable: Annotated[float, Interval(ge=0, le=0.5)] = 0.04
-    """How far outside what touches its support an object's middle of mass may seem to lie, in its sizes, before
-    something else must carry too."""
-    tilt: Annotated[float, Interval(ge=0, le=math.pi / 4)] = math.radians(3)
-    """How well an object's tilt is known [rad]: what would touch if it were turned by this much counts as touching."""
-    needed_cost: Cost = 2.0
+    below_pixels: float = 0.006
+    """Distance below a mask's lower edge at which a support is looked for [share of the image height]."""
+    edge_part: float = 0.4
+    """Lowest part of a mask below whose edge a support is looked for [share of the mask's height]."""
+    share_reach: float = 0.03
+    """Largest gap under an object that rests at which something carries it too [size]."""
+    share_overlap: float = 0.05
+    """Least share of the footprint over a further support that balance does not need."""
+    stable: float = 0.04
+    """Largest distance of the centre of mass outside its contacts at which nothing else need carry [size]."""
+    tilt: float = math.radians(3)
+    """Error of an object's tilt [rad]: what a turn by it would bring into contact counts as touching."""
+    needed_cost: float = 2.0
     """Largest cost of a support that is needed for balance."""
-    refused_cost: Cost = 8.0
-    """How much more than the likeliest support a given one may cost before it is not followed: 3000 times less likely.
-    """
-    unseen_scale: Annotated[float, Interval(gt=0, le=2)] = 0.25
-    """An object rests on something unseen when it would have to move farther than this share of its distance to reach
-    the ground..."""
-    unseen_height: Annotated[float, Interval(gt=0, le=10)] = 1.0
-    """...hangs higher than this over it, in its sizes, over nothing else,..."""
-    unseen_agreement: Annotated[float, Interval(gt=0, le=1)] = 0.1
-    """...and its depth agrees with the photo's geometry to this share."""
-    rim_depth: Share = 0.25
-    """An object is inside another when the rim around it is this much of its height above its lowest point..."""
-    rim_share: Share = 0.7
-    """...in this share of the directions around it."""
-    touch: Annotated[float, Interval(gt=0, le=0.5)] = 0.02
-    """Largest distance of two objects that touch, in sizes of the smaller one, where only surfaces are known."""
-    contact: Annotated[float, Interval(ge=0, le=0.01)] = 6e-4
-    """Largest gap [m] between the proxies of two objects that touch once they rest: both contact margins and the
-    resting penetration."""
-    beside: Annotated[float, Interval(gt=0, le=2)] = 0.5
-    """Largest distance of two objects next to each other, in sizes of the smaller one."""
-    same_level: Share = 0.3
-    """Share of the lower one's height that two objects next to each other have in common."""
-    lean_height: Share = 0.25
-    """An object leans on what touches it this much of its height above its lowest contact, if it is needed for balance.
-    """
-    common: Annotated[float, Interval(gt=0, le=0.5)] = 0.02
-    """Share of the smaller silhouette from which on two objects overlap in the picture."""
-    in_view: Annotated[float, Interval(ge=0, le=1)] = 0.03
-    """How far apart two silhouettes' boxes may be in the picture, as a share of it, for one to be before the other."""
-    sure_order: Annotated[float, Interval(gt=0.5, le=1)] = 0.7
-    """Share of the pixels in common that must show the same one of two objects, for it to be in front."""
+    refused_cost: float = 8.0
+    """Largest extra cost of a given support against the likeliest one: 3000 times less likely."""
+    unseen_scale: float = 0.25
+    """Least move to the ground of an object on something unseen [share of its distance]."""
+    unseen_height: float = 1.0
+    """Least height over the ground, with nothing else below, of an object on something unseen [size]."""
+    unseen_agreement: float = 0.1
+    """Largest difference of its depth from the photo's geometry [share of the depth]."""
+    rim_depth: float = 0.25
+    """Least height of the rim around an object that is inside, over the object's lowest point [its height]."""
+    rim_share: float = 0.7
+    """Least share of directions in which there is such a rim."""
+    touch: float = 0.02
+    """Largest gap of two objects that touch, where only surfaces are known [size of the smaller one]."""
+    contact: ContactMargin = DEFAULT_MARGIN
+    """Its ``reach`` is the largest gap between the proxies of two objects that touch once they rest."""
+    beside: float = 0.5
+    """Largest gap of two objects next to each other [size of the smaller one]."""
+    same_level: float = 0.3
+    """Least common height range of two objects next to each other [height of the lower one]."""
+    lean_height: float = 0.25
+    """Least height of a contact to lean on over the lowest contact [height of the object]."""
+    common: float = 0.02
+    """Least common share of the smaller silhouette for two objects to overlap in the picture."""
+    in_view: float = 0.03
+    """Largest gap of two silhouettes' boxes for one to be before the other [longer side of the picture]."""
+    sure_order: float = 0.7
+    """Least share of common pixels that must show the one of two objects that is in front."""

@@ -10,6 +10,7 @@ from scipy.special import ndtr
 
 from f3sr.scene import Predicate, Relation
 from f3sr.stages.relate.known import Known, leads
+from f3sr.vision.depth_prior import ASSET_SIGMA
 
 ENOUGH = 20
 """Pixels in common from which the photo tells who is in front."""
@@ -87,7 +88,7 @@ def _ordered(a: int, b: int, known: Known) -> tuple[float, int, int, str] | None
     (near_a, far_a), (near_b, far_b) = (known.picture.views[i].range for i in (a, b))
     if far_a < near_b or far_b < near_a:
         front, back, far, near = (a, b, far_a, near_b) if far_a < near_b else (b, a, far_b, near_a)
-        confidence = float(ndtr(np.log(near / far) / (np.sqrt(2) * config.ray_sigma)))
+        confidence = float(ndtr(np.log(near / far) / (np.sqrt(2) * ASSET_SIGMA)))
         return min(LARGEST, confidence), front, back, f"ends {1000 * (near - far):.0f} mm of depth before it begins"
     return None
 

@@ -14,6 +14,7 @@ from f3sr.stages.relate.containment import surrounded
 from f3sr.stages.relate.depth_order import INVERSE, SYMMETRIC, both_ways
 from f3sr.stages.relate.known import Known
 from f3sr.stages.relate.supports import Candidate, above, object_contact
+from f3sr.vision.depth_prior import SUPPORT_REACH
 
 FIRST = -100.0
 """Cost of a given support that geometry allows: below that of any found here."""
@@ -96,20 +97,20 @@ def _support(r: Relation, found: Sequence[Candidate], known: Known) -> tuple[Can
 
 def _reaches_ground(c: Candidate, known: Known) -> bool:
     config, contact = known.config, c.contact
-    near = abs(contact.k - 1) <= config.max_ray_scale
+    near = abs(contact.k - 1) <= SUPPORT_REACH
     return near and abs(contact.gap) <= config.max_gap * known.surfaces[c.child].size
 
 
 def _too_far(id: int, by: int, known: Known) -> str:
     """Why no place along an object's viewing rays brings it onto another or onto the ground."""
-    config, o = known.config, known.surfaces[id]
+    o = known.surfaces[id]
     if by == GROUND:
         return f"{above(o.lowest)}, {100 * abs(o.lowest) / o.size:.0f}% of its size"
     contact = object_contact(id, by, known) if by in known.near[id] else None
     if contact is None:
         apart = _apart_in_plan(id, by, known)
         where = f"their footprints are {1000 * apart:.0f} mm apart" if apart > 0 else "their footprints do not meet"
-        return f"{where}, also when it moves by {100 * config.max_ray_scale:.0f}% of its distance"
+        return f"{where}, also when it moves by {100 * SUPPORT_REACH:.0f}% of its distance"
     moved = f"when moved {100 * abs(contact.k - 1):.1f}% {'farther' if contact.k >= 1 else 'nearer'}"
     return f"still {above(contact.gap)}, {100 * abs(contact.gap) / o.size:.0f}% of its size, {moved}"
 

@@ -12,6 +12,7 @@ from f3sr.core.transforms import Array
 from f3sr.scene import GROUND, Support
 from f3sr.stages.relate.known import Known, leads
 from f3sr.stages.relate.supports import Candidate, lowest_of
+from f3sr.vision.depth_prior import ASSET_SIGMA
 
 TURNS = np.linspace(0, 2 * np.pi, 48, endpoint=False)
 DIRECTIONS = np.stack([np.cos(TURNS), np.sin(TURNS)])
@@ -140,7 +141,7 @@ def _touched(candidates: Sequence[Candidate], here: Array, known: Known) -> list
 def _beside_cost(c: Candidate, chosen: Candidate, known: Known) -> float:
     """Cost of resting on both: how differently far along the viewing rays the two are, and what gap is left."""
     config, size = known.config, known.surfaces[c.child].size
-    apart = np.log(c.contact.k / chosen.contact.k) / (np.sqrt(2) * config.ray_sigma)
+    apart = np.log(c.contact.k / chosen.contact.k) / (np.sqrt(2) * ASSET_SIGMA)
     return float(0.5 * apart**2 + 0.5 * (c.contact.gap / (config.height_sigma * size)) ** 2)
 
 

@@ -37,7 +37,7 @@ def nearest(known: Known, *, exact: bool) -> dict[tuple[int, int], SurfaceDistan
     found: dict[tuple[int, int], SurfaceDistance] = {}
     for a, b in known.pairs():
         reach = known.config.beside * smaller_size(known, a, b)
-        near = _touching(bodies[a], bodies[b], known.config.contact) if exact else None
+        near = _touching(bodies[a], bodies[b], known.config.contact.reach) if exact else None
         near = near or _apart(clouds[a], clouds[b], reach)
         if near:
             found[a, b] = near
@@ -47,7 +47,7 @@ def nearest(known: Known, *, exact: bool) -> dict[tuple[int, int], SurfaceDistan
 def touches(near: SurfaceDistance, size: float, known: Known) -> bool:
     """Whether two objects count as touching; ``size`` is that of the smaller one."""
     if near.exact:
-        return near.distance <= known.config.contact
+        return near.distance <= known.config.contact.reach
     return near.distance <= known.config.touch * size
 
 
@@ -58,7 +58,7 @@ def touching(near: Mapping[tuple[int, int], SurfaceDistance], known: Known, *, e
         size = smaller_size(known, a, b)
         if (exact and not n.exact) or not touches(n, size, known):
             continue
-        limit = known.config.contact if exact else known.config.touch * size
+        limit = known.config.contact.reach if exact else known.config.touch * size
         confidence = 1.0 if exact else float(np.clip(1 - 0.5 * n.distance / limit, 0.5, 1))
         what = "proxies" if exact else "surfaces"
         relations.append(

@@ -107,6 +107,6 @@ def _touch(a: int, b: int, near: Mapping[tuple[int, int], SurfaceDistance], know
     """Whether the proxies of two objects, or of one and the ground, touch."""
     if b == GROUND:
         o = known.scene[a]
-        return min(float(p.vertices[:, 2].min()) for p in o.colliders_world) <= known.config.contact
+        return min(float(p.vertices[:, 2].min()) for p in o.colliders_world) <= known.config.contact.reach
     n = near.get((min(a, b), max(a, b)))
     return n is not None and n.exact

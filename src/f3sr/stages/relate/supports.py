@@ -14,6 +14,7 @@ from f3sr.stages.relate.config import RelateConfig
 from f3sr.stages.relate.image_evidence import Common
 from f3sr.stages.relate.known import Known
 from f3sr.stages.relate.surfaces import FloorPlan, Surfaces
+from f3sr.vision.depth_prior import ASSET_SIGMA, SUPPORT_REACH
 
 RAY_STEPS = 16
 """Places to either side that are tried along the viewing rays."""
@@ -61,8 +62,8 @@ def candidates(o: SceneObject, known: Known) -> list[Candidate]:
 
 
 def ground_contact(o: Surfaces, plan: FloorPlan, config: RelateConfig) -> SupportFit:
-    """Closed form: the least (x / ray_sigma)^2 + (gap(x) / height_sigma)^2, gap(x) = lowest - slope x, x = k - 1."""
-    slope, ray, height = plan.eye - o.lowest, config.ray_sigma, config.height_sigma * o.size
+    """Closed form: the least (x / ASSET_SIGMA)^2 + (gap(x) / height_sigma)^2, gap(x) = lowest - slope x, x = k - 1."""
+    slope, ray, height = plan.eye - o.lowest, ASSET_SIGMA, config.height_sigma * o.size
     x = float(np.clip(o.lowest * slope / (slope**2 + (height / ray) ** 2), -0.9, 9))  # above the eye no k leads down
     gap = o.lowest - slope * x
     cost = 0.5 * ((x / ray) ** 2 + (gap / height) ** 2)
@@ -73,7 +74,7 @@ def object_contact(id: int, other: int, known: Known) -> SupportFit | None:
     """The likeliest contact of an object's underside with another's top along its viewing rays; None where their
     footprints never meet. Both distances are uncertain."""
     o, config = known.surfaces[id], known.config
-    ks = 1 + config.max_ray_scale * np.arange(-RAY_STEPS, RAY_STEPS + 1) / RAY_STEPS
+    ks = 1 + SUPPORT_REACH * np.arange(-RAY_STEPS, RAY_STEPS + 1) / RAY_STEPS
     distances = known.distances(id, known.plan.along_rays(o.underside, ks), other)
     overlaps = np.isfinite(distances).mean(1)
     tried = np.flatnonzero(overlaps >= config.min_overlap)
@@ -81,7 +82,7 @@ def object_contact(id: int, other: int, known: Known) -> SupportFit | None:
         return None
     gaps = np.array([lowest_of(distances[i]) for i in tried])
     costs = (
-        0.5 * (np.log(ks[tried]) / (np.sqrt(2) * config.ray_sigma)) ** 2
+        0.5 * (np.log(ks[tried]) / (np.sqrt(2) * ASSET_SIGMA)) ** 2
         + 0.5 * (gaps / (config.height_sigma * o.size)) ** 2
         + config.overlap_cost * np.maximum(0, 1 - overlaps[tried] / config.full_overlap)
     )

@@ -12,9 +12,11 @@ from f3sr.contact import joint_separation, polytopes
 from f3sr.core.transforms import UP, Array
 from f3sr.report import Decision
 from f3sr.scene import GROUND, Scene, name_of
-from f3sr.stages.separate.config import SeparateConfig
+from f3sr.stages.separate.config import PICTURE_SIGMA, SeparateConfig
 from f3sr.stages.separate.placement import Placement, supports_of
 
+ROUNDS = 16
+"""Most rounds of horizontal parting; the report allows 32."""
 UNFELT = 0.1
 """IoU that a move by its own size costs an object in directions which the picture does not feel."""
 
@@ -26,7 +28,7 @@ def take_beside(layout: Placement, config: SeparateConfig) -> list[Decision]:
     for o in layout.scene:
         for other in set(supports_of(o)) - {o.supported_by, GROUND}:
             lifted, apart = _losses(layout, o.id, other, config)
-            if lifted <= config.picture_sigma or lifted <= apart:
+            if lifted <= PICTURE_SIGMA or lifted <= apart:
                 continue
             now = layout.scene[o.id]
             left = tuple(s for s in now.supports if s.id != other)
@@ -54,7 +56,7 @@ def part(layout: Placement, config: SeparateConfig) -> bool:
 
     A move may make others overlap, so it is repeated; what once overlapped is kept apart in all rounds."""
     moved, known = False, set[tuple[int, int]]()
-    for _ in range(config.rounds):
+    for _ in range(ROUNDS):
         pairs = {(a, b) for a, b in _unrelated(layout.scene) if polytopes.collide(layout.bodies[a], layout.bodies[b])}
         if not pairs:
             break

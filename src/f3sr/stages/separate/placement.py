@@ -10,21 +10,12 @@ import numpy as np
 
 from f3sr.contact import polytopes as contact
 from f3sr.contact.polytopes import Polytope
-from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, pose, transform
-from f3sr.scene import GROUND, Geometry, Scene, SceneObject
-from f3sr.stages.separate.config import SeparateConfig
-from f3sr.vision.crop import sampled, window_around
-from f3sr.vision.depth_residual import DepthEvidence
+from f3sr.scene import GROUND, Scene, SceneObject
+from f3sr.stages.separate.config import PICTURE_SIGMA
+from f3sr.vision import depth_prior
 from f3sr.vision.iou_sensitivity import loss_matrix
-
-EVIDENCE = 192
-"""Longer side [px] of the window in which an object's surface is compared with measured depth."""
-SIGMA_OF_SPREAD = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
-FINEST_SIGMA = 1e-3
-"""Least standard deviation of a measured log distance: sensors themselves are off by a millimetre in a metre."""
 
 Saved = tuple[dict[int, Any], ...]
 """A layout's state."""
@@ -33,10 +24,9 @@ Saved = tuple[dict[int, Any], ...]
 class Placement:
     """Where the bodies are while they are being moved: polytopes in the world under ``x -> scale R x + shift``."""
 
-    def __init__(self, scene: Scene, config: SeparateConfig) -> None:
+    def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self.picture_sigma = config.picture_sigma
-        self.depth_sigma = depth_sigmas(scene, config)
+        self.depth_sigma = depth_prior.sigmas(scene)
         self.bodies = {o.id: polytopes(o, o.parts) for o in scene}
         self.footings: dict[int, tuple[ConvexPart, ...]] = {}
         self.parts: dict[int, tuple[ConvexPart, ...]] = {o.id: o.parts for o in scene}
@@ -124,7 +114,7 @@ class Placement:
     def depth_loss(self, id: int) -> Array:
         """What the geometry feels of a body's shifts, in the unit of ``loss``: (3, 3), along the viewing ray only."""
         ray = self.place(id, self.scene[id].bounds_world.mean(0)) - self.scene.camera.center
-        known = self.picture_sigma / self.depth_sigma[id] / float(ray @ ray)
+        known = PICTURE_SIGMA / self.depth_sigma[id] / float(ray @ ray)
         return known**2 * np.outer(ray, ray)
 
     def lowest(self, id: int) -> float:
@@ -152,24 +142,6 @@ class Placement:
         return pairs + [(id, GROUND) for id in self.bodies if self.lowest(id) < -1e-9]
 
 
-def depth_sigmas(scene: Scene, config: SeparateConfig) -> dict[int, float]:
-    """Standard deviation of the logarithm of every object's distance. Where a sensor measured the depth, it is the
-    spread of that depth about the object's surface: what is wrong of its shape."""
-    geometry = scene.geometry
-    if geometry is None:
-        return dict.fromkeys((o.id for o in scene), config.unknown_depth_sigma)
-    if geometry.source == "estimate":
-        return dict.fromkeys((o.id for o in scene), config.depth_sigma)
-    return {o.id: min(config.depth_sigma, _measured_sigma(o, geometry, scene.camera)) for o in scene}
-
-
-def _measured_sigma(o: SceneObject, geometry: Geometry, camera: Camera) -> float:
-    window = window_around(o, camera, EVIDENCE)
-    shown = sampled(o.mask, camera, window, fill=False)
-    spread = DepthEvidence.of(geometry, camera, window, shown).residual(o).spread
-    return max(FINEST_SIGMA, SIGMA_OF_SPREAD * spread)
-
-
 def polytopes(o: SceneObject, parts: tuple[ConvexPart, ...]) -> tuple[Polytope, ...]:
     return tuple(Polytope.of(p).moved(o.T_world_asset) for p in parts)
 
@@ -183,7 +155,3 @@ def supports_of(o: SceneObject) -> list[int]:
     """Ids of what an object rests on, its place in the forest included."""
     main = () if o.supported_by is None else (o.supported_by,)
     return sorted({*main, *(s.id for s in o.supports)})
-
-
-def supports_first(scene: Scene) -> list[int]:
-    return sorted((o.id for o in scene), key=lambda id: (len(scene.ancestors(id)), id))

@@ -13,15 +13,17 @@ from f3sr.stages.separate.overlaps import weight_of
 from f3sr.stages.separate.placement import Placement
 
 
-def steady(layout: Placement, config: SeparateConfig) -> tuple[tuple[float, float] | None, list[Decision]]:
+def steady(
+    layout: Placement, config: SeparateConfig, *, margin: bool
+) -> tuple[tuple[float, float] | None, list[Decision]]:
     """Shift what would fall, with what it carries, until forces at the contacts can balance all weights, where that is
     possible within bounds. The margins [rad], before and after, are the least tilt of the whole scene that moves
-    something; negative: it falls. None where nobody asks for them and all stands."""
+    something; negative: it falls. None where ``margin`` does not ask for them and all stands."""
     scene = layout.scene
     bodies = bodies_of([layout.object(o.id) for o in scene], parts=layout.bodies)
-    if not config.margin and stands(bodies):
+    if not margin and stands(bodies, reach=config.contact.reach):
         return None, []
-    was = stability(bodies)
+    was = stability(bodies, reach=config.contact.reach)
     unchanged = (was.margin, was.margin)
     if not was.moving:
         return unchanged, []
@@ -29,7 +31,7 @@ def steady(layout: Placement, config: SeparateConfig) -> tuple[tuple[float, floa
         bodies,
         {o.id: o.supported_by if o.mobility == "dynamic" else None for o in scene},
         config.balancing,
-        clearance=config.clearance,
+        contact=config.contact,
         weights={o.id: weight_of(layout, o.id) for o in scene},
     )
     if len(found.unbalanced) >= len(was.moving):

@@ -17,7 +17,7 @@ from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 from f3sr.report import Decision
 from f3sr.scene import GROUND, SceneObject
 from f3sr.stages.separate.config import SeparateConfig
-from f3sr.stages.separate.placement import Placement, Saved, supports_first, supports_of
+from f3sr.stages.separate.placement import Placement, Saved, supports_of
 from f3sr.stages.separate.support_contact import gap
 
 STILL = 1e-3
@@ -28,15 +28,12 @@ BESIDE = 0.1
 """What is as near as this, in an object's sizes, it may lean on."""
 HALVINGS = 3
 """Of the turn until an object lies, to find the least eighth after which a footing makes it stand."""
-ROOM = 1.2e-3
-"""Gap [m] that counts as contact while it is asked whether a footing makes a body stand: parts stand off the mesh, so
-that they may keep a wedge that much off its support."""
 
 
 def stand(layout: Placement, config: SeparateConfig) -> list[Decision]:
     """Let every object stand before physics, supports first: as it is, on a footing, or turned until it lies."""
     decisions: list[Decision] = []
-    for id in supports_first(layout.scene):
+    for id in layout.scene.supports_first:
         o = layout.object(id)
         if o.mobility == "fixed" or o.supported_by is None:
             continue
@@ -111,7 +108,7 @@ def _laid_down(layout: Placement, o: SceneObject, config: SeparateConfig) -> tup
     on the ground it keeps its place. What was done, and whether it stands."""
     members = layout.scene.subtree(o.id)
     whole, others = _parted(layout, o.id)
-    found = tipping.land(whole, others, config.landing, clearance=config.clearance)
+    found = tipping.land(whole, others, config.landing, contact=config.contact)
     if found.tipped or found.turn < STILL:
         return None, found.stands
     if on_the_way := _lie_down_in_part(layout, o, whole.centers[0], found, config):
@@ -180,7 +177,7 @@ def _stands(layout: Placement, id: int, config: SeparateConfig) -> bool:
     """Whether a body with all it carries stands by the margin that is asked of footings, all others held still."""
     whole, others = _parted(layout, id)
     everything = [whole, *others]
-    contacts = contacts_of(everything, reach=ROOM)
+    contacts = contacts_of(everything, reach=config.contact.loose)
     friction = DEFAULT_PHYSICS.ground_friction[0]
     return Balance([whole], everything, contacts, friction).margin() >= config.footing.min_margin
 

@@ -10,45 +10,47 @@ import numpy as np
 from f3sr.contact import polytopes
 from f3sr.core.transforms import UP, pose
 from f3sr.scene import GROUND, Scene
-from f3sr.stages.separate.config import SeparateConfig
-from f3sr.stages.separate.placement import Placement, moved, supports_first
+from f3sr.stages.separate.config import PICTURE_SIGMA, UNDERSIDE_SIGMA, SeparateConfig
+from f3sr.stages.separate.placement import Placement, moved
 
 LEAST_LOSS = 1e-6
 """Least squared IoU lost per squared metre: a mask that fills the picture loses none."""
+SLIDE_SIGMA = 0.25
+"""Standard deviation of an object's place on another one, as a share of its size: viewing rays must not take it over
+an edge."""
 RAY_STEPS = 10
 """Places to either side that are tried along the viewing rays before the best is refined."""
 
 
 def seat(layout: Placement, config: SeparateConfig) -> None:
     """Bring every object into contact with its support, supports first, with the supported subtree."""
-    for id in supports_first(layout.scene):
+    for id in layout.scene.supports_first:
         if layout.scene[id].supported_by is None:
             layout.move(layout.scene.subtree(id), max(0.0, config.clearance - layout.lowest(id)) * UP)
             continue
         if config.max_ray_scale:
             layout.along_rays(layout.scene.subtree(id), _contact_scale(layout, id, config))
         above = gap(layout.bodies[id], id, layout, config)
-        layout.missing[id] = _missing_underside(layout, id, above, config)
+        layout.missing[id] = _missing_underside(layout, id, above)
         layout.move(layout.scene.subtree(id), (layout.missing[id] - above) * UP)
 
 
-def _missing_underside(layout: Placement, id: int, above: float, config: SeparateConfig) -> float:
+def _missing_underside(layout: Placement, id: int, above: float) -> float:
     """Of the height [m] at which a body hangs over its support, what its generated underside most likely lacks."""
-    position, underside = _height_variances(layout, id, above, config)
+    position, underside = _height_variances(layout, id, above)
     return above * underside / (position + underside)
 
 
-def _height_variances(layout: Placement, id: int, above: float, config: SeparateConfig) -> tuple[float, float]:
+def _height_variances(layout: Placement, id: int, above: float) -> tuple[float, float]:
     """Variances [m2] of a body's height, known by the picture, and of its hidden underside.
 
     Only a body that hangs over its support can lack some of its underside, and only a sensor knows distances better
     than undersides are known.
     """
-    position = config.picture_sigma**2 / max(float(layout.loss(id)[2, 2]), LEAST_LOSS)
-    geometry = layout.scene.geometry
-    if above <= 0 or geometry is None or geometry.source == "estimate":
+    position = PICTURE_SIGMA**2 / max(float(layout.loss(id)[2, 2]), LEAST_LOSS)
+    if above <= 0 or not layout.scene.has_measured_depth:
         return position, 0.0
-    return position, (config.underside_sigma * layout.scene[id].size) ** 2
+    return position, (UNDERSIDE_SIGMA * layout.scene[id].size) ** 2
 
 
 def gap(body: polytopes.Body, id: int, layout: Placement, config: SeparateConfig) -> float:
@@ -83,15 +85,14 @@ def grounded(scene: Scene, config: SeparateConfig) -> Scene:
 def _contact_scale(layout: Placement, id: int, config: SeparateConfig) -> float:
     """The k by which the body is moved along its viewing rays before it is lifted or lowered onto its support.
 
-    It is the most likely one: distances are known to ``depth_sigma`` and places in the picture to ``picture_sigma``,
-    so k has the least (log k / depth_sigma)^2 + height(k)^2 / variance within its bound, where the variance is that of
-    lifts by the picture and of the underside; on another object a third term holds it in place. Over the ground
-    height(k) is linear.
+    It is the most likely one: k has the least (log k / sigma)^2 + height(k)^2 / variance within its bound. The variance
+    is that of lifts by the picture and of the underside; on another object a third term holds it in place. Over the
+    ground height(k) is linear.
     """
     sigma = layout.depth_sigma[id]
     C, body = layout.scene.camera.center, layout.bodies[id]
     on_the_ground = layout.scene[id].supported_by == GROUND
-    slide = 0.0 if on_the_ground else layout.distance(id) / (config.slide_sigma * layout.scene[id].size)
+    slide = 0.0 if on_the_ground else layout.distance(id) / (SLIDE_SIGMA * layout.scene[id].size)
 
     def height(k: float) -> float:
         if on_the_ground:
@@ -100,7 +101,7 @@ def _contact_scale(layout: Placement, id: int, config: SeparateConfig) -> float:
 
     def cost(k: float) -> float:
         above = height(k)
-        variance = sum(_height_variances(layout, id, above, config))
+        variance = sum(_height_variances(layout, id, above))
         return float(np.log(k) / sigma) ** 2 + (slide * (k - 1)) ** 2 + above**2 / variance
 
     low, high = layout.rays_left(id, config.max_ray_scale)

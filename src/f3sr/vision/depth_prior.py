@@ -1,0 +1,54 @@
+"""How well the distance of an object from the camera is known before contact tells: the one prior of all stages.
+
+Every number is a share of the distance. Standard deviations are of the distance's logarithm.
+"""
+
+from __future__ import annotations
+
+from f3sr.core.camera import Camera
+from f3sr.scene import Geometry, Scene, SceneObject
+from f3sr.vision.crop import sampled, window_around
+from f3sr.vision.depth_residual import DepthEvidence
+
+ASSET_SIGMA = 0.03
+"""Standard deviation of a generated pose's distance. Generated assets of known scenes have .022."""
+GEOMETRY_SIGMA = 0.01
+"""Standard deviation where the photo has a geometry. Objects of ten known scenes have .009 after alignment."""
+SUPPORT_REACH = 0.12
+"""Largest move along viewing rays that ``relate`` tries, four ``ASSET_SIGMA``: what could the object rest on?"""
+CONTACT_REACH = 0.1
+"""Largest move along viewing rays onto a support that ``separate`` makes. Known scenes need at most .07."""
+GEOMETRY_REACH = 0.2
+"""Largest move along viewing rays to where the geometry sees an object: a measured depth may move it farther."""
+GEOMETRY_SPREAD = 0.05
+"""Largest median deviation of an object's depth ratios at which their median tells its distance."""
+GEOMETRY_PIXELS = 50
+"""Least number of pixels that tell an object's distance."""
+EVIDENCE = 192
+"""Longer side [px] of the window in which an object's surface is compared with a sensor's depth."""
+SIGMA_OF_SPREAD = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+FINEST_SIGMA = 1e-3
+"""Least standard deviation of a sensor's distance: sensors themselves are off by a millimetre in a metre."""
+
+
+def sigmas(scene: Scene) -> dict[int, float]:
+    """Standard deviation of every object's distance, by id. Where a sensor measured the depth, it is the spread of that
+    depth about the object's surface: the error of its shape."""
+    geometry = scene.geometry
+    known = sigma(has_geometry=geometry is not None)
+    if geometry is None or not scene.has_measured_depth:
+        return dict.fromkeys((o.id for o in scene), known)
+    return {o.id: min(known, _measured(o, geometry, scene.camera)) for o in scene}
+
+
+def _measured(o: SceneObject, geometry: Geometry, camera: Camera) -> float:
+    window = window_around(o, camera, EVIDENCE)
+    shown = sampled(o.mask, camera, window, fill=False)
+    spread = DepthEvidence.of(geometry, camera, window, shown).residual(o).spread
+    return max(FINEST_SIGMA, SIGMA_OF_SPREAD * spread)
+
+
+def sigma(*, has_geometry: bool) -> float:
+    """Standard deviation of an object's distance."""
+    return GEOMETRY_SIGMA if has_geometry else ASSET_SIGMA
