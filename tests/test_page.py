@@ -30,7 +30,7 @@ from f3sr.io import inputs
 from f3sr.metrics.measures import IMAGE_MEASURES, Measures, full_silhouette, measure, measure_with_details
 from f3sr.metrics.penetration import penetration
 from f3sr.pipeline import SKIPPABLE, Config, Reconstruction, reconstruct
-from f3sr.report import Decision
+from f3sr.report import Decision, Outcome
 from f3sr.report_page import LARGEST_PAGE, report_page
 from f3sr.report_page.formatting import number
 from f3sr.report_page.graph_drawing import levels
@@ -42,7 +42,7 @@ from f3sr.runtime.result_store import Store
 from f3sr.scene import GROUND, Excluded, Node, Relation, Scene, SceneGraph, Support
 from f3sr.stages.assemble import Assembled
 from f3sr.stages.evaluate import evaluate
-from f3sr.stages.relate import Related
+from f3sr.stages.relate import GraphOutcome, Related
 from f3sr.stages.settle import Settled
 from f3sr.web.document import WEB, clean, environment
 from f3sr.web.light_mesh import lightened
@@ -327,7 +327,7 @@ def test_templates_escape_and_clean_every_text():
 
 def test_what_templates_print_unescaped_is_made_here():
     marked = Counter(x for f in FOLDERS for t in f.iterdir() for x in re.findall(r"[^{ ]+\|safe", t.read_text()))
-    ours = ("style", "script", "jpeg_uri(picture)", "film", "bar.path")
+    ours = ("style", "script", "jpeg_uri(picture)", "film", "path")
     assert marked == dict.fromkeys((f"{x}|safe" for x in ours), 1)
 
 
@@ -359,6 +359,18 @@ def test_one_object_without_ground_geometry_or_parts():
     o = replace(box(7, label=""), supports=(), supported_by=None, parts=(), mobility="fixed")
     text = report_page(bare(scene_of(o))).decode()
     assert "1 object, rest not measured" in text and "Dashed" in text and "Fixed: " in text
+
+
+def test_every_stage_has_its_sheet():
+    scene = scene_of(box(0))
+    outcomes = tuple(o() for kind in (Outcome, GraphOutcome) for o in kind.__subclasses__() if hasattr(o, "stage"))
+    text = report_page(bare(scene, outcomes=outcomes)).decode()
+    sheets = re.findall(r'<article class="stage">\s*<h3>\d+ (\w+)</h3>\s*<p class="fine">[A-Z]', text)
+    assert sheets == [o.stage for o in outcomes] and {*SKIPPABLE} - {*sheets} == {
+        "align-camera",
+        "align-objects",
+        "evaluate",
+    }
 
 
 def test_limits_are_those_of_the_run():

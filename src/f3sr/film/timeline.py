@@ -1,10 +1,9 @@
-"""The timeline below the film: conditions, starts and contacts, each in a row over the film's frames."""
+"""The timeline below the film: conditions, actions and contacts, each in a row over the film's frames."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,59 +26,33 @@ SIDE = 1000, 100
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tick:
-    """A time on the ruler; ``at``: its share of the film."""
-
-    at: str
-    words: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class ConditionMark:
-    """Where a condition was met, or nearest to it; one without a moment of its own is marked at the end."""
-
-    said: str
-    met: bool
-    time: float
-    """[s]."""
-    at: str
-
-    @property
-    def verdict(self) -> Literal["met", "missed"]:
-        return "met" if self.met else "missed"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Bar:
-    """An SVG path in a row."""
-
-    path: str
-    kind: Literal["push", "blow", "force"]
-
-
-@dataclass(frozen=True, kw_only=True)
 class BarRow:
-    """A row of bars; ``joint`` is between name and words where they are one line."""
+    """A row of SVG paths, each with its class: ``force``, ``push`` or ``blow``."""
 
     name: str
-    joint: str
     words: str
-    bars: Sequence[Bar]
+    bars: Sequence[tuple[str, str]]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Timeline:
-    """All rows. ``last``: the last frame; ``tallest``: the largest contact force [N]."""
+    """All rows. ``end``: the last time [s], ``last`` its frame; ``tallest``: the largest contact force [N]."""
 
+    end: float
     last: int
     tallest: float
-    ticks: Sequence[Tick]
-    conditions: Sequence[ConditionMark]
-    starts: Sequence[BarRow]
+    ticks: Sequence[float]
+    """Times on the ruler [s]."""
+    conditions: Sequence[Judged]
+    actions: Sequence[BarRow]
     contacts: Sequence[BarRow]
     resting: Sequence[BarRow]
     width: int = SIDE[0]
     height: int = SIDE[1]
+
+    def at(self, time: float) -> str:
+        """The share of the film before a time."""
+        return f"{min(max(time / self.end, 0.0), 1.0):.5f}"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -121,46 +94,38 @@ def timeline(scene: Scene, plan: Plan, rollout: Rollout, verdict: Verdict) -> Ti
     pairs = pairs_of(rollout)
     tallest = max((float(p.forces.max()) for p in pairs), default=0.0)
     return Timeline(
+        end=end,
         last=len(rollout.time) - 1,
         tallest=tallest,
         ticks=_ticks(end),
-        conditions=[_condition(j, end) for j in verdict.conditions],
-        starts=[_start(scene, plan, id, end) for id in sorted(plan.initial.controlled)],
+        conditions=verdict.conditions,
+        actions=[_action(scene, plan, id, end) for id in sorted(plan.initial.controlled)],
         contacts=[_contact(scene, p, tallest) for p in pairs if not p.rests],
         resting=[_contact(scene, p, tallest) for p in pairs if p.rests],
     )
 
 
-def _ticks(end: float) -> list[Tick]:
+def _ticks(end: float) -> list[float]:
     """Times at even steps, some six of them."""
     step = next(s for s in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0) if end / s <= 7 or s == 10)
-    return [Tick(at=_share(float(t), end), words=f"{t:g} s") for t in np.arange(0, end + 1e-9, step)]
+    return np.arange(0, end + 1e-9, step).tolist()
 
 
-def _share(time: float, end: float) -> str:
-    return f"{min(max(time / end, 0.0), 1.0):.5f}"
-
-
-def _condition(judged: Judged, end: float) -> ConditionMark:
-    time = end if judged.time is None else judged.time
-    return ConditionMark(said=judged.said, met=judged.met, time=time, at=_share(time, end))
-
-
-def _start(scene: Scene, plan: Plan, id: int, end: float) -> BarRow:
-    """How an object starts to move: at once as lines, pushes as bars."""
+def _action(scene: Scene, plan: Plan, id: int, end: float) -> BarRow:
+    """What moves an object: lines for what comes at once, bars for pushes."""
     initial = plan.initial
     spans = [(0.0, 0.0, "starts at another place") for o in initial.offsets if o.id == id]
     spans += [(0.0, 0.0, f"starts at {np.linalg.norm(v.linear):.2g} m/s") for v in initial.velocities if v.id == id]
     spans += [(i.time, i.duration, _impulse(i)) for i in initial.impulses if i.id == id]
     bars = [_span(time, duration, end) for time, duration, _ in spans]
-    return BarRow(name=named(scene, id), joint=": ", words="; ".join(words for _, _, words in spans), bars=bars)
+    return BarRow(name=named(scene, id), words="; ".join(words for _, _, words in spans), bars=bars)
 
 
-def _span(time: float, duration: float, end: float) -> Bar:
+def _span(time: float, duration: float, end: float) -> tuple[str, str]:
     left, right = (SIDE[0] * t / end for t in (time, time + duration))
     if duration:
-        return Bar(path=f"M{left:.1f} 15V85H{right:.1f}V15z", kind="push")
-    return Bar(path=f"M{left:.1f} 15V85", kind="blow")
+        return f"M{left:.1f} 15V85H{right:.1f}V15z", "push"
+    return f"M{left:.1f} 15V85", "blow"
 
 
 def _impulse(impulse: Impulse) -> str:
@@ -178,12 +143,8 @@ def _contact(scene: Scene, pair: Pair, tallest: float) -> BarRow:
         for k, f in enumerate(pair.forces)
         if f > 0
     )
-    return BarRow(
-        name=f"{named(scene, pair.b)} – {named(scene, pair.a)}",
-        joint=", ",
-        words=f"up to {force(pair.forces.max())}",
-        bars=[Bar(path=path, kind="force")],
-    )
+    name = f"{named(scene, pair.b)} – {named(scene, pair.a)}"
+    return BarRow(name=name, words=f"up to {force(pair.forces.max())}", bars=[(path, "force")])
 
 
 def force(newtons: float) -> str:

@@ -11,8 +11,8 @@ from typing import Any
 
 from f3sr.errors import OutputError
 from f3sr.pipeline import Reconstruction
-from f3sr.report_page import formatting
 from f3sr.report_page.compare import front_views, side_views
+from f3sr.report_page.formatting import counted, length, listed, name_of, number, share
 from f3sr.report_page.graph_drawing import disagreements, drawing, relations
 from f3sr.report_page.head import head
 from f3sr.report_page.mask_comparison import folded
@@ -20,7 +20,7 @@ from f3sr.report_page.object_table import rows
 from f3sr.report_page.page_data import PageData, Sizes
 from f3sr.report_page.scores import scores
 from f3sr.report_page.stages import stages
-from f3sr.report_page.viewer import viewer
+from f3sr.report_page.viewer import STILL_TURN, scene_data, still_picture
 from f3sr.web.data_uri import jpeg_uri
 from f3sr.web.document import WEB, document
 
@@ -62,14 +62,15 @@ def _values(page: PageData) -> dict[str, Any]:
         "front": front_views(page),
         "sides": side_views(page),
         "cards": folded(page),
-        "view": viewer(page),
+        "scene_data": scene_data(page),
+        "still": still_picture(page),
+        "turn": STILL_TURN,
         "objects": rows(page),
         "drawing": drawing(page.scene),
         "disagreements": disagreements(page.result),
         "relations": relations(page.scene),
         "stages": stages(page),
         "jpeg_uri": jpeg_uri,
-        "name_of": partial(formatting.name_of, scene=page.scene),
-        **{f.__name__: f for f in (formatting.number, formatting.length, formatting.share)},
-        **{f.__name__: f for f in (formatting.counted, formatting.listed)},
+        "name_of": partial(name_of, scene=page.scene),
+        **{f.__name__: f for f in (counted, length, listed, number, share)},
     }

@@ -19,7 +19,6 @@ SIDE = (720, 420)
 """Width and height of a side view [px]."""
 MOST_BOXES = 3
 """Boxes of each kind (gaps, sunk objects, penetrations), the worst first."""
-LETTERS = "ABCDEFGHI"
 SHOWN_SHARE = 0.005
 """From which share of an object's size on a gap or a depth below the ground is boxed."""
 LEAST_BOX = 30
@@ -33,31 +32,27 @@ class Mark:
     points: Array
     words: str
 
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class MarkBox:
-    """A defect in a side view: a box and the baseline of its letter [px], and what is wrong."""
-
-    letter: str
-    x: float
-    y: float
-    width: float
-    height: float
-    baseline: float
-    words: str
+    def box(self, camera: Camera) -> tuple[float, float, float, float]:
+        """Left, top, width and height [px] of a box around the corners, inside the picture."""
+        pixels, _ = camera.project(self.points)
+        low, high = pixels.min(0), pixels.max(0)
+        grow = np.maximum(6, (LEAST_BOX - (high - low)) / 2)
+        size = np.array([camera.width, camera.height])
+        low, high = np.clip(low - grow, 2, size - LEAST_BOX), np.clip(high + grow, LEAST_BOX, size - 2)
+        left, top, width, height = np.round([*low, *(high - low)], 1).tolist()
+        return left, top, width, height
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SideView:
-    """A picture with boxes. ``ground``: the row of z = 0 [px], None where it is unknown."""
+    """A side view with its defects. ``ground``: the row of z = 0 [px], None where it is unknown."""
 
     picture: Image
+    camera: Camera
     title: str
     note: str
-    width: int
-    height: int
-    ground: float | None
-    boxes: Sequence[MarkBox]
+    ground: float | None = None
+    marks: Sequence[Mark] = ()
 
 
 def front_views(page: PageData) -> list[View]:
@@ -83,18 +78,11 @@ def front_views(page: PageData) -> list[View]:
 
 def side_views(page: PageData) -> list[SideView]:
     level = side_camera(page.given, width=SIDE[0], height=SIDE[1], ground=False)
+    picture = side_view(page.given, level, ground=False)
+    note = ". It has no ground: z = 0 is the height of its camera, and gaps are undefined."
     direct, ours = side_cameras(page.direct, page.scene, *SIDE)
-    unknown = ". It has no ground: z = 0 is the height of its camera, and gaps are undefined."
     return [
-        SideView(
-            picture=side_view(page.given, level, ground=False),
-            title="Input as it came",
-            note=unknown,
-            width=SIDE[0],
-            height=SIDE[1],
-            ground=None,
-            boxes=(),
-        ),
+        SideView(picture=picture, camera=level, title="Input as it came", note=note),
         _measured("Direct composition", page.direct, direct, page.direct_details),
         _measured("Ours", page.scene, ours, page.details),
     ]
@@ -103,12 +91,11 @@ def side_views(page: PageData) -> list[SideView]:
 def _measured(title: str, scene: Scene, camera: Camera, details: Details | None) -> SideView:
     return SideView(
         picture=side_view(scene, camera, ground=True),
+        camera=camera,
         title=title,
         note=_note(details),
-        width=camera.width,
-        height=camera.height,
         ground=ground_row(camera),
-        boxes=[_box(mark, camera, letter) for letter, mark in zip(LETTERS, marks(details, scene), strict=False)],
+        marks=marks(details, scene),
     )
 
 
@@ -165,15 +152,3 @@ def _overlap(o: Overlap, scene: Scene) -> Mark:
     names = f"{name_of(o.a, scene)}, {name_of(o.b, scene)}"
     words = f"{o.a} and {o.b} overlap ({names}; {counted(o.crossings, 'crossing')} of triangles)"
     return Mark(corners, words)
-
-
-def _box(mark: Mark, camera: Camera, letter: str) -> MarkBox:
-    """A box around the mark's places, inside the picture, its letter at a corner."""
-    pixels, _ = camera.project(mark.points)
-    low, high = pixels.min(0), pixels.max(0)
-    grow = np.maximum(6, (LEAST_BOX - (high - low)) / 2)
-    size = np.array([camera.width, camera.height])
-    low, high = np.clip(low - grow, 2, size - LEAST_BOX), np.clip(high + grow, LEAST_BOX, size - 2)
-    baseline = low[1] - 6 if low[1] > 30 else high[1] + 26
-    x, y, width, height, baseline = (round(float(v), 1) for v in (*low, *(high - low), baseline))
-    return MarkBox(letter=letter, x=x, y=y, width=width, height=height, baseline=baseline, words=mark.words)

@@ -22,8 +22,6 @@ LABEL = 13
 """Characters of a line in a box."""
 EDGE = 12
 """Room around the drawing."""
-ROWS = 150
-"""Relations of a kind that are listed; scene.json has all."""
 SHOWN: tuple[tuple[Predicate, str], ...] = (
     ("supported_by", "supported by"),
     ("inside", "inside"),
@@ -53,17 +51,6 @@ class Spot:
         return EDGE + BOX[1] / 2 + STEP[1] * self.y
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class NodeBox:
-    """An object's box and the lines of its label."""
-
-    o: SceneObject
-    spot: Spot
-    lines: Sequence[str]
-    width: float = BOX[0]
-    height: float = BOX[1]
-
-
 @dataclass(frozen=True, kw_only=True)
 class SupportEdge:
     """A curve from an object to a support, and where the share of its load is written [px]."""
@@ -76,29 +63,19 @@ class SupportEdge:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SupportDrawing:
-    """Everything that the drawing shows [px]."""
+    """Everything that the drawing shows [px]; ``floor``: the height of the ground's line."""
 
     width: float
     height: float
     floor: float
-    """Height of the ground's line."""
     edges: Sequence[SupportEdge]
     leans: Sequence[tuple[Spot, Spot]]
-    boxes: Sequence[NodeBox]
-    loose: Sequence[str]
-    """Ids of objects without a known support."""
+    boxes: Sequence[tuple[SceneObject, Spot, Sequence[str]]]
+    """An object, the middle of its box and the lines of its label."""
     sentence: str
     """The drawing in words."""
-    left: float = EDGE
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class RelationKind:
-    """Relations of a kind that are listed, and how many more there are."""
-
-    words: str
-    listed: Sequence[Relation]
-    more: int
+    margin: float = EDGE
+    box: tuple[float, float] = BOX
 
 
 def drawing(scene: Scene) -> SupportDrawing:
@@ -111,8 +88,7 @@ def drawing(scene: Scene) -> SupportDrawing:
         floor=floor,
         edges=[_edge(spots, o.id, s, floor) for o in scene for s in o.supports if s.id in {GROUND, *spots}],
         leans=[(spots[a], spots[b]) for a, b in sorted(scene.graph.of("leaning_on")) if {a, b} <= spots.keys()],
-        boxes=[NodeBox(o=o, spot=spots[o.id], lines=_lines(o)) for o in scene],
-        loose=[str(o.id) for o in scene if not o.supports],
+        boxes=[(o, spots[o.id], _lines(o)) for o in scene],
         sentence="Supports: " + "; ".join(_supports(o) for o in scene if o.supports),
     )
 
@@ -122,9 +98,10 @@ def disagreements(result: Reconstruction) -> list[Decision]:
     return [d for x in result.outcomes if isinstance(x, GraphOutcome) for d in x.disagreements]
 
 
-def relations(scene: Scene) -> list[RelationKind]:
+def relations(scene: Scene) -> list[tuple[str, list[Relation]]]:
+    """Every kind that the scene has, in words."""
     kinds = [(words, [r for r in scene.graph.relations if r.predicate == kind]) for kind, words in SHOWN]
-    return [RelationKind(words=w, listed=r[:ROWS], more=max(0, len(r) - ROWS)) for w, r in kinds if r]
+    return [(words, found) for words, found in kinds if found]
 
 
 def _supports(o: SceneObject) -> str:

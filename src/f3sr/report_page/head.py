@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -25,36 +26,21 @@ PARTS = ("align-camera", "align-objects")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class MovedOffMask:
-    """An object that contact and physics moved off its mask: visible IoU after align and in the result."""
-
-    id: int
-    aligned: float
-    final: float
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Tipped:
-    """An object that physics turned over after separate, by an angle from the vertical."""
-
-    id: int
-    degrees: float
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
 class Head:
-    """``gap``, ``sunk``: the worst gap and the deepest object below the ground, None where there is none."""
-
     verdict: str
     gap: Gap | None
+    """The worst one."""
     sunk: Gap | None
+    """Of the deepest object below the ground."""
     clearance: float
     """How far apart objects in contact rest [m]."""
     fixed: Sequence[str]
     off_mask: Sequence[ObjectMeasures]
     """Objects that the photo shows elsewhere."""
-    moved_off: Sequence[MovedOffMask]
-    tipped: Sequence[Tipped]
+    moved_off: Sequence[tuple[int, float, float]]
+    """Objects that contact and physics moved off their masks: id, visible IoU after align and in the result."""
+    tipped: Sequence[tuple[int, float]]
+    """Objects that physics turned over after separate: id and angle from the vertical [degrees]."""
     skipped: Sequence[str]
 
 
@@ -98,22 +84,20 @@ def _worst(details: Details) -> Gap:
     return max(details.gaps, key=lambda g: g.distance / g.size)
 
 
-def _moved_off(page: PageData) -> list[MovedOffMask]:
+def _moved_off(page: PageData) -> list[tuple[int, float, float]]:
     aligned = page.result.scenes.get("align")
     if aligned is None or not page.details:
         return []
     before, after = visible_ious(aligned), visible_ious(page.scene)
-    lost = [id for id in after if before[id] - after[id] > PAID]
-    return [MovedOffMask(id=id, aligned=before[id], final=after[id]) for id in lost]
+    return [(id, before[id], after[id]) for id in after if before[id] - after[id] > PAID]
 
 
-def _tipped(page: PageData) -> list[Tipped]:
+def _tipped(page: PageData) -> list[tuple[int, float]]:
     placed = page.result.scenes.get("separate")
     if placed is None:
         return []
     leans = {o.id: _lean(placed[o.id], o) for o in page.scene}
-    limit = page.result.config.refine.topple
-    return [Tipped(id=id, degrees=float(np.degrees(lean))) for id, lean in leans.items() if lean > limit]
+    return [(id, math.degrees(lean)) for id, lean in leans.items() if lean > page.result.config.refine.topple]
 
 
 def _lean(a: SceneObject, b: SceneObject) -> float:

@@ -1,4 +1,4 @@
-"""The measures of direct composition and of the result: what each means and which way is better."""
+"""The measures of direct composition and of the result: which way is better, and what changed."""
 
 from __future__ import annotations
 
@@ -16,12 +16,11 @@ Change = Literal["better", "worse", "same"]
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """A field of ``Measures`` and how it is shown."""
+    """A field of ``Measures`` and how it is shown; the template says what it means."""
 
     field: str
     title: str
-    meaning: str
-    better: Better | None
+    better: Better | None = None
     unit: str = ""
     digits: int = 4
     """Significant ones."""
@@ -30,94 +29,23 @@ class Score:
 
 
 MAIN = (
-    Score(
-        field="mIoU",
-        title="mIoU",
-        better="higher",
-        meaning="Mean IoU of full silhouettes and masks: 1 is perfect, occlusion in the photo lowers it.",
-    ),
-    Score(
-        field="PSNR",
-        title="PSNR",
-        better="higher",
-        unit="dB",
-        meaning="Unlit texture colours against the photo inside the masks: 20 dB is good, light and shadow lower it.",
-    ),
-    Score(
-        field="R_pen",
-        title="R_pen",
-        better="lower",
-        meaning="Penetration: total length of surface crossings over the scene's diagonal; 0 is none.",
-    ),
-    Score(
-        field="K_max_J",
-        title="K_max",
-        better="lower",
-        unit="J",
-        digits=3,
-        noise=1e-6,
-        meaning="Largest kinetic energy in the first second after release: objects that jump.",
-    ),
-    Score(
-        field="D_max_cm",
-        title="D_max",
-        better="lower",
-        unit="cm",
-        digits=3,
-        noise=1e-3,
-        meaning="Largest travel of any object in 5 s of undamped physics: objects that do not stay.",
-    ),
+    Score(field="mIoU", title="mIoU", better="higher"),
+    Score(field="PSNR", title="PSNR", better="higher", unit="dB"),
+    Score(field="R_pen", title="R_pen", better="lower"),
+    Score(field="K_max_J", title="K_max", better="lower", unit="J", digits=3, noise=1e-6),
+    Score(field="D_max_cm", title="D_max", better="lower", unit="cm", digits=3, noise=1e-3),
 )
 OTHERS = (
-    Score(
-        field="mIoU_visible",
-        title="mIoU visible",
-        better="higher",
-        meaning="mIoU of the pixels that are visible in the whole scene.",
-    ),
-    Score(
-        field="N_cross", title="N_cross", better="lower", meaning="Pairs of crossing triangles, from which R_pen comes."
-    ),
-    Score(
-        field="gap_pct",
-        title="worst gap",
-        better="lower",
-        unit="%",
-        digits=3,
-        meaning="Distance from the worst floating object to the nearest surface, as a share of its size.",
-    ),
-    Score(
-        field="below_pct",
-        title="below ground",
-        better="lower",
-        unit="%",
-        digits=3,
-        noise=1e-3,
-        meaning="Deepest point below z = 0, as a share of the object's size.",
-    ),
-    Score(
-        field="inside", title="points inside", better="lower", meaning="Vertices of one object inside another's solid."
-    ),
-    Score(
-        field="proxy_out_pct",
-        title="mesh outside proxy",
-        better="lower",
-        unit="%",
-        digits=3,
-        noise=1e-3,
-        meaning="Largest distance of a mesh outside its collision parts, as a share of its size; the worst object.",
-    ),
-    Score(
-        field="proxy_far_pct",
-        title="proxy off mesh",
-        better="lower",
-        unit="%",
-        digits=3,
-        meaning="Mean distance of collision parts from their mesh, as a share of its size; the worst object.",
-    ),
-    Score(field="n", title="objects", better=None, meaning="Masks that have an object."),
-    Score(field="fixed", title="fixed", better=None, meaning="Objects that physics does not move."),
-    Score(field="excluded", title="excluded", better=None, meaning="Masks without an object; each counts 0 in mIoU."),
+    Score(field="mIoU_visible", title="mIoU visible", better="higher"),
+    Score(field="N_cross", title="N_cross", better="lower"),
+    Score(field="gap_pct", title="worst gap", better="lower", unit="%", digits=3),
+    Score(field="below_pct", title="below ground", better="lower", unit="%", digits=3, noise=1e-3),
+    Score(field="inside", title="points inside", better="lower"),
+    Score(field="proxy_out_pct", title="mesh outside proxy", better="lower", unit="%", digits=3, noise=1e-3),
+    Score(field="proxy_far_pct", title="proxy off mesh", better="lower", unit="%", digits=3),
+    Score(field="n", title="objects"),
+    Score(field="fixed", title="fixed"),
+    Score(field="excluded", title="excluded"),
 )
 
 
@@ -142,7 +70,9 @@ class ScoreRow:
         return "better" if (b > a) == (score.better == "higher") else "worse"
 
     @property
-    def arrow(self) -> str:
+    def sign(self) -> str:
+        if self.change == "same":
+            return "="
         return "▲" if self.direct is not None and self.ours > self.direct else "▼"
 
 

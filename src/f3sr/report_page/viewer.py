@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,22 +19,13 @@ STILL_TURN = 35
 """How far the still picture's camera is turned from the photo's [degrees]."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class SceneView:
-    """The view's data, and a still picture for browsers that cannot show it."""
-
-    data: dict[str, Any]
-    still: Image
-    turn: int = STILL_TURN
-
-
-def viewer(page: PageData) -> SceneView:
+def still_picture(page: PageData) -> Image:
+    """Where the view cannot be shown."""
     camera = page.backdrop.camera(page.scene)
-    still = turned_view(page.scene, turn=np.radians(STILL_TURN), width=camera.width, height=camera.height)
-    return SceneView(data=_data(page), still=still)
+    return turned_view(page.scene, turn=np.radians(STILL_TURN), width=camera.width, height=camera.height)
 
 
-def _data(page: PageData) -> dict[str, Any]:
+def scene_data(page: PageData) -> dict[str, Any]:
     """All that ``viewer.js`` reads."""
     faces = int(np.clip(page.sizes.faces // len(page.scene.objects), *FACES_EACH))
     textures = TextureIndex(page.sizes.texture)
