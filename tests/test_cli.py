@@ -268,7 +268,7 @@ import sys, time
 start = time.perf_counter()
 import f3sr
 seconds = time.perf_counter() - start
-heavy = {"numpy", "scipy", "numba", "trimesh", "mujoco", "pydantic", "PIL", "tyro", "rich"} & set(sys.modules)
+heavy = {"numpy", "scipy", "numba", "trimesh", "mujoco", "pydantic", "PIL", "tyro", "rich", "jinja2"} & set(sys.modules)
 print(seconds, sorted(heavy), dir(f3sr))
 assert seconds < 0.3 and not heavy
 """

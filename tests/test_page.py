@@ -9,6 +9,7 @@ import io
 import json
 import re
 import shutil
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from html.parser import HTMLParser
@@ -17,8 +18,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from jinja2 import TemplateNotFound, UndefinedError
 from PIL import Image
 
+import f3sr.film as film
 import f3sr.report_page as page
 from f3sr.core.mesh import Material as Appearance
 from f3sr.core.mesh import Mesh
@@ -27,21 +30,22 @@ from f3sr.io import inputs
 from f3sr.metrics.measures import IMAGE_MEASURES, Measures, full_silhouette, measure, measure_with_details
 from f3sr.metrics.penetration import penetration
 from f3sr.pipeline import SKIPPABLE, Config, Reconstruction, reconstruct
-from f3sr.report import Decision
+from f3sr.report import Decision, Outcome
 from f3sr.report_page import LARGEST_PAGE, report_page
 from f3sr.report_page.formatting import number
 from f3sr.report_page.graph_drawing import levels
 from f3sr.report_page.mask_comparison import cards
-from f3sr.report_page.object_table import moves
+from f3sr.report_page.object_table import Move, moves
 from f3sr.report_page.page_data import PageData
 from f3sr.report_page.scores import MAIN, OTHERS
 from f3sr.runtime.result_store import Store
 from f3sr.scene import GROUND, Excluded, Node, Relation, Scene, SceneGraph, Support
 from f3sr.stages.assemble import Assembled
-from f3sr.stages.relate import Related
+from f3sr.stages.evaluate import evaluate
+from f3sr.stages.relate import GraphOutcome, Related
 from f3sr.stages.settle import Settled
+from f3sr.web.document import WEB, clean, environment
 from f3sr.web.light_mesh import lightened
-from f3sr.web.markup import Markup, clean, el
 from folders import write_folder
 from scenes import box, box_stack_scene, scene_of
 
@@ -153,7 +157,7 @@ def test_a_result_that_was_not_aligned_has_a_second_column_of_its_own(given: inp
 def test_every_object_has_its_panels_worst_first_with_the_numbers_they_show(result: Reconstruction, text: str):
     m = PageData(result, page.SIZES[0])
     section = text[text.index('id="masks"') : text.index('id="view"')]
-    found = {c.o.id: c.panels for c in cards(m)}
+    found = {c.id: c.panels for c in cards(m)}
     ordered = sorted(found, key=lambda id: found[id].ious[1])
     alts = re.findall(r'alt="(\d+) [^"]*, (input|ours): IoU ([\d.]+)"', section)
     expected = [(str(i), s, f"{found[i].ious[k]:.3f}") for i in ordered for k, s in enumerate(("input", "ours"))]
@@ -208,6 +212,8 @@ def test_moves_are_what_each_stage_did(result: Reconstruction, text: str):
         settled = next(x for x in found if x.stage == "settle")
         told = next(x for x in result.outcomes if isinstance(x, Settled))
         assert settled.turn == pytest.approx(told.turns[o.id], abs=1e-8)
+    still = Move(stage="settle", shift=0, turn=0, scale=1, reasons=())
+    assert still.amount == "under 0.10\u00a0mm" and replace(still, turn=0.1, scale=1.04).amount == "5.7°, ×1.040"
     section = text[text.index('id="objects"') : text.index('id="supports"')]
     assert section.count("<dt>") == sum(len(moves(m, o.id)) for o in result.scene) > 0
 
@@ -300,9 +306,43 @@ def test_edges_of_the_drawing_swing_around_boxes_in_their_way():
     assert [a == b for a, b in paths] == [True, True, False]
 
 
-def test_markup_escapes_children_and_attributes():
-    assert el("b", "<&>", None, [1, Markup("<i>")], title='"<') == '<b title="&quot;&lt;">&lt;&amp;&gt;1<i></b>'
+FOLDERS = [*(Path(m.__file__ or "").parent / "templates" for m in (page, film)), WEB / "templates"]
+
+
+def test_templates_escape_and_clean_every_text():
+    """In an element, an attribute, a macro's argument and JSON, also after what other filters make of it."""
+    source = """{% macro told(text) %}<b title="{{ text }}">{{ text|replace("7", "<") }}</b>{% endmacro %}
+{{ told(x) }}<i title='{{ x }}'>{{ x }}{{ x|join(", ") }}{{ "%s"|format(x) }}</i>
+<script type="application/json">{{ {x: [x]}|tojson }}</script>"""
+    for folder in FOLDERS:
+        text = environment(folder).from_string(source).render(x=HOSTILE)
+        tags = Tags(text)
+        assert tags.open == [] and [t for t, _ in tags.tags] == ["b", "i", "script"]
+        assert tags.tags[1] == ("i", {"title": clean(HOSTILE)})
+        data = text[text.index("json") + 6 : text.rindex("</script>")]
+        assert "<" not in data and json.loads(data) == {HOSTILE: [HOSTILE]}
+        assert not {"\u202e", "\0", "\ud800"} & set(text)
     assert len(clean("x" * 10_000)) < 700
+
+
+def test_what_templates_print_unescaped_is_made_here():
+    texts = [t.read_text() for f in FOLDERS for t in f.iterdir()]
+    marked = Counter(x for text in texts for x in re.findall(r"(\S+)\s*\|\s*safe", text.replace("{{", " ")))
+    assert marked == dict.fromkeys(("style", "script", "jpeg_uri(picture)", "film", "path"), 1)
+    assert not any("autoescape" in text for text in texts)
+
+
+@pytest.mark.parametrize("source", ["{{ missing }}", "{{ x.missing }}", "{{ nothing }}", "{{ number|tojson }}"])
+def test_a_value_that_is_not_there_is_an_error(source: str):
+    template = environment(WEB / "templates").from_string(source)
+    with pytest.raises((UndefinedError, AssertionError, ValueError)):
+        template.render(x=1, nothing=None, number=float("nan"))
+
+
+@pytest.mark.parametrize("name", ["../page.css", "/etc/hostname", "templates/../../page.css"])
+def test_templates_are_read_from_their_folders_only(name: str):
+    with pytest.raises(TemplateNotFound):
+        environment(WEB / "templates").get_template(name)
 
 
 def test_without_evaluation_and_with_any_stage_skipped(given: inputs.Inputs):
@@ -320,6 +360,27 @@ def test_one_object_without_ground_geometry_or_parts():
     o = replace(box(7, label=""), supports=(), supported_by=None, parts=(), mobility="fixed")
     text = report_page(bare(scene_of(o))).decode()
     assert "1 object, rest not measured" in text and "Dashed" in text and "Fixed: " in text
+
+
+def test_every_stage_has_its_sheet():
+    scene = scene_of(box(0))
+    outcomes = tuple(o() for kind in (Outcome, GraphOutcome) for o in kind.__subclasses__() if hasattr(o, "stage"))
+    text = report_page(bare(scene, outcomes=outcomes)).decode()
+    sheets = re.findall(r'<article class="stage">\s*<h3>\d+ (\w+)</h3>\s*<p class="fine">[A-Z]', text)
+    assert sheets == [o.stage for o in outcomes] and {*SKIPPABLE} - {*sheets} == {
+        "align-camera",
+        "align-objects",
+        "evaluate",
+    }
+
+
+def test_the_clearance_is_that_of_the_run():
+    scene = scene_of(box(0, at=(0.0, 0.0, 0.06)), box(1, at=(0.5, 0.0, 0.05)))
+    config = Config()
+    chosen = replace(config, settle=replace(config.settle, physics=replace(config.settle.physics, margin=5e-4)))
+    for c, clearance in ((config, "0.32"), (chosen, "1")):
+        text = report_page(bare(scene, evaluation=evaluate(scene, scene), config=c)).decode()
+        assert f"rest {clearance}\u00a0mm apart" in text
 
 
 def test_a_circle_of_supports_ends():
@@ -368,8 +429,6 @@ def test_apart_surfaces_have_no_pairs():
 
 def test_boxes_tell_what_is_wrong():
     scene = scene_of(box(0), box(3, at=(0.5, 0, 0.092), label="red mug"), box(5, at=(0.08, 0.01, 0.06), label="lid"))
-    from f3sr.stages.evaluate import evaluate
-
     text = report_page(bare(scene, evaluation=evaluate(scene, scene))).decode()
     section = re.sub(r"<[^>]+>", "", text[text.index('id="compare"') : text.index('id="view"')])
     assert re.search(r"gap 42.mm below 3 red mug", section) and "0 and 5 overlap" in section

@@ -325,6 +325,12 @@ def test_what_would_fall_by_a_little_is_shifted_until_it_rests():
     assert np.linalg.norm(settle(scene)[0][1].T_world_object[:3, 3] - scene[1].T_world_object[:3, 3]) < 1e-3
 
 
+def test_a_stability_margin_that_nobody_asks_for_is_not_reported():
+    _, outcome = separate(scene_of(box(0)), margin=False)
+    assert outcome.margin is None
+    assert [m.name for m in outcome.report.measures if m.about is None] == ["overlapping pairs", "ground moved"]
+
+
 def test_what_no_shift_holds_is_told():
     config = SeparateConfig(max_ray_scale=0.0, balancing=BalanceConfig(max_shift=0.05))
     scene, outcome = separate(overhanging(0.04), config)

@@ -1,4 +1,4 @@
-"""What the player's script reads: the rollout, light meshes and contacts as JSON."""
+"""What the player's script reads: the rollout, light meshes and contacts."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 
@@ -18,9 +19,8 @@ from f3sr.goals.rollout import Rollout
 from f3sr.goals.rollout_queries import Seen
 from f3sr.goals.verify import Verdict
 from f3sr.scene import Scene
-from f3sr.web.document import data
+from f3sr.web.document import clean
 from f3sr.web.light_mesh import lightened
-from f3sr.web.markup import Markup, clean
 from f3sr.web.packed import TextureIndex, packed_camera, packed_mesh
 
 FEWEST_FACES = 200
@@ -42,12 +42,12 @@ class Shown:
     slow: Fraction = Fraction(1)
 
 
-def payload(shown: Shown, *, faces: int, texture: int) -> Markup:
-    """All data as JSON that cannot end its script element."""
+def payload(shown: Shown, *, faces: int, texture: int) -> dict[str, Any]:
+    """All that ``player.js`` reads, as plain values."""
     scene, rollout = shown.scene, shown.rollout
     textures = TextureIndex(texture)
     each = max(FEWEST_FACES, faces // len(scene.objects))
-    values = {
+    return {
         "fps": float(shown.video.fps),
         "frames": shown.video.frames,
         "step": float(rollout.time[-1]) / max(1, len(rollout.time) - 1),
@@ -67,7 +67,6 @@ def payload(shown: Shown, *, faces: int, texture: int) -> Markup:
             if not p.rests
         ],
     }
-    return data(values)
 
 
 def _poses(rollout: Rollout) -> Array:

@@ -51,7 +51,7 @@
   let view = view3d(canvas, data.view, { look, turns: { a: [-1, 0], d: [1, 0], w: [0, -1], s: [0, 1] } });
   const withoutView = (lost) => {
     $("no-view").hidden = !lost;
-    $("no-view").textContent = "The 3-D view needs WebGL 2, which is not here. The film and the timeline go on.";
+    $("no-view").textContent = "The 3-D view needs WebGL 2, which this browser lacks. The film and the timeline still work.";
     canvas.hidden = lost;
     for (const name of ["photo", "top", "side"]) $(`from-${name}`).disabled = lost;
   };

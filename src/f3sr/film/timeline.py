@@ -1,21 +1,19 @@
-"""The timeline below the film: conditions, what sets things off and contacts, each in a row over the film's frames."""
+"""The timeline below the film: conditions, actions and contacts, each in a row over the film's frames."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.film.event_text import named
 from f3sr.goals.conditions import Judged
-from f3sr.goals.plan import Plan
+from f3sr.goals.plan import Impulse, Plan
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.verify import Verdict
 from f3sr.scene import Scene
-from f3sr.web.markup import Child, Markup, el
 
 STEADY = 3.0
 """Times its median force that a contact may reach and still be rest."""
@@ -25,6 +23,36 @@ FAINT = 0.03
 """Share of the tallest force below which it is rest too."""
 SIDE = 1000, 100
 """Units of a row's drawing along the film and up; it is stretched."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BarRow:
+    """A row of SVG paths, each with its class: ``force``, ``push`` or ``blow``."""
+
+    name: str
+    words: str
+    bars: Sequence[tuple[str, str]]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Timeline:
+    """All rows. ``end``: the last time [s], ``last`` its frame; ``tallest``: the largest contact force [N]."""
+
+    end: float
+    last: int
+    tallest: float
+    ticks: Sequence[float]
+    """Times on the ruler [s]."""
+    conditions: Sequence[Judged]
+    actions: Sequence[BarRow]
+    contacts: Sequence[BarRow]
+    resting: Sequence[BarRow]
+    width: int = SIDE[0]
+    height: int = SIDE[1]
+
+    def at(self, time: float) -> str:
+        """The share of the film before a time."""
+        return f"{min(max(time / self.end, 0.0), 1.0):.5f}"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -61,122 +89,63 @@ def _rests(forces: NDArray[np.float64], tallest: float) -> bool:
     return steady and len(touching) >= ALWAYS * (len(forces) - 1)
 
 
-def timeline(scene: Scene, plan: Plan, rollout: Rollout, verdict: Verdict) -> Markup:
-    """All rows. The first is a slider over the frames; the script adds the line that moves."""
-    last = len(rollout.time) - 1
+def timeline(scene: Scene, plan: Plan, rollout: Rollout, verdict: Verdict) -> Timeline:
     end = float(rollout.time[-1]) or 1.0
     pairs = pairs_of(rollout)
-    busy, resting = [p for p in pairs if not p.rests], [p for p in pairs if p.rests]
-    slider = el("input", type="range", id="slider", min=0, max=last, step=1, value=0, aria_label="Frame", disabled=True)
-    return el(
-        "div",
-        el("div", el("div", id="head"), id="lane", aria_hidden="true"),
-        el("div", el("div", "Time"), el("div", _ruler(end), class_="ruler track", id="ruler"), class_="line times"),
-        el("div", el("div"), el("div", slider), class_="line"),
-        _part("Goal", (_condition(j, end) for j in verdict.conditions)),
-        _part("Set off", _controls(scene, plan, end)),
-        _part("Contacts", (_contact(scene, p, pairs) for p in busy)),
-        _resting(scene, resting, pairs),
-        id="timeline",
+    tallest = max((float(p.forces.max()) for p in pairs), default=0.0)
+    return Timeline(
+        end=end,
+        last=len(rollout.time) - 1,
+        tallest=tallest,
+        ticks=_ticks(end),
+        conditions=verdict.conditions,
+        actions=[_action(scene, plan, id, end) for id in sorted(plan.initial.controlled)],
+        contacts=[_contact(scene, p, tallest) for p in pairs if not p.rests],
+        resting=[_contact(scene, p, tallest) for p in pairs if p.rests],
     )
 
 
-def _part(title: str, rows: Iterable[Child]) -> Child:
-    shown = list(rows)
-    return el("section", el("h3", title), shown, class_="rows") if shown else None
-
-
-def _row(name: Child, track: Child, title: str, kind: str) -> Markup:
-    return el(
-        "div",
-        el("div", name, class_="name", title=title),
-        el("div", track, class_="track"),
-        class_=f"line {kind}",
-    )
-
-
-def _ruler(end: float) -> Child:
-    """Times at even steps, some six of them; the script puts them in their places."""
+def _ticks(end: float) -> list[float]:
+    """Times at even steps, some six of them."""
     step = next(s for s in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0) if end / s <= 7 or s == 10)
-    times = np.arange(0, end + 1e-9, step)
-    return [el("span", f"{t:g} s", class_="tick", data_at=_share(float(t), end)) for t in times]
+    return np.arange(0, end + 1e-9, step).tolist()
 
 
-def _share(time: float, end: float) -> str:
-    return f"{min(max(time / end, 0.0), 1.0):.5f}"
-
-
-def _condition(judged: Judged, end: float) -> Markup:
-    """A mark where it was met, or nearest to it; what has no moment of its own is marked at the end."""
-    time = end if judged.time is None else judged.time
-    verdict = "met" if judged.met else "missed"
-    mark = el(
-        "button",
-        "✓" if judged.met else "✗",
-        type="button",
-        class_=f"mark {verdict}",
-        data_at=_share(time, end),
-        data_time=f"{time:.6f}",
-        aria_label=f"{verdict} at {time:.2f} s: {judged.said}",
-        title=f"{verdict}, {time:.2f} s: {judged.said}",
-    )
-    return _row(el("bdi", judged.said), mark, judged.said, f"condition {verdict}")
-
-
-def _controls(scene: Scene, plan: Plan, end: float) -> Iterable[Markup]:
-    """A row per object that is set off: starts as marks, pushes as bars."""
+def _action(scene: Scene, plan: Plan, id: int, end: float) -> BarRow:
+    """What moves an object: lines for what comes at once, bars for pushes."""
     initial = plan.initial
-    for id in sorted(initial.controlled):
-        name = named(scene, id)
-        spans = [(0.0, 0.0, "is let go elsewhere") for o in initial.offsets if o.id == id]
-        spans += [(0.0, 0.0, f"starts at {np.linalg.norm(v.linear):.2g} m/s") for v in initial.velocities if v.id == id]
-        spans += [(i.time, i.duration, _impulse(i)) for i in initial.impulses if i.id == id]
-        bars = [_control(time, duration, end) for time, duration, _ in spans]
-        words = "; ".join(words for _, _, words in spans)
-        yield _row([el("bdi", name), " ", el("small", words)], _drawing(bars), f"{name}: {words}", "control")
+    spans = [(0.0, 0.0, "starts at another place") for o in initial.offsets if o.id == id]
+    spans += [(0.0, 0.0, f"starts at {np.linalg.norm(v.linear):.2g} m/s") for v in initial.velocities if v.id == id]
+    spans += [(i.time, i.duration, _impulse(i)) for i in initial.impulses if i.id == id]
+    bars = [_span(time, duration, end) for time, duration, _ in spans]
+    return BarRow(name=named(scene, id), words="; ".join(words for _, _, words in spans), bars=bars)
 
 
-def _control(time: float, duration: float, end: float) -> Markup:
-    """A line for what comes at once, a bar for a push."""
+def _span(time: float, duration: float, end: float) -> tuple[str, str]:
     left, right = (SIDE[0] * t / end for t in (time, time + duration))
-    d = f"M{left:.1f} 15V85" + (f"H{right:.1f}V15z" if duration else "")
-    return el("path", d=Markup(d), class_="push" if duration else "blow")
+    if duration:
+        return f"M{left:.1f} 15V85H{right:.1f}V15z", "push"
+    return f"M{left:.1f} 15V85", "blow"
 
 
-def _impulse(impulse: Any) -> str:
+def _impulse(impulse: Impulse) -> str:
     amount = float(np.linalg.norm(impulse.linear))
     if impulse.duration:
         return f"pushed with {amount / impulse.duration:.2g} N for {impulse.duration:.2g} s"
     return f"struck with {amount:.2g} N s"
 
 
-def _contact(scene: Scene, pair: Pair, pairs: Iterable[Pair]) -> Markup:
+def _contact(scene: Scene, pair: Pair, tallest: float) -> BarRow:
     """Force as height, its square root: a bar per frame, of the time since the frame before."""
-    most = max(p.forces.max() for p in pairs)
     width = SIDE[0] / max(1, len(pair.forces) - 1)
-    bars = "".join(
-        f"M{(k - 1) * width:.1f} {SIDE[1]}v{-max(4.0, SIDE[1] * np.sqrt(f / most)):.1f}h{width:.1f}V{SIDE[1]}z"
+    path = "".join(
+        f"M{(k - 1) * width:.1f} {SIDE[1]}v{-max(4.0, SIDE[1] * np.sqrt(f / tallest)):.1f}h{width:.1f}V{SIDE[1]}z"
         for k, f in enumerate(pair.forces)
         if f > 0
     )
-    who = f"{named(scene, pair.b)} – {named(scene, pair.a)}"
-    peak = f"up to {force(pair.forces.max())}"
-    drawing = _drawing(el("path", d=Markup(bars), class_="force"))
-    return _row([el("bdi", who), " ", el("small", peak)], drawing, f"{who}, {peak}", "contact")
+    name = f"{named(scene, pair.b)} – {named(scene, pair.a)}"
+    return BarRow(name=name, words=f"up to {force(pair.forces.max())}", bars=[(path, "force")])
 
 
 def force(newtons: float) -> str:
     return f"{newtons:.2g} N" if newtons < 99.5 else f"{newtons:,.0f} N"
-
-
-def _resting(scene: Scene, resting: list[Pair], pairs: Iterable[Pair]) -> Child:
-    if not resting:
-        return None
-    count = f"{len(resting)} {'pair rests' if len(resting) == 1 else 'pairs rest'} on each other throughout"
-    return el("details", el("summary", count), [_contact(scene, p, pairs) for p in resting], class_="rows")
-
-
-def _drawing(shapes: Child) -> Markup:
-    return el(
-        "svg", shapes, viewBox=f"0 0 {SIDE[0]} {SIDE[1]}", preserveAspectRatio="none", aria_hidden="true", class_="bars"
-    )

@@ -1,5 +1,4 @@
-"""Input, direct composition and ours beside each other: as the photo sees them, and from the side with what is wrong
-boxed."""
+"""Input, direct composition and ours: as the photo sees them, and from the side with defects boxed."""
 
 from __future__ import annotations
 
@@ -12,96 +11,122 @@ from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, box_corners
 from f3sr.metrics.measures import Details, Gap, Overlap
 from f3sr.report_page.formatting import counted, length, name_of, share
-from f3sr.report_page.page_data import PageData, look_alike
+from f3sr.report_page.page_data import PageData, View, look_alike
 from f3sr.scene import GROUND, Scene
-from f3sr.vision.pictures import composite, ground_row, side_camera, side_cameras, side_view
-from f3sr.web.figures import figure, img
-from f3sr.web.markup import Child, Markup, el, join
+from f3sr.vision.pictures import Image, composite, ground_row, side_camera, side_cameras, side_view
 
 SIDE = (720, 420)
 """Width and height of a side view [px]."""
 MOST_BOXES = 3
 """Boxes of each kind (gaps, sunk objects, penetrations), the worst first."""
 SHOWN_SHARE = 0.005
-"""From which share of an object's size on a gap or a depth under the ground is boxed."""
+"""From which share of an object's size on a gap or a depth below the ground is boxed."""
 LEAST_BOX = 30
 """Smallest side of a box [px]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mark:
-    """A place that is wrong: corners in the world (n, 3) and what is wrong."""
+    """A defect: corners in the world (n, 3) and what is wrong."""
 
     points: Array
     words: str
 
+    def box(self, camera: Camera) -> tuple[float, float, float, float]:
+        """Left, top, width and height [px] of a box around the corners, inside the picture."""
+        pixels, _ = camera.project(self.points)
+        low, high = pixels.min(0), pixels.max(0)
+        grow = np.maximum(6, (LEAST_BOX - (high - low)) / 2)
+        size = np.array([camera.width, camera.height])
+        low, high = np.clip(low - grow, 2, size - LEAST_BOX), np.clip(high + grow, LEAST_BOX, size - 2)
+        left, top, width, height = np.round([*low, *(high - low)], 1).tolist()
+        return left, top, width, height
 
-def compare(m: PageData) -> Markup:
-    return join(
-        el("h3", "From the photo's camera"),
-        el("div", _front(m), class_="row"),
-        el("h3", "From the side"),
-        el(
-            "p",
-            "A level camera to the side of the photo's. ",
-            el("span", "Green", class_="key ground"),
-            " is z = 0, ",
-            el("span", "red boxes", class_="key box"),
-            " are measured gaps, penetrations and depths under the ground, the worst of each kind.",
-            class_="fine",
-        ),
-        el("div", _sides(m), class_="row"),
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SideView:
+    """A side view with its defects. ``ground``: the row of z = 0 [px], None where it is unknown."""
+
+    picture: Image
+    camera: Camera
+    title: str
+    note: str
+    ground: float | None = None
+    marks: Sequence[Mark] = ()
+
+
+def front_views(page: PageData) -> list[View]:
+    """The photo's camera: the input and direct composition, as one picture where they look alike, and ours."""
+    ours = View(
+        picture=composite(page.scene, page.backdrop),
+        alt="Ours, seen by the photo's camera",
+        title="Ours",
+        note=": unlit textures over the photo",
     )
-
-
-def _front(m: PageData) -> list[Markup]:
-    one = look_alike(m.given, m.direct)
-    name = "Input as it came, and direct composition" if one else "Input as it came"
-    note = ": levelling turns camera and objects together, so both look alike" if one else ""
-    shown = [figure(img(composite(m.given, m.backdrop), name), join(el("b", name), note))]
-    if not one:
-        shown.append(figure(img(composite(m.direct, m.backdrop), "Direct composition"), el("b", "Direct composition")))
-    ours = img(composite(m.scene, m.backdrop), "Ours, seen by the photo's camera")
-    return [*shown, figure(ours, join(el("b", "Ours"), ": unlit textures over the photo"))]
-
-
-def _sides(m: PageData) -> list[Markup]:
-    given = join(
-        el("b", "Input as it came"),
-        ". It knows no ground: z = 0 is the height of its camera, and gaps are not defined.",
-    )
-    width, height = SIDE
-    level = side_camera(m.given, width=width, height=height, ground=False)
-    cameras = side_cameras(m.direct, m.scene, width, height)
+    before = composite(page.given, page.backdrop)
+    if look_alike(page.given, page.direct):
+        title = "Input as it came, and direct composition"
+        note = ": levelling turns camera and objects together, so both look alike"
+        return [View(picture=before, alt=title, title=title, note=note), ours]
+    direct = composite(page.direct, page.backdrop)
     return [
-        side_figure(m.given, level, [], given, ground=False),
-        side_figure(
-            m.direct, cameras[0], marks(m.direct_details, m.direct), _caption("Direct composition", m.direct_details)
-        ),
-        side_figure(m.scene, cameras[1], marks(m.details, m.scene), _caption("Ours", m.details)),
+        View(picture=before, alt="Input as it came", title="Input as it came"),
+        View(picture=direct, alt="Direct composition", title="Direct composition"),
+        ours,
     ]
 
 
-def side_figure(scene: Scene, camera: Camera, wrong: Sequence[Mark], caption: Child, *, ground: bool = True) -> Markup:
-    """The side view with lettered red boxes, and what they mean below."""
-    lettered = list(zip("ABCDEFGHI", wrong, strict=False))
-    boxes = [_box(mark, camera, letter) for letter, mark in lettered]
-    if ground:
-        boxes.insert(0, el("text", "z = 0", x=6, y=ground_row(camera) + 20, class_="zero"))
-    size = f"0 0 {camera.width} {camera.height}"
-    lines = el("svg", boxes, viewBox=size, class_="marks", aria_hidden="true")
-    words = el("ol", (el("li", el("b", letter), " ", mark.words) for letter, mark in lettered))
-    view = img(side_view(scene, camera, ground=ground), "Side view")
-    return figure(el("div", view, lines, class_="marked"), join(caption, words if wrong else None))
+def side_views(page: PageData) -> list[SideView]:
+    level = side_camera(page.given, width=SIDE[0], height=SIDE[1], ground=False)
+    picture = side_view(page.given, level, ground=False)
+    note = ". It has no ground: z = 0 is the height of its camera, and gaps are undefined."
+    direct, ours = side_cameras(page.direct, page.scene, *SIDE)
+    return [
+        SideView(picture=picture, camera=level, title="Input as it came", note=note),
+        _measured("Direct composition", page.direct, direct, page.direct_details),
+        _measured("Ours", page.scene, ours, page.details),
+    ]
+
+
+def _measured(title: str, scene: Scene, camera: Camera, details: Details | None) -> SideView:
+    return SideView(
+        picture=side_view(scene, camera, ground=True),
+        camera=camera,
+        title=title,
+        note=_note(details),
+        ground=ground_row(camera),
+        marks=marks(details, scene),
+    )
+
+
+def _note(details: Details | None) -> str:
+    """What is right."""
+    if details is None:
+        return ". Gaps and penetrations were not measured."
+    good = {
+        f"no gap of {share(SHOWN_SHARE)} of an object's size or more": not any(_far(g) for g in details.gaps),
+        "no penetration": not details.overlaps,
+        "nothing below the ground": not any(_deep(g) for g in details.gaps),
+    }
+    shown = ", ".join(words for words, so in good.items() if so)
+    return f": {shown}" if shown else ""
+
+
+def _far(g: Gap) -> bool:
+    return g.distance >= SHOWN_SHARE * g.size
+
+
+def _deep(g: Gap) -> bool:
+    return g.below >= SHOWN_SHARE * g.size
 
 
 def marks(details: Details | None, scene: Scene) -> list[Mark]:
-    """What is wrong in a measured scene, worst first per kind."""
+    """Defects of a measured scene, worst first per kind."""
     if details is None:
         return []
-    gaps = sorted((g for g in details.gaps if g.distance >= SHOWN_SHARE * g.size), key=lambda g: -g.distance / g.size)
+    gaps = sorted(filter(_far, details.gaps), key=lambda g: -g.distance / g.size)
     gaps = [g for k, g in enumerate(gaps) if (g.nearest, g.id) not in {(h.id, h.nearest) for h in gaps[:k]}]
-    sunk = sorted((g for g in details.gaps if g.below >= SHOWN_SHARE * g.size), key=lambda g: -g.below / g.size)
+    sunk = sorted(filter(_deep, details.gaps), key=lambda g: -g.below / g.size)
     overlaps = sorted(details.overlaps, key=lambda o: -o.crossings)
     return [
         *(_gap(g, scene) for g in gaps[:MOST_BOXES]),
@@ -118,7 +143,7 @@ def _gap(g: Gap, scene: Scene) -> Mark:
 
 def _sunk(g: Gap, scene: Scene) -> Mark:
     lowest = np.array(g.lowest)
-    words = f"{name_of(g.id, scene)} is {length(g.below)} under the ground ({share(g.below / g.size)} of its size)"
+    words = f"{name_of(g.id, scene)} is {length(g.below)} below the ground ({share(g.below / g.size)} of its size)"
     return Mark(np.stack([lowest, lowest * [1, 1, 0]]), words)
 
 
@@ -127,32 +152,3 @@ def _overlap(o: Overlap, scene: Scene) -> Mark:
     names = f"{name_of(o.a, scene)}, {name_of(o.b, scene)}"
     words = f"{o.a} and {o.b} overlap ({names}; {counted(o.crossings, 'crossing')} of triangles)"
     return Mark(corners, words)
-
-
-def _box(mark: Mark, camera: Camera, letter: str) -> Markup:
-    """A box around the mark's places, inside the picture, its letter at a corner."""
-    pixels, _ = camera.project(mark.points)
-    low, high = pixels.min(0), pixels.max(0)
-    grow = np.maximum(6, (LEAST_BOX - (high - low)) / 2)
-    size = np.array([camera.width, camera.height])
-    low, high = np.clip(low - grow, 2, size - LEAST_BOX), np.clip(high + grow, LEAST_BOX, size - 2)
-    x, y, w, h = (f"{v:.1f}" for v in (*low, *(high - low)))
-    above = low[1] > 30
-    at = low[1] - 6 if above else high[1] + 26
-    return join(el("rect", x=x, y=y, width=w, height=h), el("text", letter, x=x, y=f"{at:.1f}"))
-
-
-def _caption(name: str, details: Details | None) -> Markup:
-    title = el("b", name)
-    if details is None:
-        return join(title, ". Gaps and penetrations were not measured.")
-    small = all(g.distance < SHOWN_SHARE * g.size for g in details.gaps)
-    sunk = any(g.below >= SHOWN_SHARE * g.size for g in details.gaps)
-    good: list[str] = []
-    if small:
-        good.append(f"no gap of {share(SHOWN_SHARE)} of an object's size or more")
-    if not details.overlaps:
-        good.append("no penetration")
-    if not sunk:
-        good.append("nothing under the ground")
-    return join(title, f": {', '.join(good)}" if good else None)

@@ -7,7 +7,6 @@ from collections.abc import Iterable
 import numpy as np
 
 from f3sr.scene import GROUND, Scene
-from f3sr.web.markup import Child, Markup, el, join
 
 NO_VALUE = "–"
 NBSP = "\u00a0"
@@ -27,19 +26,6 @@ def number(value: float, *, digits: int = 4) -> str:
     return f"{mantissa}·10{str(int(exponent)).translate(SUPERSCRIPTS)}".replace("-", "−")
 
 
-def quantity(value: float | None, unit: str = "", *, digits: int = 4) -> Markup:
-    """A number that reads well, with the exact one for machines, and its unit."""
-    if value is None:
-        return el("span", NO_VALUE, class_="none")
-    shown = el("data", number(value, digits=digits), value=repr(float(value)))
-    return join(shown, Markup("&#8239;"), el("span", unit, class_="unit")) if unit else shown
-
-
-def ratio(value: float) -> Markup:
-    """A number between 0 and 1 with three decimals, so that a column of them lines up."""
-    return el("data", f"{value:.3f}", value=repr(float(value)))
-
-
 def length(meters: float) -> str:
     """A length in mm, or in m from one metre on."""
     if abs(meters) >= 1:
@@ -52,7 +38,7 @@ def share(value: float) -> str:
 
 
 def _small(value: float) -> str:
-    """Two digits; what is smaller than anyone asks for is less than that."""
+    """Two digits; a tiny value is less than 0.01."""
     return f"<{NBSP}0.01" if 0 < value < 0.01 else number(value, digits=2)
 
 
@@ -61,16 +47,6 @@ def name_of(id: int, scene: Scene) -> str:
     if id == GROUND:
         return "the ground"
     return f"{id} {scene[id].label}".strip() if id in {o.id for o in scene} else f"object {id}"
-
-
-def about(id: int | None, scene: Scene) -> Child:
-    """What a measure or decision is about; labels keep their own direction of writing."""
-    return el("span", "scene", class_="quiet") if id is None else el("bdi", name_of(id, scene))
-
-
-def told(text: str) -> Markup:
-    """A stage's own words; they may be written in any direction."""
-    return el("bdi", text.replace(" -> ", " → "))
 
 
 def counted(n: int, one: str, many: str | None = None) -> str:

@@ -1,16 +1,16 @@
-"""The scene graph: who rests on whom as a drawing, every object in words, all other relations with their evidence."""
+"""The scene graph: supports as a drawing, relations by kind, and where given ones and geometry disagree."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from f3sr.report_page.formatting import about, counted, name_of, ratio, share, told
-from f3sr.report_page.page_data import PageData
-from f3sr.scene import GROUND, Predicate, Relation, Scene
+from f3sr.pipeline import Reconstruction
+from f3sr.report import Decision
+from f3sr.scene import GROUND, Predicate, Relation, Scene, SceneObject, Support
 from f3sr.stages.relate import GraphOutcome
-from f3sr.web.markup import Child, Markup, clean, el, join
+from f3sr.web.document import clean
 
 BOX = (106, 46)
 """Width and height of an object's box [px]."""
@@ -22,8 +22,6 @@ LABEL = 13
 """Characters of a line in a box."""
 EDGE = 12
 """Room around the drawing."""
-ROWS = 150
-"""Relations of a kind that are listed; scene.json has all."""
 SHOWN: tuple[tuple[Predicate, str], ...] = (
     ("supported_by", "supported by"),
     ("inside", "inside"),
@@ -32,7 +30,7 @@ SHOWN: tuple[tuple[Predicate, str], ...] = (
     ("next_to", "next to"),
     ("in_front_of", "in front of"),
     ("overlaps_2d", "overlapping in the picture"),
-    ("unknown", "given, of no known kind"),
+    ("unknown", "given, of an unknown kind"),
 )
 """Kinds that are listed, in words; inverses say nothing new."""
 
@@ -53,61 +51,65 @@ class Spot:
         return EDGE + BOX[1] / 2 + STEP[1] * self.y
 
 
-def graph(m: PageData) -> Markup:
-    scene = m.scene
-    return join(_supports(scene), _disagreements(m), _nodes(scene), _relations(scene))
+@dataclass(frozen=True, kw_only=True)
+class SupportEdge:
+    """A curve from an object to a support, and where the share of its load is written [px]."""
+
+    path: str
+    share: float
+    x: float
+    y: float
 
 
-def _supports(scene: Scene) -> Markup:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SupportDrawing:
+    """Everything that the drawing shows [px]; ``floor``: the height of the ground's line."""
+
+    width: float
+    height: float
+    floor: float
+    edges: Sequence[SupportEdge]
+    leans: Sequence[tuple[Spot, Spot]]
+    boxes: Sequence[tuple[SceneObject, Spot, Sequence[str]]]
+    """An object, the middle of its box and the lines of its label."""
+    sentence: str
+    """The drawing in words."""
+    margin: float = EDGE
+    box: tuple[float, float] = BOX
+
+
+def drawing(scene: Scene) -> SupportDrawing:
     spots = _spots(scene)
-    width = 2 * EDGE + STEP[0] * (max(s.x for s in spots.values()) + 1)
     height = 2 * EDGE + STEP[1] * (max(s.y for s in spots.values()) + 1) + 20
     floor = height - EDGE - 20
-    ground = join(
-        el("line", x1=EDGE, x2=width - EDGE, y1=floor, y2=floor, class_="floor"),
-        el("text", "ground", x=width / 2, y=floor + 18),
-    )
-    edges = [_edge(spots, o.id, s.id, s.share, floor) for o in scene for s in o.supports if s.id in {GROUND, *spots}]
-    leans = [_lean(spots[a], spots[b]) for a, b in sorted(scene.graph.of("leaning_on")) if {a, b} <= spots.keys()]
-    boxes = [_box(spots[o.id], scene, o.id) for o in scene]
-    drawing = el(
-        "svg",
-        ground,
-        edges,
-        leans,
-        boxes,
-        viewBox=f"0 0 {width} {height}",
-        width=width,
+    return SupportDrawing(
+        width=2 * EDGE + STEP[0] * (max(s.x for s in spots.values()) + 1),
         height=height,
-        role="img",
-        aria_label=_sentence(scene),
-        class_="graph",
-    )
-    return join(
-        el(
-            "p",
-            "An edge leads down to what carries the box above; its number is the share of the load. ",
-            "A dotted line leads to what a box leans on. " if leans else None,
-            _note(scene),
-            class_="fine",
-        ),
-        el("div", drawing, class_="scroll", tabindex="0"),
+        floor=floor,
+        edges=[_edge(spots, o.id, s, floor) for o in scene for s in o.supports if s.id in {GROUND, *spots}],
+        leans=[(spots[a], spots[b]) for a, b in sorted(scene.graph.of("leaning_on")) if {a, b} <= spots.keys()],
+        boxes=[(o, spots[o.id], _lines(o)) for o in scene],
+        sentence="Supports: " + "; ".join(_supports(o) for o in scene if o.supports),
     )
 
 
-def _note(scene: Scene) -> str:
-    loose = [o.id for o in scene if not o.supports]
-    return f"Dashed: nothing is known of what carries {', '.join(map(str, loose))}." if loose else ""
+def disagreements(result: Reconstruction) -> list[Decision]:
+    """Where scene_graph.json says something else than geometry and the photo."""
+    return [d for x in result.outcomes if isinstance(x, GraphOutcome) for d in x.disagreements]
 
 
-def _sentence(scene: Scene) -> str:
-    """The drawing in words."""
-    carried = (
-        f"{o.id} on {', '.join('ground' if s.id == GROUND else str(s.id) for s in o.supports)}"
-        for o in scene
-        if o.supports
-    )
-    return "Supports: " + "; ".join(carried)
+def relations(scene: Scene) -> list[tuple[str, list[Relation]]]:
+    """Every kind that the scene has, in words."""
+    kinds = [(words, [r for r in scene.graph.relations if r.predicate == kind]) for kind, words in SHOWN]
+    return [(words, found) for words, found in kinds if found]
+
+
+def _supports(o: SceneObject) -> str:
+    return f"{o.id} on {', '.join('ground' if s.id == GROUND else str(s.id) for s in o.supports)}"
+
+
+def _lines(o: SceneObject) -> list[str]:
+    return textwrap.wrap(f"{o.id} {clean(o.label)}", LABEL, max_lines=2, placeholder="…") or [str(o.id)]
 
 
 def levels(scene: Scene) -> Mapping[int, int]:
@@ -143,17 +145,18 @@ def _spots(scene: Scene) -> dict[int, Spot]:
     return spots
 
 
-def _edge(spots: Mapping[int, Spot], child: int, carrier: int, share: float, floor: float) -> Markup:
+def _edge(spots: Mapping[int, Spot], child: int, support: Support, floor: float) -> SupportEdge:
     start = spots[child]
-    x2, y2 = (start.px, floor) if carrier == GROUND else (spots[carrier].px, spots[carrier].py - BOX[1] / 2)
+    x2, y2 = (start.px, floor) if support.id == GROUND else (spots[support.id].px, spots[support.id].py - BOX[1] / 2)
     x1, y1 = start.px, start.py + BOX[1] / 2
     bend = BEND if _meets_a_box(spots, start, (x2, y2)) else 0
     dx, dy = (x2 - x1) / 3, (y2 - y1) / 3
-    path = f"M {x1} {y1} C {x1 + dx + bend} {y1 + dy} {x2 - dx + bend} {y2 - dy} {x2} {y2}"
-    line = el("path", d=path, stroke_width=f"{1 + 2.5 * share:.2f}", class_="edge")
-    at = x1 + 0.3 * (x2 - x1) + 0.63 * bend + 4, y1 + 0.3 * (y2 - y1) + 8
-    words = el("text", f"{100 * share:.0f} %", x=at[0], y=at[1], class_="share")
-    return join(line, words)
+    return SupportEdge(
+        path=f"M {x1} {y1} C {x1 + dx + bend} {y1 + dy} {x2 - dx + bend} {y2 - dy} {x2} {y2}",
+        share=support.share,
+        x=x1 + 0.3 * (x2 - x1) + 0.63 * bend + 4,
+        y=y1 + 0.3 * (y2 - y1) + 8,
+    )
 
 
 def _meets_a_box(spots: Mapping[int, Spot], start: Spot, end: tuple[float, float]) -> bool:
@@ -161,75 +164,3 @@ def _meets_a_box(spots: Mapping[int, Spot], start: Spot, end: tuple[float, float
     slope = (end[0] - start.px) / (end[1] - start.py)
     on_the_way = (s for s in spots.values() if start.py < s.py < end[1])
     return any(abs(start.px + slope * (s.py - start.py) - s.px) < BOX[0] / 2 for s in on_the_way)
-
-
-def _lean(start: Spot, end: Spot) -> Markup:
-    return el("line", x1=start.px, y1=start.py, x2=end.px, y2=end.py, stroke_dasharray="2 5", class_="edge lean")
-
-
-def _box(spot: Spot, scene: Scene, id: int) -> Markup:
-    o = scene[id]
-    kind = "box" if o.supports else "box loose"
-    kind += " fixed" if o.mobility == "fixed" else ""
-    x, y = spot.px - BOX[0] / 2, spot.py - BOX[1] / 2
-    lines = textwrap.wrap(f"{o.id} {clean(o.label)}", LABEL, max_lines=2, placeholder="…") or [str(o.id)]
-    first = spot.py + 5 - 8 * (len(lines) - 1)
-    words = (el("text", text, x=spot.px, y=first + 16 * k) for k, text in enumerate(lines))
-    return el(
-        "g",
-        el("title", f"{o.id} {o.label}"),
-        el("rect", x=x, y=y, width=BOX[0], height=BOX[1], rx=3),
-        words,
-        class_=kind,
-    )
-
-
-def _disagreements(m: PageData) -> Child:
-    """Where scene_graph.json says something else than geometry and the photo."""
-    taken = [d for x in m.result.outcomes if isinstance(x, GraphOutcome) for d in x.disagreements]
-    if not taken:
-        return None
-    rows = (
-        el("tr", el("th", about(d.about, m.scene), scope="row"), el("td", told(d.choice)), el("td", told(d.reason)))
-        for d in taken
-    )
-    return join(el("h3", "Given and found disagree"), _table(("About", "Choice", "Reason"), rows))
-
-
-def _nodes(scene: Scene) -> Child:
-    if not scene.graph.nodes:
-        return None
-    rows = (
-        el("tr", el("th", about(n.id, scene), scope="row"), el("td", n.description), el("td", share(n.visibility)))
-        for n in scene.graph.nodes
-    )
-    return join(el("h3", "In words"), _table(("Object", "Description", "Visible"), rows, "nodes"))
-
-
-def _relations(scene: Scene) -> Child:
-    kinds = [(words, [r for r in scene.graph.relations if r.predicate == kind]) for kind, words in SHOWN]
-    if not any(found for _, found in kinds):
-        return None
-    return join(el("h3", "Relations"), (_kind(words, found, scene) for words, found in kinds if found))
-
-
-def _kind(words: str, found: list[Relation], scene: Scene) -> Markup:
-    more = len(found) - ROWS
-    rows = (_relation(r, words, scene) for r in found[:ROWS])
-    return el(
-        "details",
-        el("summary", f"{words}: {len(found)}"),
-        _table(("Relation", "Confidence", "Evidence"), rows, "relations"),
-        el("p", f"{counted(more, 'more relation')} in scene.json.", class_="fine") if more > 0 else None,
-    )
-
-
-def _relation(r: Relation, words: str, scene: Scene) -> Markup:
-    mark = el("b", "given ", class_="tag") if r.source == "given" else None
-    who = join(mark, about(r.subject, scene), f" {words} ", el("bdi", name_of(r.object, scene)))
-    return el("tr", el("th", who, scope="row"), el("td", ratio(r.confidence)), el("td", told(r.evidence)))
-
-
-def _table(titles: tuple[str, ...], rows: Child, kind: str = "") -> Markup:
-    head = el("tr", (el("th", t, scope="col") for t in titles))
-    return el("table", el("thead", head), el("tbody", rows), class_=f"cards tight {kind}".strip())

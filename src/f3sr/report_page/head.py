@@ -1,178 +1,104 @@
-"""The top of the page: the photo, the verdict in one line, and what to be wary of."""
+"""The top of the page: the verdict in one line, and what to be wary of."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
-from f3sr.metrics.measures import visible_ious
+from f3sr.metrics.measures import Details, Gap, ObjectMeasures, visible_ious
 from f3sr.options import SKIPPABLE
-from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
-from f3sr.report_page.formatting import about, counted, length, listed, name_of, ratio, share, told
+from f3sr.report_page.formatting import counted, length, name_of
 from f3sr.report_page.page_data import PageData, look_alike
 from f3sr.scene import SceneObject
 from f3sr.stages.refine import TOPPLE
 from f3sr.stages.settle import Settled
-from f3sr.web.figures import figure, img
-from f3sr.web.markup import Child, Markup, el, join
 
-TIPPED = TOPPLE
 FAR_OFF = 0.5
 """Visible IoU under which an object is not where the photo shows it."""
 PAID = 0.1
-"""Visible IoU that an object may lose after align before that is said."""
+"""Loss of visible IoU after align from which on an object is named."""
 REST_TRAVEL = 0.1
 """Largest travel of a centre of mass in 5 s of undamped physics [cm] that is called rest here."""
+PARTS = ("align-camera", "align-objects")
+"""Parts of the stage align: they have no report of their own."""
 
 
-def head(m: PageData, links: Markup) -> Markup:
-    photo = img(m.backdrop.rgb, "The photo")
-    size = f"{m.scene.photo.width} × {m.scene.photo.height} px"
-    return el(
-        "header",
-        el(
-            "div",
-            el("p", "f3sr reconstruction report", class_="kicker"),
-            el("h1", verdict(m)),
-            _summary(m),
-            warnings(m),
-            links,
-        ),
-        figure(photo, join("Photo, ", size)),
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Head:
+    verdict: str
+    gap: Gap | None
+    """The worst one."""
+    sunk: Gap | None
+    """Of the deepest object below the ground."""
+    clearance: float
+    """How far apart objects in contact rest [m]."""
+    fixed: Sequence[str]
+    off_mask: Sequence[ObjectMeasures]
+    """Objects that the photo shows elsewhere."""
+    moved_off: Sequence[tuple[int, float, float]]
+    """Objects that contact and physics moved off their masks: id, visible IoU after align and in the result."""
+    tipped: Sequence[tuple[int, float]]
+    """Objects that physics turned over after separate: id and angle from the vertical [degrees]."""
+    skipped: Sequence[str]
+
+
+def head(page: PageData) -> Head:
+    gap = page.details and _worst(page.details)
+    sunk = page.details and max(page.details.gaps, key=lambda g: g.below)
+    return Head(
+        verdict=f"{counted(len(page.scene.objects), 'object')}, {_rest(page)}; {_contact(page.details)}",
+        gap=gap if gap and gap.distance > 0 else None,
+        sunk=sunk if sunk and sunk.below > 0 else None,
+        clearance=page.result.config.settle.physics.contact.clearance,
+        fixed=[name_of(o.id, page.scene) for o in page.scene if o.mobility == "fixed"],
+        off_mask=[o for o in page.details.objects if o.IoU_visible < FAR_OFF] if page.details else [],
+        moved_off=_moved_off(page),
+        tipped=_tipped(page),
+        skipped=_skipped(page),
     )
 
 
-def verdict(m: PageData) -> str:
-    """One line for somebody who wants to use the scene."""
-    return f"{counted(len(m.scene.objects), 'object')}, {_rest(m)}; {_contact(m)}"
-
-
-def _rest(m: PageData) -> str:
-    if m.result.evaluation:
-        travel = m.result.evaluation.result.D_max_cm
+def _rest(page: PageData) -> str:
+    if page.result.evaluation:
+        travel = page.result.evaluation.result.D_max_cm
         return "at rest" if travel <= REST_TRAVEL else f"not at rest (moves {length(travel / 100)} in 5 s)"
-    rested = [x.at_rest for x in m.result.outcomes if isinstance(x, Settled)]
+    rested = [x.at_rest for x in page.result.outcomes if isinstance(x, Settled)]
     if not rested:
         return "rest not measured"
-    scenes = m.result.scenes
+    scenes = page.result.scenes
     refined = "refine" in scenes and not look_alike(scenes["settle"], scenes["refine"])  # kept only where it rests
     return "at rest after settling" if rested[-1] or refined else "not at rest after settling"
 
 
-def _contact(m: PageData) -> str:
-    if m.details is None:
+def _contact(details: Details | None) -> str:
+    if details is None:
         return "penetrations and gaps not measured"
-    pairs = len(m.details.overlaps)
-    worst = max(m.details.gaps, key=lambda g: g.distance / g.size)
+    pairs, gap = len(details.overlaps), _worst(details).distance
     overlap = "no penetrations" if not pairs else counted(pairs, "pair penetrates", "pairs penetrate")
-    gap = f"worst gap {length(worst.distance)}" if worst.distance > 0 else "no gap"
-    return f"{overlap}; {gap}"
+    return f"{overlap}; {f'worst gap {length(gap)}' if gap > 0 else 'no gap'}"
 
 
-def _summary(m: PageData) -> Child:
-    """What the verdict leaves out, in small print."""
-    parts: list[Child] = []
-    if m.details:
-        worst = max(m.details.gaps, key=lambda g: g.distance / g.size)
-        if worst.distance > 0:
-            of = f"The worst gap is {share(worst.distance / worst.size)} of the size of "
-            parts += [of, el("bdi", name_of(worst.id, m.scene)), ", to ", el("bdi", name_of(worst.nearest, m.scene))]
-            parts += [f". Contacts rest {length(2 * DEFAULT_PHYSICS.margin)} apart, the physics engine's margin. "]
-        sunk = max(m.details.gaps, key=lambda g: g.below)
-        if sunk.below > 0:
-            parts += [el("bdi", name_of(sunk.id, m.scene)), f" reaches {length(sunk.below)} under the ground. "]
-    fixed = [name_of(o.id, m.scene) for o in m.scene if o.mobility == "fixed"]
-    if fixed:
-        parts += ["Fixed: ", el("bdi", listed(fixed)), ". "]
-    return el("p", parts, class_="summary") if parts else None
+def _worst(details: Details) -> Gap:
+    return max(details.gaps, key=lambda g: g.distance / g.size)
 
 
-def warnings(m: PageData) -> Markup:
-    """Fallbacks first, then what was left out."""
-    notes: list[Child] = [
-        el(
-            "li",
-            el("b", "Fallback"),
-            f" in {report.stage}, ",
-            about(d.about, m.scene),
-            ": ",
-            told(d.choice),
-            "; ",
-            told(d.reason),
-        )
-        for report in m.result.reports
-        for d in report.fallbacks
-    ]
-    notes += [el("li", el("b", "Excluded"), " mask ", el("bdi", e.mask), ": ", e.reason) for e in m.scene.excluded]
-    notes += _off_their_masks(m)
-    notes += _paid(m)
-    notes += _tipped(m)
-    if skipped := skipped_stages(m):
-        notes.append(el("li", el("b", "Skipped"), f": {listed(skipped)}"))
-    if not notes:
-        return el(
-            "p",
-            "No fallback, no skipped stage, no excluded mask, no object off its mask, moved away from it or tipped.",
-            class_="fine",
-        )
-    return el("ul", notes, class_="warnings")
-
-
-def _off_their_masks(m: PageData) -> list[Child]:
-    """Objects that the photo shows elsewhere."""
-    off = [o for o in m.details.objects if o.IoU_visible < FAR_OFF] if m.details else []
-    return [
-        el(
-            "li",
-            el("b", "Off its mask"),
-            ": ",
-            el("bdi", name_of(o.id, m.scene)),
-            ", visible IoU ",
-            ratio(o.IoU_visible),
-        )
-        for o in off
-    ]
-
-
-def _paid(m: PageData) -> list[Child]:
-    """Objects that contact and physics moved away from where they fitted their masks."""
-    aligned = m.result.scenes.get("align")
-    if aligned is None or not m.details:
+def _moved_off(page: PageData) -> list[tuple[int, float, float]]:
+    aligned = page.result.scenes.get("align")
+    if aligned is None or not page.details:
         return []
-    before, after = visible_ious(aligned), visible_ious(m.scene)
-    return [
-        el(
-            "li",
-            el("b", "Moved off its mask by contact"),
-            ": ",
-            el("bdi", name_of(id, m.scene)),
-            ", visible IoU ",
-            ratio(before[id]),
-            " after align, ",
-            ratio(after[id]),
-            " in the result",
-        )
-        for id in after
-        if before[id] - after[id] > PAID
-    ]
+    before, after = visible_ious(aligned), visible_ious(page.scene)
+    return [(id, before[id], after[id]) for id in after if before[id] - after[id] > PAID]
 
 
-def _tipped(m: PageData) -> list[Child]:
-    """Objects that physics turned over after they were put in place."""
-    placed = m.result.scenes.get("separate")
+def _tipped(page: PageData) -> list[tuple[int, float]]:
+    placed = page.result.scenes.get("separate")
     if placed is None:
         return []
-    leans = ((o, _lean(placed[o.id], o)) for o in m.scene)
-    return [
-        el(
-            "li",
-            el("b", "Tipped or rolled"),
-            ": ",
-            el("bdi", name_of(o.id, m.scene)),
-            f", by {np.degrees(lean):.0f}° since separate",
-        )
-        for o, lean in leans
-        if lean > TIPPED
-    ]
+    leans = {o.id: _lean(placed[o.id], o) for o in page.scene}
+    return [(id, math.degrees(lean)) for id, lean in leans.items() if lean > TOPPLE]
 
 
 def _lean(a: SceneObject, b: SceneObject) -> float:
@@ -181,7 +107,7 @@ def _lean(a: SceneObject, b: SceneObject) -> float:
     return float(np.arccos(np.clip(R[2, 2], -1, 1)))
 
 
-def skipped_stages(m: PageData) -> list[str]:
-    """Stages without a report; parts of stages are not told from their settings."""
-    done = {*(report.stage for report in m.result.reports), *(["evaluate"] if m.result.evaluation else [])}
-    return [name for name in SKIPPABLE if name not in done and "-" not in name]
+def _skipped(page: PageData) -> list[str]:
+    """Stages without a report."""
+    done = {*(x.stage for x in page.result.outcomes), *(["evaluate"] if page.result.evaluation else []), *PARTS}
+    return [name for name in SKIPPABLE if name not in done]

@@ -1,4 +1,4 @@
-"""What the sections of one page share: the result, its sizes, and pictures that are drawn once."""
+"""What sections of the page share: the result, its sizes, and pictures that are drawn once."""
 
 from __future__ import annotations
 
@@ -12,9 +12,7 @@ from f3sr.metrics.measures import Details, ObjectMeasures
 from f3sr.pipeline import Reconstruction
 from f3sr.scene import Scene
 from f3sr.stages.evaluate import direct_composition
-from f3sr.vision.pictures import Backdrop, overlay
-from f3sr.web.figures import img
-from f3sr.web.markup import Markup
+from f3sr.vision.pictures import Backdrop, Image, overlay
 
 SAME = 1e-9
 """Two poses in a camera whose entries differ by less [m] give the same picture."""
@@ -68,17 +66,27 @@ class PageData:
     def direct_details(self) -> Details | None:
         return self.result.evaluation.direct_details if self.result.evaluation else None
 
-    def overlay(self, scene: Scene, alt: str) -> Markup:
-        """Masks against the render, as an image; scenes that look alike share one drawing."""
-        drawn = next((uri for other, uri in self._overlays if look_alike(other, scene)), None)
+    def overlay(self, scene: Scene) -> Image:
+        """Masks against the render; scenes that look alike share one drawing."""
+        drawn = next((picture for other, picture in self._overlays if look_alike(other, scene)), None)
         if drawn is None:
             drawn = overlay(scene, self.backdrop)
             self._overlays.append((scene, drawn))
-        return img(drawn, alt)
+        return drawn
 
     @cached_property
-    def _overlays(self) -> list[tuple[Scene, np.ndarray[tuple[int, ...], np.dtype[np.uint8]]]]:
+    def _overlays(self) -> list[tuple[Scene, Image]]:
         return []
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class View:
+    """A picture on the page; ``note`` follows its title in the caption."""
+
+    picture: Image
+    title: str
+    alt: str = ""
+    note: str = ""
 
 
 def look_alike(a: Scene, b: Scene) -> bool:

@@ -1,1 +1,1 @@
-"""What the report and the player are made of: one document without a network, its markup, pictures and 3-D view."""
+"""What the report and the player share: one document without a network, its template, pictures and 3-D view."""

@@ -1,39 +1,84 @@
-"""A whole HTML document: one file whose policy allows its own style, script and data, and nothing else."""
+"""A whole HTML document from a template: one file whose policy allows its own style, script and data, nothing else.
+
+Templates escape every text. What they print unescaped is marked ``|safe`` and comes from this package.
+"""
 
 from __future__ import annotations
 
 import base64
 import hashlib
-import json
+import unicodedata
+from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
-from string import Template
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from f3sr.web.markup import Child, Markup, join
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 WEB = Path(__file__).parent
-"""Holds the style and scripts that pages share."""
+"""Holds the style, scripts and base template that pages share."""
+LONGEST_TEXT = 600
+"""Characters of a text from outside that are shown."""
+INVISIBLE = {"Cc", "Cs", "Zl", "Zp"}
+"""Unicode categories that no label needs: controls, lone surrogates, line separators."""
+TURNS = set("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
+"""Characters that turn the direction of the text around them."""
 
 
-def document(title: str, body: Child, *, style: Markup, script: Markup, films: bool = False) -> bytes:
-    """The document's bytes. ``films``: whether it may show films, from data of its own."""
+def document(
+    template: Path,
+    values: Mapping[str, Any],
+    *,
+    styles: tuple[Path, ...],
+    scripts: tuple[Path, ...],
+    films: bool = False,
+) -> bytes:
+    """The bytes of the document that ``template`` makes of ``values``, with its files of style and script.
+
+    Other templates are found beside it. ``films``: whether it may show films, from data of its own.
+    """
+    style, script = _joined(styles), _joined(scripts)
     policy = (
         f"default-src 'none'; img-src data:; {'media-src data:; ' if films else ''}"
         f"style-src {_hash(style)}; script-src {_hash(script)}; base-uri 'none'; form-action 'none'"
     )
-    template = Template(part(WEB / "page.html"))
-    text = template.substitute(policy=policy, title=join(title), style=style, script=script, body=join(body))
-    return text.encode("utf-8")
+    page = environment(template.parent).get_template(template.name)
+    return page.render(values, policy=policy, style=style, script=script).encode("utf-8")
 
 
-def data(values: Any) -> Markup:
-    """Plain values as JSON that cannot end its script element."""
-    return Markup(json.dumps(values, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"))
+@cache
+def environment(folder: Path) -> Environment:
+    """Templates of ``folder`` and those that pages share. Every text is cleaned and escaped, also in JSON; a name
+    without a value is an error."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    found = Environment(
+        loader=FileSystemLoader([folder, WEB / "templates"]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_shown,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    found.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
+    return found
 
 
-def part(*files: Path) -> Markup:
-    """A style or script of the package, from some files in order."""
-    return Markup("".join(file.read_text(encoding="utf-8") for file in files))
+def clean(text: str) -> str:
+    """A text from outside with what a page cannot show replaced, and at most ``LONGEST_TEXT`` long."""
+    shown = text if len(text) <= LONGEST_TEXT else text[:LONGEST_TEXT] + " …"
+    return "".join("\ufffd" if unicodedata.category(c) in INVISIBLE or c in TURNS else c for c in shown)
+
+
+def _shown(value: Any) -> Any:
+    """What a template prints of a value: its clean text, or markup as it is."""
+    assert value is not None, "a template says itself what stands for nothing"
+    return value if hasattr(value, "__html__") else clean(str(value))
+
+
+def _joined(files: tuple[Path, ...]) -> str:
+    return "".join(file.read_text(encoding="utf-8") for file in files)
 
 
 def _hash(text: str) -> str:

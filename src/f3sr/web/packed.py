@@ -14,7 +14,7 @@ from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import Array
 from f3sr.vision.pictures import resized
-from f3sr.web.figures import data_uri
+from f3sr.web.data_uri import jpeg_uri
 
 TEXTURE_QUALITY = 80
 LARGEST = 32767
@@ -34,7 +34,7 @@ class TextureIndex:
             self.known[id(texture)] = len(self.uris)
             scale = min(1.0, self.longest / max(texture.shape[:2]))
             height, width = (max(1, round(scale * n)) for n in texture.shape[:2])
-            self.uris.append(data_uri(resized(texture, width, height), TEXTURE_QUALITY))
+            self.uris.append(jpeg_uri(resized(texture, width, height), TEXTURE_QUALITY))
         return self.known[id(texture)]
 
 

@@ -41,10 +41,10 @@ class Separated(Outcome):
 
     @property
     def measures(self) -> tuple[Measure, ...]:
-        margins = [np.degrees(m) for m in self.margin or ()]
+        margins = [np.degrees(self.margin)] if self.margin else []
         return (
             Measure(name="overlapping pairs", before=self.overlaps[0], after=self.overlaps[1]),
-            *(Measure(name="stability margin", before=b, after=a, unit="deg") for b, a in [margins] if margins),
+            *(Measure(name="stability margin", before=b, after=a, unit="deg") for b, a in margins),
             Measure(name="ground moved", after=1000 * self.ground, unit="mm"),
             *(Measure(name="moved", after=1000 * way, unit="mm", about=id) for id, way in self.travel.items()),
             *(Measure(name="scale along viewing rays", after=k, before=1.0, about=id) for id, k in self.scale.items()),
