@@ -66,7 +66,8 @@ def _contact_scale(layout: Placement, id: int, config: SeparateConfig) -> float:
 
     It is the most likely one: distances are known to ``depth_prior.sigma``, places in the picture to
     ``PICTURE_SIGMA``, so k has the least (log k / sigma)^2 + (loss(height(k)) / PICTURE_SIGMA)^2 within its bound. The
-    loss is the IoU that the lift costs; on another object a third term holds it in place. Over the ground height(k) is linear.
+    loss is the IoU that the lift costs; on another object a third term holds it in place. Over the ground height(k) is
+    linear.
     """
     loss = float(np.sqrt(layout.loss(id)[2, 2]))
     sigma = depth_prior.sigma(has_geometry=layout.scene.geometry is not None)
