@@ -12,6 +12,7 @@ import pytest
 from f3sr import pipeline
 from f3sr.core.mesh import ConvexPart
 from f3sr.io import inputs
+from f3sr.physics.settling import SettleConfig
 from f3sr.pipeline import Config, reconstruct
 from f3sr.proxies import Excess
 from f3sr.report import Outcome
@@ -154,7 +155,7 @@ def test_a_changed_setting_repeats_its_stage_and_what_follows(given: inputs.Inpu
     store = Store(tmp_path)
     quick = replace(Config(), refine=replace(Config().refine, rounds=0))
     reconstruct(given, quick, store=store, skip=["evaluate"])
-    other = replace(quick, separate=replace(quick.separate, clearance=1e-3))
+    other = replace(quick, separate=replace(quick.separate, max_ray_scale=0.05))
     assert reconstruct(given, other, store=store, skip=["evaluate"]).resumed == (*STAGES[:5], "inpaint")
     assert reconstruct(given, quick, store=store, skip=["evaluate", "relate"]).resumed == (*STAGES[:3], "inpaint")
 
@@ -188,7 +189,8 @@ def test_keys_change_from_the_stage_on_whose_settings_change(
         monkeypatch.setattr(pipeline, name, lambda scene, config, kind=KINDS[name], **_: (scene, kind()))
     field, value = {
         "align": ("max_yaw", 0.5), "relate": ("max_gap", 0.123), "decompose": ("max_parts", 7),
-        "separate": ("clearance", 1e-3), "settle": ("min_share", 0.2), "close": ("loss", 0.1), "refine": ("rounds", 1),
+        "separate": ("max_ray_scale", 0.05), "settle": ("settling", SettleConfig(rounds=3)), "close": ("loss", 0.1),
+        "refine": ("rounds", 1),
     }[changed]  # fmt: skip
     config, runs = Config(), list[list[str]]()
     other = replace(config, **{changed: replace(getattr(config, changed), **{field: value})})

@@ -41,7 +41,7 @@ REPEATED_BY_REFINE = {"align", "align-objects", "separate", "settle"}
 
 @settings
 class Config:
-    """Every stage's settings."""
+    """Every stage's settings, with the constants of its method that ablations vary."""
 
     assemble: AssembleConfig = field(default_factory=AssembleConfig)
     level: LevelConfig = field(default_factory=LevelConfig)

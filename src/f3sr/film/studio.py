@@ -32,12 +32,11 @@ class FilmConfig:
     """How a film is made."""
 
     longest: Annotated[int, Interval(ge=16, le=4096)] = 1920
-    """Longer side of a film [px]; of a larger photo it is a smaller picture, which players and time bear better."""
+    """Longer side of a film [px]. Larger photos are filmed smaller."""
     slow: Annotated[float, Interval(ge=0.125, le=100)] = 1.0
-    """How many times slower than life; then the factor is written on the picture."""
+    """Slow-motion factor; where it is not 1 the picture says it."""
     still: Annotated[float, Interval(ge=0, le=1)] = 0.1
-    """How far an object must be seen from where it was drawn to be drawn anew [px]: engines creep and tremble at rest,
-    and samples lie half a pixel apart."""
+    """Least motion in the picture for which an object is drawn anew [px]. Engines creep and tremble at rest."""
     render: RenderConfig = field(default_factory=RenderConfig)
 
 

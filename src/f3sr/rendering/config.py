@@ -1,4 +1,4 @@
-"""What of the picture may be set: samples, shadows and how the light is looked for."""
+"""What of the picture may be set: samples, shadows and the search for the light."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ class LightConfig:
     """How the light of the photo is found."""
 
     enabled: bool = True
-    """Whether light is looked for; else textures are shown as they are, and shadows fall from the default light."""
+    """Fit the light of the photo. Without, textures stay as they are and shadows fall from the default light."""
     samples: Annotated[int, Interval(ge=200, le=100_000)] = 6000
-    """Pixels of objects, and as many of the ground, that the light is fitted to."""
+    """Most pixels of objects, and as many of the ground, to which the light is fitted."""
     least_gain: Annotated[float, Interval(ge=0, le=1)] = 0.02
-    """By which share a light with a direction must lower the misfit against light without one."""
+    """Least share of the misfit by which a directed light must beat light without a direction."""
 
 
 @settings
@@ -27,13 +27,13 @@ class ShadowConfig:
     """How finely shadows are drawn."""
 
     enabled: bool = True
-    """Whether objects cast shadows."""
+    """Draw the shadows of objects."""
     map_size: Annotated[int, Interval(ge=64, le=2048)] = 384
-    """Side of the map of every light [texel]; maps cover the scene at rest 1.6 times."""
+    """Side of every light's shadow map [texel]. A map covers 1.6 times the scene at rest."""
     caster_faces: Annotated[int, Interval(ge=50, le=100_000)] = 800
-    """Triangles per object that cast shadows of the direct light: what is finer than a map's texel is lost anyway."""
+    """Most triangles of an object that cast direct shadows. What is finer than a texel is lost anyway."""
     sky_caster_faces: Annotated[int, Interval(ge=50, le=100_000)] = 250
-    """Triangles per object that cast shadows of the sky, which are wide and soft."""
+    """Most triangles of an object that cast shadows of the sky, which are wide and soft."""
 
 
 @settings
@@ -43,8 +43,8 @@ class RenderConfig:
     samples: Annotated[int, Interval(ge=1, le=4)] = 2
     """Samples along each side of a pixel."""
     near: Annotated[float, Interval(gt=0, le=1)] = 0.01
-    """Distance of the near plane [m]: what is nearer to the camera is not drawn."""
+    """Distance of the near plane [m]. What is nearer to the camera is not drawn."""
     crease: Annotated[float, Interval(ge=0, le=3.1416)] = 0.7
-    """Angle between triangles from which their edge is seen [rad]."""
+    """Least angle between triangles at which their common edge is seen [rad]."""
     shadows: ShadowConfig = field(default_factory=ShadowConfig)
     light: LightConfig = field(default_factory=LightConfig)

@@ -31,7 +31,7 @@ TRIES = 2
 STEPS = 24
 """Most contacts cut free, one after the other, while one object is lowered."""
 WORTH = 2.0
-"""Loss of visible IoU that is worth closing the widest gap, per size of the object above it."""
+"""Loss of visible IoU allowed per closed gap, in sizes of the object above it."""
 
 
 @constants
