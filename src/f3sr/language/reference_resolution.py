@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from f3sr.goals.refusal import Reason, Refusal, listed, quoted
 from f3sr.language.grammar import noun_lexicon
-from f3sr.language.grammar.colours import NAMED
 from f3sr.language.grammar.normaliser import canonical, plain, spoken
 from f3sr.language.grammar.referring_expressions import Phrase, parsed
 from f3sr.language.grammar.request import Request
+from f3sr.language.grammar.vocabulary import adjectives, nouns
 from f3sr.language.object_queries import Sight
 from f3sr.scene import GROUND, Scene
 
@@ -112,7 +112,8 @@ def _matching(phrase: Phrase, sight: Sight) -> list[int] | Refusal:
 
 def _described(phrase: Phrase, ids: list[int], sight: Sight) -> list[int] | Refusal:
     """Those of some objects that a phrase's adjectives fit: colours and relations first, order last."""
-    coloured = [id for id in ids if all(set(NAMED[c]) & set(sight.colours(id)) for c in phrase.colours)]
+    meant = [set(adjectives().colours_of[word]) for word in phrase.colours]
+    coloured = [id for id in ids if all(colours.intersection(sight.colours(id)) for colours in meant)]
     if not coloured:
         return _none_such(phrase, f"none of {len(ids)} is {' and '.join(phrase.colours)}", ids, sight)
     ids = coloured
@@ -151,7 +152,7 @@ def _called(phrase: Phrase, sight: Sight) -> tuple[list[int], list[int]]:
         best = min(known.values())
         return [id for id in known if known[id] == best], [id for id in known if known[id] in (best, 0, 2, 3)]
     name, *more = phrase.names
-    ids = [GROUND] if name in noun_lexicon.GROUND_NAMES else _shaped(noun_lexicon.singular(name), sight)
+    ids = [GROUND] if name in nouns().ground else _shaped(noun_lexicon.singular(name), sight)
     return ([], []) if more else (ids, ids)
 
 

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import cast
 
 from f3sr.goals.plan import Kind
 from f3sr.goals.refusal import Reason, Refusal, quoted
-from f3sr.language.grammar.clause_arguments import DIRECTIONS, DROPPED, PLACED, Clause
-from f3sr.language.grammar.directions import Direction, contradict
+from f3sr.language.grammar.clauses import DIRECTIONS, DROPPED, PLACED, Clause
 from f3sr.language.grammar.normaliser import spoken
-from f3sr.language.grammar.noun_lexicon import GROUND_NAMES
 from f3sr.language.grammar.outcome_clauses import IT, continued, several
-from f3sr.language.grammar.referring_expressions import AT, ORDERS, RELATIONS
-from f3sr.language.grammar.request import Preposition, Request, WantedOutcome
-from f3sr.language.grammar.verb_lexicon import STRIKES, Family
+from f3sr.language.grammar.request import OPPOSITE, Preposition, Request, WantedOutcome
+from f3sr.language.grammar.vocabulary import Direction, Family, adjectives, directions, nouns, verbs
 
-MOVED: set[Family] = {"push", "pull", "roll", *DROPPED}
+HITTING: frozenset[Family] = frozenset(("hit", "push", "pull", "tip", "collide"))
+"""Families that may say what is hit with what."""
+MOVED: frozenset[Family] = DROPPED | {"push", "pull", "roll"}
 """Families that may say where to by another object's place."""
 FORWARD: dict[Family, Direction] = {"pull": "towards"}
 """Where a verb leads when nothing else says so."""
@@ -42,7 +40,7 @@ def request(clauses: Sequence[Clause], *, let: bool = False) -> Request | Refusa
 def _lifted(lift: Clause, then: Clause) -> Clause | None:
     """``lift the can and drop it on the box`` is one goal of the second verb; None for two goals."""
     what, _, above = (lift.object or lift.subject).partition(" above ")
-    before = [("onto", above)] if above else [t for t in lift.targets if t[0] != "off"]
+    before: list[tuple[Preposition, str]] = [("onto", above)] if above else [t for t in lift.targets if t[0] != "off"]
     if then.object.split()[:1] == ["it"]:
         then = replace(then, object=" ".join([what, *then.object.split()[1:]]))
     elif then.subject in IT and then.object in IT:
@@ -65,7 +63,7 @@ def _placed(c: Clause) -> Clause:
     at = next((i for i in reversed(range(len(words))) if words[i] in PLACED), None)
     if c.targets or c.family not in DROPPED | {"roll"} or at is None or at + 1 >= len(words):
         return c
-    if (words[at + 1] in ORDERS and at + 2 == len(words)) or (c.family == "roll" and words[at] != "in"):
+    if (words[at + 1] in adjectives().orders and at + 2 == len(words)) or (c.family == "roll" and words[at] != "in"):
         return c
     return replace(c, object=" ".join(words[:at]), targets=[(PLACED[words[at]], " ".join(words[at + 1 :]))])
 
@@ -90,15 +88,16 @@ def _left(c: Clause) -> Clause:
 
 def _unnamed(c: Clause) -> Refusal | None:
     """What is missing: the object, a target, a name in it."""
-    if not c.object or c.object.split()[0] in RELATIONS | AT:
+    opening = directions().relations | directions().at
+    if not c.object or c.object.split()[0] in opening:
         return _refused("grammar", f"the goal does not say what to {c.verb}; accepted: '{c.verb} the red cup ...'")
     if (c.off or c.family == "collide") and not c.targets:
         return _refused("grammar", f"the goal does not say {'off' if c.off else 'with'} what; accepted: a thing's name")
     for preposition, words in c.targets:
-        if all(w in ORDERS for w in words.split()) and words:
+        if all(w in adjectives().orders for w in words.split()) and words:
             found = f"{quoted(spoken(f'{preposition} {words}'))} names nothing"
             return _refused("direction", f"{found}; accepted: {DIRECTIONS}, or a thing's name")
-        if not words or words.split()[0] in RELATIONS | AT:
+        if not words or words.split()[0] in opening:
             found = f"nothing is named after {quoted(spoken(preposition))}"
             return _refused("grammar", f"{found}; accepted: a thing's name")
     return None
@@ -106,22 +105,21 @@ def _unnamed(c: Clause) -> Refusal | None:
 
 def _sides_of(c: Clause) -> Clause:
     """One pattern for ``hit Y with X``, ``X hits Y`` and ``X falls``: the object is set off."""
-    over = c.over or c.family == "tip"
-    hitting = c.family in ("hit", "push", "pull", "tip", "collide")
-    if c.family == "collide" and not c.targets and not c.tool and " and " in c.object:
+    over, hitting = c.over or c.family == "tip", c.family in HITTING
+    if c.family == "collide" and " and " in c.object and not (c.targets or c.tool):
         first, _, second = c.object.partition(" and ")
-        return replace(c, object=first, targets=[("into", second)])
+        return _into(c, first, second)
     if c.tool and c.family == "collide":
-        return replace(c, subject="", object=c.subject or c.object, targets=[("into", c.tool), *c.targets], tool="")
+        return _into(replace(c, subject="", tool=""), c.subject or c.object, c.tool)
     if c.tool and hitting:
-        return replace(c, object=c.tool, targets=[("into", c.object), *c.targets], tool="", family="hit", over=over)
+        return _into(replace(c, tool="", family="hit", over=over), c.tool, c.object)
     if c.subject and c.object and hitting:
-        return replace(
-            c, subject="", object=c.subject, targets=[("into", c.object), *c.targets], family="hit", over=over
-        )
-    if c.subject and not c.object:
-        return replace(c, subject="", object=c.subject)
-    return c
+        return _into(replace(c, subject="", family="hit", over=over), c.subject, c.object)
+    return c if c.object else replace(c, subject="", object=c.subject)
+
+
+def _into(c: Clause, active: str, struck: str) -> Clause:
+    return replace(c, object=active, targets=[("into", struck), *c.targets])
 
 
 def _of_family(c: Clause, *, let: bool) -> Request | Refusal:
@@ -163,7 +161,7 @@ def _from_above(c: Clause) -> Request:
 
 
 def _pushed(c: Clause, preposition: str | None) -> Request | Refusal:
-    if c.directions == ["up"] and not (c.targets or c.over) and (c.family == "hit" or c.verb in STRIKES):
+    if c.directions == ["up"] and not (c.targets or c.over) and (c.family == "hit" or c.verb in verbs().strikes):
         return _request("launch_and_return", c)
     if {"up", "down"} & set(c.directions):
         return _refused("direction", "pushing goes along the ground; accepted: left, right, away from me, towards me")
@@ -197,12 +195,12 @@ def _fallen(c: Clause, *, let: bool, off: bool) -> Request | Refusal:
 
 def _unclear(c: Clause) -> Refusal | None:
     """A place beside another object, of which nobody can tell whether it says which one or where to."""
-    relation = next((w for w in c.object.split() if w in RELATIONS and w != "with"), None)
+    relation = next((w for w in c.object.split() if w in directions().relations and w != "with"), None)
     if relation is None or _is_lifted(c) or c.family not in MOVED or c.targets or c.directions or c.over:
         return None
     anchor = c.object.partition(f"{relation} ")[2]
     told = relation in ("under", "nearest-to", "farthest-from")
-    if told or anchor in GROUND_NAMES or anchor in ORDERS:
+    if told or anchor in nouns().ground or anchor in adjectives().orders:
         return None
     where = "into" if relation == "in" else "onto" if relation == "on" else "towards"
     message = (
@@ -218,13 +216,13 @@ def _request(kind: Kind, c: Clause) -> Request:
         kind=kind,
         active=c.object,
         target=target,
-        preposition=cast(Preposition | None, preposition),
+        preposition=preposition,
         direction=tuple(dict.fromkeys(c.directions)),
     )
 
 
 def _checked(r: Request) -> Request | Refusal:
-    if contradict(r.direction):
+    if any(OPPOSITE[d] in r.direction for d in r.direction):
         return _refused("contradiction", f"the goal leads {' and '.join(r.direction)} at once; accepted: one of them")
     if {"up", "down"} & set(r.direction) and r.kind in ("roll", "topple", "slide", "push_into"):
         return _refused("direction", f"{spoken(r.kind)} goes along the ground; accepted: left, right, away, towards me")

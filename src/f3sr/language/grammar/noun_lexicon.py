@@ -1,142 +1,34 @@
-"""What things are called: everyday synonyms, kinds of things, and how well a name fits an object's label."""
+"""How well a name fits the label of an object: plurals, synonyms, kinds of things, and how words are misspelt."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
-from f3sr.language.grammar.normaliser import each
+from f3sr.language.grammar.vocabulary import nouns
 
-SYNONYMS = """
-cup mug beaker teacup
-can tin
-box carton package packet pack case parcel
-ball sphere orb globe
-bowl basin dish
-plate dish saucer platter
-bottle flask
-jug pitcher
-pan frypan skillet fryingpan
-pot saucepan
-cube block
-lego duplo brick block
-brick block
-padlock lock
-wrench spanner
-screwdriver driver
-airplane aeroplane plane aircraft
-bin basket trashcan wastebasket dustbin
-microwave oven
-couch sofa settee
-tv television
-monitor screen display
-phone telephone cellphone smartphone mobile
-laptop computer notebook
-glass tumbler goblet
-shoe sneaker trainer
-bag sack pouch
-lamp light
-book notebook novel
-sponge foam
-cooker stove
-faucet tap
-rug carpet
-container tub
-detergent cleanser cleaner
-remote controller
-tube stick
-spatula turner
-stapler
-vase urn
-chair seat
-stool seat
-cupboard cabinet
-backpack rucksack
-rubiks rubik puzzle
-cracker cheezit
-gelatin jello
-soup campbell
-meat spam
-mustard french
-ketchup heinz
-spray windex
-tissue kleenex
-marker sharpie pen
-soda cola coke pepsi
-chips pringles
-bleach clorox
-candle
-doll figure figurine
-teddy teddybear bear
-"""
-"""A line holds names of one thing, those of brands too; a name may stand in several."""
-KINDS = {
-    "fruit": "apple lemon orange strawberry banana pear peach plum lime kiwi mango melon grape",
-    "food": "apple lemon orange strawberry banana pear peach plum cheese macaroni bread cake ketchup mustard soup meat",
-    "bottle": "cleanser ketchup mustard shampoo windex detergent vinegar sauce",
-    "box": "macaroni cereal cracker gelatin tissue pizza",
-    "can": "soup spam tuna soda cola beer",
-    "silverware": "spoon fork knife",
-    "tool": "hammer wrench spanner screwdriver pliers saw drill scissors spatula clamp",
-    "vessel": "bowl cup mug pan pot glass vase jug bottle",
-    "container": "bowl cup mug pan pot glass vase jug bottle box can bin basket bag tub",
-    "toy": "airplane lego duplo cube doll teddy car train",
-    "cutlery": "spoon fork knife",
-    "utensil": "spoon fork knife spatula ladle whisk",
-    "dish": "bowl plate cup mug pan",
-    "furniture": "chair table sofa couch desk stool shelf cabinet bed lamp",
-    "vehicle": "car truck bus van bike motorcycle airplane",
-    "packaging": "box can bottle carton",
-}
-"""Wider names of things."""
-SHAPES = {
-    "vessel": "bowl cup mug pan pot glass vase jug dish container",
-    "box": "carton package block cube brick book",
-    "ball": "sphere orb apple orange",
-    "cylinder": "can tin cup mug bottle jar tube",
-    "disc": "plate lid dish saucer",
-    "piece": "plate book stick pen spoon",
-}
-"""What an object without a label may be called by its shape in the scene graph."""
-COMPOUNDS = {
-    ("trash", "can"): "trashcan",
-    ("garbage", "can"): "trashcan",
-    ("frying", "pan"): "fryingpan",
-    ("fry", "pan"): "frypan",
-    ("teddy", "bear"): "teddybear",
-    ("cell", "phone"): "cellphone",
-    ("cheez", "it"): "cheezit",
-    ("jell", "o"): "jello",
-}
-GROUND_NAMES = set(each("ground floor table tabletop desk surface counter countertop worktop worksurface"))
-ANYTHING = set(each("one object thing item stuff body"))
-FEW = set(each("scissors pliers glasses trousers jeans shorts headphones tongs goggles tweezers"))
-"""Plural words for a single thing."""
-
-_RELATED = [set(line.split()) for line in SYNONYMS.split("\n")]
+ENDINGS = (("ies", "y"), *((e, e[:-2]) for e in ("xes", "ches", "shes", "sses", "zes")), ("s", ""))
+"""Endings of plurals, and those of the singular, in this order."""
 
 
 def compounded(words: Sequence[str]) -> tuple[str, ...]:
     """Words with those of two parts as one."""
     joined: list[str] = []
     for word in words:
-        if joined and (joined[-1], word) in COMPOUNDS:
-            joined[-1] = COMPOUNDS[joined[-1], word]
-        else:
-            joined.append(word)
+        whole = nouns().compounds.get(f"{joined[-1]} {word}") if joined else None
+        joined[-1 if whole else len(joined) :] = [whole or word]
     return tuple(joined)
 
 
 def singular(word: str) -> str:
     """``boxes`` is ``box``; a word that is no plural comes back."""
-    if word in FEW or len(word) < 4 or word.endswith(("ss", "us", "is")) or not word.endswith("s"):
+    if word in nouns().plurals:
+        return nouns().plurals[word]
+    if word in nouns().pairs or len(word) < 4 or word.endswith(("ss", "us", "is")):
         return word
-    if word.endswith("ies"):
-        return word[:-3] + "y"
-    if word.endswith(("xes", "ches", "shes", "sses", "zes")):
-        return word[:-2]
-    if word.endswith("ves"):
-        return {"knives": "knife", "loaves": "loaf", "shelves": "shelf"}.get(word, word[:-1])
-    return word[:-1]
+    for ending, replacement in ENDINGS:
+        if word.endswith(ending):
+            return word.removesuffix(ending) + replacement
+    return word
 
 
 def fit(names: Sequence[str], label: Sequence[str]) -> int | None:
@@ -147,26 +39,22 @@ def fit(names: Sequence[str], label: Sequence[str]) -> int | None:
         return None
     if set(wanted) <= set(had):
         return 0 if wanted[-1] == had[-1] else 1
-    if all(w in had or synonyms(w) & set(had) for w in wanted):
+    meant = [not synonyms(w).isdisjoint(had) for w in wanted]
+    if all(meant):
         return 2
-    kinds = set(KINDS.get(wanted[-1], "").split())
-    rest = all(w in had or synonyms(w) & set(had) for w in wanted[:-1])
-    return 3 if rest and kinds & _with_synonyms(had) else None
+    kinds = nouns().kinds.get(wanted[-1], frozenset[str]())
+    return 3 if all(meant[:-1]) and any(not kinds.isdisjoint(synonyms(w)) for w in had) else None
 
 
 def fits_shape(name: str, description: str) -> bool:
     """Whether something without a label may be called so, by its shape in the scene graph."""
     shape = description.partition(",")[0].split()[-1:]
-    return bool(shape) and (name in shape or name in SHAPES.get(shape[0], "").split())
+    return bool(shape) and (name in shape or name in nouns().shapes.get(shape[0], ()))
 
 
-def synonyms(word: str) -> set[str]:
-    """The other names of a thing."""
-    found: set[str] = set()
-    for line in _RELATED:
-        if word in line:
-            found |= line
-    return found - {word}
+def synonyms(word: str) -> frozenset[str]:
+    """The names of a thing, the word among them."""
+    return frozenset((word,)).union(*(line for line in nouns().synonyms if word in line))
 
 
 def distance(a: str, b: str, most: int = 24) -> int:
@@ -183,7 +71,3 @@ def distance(a: str, b: str, most: int = 24) -> int:
             row.append(best)
         rows.append(row)
     return rows[-1][-1]
-
-
-def _with_synonyms(words: Iterable[str]) -> set[str]:
-    return {s for w in words for s in synonyms(w) | {w}}

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import cast
 
 from f3sr.goals.plan import Kind
 from f3sr.goals.refusal import Refusal
-from f3sr.language.grammar.clause_arguments import Clause
+from f3sr.language.grammar.clauses import Clause
 from f3sr.language.grammar.request import Preposition, Request, WantedOutcome, What
-from f3sr.language.grammar.verb_lexicon import Family
+from f3sr.language.grammar.vocabulary import Family
 
 IT = {"", "it", "itself", "them"}
 RETURNING: set[Family] = {"fall", "return", "throw", "drop"}
@@ -69,7 +68,7 @@ def _ended(r: Request, c: Clause) -> Request | Refusal:
         r = replace(r, kind="bounce")
     elif c.family not in RETURNING:
         return several()
-    return _with_target(r, cast(Preposition, preposition), target)
+    return _with_target(r, preposition, target)
 
 
 def _with_target(r: Request, preposition: Preposition, target: str) -> Request:

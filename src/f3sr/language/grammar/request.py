@@ -5,12 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from f3sr.goals.plan import Kind
+from f3sr.goals.plan import Kind, Manner
 from f3sr.goals.plan import Way as Preposition
-from f3sr.language.grammar.directions import Direction
-from f3sr.language.grammar.quantities import Amount, Manner, Vague
+from f3sr.language.grammar.quantities import Amount
+from f3sr.language.grammar.vocabulary import Direction, Vague
 
 What = Literal["topple", "move", "roll", "bounce", "return"]
+
+
+OPPOSITE: dict[Direction, Direction] = {
+    "left": "right",
+    "right": "left",
+    "away": "towards",
+    "towards": "away",
+    "up": "down",
+    "down": "up",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
