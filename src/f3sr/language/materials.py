@@ -10,9 +10,9 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
+from f3sr.language.grammar.lexicon import read
 from f3sr.language.grammar.normaliser import words_of
-from f3sr.language.grammar.noun_lexicon import singular
-from f3sr.language.grammar.vocabulary import read
+from f3sr.language.grammar.nouns import singular
 from f3sr.scene_package.bounds import Density, Friction, RollingFriction, Share
 
 Structure = Literal["solid", "hollow"]
@@ -63,7 +63,7 @@ class Materials(BaseModel):
 @cache
 def materials() -> Materials:
     """The materials. Raises InputError where the file is not as it should be."""
-    return read("materials", Materials)
+    return read(Materials, "materials")
 
 
 def material_of(label: str) -> MaterialPrior | None:

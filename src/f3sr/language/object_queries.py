@@ -9,11 +9,11 @@ import numpy as np
 
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import UP, Array
+from f3sr.language.grammar.lexicon import Axis, Direction, lexicon
 from f3sr.language.grammar.normaliser import canonical, words_of
-from f3sr.language.grammar.noun_lexicon import compounded
+from f3sr.language.grammar.nouns import compounded
 from f3sr.language.grammar.referring_expressions import PLACES
 from f3sr.language.grammar.request import OPPOSITE
-from f3sr.language.grammar.vocabulary import Axis, Direction, adjectives
 from f3sr.scene import GROUND, Scene
 from f3sr.vision.colour_terms import Colour, colours_of
 
@@ -72,8 +72,8 @@ class Sight:
         """What colours an object may be called by: those that the photo shows and those of its label."""
         if id not in self._colours:
             seen = colours_of(self.scene.photo.rgb[self.scene[id].mask])
-            said = [c for word in self.labels[id] for c in adjectives().colours_of.get(word, ())]
-            self._colours[id] = tuple(dict.fromkeys((*seen, *said)))
+            said = [c for word in self.labels[id] for c in lexicon().colours_of.get(word, ())]
+            self._colours[id] = (*seen, *(c for c in said if c not in seen))
         return self._colours[id]
 
     def picked(self, axis: Axis, rank: int, ids: Sequence[int]) -> list[int]:

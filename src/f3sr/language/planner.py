@@ -14,11 +14,11 @@ from f3sr.goals.refusal import Refusal
 from f3sr.goals.scene_layout import SceneLayout
 from f3sr.language import success_conditions
 from f3sr.language.feasibility import impossible
+from f3sr.language.grammar.lexicon import Direction
 from f3sr.language.grammar.normaliser import spoken
 from f3sr.language.grammar.parser import understand
 from f3sr.language.grammar.quantities import Amount
 from f3sr.language.grammar.request import Request
-from f3sr.language.grammar.vocabulary import Direction
 from f3sr.language.meant import Meant
 from f3sr.language.object_queries import world_vector
 from f3sr.language.reference_resolution import names, resolve_request

@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from f3sr.goals.refusal import Reason, Refusal, listed, quoted
-from f3sr.language.grammar import noun_lexicon
+from f3sr.language.grammar import nouns
+from f3sr.language.grammar.lexicon import lexicon
 from f3sr.language.grammar.normaliser import canonical, plain, spoken
 from f3sr.language.grammar.referring_expressions import Phrase, parsed
 from f3sr.language.grammar.request import Request
-from f3sr.language.grammar.vocabulary import adjectives, nouns
 from f3sr.language.object_queries import Sight
 from f3sr.scene import GROUND, Scene
 
@@ -84,7 +84,7 @@ def _resolved(phrase: str, sight: Sight, active: int | None) -> int | Refusal:
 
 def _meant(words: str, sight: Sight) -> tuple[list[int], bool] | Refusal:
     """All objects that canonical words fit, at least one, and whether the words mean several."""
-    tokens = noun_lexicon.compounded(words.split())
+    tokens = nouns.compounded(words.split())
     if len(tokens) > 1 and (labelled := [id for id, label in sight.labels.items() if label == tokens]):
         return labelled, False
     phrase = parsed(words, sight.vocabulary)
@@ -112,7 +112,7 @@ def _matching(phrase: Phrase, sight: Sight) -> list[int] | Refusal:
 
 def _described(phrase: Phrase, ids: list[int], sight: Sight) -> list[int] | Refusal:
     """Those of some objects that a phrase's adjectives fit: colours and relations first, order last."""
-    meant = [set(adjectives().colours_of[word]) for word in phrase.colours]
+    meant = [set(lexicon().colours_of[word]) for word in phrase.colours]
     coloured = [id for id in ids if all(colours.intersection(sight.colours(id)) for colours in meant)]
     if not coloured:
         return _none_such(phrase, f"none of {len(ids)} is {' and '.join(phrase.colours)}", ids, sight)
@@ -146,26 +146,26 @@ def _called(phrase: Phrase, sight: Sight) -> tuple[list[int], list[int]]:
     if phrase.id is not None or not phrase.names:
         ids = [id for id in everything if phrase.id in (None, id)]
         return ids, ids
-    fits = {id: noun_lexicon.fit(phrase.names, label) for id, label in sight.labels.items()}
+    fits = {id: nouns.fit(phrase.names, label) for id, label in sight.labels.items()}
     known = {id: level for id, level in fits.items() if level is not None}
     if known:
         best = min(known.values())
         return [id for id in known if known[id] == best], [id for id in known if known[id] in (best, 0, 2, 3)]
     name, *more = phrase.names
-    ids = [GROUND] if name in nouns().ground else _shaped(noun_lexicon.singular(name), sight)
+    ids = [GROUND] if name in lexicon().ground else _shaped(nouns.singular(name), sight)
     return ([], []) if more else (ids, ids)
 
 
 def _shaped(name: str, sight: Sight) -> list[int]:
     """Objects without a label by their form."""
-    return [id for id, description in sight.shapes.items() if noun_lexicon.fits_shape(name, description)]
+    return [id for id, description in sight.shapes.items() if nouns.fits_shape(name, description)]
 
 
 def _plural_noun(phrase: Phrase, sight: Sight) -> bool:
     """``the cups``; what is itself a label's plural, or like ``crackers`` only a part of one, names one thing."""
     head = phrase.names[-1:]
-    several = any(noun_lexicon.singular(n) != n and n not in sight.vocabulary for n in head)
-    return several and any(noun_lexicon.fit(phrase.names, label) in (0, 2, 3) for label in sight.labels.values())
+    several = any(nouns.singular(n) != n and n not in sight.vocabulary for n in head)
+    return several and any(nouns.fit(phrase.names, label) in (0, 2, 3) for label in sight.labels.values())
 
 
 # --- refusals -----------------------------------------------------------------------------------------------------
@@ -199,7 +199,7 @@ def _unknown(phrase: Phrase, sight: Sight) -> Refusal:
 def _nearest_names(phrase: Phrase, sight: Sight) -> list[int]:
     """Objects of which a word of the label is spelt much like one of the phrase's, the likest first."""
     far = {
-        id: min((noun_lexicon.distance(a, b) / max(len(a), len(b)) for a in phrase.names for b in label), default=1.0)
+        id: min((nouns.distance(a, b) / max(len(a), len(b)) for a in phrase.names for b in label), default=1.0)
         for id, label in sight.labels.items()
     }
     return [id for id in sorted(far, key=lambda id: far[id]) if far[id] <= 0.4][:3]

@@ -18,9 +18,9 @@ from dataclasses import dataclass, field
 from typing import cast
 
 from f3sr.goals.refusal import Refusal, quoted
+from f3sr.language.grammar.lexicon import Direction, Family, lexicon
 from f3sr.language.grammar.normaliser import spoken
 from f3sr.language.grammar.request import OPPOSITE, Preposition
-from f3sr.language.grammar.vocabulary import Direction, Family, adjectives, directions, nouns, phrases, verbs
 
 PARTICLES = ("over", "down", "off")
 DIRECTIONS = "left, right, away from me, towards me, to the back left"
@@ -58,7 +58,7 @@ def clause(tokens: Sequence[str]) -> Clause | Refusal:
     at = _verb_at(tokens)
     if isinstance(at, Refusal):
         return at
-    verb, family = verbs().forms[tokens[at]]
+    verb, family = lexicon().forms[tokens[at]]
     subject, passive = _subject(tokens[:at], tokens[at])
     scan = _Scan(tokens=tokens, at=at + 1, clause=Clause(verb=verb, family=family, subject=subject))
     if refused := scan.run():
@@ -72,20 +72,20 @@ def clause(tokens: Sequence[str]) -> Clause | Refusal:
 
 def starts_clause(token: str) -> bool:
     """Whether a clause may begin with a word."""
-    return token in verbs().forms or token in verbs().refused.other or token in ("let", "make", "have", "it", "cause")
+    return token in lexicon().forms or token in lexicon().other_verbs or token in ("let", "make", "have", "it", "cause")
 
 
 def other(word: str) -> Refusal:
     """The refusal of what is no motion."""
-    message = f"{quoted(word)} asks for something else than a motion; accepted verbs: {verbs().shown}"
+    message = f"{quoted(word)} asks for something else than a motion; accepted verbs: {lexicon().shown_verbs}"
     return Refusal(reason="other", message=message)
 
 
 def _verb_at(tokens: Sequence[str]) -> int | Refusal:
     """Where the verb is: first, or after a subject; of two that follow each other the first is a noun (the toilet
     roll falls)."""
-    words, forms = [t for t in tokens if t != "|"], verbs().forms
-    if words and words[0] in verbs().refused.other:
+    words, forms = [t for t in tokens if t != "|"], lexicon().forms
+    if words and words[0] in lexicon().other_verbs:
         return other(words[0])
     found = [i for i, t in enumerate(tokens) if t in forms]
     if not found:
@@ -95,20 +95,20 @@ def _verb_at(tokens: Sequence[str]) -> int | Refusal:
 
 
 def _no_verb(words: Sequence[str]) -> Refusal:
-    if not verbs().refused.foreign.isdisjoint(words):
+    if not lexicon().foreign.isdisjoint(words):
         return Refusal(reason="language", message="the goal does not seem to be English; accepted: English")
     found = f"no verb in {quoted(spoken(' '.join(words)))}" if words else "no verb"
-    return Refusal(reason="verb", message=f"{found}; accepted: {verbs().shown}")
+    return Refusal(reason="verb", message=f"{found}; accepted: {lexicon().shown_verbs}")
 
 
 def _subject(words: Sequence[str], verb: str) -> tuple[str, bool]:
     """The words before a verb without auxiliaries, and whether the verb is passive."""
     end = len(words)
-    while end > 1 and words[end - 1] in (*phrases().auxiliaries, *phrases().passive, "|"):
+    while end > 1 and words[end - 1] in (*lexicon().auxiliaries, *lexicon().passive, "|"):
         end -= 1
-    passive = not phrases().passive.isdisjoint(words[end:]) and not verb.endswith("ing")
+    passive = not lexicon().passive.isdisjoint(words[end:]) and not verb.endswith("ing")
     subject = " ".join(w for w in words[:end] if w != "|")
-    return ("" if subject in phrases().nobody else subject), passive
+    return ("" if subject in lexicon().nobody else subject), passive
 
 
 @dataclass(kw_only=True)
@@ -141,12 +141,12 @@ class _Scan:
 
     def _ends(self, ahead: int) -> bool:
         """Whether no noun follows so many words on."""
-        word, known = self._word(ahead), directions()
+        word, known = self._word(ahead), lexicon()
         ends = word in known.targets or word in known.headings or word in known.relations or word in known.at
-        return ends or word in ("", "|", "by", "and", *PARTICLES) or word in phrases().fillers
+        return ends or word in ("", "|", "by", "and", *PARTICLES) or word in lexicon().fillers
 
     def _pause(self) -> int:
-        if self._word() != "|" and self._word() not in phrases().fillers:
+        if self._word() != "|" and self._word() not in lexicon().fillers:
             return 0
         self.closed |= self._word() == "|" and bool(self.slot)
         return 1
@@ -161,7 +161,7 @@ class _Scan:
 
     def _heading(self) -> Found | None:
         """``upwards``, ``away from me``, ``towards the camera``"""
-        word, then, known = self._word(), self._word(1), directions()
+        word, then, known = self._word(), self._word(1), lexicon()
         if word in known.viewer and self.role == "object" and not self.slot:
             return ["towards"], 1
         further = then in known.headings or then in known.sides or then in ("to", "towards", "away-from")
@@ -183,18 +183,18 @@ class _Scan:
 
     def _bare_side(self) -> Found | None:
         """``push the cup left``, ``make the ball roll right``, but not ``the left cup`` or ``right into``."""
-        sides, at = self._sides(0), directions().at
+        sides, at = self._sides(0), lexicon().at
         if not sides or (self.slot and self.slot[-1] in at):
             return None
-        if self._word() == "right" and self._word(1) in directions().targets:
+        if self._word() == "right" and self._word(1) in lexicon().targets:
             return [], 1
-        named = any(w not in adjectives().orders and w not in at for w in self.slot)
+        named = any(w not in lexicon().orders and w not in at for w in self.slot)
         named = named or (self.clause.subject and not self.slot) or self.closed or self.clause.directions
         return (sides, len(sides)) if named else None
 
     def _from_side(self) -> Found | None:
         """``hit it from the left`` sends it right; ``the second from the left`` is a phrase."""
-        ranked = any(w in (*adjectives().ranks, "last") or w[:1].isdigit() for w in self.slot)
+        ranked = any(w in (*lexicon().ranks, "last") or w[:1].isdigit() for w in self.slot)
         if self._word() != "from" or ranked:
             return None
         if self._word(1) in ("above", "behind"):
@@ -205,8 +205,8 @@ class _Scan:
     def _sides(self, ahead: int) -> list[Direction]:
         """The sides so many words on; none where a noun follows them."""
         sides: list[Direction] = []
-        while (word := self._word(ahead + len(sides))) in directions().sides:
-            sides.append(directions().sides[word])
+        while (word := self._word(ahead + len(sides))) in lexicon().sides:
+            sides.append(lexicon().sides[word])
         return sides if self._ends(ahead + len(sides)) else []
 
     def _particle(self) -> int:
@@ -225,9 +225,9 @@ class _Scan:
 
     def _preposition(self) -> int:
         """Opens the phrase of a target or a tool."""
-        word, place = self._word(), self._word(1) in adjectives().orders and self._ends(2)
+        word, place = self._word(), self._word(1) in lexicon().orders and self._ends(2)
         told = place and bool(self.slot)
-        if word in directions().targets and not (word == "at" and told):
+        if word in lexicon().targets and not (word == "at" and told):
             return self._open(word)
         if word == "from" and not told and self._word(1):
             return self._open("off")
@@ -235,7 +235,7 @@ class _Scan:
             return self._open("with")
         if word in PLACED and self.closed and self.clause.family in DROPPED:
             return self._open(PLACED[word])
-        return 2 if word == "on" and self.closed and self._word(1) in nouns().ground else 0
+        return 2 if word == "on" and self.closed and self._word(1) in lexicon().ground else 0
 
     def _tool(self) -> bool:
         if self._word() == "with":
@@ -251,9 +251,9 @@ class _Scan:
     def _name(self) -> int | Refusal:
         """A word of a phrase."""
         word = self._word()
-        if word in directions().untold:
+        if word in lexicon().no_directions:
             return Refusal(reason="direction", message=f"{quoted(word)} is no direction; accepted: {DIRECTIONS}")
-        if self.closed and (word in verbs().forms or (word == "and" and starts_clause(self._word(1)))):
+        if self.closed and (word in lexicon().forms or (word == "and" and starts_clause(self._word(1)))):
             return Refusal(reason="several", message="the goal asks for more than one thing; accepted: one at a time")
         if self.closed:
             return Refusal(reason="grammar", message=f"{quoted(spoken(word))} has no place in the goal where it stands")

@@ -8,14 +8,14 @@ from dataclasses import replace
 from f3sr.goals.plan import Kind
 from f3sr.goals.refusal import Reason, Refusal, quoted
 from f3sr.language.grammar.clauses import DIRECTIONS, DROPPED, PLACED, Clause
+from f3sr.language.grammar.lexicon import Direction, Family, lexicon
 from f3sr.language.grammar.normaliser import spoken
 from f3sr.language.grammar.outcome_clauses import IT, continued, several
 from f3sr.language.grammar.request import OPPOSITE, Preposition, Request, WantedOutcome
-from f3sr.language.grammar.vocabulary import Direction, Family, adjectives, directions, nouns, verbs
 
-HITTING: frozenset[Family] = frozenset(("hit", "push", "pull", "tip", "collide"))
+HITTING: frozenset[Family] = frozenset[Family](("hit", "push", "pull", "tip", "collide"))
 """Families that may say what is hit with what."""
-MOVED: frozenset[Family] = DROPPED | {"push", "pull", "roll"}
+MOVED: frozenset[Family] = DROPPED | frozenset[Family](("push", "pull", "roll"))
 """Families that may say where to by another object's place."""
 FORWARD: dict[Family, Direction] = {"pull": "towards"}
 """Where a verb leads when nothing else says so."""
@@ -63,7 +63,7 @@ def _placed(c: Clause) -> Clause:
     at = next((i for i in reversed(range(len(words))) if words[i] in PLACED), None)
     if c.targets or c.family not in DROPPED | {"roll"} or at is None or at + 1 >= len(words):
         return c
-    if (words[at + 1] in adjectives().orders and at + 2 == len(words)) or (c.family == "roll" and words[at] != "in"):
+    if (words[at + 1] in lexicon().orders and at + 2 == len(words)) or (c.family == "roll" and words[at] != "in"):
         return c
     return replace(c, object=" ".join(words[:at]), targets=[(PLACED[words[at]], " ".join(words[at + 1 :]))])
 
@@ -88,13 +88,13 @@ def _left(c: Clause) -> Clause:
 
 def _unnamed(c: Clause) -> Refusal | None:
     """What is missing: the object, a target, a name in it."""
-    opening = directions().relations | directions().at
+    opening = lexicon().relations | lexicon().at
     if not c.object or c.object.split()[0] in opening:
         return _refused("grammar", f"the goal does not say what to {c.verb}; accepted: '{c.verb} the red cup ...'")
     if (c.off or c.family == "collide") and not c.targets:
         return _refused("grammar", f"the goal does not say {'off' if c.off else 'with'} what; accepted: a thing's name")
     for preposition, words in c.targets:
-        if all(w in adjectives().orders for w in words.split()) and words:
+        if all(w in lexicon().orders for w in words.split()) and words:
             found = f"{quoted(spoken(f'{preposition} {words}'))} names nothing"
             return _refused("direction", f"{found}; accepted: {DIRECTIONS}, or a thing's name")
         if not words or words.split()[0] in opening:
@@ -161,7 +161,7 @@ def _from_above(c: Clause) -> Request:
 
 
 def _pushed(c: Clause, preposition: str | None) -> Request | Refusal:
-    if c.directions == ["up"] and not (c.targets or c.over) and (c.family == "hit" or c.verb in verbs().strikes):
+    if c.directions == ["up"] and not (c.targets or c.over) and (c.family == "hit" or c.verb in lexicon().strikes):
         return _request("launch_and_return", c)
     if {"up", "down"} & set(c.directions):
         return _refused("direction", "pushing goes along the ground; accepted: left, right, away from me, towards me")
@@ -195,12 +195,12 @@ def _fallen(c: Clause, *, let: bool, off: bool) -> Request | Refusal:
 
 def _unclear(c: Clause) -> Refusal | None:
     """A place beside another object, of which nobody can tell whether it says which one or where to."""
-    relation = next((w for w in c.object.split() if w in directions().relations and w != "with"), None)
+    relation = next((w for w in c.object.split() if w in lexicon().relations and w != "with"), None)
     if relation is None or _is_lifted(c) or c.family not in MOVED or c.targets or c.directions or c.over:
         return None
     anchor = c.object.partition(f"{relation} ")[2]
     told = relation in ("under", "nearest-to", "farthest-from")
-    if told or anchor in nouns().ground or anchor in adjectives().orders:
+    if told or anchor in lexicon().ground or anchor in lexicon().orders:
         return None
     where = "into" if relation == "in" else "onto" if relation == "on" else "towards"
     message = (

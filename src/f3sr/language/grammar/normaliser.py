@@ -9,7 +9,7 @@ import re
 import unicodedata
 
 from f3sr.goals.refusal import Refusal
-from f3sr.language.grammar.vocabulary import Rules, phrases
+from f3sr.language.grammar.lexicon import Rules, lexicon
 
 LONGEST = 300
 """Characters of a goal: a sentence or two."""
@@ -51,7 +51,7 @@ def plain(text: str) -> str | Refusal:
 
 def canonical(words: str) -> str:
     """Plain words without articles, relations spelt one way: ``to the left of`` is ``left-of``. Twice is as once."""
-    return rewritten(words, phrases().spellings)
+    return rewritten(words, lexicon().spellings)
 
 
 def rewritten(words: str, rules: Rules) -> str:

@@ -7,8 +7,8 @@ from dataclasses import replace
 from f3sr.goals.plan import Kind
 from f3sr.goals.refusal import Refusal
 from f3sr.language.grammar.clauses import Clause
+from f3sr.language.grammar.lexicon import Family
 from f3sr.language.grammar.request import Preposition, Request, WantedOutcome, What
-from f3sr.language.grammar.vocabulary import Family
 
 IT = {"", "it", "itself", "them"}
 RETURNING: set[Family] = {"fall", "return", "throw", "drop"}

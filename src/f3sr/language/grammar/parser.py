@@ -19,10 +19,10 @@ from dataclasses import replace
 from f3sr.goals.refusal import Refusal, quoted
 from f3sr.language.grammar.clauses import Clause, clause, other, starts_clause
 from f3sr.language.grammar.intents import request
+from f3sr.language.grammar.lexicon import lexicon
 from f3sr.language.grammar.normaliser import canonical, plain, rewritten
 from f3sr.language.grammar.quantities import amount_in, manner_in
 from f3sr.language.grammar.request import Request
-from f3sr.language.grammar.vocabulary import phrases, verbs
 
 CLAUSES = 3
 """Clauses of one goal: ``lift it, drop it on the box and let it roll``."""
@@ -35,7 +35,7 @@ def understand(text: str) -> Request | Refusal:
         return words
     if refused := _screened(words.split()):
         return refused
-    quantified = amount_in(rewritten(_bare(words), phrases().idioms))
+    quantified = amount_in(rewritten(_bare(words), lexicon().idioms))
     if isinstance(quantified, Refusal):
         return quantified
     words, amount = quantified
@@ -51,12 +51,11 @@ def understand(text: str) -> Request | Refusal:
 
 def _screened(words: Sequence[str]) -> Refusal | None:
     """Refuses what no goal holds: negations, and instructions to do something else."""
-    refused = verbs().refused
-    if found := next((w for w in words if w in refused.injected), None):
+    if found := next((w for w in words if w in lexicon().injected), None):
         return other(found)
-    if not (refused.instructions.isdisjoint(words) or refused.before_instructions.isdisjoint(words)):
+    if not (lexicon().instructions.isdisjoint(words) or lexicon().before_instructions.isdisjoint(words)):
         return other("instructions")
-    if found := next((w for w in words if w in refused.negations), None):
+    if found := next((w for w in words if w in lexicon().negations), None):
         message = f"{quoted(found)}: what must not happen cannot be asked for; accepted: what is to happen"
         return Refusal(reason="negation", message=message)
     return None
@@ -64,17 +63,17 @@ def _screened(words: Sequence[str]) -> Refusal | None:
 
 def _bare(words: str) -> str:
     """Without what is polite before and behind a goal."""
-    polite = rf"^(?:(?:{'|'.join(phrases().padding)})(?: |$))+"
-    return re.sub(polite, "", re.sub(rf"(?: (?:{'|'.join(phrases().thanks)}))+$", "", words))
+    polite = rf"^(?:(?:{'|'.join(lexicon().padding)})(?: |$))+"
+    return re.sub(polite, "", re.sub(rf"(?: (?:{'|'.join(lexicon().thanks)}))+$", "", words))
 
 
 def _request(words: str) -> Request | Refusal:
     """The request of a goal without padding and amounts."""
     words = canonical(words)
-    frame = re.match(rf"(?:(?P<let>{'|'.join(phrases().lets)})|{'|'.join(phrases().frames)}) (?=\w)", words)
+    frame = re.match(rf"(?:(?P<let>{'|'.join(lexicon().lets)})|{'|'.join(lexicon().frames)}) (?=\w)", words)
     tokens = words[frame.end() :].split() if frame else words.split()
     if not any(t != "|" for t in tokens):
-        return Refusal(reason="verb", message=f"the goal has no verb; accepted: {verbs().shown}")
+        return Refusal(reason="verb", message=f"the goal has no verb; accepted: {lexicon().shown_verbs}")
     parts = _parts(tokens)
     if len(parts) > CLAUSES:
         return Refusal(reason="several", message="the goal asks for more than one thing; accepted: one at a time")
@@ -93,7 +92,7 @@ def _parts(tokens: Sequence[str]) -> list[list[str]]:
     i = 0
     while i < len(tokens):
         end = i
-        while end < len(tokens) and (tokens[end] in phrases().joints or tokens[end] == "|"):
+        while end < len(tokens) and (tokens[end] in lexicon().joints or tokens[end] == "|"):
             end += 1
         joint = set(tokens[i:end]) - {"|", "that"}
         follows = end < len(tokens) and (starts_clause(tokens[end]) or bool(joint & {"so", "until", "such"}))

@@ -17,7 +17,7 @@ from typing import NamedTuple, TypeVar
 
 from f3sr.goals.plan import Manner
 from f3sr.goals.refusal import Refusal, quoted
-from f3sr.language.grammar.vocabulary import Unit, Vague, amounts
+from f3sr.language.grammar.lexicon import Unit, Vague, lexicon
 
 LARGEST = 100.0
 """Largest amount, in metres or in an object's own sizes."""
@@ -45,7 +45,7 @@ class Patterns(NamedTuple):
 
 
 def amount_in(words: str) -> tuple[str, Amount | Vague | None] | Refusal:
-    """The words with ``|`` where the amount was, and the amount; refused where no goal can meet it, or there are two."""
+    """The words with ``|`` where the amount was, and the amount; refused where it is out of range, or one of two."""
     found: list[Amount | Vague] = []
     for pattern in _patterns()[:2]:
         for match in pattern.finditer(words):
@@ -56,7 +56,7 @@ def amount_in(words: str) -> tuple[str, Amount | Vague | None] | Refusal:
         words = pattern.sub(GONE, words)
     if wrong := _patterns().wrong.search(words):
         return _impossible(wrong[0])
-    words, vague = _taken(words, amounts().vague)
+    words, vague = _taken(words, lexicon().vague)
     found += vague
     if len(found) > 1:
         return Refusal(reason="contradiction", message="the goal gives two amounts; accepted: one")
@@ -65,7 +65,7 @@ def amount_in(words: str) -> tuple[str, Amount | Vague | None] | Refusal:
 
 def manner_in(words: str) -> tuple[str, Manner | None] | Refusal:
     """The words with ``|`` where they say how, and how; refused where that is both gently and hard."""
-    words, found = _taken(words, amounts().manner)
+    words, found = _taken(words, lexicon().manner)
     if len(set(found)) > 1:
         return Refusal(reason="contradiction", message="the goal says both gently and hard; accepted: one of them")
     return words, found[0] if found else None
@@ -74,7 +74,7 @@ def manner_in(words: str) -> tuple[str, Manner | None] | Refusal:
 def _taken(words: str, meanings: Mapping[Meaning, Sequence[str]]) -> tuple[str, list[Meaning]]:
     """Words without those of some meanings, and which meanings were there. Adverbs count anywhere, what may also
     describe a thing (a hard disk, the far cup) only where no noun follows."""
-    after = rf"(?=$| \|| (?:{'|'.join(amounts().after)})\b)"
+    after = rf"(?=$| \|| (?:{'|'.join(lexicon().amount_ends)})\b)"
     found: list[Meaning] = []
     for meaning, patterns in meanings.items():
         said = rf"\b(?:{'|'.join(patterns)})\b"
@@ -86,9 +86,9 @@ def _taken(words: str, meanings: Mapping[Meaning, Sequence[str]]) -> tuple[str, 
 
 @cache
 def _patterns() -> Patterns:
-    table = amounts()
+    table = lexicon()
     number = rf"(?:\d+(?:\.\d+|/\d+)?|{_any(table.number_of)})"
-    metres, own, lead = rf"(?:{_any(table.metres)})s?", _any(table.own), rf"(?:{'|'.join(table.lead)}) "
+    metres, own, lead = rf"(?:{_any(table.metres)})s?", _any(table.own_sizes), rf"(?:{'|'.join(table.amount_leads)}) "
     amount = (
         rf"\b(?:{lead})*(?P<minus>minus )?(?:an? )?(?P<n>{number}(?: (?:and )?(?:an? )?{number})*)(?: of)?(?: an?)? "
         rf"(?:times )?(?:of )?(?:its |their )?(?:own )?(?P<unit>{metres}|(?:{own})s?)\b(?: (?:high|far)\b)?"
@@ -97,7 +97,7 @@ def _patterns() -> Patterns:
         rf"\b(?:(?:{lead})+(?:an? )?|an? )(?P<unit>{metres})\b"
         rf"|\bby (?:an? |its |the )?(?:own )?(?P<own>{own})\b"
     )
-    wrong = rf"\b(?:minus )?{number} (?:{'|'.join(table.nonsense)})\b|\b(?:by|minus) (?:minus )?{number}\b(?: \w+)?"
+    wrong = rf"\b(?:minus )?{number} (?:{'|'.join(table.other_units)})\b|\b(?:by|minus) (?:minus )?{number}\b(?: \w+)?"
     return Patterns(re.compile(amount), re.compile(one), re.compile(wrong))
 
 
@@ -108,16 +108,16 @@ def _any(words: Collection[str]) -> str:
 def _amount(match: re.Match[str]) -> Amount | Refusal:
     said = match.groupdict()
     unit = said["unit"] or said["own"]
-    unit = unit if unit in amounts().metres or unit in amounts().own else unit.removesuffix("s")
-    value = _value(said.get("n") or "one") * amounts().metres.get(unit, 1.0)
+    unit = unit if unit in lexicon().metres or unit in lexicon().own_sizes else unit.removesuffix("s")
+    value = _value(said.get("n") or "one") * lexicon().metres.get(unit, 1.0)
     if said.get("minus") or not 0 < value <= LARGEST:
         return _impossible(match[0])
-    return Amount(value=round(value, 9), unit=amounts().own.get(unit, "m"))
+    return Amount(value=round(value, 9), unit=lexicon().own_sizes.get(unit, "m"))
 
 
 def _value(number: str) -> float:
     """``2``, ``1/2``, ``one and a half``, ``half``; words for hundreds multiply what precedes them."""
-    total, named = 0.0, amounts().number_of
+    total, named = 0.0, lexicon().number_of
     for word in number.split():
         if word in ("and", "a", "an"):
             continue

@@ -4,7 +4,7 @@
     adjective = colour | order | rank | word of a label
     place  = ("on" | "in" | "at" | "to" | "from") order | ("nearest-to" | "farthest-from") viewer
 
-Orders, colours and ranks are in ``vocabulary/adjectives.toml``, relations and viewers in ``vocabulary/directions.toml``.
+Words are in ``vocabulary/adjectives.toml`` (orders, colours, ranks) and ``directions.toml`` (relations, viewers).
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from f3sr.goals.refusal import Refusal, quoted
+from f3sr.language.grammar.lexicon import Axis, lexicon
 from f3sr.language.grammar.normaliser import canonical, spoken
-from f3sr.language.grammar.noun_lexicon import compounded, singular
-from f3sr.language.grammar.vocabulary import Axis, adjectives, directions, nouns
+from f3sr.language.grammar.nouns import compounded, singular
 
 PLACES: frozenset[Axis] = frozenset(("left", "right", "front", "back", "upper", "lower", "middle"))
 """Axes of the photo; the others are of size."""
@@ -51,7 +51,7 @@ class Phrase:
 def parsed(words: str, vocabulary: Collection[str]) -> Phrase | Refusal:
     """The parts of a phrase; ``vocabulary`` are the words of the scene's labels, which name before they describe."""
     tokens = compounded(canonical(words).split())
-    if sum(t in directions().relations for t in tokens) > MOST:
+    if sum(t in lexicon().relations for t in tokens) > MOST:
         return Refusal(
             reason="grammar", message=f"{quoted(words)} has too many relations; accepted: at most {MOST} in one phrase"
         )
@@ -71,15 +71,15 @@ def _parsed(tokens: Sequence[str], vocabulary: Collection[str]) -> Phrase | Refu
 
 def _split(tokens: Sequence[str]) -> tuple[Sequence[str], list[Order], Sequence[str]]:
     """The words before the first relation, the places of the photo that follow them, and the relation with its rest."""
-    opening, at = directions().relations | directions().at, directions().at
+    opening, at = lexicon().relations | lexicon().at, lexicon().at
     first = next((i for i, t in enumerate(tokens) if t in opening), len(tokens))
     head, rest, placed = tokens[:first], tokens[first:], list[Order]()
     while rest:
         word, then, after = (*rest[:3], "", "")[:3]
-        axis = adjectives().orders.get(then)
+        axis = lexicon().orders.get(then)
         if word in at and axis in PLACES and (not after or after in opening):
             placed.append(Order(axis=axis))
-        elif word in SEEN_FROM and then in directions().viewer:
+        elif word in SEEN_FROM and then in lexicon().viewer:
             placed.append(Order(axis=SEEN_FROM[word]))
         elif word not in at or then != "it":
             break
@@ -107,17 +107,17 @@ def _head(head: Sequence[str], words: str, placed: list[Order], vocabulary: Coll
 
 
 def _several() -> frozenset[str]:
-    return adjectives().many | adjectives().counts
+    return lexicon().many | lexicon().counts
 
 
 def _telling(head: Sequence[str]) -> list[str]:
     """The words that say which object: no numbers of objects, no shades of colours, no ``one of``."""
-    colours, start = adjectives().colours_of, head.index("of") if "of" in head else 0
-    words = [w for i, w in enumerate(head) if i > start or singular(w) not in nouns().anything or not start]
-    empty = {*_several(), *adjectives().untelling, "of", "that", "which", *(["and"] if _joins_colours(head) else [])}
+    colours, start = lexicon().colours_of, head.index("of") if "of" in head else 0
+    words = [w for i, w in enumerate(head) if i > start or singular(w) not in lexicon().anything or not start]
+    empty = {*_several(), *lexicon().untelling, "of", "that", "which", *(["and"] if _joins_colours(head) else [])}
     words = [w for w in words if w not in empty]
     pairs = zip(words, [*words[1:], ""], strict=False)
-    return [word for word, then in pairs if word not in adjectives().shades or then not in colours]
+    return [word for word, then in pairs if word not in lexicon().shades or then not in colours]
 
 
 def _sorted_out(words: Sequence[str], vocabulary: Collection[str]) -> tuple[list[str], list[str], list[Order]]:
@@ -126,9 +126,9 @@ def _sorted_out(words: Sequence[str], vocabulary: Collection[str]) -> tuple[list
     names, colours, orders = list[str](), list[str](), list[Order]()
     for i, word in enumerate(words):
         last = i == len(words) - 1
-        rank, axis, colour = _rank(word), adjectives().orders.get(word), word in adjectives().colours_of
-        adjective = (colour and not (last and word in adjectives().things)) or axis is not None or rank is not None
-        if (last and word in vocabulary) or not (adjective or (last and singular(word) in nouns().anything)):
+        rank, axis, colour = _rank(word), lexicon().orders.get(word), word in lexicon().colours_of
+        adjective = (colour and not (last and word in lexicon().colour_things)) or axis is not None or rank is not None
+        if (last and word in vocabulary) or not (adjective or (last and singular(word) in lexicon().anything)):
             names.append(word)
         elif colour:
             colours.append(word)
@@ -154,8 +154,8 @@ def _rank(word: str) -> int | None:
     """Which in an order, from 0; -1 is the last."""
     if word == "last":
         return -1
-    if word in adjectives().ranks:
-        return adjectives().ranks.index(word)
+    if word in lexicon().ranks:
+        return lexicon().ranks.index(word)
     number = re.fullmatch(r"(\d{1,3})(?:st|nd|rd|th)", word)
     return int(number[1]) - 1 if number and int(number[1]) else None
 
@@ -178,5 +178,5 @@ def _placed(orders: list[Order], placed: list[Order]) -> list[Order]:
 
 def _joins_colours(head: Sequence[str]) -> bool:
     """``black and white``"""
-    i, colours = head.index("and") if "and" in head else 0, adjectives().colours_of
+    i, colours = head.index("and") if "and" in head else 0, lexicon().colours_of
     return 0 < i < len(head) - 1 and head[i - 1] in colours and head[i + 1] in colours

@@ -7,8 +7,8 @@ from typing import Literal
 
 from f3sr.goals.plan import Kind, Manner
 from f3sr.goals.plan import Way as Preposition
+from f3sr.language.grammar.lexicon import Direction, Vague
 from f3sr.language.grammar.quantities import Amount
-from f3sr.language.grammar.vocabulary import Direction, Vague
 
 What = Literal["topple", "move", "roll", "bounce", "return"]
 

@@ -1,8 +1,7 @@
 """The words that the grammar knows, read once from ``language/vocabulary/*.toml`` when they are first needed.
 
-One class per file; a field is a table of that file, and the file's comments say what the table means. Every file is
-checked as it is read: unknown keys, words that are not in lower case, and words in two tables that exclude each other
-raise an InputError that names the file.
+A field is a table of one of these files, whose comments say what it means. The files are checked as they are read:
+unknown or missing tables, words that are not of small letters, and words in two tables that exclude each other.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from collections.abc import Collection
 from functools import cache, cached_property
 from itertools import combinations
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar, cast
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError, model_validator
 
@@ -24,14 +23,18 @@ from f3sr.goals.plan import Way as Preposition
 from f3sr.vision.colour_terms import Colour
 
 FOLDER = Path(__file__).parents[1] / "vocabulary"
+FILES = ("adjectives", "amounts", "directions", "nouns", "phrases", "refused", "verbs")
 EDGE = r"(?!(?<=\w)\w)"
 """Not inside a word."""
 
 Family = Literal[
     "tip", "push", "pull", "hit", "collide", "roll", "drop", "put", "lift", "throw", "jump", "bounce", "fall", "return"
 ]
+"""What a verb does to its object; the grammar reads all verbs of a family alike."""
 Axis = Literal["left", "right", "front", "back", "upper", "lower", "middle", "big", "small", "tall", "short", "long"]
+"""What objects may be ordered by."""
 Direction = Literal["left", "right", "away", "towards", "up", "down"]
+"""Seen from the camera: ``away`` from it or ``towards`` it, along the ground."""
 Unit = Literal["m", "length", "width", "height"]
 Vague = Literal["slightly", "far"]
 
@@ -40,10 +43,10 @@ def _split(text: object) -> object:
     return text.split() if isinstance(text, str) else text
 
 
-def _by_word(groups: object) -> object:
+def _by_word(groups: dict[str, str]) -> dict[str, str]:
     """``{tip = "topple upset"}`` as ``{topple: tip, upset: tip}``; ValueError where a word stands in two groups."""
-    found: dict[str, object] = {}
-    for name, words in cast(dict[str, str], groups).items():
+    found: dict[str, str] = {}
+    for name, words in groups.items():
         for word in words.split():
             if word in found:
                 raise ValueError(f"{word!r} stands in {found[word]} and {name}; accepted: every word once")
@@ -74,16 +77,45 @@ Word = Annotated[str, AfterValidator(_word)]
 Words = Annotated[tuple[Word, ...], BeforeValidator(_split)]
 WordSet = Annotated[frozenset[Word], BeforeValidator(_split)]
 ByWord = Annotated[dict[Word, K], BeforeValidator(_by_word)]
-"""Groups of words, as the group of each word."""
+"""The group of each word, from groups of words."""
 Patterns = tuple[Annotated[str, AfterValidator(_pattern)], ...]
 Rules = tuple[tuple[Annotated[re.Pattern[str], BeforeValidator(_rule)], str], ...]
 
 
-class _Table(BaseModel):
+class Lexicon(BaseModel):
+    """Every table, in the order of the files."""
+
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-
-class Nouns(_Table):
+    # adjectives.toml
+    ranks: Words
+    many: WordSet
+    counts: WordSet
+    shades: WordSet
+    untelling: WordSet
+    colour_things: WordSet
+    orders: ByWord[Axis]
+    colours: dict[Colour, Words]
+    # amounts.toml
+    ones: Words
+    tens: Words
+    numbers: dict[Word, float]
+    metres: ByWord[float]
+    own_sizes: ByWord[Unit]
+    amount_leads: Patterns
+    amount_ends: Words
+    other_units: Patterns
+    vague: dict[Vague, Patterns]
+    manner: dict[Manner, Patterns]
+    # directions.toml
+    viewer: WordSet
+    relations: WordSet
+    at: WordSet
+    targets: Annotated[frozenset[Preposition], BeforeValidator(_split)]
+    no_directions: WordSet
+    sides: ByWord[Direction]
+    headings: ByWord[Direction]
+    # nouns.toml
     synonyms: tuple[WordSet, ...]
     ground: WordSet
     anything: WordSet
@@ -92,103 +124,7 @@ class Nouns(_Table):
     shapes: dict[Word, WordSet]
     compounds: dict[str, Word]
     plurals: dict[Word, Word]
-
-
-class Adjectives(_Table):
-    ranks: Words
-    many: WordSet
-    counts: WordSet
-    shades: WordSet
-    untelling: WordSet
-    things: WordSet
-    orders: ByWord[Axis]
-    colours: dict[Colour, Words]
-
-    @cached_property
-    def colours_of(self) -> dict[str, tuple[Colour, ...]]:
-        """The basic colours that a word may mean."""
-        words = dict.fromkeys(w for colour, others in self.colours.items() for w in (colour, *others))
-        return {w: tuple(c for c, others in self.colours.items() if w == c or w in others) for w in words}
-
-    @model_validator(mode="after")
-    def _checked(self) -> Adjectives:
-        _known("things", self.things, self.colours_of)
-        return self
-
-
-class Directions(_Table):
-    viewer: WordSet
-    relations: WordSet
-    at: WordSet
-    targets: Annotated[frozenset[Preposition], BeforeValidator(_split)]
-    untold: WordSet
-    sides: ByWord[Direction]
-    headings: ByWord[Direction]
-
-    @model_validator(mode="after")
-    def _checked(self) -> Directions:
-        _exclusive(sides=self.sides, headings=self.headings, untold=self.untold)
-        return self
-
-
-class RefusedWords(_Table):
-    other: WordSet
-    injected: WordSet
-    instructions: WordSet
-    before_instructions: WordSet
-    negations: WordSet
-    foreign: WordSet
-
-
-class Verbs(_Table):
-    shown: str
-    strikes: WordSet
-    families: ByWord[Family]
-    irregular: dict[Word, Words]
-    refused: RefusedWords
-
-    @cached_property
-    def forms(self) -> dict[str, tuple[str, Family]]:
-        """Every form of every verb, with the verb and its family; of two verbs of one form the first counts."""
-        forms: dict[str, tuple[str, Family]] = {}
-        for verb, family in self.families.items():
-            for form in (*regular_forms(verb), *self.irregular.get(verb, ())):
-                forms.setdefault(form, (verb, family))
-        return forms
-
-    @model_validator(mode="after")
-    def _checked(self) -> Verbs:
-        _known("strikes", self.strikes, self.families)
-        _known("irregular", self.irregular, self.families)
-        _exclusive(families=self.forms, other=self.refused.other, negations=self.refused.negations)
-        return self
-
-
-class Amounts(_Table):
-    ones: Words
-    tens: Words
-    numbers: dict[Word, float]
-    metres: ByWord[float]
-    own: ByWord[Unit]
-    lead: Patterns
-    nonsense: Patterns
-    after: Words
-    vague: dict[Vague, Patterns]
-    manner: dict[Manner, Patterns]
-
-    @cached_property
-    def number_of(self) -> dict[str, float]:
-        """What a word for a number is."""
-        tens = {word: 10.0 * k for k, word in enumerate(self.tens, 1)}
-        return {**tens, **{word: float(k) for k, word in enumerate(self.ones)}, **self.numbers}
-
-    @model_validator(mode="after")
-    def _checked(self) -> Amounts:
-        _exclusive(numbers=self.number_of, metres=self.metres, own=self.own)
-        return self
-
-
-class Phrases(_Table):
+    # phrases.toml
     padding: Patterns
     thanks: Patterns
     frames: Patterns
@@ -200,57 +136,78 @@ class Phrases(_Table):
     joints: WordSet
     idioms: Rules
     spellings: Rules
+    # refused.toml
+    other_verbs: WordSet
+    injected: WordSet
+    instructions: WordSet
+    before_instructions: WordSet
+    negations: WordSet
+    foreign: WordSet
+    # verbs.toml
+    shown_verbs: str
+    strikes: WordSet
+    families: ByWord[Family]
+    irregular: dict[Word, Words]
 
+    @cached_property
+    def colours_of(self) -> dict[str, tuple[Colour, ...]]:
+        """The basic colours that a word may mean."""
+        words = {word for colour, others in self.colours.items() for word in (colour, *others)}
+        return {w: tuple(c for c, others in self.colours.items() if w == c or w in others) for w in words}
 
-@cache
-def nouns() -> Nouns:
-    """The names of things. Raises InputError where the file is not as it should be, as do all of these."""
-    return read("nouns", Nouns)
+    @cached_property
+    def number_of(self) -> dict[str, float]:
+        """What a word for a number is."""
+        tens = {word: 10.0 * k for k, word in enumerate(self.tens, 1)}
+        return {**tens, **{word: float(k) for k, word in enumerate(self.ones)}, **self.numbers}
 
+    @cached_property
+    def forms(self) -> dict[str, tuple[str, Family]]:
+        """Every form of every verb, with the verb and its family; of two verbs of one form the first counts."""
+        forms: dict[str, tuple[str, Family]] = {}
+        for verb, family in self.families.items():
+            for form in (*regular_forms(verb), *self.irregular.get(verb, ())):
+                forms.setdefault(form, (verb, family))
+        return forms
 
-@cache
-def adjectives() -> Adjectives:
-    """The words that say which of several things is meant."""
-    return read("adjectives", Adjectives)
-
-
-@cache
-def directions() -> Directions:
-    """The words of direction and place."""
-    return read("directions", Directions)
-
-
-@cache
-def verbs() -> Verbs:
-    """The verbs, and the words that no goal may have."""
-    return read("verbs", Verbs)
-
-
-@cache
-def amounts() -> Amounts:
-    """The words of number, length and manner."""
-    return read("amounts", Amounts)
-
-
-@cache
-def phrases() -> Phrases:
-    """The turns of phrase."""
-    return read("phrases", Phrases)
+    @model_validator(mode="after")
+    def _checked(self) -> Lexicon:
+        _exclusive(sides=self.sides, headings=self.headings, no_directions=self.no_directions)
+        _exclusive(families=self.forms, other_verbs=self.other_verbs, negations=self.negations)
+        _exclusive(numbers=self.number_of, metres=self.metres, own_sizes=self.own_sizes)
+        _exclusive(ground=self.ground, anything=self.anything, colours=self.colours_of, relations=self.relations)
+        _known("colour_things", self.colour_things, self.colours_of)
+        _known("strikes", self.strikes, self.families)
+        _known("irregular", self.irregular, self.families)
+        return self
 
 
 T = TypeVar("T", bound=BaseModel)
 
 
-def read(name: str, table: type[T], folder: Path = FOLDER) -> T:
-    """The words of ``NAME.toml``. Raises InputError that names the file, what it holds and what it may."""
-    file, fields = folder / f"{name}.toml", ", ".join(table.model_fields)
+@cache
+def lexicon() -> Lexicon:
+    """All words. Raises InputError, as ``read`` does."""
+    return read(Lexicon, *FILES)
+
+
+def read(model: type[T], *names: str, folder: Path = FOLDER) -> T:
+    """The tables of some vocabulary files together. Raises InputError that names the file, the table, what it holds and
+    what it may hold."""
+    tables, origin = dict[str, Any](), dict[str, Path]()
+    for file in (folder / f"{name}.toml" for name in names):
+        try:
+            found = tomllib.loads(file.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise InputError(file, found=f"no TOML ({error})", accepted="tables of words") from None
+        tables |= found
+        origin |= dict.fromkeys(found, file)
     try:
-        return table.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
+        return model.model_validate(tables)
     except ValidationError as error:
-        found, accepted = problem(error, fields)
-        raise InputError(file, found=found, accepted=accepted) from None
-    except (OSError, ValueError) as error:
-        raise InputError(file, found=f"no TOML ({error})", accepted=f"tables {fields}") from None
+        where = error.errors(include_url=False)[0]["loc"]
+        found, accepted = problem(error, f"the tables {', '.join(model.model_fields)}")
+        raise InputError(origin.get(str(where[0]) if where else "", folder), found=found, accepted=accepted) from None
 
 
 def regular_forms(verb: str) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from f3sr.language.grammar.vocabulary import nouns
+from f3sr.language.grammar.lexicon import lexicon
 
 ENDINGS = (("ies", "y"), *((e, e[:-2]) for e in ("xes", "ches", "shes", "sses", "zes")), ("s", ""))
 """Endings of plurals, and those of the singular, in this order."""
@@ -14,16 +14,16 @@ def compounded(words: Sequence[str]) -> tuple[str, ...]:
     """Words with those of two parts as one."""
     joined: list[str] = []
     for word in words:
-        whole = nouns().compounds.get(f"{joined[-1]} {word}") if joined else None
+        whole = lexicon().compounds.get(f"{joined[-1]} {word}") if joined else None
         joined[-1 if whole else len(joined) :] = [whole or word]
     return tuple(joined)
 
 
 def singular(word: str) -> str:
     """``boxes`` is ``box``; a word that is no plural comes back."""
-    if word in nouns().plurals:
-        return nouns().plurals[word]
-    if word in nouns().pairs or len(word) < 4 or word.endswith(("ss", "us", "is")):
+    if word in lexicon().plurals:
+        return lexicon().plurals[word]
+    if word in lexicon().pairs or len(word) < 4 or word.endswith(("ss", "us", "is")):
         return word
     for ending, replacement in ENDINGS:
         if word.endswith(ending):
@@ -42,19 +42,19 @@ def fit(names: Sequence[str], label: Sequence[str]) -> int | None:
     meant = [not synonyms(w).isdisjoint(had) for w in wanted]
     if all(meant):
         return 2
-    kinds = nouns().kinds.get(wanted[-1], frozenset[str]())
+    kinds = lexicon().kinds.get(wanted[-1], frozenset[str]())
     return 3 if all(meant[:-1]) and any(not kinds.isdisjoint(synonyms(w)) for w in had) else None
 
 
 def fits_shape(name: str, description: str) -> bool:
     """Whether something without a label may be called so, by its shape in the scene graph."""
     shape = description.partition(",")[0].split()[-1:]
-    return bool(shape) and (name in shape or name in nouns().shapes.get(shape[0], ()))
+    return bool(shape) and (name in shape or name in lexicon().shapes.get(shape[0], ()))
 
 
 def synonyms(word: str) -> frozenset[str]:
     """The names of a thing, the word among them."""
-    return frozenset((word,)).union(*(line for line in nouns().synonyms if word in line))
+    return frozenset((word,)).union(*(line for line in lexicon().synonyms if word in line))
 
 
 def distance(a: str, b: str, most: int = 24) -> int:
