@@ -72,7 +72,7 @@ class Sight:
         """What colours an object may be called by: those that the photo shows and those of its label."""
         if id not in self._colours:
             seen = colours_of(self.scene.photo.rgb[self.scene[id].mask])
-            said = [c for word in self.labels[id] for c in lexicon().colours_of.get(word, ())]
+            said: list[Colour] = [c for word in self.labels[id] for c in lexicon().colours_of.get(word, ())]
             self._colours[id] = (*seen, *(c for c in said if c not in seen))
         return self._colours[id]
 

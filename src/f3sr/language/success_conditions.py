@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from f3sr.core.transforms import Array
 from f3sr.goals import plan as p
 from f3sr.goals.scene_layout import SceneLayout, way_between
-from f3sr.language.grammar.request import What
-from f3sr.language.meant import Meant
+from f3sr.language.grammar.request import Request, What
 from f3sr.scene import GROUND
 
 Conditions = tuple[p.Condition, ...]
@@ -38,6 +39,22 @@ STIRS, STIRS_BY = 0.03, 0.006
 """The same for what something is only pushed into, and in any case [m]."""
 SEEN = 0.25
 """Share of its size that the active object moves at least."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Meant:
+    """A request whose words are settled: objects, direction and metres."""
+
+    request: Request
+    active: int
+    target: int | None
+    direction: Array | None
+    """Unit vector (3,) in the world."""
+    amount: float
+    """[m]"""
+    asked: bool
+    """Whether the words gave the amount."""
+    assumptions: tuple[str, ...]
 
 
 def readings(meant: Meant, layout: SceneLayout) -> list[Reading]:

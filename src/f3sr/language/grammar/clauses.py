@@ -15,9 +15,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import cast
+from typing import NoReturn, cast
 
-from f3sr.goals.refusal import Refusal, quoted
+from f3sr.goals.refusal import quoted, refuse
 from f3sr.language.grammar.lexicon import Direction, Family, lexicon
 from f3sr.language.grammar.normaliser import spoken
 from f3sr.language.grammar.request import OPPOSITE, Preposition
@@ -53,16 +53,14 @@ class Clause:
     """Whether a particle says that it leaves what it is on."""
 
 
-def clause(tokens: Sequence[str]) -> Clause | Refusal:
-    """The parts of one clause, imperative or with a subject before its verb; refused where a part has no place."""
+def clause(tokens: Sequence[str]) -> Clause:
+    """The parts of one clause, imperative or with a subject before its verb. Raises NotUnderstoodError where it has no
+    verb, or a word has no place in it."""
     at = _verb_at(tokens)
-    if isinstance(at, Refusal):
-        return at
     verb, family = lexicon().forms[tokens[at]]
     subject, passive = _subject(tokens[:at], tokens[at])
     scan = _Scan(tokens=tokens, at=at + 1, clause=Clause(verb=verb, family=family, subject=subject))
-    if refused := scan.run():
-        return refused
+    scan.run()
     if passive:
         scan.clause.subject, scan.clause.object = "", subject
     elif subject.startswith("with "):
@@ -75,30 +73,34 @@ def starts_clause(token: str) -> bool:
     return token in lexicon().forms or token in lexicon().other_verbs or token in ("let", "make", "have", "it", "cause")
 
 
-def other(word: str) -> Refusal:
-    """The refusal of what is no motion."""
-    message = f"{quoted(word)} asks for something else than a motion; accepted verbs: {lexicon().shown_verbs}"
-    return Refusal(reason="other", message=message)
+def refuse_other(word: str) -> NoReturn:
+    """Refuses a word that asks for no motion."""
+    refuse("other", f"{quoted(word)} asks for no motion; accepted verbs: {lexicon().shown_verbs}")
 
 
-def _verb_at(tokens: Sequence[str]) -> int | Refusal:
+def refuse_several() -> NoReturn:
+    """Refuses what two goals are made of."""
+    refuse("several", "the goal asks for more than one motion; accepted: one, as 'push the cup left'")
+
+
+def _verb_at(tokens: Sequence[str]) -> int:
     """Where the verb is: first, or after a subject; of two that follow each other the first is a noun (the toilet
     roll falls)."""
     words, forms = [t for t in tokens if t != "|"], lexicon().forms
     if words and words[0] in lexicon().other_verbs:
-        return other(words[0])
+        refuse_other(words[0])
     found = [i for i, t in enumerate(tokens) if t in forms]
     if not found:
-        return _no_verb(words)
+        _refuse_verb(words)
     first = found[0]
     return first + 1 if first > 0 and first + 1 in found else first
 
 
-def _no_verb(words: Sequence[str]) -> Refusal:
+def _refuse_verb(words: Sequence[str]) -> NoReturn:
     if not lexicon().foreign.isdisjoint(words):
-        return Refusal(reason="language", message="the goal does not seem to be English; accepted: English")
-    found = f"no verb in {quoted(spoken(' '.join(words)))}" if words else "no verb"
-    return Refusal(reason="verb", message=f"{found}; accepted: {lexicon().shown_verbs}")
+        refuse("language", "the goal seems to be in another language; accepted: English")
+    found = f"{quoted(spoken(' '.join(words)))} has no verb" if words else "the goal has no verb"
+    refuse("verb", f"{found}; accepted: {lexicon().shown_verbs}")
 
 
 def _subject(words: Sequence[str], verb: str) -> tuple[str, bool]:
@@ -125,16 +127,13 @@ class _Scan:
     closed: bool = False
     """Whether a direction or an amount came after the phrase, so that nothing can be added to it."""
 
-    def run(self) -> Refusal | None:
+    def run(self) -> None:
+        """Fills the clause."""
         if self.clause.family in LIMP and self._word() in ("over", "down"):
             self.clause.over, self.at = True, self.at + 1
         while self.at < len(self.tokens):
-            taken = self._pause() or self._direction() or self._particle() or self._preposition() or self._name()
-            if isinstance(taken, Refusal):
-                return taken
-            self.at += taken
+            self.at += self._pause() or self._direction() or self._particle() or self._preposition() or self._name()
         self._finish()
-        return None
 
     def _word(self, ahead: int = 0) -> str:
         return self.tokens[self.at + ahead] if self.at + ahead < len(self.tokens) else ""
@@ -248,15 +247,15 @@ class _Scan:
         self.role, self.slot, self.closed = role, [], False
         return 1
 
-    def _name(self) -> int | Refusal:
+    def _name(self) -> int:
         """A word of a phrase."""
         word = self._word()
         if word in lexicon().no_directions:
-            return Refusal(reason="direction", message=f"{quoted(word)} is no direction; accepted: {DIRECTIONS}")
+            refuse("direction", f"{quoted(word)} is no direction; accepted: {DIRECTIONS}")
         if self.closed and (word in lexicon().forms or (word == "and" and starts_clause(self._word(1)))):
-            return Refusal(reason="several", message="the goal asks for more than one thing; accepted: one at a time")
+            refuse_several()
         if self.closed:
-            return Refusal(reason="grammar", message=f"{quoted(spoken(word))} has no place in the goal where it stands")
+            refuse("grammar", f"{quoted(spoken(word))} is out of place; accepted: verb, object, target or direction")
         self.slot.append(word)
         return 1
 

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from typing import NoReturn
 
-from f3sr.goals.refusal import Refusal
+from f3sr.goals.refusal import refuse
 from f3sr.language.grammar.lexicon import Rules, lexicon
 
 LONGEST = 300
@@ -36,17 +37,14 @@ TOKEN = re.compile(r"\d+(?:\.\d+|/\d+)?(?:st|nd|rd|th)?\b|\d+|[^\W\d_]+")
 """A number, an ordinal number or a word."""
 
 
-def plain(text: str) -> str | Refusal:
+def plain(text: str) -> str:
     """The text in small letters without accents and punctuation; hyphens part words, a minus stays with its number.
-    Refused where it is empty, too long, or holds what is not written English."""
+    Raises NotUnderstoodError where it is empty, too long, or holds what is not written English."""
     if len(text) > LONGEST:
-        return Refusal(
-            reason="long", message=f"the goal has {len(text):,} characters; accepted: one sentence, at most {LONGEST}"
-        )
+        refuse("long", f"the goal has {len(text):,} characters; accepted: one sentence, at most {LONGEST}")
     if strange := next((c for c in text if not _english(c)), None):
-        return _foreign(strange)
-    words = _spaced(text)
-    return words or Refusal(reason="empty", message="the goal has no words; accepted: 'push the cup to the left'")
+        _refuse_character(strange)
+    return _spaced(text) or refuse("empty", "the goal has no words; accepted: 'push the cup to the left'")
 
 
 def canonical(words: str) -> str:
@@ -80,12 +78,11 @@ def _english(c: str) -> bool:
     return known or kind[0] == "P" or kind in ("Zs", "No") or "\u0300" <= c <= "\u036f"
 
 
-def _foreign(c: str) -> Refusal:
+def _refuse_character(c: str) -> NoReturn:
     name = unicodedata.name(c, "a control character").lower()
     if unicodedata.category(c)[0] == "L":
-        return Refusal(reason="language", message=f"the goal holds a {name}; accepted: English in Latin letters")
-    found = f"U+{ord(c):04X} ({name})"
-    return Refusal(reason="characters", message=f"the goal holds {found}; accepted: letters, digits, punctuation")
+        refuse("language", f"the goal holds a {name}; accepted: English in Latin letters")
+    refuse("characters", f"the goal holds U+{ord(c):04X} ({name}); accepted: letters, digits, punctuation")
 
 
 def _spaced(text: str) -> str:

@@ -16,8 +16,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 
-from f3sr.goals.refusal import Refusal, quoted
-from f3sr.language.grammar.clauses import Clause, clause, other, starts_clause
+from f3sr.goals.refusal import NotUnderstoodError, Refusal, quoted, refuse
+from f3sr.language.grammar.clauses import clause, refuse_other, refuse_several, starts_clause
 from f3sr.language.grammar.intents import request
 from f3sr.language.grammar.lexicon import lexicon
 from f3sr.language.grammar.normaliser import canonical, plain, rewritten
@@ -30,35 +30,29 @@ CLAUSES = 3
 
 def understand(text: str) -> Request | Refusal:
     """What a goal asks for, or why it cannot be acted on."""
+    try:
+        return _understood(text)
+    except NotUnderstoodError as error:
+        return error.refusal
+
+
+def _understood(text: str) -> Request:
     words = plain(text)
-    if isinstance(words, Refusal):
-        return words
-    if refused := _screened(words.split()):
-        return refused
-    quantified = amount_in(rewritten(_bare(words), lexicon().idioms))
-    if isinstance(quantified, Refusal):
-        return quantified
-    words, amount = quantified
-    mannered = manner_in(words)
-    if isinstance(mannered, Refusal):
-        return mannered
-    words, manner = mannered
+    _screen(words.split())
+    words, amount = amount_in(rewritten(_bare(words), lexicon().idioms))
+    words, manner = manner_in(words)
     found = _request(_bare(" ".join(words.split())))
-    if isinstance(found, Refusal):
-        return found
     return replace(found, amount=amount, manner=manner, text=text.strip())
 
 
-def _screened(words: Sequence[str]) -> Refusal | None:
+def _screen(words: Sequence[str]) -> None:
     """Refuses what no goal holds: negations, and instructions to do something else."""
     if found := next((w for w in words if w in lexicon().injected), None):
-        return other(found)
+        refuse_other(found)
     if not (lexicon().instructions.isdisjoint(words) or lexicon().before_instructions.isdisjoint(words)):
-        return other("instructions")
+        refuse_other("instructions")
     if found := next((w for w in words if w in lexicon().negations), None):
-        message = f"{quoted(found)}: what must not happen cannot be asked for; accepted: what is to happen"
-        return Refusal(reason="negation", message=message)
-    return None
+        refuse("negation", f"{quoted(found)} forbids something; accepted: what is to happen")
 
 
 def _bare(words: str) -> str:
@@ -67,23 +61,14 @@ def _bare(words: str) -> str:
     return re.sub(polite, "", re.sub(rf"(?: (?:{'|'.join(lexicon().thanks)}))+$", "", words))
 
 
-def _request(words: str) -> Request | Refusal:
+def _request(words: str) -> Request:
     """The request of a goal without padding and amounts."""
     words = canonical(words)
     frame = re.match(rf"(?:(?P<let>{'|'.join(lexicon().lets)})|{'|'.join(lexicon().frames)}) (?=\w)", words)
-    tokens = words[frame.end() :].split() if frame else words.split()
-    if not any(t != "|" for t in tokens):
-        return Refusal(reason="verb", message=f"the goal has no verb; accepted: {lexicon().shown_verbs}")
-    parts = _parts(tokens)
+    parts = _parts(words[frame.end() :].split() if frame else words.split())
     if len(parts) > CLAUSES:
-        return Refusal(reason="several", message="the goal asks for more than one thing; accepted: one at a time")
-    clauses: list[Clause] = []
-    for part in parts:
-        found = clause(part)
-        if isinstance(found, Refusal):
-            return found
-        clauses.append(found)
-    return request(clauses, let=frame is not None and frame["let"] is not None)
+        refuse_several()
+    return request([clause(part) for part in parts], let=frame is not None and frame["let"] is not None)
 
 
 def _parts(tokens: Sequence[str]) -> list[list[str]]:

@@ -13,10 +13,10 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, NoReturn, TypeVar
 
 from f3sr.goals.plan import Manner
-from f3sr.goals.refusal import Refusal, quoted
+from f3sr.goals.refusal import quoted, refuse
 from f3sr.language.grammar.lexicon import Unit, Vague, lexicon
 
 LARGEST = 100.0
@@ -44,30 +44,27 @@ class Patterns(NamedTuple):
     """A number of something else."""
 
 
-def amount_in(words: str) -> tuple[str, Amount | Vague | None] | Refusal:
-    """The words with ``|`` where the amount was, and the amount; refused where it is out of range, or one of two."""
+def amount_in(words: str) -> tuple[str, Amount | Vague | None]:
+    """The words with ``|`` where the amount was, and the amount. Raises NotUnderstoodError where it is out of range, of
+    no length, or one of two."""
     found: list[Amount | Vague] = []
     for pattern in _patterns()[:2]:
-        for match in pattern.finditer(words):
-            amount = _amount(match)
-            if isinstance(amount, Refusal):
-                return amount
-            found.append(amount)
+        found += [_amount(match) for match in pattern.finditer(words)]
         words = pattern.sub(GONE, words)
     if wrong := _patterns().wrong.search(words):
-        return _impossible(wrong[0])
+        _refuse_amount(wrong[0])
     words, vague = _taken(words, lexicon().vague)
     found += vague
     if len(found) > 1:
-        return Refusal(reason="contradiction", message="the goal gives two amounts; accepted: one")
+        refuse("contradiction", "the goal gives two distances; accepted: one")
     return words, found[0] if found else None
 
 
-def manner_in(words: str) -> tuple[str, Manner | None] | Refusal:
-    """The words with ``|`` where they say how, and how; refused where that is both gently and hard."""
+def manner_in(words: str) -> tuple[str, Manner | None]:
+    """The words with ``|`` where they say how, and how. Raises NotUnderstoodError where that is gently and hard."""
     words, found = _taken(words, lexicon().manner)
     if len(set(found)) > 1:
-        return Refusal(reason="contradiction", message="the goal says both gently and hard; accepted: one of them")
+        refuse("contradiction", "the goal says both gently and hard; accepted: one of them")
     return words, found[0] if found else None
 
 
@@ -105,13 +102,13 @@ def _any(words: Collection[str]) -> str:
     return "|".join(sorted(words, key=len, reverse=True))
 
 
-def _amount(match: re.Match[str]) -> Amount | Refusal:
+def _amount(match: re.Match[str]) -> Amount:
     said = match.groupdict()
     unit = said["unit"] or said["own"]
     unit = unit if unit in lexicon().metres or unit in lexicon().own_sizes else unit.removesuffix("s")
     value = _value(said.get("n") or "one") * lexicon().metres.get(unit, 1.0)
     if said.get("minus") or not 0 < value <= LARGEST:
-        return _impossible(match[0])
+        _refuse_amount(match[0])
     return Amount(value=round(value, 9), unit=lexicon().own_sizes.get(unit, "m"))
 
 
@@ -127,9 +124,6 @@ def _value(number: str) -> float:
     return total
 
 
-def _impossible(amount: str) -> Refusal:
-    return Refusal(
-        reason="amount",
-        message=f"{quoted(amount.strip())} is no amount that can be met; accepted: above 0 and at most 100 metres, "
-        "as '20 cm', '3 inches', 'by its own width', 'two lengths', 'a bit' or 'far'",
-    )
+def _refuse_amount(amount: str) -> NoReturn:
+    accepted = "above 0, at most 100 metres, as '20 cm', '3 inches', 'by its own width', 'two lengths', 'a bit', 'far'"
+    refuse("amount", f"{quoted(amount.strip())} is no possible distance; accepted: {accepted}")

@@ -13,7 +13,7 @@ import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
-from f3sr.goals.refusal import Refusal, quoted
+from f3sr.goals.refusal import quoted, refuse
 from f3sr.language.grammar.lexicon import Axis, lexicon
 from f3sr.language.grammar.normaliser import canonical, spoken
 from f3sr.language.grammar.nouns import compounded, singular
@@ -48,25 +48,23 @@ class Phrase:
     relation: tuple[str, Phrase] | None = None
 
 
-def parsed(words: str, vocabulary: Collection[str]) -> Phrase | Refusal:
-    """The parts of a phrase; ``vocabulary`` are the words of the scene's labels, which name before they describe."""
+def parsed(words: str, vocabulary: Collection[str]) -> Phrase:
+    """The parts of a phrase; ``vocabulary`` are the words of the scene's labels, which name before they describe.
+    Raises NotUnderstoodError where a relation has no second object, or there are too many relations."""
     tokens = compounded(canonical(words).split())
     if sum(t in lexicon().relations for t in tokens) > MOST:
-        return Refusal(
-            reason="grammar", message=f"{quoted(words)} has too many relations; accepted: at most {MOST} in one phrase"
-        )
+        refuse("grammar", f"{quoted(words)} has too many relations; accepted: at most {MOST}")
     return _parsed(tokens, vocabulary)
 
 
-def _parsed(tokens: Sequence[str], vocabulary: Collection[str]) -> Phrase | Refusal:
+def _parsed(tokens: Sequence[str], vocabulary: Collection[str]) -> Phrase:
     head, placed, rest = _split(tokens)
     phrase = _head(head, spoken(" ".join(tokens)), placed, vocabulary)
     if not rest:
         return phrase
     if len(rest) == 1:
-        return Refusal(reason="grammar", message=f"{quoted(phrase.words)} ends early; accepted: a name after it")
-    anchor = _parsed(rest[1:], vocabulary)
-    return anchor if isinstance(anchor, Refusal) else _with(phrase, rest[0], anchor)
+        refuse("grammar", f"{quoted(phrase.words)} lacks its last word; accepted: an object's name after it")
+    return _with(phrase, rest[0], _parsed(rest[1:], vocabulary))
 
 
 def _split(tokens: Sequence[str]) -> tuple[Sequence[str], list[Order], Sequence[str]]:
