@@ -11,9 +11,9 @@ import pytest
 
 from f3sr.core.transforms import T_UP_FROM_CAMERA, rotation_about
 from f3sr.goals.refusal import Refusal
+from f3sr.language.grammar.lexicon import Direction
 from f3sr.language.grammar.nouns import distance, singular
 from f3sr.language.grammar.request import Request
-from f3sr.language.grammar.lexicon import Direction
 from f3sr.language.object_queries import world_vector
 from f3sr.language.reference_resolution import Named, names, resolve, resolve_request
 from f3sr.scene import GROUND, Node, Scene, SceneGraph

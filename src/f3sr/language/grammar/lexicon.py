@@ -202,12 +202,16 @@ def read(model: type[T], *names: str, folder: Path = FOLDER) -> T:
             raise InputError(file, found=f"no TOML ({error})", accepted="tables of words") from None
         tables |= found
         origin |= dict.fromkeys(found, file)
+    known = f"the tables {', '.join(model.model_fields)}"
+    if unknown := next((key for key in tables if key not in model.model_fields), None):
+        raise InputError(origin[unknown], found=f"an unknown table {unknown}", accepted=known)
     try:
         return model.model_validate(tables)
     except ValidationError as error:
         where = error.errors(include_url=False)[0]["loc"]
-        found, accepted = problem(error, f"the tables {', '.join(model.model_fields)}")
-        raise InputError(origin.get(str(where[0]) if where else "", folder), found=found, accepted=accepted) from None
+        found, accepted = problem(error, known)
+        file = origin.get(str(where[0])) if where else None
+        raise InputError(file or folder / f"{'|'.join(names)}.toml", found=found, accepted=accepted) from None
 
 
 def regular_forms(verb: str) -> list[str]:
