@@ -18,7 +18,7 @@ FITS = 1.15
 
 
 def check_possible(r: Request, active: int, target: int | None, layout: SceneLayout) -> None:
-    """Raises NotUnderstoodError where no launch can do what is asked; what it lets pass, physics decides."""
+    """Raises NotUnderstoodError where no launch can do what a request asks. Physics decides the rest."""
     scene = layout.scene
     if r.kind == "topple" and layout.is_ball(active):
         _refuse(f"{_name(active, scene)} is round and cannot topple; accepted: 'roll ...'")

@@ -23,7 +23,7 @@ def _listed(labels: object) -> object:
 
 
 class MaterialPrior(BaseModel):
-    """What a kind of thing is to physics."""
+    """What a thing is made of, as physics needs it."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -62,13 +62,13 @@ class Materials(BaseModel):
 
 @cache
 def materials() -> Materials:
-    """The materials. Raises InputError where the file is not as it should be."""
+    """The table of ``vocabulary/materials.toml``. Raises InputError where that file is faulty."""
     return read(Materials, "materials")
 
 
 def material_of(label: str) -> MaterialPrior | None:
-    """What a label tells; None where it tells nothing. What a thing is comes last in English, so of several names that
-    tell something the last counts, and of those that end there the longest."""
+    """The material that a label tells; None where it tells none. English puts the head noun last: of several names in a
+    label the last one counts, and of two that end together the longer."""
     words, known = tuple(singular(word) for word in words_of(label)), materials().by_label
     ends = range(len(words), 0, -1)
     return next((known[words[start:end]] for end in ends for start in range(end) if words[start:end] in known), None)

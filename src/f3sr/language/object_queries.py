@@ -48,7 +48,7 @@ def _vector(direction: Direction, camera: Camera) -> Array:
 
 
 class Sight:
-    """A scene's objects by id, measured when first asked for."""
+    """What an observer at the camera sees of a scene's objects, by id. Each measure is taken when first needed."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -61,6 +61,7 @@ class Sight:
 
     @cached_property
     def vocabulary(self) -> frozenset[str]:
+        """All words of all labels."""
         return frozenset(word for label in self.labels.values() for word in label)
 
     @cached_property
@@ -69,7 +70,7 @@ class Sight:
         return {n.id: n.description for n in self.scene.graph.nodes if not self.labels.get(n.id)}
 
     def colours(self, id: int) -> tuple[Colour, ...]:
-        """What colours an object may be called by: those that the photo shows and those of its label."""
+        """The colours that an object may be called by: those in the photo, then those in its label."""
         if id not in self._colours:
             seen = colours_of(self.scene.photo.rgb[self.scene[id].mask])
             said: list[Colour] = [c for word in self.labels[id] for c in lexicon().colours_of.get(word, ())]
@@ -77,8 +78,8 @@ class Sight:
         return self._colours[id]
 
     def picked(self, axis: Axis, rank: int, ids: Sequence[int]) -> list[int]:
-        """The objects of a rank along an axis, more than one where they differ too little to tell; none where there
-        are not so many."""
+        """The objects of a rank (0 the first, -1 the last) along an axis. Several where they differ too little to tell;
+        none where there are fewer objects."""
         if not ids or not -len(ids) <= rank < len(ids):
             return []
         if axis == "middle":

@@ -63,7 +63,7 @@ SAID: dict[Direction, str] = {
 
 
 def tasks_of(goal: str, scene: Scene) -> Sequence[TaskSpec] | Refusal:
-    """What a goal asks for, the strictest reading first: what comes later leaves out what nobody said."""
+    """The tasks that a goal may mean, the strictest first: later ones drop conditions that nobody stated."""
     request = understand(goal)
     if isinstance(request, Refusal):
         return request

@@ -30,7 +30,7 @@ class Named:
 
 
 def resolve_request(request: Request, scene: Scene) -> Named | Refusal:
-    """The objects of a request; refused where its words fail, its active object cannot move or is its own target."""
+    """The objects of a request. Refused where not one object fits, or the active one is fixed or its own target."""
     try:
         return _named(request, Sight(scene))
     except NotUnderstoodError as error:

@@ -43,7 +43,7 @@ SEEN = 0.25
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Meant:
-    """A request whose words are settled: objects, direction and metres."""
+    """A request whose objects, direction and distance are known."""
 
     request: Request
     active: int
@@ -58,7 +58,7 @@ class Meant:
 
 
 def readings(meant: Meant, layout: SceneLayout) -> list[Reading]:
-    """The strictest first."""
+    """The success conditions of a settled request, the strictest first, each with what it leaves to chance."""
     made = _BY_KIND[meant.request.kind](meant, layout)
     outcome = meant.request.outcome
     if outcome is None:
@@ -71,7 +71,7 @@ def readings(meant: Meant, layout: SceneLayout) -> list[Reading]:
 
 
 def phases(conditions: Sequence[p.Condition], called: Mapping[int, str]) -> Iterator[str]:
-    """What happens, in order, in words."""
+    """The conditions as sentences, in order; ``called`` names every object."""
 
     def name(id: int) -> str:
         return "the ground" if id == GROUND else called[id]

@@ -36,7 +36,7 @@ Found = tuple[list[Direction], int]
 
 @dataclass(kw_only=True)
 class Clause:
-    """What one verb says; phrases are canonical words."""
+    """What a verb and the words around it say. Phrases are canonical words."""
 
     verb: str
     family: Family
@@ -54,8 +54,8 @@ class Clause:
 
 
 def clause(tokens: Sequence[str]) -> Clause:
-    """The parts of one clause, imperative or with a subject before its verb. Raises NotUnderstoodError where it has no
-    verb, or a word has no place in it."""
+    """The parts of one clause from its canonical words, imperative or with a subject before its verb. Raises
+    NotUnderstoodError where the clause has no verb, or a word is out of place."""
     at = _verb_at(tokens)
     verb, family = lexicon().forms[tokens[at]]
     subject, passive = _subject(tokens[:at], tokens[at])
@@ -79,7 +79,7 @@ def refuse_other(word: str) -> NoReturn:
 
 
 def refuse_several() -> NoReturn:
-    """Refuses what two goals are made of."""
+    """Refuses a goal that asks for two motions."""
     refuse("several", "the goal asks for more than one motion; accepted: one, as 'push the cup left'")
 
 

@@ -14,6 +14,7 @@ from f3sr.language.grammar.normaliser import spoken
 from f3sr.language.grammar.outcome_clauses import IT, continued
 from f3sr.language.grammar.request import OPPOSITE, Preposition, Request, WantedOutcome
 
+ALONG = "this motion goes along the ground; accepted: left, right, away from me, towards me"
 HITTING: frozenset[Family] = frozenset[Family](("hit", "push", "pull", "tip", "collide"))
 """Families that may say what is hit with what."""
 MOVED: frozenset[Family] = DROPPED | frozenset[Family](("push", "pull", "roll"))
@@ -21,8 +22,8 @@ MOVED: frozenset[Family] = DROPPED | frozenset[Family](("push", "pull", "roll"))
 
 
 def request(clauses: Sequence[Clause], *, let: bool = False) -> Request:
-    """The request of a goal's clauses; ``let``: said as ``let the ball fall``. Raises NotUnderstoodError where they are
-    no one goal."""
+    """The request that a goal's clauses make; ``let`` says that the goal began with that word. Raises
+    NotUnderstoodError where an object is missing, or the clauses ask for two motions."""
     first, *rest = [_placed(c) for c in clauses]
     if first.family == "lift" and rest:
         first, *rest = _lifted(clauses[0], rest[0]), *rest[1:]
@@ -162,7 +163,7 @@ def _pushed(c: Clause, preposition: str | None) -> Request:
     if c.directions == ["up"] and not (c.targets or c.over) and (c.family == "hit" or c.verb in lexicon().strikes):
         return _request("launch_and_return", c)
     if {"up", "down"} & set(c.directions):
-        refuse("direction", "pushing goes along the ground; accepted: left, right, away from me, towards me")
+        refuse("direction", ALONG)
     over = c.over or c.family == "tip"
     if c.family == "hit" and c.targets and over:
         return replace(_request("push_into", c), outcome=WantedOutcome(what="topple", whose="target"))
@@ -216,5 +217,5 @@ def _checked(r: Request) -> Request:
     if any(OPPOSITE[d] in r.direction for d in r.direction):
         refuse("contradiction", f"the goal leads {' and '.join(r.direction)} at once; accepted: one of them")
     if {"up", "down"} & set(r.direction) and r.kind in ("roll", "topple", "slide", "push_into"):
-        refuse("direction", f"{spoken(r.kind)} goes along the ground; accepted: left, right, away, towards me")
+        refuse("direction", ALONG)
     return r

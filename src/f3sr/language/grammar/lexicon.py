@@ -83,7 +83,7 @@ Rules = tuple[tuple[Annotated[re.Pattern[str], BeforeValidator(_rule)], str], ..
 
 
 class Lexicon(BaseModel):
-    """Every table, in the order of the files."""
+    """Every table of words, in the order of the files."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -157,7 +157,7 @@ class Lexicon(BaseModel):
 
     @cached_property
     def number_of(self) -> dict[str, float]:
-        """What a word for a number is."""
+        """The value of every word for a number."""
         tens = {word: 10.0 * k for k, word in enumerate(self.tens, 1)}
         return {**tens, **{word: float(k) for k, word in enumerate(self.ones)}, **self.numbers}
 
@@ -187,13 +187,13 @@ T = TypeVar("T", bound=BaseModel)
 
 @cache
 def lexicon() -> Lexicon:
-    """All words. Raises InputError, as ``read`` does."""
+    """The words of all files. Raises InputError, as ``read`` does."""
     return read(Lexicon, *FILES)
 
 
 def read(model: type[T], *names: str, folder: Path = FOLDER) -> T:
-    """The tables of some vocabulary files together. Raises InputError that names the file, the table, what it holds and
-    what it may hold."""
+    """The tables of some vocabulary files together. Raises InputError where a file is no TOML, a table is unknown or
+    missing, or a value does not suit its table."""
     tables, origin = dict[str, Any](), dict[str, Path]()
     for file in (folder / f"{name}.toml" for name in names):
         try:

@@ -9,7 +9,7 @@ import re
 import unicodedata
 from typing import NoReturn
 
-from f3sr.goals.refusal import refuse
+from f3sr.goals.refusal import quoted, refuse
 from f3sr.language.grammar.lexicon import Rules, lexicon
 
 LONGEST = 300
@@ -53,7 +53,7 @@ def canonical(words: str) -> str:
 
 
 def rewritten(words: str, rules: Rules) -> str:
-    """Words after all rules, each tried once, with one space between them."""
+    """Words after all rules, each applied once in order, with one space between words."""
     for pattern, replacement in rules:
         words, found = pattern.subn(replacement, words)
         words = " ".join(words.split()) if found else words
@@ -66,7 +66,7 @@ def words_of(text: str) -> tuple[str, ...]:
 
 
 def spoken(phrase: str) -> str:
-    """A canonical phrase as one would say it."""
+    """A canonical phrase as a person says it: ``next-to`` is ``next to``."""
     return phrase.replace("-", " ")
 
 
@@ -81,7 +81,7 @@ def _english(c: str) -> bool:
 def _refuse_character(c: str) -> NoReturn:
     name = unicodedata.name(c, "a control character").lower()
     if unicodedata.category(c)[0] == "L":
-        refuse("language", f"the goal holds a {name}; accepted: English in Latin letters")
+        refuse("language", f"the goal holds {quoted(name)}; accepted: English in Latin letters")
     refuse("characters", f"the goal holds U+{ord(c):04X} ({name}); accepted: letters, digits, punctuation")
 
 

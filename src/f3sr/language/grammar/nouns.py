@@ -11,7 +11,7 @@ ENDINGS = (("ies", "y"), *((e, e[:-2]) for e in ("xes", "ches", "shes", "sses", 
 
 
 def compounded(words: Sequence[str]) -> tuple[str, ...]:
-    """Words with those of two parts as one."""
+    """Words in which a name of two words is one: ``trash can`` is ``trashcan``."""
     joined: list[str] = []
     for word in words:
         whole = lexicon().compounds.get(f"{joined[-1]} {word}") if joined else None
@@ -20,7 +20,7 @@ def compounded(words: Sequence[str]) -> tuple[str, ...]:
 
 
 def singular(word: str) -> str:
-    """``boxes`` is ``box``; a word that is no plural comes back."""
+    """The singular of a plural: ``boxes`` is ``box``; any other word stays as it is."""
     if word in lexicon().plurals:
         return lexicon().plurals[word]
     if word in lexicon().pairs or len(word) < 4 or word.endswith(("ss", "us", "is")):
@@ -47,19 +47,19 @@ def fit(names: Sequence[str], label: Sequence[str]) -> int | None:
 
 
 def fits_shape(name: str, description: str) -> bool:
-    """Whether something without a label may be called so, by its shape in the scene graph."""
+    """Whether a name suits an object without a label, by its description in the scene graph."""
     shape = description.partition(",")[0].split()[-1:]
     return bool(shape) and (name in shape or name in lexicon().shapes.get(shape[0], ()))
 
 
 def synonyms(word: str) -> frozenset[str]:
-    """The names of a thing, the word among them."""
+    """All names of what a word names, the word among them."""
     return frozenset((word,)).union(*(line for line in lexicon().synonyms if word in line))
 
 
 def distance(a: str, b: str, most: int = 24) -> int:
     """Edits between two words: letters put in, left out, changed or swapped with their neighbour (optimal string
-    alignment). Only so many first letters count."""
+    alignment). Only the first ``most`` letters count."""
     a, b = a[:most], b[:most]
     rows = [list(range(len(b) + 1))]
     for i, x in enumerate(a, 1):

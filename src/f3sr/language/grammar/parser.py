@@ -29,7 +29,7 @@ CLAUSES = 3
 
 
 def understand(text: str) -> Request | Refusal:
-    """What a goal asks for, or why it cannot be acted on."""
+    """What a goal asks for, or why its words are refused. Deterministic; work grows linearly with the text."""
     try:
         return _understood(text)
     except NotUnderstoodError as error:

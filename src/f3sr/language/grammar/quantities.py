@@ -45,8 +45,8 @@ class Patterns(NamedTuple):
 
 
 def amount_in(words: str) -> tuple[str, Amount | Vague | None]:
-    """The words with ``|`` where the amount was, and the amount. Raises NotUnderstoodError where it is out of range, of
-    no length, or one of two."""
+    """The words with ``|`` where the amount was, and the amount. Raises NotUnderstoodError where the amount is out
+    of range or no length, and where there are two."""
     found: list[Amount | Vague] = []
     for pattern in _patterns()[:2]:
         found += [_amount(match) for match in pattern.finditer(words)]
@@ -61,7 +61,7 @@ def amount_in(words: str) -> tuple[str, Amount | Vague | None]:
 
 
 def manner_in(words: str) -> tuple[str, Manner | None]:
-    """The words with ``|`` where they say how, and how. Raises NotUnderstoodError where that is gently and hard."""
+    """The words with ``|`` where they say how hard, and how hard. Raises NotUnderstoodError where they say both."""
     words, found = _taken(words, lexicon().manner)
     if len(set(found)) > 1:
         refuse("contradiction", "the goal says both gently and hard; accepted: one of them")

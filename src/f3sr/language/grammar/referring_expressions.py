@@ -36,7 +36,7 @@ class Order:
 
 @dataclass(frozen=True, kw_only=True)
 class Phrase:
-    """What a phrase says of an object; it fits every object of which all of that is true."""
+    """What a phrase says of an object; the phrase fits every object of which all of it is true."""
 
     words: str
     names: tuple[str, ...] = ()
@@ -49,8 +49,8 @@ class Phrase:
 
 
 def parsed(words: str, vocabulary: Collection[str]) -> Phrase:
-    """The parts of a phrase; ``vocabulary`` are the words of the scene's labels, which name before they describe.
-    Raises NotUnderstoodError where a relation has no second object, or there are too many relations."""
+    """The parts of a phrase. ``vocabulary`` holds the words of the scene's labels: these name before they describe.
+    Raises NotUnderstoodError where a relation has no second object, or the phrase has too many relations."""
     tokens = compounded(canonical(words).split())
     if sum(t in lexicon().relations for t in tokens) > MOST:
         refuse("grammar", f"{quoted(words)} has too many relations; accepted: at most {MOST}")

@@ -25,7 +25,7 @@ OPPOSITE: dict[Direction, Direction] = {
 
 @dataclass(frozen=True, kw_only=True)
 class WantedOutcome:
-    """What is to come of it beyond the kind: ``push the box into the can so that the can falls over``."""
+    """What must happen beyond the kind of goal: ``push the box into the can so that the can falls over``."""
 
     what: What
     whose: Literal["active", "target"]
