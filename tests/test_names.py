@@ -11,12 +11,13 @@ import pytest
 
 from f3sr.core.transforms import T_UP_FROM_CAMERA, rotation_about
 from f3sr.goals.refusal import Refusal
-from f3sr.language.grammar.colours import BASIC, colours
-from f3sr.language.grammar.directions import Direction, world_vector
-from f3sr.language.grammar.noun_lexicon import distance, singular
+from f3sr.language.grammar.lexicon import Direction
+from f3sr.language.grammar.nouns import distance, singular
 from f3sr.language.grammar.request import Request
+from f3sr.language.object_queries import world_vector
 from f3sr.language.reference_resolution import Named, names, resolve, resolve_request
 from f3sr.scene import GROUND, Node, Scene, SceneGraph
+from f3sr.vision.colour_terms import BASIC, colours_of
 from laid_table import RGB, camera_of, mirrored, painted, relabelled, table, thing
 
 MEANT = {
@@ -285,20 +286,20 @@ def test_many_objects_are_refused_in_time():
 
 @pytest.mark.parametrize("name", BASIC)
 def test_every_basic_colour_has_its_name_first(name: str):
-    assert colours(np.array([RGB[name]] * 10, np.uint8))[0] == name
+    assert colours_of(np.array([RGB[name]] * 10, np.uint8))[0] == name
 
 
 def test_colours_survive_shade_and_light():
     for name in ("red", "yellow", "green", "blue"):
         for factor in (0.7, 1.0):
             pixel = (np.array(RGB[name]) * factor).astype(np.uint8)
-            assert name in colours(pixel[None]), (name, factor)
+            assert name in colours_of(pixel[None]), (name, factor)
 
 
 def test_two_colours_are_both_named_and_specks_are_not():
     pixels = np.array([RGB["red"]] * 60 + [RGB["blue"]] * 35 + [RGB["yellow"]] * 5, np.uint8)
-    assert colours(pixels)[:2] == ("red", "blue") and "yellow" not in colours(pixels)
-    assert colours(np.empty((0, 3), np.uint8)) == ()
+    assert colours_of(pixels)[:2] == ("red", "blue") and "yellow" not in colours_of(pixels)
+    assert colours_of(np.empty((0, 3), np.uint8)) == ()
 
 
 # --- directions ---------------------------------------------------------------------------------------------------

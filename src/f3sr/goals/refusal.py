@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NoReturn
 
 from f3sr.errors import printable
 
@@ -42,6 +42,19 @@ class Refusal:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "message", printable(self.message))
+
+
+class NotUnderstoodError(Exception):
+    """Carries a refusal from the word that fails to the function that was asked."""
+
+    def __init__(self, refusal: Refusal) -> None:
+        super().__init__(refusal.message)
+        self.refusal = refusal
+
+
+def refuse(reason: Reason, message: str, candidates: tuple[str, ...] = ()) -> NoReturn:
+    """Raises NotUnderstoodError with a refusal."""
+    raise NotUnderstoodError(Refusal(reason=reason, message=message, candidates=candidates))
 
 
 def quoted(words: str) -> str:

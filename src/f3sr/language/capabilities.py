@@ -13,12 +13,12 @@ from f3sr.physics.restitution import LEAST
 from f3sr.scene import Scene
 
 FLAT = 0.4
-"""Height over the smaller side below which nothing is said to be knocked over."""
+"""Height over the smaller side; the menu offers no knocking over of what is flatter."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """An object of the menu."""
+    """What can be asked of one object."""
 
     id: int
     name: str
@@ -30,7 +30,7 @@ class Entry:
 
 
 def menu(scene: Scene) -> tuple[Entry, ...]:
-    """By id."""
+    """What can be asked of every object of a scene, in its order."""
     layout, called = SceneLayout(scene), names(scene)
     return tuple(
         Entry(id=o.id, name=called[o.id], verbs=_verbs(o.id, layout), holds_things=layout.pool(o.id) is not None)

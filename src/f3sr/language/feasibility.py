@@ -1,10 +1,12 @@
-"""What no launch can do, told before anything is tried: by shapes, supports and what a target is."""
+"""What no launch can do, refused before anything is tried: by shapes, supports and what a target is."""
 
 from __future__ import annotations
 
+from typing import NoReturn
+
 import numpy as np
 
-from f3sr.goals.refusal import Refusal
+from f3sr.goals.refusal import refuse
 from f3sr.goals.scene_layout import SceneLayout
 from f3sr.language.grammar.normaliser import spoken
 from f3sr.language.grammar.request import Request
@@ -15,53 +17,51 @@ FITS = 1.15
 """How much wider than an opening something may seem: openings are measured on a grid."""
 
 
-def impossible(r: Request, active: int, target: int | None, layout: SceneLayout) -> Refusal | None:
-    """The first reason why a request cannot be played; None where physics is to say."""
+def check_possible(r: Request, active: int, target: int | None, layout: SceneLayout) -> None:
+    """Raises NotUnderstoodError where no launch can do what a request asks. Physics decides the rest."""
     scene = layout.scene
     if r.kind == "topple" and layout.is_ball(active):
-        return _refused(f"{_name(active, scene)} is round; accepted: 'roll ...'")
-    if target is not None and (refused := _unsuited(r, active, target, layout)):
-        return refused
+        _refuse(f"{_name(active, scene)} is round and cannot topple; accepted: 'roll ...'")
+    if target is not None:
+        _check_target(r, active, target, layout)
     if r.kind in ("drop", "lift_and_drop") and (load := scene.children(active)):
         first = _name(load[0], scene)
-        message = f"{first} rests on {_name(active, scene)}, which cannot be lifted alone; accepted: to lift {first}"
-        return _refused(message, names(scene)[load[0]])
-    return None
+        message = f"{_name(active, scene)} carries {first} and cannot be lifted alone; accepted: to lift {first}"
+        _refuse(message, names(scene)[load[0]])
 
 
-def _unsuited(r: Request, active: int, target: int, layout: SceneLayout) -> Refusal | None:
-    """That the target is not one for what is asked."""
+def _check_target(r: Request, active: int, target: int, layout: SceneLayout) -> None:
+    """Refuses a target that does not suit what is asked."""
     scene, way, kind = layout.scene, r.preposition, r.kind
     if target == GROUND and way in ("into", "over", "off", "away-from", "towards"):
-        return _refused(f"nothing goes {spoken(way)} the ground; accepted: a thing's name, or 'onto the ground'")
+        _refuse(f"no object goes {spoken(way)} the ground; accepted: an object's name, or 'onto the ground'")
     if way == "over" and kind in ("push_into", "roll", "slide"):
-        return _refused(f"what is on the ground cannot go over {_name(target, scene)}; accepted: 'throw ... over ...'")
+        _refuse(f"an object on the ground cannot go over {_name(target, scene)}; accepted: 'throw ... over ...'")
     if way in ("off", "away-from") and kind in ("drop", "lift_and_drop"):
-        return _refused(
-            f"what is dropped leaves {_name(target, scene)} by itself; accepted: 'push ... {spoken(way)} ...'"
-        )
+        _refuse(f"a dropped object leaves {_name(target, scene)} by itself; accepted: 'push ... {spoken(way)} ...'")
     below = {*scene.ancestors(active), *(s.id for s in scene[active].supports)}
     if way == "off" and kind in ("slide", "roll", "throw") and target not in below:
-        return _refused(f"{_name(active, scene)} is not on {_name(target, scene)}; accepted: 'push ... away from ...'")
-    return _too_large(active, target, layout) if way == "into" and kind != "push_into" else None
+        _refuse(f"{_name(active, scene)} is not on {_name(target, scene)}; accepted: 'push ... away from ...'")
+    if way == "into" and kind != "push_into":
+        _check_size(active, target, layout)
 
 
-def _too_large(active: int, target: int, layout: SceneLayout) -> Refusal | None:
-    """What lies in something passes its opening with its second largest side at most, of the smallest box around it."""
+def _check_size(active: int, target: int, layout: SceneLayout) -> None:
+    """Refuses what is too large for an opening: its second largest side, of the smallest box around it, must pass."""
     from trimesh.bounds import oriented_bounds
 
     pool = layout.pool(target)
     parts = np.concatenate([q.vertices for q in layout.body(active).parts])
     side = float(sorted(oriented_bounds(parts)[1])[1])
     if pool is None or side <= FITS * 2 * pool.radius:
-        return None
+        return
     scene = layout.scene
     wide = f"{_name(active, scene)}, {100 * side:.0f} cm across, does not fit into {_name(target, scene)}"
-    return _refused(f"{wide}, {200 * pool.radius:.0f} cm wide; accepted: onto or at it")
+    _refuse(f"{wide}, {200 * pool.radius:.0f} cm wide; accepted: onto or at it")
 
 
-def _refused(message: str, *candidates: str) -> Refusal:
-    return Refusal(reason="impossible", message=message, candidates=candidates)
+def _refuse(message: str, *candidates: str) -> NoReturn:
+    refuse("impossible", message, candidates)
 
 
 def _name(id: int, scene: Scene) -> str:

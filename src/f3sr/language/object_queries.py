@@ -1,4 +1,4 @@
-"""What somebody at the camera sees of a scene: where things are, how large, of what colour, what stands by what."""
+"""What somebody at the camera sees of a scene: directions, places, sizes, colours, and what stands by what."""
 
 from __future__ import annotations
 
@@ -7,33 +7,61 @@ from functools import cached_property
 
 import numpy as np
 
-from f3sr.core.transforms import Array
-from f3sr.language.grammar import colours, noun_lexicon
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import UP, Array
+from f3sr.language.grammar.lexicon import Axis, Direction, lexicon
 from f3sr.language.grammar.normaliser import canonical, words_of
-from f3sr.language.grammar.referring_expressions import Axis
+from f3sr.language.grammar.nouns import compounded
+from f3sr.language.grammar.referring_expressions import PLACES
+from f3sr.language.grammar.request import OPPOSITE
 from f3sr.scene import GROUND, Scene
+from f3sr.vision.colour_terms import Colour, colours_of
 
 SAME_PLACE = 0.02
 """Share of the photo's side, or of the depth, within which two objects are as far left, up or away."""
 SAME_SIZE = 0.05
 """Share of its size within which an object is as large as another."""
+STEEP = 0.2
+"""Horizontal part of the viewing direction below which the camera looks down and the photo's up is away."""
 BESIDE = ("next_to", "touching", "leaning_on")
 
 
+def world_vector(directions: Sequence[Direction], camera: Camera) -> Array:
+    """The unit vector (3,) in the world of some directions together, as somebody at the camera means them. Left is
+    against the camera's x axis and away along its z axis, both laid on the ground. ValueError where they cancel out."""
+    total = np.sum([_vector(d, camera) for d in directions], axis=0) if directions else np.zeros(3)
+    length = float(np.linalg.norm(total))
+    if length < 1e-6:
+        raise ValueError(f"directions {list(directions)} lead nowhere; accepted: some that are not opposite")
+    return total / length
+
+
+def _vector(direction: Direction, camera: Camera) -> Array:
+    if direction in ("up", "down"):
+        return UP if direction == "up" else -UP
+    if direction in ("left", "towards"):
+        return -_vector(OPPOSITE[direction], camera)
+    x, y, z = camera.T_world_camera[:3, :3].T
+    axis = x if direction == "right" else z if np.hypot(z[0], z[1]) > STEEP else -y
+    flat = np.array([axis[0], axis[1], 0.0])
+    return flat / max(float(np.linalg.norm(flat)), 1e-12)
+
+
 class Sight:
-    """A scene's objects by id, measured when first asked for."""
+    """What an observer at the camera sees of a scene's objects, by id. Each measure is taken when first needed."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self._colours: dict[int, tuple[str, ...]] = {}
+        self._colours: dict[int, tuple[Colour, ...]] = {}
 
     @cached_property
     def labels(self) -> dict[int, tuple[str, ...]]:
         """The words of every label."""
-        return {o.id: noun_lexicon.compounded(canonical(" ".join(words_of(o.label))).split()) for o in self.scene}
+        return {o.id: compounded(canonical(" ".join(words_of(o.label))).split()) for o in self.scene}
 
     @cached_property
     def vocabulary(self) -> frozenset[str]:
+        """All words of all labels."""
         return frozenset(word for label in self.labels.values() for word in label)
 
     @cached_property
@@ -41,24 +69,24 @@ class Sight:
         """Descriptions from the scene graph, of objects without a label."""
         return {n.id: n.description for n in self.scene.graph.nodes if not self.labels.get(n.id)}
 
-    def colours(self, id: int) -> tuple[str, ...]:
-        """What colours an object may be called by: those that the photo shows and those of its label."""
+    def colours(self, id: int) -> tuple[Colour, ...]:
+        """The colours that an object may be called by: those in the photo, then those in its label."""
         if id not in self._colours:
-            seen = colours.colours(self.scene.photo.rgb[self.scene[id].mask])
-            said = [c for word in self.labels[id] for c in colours.NAMED.get(word, ())]
-            self._colours[id] = tuple(dict.fromkeys((*seen, *said)))
+            seen = colours_of(self.scene.photo.rgb[self.scene[id].mask])
+            said: list[Colour] = [c for word in self.labels[id] for c in lexicon().colours_of.get(word, ())]
+            self._colours[id] = (*seen, *(c for c in said if c not in seen))
         return self._colours[id]
 
     def picked(self, axis: Axis, rank: int, ids: Sequence[int]) -> list[int]:
-        """The objects of a rank along an axis, more than one where they differ too little to tell; none where there
-        are not so many."""
+        """The objects of a rank (0 the first, -1 the last) along an axis. Several where they differ too little to tell;
+        none where there are fewer objects."""
         if not ids or not -len(ids) <= rank < len(ids):
             return []
         if axis == "middle":
             return self._middle(ids)
         keys = {id: self._key(axis, id) for id in ids}
         wanted = sorted(keys.values())[rank]
-        margin = SAME_PLACE if axis in ("left", "right", "front", "back", "upper", "lower") else SAME_SIZE
+        margin = SAME_PLACE if axis in PLACES else SAME_SIZE
         return [id for id in ids if abs(keys[id] - wanted) <= margin]
 
     def related(self, relation: str, ids: Sequence[int], anchors: Sequence[int]) -> list[int]:

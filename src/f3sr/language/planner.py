@@ -10,17 +10,18 @@ import numpy as np
 from f3sr.core.transforms import UP, Array
 from f3sr.goals.launch_limits import limits_of
 from f3sr.goals.plan import Kind, TaskSpec
-from f3sr.goals.refusal import Refusal
+from f3sr.goals.refusal import NotUnderstoodError, Refusal, refuse
 from f3sr.goals.scene_layout import SceneLayout
 from f3sr.language import success_conditions
-from f3sr.language.feasibility import impossible
-from f3sr.language.grammar.directions import Direction, world_vector
+from f3sr.language.feasibility import check_possible
+from f3sr.language.grammar.lexicon import Direction
 from f3sr.language.grammar.normaliser import spoken
 from f3sr.language.grammar.parser import understand
 from f3sr.language.grammar.quantities import Amount
 from f3sr.language.grammar.request import Request
-from f3sr.language.meant import Meant
+from f3sr.language.object_queries import world_vector
 from f3sr.language.reference_resolution import names, resolve_request
+from f3sr.language.success_conditions import Meant
 from f3sr.scene import GROUND, Scene
 
 FAR_ENOUGH: dict[Kind, float] = {
@@ -62,7 +63,7 @@ SAID: dict[Direction, str] = {
 
 
 def tasks_of(goal: str, scene: Scene) -> Sequence[TaskSpec] | Refusal:
-    """What a goal asks for, the strictest reading first: what comes later leaves out what nobody said."""
+    """The tasks that a goal may mean, the strictest first: later ones drop conditions that nobody stated."""
     request = understand(goal)
     if isinstance(request, Refusal):
         return request
@@ -70,11 +71,11 @@ def tasks_of(goal: str, scene: Scene) -> Sequence[TaskSpec] | Refusal:
     if isinstance(named, Refusal):
         return named
     layout = SceneLayout(scene)
-    if refused := impossible(request, named.active, named.target, layout):
-        return refused
-    meant = _meant(request, named.active, named.target, layout)
-    if isinstance(meant, Refusal):
-        return meant
+    try:
+        check_possible(request, named.active, named.target, layout)
+        meant = _meant(request, named.active, named.target, layout)
+    except NotUnderstoodError as error:
+        return error.refusal
     return [_task(meant, conditions, left, scene) for conditions, left in success_conditions.readings(meant, layout)]
 
 
@@ -115,13 +116,12 @@ def _interpretation(meant: Meant, called: dict[int, str]) -> str:
     return " ".join(words)
 
 
-def _meant(r: Request, active: int, target: int | None, layout: SceneLayout) -> Meant | Refusal:
+def _meant(r: Request, active: int, target: int | None, layout: SceneLayout) -> Meant:
     amount = _amount(r, active, layout)
     limit = limits_of(layout.scene).lift if r.kind in ("drop", "lift_and_drop", "launch_and_return") else None
     limit = limit or FARTHEST * layout.scene.diagonal
     if isinstance(r.amount, Amount) and amount > limit:
-        message = f"{amount:.3g} m is more than this scene has room for; accepted: at most {limit:.2g} m"
-        return Refusal(reason="amount", message=message)
+        refuse("amount", f"this scene has no room for {amount:.3g} m; accepted: at most {limit:.2g} m")
     meant = Meant(
         request=r,
         active=active,

@@ -19,12 +19,12 @@ UNDECLARED = "unknown"
 
 
 def semantics_of(task: TaskSpec, scene: Scene) -> tuple[Semantics, ...]:
-    """Of every object, in the scene's order."""
+    """The physical properties of every object for a task, in the scene's order."""
     return tuple(_of(o, bounces=o.id == task.active and task.kind in FLYING) for o in scene)
 
 
 def declared(o: SceneObject, *, source: Source = "scene") -> Semantics:
-    """What the package says of an object."""
+    """The physical properties that a package declares for an object."""
     known = material_of(o.label)
     return Semantics(
         id=o.id,

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NoReturn
 
-from f3sr.goals.refusal import Reason, Refusal, listed, quoted
-from f3sr.language.grammar import noun_lexicon
-from f3sr.language.grammar.colours import NAMED
+from f3sr.goals.refusal import NotUnderstoodError, Reason, Refusal, listed, quoted, refuse
+from f3sr.language.grammar import nouns
+from f3sr.language.grammar.lexicon import lexicon
 from f3sr.language.grammar.normaliser import canonical, plain, spoken
 from f3sr.language.grammar.referring_expressions import Phrase, parsed
 from f3sr.language.grammar.request import Request
@@ -29,23 +30,11 @@ class Named:
 
 
 def resolve_request(request: Request, scene: Scene) -> Named | Refusal:
-    """The objects of a request; refused where its words fail, its active object cannot move or is its own target."""
-    sight = Sight(scene)
-    active = _resolved(request.active, sight, None)
-    if isinstance(active, Refusal):
-        return active
-    if active == GROUND or scene[active].mobility == "fixed":
-        message = f"{quoted(spoken(request.active))} is fixed; accepted: an object that can move"
-        free = [o.id for o in scene if o.mobility == "dynamic"]
-        return Refusal(reason="fixed", message=message, candidates=_told_apart(free, sight))
-    target = None if request.target is None else _resolved(request.target, sight, active)
-    if isinstance(target, Refusal):
-        return target
-    if target == active:
-        message = f"{quoted(spoken(request.active))} is also its target; accepted: another object"
-        others = [o.id for o in scene if o.id != active]
-        return Refusal(reason="same", message=message, candidates=_told_apart(others, sight))
-    return Named(active=active, target=target)
+    """The objects of a request. Refused where not one object fits, or the active one is fixed or its own target."""
+    try:
+        return _named(request, Sight(scene))
+    except NotUnderstoodError as error:
+        return error.refusal
 
 
 def resolve(phrase: str, scene: Scene, *, active: int | None = None) -> int | Refusal:
@@ -53,7 +42,10 @@ def resolve(phrase: str, scene: Scene, *, active: int | None = None) -> int | Re
 
     A refusal's candidates are phrases that select one object each.
     """
-    return _resolved(phrase, Sight(scene), active)
+    try:
+        return _resolved(phrase, Sight(scene), active)
+    except NotUnderstoodError as error:
+        return error.refusal
 
 
 def names(scene: Scene) -> dict[int, str]:
@@ -62,79 +54,78 @@ def names(scene: Scene) -> dict[int, str]:
     return {o.id: _distinct(o.id, sight) for o in scene}
 
 
-def _resolved(phrase: str, sight: Sight, active: int | None) -> int | Refusal:
-    words = plain(phrase)
-    if isinstance(words, Refusal):
-        return words
-    words = canonical(words)
+def _named(request: Request, sight: Sight) -> Named:
+    scene, called = sight.scene, quoted(spoken(request.active))
+    active = _resolved(request.active, sight, None)
+    if active == GROUND or scene[active].mobility == "fixed":
+        free = [o.id for o in scene if o.mobility == "dynamic"]
+        refuse("fixed", f"{called} is fixed; accepted: an object that can move", _told_apart(free, sight))
+    target = None if request.target is None else _resolved(request.target, sight, active)
+    if target == active:
+        others = [o.id for o in scene if o.id != active]
+        refuse("same", f"{called} is also its own target; accepted: another target", _told_apart(others, sight))
+    return Named(active=active, target=target)
+
+
+def _resolved(phrase: str, sight: Sight, active: int | None) -> int:
+    words = canonical(plain(phrase))
     if words in PRONOUNS and active is not None:
         return active
     if words in PRONOUNS - {"back"}:
-        return Refusal(reason="ambiguous", message=f"nothing is named that {quoted(words)} could mean")
-    found = _meant(words, sight)
-    if isinstance(found, Refusal):
-        return found
-    ids, plural = found
+        refuse("ambiguous", f"{quoted(words)} refers to no object; accepted: an object's name")
+    ids, plural = _meant(words, sight)
     if plural:
-        return _many("plural", f"{quoted(spoken(words))} is more than one object", ids, sight)
+        _refuse_all("plural", f"{quoted(spoken(words))} means more than one object", ids, sight)
     if len(ids) > 1:
-        return _many("ambiguous", f"{quoted(spoken(words))} may be {len(ids)} objects", ids, sight)
+        _refuse_all("ambiguous", f"{quoted(spoken(words))} may mean {len(ids)} objects", ids, sight)
     return ids[0]
 
 
-def _meant(words: str, sight: Sight) -> tuple[list[int], bool] | Refusal:
+def _meant(words: str, sight: Sight) -> tuple[list[int], bool]:
     """All objects that canonical words fit, at least one, and whether the words mean several."""
-    tokens = noun_lexicon.compounded(words.split())
+    tokens = nouns.compounded(words.split())
     if len(tokens) > 1 and (labelled := [id for id, label in sight.labels.items() if label == tokens]):
         return labelled, False
     phrase = parsed(words, sight.vocabulary)
-    if isinstance(phrase, Refusal):
-        return phrase
     ids = _matching(phrase, sight)
-    if isinstance(ids, Refusal):
-        return ids
     return ids, phrase.plural or _plural_noun(phrase, sight)
 
 
-def _matching(phrase: Phrase, sight: Sight) -> list[int] | Refusal:
+def _matching(phrase: Phrase, sight: Sight) -> list[int]:
     """All objects that a phrase fits, at least one. Where it describes, everything that might be called so is looked
     at, and the best named of what remains is taken: the white bottle may be labelled a cleanser."""
     best, any_ = _called(phrase, sight)
     if not best:
-        return _unknown(phrase, sight)
+        _refuse_unknown(phrase, sight)
     if best == [GROUND] or not (phrase.colours or phrase.relation or phrase.orders):
         return best
     found = _described(phrase, any_, sight)
-    if isinstance(found, Refusal):
-        return found
     return [id for id in found if id in best] or found
 
 
-def _described(phrase: Phrase, ids: list[int], sight: Sight) -> list[int] | Refusal:
+def _described(phrase: Phrase, ids: list[int], sight: Sight) -> list[int]:
     """Those of some objects that a phrase's adjectives fit: colours and relations first, order last."""
-    coloured = [id for id in ids if all(set(NAMED[c]) & set(sight.colours(id)) for c in phrase.colours)]
+    meant = [set(lexicon().colours_of[word]) for word in phrase.colours]
+    coloured = [id for id in ids if all(colours.intersection(sight.colours(id)) for colours in meant)]
     if not coloured:
-        return _none_such(phrase, f"none of {len(ids)} is {' and '.join(phrase.colours)}", ids, sight)
+        _refuse_none(phrase, f"none of {len(ids)} is {' and '.join(phrase.colours)}", ids, sight)
     ids = coloured
     if phrase.relation:
         relation, anchor = phrase.relation
-        anchors = _matching(anchor, sight)
-        if isinstance(anchors, Refusal):
-            return anchors
-        related = sight.related(relation, ids, anchors)
+        related = sight.related(relation, ids, _matching(anchor, sight))
         if not related:
-            return _none_such(phrase, f"nothing so called is {spoken(relation)} {anchor.words}", ids, sight)
+            _refuse_none(phrase, f"none of {len(ids)} is {spoken(relation)} {anchor.words}", ids, sight)
         ids = related
     return _in_order(phrase, ids, sight)
 
 
-def _in_order(phrase: Phrase, ids: list[int], sight: Sight) -> list[int] | Refusal:
+def _in_order(phrase: Phrase, ids: list[int], sight: Sight) -> list[int]:
     for order in phrase.orders:
         if order.axis is None:
-            return _many("ambiguous", f"{quoted(phrase.words)} does not say from which side", ids, sight)
+            _refuse_all("ambiguous", f"{quoted(phrase.words)} does not say from which side", ids, sight)
         picked = sight.picked(order.axis, order.rank, ids)
         if not picked:
-            return _none_such(phrase, f"there are only {len(ids)}", ids, sight)
+            _refuse_none(phrase, f"there are only {len(ids)}", ids, sight)
         ids = picked
     return ids
 
@@ -145,60 +136,57 @@ def _called(phrase: Phrase, sight: Sight) -> tuple[list[int], list[int]]:
     if phrase.id is not None or not phrase.names:
         ids = [id for id in everything if phrase.id in (None, id)]
         return ids, ids
-    fits = {id: noun_lexicon.fit(phrase.names, label) for id, label in sight.labels.items()}
+    fits = {id: nouns.fit(phrase.names, label) for id, label in sight.labels.items()}
     known = {id: level for id, level in fits.items() if level is not None}
     if known:
         best = min(known.values())
         return [id for id in known if known[id] == best], [id for id in known if known[id] in (best, 0, 2, 3)]
     name, *more = phrase.names
-    ids = [GROUND] if name in noun_lexicon.GROUND_NAMES else _shaped(noun_lexicon.singular(name), sight)
+    ids = [GROUND] if name in lexicon().ground else _shaped(nouns.singular(name), sight)
     return ([], []) if more else (ids, ids)
 
 
 def _shaped(name: str, sight: Sight) -> list[int]:
     """Objects without a label by their form."""
-    return [id for id, description in sight.shapes.items() if noun_lexicon.fits_shape(name, description)]
+    return [id for id, description in sight.shapes.items() if nouns.fits_shape(name, description)]
 
 
 def _plural_noun(phrase: Phrase, sight: Sight) -> bool:
     """``the cups``; what is itself a label's plural, or like ``crackers`` only a part of one, names one thing."""
     head = phrase.names[-1:]
-    several = any(noun_lexicon.singular(n) != n and n not in sight.vocabulary for n in head)
-    return several and any(noun_lexicon.fit(phrase.names, label) in (0, 2, 3) for label in sight.labels.values())
+    several = any(nouns.singular(n) != n and n not in sight.vocabulary for n in head)
+    return several and any(nouns.fit(phrase.names, label) in (0, 2, 3) for label in sight.labels.values())
 
 
 # --- refusals -----------------------------------------------------------------------------------------------------
 
 
-def _many(reason: Reason, found: str, ids: Sequence[int], sight: Sight) -> Refusal:
+def _refuse_all(reason: Reason, found: str, ids: Sequence[int], sight: Sight) -> NoReturn:
+    """Refuses words that fit several objects, and tells these apart."""
     apart = _told_apart(ids, sight)
-    return Refusal(reason=reason, message=f"{found}: say {_some_of(ids, apart)}", candidates=apart)
+    refuse(reason, f"{found}; accepted: {_some_of(ids, apart)}", apart)
 
 
-def _none_such(phrase: Phrase, why: str, ids: Sequence[int], sight: Sight) -> Refusal:
-    apart = _told_apart(ids, sight)
-    message = f"no {quoted(phrase.words)} here, {why}; accepted: {_some_of(ids, apart)}"
-    return Refusal(reason="unknown", message=message, candidates=apart)
+def _refuse_none(phrase: Phrase, why: str, ids: Sequence[int], sight: Sight) -> NoReturn:
+    """Refuses words that fit no object of those that are called so."""
+    _refuse_all("unknown", f"the scene has no {quoted(phrase.words)}, {why}", ids, sight)
 
 
-def _unknown(phrase: Phrase, sight: Sight) -> Refusal:
+def _refuse_unknown(phrase: Phrase, sight: Sight) -> NoReturn:
+    """Refuses a name that no object has."""
+    everything = [o.id for o in sight.scene]
     if "and" in phrase.names:
-        ids = [o.id for o in sight.scene]
-        apart = _told_apart(ids, sight)
-        message = f"{quoted(phrase.words)} is more than one object; accepted: one of {_some_of(ids, apart)}"
-        return Refusal(reason="plural", message=message, candidates=apart)
+        _refuse_all("plural", f"{quoted(phrase.words)} means more than one object", everything, sight)
     near = _nearest_names(phrase, sight)
-    ids = near or [o.id for o in sight.scene]
-    apart = _told_apart(ids, sight)
-    hint = "did you mean" if near else "the scene has"
-    message = f"no {quoted(phrase.words)} here; {hint} {_some_of(ids, apart)}"
-    return Refusal(reason="unknown", message=message, candidates=apart)
+    apart = _told_apart(near or everything, sight)
+    hint = f"did you mean {_some_of(near, apart)}" if near else f"it has {_some_of(everything, apart)}"
+    refuse("unknown", f"the scene has no {quoted(phrase.words)}; {hint}", apart)
 
 
 def _nearest_names(phrase: Phrase, sight: Sight) -> list[int]:
     """Objects of which a word of the label is spelt much like one of the phrase's, the likest first."""
     far = {
-        id: min((noun_lexicon.distance(a, b) / max(len(a), len(b)) for a in phrase.names for b in label), default=1.0)
+        id: min((nouns.distance(a, b) / max(len(a), len(b)) for a in phrase.names for b in label), default=1.0)
         for id, label in sight.labels.items()
     }
     return [id for id in sorted(far, key=lambda id: far[id]) if far[id] <= 0.4][:3]
@@ -219,16 +207,29 @@ def _told_apart(ids: Sequence[int], sight: Sight) -> tuple[str, ...]:
 
 def _distinct(id: int, sight: Sight) -> str:
     """The first phrase that selects one object alone."""
-    for words in _phrases(id, sight):
-        if _meant(canonical(words), sight) == ([id], False):
-            return words
-    return f"object {id}"
+    return next((words for words in _phrases(id, sight) if _selects(words, id, sight)), f"object {id}")
+
+
+def _selects(words: str, id: int, sight: Sight) -> bool:
+    """Whether words mean an object and no other."""
+    try:
+        return _meant(canonical(words), sight) == ([id], False)
+    except NotUnderstoodError:
+        return False
+
+
+def _is_plain(label: str) -> bool:
+    """Whether a goal may hold a label."""
+    try:
+        return bool(plain(label))
+    except NotUnderstoodError:
+        return False
 
 
 def _phrases(id: int, sight: Sight) -> Iterator[str]:
     """Phrases for an object, the shortest first."""
     label = " ".join(sight.labels[id])
-    base = spoken(label) if label and not isinstance(plain(label), Refusal) else "object"
+    base = spoken(label) if _is_plain(label) else "object"
     if label:
         yield base
     for colour in sight.colours(id):

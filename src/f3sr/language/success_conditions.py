@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from f3sr.core.transforms import Array
 from f3sr.goals import plan as p
 from f3sr.goals.scene_layout import SceneLayout, way_between
-from f3sr.language.grammar.request import What
-from f3sr.language.meant import Meant
+from f3sr.language.grammar.request import Request, What
 from f3sr.scene import GROUND
 
 Conditions = tuple[p.Condition, ...]
@@ -40,8 +41,24 @@ SEEN = 0.25
 """Share of its size that the active object moves at least."""
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Meant:
+    """A request whose objects, direction and distance are known."""
+
+    request: Request
+    active: int
+    target: int | None
+    direction: Array | None
+    """Unit vector (3,) in the world."""
+    amount: float
+    """[m]"""
+    asked: bool
+    """Whether the words gave the amount."""
+    assumptions: tuple[str, ...]
+
+
 def readings(meant: Meant, layout: SceneLayout) -> list[Reading]:
-    """The strictest first."""
+    """The success conditions of a settled request, the strictest first, each with what it leaves to chance."""
     made = _BY_KIND[meant.request.kind](meant, layout)
     outcome = meant.request.outcome
     if outcome is None:
@@ -54,7 +71,7 @@ def readings(meant: Meant, layout: SceneLayout) -> list[Reading]:
 
 
 def phases(conditions: Sequence[p.Condition], called: Mapping[int, str]) -> Iterator[str]:
-    """What happens, in order, in words."""
+    """The conditions as sentences, in order; ``called`` names every object."""
 
     def name(id: int) -> str:
         return "the ground" if id == GROUND else called[id]

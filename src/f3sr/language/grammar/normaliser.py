@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from typing import NoReturn
 
-from f3sr.goals.refusal import Refusal
+from f3sr.goals.refusal import quoted, refuse
+from f3sr.language.grammar.lexicon import Rules, lexicon
 
 LONGEST = 300
 """Characters of a goal: a sentence or two."""
@@ -17,57 +19,45 @@ SYMBOLS = "+=<>~$%|^`°⁄−×"
 DASHES = re.compile("[\u2010-\u2015\u2212]")
 FRACTIONS = re.compile("(?=[\u00bc-\u00be\u2150-\u215e])")
 """Before one half and its like, which compatibility forms would glue to the number that precedes."""
-ARTICLES = re.compile(r"\b(?:the|an?|this|my|your|our)\b")
-
-SPELLINGS: tuple[tuple[str, str], ...] = (
-    (r"\b(?:across|along) (?:ground|floor|table|tabletop|desk|surface|counter)\b", ""),
-    (r"\b(left|right|front|back)(?: hand)? side\b|\b(left|right) hand\b", r"\1\2"),
-    (r"\b(?:far|very|extreme) (left|right)(?:most)?\b", r"\1"),
-    (r"\b(?:right|just|directly|immediately) (?=(?:next to|beside|in front of|behind|under|on top)\b)", ""),
-    (r"\b(?:that|which) (?:is|are|lies|stands|sits|rests) (?:(?:lying|standing|sitting|resting) )?", ""),
-    (r"\b(?:lying|standing|sitting|resting|placed|located) (?=(?:on|in|next|beside|at|under|behind|near)\b)", ""),
-    (r"\b(left|right|front|back|rear) of (?:ground|floor|table|tabletop|desk|counter|photo|picture|image)\b", r"\1"),
-    (r"\b(?:whatever|anything that|something that) is\b", "thing"),
-    (r"\b(?:(?:to|on|at) )?(left|right) of\b", r"\1-of"),
-    (r"\b(?:on (?:the )?top of|atop|upon)\b", "on"),
-    (r"\bon to\b", "onto"),
-    (r"\bin to\b", "into"),
-    (r"\b(?:inside of|inside|within)\b", "in"),
-    (r"\b(?:next to|beside|near to|near|close to|adjacent to|touching|alongside)\b", "next-to"),
-    (r"\bin front of\b", "in-front-of"),
-    (r"\b(?:underneath|below|beneath)\b", "under"),
-    (r"\baway from\b", "away-from"),
-    (r"\b(?:out of|off of)\b", "off"),
-    (r"\b(?:in (?:the )?direction of|toward)\b", "towards"),
-    (r"\bup against\b", "against"),
-    (r"\b(?:with (?:the )?help of|using|by means of)\b", "with"),
-    (r"\b(?:nearest|closest) to\b", "nearest-to"),
-    (r"\b(?:farthest|furthest)(?: away)? from\b", "farthest-from"),
-    (r"\b(?:straight |high )?(?:up )?(?:into|in) (?:the )?air\b|\bstraight up\b", "upwards"),
+TYPED: tuple[tuple[str, str], ...] = (
+    ("\u2044", "/"),
+    ("%", " percent "),
+    ("°", " degrees "),
+    (r"[.!?;:\n](?=\s+\S*[^\W_])", " and then "),
+    ("['\u2018\u2019\u02bc`]", ""),
+    (r"(?<![\w.,])-\s?(?=[.\d])", " minus "),
+    (r"(?<=\d),(?=\d{3}\b)", ""),
+    (r"(?<=\d),(?=\d)", "."),
+    (r"(?<![\d.])\.(?=\d)", "0."),
+    (r"(\d)(?!st\b|nd\b|rd\b|th\b)(?=[^\W\d_])", r"\1 "),
 )
-"""What means the same in one spelling, in this order; words with a hyphen are one word from here on."""
-_SPELLINGS = tuple((re.compile(pattern), plain) for pattern, plain in SPELLINGS)
+"""What is typed, and what it becomes, in this order."""
+SCIENTIFIC = re.compile(r"\b\d+(?:\.\d+)?e\+?\d+\b")
+TOKEN = re.compile(r"\d+(?:\.\d+|/\d+)?(?:st|nd|rd|th)?\b|\d+|[^\W\d_]+")
+"""A number, an ordinal number or a word."""
 
 
-def plain(text: str) -> str | Refusal:
+def plain(text: str) -> str:
     """The text in small letters without accents and punctuation; hyphens part words, a minus stays with its number.
-    Refused where it is empty, too long, or holds what is not written English."""
+    Raises NotUnderstoodError where it is empty, too long, or holds what is not written English."""
     if len(text) > LONGEST:
-        return Refusal(
-            reason="long", message=f"the goal has {len(text):,} characters; accepted: one sentence, at most {LONGEST}"
-        )
+        refuse("long", f"the goal has {len(text):,} characters; accepted: one sentence, at most {LONGEST}")
     if strange := next((c for c in text if not _english(c)), None):
-        return _foreign(strange)
-    words = _spaced(text)
-    return words or Refusal(reason="empty", message="the goal has no words; accepted: 'push the cup to the left'")
+        _refuse_character(strange)
+    return _spaced(text) or refuse("empty", "the goal has no words; accepted: 'push the cup to the left'")
 
 
 def canonical(words: str) -> str:
     """Plain words without articles, relations spelt one way: ``to the left of`` is ``left-of``. Twice is as once."""
-    words = " ".join(ARTICLES.sub(" ", words).split())
-    for pattern, replacement in _SPELLINGS:
-        words = pattern.sub(replacement, words)
-    return " ".join(words.split())
+    return rewritten(words, lexicon().spellings)
+
+
+def rewritten(words: str, rules: Rules) -> str:
+    """Words after all rules, each applied once in order, with one space between words."""
+    for pattern, replacement in rules:
+        words, found = pattern.subn(replacement, words)
+        words = " ".join(words.split()) if found else words
+    return words
 
 
 def words_of(text: str) -> tuple[str, ...]:
@@ -75,13 +65,8 @@ def words_of(text: str) -> tuple[str, ...]:
     return tuple(_spaced(text).split())
 
 
-def each(words: str) -> list[str]:
-    """Words of a table, written with spaces between them."""
-    return words.split()
-
-
 def spoken(phrase: str) -> str:
-    """A canonical phrase as one would say it."""
+    """A canonical phrase as a person says it: ``next-to`` is ``next to``."""
     return phrase.replace("-", " ")
 
 
@@ -93,25 +78,18 @@ def _english(c: str) -> bool:
     return known or kind[0] == "P" or kind in ("Zs", "No") or "\u0300" <= c <= "\u036f"
 
 
-def _foreign(c: str) -> Refusal:
+def _refuse_character(c: str) -> NoReturn:
     name = unicodedata.name(c, "a control character").lower()
     if unicodedata.category(c)[0] == "L":
-        return Refusal(reason="language", message=f"the goal holds a {name}; accepted: English in Latin letters")
-    found = f"U+{ord(c):04X} ({name})"
-    return Refusal(reason="characters", message=f"the goal holds {found}; accepted: letters, digits, punctuation")
+        refuse("language", f"the goal holds {quoted(name)}; accepted: English in Latin letters")
+    refuse("characters", f"the goal holds U+{ord(c):04X} ({name}); accepted: letters, digits, punctuation")
 
 
 def _spaced(text: str) -> str:
     """Words and numbers with one space between them."""
     text = unicodedata.normalize("NFKD", FRACTIONS.sub(" ", DASHES.sub("-", text))).casefold()
     text = "".join(c for c in text if not unicodedata.combining(c))
-    text = text.replace("\u2044", "/").replace("%", " percent ").replace("°", " degrees ")
-    text = re.sub(r"[.!?;:\n](?=\s+\S*[^\W_])", " and then ", text)
-    text = re.sub("['\u2018\u2019\u02bc`]", "", text)
-    text = re.sub(r"\b\d+(?:\.\d+)?e\+?\d+\b", lambda m: f"{min(float(m[0]), 1e12):f}", text)
-    text = re.sub(r"(?<![\w.,])-\s?(?=[.\d])", " minus ", text)
-    text = re.sub(r"(?<=\d),(?=\d{3}\b)", "", text)
-    text = re.sub(r"(?<=\d),(?=\d)", ".", text)
-    text = re.sub(r"(?<![\d.])\.(?=\d)", "0.", text)
-    text = re.sub(r"(\d)(?!st\b|nd\b|rd\b|th\b)(?=[^\W\d_])", r"\1 ", text)
-    return " ".join(re.findall(r"\d+(?:\.\d+|/\d+)?(?:st|nd|rd|th)?\b|\d+|[^\W\d_]+", text))
+    text = SCIENTIFIC.sub(lambda m: f"{min(float(m[0]), 1e12):f}", text)
+    for pattern, replacement in TYPED:
+        text = re.sub(pattern, replacement, text)
+    return " ".join(TOKEN.findall(text))

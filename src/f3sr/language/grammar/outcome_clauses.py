@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import cast
 
 from f3sr.goals.plan import Kind
-from f3sr.goals.refusal import Refusal
-from f3sr.language.grammar.clause_arguments import Clause
+from f3sr.language.grammar.clauses import Clause, refuse_several
+from f3sr.language.grammar.lexicon import Family
 from f3sr.language.grammar.request import Preposition, Request, WantedOutcome, What
-from f3sr.language.grammar.verb_lexicon import Family
 
 IT = {"", "it", "itself", "them"}
 RETURNING: set[Family] = {"fall", "return", "throw", "drop"}
@@ -25,22 +23,23 @@ OUTCOMES: dict[Family, What] = {
 """What a further clause's verb says of how it ends."""
 
 
-def continued(r: Request, c: Clause) -> Request | Refusal:
-    """A request with what a further clause adds: what it hits, where it ends, what comes of it."""
+def continued(r: Request, c: Clause) -> Request:
+    """A request with what a further clause adds: what it hits, where it ends, what comes of it. Raises
+    NotUnderstoodError where the clause is a goal of its own."""
     if (struck := _struck(c)) and r.target is None and _whose(c.subject, r) == "active":
         return _with_target(r, "onto" if r.kind in ("drop", "lift_and_drop") else "into", struck)
     whose = _whose(c.subject or c.object, r)
     if set(c.directions) - {"up", "down", *r.direction}:
-        return several()
+        refuse_several()
     if whose is None or (c.subject and c.object not in IT):
-        return several()
+        refuse_several()
     if c.targets and r.target is None and whose == "active":
         return _ended(r, c)
     if c.family in RETURNING and r.kind in ("throw", "launch_and_return") and r.target is None:
         return _fallen_back(r, c)
     what = _outcome(c)
     if what is None or c.targets or c.tool:
-        return several()
+        refuse_several()
     if whose == "either":
         whose = "target" if what in ("topple", "move") and r.kind != "topple" else "active"
     return replace(r, outcome=WantedOutcome(what=what, whose="target" if whose == "target" else "active"))
@@ -62,14 +61,14 @@ def _struck(c: Clause) -> str:
     return "" if struck in IT or (into and c.object not in IT) else struck
 
 
-def _ended(r: Request, c: Clause) -> Request | Refusal:
+def _ended(r: Request, c: Clause) -> Request:
     """``and it lands in the bowl``, ``so that it bounces off the box``"""
     preposition, target = c.targets[0]
     if c.family == "bounce" and r.kind in ("throw", "launch_and_return"):
         r = replace(r, kind="bounce")
     elif c.family not in RETURNING:
-        return several()
-    return _with_target(r, cast(Preposition, preposition), target)
+        refuse_several()
+    return _with_target(r, preposition, target)
 
 
 def _with_target(r: Request, preposition: Preposition, target: str) -> Request:
@@ -91,8 +90,3 @@ def _whose(subject: str, r: Request) -> str | None:
     if r.target and words <= set(r.target.split()):
         return "target"
     return "active" if words <= set(r.active.split()) else None
-
-
-def several() -> Refusal:
-    message = "the goal asks for more than one thing; accepted: one goal at a time, as 'push the cup left'"
-    return Refusal(reason="several", message=message)

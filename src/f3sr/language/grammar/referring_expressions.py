@@ -1,49 +1,27 @@
-"""A phrase such as ``second red mug from the left next to the box``, parsed: names, colours, order and places."""
+"""A phrase such as ``second red mug from the left next to the box``, parsed: names, colours, order and places.
+
+    phrase = {adjective} name {place} [relation phrase] | ("object" | "number") digits
+    adjective = colour | order | rank | word of a label
+    place  = ("on" | "in" | "at" | "to" | "from") order | ("nearest-to" | "farthest-from") viewer
+
+Words are in ``vocabulary/adjectives.toml`` (orders, colours, ranks) and ``directions.toml`` (relations, viewers).
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
-from f3sr.goals.refusal import Refusal, quoted
-from f3sr.language.grammar.colours import NAMED, THINGS
-from f3sr.language.grammar.directions import VIEWER
-from f3sr.language.grammar.normaliser import canonical, each, spoken
-from f3sr.language.grammar.noun_lexicon import ANYTHING, compounded, singular
+from f3sr.goals.refusal import quoted, refuse
+from f3sr.language.grammar.lexicon import Axis, lexicon
+from f3sr.language.grammar.normaliser import canonical, spoken
+from f3sr.language.grammar.nouns import compounded, singular
 
-Axis = Literal["left", "right", "front", "back", "upper", "lower", "middle", "big", "small", "tall", "short", "long"]
-
-AXES: dict[Axis, str] = {
-    "left": "left leftmost",
-    "right": "right rightmost",
-    "front": "front frontmost foremost nearest closest nearer closer near",
-    "back": "back rear rearmost backmost hindmost farthest furthest farther further far",
-    "upper": "upper top topmost uppermost highest",
-    "lower": "lower bottom bottommost lowest lowermost",
-    "middle": "middle centre center central middlemost",
-    "big": "big bigger biggest large larger largest huge",
-    "small": "small smaller smallest little tiny tiniest littlest",
-    "tall": "tall taller tallest",
-    "short": "short shorter shortest",
-    "long": "long longer longest",
-}
-"""What objects may be ordered by, and the words for the first of that order."""
-ORDERS: dict[str, Axis] = {word: axis for axis, words in AXES.items() for word in words.split()}
-PLACES: set[Axis] = {"left", "right", "front", "back", "upper", "lower", "middle"}
-RANKS = {
-    **{w: k for k, w in enumerate(each("first second third fourth fifth sixth seventh eighth ninth tenth"))},
-    "last": -1,
-}
-RELATIONS = set(each("on in under behind above with next-to left-of right-of in-front-of nearest-to farthest-from"))
-AT = {"on", "in", "at", "to", "from"}
-"""Before a place of the photo: ``on the left``."""
-MANY = set(each("all every each both these those everything them they others some several many"))
-COUNTS = set(each("two three four five six seven eight nine ten"))
-SHADES = {"dark", "bright", "pale", "deep", "light", "shiny"}
-UNTELLING = {"coloured", "colored", "colourful", "colorful", "multicoloured", "multicolored", "patterned"}
-"""Adjectives that fit nearly everything."""
+PLACES: frozenset[Axis] = frozenset(("left", "right", "front", "back", "upper", "lower", "middle"))
+"""Axes of the photo; the others are of size."""
+SEEN_FROM: dict[str, Axis] = {"nearest-to": "front", "farthest-from": "back"}
+"""Relations to the viewer that are an order."""
 MOST = 4
 """Relations in one phrase: more are no description."""
 
@@ -58,6 +36,8 @@ class Order:
 
 @dataclass(frozen=True, kw_only=True)
 class Phrase:
+    """What a phrase says of an object; the phrase fits every object of which all of it is true."""
+
     words: str
     names: tuple[str, ...] = ()
     """What it is called, the head noun last; empty for any object."""
@@ -68,42 +48,38 @@ class Phrase:
     relation: tuple[str, Phrase] | None = None
 
 
-def parsed(words: str, vocabulary: Collection[str]) -> Phrase | Refusal:
-    """The parts of a phrase; ``vocabulary`` are the words of the scene's labels, which name before they describe."""
+def parsed(words: str, vocabulary: Collection[str]) -> Phrase:
+    """The parts of a phrase. ``vocabulary`` holds the words of the scene's labels: these name before they describe.
+    Raises NotUnderstoodError where a relation has no second object, or the phrase has too many relations."""
     tokens = compounded(canonical(words).split())
-    if sum(t in RELATIONS for t in tokens) > MOST:
-        return Refusal(
-            reason="grammar", message=f"{quoted(words)} has too many relations; accepted: at most {MOST} in one phrase"
-        )
+    if sum(t in lexicon().relations for t in tokens) > MOST:
+        refuse("grammar", f"{quoted(words)} has too many relations; accepted: at most {MOST}")
     return _parsed(tokens, vocabulary)
 
 
-def _parsed(tokens: Sequence[str], vocabulary: Collection[str]) -> Phrase | Refusal:
+def _parsed(tokens: Sequence[str], vocabulary: Collection[str]) -> Phrase:
     head, placed, rest = _split(tokens)
     phrase = _head(head, spoken(" ".join(tokens)), placed, vocabulary)
     if not rest:
         return phrase
-    relation, anchor = rest[0], _parsed(rest[1:], vocabulary) if rest[1:] else None
-    if anchor is None:
-        return Refusal(reason="grammar", message=f"{quoted(phrase.words)} ends early; accepted: a name after it")
-    if isinstance(anchor, Refusal):
-        return anchor
-    return _with(phrase, relation, anchor)
+    if len(rest) == 1:
+        refuse("grammar", f"{quoted(phrase.words)} lacks its last word; accepted: an object's name after it")
+    return _with(phrase, rest[0], _parsed(rest[1:], vocabulary))
 
 
 def _split(tokens: Sequence[str]) -> tuple[Sequence[str], list[Order], Sequence[str]]:
     """The words before the first relation, the places of the photo that follow them, and the relation with its rest."""
-    first = next((i for i, t in enumerate(tokens) if t in RELATIONS | AT), len(tokens))
+    opening, at = lexicon().relations | lexicon().at, lexicon().at
+    first = next((i for i, t in enumerate(tokens) if t in opening), len(tokens))
     head, rest, placed = tokens[:first], tokens[first:], list[Order]()
     while rest:
-        axis = ORDERS.get(rest[1]) if len(rest) > 1 else None
-        ends = len(rest) == 2 or (len(rest) > 2 and rest[2] in RELATIONS | AT)
-        viewer = len(rest) > 1 and rest[1] in VIEWER
-        if rest[0] in AT and axis in PLACES and ends:
-            placed.append(Order(axis=axis, rank=0))
-        elif rest[0] in ("nearest-to", "farthest-from") and viewer:
-            placed.append(Order(axis="front" if rest[0] == "nearest-to" else "back"))
-        elif rest[1:2] != ("it",) or rest[0] not in AT:
+        word, then, after = (*rest[:3], "", "")[:3]
+        axis = lexicon().orders.get(then)
+        if word in at and axis in PLACES and (not after or after in opening):
+            placed.append(Order(axis=axis))
+        elif word in SEEN_FROM and then in lexicon().viewer:
+            placed.append(Order(axis=SEEN_FROM[word]))
+        elif word not in at or then != "it":
             break
         rest = rest[2:]
     return head, placed, rest
@@ -116,7 +92,7 @@ def _head(head: Sequence[str], words: str, placed: list[Order], vocabulary: Coll
     one_of = "of" in head
     telling = _telling(head)
     names, colours, orders = _sorted_out(telling, vocabulary)
-    several = any(w in MANY | COUNTS for w in head) or telling[-1:] in (["objects"], ["things"], ["ones"], ["items"])
+    several = not _several().isdisjoint(head) or telling[-1:] in (["objects"], ["things"], ["ones"], ["items"])
     if one_of and names:
         names[-1] = singular(names[-1])
     return Phrase(
@@ -128,13 +104,18 @@ def _head(head: Sequence[str], words: str, placed: list[Order], vocabulary: Coll
     )
 
 
+def _several() -> frozenset[str]:
+    return lexicon().many | lexicon().counts
+
+
 def _telling(head: Sequence[str]) -> list[str]:
     """The words that say which object: no numbers of objects, no shades of colours, no ``one of``."""
-    start = head.index("of") if "of" in head else 0
-    words = [w for i, w in enumerate(head) if i > start or singular(w) not in ANYTHING or not start]
-    empty = MANY | COUNTS | UNTELLING | {"of", "that", "which"} | ({"and"} if _joins_colours(head) else set[str]())
+    colours, start = lexicon().colours_of, head.index("of") if "of" in head else 0
+    words = [w for i, w in enumerate(head) if i > start or singular(w) not in lexicon().anything or not start]
+    empty = {*_several(), *lexicon().untelling, "of", "that", "which", *(["and"] if _joins_colours(head) else [])}
     words = [w for w in words if w not in empty]
-    return [w for i, w in enumerate(words) if w not in SHADES or (words[i + 1 : i + 2] or [""])[0] not in NAMED]
+    pairs = zip(words, [*words[1:], ""], strict=False)
+    return [word for word, then in pairs if word not in lexicon().shades or then not in colours]
 
 
 def _sorted_out(words: Sequence[str], vocabulary: Collection[str]) -> tuple[list[str], list[str], list[Order]]:
@@ -143,15 +124,16 @@ def _sorted_out(words: Sequence[str], vocabulary: Collection[str]) -> tuple[list
     names, colours, orders = list[str](), list[str](), list[Order]()
     for i, word in enumerate(words):
         last = i == len(words) - 1
-        adjective = (word in NAMED and not (last and word in THINGS)) or word in ORDERS or _rank(word) is not None
-        if (last and word in vocabulary) or not (adjective or (last and singular(word) in ANYTHING)):
+        rank, axis, colour = _rank(word), lexicon().orders.get(word), word in lexicon().colours_of
+        adjective = (colour and not (last and word in lexicon().colour_things)) or axis is not None or rank is not None
+        if (last and word in vocabulary) or not (adjective or (last and singular(word) in lexicon().anything)):
             names.append(word)
-        elif word in NAMED:
+        elif colour:
             colours.append(word)
-        elif (rank := _rank(word)) is not None:
+        elif rank is not None:
             orders.append(Order(axis=None, rank=rank))
-        elif word in ORDERS:
-            orders = _ordered(orders, ORDERS[word])
+        elif axis is not None:
+            orders = _ordered(orders, axis)
     return names, colours, orders
 
 
@@ -167,8 +149,11 @@ def _with(phrase: Phrase, relation: str, anchor: Phrase) -> Phrase:
 
 
 def _rank(word: str) -> int | None:
-    if word in RANKS:
-        return RANKS[word]
+    """Which in an order, from 0; -1 is the last."""
+    if word == "last":
+        return -1
+    if word in lexicon().ranks:
+        return lexicon().ranks.index(word)
     number = re.fullmatch(r"(\d{1,3})(?:st|nd|rd|th)", word)
     return int(number[1]) - 1 if number and int(number[1]) else None
 
@@ -176,22 +161,20 @@ def _rank(word: str) -> int | None:
 def _ordered(orders: list[Order], axis: Axis) -> list[Order]:
     """``second largest``: a rank that waits for its axis gets it."""
     if orders and orders[-1].axis is None:
-        return [*orders[:-1], Order(axis=axis, rank=orders[-1].rank)]
+        return [*orders[:-1], replace(orders[-1], axis=axis)]
     return [*orders, Order(axis=axis)]
 
 
 def _placed(orders: list[Order], placed: list[Order]) -> list[Order]:
     """``second from the left``: the first place is that of a waiting rank."""
     for place in placed:
-        waiting = next((i for i, o in enumerate(orders) if o.axis is None), None)
-        if waiting is None:
-            orders = [*orders, place]
-        else:
-            orders = [*orders[:waiting], Order(axis=place.axis, rank=orders[waiting].rank), *orders[waiting + 1 :]]
+        waiting = next((i for i, o in enumerate(orders) if o.axis is None), len(orders))
+        rank = orders[waiting].rank if waiting < len(orders) else 0
+        orders = [*orders[:waiting], replace(place, rank=rank), *orders[waiting + 1 :]]
     return orders
 
 
 def _joins_colours(head: Sequence[str]) -> bool:
     """``black and white``"""
-    i = head.index("and") if "and" in head else 0
-    return 0 < i < len(head) - 1 and head[i - 1] in NAMED and head[i + 1] in NAMED
+    i, colours = head.index("and") if "and" in head else 0, lexicon().colours_of
+    return 0 < i < len(head) - 1 and head[i - 1] in colours and head[i + 1] in colours

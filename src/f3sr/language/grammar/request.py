@@ -5,17 +5,27 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from f3sr.goals.plan import Kind
+from f3sr.goals.plan import Kind, Manner
 from f3sr.goals.plan import Way as Preposition
-from f3sr.language.grammar.directions import Direction
-from f3sr.language.grammar.quantities import Amount, Manner, Vague
+from f3sr.language.grammar.lexicon import Direction, Vague
+from f3sr.language.grammar.quantities import Amount
 
 What = Literal["topple", "move", "roll", "bounce", "return"]
 
 
+OPPOSITE: dict[Direction, Direction] = {
+    "left": "right",
+    "right": "left",
+    "away": "towards",
+    "towards": "away",
+    "up": "down",
+    "down": "up",
+}
+
+
 @dataclass(frozen=True, kw_only=True)
 class WantedOutcome:
-    """What is to come of it beyond the kind: ``push the box into the can so that the can falls over``."""
+    """What must happen beyond the kind of goal: ``push the box into the can so that the can falls over``."""
 
     what: What
     whose: Literal["active", "target"]

@@ -5,7 +5,7 @@ Terms overlap where people differ: a pixel between orange and brown counts for b
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +18,14 @@ COMMON = 0.2
 """Share of the pixels from which on an object may be called by a colour; the commonest colour always names it."""
 
 
+Colour = Literal["black", "grey", "white", "red", "pink", "orange", "brown", "yellow", "green", "blue", "purple"]
+"""The eleven basic colour terms of Berlin and Kay (1969)."""
+
+
 class Term(NamedTuple):
     """A box of CIELAB in lightness, chroma and hue [deg]; a hue range may pass 360."""
 
-    name: str
+    name: Colour
     lightness: tuple[float, float]
     chroma: tuple[float, float]
     hue: tuple[float, float] = (0, 360)
@@ -45,28 +49,11 @@ TERMS = (
     Term("blue", (5, 101), (10, 200), (192, 312)),
     Term("purple", (8, 78), (14, 200), (300, 345)),
 )
-"""The eleven basic colour terms of Berlin and Kay (1969)."""
-BASIC = tuple(dict.fromkeys(t.name for t in TERMS))
-NAMED = {
-    **{name: (name,) for name in BASIC},
-    **dict.fromkeys(("gray", "silver", "silvery", "metallic"), ("grey",)),
-    **dict.fromkeys(("crimson", "scarlet", "maroon", "ruby", "reddish"), ("red",)),
-    **dict.fromkeys(("violet", "lilac", "lavender", "purplish"), ("purple",)),
-    **dict.fromkeys(("beige", "tan", "cream"), ("brown", "white", "yellow")),
-    **dict.fromkeys(("wooden", "brownish"), ("brown",)),
-    **dict.fromkeys(("gold", "golden", "yellowish"), ("yellow", "brown")),
-    **dict.fromkeys(("turquoise", "teal", "cyan"), ("blue", "green")),
-    **dict.fromkeys(("navy", "azure", "bluish"), ("blue",)),
-    **dict.fromkeys(("olive", "lime", "greenish"), ("green",)),
-    **dict.fromkeys(("magenta", "fuchsia", "rose"), ("pink", "purple")),
-}
-"""The basic terms that a colour word may mean."""
-THINGS = {"lime", "orange", "olive", "rose", "violet", "lavender", "lilac", "cream", "ruby", "silver", "gold"}
-"""Colour words that alone name a thing: somebody who says ``the lime`` means no green bottle."""
+BASIC: tuple[Colour, ...] = get_args(Colour)
 
 
-def colours(rgb: NDArray[np.uint8]) -> tuple[str, ...]:
-    """The colours that some pixels (n, 3) of sRGB may be called by, the commonest first; none for no pixels."""
+def colours_of(rgb: NDArray[np.uint8]) -> tuple[Colour, ...]:
+    """The colours that pixels (n, 3) of sRGB may be called by, the commonest first; none for no pixels."""
     if not len(rgb):
         return ()
     lab = _lab(rgb[:: max(1, len(rgb) // PIXELS)])
