@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from f3sr.io import inputs
+from f3sr.pipeline import Reconstruction, reconstruct
 from f3sr.runtime import kernels
 from f3sr.runtime.result_store import Store
 from folders import write_folder
@@ -40,7 +42,29 @@ def compiled() -> Path:
 
 
 @pytest.fixture(scope="session")
-def stages(tmp_path_factory: pytest.TempPathFactory) -> Store:
-    """Results of stages, kept for one run of the tests: all its processes reconstruct the same scene once."""
+def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that all processes of one run of the tests share."""
     base = tmp_path_factory.getbasetemp()
-    return Store((base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "stages")
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "shared"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def stages(shared_folder: Path) -> Store:
+    """Results of stages: all processes together reconstruct the same scene once."""
+    return Store(shared_folder / "stages")
+
+
+@pytest.fixture(scope="session")
+def given(tmp_path_factory: pytest.TempPathFactory) -> inputs.Inputs:
+    """Three boxes whose assets are off by 6 %: the scene of every test that reconstructs one."""
+    folder = tmp_path_factory.mktemp("given") / "input"
+    write_folder(folder, perturb=0.06, seed=3)
+    return inputs.read(folder)
+
+
+@pytest.fixture(scope="session")
+def whole(given: inputs.Inputs, stages: Store) -> Reconstruction:
+    """``given`` after all stages."""
+    return reconstruct(given, store=stages)

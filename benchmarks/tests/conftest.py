@@ -8,4 +8,4 @@ from pathlib import Path
 BENCHMARKS = Path(__file__).parents[1]
 sys.path[:0] = [str(BENCHMARKS), str(BENCHMARKS / "goals"), str(BENCHMARKS.parent / "tests")]
 
-from fixtures import compiled, folder, shared_data, stages  # noqa: E402, F401
+from fixtures import compiled, folder, given, shared_data, shared_folder, stages, whole  # noqa: E402, F401
