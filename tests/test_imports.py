@@ -100,6 +100,8 @@ def test_names_of_modules_and_classes_are_used_once():
 
 TESTS = Path(__file__).parent
 BENCHMARKS = TESTS.parent / "benchmarks"
+TOPICS = {"docs", "durability", "imports", "limits", "memory", "referee"}
+"""Subjects of tests that no single module or folder has."""
 
 
 def named(file: Path) -> Iterator[str]:
@@ -124,3 +126,9 @@ def test_no_test_imports_a_test_or_a_benchmark():
         if name.startswith("test_") or (file.parent == TESTS and name in scripts)
     ]
     assert len(tests) > 50 and not wrong
+
+
+def test_a_test_has_the_name_of_what_it_tests():
+    """A module or a folder of f3sr, or one of a few topics."""
+    subjects = TOPICS | {part for name in MODULES for part in name.split(".")}
+    assert [f.name for f in TESTS.glob("test_*.py") if f.stem.removeprefix("test_") not in subjects] == []
