@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from f3sr.core.mesh import ConvexPart, Material, Mesh
-from f3sr.core.transforms import Array
+from f3sr.core.transforms import Array, rotation_about
 from f3sr.metrics.measures import (
     full_silhouette,
+    gaps_of,
     image_agreement,
     mean_over_masks,
     points_inside,
@@ -83,6 +84,26 @@ def test_a_larger_and_a_smaller_proxy_are_told_in_shares_of_the_size(scale: floa
     assert out == pytest.approx(0.02 / o.size) and far < 0.01 / o.size
     out, far = proxy_distances(replace(o, parts=(part((size + 0.04) / scale),)))
     assert out == 0 and 0.02 <= far * o.size <= 0.02 * np.sqrt(3), "the faces of the proxy lie .02 m off the mesh"
+
+
+def test_a_cap_that_sticks_out_is_told_however_small_it_is() -> None:
+    ball = ball_mesh(0.05)
+    low = np.minimum(ball.vertices, [1, 1, 0.04])
+    o = replace(box(1, at=(0, 0, 0.1)), mesh=ball, parts=(ConvexPart.hull_of(low),))
+    assert np.mean(ball.vertices[:, 2] > 0.04) < 0.25
+    assert proxy_distances(o)[0] * o.size == pytest.approx(0.01, abs=5e-4)
+
+
+def test_a_gap_leads_from_the_one_to_the_other() -> None:
+    """A ball beside a turned box: the nearest points are on one line with the ball's middle."""
+    ball = replace(box(1, at=(0.2, 0, 0.2)), mesh=ball_mesh(0.05))
+    other = box(2, at=(0, 0, 0.2), R=rotation_about([1, 2, 3], 0.5))
+    gap = next(g for g in gaps_of([ball, other]) if g.id == 1)
+    start, end = np.array(gap.start), np.array(gap.end)
+    assert gap.nearest == 2 and np.linalg.norm(start - end) == pytest.approx(gap.distance, rel=1e-9)
+    assert np.linalg.norm(start - [0.2, 0, 0.2]) == pytest.approx(0.05, abs=5e-4), "on the ball"
+    local = (end - [0, 0, 0.2]) @ rotation_about([1, 2, 3], 0.5)
+    assert np.abs(local).max() == pytest.approx(0.05), "on the box"
 
 
 def test_samples_lie_in_the_triangle_and_about_its_middle() -> None:
