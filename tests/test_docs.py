@@ -21,7 +21,7 @@ f3sr.reconstruct = functools.partial(f3sr.reconstruct, store=f3sr.Store.default(
 """Before the examples: what one document reconstructs, the next takes from a store."""
 
 
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(900)
 def test_the_examples_run(tmp_path: Path) -> None:
     stored = STORED.format(folder=str(tmp_path / "stages"))
     for name in ("README.md", "docs/python.md"):
