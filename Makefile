@@ -4,13 +4,18 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= out
 
-.PHONY: demo test check bench docs clean
+.PHONY: demo test durations check bench docs clean
 
 demo: $(VENV)/.core
 	$(BIN)/f3sr demo -o $(OUT)/demo --overwrite
 
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+durations: $(VENV)/.dev
+	$(BIN)/python -m pytest -n 2 --dist worksteal --junitxml=$(OUT)/tests.xml
+	$(BIN)/python benchmarks/durations.py $(OUT)/tests.xml > $(OUT)/test_durations.md
+	mv $(OUT)/test_durations.md docs/test_durations.md
 
 check: $(VENV)/.dev
 	$(BIN)/ruff check .

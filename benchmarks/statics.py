@@ -9,15 +9,16 @@ Nothing is written. ``--stacks`` sets how many are drawn.
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
 import resting
-import stacks
 import tables
 from f3sr.contact import stability, stabilize
 from f3sr.contact.polytopes import Polytope
@@ -28,6 +29,9 @@ from f3sr.core.transforms import UP, pose, rotation_about
 from f3sr.physics import release
 from f3sr.runtime.kernels import warm_up
 from f3sr.scene import SceneObject
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+import stacks
 
 SPREADS = (0.02, 0.03, 0.04)
 """How far the middles of stacked bodies lie off the axis at most [m]: from nearly stable to hopeless."""

@@ -16,13 +16,15 @@ from pathlib import Path
 
 import numpy as np
 
-import made_scenes
 from f3sr.core.transforms import pose
 from f3sr.io import inputs
 from f3sr.pipeline import reconstruct
 from f3sr.runtime.result_store import Store
 from f3sr.scene import Scene
 from f3sr.stages.relate import describe, relate
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+import made_scenes
 
 REPO = Path(__file__).resolve().parents[1]
 AFTER_ALIGN = ("relate", "decompose", "separate", "settle", "close", "refine", "describe", "evaluate")

@@ -16,7 +16,6 @@ from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.align.config import AppearanceConfig, CameraConfig, DepthConfig, FacetConfig, TiltConfig
 from f3sr.vision import rasterizer
 from f3sr.vision.crop import sampled, window_around
-from f3sr.vision.depth_residual import DepthEvidence
 from f3sr.vision.motion_params import ObjectFreedom
 from f3sr.vision.photometric import Appearance
 
@@ -321,27 +320,3 @@ def test_the_appearance_s_gradient_is_that_of_central_differences() -> None:
     assert found.value == pytest.approx(1 - appearance.correlation(at(u)))
     assert appearance.correlation(o) > 0.98
     assert np.linalg.eigvalsh(found.curvature).min() > -1e-9
-
-
-def test_a_depth_residual_is_the_log_of_the_homothety() -> None:
-    scene = photographed(thing(0, BALL, (0, 0, 0.07)))
-    o = scene[0]
-    window = window_around(o, CAMERA, 128)
-    assert scene.geometry
-    evidence = DepthEvidence.of(scene.geometry, CAMERA, window, sampled(o.mask, CAMERA, window, fill=False))
-    farther = o.moved(CAMERA.homothety(1.05), scale=1.05, stage="test", reason="")
-    assert evidence.residual(o).size < 2e-3
-    assert evidence.residual(farther).median == pytest.approx(np.log(1.05), abs=1e-3)
-    away = o.moved(pose(t=[5.0, 0, 0]), stage="test", reason="")
-    assert evidence.residual(away).pixels == 0
-
-
-def test_a_window_shows_what_the_photo_shows_there() -> None:
-    image = np.arange(HEIGHT * WIDTH).reshape(HEIGHT, WIDTH)
-    assert np.array_equal(sampled(image, CAMERA, CAMERA, fill=-1), image)
-    part = CAMERA.cropped(-5, 200, 50, 60)
-    seen = sampled(image, CAMERA, part, fill=-1)
-    assert np.array_equal(seen[:40, 5:], image[200:, :45])
-    assert (seen[40:] == -1).all() and (seen[:, :5] == -1).all()
-    coarse = image[::2, ::2]
-    assert np.array_equal(sampled(coarse, CAMERA, CAMERA.resized(WIDTH // 2, HEIGHT // 2), fill=-1), coarse)

@@ -85,10 +85,24 @@ def test_a_ball_comes_down_to_the_ground():
     assert min(float(p.vertices[:, 2].min()) for p in after[0].colliders_world) == pytest.approx(GAP)
 
 
-def test_a_ball_comes_down_into_a_dish():
-    scene = ball_in_a_dish()
+@pytest.fixture(scope="module")
+def dish() -> Scene:
+    return ball_in_a_dish()
+
+
+@pytest.fixture(scope="module")
+def lowered_dish(dish: Scene) -> Scene:
+    return lowered(dish, CONFIG)
+
+
+@pytest.fixture(scope="module")
+def closed_dish(dish: Scene) -> Scene:
+    return close(dish, CONFIG, settled=settled)[0]
+
+
+def test_a_ball_comes_down_into_a_dish(dish: Scene, closed_dish: Scene):
+    scene, after = dish, closed_dish
     assert gap(scene, 1) > 0.008
-    after, _ = close(scene, CONFIG, settled=settled)
     size = min(o.size for o in scene)
     # Off the middle the vertical gap of two concentric-like balls is a little more than the shortest.
     middle = after[1].T_world_object[:3, 3] - after[0].T_world_object[:3, 3] - [0, 0, DISH]
@@ -99,21 +113,19 @@ def test_a_ball_comes_down_into_a_dish():
 
 
 @pytest.mark.parametrize("added", [0, 3])
-def test_splits_add_no_more_parts_than_allowed(added: int):
-    scene = ball_in_a_dish()
-    after = lowered(scene, replace(CONFIG, cut=replace(CONFIG.cut, added=added)))
-    assert all(len(b.parts) <= len(a.parts) + added for a, b in zip(scene, after, strict=True))
-    assert len(lowered(scene, CONFIG)[0].parts) > len(scene[0].parts) + added, "more of them would help"
+def test_splits_add_no_more_parts_than_allowed(added: int, dish: Scene, lowered_dish: Scene):
+    after = lowered(dish, replace(CONFIG, cut=replace(CONFIG.cut, added=added)))
+    assert all(len(b.parts) <= len(a.parts) + added for a, b in zip(dish, after, strict=True))
+    assert len(lowered_dish[0].parts) > len(dish[0].parts) + added, "more of them would help"
 
 
-def test_it_rests_there():
+def test_it_rests_there(dish: Scene):
     def physics(scene: Scene) -> SettledScene:
         return SettledScene(scene=settle(scene)[0], restless=frozenset())
 
-    scene = ball_in_a_dish()
-    after, outcome = close(scene, replace(CONFIG, loss=1.0), settled=physics)
+    after, outcome = close(dish, replace(CONFIG, loss=1.0), settled=physics)
     assert settle(after)[1].at_rest
-    assert gap(after, 1) < 0.1 * gap(scene, 1)
+    assert gap(after, 1) < 0.1 * gap(dish, 1)
     assert any("accepted" in d.choice for d in outcome.decisions)
 
 
@@ -192,20 +204,19 @@ def test_fixed_and_unsupported_things_are_not_lowered():
     assert all(lowered(scene, CONFIG)[o.id] is o for o in scene)
 
 
-def test_the_same_scene_gives_the_same_bytes():
-    first, second = (close(ball_in_a_dish(), CONFIG, settled=settled)[0] for _ in range(2))
-    for a, b in zip(first, second, strict=True):
+def test_the_same_scene_gives_the_same_bytes(closed_dish: Scene):
+    again, _ = close(ball_in_a_dish(), CONFIG, settled=settled)
+    for a, b in zip(closed_dish, again, strict=True):
         assert a.T_world_object.tobytes() == b.T_world_object.tobytes()
         assert [p.vertices.tobytes() for p in a.parts] == [p.vertices.tobytes() for p in b.parts]
 
 
-def test_the_unit_of_an_asset_does_not_matter():
-    scene = ball_in_a_dish()
-    other = scene[1]
+def test_the_unit_of_an_asset_does_not_matter(dish: Scene, lowered_dish: Scene):
+    other = dish[1]
     large = tuple(p.moved(np.diag([1000.0, 1000, 1000, 1])) for p in other.parts)
     scaled = replace(other, mesh=other.mesh.with_vertices(1000 * other.mesh.vertices), parts=large, scale=0.001)
-    a, b = (lowered(s, CONFIG)[1].T_world_object[2, 3] for s in (scene, scene.with_objects(scaled)))
-    assert a == pytest.approx(b, abs=1e-6)
+    again = lowered(dish.with_objects(scaled), CONFIG)
+    assert again[1].T_world_object[2, 3] == pytest.approx(lowered_dish[1].T_world_object[2, 3], abs=1e-6)
 
 
 def test_others_of_its_group_come_down_without_what_rolls_away():

@@ -13,20 +13,32 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 
-@pytest.mark.parametrize("name", ["README.md", "docs/python.md"])
-def test_the_examples_run(name: str, tmp_path: Path) -> None:
-    blocks = re.findall(r"^```python\n(.*?)^```", (ROOT / name).read_text(), flags=re.DOTALL | re.MULTILINE)
-    assert blocks
-    done = subprocess.run(
-        [sys.executable, "-W", "error::SyntaxWarning", "-c", "\n".join(blocks)],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(ROOT / "src")},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "out/table/scene.xml").exists()
+STORED = """
+import functools, pathlib, f3sr
+f3sr.Store.default = lambda: f3sr.Store(pathlib.Path({folder!r}))
+f3sr.reconstruct = functools.partial(f3sr.reconstruct, store=f3sr.Store.default())
+"""
+"""Before the examples: what one document reconstructs, the next takes from a store."""
+
+
+@pytest.mark.timeout(900)
+def test_the_examples_run(tmp_path: Path) -> None:
+    stored = STORED.format(folder=str(tmp_path / "stages"))
+    for name in ("README.md", "docs/python.md"):
+        blocks = re.findall(r"^```python\n(.*?)^```", (ROOT / name).read_text(), flags=re.DOTALL | re.MULTILINE)
+        assert blocks
+        place = tmp_path / Path(name).stem
+        place.mkdir()
+        done = subprocess.run(
+            [sys.executable, "-W", "error::SyntaxWarning", "-c", "\n".join([stored, *blocks])],
+            cwd=place,
+            env=os.environ | {"PYTHONPATH": str(ROOT / "src")},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, f"{name}: {done.stderr}"
+        assert (place / "out/table/scene.xml").exists()
 
 
 @pytest.mark.parametrize("file", sorted(["README.md", *(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md"))]))

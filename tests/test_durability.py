@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import resource
 import shutil
@@ -21,33 +23,17 @@ from f3sr import example, settings
 from f3sr.errors import OutputError
 from f3sr.pipeline import Config
 from f3sr.report import Outcome
-from f3sr.runtime import kernels
 from f3sr.runtime.result_store import Store
 from f3sr.runtime.stage_runner import Runner
 from f3sr.scene import Scene
 from f3sr.scene_package import package
 from f3sr.scene_package.package import read_package, write_package
-from folders import write_folder
 from scenes import box_stack_scene
-
-BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
-sys.path.insert(0, str(BENCHMARKS))
-
-import kills  # noqa: E402
 
 IN_PROC = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at threads and children in /proc")
 INTERRUPTED = "f3sr: interrupted; nothing was written\n"
 TO_WORKERS = ("--skip", "level,align,relate")
 QUICK = ("--skip", "align,refine,evaluate")
-
-
-@pytest.fixture(scope="session")
-def compiled() -> Path:
-    """The folder of compiled kernels."""
-    kernels.warm_up()
-    folder = kernels.kernel_folder()
-    assert folder
-    return folder
 
 
 @pytest.fixture
@@ -82,6 +68,15 @@ def runs(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False
+
+
+def digests(package: Path) -> dict[str, str]:
+    """sha256 of every file; of report.json without the seconds, which no two runs share."""
+    found = {p.relative_to(package).as_posix(): p.read_bytes() for p in package.rglob("*") if p.is_file()}
+    report = json.loads(found["report.json"])
+    del report["seconds"]
+    found["report.json"] = json.dumps(report).encode()
+    return {name: hashlib.sha256(data).hexdigest() for name, data in found.items()}
 
 
 def soon(is_so: Callable[[], object], seconds: float) -> bool:
@@ -192,11 +187,11 @@ def test_a_full_disk_leaves_the_old_package(cache: Path, tmp_path: Path, folder:
 
     place = tmp_path / "place"
     write_package(box_stack_scene(), place / "out")
-    before = kills.digests(place / "out")
+    before = digests(place / "out")
     process = start("reconstruct", folder, "-o", place / "out", *QUICK, cache=cache, preexec_fn=small_files)
     _, errors = process.communicate()
     assert process.returncode == 1 and errors == f"f3sr: {place / 'out'}: could not be written (file too large)\n"
-    assert kills.digests(place / "out") == before and [p.name for p in place.iterdir()] == ["out"]
+    assert digests(place / "out") == before and [p.name for p in place.iterdir()] == ["out"]
     assert not list(cache.rglob("*.part"))
 
 
@@ -280,18 +275,7 @@ def test_rivals_for_one_place_never_break_it(tmp_path: Path):
     assert [p.name for p in out.parent.iterdir()] == ["out"]
 
 
-# --- kill -9 ----------------------------------------------------------------------------------------------------
-
-
-def test_after_kill_9_a_whole_package_or_none_and_the_next_run_goes_on(compiled: Path, tmp_path: Path):
-    """The points of benchmarks/kills.py in small."""
-    write_folder(tmp_path / "input", perturb=0.05, seed=2)
-    harness = kills.Kills(tmp_path / "input", tmp_path / "work", [compiled], ("--skip", "align,refine,evaluate"))
-    points = [kills.Point("level:20"), kills.Point("storing:3"), kills.Point("rename2:1", old=True)]
-    trials = [harness.trial(point) for point in points]
-    assert [trial.faults for trial in trials] == [[]] * 3, "\n".join(map(kills.show, trials))
-    assert [len(trial.finished) for trial in trials] == [1, 3, 8]
-    assert [trial.found for trial in trials] == ["nothing"] * 3
+# --- the same bytes -------------------------------------------------------------------------------------------
 
 
 def test_seeds_threads_and_places_change_no_byte(cache: Path, compiled: Path, tmp_path: Path, folder: Path):
@@ -303,7 +287,7 @@ def test_seeds_threads_and_places_change_no_byte(cache: Path, compiled: Path, tm
         (tmp_path / f"cwd_{k}").mkdir()
         process = start("reconstruct", folder, "-o", f"name {k}", cache=other, env=env, cwd=tmp_path / f"cwd_{k}")
         assert process.communicate()[1] == "" and process.returncode == 0
-        found.append(kills.digests(tmp_path / f"cwd_{k}" / f"name {k}"))
+        found.append(digests(tmp_path / f"cwd_{k}" / f"name {k}"))
     assert found[0] == found[1] and len(found[0]) > 10
 
 

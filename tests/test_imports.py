@@ -94,3 +94,41 @@ def test_names_of_modules_and_classes_are_used_once():
     )
     assert [name for name, count in modules.items() if count > 1 and name not in shared] == []
     assert [name for name, count in classes.items() if count > 1] == []
+
+
+# --- tests ------------------------------------------------------------------------------------------------------
+
+TESTS = Path(__file__).parent
+BENCHMARKS = TESTS.parent / "benchmarks"
+TOPICS = {"docs", "durability", "imports", "limits", "memory", "referee"}
+"""Subjects of tests that no single module or folder has."""
+
+
+def named(file: Path) -> Iterator[str]:
+    """The first part of every module that a file imports, also by name in a call of ``import_module``."""
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.partition(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module.partition(".")[0]
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+            yield from (a.value.partition(".")[0] for a in node.args if isinstance(a, ast.Constant))
+
+
+def test_no_test_imports_a_test_or_a_benchmark():
+    """What two tests share is a maker without ``test_``; benchmarks may use the makers, never the other way round."""
+    scripts = {"benchmarks", *(file.stem for file in BENCHMARKS.rglob("*.py") if file.stem != "conftest")}
+    tests = [*sorted(TESTS.glob("*.py")), *sorted(BENCHMARKS.glob("tests/*.py"))]
+    wrong = [
+        f"{file.name} imports {name}"
+        for file in tests
+        for name in named(file)
+        if name.startswith("test_") or (file.parent == TESTS and name in scripts)
+    ]
+    assert len(tests) > 50 and not wrong
+
+
+def test_a_test_has_the_name_of_what_it_tests():
+    """A module or a folder of f3sr, or one of a few topics."""
+    subjects = TOPICS | {part for name in MODULES for part in name.split(".")}
+    assert [f.name for f in TESTS.glob("test_*.py") if f.stem.removeprefix("test_") not in subjects] == []

@@ -12,34 +12,23 @@ import pytest
 from f3sr.errors import InputError
 from f3sr.io import inputs
 from f3sr.pipeline import SKIPPABLE, Config, Reconstruction, reconstruct
+from f3sr.runtime.result_store import Store
 from folders import write_folder
 from scenes import visible_iou
 
 IDS = [(2, "02_big_box.png"), (5, "05_small_box.png"), (7, "07_tall_box.png")]
 
 
-@pytest.fixture(scope="module")
-def given(tmp_path_factory: pytest.TempPathFactory) -> inputs.Inputs:
-    folder = tmp_path_factory.mktemp("pipeline") / "input"
-    write_folder(folder, perturb=0.06, seed=3)
-    return inputs.read(folder)
-
-
-@pytest.fixture(scope="module")
-def result(given: inputs.Inputs) -> Reconstruction:
-    return reconstruct(given)
-
-
-def test_the_result_rests_free_and_looks_like_the_photo(result: Reconstruction):
-    assert result.evaluation is not None and result.evaluation.direct is not None
-    ours, direct = result.evaluation.result, result.evaluation.direct
+def test_the_result_rests_free_and_looks_like_the_photo(whole: Reconstruction):
+    assert whole.evaluation is not None and whole.evaluation.direct is not None
+    ours, direct = whole.evaluation.result, whole.evaluation.direct
     assert ours.N_cross == 0 and ours.K_max_J < 1e-4 and ours.D_max_cm < 0.05 and ours.gap_pct < 1
     assert ours.mIoU_visible > max(0.9, direct.mIoU_visible)
-    assert {o.id: o.supported_by for o in result.scene} == {2: -1, 5: 2, 7: -1}
+    assert {o.id: o.supported_by for o in whole.scene} == {2: -1, 5: 2, 7: -1}
 
 
-def test_ids_and_masks_survive_every_stage(given: inputs.Inputs, result: Reconstruction):
-    for scene in (result.direct, result.scene):
+def test_ids_and_masks_survive_every_stage(given: inputs.Inputs, whole: Reconstruction):
+    for scene in (whole.direct, whole.scene):
         assert [(o.id, o.mask_name) for o in scene] == IDS
         for o, i in zip(scene, given.instances, strict=True):
             assert np.array_equal(o.mask, i.mask) and o.label == i.label
@@ -48,9 +37,9 @@ def test_ids_and_masks_survive_every_stage(given: inputs.Inputs, result: Reconst
 
 
 @pytest.mark.parametrize("skip", [s for s in SKIPPABLE if s not in ("evaluate", "refine")])
-def test_each_skipped_stage_leaves_a_valid_scene(given: inputs.Inputs, skip: str):
+def test_each_skipped_stage_leaves_a_valid_scene(given: inputs.Inputs, stages: Store, skip: str):
     quick = replace(Config(), refine=replace(Config().refine, rounds=0))
-    result = reconstruct(given, quick, skip=[skip, "evaluate"])
+    result = reconstruct(given, quick, skip=[skip, "evaluate"], store=stages)
     assert [(o.id, o.mask_name) for o in result.scene] == IDS
     assert all(o.parts and np.isfinite(o.T_world_object).all() for o in result.scene)
     assert skip not in [r.stage for r in result.reports]
@@ -58,8 +47,8 @@ def test_each_skipped_stage_leaves_a_valid_scene(given: inputs.Inputs, skip: str
 
 
 @pytest.mark.parametrize("skip", ["align", "align-objects", "separate", "settle"])
-def test_what_was_skipped_does_not_come_back(given: inputs.Inputs, skip: str):
-    result = reconstruct(given, skip=[skip, "evaluate"])
+def test_what_was_skipped_does_not_come_back(given: inputs.Inputs, stages: Store, skip: str):
+    result = reconstruct(given, skip=[skip, "evaluate"], store=stages)
     stages = [r.stage for r in result.reports]
     assert "refine" not in stages and ("close" in stages) == (skip != "settle")
 
@@ -74,7 +63,7 @@ def test_unknown_stages_are_refused(given: inputs.Inputs):
         reconstruct(given, skip=["polish"])
 
 
-def test_order_of_masks_and_names_of_files_change_nothing(result: Reconstruction, tmp_path: Path):
+def test_order_of_masks_and_names_of_files_change_nothing(whole: Reconstruction, tmp_path: Path):
     folder = tmp_path / "input"
     write_folder(folder, perturb=0.06, seed=3)
     document = json.loads((folder / "assets/poses.json").read_text())
@@ -86,22 +75,22 @@ def test_order_of_masks_and_names_of_files_change_nothing(result: Reconstruction
     (folder / "assets/poses.json").write_text(json.dumps(document))
     again = reconstruct(inputs.read(folder), skip=["evaluate"])
     for o in again.scene:
-        assert np.array_equal(o.T_world_object, result.scene[o.id].T_world_object)
-        assert o.scale == result.scene[o.id].scale
+        assert np.array_equal(o.T_world_object, whole.scene[o.id].T_world_object)
+        assert o.scale == whole.scene[o.id].scale
 
 
-def test_motion_notes_add_up_to_the_way_from_input_to_result(result: Reconstruction):
-    for o in result.scene:
+def test_motion_notes_add_up_to_the_way_from_input_to_result(whole: Reconstruction):
+    for o in whole.scene:
         scale = np.prod([m.scale for m in o.motion])
-        assert o.scale == pytest.approx(result.direct[o.id].scale * scale)
+        assert o.scale == pytest.approx(whole.direct[o.id].scale * scale)
         assert {m.stage for m in o.motion} <= {"align", "separate", "settle", "close"}
 
 
-def test_reports_carry_units_and_reasons(result: Reconstruction):
-    assert [r.stage for r in result.reports] == [
+def test_reports_carry_units_and_reasons(whole: Reconstruction):
+    assert [r.stage for r in whole.reports] == [
         "assemble", "level", "align", "relate", "decompose", "separate", "settle", "close", "refine",
         "describe", "inpaint",
     ]  # fmt: skip
-    for report in result.reports:
+    for report in whole.reports:
         assert all(np.isfinite(m.after) for m in report.measures)
         assert all(d.choice and d.reason for d in report.decisions)

@@ -95,8 +95,9 @@ def surface_points(mesh, n=2000):
 
 
 @pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    return tmp_path_factory.mktemp("proxies")
+def cache(shared_folder):
+    """One for all processes of a run: nothing is decomposed twice."""
+    return shared_folder / "proxies"
 
 
 @pytest.fixture(scope="module")
@@ -412,11 +413,10 @@ def test_scattered_triangles_are_covered(tmp_path):
 )
 def test_what_a_lack_of_memory_left_is_not_kept(code, words, tmp_path, monkeypatch):
     """Another run may have it."""
-    with monkeypatch.context() as patched:
-        patched.setattr(proxies, "run_worker", lambda *_: worker.explained(code, words, QUICK))
-        proxy = decompose(L_SHAPE, QUICK, cache_dir=tmp_path)
+    monkeypatch.setattr(proxies, "run_worker", lambda *_: worker.explained(code, words, QUICK))
+    proxy = decompose(L_SHAPE, QUICK, cache_dir=tmp_path)
     assert proxy.cut_short and "out of memory" in proxy.decisions[0].reason
-    assert decompose(L_SHAPE, QUICK, cache_dir=tmp_path).method == "cuts"
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_crash_leaves_one_hull_and_says_so(tmp_path, monkeypatch):

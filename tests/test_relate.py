@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import importlib
 import math
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from itertools import combinations
-from pathlib import Path
 from typing import get_args
 
 import numpy as np
 import pytest
 
+import made_scenes as made
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, pose, rotation_about
 from f3sr.runtime import scene_serialization
@@ -25,9 +23,6 @@ from f3sr.stages.relate.depth_order import INVERSE, SYMMETRIC
 from f3sr.stages.relate.nodes import colours, place
 from f3sr.vision.rasterizer import visible_ids
 from scenes import box
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-made = importlib.import_module("made_scenes")
 
 WIDTH, HEIGHT = 320, 240
 UPRIGHT = np.eye(4)

@@ -9,72 +9,24 @@ import numpy as np
 import pytest
 
 from f3sr.core.mesh import ConvexPart, Mesh
-from f3sr.core.transforms import Array, pose, rotation_angle, rotation_from_vector
+from f3sr.core.transforms import pose, rotation_angle, rotation_from_vector
 from f3sr.goals.plan import (
-    Displaced,
     Impulse,
-    InitialConditions,
     Offset,
-    Plan,
-    Semantics,
     SimulationPlan,
-    TaskSpec,
     Velocity,
     from_json,
     to_json,
 )
-from f3sr.goals.rollout import Rollout, from_npz, to_npz
+from f3sr.goals.rollout import from_npz, to_npz
 from f3sr.goals.simulate import simulate
 from f3sr.physics.mujoco_model import body_of
 from f3sr.physics.restitution import LEAST, damping_ratio_of, restitution_of, solref
-from f3sr.scene import GROUND, Scene, SceneObject
+from f3sr.scene import GROUND, SceneObject
+from plans import centers, made, plan_of
 from scenes import ball_mesh, box, box_stack_scene, scene_of
 
 G = 9.81
-
-
-def made(o: SceneObject, **changed: object) -> Semantics:
-    """What an object is, as the package has it but for some values."""
-    body = body_of(o)
-    values: dict[str, object] = {
-        "id": o.id,
-        "material": o.material,
-        "structure": "solid",
-        "mass": body.mass,
-        "density": o.density,
-        "friction": o.friction,
-        "rolling_friction": o.rolling_friction,
-        "restitution": o.restitution,
-        "mobility": o.mobility,
-        "source": "scene",
-    }
-    return Semantics.model_validate(values | changed)
-
-
-def plan_of(
-    scene: Scene,
-    *,
-    duration: float = 0.5,
-    active: int = 0,
-    semantics: tuple[Semantics, ...] | None = None,
-    **initial: object,
-) -> Plan:
-    return Plan(
-        goal="test",
-        scene="0" * 64,
-        task=TaskSpec(
-            kind="slide", active=active, conditions=(Displaced(a=active, at_least=0.1),), interpretation="a test"
-        ),
-        semantics=tuple(made(o) for o in scene) if semantics is None else semantics,
-        initial=InitialConditions.model_validate(initial),
-        simulation=SimulationPlan(duration=duration),
-    )
-
-
-def centers(rollout: Rollout, o: SceneObject) -> Array:
-    """The way of a centre of mass (T, 3)."""
-    T = rollout.poses(o.id)
-    return T[:, :3, :3] @ body_of(o).center + T[:, :3, 3]
 
 
 def ball(id: int, radius: float, at: tuple[float, float, float]) -> SceneObject:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-import importlib
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import ablation
+import contact as bench
+import contact_report as report
+import damping
+import stress
+import stress_judged as judged
+import stress_things as things
 from f3sr import pipeline
 from f3sr.contact import polytopes
 from f3sr.contact.polytopes import Polytope
@@ -19,12 +24,6 @@ from f3sr.pipeline import Config
 from f3sr.report import Report
 from f3sr.scene import GROUND, Scene
 from scenes import box, box_stack_scene, scene_of
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-bench, report, damping, ablation, stress, judged, things = (
-    importlib.import_module(name)
-    for name in ("contact", "contact_report", "damping", "ablation", "stress", "stress_judged", "stress_things")
-)
 
 
 def overlaps(scene: Scene) -> bool:

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-import sys
 from pathlib import Path
 
 import pytest
+import replay
 
 from f3sr.goals.plan import Impulse, Offset, Velocity, to_json
 from f3sr.goals.rollout import to_npz
 from f3sr.goals.simulate import simulate
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene_package.package import read_package, write_package
+from plans import made, plan_of
 from scenes import box_stack_scene
-from test_simulate import made, plan_of
-
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks" / "goals"))
-import replay
 
 
 @pytest.mark.parametrize("turned", [False, True])

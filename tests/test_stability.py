@@ -2,47 +2,26 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+import stacks
+from bodies import GAP, block, body
 from f3sr.contact import stability as statics
 from f3sr.contact.contact_patches import Contacts, find_contacts
 from f3sr.contact.force_balance import EDGES, FALLS, Balance
-from f3sr.contact.polytopes import Polytope
 from f3sr.contact.stability import stability
-from f3sr.contact.static_bodies import StaticBody, bodies_of, contacts_of, islands
-from f3sr.core.mesh import ConvexPart
+from f3sr.contact.static_bodies import bodies_of, contacts_of, islands
 from f3sr.core.transforms import UP, pose, rotation_about
 from f3sr.physics import release
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 from f3sr.scene import GRAVITY, GROUND, SceneObject
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-stacks = importlib.import_module("stacks")
-
-GAP = DEFAULT_MARGIN.clearance
 ALONG_AN_EDGE = np.cos(np.pi / EDGES)
 """What the pyramid has of a cone's friction at least."""
-
-
-def block(size=(0.1, 0.1, 0.1), at=(0.0, 0.0, 0.05), R=None) -> Polytope:
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
-    return Polytope.of(ConvexPart.hull_of(signs * np.array(size))).moved(pose(R, at))
-
-
-def body(id: int, *parts: Polytope, mass=1.0, friction=0.6, fixed=False) -> StaticBody:
-    """A body whose centre of mass is that of its evenly filled parts."""
-    volumes = np.array([np.prod(p.edge_lengths[:1]) * np.ptp(p.vertices, axis=0).prod() for p in parts])
-    middles = np.array([p.vertices.mean(0) for p in parts])
-    return StaticBody(
-        id=id, parts=parts, mass=mass, centers=volumes @ middles / volumes.sum(), friction=friction, fixed=fixed
-    )
 
 
 def moved(bodies, T):

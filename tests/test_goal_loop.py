@@ -513,7 +513,9 @@ def test_files_match_their_schemas(package: Package) -> None:
 
 @pytest.mark.parametrize("name", SCHEMAS)
 def test_schemas_are_published(name: str) -> None:
-    assert json.loads((DOCS / f"{name}.schema.json").read_text()) == SCHEMAS[name], "run: python tests/test_goals.py"
+    assert json.loads((DOCS / f"{name}.schema.json").read_text()) == SCHEMAS[name], (
+        "run: python tests/test_goal_loop.py"
+    )
 
 
 def test_a_write_that_fails_leaves_nothing(package: Package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

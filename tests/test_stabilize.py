@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+import stacks
+from bodies import GAP, block, body
 from f3sr.contact import polytopes
 from f3sr.contact import stability as statics
 from f3sr.contact.stability import stability
@@ -18,10 +17,6 @@ from f3sr.contact.static_bodies import StaticBody, bodies_of
 from f3sr.core.transforms import UP, pose, rotation_about
 from f3sr.physics import release
 from f3sr.scene import GROUND
-from test_statics import GAP, block, body
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-stacks = importlib.import_module("stacks")
 
 
 def after(bodies, found):

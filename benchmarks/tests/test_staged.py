@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import math
-import sys
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
+import staged
 from f3sr.core.levenberg_marquardt import Local
 from f3sr.core.transforms import Array, pose, rotation_about
 from f3sr.metrics.measures import full_silhouette
@@ -18,9 +16,6 @@ from f3sr.scene import Photo, Scene, SceneObject
 from f3sr.stages.align import AlignConfig
 from f3sr.vision.silhouette import iou
 from scenes import box, scene_of
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-staged = importlib.import_module("staged")
 
 RESOLUTION = 128
 

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import importlib
 import json
-import sys
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import checker
+import gaps
 import numpy as np
+import paths
 import pytest
+import seen
 from scipy.spatial.transform import Rotation
 
-GOALS = Path(__file__).parents[1] / "benchmarks" / "goals"
-DATA = Path(__file__).parents[2] / "shared" / "data"
-EXAMPLE = Path(__file__).parents[1] / "src" / "f3sr" / "example" / "tabletop"
-sys.path.append(str(GOALS))
-checker, seen, gaps, paths = (importlib.import_module(name) for name in ("checker", "seen", "gaps", "paths"))
+GOALS = Path(__file__).parents[1] / "goals"
+DATA = Path(__file__).parents[3] / "shared" / "data"
+EXAMPLE = Path(__file__).parents[2] / "src" / "f3sr" / "example" / "tabletop"
 
 A, B, WALL = 1, 2, 3
 """A cube of 10 cm at x = 0, an open tray of 30 cm at x = .5, a box of 20 cm at x = -.5, all on the table."""

@@ -2,27 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
-FOLDER = Path(__file__).parents[1] / "benchmarks"
+import baseline
+import tables
+from f3sr.metrics.measures import IMAGE_MEASURES
 
-
-def load(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"benchmarks_{name}", FOLDER / f"{name}.py")
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-baseline = load("baseline")
+FOLDER = Path(__file__).parents[1]
 
 
 def group(**values: tuple[float, str, float]):
@@ -84,13 +73,6 @@ def test_update_changes_values_only(expected, tmp_path: Path) -> None:
 
 
 def test_means_are_printed_for_direct_composition_with_both_cameras(capsys: pytest.CaptureFixture[str]) -> None:
-    from f3sr.metrics.measures import IMAGE_MEASURES
-
-    sys.path.insert(0, str(FOLDER))
-    try:
-        tables = load("tables")
-    finally:
-        sys.path.remove(str(FOLDER))
     assert tables.PICTURE == IMAGE_MEASURES
     row = {
         "group": "real",

@@ -13,7 +13,7 @@ from f3sr import pipeline
 from f3sr.core.mesh import ConvexPart
 from f3sr.io import inputs
 from f3sr.physics.settling import SettleConfig
-from f3sr.pipeline import Config, reconstruct
+from f3sr.pipeline import Config, Reconstruction, reconstruct
 from f3sr.proxies import Excess
 from f3sr.report import Outcome
 from f3sr.runtime import scene_serialization
@@ -32,13 +32,6 @@ STAGES = (
     *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "close", "refine", "describe"),
     *("evaluate", "inpaint"),
 )
-
-
-@pytest.fixture(scope="module")
-def given(tmp_path_factory: pytest.TempPathFactory) -> inputs.Inputs:
-    folder = tmp_path_factory.mktemp("cache") / "input"
-    write_folder(folder, perturb=0.05, seed=1)
-    return inputs.read(folder)
 
 
 def test_a_scene_comes_back_exactly(tmp_path: Path):
@@ -60,11 +53,11 @@ def test_a_scene_comes_back_exactly(tmp_path: Path):
     assert scene.graph == changed.graph and np.array_equal(scene.camera.T_world_camera, changed.camera.T_world_camera)
 
 
-def test_outcomes_come_back_exactly(given: inputs.Inputs, tmp_path: Path):
+def test_outcomes_come_back_exactly(whole: Reconstruction, tmp_path: Path):
     """Every value of every stage's outcome with its type, so that a resumed run writes the same bytes."""
-    result, store = reconstruct(given), Store(tmp_path)
-    assert {x.stage for x in result.outcomes} == {*STAGES} - {"evaluate"} and result.evaluation
-    for value in (*result.outcomes, result.evaluation):
+    store = Store(tmp_path)
+    assert {x.stage for x in whole.outcomes} == {*STAGES} - {"evaluate"} and whole.evaluation
+    for value in (*whole.outcomes, whole.evaluation):
         form = PlainForm(type(value))
         store.save("key", *form.packed(value))
         found = store.load("key")

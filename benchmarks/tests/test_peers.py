@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
+import peers
 from f3sr.core.mesh import Mesh, union
 from f3sr.proxies import ProxyConfig
 from f3sr.proxies.config import CutConfig
 from scenes import box, box_mesh, scene_of
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-peers = importlib.import_module("peers")
 
 QUICK = ProxyConfig(cuts=CutConfig(target_faces=600, samples=2000))
 

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+import basin
+import poses
 from f3sr.core.transforms import rotation_about, rotation_angle
 from f3sr.metrics.measures import full_silhouette
 from f3sr.stages.align import AlignConfig
 from scenes import box_mesh
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-basin, poses = (importlib.import_module(name) for name in ("basin", "poses"))
 
 MESH = box_mesh((0.3, 0.2, 0.1))
 

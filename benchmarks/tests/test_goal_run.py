@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import importlib
 import importlib.util
 import shutil
 import sys
 from pathlib import Path
 from typing import Any
 
+import asked
 import pytest
+import results
 
 from f3sr.goals.plan import Velocity, to_json
 from f3sr.goals.rollout import to_npz
@@ -18,12 +19,10 @@ from f3sr.goals.simulate import simulate
 from f3sr.goals.verify import to_json as verdict_json
 from f3sr.goals.verify import verify
 from f3sr.scene_package.package import read_package, write_package
+from plans import plan_of
 from scenes import box_stack_scene
-from test_simulate import plan_of
 
-GOALS = Path(__file__).parents[1] / "benchmarks" / "goals"
-sys.path.append(str(GOALS))
-asked, results = importlib.import_module("asked"), importlib.import_module("results")
+GOALS = Path(__file__).parents[1] / "goals"
 spec = importlib.util.spec_from_file_location("goals_run", GOALS / "run.py")
 assert spec and spec.loader
 run = importlib.util.module_from_spec(spec)

@@ -46,7 +46,6 @@ from f3sr.stages.relate import GraphOutcome, Related
 from f3sr.stages.settle import Settled
 from f3sr.web.document import WEB, clean, environment
 from f3sr.web.light_mesh import lightened
-from folders import write_folder
 from scenes import box, box_stack_scene, scene_of
 
 SECTIONS = ["measures", "compare", "masks", "view", "objects", "supports", "stages", "decisions"]
@@ -54,15 +53,8 @@ HOSTILE = "</script></title><img src=x onerror=alert(1)>\"' style='x' \u202e\0\u
 
 
 @pytest.fixture(scope="module")
-def given(tmp_path_factory: pytest.TempPathFactory) -> inputs.Inputs:
-    folder = tmp_path_factory.mktemp("page") / "input"
-    write_folder(folder, perturb=0.06, seed=3)
-    return inputs.read(folder)
-
-
-@pytest.fixture(scope="module")
-def result(given: inputs.Inputs) -> Reconstruction:
-    return reconstruct(given, skip=["refine"])
+def result(given: inputs.Inputs, stages: Store) -> Reconstruction:
+    return reconstruct(given, skip=["refine"], store=stages)
 
 
 @pytest.fixture(scope="module")
@@ -345,9 +337,9 @@ def test_templates_are_read_from_their_folders_only(name: str):
         environment(WEB / "templates").get_template(name)
 
 
-def test_without_evaluation_and_with_any_stage_skipped(given: inputs.Inputs):
+def test_without_evaluation_and_with_any_stage_skipped(given: inputs.Inputs, stages: Store):
     for skip in [s for s in SKIPPABLE if s not in ("refine", "evaluate")]:
-        text = report_page(reconstruct(given, skip=[skip, "refine", "evaluate"])).decode()
+        text = report_page(reconstruct(given, skip=[skip, "refine", "evaluate"], store=stages)).decode()
         assert Tags(text).open == [] and "Not measured" in text and "evaluate" in text[: text.index("<section")]
         (told,) = re.findall(r"<b>Skipped</b>: ([^<]*)", text)
         closing = {"close"} if skip == "settle" else set[str]()

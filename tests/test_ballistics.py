@@ -14,8 +14,8 @@ from f3sr.launches import ballistics
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import GRAVITY, SceneObject
+from plans import centers, plan_of
 from scenes import box, scene_of
-from test_simulate import centers, plan_of
 
 STARTS = [(np.array([0.1, 0.2, 0.05]), np.array([0.7, -0.3, z])) for z in (0.0, 0.05, 0.4)]
 

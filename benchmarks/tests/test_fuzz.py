@@ -9,15 +9,16 @@ from pathlib import Path
 
 import pytest
 
-FUZZ = Path(__file__).parents[1] / "benchmarks" / "fuzz.py"
+CASES = 30
+FUZZ = Path(__file__).parents[1] / "fuzz.py"
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="forks")
 def test_mutated_folders_are_refused_in_one_line_or_give_a_valid_package(tmp_path: Path):
-    arguments = [sys.executable, str(FUZZ), "--count", "60", "--seed", "7", "--out", str(tmp_path)]
+    arguments = [sys.executable, str(FUZZ), "--count", str(CASES), "--seed", "7", "--out", str(tmp_path)]
     done = subprocess.run(arguments, capture_output=True, text=True, timeout=280)
     summary = json.loads(done.stdout)
     assert done.returncode == 0 and not summary["findings"], done.stderr
-    assert summary["cases"] == 60
-    assert min(summary["verdicts"][kind] for kind in ("accepted", "rejected")) > 5  # it tries both
+    assert summary["cases"] == CASES
+    assert min(summary["verdicts"][kind] for kind in ("accepted", "rejected")) >= 5  # it tries both

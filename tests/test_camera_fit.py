@@ -19,13 +19,14 @@ from f3sr.metrics.camera_fit import ForeignCameraConfig, InstancesFit, fitted_ca
 from f3sr.metrics.measures import IMAGE_MEASURES, Measures, measure
 from f3sr.pipeline import SKIPPABLE, composed_directly, reconstruct
 from f3sr.runtime.result_forms import PlainForm
+from f3sr.runtime.result_store import Store
 from f3sr.scene import Photo, Scene
 from f3sr.stages.evaluate import DIRECT, Evaluation, direct_composition, evaluate
 from f3sr.vision import rasterizer
 from f3sr.vision.decimated import outlined
 from f3sr.vision.motion_params import CameraFreedom
 from f3sr.vision.silhouette import Surface, Target, iou
-from folders import boxes, camera, write_folder
+from folders import boxes, camera
 
 EYE = camera().resized(640, 480)
 
@@ -161,13 +162,6 @@ def test_the_loss_is_one_minus_iou_and_its_gradient_that_of_central_differences(
 # --- in the table of measures ---------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def given(tmp_path_factory: pytest.TempPathFactory) -> inputs.Inputs:
-    folder = tmp_path_factory.mktemp("foreign") / "input"
-    write_folder(folder, perturb=0.12, seed=5)
-    return inputs.read(folder)
-
-
 def test_a_fitted_row_differs_only_in_the_picture(given: inputs.Inputs):
     composed = composed_directly(given)
     found = evaluate(composed, None, foreign=True)
@@ -186,8 +180,10 @@ def test_a_fitted_row_differs_only_in_the_picture(given: inputs.Inputs):
 
 
 @pytest.mark.parametrize(("skip", "foreign"), [([], False), (["align-camera"], True), (["align"], True)])
-def test_a_result_whose_camera_was_not_aligned_is_foreign(given: inputs.Inputs, skip: list[str], foreign: bool):
-    result = reconstruct(given, skip=["refine", "settle", *skip])
+def test_a_result_whose_camera_was_not_aligned_is_foreign(
+    given: inputs.Inputs, stages: Store, skip: list[str], foreign: bool
+):
+    result = reconstruct(given, skip=["refine", "settle", *skip], store=stages)
     found = result.evaluation
     assert found is not None and found.direct_fitted is not None
     assert (found.result_fitted is not None) == foreign == (not result.provenance["camera_aligned"])
@@ -206,8 +202,8 @@ def test_an_evaluation_comes_back_from_plain_json(given: inputs.Inputs):
         assert json.loads(json.dumps(asdict(evaluation))) == document
 
 
-def test_direct_composition_alone_is_that_beside_a_result(given: inputs.Inputs):
-    result = reconstruct(given, skip=["refine", "settle"])
+def test_direct_composition_alone_is_that_beside_a_result(given: inputs.Inputs, stages: Store):
+    result = reconstruct(given, skip=["refine", "settle"], store=stages)
     alone, beside = composed_directly(given), direct_composition(result.direct, result.scene)
     assert np.array_equal(alone.camera.T_world_camera, beside.camera.T_world_camera)
     for o in alone:

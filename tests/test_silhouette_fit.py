@@ -1,0 +1,56 @@
+"""The closed-form seed of an alignment: where masks came from shifts and scales, it goes back at once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from f3sr.metrics.measures import full_silhouette
+from f3sr.scene import Scene, SceneObject
+from f3sr.vision.motion_params import ObjectFreedom
+from f3sr.vision.silhouette import LossWeights
+from f3sr.vision.silhouette_fit import ObjectFit, object_fit
+from scenes import box, scene_of
+
+REACH = np.array([0.3, 0.3, 1.0, 0, 0, 0.5])
+
+
+def shown() -> Scene:
+    scene = scene_of(box(0, size=(0.2, 0.15, 0.25), at=(0, 0.2, 0.3)))
+    return replace(scene, camera=scene.camera.resized(640, 480))
+
+
+def freedom(scene: Scene, o: SceneObject) -> ObjectFreedom:
+    basis = scene.camera.T_world_camera[:3, :2]
+    return ObjectFreedom(anchor=o.bounds_world.mean(0), basis=basis, reach=REACH)
+
+
+def fit_to(u: np.ndarray) -> ObjectFit:
+    """The box against the mask of itself, moved by ``u``."""
+    scene = shown()
+    o = scene[0]
+    T, s = freedom(scene, o).similarity(u)
+    mask = full_silhouette(o.moved(T, scale=s, stage="test", reason=""), scene.camera)
+    o = replace(o, mask=mask)
+    valid = np.ones_like(mask)
+    return object_fit(
+        o, valid, scene.camera, freedom(scene, o), resolution=256, weights=LossWeights(), prior=np.zeros(6)
+    )
+
+
+@pytest.mark.parametrize("scale", [0.8, 1.0, 1.3])
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.1, -0.05)])
+def test_the_seed_finds_shift_and_scale(scale: float, shift: tuple[float, float]) -> None:
+    u = np.array([*shift, 0, 0, 0, scale - 1]) / np.where(REACH, REACH, 1)
+    fit = fit_to(u)
+    assert REACH * fit.seed(0.0) == pytest.approx(REACH * u, abs=0.01)
+    assert fit.iou(fit.seed(0.0)) > 0.95
+
+
+def test_the_seed_has_the_yaw_it_was_given_and_stays_in_the_box() -> None:
+    fit = fit_to(np.array([1.0, 1.0, 0, 0, 0, 1.0]))
+    far = replace(fit, freedom=replace(fit.freedom, reach=np.array([0.1, 0.1, 1.0, 0, 0, 0.1])))
+    assert fit.seed(0.3)[2] == pytest.approx(0.3)
+    assert np.abs(far.seed(0.0)).max() == 1.0
