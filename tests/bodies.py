@@ -8,6 +8,7 @@ from f3sr.contact.polytopes import Polytope
 from f3sr.contact.static_bodies import StaticBody
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import pose
+from f3sr.physics.contact_margin import DEFAULT_MARGIN
 
 GAP = DEFAULT_MARGIN.clearance
 """Left between bodies [m], as the product does."""
