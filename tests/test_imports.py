@@ -7,6 +7,11 @@ from collections import Counter
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from f3sr.runtime import kernels
 
 SOURCES = Path(__file__).parents[1] / "src"
 
@@ -94,3 +99,18 @@ def test_names_of_modules_and_classes_are_used_once():
     )
     assert [name for name, count in modules.items() if count > 1 and name not in shared] == []
     assert [name for name, count in classes.items() if count > 1] == []
+
+
+def test_warming_up_calls_every_module_that_can_be(monkeypatch: pytest.MonkeyPatch):
+    """No kernel is left to compile in the middle of a stage, and every file with kernels is in their cache's key."""
+    with_kernels = {name for name, file in MODULES.items() if "\n@kernel\n" in file.read_text()}
+    able = {name for name, file in MODULES.items() if "\ndef warm_up() " in file.read_text()}
+    called = set[str]()
+
+    def imported_module(name: str) -> SimpleNamespace:
+        return SimpleNamespace(warm_up=lambda: called.add(name))
+
+    monkeypatch.setattr(kernels.importlib, "import_module", imported_module)
+    kernels._call_all()
+    assert called == able and len(able) > 8
+    assert {name_of(file) for file in kernels.kernel_sources()} == with_kernels and len(with_kernels) > 12
