@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.transforms import rotation_angle, transform
+from f3sr.io.images import resized
 from f3sr.metrics.measures import ObjectMeasures
 from f3sr.physics.mujoco_model import body_of
 from f3sr.report_page.formatting import counted, length, name_of, number, quantity, ratio, share, told
 from f3sr.report_page.page_data import PageData, by_id
 from f3sr.scene import Motion, SceneObject
 from f3sr.stages.decompose import Decomposed
-from f3sr.vision.pictures import resized
 from f3sr.web.figures import img
 from f3sr.web.markup import Child, Markup, el, join
 

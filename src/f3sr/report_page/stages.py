@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from f3sr.io.images import resized
 from f3sr.report import Decision, Measure, Report
 from f3sr.report_page.formatting import about, counted, quantity, told
 from f3sr.report_page.mask_comparison import legend
 from f3sr.report_page.page_data import PageData, look_alike
 from f3sr.scene import Scene
-from f3sr.vision.pictures import resized
 from f3sr.web.figures import figure, img
 from f3sr.web.markup import Child, Markup, el, join
 

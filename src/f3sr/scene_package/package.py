@@ -19,8 +19,8 @@ from f3sr.errors import InputError
 from f3sr.exporters.mjcf import collision_files, to_mjcf
 from f3sr.files import npz, strict_json
 from f3sr.io.assets import require_solidity, require_total
-from f3sr.io.gltf_writer import encode_png, encode_pngs, mesh_to_glb, scene_to_glb
-from f3sr.io.images import as_rgb, open_image
+from f3sr.io.gltf_writer import encode_pngs, mesh_to_glb, scene_to_glb
+from f3sr.io.images import as_rgb, encode_png, open_image
 from f3sr.io.masks import MAX_MASK_PIXELS
 from f3sr.io.mesh_files import load_mesh, load_part
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, PhysicsConfig, body_of
