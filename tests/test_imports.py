@@ -42,7 +42,7 @@ def test_no_module_imports_itself_by_way_of_others():
 FLOORS = (
     ("f3sr", "errors", "options", "report", "core", "example"),
     ("files", "scene"),
-    ("settings", "runtime"),
+    ("settings", "runtime", "backends"),
     ("physics", "io"),
     ("vision",),
     ("contact", "background", "exporters", "web"),
