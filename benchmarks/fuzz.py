@@ -244,7 +244,7 @@ def _in_a_process(box: Path) -> tuple[int, float, float]:
 
 def _child(box: Path) -> int:
     """Run the command and check its package; the exit code, 99 for an exception that reached us."""
-    from f3sr.cli import main as cli
+    import f3sr.cli.main
 
     os.setsid()
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESS_SPACE, ADDRESS_SPACE))
@@ -257,7 +257,7 @@ def _child(box: Path) -> int:
             os.dup2(file.fileno(), number)
     code = 99
     try:
-        code = cli.main(["reconstruct", "input", "-o", "out"])
+        code = f3sr.cli.main.main(["reconstruct", "input", "-o", "out"])
         if code == 0:
             check_package(box / "out", box / "input/masks")
     except SystemExit as end:

@@ -33,10 +33,10 @@ def main() -> None:
         setattr(pipeline, name, _noted(getattr(pipeline, name), name, notes, calls))
     if kind in KILLS:
         KILLS[kind](int(count))
-    from f3sr.cli import main as cli
+    import f3sr.cli.main
 
     sys.argv[1:] = sys.argv[3:]
-    cli.run()
+    f3sr.cli.main.run()
 
 
 def _noted(work: Callable[..., Any], name: str, notes: int, calls: int) -> Callable[..., Any]:

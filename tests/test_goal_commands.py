@@ -15,16 +15,16 @@ from typing import Any
 
 import pytest
 
-from f3sr.cli import main as cli
+from f3sr.cli import main
 from f3sr.scene_package.package import Package
 from goal_scene import goal_package
 
 TOPPLE = "knock over the cereal box"
 
 
-def main(arguments: list[str]) -> int:
+def run(arguments: list[str]) -> int:
     """The command without films, which tests of their own are about."""
-    return cli.main([*arguments, "--no-film"] if arguments[0] == "simulate" else arguments)
+    return main.main([*arguments, "--no-film"] if arguments[0] == "simulate" else arguments)
 
 
 @pytest.fixture(scope="module")
@@ -36,17 +36,17 @@ def test_a_goal_is_told_written_and_replayed(
     package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, again = tmp_path / "out", tmp_path / "again"
-    assert main(["simulate", str(package.folder), TOPPLE, "-o", str(out)]) == 0
+    assert run(["simulate", str(package.folder), TOPPLE, "-o", str(out)]) == 0
     told = capsys.readouterr().out
     assert all(word in told for word in ("meaning:", "assumed:", "launch:", "met:", "rollout,", str(out)))
-    assert main(["simulate", str(package.folder), "--plan", str(out / "plan.json"), "-o", str(again)]) == 0
+    assert run(["simulate", str(package.folder), "--plan", str(out / "plan.json"), "-o", str(again)]) == 0
     for name in ("plan.json", "rollout.npz", "verdict.json"):
         assert (out / name).read_bytes() == (again / name).read_bytes()
 
 
 def test_refusals_write_nothing_and_help(package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
-    assert main(["simulate", str(package.folder), "push the banana", "-o", str(out)]) == 3
+    assert run(["simulate", str(package.folder), "push the banana", "-o", str(out)]) == 3
     told = capsys.readouterr()
     assert told.err.startswith("f3sr: refused") and "cereal box" in told.err and told.err.count("\n") == 1
     assert not out.exists() and not list(tmp_path.iterdir())
@@ -56,7 +56,7 @@ def test_several_goals_go_to_numbered_folders(
     package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     goals = [TOPPLE, "push the banana", "drop the sponge on the can"]
-    assert main(["simulate", str(package.folder), *goals, "-o", str(tmp_path / "out"), "--json"]) == 3
+    assert run(["simulate", str(package.folder), *goals, "-o", str(tmp_path / "out"), "--json"]) == 3
     told = json.loads(capsys.readouterr().out)["goals"]
     assert [t["state"] for t in told] == ["met", "refused", "met"] and told[1]["candidates"]
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["1", "3"]
@@ -65,24 +65,24 @@ def test_several_goals_go_to_numbered_folders(
 def test_without_a_place_the_package_gets_the_next_rollout(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = goal_package(tmp_path / "package").folder
     for number in ("1", "2"):
-        assert main(["simulate", str(folder), TOPPLE]) == 0
+        assert run(["simulate", str(folder), TOPPLE]) == 0
         assert (folder / "rollouts" / number / "verdict.json").exists()
-    assert main(["evaluate", str(folder), "--json"]) == 0, "it is a package as before"
+    assert run(["evaluate", str(folder), "--json"]) == 0, "it is a package as before"
 
 
 def test_what_is_not_met_is_written_and_told_by_the_exit_code(
     package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     goal = "hit the block with the sponge so that the block falls over"
-    assert main(["simulate", str(package.folder), goal, "-o", str(tmp_path / "out")]) == 4
+    assert run(["simulate", str(package.folder), goal, "-o", str(tmp_path / "out")]) == 4
     assert "not met" in capsys.readouterr().err
     assert json.loads((tmp_path / "out" / "verdict.json").read_text())["met"] is False
 
 
 def test_the_menu(package: Package, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["goals", str(package.folder)]) == 0
+    assert run(["goals", str(package.folder)]) == 0
     assert "knock over" in capsys.readouterr().out
-    assert main(["goals", str(package.folder), "--json"]) == 0
+    assert run(["goals", str(package.folder), "--json"]) == 0
     assert len(json.loads(capsys.readouterr().out)["objects"]) == 6
 
 
@@ -115,7 +115,7 @@ def test_wrong_calls_end_with_one_line(
     (tmp_path / "full" / "stranger").touch()
     before = sorted(package.folder.rglob("*"))
     call = [a.format(package=package.folder, tmp=tmp_path) for a in arguments]
-    assert main(["simulate", *call]) == code
+    assert run(["simulate", *call]) == code
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1 and error[:-1].isprintable()
     assert sorted(package.folder.rglob("*")) == before and not (tmp_path / "new").exists()
@@ -123,7 +123,7 @@ def test_wrong_calls_end_with_one_line(
 
 def test_a_rollout_is_replaced_only_when_asked(package: Package, tmp_path: Path) -> None:
     call = ["simulate", str(package.folder), TOPPLE, "-o", str(tmp_path / "out")]
-    assert main(call) == 0 and main(call) == 1 and main([*call, "--overwrite"]) == 0
+    assert run(call) == 0 and run(call) == 1 and run([*call, "--overwrite"]) == 0
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
 
 
@@ -131,29 +131,29 @@ def test_several_goals_do_not_mix_with_one(
     package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     call = ["simulate", str(package.folder), TOPPLE, "-o", str(tmp_path / "out")]
-    assert main(call) == 0
-    assert main([*call[:3], TOPPLE, *call[3:], "--overwrite"]) == 1
+    assert run(call) == 0
+    assert run([*call[:3], TOPPLE, *call[3:], "--overwrite"]) == 1
     assert "subfolders" in capsys.readouterr().err and not (tmp_path / "out" / "1").exists()
 
 
 def test_a_refusal_is_said_once_and_a_replay_counts_one(
     package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["simulate", str(package.folder), "push the banana", "-o", str(tmp_path / "out")]) == 3
+    assert run(["simulate", str(package.folder), "push the banana", "-o", str(tmp_path / "out")]) == 3
     assert not capsys.readouterr().out
-    assert main(["simulate", str(package.folder), "push the can into the block", "-o", str(tmp_path / "out")]) == 0
+    assert run(["simulate", str(package.folder), "push the can into the block", "-o", str(tmp_path / "out")]) == 0
     plan = str(tmp_path / "out/plan.json")
-    assert main(["simulate", str(package.folder), "--plan", plan, "-o", str(tmp_path / "two")]) == 0
+    assert run(["simulate", str(package.folder), "--plan", plan, "-o", str(tmp_path / "two")]) == 0
     assert "met, 1 rollout, " in capsys.readouterr().out
 
 
 def test_a_plan_of_another_package_is_bad_input(
     package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["simulate", str(package.folder), TOPPLE, "-o", str(tmp_path / "out")]) == 0
+    assert run(["simulate", str(package.folder), TOPPLE, "-o", str(tmp_path / "out")]) == 0
     other = shutil.copytree(package.folder, tmp_path / "other")
     (other / "scene.json").write_text((other / "scene.json").read_text() + " ")
-    assert main(["simulate", str(other), "--plan", str(tmp_path / "out/plan.json"), "-o", str(tmp_path / "two")]) == 2
+    assert run(["simulate", str(other), "--plan", str(tmp_path / "out/plan.json"), "-o", str(tmp_path / "two")]) == 2
     assert "another scene" in capsys.readouterr().err and not (tmp_path / "two").exists()
 
 
@@ -190,7 +190,7 @@ def aimed(x: float) -> Callable[[dict[str, Any]], None]:
 def test_a_plan_beyond_all_bounds_is_one_line(
     package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str], change, found: str
 ) -> None:
-    assert main(["simulate", str(package.folder), TOPPLE, "-o", str(tmp_path / "out")]) == 0
+    assert run(["simulate", str(package.folder), TOPPLE, "-o", str(tmp_path / "out")]) == 0
     plan = json.loads((tmp_path / "out/plan.json").read_text())
     change(plan)
     (tmp_path / "plan.json").write_text(json.dumps(plan))
@@ -198,7 +198,7 @@ def test_a_plan_beyond_all_bounds_is_one_line(
     call = ["simulate", str(package.folder), "--plan", str(tmp_path / "plan.json"), "-o", str(tmp_path / "again")]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert main(call) == 2
+        assert run(call) == 2
     error = capsys.readouterr().err
     assert "plan.json" in error and found in error and error.count("\n") == 1 and not (tmp_path / "again").exists()
 
@@ -210,7 +210,7 @@ def test_a_plan_that_is_no_file_is_refused_at_once(
     package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str], target: str, found: str
 ) -> None:
     (tmp_path / "plan.json").symlink_to(target)
-    assert main(["simulate", str(package.folder), "--plan", str(tmp_path / "plan.json")]) == 2
+    assert run(["simulate", str(package.folder), "--plan", str(tmp_path / "plan.json")]) == 2
     assert found in capsys.readouterr().err
 
 

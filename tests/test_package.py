@@ -24,6 +24,7 @@ from f3sr.cli.main import main
 from f3sr.core.mesh import ConvexPart, Material, Mesh
 from f3sr.core.transforms import pose, rotation_about, transform
 from f3sr.errors import InputError, OutputError
+from f3sr.exporters import mjcf
 from f3sr.goals.launch_limits import limits_of
 from f3sr.io.mesh_files import load_mesh, load_part, save_glb
 from f3sr.physics.mujoco_model import build_spec
@@ -480,7 +481,7 @@ def test_a_failing_write_leaves_the_old_package(
     def fail(*_: Any, **__: Any) -> Any:
         raise error
 
-    owner = {"replace": atomic_folder.Claim, "rename": Path}.get(point, package)
+    owner = {"replace": atomic_folder.Claim, "rename": Path, "to_mjcf": mjcf}.get(point, package)
     monkeypatch.setattr(owner, point, fail)
     with pytest.raises(OutputError if isinstance(error, OSError) else type(error)):
         write_package(box_stack_scene(2), out)

@@ -9,7 +9,6 @@ import pytest
 
 import stacks
 from bodies import GAP, block, body
-from f3sr.contact import stability as statics
 from f3sr.contact.contact_patches import Contacts, find_contacts
 from f3sr.contact.force_balance import EDGES, FALLS, Balance
 from f3sr.contact.stability import stability
@@ -221,7 +220,7 @@ def test_the_margin_is_where_balance_ends() -> None:
             normals=contacts.normals @ lean.T,
             follow=contacts.follow,
         )
-        return statics.stands(moved(bodies, pose(lean)), turned)
+        return stands(moved(bodies, pose(lean)), turned)
 
     directions = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     assert all(stands(a, margin - 0.03) for a in directions)

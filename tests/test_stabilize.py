@@ -10,8 +10,7 @@ import pytest
 import stacks
 from bodies import GAP, block, body
 from f3sr.contact import polytopes
-from f3sr.contact import stability as statics
-from f3sr.contact.stability import stability
+from f3sr.contact.stability import stability, stands
 from f3sr.contact.stabilize import BalanceConfig, balance
 from f3sr.contact.static_bodies import StaticBody, bodies_of
 from f3sr.core.transforms import UP, pose, rotation_about
@@ -103,7 +102,7 @@ def test_stacks_that_fell_rest_after_their_shifts(seed: int) -> None:
     bodies = bodies_of(objects)
     found = balance(bodies, {o.id: o.supported_by for o in objects})
     assert not stability(bodies).stands and found.success
-    assert statics.stands(after(bodies, found))
+    assert stands(after(bodies, found))
     shifted = [replace(o, T_world_object=pose(t=found.shifts[o.id]) @ o.T_world_object) for o in objects]
     assert release.release(objects, seconds=1.5).D_max > 0.05
     assert release.release(shifted, seconds=1.5).D_max < 2e-3

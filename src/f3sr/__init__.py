@@ -11,7 +11,16 @@ from typing import Any
 __version__ = "0.1.0"
 
 _PUBLIC = {
+    "ASSET_GENERATORS": "f3sr.backends.kinds",
+    "BACKGROUND_COMPLETERS": "f3sr.background.completers",
+    "Backend": "f3sr.backends.registry",
+    "EXPORTERS": "f3sr.exporters.protocol",
+    "Fillers": "f3sr.io.inputs",
+    "GEOMETRY_ESTIMATORS": "f3sr.backends.kinds",
     "GROUND": "f3sr.scene",
+    "LANGUAGES": "f3sr.play.languages",
+    "SCENE_GRAPHERS": "f3sr.backends.kinds",
+    "SEGMENTERS": "f3sr.backends.kinds",
     "Camera": "f3sr.core.camera",
     "Config": "f3sr.pipeline",
     "F3srError": "f3sr.errors",

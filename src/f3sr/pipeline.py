@@ -8,6 +8,8 @@ from functools import partial
 
 from pydantic import JsonValue
 
+from f3sr.backends.protocols import BackgroundCompleter
+from f3sr.backends.registry import Backend
 from f3sr.background import BackgroundConfig
 from f3sr.background.inpainting import Inpainting
 from f3sr.io.inputs import Inputs
@@ -72,7 +74,8 @@ class Reconstruction:
     """Stages whose results came from the store."""
     config: Config
     provenance: Mapping[str, JsonValue]
-    """What the result was made from: digests of inputs and settings, settings that are not defaults, skipped stages."""
+    """What the result was made from: digests of inputs and settings, settings that are not defaults, skipped stages,
+    back ends that answered."""
     evaluation: Evaluation | None = None
     inpainting: Inpainting | None = None
     """The photo completed behind the objects; nothing else depends on it."""
@@ -88,12 +91,14 @@ def reconstruct(
     config: Config | None = None,
     *,
     skip: Collection[str] = (),
+    background: Backend[BackgroundCompleter] | None = None,
     store: Store | None = None,
     progress: Progress = silent,
 ) -> Reconstruction:
     """Run every stage that is not skipped. Any stage but ``assemble`` may be skipped: a valid scene remains.
     ``refine`` repeats alignment, separation and settling, so it goes with any of them; ``close`` goes with settling.
 
+    ``background`` completes the photo behind the objects in place of f3sr's own method.
     Stages whose results are in ``store`` are not done again. ``progress`` is told of every stage.
     """
     given = config or Config()
@@ -110,9 +115,10 @@ def reconstruct(
     direct, _ = run.stage(Levelled, level, scene, config.level)
     inpainted = run.beside(
         "inpaint",
-        partial(inpaint, direct, config.inpaint, given=inputs.background),
+        partial(inpaint, direct, config.inpaint, given=inputs.background, completer=background),
         ArraysForm(Inpainting, Inpainted),
         config.inpaint,
+        also=background.key if background else "",
         later=inputs.photo.rgb[..., 0].size > BESIDE,
     )
     scene, _ = run.stage(Aligned, align, direct, _without(config.align, skip))
@@ -155,6 +161,7 @@ def reconstruct(
             "settings": changed(given, Config()),
             "skipped": list[JsonValue](sorted(skip)),
             "camera_aligned": aligned,
+            **_named(inputs, background if "inpaint" not in skip else None),
         },
         evaluation=evaluation,
         inpainting=inpainting,
@@ -180,6 +187,14 @@ def composed_directly(
     needless = [stage for stage in SKIPPABLE if stage not in ("level", "decompose")]
     result = reconstruct(inputs, config, skip=needless, store=store, progress=progress)
     return direct_composition(result.direct, result.scene)
+
+
+def _named(inputs: Inputs, background: Backend[BackgroundCompleter] | None) -> dict[str, JsonValue]:
+    """For the provenance: the back ends that answered, where there are any."""
+    names = dict[str, JsonValue](inputs.fillers)
+    if background and inputs.background is None:
+        names[background.kind] = f"{background.name} {background.version}"
+    return {"backends": names} if names else {}
 
 
 def _rested(scene: Scene, config: SettleStageConfig) -> SettledScene:

@@ -48,6 +48,20 @@ class Photo:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class Instance:
+    """One masked object of the photo."""
+
+    id: int
+    label: str
+    name: str
+    """File name of the mask."""
+    mask: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        self.mask.setflags(write=False)  # what cannot change is shared, not copied
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Geometry:
     """Per-pixel geometry of the photo, in camera axes; its resolution need not be the photo's.
 

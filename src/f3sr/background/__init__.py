@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -34,6 +34,10 @@ MIXED = 1
 """Pixels on both sides of that border over which what was completed is mixed, as the photo's own edges are."""
 
 
+Fill = Callable[[Photo, Mask, Mask | None], NDArray[np.uint8]]
+"""What ``BackgroundCompleter.complete`` does, checked."""
+
+
 @settings
 class BackgroundConfig:
     """The photo completed behind its objects."""
@@ -56,13 +60,19 @@ class Background:
 
 
 def complete_background(
-    photo: Photo, masks: Sequence[Mask], config: BackgroundConfig | None = None, *, support: Mask | None = None
+    photo: Photo,
+    masks: Sequence[Mask],
+    config: BackgroundConfig | None = None,
+    *,
+    support: Mask | None = None,
+    filled: Fill | None = None,
 ) -> Background:
     """The photo behind the objects of some ``masks`` (h, w) each, pixel for pixel in its place. Where the ``support``
     (h, w) is known, in the hole too, shadows are looked for on it only, and it is completed from itself, the rest from
     the rest: so the edge of a table goes on straight.
 
-    The same bytes for the same photo, masks and seed. Where no patch of the photo is free of objects, light is spread
+    ``filled`` completes the hole in place of patches: of the photo (h, w, 3) that it gives only the hole is taken. The
+    same bytes for the same photo, masks and seed. Where no patch of the photo is free of objects, light is spread
     smoothly from what is left, and a Decision says so.
     """
     config = config or BackgroundConfig()
@@ -73,10 +83,26 @@ def complete_background(
     hole = _without_islands(closed(taken | shadows, round(BETWEEN * max(h, w))))
     if not hole.any():
         return Background(rgb=photo.rgb, replaced=hole, shadows=shadows)
-    filled, decisions = _layered(picture, hole, config, support)
+    decisions: tuple[Decision, ...] = ()
+    if filled is None:
+        completed, decisions = _layered(picture, hole, config.completion, support)
+        inside = _colours(completed[hole])
+    else:
+        inside = filled(photo, hole, support)[hole]
     rgb = photo.rgb.copy()
-    rgb[hole] = _colours(filled[hole])
+    rgb[hole] = inside
     return Background(rgb=rgb, replaced=hole, shadows=shadows, decisions=decisions)
+
+
+class PatchMatch:
+    """The ``BackgroundCompleter`` of f3sr, with its default settings: from patches of the photo."""
+
+    def complete(self, photo: Photo, hole: Mask, support: Mask | None) -> NDArray[np.uint8]:
+        rgb = photo.rgb.copy()
+        if hole.any():
+            completed, _ = _layered(_logarithms(photo.rgb), hole, CompletionConfig(), support)
+            rgb[hole] = _colours(completed[hole])
+        return rgb
 
 
 def widened(masks: Sequence[Mask], margin: float) -> Mask:
@@ -86,7 +112,7 @@ def widened(masks: Sequence[Mask], margin: float) -> Mask:
 
 
 def _layered(
-    picture: Picture, hole: Mask, config: BackgroundConfig, support: Mask | None
+    picture: Picture, hole: Mask, config: CompletionConfig, support: Mask | None
 ) -> tuple[Picture, tuple[Decision, ...]]:
     """The hole filled, the support and the rest each as if the other were not there; they meet over a pixel or two."""
     if support is None or not (support & hole).any() or not (~support & hole).any():
@@ -111,9 +137,9 @@ def _softened(mask: Mask) -> NDArray[np.float32]:
 
 
 def _filled(
-    picture: Picture, hole: Mask, config: BackgroundConfig, apart: Mask | None
+    picture: Picture, hole: Mask, config: CompletionConfig, apart: Mask | None
 ) -> tuple[Picture, tuple[Decision, ...]]:
-    filled = complete(picture, hole, config.completion, apart=apart)
+    filled = complete(picture, hole, config, apart=apart)
     if filled is not None:
         return filled, ()
     known = ~hole if apart is None else ~(hole | apart)

@@ -12,17 +12,27 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 import f3sr
+from f3sr.backends.kinds import ASSET_GENERATORS, GEOMETRY_ESTIMATORS, SCENE_GRAPHERS, SEGMENTERS
+from f3sr.backends.registry import Kind
+from f3sr.background.completers import BACKGROUND_COMPLETERS
 from f3sr.core.mesh import ConvexPart, Mesh
+from f3sr.errors import printable
+from f3sr.exporters.protocol import EXPORTERS
+from f3sr.play.languages import LANGUAGES
 from f3sr.runtime import kernels
 from f3sr.runtime.cache_folder import cache_folder
 
 State = Literal["ok", "missing", "failed"]
 
+KINDS: tuple[Kind[Any], ...] = (
+    *(SEGMENTERS, GEOMETRY_ESTIMATORS, ASSET_GENERATORS, SCENE_GRAPHERS, BACKGROUND_COMPLETERS, LANGUAGES),
+    EXPORTERS,
+)
 LITTLE_MEMORY = 4.0
 """Memory [GB] that the largest stated scene, twenty objects of 200,000 triangles, needs."""
 LITTLE_DISK = 2.0
@@ -41,7 +51,7 @@ class Check:
 
 def examine() -> list[Check]:
     """Everything there is to know of this installation and machine."""
-    return [*_installed(), *_extras(), *_parts(), *_machine(), *_caches()]
+    return [*_installed(), *_extras(), *_parts(), *_backends(), *_machine(), *_caches()]
 
 
 # --- what is installed --------------------------------------------------------------------------------------------
@@ -86,14 +96,22 @@ def _version(package: str) -> str | None:
 
 def _parts() -> Iterator[Check]:
     yield _check("geometry", "given", "geometry.npz, or depth.png|npy with intrinsics.json")
-    yield Check(
-        group="geometry", name="from the photo", state="missing", found="not in this version: give one of these"
-    )
     yield _tried("assets", "given", _glb_round_trip)
-    yield Check(group="assets", name="from the photo", state="missing", found="not in this version: they must be given")
     yield _tried("decomposition", "cuts", _decomposed)
     yield _tried("physics", "MuJoCo", _dropped)
     yield _tried("solids", "manifold3d", _united)
+
+
+def _backends() -> Iterator[Check]:
+    """Every name of every kind, each tried out; what other packages add is nothing that f3sr needs."""
+    for kind in KINDS:
+        offers = list(kind.examined())
+        if not offers:
+            yield Check(group=kind.group, name="none", state="missing", found="no package that adds one is installed")
+        for offer in offers:
+            state: State = "missing" if offer.problem else "ok"
+            found = offer.problem or f"from {offer.source}"
+            yield Check(group=kind.group, name=printable(offer.name) or "unreadable", state=state, found=found)
 
 
 def _tried(group: str, name: str, probe: Callable[[], str]) -> Check:

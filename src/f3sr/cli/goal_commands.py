@@ -16,6 +16,7 @@ from f3sr.runtime.daemon_thread import begun
 
 if TYPE_CHECKING:
     from f3sr.film.studio import Studio
+    from f3sr.goals.language_protocol import Language
     from f3sr.goals.refusal import Refusal
     from f3sr.play.goal_loop import Played
     from f3sr.scene_package.package import Package
@@ -32,6 +33,7 @@ def simulate(
     /,
     out: Annotated[Path | None, arg(aliases=["-o"])] = None,
     plan: Path | None = None,
+    language: str | None = None,
     film: bool = True,
     slow: float = 1.0,
     overwrite: bool = False,
@@ -45,17 +47,20 @@ def simulate(
         out: Where plan.json, rollout.npz, verdict.json and the film go; of several goals to its subfolders 1, 2, 3...
             Without it, to the next numbers in PACKAGE/rollouts.
         plan: A plan.json to play again, instead of goals.
+        language: Name of the back end that understands goals; rules without it. ``f3sr doctor`` lists them.
         film: Make film.mp4, its key frames film.png and player.html too.
         slow: How many times slower than life the film is.
         overwrite: Also replace an older rollout.
         json: Print one JSON object instead of text.
     """
     from f3sr.goals.refusal import Refusal
+    from f3sr.play.languages import LANGUAGES, CheckedLanguage
     from f3sr.runtime.atomic_folder import recover
     from f3sr.scene_package.package import read_package
 
     recover(*(place for place in (package, out, plan) if place))
     _require_goals(goals, plan)
+    spoken = CheckedLanguage(LANGUAGES.find(language)) if language else None
     if film and slow != 1:
         _require_slow(slow)
     content = read_package(package)
@@ -64,7 +69,7 @@ def simulate(
     if film:
         _make_ready(content, json)
     studio = begun(_studio, content, slow) if film else None  # beside the search for the first goal
-    for played, place, goal, seconds in _played(content, goals, plan, places, overwrite):
+    for played, place, goal, seconds in _played(content, goals, plan, spoken, places, overwrite):
         tellings.append(_telling(goal, played, place, seconds, replayed=plan is not None))
         if not json and (tellings[-1]["state"] != "refused" or len(goals) > 1):  # one refusal is the error's line
             _show(_lines(tellings[-1]))
@@ -213,7 +218,12 @@ def _places(out: Path | None, package: Path, count: int, overwrite: bool) -> lis
 
 
 def _played(
-    content: Package, goals: Sequence[str], plan: Path | None, places: Sequence[Path | None], overwrite: bool
+    content: Package,
+    goals: Sequence[str],
+    plan: Path | None,
+    language: Language | None,
+    places: Sequence[Path | None],
+    overwrite: bool,
 ) -> Iterator[tuple[Played | Refusal, Path | None, str, float]]:
     """Every goal played and written as soon as it is, with its place, words and seconds."""
     from f3sr.goals.refusal import Refusal
@@ -229,7 +239,7 @@ def _played(
             except F3srError as error:
                 raise InputError(plan, found=str(error), accepted="a plan of this package's scene") from None
         else:
-            played = simulate_goal(content, goal)
+            played = simulate_goal(content, goal, language=language)
         if not isinstance(played, Refusal):
             place = (
                 write_next(played, content.folder)

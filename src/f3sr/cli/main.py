@@ -81,6 +81,10 @@ def reconstruct(
     skip: Skip = "",
     ignore: Ignore = "",
     asset_frame: Axes = "auto",
+    geometry: str | None = None,
+    assets: str | None = None,
+    scene_graph: str | None = None,
+    background: str | None = None,
     config: Path | None = None,
     overwrite: bool = False,
     json: bool = False,
@@ -90,11 +94,17 @@ def reconstruct(
     Args:
         folder: Holds image.png|jpg, masks/*.png, geometry.npz (or depth and intrinsics.json), assets/, ground.png.
         out: Where the package goes; an older f3sr package there is replaced.
+        geometry: Name of a back end that estimates geometry, where the folder has none; ``f3sr doctor`` lists them.
+        assets: Name of a back end that generates meshes, where the folder has none.
+        scene_graph: Name of a back end that proposes relations, where the folder gives none.
+        background: Name of a back end that completes the photo behind the objects; patchmatch without it.
         config: TOML file of settings; those it does not name stay as ``f3sr config`` prints them.
         overwrite: Also replace a package that holds rollouts.
         json: Print one JSON object instead of text.
     """
     from f3sr import pipeline, settings
+    from f3sr.backends.kinds import ASSET_GENERATORS, GEOMETRY_ESTIMATORS, SCENE_GRAPHERS
+    from f3sr.background.completers import BACKGROUND_COMPLETERS, DEFAULT_COMPLETER
     from f3sr.cli import console
     from f3sr.delivery import deliver
     from f3sr.io import inputs
@@ -105,12 +115,20 @@ def reconstruct(
 
     atomic_folder.recover(out)
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
+    fillers = inputs.Fillers(
+        geometry=GEOMETRY_ESTIMATORS.find(geometry) if geometry else None,
+        assets=ASSET_GENERATORS.find(assets) if assets else None,
+        scene_graph=SCENE_GRAPHERS.find(scene_graph) if scene_graph else None,
+    )
+    completer = BACKGROUND_COMPLETERS.find(background) if background not in (None, DEFAULT_COMPLETER) else None
     with console.steps_shown(quiet=json) as progress:
         with timed("read", progress):
-            given = inputs.read(folder, ignore=_names(ignore), asset_frame=asset_frame)
+            given = inputs.read(folder, ignore=_names(ignore), asset_frame=asset_frame, fillers=fillers)
         package.prepare_output(out, inputs=folder, overwrite=overwrite)
         kernels.warm_up(progress)
-        result = pipeline.reconstruct(given, chosen, skip=_names(skip), store=Store.default(), progress=progress)
+        result = pipeline.reconstruct(
+            given, chosen, skip=_names(skip), background=completer, store=Store.default(), progress=progress
+        )
         written = deliver(result, out, overwrite=overwrite, progress=progress)
     if json:
         print(_json({"package": str(written), "seconds": result.seconds, **_columns(result.evaluation)}))

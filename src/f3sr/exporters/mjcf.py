@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import Array, quaternion_from_rotation
-from f3sr.exporters.obj import part_to_obj, to_obj
+from f3sr.exporters.collision_parts import collision_files, collision_path
+from f3sr.exporters.obj import to_obj
 from f3sr.io.gltf_writer import png_of
 from f3sr.physics.mujoco_model import (
     CONDIM,
@@ -24,7 +25,7 @@ from f3sr.physics.mujoco_model import (
     PhysicsConfig,
     body_of,
 )
-from f3sr.scene import GRAVITY, SceneObject
+from f3sr.scene import GRAVITY, Scene, SceneObject
 
 VISUAL_GROUP, COLLISION_GROUP = 2, 3
 """MuJoCo's viewers show groups 0 to 2 from the start."""
@@ -33,14 +34,15 @@ LEAST_AREA = 1e-12
 """[m2]: faces of one material with less than this cannot be seen, and MuJoCo refuses a mesh of them."""
 
 
-def collision_path(id: int, part: int) -> str:
-    """Where a convex part lies in the package."""
-    return f"collision/{id:02d}/{part:02d}.obj"
+class Mjcf:
+    """The ``Exporter`` of ``scene.xml`` with all that it names: visual meshes, textures and convex parts."""
 
+    name = "mjcf"
 
-def collision_files(id: int, body: Body) -> Mapping[str, bytes]:
-    """The convex parts of a body, object frame, metres."""
-    return {collision_path(id, k): part_to_obj(part).encode() for k, part in enumerate(body.parts)}
+    def files(self, scene: Scene, physics: PhysicsConfig) -> Iterator[tuple[str, bytes]]:
+        for o in scene:
+            yield from collision_files(o.id, body_of(o)).items()
+        yield from to_mjcf(scene.objects, scene.camera, physics)
 
 
 def to_mjcf(

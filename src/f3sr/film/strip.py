@@ -13,8 +13,7 @@ from f3sr.film.captions import INK, PAPER, captioned, font, wrapped
 from f3sr.film.event_text import clock, told
 from f3sr.film.moments import Moment
 from f3sr.film.video import Picture
-from f3sr.io.gltf_writer import encode_png
-from f3sr.vision.pictures import resized
+from f3sr.io.images import encode_png, resized
 
 CELL = 480
 """Width of a picture [px]: three beside each other are still readable where a page is 900 wide."""

@@ -15,12 +15,12 @@ from f3sr.background import complete_background
 from f3sr.core.transforms import transform
 from f3sr.film import make_film
 from f3sr.film.deadband import Held
+from f3sr.io.images import resized
 from f3sr.play.goal_loop import Played
 from f3sr.rendering import RenderConfig, Renderer
 from f3sr.scene import Photo, Scene, SceneObject
 from f3sr.scene_package.package import Package
 from f3sr.settings import settings
-from f3sr.vision.pictures import resized
 from f3sr.vision.silhouette import resample
 
 STANDS = 0.01

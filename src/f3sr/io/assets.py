@@ -33,6 +33,7 @@ MAX_SCENE_TEXTURE_PIXELS = 400_000_000
 MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".fbx")
 """Files in assets/ that look like an object's mesh: each must belong to a mask."""
 ONE_PER_MASK = "one mesh per mask"
+ASSETS_ACCEPTED = "assets/poses.json with GLBs, or one posed GLB per mask, or a back end's name after --assets"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -42,29 +43,34 @@ class PosedAsset:
     mesh: Mesh
     T_camera_object: Array
     scale: float
-    source: Path
-    """The file that says where the mesh stands."""
+    source: Path | str
+    """The file, or the back end, that says where the mesh stands."""
 
 
 def read_assets(folder: InputFolder, masks: Mapping[int, str], frame: str) -> dict[int, PosedAsset]:
     """One asset per object; ``masks`` gives each id's mask file name, ``frame`` the axes of GLBs without poses.json."""
     place = folder.path("assets")
-    if not folder.has("assets"):
-        raise InputError(place, found="no assets", accepted="assets/poses.json with GLBs, or one posed GLB per mask")
     names = folder.names("assets")
     given = folder.has("assets/poses.json")
     assets, used = _sam3d_assets(folder, masks) if given else _posed_assets(folder, names, masks, frame)
     if extra := [n for n in names if Path(n).suffix.lower() in MESH_SUFFIXES and n not in used]:
         raise InputError(folder.path(f"assets/{extra[0]}"), found="a mesh of no mask", accepted=ONE_PER_MASK)
+    require_assets(folder, place, assets, masks)
+    return assets
+
+
+def require_assets(
+    folder: InputFolder, place: Path | str, assets: Mapping[int, PosedAsset], masks: Mapping[int, str]
+) -> None:
+    """Assets that can be a scene together, by size and number; what is odd about one is decided and told."""
     require_total(place, [a.mesh for a in assets.values()])
     for id, asset in assets.items():
         require_size(asset.source, masks[id], asset)
         _require_thickness(asset.source, masks[id], asset.mesh)
         _describe(folder, id, asset.mesh)
-    return assets
 
 
-def require_size(path: Path, mask: str, asset: PosedAsset, *, factor: float = 1.0) -> None:
+def require_size(path: Path | str, mask: str, asset: PosedAsset, *, factor: float = 1.0) -> None:
     """An object between MIN_SIZE and MAX_SIZE, also after scaling by a factor: beyond is another unit, or a mistake."""
     size = factor * asset.scale * asset.mesh.diagonal
     if not MIN_SIZE <= size <= MAX_SIZE:
@@ -73,7 +79,7 @@ def require_size(path: Path, mask: str, asset: PosedAsset, *, factor: float = 1.
         )
 
 
-def require_total(place: Path, meshes: Sequence[Mesh]) -> None:
+def require_total(place: Path | str, meshes: Sequence[Mesh]) -> None:
     faces = sum(len(m.faces) for m in meshes)
     textures = [t for m in meshes for material in m.materials if (t := material.texture) is not None]
     pixels = sum(t.shape[0] * t.shape[1] for t in textures)
@@ -87,15 +93,19 @@ def _mesh(folder: InputFolder, id: int, relative: str) -> Mesh:
     file = folder.file(relative, base="assets")
     if file.suffix.lower() != ".glb":
         raise InputError(file, found=f"a file of type {file.suffix!r}", accepted="a GLB file")
-    mesh = load_mesh(file)
+    return usable_mesh(folder, file, id, load_mesh(file))
+
+
+def usable_mesh(folder: InputFolder, where: Path | str, id: int, mesh: Mesh) -> Mesh:
+    """The mesh without vertices that no triangle uses, if it can have a place and a volume in a scene."""
     used = mesh.without_unused()
     if count := len(mesh.vertices) - len(used.vertices):
-        folder.decide(f"{file.name}: {count} vertices left out", "no triangle uses them", id)
-    require_solidity(file, used)
+        folder.decide(f"{Path(where).name}: {count} vertices left out", "no triangle uses them", id)
+    require_solidity(where, used)
     return used
 
 
-def require_solidity(path: Path, mesh: Mesh) -> None:
+def require_solidity(path: Path | str, mesh: Mesh) -> None:
     """A mesh has a place in a scene if it spans a volume and its triangles have an area, not far too much of it."""
     accepted = "a mesh that spans a volume"
     try:
@@ -118,7 +128,7 @@ def _is_thin(mesh: Mesh) -> bool:
     return bool(spread[0] <= (THIN * mesh.diagonal) ** 2)
 
 
-def _require_thickness(path: Path, mask: str, mesh: Mesh) -> None:
+def _require_thickness(path: Path | str, mask: str, mesh: Mesh) -> None:
     if mesh.hull.volume < MIN_FILL * mesh.diagonal**3:
         found = f"a mesh for {mask} thinner than single precision can tell"
         raise InputError(path, found=found, accepted="a mesh that spans a volume")

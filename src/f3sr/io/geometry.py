@@ -30,6 +30,11 @@ MAX_STRETCH = 1.1
 MIN_FOCAL, MAX_FOCAL = 0.1, 30.0
 """Focal lengths accepted, in longer image sides: from wider than any rectilinear lens to a 1000 mm telephoto."""
 
+DEPTH_FILES = ("depth.png", "depth.npy")
+GEOMETRY_FILES = ("geometry.npz", *DEPTH_FILES)
+"""Each by itself claims to be the geometry."""
+GEOMETRY_ACCEPTED = "geometry.npz, or depth.png|npy with intrinsics.json, or a back end's name after --geometry"
+
 WANTED = {
     "points": npz.Wanted(kinds="f", shape=("h", "w", 3), most=3 * MAX_PIXELS, also=("pointmap", "pcd")),
     "mask": npz.Wanted(shape=("h", "w"), optional=True),
@@ -52,19 +57,20 @@ CAMERA_FRAMES = {
 
 
 def read_geometry(folder: InputFolder, photo: Photo) -> tuple[Geometry, Array]:
-    """Geometry and K (3, 3) in the photo's pixels, from geometry.npz or from depth.png|npy with intrinsics.json."""
-    depths = [name for name in ("depth.png", "depth.npy") if folder.has(name)]
-    if not (folder.has("geometry.npz") or depths):
-        raise InputError(
-            folder.root,
-            found="no geometry",
-            accepted="geometry.npz, or depth.png|npy with intrinsics.json (there is no monocular back end yet)",
-        )
+    """Geometry and K (3, 3) in the photo's pixels, from geometry.npz or from depth.png|npy with intrinsics.json,
+    one of which is there."""
+    depths = [name for name in DEPTH_FILES if folder.has(name)]
     if folder.has("geometry.npz") and depths:
         raise InputError(folder.root, found=f"geometry.npz and {depths[0]}", accepted="one of the two")
     if len(depths) > 1:
         raise InputError(folder.root, found="depth.png and depth.npy", accepted="one of the two")
     geometry, K = _depth_map(folder, depths[0], photo) if depths else _point_map(folder, photo)
+    tell_stretch(folder, geometry, photo)
+    return geometry, K
+
+
+def tell_stretch(folder: InputFolder, geometry: Geometry, photo: Photo) -> None:
+    """A decision where geometry and photo have another aspect."""
     h, w = geometry.valid.shape
     if not 1 / MAX_STRETCH <= (w * photo.height) / (h * photo.width) <= MAX_STRETCH:
         folder.decide(
@@ -72,7 +78,6 @@ def read_geometry(folder: InputFolder, photo: Photo) -> tuple[Geometry, Array]:
             f"the photo has {photo.width}x{photo.height}",
             fallback=True,
         )
-    return geometry, K
 
 
 def _point_map(folder: InputFolder, photo: Photo) -> tuple[Geometry, Array]:
@@ -81,22 +86,34 @@ def _point_map(folder: InputFolder, photo: Photo) -> tuple[Geometry, Array]:
     points = data["points"]
     to_camera = camera_frame(path, str(data.get("coordinate_system", "opencv")))
     valid = data.get("mask", np.ones(points.shape[:2], bool)) > 0
-    points, finite = _turned(points, to_camera)
-    valid = _usable(folder, path, points[..., 2], points, valid & finite)
-    normals = data.get("normal")
-    if normals is not None:
-        normals, _ = _turned(np.where(np.abs(normals) <= 1.5, normals, 0), to_camera)
-    geometry = Geometry(points=np.where(valid[..., None], points, 0), valid=valid, normals=normals)
+    geometry = estimated(folder, path, points, valid, data.get("normal"), to_camera)
     intrinsics = data.get("intrinsics")
     if intrinsics is None:
-        K = _checked_K(path, _fit_intrinsics(path, geometry, photo), photo)
+        K = checked_K(path, _fit_intrinsics(path, geometry, photo), photo)
         folder.decide(
             f"camera: focal length {K[0, 0]:.1f} px fitted to the points",
             "no intrinsics in geometry.npz",
             fallback=True,
         )
         return geometry, K
-    return geometry, _checked_K(path, _scaled(intrinsics.astype(float), photo.width, photo.height), photo)
+    return geometry, checked_K(path, _scaled(intrinsics.astype(float), photo.width, photo.height), photo)
+
+
+def estimated(
+    folder: InputFolder,
+    where: Path | str,
+    points: NDArray[Any],
+    valid: NDArray[np.bool_],
+    normals: NDArray[Any] | None,
+    to_camera: Array,
+) -> Geometry:
+    """Points (h, w, 3) and normals of somebody's estimate, turned into the camera frame, without what is no place in a
+    photo. Raises InputError, which names ``where`` they came from, where too little is left."""
+    points, finite = _turned(points, to_camera)
+    valid = _usable(folder, where, points[..., 2], points, valid & finite)
+    if normals is not None:
+        normals, _ = _turned(np.where(np.abs(normals) <= 1.5, normals, 0), to_camera)
+    return Geometry(points=np.where(valid[..., None], points, 0), valid=valid, normals=normals)
 
 
 def _depth_map(folder: InputFolder, name: str, photo: Photo) -> tuple[Geometry, Array]:
@@ -109,7 +126,7 @@ def _depth_map(folder: InputFolder, name: str, photo: Photo) -> tuple[Geometry, 
     width, height = meta.width or w, meta.height or h
     K_depth = np.asarray(meta.K, float)
     K_photo = _scaled(K_depth, photo.width / width, photo.height / height)
-    K = _checked_K(folder.path("intrinsics.json"), K_photo, photo)
+    K = checked_K(folder.path("intrinsics.json"), K_photo, photo)
     with np.errstate(over="ignore"):  # what overflows is infinite, so invalid
         depth = values.astype(float) * meta.depth_scale
     depth = np.where(np.isfinite(depth), depth, 0)
@@ -149,8 +166,8 @@ def _scaled(K: Array, x: float, y: float) -> Array:
         return K * [[x], [y], [1]]
 
 
-def _checked_K(path: Path, K: Array, photo: Photo) -> Array:
-    """K in pixels of the photo, with focal lengths that some lens has."""
+def checked_K(path: Path | str, K: Array, photo: Photo) -> Array:
+    """K (3, 3) in pixels of the photo, with focal lengths that some lens has. InputError names ``path``."""
     longest = max(photo.width, photo.height)
     low, high = MIN_FOCAL * longest, MAX_FOCAL * longest
     ok = np.isfinite(K).all() and np.allclose(K[[1, 2, 2, 2], [0, 0, 1, 2]], [0, 0, 0, 1])
@@ -175,7 +192,7 @@ def _turned(vectors: NDArray[Any], R: Array) -> tuple[NDArray[np.float32], NDArr
 
 
 def _usable(
-    folder: InputFolder, path: Path, depth: NDArray[Any], points: NDArray[Any], valid: NDArray[np.bool_]
+    folder: InputFolder, path: Path | str, depth: NDArray[Any], points: NDArray[Any], valid: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """The valid pixels (h, w) within reach: enough of them, and of a unit that a photo can have."""
     valid = valid & (depth > 0)
@@ -191,7 +208,7 @@ def _usable(
     near = valid & (depth >= MIN_NEAR) & (np.abs(points).max(2) <= MAX_FAR)
     if (lost := int(valid.sum() - near.sum())) > 0:
         reason = f"nearer than {MIN_NEAR} m or farther than {MAX_FAR:,.0f} m"
-        folder.decide(f"{path.name}: {lost} points left out", reason)
+        folder.decide(f"{Path(path).name}: {lost} points left out", reason)
     if near.sum() < MIN_VALID:
         raise InputError(path, found=f"{int(near.sum())} valid pixels", accepted=f"at least {MIN_VALID}")
     return near

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import struct
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from f3sr.core.mesh import Material, Mesh
 from f3sr.core.transforms import Array
+from f3sr.io.images import encode_png
 from f3sr.scene import SceneObject
 
 T_YUP_ZUP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
@@ -196,12 +196,3 @@ def encode_pngs(meshes: Iterable[Mesh]) -> None:
     textured = [m for mesh in meshes for m in mesh.materials if m.texture is not None]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(png_of, textured))
-
-
-def encode_png(rgb: NDArray[np.uint8]) -> bytes:
-    """PNG bytes of (h, w, 3) uint8."""
-    from PIL import Image
-
-    stream = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(rgb)).save(stream, format="PNG", compress_level=4)
-    return stream.getvalue()

@@ -1,7 +1,8 @@
-"""Opening images that come from outside: size checked before pixels are decoded, one error for whatever is wrong."""
+"""Images: those from outside opened, size checked before pixels are decoded; resized, and encoded as PNG."""
 
 from __future__ import annotations
 
+import io
 import warnings
 from pathlib import Path
 from typing import IO
@@ -68,3 +69,18 @@ def as_rgb(image: Image.Image) -> NDArray[np.uint8]:
     if image.mode.startswith("I"):
         image = Image.fromarray((np.asarray(image) / 257).clip(0, 255).astype(np.uint8))
     return np.asarray(image.convert("RGB"))
+
+
+def encode_png(rgb: NDArray[np.uint8]) -> bytes:
+    """PNG bytes of (h, w, 3) uint8, or of grey (h, w)."""
+    stream = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(rgb)).save(stream, format="PNG", compress_level=4)
+    return stream.getvalue()
+
+
+def resized(picture: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
+    """A picture (h, w, 3) with other pixels (height, width, 3), filtered."""
+    if picture.shape[:2] == (height, width):
+        return picture
+    image = Image.fromarray(picture)
+    return np.asarray(image.resize((width, height), Image.Resampling.LANCZOS, reducing_gap=3.0))

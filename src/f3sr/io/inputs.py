@@ -6,30 +6,31 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from f3sr.backends.protocols import AssetGenerator, GeometryEstimator, PromptedImage, SceneGrapher
+from f3sr.backends.registry import Backend
 from f3sr.core.transforms import Array, transform
 from f3sr.errors import InputError
-from f3sr.io.assets import PosedAsset, read_assets, require_size
-from f3sr.io.geometry import read_geometry
+from f3sr.io.answers import MAX_REASON, MAX_RELATIONS, assets_of, geometry_of, graph_of, require_relation
+from f3sr.io.assets import ASSETS_ACCEPTED, PosedAsset, read_assets, require_size
+from f3sr.io.geometry import GEOMETRY_ACCEPTED, GEOMETRY_FILES, read_geometry
 from f3sr.io.images import as_rgb, open_image
 from f3sr.io.input_folder import InputFolder
-from f3sr.io.masks import Instance, read_instances, read_mask
+from f3sr.io.masks import read_instances, read_mask
 from f3sr.options import ASSET_FRAMES, PARTS
 from f3sr.report import Decision
 from f3sr.runtime.result_store import digest
-from f3sr.scene import GROUND, Geometry, Photo, Predicate, Relation, SceneGraph
+from f3sr.scene import Geometry, Instance, Photo, Predicate, Relation, SceneGraph
+
+P = TypeVar("P")
 
 PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
-MAX_RELATIONS = 10_000
-"""Most relations of a kind in scene_graph.json: every pair of a hundred objects, both ways."""
-MAX_REASON = 1000
-"""Most characters of a relation's reason, which goes into the package and its report."""
 MAX_DISTANCE = 100_000.0
 """Largest distance of an object from the camera, in its own sizes: rounding leaves it no shape from far beyond, and no
 pixel shows it."""
@@ -55,6 +56,8 @@ class Inputs:
     digests: dict[str, str] = field(default_factory=dict[str, str])
     """sha256 of every file read, by its path relative to the folder."""
     asset_frame: str = "auto"
+    fillers: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Back ends that made what the folder lacks, by kind: name and version."""
 
     @property
     def key(self) -> str:
@@ -62,35 +65,36 @@ class Inputs:
         return digest(self.digests, self.asset_frame)
 
 
-def read(folder: str | Path, *, ignore: Collection[str] = (), asset_frame: str = "auto") -> Inputs:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Fillers:
+    """Back ends that make what a folder lacks; what it has is not asked for."""
+
+    geometry: Backend[GeometryEstimator] | None = None
+    assets: Backend[AssetGenerator] | None = None
+    scene_graph: Backend[SceneGrapher] | None = None
+
+
+def read(
+    folder: str | Path, *, ignore: Collection[str] = (), asset_frame: str = "auto", fillers: Fillers | None = None
+) -> Inputs:
     """Read and validate a prompted-image folder (docs: conventions).
 
     ``ignore`` treats parts of PARTS as absent. ``asset_frame`` names the axes of GLBs that come without ``poses.json``.
-    Raises InputError for the first thing that is wrong.
+    ``fillers`` make parts that are absent; their answers are validated as files are. Raises InputError for the first
+    thing that is wrong, BackendError where a filler raises.
     """
     _require_known("--ignore", ignore, PARTS)
     _require_known("--asset-frame", [asset_frame], ASSET_FRAMES)
     source = InputFolder(Path(folder))
     photo = _photo(source)
     instances = read_instances(source, photo)
-    if "geometry" in ignore:
-        raise InputError(source.root, found="no geometry", accepted="geometry (there is no monocular back end yet)")
-    geometry, K = read_geometry(source, photo)
+    parts = _Parts(folder=source, ignore=ignore, fillers=fillers or Fillers())
+    ground_mask = parts.ground_mask(photo, instances)
+    image = PromptedImage(photo=photo, instances=instances, ground_mask=ground_mask)
+    geometry, K = parts.geometry(image)
     _require_inside(source, geometry, instances)
-    if "assets" in ignore:
-        raise InputError(source.root, found="no assets", accepted="assets (nothing makes meshes here yet)")
-    assets = read_assets(source, {i.id: i.name for i in instances}, asset_frame)
+    assets = parts.assets(image, geometry, K, asset_frame)
     _require_agreement(source, geometry, instances, assets)
-    ground_mask = graph = None
-    if "ground" not in ignore and source.has("ground.png"):
-        ground_mask = _ground_mask(source, photo, instances)
-    else:
-        source.decide("ground: the lower image region outside all masks", "no ground.png", fallback=True)
-    if "scene_graph" not in ignore and source.has("scene_graph.json"):
-        graph = _scene_graph(source, instances)
-    background = None
-    if "background" not in ignore and source.has("background.png"):
-        background = _background(source, photo)
     return Inputs(
         photo=photo,
         instances=instances,
@@ -98,15 +102,66 @@ def read(folder: str | Path, *, ignore: Collection[str] = (), asset_frame: str =
         geometry=geometry,
         assets=assets,
         ground_mask=ground_mask,
-        graph=graph,
-        background=background,
+        graph=parts.graph(image, geometry),
+        background=_background(source, photo) if parts.has("background", "background.png") else None,
         decisions=tuple(source.decisions),
         digests=dict(sorted(source.digests.items())),
         asset_frame=asset_frame,
+        fillers=parts.used,
     )
 
 
 read_inputs = read
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Parts:
+    """The parts of a folder that may be absent: read, or made by a back end."""
+
+    folder: InputFolder
+    ignore: Collection[str]
+    fillers: Fillers
+    used: dict[str, str] = field(default_factory=dict[str, str])
+
+    def has(self, part: str, *names: str) -> bool:
+        return part not in self.ignore and any(map(self.folder.has, names))
+
+    def ground_mask(self, photo: Photo, instances: Sequence[Instance]) -> NDArray[np.bool_] | None:
+        if self.has("ground", "ground.png"):
+            return _ground_mask(self.folder, photo, instances)
+        self.folder.decide("ground: the lower image region outside all masks", "no ground.png", fallback=True)
+        return None
+
+    def geometry(self, image: PromptedImage) -> tuple[Geometry, Array]:
+        given = self.has("geometry", *GEOMETRY_FILES)
+        if backend := self._filler(self.fillers.geometry, given):
+            return geometry_of(self.folder, backend, image)
+        if not given:
+            raise InputError(self.folder.root, found="no geometry", accepted=GEOMETRY_ACCEPTED)
+        return read_geometry(self.folder, image.photo)
+
+    def assets(self, image: PromptedImage, geometry: Geometry, K: Array, frame: str) -> dict[int, PosedAsset]:
+        given = self.has("assets", "assets")
+        if backend := self._filler(self.fillers.assets, given):
+            return assets_of(self.folder, backend, image, geometry, K)
+        if not given:
+            raise InputError(self.folder.path("assets"), found="no assets", accepted=ASSETS_ACCEPTED)
+        return read_assets(self.folder, {i.id: i.name for i in image.instances}, frame)
+
+    def graph(self, image: PromptedImage, geometry: Geometry) -> SceneGraph | None:
+        given = self.has("scene_graph", "scene_graph.json")
+        if backend := self._filler(self.fillers.scene_graph, given):
+            return graph_of(self.folder, backend, image, geometry)
+        return _scene_graph(self.folder, image.instances) if given else None
+
+    def _filler(self, backend: Backend[P] | None, given: bool) -> Backend[P] | None:
+        """The back end that is to make a part; one that is not needed is told of."""
+        if backend is not None and given:
+            self.folder.decide(f"{backend.kind}: as given; {backend} is not asked", "the folder has it")
+            return None
+        if backend is not None:
+            self.used[backend.kind] = f"{backend.name} {backend.version}"
+        return backend
 
 
 def _require_known(what: str, names: Collection[str], known: Sequence[str]) -> None:
@@ -192,12 +247,7 @@ def _scene_graph(folder: InputFolder, instances: Sequence[Instance]) -> SceneGra
     ids = {i.id for i in instances}
     relations = document.as_relations()
     for r in relations:
-        if r.subject not in ids or r.object not in ids | {GROUND} or r.subject == r.object:
-            raise InputError(
-                path,
-                found=f"{r.subject} {r.predicate} {r.object}",
-                accepted=f"two different ids of {sorted(ids)} ({GROUND} as the second is the ground)",
-            )
+        require_relation(path, r.subject, r.predicate, r.object, ids)
     return SceneGraph(relations=tuple(relations), source=path.name)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from f3sr.errors import InputError
 from f3sr.io.images import open_image
 from f3sr.io.input_folder import InputFolder
-from f3sr.scene import Photo
+from f3sr.scene import Instance, Photo
 
 MAX_OVERLAP = 0.05
 """Share of the smaller mask that two masks may overlap by: more than the uncertain pixels of a border are two
@@ -27,20 +26,6 @@ MAX_OBJECTS = 500
 """Most masks of one photo: more is an over-segmentation, not objects."""
 MAX_MASK_PIXELS = 2_000_000_000
 """Pixels of all masks together, a byte each: 166 masks of a 12 megapixel photo."""
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Instance:
-    """One masked object of the photo."""
-
-    id: int
-    label: str
-    name: str
-    """File name of the mask."""
-    mask: NDArray[np.bool_]
-
-    def __post_init__(self) -> None:
-        self.mask.setflags(write=False)  # what cannot change is shared, not copied
 
 
 def read_instances(folder: InputFolder, photo: Photo) -> tuple[Instance, ...]:

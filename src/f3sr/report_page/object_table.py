@@ -9,13 +9,14 @@ from itertools import pairwise
 import numpy as np
 
 from f3sr.core.transforms import rotation_angle, transform
+from f3sr.io.images import resized
 from f3sr.metrics.measures import ObjectMeasures
 from f3sr.physics.mujoco_model import body_of
 from f3sr.report_page.formatting import length, number
 from f3sr.report_page.page_data import PageData, by_id
 from f3sr.scene import Motion, SceneObject, Support
 from f3sr.stages.decompose import Decomposed
-from f3sr.vision.pictures import Image, resized
+from f3sr.vision.pictures import Image
 
 THUMBNAIL = 96
 """Longest side [px]."""

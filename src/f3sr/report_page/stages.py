@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from f3sr.io.images import resized
 from f3sr.report import Decision, Measure, Report
 from f3sr.report_page.page_data import PageData, View, look_alike
 from f3sr.scene import Scene
-from f3sr.vision.pictures import resized
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

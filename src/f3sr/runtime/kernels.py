@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import importlib
+import re
 import shutil
 from collections.abc import Callable
 from functools import cache
@@ -18,6 +19,9 @@ from typing import Any, TypeVar, cast
 from f3sr.runtime.cache_folder import within
 from f3sr.runtime.progress import Progress, silent, timed
 
+HERE = Path(__file__).parents[1]
+"""The folder of this package."""
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 KEPT_VERSIONS = 4
@@ -25,30 +29,25 @@ KEPT_VERSIONS = 4
 WARM = "warm"
 """File in such a folder that names the files of all compiled kernels; its age tells when it was used last."""
 
-KERNEL_MODULES = (
-    *(
-        "vision.scan_conversion",
-        "vision.rasterizer",
-        "vision.silhouette_integrals",
-        "contact.polytopes",
-        "contact.contact_patches",
-        "metrics.penetration",
-        "metrics.point_in_mesh",
-        "background.patchmatch",
-    ),
-    *("rendering.surface_kernels", "rendering.shadow_kernels", "rendering.picture_kernels"),
-    *("rendering.texture_kernels", "rendering.fit_kernels"),
-)
-"""Modules of this package that hold numba kernels."""
-WARM_UPS = (*(name for name in KERNEL_MODULES if "." not in name), "rendering.warm_up_film")
-"""Modules with a ``warm_up()``; together these call every kernel."""
+HAS_KERNELS = re.compile(r"^from f3sr\.runtime\.kernels import .*\bkernel\b", re.MULTILINE)
+HAS_WARM_UP = re.compile(r"^def warm_up\(\)", re.MULTILINE)
+"""How sources of kernels, and of their ``warm_up()``, are told from others: nothing imports them to find them."""
+
+
+def kernel_sources() -> list[Path]:
+    """Files of this package that hold numba kernels."""
+    return _sources(HAS_KERNELS)
+
+
+def _sources(what: re.Pattern[str]) -> list[Path]:
+    return [file for file in sorted(HERE.rglob("*.py")) if what.search(file.read_text(encoding="utf-8"))]
 
 
 def _source_hash() -> str:
-    here = Path(__file__).parents[1]
+    own = [HERE / "runtime" / name for name in ("kernels.py", "kernel_files.py", "cache_files.py")]
     digest = hashlib.sha256()
-    for name in ("runtime.kernels", "runtime.kernel_files", "runtime.cache_files", *KERNEL_MODULES):
-        digest.update((here / f"{name.replace('.', '/')}.py").read_bytes())
+    for file in (*own, *kernel_sources()):
+        digest.update(file.read_bytes())
     return digest.hexdigest()[:16]
 
 
@@ -107,8 +106,9 @@ def warm_up(progress: Progress = silent) -> None:
 
 
 def _call_all() -> None:
-    for name in WARM_UPS:
-        importlib.import_module(f"f3sr.{name}").warm_up()
+    """Every ``warm_up()`` of the package; together they call every kernel."""
+    for file in _sources(HAS_WARM_UP):
+        importlib.import_module(".".join(("f3sr", *file.relative_to(HERE).with_suffix("").parts))).warm_up()
 
 
 def _tell_warm(folder: Path) -> None:

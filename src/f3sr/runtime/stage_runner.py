@@ -72,11 +72,12 @@ class Runner:
         return self._ready(self.key, name, work, form, later=True)()
 
     def beside(
-        self, name: str, work: Callable[[], T], form: Form[T], config: Any, *, later: bool = False
+        self, name: str, work: Callable[[], T], form: Form[T], config: Any, *, also: str = "", later: bool = False
     ) -> Callable[[], T | None]:
         """Begin what no later stage needs in a thread of its own; the call that is returned waits for it, or does it
-        where it is to come ``later``. It is stored by what came before it, whatever comes after."""
-        return self._ready(digest(self.key, name, asdict(config)), name, work, form, later=later)
+        where it is to come ``later``. It is stored by what came before it, and by what it ``also`` depends on,
+        whatever comes after it."""
+        return self._ready(digest(self.key, name, asdict(config), also), name, work, form, later=later)
 
     def _ready(
         self, key: str, name: str, work: Callable[[], T], form: Form[T], *, later: bool

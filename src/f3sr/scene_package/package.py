@@ -16,14 +16,16 @@ import f3sr
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, MassProperties, Mesh
 from f3sr.errors import InputError
-from f3sr.exporters.mjcf import collision_files, to_mjcf
+from f3sr.exporters.glb import Glb
+from f3sr.exporters.mjcf import Mjcf
+from f3sr.exporters.protocol import Exporter
 from f3sr.files import npz, strict_json
 from f3sr.io.assets import require_solidity, require_total
-from f3sr.io.gltf_writer import encode_png, encode_pngs, mesh_to_glb, scene_to_glb
-from f3sr.io.images import as_rgb, open_image
+from f3sr.io.gltf_writer import encode_pngs, mesh_to_glb
+from f3sr.io.images import as_rgb, encode_png, open_image
 from f3sr.io.masks import MAX_MASK_PIXELS
 from f3sr.io.mesh_files import load_mesh, load_part
-from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, PhysicsConfig, body_of
+from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, PhysicsConfig
 from f3sr.report import Report
 from f3sr.runtime.atomic_folder import claimed, recover
 from f3sr.scene import Excluded, Ground, Motion, Node, Photo, Relation, Scene, SceneGraph, SceneObject, Support
@@ -57,6 +59,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Package", "SceneDocument", "is_package", "prepare_output", "read_package", "scene_schema", "write_package"]
 
+WRITTEN: Sequence[Exporter] = (Glb(), Mjcf())
+"""Formats of every package: ``scene.glb``; ``scene.xml``, ``visual/``, and ``collision/``, which scene.json names."""
 NEAREST_KEPT = 0.001
 """Least depth [m] of what may hide objects: a lens can come no nearer."""
 
@@ -224,9 +228,8 @@ def _files(
         mesh = o.mesh.with_vertices(o.scale * o.mesh.vertices)
         yield f"{MASKS}/{o.mask_name}", encode_png(255 * o.mask.astype(np.uint8))
         yield mesh_path(o.id), mesh_to_glb(mesh, name=f"object_{o.id:02d}")
-        yield from collision_files(o.id, body_of(o)).items()
-    yield "scene.glb", scene_to_glb(scene.objects)
-    yield from to_mjcf(scene.objects, scene.camera, physics)
+    for exporter in WRITTEN:
+        yield from exporter.files(scene, physics)
     for name, picture in pictures.items():
         if not re.fullmatch(r"[\w-]+", name, flags=re.ASCII):
             raise ValueError(f"picture name {name!r}: only letters, digits, _ and - are accepted")

@@ -23,7 +23,7 @@ from pydantic import (
 
 from f3sr.core.transforms import Array
 from f3sr.errors import OutputError
-from f3sr.exporters.mjcf import collision_path
+from f3sr.exporters.collision_parts import collision_path
 from f3sr.files import strict_json
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import GROUND, Mobility, Predicate, RelationSource, Scene, SceneObject

@@ -12,9 +12,9 @@ from annotated_types import Interval
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose, transform
 from f3sr.io import sam3d
-from f3sr.io.inputs import Inputs, Instance, PosedAsset
+from f3sr.io.inputs import Inputs, PosedAsset
 from f3sr.report import Decision, Measure, Outcome
-from f3sr.scene import Geometry, Scene, SceneGraph, SceneObject
+from f3sr.scene import Geometry, Instance, Scene, SceneGraph, SceneObject
 from f3sr.settings import settings
 from f3sr.vision import rasterizer
 from f3sr.vision.silhouette import iou, resample

@@ -11,7 +11,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from annotated_types import Interval
 
-from f3sr.contact import polytopes as contact
+from f3sr.contact import polytopes
 from f3sr.contact.contact_patches import find_contacts
 from f3sr.contact.footing import supplied
 from f3sr.contact.polytopes import Polytope
@@ -220,7 +220,7 @@ class _Layout:
         mine = [p for k in members for p in self.bodies[k].polytopes]
         others = [p for k, b in self.bodies.items() if k not in members for p in b.polytopes]
         lowest = min(float(p.bounds[0, 2]) for p in mine)
-        return min(lowest, contact.free_travel(mine, others, -UP)) if others else lowest
+        return min(lowest, polytopes.free_travel(mine, others, -UP)) if others else lowest
 
     def _move(self, members: tuple[int, ...], drop: float) -> float:
         for k in members:

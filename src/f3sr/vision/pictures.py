@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-import PIL.Image
 from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, pose
+from f3sr.io.images import resized
 from f3sr.scene import Scene
 from f3sr.vision import rasterizer
 from f3sr.vision.silhouette import resample
@@ -174,14 +174,6 @@ def side_camera(scene: Scene, *others: Scene, width: int, height: int, ground: b
 def ground_row(camera: Camera) -> int:
     """The pixel row of z = 0 in a side view: its camera stands at that height and is level."""
     return int(camera.K[1, 2])
-
-
-def resized(picture: Image, width: int, height: int) -> Image:
-    """The picture with other pixels, filtered."""
-    if picture.shape[:2] == (height, width):
-        return picture
-    image = PIL.Image.fromarray(picture)
-    return np.asarray(image.resize((width, height), PIL.Image.Resampling.LANCZOS, reducing_gap=3.0))
 
 
 def _textured(scene: Scene, camera: Camera, behind: Image) -> Image:

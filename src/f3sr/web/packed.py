@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import Array
-from f3sr.vision.pictures import resized
+from f3sr.io.images import resized
 from f3sr.web.data_uri import jpeg_uri
 
 TEXTURE_QUALITY = 80

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from f3sr.contact import polytopes as contact
-from f3sr.contact.polytopes import Polytope
+from f3sr.contact.polytopes import Body, Polytope, collide
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, pose, transform
 from f3sr.scene import GROUND, Scene, SceneObject
@@ -134,11 +133,11 @@ class Placement:
 
     def collisions_of(self, id: int) -> set[int]:
         """Other bodies that a body overlaps."""
-        return {k for k in self.bodies if k != id and contact.collide(self.bodies[id], self.bodies[k])}
+        return {k for k in self.bodies if k != id and collide(self.bodies[id], self.bodies[k])}
 
     def collisions(self) -> list[tuple[int, int]]:
         """Pairs of ids that overlap, the ground included as the second."""
-        pairs = [(a, b) for a, b in combinations(self.bodies, 2) if contact.collide(self.bodies[a], self.bodies[b])]
+        pairs = [(a, b) for a, b in combinations(self.bodies, 2) if collide(self.bodies[a], self.bodies[b])]
         return pairs + [(id, GROUND) for id in self.bodies if self.lowest(id) < -1e-9]
 
 
@@ -146,7 +145,7 @@ def polytopes(o: SceneObject, parts: tuple[ConvexPart, ...]) -> tuple[Polytope, 
     return tuple(Polytope.of(p).moved(o.T_world_asset) for p in parts)
 
 
-def moved(body: contact.Body, t: Array, scale: float) -> tuple[Polytope, ...]:
+def moved(body: Body, t: Array, scale: float) -> tuple[Polytope, ...]:
     T = pose(scale * np.eye(3), t)
     return tuple(p.moved(T) for p in body)
 

@@ -1,0 +1,101 @@
+"""What a model can do. Back ends take and return these values; the adapter converts frames and units, nobody else.
+
+Images are (H, W) of the photo, row 0 on top; pixel (0, 0) is the corner of the first pixel. Camera frame: OpenCV axes
+(x right, y down, z forward), metres. Answers are checked as files from outside are (``io/answers.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.core.mesh import Mesh
+from f3sr.core.transforms import Array
+from f3sr.scene import Geometry, Instance, Photo, Relation
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PromptedImage:
+    """A photo and what is outlined in it."""
+
+    photo: Photo
+    instances: tuple[Instance, ...]
+    """By id, masks (H, W) disjoint."""
+    ground_mask: NDArray[np.bool_] | None = None
+    """(H, W): the visible support surface, where somebody has outlined it."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Prompt:
+    """What points at one object of a photo; all places in pixels (x, y)."""
+
+    label: str = ""
+    box: tuple[float, float, float, float] | None = None
+    """Left, top, right, bottom."""
+    inside: tuple[tuple[float, float], ...] = ()
+    outside: tuple[tuple[float, float], ...] = ()
+
+
+class Segmenter(Protocol):
+    """Prompts to masks. Its consumer comes with ``f3sr photo`` (step 11); today it is found by name
+    and its answers have their check, ``io.answers.checked_masks``."""
+
+    def segment(self, photo: Photo, prompts: Sequence[Prompt]) -> Sequence[NDArray[np.bool_]]:
+        """One mask (H, W) per prompt, in their order, with at least one pixel each."""
+        ...
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class EstimatedGeometry:
+    """``points`` (h, w, 3) float [m] in the camera frame, meaningful where ``valid`` (h, w) bool; h, w need not be the
+    photo's. ``K`` (3, 3) in pixels of the photo; ``normals`` (h, w, 3) unit vectors or None."""
+
+    points: NDArray[np.floating]
+    valid: NDArray[np.bool_]
+    K: Array
+    normals: NDArray[np.floating] | None = None
+
+
+class GeometryEstimator(Protocol):
+    """The photo's geometry and camera from the photo."""
+
+    def estimate(self, image: PromptedImage) -> EstimatedGeometry: ...
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GeneratedAsset:
+    """A mesh in its own axes and where it stands: ``x_camera = T_camera_object (scale x)``, T (4, 4) rigid [m]."""
+
+    mesh: Mesh
+    T_camera_object: Array
+    scale: float = 1.0
+
+
+class AssetGenerator(Protocol):
+    """A mesh for every mask."""
+
+    def generate(self, image: PromptedImage, geometry: Geometry, K: Array) -> Mapping[int, GeneratedAsset]:
+        """One asset per instance, by its id. ``K`` (3, 3) in pixels of the photo."""
+        ...
+
+
+class BackgroundCompleter(Protocol):
+    """The photo without what is in it."""
+
+    def complete(self, photo: Photo, hole: NDArray[np.bool_], support: NDArray[np.bool_] | None) -> NDArray[np.uint8]:
+        """The photo (H, W, 3) uint8 sRGB with its ``hole`` (H, W) filled; nothing outside of it is taken. ``support``
+        (H, W): where the completed photo shows what things stand on, in the hole too."""
+        ...
+
+
+class SceneGrapher(Protocol):
+    """Relations between objects, from what the photo shows. They count as a folder's ``scene_graph.json`` does:
+    geometry is asked before they move anything."""
+
+    def relations(self, image: PromptedImage, geometry: Geometry) -> Sequence[Relation]:
+        """Relations between ids of the instances; only ``supported_by`` may name the GROUND, as its object."""
+        ...
