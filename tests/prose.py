@@ -9,6 +9,7 @@ Code blocks, tables, headings and pictures are left out.
 from __future__ import annotations
 
 import ast
+import inspect
 import re
 import sys
 from collections import Counter
@@ -50,12 +51,14 @@ def page_text(source: str) -> Iterator[str]:
     source = re.sub(r"^```.*?^```", "", source, flags=re.DOTALL | re.MULTILINE)
     source = re.sub(r"!\[[^\]]*\]\([^)]*\)", "", source)
     source = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", source)
-    kept = [line for line in source.splitlines() if not line.startswith(("|", "#", "    ", ":::"))]
+    kept = [line for line in source.splitlines() if not line.startswith(("|", "#", ":::"))]
     yield from _blocks("\n".join(kept))
 
 
 def _blocks(text: str) -> Iterator[str]:
     for block in re.split(r"\n\s*\n|\n(?=\s*(?:[-*]|\d+\.) )", text):
+        if all(line.startswith("    ") for line in block.strip("\n").splitlines()):
+            continue  # code, indented
         plain = re.sub(r"^\s*(?:[-*]|\d+\.)\s+", "", block)
         yield " ".join(re.sub(r"[*_]{1,2}(?=\S)|(?<=\S)[*_]{2}", "", plain).split())
 
@@ -76,7 +79,7 @@ def _docstrings(node: ast.Module | ast.ClassDef | ast.FunctionDef, private: bool
     for k, child in enumerate(node.body):
         text = isinstance(child, ast.Expr) and isinstance(child.value, ast.Constant) and child.value.value
         if isinstance(text, str) and (k == 0 or isinstance(node.body[k - 1], ast.AnnAssign | ast.Assign)):
-            yield child.lineno, text
+            yield child.lineno, inspect.cleandoc(text)
         if isinstance(child, ast.ClassDef | ast.FunctionDef) and (private or not child.name.startswith("_")):
             yield from _docstrings(child, private)
 
