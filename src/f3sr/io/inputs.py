@@ -1,4 +1,4 @@
-"""The prompted-image folder: everything that enters is read and validated here, before any work starts."""
+"""The prompted-image folder (equation 1): all inputs are read and validated here, before any work starts."""
 
 from __future__ import annotations
 
@@ -40,7 +40,11 @@ anything beyond is no unit."""
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Inputs:
-    """A validated prompted-image folder. ``K`` (3, 3) in pixels of the photo."""
+    """A validated prompted-image folder (docs: conventions). ``K`` (3, 3) in pixels of the photo.
+
+    ``geometry`` is in camera axes [m]. ``assets`` are meshes by object id with their poses in the camera.
+    ``ground_mask`` (H, W) is the visible support surface; ``graph`` holds the given relations.
+    """
 
     photo: Photo
     instances: tuple[Instance, ...]
@@ -50,7 +54,7 @@ class Inputs:
     ground_mask: NDArray[np.bool_] | None = None
     graph: SceneGraph | None = None
     background: NDArray[np.uint8] | None = None
-    """The photo (H, W, 3) without its objects, where somebody has completed it."""
+    """background.png of the folder (H, W, 3): the photo without its objects. None: ``inpaint`` completes it."""
     decisions: tuple[Decision, ...] = ()
     digests: dict[str, str] = field(default_factory=dict[str, str])
     """sha256 of every file read, by its path relative to the folder."""
@@ -58,15 +62,15 @@ class Inputs:
 
     @property
     def key(self) -> str:
-        """Names everything these inputs were read from: equal keys, equal inputs."""
+        """A hash of all files and options: equal keys mean equal inputs."""
         return digest(self.digests, self.asset_frame)
 
 
 def read(folder: str | Path, *, ignore: Collection[str] = (), asset_frame: str = "auto") -> Inputs:
     """Read and validate a prompted-image folder (docs: conventions).
 
-    ``ignore`` treats parts of PARTS as absent. ``asset_frame`` names the axes of GLBs that come without ``poses.json``.
-    Raises InputError for the first thing that is wrong.
+    ``ignore`` treats parts of PARTS as absent. ``asset_frame`` names the axes of GLBs without ``poses.json``: one of
+    ASSET_FRAMES. Raises InputError for the first invalid file or value.
     """
     _require_known("--ignore", ignore, PARTS)
     _require_known("--asset-frame", [asset_frame], ASSET_FRAMES)
