@@ -23,12 +23,16 @@ GENERATED = {"limits.md", "broken_inputs.md"}
 _NO_END = re.compile(r"\b(e\.g|i\.e|vs|etc|cf|al|Fig|No)\.$")
 
 
+_CODE = str.maketrans(" .:!?()", "\ue000\ue001\ue002\ue003\ue004\ue005\ue006")
+_BACK = {new: old for old, new in _CODE.items()}
+
+
 def sentences(text: str) -> Iterator[str]:
     """Sentences of plain text without markup."""
-    text = re.sub(r"``[^`]+``|`[^`]+`", "CODE", text)
-    for inner in re.findall(r"\(([^()]*)\)", text):
-        yield from _split(inner)
-    yield from _split(re.sub(r"\([^()]*\)", "", text))
+    text = re.sub(r"``[^`]+``|`[^`]+`", lambda code: code[0].translate(_CODE), text)
+    inner = re.findall(r"\(([^()]*)\)", text)
+    for part in (*inner, re.sub(r"\([^()]*\)", "()", text)):
+        yield from (sentence.translate(_BACK) for sentence in _split(part))
 
 
 def _split(text: str) -> Iterator[str]:
@@ -42,8 +46,9 @@ def _split(text: str) -> Iterator[str]:
 
 
 def words(sentence: str) -> int:
-    """Tokens with a letter or a digit."""
-    return sum(any(c.isalnum() for c in token) for token in sentence.split())
+    """Tokens with a letter or a digit; inline code is one."""
+    plain = re.sub(r"``[^`]+``|`[^`]+`", "code", sentence)
+    return sum(any(c.isalnum() for c in token) for token in plain.split())
 
 
 def page_text(source: str) -> Iterator[str]:

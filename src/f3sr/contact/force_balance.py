@@ -1,8 +1,7 @@
 """The equations of balance of bodies that touch: contact forces within friction cones against tilted weights.
 
-The tilts of gravity for which such forces exist form a convex set, so the least tilt at which the bodies move is found
-exactly, by linear programmes that ask how far the set reaches in a direction (Bretl and Lall, "Testing Static
-Equilibrium for Legged Robots", 2008).
+The tilts of gravity for which such forces exist form a convex set. Linear programmes give its reach in a direction. So
+the least tilt at which the bodies move is exact (Bretl and Lall, "Testing Static Equilibrium for Legged Robots", 2008).
 """
 
 from __future__ import annotations
