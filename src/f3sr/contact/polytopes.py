@@ -42,9 +42,10 @@ PARALLEL = 1e-12
 class Polytope:
     """A convex polytope with the data of separating-axis tests; coplanar triangles are one facet.
 
-    ``vertices`` (n, 3); outward unit ``normals`` (f, 3) and ``offsets`` (f,): inside is ``normals . x <= offsets``
-    Per edge: ``edge_starts`` (e, 3), unit ``edge_directions`` (e, 3), ``edge_lengths`` (e,), ``edge_normals`` (e, 2, 3).
-    The last are the normals of the facets to its left and right, seen from outside: left x right points along the edge.
+    ``vertices`` (n, 3); outward unit ``normals`` (f, 3), ``offsets`` (f,): inside is ``normals . x <= offsets``.
+    Per edge: ``edge_starts`` (e, 3), unit ``edge_directions`` (e, 3), ``edge_lengths`` (e,) and ``edge_normals``
+    (e, 2, 3). The last are the normals of the facets to its left and right, seen from outside: left x right points
+    along the edge.
     """
 
     vertices: Array
