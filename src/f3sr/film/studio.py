@@ -43,7 +43,7 @@ class FilmConfig:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Filmed:
-    """The files of a film by name, its number of frames, its size, and decisions that a user should know of."""
+    """The files of a film by name, its number of frames, its size, and decisions for the user."""
 
     files: Mapping[str, bytes]
     frames: int
