@@ -65,7 +65,7 @@ def _blocks(text: str) -> Iterator[str]:
         if all(line.startswith("    ") for line in block.strip("\n").splitlines()):
             continue  # code, indented
         plain = re.sub(r"^\s*(?:[-*]|\d+\.)\s+", "", block)
-        yield " ".join(re.sub(r"[*_]{1,2}(?=\S)|(?<=\S)[*_]{2}", "", plain).split())
+        yield " ".join(plain.replace("*", "").split())
 
 
 def pages() -> dict[str, str]:

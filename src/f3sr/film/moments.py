@@ -51,8 +51,8 @@ class Moment:
 def key_moments(scene: Scene, plan: Plan, rollout: Rollout, verdict: Verdict) -> tuple[Moment, ...]:
     """At most ``MOST`` moments, ordered by time; at least ``FEWEST`` if the rollout has as many different frames.
 
-    They are the start, the launch of the active object, its first contact with the target, the top of its flight, the
-    event of every met condition, and the end."""
+    They are the start, the launch of the active object, its first contact with the target and the top of its flight.
+    The event of every met condition and the end follow."""
     seen = Seen(rollout, scene)
     found = _merged(sorted(_events(seen, plan, verdict), key=lambda m: (m.frame, m.rank)))
     while len(found) > MOST:

@@ -1,6 +1,6 @@
-"""plan.json: what a goal asks for, what things are made of, how the active one is set off, what must come of it.
+"""plan.json: task, materials, initial conditions, simulation settings and success conditions of a goal.
 
-Every number has a limit. They hold for any scene; whether a plan suits one is for whoever makes it.
+Every number has a limit that holds for any scene. ``checks`` tests whether a plan fits one scene.
 """
 
 from __future__ import annotations

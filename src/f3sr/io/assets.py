@@ -24,8 +24,8 @@ MIN_FILL = 1e-9
 THIN = 1e-4
 """Spread of vertices, in diagonals, from which on a mesh surely has a hull."""
 MAX_FOLDS = 200.0
-"""Largest area of a mesh in squares of its diagonal. A box has up to 2, the generated meshes we have up to 3; a soup of
-hundreds of layers is no object, and measuring its penetration would cost memory by its area."""
+"""Largest area of a mesh in squares of its diagonal. A box has up to 2, the generated meshes we have up to 3. Hundreds
+of layers are no object, and the memory for its penetration grows with its area."""
 MAX_SCENE_FACES = 20_000_000
 """Of all meshes together: a hundred objects of 200,000 triangles."""
 MAX_SCENE_TEXTURE_PIXELS = 400_000_000
@@ -96,7 +96,7 @@ def _mesh(folder: InputFolder, id: int, relative: str) -> Mesh:
 
 
 def require_solidity(path: Path, mesh: Mesh) -> None:
-    """A mesh has a place in a scene if it spans a volume and its triangles have an area, not far too much of it."""
+    """Require a mesh that spans a volume, with triangles of a plausible total area."""
     accepted = "a mesh that spans a volume"
     try:
         _ = mesh.hull if _is_thin(mesh) else None

@@ -1,10 +1,10 @@
 """Convex collision proxies of a mesh that cover it: no point of the visual surface lies outside their union.
 
-A mesh that is nearly its own hull gets one part. Others are cut by planes, exactly through their triangles, until the
-hulls of the pieces have a small stand-off from the reachable surface everywhere. Then neighbours are joined where that
-costs nothing. Finally every hull is simplified outward, to a polytope of few of its own facet planes. A subprocess
-with a time limit does this. All lengths inside are shares of the mesh's size (the diagonal of its bounding box). So
-the result does not depend on the asset's unit.
+A mesh that is nearly its own hull gets one part. Others are cut by planes, exactly through their triangles. This ends
+when the hulls of the pieces have a small stand-off from the reachable surface everywhere. Then neighbours are joined
+where that costs nothing. Finally every hull is simplified outward, to a polytope of few of its own facet planes. A
+subprocess with a time limit does this. All lengths inside are shares of the mesh's size (the diagonal of its bounding
+box). So the result does not depend on the asset's unit.
 """
 
 from __future__ import annotations

@@ -26,8 +26,9 @@ SLACK = 1e-9
 OVERLAP = 2e-4
 """How far both sides of a split reach beyond it [size of the mesh], as ``ProxyConfig.overlap``."""
 LEAST = 1e-8
-"""Volume below which nothing is left as a part [size of the mesh, cubed]: MuJoCo refuses 1e-15 m3, which that is of
-things of 5 mm; what cutting leaves is larger than 4e-8 on real scenes, or a slip of rounding."""
+"""Least volume of a part after cutting [size of the mesh, cubed]: MuJoCo rejects 1e-15 m3, and objects may have 5 mm.
+
+Parts of real scenes are larger than 4e-8; smaller ones are rounding."""
 DEPTHS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Where between the surface and the end of all parts it is looked for parts that stand in the way."""
 TURNS = 6

@@ -481,7 +481,7 @@ def mark_shadowed(
 ) -> None:
     """Set ``dirty`` (rows, columns) for tiles in the rows [top, bottom) whose light may have changed.
 
-    That is where a texel of a map that the tile reads was on one side of it and is now on the other. ``spans``
+    There a map texel that the tile reads was on one side of it and is now on the other. ``spans``
     (L, b, b, 2) and ``limits`` (L, 5) come from ``note_changes``."""
     corners, middle = np.empty((8, 3)), np.empty(3)
     around, last = offset / texel + 0.75, spans.shape[1] - 1

@@ -1,7 +1,7 @@
 """The numba decorator of the project, where its compiled kernels are kept, and compiling them ahead of use.
 
 Kernels are compiled once per machine and version of the kernel sources. The cache folder's name holds a hash of all
-kernel sources, because a change in a kernel changes those of other files that call it.
+kernel sources: a change in a kernel changes its callers in other files.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 KEPT_VERSIONS = 4
 """Kernel folders that stay: this version's and the others used last (a megabyte each)."""
 WARM = "warm"
-"""File in such a folder that names the files of all compiled kernels; its age tells when it was used last."""
+"""File in such a folder with the names of all compiled kernels; its age is the time since the last use."""
 
 KERNEL_MODULES = (
     *(

@@ -373,7 +373,7 @@ def _read_mesh(folder: Path, path: str) -> Mesh:
 
 
 DENT = 1e-4
-"""Share of the volume of its hull that a part may lack, by rounding, and be taken as it is written."""
+"""Largest share of its hull's volume that a part may lack, by rounding, to count as convex."""
 
 
 def _read_part(folder: Path, path: str) -> ConvexPart:

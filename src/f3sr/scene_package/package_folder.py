@@ -58,8 +58,8 @@ def prepare_output(out: Path, *, inputs: Path | None = None, overwrite: bool = F
 def placed(out: Path, *, rollout: bool = False) -> Path:
     """The full path of a folder to be written, once what killed runs left there is tidied up.
 
-    Raises OutputError for a path that leads nowhere, through a link in a package, or into a package, where only a
-    ``rollout`` may go below ``rollouts``.
+    Raises OutputError for a path that leads nowhere, through a link in a package, or into a package. Inside a package
+    only a ``rollout`` may be written, below ``rollouts``.
     """
     path = Path(out).absolute()
     with atomic_folder.told(path):

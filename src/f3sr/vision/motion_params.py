@@ -14,9 +14,9 @@ from f3sr.core.transforms import Array, pose, rotation_from_vector
 class ObjectFreedom:
     """Equation 8, extended by tilt: x -> R s (x - anchor) + anchor + B a, in the world.
 
-    Parameters u (6,) in [-1, 1] are multiplied by ``reach``. They are two shifts a [m] along the columns of ``basis``
-    (3, 2), yaw about +Z and two tilts about X and Y [rad], and s - 1. Yaw and tilts form the rotation vector of R. A
-    reach of 0 fixes a parameter. ``anchor`` (3,) [m] is the fixed point of rotation and scale.
+    Parameters u (6,) in [-1, 1] are multiplied by ``reach``. The first two are shifts a [m] along the columns of
+    ``basis`` (3, 2). Yaw about +Z and two tilts about X and Y [rad] follow, and s - 1. Yaw and tilts form the rotation
+    vector of R. A reach of 0 fixes a parameter. ``anchor`` (3,) [m] is the fixed point of rotation and scale.
     """
 
     anchor: Array

@@ -27,8 +27,9 @@ Child = Any
 
 
 def el(name: str, *children: Child, **attributes: Any) -> Markup:
-    """An element. Attributes: ``class_`` and the like lose the last underscore, other underscores become hyphens;
-    None and False leave one out, True names it alone."""
+    """An HTML element. In attribute names a final underscore is dropped, others become hyphens.
+
+    The value None or False omits the attribute, True writes its name alone."""
     start = f"<{name}{''.join(_attribute(k, v) for k, v in attributes.items())}>"
     return Markup(start if name in VOID else f"{start}{join(*children)}</{name}>")
 
