@@ -75,7 +75,7 @@ def pages() -> dict[str, str]:
 
 
 def docstrings(source: str, *, private: bool = False) -> Iterator[tuple[int, str]]:
-    """Line and text of the docstrings of a module: of the module, public classes and functions, and fields below them."""
+    """Line and text of the docstrings of a module, its public classes and functions, and their fields."""
     tree = ast.parse(source)
     yield from _docstrings(tree, private)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 
 import pytest
+
 from prose import docstrings, long_sentences, page_text, pages, sentences, words
 
 PAGE, DOCSTRING = 20, 30
@@ -40,5 +41,5 @@ def test_sentences_are_counted_as_they_are_read() -> None:
 
 
 def test_docstrings_of_private_things_and_bodies_are_left_out() -> None:
-    source = '"""Module."""\nx = 1\n"""Field."""\n\n\ndef f() -> None:\n    """Public."""\n\n\ndef _g() -> None:\n    """Own."""\n'
+    source = '"""Module."""\nx = 1\n"""Field."""\n\ndef f():\n    """Public."""\n\ndef _g():\n    """Own."""\n'
     assert [text for _, text in docstrings(source)] == ["Module.", "Field.", "Public."]

@@ -201,5 +201,5 @@ def _posed_frame(path: Path, mesh: Mesh, frame: str) -> Array:
     if np.all(low > -0.55) and np.all(high < 0.55):
         found, accepted = "a mesh in its own frame and no poses.json", "poses.json, or a mesh posed in the camera"
     else:
-        found, accepted = "a posed mesh whose axes cannot be told", "--asset-frame opencv, opengl or pytorch3d"
+        found, accepted = "a posed mesh of unknown axes", "--asset-frame opencv, opengl or pytorch3d"
     raise InputError(path, found=found, accepted=accepted)

@@ -36,8 +36,8 @@ def topple(
     None if the centre of mass is already beyond that edge.
 
     ``corners`` (n, 3) of all colliders, ``center`` of mass, ``inertia`` (3, 3) about it, in the world; ``toward`` is a
-    horizontal unit vector. The energy is I w^2 / 2 = m g (|r| - r_z). I is the inertia about the edge, r the arm from the edge to the centre,
-    normal to the edge.
+    horizontal unit vector. The energy is I w^2 / 2 = m g (|r| - r_z). I is the inertia about the edge, and r the arm
+    from the edge to the centre, normal to the edge.
     """
     base = corners[corners[:, 2] <= corners[:, 2].min() + 0.02 * np.ptp(corners[:, 2])]
     axis = np.cross([0.0, 0.0, 1.0], toward)

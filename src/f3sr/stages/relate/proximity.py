@@ -89,7 +89,7 @@ def next_to(
                 predicate="next_to",
                 object=b,
                 confidence=float(np.clip(1 - 0.5 * max(n.distance, 0.0) / reach, 0.5, 1)),
-                evidence=f"{_millimetres(n.distance)} apart, beside {100 * min(level, 1):.0f}% of the lower height",
+                evidence=f"{_millimetres(n.distance)} away, next to {100 * min(level, 1):.0f}% of the lower height",
             )
         )
     return relations
