@@ -256,7 +256,7 @@ def _outermost(points: Array) -> Array:
 
 
 GRAIN = 1e-3
-"""What is missing under an underside that is flat but for this share of the object's size is not worth a footing."""
+"""Unevenness of an underside, as a share of the object's size, up to which it needs no footing."""
 SIDES = 16
 """Corners of a footing's outline: contacts cost with them, and a circle's outline is within 2 % of its radius."""
 

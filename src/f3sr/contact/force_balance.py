@@ -20,7 +20,7 @@ from f3sr.scene import GROUND
 EDGES = 8
 """Of the pyramid that is inscribed in a friction cone: it has .92 of the cone's friction where it has least."""
 STEEPEST = 4.0
-"""Tangent of the largest tilt that is told apart."""
+"""Tangent of the largest tilt that is distinguished."""
 TOLERANCE = 1e-3
 """Tangent to which the least tilt is known."""
 MOVES = 0.01

@@ -109,7 +109,7 @@ def read(
 
 
 def read_all(stream: IO[bytes], where: str, *, most_bytes: int = MAX_ARRAY_BYTES) -> dict[str, NDArray[Any]]:
-    """Every array of an archive that f3sr wrote, of whatever shape. Raises InputError, with ``where`` for its name."""
+    """Every array of an archive that f3sr wrote, of any shape. Raises InputError, with ``where`` for its name."""
     return _Archive.of(stream, where, "arrays that f3sr wrote", most_bytes).all()
 
 

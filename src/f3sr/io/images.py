@@ -1,4 +1,4 @@
-"""Opening images that come from outside: size checked before pixels are decoded, one error for whatever is wrong."""
+"""Opening images that come from outside: size checked before pixels are decoded, one kind of error for all faults."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def open_image(path: Path) -> Image.Image:
 def decode_image(file: IO[bytes], formats: tuple[str, ...], *, size_only: bool = False) -> Image.Image:
     """A PIL image, upright by its EXIF orientation; with ``size_only`` only its header is read.
 
-    Raises ValueError for whatever is wrong with it. PIL's own warnings are off.
+    Raises ValueError for any fault. PIL's own warnings are off.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -1,4 +1,4 @@
-"""The Builder by rules: which launches to try for a task, one search per kind, told of everything that was tried."""
+"""The Builder by rules: which launches to try for a task, one search per kind, given all earlier trials."""
 
 from __future__ import annotations
 

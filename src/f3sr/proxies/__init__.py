@@ -66,7 +66,7 @@ def decompose(
     about: int | None = None,
     cancelled: threading.Event | None = None,
 ) -> Proxy:
-    """Convex parts of one mesh; ``name`` is told in errors, ``about`` (an object id) in decisions.
+    """Convex parts of one mesh; ``name`` appears in errors, ``about`` (an object id) in decisions.
 
     Results are kept by the hash of their input in ``cache_dir``, by default ``proxies`` in f3sr's cache.
     Another thread may set ``cancelled``: the worker is killed and CancelledError raised.

@@ -37,7 +37,7 @@ MOST_TINT = 1.6
 """Factor by which an object's exposure in one channel may differ from that of all objects, after its own brightness: in
 a channel in which a texture is black, a reflection would count as any exposure."""
 FINEST = 1 / 255
-"""Mean misfit below which nothing is told: a level of eight bits."""
+"""Least mean misfit that is informative: a level of eight bits."""
 LOOSE = 1.5
 """Mean misfits beyond which a sample counts less and less."""
 DARKEST = 0.9
@@ -224,7 +224,7 @@ def exposures_of_sums(above: Array, below: Array, count: NDArray[np.int64] | Arr
 
 
 def with_shadows_of(evidence: Evidence, light: Light, maps: tuple[Maps, Maps], ground: int) -> tuple[Light, bool]:
-    """The light with its shadows on the ground as dark and tinted as the photo's, and whether these told it.
+    """The light with its shadows on the ground as dark and tinted as the photo's, and whether the photo determines it.
 
     ``maps``: of the disc and of the sky. What is hidden takes ``shadow`` times its share of the light.
     """

@@ -89,7 +89,7 @@ def is_warm() -> bool:
 def warm_up(progress: Progress = silent) -> None:
     """Compile what is not in the cache yet, half a minute once per machine; otherwise load it.
 
-    A damaged file of the cache is told, discarded and made anew. Without a cache every process compiles."""
+    A damaged cache file is reported, discarded and made again. Without a cache every process compiles."""
     folder = kernel_folder()
     if folder is None:
         with timed("compiling kernels for this run only, as no folder can keep them", progress):

@@ -31,7 +31,7 @@ _watching: list[threading.Thread] = []
 
 
 def watch() -> None:
-    """End this process on the signals, except those it was told to ignore (``nohup``). Once, from the main thread."""
+    """End this process on the signals, except those that it ignores already (``nohup``). Once, from the main thread."""
     if _watching:
         return
     ear, mouth = os.pipe()
@@ -67,7 +67,7 @@ def undone(start: Callable[[], T], undo: Callable[[T], object]) -> Generator[T]:
 
 
 def wrote(place: Path) -> None:
-    """A result is in its place, whatever happens now."""
+    """The result is complete, even if a signal comes now."""
     _written.append(place)
 
 

@@ -33,7 +33,7 @@ class AssembleConfig:
 class Assembled(Outcome):
     stage: ClassVar[str] = "assemble"
     depth_ratios: Mapping[int, float] = field(default_factory=dict[int, float])
-    """Depth of assets as they came over the geometry's, by object id, where both are known."""
+    """Depth of assets in their input poses over the geometry's, by object id, where both are known."""
 
     @property
     def measures(self) -> tuple[Measure, ...]:

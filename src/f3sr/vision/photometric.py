@@ -21,7 +21,7 @@ FINE, COARSE = 0.7, 8.0
 TRUNCATED = 2.5
 """Standard deviations at which those Gaussians end."""
 ENOUGH = 100
-"""Pixels below which no correlation is told."""
+"""Least pixels for a correlation."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

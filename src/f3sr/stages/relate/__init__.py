@@ -1,4 +1,4 @@
-"""relate: the scene graph. Who rests on whom and all other relations, told from geometry, masks and depth alone."""
+"""relate: the scene graph. Who rests on whom and all other relations, from geometry, masks and depth alone."""
 
 from __future__ import annotations
 

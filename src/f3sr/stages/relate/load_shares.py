@@ -21,7 +21,7 @@ EVEN = 0.05
 WHOLE = 10.0
 """Weight of the shares' sum being 1."""
 LEAST = 0.02
-"""Share of whatever touches."""
+"""Least share of a support in contact."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

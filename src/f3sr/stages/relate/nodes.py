@@ -1,4 +1,4 @@
-"""Every object in words, told from its mask in the photo and its surfaces: size, colour, shape, place."""
+"""Every object in words, from its mask in the photo and its surfaces: size, colour, shape, place."""
 
 from __future__ import annotations
 
