@@ -614,7 +614,7 @@ WRONG: dict[str, tuple[Spoil, str, str]] = {
         in_order(to_posed, copied("assets/02.glb", "assets/2.glb")), "assets", "02.glb, 2.glb for mask",
     ),
     "GLBs that are not posed": (remove("assets/poses.json"), "02.glb", "in its own frame"),
-    "posed GLBs in unknown axes": (turned_posed, ".glb", "axes cannot be told"),
+    "posed GLBs in unknown axes": (turned_posed, ".glb", "unknown axes"),
     # scene_graph.json
     "a graph of a stranger": (relation(object=44), "scene_graph.json", "2 next_to 44"),
     "a graph of an object with itself": (relation(object=2), "scene_graph.json", "2 next_to 2"),

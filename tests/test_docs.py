@@ -41,21 +41,37 @@ def test_the_examples_run(tmp_path: Path) -> None:
         assert (place / "out/table/scene.xml").exists()
 
 
-@pytest.mark.parametrize("file", sorted(["README.md", *(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md"))]))
-def test_links_lead_to_files(file: str) -> None:
-    for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", (ROOT / file).read_text()):
-        assert (ROOT / file).parent.joinpath(target).exists(), target
+PAGES = sorted(str(p.relative_to(ROOT)) for p in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
+
+
+@pytest.mark.parametrize("file", PAGES)
+def test_links_lead_to_files_and_headings(file: str) -> None:
+    for target, anchor in re.findall(r"\]\(([^)#:]*)(?:#([^)]*))?\)", (ROOT / file).read_text()):
+        page = (ROOT / file).parent / target if target else ROOT / file
+        assert page.exists(), target
+        assert not anchor or anchor in anchors(page), f"{target}#{anchor}"
+
+
+def anchors(page: Path) -> set[str]:
+    """Anchors that mkdocs gives to the headings of a page."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(), flags=re.MULTILINE)
+    return {re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", h).strip().lower()) for h in headings}
+
+
+def test_every_page_is_in_the_navigation() -> None:
+    named = set(re.findall(r": ([\w/]+\.md)$", (ROOT / "mkdocs.yml").read_text(), flags=re.MULTILINE))
+    assert named == {str(p.relative_to(ROOT / "docs")) for p in (ROOT / "docs").rglob("*.md")}
 
 
 def named_pages() -> list[tuple[str, str]]:
     """Pages of docs/ that sources and pages name, by path or as "docs: page"."""
-    files = [*(ROOT / "src").rglob("*.py"), *(ROOT / "docs").glob("*.md"), ROOT / "README.md", ROOT / "mkdocs.yml"]
+    files = [*(ROOT / "src").rglob("*.py"), *(ROOT / "docs").rglob("*.md"), ROOT / "README.md", ROOT / "mkdocs.yml"]
     files += [*(ROOT / "benchmarks").rglob("*.py"), *(ROOT / "benchmarks").glob("*.md"), *(ROOT / "tests").glob("*.py")]
     found: list[tuple[str, str]] = []
     for file in files:
         text = file.read_text()
         names = [*re.findall(r"\bdocs/([\w/.-]+\.\w+)", text), *(f"{n}.md" for n in re.findall(r"\(docs: (\w+)", text))]
-        names += re.findall(r"^  - .*: ([\w/]+\.md)$", text, flags=re.MULTILINE) if file.suffix == ".yml" else []
+        names += re.findall(r"^ +- .*: ([\w/]+\.md)$", text, flags=re.MULTILINE) if file.suffix == ".yml" else []
         found += [(str(file.relative_to(ROOT)), name) for name in names]
     return found
 

@@ -7,8 +7,8 @@ from f3sr.runtime import signals
 
 
 def run() -> None:
-    """Console script. The process ends without taking the interpreter apart, which takes up to half a second: a signal
-    would kill it then, although its result is told."""
+    """Console script. The process ends without interpreter shutdown, which takes up to half a second: a signal would
+    kill it then, although its result is told."""
     os._exit(_code())
 
 

@@ -14,8 +14,8 @@ from f3sr.vision import pictures
 def deliver(result: Reconstruction, out: str | Path, *, overwrite: bool = False, progress: Progress = silent) -> Path:
     """Write the scene package (docs: conventions) to ``out`` and return the folder's full path.
 
-    An older f3sr package there is replaced, one with rollouts only with ``overwrite``; what goes wrong on the way
-    leaves it as it was. Raises OutputError when something else is there, or when it cannot be written.
+    An older f3sr package there is replaced. One with rollouts is replaced only with ``overwrite``. An error leaves it
+    unchanged. Raises OutputError if ``out`` holds anything else, or cannot be written.
     """
     evaluation = result.evaluation
     with timed("pictures", progress):

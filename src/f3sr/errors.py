@@ -1,4 +1,4 @@
-"""The errors a user can meet, each saying what was asked, what was found and what is accepted."""
+"""The errors that a user can meet. A message is one line: the place, what was found, what is accepted."""
 
 from __future__ import annotations
 
@@ -7,22 +7,25 @@ import traceback
 from pathlib import Path
 
 LONGEST = 300
-"""Characters of a value or a path that a message holds, and"""
+"""Most characters of a value or a path in a message."""
 LONGEST_LINE = 1000
-"""of a whole message."""
+"""Most characters of a whole message."""
 TRACEBACK = "F3SR_TRACEBACK"
-"""Variable of the environment that asks for the traceback of an error nobody foresaw."""
+"""Environment variable that asks for the traceback of an unforeseen error."""
 
 
 class F3srError(Exception):
-    """Base of every error that f3sr raises on purpose; its message is one line that any terminal can show."""
+    """Base of every error that f3sr raises on purpose; its message is one printable line."""
 
     def __init__(self, message: str) -> None:
         super().__init__(one_line(message))
 
 
 class InputError(F3srError):
-    """Something that was handed in is wrong: one file, what was found in it, what is accepted."""
+    """An input is invalid. ``where`` names the file or setting; ``found`` and ``accepted`` say what and what instead.
+
+    The command line ends with exit code 2.
+    """
 
     def __init__(self, where: str | Path, *, found: str, accepted: str) -> None:
         self.where, self.accepted = str(where), accepted
@@ -31,25 +34,26 @@ class InputError(F3srError):
 
 
 class OutputError(F3srError):
-    """The place where results should go cannot take them."""
+    """The output path cannot be used; nothing was written there. The command line ends with exit code 1."""
 
 
 class F3srWarning(UserWarning):
-    """Something that works, but not as it was asked for; its message is one line."""
+    """A request was carried out in another way than asked; the message is one line."""
 
 
 class RefusedError(F3srError):
-    """A goal that cannot be acted on; nothing was written for it."""
+    """A goal was refused; nothing was written for it. Exit code 3."""
 
 
 class MissedError(F3srError):
-    """A goal whose best rollout does not meet it; it was written all the same."""
+    """The best rollout of a goal does not meet it; it was written. Exit code 4."""
 
 
 def unforeseen(error: Exception, state: str) -> str:
-    """One line on an error that nobody raised on purpose; ``state`` says what is on disk.
+    """One line about an unforeseen error; ``state`` says what is on disk.
 
-    Where ``$F3SR_TRACEBACK`` is set its traceback is printed first."""
+    If ``$F3SR_TRACEBACK`` is set, its traceback is printed first.
+    """
     if os.environ.get(TRACEBACK):
         traceback.print_exception(error)
     cause: BaseException = error
@@ -61,22 +65,22 @@ def unforeseen(error: Exception, state: str) -> str:
 
 
 def reason(error: OSError | ValueError | RuntimeError) -> str:
-    """What the system says of a failed access, in the middle of a sentence."""
+    """The system's reason for a failed access, for the middle of a sentence."""
     text = (getattr(error, "strerror", None) or "unreadable").strip()
     return text[:1].lower() + text[1:]
 
 
 def one_line(message: str) -> str:
-    """A message as any terminal can show it."""
+    """The message as one printable line of at most LONGEST_LINE characters."""
     return cut(printable(message), LONGEST_LINE)
 
 
 def cut(text: str, most: int = LONGEST) -> str:
-    """The text without its middle where it is longer: what begins it and what ends it tell the most."""
+    """The text, without its middle if it has more than ``most`` characters: its ends are most informative."""
     half = (most - 3) // 2
     return text if len(text) <= most else f"{text[:half]}...{text[-half:]}"
 
 
 def printable(text: str) -> str:
-    """The text with everything escaped that would move a cursor, turn the writing direction or not show at all."""
+    """The text with escapes for characters that move the cursor, turn the writing direction or are invisible."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

@@ -36,14 +36,17 @@ from f3sr.stages.separate import SeparateConfig, Separated, separate
 from f3sr.stages.settle import Settled, SettleStageConfig, settle
 
 BESIDE = 2_000_000
-"""Pixels of the photo up to which it is completed beside the other stages: that takes 100 bytes a pixel for a while."""
+"""Largest photo [pixels] that is completed in parallel with the other stages; that takes 100 bytes a pixel."""
 REPEATED_BY_REFINE = {"align", "align-objects", "separate", "settle"}
-"""Stages that ``refine`` does again: without one of them there is no refining either."""
+"""Stages that ``refine`` repeats: skipping one of them skips ``refine``."""
 
 
 @settings
 class Config:
-    """Every stage's settings, with the constants of its method that ablations vary."""
+    """The settings of every stage; ``f3sr config`` prints them with unit, range and meaning.
+
+    Values out of range raise ValueError. Change one with ``dataclasses.replace``.
+    """
 
     assemble: AssembleConfig = field(default_factory=AssembleConfig)
     level: LevelConfig = field(default_factory=LevelConfig)
@@ -60,29 +63,32 @@ class Config:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Reconstruction:
-    """The settled scene, the levelled input it came from, and what every stage says of its work."""
+    """The scene at rest, the levelled input, and the outcome of every stage."""
 
     scene: Scene
+    """The result."""
     direct: Scene
+    """The input after ``level``: assets in their given poses, gravity along -Z, ground at z = 0."""
     scenes: Mapping[str, Scene]
     """The scene after every stage that was not skipped, in order; they share photo, masks and meshes."""
     outcomes: tuple[Outcome, ...]
-    """Of every stage that was not skipped, in order."""
+    """The typed outcome of every stage that was not skipped, in order; ``reports`` derives from them."""
     seconds: dict[str, float]
-    """Wall time [s] of every stage that was run."""
+    """Wall time [s] of every stage that ran."""
     resumed: tuple[str, ...]
     """Stages whose results came from the store."""
     config: Config
+    """The settings that were used."""
     provenance: Mapping[str, JsonValue]
-    """What the result was made from: digests of inputs and settings, settings that are not defaults, skipped stages,
-    back ends that answered."""
+    """Digests of inputs and settings, settings that are not defaults, skipped stages, back ends that answered."""
     evaluation: Evaluation | None = None
+    """Measures of the result and of direct composition; None where ``evaluate`` was skipped."""
     inpainting: Inpainting | None = None
-    """The photo completed behind the objects; nothing else depends on it."""
+    """The photo completed behind the objects; None where ``inpaint`` was skipped. Only films use it."""
 
     @property
     def reports(self) -> tuple[Report, ...]:
-        """What every stage says of its work, for people."""
+        """Measures and decisions of every stage, in order, for people and report.html."""
         return tuple(outcome.report for outcome in self.outcomes)
 
 
@@ -95,11 +101,13 @@ def reconstruct(
     store: Store | None = None,
     progress: Progress = silent,
 ) -> Reconstruction:
-    """Run every stage that is not skipped. Any stage but ``assemble`` may be skipped: a valid scene remains.
-    ``refine`` repeats alignment, separation and settling, so it goes with any of them; ``close`` goes with settling.
+    """Turn validated inputs into a scene at rest (equation 3; docs: method).
 
-    ``background`` completes the photo behind the objects in place of f3sr's own method.
-    Stages whose results are in ``store`` are not done again. ``progress`` is told of every stage.
+    ``skip`` names stages to leave out: any but ``assemble``, as a valid scene always remains. ``refine`` repeats
+    alignment, separation and settling, so skipping one of them skips it too; skipping ``settle`` also skips ``close``.
+    ``store`` holds results of earlier runs: a stage with equal inputs, settings and code is read instead of run.
+    ``background`` completes the photo behind the objects instead of f3sr's own method. ``progress`` receives one line
+    of text per event. Equal arguments give equal scenes.
     """
     given = config or Config()
     config = same_margin(given)
@@ -183,7 +191,7 @@ def same_margin(config: Config) -> Config:
 def composed_directly(
     inputs: Inputs, config: Config | None = None, *, store: Store | None = None, progress: Progress = silent
 ) -> Scene:
-    """Direct composition of some inputs, with proxies: they are only assembled and levelled."""
+    """Direct composition of the inputs, the baseline: assembled and levelled, with proxies, nothing else."""
     needless = [stage for stage in SKIPPABLE if stage not in ("level", "decompose")]
     result = reconstruct(inputs, config, skip=needless, store=store, progress=progress)
     return direct_composition(result.direct, result.scene)
@@ -205,7 +213,7 @@ def _rested(scene: Scene, config: SettleStageConfig) -> SettledScene:
 def _made_again(
     scene: Scene, ids: Collection[int], *, aligning: AlignConfig, config: Config, closes: bool
 ) -> SettledScene:
-    """Some objects aligned once more, and what would be delivered of it: everything at rest and closed."""
+    """The scene after another alignment of some objects, as it would be delivered: at rest and closed."""
     scene, _ = align(scene, aligning, only=ids)
     scene, _ = separate(scene, config.separate, ground=False, margin=False)
     rested = _rested(scene, config.settle)

@@ -1,4 +1,4 @@
-"""What a stage says about its work: a typed outcome, the report derived from it, and the one accept/rollback guard."""
+"""The result sheet of a stage: a typed outcome, the report derived from it, and the guard that accepts or reverts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Measure:
 
 @dataclass(frozen=True, kw_only=True)
 class Decision:
-    """A choice a user should know of: an accepted or rejected step, a fallback, an assumption."""
+    """A choice that a user should know of: an accepted or rejected step, a fallback, an assumption."""
 
     choice: str
     reason: str
@@ -40,26 +40,30 @@ class Report:
     measures: tuple[Measure, ...] = ()
     decisions: tuple[Decision, ...] = ()
     cut_short: bool = False
-    """A limit on time cut some of the work."""
+    """A time limit cut some of the work."""
 
     def value(self, name: str) -> float:
-        """The scene-wide measure of that name after the stage."""
+        """The scene-wide measure of that name after the stage. Raises StopIteration if there is none."""
         return next(m.after for m in self.measures if m.name == name and m.about is None)
 
     @property
     def fallbacks(self) -> tuple[Decision, ...]:
+        """Decisions that replaced the normal method by a weaker one."""
         return tuple(d for d in self.decisions if d.fallback)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What a stage found out beside its scene, typed, one class per stage; without arguments, of a stage that did
-    nothing. Fields are plain values, in SI units where nothing else is said, and can be stored."""
+    """The typed result sheet of a stage, one subclass per stage.
+
+    Without arguments it is the outcome of a stage that did nothing. Fields are plain values that can be stored, in SI
+    units unless stated. Code reads fields; people read ``measures`` and ``report``.
+    """
 
     stage: ClassVar[str]
     decisions: tuple[Decision, ...] = ()
     cut_short: bool = False
-    """A limit on time cut some of the work: another run may do better, so the result is not stored."""
+    """A time limit cut some of the work. Another run may do better, so the result is not stored."""
 
     @property
     def measures(self) -> tuple[Measure, ...]:
@@ -81,7 +85,10 @@ def keep_better(
     tolerance: float = 0.0,
     about: int | None = None,
 ) -> tuple[T, Decision]:
-    """Keep ``after`` unless it scores more than ``tolerance`` below ``before`` (higher is better)."""
+    """Keep ``after`` unless its score (higher is better) is more than ``tolerance`` below that of ``before``.
+
+    Returns the kept value and a Decision with both scores; ``step`` and ``measure`` are words for it.
+    """
     was, now = score(before), score(after)
     accepted = now >= was - tolerance
     decision = Decision(

@@ -1,4 +1,8 @@
-"""The one immutable value that travels through all stages: photo, camera, ground and objects."""
+"""The one immutable value that all stages share: photo, camera, ground and objects.
+
+Frames and units (docs: conventions): world +Z up, metres; camera axes as in OpenCV; ``T_a_b`` maps points of b into a.
+Arrays are read-only. A stage returns a new scene with ``with_objects`` or ``dataclasses.replace``.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +29,7 @@ GeometrySource = Literal["estimate", "sensor"]
 
 
 def name_of(id: int) -> str:
-    """In decisions, which know no labels."""
+    """The name of an object in decisions, which know no labels."""
     return "the ground" if id == GROUND else f"object {id}"
 
 
@@ -66,8 +70,8 @@ class Geometry:
     """Per-pixel geometry of the photo, in camera axes; its resolution need not be the photo's.
 
     ``points`` (h, w, 3) [m], meaningful where ``valid`` (h, w); ``normals`` (h, w, 3) unit or None.
-    ``source`` says whether a depth sensor measured it or a network estimated it: the errors of an estimate's focal
-    length, scale and shift show in no residual.
+    ``source``: a depth sensor measured it, or a network estimated it. An estimate has errors of focal length, scale
+    and shift that show in no residual.
     """
 
     points: NDArray[np.float32]
@@ -106,7 +110,7 @@ class Ground:
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """How far a stage moved an object: centre of mass [m], turn [rad], scale factor, and why."""
+    """How far a stage moved an object: centre of its box [m], rotation angle [rad], scale factor, and why."""
 
     stage: str
     translation: tuple[float, float, float]
@@ -117,7 +121,7 @@ class Motion:
 
 @dataclass(frozen=True, kw_only=True)
 class Support:
-    """A support of an object: ``id`` of what carries it (GROUND for the ground) and its share of the load."""
+    """A support of an object: the ``id`` of its carrier (GROUND for the ground) and the share of the load in [0, 1]."""
 
     id: int
     share: float = 1.0
@@ -125,10 +129,10 @@ class Support:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SceneObject:
-    """One instance: its mask in the photo and its mesh in the world.
+    """One instance: its mask (H, W) in the photo and its mesh in the world.
 
-    ``mesh`` and ``parts`` are in the asset's own axes and unit; world points are
-    ``T_world_object @ (scale * v)``, with ``T_world_object`` rigid.
+    ``mesh`` and ``parts`` are in the asset's own axes and unit. World points are
+    ``T_world_object @ (scale * v)``, with ``T_world_object`` (4, 4) rigid and ``scale`` in metres per unit.
     """
 
     id: int
@@ -141,21 +145,25 @@ class SceneObject:
     parts: tuple[ConvexPart, ...] = ()
     """Collision proxies, same frame and unit as ``mesh``."""
     footing: tuple[ConvexPart, ...] = ()
-    """Collision geometry added under the mesh, so that it stands as the photo shows it; same frame and unit."""
+    """Convex wedges under the mesh that hold it in the pose of the photo; same frame and unit (docs: contact)."""
     mobility: Mobility = "dynamic"
     density: float = 600.0
     """[kg/m3]"""
     solid: MassProperties | None = None
-    """Volume, centre and inertia per density of its solid in its own frame at scale 1, where a package tells them; else
-    they are those of the mesh or its proxies."""
+    """Volume, centre and inertia per density of the solid, asset frame, scale 1, where a package gives them. None: they
+    are those of the mesh or its proxies."""
     friction: float = 0.6
+    """Coefficient of sliding friction; a contact takes the larger of two."""
     rolling_friction: float = 0.001
+    """[m]"""
     restitution: float = 0.0
+    """Coefficient of restitution in [0, 1]; only rollouts use it (docs: physics)."""
     material: str = "unknown"
     supports: tuple[Support, ...] = ()
     supported_by: int | None = None
-    """Id of the main support in the forest, GROUND for the ground, None for nothing known."""
+    """Id of the main support in the forest; GROUND for the ground, None if unknown."""
     motion: tuple[Motion, ...] = ()
+    """What the stages did to it, in order."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mask", frozen(self.mask, np.bool_))
@@ -170,7 +178,7 @@ class SceneObject:
 
     @property
     def vertices_world(self) -> Array:
-        """(n, 3) [m]; made anew unless somebody still holds it, for the scenes of all stages stay in memory."""
+        """(n, 3) [m], the mesh's vertices in the world. The cache is weak: scenes of all stages stay alive."""
         known: ReferenceType[Array] | None = self.__dict__.get("_vertices_world")
         vertices = known() if known else None
         if vertices is None:
@@ -180,7 +188,7 @@ class SceneObject:
 
     @cached_property
     def bounds_world(self) -> Array:
-        """(2, 3) [m]"""
+        """Lowest and highest corner (2, 3) of the axis-aligned world box [m]."""
         vertices = self.vertices_world
         return np.stack([vertices.min(0), vertices.max(0)])
 
@@ -191,17 +199,18 @@ class SceneObject:
 
     @property
     def colliders(self) -> tuple[ConvexPart, ...]:
-        """All that touches, in the asset's frame: proxies and footing."""
+        """All collision geometry in the asset frame: proxies and footing."""
         return (*self.parts, *self.footing)
 
     @property
     def solids(self) -> tuple[ConvexPart, ...]:
-        """What physics knows of it, in the asset's frame: its colliders, with the hull of its mesh where it has no
-        proxies. Raises ValueError where that spans no volume."""
+        """What physics simulates, in the asset frame: the colliders, or the mesh's hull where there are no proxies.
+        Raises ValueError where that hull spans no volume."""
         return (*(self.parts or (self.mesh.hull,)), *self.footing)
 
     @cached_property
     def colliders_world(self) -> tuple[ConvexPart, ...]:
+        """``colliders`` in the world [m]."""
         return tuple(part.moved(self.T_world_asset) for part in self.colliders)
 
     def moved(self, T: Array, *, stage: str, reason: str, scale: float = 1.0) -> Self:
@@ -243,10 +252,10 @@ RelationSource = Literal["found", "given"]
 
 @dataclass(frozen=True, kw_only=True)
 class Relation:
-    """``subject predicate object`` with a confidence in [0, 1] and the evidence it rests on.
+    """``subject predicate object`` with a confidence in [0, 1] and its evidence in words (docs: relations).
 
-    Only supports name the ground, as the object. Relations with an inverse come both ways, symmetric ones once, the
-    lower id first.
+    Only supports name the ground, as the object. Relations with an inverse occur in both directions. Symmetric ones
+    occur once, the lower id first.
     """
 
     subject: int
@@ -255,13 +264,13 @@ class Relation:
     confidence: float
     evidence: str
     source: RelationSource = "found"
-    """``given`` where scene_graph.json says it and geometry does not contradict."""
+    """``given``: scene_graph.json names the relation, and geometry does not contradict it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Node:
-    """An object of the scene graph in words. ``visibility`` in [0, 1]: the share of its rendered silhouette that no
-    other object hides and the photo's border does not cut."""
+    """An object of the scene graph in words. ``visibility`` in [0, 1]: the share of its rendered silhouette that
+    neither another object nor the photo's border hides."""
 
     id: int
     label: str
@@ -271,6 +280,8 @@ class Node:
 
 @dataclass(frozen=True, kw_only=True)
 class SceneGraph:
+    """Nodes and typed relations of a scene; ``source`` names what made them."""
+
     relations: tuple[Relation, ...] = ()
     source: str = "provisional"
     nodes: tuple[Node, ...] = ()
@@ -290,7 +301,11 @@ class Excluded:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Scene:
-    """Everything known after a stage. Object ids, their order (by id) and the photo never change."""
+    """Everything known after a stage. Object ids, their order (by id) and the photo never change.
+
+    ``scene[id]`` is an object, iteration gives all of them by id. ``ground_mask`` (H, W) is the visible support
+    surface in the photo. Raises ValueError for ids out of order and masks of another size than the photo.
+    """
 
     photo: Photo
     camera: Camera
@@ -320,7 +335,7 @@ class Scene:
         return {o.id: o for o in self.objects}
 
     def with_objects(self, *changed: SceneObject) -> Self:
-        """The scene with some objects replaced by new values of the same id."""
+        """The scene with some objects replaced by new values of the same id. Raises KeyError for an unknown id."""
         new = {o.id: o for o in changed}
         if unknown := new.keys() - self._by_id.keys():
             raise KeyError(f"no objects {sorted(unknown)}; the scene has {sorted(self._by_id)}")
@@ -331,7 +346,7 @@ class Scene:
         return tuple(o.id for o in self.objects if o.supported_by == id)
 
     def subtree(self, id: int) -> tuple[int, ...]:
-        """``id`` and everything that rests on it, directly or not."""
+        """``id``, then everything that rests on it by main supports, directly or not."""
         found = [id]
         for i in found:
             found.extend(c for c in self.children(i) if c not in found)

@@ -28,8 +28,9 @@ shows shadow, and the masks' own errors."""
 BETWEEN = 0.02
 """Half the width of gaps between objects and shadows that are replaced too, in shares of the photo's longer side."""
 SEAM = 0.004
-"""Width on both sides of the border between support and rest that tells of neither, in shares of the photo's longer
-side: geometry knows that border by a few pixels."""
+"""Width on both sides of the border between support and rest that belongs to neither [longer image sides].
+
+Geometry gives that border to a few pixels."""
 MIXED = 1
 """Pixels on both sides of that border over which what was completed is mixed, as the photo's own edges are."""
 
@@ -67,13 +68,12 @@ def complete_background(
     support: Mask | None = None,
     filled: Fill | None = None,
 ) -> Background:
-    """The photo behind the objects of some ``masks`` (h, w) each, pixel for pixel in its place. Where the ``support``
-    (h, w) is known, in the hole too, shadows are looked for on it only, and it is completed from itself, the rest from
-    the rest: so the edge of a table goes on straight.
+    """The photo (h, w, 3) completed behind the objects of some ``masks`` (h, w) and their shadows.
 
-    ``filled`` completes the hole in place of patches: of the photo (h, w, 3) that it gives only the hole is taken. The
-    same bytes for the same photo, masks and seed. Where no patch of the photo is free of objects, light is spread
-    smoothly from what is left, and a Decision says so.
+    With ``support`` (h, w), the support surface including its hidden part, shadows are searched on it only. Support and
+    rest are then completed each from itself, so the edge of a table goes on straight. ``filled`` completes the hole in
+    place of patches: of the photo (h, w, 3) that it gives only the hole is used. Deterministic. If no patch of the
+    photo is free of objects, light is spread smoothly from the rest, and a Decision says so.
     """
     config = config or BackgroundConfig()
     h, w = photo.height, photo.width
@@ -114,7 +114,7 @@ def widened(masks: Sequence[Mask], margin: float) -> Mask:
 def _layered(
     picture: Picture, hole: Mask, config: CompletionConfig, support: Mask | None
 ) -> tuple[Picture, tuple[Decision, ...]]:
-    """The hole filled, the support and the rest each as if the other were not there; they meet over a pixel or two."""
+    """Fill the hole, support and rest each without the other; they meet over a pixel or two."""
     if support is None or not (support & hole).any() or not (~support & hole).any():
         return _filled(picture, hole, config, None)
     seam = max(1, round(SEAM * max(hole.shape)))

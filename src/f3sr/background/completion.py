@@ -68,8 +68,9 @@ class _Level:
         return ~(self.hole | self.apart)
 
     def coarser(self) -> _Level:
-        """Half the resolution: a pixel with any of its four in the hole, or none there, is in the hole; of the others
-        one with any that is apart is apart."""
+        """Half the resolution. A pixel is in the hole if any of its four is, or if it has none.
+
+        Of the others, one is apart if any of its four is."""
         known, hole, apart = (
             quads(mask.astype(np.float32)[..., None]).sum(axis=(1, 3)) for mask in (self.known, self.hole, self.apart)
         )
@@ -87,10 +88,9 @@ class _Level:
 
 
 def complete(picture: Picture, hole: Mask, config: CompletionConfig, *, apart: Mask | None = None) -> Picture | None:
-    """``picture`` (h, w, 3), logarithms of colour, with ``hole`` (h, w) filled as if what is ``apart`` (h, w) were not
-    there; None where no patch is known.
+    """``picture`` (h, w, 3), logarithms of colour, with ``hole`` (h, w) filled without pixels of ``apart`` (h, w).
 
-    What the picture has in its hole does not matter, nor does the number of threads.
+    None if no patch is known. Neither the hole's old content nor the number of threads matters.
     """
     none = np.zeros_like(hole)
     levels = [_Level(np.asarray(picture @ OPPONENT.T, np.float32), hole, none if apart is None else apart & ~hole)]

@@ -1,9 +1,9 @@
 """Kernels that complete a picture from its own patches: nearest patches, votes and the membrane between known pixels.
 
-Barnes et al., "PatchMatch" (2009), finds for every patch that meets the hole a like patch without a hole; Wexler et
-al., "Space-time completion of video" (2007), let those patches vote for the hole's pixels, over and over. Patches are
-compared up to a small shift of every channel (Darabi et al., "Image melding", 2012): pictures are logarithms of
-colour, so the shift is a change of light. All pictures here are padded by ``RADIUS`` pixels whose weight is 0.
+PatchMatch (Barnes et al., 2009) finds a similar patch without a hole for every patch that meets the hole. These patches
+vote for the hole's pixels, repeatedly (Wexler et al., "Space-time completion of video", 2007). Patches are compared up
+to a small shift of every channel (Darabi et al., "Image melding", 2012). Pictures are logarithms of colour, so the
+shift is a change of light. All pictures here are padded by ``RADIUS`` pixels whose weight is 0.
 """
 
 from __future__ import annotations
@@ -146,8 +146,9 @@ def vote(
 def vote_slopes(
     picture: Any, weight: Any, targets: Any, nearest: Any, cost: Any, spread: float, sums: Any, counts: Any
 ) -> None:
-    """Add the steps from pixel to pixel within every source, down and to the right, to ``sums`` (2, h, w, 3) and their
-    say to ``counts`` (2, h, w): steps know nothing of the light that each patch was shifted by."""
+    """Add the gradients of every source patch, down and to the right, to ``sums`` (2, h, w, 3).
+
+    Their weights go to ``counts`` (2, h, w). Gradients do not depend on the patch's shift of light."""
     for k in range(len(targets)):
         y, x = targets[k, 0], targets[k, 1]
         sy, sx = nearest[y, x, 0], nearest[y, x, 1]

@@ -11,7 +11,7 @@ Mask = NDArray[np.bool_]
 
 
 def grown(mask: Mask, steps: int, within: Mask | None = None) -> Mask:
-    """With what is reached from it in some steps to a neighbour up, down, left or right, all ``within`` a mask."""
+    """The region grown by some steps to neighbours up, down, left or right, all ``within`` a mask."""
     from scipy.ndimage import binary_dilation
 
     return np.asarray(binary_dilation(mask, iterations=steps, mask=within), np.bool_)

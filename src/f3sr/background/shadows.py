@@ -1,9 +1,9 @@
-"""Where objects cast shadows on what stays: darker than the same material around, and joined to an object's outline.
+"""Shadows of objects on the support: darker than the same material around, and joined to an object's outline.
 
-No threshold is a grey level. What is lit is estimated in the photo itself: the mean light of pixels of the same colour
-nearby, found with a bilateral grid (Chen et al., "Real-time edge-aware image processing with the bilateral grid",
-2007), those near the objects and those found darker counting less each time. What is darker is told from texture by the
-spread of the same difference far from all objects.
+No threshold is a grey level. The lit colour is estimated in the photo itself: the mean light of nearby pixels of the
+same colour, by a bilateral grid (Chen et al., "Real-time edge-aware image processing with the bilateral grid", 2007).
+Pixels near objects and pixels found darker have less weight in each iteration. The spread of the same difference far
+from all objects separates shadow from texture.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from f3sr.settings import settings
 LOOKED_AT = 400
 """Pixels of the longer side that shadows are looked for at, at most twice this: they are soft."""
 LIGHT_CELL = 0.05
-"""Cell of the grid of light, in the picture's plane, in shares of its longer side; it is blurred by a cell or two."""
+"""Cell of the grid of light in the picture's plane [longer image sides]; the grid is blurred by a cell or two."""
 COLOUR_CELL = 0.06
 """Cell of the grid of light, in colour [log of a ratio of channels]: light from the sky or the walls turns a shadow's
 colour by less."""
@@ -66,9 +66,10 @@ class PhotoShadowConfig:
 
 @dataclass(frozen=True, eq=False)
 class _SmallPhoto:
-    """The photo, small: ``light`` (h, w) and ``colour`` (h, w, 2) [log], what is ``taken`` (h, w) by objects, the
-    lower halves of these, ``base`` (h, w): what is behind an upper half is seldom what the object stands on; every
-    pixel's ``distance`` (h, w) to them in shares of the reach, and whose that is (h, w), ``owner``."""
+    """The photo at low resolution: ``light`` (h, w) and ``colour`` (h, w, 2) [log], pixels ``taken`` (h, w) by objects.
+
+    ``base`` (h, w) are the lower halves of objects: behind an upper half there is seldom the support. ``distance``
+    (h, w) is every pixel's distance to a base in shares of the reach, ``owner`` (h, w) that base's object."""
 
     light: Array
     colour: Array
@@ -85,8 +86,9 @@ class _SmallPhoto:
 def find_shadows(
     picture: Picture, masks: Sequence[Mask], config: PhotoShadowConfig, support: Mask | None = None
 ) -> Mask:
-    """Pixels (h, w) of ``picture`` (h, w, 3), logarithms of colour, that lie in the shadow of a mask's object, all on
-    the ``support`` (h, w) where that is known."""
+    """Pixels (h, w) of ``picture`` (h, w, 3), logarithms of colour, in the shadow of a mask's object.
+
+    All are on the ``support`` (h, w) if that is known."""
     shape = picture.shape[:2]
     if not masks or not config.reach:
         return np.zeros(shape, np.bool_)
@@ -146,8 +148,8 @@ def _shrunk(values: NDArray[np.float32], step: int) -> NDArray[np.float32]:
 
 
 def _darker(view: _SmallPhoto) -> tuple[Array, float]:
-    """By how much (h, w) [log] each pixel is darker than its material nearby, and the deviation of that where no object
-    is near."""
+    """How much darker (h, w) [log] each pixel is than its material nearby, and the deviation of that far from
+    objects."""
     free = ~view.taken
     away = free & ~view.near
     if np.count_nonzero(away) < 0.02 * away.size:  # objects everywhere: what is farthest from them must do
@@ -164,8 +166,9 @@ def _darker(view: _SmallPhoto) -> tuple[Array, float]:
 
 
 def _light_around(view: _SmallPhoto, weight: Array) -> Array:
-    """The mean light (h, w) of pixels of the same colour nearby, its own where there are none; the mean of what is left
-    is added, which follows slopes of light (twicing, Tukey 1977)."""
+    """The mean light (h, w) of nearby pixels of the same colour; a pixel without any keeps its own.
+
+    The mean residual is added, which follows gradients of light (twicing, Tukey 1977)."""
     from scipy.ndimage import gaussian_filter, map_coordinates
 
     h, w = view.light.shape

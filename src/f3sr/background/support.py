@@ -34,8 +34,9 @@ def support_of(scene: Scene, hole: Mask) -> Mask:
 
 
 def hiding(scene: Scene, support: Mask, hole: Mask) -> NDArray[np.float32]:
-    """Depths (H, W) [m] along the camera's axis of what the photo shows beside its objects and their support, and may
-    hide them: a chair's back, a wall's edge. Infinite elsewhere, and everywhere without geometry."""
+    """z-depths (H, W) [m] of pixels that are neither object nor support and may hide objects: a chair's back.
+
+    Infinite elsewhere, and everywhere without geometry."""
     shape = (scene.photo.height, scene.photo.width)
     if scene.geometry is None:
         return np.full(shape, np.inf, np.float32)

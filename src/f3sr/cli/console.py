@@ -24,7 +24,7 @@ def say(text: str) -> None:
 
 @contextmanager
 def steps_shown(*, quiet: bool = False) -> Generator[Progress]:
-    """Tells the steps of a run, a line for each that is done; on a terminal also the one that goes on, with a clock."""
+    """Prints one line per finished step of a run; on a terminal also the running step, with a clock."""
     if quiet:
         yield silent
     elif sys.stdout.isatty():

@@ -151,9 +151,9 @@ def evaluate(
     config: Path | None = None,
     json: bool = False,
 ) -> None:
-    """Measure a scene package beside direct composition, or direct composition alone from a prompted-image folder.
+    """Measure a scene package and direct composition, or direct composition alone from a prompted-image folder.
 
-    Direct composition is the input as it came, levelled. It, and any package whose camera f3sr did not align, is
+    Direct composition is the levelled input. It, and any package whose camera f3sr did not align, is
     measured twice: seen by the camera that came with it, and by one that is fitted to its own masks.
 
     Args:

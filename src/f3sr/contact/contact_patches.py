@@ -1,8 +1,8 @@
 """Where resting bodies touch: contact patches between unions of convex parts and the ground, without a simulator.
 
-Two convex parts whose surfaces are at most ``reach`` apart along the axis that separates them best touch wherever their
-gap along that axis is within reach. That is where one part, moved by ``reach`` along the axis, overlaps the other, so
-the patch is the projection of a convex polytope, and its corners are ends of edges of one part clipped by the other.
+Two convex parts touch if their gap along the axis of best separation is at most ``reach``. The contact region is where
+one part, moved by ``reach`` along the axis, overlaps the other. So the patch is the projection of a convex polytope.
+Its corners are ends of edges of one part clipped by the other.
 """
 
 from __future__ import annotations
@@ -28,16 +28,17 @@ nearly parallel edges are noise."""
 ONE_PLANE = np.radians(1.0)
 """Patches whose normals differ by less [rad] and which lie within reach of one plane are one patch."""
 STEEP = 0.05
-"""Sine of the angle between an edge and the face that ends it below which the end is taken to stay on the edge: it
-would run along the edge more than twenty times as fast as the bodies move."""
+"""Sine of the angle between an edge and its end face below which the end is fixed to the edge.
+
+Otherwise it would slide along the edge more than twenty times as fast as the bodies move."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Contacts:
     """Corners of contact patches, one row each.
 
-    ``upper`` and ``lower`` (k,) are ids of the bodies, ``lower`` GROUND for the ground; ``points`` (k, 3) [m];
-    ``normals`` (k, 3) unit, from lower to upper. ``follow`` (k, 3, 3): when the bodies move by small shifts a point
+    ``upper`` and ``lower`` (k,) are ids of the bodies; ``lower`` may be GROUND. ``points`` (k, 3) are in the world [m],
+    ``normals`` (k, 3) unit, from lower to upper. ``follow`` (k, 3, 3): under small shifts of the bodies a point
     moves by ``follow @ shift_upper + (1 - follow) @ shift_lower``.
     """
 

@@ -1,9 +1,8 @@
-"""Footings: thin wedges of collision geometry under an underside that is nearly flat, so that an object stands on its
-support the way the photo shows it.
+"""Footings: thin convex wedges under a nearly flat underside that hold an object in the pose of the photo.
 
-No photo shows an underside, so a generated one is a guess: it is commonly turned by some degrees against the body it
-belongs to. Physics would tip the object onto it, against the picture. A footing fills what is missing between the
-underside and the plane below. Round things get none and can still roll.
+No photo shows an underside, so a generated one is a guess, commonly turned by some degrees against its body. Physics
+would tip the object onto it, against the picture. A footing fills the space between the underside and the plane below
+(docs: contact). It is collision geometry only; the mesh does not change. Round objects get none and can roll.
 """
 
 from __future__ import annotations
@@ -69,9 +68,11 @@ GROUND_PLANE = SupportPlane(normal=np.array([0.0, 0.0, 1.0]), offset=0.0)
 def footing(
     o: SceneObject, plane: SupportPlane, config: FootingConfig, *, below: float = 0.0
 ) -> tuple[ConvexPart, ...]:
-    """The wedges (asset frame) that let an object stand as it is on a plane below it, down to ``below`` [m] under its
-    lowest point; none where it needs none, is round, would fall anyway, or where more than ``max_height`` would have to
-    be filled in."""
+    """Wedges (asset frame) that keep an object in its pose on a plane below it (world frame).
+
+    They reach down to ``below`` [m] under its lowest point. There are none for an object that needs none, is round,
+    would fall anyway, or would need more than ``max_height``.
+    """
     hull = _hull_of(o)
     underside = _Underside.of(o, hull, plane, config) if hull else None
     if hull is None or underside is None:
@@ -96,8 +97,9 @@ def supplied(o: SceneObject) -> float:
 
 
 def flush(o: SceneObject, plane: SupportPlane) -> tuple[ConvexPart, ...]:
-    """The parts of an object (asset frame) without what stands off its mesh toward a plane below it, so that it stands
-    on its footing alone: beyond the mesh's lowest point they cover nothing."""
+    """The parts of an object (asset frame), cut at the mesh's lowest point along the plane's normal.
+
+    Below that point they cover nothing. Without them the object rests on its footing alone."""
     lowest = float(plane.heights(o.vertices_world).min())
     normal = plane.normal @ o.T_world_object[:3, :3]
     offset = (plane.offset + lowest - float(plane.normal @ o.T_world_object[:3, 3])) / o.scale
@@ -112,8 +114,9 @@ def _above(part: ConvexPart, normal: Array, offset: float) -> ConvexPart:
 
 
 def _wedge(outline: Array, facet: SupportPlane, plane: SupportPlane, lowest: float, grain: float) -> ConvexPart:
-    """All between the facet, below which the body has nothing, and ``lowest`` above the plane, within an outline
-    (k, 3); at least ``grain`` high, so that none is without volume."""
+    """The wedge inside an outline (k, 3), from ``lowest`` above the plane up to the facet under the body.
+
+    It is at least ``grain`` high, so that it has a volume."""
     top = facet.below(outline, grain)
     bottom = plane.below(outline, lowest)
     top[:, 2] = np.maximum(top[:, 2], bottom[:, 2] + grain)
@@ -121,9 +124,10 @@ def _wedge(outline: Array, facet: SupportPlane, plane: SupportPlane, lowest: flo
 
 
 def support_plane(o: SceneObject, tops: Sequence[ConvexPart], config: FootingConfig) -> SupportPlane | None:
-    """The plane on which a flat underside of ``o`` would come to rest on what is below it: of the hull of the upper
-    surfaces of ``tops`` (world) under its outline, the facet under its centre of mass; None when there is none or it
-    is steep."""
+    """The plane on which a flat underside of ``o`` would come to rest on ``tops`` (convex parts, world frame).
+
+    It is a facet of the hull of their upper surfaces under the object's outline: the one under its centre of mass. None
+    if there is none or it is steep."""
     hull = _hull_of(o)
     underside = _Underside.of(o, hull, GROUND_PLANE, config) if hull else None
     if underside is None or not tops:
@@ -162,8 +166,10 @@ def _facet_above(hull: ConvexPart, center: Array, config: FootingConfig) -> Supp
 
 
 def _facet_below(hull: ConvexPart, center: Array, plane: SupportPlane, config: FootingConfig) -> SupportPlane | None:
-    """What the body would fall onto, as a plane with an upward normal: its nearest stable facet or, where that is far,
-    as of a tall body with a bulging underside, the mean of all facets that face down; None where none does."""
+    """The plane (upward normal) of the facet that the body would fall onto: its nearest stable facet.
+
+    Where that is far, as for a tall body with a bulging underside, it is the mean of all facets that face down. None
+    where none does."""
     near = np.cos(config.max_turn)
     stable = -stable_normals(hull, center)
     if len(stable) and (stable @ plane.normal).max() >= near:
@@ -249,7 +255,7 @@ def _outermost(points: Array) -> Array:
 
 
 GRAIN = 1e-3
-"""What is missing under an underside that is flat but for this share of the object's size is not worth a footing."""
+"""Unevenness of an underside, as a share of the object's size, up to which it needs no footing."""
 SIDES = 16
 """Corners of a footing's outline: contacts cost with them, and a circle's outline is within 2 % of its radius."""
 

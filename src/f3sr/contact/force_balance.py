@@ -1,8 +1,7 @@
 """The equations of balance of bodies that touch: contact forces within friction cones against tilted weights.
 
-The tilts of gravity for which such forces exist form a convex set, so the least tilt at which the bodies move is found
-exactly, by linear programmes that ask how far the set reaches in a direction (Bretl and Lall, "Testing Static
-Equilibrium for Legged Robots", 2008).
+The tilts of gravity for which such forces exist form a convex set. Linear programmes give its reach in a direction. So
+the least tilt at which the bodies move is exact (Bretl and Lall, "Testing Static Equilibrium for Legged Robots", 2008).
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from f3sr.scene import GROUND
 EDGES = 8
 """Of the pyramid that is inscribed in a friction cone: it has .92 of the cone's friction where it has least."""
 STEEPEST = 4.0
-"""Tangent of the largest tilt that is told apart."""
+"""Tangent of the largest tilt that is distinguished."""
 TOLERANCE = 1e-3
 """Tangent to which the least tilt is known."""
 MOVES = 0.01
@@ -91,6 +90,7 @@ class Balance:
             moment = np.cross(arm[:, None] / self.sizes[body][:, None, None], force)
             rows = 6 * body[:, None, None] + np.arange(6)
             columns = self.edge_count * on[:, None, None] + np.arange(self.edge_count)[:, None]
+            # Six rows per body (force / weight, moment / (weight * size)), one column per cone edge of each contact.
             values = np.concatenate([force, moment], axis=2)
             rows, columns = np.broadcast_arrays(rows, columns)
             blocks.append((values.ravel(), rows.ravel(), columns.ravel()))
@@ -126,6 +126,7 @@ class Balance:
         """
         corners: list[Array] = []
         least = np.inf
+        # Three directions give a triangle; then each step asks where the inner bound is nearest to the origin.
         directions = [np.array([np.cos(a), np.sin(a)]) for a in 2 * np.pi * np.arange(3) / 3]
         for _ in range(40):
             found = self._farthest(directions.pop(0), center)
@@ -152,6 +153,8 @@ class Balance:
         upright, lean = self.weights(center)
         n = self.wrenches.shape[1]
         reach = 0.0 if still else STEEPEST
+        # Unknowns: n forces along cone edges, then the tilt's two tangents. Maximise u . tilt under balance:
+        # wrenches f = upright + lean tilt.
         solution = linprog(
             np.r_[np.zeros(n), -u],
             A_eq=hstack([self.wrenches, csc_array(-lean)], format="csc"),
@@ -174,6 +177,7 @@ class Balance:
         from scipy.sparse import eye_array, hstack
 
         rows, n = self.wrenches.shape
+        # Least L1 norm of an unbalanced wrench, split into positive and negative parts; its dual is a virtual motion.
         solution = linprog(
             np.r_[np.zeros(n), np.ones(2 * rows)],
             A_eq=hstack([self.wrenches, eye_array(rows), -eye_array(rows)], format="csc"),
@@ -218,7 +222,7 @@ def _ascend(dense: Array, wanted: Array, at: Array, stiffness: float) -> Array:
         gradient = wanted - dense @ f - at / stiffness
         if np.abs(gradient).max() < 1e-10:
             break
-        active = dense[:, pull > 0]
+        active = dense[:, pull > 0]  # the dual's Hessian is that of the forces that push
         step = np.asarray(np.linalg.solve(active @ active.T + np.eye(len(at)) / stiffness, gradient), float)
         along = dense.T @ step
         size = _line_search(pull, along, float(wanted @ step), at, step, stiffness)

@@ -1,10 +1,10 @@
-"""One joint horizontal move that parts many overlapping bodies at the least weighted cost.
+"""One joint horizontal move that separates many overlapping bodies at the least weighted cost.
 
-How two bodies may lie to each other is the outside of a union of convex polygons. A body is outside a polygon when it
-is beyond one of its sides, so the least move is found by branching over sides, best first: each choice of sides leaves
-a quadratic programme, whose cost bounds all choices below it (Lawson and Hanson, "Solving Least Squares Problems",
-chapter 23: least distance by non-negative least squares). A pairwise iteration, shortened from where it ends, is the
-answer to beat, so that the search can stop at any time.
+The free relative shifts of two bodies are the outside of a union of convex polygons. A body is outside a polygon when
+it is beyond one of its sides. So branch and bound over sides, best first, finds the least move. Each choice of sides
+leaves a quadratic programme whose cost bounds all choices below it (Lawson and Hanson, "Solving Least Squares
+Problems", chapter 23: least distance by non-negative least squares). The first solution comes from a pairwise
+iteration, shortened. So the search can stop at any time.
 """
 
 from __future__ import annotations
@@ -59,12 +59,12 @@ def part(
     clearance: float = DEFAULT_MARGIN.clearance,
     nodes: int = NODES,
 ) -> Parted:
-    """Part all ``pairs`` of bodies by the cheapest joint horizontal move.
+    """Separate all ``pairs`` of bodies by the cheapest joint horizontal move.
 
-    ``bodies``: parts in the world per id. ``weights``: (2, 2) positive definite per id that may move of its own, the
-    cost d' W d of moving it, with all it carries, by d [m]; what has none moves with its carrier only, or not at all.
-    ``carriers``: what each body rests on. Pairs that overlap end ``clearance`` [m] apart; others keep what they have of
-    it. Pairs must not carry one another.
+    ``bodies``: parts in the world per id. ``weights``: a positive definite W (2, 2) per id that may move by itself.
+    d' W d is the cost of moving it by d [m] with its subtree. A body without a weight moves only with its carrier.
+    ``carriers``: the id that each body rests on. Overlapping pairs end with a gap of ``clearance`` [m]; other pairs
+    keep their gap up to that. Pairs must not carry one another.
     """
     problem = _Problem(bodies, pairs, weights, carriers or {}, clearance)
     return problem.result(*problem.solve(nodes))

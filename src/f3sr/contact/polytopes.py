@@ -1,11 +1,14 @@
-"""Exact relations between convex polytopes and unions of them: depth, forbidden shifts, smallest moves apart.
+"""Exact relations between convex polytopes and unions of them: depth, forbidden shifts, least separating moves.
 
-Everything is read off the facets of one Minkowski difference. ``A`` moved by ``x`` overlaps ``B`` exactly
-when ``normal . x > -height`` for every facet, where the facets are A's faces, B's faces negated, and those
-pairs of edges whose arcs cross on the Gauss map (Gregorius, "The Separating Axis Test between Convex
-Polyhedra", GDC 2013). So the depth is the smallest height, the shifts along a direction that overlap form one
-interval, and the horizontal shifts that overlap form one convex polygon. Lengths are in the polytopes' unit,
-metres when they stand in the world.
+Everything follows from the facets of the Minkowski difference B - A. ``A`` moved by ``x`` overlaps ``B`` if and only if
+``normal . x > -height`` for every facet. Facets have three sources: A's faces, B's faces negated, and pairs of edges
+whose arcs cross on the Gauss map (Gregorius, "The Separating Axis Test between Convex Polyhedra", GDC 2013).
+
+- The depth is the smallest height (equation 10).
+- The overlapping shifts along a direction form one interval (equation 11).
+- The overlapping horizontal shifts form one convex polygon.
+
+Lengths have the unit of the polytopes: metres in the world.
 """
 
 from __future__ import annotations
@@ -28,20 +31,21 @@ COPLANAR = 1e-7
 SLIVER = 10.0
 """A triangle is a sliver when it is less high than so many times that."""
 TOUCH = 1e-9
-"""Overlaps up to this share of the two parts' sizes are contact, not collision. Shifts leave half of it, so
-that rounding cannot turn the contact they end in back into a collision."""
+"""Overlaps up to this share of the two parts' sizes are contact, not collision.
+
+Shifts leave half of it: rounding cannot turn their final contact into a collision."""
 PARALLEL = 1e-12
 """Sine below which a facet counts as parallel to a direction: rounding of unit vectors."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Polytope:
-    """A convex polytope with what separating-axis tests need, coplanar triangles merged into one facet.
+    """A convex polytope with the data of separating-axis tests; coplanar triangles are one facet.
 
-    ``vertices`` (n, 3); outward unit ``normals`` (f, 3) and ``offsets`` (f,): inside is
-    ``normals . x <= offsets``; per edge ``edge_starts`` (e, 3), unit ``edge_directions`` (e, 3),
-    ``edge_lengths`` (e,) and ``edge_normals`` (e, 2, 3), the facets' normals to its left and right seen from
-    outside, so that left x right points along the edge.
+    ``vertices`` (n, 3); outward unit ``normals`` (f, 3), ``offsets`` (f,): inside is ``normals . x <= offsets``.
+    Per edge: ``edge_starts`` (e, 3), unit ``edge_directions`` (e, 3), ``edge_lengths`` (e,) and ``edge_normals``
+    (e, 2, 3). The last are the normals of the facets to its left and right, seen from outside: left x right points
+    along the edge.
     """
 
     vertices: Array
@@ -94,7 +98,7 @@ class Polytope:
 
     @cached_property
     def packed(self) -> tuple[Array, Array, Array, Array, Array, Array]:
-        """What the kernels read."""
+        """The arrays that the kernels take, in their order."""
         return self.vertices, self.normals, self.offsets, self.edge_starts, self.edge_directions, self.edge_normals
 
     def shifted(self, t: ArrayLike) -> Self:
@@ -134,14 +138,14 @@ Body = Sequence[Polytope]
 
 
 def overlap_depth(a: Polytope, b: Polytope) -> float:
-    """Length of the smallest move that ends the overlap; <= 0 when apart (then it is no distance)."""
+    """Length of the smallest move that ends the overlap; <= 0 without overlap (then it is no distance)."""
     return float(_depth(*a.packed, *b.packed))
 
 
 def forbidden_interval(a: Polytope, b: Polytope, direction: ArrayLike) -> tuple[float, float]:
     """The open interval (lo, hi) of t where ``a`` moved by ``t * direction`` (3,) collides with ``b``.
 
-    Never: (inf, -inf), whose lo is greater than its hi.
+    Without any collision it is (inf, -inf).
     """
     return _interval(*a.packed, *b.packed, np.asarray(direction, float), _touch(a, b) / 2)
 
@@ -157,7 +161,7 @@ def facets(a: Polytope, b: Polytope) -> tuple[Array, Array]:
 
 
 def collide(A: Body, B: Body, tolerance: float = 0.0) -> bool:
-    """Equation 10: does some pair of parts overlap deeper than ``tolerance`` (and than mere touching)?"""
+    """Equation 10: whether some pair of parts overlaps deeper than ``tolerance`` and than contact."""
     return any(
         overlap_depth(A[i], B[j]) > max(tolerance, _touch(A[i], B[j])) for i, j in _boxes_overlap(A, B, (0, 1, 2))
     )
@@ -166,9 +170,9 @@ def collide(A: Body, B: Body, tolerance: float = 0.0) -> bool:
 def smallest_shift(A: Body, B: Body, direction: ArrayLike, clearance: float = 0.0) -> float:
     """Equation 11: the smallest t >= 0 for which A moved by ``t * direction`` is free of B.
 
-    Exact: the first point outside the union of the forbidden intervals of all pairs of parts, also of those
-    that are free at t = 0 and would collide on the way. ``clearance`` (in t, so metres for a unit direction)
-    is the gap that must be left behind A along the direction.
+    Exact: the first t outside the union of the forbidden intervals of all pairs of parts. Pairs that are free at t = 0
+    and collide on the way are included. ``clearance`` is the gap left behind A along the direction, in t (metres
+    for a unit direction).
     """
     t = 0.0
     for lo, hi in sorted(_forbidden(A, B, np.asarray(direction, float), beyond=-clearance)):
@@ -184,10 +188,10 @@ def free_travel(A: Body, B: Body, direction: ArrayLike) -> float:
 
 
 def smallest_horizontal_move(A: Body, B: Body) -> Array:
-    """The shortest horizontal move (2,) after which A is free of B, zeros when it is free already.
+    """The shortest horizontal move (2,) after which A is free of B; zeros if it is free already.
 
-    Exact: the forbidden moves are a union of convex polygons; the nearest free point is the origin, its foot
-    on an edge or a crossing of two edges, whichever is nearest and inside no polygon.
+    Exact: the forbidden moves are a union of convex polygons. The nearest free point is the origin, its foot on an
+    edge, or a crossing of two edges: the nearest of these that is inside no polygon.
     """
     if not collide(A, B):
         return np.zeros(2)
@@ -199,7 +203,7 @@ def forbidden_polygons(A: Body, B: Body, *, within: float = np.inf) -> list[Arra
     """The horizontal moves of A that collide with B: convex polygons, one for each pair of parts that can meet.
 
     Each is given by its sides (k, 3), rows ``(n, h)`` with unit n (2,): inside is ``n . x + h > 0`` for all. Parts
-    that are farther apart than ``within`` along x or y are left out.
+    with a gap of more than ``within`` along x or y are left out.
     """
     near = _boxes_overlap(A, B, (0, 1, 2), gap=np.array([within, within, 0]))
     return [p for i, j in near if len(p := _horizontal_slice(A[i], B[j]))]
@@ -304,6 +308,9 @@ def _edge_planes(
         l0x, l0y, l0z = normals_a[i, 0]
         l1x, l1y, l1z = normals_a[i, 1]
         for j in range(len(starts_b)):
+            # On the Gauss map an edge is the arc between its two face normals; two edges make a facet of B - A where
+            # arc (l0, l1) of a crosses arc (-r0, -r1) of b. p and q are the normals of the arcs' great circles, so
+            # c, d, e, f say on which side of the other circle each end lies.
             c = normals_b[j, 0, 0] * px + normals_b[j, 0, 1] * py + normals_b[j, 0, 2] * pz
             d = normals_b[j, 1, 0] * px + normals_b[j, 1, 1] * py + normals_b[j, 1, 2] * pz
             if c * d >= 0.0:  # b's arc stays on one side of the plane of a's arc
@@ -315,7 +322,7 @@ def _edge_planes(
                 continue
             nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
             sine = np.sqrt(nx * nx + ny * ny + nz * nz)
-            if sine < 1e-10:
+            if sine < 1e-10:  # parallel edges: their facet is a face's
                 continue
             if nx * (l0x + l1x) + ny * (l0y + l1y) + nz * (l0z + l1z) < 0.0:  # outward from a
                 sine = -sine
@@ -360,8 +367,9 @@ def _depth(
     directions_b: Array,
     normals_b: Array,
 ) -> float:
-    """The least height of all facets; that of the first face that parts them where one does."""
+    """The least height of all facets; that of the first separating face if there is one."""
     depth = np.inf
+    # Faces first: they are few, and one of them separates most pairs that are free of each other.
     for k in range(len(faces_a)):
         depth = min(depth, offsets_a[k] - _lowest(points_b, faces_a[k]))
         if depth <= 0.0:
@@ -393,7 +401,7 @@ def _interval(
     u: Array,
     slack: float,
 ) -> tuple[float, float]:
-    """Where ``t u`` lies in all half-spaces ``normal . x > slack - height``; (inf, -inf) where it is in none."""
+    """The t for which ``t u`` is in all half-spaces ``normal . x > slack - height``; (inf, -inf) if none is."""
     lo, hi = -np.inf, np.inf
     still = PARALLEL * np.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     for k in range(len(faces_a)):
@@ -434,7 +442,7 @@ def _horizontal_slice(a: Polytope, b: Polytope) -> Array:
     heights = heights - _touch(a, b) / 2
     lengths = np.linalg.norm(normals[:, :2], axis=1)
     level = lengths <= PARALLEL
-    if (heights[level] <= 0).any():
+    if (heights[level] <= 0).any():  # a level facet separates them at any shift
         return np.empty((0, 3))
     planes = np.column_stack([normals[~level, :2], heights[~level]]) / lengths[~level, None]
     low, high = b.bounds[0] - a.bounds[1], b.bounds[1] - a.bounds[0]
@@ -449,6 +457,8 @@ def _polygon_sides(planes: Array) -> NDArray[np.int64]:
 
     Sutherland-Hodgman clipping; empty when the half-planes have nothing in common.
     """
+    # Corner i is (x[i], y[i]); side[i] is the half-plane that bounds the polygon from corner i to corner i + 1.
+    # Two buffers swap after each clip; a clip adds at most one corner.
     k = len(planes)
     x, y, side = np.empty(k + 8), np.empty(k + 8), np.empty(k + 8, np.int64)
     x2, y2, side2 = np.empty(k + 8), np.empty(k + 8), np.empty(k + 8, np.int64)
@@ -469,7 +479,7 @@ def _polygon_sides(planes: Array) -> NDArray[np.int64]:
             if (here >= 0.0) != (there >= 0.0):
                 w = here / (here - there)
                 x2[m], y2[m] = x[i] + w * (x[j] - x[i]), y[i] + w * (y[j] - y[i])
-                side2[m] = p if here >= 0.0 else side[i]
+                side2[m] = p if here >= 0.0 else side[i]  # going out starts the new side, coming in resumes the old one
                 m += 1
         x, y, side, x2, y2, side2, n = x2, y2, side2, x, y, side, m
     return side[:n].copy()
@@ -479,9 +489,9 @@ def _polygon_sides(planes: Array) -> NDArray[np.int64]:
 def _nearest_free(planes: Array, starts: NDArray[np.int64], slack: float) -> Array:
     """The point nearest to the origin that lies in no polygon deeper than ``slack``.
 
-    Polygon p has the half-planes ``planes[starts[p]:starts[p + 1]]``, rows (unit normal, height). That point lies on a
-    side of one of them: sides are gone through, the nearest first, and from the nearest point of each one goes along it
-    both ways, out of one polygon after the other, until it is free, ends, or is farther than what was found.
+    Polygon p has the half-planes ``planes[starts[p]:starts[p + 1]]``, rows (unit normal, height). The point lies on a
+    side of some polygon. Sides are visited by their distance. From the nearest point of a side the search walks along
+    it both ways, out of one polygon after the other. It ends at a free point, at the side's end, or beyond the best.
     """
     if _is_free(0.0, 0.0, planes, starts, slack):
         return np.zeros(2)
@@ -490,7 +500,7 @@ def _nearest_free(planes: Array, starts: NDArray[np.int64], slack: float) -> Arr
     for p in range(len(starts) - 1):
         for i in range(starts[p], starts[p + 1]):
             ends[i] = _across(i, p, planes, starts, 0.0)
-            t = min(max(0.0, ends[i, 0]), ends[i, 1])
+            t = min(max(0.0, ends[i, 0]), ends[i, 1])  # t = 0 is the foot of the origin on the line
             near[i] = np.sqrt(planes[i, 2] ** 2 + t * t) if ends[i, 0] <= ends[i, 1] else np.inf
     best, best_x, best_y = np.inf, 0.0, 0.0
     for i in np.argsort(near):
@@ -520,7 +530,7 @@ def _on_line(i: int, t: float, planes: Array) -> tuple[float, float]:
 
 @kernel
 def _across(i: int, p: int, planes: Array, starts: NDArray[np.int64], slack: float) -> tuple[float, float]:
-    """Where a line is in a polygon, deeper than ``slack``: from and to; a polygon's own side counts as in it."""
+    """The interval of t where line i is inside polygon p, deeper than ``slack``; its own side counts as inside."""
     nx, ny, h = planes[i]
     low, high = -np.inf, np.inf
     for k in range(starts[p], starts[p + 1]):
@@ -587,8 +597,9 @@ def _adjacent(faces: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.i
 
 
 def _coplanar_groups(part: ConvexPart, left: NDArray[np.int64], right: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Label (m,) per triangle: neighbours share one when the smaller lies in the plane of the larger. A sliver lies in
-    the planes of all its neighbours; it joins the largest of them and none to another."""
+    """Label (m,) per triangle: neighbours share one when the smaller lies in the plane of the larger.
+
+    A sliver lies in the planes of all its neighbours. It joins the largest one only, so it links no two facets."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

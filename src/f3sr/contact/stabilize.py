@@ -1,9 +1,9 @@
-"""The smallest shifts after which bodies stand: contact forces and shifts in one linear programme, repeated.
+"""The smallest shifts that make bodies stable: contact forces and shifts in one linear programme, repeated.
 
-Where a body is out of balance, its weight acts beyond its contacts. Shifts of the bodies move weights, and contact
-points follow the bodies whose edges they lie on, so that to first order the equations of balance are linear in forces
-and shifts together. The programme finds the smallest weighted shifts that balance gravity tilted by a wanted margin in
-all directions; then every body is placed on its support anew, contacts are found anew, and so on until it stands.
+The weight of an unbalanced body acts beyond its contacts. Shifts of the bodies move weights, and contact points follow
+the bodies on whose edges they lie. To first order the equations of balance are therefore linear in forces and shifts
+together. The programme finds the smallest weighted shifts that balance gravity tilted by the margin in all directions.
+Then every body is placed on its support again and contacts are found again, until all are stable.
 """
 
 from __future__ import annotations
@@ -91,11 +91,11 @@ def balance(
     max_shifts: Mapping[int, float] | None = None,
     ground_friction: float = DEFAULT_PHYSICS.ground_friction[0],
 ) -> Balanced:
-    """Shift bodies, each with what it carries, so that all stand with the wanted margin.
+    """Shift bodies, each with its subtree, so that all are stable with the margin.
 
-    ``supports``: the main support of every body, GROUND or None. ``weights``: (2, 2) positive definite per id, the cost
-    d' W d of its being d [m] off in x and y; by default 1 / size^2. ``max_shifts`` [m] per id bound how far it may go.
-    What is minimised is the sum of the square roots of these costs, so few bodies move.
+    ``supports``: the main support of every body, GROUND or None. ``weights``: a positive definite W (2, 2) per id.
+    d' W d is the cost of a shift d [m] in x and y; the default is 1 / size^2. ``max_shifts`` [m] per id are bounds.
+    The sum of the square roots of the costs is minimised, so few bodies move.
     """
     state = _State(bodies, supports, config, contact, weights or {}, max_shifts or {}, ground_friction)
     state.seat_all()

@@ -1,4 +1,4 @@
-"""Resting facets: the sides of a body's hull on which it can stand, and the turn that puts it on the nearest one."""
+"""Stable facets: faces of a body's hull on which it can rest, and the rotation onto the nearest one."""
 
 from __future__ import annotations
 

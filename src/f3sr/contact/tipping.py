@@ -1,8 +1,8 @@
-"""How one body comes to lie on what is held still: it turns about its contacts until its weight is between them.
+"""Quasi-static tipping: one body turns about its contacts with fixed bodies until its weight is between them.
 
-Quasi-static and without slip: while the centre of mass is not above the polygon of its contact points, the body turns
-about the side or corner of that polygon that is nearest, the way that lowers the centre, until it meets something new.
-No mass, friction or speed enters, so the same start always ends in the same place.
+There is no slip. While the centre of mass is not above the support polygon, the body turns about the polygon's nearest
+side or corner. It turns in the direction that lowers the centre, until it meets something new. No mass, friction or
+speed enters, so the same start always ends in the same place.
 """
 
 from __future__ import annotations
@@ -260,8 +260,9 @@ def _first_meeting(excess: Callable[[float], float]) -> float:
 
 
 def _way_out(corners: Array, center: Array, rolling: float) -> tuple[Array, Array] | None:
-    """The nearest side or corner (point, axis) of a support polygon (k, 3) that does not hold the centre, nor within
-    ``rolling`` [m] of it."""
+    """The nearest side or corner (point, axis) of a support polygon (k, 3) to a centre outside it.
+
+    None where the centre is inside or within ``rolling`` [m] of it."""
     c = center[:2]
     if len(corners) > 2:
         starts, ends = corners[:, :2], np.roll(corners[:, :2], -1, axis=0)

@@ -17,7 +17,7 @@ CELLS = 96
 LOOKS = 2
 """The second one is taken in a few cells around what the first one finds."""
 THROUGH = 5e-5
-"""Meshes may lie this deep in one another where they are still taken to touch [m]; deeper is under an overhang."""
+"""Largest overlap of two meshes that counts as contact [m]; a deeper one belongs to an overhang."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -15,7 +15,8 @@ from f3sr.core.transforms import Array, frozen, invert_pose, pose, transform
 class Camera:
     """A pinhole camera with an exact, possibly off-centre K.
 
-    ``K`` (3, 3) in pixels, ``T_world_camera`` (4, 4) rigid, ``width`` and ``height`` in pixels.
+    ``K`` (3, 3) in pixels, ``T_world_camera`` (4, 4) rigid, ``width`` and ``height`` in pixels. Axes are OpenCV's:
+    x right, y down, z forward. Pixel (0, 0) is the top-left corner of the image, so pixel centres lie at +0.5.
     """
 
     width: int
@@ -29,6 +30,7 @@ class Camera:
 
     @cached_property
     def T_camera_world(self) -> Array:
+        """(4, 4), maps world points into camera axes."""
         return invert_pose(self.T_world_camera)
 
     @property
@@ -37,10 +39,11 @@ class Camera:
         return self.T_world_camera[:3, 3]
 
     def to_camera(self, points_world: Array) -> Array:
+        """World points (n, 3) in camera axes (n, 3) [m]."""
         return transform(self.T_camera_world, points_world)
 
     def project(self, points_world: Array) -> tuple[Array, Array]:
-        """Pixels (n, 2) and z-depths (n,) [m] of world points (n, 3)."""
+        """Pixels (n, 2) and z-depths (n,) [m] of world points (n, 3). Pixels are not finite at depth 0."""
         points_camera = self.to_camera(points_world)
         z = points_camera[:, 2]
         homogeneous = points_camera @ self.K.T
@@ -48,17 +51,18 @@ class Camera:
             return homogeneous[:, :2] / homogeneous[:, 2:], z
 
     def homothety(self, k: float) -> Array:
-        """The T (4, 4) with which x -> T (k x) is X -> C + k (X - C) about the camera's centre C.
+        """The rigid T (4, 4) for which x -> T (k x) equals X -> C + k (X - C), with C the camera centre.
 
-        Every point stays on its viewing ray, so no silhouette changes.
+        Every point stays on its viewing ray, so no silhouette changes. Pass it to ``SceneObject.moved`` with scale k.
         """
         return pose(t=(1 - k) * self.center)
 
     def moved(self, T_world_camera: Array) -> Self:
+        """The same lens in another pose (4, 4)."""
         return replace(self, T_world_camera=T_world_camera)
 
     def zoomed(self, factor: float) -> Self:
-        """The same place and pixels with ``factor`` times the focal lengths."""
+        """The same pose and pixels with ``factor`` times the focal lengths."""
         K = self.K.copy()
         K[:2, :2] *= factor
         return replace(self, K=K)
@@ -74,7 +78,7 @@ class Camera:
         return self.resized(max(1, round(self.width * scale)), max(1, round(self.height * scale)))
 
     def cropped(self, x: int, y: int, width: int, height: int) -> Self:
-        """The view of the pixels from column ``x`` and row ``y`` on; it may reach beyond the image."""
+        """The view of ``width`` x ``height`` pixels from column ``x`` and row ``y`` on; it may exceed the image."""
         K = self.K.copy()
         K[:2, 2] -= [x, y]
         return replace(self, width=width, height=height, K=K)

@@ -15,7 +15,7 @@ from f3sr.core.transforms import Array, frozen, transform
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Material:
-    """Unlit appearance after glTF: ``base_color`` times the texture times the vertex colour."""
+    """Unlit appearance as in glTF: ``base_color`` times texture times vertex colour."""
 
     base_color: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Linear factor per channel in [0, 1], applied to the sRGB texture value as the viewers of this field do."""
@@ -25,10 +25,11 @@ class Material:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Mesh:
-    """A triangle mesh in one frame.
+    """A triangle mesh in one frame; scenes hold it in the asset frame, in the asset's unit.
 
-    ``vertices`` (n, 3) float64; ``faces`` (m, 3) int32; ``uv`` (n, 2) with origin at the image's bottom left;
-    ``vertex_colors`` (n, 3) uint8 sRGB; ``face_material`` (m,) int32 indexes ``materials``.
+    ``vertices`` (n, 3) float64; ``faces`` (m, 3) int32; ``uv`` (n, 2) with origin at
+    the image's bottom left; ``vertex_colors`` (n, 3) uint8 sRGB; ``face_material`` (m,) int32 indexes ``materials``.
+    Arrays are read-only.
     """
 
     vertices: Array
@@ -49,13 +50,13 @@ class Mesh:
         object.__setattr__(self, "face_material", frozen(material, np.int32))
 
     def with_vertices(self, vertices: Array) -> Self:
-        """The same triangles and appearance at other places."""
+        """The same triangles and appearance with other vertices (n, 3)."""
         from dataclasses import replace
 
         return replace(self, vertices=vertices)
 
     def without_unused(self) -> Self:
-        """The same triangles without vertices that none of them uses: a stray one would count as the mesh's extent."""
+        """The same triangles without unused vertices: a stray one would enlarge the bounds."""
         from dataclasses import replace
 
         used = np.unique(self.faces)
@@ -71,23 +72,26 @@ class Mesh:
 
     @property
     def has_detail(self) -> bool:
-        """Whether its colours differ from place to place."""
+        """Whether colours vary over the surface: it has a texture or vertex colours."""
         textured = self.uv is not None and any(m.texture is not None and m.texture.size > 4 for m in self.materials)
         return textured or self.vertex_colors is not None
 
     @cached_property
     def bounds(self) -> Array:
-        """(2, 3) lowest and highest corner."""
+        """Lowest and highest corner (2, 3)."""
         return np.stack([self.vertices.min(0), self.vertices.max(0)])
 
     @property
     def diagonal(self) -> float:
+        """Diagonal of the bounding box: the size of an unscaled object."""
         return float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
 
     @cached_property
     def weld(self) -> tuple[Array, NDArray[np.int32]]:
-        """The different places (k, 3) of the vertices, which texture seams split, in order of x, y and z, and which of
-        them each vertex (n,) is at."""
+        """The distinct positions (k, 3) of the vertices, sorted by x, y, z, and the position index (n,) of each vertex.
+
+        Texture seams split vertices, so topology needs positions.
+        """
         order = np.lexsort(self.vertices.T[::-1])
         placed = self.vertices[order]
         new = np.ones(len(order), np.bool_)
@@ -98,7 +102,7 @@ class Mesh:
 
     @cached_property
     def welded(self) -> tuple[Array, NDArray[np.int32]]:
-        """Vertices and faces after merging vertices at equal places and dropping triangles that collapse."""
+        """Vertices (k, 3) and faces (j, 3) with equal positions merged and collapsed triangles dropped."""
         places, place = self.weld
         faces = place[self.faces]
         a, b, c = faces.T
@@ -111,7 +115,7 @@ class Mesh:
 
     @cached_property
     def stored_volume(self) -> float:
-        """Volume within the surface where each undirected edge belongs to two faces without welding, else infinite."""
+        """Volume of the surface if each undirected edge has two faces without welding, otherwise infinite."""
         f = self.faces.astype(np.int64)
         edges = np.sort(np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]]), axis=1)
         _, counts = np.unique(edges[:, 0] * (f.max() + 1) + edges[:, 1], return_counts=True)
@@ -119,8 +123,11 @@ class Mesh:
 
     @cached_property
     def is_solid(self) -> bool:
-        """True when the welded surface is closed, consistently wound and outward, no shell in another facing the same
-        way, and does not cross itself so much that no body could have its inertia: then it has a volume."""
+        """Whether the welded surface bounds a solid with a well-defined volume.
+
+        It must be closed, consistently wound and outward. No shell lies in another that faces the same way. It does not
+        cross itself so much that no body could have its inertia.
+        """
         vertices, faces = self.welded
         if not is_closed(faces) or signed_volume(vertices, faces) <= 0 or has_layers(vertices, faces):
             return False
@@ -129,7 +136,7 @@ class Mesh:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ConvexPart:
-    """A convex polytope: ``vertices`` (n, 3), outward ``faces`` (m, 3); every vertex is a corner."""
+    """A convex polytope: ``vertices`` (n, 3), outward ``faces`` (m, 3). Every vertex is a corner of the hull."""
 
     vertices: Array
     faces: NDArray[np.int32]
@@ -161,19 +168,19 @@ class ConvexPart:
 
     @cached_property
     def volume(self) -> float:
+        """Enclosed volume, in cubes of the unit of ``vertices``."""
         return signed_volume(self.vertices, self.faces)
 
     @cached_property
     def centroid(self) -> Array:
-        """Middle (3,) of the solid."""
+        """Centre of volume (3,)."""
         origin = self.vertices.mean(0)
         a, b, c = (self.vertices[self.faces[:, k]] - origin for k in range(3))
         volumes = np.einsum("ij,ij->i", a, np.cross(b, c))
         return frozen(origin + volumes @ (a + b + c) / (4 * volumes.sum()))
 
     def above(self, normal: Array, offset: float) -> ConvexPart:
-        """What of it is on the upper side of a plane ``normal . x = offset``. Raises ValueError where that has no
-        volume."""
+        """The part above the plane ``normal . x = offset``. Raises ValueError if that has no volume."""
         height = self.vertices @ normal - offset
         if (height >= 0).all():
             return self
@@ -199,7 +206,7 @@ class MassProperties:
 
     @property
     def is_possible(self) -> bool:
-        """Whether some body has that inertia: principal moments are positive, none exceeds the sum of the others."""
+        """Whether a body can have this inertia: principal moments are positive, none exceeds the sum of the others."""
         a, b, c = np.linalg.eigvalsh(self.inertia)
         return bool(a > 0 and a + b >= c * (1 - 1e-9))
 
@@ -230,7 +237,7 @@ class Flaws:
     turned: int
     """Edges that their two triangles run through in the same direction."""
     layers: bool
-    """Shells lie in one another, facing the same way."""
+    """Nested shells face the same way."""
 
     def __str__(self) -> str:
         named = {
@@ -245,7 +252,7 @@ class Flaws:
 
 
 def surface_flaws(mesh: Mesh) -> Flaws:
-    """Count the flaws of the welded surface of a mesh; a solid has none but triangles of no area."""
+    """Count the flaws of the welded surface of a mesh. A solid may only have triangles of no area."""
     vertices, faces = mesh.welded
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     degenerate = len(mesh.faces) - int(np.cross(b - a, c - a).any(1).sum())
@@ -269,14 +276,14 @@ def surface_flaws(mesh: Mesh) -> Flaws:
 
 
 def _is_closed(faces: NDArray[np.int32]) -> bool:
-    """Whether every directed edge of a surface (m, 3) has one against it, and no twin."""
+    """Whether every directed edge of a surface (m, 3) occurs once and its reverse once."""
     start, end = faces.ravel().astype(np.int64), np.roll(faces, -1, axis=1).ravel().astype(np.int64)
     there, back = (np.sort(a * (faces.max() + 1) + b) for a, b in ((start, end), (end, start)))
     return bool(np.array_equal(there, back) and (np.diff(there) > 0).all())
 
 
 def _turned_alike(faces: NDArray[np.int32], neighbors: NDArray[np.int32], first: int) -> NDArray[np.int32]:
-    """Triangles (m, 3) turned as the ``first`` one is, from neighbour to neighbour."""
+    """Triangles (m, 3) with the winding of the ``first`` one, propagated from neighbour to neighbour."""
     faces, waiting, seen = faces.copy(), [first], {first}
     while waiting:
         f = waiting.pop()
@@ -290,14 +297,14 @@ def _turned_alike(faces: NDArray[np.int32], neighbors: NDArray[np.int32], first:
 
 
 def signed_volume(vertices: Array, faces: NDArray[np.int32]) -> float:
-    """Volume enclosed by a closed outward surface (divergence theorem)."""
+    """Volume of a closed outward surface (divergence theorem): the sum of det(a, b, c) / 6 over triangles."""
     v = vertices - vertices.mean(0)
     a, b, c = (v[faces[:, k]] for k in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
 def has_layers(vertices: Array, faces: NDArray[np.int32]) -> bool:
-    """Whether outward shells of a closed surface overlap by more than a thousandth: their sum counts space twice."""
+    """Whether outward shells of a closed surface overlap by more than .001 of their volume: their sum counts twice."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -342,9 +349,9 @@ def mass_properties(vertices: Array, faces: NDArray[np.int32]) -> MassProperties
 
 
 def solid_properties(mesh: Mesh, parts: Sequence[ConvexPart]) -> tuple[MassProperties, bool]:
-    """Mass properties of the mesh when it is solid, else of the union of its convex parts.
+    """Mass properties of the mesh if it is solid, otherwise of the union of its convex parts.
 
-    Returns the properties in the mesh's frame and whether the visual mesh itself was used.
+    Returns the properties at density 1 in the mesh's frame, and whether the mesh itself was used.
     """
     if mesh.is_solid:
         return mass_properties(*mesh.welded), True

@@ -1,8 +1,8 @@
 """The one reader of .npz and .npy files, and the writer of those in packages and rollouts.
 
-Nothing in a file is believed before it is checked: the directory of the archive, then the header of every array that
-somebody asked for. Headers are matched against their grammar, never evaluated. Memory is taken only for an array whose
-kind, shape and size were accepted; arrays that nobody asked for are not opened.
+A file is untrusted. The directory of the archive is checked first, then the header of every requested array. Headers
+are matched against their grammar, never evaluated. Memory is allocated only for arrays of accepted kind, shape and
+size. Other arrays are not opened.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _ENTRY_BYTES = 46
 class Wanted:
     """An array that a reader asks for.
 
-    ``shape`` has a length per axis, or a name where any will do; axes of one name in a file have one length.
+    ``shape`` has a length per axis, or a name for any length. Axes with one name have one length within a file.
     """
 
     kinds: str = NUMBERS
@@ -109,7 +109,7 @@ def read(
 
 
 def read_all(stream: IO[bytes], where: str, *, most_bytes: int = MAX_ARRAY_BYTES) -> dict[str, NDArray[Any]]:
-    """Every array of an archive that f3sr wrote, of whatever shape. Raises InputError, with ``where`` for its name."""
+    """Every array of an archive that f3sr wrote, of any shape. Raises InputError, with ``where`` for its name."""
     return _Archive.of(stream, where, "arrays that f3sr wrote", most_bytes).all()
 
 

@@ -27,7 +27,7 @@ def read(file: Path, *, most: int = MAX_JSON_BYTES, accepted: str = "a JSON docu
 
 
 def loads(data: bytes) -> Any:
-    """The value of a JSON text, with or without byte order mark; ValueError says in a few words what is wrong."""
+    """The value of a JSON text, with or without byte order mark. Raises ValueError with a short reason."""
     try:
         return json.loads(
             data.decode("utf-8-sig"), object_pairs_hook=_once, parse_constant=_no_number, parse_int=_whole

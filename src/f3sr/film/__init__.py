@@ -32,9 +32,9 @@ def make_film(
 ) -> Mapping[str, bytes]:
     """The bytes of film.mp4, film.png and player.html, by name; the same for the same rollout and pictures.
 
-    ``scene`` is a package's. ``draw`` is asked for every frame once, in order. ``slow``: how many times slower than
-    life; then the plan is played again with more samples, and the speed is written on every frame. Raises InputError
-    where that gives another motion or a frame cannot be filmed, OutputError where the encoder fails.
+    ``scene`` is a package's. ``draw`` is called for every frame once, in order, with poses (N, 4, 4). ``slow`` is the
+    factor of slow motion: the plan is played again with more samples, and every frame shows the speed. Raises
+    InputError if that gives another motion or a frame cannot be filmed, OutputError if the encoder fails.
     """
     slow = factor(slow)
     drawn = finer(scene, plan, rollout, slow)

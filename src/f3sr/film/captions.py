@@ -110,8 +110,7 @@ def shortened(text: str, fits: Callable[[str], bool]) -> str:
 
 
 def wrapped(text: str, letters: ImageFont.FreeTypeFont, width: int, lines: int) -> list[str]:
-    """The text in at most so many lines of at most so many pixels; words longer than a line, and the last line, are
-    cut."""
+    """The text wrapped to at most so many lines of at most so many pixels. Long words and the last line are cut."""
     found: list[str] = []
     words = plain(text).split(" ")
     while words and len(found) < lines:

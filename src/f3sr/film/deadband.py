@@ -9,8 +9,10 @@ from f3sr.scene import Scene
 
 
 class Held:
-    """Called with the poses of one frame after another; each object's last pose, at first that of the scene at rest, is
-    kept until a corner of its box is seen more than ``tolerance`` [px] from where it was seen in that."""
+    """A dead band on motion, called with the poses (N, 4, 4) of one frame after another.
+
+    Each object keeps its last pose, at first that of the scene at rest. A new pose is taken when a corner of its box
+    has moved by more than ``tolerance`` [px] in the picture."""
 
     def __init__(self, scene: Scene, tolerance: float) -> None:
         self._camera, self._tolerance = scene.camera, tolerance

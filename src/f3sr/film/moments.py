@@ -49,9 +49,10 @@ class Moment:
 
 
 def key_moments(scene: Scene, plan: Plan, rollout: Rollout, verdict: Verdict) -> tuple[Moment, ...]:
-    """At most ``MOST`` moments by time: start, what sets off the active object, its first contact with the target, the
-    top of its flight, every met condition's event, the end; at least ``FEWEST`` where the rollout has as many frames
-    that differ."""
+    """At most ``MOST`` moments, ordered by time; at least ``FEWEST`` if the rollout has as many different frames.
+
+    They are the start, the launch of the active object, its first contact with the target and the top of its flight.
+    The event of every met condition and the end follow."""
     seen = Seen(rollout, scene)
     found = _merged(sorted(_events(seen, plan, verdict), key=lambda m: (m.frame, m.rank)))
     while len(found) > MOST:
@@ -150,7 +151,7 @@ def _impact(seen: Seen, plan: Plan, verdict: Verdict) -> Iterator[Moment]:
 
 
 def _merged(moments: list[Moment]) -> list[Moment]:
-    """Moments of a frame, or so close that they look the same, as one, at the last of their frames; the start stays."""
+    """Merge moments of one frame, or so close that they look alike, at their last frame. The start stays."""
     groups = list[list[Moment]]()
     for m in moments:
         last = groups[-1][-1] if groups else None

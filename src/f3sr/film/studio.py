@@ -24,7 +24,7 @@ from f3sr.settings import settings
 from f3sr.vision.silhouette import resample
 
 STANDS = 0.01
-"""Height over the plane of the support up to which something counts as on it [m]."""
+"""Height above the support plane up to which an object counts as on it [m]."""
 
 
 @settings
@@ -42,7 +42,7 @@ class FilmConfig:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Filmed:
-    """The files of a film by name, how many frames it has, and what its maker decided that a user should know."""
+    """The files of a film by name, its number of frames, its size, and decisions for the user."""
 
     files: Mapping[str, bytes]
     frames: int
@@ -53,7 +53,7 @@ class Filmed:
 
 @dataclass(frozen=True, eq=False)
 class Studio:
-    """A package's scene, light and background made ready for films of any number of goals."""
+    """A package's scene, light and background, prepared once for films of any number of goals."""
 
     scene: Scene
     renderer: Renderer
@@ -62,7 +62,10 @@ class Studio:
 
     @classmethod
     def of(cls, package: Package, config: FilmConfig | None = None) -> Self:
-        """Raises InputError where what the package holds for films is damaged or not of the photo's size."""
+        """Fit the light and complete the background if needed: about 1 s for ten objects.
+
+        Raises InputError if a film file of the package is damaged or has another size than the photo.
+        """
         config = config or FilmConfig()
         background, told = _background(package)
         support = package.support()
@@ -77,7 +80,7 @@ class Studio:
         return cls(scene, renderer, config, (*told, *renderer.decisions))
 
     def film(self, played: Played) -> Filmed:
-        """The same bytes for the same package, rollout and settings, whatever was filmed before."""
+        """Film a goal. Equal package, rollout and settings give equal bytes, whichever films came before."""
         slow = Fraction(self.config.slow).limit_denominator(1000)
         held = Held(self.scene, self.config.still)
         frames = 0
@@ -93,7 +96,7 @@ class Studio:
         return Filmed(files=files, frames=frames, size=size, decisions=(*self.told, *self._beyond(played)))
 
     def _beyond(self, played: Played) -> Iterator[str]:
-        """Objects that end on the plane of the support but not on what the photo shows of it: physics knows no edge."""
+        """Decisions on objects that end outside the visible support: the ground has no edge in physics."""
         support, camera = self.scene.ground_mask, self.scene.camera
         if support is None:
             return
@@ -106,11 +109,14 @@ class Studio:
             inside = depth > 0 and 0 <= u < camera.width and 0 <= v < camera.height
             if inside and not support[int(v), int(u)]:
                 name = o.label or f"object {o.id}"
-                yield f"{name} ends beyond the edge of what the photo shows it on: in physics the ground has no edge"
+                yield f"{name} ends beyond the edge of its support in the photo: in physics the ground has no edge"
 
 
 def film_played(package: Package, played: Played, config: FilmConfig | None = None) -> Filmed:
-    """Film what was played in a package's scene: ``Studio.of(package, config).film(played)``."""
+    """Film a played goal from the photo's camera: ``Studio.of(package, config).film(played)`` (docs: film).
+
+    ``played`` must be a goal of the same package. Raises InputError if a film file of the package is damaged.
+    """
     return Studio.of(package, config).film(played)
 
 
@@ -127,7 +133,7 @@ def _background(package: Package) -> tuple[NDArray[np.uint8], tuple[str, ...]]:
 def _limited(
     scene: Scene, background: NDArray[np.uint8], kept: NDArray[np.float32] | None, longest: int
 ) -> tuple[Scene, NDArray[np.uint8], NDArray[np.float32] | None]:
-    """The scene with at most so many pixels on its longer side, and the background and its depths with as many."""
+    """The scene, background and kept depths with at most ``longest`` pixels on the longer side."""
     camera = scene.camera.limited(longest)
     width, height = camera.width, camera.height
     if (width, height) == (scene.camera.width, scene.camera.height):

@@ -20,8 +20,10 @@ CRF = 18
 """x264's constant rate factor: errors that are not seen, at 250 to 450 kB a second of 960x720."""
 PRESET = "veryfast"
 KEY_SECONDS = 4.0
-"""Film time between key frames [s]: a player that is asked for a frame decodes from the key frame before it, but at
-each the grain of what stands still is another by a level."""
+"""Film time between key frames [s].
+
+A player decodes from the key frame before the wanted one, so short is quick. At each key frame still grain changes by
+a level, so short pulses."""
 SMALLEST, LARGEST = 16, 8192
 """Sides of a frame [px]; players decode no larger ones."""
 FASTEST = 240
@@ -144,7 +146,7 @@ def even(rgb: Picture) -> Picture:
 def yuv420(rgb: Picture) -> NDArray[np.uint8]:
     """(3 h / 2, w): Y, then U and V at half the size, of an even-sized picture; BT.709 in limited range.
 
-    Rounded, not cut off as swscale does it, which darkens a film by one level; a chroma sample is the mean of its four
+    Values are rounded; swscale truncates, which darkens a film by one level. A chroma sample is the mean of its four
     pixels. In integers: the same bytes on every machine."""
     rows = rgb[0::2].astype(np.int32) + rgb[1::2]
     fours = rows[:, 0::2] + rows[:, 1::2]

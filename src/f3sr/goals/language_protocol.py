@@ -1,6 +1,6 @@
-"""The language Protocol: three plain steps from words to something that can be played, for rules or for a model.
+"""The language Protocol: three steps from words to a launch, for rules or for a model (docs: goals).
 
-Only these typed values pass; ``checks`` looks at every one of them in the same way, whoever made it.
+Only these typed values pass; ``checks`` validates each of them, regardless of the implementation.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from f3sr.scene import Scene
 
 @dataclass(frozen=True, kw_only=True)
 class Launch:
-    """How the active object is set off, and how long to look (the Builder's answer)."""
+    """How the active object is launched, and the simulation's length and step (the Builder's answer)."""
 
     initial: InitialConditions
     simulation: SimulationPlan
@@ -26,7 +26,7 @@ class Launch:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Tried:
-    """A launch and what came of it."""
+    """A launch with its rollout and verdict."""
 
     launch: Launch
     rollout: Rollout
@@ -34,17 +34,19 @@ class Tried:
 
 
 class Language(Protocol):
+    """Words to tasks, tasks to physical properties, tasks to launches; implement it to add a language model."""
+
     def plan(self, goal: str, scene: Scene) -> Sequence[TaskSpec] | Refusal:
-        """The Planner: what the words ask for, the strictest reading first; a reading that cannot be met gives way to
-        the next."""
+        """The Planner: the typed readings of the words, strictest first. A reading that cannot be met gives way to the
+        next. A Refusal explains words that cannot be read."""
         ...
 
     def reason(self, task: TaskSpec, scene: Scene) -> Sequence[Semantics]:
-        """The Reasoner: what every object is to physics."""
+        """The Reasoner: physical properties of every object, in the order of the scene."""
         ...
 
     def build(
         self, task: TaskSpec, semantics: Sequence[Semantics], scene: Scene, tried: Sequence[Tried]
     ) -> Sequence[Launch] | Refusal:
-        """The Builder: launches to try next after all that were tried; none where it knows of no other."""
+        """The Builder: launches to try next, given all trials so far; empty if it has no other."""
         ...

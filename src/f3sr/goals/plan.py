@@ -1,6 +1,6 @@
-"""plan.json: what a goal asks for, what things are made of, how the active one is set off, what must come of it.
+"""plan.json: task, materials, initial conditions, simulation settings and success conditions of a goal.
 
-Every number has a limit. They hold for any scene; whether a plan suits one is for whoever makes it.
+Every number has a limit that holds for any scene. ``checks`` tests whether a plan fits one scene.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Kind = Literal[
     "launch_and_return",
 ]
 Way = Literal["into", "onto", "against", "towards", "to", "at", "over", "off", "away-from"]
-"""How a target is meant."""
+"""How the words relate the active object to the target."""
 Manner = Literal["gently", "hard"]
 Seconds = Annotated[float, Field(ge=0, le=60, allow_inf_nan=False)]
 Metres = Annotated[float, Field(ge=0, le=100, allow_inf_nan=False)]
@@ -56,7 +56,7 @@ class _Record(BaseModel):
 
 class _Condition(_Record):
     after: Annotated[int, Field(ge=0)] | None = None
-    """Index of an earlier condition: this one's event counts only from that one's event on."""
+    """Index of an earlier condition: the event counts only after that condition's event."""
     within: Seconds | None = None
     """Latest time of the event [s]."""
 
@@ -70,8 +70,9 @@ class Contact(_Condition):
 
 
 class Displaced(_Condition):
-    """The centre of mass is moved at least so far, along a direction of the world where one is given (and then no
-    farther aside than along), and at the end at most so far."""
+    """The centre of mass moves by at least ``at_least`` [m], and by at most ``at_most`` [m] at the end.
+
+    With a ``direction`` of the world it moves along it, no farther sideways than along."""
 
     type: Literal["displaced"] = "displaced"
     a: Id
@@ -81,7 +82,7 @@ class Displaced(_Condition):
 
 
 class Toppled(_Condition):
-    """What was up leans at least so far from the vertical that it had."""
+    """At the end the object's initial up direction leans from the vertical by at least ``at_least`` [rad]."""
 
     type: Literal["toppled"] = "toppled"
     a: Id
@@ -89,7 +90,7 @@ class Toppled(_Condition):
 
 
 class Upright(_Condition):
-    """At the end what was up leans at most so far."""
+    """At the end the object's initial up direction leans from the vertical by at most ``at_most`` [rad]."""
 
     type: Literal["upright"] = "upright"
     a: Id
@@ -97,7 +98,7 @@ class Upright(_Condition):
 
 
 class Rolled(_Condition):
-    """It turns by at least so much [rad] about axes that lie across its way."""
+    """It rotates by at least ``at_least`` [rad] about axes across its path."""
 
     type: Literal["rolled"] = "rolled"
     a: Id
@@ -105,7 +106,7 @@ class Rolled(_Condition):
 
 
 class Bounced(_Condition):
-    """After it touched the other, or the ground, its centre of mass rises again by at least so much."""
+    """After contact with ``b`` the centre of mass rises again by at least ``at_least`` [m]."""
 
     type: Literal["bounced"] = "bounced"
     a: Id
@@ -114,8 +115,9 @@ class Bounced(_Condition):
 
 
 class Over(_Condition):
-    """It passes above the other: its lowest point above the other's highest while its centre is within the other's
-    outline seen from above."""
+    """It passes above the other: its lowest point is above the other's highest one.
+
+    Its centre is then within the other's outline, seen from above."""
 
     type: Literal["over"] = "over"
     a: Id
@@ -179,22 +181,22 @@ Condition = Annotated[
 
 
 class TaskSpec(_Record):
-    """What the words ask for (the Planner's answer)."""
+    """The typed reading of the words (the Planner's answer)."""
 
     kind: Kind
     active: Id
-    """The one object that is set off."""
+    """The one object that is launched."""
     target: IdOrGround | None = None
     way: Way | None = None
     passives: tuple[Id, ...] = ()
-    """Other objects that it takes along, as they rest on or in the active one or the target; they stay free."""
+    """Objects that rest on or in the active one or the target, and may move with it; they stay free."""
     direction: Direction3 | None = None
     """Unit vector of the world."""
     amount: Metres | None = None
-    """How far it is to go, or how high it is to rise or to be let go [m]."""
+    """Distance to go, height to rise, or height of the release [m]."""
     manner: Manner | None = None
     phases: tuple[Words, ...] = ()
-    """What causes what, in order, in words."""
+    """Phases of the motion in causal order, in words."""
     conditions: Annotated[tuple[Condition, ...], Field(min_length=1, max_length=16)]
     interpretation: Words
     assumptions: tuple[Words, ...] = ()
@@ -213,7 +215,7 @@ class TaskSpec(_Record):
 
 
 class Semantics(_Record):
-    """What an object is to physics (the Reasoner's answer)."""
+    """Physical properties of an object (the Reasoner's answer)."""
 
     id: Id
     material: Annotated[str, Field(max_length=80)]
@@ -227,7 +229,7 @@ class Semantics(_Record):
     """[m]"""
     restitution: Share
     damping: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] = 0.0
-    """[1/s]: the rate at which it loses speed by itself, in the air too; the rules leave it at nothing."""
+    """[1/s]: rate of velocity loss, in the air too; the rules leave it at 0."""
     mobility: Mobility
     source: Source
 
@@ -236,8 +238,7 @@ class Semantics(_Record):
 
 
 class Offset(_Record):
-    """An object starts elsewhere than the package has it: shifted [m], then turned about its centre of mass by a
-    rotation vector [rad]."""
+    """A start pose other than the package's: a shift [m], then a rotation vector [rad] about the centre of mass."""
 
     id: Id
     translation: Push3 = (0.0, 0.0, 0.0)
@@ -245,7 +246,7 @@ class Offset(_Record):
 
 
 class Velocity(_Record):
-    """Of the centre of mass [m/s] and of turning [rad/s], both in the world, at the start."""
+    """Velocity of the centre of mass [m/s] and angular velocity [rad/s] at the start, both in the world."""
 
     id: Id
     linear: Push3 = (0.0, 0.0, 0.0)
@@ -253,13 +254,12 @@ class Velocity(_Record):
 
 
 class Impulse(_Record):
-    """Given to an object from a time on [s]: of its centre of mass [N s], and of turning about it [N m s], both in the
-    world."""
+    """An impulse on an object from a time on [s]: at its centre of mass [N s], and angular [N m s], in the world."""
 
     id: Id
     time: Seconds
     duration: Seconds = 0.0
-    """Spread evenly over so long [s], a steady push; 0 is a blow."""
+    """Duration [s] over which a constant force gives the impulse; 0 acts in one step."""
     linear: Push3 = (0.0, 0.0, 0.0)
     angular: Push3 = (0.0, 0.0, 0.0)
 
@@ -283,20 +283,20 @@ class InitialConditions(_Record):
 
 
 class Limits(_Record):
-    """What setting off the active object may take; it suits the size of the scene."""
+    """Limits of the active object's launch, for the size of the scene."""
 
     speed: Limit
-    """Of its centre of mass when it is set off [m/s]; of turning, of its fastest point, twice that."""
+    """Initial speed of its centre of mass [m/s]; by rotation its fastest point may have twice that."""
     impulse: Limit
-    """Of one blow, and what a speed at the start gives it [N s]."""
+    """One impulse, and the momentum of an initial velocity [N s]."""
     force: Limit
-    """Of a steady push [N]; of turning, at the arm of its farthest point."""
+    """Force of a push [N]; for a torque, at the arm of its farthest point."""
     lift: Limit
-    """Of an offset [m]."""
+    """Length of an offset [m]."""
 
 
 class SimulationPlan(_Record):
-    """How it is simulated."""
+    """Settings of the simulation."""
 
     duration: Annotated[float, Field(gt=0, le=30, allow_inf_nan=False)]
     """[s]"""
@@ -305,7 +305,7 @@ class SimulationPlan(_Record):
     steps_per_sample: Annotated[int, Field(ge=1, le=1000)] = 32
     """A sample every so many steps: 30 in a second."""
     limits: Limits | None = None
-    """That the initial conditions keep."""
+    """Limits that the initial conditions keep."""
 
     @model_validator(mode="after")
     def _ends(self) -> SimulationPlan:
@@ -324,7 +324,7 @@ class SimulationPlan(_Record):
 
 
 class Plan(_Record):
-    """Everything that decides a rollout of one scene."""
+    """Everything that determines a rollout of one scene, to the byte (docs: goals)."""
 
     schema_version: Version = SCHEMA_VERSION
     goal: Words
@@ -336,7 +336,7 @@ class Plan(_Record):
     initial: InitialConditions
     simulation: SimulationPlan
     rollouts: Annotated[int, Field(ge=0)] = 0
-    """How many it took to find."""
+    """Number of rollouts of the search that found it."""
 
 
 def to_json(plan: Plan) -> bytes:

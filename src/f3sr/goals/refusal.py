@@ -1,4 +1,4 @@
-"""What is refused: for which reason, told in one line, and what could be said instead."""
+"""Refusals of goals: the reason, one line for people, and words that would be understood."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ Reason = Literal[
     "impossible",
 ]
 SHOWN = 60
-"""Characters of somebody's words that a message repeats."""
+"""Most characters of a user's words that a message repeats."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Refusal:
-    """Why words are not acted on, and the phrases that would be understood in their place."""
+    """Why a goal is refused. ``candidates`` are phrases that would be understood in place of the refused words."""
 
     reason: Reason
     message: str
-    """One line that any terminal can show."""
+    """One printable line."""
     candidates: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -58,7 +58,7 @@ def refuse(reason: Reason, message: str, candidates: tuple[str, ...] = ()) -> No
 
 
 def quoted(words: str) -> str:
-    """Somebody's words inside a message, cut where they are long."""
+    """A user's words inside a message, shortened to SHOWN characters."""
     return f"'{words if len(words) <= SHOWN else words[: SHOWN - 3] + '...'}'"
 
 

@@ -1,4 +1,4 @@
-"""The rollout: where every object is at every sample, and what touched what how hard in between."""
+"""The rollout: the pose of every object at every sample, and the contact forces in between."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from f3sr.scene import GROUND
 from f3sr.scene_package.bounds import FARTHEST, MAX_OBJECTS
 
 CONTACT = np.dtype([("time", np.float64), ("a", np.int64), ("b", np.int64), ("force", np.float64)])
-"""A row of ``contacts``: time [s] of the largest normal force [N] between two ids since the sample before, the ground
-GROUND and first, else the lower id."""
+"""A row of ``contacts``: time [s] and largest normal force [N] between two ids since the sample before.
+
+``a`` is the lower id; the ground is GROUND, -1."""
 MAX_SAMPLES = 1001
 """Samples of a rollout: a hundred in each of ten seconds, and the first."""
 MAX_CONTACTS = 10_000_000
@@ -27,7 +28,10 @@ MAX_CONTACTS = 10_000_000
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Rollout:
-    """``time`` (T,) [s], ``ids`` (N,), ``T_world_object`` (T, N, 4, 4), ``contacts`` (C,) of CONTACT, by time."""
+    """Samples of a simulation: ``time`` (T,) [s], ``ids`` (N,), poses ``T_world_object`` (T, N, 4, 4) [m].
+
+    ``contacts`` (C,) are rows of CONTACT, ordered by time. Raises ValueError if shapes disagree.
+    """
 
     time: Array
     ids: NDArray[np.int64]
@@ -42,10 +46,11 @@ class Rollout:
             object.__setattr__(self, name, frozen(getattr(self, name), dtype))
 
     def poses(self, id: int) -> Array:
-        """(T, 4, 4) of an object."""
+        """Poses (T, 4, 4) of an object in the world [m]. Raises KeyError for an unknown id."""
         return self.T_world_object[:, self.row(id)]
 
     def row(self, id: int) -> int:
+        """Index of an object in ``ids`` and the second axis of ``T_world_object``. Raises KeyError."""
         found = np.flatnonzero(self.ids == id)
         if not len(found):
             raise KeyError(f"no object {id}; the rollout has {self.ids.tolist()}")
@@ -63,7 +68,7 @@ def to_npz(rollout: Rollout) -> bytes:
 
 
 def from_npz(file: Path) -> Rollout:
-    """A rollout that was written; InputError names the file and what is wrong with it."""
+    """Read and validate a written rollout. Raises InputError with the file and its fault."""
     accepted = "a rollout that f3sr wrote: time, ids, T_world_object, contacts"
     rollout = Rollout(**npz.read(file, _ARRAYS, accepted=accepted))
     if fault := next(_faults(rollout), None):
@@ -72,7 +77,7 @@ def from_npz(file: Path) -> Rollout:
 
 
 def _faults(rollout: Rollout) -> Iterator[str]:
-    """What no simulation gives."""
+    """Faults of values that no simulation produces."""
     time, poses, contacts = rollout.time, rollout.T_world_object, rollout.contacts
     if not len(time) or not np.isfinite(time).all() or time[0] < 0 or (np.diff(time) <= 0).any():
         yield "times that do not rise from 0 on"

@@ -55,7 +55,8 @@ class Seen:
         return "the ground" if id == GROUND else self.scene[id].label or f"object {id}"
 
     def gap(self, a: int, b: int, start: float) -> tuple[float, float]:
-        """The least distance [m] of two objects, or of one and the ground, at any sample from a time on, and when."""
+        """The least distance [m] of two objects, or of one and the ground, over samples from a time on, and its
+        time."""
         samples = np.flatnonzero(self.since(start))
         if b == GROUND:
             heights = [self.lowest(a, int(k)) for k in samples]

@@ -26,8 +26,9 @@ def outline(points: Array) -> Array:
 
 
 def way_between(a: Array, b: Array, u: Array) -> tuple[float, float]:
-    """From which to which shift along ``u`` (2,) the hull of points ``a`` (n, 2) overlaps that of ``b`` (m, 2); empty
-    where the first is not less."""
+    """The interval of shifts along ``u`` (2,) at which the hull of ``a`` (n, 2) overlaps that of ``b`` (m, 2).
+
+    It is empty if the first value is not less than the second."""
     sides = outline((b[:, None] - a[None]).reshape(-1, 2))
     speed, room = sides[:, :2] @ u, -sides[:, 2]
     if (room[np.abs(speed) < 1e-12] < 0).any():
@@ -123,8 +124,9 @@ class SceneLayout:
         return bool(far.min() > (1 - ROUND) * far.max())
 
     def meets(self, id: int, direction: Array) -> list[tuple[float, int]]:
-        """What an object meets along a horizontal direction, nearest first, with the way until then [m]; what it
-        stands on, what stands on it and what it lies in are left out."""
+        """Objects in the path along a horizontal direction, nearest first, with the distance to each [m].
+
+        Supports, objects on it and its container are left out."""
         own, (low, high), found = self.hull(id), self.span(id)[:, 2], list[tuple[float, int]]()
         besides = {*self.scene.subtree(id), *self.scene.ancestors(id), *(s.id for s in self.scene[id].supports)}
         for o in self.scene:
@@ -191,7 +193,7 @@ class SceneLayout:
         return float(inside.mean())
 
     def room(self, id: int, direction: Array, farthest: float) -> float:
-        """How far an object can go along a direction and stay mostly in the photo's frame [m], at most so far."""
+        """How far [m] an object can go along a direction and stay mostly in the photo's frame, up to a limit."""
         steps = np.linspace(0, farthest, 25)
         seen = [self.in_frame(id, s * direction) >= 0.7 for s in steps]
         first = next((k for k, ok in enumerate(seen) if not ok), len(steps))

@@ -1,10 +1,9 @@
-"""simulate: a plan played out as physics, the same motion every time.
+"""simulate: a plan played as physics, deterministic to the last bit (docs: physics).
 
-The package's proxies, masses and inertias with what the plan's semantics change, one MuJoCo model for all of it.
-Nothing is driven, nor damped unless the semantics say so: offsets and velocities hold at the start, impulses come at
-their times, as a force and torque on the body's centre of mass, and all else is contact and gravity. The arithmetic
-is simple enough to be written again to the bit (``benchmarks/goals/replay.py``): contacts magnify the last digit to
-millimetres.
+One MuJoCo model holds the package's proxies, masses and inertias with the changes of the plan's semantics. Offsets and
+velocities act at the start. Impulses act at their times, as a force and torque on the body's centre of mass. Everything
+else is contact and gravity. Nothing is driven, nor damped unless the semantics say so. The arithmetic is simple enough
+to be repeated to the bit (``benchmarks/goals/replay.py``): contacts amplify the last digit to millimetres.
 """
 
 from __future__ import annotations
@@ -28,15 +27,15 @@ TOUCH = 1e-9
 """Force [N] of a pair whose forces cancel: it touches."""
 
 Watch = Callable[[float, Any], bool]
-"""Told the time and MuJoCo's data at every sample; True ends the rollout there."""
+"""Called with the time [s] and MuJoCo's data at every sample; True ends the rollout there."""
 
 
 def simulate(scene: Scene, plan: Plan, *, until: Watch | None = None, model: Any = None) -> Rollout:
-    """The rollout of a plan: samples at 0 and after every ``steps_per_sample`` steps, ``duration`` long.
+    """The rollout of a plan: samples at 0 and after every ``steps_per_sample`` steps, ``duration`` [s] long.
 
-    Two calls give the same numbers. ``model``: that of ``model_of`` where somebody has it already. Raises ValueError
-    where the plan names objects that the scene lacks or lets an impulse act on what is fixed, and FloatingPointError
-    where the state stops being finite.
+    Two calls give the same numbers. ``until`` may end it early. ``model`` reuses a result of ``model_of``. Raises
+    ValueError if the plan names unknown objects or launches a fixed one. Raises FloatingPointError if the state stops
+    being finite.
     """
     if model is None:
         model = model_of(as_planned(scene, plan.semantics, plan.initial), plan.simulation.timestep)
@@ -51,7 +50,7 @@ def model_of(objects: Sequence[SceneObject], timestep: float) -> Any:
 
 
 def as_planned(scene: Scene, semantics: Sequence[Semantics], initial: InitialConditions) -> tuple[SceneObject, ...]:
-    """The scene's objects made of what the plan says, where it says."""
+    """The scene's objects, by id, with the plan's materials and offsets. Raises ValueError as ``simulate`` does."""
     known = {o.id for o in scene}
     if unknown := ({s.id for s in semantics} | initial.controlled) - known:
         raise ValueError(f"objects {sorted(unknown)} in the plan; the scene has {sorted(known)}")

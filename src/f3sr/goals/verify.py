@@ -26,7 +26,7 @@ STILL = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What came of a plan."""
+    """The success conditions of a plan, measured on its rollout, with the rules that it breaks (docs: goals)."""
 
     conditions: tuple[Judged, ...]
     broken: tuple[str, ...]
@@ -34,22 +34,23 @@ class Verdict:
 
     @property
     def met(self) -> bool:
+        """Whether every condition is met and no rule is broken."""
         return not self.broken and all(c.met for c in self.conditions)
 
     @property
     def margin(self) -> float:
-        """The least relative margin: of several plans the one with the largest is best."""
+        """The least relative margin of the conditions, negative if one is missed. The largest marks the best plan."""
         return min(c.relative for c in self.conditions)
 
     @property
     def said(self) -> str:
-        """Why it is not met, or that it is, in one line."""
+        """One line for people: the missed conditions, or that all are met."""
         missed = [c.said for c in self.conditions if not c.met]
         return "; ".join([*self.broken, *missed]) or "; ".join(c.said for c in self.conditions)
 
 
 def verify(scene: Scene, plan: Plan, rollout: Rollout) -> Verdict:
-    """The conditions of a plan and the rules, on a rollout of ``scene``, the package's."""
+    """Measure the conditions of a plan and the rules on a rollout of ``scene``, the package's."""
     planned = scene.with_objects(*as_planned(scene, plan.semantics, plan.initial))
     judged = judge(plan.task.conditions, rollout, planned)
     return Verdict(conditions=tuple(judged), broken=tuple(_broken(scene, planned, plan, rollout)))
@@ -63,29 +64,28 @@ class JudgedRecord(BaseModel):
     condition: Condition
     met: bool
     margin: float
-    """By how much it is met, or, negative, missed."""
+    """By how much it is met; negative if missed. In ``unit``."""
     unit: Unit
     time: float | None
-    """When it happened [s], or when it was nearest to happening; null where it is no event."""
+    """Time of the event, or of the nearest miss [s]; null if the condition is no event."""
     said: str
 
 
 class VerdictDocument(BaseModel):
-    """verdict.json: what came of a plan."""
+    """verdict.json: the measured success conditions of a plan."""
 
     model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True, title="f3sr verdict")
 
     met: bool
     """Every condition is met and no rule broken."""
     margin: float
-    """The least margin of all conditions, each over what was asked for or the object's size; a contact's is 0."""
+    """The least margin of all conditions, relative to the amount asked for or the object's size; a contact's is 0."""
     said: str
-    """What was missed, or that all was met, in one line."""
+    """One line for people: the missed conditions, or that all are met."""
     conditions: tuple[JudgedRecord, ...]
     """In the order of the plan."""
     broken_rules: tuple[str, ...]
-    """What no rollout may do: drive anything but the active object, push it after it touched its target, start
-    elsewhere than the scene."""
+    """Broken rules: only the active object is launched, never after it touched its target, and from its place."""
 
 
 def to_json(verdict: Verdict) -> bytes:

@@ -24,8 +24,8 @@ MIN_FILL = 1e-9
 THIN = 1e-4
 """Spread of vertices, in diagonals, from which on a mesh surely has a hull."""
 MAX_FOLDS = 200.0
-"""Largest area of a mesh in squares of its diagonal. A box has up to 2, the generated meshes we have up to 3; a soup of
-hundreds of layers is no object, and measuring its penetration would cost memory by its area."""
+"""Largest area of a mesh in squares of its diagonal. A box has up to 2, the generated meshes we have up to 3. Hundreds
+of layers are no object, and the memory for its penetration grows with its area."""
 MAX_SCENE_FACES = 20_000_000
 """Of all meshes together: a hundred objects of 200,000 triangles."""
 MAX_SCENE_TEXTURE_PIXELS = 400_000_000
@@ -106,7 +106,7 @@ def usable_mesh(folder: InputFolder, where: Path | str, id: int, mesh: Mesh) -> 
 
 
 def require_solidity(path: Path | str, mesh: Mesh) -> None:
-    """A mesh has a place in a scene if it spans a volume and its triangles have an area, not far too much of it."""
+    """Require a mesh that spans a volume, with triangles of a plausible total area."""
     accepted = "a mesh that spans a volume"
     try:
         _ = mesh.hull if _is_thin(mesh) else None
@@ -211,5 +211,5 @@ def _posed_frame(path: Path, mesh: Mesh, frame: str) -> Array:
     if np.all(low > -0.55) and np.all(high < 0.55):
         found, accepted = "a mesh in its own frame and no poses.json", "poses.json, or a mesh posed in the camera"
     else:
-        found, accepted = "a posed mesh whose axes cannot be told", "--asset-frame opencv, opengl or pytorch3d"
+        found, accepted = "a posed mesh of unknown axes", "--asset-frame opencv, opengl or pytorch3d"
     raise InputError(path, found=found, accepted=accepted)

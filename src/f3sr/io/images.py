@@ -1,4 +1,4 @@
-"""Images: those from outside opened, size checked before pixels are decoded; resized, and encoded as PNG."""
+"""Images: opened after their size is checked, with one kind of error for all faults; resized; encoded as PNG."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def open_image(path: Path) -> Image.Image:
 def decode_image(file: IO[bytes], formats: tuple[str, ...], *, size_only: bool = False) -> Image.Image:
     """A PIL image, upright by its EXIF orientation; with ``size_only`` only its header is read.
 
-    Raises ValueError for whatever is wrong with it. PIL's own warnings are off.
+    Raises ValueError for any fault. PIL's own warnings are off.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

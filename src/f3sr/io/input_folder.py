@@ -69,7 +69,7 @@ class InputFolder:
     def names(self, relative: str = "") -> list[str]:
         """The names in a folder, sorted, without hidden ones; empty when there is no such folder.
 
-        Names become labels and files of the package, so each must be text that every system can show and tell apart.
+        Names become labels and files of the package, so each must be printable and unambiguous on every system.
         """
         place = self.path(relative)
         try:

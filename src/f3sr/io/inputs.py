@@ -1,4 +1,4 @@
-"""The prompted-image folder: everything that enters is read and validated here, before any work starts."""
+"""The prompted-image folder (equation 1): all inputs are read and validated here, before any work starts."""
 
 from __future__ import annotations
 
@@ -41,7 +41,11 @@ anything beyond is no unit."""
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Inputs:
-    """A validated prompted-image folder. ``K`` (3, 3) in pixels of the photo."""
+    """A validated prompted-image folder (docs: conventions). ``K`` (3, 3) in pixels of the photo.
+
+    ``geometry`` is in camera axes [m]. ``assets`` are meshes by object id with their poses in the camera.
+    ``ground_mask`` (H, W) is the visible support surface; ``graph`` holds the given relations.
+    """
 
     photo: Photo
     instances: tuple[Instance, ...]
@@ -51,7 +55,7 @@ class Inputs:
     ground_mask: NDArray[np.bool_] | None = None
     graph: SceneGraph | None = None
     background: NDArray[np.uint8] | None = None
-    """The photo (H, W, 3) without its objects, where somebody has completed it."""
+    """background.png of the folder (H, W, 3): the photo without its objects. None: ``inpaint`` completes it."""
     decisions: tuple[Decision, ...] = ()
     digests: dict[str, str] = field(default_factory=dict[str, str])
     """sha256 of every file read, by its path relative to the folder."""
@@ -61,7 +65,7 @@ class Inputs:
 
     @property
     def key(self) -> str:
-        """Names everything these inputs were read from: equal keys, equal inputs."""
+        """A hash of all files and options: equal keys mean equal inputs."""
         return digest(self.digests, self.asset_frame)
 
 
@@ -79,9 +83,9 @@ def read(
 ) -> Inputs:
     """Read and validate a prompted-image folder (docs: conventions).
 
-    ``ignore`` treats parts of PARTS as absent. ``asset_frame`` names the axes of GLBs that come without ``poses.json``.
-    ``fillers`` make parts that are absent; their answers are validated as files are. Raises InputError for the first
-    thing that is wrong, BackendError where a filler raises.
+    ``ignore`` treats parts of PARTS as absent. ``asset_frame`` names the axes of GLBs without ``poses.json``: one of
+    ASSET_FRAMES. ``fillers`` make parts that are absent; their answers are validated as files are. Raises InputError
+    for the first invalid file or value, BackendError where a filler raises.
     """
     _require_known("--ignore", ignore, PARTS)
     _require_known("--asset-frame", [asset_frame], ASSET_FRAMES)

@@ -1,7 +1,7 @@
-"""How hard to set something off: closed forms of sliding, toppling, flying and bouncing, where a search starts.
+"""Initial velocities in closed form: sliding, toppling, flying and bouncing, as the start of a search.
 
-Points are world points [m], velocities those of the centre of mass [m/s]. Bodies fly as points without drag; contacts
-do the rest, which is why what is found here is only where the search begins.
+Points are world points [m], velocities those of the centre of mass [m/s]. Bodies fly as points without drag. Contacts
+are not modelled, so these values only start the search.
 """
 
 from __future__ import annotations
@@ -31,12 +31,13 @@ def height_speed(height: float) -> float:
 def topple(
     corners: Array, center: Array, inertia: Array, mass: float, toward: Array, *, surplus: float
 ) -> Twist | None:
-    """The motion about the edge of its base that takes a body over it, with ``surplus`` times the energy that this
-    needs at least; None where its centre already is beyond that edge.
+    """The rotation about the edge of its base that topples a body, with ``surplus`` times the least energy.
 
-    ``corners`` (n, 3) of all that touches, ``center`` of mass, ``inertia`` (3, 3) about it, in the world; ``toward`` a
-    horizontal unit vector. About the edge, with inertia I and the arm r from there to the centre, the energy is
-    I w^2 / 2 = m g (|r| - r_z), r without its part along the edge.
+    None if the centre of mass is already beyond that edge.
+
+    ``corners`` (n, 3) of all colliders, ``center`` of mass, ``inertia`` (3, 3) about it, in the world; ``toward`` is a
+    horizontal unit vector. The energy is I w^2 / 2 = m g (|r| - r_z). I is the inertia about the edge, and r the arm
+    from the edge to the centre, normal to the edge.
     """
     base = corners[corners[:, 2] <= corners[:, 2].min() + 0.02 * np.ptp(corners[:, 2])]
     axis = np.cross([0.0, 0.0, 1.0], toward)
@@ -52,8 +53,9 @@ def topple(
 
 
 def throw(start: Array, target: Array, apex: float) -> tuple[Array, float]:
-    """Velocity (3,) that takes a point over ``apex`` [m], a height above both, down to the target, and how long it
-    flies [s]."""
+    """Velocity (3,) [m/s] of a flight over ``apex`` [m] down to the target, and its time [s].
+
+    ``apex`` is a height above both ends."""
     if apex <= max(start[2], target[2]):
         raise ValueError(f"an apex above {max(start[2], target[2]):.3f} m, not {apex:.3f}")
     up = math.sqrt(2 * GRAVITY * (apex - start[2]))
@@ -62,11 +64,11 @@ def throw(start: Array, target: Array, apex: float) -> tuple[Array, float]:
 
 
 def bounce(start: Array, target: Array, floor: float, restitution: float, apex: float) -> tuple[Array, float]:
-    """Velocity (3,) that takes a point to the floor, from which it bounces once, over ``apex`` [m] and down to the
-    target; and how long that takes [s]. ``floor``: height of the point when it bounces.
+    """Velocity (3,) [m/s] of a flight to the floor and, after one bounce, over ``apex`` [m] to the target; its time
+    [s].
 
-    The bounce gives back ``restitution`` of the vertical speed and leaves the horizontal one. What falls from so high
-    that it bounces over the apex anyway is given no speed upwards.
+    ``floor`` is the height of the point at the bounce. The bounce returns ``restitution`` of the vertical speed and
+    keeps the horizontal one. A fall that bounces over the apex anyway gets no upward speed.
     """
     if not 0 < restitution <= 1 or apex <= max(target[2], floor) or start[2] < floor:
         raise ValueError(f"a restitution in (0, 1] and an apex above {max(target[2], floor):.3f} m")

@@ -1,4 +1,4 @@
-"""The Builder by rules: which launches to try for a task, one search per kind, told of everything that was tried."""
+"""The Builder by rules: which launches to try for a task, one search per kind, given all earlier trials."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ SEARCHES: Mapping[Kind, Callable[[LaunchContext], Launches]] = {
 
 @dataclass(eq=False)
 class Builder:
-    """The search for one task. It goes on from where it is as long as it is told of what it asked for, and starts anew
-    on anything else, so that its answer depends on its arguments alone."""
+    """The search for one task, which continues while it gets the trials that it asked for.
+
+    With other trials it starts again, so its answer depends on its arguments alone."""
 
     task: TaskSpec
     layout: SceneLayout

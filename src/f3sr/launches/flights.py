@@ -82,7 +82,7 @@ def _free_ground(s: LaunchContext) -> Iterator[Array]:
 
 
 def throwing(s: LaunchContext) -> Launches:
-    """Arcs to the middle of the target and to other parts of it, from flat to steep, those with a clear way first."""
+    """Arcs to the centre and other parts of the target, flat to steep, those with a clear path first."""
     if s.task.way == "over" and s.target is not None:
         yield from _throwing_over(s, s.target)
         return
@@ -115,8 +115,9 @@ def _arcs(s: LaunchContext, start: Array, lift: Array | None) -> Search[bool]:
 def is_blocked(
     s: LaunchContext, arcs: list[tuple[Array, Array, float]], goal: Array, *, near: float | None = None
 ) -> bool:
-    """Whether anything but the target is in the way of flights, each from a point with a velocity for some time, up to
-    ``near`` [m] the goal."""
+    """Whether anything except the target is in the path of flights, up to ``near`` [m] before the goal.
+
+    Each flight has a start, a velocity and a duration."""
     half = 0.5 * float(np.ptp(s.layout.corners(s.active) @ np.array([-s.direction[1], s.direction[0], 0.0])))
     if near is None:
         near = _extent(s)
@@ -242,8 +243,7 @@ def throwing_far(s: LaunchContext) -> Launches:
 
 
 def launching(s: LaunchContext) -> Launches:
-    """Straight up, a little more where friction or a load took some of it; then a little aside, to the middle of what
-    it lay in."""
+    """Straight up, faster where friction or a load took some speed; then slightly sideways, out of its container."""
     rise = s.task.amount or 1.5 * s.size
     below = s.layout.support(s.active)
     pool = None if below == GROUND else s.layout.pool(below)

@@ -31,8 +31,10 @@ from f3sr.scene import GRAVITY, GROUND
 RAMP = 0.1
 """How long a push takes to bring something to its pace [s]."""
 BLOW = 0.02
-"""Over which something is struck along the ground [s]: a speed from one step to the next lifts what slides, by 12 mm at
-4 m/s, as the engine's friction cone is convex; over so long by .2 mm."""
+"""Duration of an impulse along the ground [s].
+
+The engine's friction cone is convex, so a velocity step lifts a sliding object: by 12 mm at 4 m/s. This lifts by .2
+mm."""
 STANDS = 0.9
 """Share of the angle of tipping by friction up to which something is pushed at any pace."""
 CALM = 0.75
@@ -166,8 +168,9 @@ class LaunchContext:
     def thrown(
         self, linear: Array, *, angular: Array | None = None, lift: Array | None = None, seconds: float
     ) -> Launch:
-        """Off with a speed of its centre of mass and of turning; where a ``lift`` (3,) upwards is needed first, from
-        the top of a hop."""
+        """A launch with a velocity of the centre of mass and an angular velocity.
+
+        If a ``lift`` (3,) is needed first, it starts from the top of a hop."""
         speed = float(np.linalg.norm(linear))
         most = min(self.limits.speed, self.limits.impulse / self.layout.mass(self.active))
         turning = np.zeros(3) if angular is None else angular
@@ -190,8 +193,9 @@ class LaunchContext:
         return self._launch(InitialConditions(impulses=blows), seconds + up / GRAVITY)
 
     def struck(self, direction: Array, speed: float, until: float, *, seconds: float) -> Launch:
-        """Brought to a speed along the ground by a blow that ends before it has gone ``until`` [m], so low that it and
-        friction do not turn the object."""
+        """An impulse along the ground to a speed, which ends before the object has moved by ``until`` [m].
+
+        It acts so low that it and friction together have no torque."""
         mass, speed = self.layout.mass(self.active), min(speed, self.limits.speed)
         duration = max(BLOW, mass * speed / (0.9 * self.limits.force))
         duration = min(duration, 1.6 * max(until, 0.0) / max(speed, 1e-9))
@@ -209,10 +213,10 @@ class LaunchContext:
         return self._launch(InitialConditions(offsets=(offset,)), seconds)
 
     def pushed(self, direction: Array, far: float, pace: float, *, until: float = math.inf) -> Launch:
-        """Brought to a pace by a steady push and kept there against friction, so that it comes to rest after about so
-        far [m]; the push ends before it has gone ``until`` [m].
+        """A steady push to a pace and then against friction, so that the object rests after about ``far`` [m].
 
-        The push acts so low that it and friction do not turn the object. What is met on the way is pushed along.
+        The push ends before it has moved by ``until`` [m]. It acts so low that it and friction together have no torque.
+        Objects in the path are pushed along.
         """
         far = max(far, 1e-3)
         pace = max(pace, far / LONGEST_PUSH)

@@ -89,8 +89,9 @@ def pushing(s: LaunchContext) -> Launches:
 
 
 def free_way(s: LaunchContext, target: int) -> tuple[Array, float]:
-    """The direction nearest to the goal's in which the target is what is met first, and the way until then [m]; the
-    goal's own where there is none."""
+    """The direction nearest to the goal's in which the target is met first, and the distance to it [m].
+
+    It is the goal's own direction if there is none."""
     for angle in sorted(np.radians(np.arange(-50, 51, 5)), key=abs):
         c, n = math.cos(angle), math.sin(angle)
         x, y, _ = s.direction

@@ -45,8 +45,9 @@ class ForeignCameraConfig:
 def fitted_camera(
     scene: Scene, config: ForeignCameraConfig | None = None, *, max_faces: int = MAX_FACES
 ) -> tuple[Camera, Decision]:
-    """The camera inside the bounds around the scene's own that sees its objects best, intrinsics fixed, and what came
-    of it; never one with a lower mean IoU of full silhouettes with the masks (pixel centres, the photo's resolution).
+    """The camera that fits the scene's objects to their masks best, inside bounds around its own, and a Decision.
+
+    Intrinsics are fixed. A camera with a lower mean IoU of full silhouettes (at the photo's pixel centres) is rejected.
 
     First every object's loss (equation 9 without priors), which pulls from afar, then 1 - IoU itself.
     """

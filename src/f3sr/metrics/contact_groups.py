@@ -33,7 +33,7 @@ class SettledScene:
 
 
 def groups_of(before: Scene, after: Scene, apart: float) -> list[set[int]]:
-    """Objects that come near each other in either scene, or one in its old and the other in its new place."""
+    """Groups of objects that are near each other in either scene, or across the two scenes."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

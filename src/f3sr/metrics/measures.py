@@ -1,4 +1,4 @@
-"""The measures of a scene, defined once: image agreement, penetration, stability, and what those five do not see."""
+"""The measures of a scene, defined once: image agreement, penetration, stability, gaps and proxies (docs: measures)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,9 @@ class Measures:
     n: int
     """Objects."""
     excluded: int
+    """Masks that are no objects."""
     fixed: int
+    """Objects that physics does not move."""
     mIoU: float
     """Mean IoU of full silhouettes with the masks; an excluded mask counts 0."""
     mIoU_visible: float
@@ -42,20 +44,21 @@ class Measures:
     PSNR: float
     """Unlit colours against the photo over the union of masks [dB]."""
     R_pen: float
-    """Equation 12."""
+    """Crossings times mean edge length over the scene's diagonal (equation 12)."""
     N_cross: int
+    """Pairs of triangles of different objects that pierce each other, on refined surfaces."""
     K_max_J: float
     """Largest kinetic energy in the first second after release [J] (equation 13)."""
     D_max_cm: float
     """Largest travel of a centre of mass in 5 s [cm] (equation 14)."""
     gap_pct: float
-    """Distance of the worst floating object to anything, in % of its size."""
+    """Distance of the worst floating object to its nearest neighbour, in % of its size."""
     below_pct: float
     """Deepest point under the ground, in % of the object's size."""
     inside: int
     """Vertices of an object inside another's solid."""
     proxy_out_pct: float
-    """How far a visual mesh sticks out of its proxy (99.9th percentile), in % of its size; the worst object."""
+    """Protrusion of a visual mesh from its proxy (99.9th percentile), in % of its size; the worst object."""
     proxy_far_pct: float
     """Mean distance of a proxy's surface from its mesh, in % of its size; the worst object."""
 
@@ -65,31 +68,31 @@ class Measures:
 
 @dataclass(frozen=True, kw_only=True)
 class Gap:
-    """The way from an object to whatever is nearest: zero where it touches.
+    """The gap from an object to its nearest neighbour, the ground included; 0 in contact.
 
-    ``below`` is how deep the object's lowest point lies under the ground.
+    ``below`` is the depth of the object's lowest point under the ground.
     """
 
     id: int
     nearest: int
-    """Id of what is nearest, GROUND for the ground."""
+    """Id of the nearest neighbour, GROUND for the ground."""
     distance: float
     """[m]"""
     below: float
     """[m]"""
     size: float
-    """The object's [m], which ``gap_pct`` and ``below_pct`` are shares of."""
+    """Size of the object [m]; ``gap_pct`` and ``below_pct`` are relative to it."""
     start: Point
-    """The object's point that is nearest [m]."""
+    """The object's point at the gap [m]."""
     end: Point
-    """The point it is nearest to [m]."""
+    """The neighbour's point at the gap [m]."""
     lowest: Point
     """The object's lowest point [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Overlap:
-    """Where two objects pierce each other: pairs of triangles, all between the corners ``low`` and ``high`` [m]."""
+    """Where two objects pierce each other: pairs of triangles inside the world box ``low`` to ``high`` [m]."""
 
     a: int
     b: int
@@ -100,20 +103,20 @@ class Overlap:
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectMeasures:
-    """What the scene's measures are made of, for one object."""
+    """The per-object terms of the scene's measures."""
 
     id: int
     IoU: float
     IoU_visible: float
     proxy_out: float
-    """How far the mesh sticks out of its proxy, as a share of its size."""
+    """Protrusion of the mesh from its proxy, as a share of its size."""
     proxy_far: float
     """Mean distance of the proxy's surface from the mesh, as a share of its size."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Details:
-    """Per object, and with places: what ``Measures`` only sums up."""
+    """The terms of ``Measures``, per object and with places."""
 
     objects: tuple[ObjectMeasures, ...]
     gaps: tuple[Gap, ...]
@@ -121,12 +124,12 @@ class Details:
 
 
 def measure(scene: Scene, *, true_scale: float = 1.0) -> Measures:
-    """All measures of a scene in its present state. ``true_scale`` turns its lengths into true metres for physics."""
+    """All measures of a scene. ``true_scale`` is the factor from its lengths to true metres, for physics."""
     return measure_with_details(scene, true_scale=true_scale)[0]
 
 
 def measure_with_details(scene: Scene, *, true_scale: float = 1.0) -> tuple[Measures, Details]:
-    """``measure``, and what it found per object and where."""
+    """``measure``, with the terms per object and their places."""
     image, full, visible = _seen(scene)
     surfaces = [(o.T_world_asset, o.mesh.welded) for o in scene]
     pen = penetration.penetration([(v @ T[:3, :3].T + T[:3, 3], f) for T, (v, f) in surfaces])
@@ -159,7 +162,7 @@ def measure_with_details(scene: Scene, *, true_scale: float = 1.0) -> tuple[Meas
 
 
 def seen_by(camera: Camera, scene: Scene, measures: Measures) -> Measures:
-    """The ``measures`` of a scene as another camera sees it: only what is measured in the picture is measured anew."""
+    """The ``measures`` of a scene with another camera: only IMAGE_MEASURES are computed again."""
     image, _, _ = _seen(replace(scene, camera=camera))
     return replace(measures, **image)
 
@@ -203,7 +206,7 @@ def image_agreement(scene: Scene) -> tuple[list[float], list[float], float]:
 
 
 def mean_over_masks(ious: Mapping[int, float], scene: Scene) -> float:
-    """The mean of IoUs by id over all masks of a scene; one without an object counts 0."""
+    """The mean of IoUs by id over all masks of a scene. A mask without an object counts 0."""
     return sum(ious.values()) / (len(scene.objects) + len(scene.excluded))
 
 
@@ -223,7 +226,7 @@ def full_silhouette(o: SceneObject, camera: Camera) -> NDArray[np.bool_]:
 
 
 def gaps_of(objects: Sequence[SceneObject]) -> tuple[Gap, ...]:
-    """Per object the gap to whatever is nearest, the ground included, and how deep it reaches under the ground."""
+    """Per object the gap to its nearest neighbour, the ground included, and its depth under the ground."""
     from scipy.spatial import KDTree
 
     points = [
@@ -257,7 +260,7 @@ def gaps_of(objects: Sequence[SceneObject]) -> tuple[Gap, ...]:
 
 
 def points_inside(objects: Sequence[SceneObject], stride: int = 40) -> int:
-    """How many vertices (every ``stride``-th) of an object lie in another object's solid; open meshes have none."""
+    """Number of vertices (every ``stride``-th) of objects in another object's solid. Open meshes contain none."""
     samples = {o.id: o.vertices_world[::stride].copy() for o in objects}
     total = 0
     for a in objects:
@@ -277,7 +280,7 @@ def points_inside(objects: Sequence[SceneObject], stride: int = 40) -> int:
 
 
 def proxy_distances(o: SceneObject) -> tuple[float, float]:
-    """How far the mesh sticks out of its proxy and how far the proxy's surface lies from the mesh, in object sizes."""
+    """Protrusion of the mesh from its proxy, and mean distance of the proxy's surface from the mesh, in sizes."""
     from scipy.spatial import KDTree
 
     vertices = o.mesh.vertices[:: max(1, len(o.mesh.vertices) // 4000)]
@@ -291,7 +294,7 @@ def proxy_distances(o: SceneObject) -> tuple[float, float]:
 
 
 def sample_surface(vertices: Array, faces: NDArray[np.int32], count: int) -> Array:
-    """``count`` points spread over a surface by area, the same ones every time."""
+    """``count`` points (count, 3) sampled on a surface by area, with a fixed seed."""
     rng = np.random.default_rng(0)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)

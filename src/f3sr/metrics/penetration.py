@@ -44,9 +44,8 @@ Surface = tuple[Array, NDArray[np.int32]]
 def penetration(surfaces: Sequence[Surface]) -> Penetration:
     """R_pen of a scene of welded surfaces, one per object.
 
-    Surfaces are refined until no edge is longer than 1% of the scene's diagonal; where they do not cross as they are,
-    they need not be. They are never decimated: moving a surface by more than the contact margin would make crossings
-    where there are none.
+    Surfaces are refined until no edge is longer than 1% of the scene's diagonal. Surfaces that do not cross need no
+    refinement. They are never decimated: a shift by more than the contact margin would make false crossings.
     """
     corners = np.concatenate([np.stack([v.min(0), v.max(0)]) for v, _ in surfaces])
     diagonal = float(np.linalg.norm(np.ptp(corners, axis=0)))

@@ -1,5 +1,4 @@
-"""Points inside closed surfaces, by the signed crossings of a ray straight up from each, and inside unions of convex
-parts."""
+"""Points inside closed surfaces, by signed crossings of a vertical ray, and inside unions of convex parts."""
 
 from __future__ import annotations
 
@@ -112,8 +111,9 @@ def _count(points: Any, triangles: Any, low: Any, width: Any, side: int, number:
 
 
 def union_distance(points: Array, parts: Sequence[ConvexPart]) -> Array:
-    """How far points (k, 3) lie beyond the facet planes of the part that they are least outside of (k,); negative
-    inside some part. It is no distance outside, where a corner may be nearest."""
+    """Signed distance (k,) of points (k, 3) to the facet planes of the part that they are least outside of.
+
+    It is negative inside some part. Outside it is a lower bound of the distance, as a corner may be nearest."""
     polytopes = [Polytope.of(p) for p in parts]
     planes = np.concatenate([np.column_stack([p.normals, p.offsets]) for p in polytopes])
     starts = np.cumsum([0, *(len(p.offsets) for p in polytopes)])

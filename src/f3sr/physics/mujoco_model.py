@@ -67,7 +67,7 @@ DEFAULT_PHYSICS = PhysicsConfig()
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Body:
-    """An object as the engine sees it, in its own frame, metres, scale baked in."""
+    """A rigid body of the engine, in the object frame, metres, scale baked in."""
 
     name: str
     T_world_body: Array
@@ -83,7 +83,7 @@ class Body:
     friction: tuple[float, float, float]
     """Sliding, torsional, rolling."""
     solref: tuple[float, float] | None
-    """Of the contacts of what bounces; None where the model's own hold."""
+    """Contact ``solref`` override for bouncing objects; None uses the model's default."""
     parts: tuple[ConvexPart, ...]
 
 
@@ -91,8 +91,8 @@ class Body:
 def engine() -> Any:
     """The ``mujoco`` module, imported on first use.
 
-    Its warnings go neither to the terminal nor to a MUJOCO_LOG.TXT in the working folder: what f3sr makes of a state
-    that blows up is said by f3sr. A ``mujoco.set_mju_user_warning`` of a caller's is told them all the same.
+    Its warnings go neither to the terminal nor to a MUJOCO_LOG.TXT in the working folder: f3sr reports a state that
+    blows up itself. A caller's ``mujoco.set_mju_user_warning`` still receives them.
     """
     import mujoco
 
@@ -104,7 +104,7 @@ def engine() -> Any:
 
 
 def compiled(spec: MjSpec) -> MjModel:
-    """The model of a specification. Raises ValueError where MuJoCo takes some number for impossible."""
+    """The model of a specification. Raises ValueError if MuJoCo rejects a number."""
     return spec.compile()
 
 
@@ -143,7 +143,7 @@ def build_spec(objects: Sequence[SceneObject], config: PhysicsConfig = DEFAULT_P
 
 
 def contact_loads(model: MjModel, data: MjData, ids: Sequence[int]) -> dict[tuple[int, int], float]:
-    """Who carries whom in a state: (carried, carrier) to the net upward contact force [N], positive entries only.
+    """Loads in a state: (carried, carrier) to the net upward contact force [N], positive entries only.
 
     Body k + 1 of the model is the object ``ids[k]``; the world is the ground.
     """

@@ -1,4 +1,4 @@
-"""The release that measures rest: a scene let go at rest, undamped."""
+"""The release protocol that measures rest: the scene starts with zero velocity, without damping."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ RELEASE_MARGIN = 2e-4
 
 
 class Release(NamedTuple):
-    """What happens when the scene is let go (equations 13 and 14)."""
+    """Result of the release protocol (equations 13 and 14)."""
 
     K_max: float
     """Largest total kinetic energy in the first second [J]."""
@@ -25,11 +25,11 @@ class Release(NamedTuple):
 
 
 def release(objects: Sequence[SceneObject], *, true_scale: float = 1.0, seconds: float = 5.0) -> Release:
-    """Let the scene go from rest, undamped, and measure it: one protocol for every method (docs: measures).
+    """Release the scene from rest, undamped, and measure it: one protocol for every method (docs: measures).
 
-    Unlike the product's own model all objects have friction .6, rolling friction .001 and 600 kg/m3 of the
-    visual volume spread evenly over their parts, and lengths are multiplied by ``true_scale``. D is sampled
-    every 10 steps.
+    Unlike in the product's own model, all objects have friction .6 and rolling friction .001. Their mass is 600 kg/m3
+    of the visual volume, spread evenly over their parts. Lengths are multiplied by ``true_scale``. D is sampled every
+    10 steps.
     """
     mujoco = engine()
     if not objects:
@@ -50,11 +50,10 @@ def release(objects: Sequence[SceneObject], *, true_scale: float = 1.0, seconds:
 
 
 def filling(o: SceneObject) -> float:
-    """By how much the density of an object's parts must differ from its own, for the mass of the release protocol: its
-    solid's volume, at least 1 mm3, over that of all parts.
+    """Factor on the density of an object's parts that gives the mass of the release protocol.
 
-    The solid's volume is the least of: the mesh's own when closed without welding (split vertices count as open), its
-    hull's, and the sum over the parts.
+    It is the solid's volume, at least 1 mm3, over the sum of the parts' volumes. The solid's volume is the least of
+    three: the mesh's own if closed without welding (split vertices count as open), its hull's, and that sum.
     """
     parts = sum(p.volume for p in o.solids)
     return max(1e-9 / o.scale**3, min(o.mesh.stored_volume, o.mesh.hull.volume, parts)) / parts

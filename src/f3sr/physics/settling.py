@@ -105,10 +105,10 @@ def settle(
     *,
     settling: SettleConfig = DEFAULT_SETTLING,
 ) -> SettleResult:
-    """Let the objects fall, slide and topple until they rest by themselves.
+    """Simulate until the objects rest without damping (docs: physics).
 
-    Damped simulation up to rest, then an undamped release of the final positions; what still moves goes on
-    from where the release ended. A scene that blows up is reported, not raised.
+    Damped simulation up to rest, then an undamped release of the final positions. If something moves, the next round
+    starts where the release ended. A state that is not finite is reported as ``exploded``, not raised.
     """
     mujoco = engine()
     model = compiled(build_spec(objects, config))

@@ -1,4 +1,4 @@
-"""A goal from words to verdict: plan, reason, build, try, and again with what was missed, until it is met or spent."""
+"""A goal from words to verdict: plan, reason, build, try, correct, until it is met or the search is exhausted."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from f3sr.scene import Scene
 from f3sr.scene_package.package import Package
 
 READINGS = 4
-"""Of a goal that are tried, the strictest first."""
+"""Readings of a goal that are tried, the strictest first."""
 MORE = 3
-"""Further rollouts after one that meets the goal, for one that does so with margin and in the photo's frame."""
+"""Further rollouts after the first that meets the goal: one may meet it with margin and in the photo's frame."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Played:
-    """A goal's plan, its rollout and the verdict on it."""
+    """A played goal: its plan, the rollout (poses and contacts over time) and the verdict on its conditions."""
 
     plan: Plan
     rollout: Rollout
@@ -36,7 +36,7 @@ class Played:
 
     @property
     def nearest(self) -> str:
-        """What could be asked instead of what was missed, where that is a matter of how far; else empty."""
+        """A hint for a missed distance or height: the amount that was reached. Otherwise empty."""
         for c in self.verdict.conditions:
             if c.reached is None or not isinstance(c.condition, Displaced | Height):
                 continue
@@ -46,11 +46,11 @@ class Played:
 
 
 def simulate_goal(package: Package, goal: str, *, language: Language | None = None) -> Played | Refusal:
-    """Play a goal in words in the scene of a package.
+    """Play a goal in words in the scene of a package (docs: goals). Deterministic.
 
-    A Refusal says why the words cannot be acted on, or that what they ask cannot be done here. Whether a plan that was
-    found meets the goal is in its verdict; one that does not is the best of all that were tried. The same goal gives
-    the same numbers. Raises PlanError where a ``language`` (default: rules) answers with what cannot be played.
+    Returns a Refusal if the words are not understood or geometry rules the goal out. Otherwise returns the best trial;
+    its verdict says whether it meets the goal. ``language`` answers the three steps (default: rules). Raises PlanError
+    if an answer of it cannot be played.
     """
     language, scene = language or Rules(), package.scene
     tasks = language.plan(goal, scene)
@@ -62,7 +62,7 @@ def simulate_goal(package: Package, goal: str, *, language: Language | None = No
 
 
 def replay_plan(package: Package, plan: Plan) -> Played:
-    """A plan played again: the same rollout, to the byte. Raises PlanError where it does not suit the package."""
+    """Play a plan again: the same rollout, to the byte. Raises PlanError if the plan does not fit the package."""
     if plan.scene != scene_sha(package):
         raise checks.PlanError(
             f"the plan belongs to another scene ({plan.scene[:12]}); this one is {scene_sha(package)[:12]}"
@@ -101,7 +101,7 @@ class _Playing:
         return Played(plan=plan, rollout=tried.rollout, verdict=tried.verdict)
 
     def _try(self, task: TaskSpec) -> None:
-        """One reading: launches until one is surely met and in the frame, or there are no more."""
+        """One reading: launches until one meets the goal with margin in the frame, or none is left."""
         semantics = tuple(self.language.reason(task, self.scene))
         checks.require(checks.semantics_faults(semantics, self.scene), of="semantics")
         semantics, layout = self.trials.steady(semantics), SceneLayout(self.scene)

@@ -25,7 +25,7 @@ FILES = {PLAN, ROLLOUT, VERDICT, *FILMS}
 
 
 def require_place(out: Path, package: Path, *, overwrite: bool = False) -> Path:
-    """The full path of a folder that may be written. Raises OutputError where it is something else's."""
+    """The full path of a folder for a rollout. Raises OutputError if it holds anything else."""
     out = placed(out, rollout=True)
     if package.resolve().is_relative_to(out):
         raise OutputError(f"{out}: holds the package itself; give another folder")
@@ -33,20 +33,20 @@ def require_place(out: Path, package: Path, *, overwrite: bool = False) -> Path:
 
 
 def require_next(package: Path) -> None:
-    """Raises OutputError where the package's next rollout could not be written."""
+    """Raises OutputError if the package's next rollout could not be written."""
     check(_next(package), lambda _: None)
 
 
 def write_played(played: Played, out: Path, *, overwrite: bool = False) -> Path:
-    """Write plan.json, rollout.npz and verdict.json to ``out``, all or none; returns its full path.
+    """Write plan.json, rollout.npz and verdict.json to the folder ``out``, all or none; returns its full path.
 
-    Raises OutputError where something else is there, or an older rollout and not ``overwrite``.
+    Raises OutputError if ``out`` holds anything else, or an older rollout without ``overwrite``.
     """
     return _written(played, placed(out, rollout=True), lambda out: _require_replaceable(out, overwrite))
 
 
 def write_next(played: Played, package: Path) -> Path:
-    """The same as the package's next rollout: the first number that no other process has or takes."""
+    """``write_played`` to the package's next rollout: the first number that no other process has or takes."""
     while True:
         try:
             return _written(played, _next(package), _require_free)
@@ -55,12 +55,15 @@ def write_next(played: Played, package: Path) -> Path:
 
 
 def require_film_place(folder: Path) -> Path:
-    """The full path of a rollout's folder. Raises OutputError where no film could be written beside the rollout."""
+    """The full path of a rollout's folder. Raises OutputError if no film could be written there."""
     return check(placed(folder, rollout=True), _require_filmable)
 
 
 def write_film(files: Mapping[str, bytes], folder: Path) -> None:
-    """Put the files of a film beside the rollout they show, all or none; older ones are replaced."""
+    """Write the files of a film (``Filmed.files``) to the folder of its rollout, all or none; older ones are replaced.
+
+    Raises OutputError if ``folder`` is no rollout's or cannot be written.
+    """
     with claimed(placed(folder, rollout=True), _require_filmable) as claim:
         for name, data in files.items():
             claim.write(name, data)
@@ -109,7 +112,7 @@ def _require_free(out: Path) -> None:
 
 def _require_filmable(folder: Path) -> None:
     if not folder.is_dir():
-        raise OutputError(f"{folder}: is no folder with a rollout")
+        raise OutputError(f"{folder}: is not a folder with a rollout")
     if taken := next((folder / name for name in FILMS if (folder / name).is_dir()), None):
         raise OutputError(f"{taken}: is a folder, where a film's file goes")
     if not os.access(folder, os.W_OK | os.X_OK):
@@ -126,9 +129,9 @@ class StoredRollout:
 
 
 def read_played(folder: Path, package: Path | None = None) -> StoredRollout:
-    """A rollout that was written, with its package: the one that it lies in unless one is given.
+    """Read a written rollout with its package: by default the one whose folder contains it.
 
-    Raises InputError where either is missing or damaged, or the rollout is of another scene.
+    Raises InputError if either is missing or damaged, or the rollout belongs to another scene.
     """
     plan = read_plan(folder / PLAN)
     rollout = rollouts.from_npz(folder / ROLLOUT)
@@ -152,7 +155,7 @@ def read_played(folder: Path, package: Path | None = None) -> StoredRollout:
 
 
 def read_plan(file: Path) -> Plan:
-    """A plan.json; InputError says what is wrong with it."""
+    """Read a plan.json. Raises InputError if it is invalid."""
     accepted = "a plan.json that f3sr wrote"
     recover(file)
     data = limited_file.read(file, most=MAX_JSON_BYTES, accepted=accepted)

@@ -27,7 +27,7 @@ WORK = 240.0
 SLOW, SLOWLY = 0.01, 0.1
 """Speeds [m/s, rad/s] below which everything counts as still."""
 LINGERS = 1.5
-"""How long a rollout goes on at most for what its goal is not about, once all else is still [s]."""
+"""Longest wait [s] for objects that the goal does not involve, once all others are still."""
 SHORTEST = 0.8
 """Of a rollout [s]: less is over before anybody sees it."""
 RUNAWAY, WHIRL = 2.0, 400.0
@@ -39,7 +39,7 @@ IN_FRAME = 0.5
 OVERLAP = 1e-3
 """Deepest overlap with which something may start elsewhere [m]."""
 REST, DRIFT = 0.25, 5e-4
-"""For how long [s] things are watched whether they rest as a plan makes them, and how far they may move [m]."""
+"""Duration [s] of the check that objects rest with a plan's semantics, and the largest motion [m] allowed in it."""
 
 
 class OverlapError(Exception):
@@ -146,9 +146,10 @@ class Trials:
 
 
 class Still:
-    """Ends a rollout once what its goal is about has not moved for as long as counts as its end, and the others are
-    still too or have had ``LINGERS``, or anything is faster than ``fastest`` [m/s]; ``rows`` are the places of what the
-    goal is about among all that can move."""
+    """Ends a rollout when the goal's objects have been still for the time that counts as its end.
+
+    The other objects must be still too, or have had ``LINGERS``. It also ends if anything is faster than ``fastest``
+    [m/s]. ``rows`` are the indices of the goal's objects among all movable ones."""
 
     def __init__(self, after: float, rows: Sequence[int], *, fastest: float) -> None:
         self.after, self.since, self.rows = max(after, SHORTEST - LAST), np.inf, list(rows)

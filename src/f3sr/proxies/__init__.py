@@ -1,10 +1,10 @@
 """Convex collision proxies of a mesh that cover it: no point of the visual surface lies outside their union.
 
-A mesh that is nearly its own hull gets one part. Others are cut by planes, exactly through their triangles, until
-the hulls of the pieces stand nowhere far off what can be touched; neighbours are joined again where that costs
-nothing, and at last every hull is simplified outward, to a polytope of few of its own facet planes. This happens in
-a subprocess that may be killed. All lengths inside are shares of the mesh's size (the diagonal of its bounding box),
-so the result does not depend on the asset's unit.
+A mesh that is nearly its own hull gets one part. Others are cut by planes, exactly through their triangles. This ends
+when the hulls of the pieces have a small stand-off from the reachable surface everywhere. Then neighbours are joined
+where that costs nothing. Finally every hull is simplified outward, to a polytope of few of its own facet planes. A
+subprocess with a time limit does this. All lengths inside are shares of the mesh's size (the diagonal of its bounding
+box). So the result does not depend on the asset's unit.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def decompose(
     about: int | None = None,
     cancelled: threading.Event | None = None,
 ) -> Proxy:
-    """Convex parts of one mesh; ``name`` is told in errors, ``about`` (an object id) in decisions.
+    """Convex parts of one mesh; ``name`` appears in errors, ``about`` (an object id) in decisions.
 
     Results are kept by the hash of their input in ``cache_dir``, by default ``proxies`` in f3sr's cache.
     Another thread may set ``cancelled``: the worker is killed and CancelledError raised.

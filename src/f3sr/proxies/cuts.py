@@ -1,8 +1,8 @@
-"""A mesh cut into pieces by planes until the hull of each stands nowhere far off the surface.
+"""A mesh cut into pieces by planes until the hull of each piece has a small stand-off from the surface.
 
-The piece that stands off most is cut next, by the plane that leaves the least volume in the two hulls. Volume is
-saved only where the hull of a piece holds open space: the solid core of the mesh belongs to the pieces as well as
-its surface. Cuts go exactly through the triangles, so the hulls of the pieces together hold all of the surface.
+The piece with the largest stand-off is cut next, by the plane that leaves the least volume in the two hulls. A cut
+saves volume only where the hull of a piece holds open space: pieces hold the mesh's solid core as well as its
+surface. Cuts go exactly through the triangles, so the hulls of the pieces together cover the whole surface.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ full discs, each to be cut again."""
 ALIKE = 0.985
 """Cosine from which on two directions are one."""
 USELESS = 0.98
-"""Share of the volume that a cut must leave at most; else it is chosen by what the next one can save."""
+"""Largest share of the volume that a cut may leave; otherwise the saving of the next cut decides."""
 HOLLOW = 0.05
 """How far a piece must stand off for that, dents save little volume anyway [size], ..."""
 HOLLOW_SHARE = 0.1
@@ -207,8 +207,9 @@ def _parted(core: Array, u: Array, offset: float, reach: float) -> tuple[Array, 
 
 
 def best_cut(piece: Piece, reach: float, config: ProxyConfig) -> Cut | None:
-    """The cut whose halves have the least volume; where none saves any, as through a ring, the one after which
-    the next saves most."""
+    """The cut whose halves have the least volume.
+
+    Where no cut saves volume, as through a ring, it is the cut after which the next one saves most."""
     directions = _directions(piece, config)
     best = _least(piece, directions, reach, config)
     if best is None or piece.hull is None or best.bulk <= USELESS * (piece.hull.volume + LAYER * piece.hull.area):
@@ -237,7 +238,8 @@ def _least(piece: Piece, directions: Array, reach: float, config: ProxyConfig) -
 def _bulks(
     outline: SimplifiedSurface, core: Array, u: Array, offsets: Array, reach: float, *, few: bool = False
 ) -> Iterator[float]:
-    """Of the hulls of both sides together, for cuts at some offsets; of ``few`` of their points where that will do."""
+    """Volumes of the hulls of both sides together, for cuts at some offsets; ``few`` points suffice for a first
+    rank."""
     for offset, sides in zip(offsets, outline.halves(u, offsets), strict=True):
         if len(core):
             sides = tuple(map(np.concatenate, zip(sides, _parted(core, u, offset, reach), strict=True)))

@@ -30,7 +30,7 @@ class Excess:
     at: tuple[float, float, float]
     """Where it is largest."""
     floor: float | None = None
-    """Over the surface that faces the opening of a cavity, at the 99th of its hundred parts; None without a cavity."""
+    """99th percentile over the surface that faces the opening of a cavity; None without a cavity."""
 
 
 def inflation(parts: Sequence[ConvexPart], vertices: Array, faces: Faces) -> float | None:
@@ -45,8 +45,9 @@ def largest_outside(parts: Sequence[ConvexPart], vertices: Array) -> float:
 
 
 def excess(parts: Sequence[ConvexPart], nearest: NearestTriangles, around: Surroundings | None, probe: float) -> Excess:
-    """Measured at points of the parts that lie in no other part and, where ``around`` is given, can be touched by a
-    ball of radius ``probe``."""
+    """Stand-off at points of the parts that lie in no other part.
+
+    With ``around``, only points that a ball of radius ``probe`` can touch are measured."""
     corners = np.concatenate([p.vertices for p in parts])
     starts = np.cumsum([0, *(len(p.vertices) for p in parts[:-1])])
     triangles = np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=True)]).astype(np.int32)

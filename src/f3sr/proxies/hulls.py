@@ -24,9 +24,10 @@ SMALLEST_FACET = 1e-14
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Hull:
-    """The convex hull of some points: its corners (n, 3), its facets as triangles (m, 3, 3), its volume and area, and
-    the planes ``normals . x <= offsets`` of its facets, of those turned alike the largest: a few hundred also where
-    the hull of a round body has thousands, and what they bound is a little larger."""
+    """The convex hull of some points: corners (n, 3), facets as triangles (m, 3, 3), volume and area.
+
+    The planes ``normals . x <= offsets`` are those of its facets; of nearly parallel ones only the largest. So a round
+    body has a few hundred planes instead of thousands, and they bound a slightly larger body."""
 
     corners: Array
     normals: Array

@@ -22,8 +22,9 @@ NEXT_TO = 1e-3
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Joined:
-    """A hull, its corners that are outermost in some direction, how far it stands off [size], and the volume that it
-    has more than what it was joined from."""
+    """A hull with its outermost corners in fixed directions, its stand-off [size], and its added volume.
+
+    The added volume is that of the hull minus that of the hulls that it was joined from."""
 
     hull: Hull
     shape: Array
@@ -38,8 +39,10 @@ class Joined:
 
 
 def joined(hulls: Sequence[Hull], subject: Subject, config: ProxyConfig, *, is_shell: bool) -> list[Hull]:
-    """Fewer hulls that hold all the given ones: joined within ``tolerance`` wherever that can be, then as far as their
-    number allows, and down to ``max_parts`` at any price."""
+    """Fewer hulls that cover all the given ones.
+
+    Neighbours are joined within ``tolerance`` first, then as far as their number allows. Down to ``max_parts`` they
+    are joined at any stand-off."""
     state = _Joining([_alone(h, subject.samples) for h in hulls], subject, config)
     state.join(lambda count, off: off <= config.tolerance, by_volume=True)
     state.join(lambda count, off: off <= config.allowed(count, is_shell=is_shell))
@@ -63,8 +66,9 @@ class _Joining:
             self._look_around(b, range(b))
 
     def join(self, may: Callable[[int, float], bool], *, by_volume: bool = False) -> None:
-        """The pair that adds least volume, else the one that stands off least, again and again, of those that may be
-        joined given the number of parts and how far their hull stands off."""
+        """Join pairs, one after the other: the one that adds least volume, otherwise the one with the least stand-off.
+
+        The number of parts and the stand-off of the common hull decide which pairs may be joined."""
         while True:
             prices = {pair: self._price(pair) for pair in self._pairs}
             allowed = [

@@ -42,8 +42,9 @@ class FittedParts:
 
 
 def nearly_convex(vertices: Array, faces: Faces, config: ProxyConfig) -> str | None:
-    """Why one hull is enough, or None. An open mesh has no volume and is judged by its surface alone, unless so much
-    of it is missing that it may hold something."""
+    """Why one hull is enough, or None.
+
+    An open mesh has no volume: its surface alone decides, unless so much is missing that it may be a container."""
     try:
         hull = ConvexPart.hull_of(vertices)
     except ValueError:

@@ -26,11 +26,11 @@ def simplified_outward(
 ) -> ConvexPart:
     """A polytope of few facets around points (n, 3), in normalised units; it contains all of them.
 
-    Its planes are the hull's flats, then, one by one, the hull plane that cuts off most of the corner that
-    stands out farthest, until all stand out by less than ``THICKNESS`` or, with ``most`` facets, by less than
-    ``loose_tolerance``; twice ``most`` are never exceeded. Where the points reach one of ``base``, the flats of the
-    whole mesh, that plane is taken: all parts of an object end in one base.
-    A hull too thin for that stays as it is. Raises ValueError when the points span no volume.
+    Its planes are the hull's flats first. Then planes of the hull are added one by one: the one that cuts off most of
+    the farthest protruding corner. This ends when corners protrude by less than ``THICKNESS``, or with ``most`` facets
+    by less than ``loose_tolerance``; twice ``most`` are never exceeded. ``base`` holds the flats of the whole mesh.
+    Flats that the points reach are used, so that all parts of an object end in one base. A hull too thin for that stays
+    as it is. Raises ValueError when the points span no volume.
     """
     hull = ConvexPart.hull_of(points)
     normals, offsets = planes(hull)
@@ -87,8 +87,10 @@ def _flats(hull: ConvexPart, share: float) -> Array:
 
 
 def _area_around(normals: Array, area: Array) -> Array:
-    """An upper bound (n,) of the area that faces the way of each facet: what lies in its cell of a grid over the
-    normals, as wide as SAME_FLAT, and in the cells around it. Spares round bodies a quadratic search."""
+    """An upper bound (n,) of the area of facets nearly parallel to each facet.
+
+    It is the area in its cell of a grid over the normals, of width SAME_FLAT, and in the neighbouring cells. It saves
+    round bodies a quadratic search."""
     from scipy.spatial import KDTree
 
     cell = 2.001 * np.sin(SAME_FLAT / 2)
@@ -99,8 +101,9 @@ def _area_around(normals: Array, area: Array) -> Array:
 
 
 def corners_of(normals: Array, offsets: Array, hull: ConvexPart, inside: Array | None = None) -> Array | None:
-    """Corners (n, 3) of ``normals . x <= offsets``, within a box far around the hull; None where all is so thin that
-    ``inside`` (3,), by default the hull's middle, is not clearly inside."""
+    """Corners (n, 3) of ``normals . x <= offsets``, within a box far around the hull.
+
+    None if the body is so thin that ``inside`` (3,), by default the hull's centre, is not clearly inside."""
     from scipy.spatial import HalfspaceIntersection, QhullError
 
     middle: Array = hull.vertices.mean(0) if inside is None else inside

@@ -75,8 +75,9 @@ class Samples:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Surroundings:
-    """A grid over the mesh: how far the middle of each cell lies from what is no open space [cells], and the solid
-    core as points (n, 3)."""
+    """A grid over the mesh: the distance [cells] of each cell's centre from closed space, and the solid core.
+
+    The core is given as points (n, 3)."""
 
     clearance: NDArray[np.float32]
     low: Array
@@ -114,8 +115,9 @@ class NearestTriangles:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Subject:
-    """A mesh to be covered: its triangles (n, 3, 3) exactly and simplified, those samples that can be touched and
-    how many of them there are per area, what is around it, and what is nearest."""
+    """A mesh to be covered: its triangles (n, 3, 3), exact and simplified, with reachable samples and their density.
+
+    It also holds the grid of open space around it and a search tree for the nearest surface."""
 
     triangles: Array
     simplified: Array
@@ -125,8 +127,9 @@ class Subject:
     nearest: NearestTriangles
 
     def bare(self, hull: Hull) -> Array:
-        """How far points of a hull's surface lie off the mesh (n,) that could be touched if nothing else covered
-        them; each counts as ``hull.area / n`` of it."""
+        """Stand-off (n,) of points of a hull's surface that would be reachable if no other part covered them.
+
+        Each point stands for ``hull.area / n`` of the surface."""
         points = samples_of(hull.triangles, HULL_POINTS)
         inward = np.einsum("ij,ij->i", points.normals, points.points - hull.corners.mean(0)) < 0
         normals = np.where(inward[:, None], -points.normals, points.normals)
@@ -154,8 +157,9 @@ def samples_of(triangles: Array, count: int) -> Samples:
 
 
 def surroundings(vertices: Array, faces: Faces) -> Surroundings:
-    """Open space is what can be walked to from outside, cell by cell, without touching the surface; the rest is
-    solid, be the mesh closed or not."""
+    """Open space: cells connected to the outside without crossing the surface. All other cells are solid.
+
+    The mesh need not be closed."""
     import scipy.ndimage
 
     image: Any = scipy.ndimage

@@ -24,8 +24,9 @@ from f3sr.proxies.simplify import corners_of, merged
 SLACK = 1e-9
 """What lies this far outside a part still counts as held by it [size of the mesh]."""
 LEAST = 1e-8
-"""Volume below which nothing is left as a part [size of the mesh, cubed]: MuJoCo refuses 1e-15 m3, which that is of
-things of 5 mm; what cutting leaves is larger than 4e-8 on real scenes, or a slip of rounding."""
+"""Least volume of a part after cutting [size of the mesh, cubed]: MuJoCo rejects 1e-15 m3, and objects may have 5 mm.
+
+Parts of real scenes are larger than 4e-8; smaller ones are rounding."""
 DEPTHS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Where between the surface and the end of all parts it is looked for parts that stand in the way."""
 TURNS = 6
@@ -43,8 +44,9 @@ Planes = tuple[Array, Array]
 
 @dataclass(frozen=True, kw_only=True)
 class Near:
-    """How far parts may stand off their mesh within ``radius`` of a place, which is at most ``reach`` away from what
-    touches."""
+    """Allowed stand-off of parts from their mesh within ``radius`` of a contact place.
+
+    The place on the mesh is at most ``reach`` away from the contact."""
 
     tolerance: float
     radius: float
@@ -57,8 +59,8 @@ class Near:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Place:
-    """A point (3,) of a mesh's surface that is touched, the unit direction (3,) from which, and how far the parts reach
-    that way."""
+    """A touched point (3,) of a mesh's surface, the unit direction (3,) of the contact, and the parts' reach along
+    it."""
 
     point: Array
     outward: Array
@@ -101,8 +103,7 @@ class MeshSurface:
 
 
 def place_near(surface: MeshSurface, parts: Sequence[ConvexPart], x: Array, near: Near) -> Place | None:
-    """The place of a surface nearest to a point (3,) off it; None where none is within reach, or where the point lies
-    on it."""
+    """The place of a surface nearest to a point (3,) off it; None if none is within reach or the point is on it."""
     y = surface.nearest(x, near.reach)
     if y is None or (length := float(np.linalg.norm(x - y))) <= SLACK * surface.size:
         return None
@@ -116,8 +117,9 @@ def place_on(surface: MeshSurface, parts: Sequence[ConvexPart], point: Array, ou
 
 
 def trimmed(surface: MeshSurface, parts: Sequence[ConvexPart], place: Place, near: Near) -> tuple[ConvexPart, ...]:
-    """The parts, those that stand off more than allowed at a place cut back or split there; others are the same values.
-    Together they hold all of the mesh that they held before."""
+    """The parts, cut back or split where their stand-off at a place exceeds the allowed one.
+
+    Unchanged parts are the same values. Together they cover all of the mesh that they covered before."""
     now, added = list(parts), list[ConvexPart]()
     for k, part in enumerate(parts):
         if (spot := _in_the_way(part, place, near.tolerance, SLACK * surface.size)) is None:
@@ -192,7 +194,8 @@ class _Held:
         return cls(part=part, triangles=held, hull=_hull_planes(np.unique(held.reshape(-1, 3), axis=0)), size=size)
 
     def worst(self, points: Array) -> tuple[float, tuple[Array, float]] | None:
-        """How far the worst of some points (n, 3) lies outside the hull of what is held, and the plane it is beyond."""
+        """Distance of the worst of some points (n, 3) outside the hull of the covered points, and the plane it is
+        beyond."""
         if self.hull is None or not len(points):
             return None
         normals, offsets = self.hull
@@ -239,8 +242,9 @@ def _cut_back(held: _Held, spot: Array, near: Near) -> _Held:
 
 
 def _best_split(held: _Held, place: Place, spot: Array) -> tuple[_Held, _Held] | None:
-    """The halves by a plane through the place along its outward direction, the one that leaves the spot farthest
-    outside the hulls of both sides; None where it stays in."""
+    """The halves by a plane through the place along its outward direction.
+
+    The plane leaves the place farthest outside the hulls of both sides; None if it stays inside for all."""
     corners = np.unique(held.triangles.reshape(-1, 3), axis=0)
     looks = [(_left_outside(corners, w, place.point, spot), k, w) for k, w in enumerate(_across(place.outward))]
     outside, _, w = max(looks)

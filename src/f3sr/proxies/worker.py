@@ -63,8 +63,9 @@ def run_worker(
 
 
 def _start(config: ProxyConfig, *streams: IO[bytes]) -> subprocess.Popen[bytes]:
-    """A worker in a process group of its own, as it is ours to end it when the user presses Ctrl-C. Its streams are
-    files without a name: there is nothing to tidy up after ``kill -9``."""
+    """A worker in its own process group: f3sr, not the terminal, ends it on Ctrl-C.
+
+    Its streams are files without a name: nothing is left after ``kill -9``."""
     # One thread each: the objects are what runs in parallel, and sums keep their order.
     environment = os.environ | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))

@@ -42,8 +42,9 @@ CELL = 2
 TILE = 8
 """Side of the squares whose objects are coloured anew or not at all [px]."""
 BLURS = 1, 2, 1, 2
-"""Reach of the filters over the shadows of the disc and of the sky, now and of those at rest too [cells]: the sky's
-lights lie far apart, and each has an edge."""
+"""Reach of the filters over shadows of the disc and of the sky, now and at rest [cells].
+
+The sky's lights are far from each other, and each has an edge."""
 BLOCK = 2
 """Side of the squares of a light's map that have changed or not [texel]."""
 QUIET = 12
@@ -82,9 +83,9 @@ class StillScene:
 class Canvas:
     """Buffers of one film, from frame to frame; one thread at a time may draw on it.
 
-    ``_still`` holds what has not moved for a while; every frame takes it over where something moved and draws that on
-    top. No buffer depends on the order of drawing, so each equals that of all objects drawn afresh. Colours are kept
-    tile by tile where neither what is seen nor a texel of light that it reads has changed.
+    ``_still`` holds objects that have not moved for a while. Every frame copies it where something moved and draws the
+    rest on top. No buffer depends on the order of drawing, so each equals that of a fresh canvas. A tile keeps its
+    colours while neither its faces nor a light texel that it reads have changed.
     """
 
     def __init__(self, setting: StillScene) -> None:
@@ -123,8 +124,10 @@ class Canvas:
         return self._picture.copy()
 
     def rests(self, light: NDArray[np.float32], shown: NDArray[np.float32]) -> None:
-        """What was drawn last is the scene at rest, where ``light_left`` gave ``light`` (h, w, 3) and the photo has
-        ``shown`` (h, w, 3) of the background's."""
+        """Take the last frame as the scene at rest.
+
+        ``light`` (h, w, 3) is ``light_left`` there; ``shown`` (h, w, 3) is the photo's share of the background's light.
+        """
         self._rest, self._shown, self._rest_bits = light, shown, self._drawn.bits.copy()
         self._count()
         self._composed = False

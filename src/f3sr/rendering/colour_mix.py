@@ -1,7 +1,7 @@
-"""How the photo's camera sees the colours of textures that another made: one matrix for all objects, where it helps.
+"""The colour correction matrix from the textures' camera to the photo's camera: one for all objects, where it helps.
 
-Cameras differ in their sensors' filters and in what they make of the signal; to first order the colours of one are a
-3x3 matrix times those of another (the colour correction matrix of every raw converter).
+Cameras differ in their sensor filters and processing. To first order the colours of one are a 3x3 matrix times those
+of another, as in every raw converter.
 """
 
 from __future__ import annotations
@@ -46,9 +46,10 @@ class _Patches:
 
 
 def colour_mix(evidence: Evidence, lit: Array, *, objects: int, side: float) -> tuple[Array, float] | None:
-    """The matrix (3, 3), with rows of sum 1, that makes the ``lit`` colours (n, 3) of samples those of the photo but
-    for an exposure per object, and by which share it lowers their error on patches of ``side`` [m] left out of the fit;
-    None where it does not."""
+    """The matrix (3, 3), with rows of sum 1, from the ``lit`` colours (n, 3) of samples to those of the photo.
+
+    Each object also has an exposure. The second value is the share by which the matrix lowers the error on held-out
+    patches of ``side`` [m]. None where it does not lower it."""
     patches = _patches(evidence, lit, objects, side)
     if len(patches.group) < PATCHES:
         return None

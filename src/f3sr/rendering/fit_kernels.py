@@ -37,8 +37,9 @@ def sum_misfits(
     gains: NDArray[Any],
     sums: NDArray[Any],
 ) -> None:
-    """Add to ``sums`` (groups,) the misfits of their samples, each the mean over channels of the difference to the
-    photo (n, 3) times ``slope`` (n, 3), under the light and exposures ``gains`` (groups, 3)."""
+    """Add the misfits of samples to the ``sums`` (groups,) of their groups, under a light and ``gains`` (groups, 3).
+
+    A misfit is the mean over channels of the difference to the photo (n, 3), times ``slope`` (n, 3)."""
     for i in range(len(group)):
         light, g = _lit(bases, i, strength), group[i]
         misfit = 0.0
@@ -61,9 +62,10 @@ def add_equations(
     gram: NDArray[Any],
     target: NDArray[Any],
 ) -> None:
-    """Add the normal equations ``gram`` (4, 4), its lower half, and ``target`` (4,) of the strengths with which
-    exposed samples are as the photo, each weighed by ``slope`` over its group's ``spread`` (groups,) and less the more
-    it is off, beyond ``loose`` of these."""
+    """Add the normal equations of the light's strengths: the lower half of ``gram`` (4, 4), and ``target`` (4,).
+
+    Each exposed sample is fitted to the photo with weight ``slope`` over its group's ``spread`` (groups,). Residuals
+    beyond ``loose`` spreads have less weight (Cauchy weights)."""
     for i in range(len(group)):
         light, g = _lit(bases, i, strength), group[i]
         for c in range(3):

@@ -1,4 +1,4 @@
-"""Where the ground shows shadows in a picture, and how much of its light objects at rest already take in the photo."""
+"""Pixels whose ground takes shadows, and the photo's own shadows on it with the scene at rest."""
 
 from __future__ import annotations
 
@@ -25,17 +25,18 @@ RATIOS = 0.1, 1.5
 CLEAR = 0.98
 """Share of light from which ground is not in shadow."""
 DOUBT = 0.01
-"""How much light drawn shadows must take for a darker place in the photo to be one of theirs rather than its grain."""
+"""Least share of light that a drawn shadow takes where a darker photo counts as shadow, not as grain."""
 THIN = 4
 """Every how many pixels along each side ground in light is looked at."""
 AGREES = 0.2
-"""Median of the logarithm of photo over background, out of shadows, up to which they are of one place and light."""
+"""Largest median of |log(photo / background)| outside shadows for the two to have the same place and light."""
 
 
 def ground_seen(camera: Camera, limit: Mask | None, ball: tuple[Array, float]) -> NDArray[np.float32]:
-    """(h, w) how much of its shadows the ground z = 0 shows: 1 where the ray through a pixel meets it from above,
-    within ``limit`` where that is known, and less and less from ``NEAR`` to ``FAR`` radii of the scene's ``ball`` from
-    its middle, for there it may not be the ground."""
+    """(h, w): the share of its shadows that the ground z = 0 shows at each pixel.
+
+    It is 1 where the pixel's ray meets the ground from above, inside ``limit`` if that is known. Without it the share
+    falls from ``NEAR`` to ``FAR`` radii of the scene's ``ball``: farther away the surface may not be the ground."""
     h, w = camera.height, camera.width
     x, y = np.arange(w) + 0.5, np.arange(h)[:, None] + 0.5
     to_world = camera.T_world_camera[:3, :3] @ np.linalg.inv(camera.K)
@@ -50,13 +51,13 @@ def ground_seen(camera: Camera, limit: Mask | None, ball: tuple[Array, float]) -
 def light_shown(
     rest: NDArray[np.float32], photo: NDArray[np.uint8], background: NDArray[np.uint8], objects: Mask
 ) -> tuple[NDArray[np.float32], bool]:
-    """(h, w, 3) the share of the background's light that the ground shows with the scene at rest, and whether the
-    photo tells it.
+    """(h, w, 3): the ground's share of the background's light with the scene at rest, and whether the photo gives it.
 
-    ``rest`` (h, w, 3) is that of the drawn shadows. Where the photo shows ground in them, it is the photo's own, so
-    that the film begins with its shadows; elsewhere it is 1, as what is darker there is no shadow that could leave with
-    an object; under and beside objects, ``rest`` corrected as around them. A background whose light is another where
-    there are no shadows at all is not of this photo, which then tells nothing; a little is another exposure.
+    ``rest`` (h, w, 3) is the share under the drawn shadows. Inside them, on visible ground, the result is photo over
+    background, so that the film begins with the photo's shadows. Outside it is 1: a darker place there is no shadow
+    that could leave with an object. Under and next to objects it is ``rest`` times the correction around them. If the
+    background's light differs where there are no shadows, it is from another photo, and ``rest`` is returned. A small
+    difference counts as exposure.
     """
     lit = LINEAR.astype(np.float32).clip(DARK)
     ratio = lit[photo] / lit[background]

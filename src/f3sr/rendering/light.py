@@ -21,8 +21,8 @@ LOWEST = np.sin(np.radians(8.0))
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Light:
-    """Irradiance per channel (3,) by where it comes from; an open place on the ground gets 1 of ``even``, ``direct``
-    and ``sky`` together."""
+    """Irradiance per channel (3,) by source; on an open place of the ground ``even``, ``direct`` and ``sky`` sum to
+    1."""
 
     direction: Array
     """(3,) unit, towards the middle of the disc."""

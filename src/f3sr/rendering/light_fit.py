@@ -37,7 +37,7 @@ MOST_TINT = 1.6
 """Factor by which an object's exposure in one channel may differ from that of all objects, after its own brightness: in
 a channel in which a texture is black, a reflection would count as any exposure."""
 FINEST = 1 / 255
-"""Mean misfit below which nothing is told: a level of eight bits."""
+"""Least mean misfit that is informative: a level of eight bits."""
 LOOSE = 1.5
 """Mean misfits beyond which a sample counts less and less."""
 DARKEST = 0.9
@@ -170,8 +170,9 @@ def _bases(evidence: Evidence, direct: Array, sky: Array) -> Array:
 
 
 def _fit(evidence: Evidence, bases: Array, groups: int) -> Fit:
-    """Strengths >= 0 that all samples share and exposures of every group, by weighted least squares in turns; residuals
-    are weighed as sRGB would show them and by their group's spread (iteratively, so strays count less)."""
+    """Strengths >= 0 for all samples and exposures per group, by alternating weighted least squares.
+
+    Residuals are weighted as sRGB shows them, and by their group's spread; iterations give outliers less weight."""
     from scipy.optimize import nnls
 
     e, bases = evidence, rasterizer.fixed(bases, np.float64)
@@ -209,11 +210,11 @@ def sums_of(values: Array, group: NDArray[np.int64], groups: int) -> Array:
 
 
 def exposures_of_sums(above: Array, below: Array, count: NDArray[np.int64] | Array) -> Array:
-    """Exposures (groups, 3) with which sums of colours of the photo, ``above``, and lit ones, ``below`` (groups, 3),
-    agree, drawn towards that of all objects together where there are few samples.
+    """Exposures (groups, 3): sums of the photo's colours, ``above``, over sums of lit ones, ``below`` (groups, 3).
 
-    Ratios of sums, not slopes of a regression: where texture and photo lie some pixels apart, a slope is too small, and
-    most so in the channel with most contrast, which would tint the object.
+    Where there are few samples they are drawn towards the exposure of all objects together. They are ratios, not slopes
+    of a regression. If texture and photo are shifted by some pixels, a slope is too small. It is smallest in the
+    channel with most contrast, which would tint the object.
     """
     whole = above[:-1].sum(0) / np.maximum(below[:-1].sum(0), 1e-12)
     prior = PRIOR * (below.mean(1) / np.maximum(count, 1))[:, None]  # of all channels: a dark one tells little
@@ -223,7 +224,7 @@ def exposures_of_sums(above: Array, below: Array, count: NDArray[np.int64] | Arr
 
 
 def with_shadows_of(evidence: Evidence, light: Light, maps: tuple[Maps, Maps], ground: int) -> tuple[Light, bool]:
-    """The light with its shadows on the ground as dark and tinted as the photo's, and whether these told it.
+    """The light with its shadows on the ground as dark and tinted as the photo's, and whether the photo determines it.
 
     ``maps``: of the disc and of the sky. What is hidden takes ``shadow`` times its share of the light.
     """

@@ -1,4 +1,4 @@
-"""From a scene and its photo to the light and exposures of a film, and what a user should know of them."""
+"""Light and exposures of a film from a scene and its photo, with decisions for the user."""
 
 from __future__ import annotations
 

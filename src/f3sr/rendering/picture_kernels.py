@@ -27,9 +27,10 @@ def count_lights(
     bottom: int,
     counts: NDArray[Any],
 ) -> None:
-    """How many lights are hidden at every pixel of the rows [top, bottom): ``counts`` (4, h, w) of the direct light,
-    which the first ``direct`` words of ``bits`` (words, h, w) are of, and of the sky, then of those of both that are
-    hidden in ``rest_bits`` too."""
+    """Count hidden lights at every pixel of the rows [top, bottom), into ``counts`` (4, h, w).
+
+    ``bits`` (words, h, w) hold one bit per light: the first ``direct`` words are direct light, the others the sky.
+    Counts 0 and 1 are direct and sky; counts 2 and 3 are those of them that are hidden in ``rest_bits`` too."""
     words, width = bits.shape[0], bits.shape[2]
     for y in range(top, bottom):
         for x in range(width):
@@ -43,8 +44,9 @@ def count_lights(
 
 @kernel
 def blur_rows(counts: NDArray[Any], reach: int, top: int, bottom: int, blurred: NDArray[Any]) -> None:
-    """``counts`` (h, w) under a binomial filter of some ``reach``, 1 or 2 cells, along the rows [top, bottom), times
-    16, the border repeated."""
+    """A binomial filter of ``counts`` (h, w) along rows, times 16, for the rows [top, bottom).
+
+    ``reach`` is 1 or 2 cells; the border is repeated."""
     width = counts.shape[1]
     for y in range(top, bottom):
         for x in range(width):
@@ -130,9 +132,12 @@ def light_left(
 
 @inline_kernel
 def ground_light(left: Any, stays: Any, rest: Any, shown: Any) -> Any:
-    """The share of the background's light that ground shows where ``left`` of it is not hidden now, ``stays`` not by
-    what hid it at rest too, and ``rest`` was not hidden at rest: at rest what the photo has ``shown``, as those shadows
-    leave what is left, without a step between and soon without what the photo told of them; times new shadows."""
+    """The factor on the background's light at a ground pixel.
+
+    Three shares of light arrive: ``left`` now, ``stays`` if only lights hidden at rest too count as hidden, ``rest`` at
+    rest. ``shown`` is the factor in the photo, which includes the photo's own shadows. The first bracket blends from
+    ``shown`` at rest to the drawn shadow, by the square of the share of darkness that stays. The last factor adds new
+    shadows."""
     share = (1 - stays) / (1 - rest) if rest < 1 else np.float32(0)
     return (stays + (shown - rest) * share * share) * (left / stays)
 

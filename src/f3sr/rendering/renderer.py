@@ -33,8 +33,9 @@ class Renderer:
         self._canvas = canvas
         self.decisions = decisions
         self.rest_light = rest_light
-        """(h, w, 3) the share of its light that the ground keeps beside the scene at rest, as the photo's camera sees
-        it; None from elsewhere, and without shadows."""
+        """(h, w, 3): the share of its light that the ground keeps with the scene at rest, in the photo's camera.
+
+        None for another camera and without shadows."""
 
     @classmethod
     def of(
@@ -48,9 +49,9 @@ class Renderer:
     ) -> Renderer:
         """A renderer of the objects of a finished ``scene`` over ``background`` (h, w, 3) uint8 sRGB.
 
-        The light is that of the photo, fitted with the scene at rest, whichever ``camera`` draws; with the photo's own,
-        ``background`` is the photo completed behind its objects, and ``kept`` (h, w) the depth [m] of what it shows
-        that may hide objects, inf where nothing does. Raises InputError where sizes do not agree.
+        The light is fitted to the photo with the scene at rest, for any ``camera`` (default: the photo's own). With
+        the photo's camera, ``background`` is the photo completed behind its objects. ``kept`` (h, w) is then the depth
+        [m] of its pixels that may hide objects, inf elsewhere. Raises InputError if sizes do not agree.
         """
         config = config or RenderConfig()
         view = camera or scene.camera
@@ -83,8 +84,9 @@ class Renderer:
         return self._canvas.setting
 
     def seen_from(self, camera: Camera, background: NDArray[np.uint8]) -> Renderer:
-        """A renderer of the same things in the same light from elsewhere, over a picture of that camera's size; quick,
-        for side views and turntables of a film."""
+        """A renderer of the same objects and light for another camera, over a picture of its size.
+
+        It is quick: side views and turntables need no new fit of the light."""
         _check_size(background, camera)
         setting = replace(
             self.setting,

@@ -18,9 +18,10 @@ FADE = 12.0
 def cast_map(
     vertices: NDArray[Any], faces: NDArray[Any], closed: bool, frame: NDArray[Any], nearest: NDArray[Any]
 ) -> None:
-    """Raise ``nearest`` (s, s) to the place along a light that triangles reach. Rows of ``frame`` (3, 4): column
-    [texel], row [texel] and place [m], against the light's rays, of a world point. Of a ``closed`` surface only what
-    faces the light is drawn: the rest lies behind it."""
+    """Raise the shadow map ``nearest`` (s, s) to the height towards the light that triangles reach.
+
+    Rows of ``frame`` (3, 4) map a world point to column [texel], row [texel] and height against the light's rays [m].
+    Of a ``closed`` surface only faces towards the light are drawn: the others are behind them."""
     side = len(nearest)
     placed = np.empty((len(vertices), 3))
     for i in range(len(vertices)):
@@ -41,6 +42,7 @@ def cast_map(
             y = row + 0.5
             for column in range(left, right + 1):
                 x = column + 0.5
+                # Barycentrics times the signed area: a texel is inside where all three have the area's sign.
                 wb = (x - ua) * (vc - va) - (uc - ua) * (y - va)
                 wc = (ub - ua) * (y - va) - (x - ua) * (vb - va)
                 if sign * wb >= 0 and sign * wc >= 0 and sign * (area - wb - wc) >= 0:
@@ -58,10 +60,11 @@ def note_changes(
     spans: NDArray[Any],
     limits: NDArray[Any],
 ) -> None:
-    """Make ``before`` (s, s) equal to a light's map in some ``parts`` (k, 4), first and last column and row of each,
-    and ``spans`` (b, b, 2) the least and the largest place, old or new, of what changed in squares of ``block``
-    texels; inf and -inf where nothing did. ``limits`` (5,): the first and last column and row that changed, and the
-    largest place."""
+    """Copy a light's map to ``before`` (s, s) in some ``parts`` and note the changes.
+
+    ``parts`` (k, 4): first and last column, first and last row of each. ``spans`` (b, b, 2): per square of ``block``
+    texels the least and largest height, old or new, of changed texels; inf and -inf where none changed. ``limits``
+    (5,): first and last changed column, first and last changed row, largest height."""
     side = len(nearest)
     spans[:, :, 0], spans[:, :, 1] = np.inf, -np.inf
     limits[0], limits[1], limits[2], limits[3], limits[4] = np.inf, -np.inf, np.inf, -np.inf, -np.inf
@@ -80,8 +83,9 @@ def note_changes(
 
 
 Line = tuple[float, float, float]
-"""a and b of a line x = a y + b, and 1 where a triangle lies to its right, -1 to its left; 0 for a level line, where it
-lies at a y + b >= 0."""
+"""(a, b, side) of a line x = a y + b: side is 1 if the triangle is to its right, -1 if to its left.
+
+A level line has side 0; the triangle is where a y + b >= 0."""
 
 
 @inline_kernel
@@ -96,7 +100,7 @@ def _side(ux: float, uy: float, vx: float, vy: float, sign: float) -> Line:
 
 @inline_kernel
 def _cut(low: float, high: float, line: Line, y: float) -> tuple[float, float]:
-    """What of x in [low, high] lies inside of a line."""
+    """The part of [low, high] in x that is inside a line at row y."""
     x = line[0] * y + line[1]
     if line[2] > 0:
         return max(low, x), high
@@ -115,9 +119,10 @@ def cast_on_ground(
     near: float,
     bits: NDArray[Any],
 ) -> None:
-    """Set bit k of ``bits`` (h, w) where the ground z = 0, seen through ``P`` (3, 4) = K T_camera_world, lies in the
-    shadow that triangles cast away from ``lights`` (k, 3). Of a ``closed`` surface half the triangles are drawn, those
-    of one side: both halves have the same shadow."""
+    """Set bit k of ``bits`` (h, w) where the ground z = 0 is in the shadow of triangles from light k.
+
+    ``P`` (3, 4) = K T_camera_world projects the ground; ``lights`` (k, 3) point to the lights. Of a ``closed`` surface
+    only one side is drawn: both sides have the same shadow."""
     height, width = bits.shape
     size = float(max(height, width))
     points = np.empty((len(vertices), 5))
@@ -125,6 +130,7 @@ def cast_on_ground(
         bit = np.uint8(1 << light)
         sx, sy = lights[light, 0] / lights[light, 2], lights[light, 1] / lights[light, 2]
         for i in range(len(vertices)):
+            # The vertex's shadow on z = 0; what is below the ground casts from the ground.
             above = max(vertices[i, 2], 0.0)
             x, y = vertices[i, 0] - above * sx, vertices[i, 1] - above * sy
             px, py = P[0, 0] * x + P[0, 1] * y + P[0, 3], P[1, 0] * x + P[1, 1] * y + P[1, 3]
@@ -188,8 +194,10 @@ def arriving(
     maps: NDArray[Any],
     bias: float,
 ) -> float:
-    """Cosine of a light's angle at a point with a normal, times what of it arrives there: the share of the four texels
-    around that nothing nearer is in, by their weight (Reeves et al. 1987)."""
+    """Cosine of a light's angle at a point with a normal, times the share of the light that arrives there.
+
+    The share is the bilinear weight of the four texels around that hold nothing nearer (percentage-closer filtering,
+    Reeves et al. 1987)."""
     cosine = nx * directions[light, 0] + ny * directions[light, 1] + nz * directions[light, 2]
     if cosine <= 0:
         return 0.0
@@ -197,7 +205,7 @@ def arriving(
     u = frames[light, 0, 0] * px + frames[light, 0, 1] * py + frames[light, 0, 2] * pz + frames[light, 0, 3] - 0.5
     v = frames[light, 1, 0] * px + frames[light, 1, 1] * py + frames[light, 1, 2] * pz + frames[light, 1, 3] - 0.5
     inside = min(u, v, side - 1 - u, side - 1 - v)
-    if not inside > 0:
+    if not inside > 0:  # outside the map nothing casts; FADE texels inside its border shadows fade in
         return cosine
     t = frames[light, 2, 0] * px + frames[light, 2, 1] * py + frames[light, 2, 2] * pz + frames[light, 2, 3] + bias
     i, j = int(u), int(v)

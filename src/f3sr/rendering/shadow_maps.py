@@ -67,8 +67,9 @@ class Maps:
         rasterizer.share(draw, range(len(self.directions))[lights])
 
     def reached(self, points: Array) -> NDArray[np.int64]:
-        """(L, 4) first and last column, first and last row of every map that a surface through points (n, 3) and within
-        their hull can change; none where there are no points."""
+        """(L, 4): first and last column, first and last row of every map that a surface can change.
+
+        The surface lies inside the hull of points (n, 3). Without points the ranges are empty."""
         if not len(points):
             return np.tile([0, -1, 0, -1], (len(self.directions), 1))
         placed = self.frames[:, :2, :3] @ points.T + self.frames[:, :2, 3:]

@@ -1,4 +1,4 @@
-"""All triangles of a scene in one set of arrays, with smooth normals, and the simpler ones that cast its shadows."""
+"""All triangles of a scene in one set of arrays, with smooth normals, and simplified ones that cast shadows."""
 
 from __future__ import annotations
 
@@ -69,8 +69,8 @@ def _vertex_colors(mesh: Mesh) -> Array:
 
 
 def casters_of(objects: Sequence[SceneObject], *faces: int) -> tuple[tuple[Caster, ...], ...]:
-    """For each number of ``faces``, most first, every object in its frame at its scale with about so many triangles or
-    fewer."""
+    """For each number of ``faces``, largest first: every object, in its scaled frame, with at most about so many
+    faces."""
     made = [_casters(o, faces) for o in objects]
     return tuple(tuple(casters[k] for casters in made) for k in range(len(faces)))
 
@@ -81,9 +81,10 @@ def faces_outward(vertices: Array, faces: NDArray[np.int32]) -> bool:
 
 
 def _casters(o: SceneObject, faces: Sequence[int]) -> list[Caster]:
-    """Of an object with fewer and fewer triangles, by Garland and Heckbert, "Surface simplification using quadric error
-    metrics" (1997), on the welded surface, and nowhere outside of it, where they would shade the very surface that they
-    stand for."""
+    """An object with fewer and fewer triangles (Garland and Heckbert, "Surface simplification using quadric error
+    metrics", 1997).
+
+    It acts on the welded surface. No result is outside it: there it would shade the surface that it replaces."""
     import fast_simplification
 
     vertices, triangles = o.mesh.welded

@@ -186,7 +186,7 @@ def texture_at(textures: Textures, slot: Any, u: float, v: float, footprint: flo
 
 @inline_kernel
 def light_at(x: float, y: float, z: float, nx: float, ny: float, nz: float, lamps: Lamps) -> tuple[float, float, float]:
-    """Direct light, the sky's and that from below at a point with a normal, each 1 where nothing is in the way."""
+    """Direct light, sky light and light from below at a point with a normal; each is 1 without obstacles."""
     directions, frames, maps, bias = lamps.directions, lamps.frames, lamps.maps, lamps.bias
     x, y, z = x + lamps.offset * nx, y + lamps.offset * ny, z + lamps.offset * nz
     direct = sky = 0.0
@@ -225,8 +225,9 @@ Vector = tuple[float, float, float]
 def _weights(
     points: NDArray[Any], faces: NDArray[Any], f: Any, x: float, y: float, size: float, near: float
 ) -> tuple[Vector, Vector, Vector, float]:
-    """Barycentrics of a sample in a face, or at its border next to it, how they change along x and along y, and 1 where
-    the face shows its front, else -1."""
+    """Barycentrics of a sample in a face, clamped to its border, and their derivatives along x and y.
+
+    The last value is 1 if the face shows its front, otherwise -1."""
     a, b, c = corner(points, faces[f, 0]), corner(points, faces[f, 1]), corner(points, faces[f, 2])
     sign = 1.0 if determinant(a, b, c) > 0 else -1.0
     ea, eb, ec, _ = edge_functions(a, b, c, sign, size, near)
@@ -250,6 +251,7 @@ def _color(
     ua, ub, uc, va, vb, vc = uv[i, 0], uv[j, 0], uv[k, 0], uv[i, 1], uv[j, 1], uv[k, 1]
     u, v = wa * ua + wb * ub + wc * uc, wa * va + wb * vb + wc * vc
     high, wide = sizes[slot, 0, 0], sizes[slot, 0, 1]
+    # d(u)/dx by the quotient rule: barycentrics are e / sum(e), so their derivatives weigh differences to u itself.
     ux = (along[0] * (ua - u) + along[1] * (ub - u) + along[2] * (uc - u)) * wide
     uy = (down[0] * (ua - u) + down[1] * (ub - u) + down[2] * (uc - u)) * wide
     vx = (along[0] * (va - v) + along[1] * (vb - v) + along[2] * (vc - v)) * high
@@ -318,9 +320,11 @@ def shade(
     color: NDArray[Any],
     cover: NDArray[Any],
 ) -> None:
-    """Sums of the samples' colours into ``color`` (h, w, 3) and how many show an object into ``cover`` (h, w), in the
-    rows [top, bottom), where squares of ``tile`` pixels are ``dirty``. ``face`` and ``nearness`` (samples h, samples w)
-    are drawn. Samples of a pixel that lie and face alike share the light of the first."""
+    """Shade the pixels of ``dirty`` squares of ``tile`` pixels in the rows [top, bottom).
+
+    ``color`` (h, w, 3) takes the sums of the samples' colours, ``cover`` (h, w) the number of samples on objects.
+    ``face`` and ``nearness`` (samples h, samples w) are the drawn buffers. Samples of a pixel with nearly equal place
+    and normal share the light of the first."""
     faces, points, rays, turns = shapes.faces, view.points, view.rays, view.turns
     owners, normals, strength, exposures = shapes.object, shapes.normals, lamps.strength, lamps.exposures
     size, width, whole = float(max(face.shape)), cover.shape[1], samples * samples
@@ -345,6 +349,7 @@ def shade(
                 r, g, b = _color(shapes, textures, f, weights, along, down, float(area))
                 o, depth = owners[f], _depth(points, faces, f, weights)
                 nx, ny, nz = _normal(normals, turns, f, o, weights, front)
+                # Light is the expensive part: reuse that of the last lit sample where place and normal agree.
                 if not (lit == o and nx * lx + ny * ly + nz * lz > SAME and abs(depth - ld) < NEARBY * depth):
                     px, py, pz = _place(rays, x, y, depth)
                     direct, sky, below = light_at(px, py, pz, nx, ny, nz, lamps)
@@ -423,8 +428,9 @@ def corner_normals(
 def tile_depths(
     nearness: NDArray[Any], side: int, top: int, bottom: int, left: int, right: int, out: NDArray[Any]
 ) -> None:
-    """Least and largest 1 / z into ``out`` (rows, columns, 2) of what the samples of tiles of ``side`` show, both 0
-    where they show nothing, of tiles in the rows [top, bottom) and columns [left, right)."""
+    """Least and largest 1 / z of the samples of each tile, into ``out`` (rows, columns, 2); both 0 in empty tiles.
+
+    Tiles have ``side`` samples; those in the rows [top, bottom) and columns [left, right) are computed."""
     height, width = nearness.shape
     for i in range(top, bottom):
         for j in range(left, right):
@@ -473,15 +479,17 @@ def mark_shadowed(
     bottom: int,
     dirty: NDArray[Any],
 ) -> None:
-    """Set ``dirty`` (rows, columns), in the rows [top, bottom), where the light of what a tile shows may be another,
-    because a texel of a map that it reads has been on one side of it and is on the other: ``spans`` (L, b, b, 2) and
-    ``limits`` (L, 5) of ``note_changes``."""
+    """Set ``dirty`` (rows, columns) for tiles in the rows [top, bottom) whose light may have changed.
+
+    There a map texel that the tile reads was on one side of it and is now on the other. ``spans``
+    (L, b, b, 2) and ``limits`` (L, 5) come from ``note_changes``."""
     corners, middle = np.empty((8, 3)), np.empty(3)
     around, last = offset / texel + 0.75, spans.shape[1] - 1
     for i in range(top, bottom):
         for j in range(depths.shape[1]):
             if dirty[i, j] or depths[i, j, 1] == 0:
                 continue
+            # The tile's frustum between its nearest and farthest sample: bits of k choose column, row and depth.
             for k in range(8):
                 x, y = float((j + (k & 1)) * side), float((i + ((k >> 1) & 1)) * side)
                 z = 1 / float(depths[i, j, k >> 2])

@@ -17,8 +17,10 @@ UNIT = 65535.0
 def border(
     texture: NDArray[Any], table: NDArray[Any], drawn: NDArray[Any], sums: NDArray[Any], weights: NDArray[Any]
 ) -> None:
-    """``sums`` (h, w, 3) and ``weights`` (h, w): the colours ``table`` (256, 3) of a texture (h, w, 3) where it is
-    ``drawn`` (h, w); beside that, which bilinear samples touch, the mean of the drawn neighbours; 0 elsewhere."""
+    """Fill ``sums`` (h, w, 3) and ``weights`` (h, w) with linear colours of a texture (h, w, 3) by ``table`` (256, 3).
+
+    Texels that are ``drawn`` (h, w) have their own colour. Their neighbours, which bilinear samples touch, have the
+    mean of drawn neighbours. All others are 0."""
     height, width = drawn.shape
     for y in range(height):
         for x in range(width):

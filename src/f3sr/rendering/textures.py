@@ -31,8 +31,10 @@ LINEAR = rasterizer.fixed(linear(np.arange(256) / 255), np.float64)
 
 
 def textures_of(objects: Sequence[SceneObject]) -> Textures:
-    """The materials of some objects, in their order. Texels that no triangle shows take the colour of near ones that
-    one does, or they would bleed into the borders of charts and into coarse levels."""
+    """The materials of some objects, in their order.
+
+    Texels that no triangle shows take the colour of shown ones nearby. Otherwise they would bleed into chart borders
+    and coarse mip levels."""
     shown = [(o.mesh, k) for o in objects for k in range(len(o.mesh.materials))]
     shapes = [_level_shapes(*_texture(mesh, mesh.materials[k]).shape[:2]) for mesh, k in shown]
     most = max(map(len, shapes), default=1)
@@ -97,8 +99,9 @@ def _colors(material: Material) -> NDArray[np.float32]:
 
 
 def _drawn(mesh: Mesh, material: int, size: tuple[int, int]) -> NDArray[np.bool_]:
-    """Texels (h, w) whose middle a triangle of the material shows, or that hold a corner of one with no such texel
-    around; all, where they repeat the texture."""
+    """Texels (h, w) that triangles of the material show at their centre; all of them if the texture repeats.
+
+    A triangle without such a texel marks the texels of its corners."""
     h, w = size
     uv = mesh.uv
     assert mesh.face_material is not None

@@ -1,9 +1,9 @@
-"""A folder that is written whole or not at all, whatever ends the run: packages, rollouts, films in a rollout.
+"""A folder that is written whole or not at all, even if the run is killed: packages, rollouts, films in a rollout.
 
 ``OUT`` is built in ``.OUT.building/new``. Then OUT is renamed to ``.OUT.building/previous`` and ``new`` to OUT. Files
-for a folder that stays are built there too; one rename to ``added`` decides, then each file is moved into OUT. The
-next command that reads or writes OUT undoes or finishes what a kill cut. ``.OUT.building`` holds a marker from its
-first moment to its last, which its process locks: without one it is somebody else's and is left alone.
+for an existing folder are built there too. One rename to ``added`` commits them, then each file is moved into OUT. The
+next command that reads or writes OUT reverts or finishes an interrupted run. ``.OUT.building`` always holds a marker
+that its process locks. Without the marker it belongs to somebody else and is left alone (docs: durability).
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def told(out: Path) -> Generator[None]:
 
 
 def recover(*places: Path) -> None:
-    """Undo or finish what killed runs left of the places and of the folders they lie in, as far as that can be."""
+    """Revert or finish what killed runs left at the paths and in their parent folders, as far as possible."""
     for place in places:
         out, *names = map(Path, place.absolute().parts)
         while names and os.path.exists(out):  # noqa: PTH110 - false, not an error, for impossible names

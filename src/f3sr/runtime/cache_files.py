@@ -23,7 +23,7 @@ def write_sealed(file: Path, data: bytes, key: str) -> None:
 
 
 def read_sealed(file: Path, key: str) -> bytes | None:
-    """What was written under the key; None where it is not there, or the disk or another user may have changed it."""
+    """The bytes written under the key; None if absent, or possibly changed by the disk or another user."""
     try:
         with os.fdopen(os.open(file, os.O_RDONLY | os.O_NOFOLLOW), "rb") as stream:
             content = stream.read() if is_ours(stream.fileno()) else b""

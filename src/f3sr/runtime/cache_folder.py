@@ -24,8 +24,8 @@ ROOT = 0
 def cache_folder() -> Path | None:
     """``$F3SR_CACHE_DIR``, else f3sr's folder in the XDG cache, else this user's among the temporary files.
 
-    A folder that cannot be written to is passed over; so is one that another user could write to, with an F3srWarning.
-    None where no folder remains: then nothing is kept."""
+    A folder without write permission is skipped. So is one that another user could write to, with an F3srWarning.
+    None if no folder remains: then nothing is kept."""
     for folder in _candidates():
         try:
             _make(folder)

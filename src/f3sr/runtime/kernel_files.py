@@ -1,8 +1,8 @@
 """Compiled kernels on disk: one file per kernel and signature, whole or absent, its digest checked before it is run.
 
-numba's own cache (``njit(cache=True)``) does not serve: it makes its folders when a module is imported, keeps an index
-that two processes overwrite for each other, and unpickles whatever the disk gives, so that a damaged file fails every
-run, or is run. Here a file that cannot be trusted is one that is not there.
+numba's own cache (``njit(cache=True)``) is unsuitable for three reasons. It makes its folders when a module is
+imported. It keeps an index that two processes overwrite for each other. It unpickles any file, so a damaged one fails
+every run, or is executed. Here an untrusted file counts as absent.
 """
 
 from __future__ import annotations

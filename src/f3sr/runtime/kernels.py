@@ -1,7 +1,7 @@
 """The numba decorator of the project, where its compiled kernels are kept, and compiling them ahead of use.
 
 Kernels are compiled once per machine and version of the kernel sources. The cache folder's name holds a hash of all
-kernel sources, because a change in a kernel changes those of other files that call it.
+kernel sources: a change in a kernel changes its callers in other files.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 KEPT_VERSIONS = 4
 """Kernel folders that stay: this version's and the others used last (a megabyte each)."""
 WARM = "warm"
-"""File in such a folder that names the files of all compiled kernels; its age tells when it was used last."""
+"""File in such a folder with the names of all compiled kernels; its age is the time since the last use."""
 
 HAS_KERNELS = re.compile(r"^from f3sr\.runtime\.kernels import .*\bkernel\b", re.MULTILINE)
 HAS_WARM_UP = re.compile(r"^def warm_up\(\)", re.MULTILINE)
@@ -88,7 +88,7 @@ def is_warm() -> bool:
 def warm_up(progress: Progress = silent) -> None:
     """Compile what is not in the cache yet, half a minute once per machine; otherwise load it.
 
-    A damaged file of the cache is told, discarded and made anew. Without a cache every process compiles."""
+    A damaged cache file is reported, discarded and made again. Without a cache every process compiles."""
     folder = kernel_folder()
     if folder is None:
         with timed("compiling kernels for this run only, as no folder can keep them", progress):

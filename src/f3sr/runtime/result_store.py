@@ -1,4 +1,4 @@
-"""Results on disk by content: a key names everything a result depends on, a value is JSON and arrays in one npz."""
+"""Results on disk by content: a key names everything that a result depends on, a value is a document and arrays."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def code_version() -> str:
 
 
 def limit_bytes() -> int:
-    """The most that stored results may take: ``$F3SR_CACHE_LIMIT_GB``, 5 where that is no number."""
+    """Size limit of stored results [bytes]: ``$F3SR_CACHE_LIMIT_GB``, 5 GB if that is not a number."""
     try:
         return max(0, int(float(os.environ["F3SR_CACHE_LIMIT_GB"]) * 1e9))
     except (KeyError, ValueError, OverflowError):
@@ -48,10 +48,10 @@ def limit_bytes() -> int:
 
 
 class Store:
-    """A folder of results, each in a file of its own that appears whole or not at all.
+    """A folder of stage results, so that a repeated or interrupted run continues (docs: durability).
 
-    It takes at most ``share`` of the limit for stored results; what was used longest ago goes first. Without a folder
-    it keeps nothing.
+    Each result is one file that appears whole or not at all. The folder takes at most ``share`` of the size limit; the
+    least recently used result is deleted first. Several processes may share it. ``folder`` None stores nothing.
     """
 
     def __init__(self, folder: Path | None, *, share: float = 0.9) -> None:
@@ -63,7 +63,7 @@ class Store:
         return cls(within("stages"))
 
     def load(self, key: str) -> tuple[Any, Arrays] | None:
-        """The document and arrays that ``save`` stored under this key; None when there are none as they were saved."""
+        """The document and arrays that ``save`` stored under the key; None if absent or damaged."""
         if self.folder is None or (data := read_sealed(_file(self.folder, key), key)) is None:
             return None
         arrays = npz.read_all(io.BytesIO(data), str(_file(self.folder, key)))
@@ -72,7 +72,7 @@ class Store:
         return json.loads(arrays.pop(DOCUMENT).tobytes()), arrays
 
     def save(self, key: str, document: Any, arrays: Arrays) -> None:
-        """Store a result; a folder that cannot be written to keeps nothing, and that is all."""
+        """Store a JSON-like document and named arrays. A folder without write permission stores nothing, silently."""
         if self.folder is None:
             return
         text = np.frombuffer(json.dumps(document, allow_nan=True).encode(), np.uint8)
@@ -82,9 +82,9 @@ class Store:
         self._tidy(self.folder)
 
     def _tidy(self, folder: Path) -> None:
-        """Delete what killed runs left half written, and the results used longest ago until the rest fits.
+        """Delete half-written files of killed runs, and the least recently used results until the rest fits.
 
-        Other processes may do the same at the same time: a file that is gone is as good as deleted.
+        Other processes may do the same at the same time: a missing file counts as deleted.
         """
         room = self.share * limit_bytes()
         for file, status in sorted(_files(folder), key=lambda pair: -pair[1].st_mtime_ns):

@@ -1,8 +1,8 @@
 """How a command ends early: Ctrl-C, SIGTERM and SIGHUP undo what is half done, say so in one line and exit with 1.
 
-A signal must end the process wherever it is: in an import, in compiled code, in a thread that waits. So no exception
-travels through it: a thread of its own waits for the signal, for work under ``held`` to be over, undoes what is
-registered by ``undone`` and exits. It says what is on disk, as ``wrote`` told it.
+A signal must end the process anywhere: in an import, in compiled code, in a waiting thread. So no exception is raised.
+A separate thread waits for the signal and for the end of work under ``held``. Then it undoes what ``undone``
+registered and exits. Its line says what is on disk, as given by ``wrote``.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _watching: list[threading.Thread] = []
 
 
 def watch() -> None:
-    """End this process on the signals, except those it was told to ignore (``nohup``). Once, from the main thread."""
+    """End this process on the signals, except those that it ignores already (``nohup``). Once, from the main thread."""
     if _watching:
         return
     ear, mouth = os.pipe()
@@ -67,7 +67,7 @@ def undone(start: Callable[[], T], undo: Callable[[T], object]) -> Generator[T]:
 
 
 def wrote(place: Path) -> None:
-    """A result is in its place, whatever happens now."""
+    """The result is complete, even if a signal comes now."""
     _written.append(place)
 
 

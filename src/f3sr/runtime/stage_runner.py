@@ -21,9 +21,11 @@ P = ParamSpec("P")
 
 
 class Runner:
-    """Calls stage after stage. A stage's key hashes the code, the key before it, its name and its configuration, so a
-    stored result is taken exactly when everything it depends on is the same. What a limit on time has cut short depends
-    on more than that: neither it nor what follows from it is stored."""
+    """Calls stage after stage and stores results.
+
+    A stage's key hashes the code, the key before it, its name and its configuration. So a stored result is used exactly
+    when everything that it depends on is equal. A result that a time limit cut short depends on more: neither it nor
+    any later one is stored."""
 
     def __init__(
         self, key: str, *, skip: Collection[str], skippable: Sequence[str], store: Store | None, progress: Progress
@@ -74,9 +76,10 @@ class Runner:
     def beside(
         self, name: str, work: Callable[[], T], form: Form[T], config: Any, *, also: str = "", later: bool = False
     ) -> Callable[[], T | None]:
-        """Begin what no later stage needs in a thread of its own; the call that is returned waits for it, or does it
-        where it is to come ``later``. It is stored by what came before it, and by what it ``also`` depends on,
-        whatever comes after it."""
+        """Start work that no later stage needs in a separate thread; the returned call waits for its result.
+
+        With ``later`` the returned call does the work itself. Its key depends on the stages before it, and on ``also``.
+        """
         return self._ready(digest(self.key, name, asdict(config), also), name, work, form, later=later)
 
     def _ready(

@@ -1,4 +1,4 @@
-"""The scene package on disk: written whole or not at all, and read back with every claim checked."""
+"""The scene package on disk: written whole or not at all, and validated when read."""
 
 from __future__ import annotations
 
@@ -62,13 +62,16 @@ __all__ = ["Package", "SceneDocument", "is_package", "prepare_output", "read_pac
 WRITTEN: Sequence[Exporter] = (Glb(), Mjcf())
 """Formats of every package: ``scene.glb``; ``scene.xml``, ``visual/``, and ``collision/``, which scene.json names."""
 NEAREST_KEPT = 0.001
-"""Least depth [m] of what may hide objects: a lens can come no nearer."""
+"""Least depth [m] of pixels that may hide objects: a lens cannot be nearer."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Package:
-    """A scene package in memory: the scene with objects of scale 1, the levelled input beside it where the package
-    knows it, and the document itself."""
+    """A scene package in memory.
+
+    ``scene`` has objects of scale 1; ``direct`` is the levelled input, None if the package has none. ``document`` is
+    scene.json as typed records.
+    """
 
     folder: Path
     document: SceneDocument
@@ -77,21 +80,23 @@ class Package:
 
     @property
     def camera_aligned(self) -> bool:
-        """Whether the package says that f3sr aligned its camera; else the scene is foreign."""
+        """Whether f3sr aligned the camera. If not, ``evaluate`` also measures with a fitted camera."""
         return self.document.provenance.get("camera_aligned") is True
 
     def background(self) -> NDArray[np.uint8] | None:
-        """background.png (H, W, 3), the photo completed behind its objects; None where it is not there."""
+        """background.png (H, W, 3) uint8 sRGB, the photo completed behind its objects; None if the file is absent."""
         return self._picture(BACKGROUND, "RGB")
 
     def support(self) -> NDArray[np.bool_] | None:
-        """support.png (H, W): where background.png shows what things stand on; None where it is not there."""
+        """support.png (H, W): pixels of background.png that show the support surface; None if the file is absent."""
         picture = self._picture(SUPPORT, "L")
         return None if picture is None else picture > 127
 
     def kept_depth(self) -> NDArray[np.float32] | None:
-        """kept_depth.npz (H, W): depth [m] along the camera's axis of what background.png shows and may hide objects,
-        inf where nothing does; None where it is not there."""
+        """kept_depth.npz (H, W): z-depth [m] of pixels of background.png that may hide objects, inf elsewhere.
+
+        None if the file is absent. Raises InputError if it is damaged.
+        """
         file, shape = self.folder / KEPT, (self.scene.camera.height, self.scene.camera.width)
         if not file.exists():
             return None
@@ -103,7 +108,7 @@ class Package:
         return depth
 
     def _picture(self, name: str, mode: str) -> NDArray[np.uint8] | None:
-        """Read when asked for: only films need these, and whatever else a package is for goes on without."""
+        """A picture, read on demand: only films need these, so a damaged one stops nothing else."""
         if not (self.folder / name).exists():
             return None
         return _read_image(self.folder, name, (self.scene.camera.width, self.scene.camera.height), mode)
@@ -125,15 +130,13 @@ def write_package(
     physics: PhysicsConfig = DEFAULT_PHYSICS,
     overwrite: bool = False,
 ) -> Path:
-    """Write the scene as a package to ``out`` and return the folder's full path.
+    """Write the scene as a package to ``out`` and return the folder's full path (docs: conventions).
 
-    ``direct``: the levelled input with the same ids; ``metrics`` by name; ``provenance``:
-    stages, hashes and the like, without paths of this machine or times;
-    ``seconds`` per stage go to report.json with the ``reports`` and the ``rows`` of measures, direct composition's
-    among them, by title; ``pictures`` (h, w, 3) by name without
-    suffix; ``inpainting`` is the photo completed behind the objects; ``page`` is report.html. ``out`` changes only
-    after everything has been written beside it.
-    Raises OutputError when something else than an f3sr package is there, or one with rollouts and not ``overwrite``.
+    ``direct``: the levelled input with the same ids. ``metrics`` by name. ``provenance``: stages, hashes and the like,
+    without paths or times. ``reports``, ``rows`` (measures by title) and ``seconds`` per stage go to report.json.
+    ``pictures`` (h, w, 3) uint8 by name without suffix. ``inpainting``: the completed photo. ``page``: report.html.
+    ``physics``: contact settings of scene.xml. ``out`` changes only after all files exist in a hidden folder.
+    Raises OutputError if ``out`` is not an f3sr package, or is one with rollouts without ``overwrite``.
     """
     out = placed(out)
     with claimed(out, lambda out: require_replaceable(out, overwrite=overwrite)) as claim:
@@ -154,7 +157,10 @@ def write_package(
 
 
 def read_package(folder: Path) -> Package:
-    """Read a package; InputError names the file that is missing, malformed or outside the folder."""
+    """Read and validate a package folder. A package is untrusted: every number and path is checked.
+
+    Raises InputError naming the file that is missing, malformed or outside the folder.
+    """
     folder = Path(folder)
     recover(folder)
     document = _read_document(_inside(folder, SCENE))
@@ -370,7 +376,7 @@ def _read_mesh(folder: Path, path: str) -> Mesh:
 
 
 DENT = 1e-4
-"""Share of the volume of its hull that a part may lack, by rounding, and be taken as it is written."""
+"""Largest share of its hull's volume that a part may lack, by rounding, to count as convex."""
 
 
 def _read_part(folder: Path, path: str) -> ConvexPart:

@@ -1,4 +1,4 @@
-"""A package's folder: the names in it, how it is told from other folders, and which places may be written."""
+"""A package's folder: the names in it, how it is recognised, and which paths may be written."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ TOP_LEVEL = {
 
 
 def is_package(folder: Path) -> bool:
-    """True when the folder has a scene.json that looks like ours, of whatever version."""
+    """True when the folder has a scene.json that looks like ours, of any version."""
     try:
         if not stat.S_ISREG((folder / SCENE).lstat().st_mode):  # a link may lead anywhere
             return False
@@ -58,8 +58,8 @@ def prepare_output(out: Path, *, inputs: Path | None = None, overwrite: bool = F
 def placed(out: Path, *, rollout: bool = False) -> Path:
     """The full path of a folder to be written, once what killed runs left there is tidied up.
 
-    Raises OutputError for a path that leads nowhere, through a link in a package, or into a package, where only a
-    ``rollout`` may go below ``rollouts``.
+    Raises OutputError for a path that leads nowhere, through a link in a package, or into a package. Inside a package
+    only a ``rollout`` may be written, below ``rollouts``.
     """
     path = Path(out).absolute()
     with atomic_folder.told(path):

@@ -33,7 +33,7 @@ class AssembleConfig:
 class Assembled(Outcome):
     stage: ClassVar[str] = "assemble"
     depth_ratios: Mapping[int, float] = field(default_factory=dict[int, float])
-    """Depth of assets as they came over the geometry's, by object id, where both are known."""
+    """Depth of assets in their input poses over the geometry's, by object id, where both are known."""
 
     @property
     def measures(self) -> tuple[Measure, ...]:
@@ -62,9 +62,9 @@ def assemble(
 ) -> tuple[Scene, Assembled]:
     """Bring a scene ``as_given`` into one frame: a level camera at the origin, objects where their assets' poses say.
 
-    Assets whose depth contradicts the geometry inside their mask by more than ``max_depth_ratio`` are moved along
-    their viewing rays and scaled alike about the camera centre, which leaves their silhouette as it was. Everything
-    gets one hull as its provisional proxy. ``told`` are the decisions of reading the inputs.
+    Some assets contradict the depth of the geometry inside their mask by more than ``max_depth_ratio``. They are scaled
+    about the camera centre, which keeps their silhouette. Every object gets one hull as its provisional proxy.
+    ``told`` are the decisions from reading the inputs.
     """
     config = config or AssembleConfig()
     camera = scene.camera

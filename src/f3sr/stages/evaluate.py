@@ -1,4 +1,4 @@
-"""evaluate: a scene beside direct composition, the input as it came, by the same measures."""
+"""evaluate: a scene and direct composition by the same measures (equations 12 to 14; docs: measures)."""
 
 from __future__ import annotations
 
@@ -24,20 +24,22 @@ class EvaluateConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class FittedCameraMeasures:
-    """The measures of a scene seen by a camera of its own, fitted to its masks inside bounds and then held."""
+    """The measures of a scene with a camera fitted to its own masks, inside bounds, and then held."""
 
     measures: Measures
-    """Those of the picture are measured anew, the others are the scene's."""
+    """Picture measures come from the fitted camera, the others are the scene's."""
     T_world_camera: tuple[tuple[float, ...], ...]
-    """(4, 4)"""
+    """The fitted camera's pose (4, 4)."""
     decision: Decision
 
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluation:
-    """The measures of a result and of direct composition, None where the input is not known.
+    """The measures of a result and of direct composition; those of direct composition are None without the input.
 
-    Scenes whose camera f3sr did not align have two rows: seen by the camera they came with, and by a fitted one."""
+    Scenes whose camera f3sr did not align are measured twice: with their own camera, and with a fitted one. Details
+    are per object and with places in the world.
+    """
 
     result: Measures
     direct: Measures | None
@@ -60,7 +62,7 @@ class Evaluation:
 
     @property
     def report(self) -> Report:
-        """What came of fitting cameras."""
+        """Decisions on fitted cameras."""
         fitted = (self.direct_fitted, self.result_fitted)
         return Report(stage="evaluate", decisions=tuple(f.decision for f in fitted if f))
 
@@ -73,11 +75,12 @@ def evaluate(
     foreign: bool = False,
     true_scale: float = 1.0,
 ) -> Evaluation:
-    """Measure ``scene`` and ``direct``, the levelled but otherwise untouched input, with the same proxies.
+    """Measure ``scene`` and ``direct``, the levelled and otherwise unchanged input, with the same proxies.
 
-    Direct composition, and ``scene`` where it is ``foreign`` (its camera was not aligned), are measured twice: as the
-    camera that came with them sees them, and as one that is fitted to their own masks, the report's protocol for
-    scenes of others."""
+    Direct composition is measured twice: with its own camera, and with a camera fitted to its own masks. That is the
+    report's protocol for scenes of others. So is ``scene`` if it is ``foreign``: its camera was not aligned.
+    ``true_scale`` is the factor from the scene's lengths to true metres.
+    """
     config = config or EvaluateConfig()
     beside = begun(_composed, direct, scene, config, true_scale) if direct else None
     result, result_details = measure_with_details(scene, true_scale=true_scale)
@@ -96,7 +99,7 @@ def evaluate(
 def _composed(
     direct: Scene, scene: Scene, config: EvaluateConfig, true_scale: float
 ) -> tuple[Measures, Details, FittedCameraMeasures]:
-    """What is measured of direct composition."""
+    """Measures, details and fitted-camera measures of direct composition."""
     composed = direct_composition(direct, scene)
     measures, details = measure_with_details(composed, true_scale=true_scale)
     return measures, details, _seen_by_its_own(composed, measures, DIRECT, config)
@@ -112,9 +115,9 @@ def _seen_by_its_own(scene: Scene, measures: Measures, name: str, config: Evalua
 
 
 def direct_composition(levelled: Scene, result: Scene) -> Scene:
-    """The input as it came, only levelled, its lowest vertex on the ground, with the proxies of ``result``.
+    """The baseline: the levelled input, its lowest vertex on the ground, with the proxies of ``result``.
 
-    Proxies live in the asset's frame, so they fit the untouched assets as they are.
+    Proxies are in the asset frame, so they fit the unmoved assets too.
     """
     lowest = min(float(o.bounds_world[0, 2]) for o in levelled)
     T = pose(t=[0, 0, -lowest])

@@ -1,4 +1,4 @@
-"""level: the ground plane found in the geometry, one rotation that turns it up and one shift that puts it at z = 0."""
+"""level: find the ground plane in the geometry, turn it up by one rotation and move it to z = 0 (equations 4 to 6)."""
 
 from __future__ import annotations
 

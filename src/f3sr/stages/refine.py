@@ -1,7 +1,7 @@
-"""refine: what is tried again once everything rests, and kept, group by group, where the picture gains.
+"""refine: repeat alignment on the scene at rest, and keep the result group by group where the visible IoU rises.
 
-Objects that touch neither each other nor each other's new places do not feel one another, so of a whole scene tried
-anew every such group is kept or undone for itself.
+Objects that touch neither each other nor each other's new places are independent. So every such group of a repeated
+scene is kept or reverted by itself (docs: contact).
 """
 
 from __future__ import annotations

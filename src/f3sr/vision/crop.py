@@ -33,8 +33,9 @@ def window_around(o: SceneObject, camera: Camera, resolution: int) -> Camera:
 
 
 def sampled(image: NDArray[Any], camera: Camera, window: Camera, *, fill: Any) -> NDArray[Any]:
-    """An image (h, w, ...) of what ``camera`` sees, of any resolution, nearest to the pixel centres of a window of it;
-    ``fill`` where the window reaches beyond."""
+    """Nearest-pixel samples of an image (h, w, ...) of ``camera`` at the pixel centres of a window of it.
+
+    The image may have any resolution. Beyond its border the value is ``fill``."""
     rows, out_y = _nearest(camera.K[1], window.K[1], window.height, camera.height, image.shape[0])
     columns, out_x = _nearest(camera.K[0], window.K[0], window.width, camera.width, image.shape[1])
     values = image[np.ix_(rows, columns)]

@@ -10,15 +10,18 @@ from f3sr.core.transforms import Array
 
 
 def loss_per_pixel(mask: NDArray[np.bool_]) -> Array:
-    """IoU lost per pixel of shift to the right and downward (2,), for small shifts: of a silhouette A and itself
-    shifted by d, 1 - IoU = |A xor (A + d)| / |A or (A + d)|, where every border pixel across d counts once."""
+    """IoU lost per pixel of shift to the right and downward (2,), for small shifts.
+
+    For a silhouette A shifted by d, 1 - IoU = |A xor (A + d)| / |A or (A + d)|. Every border pixel across d counts
+    once."""
     across = np.count_nonzero(mask[:, 1:] != mask[:, :-1]), np.count_nonzero(mask[1:] != mask[:-1])
     return np.array(across) / max(1, np.count_nonzero(mask))
 
 
 def loss_matrix(mask: NDArray[np.bool_], camera: Camera, point: Array) -> Array:
-    """W (3, 3) [1/m2] with d' W d the squared IoU that an object at ``point`` (3,) loses by a small shift d (3,) in the
-    world; singular along the viewing ray. Zero for a point that is not in front of the camera."""
+    """W (3, 3) [1/m2]: d' W d is the squared IoU that an object at ``point`` (3,) loses by a small world shift d (3,).
+
+    It is singular along the viewing ray, and zero for a point that is not in front of the camera."""
     x, y, z = camera.to_camera(point[None])[0]
     if z <= 0:
         return np.zeros((3, 3))

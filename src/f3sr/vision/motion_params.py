@@ -1,5 +1,4 @@
-"""How things may move while they are aligned: parameters in a unit box, the poses they stand for, and the velocities
-that changing them gives to points in camera axes."""
+"""Motion parameters of alignment: a unit box of parameters, their poses, and velocities of points in camera axes."""
 
 from __future__ import annotations
 
@@ -15,9 +14,9 @@ from f3sr.core.transforms import Array, pose, rotation_from_vector
 class ObjectFreedom:
     """Equation 8, extended by tilt: x -> R s (x - anchor) + anchor + B a, in the world.
 
-    Parameters u (6,) in [-1, 1], times ``reach``: two shifts a [m] along the columns of ``basis`` (3, 2), yaw about +Z
-    and two tilts about X and Y [rad], together the rotation vector of R, and s - 1. A reach of 0 takes a freedom away.
-    ``anchor`` (3,) [m] is the point that rotation and scale leave in place.
+    Parameters u (6,) in [-1, 1] are multiplied by ``reach``. The first two are shifts a [m] along the columns of
+    ``basis`` (3, 2). Yaw about +Z and two tilts about X and Y [rad] follow, and s - 1. Yaw and tilts form the rotation
+    vector of R. A reach of 0 fixes a parameter. ``anchor`` (3,) [m] is the fixed point of rotation and scale.
     """
 
     anchor: Array
@@ -51,10 +50,10 @@ class ObjectFreedom:
 class CameraFreedom:
     """Six degrees of freedom about the scene's centre, so that turning and shifting decouple, or seven.
 
-    Parameters u (6,) in [-1, 1], times ``reach``: a rotation vector [rad] and a shift [m] of the scene along ``axes``,
-    x -> R (x - center) + center + t, with ``center`` (3,) [m] in the axes of ``camera``, the one it starts from. The
-    columns of ``axes`` (3, 3) are unit vectors in those axes too. A seventh is the logarithm of the factor on the focal
-    lengths.
+    Parameters u (6,) in [-1, 1] are multiplied by ``reach``: a rotation vector [rad] and a shift [m] of the scene along
+    ``axes``. The motion is x -> R (x - center) + center + t, in the axes of the initial ``camera``. ``center`` (3,) [m]
+    and the unit columns of ``axes`` (3, 3) are in these axes too. A seventh parameter is the logarithm of the factor on
+    the focal lengths.
     """
 
     camera: Camera
@@ -70,8 +69,9 @@ class CameraFreedom:
         return self.camera.moved(self.camera.T_world_camera @ T_old_new).zoomed(zoom)
 
     def velocities(self, u: Array) -> Array:
-        """(6, 3, 4), or 7: how points in the axes of the moved camera move with each parameter; a longer focal length
-        moves a picture as if its points moved away from the axis."""
+        """Affine velocity fields (6 or 7, 3, 4), one per parameter, in the axes of the moved camera.
+
+        A longer focal length moves the picture as if its points moved away from the axis."""
         turn, shift, _ = self._values(u)
         center = self.center + shift
         fields = [

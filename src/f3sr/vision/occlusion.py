@@ -18,7 +18,7 @@ ENOUGH = 20
 
 
 def nearer_objects(scene: Scene) -> dict[int, list[SceneObject]]:
-    """Per object, those that may hide it: told by the rendered depths where two objects overlap in the picture, else by
+    """Per object, those that may hide it: by the rendered depths where two objects overlap in the picture, else by
     their median depths. Two that cannot be ordered may hide each other."""
     small = scene.camera.limited(RESOLUTION)
     depths = {o.id: rasterizer.render([o], small).depth for o in scene}

@@ -21,7 +21,7 @@ FINE, COARSE = 0.7, 8.0
 TRUNCATED = 2.5
 """Standard deviations at which those Gaussians end."""
 ENOUGH = 100
-"""Pixels below which no correlation is told."""
+"""Least pixels for a correlation."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -48,9 +48,9 @@ class Appearance:
     def mismatch(self, o: SceneObject, velocities: Array) -> Local:
         """1 - correlation, with derivatives by parameters that move the surface by ``velocities`` (p, 3, 4).
 
-        With unit vectors a of the photo's detail and b of the render's it is |a - b|^2 / 2. A pixel's colour changes
-        by -grad(b) . (motion of the surface seen there), so its Gauss-Newton terms are those of direct image alignment
-        (Baker and Matthews, "Lucas-Kanade 20 years on", 2004), the change of b along b taken out by the unit length.
+        With unit vectors a of the photo's detail and b of the render's it is |a - b|^2 / 2. A pixel's colour changes by
+        -grad(b) . (motion of the surface in that pixel). So the Gauss-Newton terms are those of direct image alignment
+        (Baker and Matthews, "Lucas-Kanade 20 years on", 2004). The unit length removes the change of b along b.
         """
         rendered, both, depth = self._rendered(o)
         p = len(velocities)

@@ -28,7 +28,7 @@ SWAPPED = 0.4
 """Brightness where an object is drawn over another's mask, so that swapped ids show."""
 GROUND_LINE = (40, 170, 60)
 MUCH_LARGER = 2.5
-"""How many times larger two states together may be than one alone for it to be shown at their common scale."""
+"""Two states share a side camera while together they are at most so many times larger than each alone."""
 FRAME = 1.2
 """Size of a side view over that of what it shows."""
 PAPER = 245
@@ -80,7 +80,7 @@ def sheet(backdrop: Backdrop, overlays: Sequence[Image], sides: Sequence[Image],
 
 
 def _row(pictures: Sequence[Image], width: int, gap: int = 8) -> Image:
-    """Pictures of one size beside each other, white gaps between them, ``width`` pixels wide."""
+    """Pictures of one size in a row of ``width`` pixels, with white gaps."""
     each = (width - gap * (len(pictures) - 1)) // len(pictures)
     height = round(each * pictures[0].shape[0] / pictures[0].shape[1])
     row = np.full((height + gap, width, 3), 255, np.uint8)
@@ -90,8 +90,9 @@ def _row(pictures: Sequence[Image], width: int, gap: int = 8) -> Image:
 
 
 def overlay(scene: Scene, backdrop: Backdrop | None = None) -> Image:
-    """Masks against visible renders over the greyed photo: red only mask, green only render, blue both; what lies
-    between two objects' pixels is drawn dark, so that swapped ids show."""
+    """Masks against visible renders over the greyed photo: red only mask, green only render, blue both.
+
+    A render over another object's mask is dark, so that swapped ids show."""
     backdrop = backdrop or Backdrop.of(scene)
     ids, wanted = rasterizer.render(scene.objects, backdrop.camera(scene)).ids, backdrop.wanted
     has_mask, has_render = wanted != rasterizer.EMPTY, ids != rasterizer.EMPTY
@@ -140,8 +141,9 @@ def turned_view(scene: Scene, *, turn: float, width: int, height: int) -> Image:
 
 
 def side_cameras(before: Scene, after: Scene, width: int, height: int) -> tuple[Camera, Camera]:
-    """One side camera for two states of a scene, so that they compare; two where one state is so much larger that
-    nothing would be seen of the other."""
+    """One side camera for two states of a scene, so that they compare.
+
+    Two cameras if one state is so much larger that the other would be invisible."""
     sizes = [np.linalg.norm(np.ptp(_box(*scenes), axis=0)) for scenes in ((before,), (after,), (before, after))]
     if sizes[2] > MUCH_LARGER * min(sizes):
         return side_camera(before, width=width, height=height), side_camera(after, width=width, height=height)
@@ -150,10 +152,10 @@ def side_cameras(before: Scene, after: Scene, width: int, height: int) -> tuple[
 
 
 def side_camera(scene: Scene, *others: Scene, width: int, height: int, ground: bool = True) -> Camera:
-    """A camera 90 degrees to the side of the photo's, level, far enough away to look almost parallel.
+    """A level camera 90 degrees to the side of the photo's, far enough away for a nearly parallel view.
 
-    It stands at the height of the ground, or of the lowest point where there is no ground yet, and sees all of the
-    scene and ``others``.
+    Its height is that of the ground, or of the lowest point where there is no ground yet. Its view holds the scene
+    and ``others``.
     """
     forward = scene.camera.T_world_camera[:3, 0] * [1, 1, 0]
     forward = -forward / np.linalg.norm(forward)

@@ -1,18 +1,18 @@
 """The one z-buffer of the product: silhouettes, depth, ids and colours of triangle meshes for an exact K.
 
 Rasterisation is two-dimensional and homogeneous (Olano and Greer, "Triangle Scan Conversion using 2D
-Homogeneous Coordinates", 1997). With p = K v, not divided by z, for the corners a, b, c of a triangle, the
+Homogeneous Coordinates", 1997). Corners a, b, c of a triangle are p = K v, not divided by z. The
 edge functions at the pixel centre q = (x, y, 1) are
 
     e_a = (b x c) . q,   e_b = (c x a) . q,   e_c = (a x b) . q.
 
-Turned by the sign of det(a, b, c), all are >= 0 where the ray through q meets the triangle in front of the
-camera, and e / sum(e) are its perspective-correct barycentrics there. Nothing is divided by z and no triangle
+They are multiplied by the sign of det(a, b, c). Then all are >= 0 where the ray through q meets the triangle in
+front of the camera. There e / sum(e) are perspective-correct barycentrics. Nothing is divided by z and no triangle
 is cut: the near plane is a fourth edge function, (z_a - near) e_a + (z_b - near) e_b + (z_c - near) e_c >= 0.
 
-Neither edges nor corners that triangles share crack: each edge function is raised by a bound of its rounding
-error, about a billionth of a pixel. Along a row it is monotone in floating point too, so tests at both ends
-of a span decide its inside. Threads own bands of rows: no byte of a result depends on their number.
+Shared edges and corners do not crack: each edge function is raised by a bound of its rounding error, about a
+billionth of a pixel. Along a row it is monotone in floating point too. So tests at both ends of a span decide its
+inside. Threads own bands of rows: no byte of a result depends on their number.
 """
 
 from __future__ import annotations
@@ -370,8 +370,9 @@ def _nearest(
     bary: NDArray[Any],
     ids: NDArray[Any],
 ) -> None:
-    """Fill the buffers of ``Fragments`` in the rows [start, stop) of a picture whose longer side is ``size``; the
-    buffers begin at its row ``top``."""
+    """Fill the buffers of ``Fragments`` in the rows [start, stop) of a picture with longer side ``size`` [px].
+
+    The buffers begin at its row ``top``."""
     width = face.shape[1]
     for f in range(len(faces)):
         a, b, c = corner(points, faces[f, 0]), corner(points, faces[f, 1]), corner(points, faces[f, 2])
@@ -381,7 +382,7 @@ def _nearest(
         if low > high or left > right:
             continue
         det = determinant(a, b, c)
-        if not 0 < abs(det) < np.inf:
+        if not 0 < abs(det) < np.inf:  # no area, or seen exactly from its edge
             continue
         edges = edge_functions(a, b, c, np.sign(det), size, near)
         (ea, eb, ec, _), za, zb, zc = edges, a[2], b[2], c[2]
@@ -394,7 +395,7 @@ def _nearest(
                 wc = ec[0] * (x + 0.5) + row[2]
                 total = wa + wb + wc
                 z = (wa * za + wb * zb + wc * zc) / total
-                if z < depth[y, x]:
+                if z < depth[y, x]:  # strictly less: of equally near faces the first stays
                     depth[y, x] = z
                     face[y, x] = f
                     ids[y, x] = face_ids[f]

@@ -85,7 +85,7 @@ def clipped_bounds(corners: tuple[Point, Point, Point], near: float) -> tuple[fl
         if p[2] >= near:
             u0, u1, v0, v1 = min(u0, p[3]), max(u1, p[3]), min(v0, p[4]), max(v1, p[4])
         if (p[2] >= near) != (q[2] >= near):
-            t = (near - p[2]) / (q[2] - p[2])
+            t = (near - p[2]) / (q[2] - p[2])  # where the edge p q crosses z = near
             u, v = (p[0] + t * (q[0] - p[0])) / near, (p[1] + t * (q[1] - p[1])) / near
             u0, u1, v0, v1 = min(u0, u), max(u1, u), min(v0, v), max(v1, v)
     return u0 - 1, u1 + 1, v0 - 1, v1 + 1
@@ -102,6 +102,7 @@ def centres(low: float, high: float, start: int, stop: int) -> tuple[int, int]:
 @inline_kernel
 def edge(p: Point, q: Point, sign: float, size: float) -> Vector:
     """sign (p x q), raised by what rounding can do to its product with a pixel (x, y, 1), x and y <= size."""
+    # Raising by the error bound decides for "inside": triangles overlap by a billionth of a pixel, none leaves a crack.
     yz, zy, zx, xz, xy, yx = p[1] * q[2], p[2] * q[1], p[2] * q[0], p[0] * q[2], p[0] * q[1], p[1] * q[0]
     doubt = ROUNDING * ((abs(yz) + abs(zy) + abs(zx) + abs(xz)) * size + abs(xy) + abs(yx))
     return sign * (yz - zy), sign * (zx - xz), sign * (xy - yx) + doubt
@@ -120,7 +121,7 @@ def edge_functions(a: Point, b: Point, c: Point, sign: float, size: float, near:
     """The edge functions, turned by ``sign``, that of det(a, b, c), so that they are >= 0 inside."""
     ea, eb, ec = edge(b, c, sign, size), edge(c, a, sign, size), edge(a, b, sign, size)
     za, zb, zc = a[2] - near, b[2] - near, c[2] - near
-    if min(za, zb, zc) >= 0:
+    if min(za, zb, zc) >= 0:  # all in front: the near plane's function is 0, which is inside everywhere
         return ea, eb, ec, (0.0, 0.0, 0.0)
     x = za * ea[0] + zb * eb[0] + zc * ec[0]
     y = za * ea[1] + zb * eb[1] + zc * ec[1]
@@ -137,6 +138,7 @@ def row_of(edges: Edges, y: float) -> Row:
 @inline_kernel
 def inside(x: float, edges: Edges, row: Row) -> bool:
     ea, eb, ec, en = edges
+    # Bitwise and: four comparisons without a branch.
     in_triangle = (ea[0] * x + row[0] >= 0) & (eb[0] * x + row[1] >= 0) & (ec[0] * x + row[2] >= 0)
     return in_triangle & (en[0] * x + row[3] >= 0)
 

@@ -75,10 +75,10 @@ class Target:
     def of(cls, mask: Mask, valid: Mask | None = None, weights: LossWeights | None = None) -> Target:
         """``valid`` (h, w), everywhere by default, is where a silhouette is compared with the mask.
 
-        With D the distance to the mask over the longer image side (0 inside), the L1 and distance terms of a
-        silhouette S are a constant plus the sum over S of ``valid (1 - 2 mask + lambda_dt D)``. The curvature of the
-        L1 term at a distance d from the mask's outline is that of |d|: 1 / |d| (iteratively reweighted squares), |d|
-        at least a pixel; that of the distance term, outside, lambda_dt over the longer side.
+        D is the distance to the mask over the longer image side (0 inside). The L1 and distance terms of a silhouette S
+        are a constant plus the sum over S of ``valid (1 - 2 mask + lambda_dt D)``. At a distance d from the mask's
+        outline the L1 term has the curvature of |d|: 1 / |d| (iteratively reweighted squares), |d| at least a pixel.
+        Outside, the distance term has the curvature lambda_dt over the longer side.
         """
         from scipy.ndimage import distance_transform_edt
 
@@ -137,8 +137,9 @@ class Surface:
 
 
 def loss(integrals: Integrals, target: Target) -> Local:
-    """Equation 9 without its priors, over the valid region, with derivatives; equation 7 where the weights of centroid
-    and area are zero. The terms of centroid and area have Gauss-Newton curvatures."""
+    """Equation 9 without its priors, over the valid region, with derivatives.
+
+    With zero weights of centroid and area it is equation 7. These two terms have Gauss-Newton curvatures."""
     F, G, weights = integrals.value, integrals.gradient, target.weights
     area = max(float(F[VALID]), 1.0)
     middle = F[[MOMENT_X, MOMENT_Y]] / area

@@ -125,7 +125,7 @@ def object_fit(
     weights: LossWeights,
     prior: Sequence[float],
 ) -> ObjectFit:
-    """The fit of one object in a window around its mask and its render, of at most ``resolution`` pixels a side.
+    """The fit of one object in a window around its mask and render, at most ``resolution`` pixels per side.
 
     ``valid`` (H, W) is where the object can be compared; beyond the photo nothing is: it was not seen there.
     """

@@ -9,12 +9,12 @@ When the points of the surface move, an integral changes by what its outline swe
     dF_k/dtheta = integral over the outline of w_k (v . n) ds,
 
 n the outward normal in the image, v = d(image point)/d(theta). The outline is sampled where it crosses the lines
-through the pixel centres. As |n_x| ds = dy and |n_y| ds = dx, crossings with rows weighted by |n_x| and crossings
-with columns weighted by |n_y| measure ds = (n_x^2 + n_y^2) ds without a direction that either is blind to.
+through the pixel centres. Note that |n_x| ds = dy and |n_y| ds = dx. So crossings with rows, weighted by |n_x|, and
+with columns, weighted by |n_y|, together measure ds = (n_x^2 + n_y^2) ds. Neither alone sees all directions.
 
-A crossing lies between two neighbouring pixel centres of which one is inside the hard mask and the other is not: it
-is the crossing of a projected edge with the line between the two that lies farthest out. Nothing needs to be known of
-neighbourhood, orientation or depth of the triangles, so soups, open shells and unions of objects do as well.
+A crossing lies between two neighbouring pixel centres, one inside the hard mask and one outside. It is the outermost
+crossing of a projected edge with the line between the two. Adjacency, orientation and depth of the triangles are not
+needed. So triangle soups, open shells and unions of objects work too.
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ def _choose(
 ) -> int:
     """Fill ``chosen`` with the edges whose bounding box touches a mixed tile; returns how many.
 
-    Written without a branch on what is found there, which no processor foresees."""
+    It writes every edge and advances only past chosen ones: a branch here would be mispredicted."""
     tiles = np.empty((len(pixels), 2), np.int32)
     for n in range(len(pixels)):
         tiles[n, 0] = _tile(pixels[n, 1], mixed.shape[0])
@@ -238,6 +238,7 @@ def _cross(
 ) -> int:
     """Fill ``cells``, ``crossed`` and ``place`` of ``_outline``; returns how many. ``owner`` is -1 everywhere."""
     along, over = int(upright), int(not upright)
+    # ``along`` is the coordinate that runs along a line of pixel centres, ``over`` the one that counts the lines.
     down, right = int(upright), int(not upright)
     lines, steps = mask.shape[1 - over], mask.shape[1 - along] - 1
     found = 0
@@ -261,6 +262,7 @@ def _cross(
             r, c = (step, line) if upright else (line, step)
             if mask[r, c] == mask[r + down, c + right]:
                 continue
+            # Of all edges that cross this boundary the outermost is the outline.
             direction = 1 if mask[r, c] else -1
             k = owner[r, c]
             if k < 0:
@@ -303,8 +305,10 @@ def _sum_outline(
         n_along = ny if upright else nx
         if n_along * direction < 0:
             nx, ny, n_along = -nx, -ny, -n_along
-        ds = abs(n_along)
+        ds = abs(n_along)  # length of outline that this crossing stands for: |n_x| per row, |n_y| per column [px]
 
+        # The hard mask counts whole pixels: the value changes by how far the crossing is beyond the border of the
+        # pixel. Weights are those of the pixel that holds the crossing.
         beyond = place[k] - ((r if upright else c) + 1)
         pr, pc = (r + int(beyond >= 0), c) if upright else (r, c + int(beyond >= 0))
         x, y = (c + 0.5, place[k]) if upright else (place[k], r + 0.5)
@@ -315,7 +319,7 @@ def _sum_outline(
 
         line = (c if upright else r) + 0.5
         t = (line - pixels[a, over]) / (pixels[b, over] - pixels[a, over])
-        z = 1 / (inverse_depth[a] + t * (inverse_depth[b] - inverse_depth[a]))
+        z = 1 / (inverse_depth[a] + t * (inverse_depth[b] - inverse_depth[a]))  # 1 / z is linear along a projected edge
         Y = (y - K[1, 2]) * z / K[1, 1]
         X = ((x - K[0, 2]) * z - K[0, 1] * Y) / K[0, 0]
         for p in range(parameters):
@@ -324,7 +328,7 @@ def _sum_outline(
             dY = M[1, 0] * X + M[1, 1] * Y + M[1, 2] * z + M[1, 3]
             dz = M[2, 0] * X + M[2, 1] * Y + M[2, 2] * z + M[2, 3]
             qx, qy = (dX - X * dz / z) / z, (dY - Y * dz / z) / z
-            J[p] = nx * (K[0, 0] * qx + K[0, 1] * qy) + ny * K[1, 1] * qy
+            J[p] = nx * (K[0, 0] * qx + K[0, 1] * qy) + ny * K[1, 1] * qy  # v . n, by the quotient rule of X / z, Y / z
             for f in range(5):
                 gradient[f, p] += ds * J[p] * w[f]
         h = ds * stiffness[pr, pc]
@@ -335,7 +339,7 @@ def _sum_outline(
 
 @inline_kernel
 def _normal(a: Array, b: Array) -> tuple[float, float]:
-    """A unit normal (2,) of the line through two pixels; that of a row where they are one."""
+    """A unit normal (2,) of the line through two pixels; zeros if they are one."""
     dx, dy = b[0] - a[0], b[1] - a[1]
     length = np.sqrt(dx * dx + dy * dy)
     if length == 0:

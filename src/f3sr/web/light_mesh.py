@@ -16,8 +16,8 @@ def lightened(mesh: Mesh, faces: int) -> Mesh:
     """The mesh with about ``faces`` triangles; unchanged when it has no more.
 
     Quadric edge collapses act on the welded surface, so no seam opens. Every remaining triangle is one of the old
-    ones with its corners moved. A moved corner takes the texture coordinate and colour of the nearest old vertex that
-    was merged into it on the triangle's own side of any seam.
+    ones with its corners moved. A moved corner takes texture coordinate and colour from the nearest merged vertex on
+    the triangle's own side of any seam.
     """
     if len(mesh.faces) <= faces:
         return mesh

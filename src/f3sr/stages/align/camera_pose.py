@@ -33,8 +33,8 @@ Score = Callable[[Scene], float]
 def align_camera(scene: Scene, config: AlignConfig, *, score: Score) -> tuple[Scene, list[Decision]]:
     """Six degrees of freedom about the scene's centre, then, where that is wanted, the focal length with them.
 
-    Each step is kept where ``score``, the instances' mIoU, does not drop and the geometry, which sits in the camera's
-    axes, fits the objects, for the focal length the ground too, no worse than before.
+    Each step is kept on two conditions. ``score``, the mIoU of the instances, does not drop. The geometry, which is
+    fixed to the camera, fits the objects no worse than before; for the focal length, the ground too.
     """
     moved = _with(scene, _fitted(scene, config, focal=False))
     scene, decision = _judged(scene, moved, score, focal=False)

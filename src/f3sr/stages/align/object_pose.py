@@ -81,9 +81,9 @@ _Phase = Callable[[_Placed, _Evidence, ObjectEvidence, AlignConfig], tuple[_Plac
 
 
 def align_object(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> tuple[SceneObject, list[Decision]]:
-    """The object where its silhouette fits its mask best, and whatever the extensions make better."""
+    """The object where its silhouette fits its mask best, improved by the extensions that are enabled."""
     if reason := _not_comparable(o, view):
-        return o, [Decision(choice="kept as it came", reason=reason, about=o.id, fallback=True)]
+        return o, [Decision(choice="kept in its input pose", reason=reason, about=o.id, fallback=True)]
     fit = object_fit(
         o, view.valid, view.scene.camera, _freedom(o, view, config),
         resolution=config.resolution, weights=LossWeights(), prior=config.search.prior,
@@ -96,7 +96,7 @@ def align_object(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> t
         decisions += more
         if placed.iou < LEAST_IOU:
             reason = f"its mask and its mesh do not show the same thing: valid mask IoU {placed.iou:.2f} at best"
-            return o, [Decision(choice="kept as it came", reason=reason, about=o.id, fallback=True)]
+            return o, [Decision(choice="kept in its input pose", reason=reason, about=o.id, fallback=True)]
     if placed is came:
         return o, decisions
     was, now = came.iou, placed.iou

@@ -1,4 +1,4 @@
-"""relate: the scene graph. Who rests on whom and all other relations, told from geometry, masks and depth alone."""
+"""relate: the scene graph. Who rests on whom and all other relations, from geometry, masks and depth alone."""
 
 from __future__ import annotations
 
@@ -63,9 +63,9 @@ class Described(GraphOutcome):
 def relate(scene: Scene, config: RelateConfig | None = None) -> tuple[Scene, Related]:
     """Name every object's supports and build the scene graph.
 
-    The support forest has one parent each and no cycles, the likeliest candidates first; given supports that geometry
-    allows come before all found here. The ground is a candidate for every object, however far below: what floats over
-    nothing will come down to it, unless it must hang on something unseen; that stays fixed where it is.
+    The support forest has one parent per object and no cycles; the likeliest candidates come first. Given supports that
+    geometry allows precede all found ones. The ground is a candidate for every object, at any distance: a floating
+    object will come down to it. An object that must hang on something unseen stays fixed in its pose.
     """
     known = Known.of(scene, config or RelateConfig())
     found = {o.id: candidates(o, known) for o in scene}

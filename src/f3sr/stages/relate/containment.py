@@ -18,8 +18,9 @@ STEPS = 40
 
 @dataclass(frozen=True, kw_only=True)
 class Surrounded:
-    """``share`` of the directions in which a rim stands ``depth``, in the object's heights, above its lowest point, the
-    median over those directions."""
+    """How a rim surrounds an object: the ``share`` of directions with a rim, and its ``depth``.
+
+    ``depth`` is the median height of the rim over the object's lowest point, in heights of the object."""
 
     share: float
     depth: float

@@ -19,7 +19,7 @@ from f3sr.vision.depth_prior import SUPPORT_REACH
 FIRST = -100.0
 """Cost of a given support that geometry allows: below that of any found here."""
 MOST_COST = 30.0
-"""What is less likely than this says is not told more exactly."""
+"""Largest cost that a message states; less likely supports are not distinguished."""
 LOOSE = 2.0
 """What contradicts a given relation misses the limits of a found one by this factor."""
 ORDERED: frozenset[Predicate] = frozenset({"in_front_of", "behind", "inside", "contains"})
@@ -29,12 +29,13 @@ FOUND = "; found: "
 FEW_RIMS = 0.3
 """Share of the directions with a rim below which nothing is inside."""
 MOST_TOLD = 50
-"""Contradicted relations that are told one by one; the others are counted."""
+"""Contradicted relations that are reported one by one; the others are counted."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Given:
-    """Given relations that geometry does not contradict: supports as candidates, the others as they are to be told."""
+    """Given relations that geometry does not contradict: supports as candidates, the others unchanged, for the
+    graph."""
 
     supports: tuple[Candidate, ...]
     relations: tuple[Relation, ...]

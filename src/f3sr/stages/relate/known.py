@@ -1,4 +1,4 @@
-"""All that relations are told from: surfaces in one plan, views in one picture, who is near whom."""
+"""The data of relations: surfaces in one plan, views in one picture, neighbours."""
 
 from __future__ import annotations
 

@@ -17,8 +17,10 @@ def leaning(
     above: Mapping[int, Collection[int]],
     known: Known,
 ) -> list[Relation]:
-    """``leaning_on``: the middle of mass is outside what carries an object near its lowest contact, and another contact
-    higher up, which is not with something that rests on it (``above``), brings it nearer."""
+    """``leaning_on`` relations: objects that a higher contact balances.
+
+    The centre of mass is outside the supports near the lowest contact, and a contact higher up brings it nearer. That
+    contact is not with an object that rests on it (``above``)."""
     relations: list[Relation] = []
     for id, c in resting.items():
         s = known.surfaces[id]

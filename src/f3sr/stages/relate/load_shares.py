@@ -22,7 +22,7 @@ EVEN = 0.05
 WHOLE = 10.0
 """Weight of the shares' sum being 1."""
 LEAST = 0.02
-"""Share of whatever touches."""
+"""Least share of a support in contact."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -63,9 +63,9 @@ class Carried:
 def carried(chosen: Candidate, others: Sequence[Candidate], known: Known, *, given: Collection[int] = ()) -> Carried:
     """The main support, those ``given``, and others that touch the underside as it rests there.
 
-    Where the middle of mass lies outside what touches, something else must carry too: then the candidate that fits best
-    and brings it nearer is taken, though its distance is less well known. What does not hide the others where they
-    overlap in the picture does not lie on them; the ground carries beside something else only where it is needed.
+    If the centre of mass lies outside the contact, something else must carry too. Then the best candidate that brings
+    it nearer is taken, although its distance is less well known. An object that does not hide others where they overlap
+    in the picture does not lie on them. The ground is an additional support only where balance needs it.
     """
     config, mine = known.config, known.surfaces[chosen.child]
     here = known.plan.along_rays(mine.underside, chosen.contact.k)

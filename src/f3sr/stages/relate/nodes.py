@@ -1,4 +1,4 @@
-"""Every object in words, told from its mask in the photo and its surfaces: size, colour, shape, place."""
+"""Every object in words, from its mask in the photo and its surfaces: size, colour, shape, place."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ BROWN = 0.55
 SMALL, LARGE = 0.6, 1.6
 """Sizes, in those of the median object, at which small ends and large begins."""
 FLAT, LONG, EVEN = 0.25, 0.4, 0.8
-"""Ratios of sides: of the least to the middle one, of the middle to the largest one, and of those that are about equal.
+"""Largest ratios of sides, least to middle and middle to largest, of flat and long objects; least ratio of equal sides.
 """
 BALL, FULL, ROUND = 0.65, 0.85, 0.87
-"""Shares of its box that a ball fills at most and a box at least, and of its rectangle that a disc covers at most."""
+"""Largest share of its box that a ball fills, least share of a box; largest share of its rectangle for a disc."""
 OPEN = 0.3
 """Depth of a hollow, in heights, from which on an object is open."""
 

@@ -89,7 +89,7 @@ def next_to(
                 predicate="next_to",
                 object=b,
                 confidence=float(np.clip(1 - 0.5 * max(n.distance, 0.0) / reach, 0.5, 1)),
-                evidence=f"{_millimetres(n.distance)} apart, beside {100 * min(level, 1):.0f}% of the lower height",
+                evidence=f"{_millimetres(n.distance)} away, next to {100 * min(level, 1):.0f}% of the lower height",
             )
         )
     return relations
@@ -144,8 +144,9 @@ def _bodies(known: Known) -> dict[int, polytopes.Body]:
 
 
 def _touching(A: polytopes.Body, B: polytopes.Body, limit: float) -> SurfaceDistance | None:
-    """Where two bodies touch: the pair of parts with the least gap along a facet of their difference, which is their
-    distance but where corners meet; None beyond ``limit``."""
+    """The contact of two bodies: the pair of parts with the least gap along a facet of their Minkowski difference.
+
+    That gap is their distance, except where corners meet. None beyond ``limit``."""
     best: SurfaceDistance | None = None
     for a in A:
         for b in B:

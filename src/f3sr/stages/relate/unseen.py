@@ -35,8 +35,7 @@ def hangs(o: SceneObject, found: Sequence[Candidate], known: Known) -> str | Non
 
 
 def depth_error(o: SceneObject, known: Known) -> float | None:
-    """How far an object's median visible depth is from that of the photo's geometry in its mask, as a share; None
-    without geometry there."""
+    """Relative difference of an object's median visible depth to that of the geometry in its mask; None without it."""
     geometry, view = known.scene.geometry, known.picture.views[o.id]
     if geometry is None or not view.pixels:
         return None
