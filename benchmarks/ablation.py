@@ -65,6 +65,8 @@ class Variant:
     skip: tuple[str, ...] = ()
     instead: Mapping[str, Callable[..., tuple[Scene, Outcome]]] = field(default_factory=dict[str, Any])
     """What runs in place of stages of these names."""
+    patched: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    """What takes the place of attributes of modules, by their dotted names."""
     optional: bool = False
     """Its settings may be missing, of a part that is not there: then the row is left out."""
     end: Step = _result
@@ -79,7 +81,12 @@ ROWS: Mapping[str, Variant] = {
     "no cover": Variant(instead={"decompose": peers.stage("coacd")}),
     "no footings": Variant(settings={"separate.footing.enabled": False}),
     "no statics": Variant(settings={"separate.landing.max_turn": 0.0, "separate.balancing.max_shift": 0.0}),
+    "no laying down": Variant(patched={"f3sr.stages.separate.standing._lie_down": lambda *_: None}),
+    "no shifts until stable": Variant(patched={"f3sr.stages.separate.steady": lambda *_: (None, [])}),
+    "pairwise separation": Variant(patched={"f3sr.stages.separate.part": contact_report.part}),
+    "no moving beside": Variant(patched={"f3sr.stages.separate.take_beside": lambda *_: []}),
     "no closing": Variant(skip=("close",)),
+    "closing without cuts": Variant(patched={"f3sr.stages.close._Lowered._trim": lambda *_: False}),
     "no damping": Variant(settings={"settle.settling.damping": 1e-9}),
     "report's contact": Variant(skip=tuple(bench.after_proxies()), end=_report_recipe),
     "report's recipe": Variant(instead={"align": staged.align}, skip=tuple(bench.after_proxies()), end=_report_recipe),
@@ -152,7 +159,9 @@ def run(folder: Path, variant: Variant) -> Reconstruction:
     with ExitStack() as stack:
         for name, stage in variant.instead.items():
             stack.enter_context(mock.patch.object(pipeline, name, stage))
-        stored = not variant.instead  # keys of stored results do not know of these stages
+        for name, other in variant.patched.items():
+            stack.enter_context(mock.patch(name, other))
+        stored = not variant.instead and not variant.patched  # keys of stored results do not know of these stages
         return bench.reconstructed(folder, config, skip=sorted({"evaluate", *variant.skip}), stored=stored)
 
 

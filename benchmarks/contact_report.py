@@ -19,6 +19,8 @@ from f3sr.core.transforms import UP, Array, pose
 from f3sr.physics import mujoco_model
 from f3sr.physics.mujoco_model import PhysicsConfig
 from f3sr.scene import Scene, SceneObject
+from f3sr.stages.separate.config import SeparateConfig
+from f3sr.stages.separate.placement import Placement
 
 GAP = 1e-3
 """Left after every move [m]: eps_g of equation 11."""
@@ -65,6 +67,31 @@ def separate(scene: Scene) -> Scene:
         if not any(pushed):
             break
     return scene.with_objects(*(moved(scene[id], t) for id, t in layout.shifts.items() if t.any()))
+
+
+def part(layout: Placement, config: SeparateConfig) -> bool:
+    """The sideways pass alone, in the place of our joint one: each object takes along what it carries."""
+    pairs, parted = list(unrelated(layout.scene)), False
+    for _ in range(ROUNDS):
+        pushed = [_pushed_with_carried(layout, a, b, config.clearance) for a, b in pairs]
+        if not any(pushed):
+            break
+        parted = True
+    return parted
+
+
+def _pushed_with_carried(layout: Placement, a: int, b: int, clearance: float) -> bool:
+    A, B = layout.bodies[a], layout.bodies[b]
+    line = middle(A) - middle(B)
+    line[2] = 0
+    length = float(np.linalg.norm(line))
+    direction = line / length if length > 1e-9 else np.array([1.0, 0, 0])
+    push = shortest(A, B, direction)
+    if push == 0:
+        return False
+    layout.move(layout.scene.subtree(a), (push + clearance) / 2 * direction)
+    layout.move(layout.scene.subtree(b), -(push + clearance) / 2 * direction)
+    return True
 
 
 def lift_of(body: Body, support: int | None, bodies: Mapping[int, Body]) -> float:
