@@ -17,7 +17,7 @@ FILES = 15
 """Test files that the page lists."""
 HEAD = """# How long the tests take
 
-Wall time with setup and teardown, two processes beside each other: `make durations` measures and writes this page.
+Wall time with setup and teardown, two processes at a time: `make durations` measures and writes this page.
 Times of single tests grow when other programs run on the machine.
 
 """

@@ -19,8 +19,8 @@ LIMITS = {
         ("size of a file of settings [bytes]", "settings.MAX_BYTES"),
         ("length of a path in a document", "io.input_folder.MAX_PATH"),
         ("digits of a whole number in JSON", "files.strict_json.MAX_DIGITS"),
-        ("relations of a kind in scene_graph.json", "io.inputs.MAX_RELATIONS"),
-        ("characters of a relation's reason", "io.inputs.MAX_REASON"),
+        ("relations of a kind in scene_graph.json", "io.answers.MAX_RELATIONS"),
+        ("characters of a relation's reason", "io.answers.MAX_REASON"),
     ],
     "Photo and masks": [
         ("pixels of an image", "io.images.MAX_PIXELS"),
