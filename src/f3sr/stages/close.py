@@ -1,4 +1,4 @@
-"""close: colliders cut back to the meshes where things touch, so that nothing that rests shows a gap."""
+"""close: colliders cut back to the meshes at contacts, so that no object at rest shows a gap."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.settings import constants, settings
 
 TRIES = 2
-"""Most attempts to lower an object whose move makes its group fail; then the others go down without it."""
+"""Maximum attempts to lower an object whose move makes its group fail. Then the others go down without it."""
 STEPS = 24
-"""Most contacts cut free, one after the other, while one object is lowered."""
+"""Maximum number of contacts that are cut free, one by one, while one object is lowered."""
 WORTH = 2.0
 """Loss of visible IoU allowed per closed gap, in sizes of the object above it."""
 
 
 @constants
 class CutBackConfig:
-    """How colliders are cut back where things touch. Lengths are shares of the smaller of the two sizes."""
+    """How colliders are cut back at contacts. Lengths are shares of the smaller of the two sizes."""
 
     tolerance: float = 5e-4
     """Largest distance of a collider from its mesh at a contact, on each side."""
     radius: float = 0.03
-    """Radius around a contact in which colliders are cut back: as far as things move while they settle. It doubles in
-    every round, where what rolled away may stay."""
+    """Radius around a contact in which colliders are cut back: as far as objects move while they settle. It doubles in
+    every round, so that an object that rolled may stay."""
     reach: float = 0.1
-    """Largest distance from a contact at which the mesh is looked for: parts hardly stand off farther."""
+    """Largest distance from a contact at which the mesh is searched: parts hardly stand off farther."""
     added: int = 64
     """Most convex parts that splits add to one object. Crumpled meshes are hollow at every contact, and every part
     costs time of physics."""
@@ -52,26 +52,26 @@ class CutBackConfig:
 
 @settings
 class CloseConfig:
-    """When something that rests shows a gap, and what may be done about it."""
+    """When the gap below an object at rest is closed, and at what cost."""
 
     rounds: Annotated[int, Interval(ge=0, le=10)] = 3
     """Most rounds in which objects are lowered and settled; settling tilts them onto other contacts."""
     loss: Annotated[float, Interval(ge=0, le=1)] = 0.02
-    """Largest mean loss of visible IoU of a group of touching objects. What loses more is put back."""
+    """Largest mean loss of visible IoU of a group of touching objects. A group that loses more is put back."""
     cut: CutBackConfig = CutBackConfig()
     contact: ContactMargin = DEFAULT_MARGIN
-    """Its clearance is left below what is lowered. Objects with its ``apart`` between them do not affect each other."""
+    """Its clearance stays below a lowered object. Objects that are ``apart`` by it do not affect each other."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Closed(Outcome):
-    """Pairs are before and after, mappings by object id."""
+    """What ``close`` did. Pairs are before and after; mappings are by object id."""
 
     stage: ClassVar[str] = "close"
     gaps: Mapping[int, tuple[float, float]] = field(default_factory=dict[int, tuple[float, float]])
-    """Below every object [m]."""
+    """Vertical gap below each object [m]."""
     parts: Mapping[int, tuple[int, int]] = field(default_factory=dict[int, tuple[int, int]])
-    """How many convex parts, of what was cut."""
+    """Number of convex parts of each object that was cut."""
 
     @property
     def measures(self) -> tuple[Measure, ...]:
@@ -91,10 +91,12 @@ def close(
     settled: Callable[[Scene], SettledScene],
     restless: Collection[int] = (),
 ) -> tuple[Scene, Closed]:
-    """Lower what nowhere touches what it rests on, and settle it, until everything touches.
+    """Lower objects whose mesh has a gap above its support, and settle them, until all meshes touch.
 
-    ``settled`` is physics. Of every round those groups of objects are kept that rest and stay where the photo shows
-    them. Groups with something ``restless``, which does not rest as it is, are left alone.
+    Convex parts stand off their mesh, so colliders meet before meshes do. The colliders are cut back at contacts. A gap
+    that a footing supplies for a short underside stays. ``settled`` runs physics. A group of touching objects keeps its
+    new state if it rests and loses little visible IoU. Groups with a ``restless`` id, which do not rest, stay as they
+    are. Returns the scene with poses, parts and footings changed, and the outcome with gaps in metres.
     """
     config = config or CloseConfig()
     left = {id for g in groups_of(scene, scene, config.contact.apart) if g.intersection(restless) for id in g}
@@ -129,8 +131,9 @@ def _gap(o: SceneObject, scene: Scene) -> float:
 def _better(
     before: Scene, tried: Scene, changed: frozenset[int], config: CloseConfig, settled: Callable[[Scene], SettledScene]
 ) -> tuple[Scene, list[Decision], frozenset[int]]:
-    """``before`` with those groups of objects as tried, once settled, that rest and are still seen; and which objects
-    spoil the others. What has no part in it is not settled again."""
+    """``before`` with the groups of ``tried`` that rest after settling and keep their visible IoU.
+
+    Also returns decisions and the ids of objects that make their group fail. Only groups that changed are settled."""
     moving = frozenset(id for g in groups_of(before, tried, config.contact.apart) if g & changed for id in g)
     rested = settled(replace(tried, objects=tuple(o for o in tried if o.id in moving)))
     after = tried.with_objects(*rested.scene)
@@ -164,16 +167,16 @@ def _named(ids: Collection[int]) -> str:
 
 
 def _closed(before: Scene, after: Scene, ids: Collection[int]) -> float:
-    """By how much the widest gap below some objects closed, in their sizes."""
+    """Decrease of the widest gap below some objects, as a share of their size."""
     was, now = (max(_gap(s[id], s) / s[id].size for id in ids) for s in (before, after))
     return was - now
 
 
 def lowered(scene: Scene, config: CloseConfig, *, but: Collection[int] = ()) -> Scene:
-    """The scene with everything lowered, supports first, that nowhere touches what it rests on, ``but`` some objects.
+    """The scene with all objects lowered that have a gap above their support, ``but`` some, supports first.
 
-    An object goes down with all it carries until colliders meet; they are cut back there, and so on until its mesh
-    meets what is below. Objects for which nothing was to be done stay the same values.
+    An object goes down with its subtree until colliders meet. They are cut back there, and it goes on until its mesh
+    meets another mesh. Objects without a gap stay the same values.
     """
     layout = _Layout(scene, config)
     for id in scene.supports_first:
@@ -183,14 +186,14 @@ def lowered(scene: Scene, config: CloseConfig, *, but: Collection[int] = ()) -> 
 
 
 class _Layout:
-    """All objects while they are lowered."""
+    """The mutable state of ``close``: all objects while they are lowered."""
 
     def __init__(self, scene: Scene, config: CloseConfig) -> None:
         self.scene, self.config = scene, config
         self.bodies = {o.id: _Lowered(o, len(o.parts) + config.cut.added) for o in scene}
 
     def lower(self, id: int) -> None:
-        """Lower an object with all it carries until its mesh meets another one, or nothing more can be cut back."""
+        """Lower an object with its subtree until its mesh meets another mesh, or no more can be cut back."""
         members = self.scene.subtree(id)
         if any(self.scene[k].mobility == "fixed" for k in members):
             return
@@ -210,13 +213,13 @@ class _Layout:
         self._move(members, self._room(members) - self.config.contact.clearance)
 
     def _meet(self, id: int, goal: Meeting, near: Near) -> None:
-        """Cut back what stands between the two places that are to meet."""
+        """Cut back colliders between the two points that are to meet."""
         self.bodies[id].cut_on(goal.above, -UP, near)
         if goal.other != GROUND:
             self.bodies[goal.other].cut_on(goal.below, UP, near)
 
     def _room(self, members: tuple[int, ...]) -> float:
-        """How far some objects can be lowered until colliders meet [m]."""
+        """Distance [m] that some objects can be lowered until colliders meet."""
         mine = [p for k in members for p in self.bodies[k].polytopes]
         others = [p for k, b in self.bodies.items() if k not in members for p in b.polytopes]
         lowest = min(float(p.bounds[0, 2]) for p in mine)
@@ -228,7 +231,7 @@ class _Layout:
         return drop
 
     def _cut_free(self, members: tuple[int, ...], left: float) -> bool:
-        """Cut back what meets under some objects that are to go ``left`` [m] farther down; whether anything was."""
+        """Cut back colliders that meet below objects that must go ``left`` [m] down. Returns whether any was cut."""
         found = find_contacts(self._around(members), reach=TOUCHING)
         cut, shaved = False, set[int]()
         for a, b, x, n in zip(found.upper.tolist(), found.lower.tolist(), found.points, found.normals, strict=True):
@@ -244,7 +247,7 @@ class _Layout:
         return cut
 
     def _around(self, members: tuple[int, ...]) -> dict[int, tuple[Polytope, ...]]:
-        """Some objects and all whose boxes reach theirs."""
+        """Bodies of some objects and of all whose boxes overlap theirs."""
         boxes = {k: b.box for k, b in self.bodies.items()}
         low = np.min([boxes[k][0] for k in members], axis=0) - TOUCHING
         high = np.max([boxes[k][1] for k in members], axis=0) + TOUCHING
@@ -263,18 +266,18 @@ class _Lowered:
     def __init__(self, o: SceneObject, most: int) -> None:
         self._start, self._drop, self._most = o, 0.0, most
         self.now = o
-        """The object as it is by now."""
+        """The present object."""
         self.supplied = supplied(o)
         """Height [m] that its footing supplies below its mesh, which is no gap to be closed."""
 
     @cached_property
     def polytopes(self) -> tuple[Polytope, ...]:
-        """All that touches."""
+        """All colliders, footing included, in the world."""
         return tuple(Polytope.of(p).moved(self.now.T_world_asset) for p in self.now.solids)
 
     @property
     def box(self) -> Array:
-        """(2, 3) around all that touches."""
+        """Bounds (2, 3) of all colliders."""
         bounds = np.stack([p.bounds for p in self.polytopes])
         return np.stack([bounds[:, 0].min(0), bounds[:, 1].max(0)])
 
@@ -291,25 +294,25 @@ class _Lowered:
         self._change(replace(moved, parts=self.now.parts, footing=self.now.footing))
 
     def cut_on(self, point: Array, outward: Array, near: Near) -> bool:
-        """Cut back what stands off a point (3,) of the mesh in a direction (3,); whether anything was."""
+        """Cut back parts that stand off a mesh point (3,) in a direction (3,). Returns whether any was cut."""
         there = trim.place_on(self._surface, self.now.parts, *self._to_asset(point, outward))
         return self._trim(there, near)
 
     def cut_near(self, x: Array, near: Near) -> bool:
-        """Cut back what stands off the mesh at a point (3,) off it; whether anything was."""
+        """Cut back parts that stand off the mesh at a contact point (3,). Returns whether any was cut."""
         point, _ = self._to_asset(x, UP)
         there = trim.place_near(self._surface, self.now.parts, point, near.scaled(1 / self.now.scale))
         return there is not None and self._trim(there, near)
 
     def stands_on_footing(self, x: Array, near: Near) -> bool:
-        """Whether a point (3,) belongs to the footing, the mesh not being near."""
+        """Whether a contact point (3,) is on the footing, with no mesh near."""
         footing = self.polytopes[len(self.polytopes) - len(self.now.footing) :]
         if not any(float((p.normals @ x - p.offsets).max()) <= 2 * TOUCHING for p in footing):
             return False
         return self._surface.nearest(self._to_asset(x, UP)[0], near.tolerance / self.now.scale) is None
 
     def shave(self, upward: Array, x: Array, height: float) -> bool:
-        """Take a layer off the underside of the footing, which lies on a plane with normal ``upward`` through x."""
+        """Remove a layer of ``height`` [m] from the footing's underside, a plane through x with normal ``upward``."""
         point, n = self._to_asset(x, -upward)
         offset = float(n @ point) - height / self.now.scale
         cut = [trim.less(p, n, offset, self._surface.size) for p in self.now.footing]

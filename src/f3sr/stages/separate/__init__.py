@@ -1,4 +1,4 @@
-"""separate: the smallest moves after which every object touches its support and no two overlap."""
+"""separate: the most likely small moves after which each object touches its support and no two overlap."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from f3sr.stages.separate.support_contact import grounded, seat
 __all__ = ["SeparateConfig", "Separated", "separate"]
 
 PASSES = 3
-"""Most times that objects are seated and then parted, which may take them off their supports again."""
+"""Maximum number of passes. A pass brings objects onto supports, then ends overlap, which may lift them off again."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Separated(Outcome):
-    """Pairs are before and after."""
+    """What ``separate`` did. Pairs of values are before and after."""
 
     stage: ClassVar[str] = "separate"
     overlaps: tuple[int, int] = (0, 0)
-    """Pairs of objects that overlap."""
+    """Number of overlapping pairs of objects."""
     margin: tuple[float, float] | None = None
-    """Of stability [rad]; None where it was not asked for."""
+    """Stability margin of the scene [rad]. None where it was not measured."""
     ground: float = 0.0
-    """How far up the ground moved [m]."""
+    """Upward shift of the ground [m]."""
     travel: Mapping[int, float] = field(default_factory=dict[int, float])
-    """How far every object moved [m], by id."""
+    """Distance that each object moved [m], by id."""
     scale: Mapping[int, float] = field(default_factory=dict[int, float])
-    """By which it was scaled about the camera centre, by id."""
+    """Scale about the camera centre, by id. It moves an object along its viewing rays."""
 
     @property
     def measures(self) -> tuple[Measure, ...]:
@@ -54,18 +54,21 @@ class Separated(Outcome):
 def separate(
     scene: Scene, config: SeparateConfig | None = None, *, ground: bool = True, margin: bool = True
 ) -> tuple[Scene, Separated]:
-    """Bring every object onto its support and part what overlaps (equations 10 and 11).
+    """Bring each object into contact with its support and end all overlap (equations 10 and 11).
 
-    First the ground is moved to where half of the objects on it would sink in. In forest order an object is then
-    brought into contact with its support, with all that rests on it: along its viewing rays, scaled alike about the
-    camera centre, which leaves the picture as it is, and by the smallest lift, or by lowering, each as far as is likely
-    by what is known of distances and of the picture. Then unrelated objects that overlap are parted by one joint
-    horizontal move, each with all it carries. At last a nearly flat underside gets a footing, so that physics leaves
-    the object as it stands, and what has none is laid down; what would still fall, by statics, is shifted. What still
-    overlaps or falls is told, never hidden.
+    1. The ground moves to the median height of the objects on it, by no more than its measured error.
+    2. Supports first, each object moves along its viewing rays and then vertically onto its support. What it carries
+       moves with it. Motion along viewing rays scales the object about the camera centre, so its silhouette stays.
+       The share of each motion is the most likely one by the errors of distances and of places in the picture.
+    3. Unrelated objects that overlap move apart by one joint horizontal move. Steps 2 and 3 repeat.
+    4. A nearly flat underside gets a footing: thin convex wedges that keep the object in its pose. An object without
+       footing is tipped until its weight lies between its contacts.
+    5. Objects that would still fall by statics are shifted horizontally.
 
-    Without ``ground`` the ground stays. Without ``margin`` the stability margin of what stands is not measured, which
-    takes ten times as long as finding out that it stands.
+    A Decision names every object that still overlaps or falls. With ``ground`` false step 1 is left out. With
+    ``margin`` false the stability margin of stable scenes is not measured: it takes ten times as long as the test.
+
+    Returns the scene with poses in the world [m], parts and footings in the asset frame, and the outcome.
     """
     config = config or SeparateConfig()
     scene = scene.with_objects(*(replace(o, footing=()) for o in scene if o.footing))

@@ -1,4 +1,4 @@
-"""Objects that overlap and do not carry one another, parted by one joint horizontal move."""
+"""Overlap between objects that do not carry one another, ended by one joint horizontal move."""
 
 from __future__ import annotations
 
@@ -18,12 +18,14 @@ from f3sr.stages.separate.placement import Placement, supports_of
 ROUNDS = 16
 """Most rounds of horizontal parting; the report allows 32."""
 UNFELT = 0.1
-"""IoU that a move by its own size costs an object in directions which the picture does not feel."""
+"""IoU that a move by its own size costs an object, in directions that change no silhouette and no depth."""
 
 
 def take_beside(layout: Placement, config: SeparateConfig) -> list[Decision]:
-    """Take from objects that rest on several those but the main one that they must be lifted out of farther than the
-    picture allows, where moving both apart shows more of the photo: they overlap by error, beside one another."""
+    """Remove secondary supports that an object overlaps by error.
+
+    Lifting the object out would cost more IoU than the picture allows, and moving both apart costs less.
+    """
     decisions: list[Decision] = []
     for o in layout.scene:
         for other in set(supports_of(o)) - {o.supported_by, GROUND}:
@@ -41,7 +43,7 @@ def take_beside(layout: Placement, config: SeparateConfig) -> list[Decision]:
 
 
 def _losses(layout: Placement, id: int, other: int, config: SeparateConfig) -> tuple[float, float]:
-    """IoU lost where an object is lifted out of another one, and where both are moved apart; all of it at most."""
+    """IoU lost by lifting an object out of another one, and by moving both apart; at most 1 each."""
     bodies = {k: layout.bodies[k] for k in (id, other)}
     rise = polytopes.smallest_shift(bodies[id], bodies[other], UP, config.clearance)
     lifted = min(1.0, rise * float(np.sqrt(layout.loss(id)[2, 2])))
@@ -51,10 +53,11 @@ def _losses(layout: Placement, id: int, other: int, config: SeparateConfig) -> t
 
 
 def part(layout: Placement, config: SeparateConfig) -> bool:
-    """Part all unrelated pairs that overlap by one joint horizontal move, the one that the picture feels least; what an
-    object carries goes with it. Returns whether anything moved.
+    """End the overlap of all unrelated pairs by one joint horizontal move of least cost.
 
-    A move may make others overlap, so it is repeated; what once overlapped is kept apart in all rounds."""
+    Returns whether anything moved. The cost is IoU and error of depth (``weight_of``). Carried objects move with their
+    carrier. A move may cause new overlap, so it is repeated; pairs that overlapped once stay constrained in all rounds.
+    """
     moved, known = False, set[tuple[int, int]]()
     for _ in range(ROUNDS):
         pairs = {(a, b) for a, b in _unrelated(layout.scene) if polytopes.collide(layout.bodies[a], layout.bodies[b])}
@@ -77,19 +80,19 @@ def part(layout: Placement, config: SeparateConfig) -> bool:
 
 
 def weight_of(layout: Placement, *ids: int) -> Array:
-    """What moving bodies together costs (2, 2): the IoU that they lose, and a little per length of the first one's
-    size."""
+    """Metric (2, 2) [1/m2] of a horizontal move of bodies together, as squared IoU: IoU that they lose, error of
+    depth in that unit, and a small regulariser by size."""
     felt = sum((layout.loss(k)[:2, :2] + layout.depth_loss(k)[:2, :2] for k in ids), np.zeros((2, 2)))
     return felt + np.eye(2) * (UNFELT / layout.scene[ids[0]].size) ** 2
 
 
 def _unrelated(scene: Scene) -> Iterator[tuple[int, int]]:
-    """Pairs that do not carry one another."""
+    """Pairs of ids of which neither carries the other."""
     for a, b in combinations([o.id for o in scene], 2):
         if a not in _carriers(scene, b) and b not in _carriers(scene, a):
             yield a, b
 
 
 def _carriers(scene: Scene, id: int) -> set[int]:
-    """All that carries an object, directly or not."""
+    """Ids of everything that carries an object, directly or not."""
     return {*scene.ancestors(id), *supports_of(scene[id])}

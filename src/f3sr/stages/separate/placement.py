@@ -1,4 +1,4 @@
-"""Where bodies are while ``separate`` moves them."""
+"""The mutable state of ``separate``: every body under the similarity it has been moved by."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Saved = tuple[dict[int, Any], ...]
 
 
 class Placement:
-    """Where the bodies are while they are being moved: polytopes in the world under ``x -> scale R x + shift``."""
+    """Bodies on their way: polytopes in the world [m] under ``x -> scale R x + shift`` from where the stage began."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -33,10 +33,10 @@ class Placement:
         self.scale: dict[int, float] = {o.id: 1.0 for o in scene}
         self.rotation: dict[int, Array] = {o.id: np.eye(3) for o in scene}
         self.missing: dict[int, float] = dict.fromkeys(self.bodies, 0.0)
-        """Height [m] of the underside that every mesh lacks: its body hangs that much over its support."""
+        """Height [m] that the underside of each mesh lacks: its body hangs that far above its support."""
 
     def saved(self) -> Saved:
-        """Where everything is, for ``restore``."""
+        """The whole state, for ``restore``."""
         state = (self.bodies, self.footings, self.parts, self.shift, self.scale, self.rotation, self.missing)
         return tuple(dict(d) for d in state)
 
@@ -66,52 +66,52 @@ class Placement:
         self.move(ids, (1 - k) * self.scene.camera.center, scale=k)
 
     def object(self, id: int) -> SceneObject:
-        """The scene's object where its body is now."""
+        """The scene's object in the present pose of its body, with its parts and footing."""
         o, t, k, R = self.scene[id], self.shift[id], self.scale[id], self.rotation[id]
         if t.any() or k != 1 or (np.eye(3) != R).any():
-            reason = f"onto its support and out of others: {1000 * self.travel(id):.1f} mm, scale {k:.4f}"
+            reason = f"onto its support and out of overlap: {1000 * self.travel(id):.1f} mm, scale {k:.4f}"
             o = o.moved(pose(R, t), scale=k, stage="separate", reason=reason)
         return replace(o, parts=self.parts[id], footing=self.footings.get(id, ()))
 
     def moved_scene(self) -> Scene:
-        """The scene with every object where its body is now."""
+        """The scene with all objects in their present poses."""
         return self.scene.with_objects(*(self.object(o.id) for o in self.scene))
 
     def carriers(self, id: int) -> tuple[Polytope, ...]:
-        """All that carries a body but the ground."""
+        """Polytopes of everything that carries a body, without the ground."""
         return tuple(p for k in supports_of(self.scene[id]) if k != GROUND for p in self.bodies[k])
 
     def stand(self, id: int, parts: tuple[ConvexPart, ...], wedges: tuple[ConvexPart, ...]) -> None:
-        """Put a body with other parts on a footing (asset frame)."""
+        """Give a body other ``parts`` and a footing of ``wedges`` (both in the asset frame)."""
         self.parts[id], self.footings[id] = parts, wedges
         self.bodies[id] = polytopes(self.object(id), (*parts, *wedges))
 
     def rays_left(self, id: int, limit: float) -> tuple[float, float]:
-        """The least and largest k that keep a body within ``limit`` of where it was along its viewing rays."""
+        """Least and largest scale k that keep a body within ``limit`` of its first distance [share of it]."""
         used = self.scale[id]
         return min(1.0, (1 - limit) / used), max(1.0, (1 + limit) / used)
 
     def distance(self, id: int) -> float:
-        """From the camera to the middle of a body [m]."""
+        """Distance from the camera to the centre of a body [m]."""
         place = self.place(id, self.scene[id].bounds_world.mean(0))
         return float(np.linalg.norm(place - self.scene.camera.center))
 
     def travel(self, id: int) -> float:
-        """How far the middle of a body has moved [m]."""
+        """Distance that the centre of a body has moved [m]."""
         middle = self.scene[id].bounds_world.mean(0)
         return float(np.linalg.norm(self.place(id, middle) - middle))
 
     def place(self, id: int, point: Array) -> Array:
-        """Where a point (3,) of a body is now."""
+        """Present position of a point (3,) of a body."""
         return self.scale[id] * (self.rotation[id] @ point) + self.shift[id]
 
     def loss(self, id: int) -> Array:
-        """What the picture feels of a body's shifts: W (3, 3), d' W d the square of the IoU it loses."""
+        """Metric W (3, 3) [1/m2] of the picture: a shift d loses the IoU sqrt(d' W d)."""
         o = self.scene[id]
         return loss_matrix(o.mask, self.scene.camera, self.place(id, o.bounds_world.mean(0)))
 
     def depth_loss(self, id: int) -> Array:
-        """What the geometry feels of a body's shifts, in the unit of ``loss``: (3, 3), along the viewing ray only."""
+        """Metric (3, 3) of the geometry in the unit of ``loss``: rank 1, along the viewing ray."""
         ray = self.place(id, self.scene[id].bounds_world.mean(0)) - self.scene.camera.center
         known = PICTURE_SIGMA / self.depth_sigma[id] / float(ray @ ray)
         return known**2 * np.outer(ray, ray)
@@ -120,19 +120,19 @@ class Placement:
         return min(float(p.bounds[0, 2]) for p in self.bodies[id])
 
     def has_beside(self, id: int, room: float) -> bool:
-        """Whether the box of any body but its supports and what it carries is within ``room`` [m] of a body's."""
+        """Whether the box of an unrelated body is within ``room`` [m] of a body's box."""
         low, high = self.bounds(id)
         others = set(self.bodies) - {*self.scene.subtree(id), *supports_of(self.scene[id])}
         boxes = [self.bounds(k) for k in others]
         return any(((a < high + room) & (b > low - room)).all() for a, b in boxes)
 
     def bounds(self, id: int) -> Array:
-        """(2, 3) lowest and highest corner of a body."""
+        """Lowest and highest corner (2, 3) of a body."""
         boxes = np.stack([p.bounds for p in self.bodies[id]])
         return np.stack([boxes[:, 0].min(0), boxes[:, 1].max(0)])
 
     def collisions_of(self, id: int) -> set[int]:
-        """Other bodies that a body overlaps."""
+        """Ids of bodies that a body overlaps."""
         return {k for k in self.bodies if k != id and collide(self.bodies[id], self.bodies[k])}
 
     def collisions(self) -> list[tuple[int, int]]:
@@ -151,6 +151,6 @@ def moved(body: Body, t: Array, scale: float) -> tuple[Polytope, ...]:
 
 
 def supports_of(o: SceneObject) -> list[int]:
-    """Ids of what an object rests on, its place in the forest included."""
+    """Ids of everything an object rests on, its parent in the support forest included."""
     main = () if o.supported_by is None else (o.supported_by,)
     return sorted({*main, *(s.id for s in o.supports)})

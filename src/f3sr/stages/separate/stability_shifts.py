@@ -1,4 +1,4 @@
-"""Objects that statics says would fall, shifted by as little as the picture feels until they stand."""
+"""Horizontal shifts of objects that would fall by statics, as small as the picture allows."""
 
 from __future__ import annotations
 
@@ -16,9 +16,12 @@ from f3sr.stages.separate.placement import Placement
 def steady(
     layout: Placement, config: SeparateConfig, *, margin: bool
 ) -> tuple[tuple[float, float] | None, list[Decision]]:
-    """Shift what would fall, with what it carries, until forces at the contacts can balance all weights, where that is
-    possible within bounds. The margins [rad], before and after, are the least tilt of the whole scene that moves
-    something; negative: it falls. None where ``margin`` does not ask for them and all stands."""
+    """Shift bodies that would fall, with their subtrees, until contact forces balance all weights, within bounds.
+
+    Returns the stability margins before and after [rad] and the decisions. The margin is the least tilt of the whole
+    scene that moves a body, negative where one falls. None where all bodies are stable and
+    ``margin`` is false.
+    """
     scene = layout.scene
     bodies = bodies_of([layout.object(o.id) for o in scene], parts=layout.bodies)
     if not margin and stands(bodies, reach=config.contact.reach):
@@ -41,7 +44,7 @@ def steady(
     shifted = [
         Decision(
             choice=f"shifted by {1000 * np.linalg.norm(shift):.1f} mm",
-            reason="statics: it, or what touches it, would fall where the photo shows it",
+            reason="by statics, it or an object that touches it would fall from its place in the photo",
             about=id,
         )
         for id, shift in sorted(found.shifts.items())
@@ -52,7 +55,7 @@ def steady(
 
 def _falls(id: int) -> Decision:
     return Decision(
-        choice="left to physics: by statics it moves from here",
-        reason="no forces at its contacts balance its weight, and no shift within bounds helps; settle says how far",
+        choice="left to physics: unstable by statics",
+        reason="no contact forces balance its weight, and no shift within bounds helps; settle reports its motion",
         about=id,
     )

@@ -1,4 +1,4 @@
-"""Objects made to stand before physics: as they are, on a footing, or turned until they lie."""
+"""Stable poses before physics: as they are, on a footing, or tipped until they lie."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from f3sr.stages.separate.placement import Placement, Saved, supports_of
 from f3sr.stages.separate.support_contact import gap
 
 STILL = 1e-3
-"""Turn [rad] that is not worth laying an object down."""
+"""Least turn [rad] of an object that is tipped."""
 WAYS_BACK = (0.0, 0.5, 1.0)
-"""Shares of an object's way along the viewing rays that are taken back before it is laid down."""
+"""Shares of an object's move along viewing rays that are undone before it is tipped: the candidates."""
 BESIDE = 0.1
-"""What is as near as this, in an object's sizes, it may lean on."""
+"""Largest distance of a neighbour that an object may lean on, as a share of its size."""
 HALVINGS = 3
-"""Of the turn until an object lies, to find the least eighth after which a footing makes it stand."""
+"""Halvings of the turn until an object lies: they find the least eighth after which a footing holds it."""
 
 
 def stand(layout: Placement, config: SeparateConfig) -> list[Decision]:
-    """Let every object stand before physics, supports first: as it is, on a footing, or turned until it lies."""
+    """Make every object stable before physics, supports first: as it is, on a footing, or tipped until it lies."""
     decisions: list[Decision] = []
     for id in layout.scene.supports_first:
         o = layout.object(id)
@@ -54,7 +54,7 @@ def _lower_without_footing(layout: Placement, id: int, config: SeparateConfig) -
 
 
 def _put_on_a_footing(layout: Placement, o: SceneObject, config: SeparateConfig) -> Decision | None:
-    """Give an object where its body is now a footing, if that makes it stand and is in nobody's way."""
+    """Give an object a footing in its present pose, if it is then stable and the footing overlaps no other body."""
     plane = _plane_below(layout, o, config.footing) if config.footing.enabled else None
     wedges = footing(o, plane, config.footing, below=layout.missing[o.id]) if plane else ()
     if not plane or not wedges:
@@ -69,8 +69,10 @@ def _put_on_a_footing(layout: Placement, o: SceneObject, config: SeparateConfig)
 
 
 def _lie_down(layout: Placement, o: SceneObject, config: SeparateConfig) -> Decision | None:
-    """Let an object come to lie from where it is, or from farther back on its way along the viewing rays: what leans
-    may have been moved past what it leans on. Of where it stands, what shows most of the photo is kept."""
+    """Tip an object until it lies, from its present place or from earlier ones on its viewing rays.
+
+    A leaning object may have been moved past its neighbour. The stable candidate with the highest visible IoU wins.
+    """
     members, start = layout.scene.subtree(o.id), layout.saved()
     was = {k: layout.collisions_of(k) for k in members}
     found: list[_Tried] = []
@@ -95,7 +97,7 @@ def _lie_down(layout: Placement, o: SceneObject, config: SeparateConfig) -> Deci
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Tried:
-    """Where an object came to lie: whether it stands there, how much is seen of all masks (mean IoU), what was done."""
+    """A candidate: whether it is stable, the mean visible IoU of all objects, its state and its decision."""
 
     stands: bool
     seen: float
@@ -104,8 +106,10 @@ class _Tried:
 
 
 def _laid_down(layout: Placement, o: SceneObject, config: SeparateConfig) -> tuple[Decision | None, bool]:
-    """Turn an object, with all it carries, about its contacts until it lies, or only until a footing makes it stand;
-    on the ground it keeps its place. What was done, and whether it stands."""
+    """Tip an object with its subtree about its contacts until it lies, or only until a footing holds it.
+
+    On the ground its centre stays in place. Returns the decision, and whether the object is stable.
+    """
     members = layout.scene.subtree(o.id)
     whole, others = _parted(layout, o.id)
     found = tipping.land(whole, others, config.landing, contact=config.contact)
@@ -123,7 +127,7 @@ def _laid_down(layout: Placement, o: SceneObject, config: SeparateConfig) -> tup
             layout.restore(lying)
     decision = Decision(
         choice=f"laid down by {np.degrees(found.turn):.1f} degrees",
-        reason="so that its weight is between its contacts before physics starts",
+        reason="its weight then lies between its contacts before physics starts",
         about=o.id,
     )
     return decision, found.stands
@@ -132,7 +136,7 @@ def _laid_down(layout: Placement, o: SceneObject, config: SeparateConfig) -> tup
 def _lie_down_in_part(
     layout: Placement, o: SceneObject, center: Array, found: tipping.Landing, config: SeparateConfig
 ) -> Decision | None:
-    """The least of a landing's turn, about an object's centre (3,), after which a footing makes it stand."""
+    """The least part of a landing's turn, about an object's centre (3,), after which a footing holds it."""
     before, angle = layout.saved(), float(np.degrees(found.turn))
     best: tuple[Saved, Decision] | None = None
     failed, stood = 0, 2**HALVINGS
@@ -153,8 +157,9 @@ def _lie_down_in_part(
 def _turned_onto_a_footing(
     layout: Placement, o: SceneObject, center: Array, turn: Array, config: SeparateConfig
 ) -> Decision | None:
-    """Turn an object, with all it carries, by a rotation vector (3,) about a point (3,) and give it a footing; None
-    where it would not stand there or be in somebody's way."""
+    """Turn an object with its subtree by a rotation vector (3,) about a point (3,) and give it a footing.
+
+    None where it is not stable there or overlaps another body."""
     members = layout.scene.subtree(o.id)
     was = {k: layout.collisions_of(k) for k in members}
     R = rotation_from_vector(turn)
@@ -166,7 +171,7 @@ def _turned_onto_a_footing(
 
 
 def _parted(layout: Placement, id: int) -> tuple[StaticBody, list[StaticBody]]:
-    """A body with all it carries as one, and all others, held still."""
+    """A body with its subtree as one rigid body, and all others as fixed ones."""
     members = layout.scene.subtree(id)
     bodies = {b.id: b for b in bodies_of([layout.object(k.id) for k in layout.scene], parts=layout.bodies)}
     whole = rigid([bodies[k] for k in members], id)
@@ -174,7 +179,7 @@ def _parted(layout: Placement, id: int) -> tuple[StaticBody, list[StaticBody]]:
 
 
 def _stands(layout: Placement, id: int, config: SeparateConfig) -> bool:
-    """Whether a body with all it carries stands by the margin that is asked of footings, all others held still."""
+    """Whether a body with its subtree has the stability margin of a footing, all others fixed."""
     whole, others = _parted(layout, id)
     everything = [whole, *others]
     contacts = contacts_of(everything, reach=config.contact.loose)
@@ -185,14 +190,14 @@ def _stands(layout: Placement, id: int, config: SeparateConfig) -> bool:
 def _footing_decision(o: SceneObject, wedges: tuple[ConvexPart, ...]) -> Decision:
     height = max(float(np.ptp(w.moved(o.T_world_asset).vertices[:, 2])) for w in wedges)
     reason = (
-        f"its underside, which no photo shows, is uneven or turned against what it stands on: up to "
-        f"{1000 * height:.1f} mm ({100 * height / o.size:.1f} % of its size) added below it, for contact only"
+        f"its hidden underside is uneven or tilted against its support; the footing adds up to "
+        f"{1000 * height:.1f} mm ({100 * height / o.size:.1f} % of its size), for contact only"
     )
     return Decision(choice="given a footing", reason=reason, about=o.id)
 
 
 def _plane_below(layout: Placement, o: SceneObject, config: FootingConfig) -> SupportPlane | None:
-    """What a flat underside would rest on."""
+    """The plane that a flat underside would rest on."""
     if o.supported_by == GROUND:
         return GROUND_PLANE
     below = [layout.object(k).colliders_world for k in supports_of(o) if k != GROUND]

@@ -1,4 +1,4 @@
-"""Objects brought onto what they rest on: along their viewing rays, which no silhouette feels, and by a lift."""
+"""Contact with the support: a move along viewing rays, which changes no silhouette, and a vertical one."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ SLIDE_SIGMA = 0.25
 """Standard deviation of an object's place on another one, as a share of its size: viewing rays must not take it over
 an edge."""
 RAY_STEPS = 10
-"""Places to either side that are tried along the viewing rays before the best is refined."""
+"""Samples to either side along the viewing rays before the best one is refined."""
 
 
 def seat(layout: Placement, config: SeparateConfig) -> None:
-    """Bring every object into contact with its support, supports first, with the supported subtree."""
+    """Bring each object with its subtree into contact with its support, supports first."""
     for id in layout.scene.supports_first:
         if layout.scene[id].supported_by is None:
             layout.move(layout.scene.subtree(id), max(0.0, config.clearance - layout.lowest(id)) * UP)
@@ -54,7 +54,7 @@ def _height_variances(layout: Placement, id: int, above: float) -> tuple[float, 
 
 
 def gap(body: polytopes.Body, id: int, layout: Placement, config: SeparateConfig) -> float:
-    """How far a body hangs over its support and the ground [m]; negative: how far it must rise to be free of them."""
+    """Height of a body above its support and the ground [m]. Negative: the lift that ends its overlap with them."""
     lowest = min(float(p.bounds[0, 2]) for p in body) - config.clearance
     carriers = layout.carriers(id)
     if not carriers:
@@ -66,11 +66,11 @@ def gap(body: polytopes.Body, id: int, layout: Placement, config: SeparateConfig
 
 
 def grounded(scene: Scene, config: SeparateConfig) -> Scene:
-    """The scene with the ground at the height where half of the objects on it would sink in: how high the camera
-    stands is one number for all, which they know better than a few points beside them.
+    """The scene with the ground at the median height of the lowest points of objects on it.
 
-    Everything moves vertically together, the camera too, so that no pixel and no depth changes. Where a fixed object
-    stands on the ground, that tells its height. The ground moves by no more than the error of its measured height.
+    Camera and objects move together, so no pixel and no depth changes. Many objects estimate this one
+    height better than a few points on the ground. A fixed object on the ground gives the height, so
+    nothing moves. The ground moves by no more than the measured error of its height.
     """
     standing = [o for o in scene if o.supported_by == GROUND]
     if not standing or any(o.mobility == "fixed" for o in standing):
