@@ -1,5 +1,8 @@
-"""The kinds that have no built-in implementation yet. Others stand beside theirs: BACKGROUND_COMPLETERS in
-``background/``, LANGUAGES in ``play/``, EXPORTERS in ``exporters/``."""
+"""Kinds of back ends without a built-in implementation. Entry point groups are ``f3sr.NAME``, as in ``f3sr.geometry``.
+
+Other kinds are declared next to their implementations: BACKGROUND_COMPLETERS in ``background/``, LANGUAGES in
+``play/``, EXPORTERS in ``exporters/``.
+"""
 
 from __future__ import annotations
 

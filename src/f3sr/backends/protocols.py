@@ -61,7 +61,10 @@ class EstimatedGeometry:
 
 
 class GeometryEstimator(Protocol):
-    """The photo's geometry and camera from the photo."""
+    """Estimates point map and intrinsics K of the photo. It is asked only where the folder has no geometry.
+
+    Its distances count as accurate to 1 %, unlike those of a depth sensor.
+    """
 
     def estimate(self, image: PromptedImage) -> EstimatedGeometry: ...
 

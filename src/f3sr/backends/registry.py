@@ -59,7 +59,7 @@ class Backend(Generic[P]):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Found:
-    """A name of a kind, where it comes from, and what is wrong with it; nothing is where ``problem`` is empty."""
+    """One offered implementation: its name, its source and its problem. An empty ``problem`` means that it loads."""
 
     name: str
     source: str
@@ -68,7 +68,7 @@ class Found:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Kind(Generic[P]):
-    """What implementations of one Protocol are called, and where they are."""
+    """Implementations of one Protocol by name: built-in ones and those of installed packages."""
 
     name: str
     """Third parties' are in the entry point group ``f3sr.NAME``."""
@@ -81,8 +81,10 @@ class Kind(Generic[P]):
         return f"f3sr.{self.name}"
 
     def find(self, name: str) -> Backend[P]:
-        """The implementation of that name. InputError where there is none, or more than one; BackendError where it
-        cannot be imported or made, or lacks what the Protocol asks for."""
+        """The implementation of that name.
+
+        Raises InputError where the name has none or several, BackendError where it cannot be imported or
+        constructed, or lacks a method of the Protocol."""
         offers = [offer for offer in self._offers() if offer.name == name]
         if not offers:
             raise self._unknown(name)

@@ -1,4 +1,4 @@
-"""MJCF: the scene as a MuJoCo file, the same model as ``mujoco_model.build_spec`` with pictures on it."""
+"""MJCF: the scene as a MuJoCo file, the model of ``mujoco_model.build_spec`` with textured visual meshes."""
 
 from __future__ import annotations
 

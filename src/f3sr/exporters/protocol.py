@@ -1,4 +1,7 @@
-"""What an exporter is: a scene and its physics to files of one format. ``EXPORTERS`` finds them by name."""
+"""The Exporter Protocol: a scene and its physics to files of one format. ``EXPORTERS`` finds exporters by name.
+
+A package holds only the files of those in ``WRITTEN`` (``scene_package/package.py``).
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from f3sr.scene import Scene
 
 
 class Exporter(Protocol):
-    """Writes no file itself: whoever asks puts them into a folder, whole or not at all."""
+    """Yields files and writes none: the caller writes them into a folder, all or none."""
 
     @property
     def name(self) -> str:
