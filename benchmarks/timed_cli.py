@@ -17,18 +17,21 @@ from typing import Any
 Steps = dict[str, dict[str, float]]
 """``wall`` and ``cpu`` seconds by step; cpu includes ended child processes."""
 
+STEPS = (
+    ("read", "io.inputs", "read"),
+    ("kernels", "runtime.kernels", "warm_up"),
+    ("stages", "pipeline", "reconstruct"),
+    ("pictures", "vision.pictures", "pictures_of"),
+    ("package", "scene_package.package", "write_package"),
+)
+"""A step's name, and the module and function of f3sr that is timed."""
+
 
 def main() -> int:
     """Exit code of the command; the steps go to the file named first."""
     steps: Steps = {}
     modules = _timed(_modules, "import", steps)()
-    for step, module, name in (
-        ("read", "io.inputs", "read"),
-        ("kernels", "runtime.kernels", "warm_up"),
-        ("stages", "pipeline", "reconstruct"),
-        ("pictures", "vision.pictures", "pictures_of"),
-        ("package", "scene_package.package", "write_package"),
-    ):
+    for step, module, name in STEPS:
         setattr(modules[module], name, _timed(getattr(modules[module], name), step, steps))
     modules["pipeline"].reconstruct = _telling(modules["pipeline"].reconstruct, steps)
     code = modules["cli.main"].main(sys.argv[2:])
@@ -37,8 +40,7 @@ def main() -> int:
 
 
 def _modules() -> dict[str, Any]:
-    names = ("cli.main", "io.inputs", "runtime.kernels", "scene_package.package", "vision.pictures", "pipeline")
-    return {name: importlib.import_module(f"f3sr.{name}") for name in names}
+    return {name: importlib.import_module(f"f3sr.{name}") for name in ("cli.main", *(module for _, module, _ in STEPS))}
 
 
 def _timed(work: Callable[..., Any], step: str, steps: Steps) -> Callable[..., Any]:
