@@ -86,7 +86,11 @@ def test_a_package_that_was_not_aligned_is_foreign(tmp_path: Path, capsys: pytes
     ("arguments", "code", "message"),
     [
         (["reconstruct", "{folder}-absent", "-o", "{out}"], 2, "nothing there"),
-        (["reconstruct", "{folder}", "-o", "{out}", "--skip", "polish"], 2, "polish"),
+        (
+            ["reconstruct", "{folder}-absent", "-o", "{out}", "--skip", "polish"],
+            2,
+            "--skip: found polish; accepted: level",
+        ),
         (["reconstruct", "{folder}", "-o", "{out}", "--ignore", "photo"], 2, "photo"),
         (["reconstruct", "{folder}", "-o", "{out}", "--asset-frame", "left"], 2, "left"),
         (["reconstruct", "{folder}", "-o", "{folder}"], 1, "may not hold one another"),

@@ -17,7 +17,17 @@ from tyro.conf import Positional, arg
 import f3sr
 from f3sr import options
 from f3sr.cli import goal_commands
-from f3sr.errors import F3srError, F3srWarning, InputError, MissedError, RefusedError, one_line, printable, unforeseen
+from f3sr.errors import (
+    F3srError,
+    F3srWarning,
+    InputError,
+    MissedError,
+    RefusedError,
+    one_line,
+    printable,
+    require_known,
+    unforeseen,
+)
 from f3sr.runtime import signals
 
 Folder = Positional[Path]
@@ -113,6 +123,7 @@ def reconstruct(
     from f3sr.runtime.result_store import Store
     from f3sr.scene_package import package
 
+    require_known("--skip", _names(skip), options.SKIPPABLE)
     atomic_folder.recover(out)
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
     fillers = inputs.Fillers(
