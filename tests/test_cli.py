@@ -80,17 +80,23 @@ def test_a_package_that_was_not_aligned_is_foreign(tmp_path: Path, capsys: pytes
     assert "fitted camera" in capsys.readouterr().out
     assert main(["evaluate", out, "--ignore", "ground"]) == 2
     assert "only with a prompted-image folder" in capsys.readouterr().err
+    assert main(["reconstruct", out, "-o", str(tmp_path / "other")]) == 2
+    assert "found an f3sr package; accepted: a folder with image.png|jpg and masks/*.png" in capsys.readouterr().err
+
+
+EITHER = "an f3sr package, or a folder with image.png|jpg and masks/*.png"
 
 
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
         (["reconstruct", "{folder}-absent", "-o", "{out}"], 2, "nothing there"),
-        (
-            ["reconstruct", "{folder}-absent", "-o", "{out}", "--skip", "polish"],
-            2,
-            "--skip: found polish; accepted: level",
-        ),
+        (["reconstruct", "{folder}-absent", "-o", "{out}", "--skip", "polish"], 2, "--skip: found polish; accepted: l"),
+        (["evaluate", "{folder}-absent"], 2, f"-absent: found nothing there; accepted: {EITHER}"),
+        (["evaluate", "{folder}/image.png"], 2, f"image.png: found a file; accepted: {EITHER}"),
+        (["evaluate", "{folder}/assets"], 2, f"assets: found a folder without scene.json; accepted: {EITHER}"),
+        (["goals", "{folder}/image.png"], 2, "image.png: found a file; accepted: an f3sr package"),
+        (["goals", "{folder}"], 2, "found an input folder; accepted: an f3sr package, which `f3sr reconstruct FOLDER"),
         (["reconstruct", "{folder}", "-o", "{out}", "--ignore", "photo"], 2, "photo"),
         (["reconstruct", "{folder}", "-o", "{out}", "--asset-frame", "left"], 2, "left"),
         (["reconstruct", "{folder}", "-o", "{folder}"], 1, "may not hold one another"),

@@ -93,7 +93,7 @@ def test_the_menu(package: Package, capsys: pytest.CaptureFixture[str]) -> None:
         (["{package}", TOPPLE, "--plan", "{tmp}/plan.json"], 2, "both"),
         (["{package}", "--plan", "{tmp}/none.json"], 2, "no such file"),
         (["{tmp}", TOPPLE], 2, "scene.json"),
-        (["{tmp}/none", TOPPLE], 2, "scene.json"),
+        (["{tmp}/none", TOPPLE], 2, "none: found nothing there"),
         (["{package}", TOPPLE, "-o", "{package}"], 1, "the package"),
         (["{package}", TOPPLE, "-o", "{package}/meshes"], 1, "inside the package"),
         (["{package}", TOPPLE, "-o", "{package}/.."], 1, "holds the package"),

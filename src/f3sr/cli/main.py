@@ -118,13 +118,16 @@ def reconstruct(
     from f3sr.cli import console
     from f3sr.delivery import deliver
     from f3sr.io import inputs
+    from f3sr.io.input_folder import INPUT_FOLDER
     from f3sr.runtime import atomic_folder, kernels
     from f3sr.runtime.progress import timed
     from f3sr.runtime.result_store import Store
-    from f3sr.scene_package import package
+    from f3sr.scene_package import package, package_folder
 
     require_known("--skip", _names(skip), options.SKIPPABLE)
     atomic_folder.recover(out)
+    if package_folder.is_package(folder):
+        raise InputError(folder, found=package_folder.PACKAGE, accepted=INPUT_FOLDER)
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
     fillers = inputs.Fillers(
         geometry=GEOMETRY_ESTIMATORS.find(geometry) if geometry else None,
@@ -176,10 +179,12 @@ def evaluate(
     from f3sr import pipeline, settings
     from f3sr.cli import console
     from f3sr.io import inputs
+    from f3sr.io.input_folder import INPUT_FOLDER
     from f3sr.runtime import atomic_folder, kernels
     from f3sr.runtime.progress import timed
     from f3sr.runtime.result_store import Store
     from f3sr.scene_package.package import read_package
+    from f3sr.scene_package.package_folder import PACKAGE, require_package
     from f3sr.stages import evaluate as stage
 
     atomic_folder.recover(folder)
@@ -193,6 +198,7 @@ def evaluate(
             scene = pipeline.composed_directly(given, chosen, store=Store.default(), progress=progress)
             direct, foreign, name = None, True, stage.DIRECT
         else:
+            require_package(folder, accepted=f"{PACKAGE}, or {INPUT_FOLDER}")
             _refuse_for_packages(ignore, asset_frame)
             content = read_package(folder)
             kernels.warm_up(progress)
