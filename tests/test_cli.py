@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import tomllib
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 
 import f3sr
-from f3sr import options, settings
+from f3sr import example, options, pipeline, settings
 from f3sr.cli import doctor
 from f3sr.cli.main import main
 from f3sr.metrics.measures import IMAGE_MEASURES
@@ -210,6 +211,40 @@ def test_the_traceback_is_shown_where_it_is_asked_for(
 # --- help ---------------------------------------------------------------------------------------------------
 
 
+def help_of(command: str, capsys: pytest.CaptureFixture[str]) -> str:
+    """The help of a command in one line, without its frames."""
+    with pytest.raises(SystemExit):
+        main([*command.split(), "--help"])
+    return " ".join(re.sub("[─-╿]", " ", capsys.readouterr().out).split())
+
+
+COMMANDS = ("reconstruct", "evaluate", "simulate", "film", "goals", "demo", "config", "doctor")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_names_what_an_argument_is_and_no_empty_default(command: str, capsys: pytest.CaptureFixture[str]):
+    said = help_of(command, capsys)
+    assert not re.search(r"None|\bPATH\b|\bSTR\b|default: (\)|'')", said), said
+
+
+def test_the_first_help_has_every_exit_code_and_variable(capsys: pytest.CaptureFixture[str]):
+    said = help_of("", capsys)
+    assert re.search(r"Exit codes: 0 .*, 1 .*, 2 .*, 3 .*, 4 ", said)
+    sources = "".join(file.read_text() for file in Path(f3sr.__file__).parent.rglob("*.py"))
+    assert all(name in said for name in set(re.findall(r"\bF3SR_[A-Z_]+", sources)))
+    assert "fitted to its masks" not in said and all(command in said for command in COMMANDS)
+
+
+def test_the_help_of_skip_tells_what_else_is_left_out(capsys: pytest.CaptureFixture[str]):
+    said = help_of("reconstruct", capsys)
+    for stage in pipeline.REPEATED_BY_REFINE:
+        assert stage in said.partition(". Without ")[2].partition(", refine is left out too")[0]
+
+
+def test_the_help_of_the_demo_has_its_goal(capsys: pytest.CaptureFixture[str]):
+    assert example.GOAL in help_of("demo", capsys)
+
+
 @pytest.mark.parametrize(
     ("command", "option", "accepted"),
     [
@@ -222,10 +257,8 @@ def test_the_traceback_is_shown_where_it_is_asked_for(
 def test_help_names_all_that_an_option_accepts(
     command: str, option: str, accepted: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ):
-    with pytest.raises(SystemExit):
-        main([command, "--help"])
-    said = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    assert ", ".join(accepted) in said.partition(f"{option} STR")[2].partition(" --")[0]
+    said = help_of(command, capsys).partition(f" {option} ")[2].partition(" --")[0]
+    assert ",".join(accepted) in said.replace(" ", "")
 
 
 def test_the_package_says_what_it_is():
