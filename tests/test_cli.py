@@ -296,6 +296,7 @@ def test_the_doctor_says_what_does_not_work_and_why(
     said = capsys.readouterr()
     assert said.err == "f3sr: does not work here: numba, cuts\n"
     lines = said.out.splitlines()
+    assert lines[0].split() == ["state", "group", "name", "found"]
     assert any(
         line.startswith("failed") and "cuts" in line and "RuntimeError: no such library" in line for line in lines
     )

@@ -226,7 +226,7 @@ def config() -> None:
     """Print the default settings as TOML, each with its unit, range and meaning; for ``reconstruct --config``."""
     from f3sr import pipeline, settings
 
-    print(settings.describe(pipeline.Config()), end="")
+    print(f"# f3sr {f3sr.__version__} defaults\n\n{settings.describe(pipeline.Config())}", end="")
 
 
 def doctor(json: bool = False) -> None:
@@ -244,7 +244,9 @@ def doctor(json: bool = False) -> None:
     if json:
         print(_json({"checks": [asdict(check) for check in checks]}))
     else:
-        console.print_table([(c.state, c.group, c.name, c.found) for c in checks], header=("",) * 4)
+        console.print_table(
+            [(c.state, c.group, c.name, c.found) for c in checks], header=("state", "group", "name", "found")
+        )
     if failed := [check.name for check in checks if check.state == "failed"]:
         raise F3srError(f"does not work here: {', '.join(failed)}")
 
