@@ -488,6 +488,12 @@ def test_a_parent_that_may_not_be_written_to_is_told_and_changes_nothing(
 # --- rivals -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no /proc")
+def test_a_parent_in_which_nothing_can_be_made_is_told_as_that() -> None:
+    with pytest.raises(OutputError, match=r"could not be written \(no such file or directory\)"):
+        prepare_output(Path("/proc/f3sr-none/package"))
+
+
 def test_runs_that_begin_at_once_do_not_take_each_others_parents_away(tmp_path: Path) -> None:
     for k in range(20):
         with ThreadPoolExecutor(8) as pool:

@@ -492,7 +492,7 @@ def test_the_command_line_tells_of_a_broken_one_in_one_line_and_works_without_it
         assert said.err.count("\n") == 1 and "back end" in said.err and not (tmp_path / "out").exists()
     assert main(["doctor", "--json"]) == 0
     bad = [c for c in json.loads(capsys.readouterr().out)["checks"] if c["name"] == "bad"]
-    assert [c["state"] for c in bad] == ["missing"] * 2 and all("ZeroDivisionError" in c["found"] for c in bad)
+    assert [c["state"] for c in bad] == ["broken"] * 2 and all("ZeroDivisionError" in c["found"] for c in bad)
     code = f"import sys; sys.path.insert(0, {str(tmp_path / 'site')!r}); import f3sr; f3sr.LANGUAGES.find('rules')"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")

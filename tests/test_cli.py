@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import tomllib
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 
 import f3sr
-from f3sr import options, settings
+from f3sr import example, options, pipeline, settings
 from f3sr.cli import doctor
 from f3sr.cli.main import main
 from f3sr.metrics.measures import IMAGE_MEASURES
@@ -80,13 +81,23 @@ def test_a_package_that_was_not_aligned_is_foreign(tmp_path: Path, capsys: pytes
     assert "fitted camera" in capsys.readouterr().out
     assert main(["evaluate", out, "--ignore", "ground"]) == 2
     assert "only with a prompted-image folder" in capsys.readouterr().err
+    assert main(["reconstruct", out, "-o", str(tmp_path / "other")]) == 2
+    assert "found an f3sr package; accepted: a folder with image.png|jpg and masks/*.png" in capsys.readouterr().err
+
+
+EITHER = "an f3sr package, or a folder with image.png|jpg and masks/*.png"
 
 
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
         (["reconstruct", "{folder}-absent", "-o", "{out}"], 2, "nothing there"),
-        (["reconstruct", "{folder}", "-o", "{out}", "--skip", "polish"], 2, "polish"),
+        (["reconstruct", "{folder}-absent", "-o", "{out}", "--skip", "polish"], 2, "--skip: found polish; accepted: l"),
+        (["evaluate", "{folder}-absent"], 2, f"-absent: found nothing there; accepted: {EITHER}"),
+        (["evaluate", "{folder}/image.png"], 2, f"image.png: found a file; accepted: {EITHER}"),
+        (["evaluate", "{folder}/assets"], 2, f"assets: found a folder without scene.json; accepted: {EITHER}"),
+        (["goals", "{folder}/image.png"], 2, "image.png: found a file; accepted: an f3sr package"),
+        (["goals", "{folder}"], 2, "found an input folder; accepted: an f3sr package, which `f3sr reconstruct FOLDER"),
         (["reconstruct", "{folder}", "-o", "{out}", "--ignore", "photo"], 2, "photo"),
         (["reconstruct", "{folder}", "-o", "{out}", "--asset-frame", "left"], 2, "left"),
         (["reconstruct", "{folder}", "-o", "{folder}"], 1, "may not hold one another"),
@@ -200,6 +211,40 @@ def test_the_traceback_is_shown_where_it_is_asked_for(
 # --- help ---------------------------------------------------------------------------------------------------
 
 
+def help_of(command: str, capsys: pytest.CaptureFixture[str]) -> str:
+    """The help of a command in one line, without its frames."""
+    with pytest.raises(SystemExit):
+        main([*command.split(), "--help"])
+    return " ".join(re.sub("[─-╿]", " ", capsys.readouterr().out).split())
+
+
+COMMANDS = ("reconstruct", "evaluate", "simulate", "film", "goals", "demo", "config", "doctor")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_names_what_an_argument_is_and_no_empty_default(command: str, capsys: pytest.CaptureFixture[str]):
+    said = help_of(command, capsys)
+    assert not re.search(r"None|\bPATH\b|\bSTR\b|default: (\)|'')", said), said
+
+
+def test_the_first_help_has_every_exit_code_and_variable(capsys: pytest.CaptureFixture[str]):
+    said = help_of("", capsys)
+    assert re.search(r"Exit codes: 0 .*, 1 .*, 2 .*, 3 .*, 4 ", said)
+    sources = "".join(file.read_text() for file in Path(f3sr.__file__).parent.rglob("*.py"))
+    assert all(name in said for name in set(re.findall(r"\bF3SR_[A-Z_]+", sources)))
+    assert "fitted to its masks" not in said and all(command in said for command in COMMANDS)
+
+
+def test_the_help_of_skip_tells_what_else_is_left_out(capsys: pytest.CaptureFixture[str]):
+    said = help_of("reconstruct", capsys)
+    for stage in pipeline.REPEATED_BY_REFINE:
+        assert stage in said.partition(". Without ")[2].partition(", refine is left out too")[0]
+
+
+def test_the_help_of_the_demo_has_its_goal(capsys: pytest.CaptureFixture[str]):
+    assert example.GOAL in help_of("demo", capsys)
+
+
 @pytest.mark.parametrize(
     ("command", "option", "accepted"),
     [
@@ -212,10 +257,8 @@ def test_the_traceback_is_shown_where_it_is_asked_for(
 def test_help_names_all_that_an_option_accepts(
     command: str, option: str, accepted: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ):
-    with pytest.raises(SystemExit):
-        main([command, "--help"])
-    said = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    assert ", ".join(accepted) in said.partition(f"{option} STR")[2].partition(" --")[0]
+    said = help_of(command, capsys).partition(f" {option} ")[2].partition(" --")[0]
+    assert ",".join(accepted) in said.replace(" ", "")
 
 
 def test_the_package_says_what_it_is():
@@ -253,6 +296,7 @@ def test_the_doctor_says_what_does_not_work_and_why(
     said = capsys.readouterr()
     assert said.err == "f3sr: does not work here: numba, cuts\n"
     lines = said.out.splitlines()
+    assert lines[0].split() == ["state", "group", "name", "found"]
     assert any(
         line.startswith("failed") and "cuts" in line and "RuntimeError: no such library" in line for line in lines
     )

@@ -39,9 +39,10 @@ def test_a_goal_is_told_written_and_replayed(
     assert run(["simulate", str(package.folder), TOPPLE, "-o", str(out)]) == 0
     told = capsys.readouterr().out
     assert all(word in told for word in ("meaning:", "assumed:", "launch:", "met:", "rollout,", str(out)))
-    assert run(["simulate", str(package.folder), "--plan", str(out / "plan.json"), "-o", str(again)]) == 0
-    for name in ("plan.json", "rollout.npz", "verdict.json"):
-        assert (out / name).read_bytes() == (again / name).read_bytes()
+    for plan in (out / "plan.json", out):
+        assert run(["simulate", str(package.folder), "--plan", str(plan), "-o", str(again / plan.name)]) == 0
+        for name in ("plan.json", "rollout.npz", "verdict.json"):
+            assert (out / name).read_bytes() == (again / plan.name / name).read_bytes()
 
 
 def test_refusals_write_nothing_and_help(package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -55,10 +56,10 @@ def test_refusals_write_nothing_and_help(package: Package, tmp_path: Path, capsy
 def test_several_goals_go_to_numbered_folders(
     package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    goals = [TOPPLE, "push the banana", "drop the sponge on the can"]
+    goals = ["hit the block with the sponge so that the block falls over", "push the banana", TOPPLE]
     assert run(["simulate", str(package.folder), *goals, "-o", str(tmp_path / "out"), "--json"]) == 3
     told = json.loads(capsys.readouterr().out)["goals"]
-    assert [t["state"] for t in told] == ["met", "refused", "met"] and told[1]["candidates"]
+    assert [t["state"] for t in told] == ["missed", "refused", "met"] and told[1]["candidates"]
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["1", "3"]
 
 
@@ -92,8 +93,14 @@ def test_the_menu(package: Package, capsys: pytest.CaptureFixture[str]) -> None:
         (["{package}"], 2, "no goal"),
         (["{package}", TOPPLE, "--plan", "{tmp}/plan.json"], 2, "both"),
         (["{package}", "--plan", "{tmp}/none.json"], 2, "no such file"),
+        (
+            ["{package}", TOPPLE, "--no-film", "--slow", "0.1"],
+            2,
+            "--slow: found 0.1; accepted: a factor of 0.125 to 100",
+        ),
+        (["{package}", TOPPLE, "--slow", "inf"], 2, "--slow: found inf; accepted"),
         (["{tmp}", TOPPLE], 2, "scene.json"),
-        (["{tmp}/none", TOPPLE], 2, "scene.json"),
+        (["{tmp}/none", TOPPLE], 2, "none: found nothing there"),
         (["{package}", TOPPLE, "-o", "{package}"], 1, "the package"),
         (["{package}", TOPPLE, "-o", "{package}/meshes"], 1, "inside the package"),
         (["{package}", TOPPLE, "-o", "{package}/.."], 1, "holds the package"),

@@ -554,14 +554,15 @@ def test_a_folder_that_is_no_package_is_not_replaced(content: dict[str, str], st
     for name, text in content.items():
         (out / name).write_text(text)
     before = tree(out)
-    with pytest.raises(OutputError, match=next(iter(content))):
+    accepted = "a new or empty folder, or an f3sr package"
+    with pytest.raises(OutputError, match=f"found a folder with .*{next(iter(content))}; accepted: {accepted}"):
         write_package(stack, out, overwrite=True)
     assert tree(out) == before and [p.name for p in tmp_path.iterdir()] == ["out"]
 
 
 def test_a_file_in_the_way_is_refused_and_an_empty_folder_used(stack: Scene, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
-    with pytest.raises(OutputError, match="is a file"):
+    with pytest.raises(OutputError, match="found a file; accepted: a new or empty folder"):
         write_package(stack, tmp_path / "file")
     (tmp_path / "empty").mkdir()
     assert read_package(write_package(stack, tmp_path / "empty")).scene.objects
@@ -847,7 +848,7 @@ def test_missing_and_linked_files_are_refused_by_name(stack: Scene, tmp_path: Pa
     (out / "meshes/01.glb").symlink_to(tmp_path / "outside.glb")
     with pytest.raises(InputError, match="leaves the package"):
         read_package(out)
-    with pytest.raises(InputError, match=r"scene\.json: found no such file"):
+    with pytest.raises(InputError, match=r"found a folder without scene\.json; accepted: an f3sr package"):
         read_package(tmp_path)
 
 

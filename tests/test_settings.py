@@ -5,14 +5,16 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
 from f3sr import settings
+from f3sr.cli.main import main
 from f3sr.errors import InputError
+from f3sr.options import SKIPPABLE
 from f3sr.physics.mujoco_model import PhysicsConfig
 from f3sr.pipeline import Config, same_margin
 from f3sr.stages.align import AlignConfig
@@ -31,8 +33,14 @@ def test_the_printed_defaults_read_back_as_the_defaults(tmp_path: Path) -> None:
     assert settings.read(written(tmp_path, settings.describe(Config())), Config()) == Config()
 
 
-def test_the_page_of_settings_is_what_the_program_prints() -> None:
-    assert PAGE.read_text() == settings.describe(Config()), "f3sr config > docs/settings.toml"
+def test_the_page_of_settings_is_what_the_program_prints(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["config"]) == 0
+    assert PAGE.read_text() == capsys.readouterr().out, "f3sr config > docs/settings.toml"
+
+
+def test_the_tables_come_in_the_order_of_the_stages() -> None:
+    tables = [f.name for f in fields(cast(Any, Config))]
+    assert tables == ["assemble", *(stage for stage in SKIPPABLE if stage in tables)]
 
 
 def test_a_file_changes_what_it_names_and_nothing_else(tmp_path: Path) -> None:

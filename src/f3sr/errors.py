@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import traceback
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 LONGEST = 300
@@ -47,6 +48,12 @@ class RefusedError(F3srError):
 
 class MissedError(F3srError):
     """The best rollout of a goal does not meet it; it was written. Exit code 4."""
+
+
+def require_known(option: str, names: Collection[str], known: Sequence[str]) -> None:
+    """Raises InputError where an option has a value that is none of ``known``."""
+    if unknown := sorted(set(names) - set(known)):
+        raise InputError(option, found=", ".join(unknown), accepted=", ".join(known))
 
 
 def unforeseen(error: Exception, state: str) -> str:

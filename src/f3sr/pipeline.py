@@ -55,8 +55,8 @@ class Config:
     decompose: ProxyConfig = field(default_factory=ProxyConfig)
     separate: SeparateConfig = field(default_factory=SeparateConfig)
     settle: SettleStageConfig = field(default_factory=SettleStageConfig)
-    refine: RefineConfig = field(default_factory=RefineConfig)
     close: CloseConfig = field(default_factory=CloseConfig)
+    refine: RefineConfig = field(default_factory=RefineConfig)
     evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
     inpaint: BackgroundConfig = field(default_factory=BackgroundConfig)
 

@@ -27,7 +27,7 @@ from f3sr.play.languages import LANGUAGES
 from f3sr.runtime import kernels
 from f3sr.runtime.cache_folder import cache_folder
 
-State = Literal["ok", "missing", "failed"]
+State = Literal["ok", "optional", "limited", "broken", "failed"]
 
 KINDS: tuple[Kind[Any], ...] = (
     *(SEGMENTERS, GEOMETRY_ESTIMATORS, ASSET_GENERATORS, SCENE_GRAPHERS, BACKGROUND_COMPLETERS, LANGUAGES),
@@ -41,7 +41,11 @@ LITTLE_DISK = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """One line of the doctor's answer. ``missing`` is something optional, ``failed`` something that f3sr needs."""
+    """One line of the doctor's answer.
+
+    ``optional`` is absent and not needed, ``limited`` is less than large scenes need, ``broken`` is another package's
+    back end that cannot be loaded. Only ``failed`` is something that f3sr needs.
+    """
 
     group: str
     name: str
@@ -71,7 +75,7 @@ def _extras() -> Iterator[Check]:
     for extra in metadata.metadata("f3sr").get_all("Provides-Extra") or []:
         absent = [name for name in _requirements(extra) if not _version(name)]
         found = f'without {", ".join(absent)}: pip install "f3sr[{extra}]"' if absent else "complete"
-        yield Check(group="extras", name=extra, state="missing" if absent else "ok", found=found)
+        yield Check(group="extras", name=extra, state="optional" if absent else "ok", found=found)
 
 
 def _requirements(extra: str | None) -> list[str]:
@@ -107,9 +111,9 @@ def _backends() -> Iterator[Check]:
     for kind in KINDS:
         offers = list(kind.examined())
         if not offers:
-            yield Check(group=kind.group, name="none", state="missing", found="no package that adds one is installed")
+            yield Check(group=kind.group, name="none", state="optional", found="no package that adds one is installed")
         for offer in offers:
-            state: State = "missing" if offer.problem else "ok"
+            state: State = "broken" if offer.problem else "ok"
             found = offer.problem or f"from {offer.source}"
             yield Check(group=kind.group, name=printable(offer.name) or "unreadable", state=state, found=found)
 
@@ -189,7 +193,7 @@ def _machine() -> Iterator[Check]:
     yield _check("machine", "cores", f"{usable_cores()} of {os.cpu_count()}")
     memory = usable_memory()
     found = f"{memory:.1f} GB" + ("" if memory >= LITTLE_MEMORY else f", large scenes need {LITTLE_MEMORY:.0f}")
-    yield Check(group="machine", name="memory", state="ok" if memory >= LITTLE_MEMORY else "missing", found=found)
+    yield Check(group="machine", name="memory", state="ok" if memory >= LITTLE_MEMORY else "limited", found=found)
     yield _space("temporary files", Path(tempfile.gettempdir()))
 
 
@@ -211,7 +215,7 @@ def _caches() -> Iterator[Check]:
     root = cache_folder()
     if root is None:
         found = "none that this user alone can write to; every run compiles its kernels"
-        yield Check(group="cache", name="folder", state="missing", found=found)
+        yield Check(group="cache", name="folder", state="limited", found=found)
         return
     yield _space("folder", root, group="cache")
     compiled = "compiled" if kernels.is_warm() else "not compiled yet: the first run takes half a minute longer"
@@ -224,7 +228,7 @@ def _caches() -> Iterator[Check]:
 def _space(name: str, folder: Path, *, group: str = "machine") -> Check:
     free = shutil.disk_usage(folder).free / 1e9
     found = f"{folder}, {free:.1f} GB free" + ("" if free >= LITTLE_DISK else ", which is little")
-    return Check(group=group, name=name, state="ok" if free >= LITTLE_DISK else "missing", found=found)
+    return Check(group=group, name=name, state="ok" if free >= LITTLE_DISK else "limited", found=found)
 
 
 def _check(group: str, name: str, found: str, *, ok: bool = True) -> Check:

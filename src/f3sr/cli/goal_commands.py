@@ -6,11 +6,11 @@ import json as json_
 import time
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from tyro.conf import Positional, arg
 
+from f3sr.cli.arguments import Goals, MaybeFile, MaybeOut, MaybePackage, Name, PackageFolder, RolloutFolder, Slow
 from f3sr.errors import F3srError, InputError, MissedError, OutputError, RefusedError, printable
 from f3sr.runtime.daemon_thread import begun
 
@@ -21,21 +21,19 @@ if TYPE_CHECKING:
     from f3sr.play.goal_loop import Played
     from f3sr.scene_package.package import Package
 
-Folder = Positional[Path]
-Goals = Positional[tuple[str, ...]]
 MOST = 100
 """Goals of one call."""
 
 
 def simulate(
-    package: Folder,
+    package: PackageFolder,
     goals: Goals = (),
     /,
-    out: Annotated[Path | None, arg(aliases=["-o"])] = None,
-    plan: Path | None = None,
-    language: str | None = None,
+    out: MaybeOut = None,
+    plan: MaybeFile = None,
+    language: Name = None,
     film: bool = True,
-    slow: float = 1.0,
+    slow: Slow = 1.0,
     overwrite: bool = False,
     json: bool = False,
 ) -> None:
@@ -46,14 +44,15 @@ def simulate(
         goals: What is to happen, in English, each in quotes: "knock over the mug". ``f3sr goals`` lists the objects.
         out: Where plan.json, rollout.npz, verdict.json and the film go; of several goals to its subfolders 1, 2, 3...
             Without it, to the next numbers in PACKAGE/rollouts.
-        plan: A plan.json to play again, instead of goals.
-        language: Name of the back end that understands goals; rules without it. ``f3sr doctor`` lists them.
+        plan: A plan.json, or a rollout's folder, to play again instead of goals.
+        language: Back end that understands goals; ``f3sr doctor`` lists its names. Without it: rules.
         film: Make film.mp4, its key frames film.png and player.html too.
-        slow: How many times slower than life the film is.
+        slow: How many times slower than life the film is, 0.125 to 100.
         overwrite: Also replace an older rollout.
         json: Print one JSON object instead of text.
     """
     from f3sr.goals.refusal import Refusal
+    from f3sr.play import rollout_folder
     from f3sr.play.languages import LANGUAGES, CheckedLanguage
     from f3sr.runtime.atomic_folder import recover
     from f3sr.scene_package.package import read_package
@@ -61,8 +60,8 @@ def simulate(
     recover(*(place for place in (package, out, plan) if place))
     _require_goals(goals, plan)
     spoken = CheckedLanguage(LANGUAGES.find(language)) if language else None
-    if film and slow != 1:
-        _require_slow(slow)
+    _require_slow(slow)
+    plan = plan and rollout_folder.plan_file(plan)
     content = read_package(package)
     places = _places(out, package, max(len(goals), 1), overwrite)
     tellings, failed, decided = list[dict[str, Any]](), None, set[str]()
@@ -90,13 +89,14 @@ def simulate(
     _end(tellings)
 
 
-def film(rollout: Folder, /, package: Path | None = None, slow: float = 1.0, json: bool = False) -> None:
+def film(rollout: RolloutFolder, /, package: MaybePackage = None, slow: Slow = 1.0, json: bool = False) -> None:
     """Film a rollout again: film.mp4, its key frames film.png, and player.html to open in a browser.
 
     Args:
-        rollout: A folder with plan.json and rollout.npz that ``f3sr simulate`` wrote; the film goes there.
+        rollout: A folder with plan.json and rollout.npz that ``f3sr simulate`` wrote. The film goes there and
+            replaces the older film there.
         package: The package whose scene it plays; without it, the one that the rollout lies in.
-        slow: How many times slower than life.
+        slow: How many times slower than life, 0.125 to 100.
         json: Print one JSON object instead of text.
     """
     from f3sr.goals.verify import verify
@@ -171,7 +171,7 @@ def _film_lines(told: dict[str, Any], known: Container[str]) -> Iterator[str]:
     yield f"to play:   {Path(told['file']).with_name(PLAYER)}"
 
 
-def goals(package: Folder, /, json: bool = False) -> None:
+def goals(package: PackageFolder, /, json: bool = False) -> None:
     """List what can be asked of a scene: its objects, with words that select them and verbs that make sense.
 
     Args:

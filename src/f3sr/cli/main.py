@@ -9,27 +9,34 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import tyro
-from tyro.conf import Positional, arg
 
 import f3sr
 from f3sr import options
 from f3sr.cli import goal_commands
-from f3sr.errors import F3srError, F3srWarning, InputError, MissedError, RefusedError, one_line, printable, unforeseen
+from f3sr.cli.arguments import Axes, Folder, Ignore, MaybeFile, Name, Out, Skip
+from f3sr.errors import (
+    F3srError,
+    F3srWarning,
+    InputError,
+    MissedError,
+    RefusedError,
+    one_line,
+    printable,
+    require_known,
+    unforeseen,
+)
 from f3sr.runtime import signals
 
-Folder = Positional[Path]
-Out = Annotated[Path, arg(aliases=["-o"])]
-Skip = Annotated[str, arg(help=f"Stages to leave out, comma separated: {', '.join(options.SKIPPABLE)}.")]
-Ignore = Annotated[
-    str, arg(help=f"Parts of the input to treat as absent, comma separated: {', '.join(options.PARTS)}.")
-]
-Axes = Annotated[str, arg(help=f"Axes of posed GLBs that come without poses.json: {', '.join(options.ASSET_FRAMES)}.")]
+DESCRIPTION = """From one photo with object masks to a 3-D scene that a physics engine can run, and goals played in it.
+`f3sr COMMAND --help` explains a command, `f3sr --version` prints the version.
 
+Exit codes: 0 done, 1 any other error, 2 bad input, 3 a goal was refused, 4 a goal was played and not met.
 
-VERSION = "f3sr --version prints the version."
+Environment: F3SR_CACHE_DIR is where results are stored, F3SR_CACHE_LIMIT_GB their largest size (default 5).
+F3SR_TRACEBACK=1 shows where an unforeseen error arose."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -52,7 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         tyro.extras.subcommand_cli_from_dict(
             commands,
             prog="f3sr",
-            description=f"From one photo with object masks to a 3-D scene that a physics engine can run. {VERSION}",
+            description=DESCRIPTION,
             args=arguments,
         )
     except InputError as error:
@@ -81,23 +88,25 @@ def reconstruct(
     skip: Skip = "",
     ignore: Ignore = "",
     asset_frame: Axes = "auto",
-    geometry: str | None = None,
-    assets: str | None = None,
-    scene_graph: str | None = None,
-    background: str | None = None,
-    config: Path | None = None,
+    geometry: Name = None,
+    assets: Name = None,
+    scene_graph: Name = None,
+    background: Name = None,
+    config: MaybeFile = None,
     overwrite: bool = False,
     json: bool = False,
 ) -> None:
     """Turn a prompted-image folder into a scene package.
 
     Args:
-        folder: Holds image.png|jpg, masks/*.png, geometry.npz (or depth and intrinsics.json), assets/, ground.png.
+        folder: Must hold image.png|jpg, masks/*.png, assets/, geometry.npz (or depth.png|npy and intrinsics.json).
+            May hold ground.png, scene_graph.json, background.png.
         out: Where the package goes; an older f3sr package there is replaced.
-        geometry: Name of a back end that estimates geometry, where the folder has none; ``f3sr doctor`` lists them.
-        assets: Name of a back end that generates meshes, where the folder has none.
-        scene_graph: Name of a back end that proposes relations, where the folder gives none.
-        background: Name of a back end that completes the photo behind the objects; patchmatch without it.
+        geometry: Back end that estimates geometry where the folder has none; ``f3sr doctor`` lists its names.
+        assets: Back end that generates meshes where the folder has none; ``f3sr doctor`` lists its names.
+        scene_graph: Back end that proposes relations where the folder has none; ``f3sr doctor`` lists its names.
+        background: Back end that completes the photo behind the objects; ``f3sr doctor`` lists its names. Without it:
+            background.png if there, else patchmatch.
         config: TOML file of settings; those it does not name stay as ``f3sr config`` prints them.
         overwrite: Also replace a package that holds rollouts.
         json: Print one JSON object instead of text.
@@ -108,12 +117,16 @@ def reconstruct(
     from f3sr.cli import console
     from f3sr.delivery import deliver
     from f3sr.io import inputs
+    from f3sr.io.input_folder import INPUT_FOLDER
     from f3sr.runtime import atomic_folder, kernels
     from f3sr.runtime.progress import timed
     from f3sr.runtime.result_store import Store
-    from f3sr.scene_package import package
+    from f3sr.scene_package import package, package_folder
 
+    require_known("--skip", _names(skip), options.SKIPPABLE)
     atomic_folder.recover(out)
+    if package_folder.is_package(folder):
+        raise InputError(folder, found=package_folder.PACKAGE, accepted=INPUT_FOLDER)
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
     fillers = inputs.Fillers(
         geometry=GEOMETRY_ESTIMATORS.find(geometry) if geometry else None,
@@ -148,27 +161,27 @@ def evaluate(
     true_scale: float = 1.0,
     ignore: Ignore = "",
     asset_frame: Axes = "auto",
-    config: Path | None = None,
+    config: MaybeFile = None,
     json: bool = False,
 ) -> None:
     """Measure a scene package and direct composition, or direct composition alone from a prompted-image folder.
 
-    Direct composition is the levelled input. It, and any package whose camera f3sr did not align, is
-    measured twice: seen by the camera that came with it, and by one that is fitted to its own masks.
-
     Args:
-        folder: A package that ``f3sr reconstruct`` wrote, or the input of one.
-        true_scale: Factor from the scene's lengths to true metres, where it is known; physics depends on it.
+        folder: A package that ``f3sr reconstruct`` wrote, or the input of one. Direct composition is the levelled
+            input. It, and a package whose camera f3sr did not align, is also seen by a camera fitted to its masks.
+        true_scale: Factor from the scene's lengths to true metres, 0.001 to 1000, if known; physics depends on it.
         config: TOML file of settings, as for ``reconstruct``; a package needs only those of [evaluate].
         json: Print one JSON object instead of a table.
     """
     from f3sr import pipeline, settings
     from f3sr.cli import console
     from f3sr.io import inputs
+    from f3sr.io.input_folder import INPUT_FOLDER
     from f3sr.runtime import atomic_folder, kernels
     from f3sr.runtime.progress import timed
     from f3sr.runtime.result_store import Store
     from f3sr.scene_package.package import read_package
+    from f3sr.scene_package.package_folder import PACKAGE, require_package
     from f3sr.stages import evaluate as stage
 
     atomic_folder.recover(folder)
@@ -182,6 +195,7 @@ def evaluate(
             scene = pipeline.composed_directly(given, chosen, store=Store.default(), progress=progress)
             direct, foreign, name = None, True, stage.DIRECT
         else:
+            require_package(folder, accepted=f"{PACKAGE}, or {INPUT_FOLDER}")
             _refuse_for_packages(ignore, asset_frame)
             content = read_package(folder)
             kernels.warm_up(progress)
@@ -196,11 +210,11 @@ def evaluate(
 
 
 def demo(out: Out = Path("out/demo"), overwrite: bool = False) -> None:
-    """Reconstruct the bundled example, and play and film a goal in it.
+    """Reconstruct the bundled example, and play and film a goal in it: throw the lemon into the mug.
 
     Args:
         out: Where the package goes.
-        overwrite: Also replace a package that holds rollouts.
+        overwrite: Also replace a package that holds rollouts: a second run needs it.
     """
     from f3sr import example
 
@@ -212,7 +226,7 @@ def config() -> None:
     """Print the default settings as TOML, each with its unit, range and meaning; for ``reconstruct --config``."""
     from f3sr import pipeline, settings
 
-    print(settings.describe(pipeline.Config()), end="")
+    print(f"# f3sr {f3sr.__version__} defaults\n\n{settings.describe(pipeline.Config())}", end="")
 
 
 def doctor(json: bool = False) -> None:
@@ -230,7 +244,9 @@ def doctor(json: bool = False) -> None:
     if json:
         print(_json({"checks": [asdict(check) for check in checks]}))
     else:
-        console.print_table([(c.state, c.group, c.name, c.found) for c in checks], header=("",) * 4)
+        console.print_table(
+            [(c.state, c.group, c.name, c.found) for c in checks], header=("state", "group", "name", "found")
+        )
     if failed := [check.name for check in checks if check.state == "failed"]:
         raise F3srError(f"does not work here: {', '.join(failed)}")
 

@@ -35,13 +35,10 @@ def rate_of(rollout: Rollout) -> Fraction:
 
 def factor(slow: Fraction | float) -> Fraction:
     """How many times slower than life a film is; InputError where no player could show it."""
-    accepted = f"a factor of {FASTEST} to {SLOWEST}"
-    if not math.isfinite(slow):
-        raise InputError("slow motion", found=f"a factor of {slow}", accepted=accepted)
-    slow = Fraction(slow).limit_denominator(100)
-    if not FASTEST <= slow <= SLOWEST:
-        raise InputError("slow motion", found=f"a factor of {slow}", accepted=accepted)
-    return slow
+    if not (math.isfinite(slow) and FASTEST <= Fraction(slow).limit_denominator(100) <= SLOWEST):
+        accepted = f"a factor of {float(FASTEST)} to {SLOWEST}"
+        raise InputError("--slow", found=f"{float(slow):g}", accepted=accepted)
+    return Fraction(slow).limit_denominator(100)
 
 
 def finer(scene: Scene, plan: Plan, rollout: Rollout, slow: Fraction | float) -> Rollout:

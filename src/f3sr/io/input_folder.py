@@ -15,6 +15,8 @@ from f3sr.files import strict_json
 from f3sr.files.limited_file import MAX_FILE_BYTES, MAX_JSON_BYTES, opened
 from f3sr.report import Decision
 
+INPUT_FOLDER = "a folder with image.png|jpg and masks/*.png"
+"""What is accepted where a prompted-image folder is asked for."""
 MAX_PATH = 500
 """Longest path in a document, in characters: what messages can show and file systems hold."""
 
@@ -25,13 +27,12 @@ class InputFolder:
     """Opens files of one folder by relative path and remembers what it read."""
 
     def __init__(self, root: Path) -> None:
-        accepted = "a folder with image.png|jpg and masks/*.png"
         try:
             if not root.is_dir():
-                raise InputError(root, found="a file" if root.exists() else "nothing there", accepted=accepted)
+                raise InputError(root, found="a file" if root.exists() else "nothing there", accepted=INPUT_FOLDER)
             next(root.iterdir(), None)
         except (OSError, ValueError) as error:
-            raise InputError(root, found=reason(error), accepted=accepted) from error
+            raise InputError(root, found=reason(error), accepted=INPUT_FOLDER) from error
         self.root = root
         self.decisions: list[Decision] = []
         self.digests: dict[str, str] = {}

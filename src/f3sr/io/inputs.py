@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from f3sr.backends.protocols import AssetGenerator, GeometryEstimator, PromptedImage, SceneGrapher
 from f3sr.backends.registry import Backend
 from f3sr.core.transforms import Array, transform
-from f3sr.errors import InputError
+from f3sr.errors import InputError, require_known
 from f3sr.io.answers import MAX_REASON, MAX_RELATIONS, assets_of, geometry_of, graph_of, require_relation
 from f3sr.io.assets import ASSETS_ACCEPTED, PosedAsset, read_assets, require_size
 from f3sr.io.geometry import GEOMETRY_ACCEPTED, GEOMETRY_FILES, read_geometry
@@ -87,8 +87,8 @@ def read(
     ASSET_FRAMES. ``fillers`` make parts that are absent; their answers are validated as files are. Raises InputError
     for the first invalid file or value, BackendError where a filler raises.
     """
-    _require_known("--ignore", ignore, PARTS)
-    _require_known("--asset-frame", [asset_frame], ASSET_FRAMES)
+    require_known("--ignore", ignore, PARTS)
+    require_known("--asset-frame", [asset_frame], ASSET_FRAMES)
     source = InputFolder(Path(folder))
     photo = _photo(source)
     instances = read_instances(source, photo)
@@ -166,11 +166,6 @@ class _Parts:
         if backend is not None:
             self.used[backend.kind] = f"{backend.name} {backend.version}"
         return backend
-
-
-def _require_known(what: str, names: Collection[str], known: Sequence[str]) -> None:
-    if unknown := sorted(set(names) - set(known)):
-        raise InputError(what, found=", ".join(unknown), accepted=", ".join(known))
 
 
 def _photo(folder: InputFolder) -> Photo:

@@ -179,7 +179,7 @@ def _refuse_unknown(phrase: Phrase, sight: Sight) -> NoReturn:
         _refuse_all("plural", f"{quoted(phrase.words)} means more than one object", everything, sight)
     near = _nearest_names(phrase, sight)
     apart = _told_apart(near or everything, sight)
-    hint = f"did you mean {_some_of(near, apart)}" if near else f"it has {_some_of(everything, apart)}"
+    hint = f"did you mean {_some_of(near, apart)}?" if near else f"it has {_some_of(everything, apart)}"
     refuse("unknown", f"the scene has no {quoted(phrase.words)}; {hint}", apart)
 
 

@@ -154,6 +154,11 @@ def read_played(folder: Path, package: Path | None = None) -> StoredRollout:
     return StoredRollout(plan=plan, rollout=rollout, package=content)
 
 
+def plan_file(place: Path) -> Path:
+    """The plan.json of a rollout's folder; any other path as it is."""
+    return place / PLAN if os.path.exists(place / PLAN) else place  # noqa: PTH110 - false for impossible names
+
+
 def read_plan(file: Path) -> Plan:
     """Read a plan.json. Raises InputError if it is invalid."""
     accepted = "a plan.json that f3sr wrote"

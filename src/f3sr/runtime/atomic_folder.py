@@ -150,10 +150,13 @@ def _claim(out: Path) -> Claim:
 
 
 def _make(building: Path) -> None:
-    for _ in range(ATTEMPTS):
+    """Raises FileNotFoundError where the parents cannot be made, as in /proc."""
+    for attempt in range(1, ATTEMPTS + 1):
         try:
             building.mkdir(parents=True)
         except FileNotFoundError:
+            if attempt == ATTEMPTS:
+                raise
             continue
         except FileExistsError:
             pass

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
-from f3sr.errors import InputError
+from f3sr.errors import require_known
 from f3sr.report import Outcome
 from f3sr.runtime.daemon_thread import begun
 from f3sr.runtime.progress import Progress, Step, timed
@@ -30,8 +30,7 @@ class Runner:
     def __init__(
         self, key: str, *, skip: Collection[str], skippable: Sequence[str], store: Store | None, progress: Progress
     ) -> None:
-        if unknown := sorted(set(skip) - set(skippable)):
-            raise InputError("--skip", found=", ".join(unknown), accepted=", ".join(skippable))
+        require_known("--skip", skip, skippable)
         self.skip, self.store, self.progress = frozenset(skip), store, progress
         self.key = digest(key, code_version())
         self.outcomes: list[Outcome] = []

@@ -41,6 +41,7 @@ from f3sr.scene_package.package_folder import (
     is_package,
     placed,
     prepare_output,
+    require_package,
     require_replaceable,
 )
 from f3sr.scene_package.scene_json import (
@@ -163,6 +164,7 @@ def read_package(folder: Path) -> Package:
     """
     folder = Path(folder)
     recover(folder)
+    require_package(folder)
     document = _read_document(_inside(folder, SCENE))
     size = document.camera.width, document.camera.height
     photo = Photo(rgb=_read_image(folder, PHOTO, size, "RGB"))

@@ -7,7 +7,7 @@ import os
 import stat
 from pathlib import Path
 
-from f3sr.errors import InputError, OutputError
+from f3sr.errors import InputError, OutputError, reason
 from f3sr.files import limited_file
 from f3sr.runtime import atomic_folder
 from f3sr.scene_package.bounds import MAX_SCENE_BYTES
@@ -18,6 +18,8 @@ PHOTO = "photo.png"
 PAGE = "report.html"
 BACKGROUND, SUPPORT, KEPT = "background.png", "support.png", "kept_depth.npz"
 MASKS = "masks"
+PACKAGE = "an f3sr package"
+"""What is accepted where a package is asked for."""
 ROLLOUTS = "rollouts"
 """The one folder of a package that goals may write into."""
 TOP_LEVEL = {
@@ -25,6 +27,22 @@ TOP_LEVEL = {
     *(MASKS, "meshes", "collision", "visual", "pictures", ROLLOUTS),
 }
 """Everything that a package holds."""
+
+
+def require_package(folder: Path, *, accepted: str = PACKAGE) -> None:
+    """Raises InputError naming the folder unless it holds a scene.json, of whatever content."""
+    try:
+        if not folder.is_dir():
+            raise InputError(folder, found="a file" if folder.exists() else "nothing there", accepted=accepted)
+        names = {p.name for p in folder.iterdir()}
+    except (OSError, ValueError) as error:
+        raise InputError(folder, found=reason(error), accepted=accepted) from error
+    if SCENE in names:
+        return
+    if MASKS in names and PHOTO not in names and accepted == PACKAGE:
+        made = f"{PACKAGE}, which `f3sr reconstruct FOLDER -o OUT` makes"
+        raise InputError(folder, found="an input folder", accepted=made)
+    raise InputError(folder, found=f"a folder without {SCENE}", accepted=accepted)
 
 
 def is_package(folder: Path) -> bool:
@@ -89,7 +107,7 @@ def require_replaceable(out: Path, *, overwrite: bool) -> None:
     if not os.path.lexists(out) or _is_empty(out):
         return
     if not is_package(out):
-        raise OutputError(f"{out}: is {_contents(out)}; only an f3sr package or an empty folder is replaced")
+        raise OutputError(f"{out}: found {_contents(out)}; accepted: a new or empty folder, or an f3sr package")
     if strangers := sorted(p.name for p in out.iterdir() if p.name not in TOP_LEVEL):
         raise OutputError(f"{out}: holds {strangers[0]}, which f3sr did not write; move it away first")
     rollouts = out / ROLLOUTS
@@ -112,4 +130,4 @@ def _contents(place: Path) -> str:
     if not place.is_dir():
         return "a file"
     names = sorted(p.name for p in place.iterdir())
-    return f"a folder with {len(names)} other things ({', '.join(names[:3])}{', ...' if len(names) > 3 else ''})"
+    return f"a folder with {', '.join(names[:3])}{', ...' if len(names) > 3 else ''}"

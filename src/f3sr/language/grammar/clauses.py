@@ -74,8 +74,8 @@ def starts_clause(token: str) -> bool:
 
 
 def refuse_other(word: str) -> NoReturn:
-    """Refuses a word that asks for no motion."""
-    refuse("other", f"{quoted(word)} asks for no motion; accepted verbs: {lexicon().shown_verbs}")
+    """Refuses a word that is no verb of the lexicon, or means no motion."""
+    refuse("other", f"{quoted(word)} is no known verb; accepted verbs: {lexicon().shown_verbs}")
 
 
 def refuse_several() -> NoReturn:

@@ -1,0 +1,54 @@
+"""Arguments that several commands have: what help calls them, and which default it shows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from f3sr import options
+
+
+def default_shown(value: str) -> str:
+    """The default at the end of an option's help; none where leaving it out means nothing but that."""
+    return "" if value in ("None", "", "''") else f"(default: {value})"
+
+
+Folder = Annotated[Positional[Path], arg(metavar="FOLDER")]
+PackageFolder = Annotated[Positional[Path], arg(metavar="PACKAGE")]
+RolloutFolder = Annotated[Positional[Path], arg(metavar="ROLLOUT")]
+Goals = Annotated[Positional[tuple[str, ...]], arg(metavar="[GOAL ...]", help_behavior_hint=default_shown)]
+Out = Annotated[Path, arg(aliases=["-o"], metavar="OUT")]
+MaybeOut = Annotated[Path | None, arg(aliases=["-o"], metavar="OUT", help_behavior_hint=default_shown)]
+MaybePackage = Annotated[Path | None, arg(metavar="PACKAGE", help_behavior_hint=default_shown)]
+MaybeFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=default_shown)]
+Name = Annotated[str | None, arg(metavar="NAME", help_behavior_hint=default_shown)]
+Skip = Annotated[
+    str,
+    arg(
+        metavar="STAGES",
+        help_behavior_hint=default_shown,
+        help="Stages to leave out, any but assemble, comma separated without spaces: "
+        f"{','.join(options.SKIPPABLE)}. Without align, align-objects, separate or settle, refine is left out too; "
+        "without settle, close too.",
+    ),
+]
+Ignore = Annotated[
+    str,
+    arg(
+        metavar="PARTS",
+        help_behavior_hint=default_shown,
+        help="Parts to treat as absent, of an input folder only, comma separated without spaces: "
+        f"{','.join(options.PARTS)}.",
+    ),
+]
+Axes = Annotated[
+    str,
+    arg(
+        metavar="AXES",
+        help="Axes of posed GLBs that come without poses.json, of an input folder only: "
+        f"{', '.join(options.ASSET_FRAMES)}.",
+    ),
+]
+Slow = Annotated[float, arg(metavar="FACTOR")]
