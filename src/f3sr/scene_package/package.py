@@ -78,6 +78,9 @@ class Package:
     scene: Scene
     direct: Scene | None
 
+    def __repr__(self) -> str:
+        return f"Package({str(self.folder)!r}, {self.scene.summary})"
+
     @property
     def camera_aligned(self) -> bool:
         """Whether f3sr aligned the camera. If not, ``evaluate`` also measures with a fitted camera."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from f3sr.core.transforms import pose
+from f3sr.errors import require_kind
 from f3sr.metrics.camera_fit import ForeignCameraConfig, fitted_camera
 from f3sr.metrics.measures import Details, Measures, measure_with_details, seen_by
 from f3sr.report import Decision, Report
@@ -79,8 +80,10 @@ def evaluate(
 
     Direct composition is measured twice: with its own camera, and with a camera fitted to its own masks. That is the
     report's protocol for scenes of others. So is ``scene`` if it is ``foreign``: its camera was not aligned.
-    ``true_scale`` is the factor from the scene's lengths to true metres.
+    ``true_scale`` is the factor from the scene's lengths to true metres. Raises InputError for anything but scenes.
     """
+    for where, value in (("scene", scene), ("direct", scene if direct is None else direct)):
+        require_kind(where, value, Scene, accepted=f"f3sr.read_package(...).{where}")
     config = config or EvaluateConfig()
     beside = begun(_composed, direct, scene, config, true_scale) if direct else None
     result, result_details = measure_with_details(scene, true_scale=true_scale)
