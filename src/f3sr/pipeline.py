@@ -197,7 +197,10 @@ def same_margin(config: Config) -> Config:
 def composed_directly(
     inputs: Inputs, config: Config | None = None, *, store: Store | None = None, progress: Progress = silent
 ) -> Scene:
-    """Direct composition of the inputs, the baseline: assembled and levelled, with proxies, nothing else."""
+    """Direct composition of the inputs, with proxies, and with no other stage than ``assemble`` and ``level``.
+
+    It is the levelled input, moved vertically until its lowest vertex touches the ground.
+    """
     needless = [stage for stage in SKIPPABLE if stage not in ("level", "decompose")]
     result = reconstruct(inputs, config, skip=needless, store=store, progress=progress)
     return direct_composition(result.direct, result.scene)

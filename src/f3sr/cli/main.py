@@ -153,8 +153,9 @@ def evaluate(
 ) -> None:
     """Measure a scene package and direct composition, or direct composition alone from a prompted-image folder.
 
-    Direct composition is the levelled input. It, and any package whose camera f3sr did not align, is
-    measured twice: seen by the camera that came with it, and by one that is fitted to its own masks.
+    Direct composition is the levelled input, moved vertically until its lowest vertex touches the ground.
+    It, and any package whose camera f3sr did not align, is measured twice: seen by the camera that came with
+    it, and by one that is fitted to its own masks.
 
     Args:
         folder: A package that ``f3sr reconstruct`` wrote, or the input of one.

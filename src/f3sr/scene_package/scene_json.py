@@ -219,7 +219,7 @@ class DirectObjectRecord(_SceneRecord):
 
 
 class DirectRecord(_SceneRecord):
-    """Direct composition: the input as it came, only levelled, to compare with."""
+    """The levelled input. Moved vertically until its lowest vertex touches the ground, it is direct composition."""
 
     T_world_camera: RigidMatrix4
     objects: tuple[DirectObjectRecord, ...]
