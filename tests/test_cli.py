@@ -335,6 +335,16 @@ assert not changed, changed
     assert done.returncode == 0, done.stderr
 
 
+def test_the_example_is_had_without_an_import_of_its_own():
+    code = "import f3sr; assert 'example' in dir(f3sr); print(f3sr.example.folder().name)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout == "tabletop\n", done.stderr
+
+
+def test_types_that_public_functions_take_and_raise_are_public():
+    assert {"Exporter", "FilmConfig", "Inputs", "Package", "PlanError"} <= set(f3sr.__all__)
+
+
 def test_every_public_name_can_be_had():
     for name in f3sr.__all__:
         assert getattr(f3sr, name) is not None

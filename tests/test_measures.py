@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ import pytest
 from f3sr.core.mesh import ConvexPart, Material, Mesh
 from f3sr.core.transforms import Array, rotation_about
 from f3sr.metrics.measures import (
+    Measures,
     full_silhouette,
     gaps_of,
     image_agreement,
@@ -111,3 +114,9 @@ def test_samples_lie_in_the_triangle_and_about_its_middle() -> None:
     points = sample_surface(corners, np.array([[0, 1, 2]], np.int32), 5000)
     assert (points >= 0).all() and (points.sum(1) <= 1 + 1e-12).all()
     assert points.mean(0) == pytest.approx([1 / 3, 1 / 3, 0], abs=0.01)
+
+
+def test_every_row_of_the_printed_table_is_defined_on_its_page() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "measures.md").read_text()
+    rows = [name for names in re.findall(r"^\| (\w[\w, ]*) \|", page, re.MULTILINE) for name in names.split(", ")]
+    assert rows == ["measure", *Measures.__dataclass_fields__]

@@ -36,6 +36,7 @@ from f3sr.scene import Excluded, Scene
 from f3sr.scene_package import package
 from f3sr.scene_package.bounds import MAX_OBJECT_PARTS
 from f3sr.scene_package.package import Package, read_package, scene_schema, write_package
+from f3sr.stages.evaluate import evaluate
 from scenes import HEIGHT, WIDTH, box, box_mesh, box_stack_scene, scene_of
 
 SCHEMA = Path(__file__).parents[1] / "docs" / "scene.schema.json"
@@ -50,6 +51,16 @@ def settled(scene: Scene) -> Scene:
 @pytest.fixture(scope="module")
 def stack() -> Scene:
     return settled(box_stack_scene(3))
+
+
+def on_a_footing() -> tuple[Scene, Scene]:
+    """A box on a slanted side, held by a wedge; and the same before that, without the wedge."""
+    o = box(0, size=(0.1, 0.1, 0.2), scale=0.5, R=rotation_about([0, 1, 0], 0.1), at=(0, 0, 0.11))
+    corners = transform(o.T_world_asset, o.mesh.vertices)
+    low = corners[np.argsort(corners[:, 2])[:4]]
+    wedge = ConvexPart.hull_of(np.concatenate([low, low * [1, 1, 0]])).moved(np.linalg.inv(o.T_world_asset))
+    levelled = scene_of(replace(o, T_world_object=pose(t=[0.02, 0, 0.3]) @ o.T_world_object))
+    return scene_of(replace(o, footing=(wedge,))), levelled
 
 
 def tree(folder: Path) -> dict[str, bytes]:
@@ -275,6 +286,39 @@ def test_photo_masks_and_direct_composition_come_back(stack: Scene, tmp_path: Pa
     assert read.direct is not None
     for o in stack:
         assert np.abs(read.direct[o.id].vertices_world - o.vertices_world).max() < 1e-7
+
+
+def test_a_footing_comes_back_and_direct_composition_has_none(tmp_path: Path) -> None:
+    scene, levelled = on_a_footing()
+    o = scene[0]
+    read = read_package(write_package(scene, tmp_path / "out", direct=levelled))
+    (again,) = read.scene
+    for mine, theirs in ((o.parts, again.parts), (o.footing, again.footing)):
+        assert len(mine) == len(theirs) == 1
+        assert np.allclose(np.array(mine[0].vertices) * o.scale, theirs[0].vertices, atol=1e-9)
+    assert read.document.objects[0].collision == ("collision/00/00.obj", "collision/00/01.obj")
+    assert read.direct is not None and len(read.direct[0].parts) == 1 and not read.direct[0].footing
+    twice = read_package(write_package(read.scene, tmp_path / "twice", direct=read.direct))
+    assert twice.document.objects == read.document.objects and twice.document.direct == read.document.direct
+
+
+def test_a_package_measures_as_the_scene_that_was_written(tmp_path: Path) -> None:
+    scene, levelled = on_a_footing()
+    stored = evaluate(scene, levelled)
+    read = read_package(write_package(scene, tmp_path / "out", direct=levelled))
+    measured = evaluate(read.scene, read.direct)
+    assert stored.direct and stored.direct.D_max_cm > 1 > 10 * stored.result.D_max_cm, "only the result rests"
+    for title, row in stored.rows().items():
+        assert measured.rows()[title].as_dict() == pytest.approx(row.as_dict(), rel=1e-3, abs=1e-4), title
+
+
+def test_a_package_without_marked_footings_is_read(tmp_path: Path) -> None:
+    """Older packages name footings among their parts."""
+    scene, _ = on_a_footing()
+    out = write_package(scene, tmp_path / "out")
+    spoiled(out, lambda t: t["objects"][0].pop("footing"))
+    (o,) = read_package(out).scene
+    assert len(o.parts) == 2 and not o.footing
 
 
 def test_a_mask_of_another_size_is_refused_by_name(stack: Scene, tmp_path: Path) -> None:
@@ -698,6 +742,10 @@ SPOILS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
         first(motion=[{"stage": "x", "translation": [0, 0, 0], "rotation": 0, "scale": 1e300, "reason": ""}]), "scale",
     ),
     "20,000 parts of an object": (repeated(20_000), "objects.0.collision = .*at most 320 items"),
+    "a footing of all parts": (first(footing=1), "objects.0.*a footing of 1 of 1 collision parts; accepted: at most 0"),
+    "a footing of less than none": (first(footing=-1), "objects.0.footing"),
+    "a footing of true": (first(footing=True), "objects.0.footing"),
+    "a footing of 10,000 parts": (first(footing=10_000), "objects.0.footing"),
     "no parts": (first(collision=[]), "objects.0.collision"),
     "a provenance of 10,000 lists": (
         lambda t: t["provenance"].update(a=json.loads("[" * 400 + "]" * 400)), "provenance",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,11 @@ import pytest
 from f3sr.errors import InputError
 from f3sr.io import inputs
 from f3sr.pipeline import SKIPPABLE, Config, Reconstruction, reconstruct
+from f3sr.play.goal_loop import replay_plan, simulate_goal
 from f3sr.runtime.result_store import Store
+from f3sr.scene import SceneGraph
+from f3sr.scene_package.package import read_package, write_package
+from f3sr.stages.evaluate import evaluate
 from folders import write_folder
 from scenes import visible_iou
 
@@ -61,6 +66,38 @@ def test_everything_skipped_is_direct_composition(given: inputs.Inputs):
 def test_unknown_stages_are_refused(given: inputs.Inputs):
     with pytest.raises(InputError, match="polish"):
         reconstruct(given, skip=["polish"])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda _: reconstruct("table"), "inputs: found a path; accepted: f3sr.read_inputs(...)"),
+        (lambda _: reconstruct(Path("table")), "inputs: found a path; accepted: f3sr.read_inputs(...)"),
+        (lambda given: reconstruct(given, skip="refine"), "skip: found a text; accepted: a list of names"),
+        (lambda _: inputs.read("table", ignore="ground"), "ignore: found a text; accepted: a list of names"),
+        (lambda _: evaluate("table", None), "scene: found a path; accepted: f3sr.read_package(...).scene"),
+        (
+            lambda given: evaluate(given, None),
+            "scene: found a value of type Inputs; accepted: f3sr.read_package(...).scene",
+        ),
+        (lambda _: simulate_goal("table", "push the box"), "package: found a path; accepted: f3sr.read_package(...)"),
+        (lambda _: replay_plan(Path("table"), None), "package: found a path; accepted: f3sr.read_package(...)"),
+    ],
+)
+def test_an_argument_of_another_kind_is_refused_by_name(given: inputs.Inputs, call: Any, message: str):
+    with pytest.raises(InputError) as caught:
+        call(given)
+    assert str(caught.value) == message
+
+
+def test_values_are_told_in_a_line(given: inputs.Inputs, whole: Reconstruction, tmp_path: Path):
+    size = f"{given.photo.width}x{given.photo.height}"
+    assert repr(given) == f"Inputs(3 masks, {size})"
+    assert repr(whole.scene) == f"Scene(3 objects, {size})"
+    assert repr(whole) == f"Reconstruction(3 objects, {size}, {len(whole.outcomes)} stages)"
+    assert repr(whole.scene[2]) == f"SceneObject(2, {whole.scene[2].label!r})"
+    out = write_package(replace(whole.scene, objects=whole.scene.objects[:1], graph=SceneGraph()), tmp_path / "out")
+    assert repr(read_package(out)) == f"Package('{out}', 1 object, {size})"
 
 
 def test_order_of_masks_and_names_of_files_change_nothing(whole: Reconstruction, tmp_path: Path):

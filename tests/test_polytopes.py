@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 
 import numpy as np
 import pytest
@@ -44,6 +45,18 @@ def cube_with_a_sliver():
     faces = [t for a, b, c, d in squares for t in ((a, b, c), (a, c, d))]
     faces += [(1, 5, 8), (8, 5, 7), (8, 7, 3), (8, 3, 1)]
     return ConvexPart(vertices=np.array([*corners, [0.5, 0, 1]], float), faces=np.array(faces, np.int32))
+
+
+def cube_with_a_double_corner(near, far):
+    """A unit cube whose corner (1, 1, 1) is there twice, as rounding makes it; two triangles of no area lie between.
+
+    ``near``, ``far``: at which of the six triangles around the corner its second copy begins and ends."""
+    corners = [[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+    around = [6, 4, 5, 1, 3, 2]
+    faces = [(0, 1, 3), (0, 3, 2), (0, 4, 5), (0, 5, 1), (0, 2, 6), (0, 6, 4)]
+    faces += [(around[k], 8 if near <= k < far else 7, around[(k + 1) % 6]) for k in range(6)]
+    faces += [(8, around[near], 7), (7, around[far % 6], 8)]
+    return ConvexPart(vertices=np.array([*corners, [1, 1, 1]], float), faces=np.array(faces, np.int32))
 
 
 def minkowski_planes(a, b):
@@ -308,6 +321,20 @@ def test_a_sliver_between_two_facets_does_not_make_them_one():
     low, high = {tuple(-n): 0.0 for n in np.eye(3, dtype=int)}, {tuple(n): 1.0 for n in np.eye(3, dtype=int)}
     assert sides == pytest.approx(low | high)
     assert polytopes.overlap_depth(polytope, box(center=(0.5, 0.5, 1.45))) == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(("near", "far"), [(0, 2), (2, 4), (4, 6), (0, 4), (2, 6), (1, 3)])
+def test_a_corner_that_is_there_twice_makes_no_edge(near, far):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        polytope = Polytope.of(cube_with_a_double_corner(near, far))
+    assert all(np.isfinite(array).all() for array in polytope.packed)
+    assert np.linalg.norm(polytope.edge_directions, axis=1) == pytest.approx(1)
+    for center in ((0.5, 0.5, 1.45), (1.45, 0.5, 0.5), (1.3, 1.3, 1.3)):
+        other = box(center=center).moved(pose(rotation_about([1, 1, 1], 0.3)))
+        assert polytopes.overlap_depth(polytope, other) == pytest.approx(
+            polytopes.overlap_depth(box(center=(0.5, 0.5, 0.5)), other)
+        )
 
 
 def polygon(rng: np.random.Generator) -> np.ndarray | None:

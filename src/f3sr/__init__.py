@@ -15,6 +15,7 @@ _PUBLIC = {
     "BACKGROUND_COMPLETERS": "f3sr.background.completers",
     "Backend": "f3sr.backends.registry",
     "EXPORTERS": "f3sr.exporters.protocol",
+    "Exporter": "f3sr.exporters.protocol",
     "Fillers": "f3sr.io.inputs",
     "GEOMETRY_ESTIMATORS": "f3sr.backends.kinds",
     "GROUND": "f3sr.scene",
@@ -24,9 +25,13 @@ _PUBLIC = {
     "Camera": "f3sr.core.camera",
     "Config": "f3sr.pipeline",
     "F3srError": "f3sr.errors",
+    "FilmConfig": "f3sr.film.studio",
     "InputError": "f3sr.errors",
+    "Inputs": "f3sr.io.inputs",
     "Mesh": "f3sr.core.mesh",
     "OutputError": "f3sr.errors",
+    "Package": "f3sr.scene_package.package",
+    "PlanError": "f3sr.goals.checks",
     "Played": "f3sr.play.goal_loop",
     "Refusal": "f3sr.goals.refusal",
     "Reconstruction": "f3sr.pipeline",
@@ -36,6 +41,7 @@ _PUBLIC = {
     "Studio": "f3sr.film.studio",
     "deliver": "f3sr.delivery",
     "evaluate": "f3sr.stages.evaluate",
+    "example": "f3sr.example",
     "film_played": "f3sr.film.studio",
     "read_inputs": "f3sr.io.inputs",
     "read_package": "f3sr.scene_package.package",
@@ -53,7 +59,8 @@ __all__ = ["__version__", *sorted(_PUBLIC)]  # pyright: ignore[reportUnsupported
 def __getattr__(name: str) -> Any:
     if name not in _PUBLIC:
         raise AttributeError(f"module 'f3sr' has no attribute {name!r}; it has {', '.join(sorted(_PUBLIC))}")
-    return getattr(importlib.import_module(_PUBLIC[name]), name)
+    module = importlib.import_module(_PUBLIC[name])
+    return module if module.__name__ == f"f3sr.{name}" else getattr(module, name)
 
 
 def __dir__() -> list[str]:

@@ -51,9 +51,22 @@ class MissedError(F3srError):
 
 
 def require_known(option: str, names: Collection[str], known: Sequence[str]) -> None:
-    """Raises InputError where an option has a value that is none of ``known``."""
+    """Raise InputError where an option has a value that is none of ``known``."""
     if unknown := sorted(set(names) - set(known)):
         raise InputError(option, found=", ".join(unknown), accepted=", ".join(known))
+
+
+def require_kind(where: str, value: object, *kinds: type, accepted: str) -> None:
+    """Raise InputError unless an argument is of one of the ``kinds``: a path is often given for what is in it."""
+    if not isinstance(value, kinds):
+        found = "a path" if isinstance(value, str | os.PathLike) else f"a value of type {type(value).__name__}"
+        raise InputError(where, found=found, accepted=accepted)
+
+
+def require_names(where: str, names: object) -> None:
+    """Raise InputError if a text is given for a collection of names: its letters would count as names."""
+    if isinstance(names, str):
+        raise InputError(where, found="a text", accepted="a list of names")
 
 
 def unforeseen(error: Exception, state: str) -> str:

@@ -12,6 +12,7 @@ from f3sr.backends.protocols import BackgroundCompleter
 from f3sr.backends.registry import Backend
 from f3sr.background import BackgroundConfig
 from f3sr.background.inpainting import Inpainting
+from f3sr.errors import require_kind, require_names
 from f3sr.io.inputs import Inputs
 from f3sr.metrics.contact_groups import SettledScene
 from f3sr.options import SKIPPABLE
@@ -86,6 +87,9 @@ class Reconstruction:
     inpainting: Inpainting | None = None
     """The photo completed behind the objects; None where ``inpaint`` was skipped. Only films use it."""
 
+    def __repr__(self) -> str:
+        return f"Reconstruction({self.scene.summary}, {len(self.outcomes)} stages)"
+
     @property
     def reports(self) -> tuple[Report, ...]:
         """Measures and decisions of every stage, in order, for people and report.html."""
@@ -107,8 +111,10 @@ def reconstruct(
     alignment, separation and settling, so skipping one of them skips it too; skipping ``settle`` also skips ``close``.
     ``store`` holds results of earlier runs: a stage with equal inputs, settings and code is read instead of run.
     ``background`` completes the photo behind the objects instead of f3sr's own method. ``progress`` receives one line
-    of text per event. Equal arguments give equal scenes.
+    of text per event. Equal arguments give equal scenes. Raises InputError for arguments of another kind.
     """
+    require_kind("inputs", inputs, Inputs, accepted="f3sr.read_inputs(...)")
+    require_names("skip", skip)
     given = config or Config()
     config = same_margin(given)
     if REPEATED_BY_REFINE & set(skip):
@@ -191,7 +197,10 @@ def same_margin(config: Config) -> Config:
 def composed_directly(
     inputs: Inputs, config: Config | None = None, *, store: Store | None = None, progress: Progress = silent
 ) -> Scene:
-    """Direct composition of the inputs, the baseline: assembled and levelled, with proxies, nothing else."""
+    """Direct composition of the inputs, with proxies, and with no other stage than ``assemble`` and ``level``.
+
+    It is the levelled input, moved vertically until its lowest vertex touches the ground.
+    """
     needless = [stage for stage in SKIPPABLE if stage not in ("level", "decompose")]
     result = reconstruct(inputs, config, skip=needless, store=store, progress=progress)
     return direct_composition(result.direct, result.scene)

@@ -169,6 +169,9 @@ class SceneObject:
         object.__setattr__(self, "mask", frozen(self.mask, np.bool_))
         object.__setattr__(self, "T_world_object", frozen(self.T_world_object))
 
+    def __repr__(self) -> str:
+        return f"SceneObject({self.id}, {self.label!r})"
+
     @cached_property
     def T_world_asset(self) -> Array:
         """The similarity that maps asset coordinates into the world: T_world_object @ diag(scale)."""
@@ -323,6 +326,15 @@ class Scene:
         for o in self.objects:
             if o.mask.shape != (self.photo.height, self.photo.width):
                 raise ValueError(f"mask of object {o.id} is {o.mask.shape}, the photo {self.photo.rgb.shape}")
+
+    def __repr__(self) -> str:
+        return f"Scene({self.summary})"
+
+    @property
+    def summary(self) -> str:
+        """Its objects and pixels in words."""
+        count = len(self.objects)
+        return f"{count} object{'s' * (count != 1)}, {self.photo.width}x{self.photo.height}"
 
     def __iter__(self) -> Iterator[SceneObject]:
         return iter(self.objects)

@@ -168,7 +168,8 @@ def evaluate(
 
     Args:
         folder: A package that ``f3sr reconstruct`` wrote, or the input of one. Direct composition is the levelled
-            input. It, and a package whose camera f3sr did not align, is also seen by a camera fitted to its masks.
+            input, moved vertically until its lowest vertex touches the ground. It, and a package whose camera f3sr did
+            not align, is also seen by a camera fitted to its masks.
         true_scale: Factor from the scene's lengths to true metres, 0.001 to 1000, if known; physics depends on it.
         config: TOML file of settings, as for ``reconstruct``; a package needs only those of [evaluate].
         json: Print one JSON object instead of a table.

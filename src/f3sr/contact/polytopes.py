@@ -74,14 +74,16 @@ class Polytope:
         normals = _group_normals(part, group)
         real = group[left] != group[right]
         start, end = part.vertices[edges[real, 0]], part.vertices[edges[real, 1]]
-        direction = end - start
-        length = np.linalg.norm(direction, axis=1)
+        length = np.linalg.norm(end - start, axis=1)
+        long = length > 0  # rounding merges corners; where they meet is no edge
+        real[real] = long
+        start, end, length = start[long], end[long], length[long]
         return cls(
             vertices=part.vertices,
             normals=normals,
             offsets=(part.vertices @ normals.T).max(0),
             edge_starts=start,
-            edge_directions=direction / length[:, None],
+            edge_directions=(end - start) / length[:, None],
             edge_lengths=length,
             edge_normals=np.stack([normals[group[left[real]]], normals[group[right[real]]]], axis=1),
         )

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from f3sr.backends.protocols import AssetGenerator, GeometryEstimator, PromptedImage, SceneGrapher
 from f3sr.backends.registry import Backend
 from f3sr.core.transforms import Array, transform
-from f3sr.errors import InputError, require_known
+from f3sr.errors import InputError, require_known, require_names
 from f3sr.io.answers import MAX_REASON, MAX_RELATIONS, assets_of, geometry_of, graph_of, require_relation
 from f3sr.io.assets import ASSETS_ACCEPTED, PosedAsset, read_assets, require_size
 from f3sr.io.geometry import GEOMETRY_ACCEPTED, GEOMETRY_FILES, read_geometry
@@ -63,6 +63,10 @@ class Inputs:
     fillers: Mapping[str, str] = field(default_factory=dict[str, str])
     """Back ends that made what the folder lacks, by kind: name and version."""
 
+    def __repr__(self) -> str:
+        count = len(self.instances)
+        return f"Inputs({count} mask{'s' * (count != 1)}, {self.photo.width}x{self.photo.height})"
+
     @property
     def key(self) -> str:
         """A hash of all files and options: equal keys mean equal inputs."""
@@ -87,6 +91,7 @@ def read(
     ASSET_FRAMES. ``fillers`` make parts that are absent; their answers are validated as files are. Raises InputError
     for the first invalid file or value, BackendError where a filler raises.
     """
+    require_names("ignore", ignore)
     require_known("--ignore", ignore, PARTS)
     require_known("--asset-frame", [asset_frame], ASSET_FRAMES)
     source = InputFolder(Path(folder))

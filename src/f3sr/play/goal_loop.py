@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from f3sr.errors import require_kind
 from f3sr.goals import checks
 from f3sr.goals.language_protocol import Language, Launch, Tried
 from f3sr.goals.plan import Displaced, Height, Plan, Semantics, TaskSpec
@@ -50,8 +51,9 @@ def simulate_goal(package: Package, goal: str, *, language: Language | None = No
 
     Returns a Refusal if the words are not understood or geometry rules the goal out. Otherwise returns the best trial;
     its verdict says whether it meets the goal. ``language`` answers the three steps (default: rules). Raises PlanError
-    if an answer of it cannot be played.
+    if an answer of it cannot be played, InputError for anything but a package.
     """
+    _require_package(package)
     language, scene = language or Rules(), package.scene
     tasks = language.plan(goal, scene)
     if isinstance(tasks, Refusal):
@@ -63,6 +65,7 @@ def simulate_goal(package: Package, goal: str, *, language: Language | None = No
 
 def replay_plan(package: Package, plan: Plan) -> Played:
     """Play a plan again: the same rollout, to the byte. Raises PlanError if the plan does not fit the package."""
+    _require_package(package)
     if plan.scene != scene_sha(package):
         raise checks.PlanError(
             f"the plan belongs to another scene ({plan.scene[:12]}); this one is {scene_sha(package)[:12]}"
@@ -73,6 +76,10 @@ def replay_plan(package: Package, plan: Plan) -> Played:
     except FloatingPointError as error:
         raise checks.PlanError(f"the plan cannot be played: {error}") from None
     return Played(plan=plan, rollout=rollout, verdict=verify(package.scene, plan, rollout))
+
+
+def _require_package(package: Package) -> None:
+    require_kind("package", package, Package, accepted="f3sr.read_package(...)")
 
 
 @dataclass(eq=False)

@@ -79,6 +79,9 @@ class Package:
     scene: Scene
     direct: Scene | None
 
+    def __repr__(self) -> str:
+        return f"Package({str(self.folder)!r}, {self.scene.summary})"
+
     @property
     def camera_aligned(self) -> bool:
         """Whether f3sr aligned the camera. If not, ``evaluate`` also measures with a fitted camera."""
@@ -200,14 +203,14 @@ def read_package(folder: Path) -> Package:
 
 
 def _direct(document: SceneDocument, scene: Scene) -> Scene | None:
-    """The levelled input, from the package's meshes."""
+    """The levelled input, from the package's meshes. It has no footing: ``separate`` makes them."""
     if document.direct is None:
         return None
     return replace(
         scene,
         camera=scene.camera.moved(np.array(document.direct.T_world_camera)),
         objects=tuple(
-            replace(scene[r.id], T_world_object=np.array(r.T_world_object), scale=r.scale, motion=())
+            replace(scene[r.id], T_world_object=np.array(r.T_world_object), scale=r.scale, footing=(), motion=())
             for r in document.direct.objects
         ),
     )
@@ -305,7 +308,7 @@ def _faults(o: SceneObject, camera: Camera) -> Iterator[str]:
     if (away := float(np.linalg.norm(o.T_world_object[:3, 3] - camera.center)) / size) > MAX_SIZES_AWAY:
         yield f"{away:.3g} times its own size away from the camera; accepted: at most {MAX_SIZES_AWAY:,.0f} times"
     low, high = o.mesh.bounds + np.array([[-1], [1]]) * o.mesh.diagonal
-    if not all((low <= p.vertices).all() and (p.vertices <= high).all() for p in o.parts):
+    if not all((low <= p.vertices).all() and (p.vertices <= high).all() for p in o.colliders):
         yield "with collision parts away from its mesh; accepted: parts that cover it"
     if o.solid is None:
         return
@@ -320,6 +323,7 @@ def _read_object(
 ) -> SceneObject:
     """``parts``: those read so far, by their path."""
     parts |= {path: _read_part(folder, path) for path in dict.fromkeys(record.collision) if path not in parts}
+    proxies = len(record.collision) - record.footing
     return SceneObject(
         id=record.id,
         label=record.label,
@@ -327,7 +331,8 @@ def _read_object(
         mask=_read_image(folder, f"{MASKS}/{record.mask}", size, "L") > 127,
         mesh=_read_mesh(folder, record.mesh),
         T_world_object=np.array(record.T_world_object),
-        parts=tuple(parts[path] for path in record.collision),
+        parts=tuple(parts[path] for path in record.collision[:proxies]),
+        footing=tuple(parts[path] for path in record.collision[proxies:]),
         mobility=record.mobility,
         density=record.density,
         solid=MassProperties(

@@ -137,6 +137,9 @@ class ObjectRecord(_SceneRecord):
     mask: FileName
     mesh: Path
     collision: Annotated[tuple[Path, ...], Field(min_length=1, max_length=MAX_OBJECT_PARTS)]
+    """Convex parts: first the proxies of the mesh, then the wedges of its footing."""
+    footing: Annotated[int, Field(ge=0, lt=MAX_OBJECT_PARTS, strict=True)] = 0
+    """How many parts at the end of ``collision`` are its footing."""
     T_world_object: RigidMatrix4
     mobility: Mobility
     mass: Mass
@@ -152,6 +155,12 @@ class ObjectRecord(_SceneRecord):
     supports: tuple[SupportRecord, ...]
     supported_by: IdOrGround | None
     motion: tuple[MotionRecord, ...]
+
+    @model_validator(mode="after")
+    def _has_a_proxy(self) -> Self:
+        if self.footing >= (parts := len(self.collision)):
+            raise ValueError(f"a footing of {self.footing} of {parts} collision parts; accepted: at most {parts - 1}")
+        return self
 
     @model_validator(mode="after")
     def _is_a_body(self) -> Self:
@@ -210,7 +219,7 @@ class DirectObjectRecord(_SceneRecord):
 
 
 class DirectRecord(_SceneRecord):
-    """Direct composition: the input as it came, only levelled, to compare with."""
+    """The levelled input. Moved vertically until its lowest vertex touches the ground, it is direct composition."""
 
     T_world_camera: RigidMatrix4
     objects: tuple[DirectObjectRecord, ...]
@@ -338,6 +347,7 @@ def _object(o: SceneObject) -> dict[str, Any]:
         "mask": o.mask_name,
         "mesh": mesh_path(o.id),
         "collision": [collision_path(o.id, k) for k in range(len(body.parts))],
+        "footing": len(o.footing),
         "T_world_object": _list(o.T_world_object),
         "mobility": o.mobility,
         "mass": float(body.mass),

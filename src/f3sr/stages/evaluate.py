@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from f3sr.core.transforms import pose
+from f3sr.errors import require_kind
 from f3sr.metrics.camera_fit import ForeignCameraConfig, fitted_camera
 from f3sr.metrics.measures import Details, Measures, measure_with_details, seen_by
 from f3sr.report import Decision, Report
@@ -75,12 +76,15 @@ def evaluate(
     foreign: bool = False,
     true_scale: float = 1.0,
 ) -> Evaluation:
-    """Measure ``scene`` and ``direct``, the levelled and otherwise unchanged input, with the same proxies.
+    """Measure ``scene`` and direct composition, made of ``direct``, with the same proxies.
 
-    Direct composition is measured twice: with its own camera, and with a camera fitted to its own masks. That is the
-    report's protocol for scenes of others. So is ``scene`` if it is ``foreign``: its camera was not aligned.
-    ``true_scale`` is the factor from the scene's lengths to true metres.
+    ``direct`` is the levelled input, None without one. Direct composition is measured twice: with its own camera, and
+    with a camera fitted to its own masks. That is the report's protocol for scenes of others. So is ``scene`` if it
+    is ``foreign``: its camera was not aligned. ``true_scale`` is the factor from the scene's lengths to true metres.
+    Raises InputError for anything but scenes.
     """
+    for where, value in (("scene", scene), ("direct", scene if direct is None else direct)):
+        require_kind(where, value, Scene, accepted=f"f3sr.read_package(...).{where}")
     config = config or EvaluateConfig()
     beside = begun(_composed, direct, scene, config, true_scale) if direct else None
     result, result_details = measure_with_details(scene, true_scale=true_scale)
@@ -115,9 +119,9 @@ def _seen_by_its_own(scene: Scene, measures: Measures, name: str, config: Evalua
 
 
 def direct_composition(levelled: Scene, result: Scene) -> Scene:
-    """The baseline: the levelled input, its lowest vertex on the ground, with the proxies of ``result``.
+    """The baseline: the levelled input, moved vertically until its lowest vertex touches the ground.
 
-    Proxies are in the asset frame, so they fit the unmoved assets too.
+    It has the proxies of ``result``. Proxies are in the asset frame, so they fit the unmoved assets too.
     """
     lowest = min(float(o.bounds_world[0, 2]) for o in levelled)
     T = pose(t=[0, 0, -lowest])
