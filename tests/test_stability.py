@@ -11,7 +11,7 @@ import stacks
 from bodies import GAP, block, body
 from f3sr.contact.contact_patches import Contacts, find_contacts
 from f3sr.contact.force_balance import EDGES, FALLS, Balance
-from f3sr.contact.stability import stability
+from f3sr.contact.stability import stability, stands
 from f3sr.contact.static_bodies import bodies_of, contacts_of, islands
 from f3sr.core.transforms import UP, pose, rotation_about
 from f3sr.physics import release
@@ -211,7 +211,7 @@ def test_the_margin_is_where_balance_ends() -> None:
     contacts = contacts_of(bodies)
     margin = stability(bodies, contacts).margin
 
-    def stands(direction: float, tilt: float) -> bool:
+    def balanced(direction: float, tilt: float) -> bool:
         lean = rotation_about([np.cos(direction), np.sin(direction), 0], tilt)
         turned = Contacts(
             upper=contacts.upper,
@@ -223,8 +223,8 @@ def test_the_margin_is_where_balance_ends() -> None:
         return stands(moved(bodies, pose(lean)), turned)
 
     directions = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-    assert all(stands(a, margin - 0.03) for a in directions)
-    assert not all(stands(a, margin + 0.03) for a in directions)
+    assert all(balanced(a, margin - 0.03) for a in directions)
+    assert not all(balanced(a, margin + 0.03) for a in directions)
 
 
 # Against the physics engine
