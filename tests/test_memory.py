@@ -19,8 +19,8 @@ from scenes import box
 
 FACES, TEXTURE = 50_000, 1024
 PEAK_MB = 800
-"""Of the whole process with kernels loaded, not compiled, which takes 180 more: measured 720. One more picture of floats at the photo's
-size (72 MB), or a second copy of every texture and mesh, breaks it."""
+"""Of the whole process with kernels loaded, not compiled, which takes 180 more: measured 720. One more picture of
+floats at the photo's size (72 MB), or a second copy of every texture and mesh, breaks it."""
 
 SCRIPT = """
 import sys
