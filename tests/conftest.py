@@ -7,4 +7,4 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from fixtures import compiled, folder, given, shared_data, shared_folder, stages, whole  # noqa: F401
+from fixtures import browser, compiled, folder, given, shared_data, shared_folder, stages, whole  # noqa: F401

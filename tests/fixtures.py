@@ -1,9 +1,12 @@
-"""Fixtures of all tests: real inputs, a tiny folder, compiled kernels, and results of stages that all tests share."""
+"""Fixtures of all tests: real inputs, a tiny folder, compiled kernels, shared results of stages, and a browser."""
 
 from __future__ import annotations
 
 import os
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -68,3 +71,21 @@ def given(tmp_path_factory: pytest.TempPathFactory) -> inputs.Inputs:
 def whole(given: inputs.Inputs, stages: Store) -> Reconstruction:
     """``given`` after all stages."""
     return reconstruct(given, store=stages)
+
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+QUIET = [
+    "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-sync",
+    "--disable-component-update", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    playwright = pytest.importorskip("playwright.sync_api", reason="no playwright: pip install 'f3sr[browser]'")
+    if CHROMIUM is None:
+        pytest.skip("no Chromium on this machine")
+    with playwright.sync_playwright() as p:
+        browser = p.chromium.launch(executable_path=CHROMIUM, args=QUIET)
+        yield browser
+        browser.close()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import re
-import shutil
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -22,26 +21,10 @@ from f3sr.goals.verify import verify
 from f3sr.vision import rasterizer
 from film_scene import film_files, given, unlit
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-QUIET = [
-    "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-sync",
-    "--disable-component-update", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-]  # fmt: skip
 PATIENCE = 20_000
 """How long anything may take [ms]."""
 STATE = "[player.frame, player.filmFrame, player.playing, film.currentTime, film.seeking, film.readyState]"
 pytestmark = pytest.mark.timeout(120)
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    playwright = pytest.importorskip("playwright.sync_api", reason="no playwright: pip install 'f3sr[browser]'")
-    if CHROMIUM is None:
-        pytest.skip("no Chromium on this machine")
-    with playwright.sync_playwright() as p:
-        browser = p.chromium.launch(executable_path=CHROMIUM, args=QUIET)
-        yield browser
-        browser.close()
 
 
 class Opened:
