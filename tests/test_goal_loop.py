@@ -287,6 +287,19 @@ def test_a_height_that_is_said_is_fallen(package: Package) -> None:
     assert found.verdict.met and moved[0, 2] - moved[:, 2].min() == pytest.approx(0.2, abs=0.01)
 
 
+def test_what_is_dropped_starts_clear_of_what_stands_there(tmp_path: Path) -> None:
+    """A thin post beside the middle of the block, over which the ball would be let go."""
+    post = replace(
+        goal_scene()[LID],
+        mesh=box(0, size=(0.008, 0.008, 0.2)).mesh,
+        T_world_object=pose(t=np.array([0.208, -0.196, 0.16 + GAP])),
+        label="post",
+    )
+    post = replace(post, parts=(post.mesh.hull,))
+    package = goal_package(tmp_path / "p", goal_scene().with_objects(post))
+    assert played(package, "drop the ball on the block").verdict.met
+
+
 @pytest.mark.parametrize("far", [0.6, 1.2, 1.9])
 def test_long_pushes_are_played_or_refused(package: Package, far: float) -> None:
     """Into whatever stands there: the push ends with the rollout, and nothing is flung away."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from f3sr.contact.polytopes import Polytope, collide
 from f3sr.goals.cavity import cavity_of
 from f3sr.goals.scene_layout import SceneLayout, way_between
 from f3sr.launches.launch_context import Aim
@@ -41,6 +42,22 @@ def test_tops_look_through_what_is_told(layout: SceneLayout) -> None:
     height, whose = layout.top(0.2, -0.2)
     assert whose == LID and height == pytest.approx(0.09, abs=1e-3)
     assert layout.top(0.2, -0.2, without=LID)[1] == BLOCK and layout.top(0.6, 0.6) == (0.0, GROUND)
+
+
+def test_what_is_lowered_stops_at_the_first_contact(layout: SceneLayout) -> None:
+    """Wherever it is lowered: free of everything there, and in the object that is named just below."""
+    rng = np.random.default_rng(5)
+    parts = {o.id: [Polytope.of(p).moved(o.T_world_object) for p in o.solids] for o in layout.scene}
+    found = set[int]()
+    for id in (BALL, CARTON, CRATE):
+        for shift in rng.uniform(-0.3, 0.3, (40, 2)):
+            z, whose = layout.landing(id, shift)
+            lowered = [p.shifted([*shift, z - layout.span(id)[0, 2]]) for p in parts[id]]
+            deeper = [p.shifted([0, 0, -1e-5]) for p in lowered]
+            assert not any(collide(lowered, parts[o]) for o in parts if o != id)
+            assert z == 0 if whose == GROUND else collide(deeper, parts[whose])
+            found.add(whose)
+    assert found == {GROUND, *range(6)}
 
 
 def test_a_crate_holds_water_and_a_block_does_not(layout: SceneLayout) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from f3sr.contact.polytopes import Polytope, free_travel
 from f3sr.core.transforms import UP, Array, transform
 from f3sr.goals.cavity import Cavity, cavity_of
 from f3sr.physics import mujoco_model
@@ -45,6 +46,7 @@ class SceneLayout:
         self.scene, self._model = scene, model
         self._bodies: dict[int, Body] = {}
         self._corners: dict[int, Array] = {}
+        self._polytopes: dict[int, tuple[Polytope, ...]] = {}
         self._pools: dict[int, Cavity | None] = {}
 
     @cached_property
@@ -84,6 +86,18 @@ class SceneLayout:
             parts = np.concatenate([q.vertices for q in self.body(id).parts])
             self._corners[id] = transform(self.scene[id].T_world_object, parts)
         return self._corners[id]
+
+    def polytopes(self, id: int) -> tuple[Polytope, ...]:
+        """Its collision parts, in the world."""
+        if id not in self._polytopes:
+            T = self.scene[id].T_world_object
+            self._polytopes[id] = tuple(Polytope.of(q).moved(T) for q in self.body(id).parts)
+        return self._polytopes[id]
+
+    @cached_property
+    def ceiling(self) -> float:
+        """Height of the highest point of all objects [m]."""
+        return max(float(self.span(o.id)[1, 2]) for o in self.scene)
 
     def span(self, id: int) -> Array:
         """(2, 3): lowest and highest corner of the bounding box."""
@@ -153,6 +167,17 @@ class SceneLayout:
         far = engine().mj_ray(self.model, self.data, above, -UP, None, 1, body, hit)
         body = int(self.model.geom_bodyid[hit[0]]) if far >= 0 else 0
         return (100.0 - far if far >= 0 else 0.0), GROUND if body == 0 else self.scene.objects[body - 1].id
+
+    def landing(self, id: int, shift: Array) -> tuple[float, int]:
+        """Height of an object's lowest point when it is moved by (2,), lowered from above and first touches something.
+
+        Returns it with the id of what it touches. Exact for the collision parts."""
+        body, bottom = self.polytopes(id), float(self.span(id)[0, 2])
+        start = [p.shifted([*shift, self.ceiling - bottom]) for p in body]
+        travels = [(self.ceiling, GROUND)]
+        travels += [(free_travel(start, self.polytopes(o.id), -UP), o.id) for o in self.scene if o.id != id]
+        far, whose = min(travels)
+        return self.ceiling - far, whose
 
     def pool(self, id: int) -> Cavity | None:
         """What of it would hold water; None where that is too little for things to lie in."""

@@ -31,11 +31,11 @@ def dropping(s: LaunchContext) -> Launches:
 
 
 def _above(s: LaunchContext, shift: Array, height: float) -> Array:
-    """The offset (3,) to so far above whatever is under the object once it is shifted by (2,); above where it is, where
-    nothing says onto what it falls."""
+    """The offset (3,) to so far above where it first touches something once it is shifted by (2,); above where it is,
+    where nothing says onto what it falls."""
     if s.task.target is None:
         return height * UP
-    surface = max(z for z, _ in s.layout.under(s.active, shift))
+    surface, _ = s.layout.landing(s.active, shift)
     return np.array([*shift, surface + height - s.layout.span(s.active)[0, 2]])
 
 
@@ -60,11 +60,10 @@ def _places(s: LaunchContext) -> Iterator[Array]:
         for j in (0, -1, 1, -2, 2):
             shift = aim + np.array([i, j]) * (high - low) / 6 - middle
             under = s.layout.under(s.active, shift)
-            top = max(z for z, _ in under)
+            top, first = s.layout.landing(s.active, shift)
             good = sum(1.0 for z, whose in under if whose == s.target and z > top - 0.1 * s.size) / len(under)
-            highest = next(whose for z, whose in under if z == top)
             off = math.hypot(i, j) / 6
-            rated.append((off - 2 * good + (3 if highest != s.target else 0), len(rated), shift))
+            rated.append((off - 2 * good + (3 if first != s.target else 0), len(rated), shift))
     yield from (shift for _, _, shift in sorted(rated, key=lambda r: r[:2]))
 
 
