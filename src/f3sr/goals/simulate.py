@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from f3sr.core.transforms import Array, pose, rotation_from_quaternion, rotation_from_vector
-from f3sr.goals.plan import Impulse, InitialConditions, Plan, Semantics, Velocity
+from f3sr.goals.plan import Impulse, InitialConditions, Offset, Plan, Semantics, Velocity
 from f3sr.goals.rollout import CONTACT, Rollout
 from f3sr.physics import mujoco_model
 from f3sr.physics.mujoco_model import PhysicsConfig, body_name, engine
@@ -37,33 +37,52 @@ def simulate(scene: Scene, plan: Plan, *, until: Watch | None = None, model: Any
     ValueError if the plan names unknown objects or launches a fixed one. Raises FloatingPointError if the state stops
     being finite.
     """
+    _require_playable(scene, plan.semantics, plan.initial)
     if model is None:
-        model = model_of(as_planned(scene, plan.semantics, plan.initial), plan.simulation.timestep)
-    return _Run.of(model, [o.id for o in scene]).rollout(plan, until)
+        model = model_of(scene, plan.semantics, plan.simulation.timestep)
+    return _Run.of(model, [o.id for o in scene], plan.initial.offsets).rollout(plan, until)
 
 
-def model_of(objects: Sequence[SceneObject], timestep: float) -> Any:
-    """MuJoCo's model of what ``as_planned`` gives; it serves any number of rollouts, also at once."""
+def model_of(scene: Scene, semantics: Sequence[Semantics], timestep: float) -> Any:
+    """MuJoCo's model of a scene with a plan's materials; it serves any number of rollouts, also at once."""
+    objects = as_planned(scene, semantics, InitialConditions())
     model = mujoco_model.compiled(mujoco_model.build_spec(objects, PhysicsConfig(timestep=timestep)))
     model.opt.disableflags |= int(engine().mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
     return model
 
 
+def start_state(model: Any, ids: Sequence[int], offsets: Sequence[Offset]) -> Any:
+    """MuJoCo's data at the start of a rollout: the objects at rest but for the offsets."""
+    at_rest, data = engine().MjData(model), engine().MjData(model)
+    if offsets:
+        engine().mj_forward(model, at_rest)
+    for offset in offsets:
+        _displace(model, at_rest, offset, list(ids).index(offset.id) + 1)
+    data.qpos[:] = at_rest.qpos  # nothing else: solvers start from what was
+    engine().mj_forward(model, data)
+    return data
+
+
 def as_planned(scene: Scene, semantics: Sequence[Semantics], initial: InitialConditions) -> tuple[SceneObject, ...]:
     """The scene's objects, by id, with the plan's materials and offsets. Raises ValueError as ``simulate`` does."""
-    known = {o.id for o in scene}
-    if unknown := ({s.id for s in semantics} | initial.controlled) - known:
-        raise ValueError(f"objects {sorted(unknown)} in the plan; the scene has {sorted(known)}")
+    _require_playable(scene, semantics, initial)
     made = {s.id: _made_of(scene[s.id], s) for s in semantics}
     objects = {o.id: made.get(o.id, o) for o in scene}
-    if fixed := [id for id in initial.controlled if objects[id].mobility == "fixed"]:
-        raise ValueError(f"object {fixed[0]} set off; it is fixed")
     for offset in initial.offsets:
         o = objects[offset.id]
         T = _turned(o, offset.rotation) if any(offset.rotation) else o.T_world_object.copy()
         T[:3, 3] += offset.translation
         objects[offset.id] = replace(o, T_world_object=T)
     return tuple(objects[id] for id in sorted(objects))
+
+
+def _require_playable(scene: Scene, semantics: Sequence[Semantics], initial: InitialConditions) -> None:
+    known = {o.id for o in scene}
+    if unknown := ({s.id for s in semantics} | initial.controlled) - known:
+        raise ValueError(f"objects {sorted(unknown)} in the plan; the scene has {sorted(known)}")
+    mobility = {o.id: o.mobility for o in scene} | {s.id: s.mobility for s in semantics}
+    if fixed := [id for id in initial.controlled if mobility[id] == "fixed"]:
+        raise ValueError(f"object {fixed[0]} set off; it is fixed")
 
 
 def _made_of(o: SceneObject, s: Semantics) -> SceneObject:
@@ -85,6 +104,18 @@ def _turned(o: SceneObject, rotation: Vector3) -> Array:
     return pose(R, center - R @ center) @ T
 
 
+def _displace(model: Any, data: Any, offset: Offset, body: int) -> None:
+    """Turn a body about its centre of mass and shift it."""
+    at = int(model.jnt_qposadr[model.body_jntadr[body]])
+    if angle := float(np.linalg.norm(offset.rotation)):
+        turn, turned, arm = np.zeros(4), np.zeros(4), np.zeros(3)
+        engine().mju_axisAngle2Quat(turn, np.array(offset.rotation) / angle, angle)
+        engine().mju_mulQuat(turned, turn, data.xquat[body])
+        engine().mju_rotVecQuat(arm, data.xpos[body] - data.xipos[body], turn)
+        data.qpos[at : at + 7] = [*(data.xipos[body] + arm), *turned]
+    data.qpos[at : at + 3] += offset.translation
+
+
 @dataclass(eq=False)
 class _Run:
     """MuJoCo's model and data of one rollout."""
@@ -94,10 +125,8 @@ class _Run:
     ids: list[int]
 
     @classmethod
-    def of(cls, model: Any, ids: list[int]) -> _Run:
-        data = engine().MjData(model)
-        engine().mj_forward(model, data)
-        return cls(model, data, ids)
+    def of(cls, model: Any, ids: list[int], offsets: Sequence[Offset]) -> _Run:
+        return cls(model, start_state(model, ids, offsets), ids)
 
     def rollout(self, plan: Plan, until: Watch | None) -> Rollout:
         mujoco, simulation = engine(), plan.simulation

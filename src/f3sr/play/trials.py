@@ -10,11 +10,11 @@ import numpy as np
 
 from f3sr.core.transforms import transform
 from f3sr.goals.language_protocol import Launch, Tried
-from f3sr.goals.plan import InitialConditions, Plan, Semantics, SimulationPlan, TaskSpec
+from f3sr.goals.plan import Plan, Semantics, SimulationPlan, TaskSpec
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.rollout_queries import LAST
 from f3sr.goals.scene_layout import SceneLayout
-from f3sr.goals.simulate import as_planned, model_of, simulate
+from f3sr.goals.simulate import model_of, simulate, start_state
 from f3sr.goals.verify import verify
 from f3sr.language.reasoner import declared
 from f3sr.physics.mujoco_model import engine
@@ -90,7 +90,9 @@ class Trials:
 
     def _rollout(self, plan: Plan) -> Rollout:
         """Another reading of the same words may ask for the same launch: that is no new rollout."""
-        model, task = self._model(plan), plan.task
+        model, task = self._model_of(plan.semantics, plan.simulation.timestep), plan.task
+        if plan.initial.offsets:
+            self._require_clear(model, plan)
         last = max((i.time + i.duration for i in plan.initial.impulses), default=0.0)
         watched = {task.active, *(c.a for c in task.conditions), *({task.target} - {None, GROUND})}
         rows = [k for k, o in enumerate(o for o in self.scene if o.mobility == "dynamic") if o.id in watched]
@@ -111,11 +113,9 @@ class Trials:
         """The semantics with which the scene rests: what moves by itself, and what it touches, gets back what the
         package has, with which it was settled."""
         known = {o.id: declared(o) for o in self.scene}
-        made, active = list(semantics), InitialConditions()
-        simulation = SimulationPlan(duration=REST)
+        made, timestep = list(semantics), SimulationPlan(duration=REST).timestep
         for _ in range(3):
-            model = self._model_of(made, active, simulation.timestep)
-            moved = _drifts(model, round(REST / simulation.timestep))
+            moved = _drifts(self._model_of(made, timestep), round(REST / timestep))
             restless = {o.id for o, far in zip(self.scene, moved, strict=True) if far > DRIFT}
             near = {n for id in restless for n in self._neighbours(id)} | restless
             changed = [known[s.id] if s.id in near else s for s in made]
@@ -129,20 +129,22 @@ class Trials:
         above = {o.id for o in self.scene if any(s.id == id for s in o.supports)}
         return below | above
 
-    def _model(self, plan: Plan) -> Any:
-        model = self._model_of(plan.semantics, plan.initial, plan.simulation.timestep)
-        if plan.initial.offsets:
-            _require_clear(model, [o.id for o in self.scene].index(plan.task.active) + 1)
-        return model
-
-    def _model_of(self, semantics: Sequence[Semantics], initial: InitialConditions, timestep: float) -> Any:
-        """The last few models are kept: one serves all launches from the same start."""
-        key = (tuple(semantics), initial.offsets, timestep)
+    def _model_of(self, semantics: Sequence[Semantics], timestep: float) -> Any:
+        """The last few models are kept: one serves all launches with the same materials."""
+        key = (tuple(semantics), timestep)
         if key not in self._models:
             if len(self._models) > 3:
                 self._models.pop(next(iter(self._models)))
-            self._models[key] = model_of(as_planned(self.scene, semantics, initial), timestep)
+            self._models[key] = model_of(self.scene, semantics, timestep)
         return self._models[key]
+
+    def _require_clear(self, model: Any, plan: Plan) -> None:
+        """Raise OverlapError if the active object starts elsewhere and inside something."""
+        ids = [o.id for o in self.scene]
+        data, body = start_state(model, ids, plan.initial.offsets), ids.index(plan.task.active) + 1
+        mine = (model.geom_bodyid[data.contact.geom] == body).any(1) if data.ncon else np.zeros(0, bool)
+        if (data.contact.dist[mine] < -OVERLAP).any():
+            raise OverlapError("the active object would start inside something else")
 
 
 class Still:
@@ -201,11 +203,3 @@ def _drifts(model: Any, steps: int) -> np.ndarray[Any, Any]:
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     return np.linalg.norm(data.xipos[1:] - start, axis=1)
-
-
-def _require_clear(model: Any, body: int) -> None:
-    data = engine().MjData(model)
-    engine().mj_forward(model, data)
-    mine = (model.geom_bodyid[data.contact.geom] == body).any(1) if data.ncon else np.zeros(0, bool)
-    if (data.contact.dist[mine] < -OVERLAP).any():
-        raise OverlapError("the active object would start inside something else")

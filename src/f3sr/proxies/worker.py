@@ -24,13 +24,12 @@ from f3sr.proxies.parts import FittedParts
 from f3sr.proxies.store import config_json, packed, unpacked
 from f3sr.proxies.surface import Faces
 from f3sr.runtime import signals
+from f3sr.runtime.subprocesses import die_with, started
 
 LOOK_UP_S = 0.2
 """How often a thread that waits for a worker looks whether all has been called off [s]."""
 NO_MEMORY = ("MemoryError", "bad_alloc", "insufficient memory", "allocate memory", "Memory allocation")
 """Last words of Python and of libraries that get no memory: another run may get it."""
-PR_SET_PDEATHSIG = 1
-"""From Linux' sys/prctl.h."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,16 +61,14 @@ def run_worker(
         return explained(process.returncode, errors.read().decode(errors="replace"), config)
 
 
-def _start(config: ProxyConfig, *streams: IO[bytes]) -> subprocess.Popen[bytes]:
-    """A worker in its own process group: f3sr, not the terminal, ends it on Ctrl-C.
+def _start(config: ProxyConfig, stdin: IO[bytes], stdout: IO[bytes], stderr: IO[bytes]) -> subprocess.Popen[bytes]:
+    """A worker; its streams are files without a name: nothing is left after ``kill -9``.
 
-    Its streams are files without a name: nothing is left after ``kill -9``."""
-    # One thread each: the objects are what runs in parallel, and sums keep their order.
-    environment = os.environ | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
-    command = [sys.executable, "-m", "f3sr.proxies", config_json(config), str(os.getpid())]
-    stdin, stdout, stderr = streams
-    return subprocess.Popen(command, env=environment, process_group=0, stdin=stdin, stdout=stdout, stderr=stderr)
+    One thread each: the objects are what runs in parallel, and sums keep their order."""
+    one_thread: dict[str, str] = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+    return started(
+        "f3sr.proxies", config_json(config), environment=one_thread, stdin=stdin, stdout=stdout, stderr=stderr
+    )
 
 
 def _wait(process: subprocess.Popen[bytes], limit_s: float, cancelled: threading.Event | None) -> None:
@@ -106,7 +103,7 @@ def work(config_text: str, parent: str) -> None:
     """The subprocess: read a normalised mesh, write its parts."""
     import resource
 
-    _die_with(int(parent))
+    die_with(int(parent))  # elsewhere than on Linux the limit on processor time ends it
     config = TypeAdapter(ProxyConfig).validate_json(config_text)
     seconds = max(1, round(config.cpu_limit_s))
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
@@ -120,15 +117,3 @@ def work(config_text: str, parent: str) -> None:
         archive = io.BytesIO()
         np.savez(archive, allow_pickle=False, **packed(fitted))
         stream.write(archive.getvalue())
-
-
-def _die_with(parent: int) -> None:
-    """Let the kernel kill this process when its parent is gone, be it by ``kill -9``. Elsewhere than on Linux the limit
-    on processor time does."""
-    import ctypes
-    import signal
-
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:
-        raise SystemExit("the parent is gone")

@@ -11,13 +11,17 @@ import hashlib
 import importlib
 import re
 import shutil
-from collections.abc import Callable
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+from f3sr.runtime import signals
 from f3sr.runtime.cache_folder import within
 from f3sr.runtime.progress import Progress, silent, timed
+from f3sr.runtime.subprocesses import die_with, started
 
 HERE = Path(__file__).parents[1]
 """The folder of this package."""
@@ -86,13 +90,13 @@ def is_warm() -> bool:
 
 
 def warm_up(progress: Progress = silent) -> None:
-    """Compile what is not in the cache yet, half a minute once per machine; otherwise load it.
+    """Compile what is not in the cache yet, some twenty seconds once per machine; otherwise load it.
 
     A damaged cache file is reported, discarded and made again. Without a cache every process compiles."""
     folder = kernel_folder()
     if folder is None:
         with timed("compiling kernels for this run only, as no folder can keep them", progress):
-            _call_all()
+            _call(_warm_ups())
         return
     from f3sr.runtime.kernel_files import discard_damaged
 
@@ -100,15 +104,41 @@ def warm_up(progress: Progress = silent) -> None:
     if damaged := discard_damaged(folder):
         step = f"compiling kernels again, as {damaged} damaged files were found and discarded"
     with timed(step, progress):
-        _call_all()
+        if not is_warm():
+            _compile()
+        _call(_warm_ups())
     _tell_warm(folder)
     _discard_old_versions(folder.parent)
 
 
-def _call_all() -> None:
-    """Every ``warm_up()`` of the package; together they call every kernel."""
-    for file in _sources(HAS_WARM_UP):
-        importlib.import_module(".".join(("f3sr", *file.relative_to(HERE).with_suffix("").parts))).warm_up()
+def _warm_ups() -> list[str]:
+    """Modules with a ``warm_up()``; together these call every kernel. The renderer's is first."""
+    files = (file.relative_to(HERE).with_suffix("") for file in _sources(HAS_WARM_UP))
+    return sorted((".".join(("f3sr", *file.parts)) for file in files), key=lambda name: "rendering" not in name)
+
+
+def _call(modules: Iterable[str]) -> None:
+    for module in modules:
+        importlib.import_module(module).warm_up()
+
+
+def _compile() -> None:
+    """Fill the cache from two processes: the renderer's kernels take as long as all others together.
+
+    What the other process does not compile, this one does afterwards."""
+    first, *others = _warm_ups()
+    with signals.undone(lambda: _compiler(others), subprocess.Popen.kill) as process:
+        try:
+            _call([first])
+            process.wait()
+        finally:
+            process.kill()
+            process.wait()
+
+
+def _compiler(modules: Sequence[str]) -> subprocess.Popen[bytes]:
+    none = subprocess.DEVNULL
+    return started("f3sr.runtime.kernels", *modules, environment={}, stdin=none, stdout=none, stderr=none)
 
 
 def _tell_warm(folder: Path) -> None:
@@ -129,3 +159,8 @@ def _last_use(folder: Path) -> float:
     with contextlib.suppress(OSError):
         return (folder / WARM).stat().st_mtime
     return 0.0
+
+
+if __name__ == "__main__":
+    die_with(int(sys.argv[-1]))
+    _call(sys.argv[1:-1])
