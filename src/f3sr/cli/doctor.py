@@ -104,6 +104,7 @@ def _parts() -> Iterator[Check]:
     yield _tried("decomposition", "cuts", _decomposed)
     yield _tried("physics", "MuJoCo", _dropped)
     yield _tried("solids", "manifold3d", _united)
+    yield _tried("film", "H.264", _filmed)
 
 
 def _backends() -> Iterator[Check]:
@@ -167,6 +168,13 @@ def _united() -> str:
     if abs(volume - 1.5e-3) > 1e-6:
         raise RuntimeError(f"two half overlapping boxes have {1e3 * volume:.4f} l instead of 1.5")
     return "volume of a union right"
+
+
+def _filmed() -> str:
+    from f3sr.film.video import encode
+
+    video = encode((np.full((16, 16, 3), 80 * k, np.uint8) for k in range(3)), fps=30)
+    return f"{video.frames} frames encoded in {len(video.data)} bytes of MP4"
 
 
 def _box(size: tuple[float, float, float], at: tuple[float, float, float] = (0, 0, 0)) -> Mesh:

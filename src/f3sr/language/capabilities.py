@@ -53,7 +53,7 @@ def _verbs(id: int, layout: SceneLayout) -> tuple[str, ...]:
         "drop": not scene.children(id),
         "lift and drop": not scene.children(id),
         "throw": True,
-        "throw up": True,
+        "throw into the air": True,
         "bounce": bounces,
     }
     return tuple(verb for verb, sensible in possible.items() if sensible)
