@@ -9,8 +9,9 @@ import numpy as np
 
 from f3sr.contact.stability import Stability, stability
 from f3sr.contact.stabilize import DEFAULT_BALANCE, BalanceConfig, balance
-from f3sr.contact.static_bodies import StaticBody, carried, rigid, supports_first
+from f3sr.contact.static_bodies import StaticBody, rigid
 from f3sr.contact.tipping import DEFAULT_LANDING, Landing, LandingConfig, land
+from f3sr.core.support_forest import carried, supports_first
 from f3sr.core.transforms import Array, pose
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS

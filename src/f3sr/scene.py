@@ -15,6 +15,7 @@ from weakref import ReferenceType, ref
 import numpy as np
 from numpy.typing import NDArray
 
+from f3sr.core import support_forest
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, MassProperties, Mesh
 from f3sr.core.transforms import Array, frozen, transform
@@ -366,11 +367,11 @@ class Scene:
 
     def ancestors(self, id: int) -> tuple[int, ...]:
         """The chain of supports below ``id``, nearest first, without the ground."""
-        chain: list[int] = []
-        while (parent := self[chain[-1] if chain else id].supported_by) not in (None, GROUND, *chain):
-            assert parent is not None
-            chain.append(parent)
-        return tuple(chain)
+        return support_forest.chain_below(id, self._carriers)
+
+    @cached_property
+    def _carriers(self) -> dict[int, int | None]:
+        return {o.id: o.supported_by for o in self.objects}
 
     @property
     def has_measured_depth(self) -> bool:
@@ -380,7 +381,7 @@ class Scene:
     @property
     def supports_first(self) -> tuple[int, ...]:
         """Ids of all objects, each after those below it in the support forest."""
-        return tuple(sorted((o.id for o in self.objects), key=lambda id: (len(self.ancestors(id)), id)))
+        return tuple(support_forest.supports_first(self._carriers))
 
     @cached_property
     def diagonal(self) -> float:

@@ -16,7 +16,8 @@ import numpy as np
 
 from f3sr.contact import polytopes
 from f3sr.contact.force_balance import Balance
-from f3sr.contact.static_bodies import StaticBody, carried, chain_below, contacts_of, islands, supports_first
+from f3sr.contact.static_bodies import StaticBody, contacts_of, islands
+from f3sr.core.support_forest import carried, chain_below, supports_first
 from f3sr.core.transforms import UP, Array, pose
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS

@@ -12,7 +12,7 @@ from f3sr.contact.polytopes import Body, Polytope
 from f3sr.core.transforms import Array, frozen, transform
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.physics.mujoco_model import body_of
-from f3sr.scene import GROUND, SceneObject
+from f3sr.scene import SceneObject
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -100,25 +100,3 @@ def rigid(members: Sequence[StaticBody], id: int) -> StaticBody:
         centers=np.array(centers),
         friction=next(m.friction for m in members if m.id == id),
     )
-
-
-# The forest of supports
-
-
-def chain_below(id: int, supports: Mapping[int, int | None]) -> tuple[int, ...]:
-    """What carries a body, nearest first, without the ground."""
-    chain: list[int] = []
-    at = supports.get(id)
-    while at is not None and at != GROUND and at not in (id, *chain):
-        chain.append(at)
-        at = supports.get(at)
-    return tuple(chain)
-
-
-def carried(id: int, supports: Mapping[int, int | None]) -> frozenset[int]:
-    """A body and all that it carries, directly or not."""
-    return frozenset(i for i in supports if i == id or id in chain_below(i, supports))
-
-
-def supports_first(supports: Mapping[int, int | None]) -> list[int]:
-    return sorted(supports, key=lambda id: (len(chain_below(id, supports)), id))
