@@ -10,6 +10,7 @@ import numpy as np
 
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import pose
+from f3sr.language.grammar.materials import material_of
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.scene import GROUND, Scene, SceneObject, Support
 from f3sr.scene_package.package import Package, read_package, write_package
@@ -45,6 +46,7 @@ def _thing(id: int, label: str, mesh: Mesh, at: Sequence[float], *, on: int = GR
         mask=_mask(id),
         supports=(Support(id=on),),
         supported_by=on,
+        **(known.properties | {"material_source": "label"} if (known := material_of(label)) else {}),
     )
 
 

@@ -22,7 +22,7 @@ def made(o: SceneObject, **changed: object) -> Semantics:
         "rolling_friction": o.rolling_friction,
         "restitution": o.restitution,
         "mobility": o.mobility,
-        "source": "scene",
+        "source": "given",
     }
     return Semantics.model_validate(values | changed)
 

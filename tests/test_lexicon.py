@@ -23,10 +23,10 @@ from f3sr.language.grammar.lexicon import (
     read,
     regular_forms,
 )
+from f3sr.language.grammar.materials import Materials, materials
 from f3sr.language.grammar.normaliser import canonical, plain, words_of
 from f3sr.language.grammar.nouns import compounded, fit, singular
 from f3sr.language.grammar.parser import understand
-from f3sr.language.materials import Materials, materials
 from f3sr.vision.colour_terms import BASIC
 
 NOUNS = {
@@ -138,6 +138,6 @@ def test_faults_are_named(tmp_path: Path, file: str, old: str, new: str, said: s
 
 def test_a_name_of_two_materials_is_a_fault(tmp_path: Path):
     row = '{ density = 500, friction = 0.5, restitution = 0.2, structure = "solid", name = "it", labels = "cup, mug" }'
-    (tmp_path / "materials.toml").write_text(f"materials = [{row}, {row}]")
+    (tmp_path / "materials.toml").write_text(f"materials = [{row}, {row}]\nsubstances = []")
     with pytest.raises(InputError, match=r"materials.toml.*'cup' names two materials"):
         read(Materials, "materials", folder=tmp_path)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from f3sr.language.materials import material_of
+from f3sr.language.grammar.materials import material_of
 
 
 @pytest.mark.parametrize(
@@ -19,7 +19,12 @@ from f3sr.language.materials import material_of
         ("cracker box", "cardboard with contents"),
         ("foam brick", "foam"),
         ("brick", "stone"),
-        ("wooden spoon", "cutlery"),
+        ("wooden spoon", "wood"),
+        ("spoon", "cutlery"),
+        ("plastic cup", "plastic"),
+        ("wooden chair", "wooden furniture"),
+        ("glass", "glass"),
+        ("metal", "metal"),
         ("b lego duplo", "plastic"),
         ("mustard bottle", "full plastic bottle"),
         ("canned strawberries", "soft fruit"),

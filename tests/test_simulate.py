@@ -113,13 +113,18 @@ def test_recorded_forces_are_vector_sums() -> None:
 
 @pytest.mark.parametrize(("e", "off"), [(0.3, 0.06), (0.6, 0.03), (0.85, 0.01)])
 def test_a_ball_bounces_to_its_restitution(e: float, off: float) -> None:
-    o = ball(0, 0.04, (0, 0, 0.54))
-    scene = scene_of(o)
-    plan = plan_of(scene, duration=1.0, semantics=(made(o, restitution=e),))
-    rollout = simulate(scene, plan.model_copy(update={"simulation": SimulationPlan(duration=1.0, steps_per_sample=4)}))
-    height = centers(rollout, o)[:, 2] - 0.04
-    low = int(np.argmin(height[: round(0.5 / rollout.time[1])]))
-    assert np.sqrt(height[low:].max() / height[0]) == pytest.approx(e, abs=off)
+    """In the median of drops: where a step of 6 mm begins in the contact changes a single one by twice as much."""
+    found = list[float]()
+    for z in np.linspace(0.5, 0.506, 7):
+        o = ball(0, 0.04, (0, 0, 0.04 + z))
+        scene = scene_of(o)
+        plan = plan_of(scene, duration=1.0, semantics=(made(o, restitution=e),))
+        simulation = SimulationPlan(duration=1.0, steps_per_sample=4)
+        rollout = simulate(scene, plan.model_copy(update={"simulation": simulation}))
+        height = centers(rollout, o)[:, 2] - 0.04
+        low = int(np.argmin(height[: round(0.5 / rollout.time[1])]))
+        found.append(float(np.sqrt(height[low:].max() / height[0])))
+    assert np.median(found) == pytest.approx(e, abs=off) and max(abs(f - e) for f in found) < 2 * off
     assert len(rollout.touches(GROUND, 0)) and rollout.touches(0, GROUND)["time"][0] == pytest.approx(
         np.sqrt(2 * 0.5 / G), abs=0.02
     )

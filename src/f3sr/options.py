@@ -9,7 +9,7 @@ SKIPPABLE = (
     *("close", "refine", "describe", "evaluate", "inpaint"),
 )
 """Stages, and parts of ``align``, that ``--skip`` leaves out."""
-Part = Literal["assets", "geometry", "ground", "scene_graph", "background"]
+Part = Literal["assets", "geometry", "ground", "scene_graph", "background", "materials"]
 PARTS: tuple[str, ...] = get_args(Part)
 """Parts of a prompted-image folder that ``--ignore`` treats as absent."""
 ASSET_FRAMES = ("auto", "opencv", "opengl", "pytorch3d")

@@ -25,6 +25,9 @@ GROUND = -1
 GRAVITY = 9.81
 """Acceleration of free fall along -Z [m/s2]."""
 
+Structure = Literal["solid", "hollow"]
+MaterialSource = Literal["given", "label", "default"]
+"""Materials are given with the inputs or in words, told by the label, or the protocol's density and friction."""
 Mobility = Literal["dynamic", "fixed"]
 GeometrySource = Literal["estimate", "sensor"]
 
@@ -158,8 +161,14 @@ class SceneObject:
     rolling_friction: float = 0.001
     """[m]"""
     restitution: float = 0.0
-    """Coefficient of restitution in [0, 1]; only rollouts use it (docs: physics)."""
+    """Coefficient of restitution in [0, 1]; only rollouts use it, of what flies (docs: physics)."""
+    damping: float = 0.0
+    """Rate of velocity loss in the air [1/s]; only rollouts use it."""
+    structure: Structure = "solid"
     material: str = "unknown"
+    material_source: MaterialSource = "default"
+    """Where material, density, friction and restitution come from."""
+    material_reason: str = ""
     supports: tuple[Support, ...] = ()
     supported_by: int | None = None
     """Id of the main support in the forest; GROUND for the ground, None if unknown."""

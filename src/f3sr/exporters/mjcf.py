@@ -90,7 +90,6 @@ def _options(root: ET.Element, config: PhysicsConfig) -> None:
         condim=str(CONDIM),
         solref=_text(config.solref),
         solimp=_text(SOLIMP),
-        margin=_text(config.margin),
         rgba="0.5 0.6 0.8 0.5",
     )
     visual = ET.SubElement(default, "default", {"class": "visual"})
@@ -139,8 +138,6 @@ def _collision(asset: ET.Element, node: ET.Element, body: Body, id: int) -> None
         name = f"{body.name}_{k:02d}"
         ET.SubElement(asset, "mesh", name=name, file=collision_path(id, k), inertia="shell")
         attributes = {"type": "mesh", "mesh": name, "friction": _text(body.friction)}
-        if body.solref is not None:
-            attributes |= {"solref": _text(body.solref), "priority": "1"}
         ET.SubElement(node, "geom", {"class": "collision"}, name=name, **attributes)
 
 

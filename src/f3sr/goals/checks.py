@@ -7,13 +7,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from f3sr.errors import F3srError
+from f3sr.files.bounds import MIN_MOMENT
 from f3sr.goals.language_protocol import Launch
 from f3sr.goals.launch_limits import beyond, limits_of
 from f3sr.goals.plan import InitialConditions, Plan, Semantics, SimulationPlan, TaskSpec
 from f3sr.goals.rollout import MAX_SAMPLES, Rollout
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import GROUND, Scene
-from f3sr.scene_package.bounds import MIN_MOMENT
 
 LIFTED = {"drop", "lift_and_drop", "throw", "bounce"}
 """Kinds whose active object may start elsewhere than the package has it."""

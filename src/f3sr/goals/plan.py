@@ -11,8 +11,8 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from f3sr.files import strict_json
-from f3sr.scene import Mobility
-from f3sr.scene_package.bounds import Density, Direction3, Friction, Id, IdOrGround, Mass, RollingFriction, Share
+from f3sr.files.bounds import Damping, Density, Direction3, Friction, Id, IdOrGround, Mass, RollingFriction, Share
+from f3sr.scene import MaterialSource, Mobility, Structure
 from f3sr.scene_package.scene_json import Version, dump_json
 
 SCHEMA_VERSION = 1
@@ -43,8 +43,8 @@ Component = Annotated[float, Field(ge=-1e4, le=1e4, allow_inf_nan=False)]
 Push3 = tuple[Component, Component, Component]
 """Of a push, a speed or a shift: beyond its range no limit of any scene lies."""
 Words = Annotated[str, Field(max_length=2000)]
-Source = Literal["words", "label", "default", "scene"]
-"""Where a property was found: in the goal's words, by the object's label, nowhere, or in the package."""
+Source = MaterialSource | Literal["words"]
+"""Where the properties come from: as the package says, or from the goal's words."""
 
 
 class _Record(BaseModel):
@@ -219,7 +219,7 @@ class Semantics(_Record):
 
     id: Id
     material: Annotated[str, Field(max_length=80)]
-    structure: Literal["solid", "hollow"]
+    structure: Structure
     mass: Mass
     """[kg]"""
     density: Density
@@ -228,7 +228,7 @@ class Semantics(_Record):
     rolling_friction: RollingFriction
     """[m]"""
     restitution: Share
-    damping: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] = 0.0
+    damping: Damping = 0.0
     """[1/s]: rate of velocity loss, in the air too; the rules leave it at 0."""
     mobility: Mobility
     source: Source

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from f3sr.core.transforms import Array, frozen
 from f3sr.errors import InputError
 from f3sr.files import npz
+from f3sr.files.bounds import FARTHEST, MAX_OBJECTS
 from f3sr.scene import GROUND
-from f3sr.scene_package.bounds import FARTHEST, MAX_OBJECTS
 
 CONTACT = np.dtype([("time", np.float64), ("a", np.int64), ("b", np.int64), ("force", np.float64)])
 """A row of ``contacts``: time [s] and largest normal force [N] between two ids since the sample before.

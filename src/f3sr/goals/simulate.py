@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 
 from f3sr.core.transforms import Array, pose, rotation_from_quaternion, rotation_from_vector
+from f3sr.files.bounds import Vector3
 from f3sr.goals.plan import Impulse, InitialConditions, Offset, Plan, Semantics, Velocity
 from f3sr.goals.rollout import CONTACT, Rollout
 from f3sr.physics import mujoco_model
 from f3sr.physics.mujoco_model import PhysicsConfig, body_name, engine
 from f3sr.scene import GROUND, Scene, SceneObject
-from f3sr.scene_package.bounds import Vector3
 
 TOUCH = 1e-9
 """Force [N] of a pair whose forces cancel: it touches."""
@@ -46,7 +46,9 @@ def simulate(scene: Scene, plan: Plan, *, until: Watch | None = None, model: Any
 def model_of(scene: Scene, semantics: Sequence[Semantics], timestep: float) -> Any:
     """MuJoCo's model of a scene with a plan's materials; it serves any number of rollouts, also at once."""
     objects = as_planned(scene, semantics, InitialConditions())
-    model = mujoco_model.compiled(mujoco_model.build_spec(objects, PhysicsConfig(timestep=timestep)))
+    model = mujoco_model.compiled(
+        mujoco_model.build_spec(objects, PhysicsConfig(timestep=timestep, margin=0.0), bounces=True)
+    )
     model.opt.disableflags |= int(engine().mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
     return model
 

@@ -19,6 +19,7 @@ from f3sr.errors import InputError, require_known, require_names
 from f3sr.io.answers import MAX_REASON, MAX_RELATIONS, assets_of, geometry_of, graph_of, require_relation
 from f3sr.io.assets import ASSETS_ACCEPTED, PosedAsset, read_assets, require_size
 from f3sr.io.geometry import GEOMETRY_ACCEPTED, GEOMETRY_FILES, read_geometry
+from f3sr.io.given_properties import MATERIALS, GivenProperties, read_properties
 from f3sr.io.images import as_rgb, open_image
 from f3sr.io.input_folder import InputFolder
 from f3sr.io.masks import read_instances, read_mask
@@ -59,6 +60,8 @@ class Inputs:
     decisions: tuple[Decision, ...] = ()
     digests: dict[str, str] = field(default_factory=dict[str, str])
     """sha256 of every file read, by its path relative to the folder."""
+    properties: Mapping[int, GivenProperties] = field(default_factory=dict[int, GivenProperties])
+    """Physical properties that materials.json gives, by object id."""
     asset_frame: str = "auto"
     fillers: Mapping[str, str] = field(default_factory=dict[str, str])
     """Back ends that made what the folder lacks, by kind: name and version."""
@@ -113,6 +116,7 @@ def read(
         ground_mask=ground_mask,
         graph=parts.graph(image, geometry),
         background=_background(source, photo) if parts.has("background", "background.png") else None,
+        properties=parts.properties(instances),
         decisions=tuple(source.decisions),
         digests=dict(sorted(source.digests.items())),
         asset_frame=asset_frame,
@@ -162,6 +166,9 @@ class _Parts:
         if backend := self._filler(self.fillers.scene_graph, given):
             return graph_of(self.folder, backend, image, geometry)
         return _scene_graph(self.folder, image.instances) if given else None
+
+    def properties(self, instances: Sequence[Instance]) -> Mapping[int, GivenProperties]:
+        return read_properties(self.folder, {i.id for i in instances}) if self.has("materials", MATERIALS) else {}
 
     def _filler(self, backend: Backend[P] | None, given: bool) -> Backend[P] | None:
         """The back end that is to make a part; one that is not needed is told of."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from f3sr.goals.scene_layout import SceneLayout
-from f3sr.language.materials import material_of
 from f3sr.language.reference_resolution import names
 from f3sr.physics.restitution import LEAST
 from f3sr.scene import Scene
@@ -42,8 +41,6 @@ def _verbs(id: int, layout: SceneLayout) -> tuple[str, ...]:
     scene, sides = layout.scene, np.ptp(layout.span(id), axis=0)
     if scene[id].mobility == "fixed":
         return ()
-    known = material_of(scene[id].label)
-    bounces = known is not None and known.restitution > LEAST
     around = [np.array([np.cos(a), np.sin(a), 0.0]) for a in np.linspace(0, np.pi, 8, endpoint=False)]
     possible = {
         "push": True,
@@ -54,6 +51,6 @@ def _verbs(id: int, layout: SceneLayout) -> tuple[str, ...]:
         "lift and drop": not scene.children(id),
         "throw": True,
         "throw into the air": True,
-        "bounce": bounces,
+        "bounce": scene[id].restitution > LEAST,
     }
     return tuple(verb for verb, sensible in possible.items() if sensible)

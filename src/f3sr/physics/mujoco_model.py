@@ -112,8 +112,10 @@ def body_name(id: int) -> str:
     return f"object_{id:02d}"
 
 
-def body_of(o: SceneObject) -> Body:
-    """The rigid body of an object: mass and inertia of its solid at its density, its parts in metres."""
+def body_of(o: SceneObject, *, bounces: bool = False) -> Body:
+    """The rigid body of an object: mass and inertia of its solid at its density, its parts in metres.
+
+    Its contacts follow its restitution only where it ``bounces``: a pile would sink into contacts so soft."""
     solid, from_mesh = _solid(o.mesh, o.parts or (o.mesh.hull,)) if o.solid is None else (o.solid, o.mesh.is_solid)
     scale = np.diag([o.scale, o.scale, o.scale, 1.0])
     return Body(
@@ -125,12 +127,14 @@ def body_of(o: SceneObject) -> Body:
         inertia=o.density * solid.inertia * o.scale**5,
         from_mesh=from_mesh,
         friction=(o.friction, TORSIONAL_FRICTION, o.rolling_friction),
-        solref=restitution.solref(o.restitution),
+        solref=restitution.solref(o.restitution) if bounces else None,
         parts=tuple(part.moved(scale) for part in o.solids),
     )
 
 
-def build_spec(objects: Sequence[SceneObject], config: PhysicsConfig = DEFAULT_PHYSICS) -> MjSpec:
+def build_spec(
+    objects: Sequence[SceneObject], config: PhysicsConfig = DEFAULT_PHYSICS, *, bounces: bool = False
+) -> MjSpec:
     """The editable MuJoCo model: the ground, and per object a body with one mesh geom per convex part.
 
     Bodies are named ``object_03``, their geoms and meshes ``object_03_00``; dynamic ones have a free joint of
@@ -138,7 +142,7 @@ def build_spec(objects: Sequence[SceneObject], config: PhysicsConfig = DEFAULT_P
     """
     spec = empty_spec(config)
     for o in objects:
-        add_body(spec, body_of(o), config)
+        add_body(spec, body_of(o, bounces=bounces), config)
     return spec
 
 

@@ -13,6 +13,10 @@ from f3sr.scene import SceneObject
 
 RELEASE_MARGIN = 2e-4
 """Contact distance of each body in the release protocol [m]."""
+RELEASE_DENSITY = 600.0
+"""Of all objects in the release protocol [kg/m3], whatever they are made of."""
+RELEASE_FRICTION = (0.6, 0.005, 0.001)
+"""Sliding, torsional [m] and rolling [m] friction of all contacts in the release protocol."""
 
 
 class Release(NamedTuple):
@@ -63,7 +67,7 @@ def _release_spec(objects: Sequence[SceneObject], true_scale: float) -> MjSpec:
     """The model of the release protocol: bodies in the order of their masks' names, at the origin, with their
     vertices in world coordinates, mass by density on the geoms."""
     mujoco = engine()
-    config = replace(DEFAULT_PHYSICS, margin=RELEASE_MARGIN)
+    config = replace(DEFAULT_PHYSICS, margin=RELEASE_MARGIN, ground_friction=RELEASE_FRICTION)
     spec = empty_spec(config)
     spec.compiler.balanceinertia = False
     for i, o in enumerate(sorted(objects, key=lambda o: o.mask_name)):
@@ -76,8 +80,8 @@ def _release_spec(objects: Sequence[SceneObject], true_scale: float) -> MjSpec:
             body.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_MESH,
                 meshname=f"m{i}_{k}",
-                density=600 * filling(o),
-                friction=config.ground_friction,
+                density=RELEASE_DENSITY * filling(o),
+                friction=RELEASE_FRICTION,
                 **contact_options(config),
             )
     return spec

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -25,7 +25,7 @@ from f3sr.physics.mujoco_model import (
     empty_spec,
     engine,
 )
-from f3sr.physics.release import RELEASE_MARGIN, filling
+from f3sr.physics.release import RELEASE_DENSITY, RELEASE_FRICTION, RELEASE_MARGIN, filling
 from f3sr.scene import SceneObject
 from f3sr.settings import constants, settings
 
@@ -44,8 +44,8 @@ class RestConfig:
     """Largest travel of a centre of mass in an undamped check [m], half of what the release protocol may show. Soft
     contacts creep on slopes, .1 mm in 5 s in piles and .4 mm in nested bowls, however long they settle."""
     even_masses: bool = True
-    """Check again with masses spread evenly over the parts and a wider margin, as the release protocol has them. A pose
-    can stand with one centre of mass and tip with the other."""
+    """Check again as the release protocol has it: equal densities spread evenly over the parts, one friction, a wider
+    margin. A pose can stand with one centre of mass and tip with the other."""
 
 
 @settings
@@ -90,12 +90,12 @@ class SettleResult:
 
 
 def _even_spec(objects: Sequence[SceneObject], config: PhysicsConfig) -> MjSpec:
-    """The same model with the masses and the margin of the release protocol: spread evenly over the parts, and wider,
-    so that a push like the protocol's comes first."""
-    spec = empty_spec(config, RELEASE_MARGIN)
+    """The same model with the release protocol's masses, spread evenly over the parts, its friction, and its margin,
+    which is wider, so that a push like the protocol's comes first."""
+    spec = empty_spec(replace(config, ground_friction=RELEASE_FRICTION), RELEASE_MARGIN)
     for o in objects:
-        body = body_of(o)
-        add_body(spec, body, config, even_density=o.density * filling(o), margin=RELEASE_MARGIN)
+        body = replace(body_of(o), friction=RELEASE_FRICTION)
+        add_body(spec, body, config, even_density=RELEASE_DENSITY * filling(o), margin=RELEASE_MARGIN)
     return spec
 
 

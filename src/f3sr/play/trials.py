@@ -16,7 +16,7 @@ from f3sr.goals.rollout_queries import LAST
 from f3sr.goals.scene_layout import SceneLayout
 from f3sr.goals.simulate import model_of, simulate, start_state
 from f3sr.goals.verify import verify
-from f3sr.language.reasoner import declared
+from f3sr.language.reasoner import at_rest
 from f3sr.physics.mujoco_model import engine
 from f3sr.scene import GROUND, Scene
 
@@ -112,7 +112,7 @@ class Trials:
     def steady(self, semantics: Sequence[Semantics]) -> tuple[Semantics, ...]:
         """The semantics with which the scene rests: what moves by itself, and what it touches, gets back what the
         package has, with which it was settled."""
-        known = {o.id: declared(o) for o in self.scene}
+        known = {o.id: at_rest(o) for o in self.scene}
         made, timestep = list(semantics), SimulationPlan(duration=REST).timestep
         for _ in range(3):
             moved = _drifts(self._model_of(made, timestep), round(REST / timestep))

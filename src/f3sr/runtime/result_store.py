@@ -34,7 +34,7 @@ def code_version() -> str:
     """Hash of this package's sources: a result never outlives the code that made it."""
     here = Path(__file__).parents[1]
     hashed = hashlib.sha256()
-    for path in sorted(here.rglob("*.py")):
+    for path in sorted(p for p in here.rglob("*") if p.suffix in (".py", ".toml")):
         hashed.update(path.relative_to(here).as_posix().encode() + path.read_bytes())
     return hashed.hexdigest()
 

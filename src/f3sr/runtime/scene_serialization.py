@@ -13,7 +13,10 @@ from f3sr.core.transforms import Array
 from f3sr.scene import Ground, Motion, Node, Relation, Scene, SceneGraph, SceneObject, Support
 
 Arrays = dict[str, NDArray[Any]]
-PLAIN = ("mobility", "density", "friction", "rolling_friction", "restitution", "material", "supported_by", "scale")
+PLAIN = (
+    *("mobility", "density", "friction", "rolling_friction", "restitution", "damping", "structure"),
+    *("material", "material_source", "material_reason", "supported_by", "scale"),
+)
 """Fields of an object that JSON holds as they are."""
 
 

@@ -20,6 +20,7 @@ from f3sr.exporters.glb import Glb
 from f3sr.exporters.mjcf import Mjcf
 from f3sr.exporters.protocol import Exporter
 from f3sr.files import npz, strict_json
+from f3sr.files.bounds import MAX_OBJECT, MAX_PART_BYTES, MAX_SCENE_BYTES, MAX_SIZES_AWAY, MIN_OBJECT
 from f3sr.io.assets import require_solidity, require_total
 from f3sr.io.gltf_writer import encode_pngs, mesh_to_glb
 from f3sr.io.images import as_rgb, encode_png, open_image
@@ -29,7 +30,6 @@ from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, PhysicsConfig
 from f3sr.report import Report
 from f3sr.runtime.atomic_folder import claimed, recover
 from f3sr.scene import Excluded, Ground, Motion, Node, Photo, Relation, Scene, SceneGraph, SceneObject, Support
-from f3sr.scene_package.bounds import MAX_OBJECT, MAX_PART_BYTES, MAX_SCENE_BYTES, MAX_SIZES_AWAY, MIN_OBJECT
 from f3sr.scene_package.package_folder import (
     BACKGROUND,
     KEPT,
@@ -343,7 +343,11 @@ def _read_object(
         friction=record.friction,
         rolling_friction=record.rolling_friction,
         restitution=record.restitution,
+        damping=record.damping,
+        structure=record.structure,
         material=record.material,
+        material_source=record.material_source,
+        material_reason=record.material_reason,
         supports=tuple(Support(id=s.id, share=s.share) for s in record.supports),
         supported_by=record.supported_by,
         motion=tuple(Motion(**m.model_dump()) for m in record.motion),

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from f3sr.errors import InputError, OutputError, reason
 from f3sr.files import limited_file
+from f3sr.files.bounds import MAX_SCENE_BYTES
 from f3sr.runtime import atomic_folder
-from f3sr.scene_package.bounds import MAX_SCENE_BYTES
 from f3sr.scene_package.scene_json import SCHEMA_FILE
 
 SCENE = "scene.json"

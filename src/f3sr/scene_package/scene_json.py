@@ -25,14 +25,13 @@ from f3sr.core.transforms import Array
 from f3sr.errors import OutputError
 from f3sr.exporters.collision_parts import collision_path
 from f3sr.files import strict_json
-from f3sr.physics.mujoco_model import body_of
-from f3sr.scene import GROUND, Mobility, Predicate, RelationSource, Scene, SceneObject
-from f3sr.scene_package.bounds import (
+from f3sr.files.bounds import (
     MAX_OBJECT_PARTS,
     MAX_OBJECTS,
     MAX_SCENE_PARTS,
     MAX_VOLUME,
     MIN_VOLUME,
+    Damping,
     Density,
     Friction,
     Id,
@@ -53,6 +52,8 @@ from f3sr.scene_package.bounds import (
     inertia_fault,
     intrinsics_fault,
 )
+from f3sr.physics.mujoco_model import body_of
+from f3sr.scene import GROUND, MaterialSource, Mobility, Predicate, RelationSource, Scene, SceneObject, Structure
 
 SCHEMA_VERSION = 1
 SCHEMA_FILE = "scene.schema.json"
@@ -151,7 +152,14 @@ class ObjectRecord(_SceneRecord):
     friction: Friction
     rolling_friction: RollingFriction
     restitution: Share
+    """Of speed, in rollouts; contacts at rest do not bounce."""
+    damping: Damping = 0.0
+    """Rate of velocity loss in the air [1/s], in rollouts."""
+    structure: Structure = "solid"
     material: Label
+    material_source: MaterialSource = "default"
+    """Where material, density, friction and restitution come from."""
+    material_reason: str = ""
     supports: tuple[SupportRecord, ...]
     supported_by: IdOrGround | None
     motion: tuple[MotionRecord, ...]
@@ -358,7 +366,11 @@ def _object(o: SceneObject) -> dict[str, Any]:
         "friction": float(o.friction),
         "rolling_friction": float(o.rolling_friction),
         "restitution": float(o.restitution),
+        "damping": float(o.damping),
+        "structure": o.structure,
         "material": _well_formed(o.material),
+        "material_source": o.material_source,
+        "material_reason": _well_formed(o.material_reason),
         "supports": [{"id": s.id, "share": float(s.share)} for s in o.supports],
         "supported_by": o.supported_by,
         "motion": [vars(m) for m in o.motion],

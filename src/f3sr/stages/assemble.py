@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, ClassVar
@@ -12,7 +13,9 @@ from annotated_types import Interval
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose, transform
 from f3sr.io import sam3d
+from f3sr.io.given_properties import MATERIALS, GivenProperties
 from f3sr.io.inputs import Inputs, PosedAsset
+from f3sr.language.grammar.materials import material_of
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Geometry, Instance, Scene, SceneGraph, SceneObject
 from f3sr.settings import settings
@@ -53,7 +56,9 @@ def as_given(inputs: Inputs) -> Scene:
         geometry=inputs.geometry,
         ground_mask=inputs.ground_mask,
         graph=inputs.graph or SceneGraph(),
-        objects=tuple(_given_object(i, inputs.assets[i.id], camera) for i in inputs.instances),
+        objects=tuple(
+            _given_object(i, inputs.assets[i.id], camera, inputs.properties.get(i.id)) for i in inputs.instances
+        ),
     )
 
 
@@ -71,6 +76,7 @@ def assemble(
     objects = tuple(replace(o, parts=(o.mesh.hull,)) for o in scene)
     decisions = [*told, *_check_convention(camera, objects)]
     decisions += [d for o in objects if (d := _check_place(o, camera))]
+    decisions.append(_told_of_materials(objects))
     ratios: dict[int, float] = {}
     placed: list[SceneObject] = []
     for o in objects:
@@ -83,9 +89,9 @@ def assemble(
     return scene.with_objects(*placed), Assembled(depth_ratios=ratios, decisions=tuple(decisions))
 
 
-def _given_object(instance: Instance, asset: PosedAsset, camera: Camera) -> SceneObject:
-    """An object as its asset says, with nothing known of its supports."""
-    return SceneObject(
+def _given_object(instance: Instance, asset: PosedAsset, camera: Camera, given: GivenProperties | None) -> SceneObject:
+    """An object as its asset says, of the given material or the one that its label tells, its supports unknown."""
+    o = SceneObject(
         id=instance.id,
         label=instance.label,
         mask_name=instance.name,
@@ -93,6 +99,25 @@ def _given_object(instance: Instance, asset: PosedAsset, camera: Camera) -> Scen
         mesh=asset.mesh,
         T_world_object=camera.T_world_camera @ asset.T_camera_object,
         scale=asset.scale,
+    )
+    if known := material_of(o.label):
+        o = replace(o, **known.properties, material_source="label", material_reason=f"the label {o.label!r}")
+    if given:
+        reason = given.reason or f"{MATERIALS} gives {', '.join(given.properties)}"
+        o = replace(o, **given.properties, material_source="given", material_reason=reason)
+    return o
+
+
+def _told_of_materials(objects: Sequence[SceneObject]) -> Decision:
+    """How many objects have a material from where; those of unknown density are named."""
+    counts = Counter(o.material_source for o in objects)
+    unknown = [o.label or o.mask_name for o in objects if o.material_source == "default"]
+    named = f"; none is known of {', '.join(unknown)}" if unknown else ""
+    default = SceneObject.density, SceneObject.friction
+    return Decision(
+        choice=f"materials: {counts['given']} given, {counts['label']} by label, {len(unknown)} by default{named}",
+        reason=f"the default is {default[0]:g} kg/m3 with friction {default[1]:g}",
+        fallback=bool(unknown),
     )
 
 

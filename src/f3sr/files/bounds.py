@@ -97,6 +97,7 @@ Mass = Annotated[float, Field(ge=MIN_MASS, le=MAX_MASS, allow_inf_nan=False)]
 Density = Annotated[float, Field(ge=MIN_DENSITY, le=MAX_DENSITY, allow_inf_nan=False)]
 Friction = Annotated[float, Field(ge=0, le=MAX_FRICTION, allow_inf_nan=False)]
 RollingFriction = Annotated[float, Field(ge=0, le=MAX_ROLLING_FRICTION, allow_inf_nan=False)]
+Damping = Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 Label = Annotated[str, Field(max_length=MAX_LABEL)]
 
