@@ -135,9 +135,9 @@ def shortest(A: Body, B: Body, direction: Array) -> float:
 def settle(scene: Scene) -> Scene:
     """A fixed time of strongly damped physics, whatever still moves then; as it was where that blows up."""
     mujoco = mujoco_model.engine()
-    config = PhysicsConfig(ground_friction=(STATIC_FRICTION, 0.005, 0.001))
+    config = PhysicsConfig()
     objects = [replace(o, friction=STATIC_FRICTION, density=DENSITY) for o in scene]
-    model = mujoco_model.build_spec(objects, config).compile()
+    model = mujoco_model.build_spec(objects, config, ground_friction=STATIC_FRICTION).compile()
     data = mujoco.MjData(model)
     rates = np.array([LINEAR_DAMPING] * 3 + [ANGULAR_DAMPING] * 3)
     damping = np.tile(1 - rates * config.timestep, model.nv // 6)

@@ -14,7 +14,7 @@ from f3sr.contact.tipping import DEFAULT_LANDING, Landing, LandingConfig, land
 from f3sr.core.support_forest import carried, supports_first
 from f3sr.core.transforms import Array, pose
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
-from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
+from f3sr.scene import Ground
 
 ROUNDS = 3
 """Of lying down and shifting; the first does nearly all."""
@@ -43,7 +43,7 @@ def rest(
     contact: ContactMargin = DEFAULT_MARGIN,
     weights: Mapping[int, Array] | None = None,
     max_shifts: Mapping[int, float] | None = None,
-    ground_friction: float = DEFAULT_PHYSICS.ground_friction[0],
+    ground_friction: float = Ground.friction,
 ) -> Rested:
     """Turn bodies onto their supports, then shift those that fall, until nothing changes; arguments as of ``land_all``
     and ``balance``. ``max_shifts`` bounds what is shifted in each round."""
@@ -92,7 +92,7 @@ def land_all(
     config: LandingConfig = DEFAULT_LANDING,
     *,
     contact: ContactMargin = DEFAULT_MARGIN,
-    ground_friction: float = DEFAULT_PHYSICS.ground_friction[0],
+    ground_friction: float = Ground.friction,
 ) -> Landed:
     """Land every movable body with what it carries as one rigid thing, supports first, all others held still.
 

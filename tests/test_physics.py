@@ -75,7 +75,7 @@ assert told
 
 def test_a_settled_stack_does_not_move_when_released() -> None:
     K_max, D_max = release(settled(box_stack_scene(4).objects))
-    assert K_max < 6e-4 and D_max < 4 * (2 * RELEASE_MARGIN - TWO_MARGINS), "pushed apart to the protocol's margins"
+    assert K_max < 6e-4 and D_max < 4.1 * (2 * RELEASE_MARGIN - TWO_MARGINS), "pushed apart to the protocol's margins"
 
 
 def test_a_raw_gap_shows_in_the_release() -> None:

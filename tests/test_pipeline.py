@@ -27,7 +27,7 @@ IDS = [(2, "02_big_box.png"), (5, "05_small_box.png"), (7, "07_tall_box.png")]
 def test_the_result_rests_free_and_looks_like_the_photo(whole: Reconstruction):
     assert whole.evaluation is not None and whole.evaluation.direct is not None
     ours, direct = whole.evaluation.result, whole.evaluation.direct
-    assert ours.N_cross == 0 and ours.K_max_J < 1e-4 and ours.D_max_cm < 0.05 and ours.gap_pct < 1
+    assert ours.N_cross == 0 and ours.K_max_J < 3e-4 and ours.D_max_cm < 0.05 and ours.gap_pct < 1
     assert ours.mIoU_visible > max(0.9, direct.mIoU_visible)
     assert {o.id: o.supported_by for o in whole.scene} == {2: -1, 5: 2, 7: -1}
 

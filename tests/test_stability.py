@@ -16,8 +16,7 @@ from f3sr.contact.static_bodies import bodies_of, contacts_of, islands
 from f3sr.core.transforms import UP, pose, rotation_about
 from f3sr.physics import release
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
-from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
-from f3sr.scene import GRAVITY, GROUND, SceneObject
+from f3sr.scene import GRAVITY, GROUND, Ground, SceneObject
 
 ALONG_AN_EDGE = np.cos(np.pi / EDGES)
 """What the pyramid has of a cone's friction at least."""
@@ -193,7 +192,7 @@ def test_forces_balance_weights_and_pull_at_nothing() -> None:
         contacts = contacts_of(bodies)
         forces = np.zeros((len(contacts), 3))
         for group in islands(bodies, contacts):
-            balance = Balance(group, bodies, contacts, DEFAULT_PHYSICS.ground_friction[0])
+            balance = Balance(group, bodies, contacts, Ground.friction)
             forces[balance.rows] = GRAVITY * balance.eased(np.zeros(2))[0]
         assert (np.einsum("ki,ki->k", forces, contacts.normals) >= -1e-9).all()
         for b in bodies:

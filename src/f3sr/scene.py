@@ -110,6 +110,8 @@ class Ground:
     """Two standard errors of the normal [rad]; inf where nothing measured it."""
     height_error: float = np.inf
     """Two standard errors of the plane's height amid its points [m]; inf where nothing measured it."""
+    friction: float = 0.6
+    """Coefficient of sliding friction; a contact takes the larger of two."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,7 +15,7 @@ from f3sr.contact.contact_patches import Contacts
 from f3sr.contact.force_balance import Balance
 from f3sr.contact.static_bodies import StaticBody, contacts_of, islands
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
-from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
+from f3sr.scene import Ground
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +38,7 @@ def stability(
     contacts: Contacts | None = None,
     *,
     reach: float = DEFAULT_MARGIN.reach,
-    ground_friction: float = DEFAULT_PHYSICS.ground_friction[0],
+    ground_friction: float = Ground.friction,
 ) -> Stability:
     """Whether the bodies stand, by what margin, and what moves; contacts are found within ``reach`` [m]."""
     contacts = contacts_of(bodies, reach=reach) if contacts is None else contacts
@@ -57,7 +57,7 @@ def stands(
     contacts: Contacts | None = None,
     *,
     reach: float = DEFAULT_MARGIN.reach,
-    ground_friction: float = DEFAULT_PHYSICS.ground_friction[0],
+    ground_friction: float = Ground.friction,
 ) -> bool:
     """Whether the bodies stand under untilted gravity: one linear programme per island, the quickest answer."""
     contacts = contacts_of(bodies, reach=reach) if contacts is None else contacts

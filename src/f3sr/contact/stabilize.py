@@ -20,7 +20,7 @@ from f3sr.contact.static_bodies import StaticBody, contacts_of, islands
 from f3sr.core.support_forest import carried, chain_below, supports_first
 from f3sr.core.transforms import UP, Array, pose
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
-from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
+from f3sr.scene import Ground
 from f3sr.settings import constants
 
 DIRECTIONS = 6
@@ -90,7 +90,7 @@ def balance(
     contact: ContactMargin = DEFAULT_MARGIN,
     weights: Mapping[int, Array] | None = None,
     max_shifts: Mapping[int, float] | None = None,
-    ground_friction: float = DEFAULT_PHYSICS.ground_friction[0],
+    ground_friction: float = Ground.friction,
 ) -> Balanced:
     """Shift bodies, each with its subtree, so that all are stable with the margin.
 

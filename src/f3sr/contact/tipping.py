@@ -19,7 +19,8 @@ from f3sr.contact.polytopes import Polytope
 from f3sr.contact.static_bodies import StaticBody, contacts_of
 from f3sr.core.transforms import UP, Array, pose, rotation_about, rotation_angle
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, TOUCHING, ContactMargin
-from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
+from f3sr.physics.mujoco_model import GROUND_ROLLING_FRICTION
+from f3sr.scene import Ground
 from f3sr.settings import constants
 
 STEP = np.radians(2.0)
@@ -34,7 +35,7 @@ EVENTS = 200
 """Most contacts met: a round thing rolls from facet to facet."""
 JAMMED = 3
 """So many turns in a row that end where they begin: it is held from the side."""
-ROLLING = DEFAULT_PHYSICS.ground_friction[2] / 5
+ROLLING = GROUND_ROLLING_FRICTION / 5
 """A weight so far outside of the contacts [m] does not roll a body over: rolling friction holds it, by a fifth of which
 nothing creeps."""
 STEEP = 0.2
@@ -81,7 +82,7 @@ def land(
     config: LandingConfig = DEFAULT_LANDING,
     *,
     contact: ContactMargin = DEFAULT_MARGIN,
-    ground_friction: float = DEFAULT_PHYSICS.ground_friction[0],
+    ground_friction: float = Ground.friction,
 ) -> Landing:
     """Lower a body onto what is below, and let it turn until it is supported, a clearance above it.
 

@@ -9,7 +9,6 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import Array, quaternion_from_rotation
 from f3sr.exporters.collision_parts import collision_files, collision_path
@@ -24,6 +23,7 @@ from f3sr.physics.mujoco_model import (
     Body,
     PhysicsConfig,
     body_of,
+    rubbing,
 )
 from f3sr.scene import GRAVITY, Scene, SceneObject
 
@@ -42,12 +42,10 @@ class Mjcf:
     def files(self, scene: Scene, physics: PhysicsConfig) -> Iterator[tuple[str, bytes]]:
         for o in scene:
             yield from collision_files(o.id, body_of(o)).items()
-        yield from to_mjcf(scene.objects, scene.camera, physics)
+        yield from to_mjcf(scene, physics)
 
 
-def to_mjcf(
-    objects: Sequence[SceneObject], camera: Camera, config: PhysicsConfig = DEFAULT_PHYSICS
-) -> Iterator[tuple[str, bytes]]:
+def to_mjcf(scene: Scene, config: PhysicsConfig = DEFAULT_PHYSICS) -> Iterator[tuple[str, bytes]]:
     """The visual meshes and textures of ``scene.xml``, then itself, each with its relative path.
 
     One at a time, for together they are large. It also names the convex parts of ``collision_files``, which belong
@@ -55,10 +53,10 @@ def to_mjcf(
     """
     root = ET.Element("mujoco", model="scene")
     ET.SubElement(root, "compiler", angle="radian", balanceinertia="true")
-    _options(root, config)
+    _options(root, config, scene.ground.friction)
     asset, world = ET.SubElement(root, "asset"), ET.SubElement(root, "worldbody")
-    _surroundings(world, camera, config)
-    for o in objects:
+    _surroundings(world, scene)
+    for o in scene:
         body = body_of(o)
         node = _body(world, body)
         for look in _looks(o):
@@ -69,7 +67,7 @@ def to_mjcf(
     yield "scene.xml", ET.tostring(root) + b"\n"
 
 
-def _options(root: ET.Element, config: PhysicsConfig) -> None:
+def _options(root: ET.Element, config: PhysicsConfig, ground_friction: float) -> None:
     """Engine settings, and the geoms' settings as two classes."""
     option = ET.SubElement(
         root,
@@ -101,13 +99,14 @@ def _options(root: ET.Element, config: PhysicsConfig) -> None:
         contype="0",
         conaffinity="0",
         mass="0",
-        friction=_text(config.ground_friction),
+        friction=_text(rubbing(ground_friction)),
     )
 
 
-def _surroundings(world: ET.Element, camera: Camera, config: PhysicsConfig) -> None:
+def _surroundings(world: ET.Element, scene: Scene) -> None:
     """Light, the photo's camera (its principal point taken as central) and the ground plane."""
     ET.SubElement(world, "light", directional="true", pos="0 0 3", dir="0.2 0.3 -1")
+    camera = scene.camera
     R = camera.T_world_camera[:3, :3]
     ET.SubElement(
         world,
@@ -118,7 +117,7 @@ def _surroundings(world: ET.Element, camera: Camera, config: PhysicsConfig) -> N
         fovy=_text(float(np.degrees(2 * np.arctan(camera.height / 2 / camera.K[1, 1])))),
     )
     plane = ET.SubElement(world, "geom", {"class": "collision"}, name=GROUND_NAME, type="plane", size="20 20 0.1")
-    plane.attrib |= {"friction": _text(config.ground_friction), "group": "0", "rgba": "0.8 0.8 0.8 1"}
+    plane.attrib |= {"friction": _text(rubbing(scene.ground.friction)), "group": "0", "rgba": "0.8 0.8 0.8 1"}
 
 
 def _body(world: ET.Element, body: Body) -> ET.Element:

@@ -11,7 +11,7 @@ from f3sr.contact.polytopes import Polytope, free_travel
 from f3sr.core.transforms import UP, Array, transform
 from f3sr.goals.cavity import Cavity, cavity_of
 from f3sr.physics import mujoco_model
-from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, Body, engine
+from f3sr.physics.mujoco_model import Body, engine
 from f3sr.physics.restitution import solref
 from f3sr.scene import GROUND, Scene
 
@@ -123,7 +123,7 @@ class SceneLayout:
         o, below = self.scene[id], self.support(id)
         if solref(o.restitution) is not None:
             return o.friction
-        other = DEFAULT_PHYSICS.ground_friction[0] if below == GROUND else self.scene[below].friction
+        other = self.scene.ground.friction if below == GROUND else self.scene[below].friction
         return max(o.friction, other)
 
     def is_ball(self, id: int) -> bool:

@@ -47,7 +47,12 @@ def model_of(scene: Scene, semantics: Sequence[Semantics], timestep: float) -> A
     """MuJoCo's model of a scene with a plan's materials; it serves any number of rollouts, also at once."""
     objects = as_planned(scene, semantics, InitialConditions())
     model = mujoco_model.compiled(
-        mujoco_model.build_spec(objects, PhysicsConfig(timestep=timestep, margin=0.0), bounces=True)
+        mujoco_model.build_spec(
+            objects,
+            PhysicsConfig(timestep=timestep, margin=0.0),
+            ground_friction=scene.ground.friction,
+            bounces=True,
+        )
     )
     model.opt.disableflags |= int(engine().mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
     return model

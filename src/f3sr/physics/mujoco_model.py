@@ -17,7 +17,7 @@ from f3sr.core.mesh import ConvexPart, MassProperties, Mesh, solid_properties
 from f3sr.core.transforms import Array, quaternion_from_rotation
 from f3sr.physics import restitution
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
-from f3sr.scene import GRAVITY, GROUND, SceneObject
+from f3sr.scene import GRAVITY, GROUND, Ground, SceneObject
 from f3sr.settings import settings
 
 GROUND_NAME = "ground"
@@ -34,9 +34,10 @@ CONDIM = 6
 """Contact dimensions: six add rolling friction, without which balls never stop."""
 TORSIONAL_FRICTION = 0.005
 """Friction against spinning about the contact normal [m]."""
+GROUND_ROLLING_FRICTION = 0.001
+"""Rolling friction of the ground [m]."""
 
 Length = Annotated[float, Interval(gt=0, le=1)]
-Friction = Annotated[float, Interval(ge=0, le=10)]
 
 
 @settings
@@ -47,8 +48,6 @@ class PhysicsConfig:
     """Time step [s], at most half of solref's first value."""
     solref: tuple[Length, Annotated[float, Interval(gt=0, le=10)]] = (0.005, 1.0)
     """Contact time constant [s] and damping ratio. A time constant of .02 creeps ten times more."""
-    ground_friction: tuple[Friction, Friction, Friction] = (0.6, 0.005, 0.001)
-    """Sliding, torsional [m] and rolling [m] friction of the ground. A contact takes the larger of two bodies'."""
     margin: Annotated[float, Interval(ge=0, le=1e-3)] = DEFAULT_MARGIN.body
     """Contact margin of each body [m]. Bodies at rest are two margins apart."""
 
@@ -133,14 +132,18 @@ def body_of(o: SceneObject, *, bounces: bool = False) -> Body:
 
 
 def build_spec(
-    objects: Sequence[SceneObject], config: PhysicsConfig = DEFAULT_PHYSICS, *, bounces: bool = False
+    objects: Sequence[SceneObject],
+    config: PhysicsConfig = DEFAULT_PHYSICS,
+    *,
+    ground_friction: float = Ground.friction,
+    bounces: bool = False,
 ) -> MjSpec:
     """The editable MuJoCo model: the ground, and per object a body with one mesh geom per convex part.
 
     Bodies are named ``object_03``, their geoms and meshes ``object_03_00``; dynamic ones have a free joint of
     the body's name. The body frame is the object frame.
     """
-    spec = empty_spec(config)
+    spec = empty_spec(config, ground_friction=ground_friction)
     for o in objects:
         add_body(spec, body_of(o, bounces=bounces), config)
     return spec
@@ -177,7 +180,14 @@ def _solid(mesh: Mesh, parts: tuple[ConvexPart, ...]) -> tuple[MassProperties, b
     return known[1], known[2]
 
 
-def empty_spec(config: PhysicsConfig, margin: float | None = None) -> MjSpec:
+def rubbing(ground_friction: float) -> tuple[float, float, float]:
+    """Sliding, torsional [m] and rolling [m] friction of the ground."""
+    return ground_friction, TORSIONAL_FRICTION, GROUND_ROLLING_FRICTION
+
+
+def empty_spec(
+    config: PhysicsConfig, margin: float | None = None, *, ground_friction: float = Ground.friction
+) -> MjSpec:
     """Options and the ground plane z = 0."""
     mujoco = engine()
     spec = mujoco.MjSpec()
@@ -192,7 +202,7 @@ def empty_spec(config: PhysicsConfig, margin: float | None = None) -> MjSpec:
         name=GROUND_NAME,
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[20, 20, 0.1],
-        friction=config.ground_friction,
+        friction=rubbing(ground_friction),
         **contact_options(config, margin),
     )
     return spec

@@ -67,8 +67,8 @@ def _release_spec(objects: Sequence[SceneObject], true_scale: float) -> MjSpec:
     """The model of the release protocol: bodies in the order of their masks' names, at the origin, with their
     vertices in world coordinates, mass by density on the geoms."""
     mujoco = engine()
-    config = replace(DEFAULT_PHYSICS, margin=RELEASE_MARGIN, ground_friction=RELEASE_FRICTION)
-    spec = empty_spec(config)
+    config = replace(DEFAULT_PHYSICS, margin=RELEASE_MARGIN)
+    spec = empty_spec(config, ground_friction=RELEASE_FRICTION[0])
     spec.compiler.balanceinertia = False
     for i, o in enumerate(sorted(objects, key=lambda o: o.mask_name)):
         body = spec.worldbody.add_body(name=f"o{i}")

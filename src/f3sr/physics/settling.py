@@ -26,7 +26,7 @@ from f3sr.physics.mujoco_model import (
     engine,
 )
 from f3sr.physics.release import RELEASE_DENSITY, RELEASE_FRICTION, RELEASE_MARGIN, filling
-from f3sr.scene import SceneObject
+from f3sr.scene import Ground, SceneObject
 from f3sr.settings import constants, settings
 
 
@@ -92,7 +92,7 @@ class SettleResult:
 def _even_spec(objects: Sequence[SceneObject], config: PhysicsConfig) -> MjSpec:
     """The same model with the release protocol's masses, spread evenly over the parts, its friction, and its margin,
     which is wider, so that a push like the protocol's comes first."""
-    spec = empty_spec(replace(config, ground_friction=RELEASE_FRICTION), RELEASE_MARGIN)
+    spec = empty_spec(config, RELEASE_MARGIN, ground_friction=RELEASE_FRICTION[0])
     for o in objects:
         body = replace(body_of(o), friction=RELEASE_FRICTION)
         add_body(spec, body, config, even_density=RELEASE_DENSITY * filling(o), margin=RELEASE_MARGIN)
@@ -104,6 +104,7 @@ def settle(
     config: PhysicsConfig = DEFAULT_PHYSICS,
     *,
     settling: SettleConfig = DEFAULT_SETTLING,
+    ground_friction: float = Ground.friction,
 ) -> SettleResult:
     """Simulate until the objects rest without damping (docs: physics).
 
@@ -111,7 +112,7 @@ def settle(
     starts where the release ended. A state that is not finite is reported as ``exploded``, not raised.
     """
     mujoco = engine()
-    model = compiled(build_spec(objects, config))
+    model = compiled(build_spec(objects, config, ground_friction=ground_friction))
     checks = [(model, settling.check_time)]
     if settling.rest.even_masses:
         checks.append((compiled(_even_spec(objects, config)), settling.release_time))

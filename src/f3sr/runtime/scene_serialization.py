@@ -37,6 +37,7 @@ def pack(scene: Scene) -> tuple[dict[str, Any], Arrays]:
             "confidence": float(ground.confidence),
             "tilt_error": float(ground.tilt_error),
             "height_error": float(ground.height_error),
+            "friction": float(ground.friction),
         },
         "graph": asdict(scene.graph),
         "objects": {str(o.id): _pack_object(o) for o in scene},

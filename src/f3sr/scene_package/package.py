@@ -186,6 +186,7 @@ def read_package(folder: Path) -> Package:
             offset=ground.offset,
             source=ground.source,
             confidence=ground.confidence,
+            friction=ground.friction,
         ),
         objects=_read_objects(folder, document, camera),
         graph=SceneGraph(

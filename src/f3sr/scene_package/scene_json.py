@@ -111,6 +111,8 @@ class GroundRecord(_SceneRecord):
     offset: Place
     source: str
     confidence: Share
+    friction: Friction = 0.6
+    """Coefficient of sliding friction; a contact takes the larger of two."""
 
 
 class SupportRecord(_SceneRecord):
@@ -307,6 +309,7 @@ def to_document(
                 "offset": float(ground.offset),
                 "source": ground.source,
                 "confidence": float(ground.confidence),
+                "friction": float(ground.friction),
             },
             "objects": [_object(o) for o in scene.objects],
             "excluded": [{"mask": e.mask, "reason": e.reason} for e in scene.excluded],

@@ -12,12 +12,13 @@ from annotated_types import Interval
 
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose, transform
+from f3sr.files.bounds import MAX_FRICTION
 from f3sr.io import sam3d
 from f3sr.io.given_properties import MATERIALS, GivenProperties
 from f3sr.io.inputs import Inputs, PosedAsset
 from f3sr.language.grammar.materials import material_of
 from f3sr.report import Decision, Measure, Outcome
-from f3sr.scene import Geometry, Instance, Scene, SceneGraph, SceneObject
+from f3sr.scene import Geometry, Ground, Instance, Scene, SceneGraph, SceneObject
 from f3sr.settings import settings
 from f3sr.vision import rasterizer
 from f3sr.vision.silhouette import iou, resample
@@ -30,6 +31,8 @@ CONVENTION_MARGIN = 0.15
 class AssembleConfig:
     max_depth_ratio: Annotated[float, Interval(gt=1, le=10)] = 1.3
     """Largest ratio of an asset's depth to the geometry's, or its inverse. Beyond, the asset moves along its rays."""
+    ground_friction: Annotated[float, Interval(ge=0, le=MAX_FRICTION)] = Ground.friction
+    """Coefficient of sliding friction of the ground. A contact takes the larger of two bodies'."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +89,10 @@ def assemble(
             o, decision = _agree_with_geometry(o, ratio, camera, config)
             decisions += decision
         placed.append(o)
-    return scene.with_objects(*placed), Assembled(depth_ratios=ratios, decisions=tuple(decisions))
+    ground = replace(scene.ground, friction=config.ground_friction)
+    return replace(scene.with_objects(*placed), ground=ground), Assembled(
+        depth_ratios=ratios, decisions=tuple(decisions)
+    )
 
 
 def _given_object(instance: Instance, asset: PosedAsset, camera: Camera, given: GivenProperties | None) -> SceneObject:

@@ -96,7 +96,7 @@ def level(scene: Scene, config: LevelConfig | None = None) -> tuple[Scene, Level
     height = -float(np.median(points[on_plane] @ normal_camera))
     R_g = rotation_between(scene.camera.T_world_camera[:3, :3] @ normal_camera, [0, 0, 1])
     T = pose(R_g, [0, 0, height - (R_g @ scene.camera.center)[2]])
-    ground = Ground(source=source, confidence=plane.inliers)
+    ground = Ground(source=source, confidence=plane.inliers, friction=scene.ground.friction)
     if scene.has_measured_depth:
         tilt_error, height_error = plane_errors(points[on_plane])
         ground = replace(ground, tilt_error=tilt_error, height_error=height_error)
@@ -257,7 +257,8 @@ def _move_all(scene: Scene, T: Array, ground: Ground) -> Scene:
 
 def _lowest_vertex(scene: Scene) -> tuple[Scene, Levelled]:
     lowest = min(o.bounds_world[0, 2] for o in scene)
-    moved = _move_all(scene, pose(t=[0, 0, -lowest]), Ground(source="lowest vertex", confidence=0.0))
+    ground = Ground(source="lowest vertex", confidence=0.0, friction=scene.ground.friction)
+    moved = _move_all(scene, pose(t=[0, 0, -lowest]), ground)
     decision = Decision(
         choice="the lowest vertex is the ground; the camera is taken as level",
         reason="no valid ground point",

@@ -67,7 +67,9 @@ def settle(scene: Scene, config: SettleStageConfig | None = None) -> tuple[Scene
     A simulation that blows up leaves the scene as it was, a Decision.
     """
     config = config or SettleStageConfig()
-    result = physics_settling.settle(scene.objects, config.physics, settling=config.settling)
+    result = physics_settling.settle(
+        scene.objects, config.physics, settling=config.settling, ground_friction=scene.ground.friction
+    )
     drift = max(result.drifts.values())
     decisions: list[Decision] = []
     if result.exploded:

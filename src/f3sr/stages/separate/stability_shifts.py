@@ -22,11 +22,11 @@ def steady(
     scene that moves a body, negative where one falls. None where all bodies are stable and
     ``margin`` is false.
     """
-    scene = layout.scene
+    scene, friction = layout.scene, layout.scene.ground.friction
     bodies = bodies_of([layout.object(o.id) for o in scene], parts=layout.bodies)
-    if not margin and stands(bodies, reach=config.contact.reach):
+    if not margin and stands(bodies, reach=config.contact.reach, ground_friction=friction):
         return None, []
-    was = stability(bodies, reach=config.contact.reach)
+    was = stability(bodies, reach=config.contact.reach, ground_friction=friction)
     unchanged = (was.margin, was.margin)
     if not was.moving:
         return unchanged, []
@@ -35,6 +35,7 @@ def steady(
         {o.id: o.supported_by if o.mobility == "dynamic" else None for o in scene},
         config.balancing,
         contact=config.contact,
+        ground_friction=friction,
         weights={o.id: weight_of(layout, o.id) for o in scene},
     )
     if len(found.unbalanced) >= len(was.moving):

@@ -13,7 +13,6 @@ from f3sr.contact.static_bodies import StaticBody, bodies_of, contacts_of, rigid
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, Array, pose, rotation_from_vector, transform, vector_from_rotation
 from f3sr.metrics.measures import visible_ious
-from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 from f3sr.report import Decision
 from f3sr.scene import GROUND, SceneObject
 from f3sr.stages.separate.config import SeparateConfig
@@ -183,7 +182,7 @@ def _stands(layout: Placement, id: int, config: SeparateConfig) -> bool:
     whole, others = _parted(layout, id)
     everything = [whole, *others]
     contacts = contacts_of(everything, reach=config.contact.loose)
-    friction = DEFAULT_PHYSICS.ground_friction[0]
+    friction = layout.scene.ground.friction
     return Balance([whole], everything, contacts, friction).margin() >= config.footing.min_margin
 
 
