@@ -319,7 +319,7 @@ class _Programme:
             if solution.status != 0:
                 break
             steps = solution.x[free : free + shifts].reshape(-1, 2)
-            # The programme measures shifts by polygons around circles: in a corner it thinks them shorter than they are.
+            # The programme measures shifts by polygons around circles: in a corner it thinks them too short.
             told, true = solution.x[free + shifts :], [self._weighed(i, step) for i, step in enumerate(steps)]
             if sum(map(np.linalg.norm, true)) <= told.sum() * (1 + EXACT) + SEATED:
                 break
