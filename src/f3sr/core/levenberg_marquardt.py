@@ -83,7 +83,7 @@ def minimise(
             if gain < tolerance:
                 break
         else:
-            # At least 1e-2: from the least damping, eight-fold steps would take six rejected trials to matter.
+            # At least 1e-2: from the least damping, eight-fold steps would take five rejected trials to get there.
             damping = max(8 * damping, 1e-2)
             if damping > most:
                 break

@@ -35,7 +35,7 @@ def rate_of(rollout: Rollout) -> Fraction:
 
 def factor(slow: Fraction | float) -> Fraction:
     """How many times slower than life a film is, as a fraction of small numbers. Raises InputError outside
-    SLOWEST..FASTEST."""
+    FASTEST to SLOWEST."""
     if not (math.isfinite(slow) and FASTEST <= Fraction(slow).limit_denominator(100) <= SLOWEST):
         accepted = f"a factor of {float(FASTEST)} to {SLOWEST}"
         raise InputError("--slow", found=f"{float(slow):g}", accepted=accepted)
