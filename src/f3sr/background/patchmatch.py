@@ -64,8 +64,7 @@ def _mismatch(picture: Any, weight: Any, ty: int, tx: int, sy: int, sx: int, bou
             a1 += w * d1
             a2 += w * d2
             b += w * (d0 * d0 + d1 * d1 + d2 * d2)
-        # b - a^2 / total is the variance: the least that any shift can leave. It only grows from row to row, so a row
-        # that passes the limit ends the comparison.
+        # What the best shift leaves of the rows so far, with the rows to come taken as equal in both patches.
         if b - (a0 * a0 + a1 * a1 + a2 * a2) / total > limit:
             return np.float32(2) * np.float32(bound)
     for a, largest in ((a0, LARGEST_SHIFT[0]), (a1, LARGEST_SHIFT[1]), (a2, LARGEST_SHIFT[2])):

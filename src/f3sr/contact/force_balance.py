@@ -147,7 +147,7 @@ class Balance:
                 if least - inner < TOLERANCE:
                     break
                 directions = [direction]
-        # The reach is bounded by the box of tilts: who reaches it never moves.
+        # The programme bounds tilts by this tangent: what bears that much counts as immovable.
         return np.pi / 2 if least >= STEEPEST * (1 - 1e-9) else float(np.arctan(least))
 
     def _farthest(self, u: Array, center: int, *, still: bool = False) -> tuple[Array, float] | None:

@@ -108,7 +108,7 @@ def _count(points: Any, triangles: Any, low: Any, width: Any, side: int, number:
         cell = _cell(x, low[0], width[0], side) * side + _cell(y, low[1], width[1], side)
         for n in range(starts[cell], starts[cell + 1]):
             t = triangles[members[n]]
-            # The winding number of the triangle's shadow around (x, y): 1 if it faces up, -1 if down, 0 beside it.
+            # The winding number of the triangle's projection around (x, y): 1 if it faces up, -1 if down, 0 beside it.
             turn = _crosses(x, y, t[0, 0], t[0, 1], t[1, 0], t[1, 1])
             turn += _crosses(x, y, t[1, 0], t[1, 1], t[2, 0], t[2, 1])
             turn += _crosses(x, y, t[2, 0], t[2, 1], t[0, 0], t[0, 1])

@@ -156,7 +156,7 @@ def loss(integrals: Integrals, target: Target) -> Local:
     ratio, d_ratio = np.log(area / target.area), G[VALID] / area
     lambda_c, lambda_a = weights.centroid, weights.area
     return Local(
-        # 1 + the sum over S of (1 - 2 mask) / area is |S xor mask| / area: the constant part of the L1 term.
+        # |S xor mask| = area + the sum over S of (1 - 2 mask): divided by the mask's area, its constant part is 1.
         value=1 + float(F[MISMATCH]) / target.area + lambda_c * float(offset @ offset) + lambda_a * float(ratio**2),
         gradient=G[MISMATCH] / target.area + 2 * lambda_c * offset @ d_offset + 2 * lambda_a * ratio * d_ratio,
         curvature=integrals.curvature / target.area
