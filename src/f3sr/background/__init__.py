@@ -98,6 +98,8 @@ class PatchMatch:
     """The ``BackgroundCompleter`` of f3sr, with its default settings: from patches of the photo."""
 
     def complete(self, photo: Photo, hole: Mask, support: Mask | None) -> NDArray[np.uint8]:
+        """The photo (h, w, 3) sRGB with its ``hole`` (h, w) filled; ``support`` (h, w) as in
+        ``complete_background``."""
         rgb = photo.rgb.copy()
         if hole.any():
             completed, _ = _layered(_logarithms(photo.rgb), hole, CompletionConfig(), support)
@@ -121,6 +123,8 @@ def _layered(
     layers, decisions = list[Picture](), list[Decision]()
     for layer in (support, ~support):
         own = hole & grown(layer, MIXED)
+        # Neither filled nor copied: the other layer, and the strip along the border where nobody knows whose a pixel
+        # is.
         apart = grown(~layer, seam) & ~own
         filled, told = _filled(picture, own, config, apart)
         layers.append(filled)
@@ -155,12 +159,14 @@ def _without_islands(hole: Mask) -> Mask:
     """With the small parts of the rest in it that it surrounds."""
     parts = parts_of(~hole)
     sizes = np.bincount(parts.ravel())
+    # A table by part number: part 0 is the hole itself.
     small = sizes < ISLAND * hole.size
     small[0] = True
     return small[parts]
 
 
 def _logarithms(rgb: NDArray[np.uint8]) -> Picture:
+    # A table of 256 logarithms, looked up per byte.
     return np.log(np.arange(256, dtype=np.float32) / 255 + np.float32(DARK))[rgb]
 
 

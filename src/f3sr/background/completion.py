@@ -30,15 +30,18 @@ BOUNDARY = 1.3
 AT_FIRST = 0.02
 """Weight of the hole's pixels against known ones in the first round: they are a membrane, which patches are not."""
 SMOOTH_PERCENTILE, SHARP_PERCENTILE = 75.0, 10.0
-"""Of the mismatches, where a vote's say falls to 1/e: on the way (Wexler et al. 2007) and in the last round."""
+"""Percentiles of the mismatches at which a vote's say falls to 1/e: on the way (Wexler et al. 2007) and in the last
+round."""
 HELD = 0.1
-"""Shares of the longer side over which votes for a colour outweigh those for its steps."""
+"""Share of the longer side over which votes for a colour outweigh those for its steps."""
 RIM = 2
 """Pixels around a hole that patches vote for too [px]."""
 NOWHERE = -1
+"""Source of a pixel that has none."""
 OPPONENT = np.array([[2, 2, 2], [6**0.5, -(6**0.5), 0], [2**0.5, 2**0.5, -(8**0.5)]], np.float32) / np.float32(12**0.5)
 """Rows: light, red against green, both against blue, of unit length and at right angles."""
 LARGEST = np.array(patchmatch.LARGEST_SHIFT, np.float32)
+"""(3,) largest step of light at the hole's border [log], per opponent channel."""
 
 
 ROUNDS = 4
@@ -71,6 +74,7 @@ class _Level:
         """Half the resolution. A pixel is in the hole if any of its four is, or if it has none.
 
         Of the others, one is apart if any of its four is."""
+        # Counts (h / 2, w / 2, 1) among the four pixels of each kind.
         known, hole, apart = (
             quads(mask.astype(np.float32)[..., None]).sum(axis=(1, 3)) for mask in (self.known, self.hole, self.apart)
         )
@@ -82,6 +86,7 @@ class _Level:
     def sources(self) -> Mask:
         """Middles of patches that lie in the picture and hold only what is known."""
         clear = ~squared(~self.known, SIDE)
+        # The whole patch must lie in the picture.
         clear[:RADIUS] = clear[:, :RADIUS] = clear[max(len(clear) - RADIUS, 0) :] = False
         clear[:, max(clear.shape[1] - RADIUS, 0) :] = False
         return clear
@@ -150,6 +155,7 @@ class _Rounds:
         self.hole, self.apart = np.pad(level.hole, pad), np.pad(level.apart, pad)
         self.picture = np.pad(level.picture, (*pad, (0, 0)), mode="edge")
         self.source = np.pad(level.sources, pad)
+        # Trust falls by BOUNDARY per pixel into the hole; apart pixels and the padding have none.
         inside = np.where(self.hole, distance_to(np.pad(level.known, pad, constant_values=True)), np.float32(0))
         self.weight = np.pad((~level.apart).astype(np.float32), pad) * np.power(np.float32(BOUNDARY), -inside)
         self.targets = np.ascontiguousarray(np.argwhere(squared(level.hole, SIDE) & ~level.apart) + RADIUS, np.int32)
@@ -178,6 +184,8 @@ class _Rounds:
         h, w = self.hole.shape
         for k in range(rounds):
             weight: NDArray[np.float32] = self.weight
+            # The first guess is smooth: compared by it alone, smooth patches would win. Its weight grows by 4 per
+            # round.
             if first and AT_FIRST * 4**k < 1:
                 weight = np.where(self.hole, np.float32(AT_FIRST * 4**k) * weight, weight).astype(np.float32)
             self._measure(weight)
@@ -199,10 +207,14 @@ class _Rounds:
         u, hole = _unpadded(voted), _unpadded(self.hole)
         bend = np.zeros_like(u)
         for axis, step in enumerate(steps):
+            # Steps between two pixels of which one or both are in the hole: only these may change.
             ends = np.take(hole, range(1, hole.shape[axis]), axis) | np.take(hole, range(hole.shape[axis] - 1), axis)
             lacking = np.where(ends[..., None], np.delete(step, -1, axis) - np.diff(u, axis=axis), np.float32(0))
+            # Divergence of the lacking steps: each adds to the pixel it starts from and is taken from the one it ends
+            # in.
             bend[: -1 if axis == 0 else None, : -1 if axis == 1 else None] += lacking
             bend[1 if axis == 0 else 0 :, 1 if axis == 1 else 0 :] -= lacking
+        # Screened Poisson equation: 1 / sqrt(hold) is the length over which the votes win.
         hold = (1 / (HELD * max(hole.shape))) ** 2
         known = _unpadded(self.picture)
         ring = np.where(hole[..., None], np.float32(0), known - u)
@@ -245,6 +257,7 @@ def _detailed(
     finer = np.full((*fine.hole.shape, 2), NOWHERE, np.int32)
     finer[y, x] = _finer(nearest, y.astype(np.int32), x.astype(np.int32))
     sy, sx = finer[y, x].T
+    # Laplacian detail of the source: its fine pixel less what its own coarse level shows there.
     result[y, x] += fine.picture[sy, sx] - _doubled_at(coarse.picture, sy, sx)
     return result, finer
 

@@ -26,8 +26,10 @@ def membrane(values: Picture, known: Mask, bend: Picture | None = None, hold: fl
     start = np.zeros_like(values)
     if max(known.shape) > COARSEST:
         coarse, some = halved(values, known)
+        # At twice the pixel size h^2 is 4 times as large: bend sums over four pixels, and hold grows by 4.
         start = doubled(membrane(coarse, some, quads(bend).sum(axis=(1, 3)), 4 * hold), known.shape)
     result = np.where(known[..., None], values, start)
+    # The coarsest level has no better start than 0.
     sweeps = SWEEPS if max(known.shape) > COARSEST else 8 * SWEEPS
     relax(result, _places(~known), bend, hold, sweeps)
     return result
@@ -59,6 +61,7 @@ def doubled(values: Picture, shape: tuple[int, ...]) -> Picture:
     """At twice the resolution, cut to ``shape`` (h, w), linear between the middles of pixels."""
     for axis in (0, 1):
         n = values.shape[axis]
+        # Bilinear at a quarter and three quarters of a pixel: own value 3/4, and 1/4 of the neighbour on that side.
         steps = np.arange(2 * n) // 2 + np.where(np.arange(2 * n) % 2, 1, -1)
         far = np.take(values, np.clip(steps, 0, n - 1), axis)
         far *= np.float32(0.25)

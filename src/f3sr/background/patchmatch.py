@@ -21,8 +21,9 @@ Picture = NDArray[np.float32]
 RADIUS = 3
 """Pixels from a patch's middle to its side: 7 x 7 is what most of the literature uses."""
 SIDE = 2 * RADIUS + 1
+"""Pixels along a patch's side."""
 FREE_SHIFT = 0.9
-"""Share of a difference of light that costs nothing: the rest decides between equal details for equal light."""
+"""Share of a difference of light that costs nothing. The rest decides between equal details for equal light."""
 LARGEST_SHIFT = (0.43, 0.06, 0.06)
 """Largest shift of each channel [log], of light, then twice of its colour: a quarter of the light, while lamps and
 walls tint it by a few percent. Another material needs more."""
@@ -33,6 +34,7 @@ GAMMA = np.uint64(0x9E3779B97F4A7C15)
 @inline_kernel
 def _random(state: Any) -> Any:
     """A number of 64 bits of a counter: the same on every machine and in every order of work."""
+    # SplitMix64's mixer: multiplications wrap around at 64 bits, as numba's uint64 do.
     z = state * GAMMA
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -41,8 +43,9 @@ def _random(state: Any) -> Any:
 
 @kernel
 def _mismatch(picture: Any, weight: Any, ty: int, tx: int, sy: int, sx: int, bound: float) -> Any:
-    """Weighted mean square difference of two patches after the best shift of light; once above ``bound``, any number
-    above it."""
+    """Weighted mean square difference of the patches at (ty, tx) and (sy, sx) after the best shift of light.
+
+    Once it is above ``bound``, any number above it. Weights are those around the target (ty, tx)."""
     total = np.float32(0)
     for dy in range(-RADIUS, RADIUS + 1):
         for dx in range(-RADIUS, RADIUS + 1):
@@ -61,11 +64,13 @@ def _mismatch(picture: Any, weight: Any, ty: int, tx: int, sy: int, sx: int, bou
             a1 += w * d1
             a2 += w * d2
             b += w * (d0 * d0 + d1 * d1 + d2 * d2)
+        # What the best shift leaves of the rows so far, with the rows to come taken as equal in both patches.
         if b - (a0 * a0 + a1 * a1 + a2 * a2) / total > limit:
             return np.float32(2) * np.float32(bound)
     for a, largest in ((a0, LARGEST_SHIFT[0]), (a1, LARGEST_SHIFT[1]), (a2, LARGEST_SHIFT[2])):
         m = a / total
         s = min(max(np.float32(FREE_SHIFT) * m, np.float32(-largest)), np.float32(largest))
+        # sum w (d - s)^2 = sum w d^2 - 2 s total m + total s^2, with m the mean difference.
         b -= total * (np.float32(2) * m - s) * s
     return max(b, one) / total
 
@@ -85,6 +90,7 @@ def search(
     """One pass of PatchMatch over ``targets`` (k, 2), in rows: the neighbours' sources, then random ones around the
     best within ``reach`` pixels, nearer and nearer. ``source`` (h, w): middles of patches that may be copied."""
     h, w = source.shape
+    # In rows, the neighbours before a pixel are done already; backward passes bring matches the other way.
     step = -1 if not backward else 1
     for i in range(len(targets)):
         k = len(targets) - 1 - i if backward else i
@@ -94,6 +100,7 @@ def search(
             ny, nx = (y + step, x) if side == 0 else (y, x + step)
             if ny < 0 or nx < 0 or ny >= h or nx >= w or nearest[ny, nx, 0] < 0:
                 continue
+            # The neighbour's source, shifted as this pixel is: coherent patches move together.
             sy, sx = nearest[ny, nx, 0] + y - ny, nearest[ny, nx, 1] + x - nx
             if sy < 0 or sx < 0 or sy >= h or sx >= w or not source[sy, sx] or (sy == by and sx == bx):
                 continue
@@ -101,10 +108,12 @@ def search(
             if d < best:
                 by, bx, best = sy, sx, d
         radius = reach
+        # A stream per pixel and pass, 64 numbers apart: halving a radius of 2^31 takes fewer.
         state = np.uint64(seed) * np.uint64(0x2545F4914F6CDD1D) + np.uint64(y * w + x) * np.uint64(64)
         while radius >= 1:
             state += np.uint64(1)
             r = _random(state)
+            # High and low bits give two independent coordinates in [-radius, radius] around the best so far.
             sy = by + int((r >> np.uint64(33)) % np.uint64(2 * radius + 1)) - radius
             sx = bx + int((r & np.uint64(0x7FFFFFFF)) % np.uint64(2 * radius + 1)) - radius
             radius //= 2
@@ -124,6 +133,7 @@ def vote(
     for k in range(len(targets)):
         y, x = targets[k, 0], targets[k, 1]
         sy, sx = nearest[y, x, 0], nearest[y, x, 1]
+        # Wexler's weight: likeness times trust in the patch's middle. The last term keeps a mean where all are bad.
         say = np.exp(-cost[y, x] / spread) * weight[y, x] + 1e-20
         total = 1e-12
         shift = np.zeros(3)
@@ -168,6 +178,7 @@ def relax(values: Any, free: Any, bend: Any, hold: float, sweeps: int) -> None:
     """Sweeps of successive over-relaxation of ``laplace(values) - hold values = bend`` over ``free`` pixels [row,
     column] (k, 2) of ``values`` and ``bend`` (h, w, c), mirrored at the border."""
     h, w, channels = values.shape
+    # Gauss-Seidel: the equation solved for its middle pixel; over-relaxed by 1.5, in alternating order.
     inverse = np.float32(1 / (4 + hold))
     for sweep in range(sweeps):
         for i in range(len(free)):

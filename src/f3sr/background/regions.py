@@ -11,14 +11,15 @@ Mask = NDArray[np.bool_]
 
 
 def grown(mask: Mask, steps: int, within: Mask | None = None) -> Mask:
-    """The region grown by some steps to neighbours up, down, left or right, all ``within`` a mask."""
+    """The region (h, w) grown by some steps [px] to neighbours up, down, left or right, all ``within`` a mask (h,
+    w)."""
     from scipy.ndimage import binary_dilation
 
     return np.asarray(binary_dilation(mask, iterations=steps, mask=within), np.bool_)
 
 
 def squared(mask: Mask, side: int) -> Mask:
-    """Pixels whose square of an odd ``side`` meets the mask."""
+    """Pixels (h, w) whose square of an odd ``side`` [px] meets the mask."""
     from scipy.ndimage import binary_dilation
 
     return np.asarray(binary_dilation(mask, np.ones((side, side))), np.bool_)
@@ -42,13 +43,14 @@ def closed(mask: Mask, steps: int) -> Mask:
 
 
 def without_holes(mask: Mask) -> Mask:
+    """The mask (h, w) with all that it surrounds."""
     from scipy.ndimage import binary_fill_holes
 
     return np.asarray(binary_fill_holes(mask), np.bool_)
 
 
 def distance_to(mask: Mask) -> NDArray[np.float32]:
-    """Of every pixel to the nearest one of a mask [px]; infinite where it is empty."""
+    """Distance (h, w) [px] of every pixel to the nearest one of a mask; infinite for an empty mask."""
     from scipy.ndimage import distance_transform_edt
 
     if not mask.any():
@@ -57,7 +59,8 @@ def distance_to(mask: Mask) -> NDArray[np.float32]:
 
 
 def parts_of(mask: Mask, *, diagonal: bool = False) -> NDArray[np.int32]:
-    """Numbers from 1 of the connected parts, 0 outside."""
+    """(h, w) numbers from 1 of the connected parts, 0 outside; ``diagonal``: pixels that share a corner are
+    connected."""
     from scipy.ndimage import label
 
     return np.asarray(cast(Any, label(mask, np.ones((3, 3)) if diagonal else None))[0], np.int32)

@@ -95,6 +95,7 @@ def find_shadows(
     step = max(1, max(shape) // LOOKED_AT)
     view = _view(picture, masks, step, config.reach)
     darker, deviation = _darker(view)
+    # Noise sets the least darkness, the owner's own shadow how far its fading rim counts.
     rim = np.maximum(POSSIBLE * deviation, RIM * _darkest(view, darker, len(masks))[view.owner])
     dark = (darker > rim) & view.near & ~view.taken
     if support is not None:
@@ -130,11 +131,13 @@ def _view(picture: Picture, masks: Sequence[Mask], step: int, reach: float) -> _
         owner[to_own < distance] = k
         distance = np.minimum(distance, to_own)
         taken |= own
+        # The mask's lower half in the picture.
         base |= own & (np.arange(len(own)) >= (rows[0] + rows[-1]) / 2)[:, None]
     weight = (~taken)[..., None].astype(np.float32)
     sigma = max(TEXTURE * max(taken.shape), 0.5)
     smooth = gaussian_filter(np.concatenate([small * weight, weight], 2), (sigma, sigma, 0))
     r, g, b = np.moveaxis(smooth[..., :3] / np.maximum(smooth[..., 3:], 1e-6), 2, 0)
+    # Differences of logarithms: ratios of channels, which a grey shadow leaves as they are.
     colour = np.stack([r - g, (r + g) / 2 - b], axis=-1)
     return _SmallPhoto((r + g + b) / 3, colour, taken, base, distance, owner)
 
@@ -154,12 +157,14 @@ def _darker(view: _SmallPhoto) -> tuple[Array, float]:
     away = free & ~view.near
     if np.count_nonzero(away) < 0.02 * away.size:  # objects everywhere: what is farthest from them must do
         away = free & (view.distance >= np.percentile(view.distance[free], 80)) if free.any() else free
+    # Near an object a pixel may be in its shadow: it tells the less of what is lit.
     trust = np.where(free, np.clip(view.distance, BESIDE, 1), 0)
     lit = np.ones_like(trust)
     darker, deviation = np.zeros_like(trust), LEAST
     for _ in range(ROUNDS):
         darker = _light_around(view, trust * lit) - view.light
         values = darker[away]
+        # 1.4826 MAD is the standard deviation of normal noise, whatever the tails.
         deviation = max(1.4826 * float(np.median(np.abs(values - np.median(values)))), LEAST) if values.size else LEAST
         lit = np.where(darker > deviation, SHADED, 1.0)
     return darker, deviation
@@ -175,11 +180,14 @@ def _light_around(view: _SmallPhoto, weight: Array) -> Array:
     cell = LIGHT_CELL * max(h, w)
     y, x = np.mgrid[:h, :w] / cell
     colours = np.clip(view.colour / COLOUR_CELL, -COLOURS, COLOURS) + COLOURS
+    # (4, h w): every pixel's place in the grid of row, column and two colours.
     at = np.stack([y.ravel(), x.ravel(), *colours.reshape(-1, 2).T])
     shape = (int(h / cell) + 2, int(w / cell) + 2, 2 * COLOURS + 1, 2 * COLOURS + 1)
     flat = np.ravel_multi_index(tuple(np.rint(at).astype(int)), shape)
 
     def blurred(values: Array) -> Array:
+        # Splat, blur, slice: the bilateral grid. Two widths in colour: the like decide, others only where these are
+        # few.
         grid = np.bincount(flat, values.ravel(), minlength=int(np.prod(shape))).reshape(shape)
         narrow, wide = (gaussian_filter(grid, BLUR[:2] + 2 * (c,), mode="constant") for c in BLUR[2:])
         return map_coordinates(narrow + OTHERS * wide, at, order=1).reshape(h, w)
@@ -203,6 +211,7 @@ def _edges(view: _SmallPhoto) -> Mask:
     from scipy.ndimage import maximum_filter, minimum_filter
 
     size = (2 * max(1, round(TEXTURE * max(view.taken.shape))) + 1,) * 2
+    # Objects count for neither extreme: minus infinity for the largest, plus infinity for the least.
     values = [np.where(view.taken, np.nan, c) for c in np.moveaxis(view.colour, 2, 0)]
     ranges = [
         maximum_filter(np.nan_to_num(v, nan=-np.inf), size) - minimum_filter(np.nan_to_num(v, nan=np.inf), size)

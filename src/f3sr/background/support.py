@@ -41,6 +41,7 @@ def hiding(scene: Scene, support: Mask, hole: Mask) -> NDArray[np.float32]:
     if scene.geometry is None:
         return np.full(shape, np.inf, np.float32)
     depth = np.where(scene.geometry.valid & (scene.geometry.points[..., 2] > 0), scene.geometry.points[..., 2], np.inf)
+    # Nearest geometry pixel of every photo pixel.
     rows, columns = ((np.arange(n) * m) // n for n, m in zip(shape, depth.shape, strict=True))
     depth = depth[rows][:, columns].astype(np.float32)
     kept = opened(np.isfinite(depth) & ~support & ~hole, _speck(support))
@@ -49,6 +50,7 @@ def hiding(scene: Scene, support: Mask, hole: Mask) -> NDArray[np.float32]:
 
 def faces_ground(camera: Camera) -> Mask:
     """Pixels (H, W) whose rays meet the plane z = 0 in front of the camera."""
+    # Height of the ray per pixel, (a, b, c) . (x, y, 1), times the camera's own height: negative where they meet ahead.
     a, b, c = camera.T_world_camera[2, :3] @ np.linalg.inv(camera.K) * camera.center[2]
     x, y = np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5
     return np.asarray((a * x + c)[None] < (-b * y)[:, None], np.bool_)
@@ -102,6 +104,7 @@ def _hull(mask: Mask) -> Mask:
     from scipy.spatial import ConvexHull, QhullError
 
     rows = np.flatnonzero(mask.any(1))
+    # First and last pixel of every row: no other pixel can be a corner of the hull.
     first, last = mask[rows].argmax(1), mask.shape[1] - 1 - mask[rows, ::-1].argmax(1)
     points = np.concatenate([np.column_stack([first, rows]), np.column_stack([last, rows])])
     try:

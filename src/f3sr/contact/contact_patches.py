@@ -73,7 +73,9 @@ class Contacts:
 
 
 def find_contacts(bodies: Mapping[int, Body], *, reach: float = DEFAULT_MARGIN.reach, ground: bool = True) -> Contacts:
-    """All contacts between bodies, given by id with their parts in the world, and with the ground z = 0."""
+    """All contacts between bodies, given by id with their parts in the world, and with the ground z = 0.
+
+    Parts with gaps of at most ``reach`` [m] touch."""
     rows = list(_rows(bodies, reach, ground))
     owners = np.array([r.owners for r in rows], np.int64).reshape(-1, 2)
     counts = [len(r.patch.points) for r in rows]
@@ -112,6 +114,7 @@ def _rows(bodies: Mapping[int, Body], reach: float, ground: bool) -> Iterator[_R
         ]
         if not patches:
             continue
+        # One order per pair of bodies: the upper is the one that most corners push up.
         upward = sum(p.normal[2] * len(p.points) for p in patches) >= 0
         if not upward:
             patches = [_ContactPatch(-p.normal, p.points, np.eye(3) - p.follow) for p in patches]
@@ -138,11 +141,13 @@ def _near(a: Array, b: Array, reach: float) -> NDArray[np.bool_]:
 
 def _between(a: Polytope, b: Polytope, reach: float) -> _ContactPatch | None:
     """The patch of two convex parts, its normal from b to a; None when they are further apart than reach."""
+    # Cheap test first: a face's axis already separates most pairs that are near.
     normals, heights = face_facets(a, b)
     faces = len(normals)
     if heights.min() < -reach:
         return None
     normals, heights = facets(a, b)
+    # The axis of best separation has the least height; -height is the gap along it.
     best = int(np.argmin(heights[:faces]))
     if len(heights) > faces and heights[faces:].min() < heights[best] - FACE_FIRST * reach:
         best = faces + int(np.argmin(heights[faces:]))
@@ -164,6 +169,7 @@ def _between(a: Polytope, b: Polytope, reach: float) -> _ContactPatch | None:
     )
     if not len(rows):
         return None
+    # Corners are found with a moved by reach along n; half of it back is midway between the two surfaces.
     return _ContactPatch(-n, rows[:, :3] - reach / 2 * n, rows[:, 3:].reshape(-1, 3, 3))
 
 
@@ -172,6 +178,7 @@ def _on_ground(part: Polytope, reach: float) -> _ContactPatch | None:
         return None
     starts, ends = part.edge_starts, part.edge_starts + part.edge_lengths[:, None] * part.edge_directions
     with np.errstate(divide="ignore", invalid="ignore"):
+        # The part below z = reach, seen from above: its own low corners, and where its edges pass that height.
         crossing = starts + ((reach - starts[:, 2]) / (ends[:, 2] - starts[:, 2]))[:, None] * (ends - starts)
     crosses = (starts[:, 2] > reach) != (ends[:, 2] > reach)
     points = np.concatenate([part.vertices[part.vertices[:, 2] <= reach], crossing[crosses]])
@@ -226,15 +233,20 @@ def _patch_corners(
     """Corners of the overlap of a moved by ``shift`` with b: rows (point, how it follows a) (k, 12)."""
     rows = np.empty((2 * (len(starts_a) + len(starts_b)), 12))
     k = 0
+    # First a's edges clipped by b, then b's by a: together all corners of the overlap, each from an edge and a face.
     for side in range(2):
         if side == 0:
             starts, directions, lengths, normals = starts_a + shift, directions_a, lengths_a, normals_b
             offsets = offsets_b
         else:
             starts, directions, lengths, normals = starts_b + 0.0, directions_b, lengths_b, normals_a
+            # a's planes move with a: normal . (x - shift) <= offset.
             offsets = offsets_a + (normals_a[:, 0] * shift[0] + normals_a[:, 1] * shift[1] + normals_a[:, 2] * shift[2])
         for i in range(len(starts)):
+            # Cyrus-Beck clipping of the edge to [first, last]; the face that cut an end, or -1 where it is the edge's
+            # own.
             first, last, face_first, face_last = 0.0, lengths[i], -1, -1
+            # Relative to the edge, with a floor: an edge in a plane counts as inside it.
             slack = 1e-9 * (lengths[i] + 1e-3)
             for m in range(len(normals)):
                 at = -offsets[m]
@@ -265,6 +277,10 @@ def _patch_corners(
                 if face >= 0:
                     for c in range(3):
                         speed += normals[face, c] * directions[i, c]
+                # An end cut by a face slides along its edge when edge and face shift apart: with edge direction d and
+                # face normal n the point moves by s_edge + d n . (s_face - s_edge) / (n . d). So it follows its own
+                # body by 1 - F and the other by F, where F = d n' / (n . d). Rows hold what follows a: 1 - F for a's
+                # edges, F for b's.
                 own = 1.0 if side == 0 else 0.0
                 for c in range(3):
                     for d in range(3):
@@ -280,10 +296,12 @@ def _patch_corners(
 @kernel
 def hull_corners(points: Array, tolerance: float) -> NDArray[np.int64]:
     """Indices of the corners of the convex hull of points (k, 2); a corner less than ``tolerance`` out is left out."""
+    # Andrew's monotone chain: by x, ties by y; first the lower chain, then the upper one backwards.
     order = np.argsort(points[:, 0] + 1e-9 * points[:, 1])
     hull = np.empty(2 * len(points) + 2, np.int64)
     k = 0
     for turn in range(2):
+        # The last corner of the first chain begins the second one and cannot be dropped from it.
         floor = k + 1
         for q in range(len(order)):
             i = order[q] if turn == 0 else order[len(order) - 1 - q]
@@ -291,6 +309,7 @@ def hull_corners(points: Array, tolerance: float) -> NDArray[np.int64]:
                 p, r = hull[k - 2], hull[k - 1]
                 ax, ay = points[i, 0] - points[p, 0], points[i, 1] - points[p, 1]
                 bx, by = points[r, 0] - points[p, 0], points[r, 1] - points[p, 1]
+                # r lies to the right of p-i, outward, by more than the tolerance: it stays.
                 if ax * by - ay * bx < -tolerance * np.sqrt(ax * ax + ay * ay):
                     break
                 k -= 1

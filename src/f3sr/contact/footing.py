@@ -63,6 +63,7 @@ class SupportPlane:
 
 
 GROUND_PLANE = SupportPlane(normal=np.array([0.0, 0.0, 1.0]), offset=0.0)
+"""The ground z = 0."""
 
 
 def footing(
@@ -101,6 +102,7 @@ def flush(o: SceneObject, plane: SupportPlane) -> tuple[ConvexPart, ...]:
 
     Below that point they cover nothing. Without them the object rests on its footing alone."""
     lowest = float(plane.heights(o.vertices_world).min())
+    # World plane to asset frame: x_world = R (scale x) + t, so n' = R' n and the offset loses n . t and the scale.
     normal = plane.normal @ o.T_world_object[:3, :3]
     offset = (plane.offset + lowest - float(plane.normal @ o.T_world_object[:3, 3])) / o.scale
     return tuple(_above(part, normal, offset) for part in o.parts)
@@ -119,6 +121,7 @@ def _wedge(outline: Array, facet: SupportPlane, plane: SupportPlane, lowest: flo
     It is at least ``grain`` high, so that it has a volume."""
     top = facet.below(outline, grain)
     bottom = plane.below(outline, lowest)
+    # Where the facet dips below the wedge's bottom, the wedge keeps a height.
     top[:, 2] = np.maximum(top[:, 2], bottom[:, 2] + grain)
     return ConvexPart.hull_of(np.concatenate([top, bottom]))
 
@@ -157,6 +160,7 @@ def _facet_above(hull: ConvexPart, center: Array, config: FootingConfig) -> Supp
     normals = np.cross(b - a, c - a)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
     met = normals[:, 2] > np.cos(config.max_turn)
+    # Inside the triangle seen from above: to the left of its three edges, which run counter-clockwise.
     for p, q in ((a, b), (b, c), (c, a)):
         met &= (q - p)[:, 0] * (center[1] - p[:, 1]) - (q - p)[:, 1] * (center[0] - p[:, 0]) >= 0
     if not met.any():
@@ -176,6 +180,7 @@ def _facet_below(hull: ConvexPart, center: Array, plane: SupportPlane, config: F
         normal = stable[int(np.argmax(stable @ plane.normal))]
     else:
         a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
+        # Inward normals as long as twice the area: those of facets that face down point up.
         areas = -np.cross(b - a, c - a)
         lengths = np.linalg.norm(areas, axis=1)
         normal = areas[areas @ plane.normal >= near * lengths].sum(0)
@@ -217,6 +222,7 @@ class _Underside:
         z = height_map.lower(o.vertices_world, o.mesh.faces, grid)
         points = grid.points(z)
         on_it = facet.heights(points) <= config.flat * o.size
+        # Points come in the order of the finite cells, so a mask assigns them back.
         cells = np.isfinite(z)
         cells[cells] = on_it
         patches, _ = cast(tuple[NDArray[np.int64], int], label(cells, np.ones((3, 3))))
@@ -237,6 +243,7 @@ class _Underside:
         if outline is None:
             return False
         height = float(self.center[2] - plane.below(self.center[None], lowest)[0, 2])
+        # A body tips over an edge at the tilt whose tangent is (distance to the edge) / (height of the centre).
         stands = outline.depth(self.center) >= np.tan(config.min_margin) * height
         return stands and outline.area >= config.min_area * self.outline.area
 
@@ -250,6 +257,7 @@ class _Underside:
 def _outermost(points: Array) -> Array:
     """Those of points (n, 3) that reach farthest in one of ``SIDES`` horizontal directions."""
     angles = np.arange(SIDES) * 2 * np.pi / SIDES
+    # (n, SIDES): how far each point reaches in each direction.
     reach = points[:, :2] @ np.array([np.cos(angles), np.sin(angles)])
     return points[np.unique(reach.argmax(0))]
 

@@ -18,24 +18,26 @@ from f3sr.core.transforms import UP, Array
 from f3sr.scene import GROUND
 
 EDGES = 8
-"""Of the pyramid that is inscribed in a friction cone: it has .92 of the cone's friction where it has least."""
+"""Edges of the pyramid inscribed in a friction cone: it has .92 of the cone's friction, cos(pi / 8), where it has
+least."""
 STEEPEST = 4.0
-"""Tangent of the largest tilt that is distinguished."""
+"""Tangent of the largest tilt that is distinguished: 76 degrees; what bears it counts as immovable."""
 TOLERANCE = 1e-3
 """Tangent to which the least tilt is known."""
 MOVES = 0.01
 """A body whose part in a virtual motion is smaller than this share of the largest does not move."""
 STIFF = 1e7
-"""What a wrench that is not balanced costs against contact forces, both in weights: see ``contact_forces``."""
+"""What a wrench that is not balanced costs against contact forces, both in weights: see ``least_forces``."""
 FALLS = -np.pi / 2
-"""The margin of what no tilt would balance."""
+"""The margin [rad] of what no tilt would balance."""
 
 
 class Balance:
-    """The equations ``wrenches @ f = weights`` of a group of bodies, f >= 0 along the edges of the friction cones.
+    """The equations ``wrenches @ f = weights`` of a group of n bodies, f >= 0 along the edges of the friction cones.
 
-    Six rows a body: force in its weights, moment about its first centre in its weights times its size. Everything else
-    is held still. ``rows`` are the contacts that act on the group.
+    f (k e,) holds e numbers per contact, one an edge, in the contact's unit of force. Six rows a body: force in its
+    weights, moment about its first centre in its weights times its size. Everything else is held still. ``rows`` are
+    the contacts that act on the group.
     """
 
     def __init__(
@@ -67,12 +69,14 @@ class Balance:
         angles = 2 * np.pi * np.arange(self.edge_count) / self.edge_count
         around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
         frames = np.array([tangents(n) for n in self.contacts.normals]).reshape(-1, 2, 3)
+        # (e, 2) @ (k, 2, 3) = (k, e, 3): e unit tangents of every contact, n + mu t is an edge of its cone.
         return self.contacts.normals[:, None] + self.friction[:, None, None] * (around @ frames)
 
     def _units(self) -> Array:
         """(k,) unit of force [kg]: between the weights of the two bodies."""
         mass = dict(zip(self.place, self.masses, strict=True))
         pairs = zip(self.contacts.upper.tolist(), self.contacts.lower.tolist(), strict=True)
+        # The geometric mean keeps the numbers of both bodies near 1. What is outside the group has the other's mass.
         return np.array([np.sqrt(mass.get(a, mass.get(b, 1.0)) * mass.get(b, mass.get(a, 1.0))) for a, b in pairs])
 
     def _wrenches(self) -> Any:
@@ -80,11 +84,13 @@ class Balance:
         from scipy.sparse import csc_array
 
         blocks: list[tuple[Array, NDArray[np.int64], NDArray[np.int64]]] = []
+        # Forces act on the upper body; the lower one takes the reaction.
         for ids, sign in ((self.contacts.upper, 1.0), (self.contacts.lower, -1.0)):
             on = np.flatnonzero(np.isin(ids, list(self.place)))
             if not len(on):
                 continue
             body = np.array([self.place[i] for i in ids[on].tolist()])
+            # (c, e, 3) for the c contacts on members: force per weight of the body, and its moment per weight and size.
             force = sign * self.edges[on] * (self.units[on] / self.masses[body])[:, None, None]
             arm = self.contacts.points[on] - np.array([b.centers[0] for b in self.group])[body]
             moment = np.cross(arm[:, None] / self.sizes[body][:, None, None], force)
@@ -106,6 +112,7 @@ class Balance:
     def weights(self, center: int = 0) -> tuple[Array, Array]:
         """(6 n,) what contacts must balance untilted, and (6 n, 2) how tilt tangents change it."""
         arms = [(b.centers[min(center, len(b.centers) - 1)] - b.centers[0]) / b.size for b in self.group]
+        # Gravity (a, b, -1) with tangents a, b of tilt: contacts must give (-a, -b, 1) at the centre of mass.
         upright = np.concatenate([np.r_[UP, np.cross(arm, UP)] for arm in arms])
         lean = [np.concatenate([np.r_[-e, np.cross(arm, -e)] for arm in arms]) for e in np.eye(3)[:2]]
         return upright, np.stack(lean, axis=1)
@@ -140,6 +147,7 @@ class Balance:
                 if least - inner < TOLERANCE:
                     break
                 directions = [direction]
+        # The programme bounds tilts by this tangent: what bears that much counts as immovable.
         return np.pi / 2 if least >= STEEPEST * (1 - 1e-9) else float(np.arctan(least))
 
     def _farthest(self, u: Array, center: int, *, still: bool = False) -> tuple[Array, float] | None:
@@ -187,6 +195,7 @@ class Balance:
         return self._movers(solution.eqlin.marginals) if solution.fun > 1e-6 else frozenset()
 
     def _movers(self, motion: Array) -> frozenset[int]:
+        # Six marginals a body: its velocity, and its angular velocity times its size.
         speeds = np.abs(motion).reshape(-1, 6).max(1)
         return frozenset(b.id for b, s in zip(self.group, speeds, strict=True) if s > MOVES * max(speeds.max(), 1e-9))
 
@@ -199,6 +208,7 @@ class Balance:
         return self._on_upper(f), float(np.linalg.norm(self.wrenches @ f - wanted))
 
     def _on_upper(self, f: Array) -> Array:
+        # Sum over a contact's edges of f times the edge's force, in the contact's unit.
         return np.einsum("ke,keq,k->kq", f.reshape(-1, self.edge_count), self.edges, self.units)
 
 
@@ -240,6 +250,7 @@ def _line_search(pull: Array, along: Array, gain: float, at: Array, step: Array,
 
     if slope(0.0) <= 0:
         return 0.0
+    # The whole Newton step is too short where forces stop to push on the way: it is doubled until the slope turns.
     if slope(1.0) >= 0:
         low, high = 1.0, 1.0
         while slope(high) > 0 and high < 1e9:
@@ -247,6 +258,8 @@ def _line_search(pull: Array, along: Array, gain: float, at: Array, step: Array,
     else:
         low, high = 0.0, 1.0
     with np.errstate(divide="ignore", invalid="ignore"):
+        # Where a force begins or ends to push, the slope has a kink; between two kinks it is linear and its zero is
+        # exact.
         breaks = -pull / along
     breaks = np.sort(breaks[(breaks > low) & (breaks < high)])
     while len(breaks):
@@ -265,17 +278,20 @@ def _signed_distance(corners: Array) -> tuple[float, Array]:
     starts, ends = hull, np.roll(hull, -1, axis=0)
     along = ends - starts
     lengths = np.linalg.norm(along, axis=1)
+    # A polygon: outward normals of its counter-clockwise sides; the origin is inside if it is behind all of them.
     if len(hull) > 2 and lengths.min() > 0:
         outward = np.stack([along[:, 1], -along[:, 0]], axis=1) / lengths[:, None]
         depths = np.einsum("ij,ij->i", outward, starts)
         if depths.min() >= 0:
             nearest = int(np.argmin(depths))
             return float(depths[nearest]), outward[nearest]
+    # Outside, or on a segment or a point: the nearest point of the sides.
     squared = np.maximum(lengths**2, 1e-300)
     feet = starts + np.clip(-np.einsum("ij,ij->i", starts, along) / squared, 0, 1)[:, None] * along
     distances = np.linalg.norm(feet, axis=1)
     nearest = int(np.argmin(distances))
     if distances[nearest] > 1e-12:
         return -float(distances[nearest]), -feet[nearest] / distances[nearest]
+    # The origin on a segment, or a point: any direction out of it.
     side = along[nearest] / max(lengths[nearest], 1e-300)
     return 0.0, np.array([side[1], -side[0]]) if lengths[nearest] else np.array([1.0, 0.0])

@@ -26,10 +26,10 @@ INSIDE = 1e-7
 NODES = 600
 """Quadratic programmes solved in one search; each takes a fifth of a millisecond."""
 ROUNDS = 32
-"""Of the pairwise iteration, as in the report, and of shortening."""
+"""Most rounds of the pairwise iteration, as in the report, and of shortening."""
 
 TRIED = 10
-"""Of so many choices of sides one is shortened to an answer."""
+"""Of so many nodes of the search one is shortened to an answer: it costs more than a node, but prunes many."""
 
 Pair = tuple[int, int]
 
@@ -80,11 +80,13 @@ class _Obstacle:
 
     @property
     def can_move(self) -> bool:
+        """Whether any move changes how the two lie to each other."""
         return bool(self.matrix.any())
 
     def deepest(self, x: Array) -> tuple[float, int]:
         """How deep the relative move lies inside the polygon it is deepest in, and which that is."""
         r = self.matrix @ x
+        # The depth in a convex polygon is that of the side that is nearest; negative outside.
         depths = [float((p[:, :2] @ r + p[:, 2]).min()) for p in self.polygons]
         worst = int(np.argmax(depths)) if depths else 0
         return (depths[worst] if depths else -np.inf), worst
@@ -113,6 +115,7 @@ class _Problem:
     ) -> None:
         self.ids = sorted(weights)
         self.bodies, self.carriers, self.clearance = bodies, carriers, clearance
+        # d' W d = |L' d|^2 with W = L L'; in x = L' d the cost is |x|^2, and d = L'^-1 x.
         self.moves = {id: np.linalg.inv(np.linalg.cholesky(np.asarray(weights[id], float)).T) for id in self.ids}
         self.obstacles: list[_Obstacle] = []
         for a, b in pairs:
@@ -153,6 +156,7 @@ class _Problem:
             if _violated(active, x):
                 break
         overlaps, cost = _worth(movable, x)
+        # Groups are solved one by one; the joint answer of the start may still be better.
         if _worth(movable, best) < (overlaps, cost * (1 - 1e-9)):
             return best, False
         return x, optimal and not overlaps
@@ -165,8 +169,10 @@ class _Problem:
                 break
             for o in violated:
                 r = o.matrix @ x
+                # The polygons as seen from the present relative move r: n . (r + t) + h.
                 here = [np.column_stack([p[:, :2], p[:, 2] + p[:, :2] @ r]) for p in o.polygons]
                 t = polytopes.nearest_free(here, 0.0)
+                # The cheapest x that makes the relative move t: the pseudoinverse is least in |x|.
                 x = x + np.linalg.pinv(o.matrix) @ (t * (1 + 1e-6))
         return x
 
@@ -196,10 +202,12 @@ class _Problem:
         while waiting and solved < nodes:
             cost, turn, x, rows = heapq.heappop(waiting)
             overlaps, limit = _worth(obstacles, best)
+            # Best first: no waiting choice is cheaper than this one, so none can beat the answer.
             if not overlaps and cost >= limit * (1 - 1e-9):
                 return best, True
             worst = max(obstacles, key=lambda o: o.deepest(x)[0])
             depth, k = worst.deepest(x)
+            # Its programme's optimum already avoids everything: the cheapest of all choices.
             if depth <= INSIDE:
                 return x, True
             if turn % TRIED == 0:
@@ -224,6 +232,7 @@ class _Problem:
 
 def _grown(polygon: Array, clearance: float) -> Array:
     """The polygon with its sides moved outward; what is outside it already keeps at most the gap it has."""
+    # h of the side that the origin is farthest beyond: positive gap if the pair is apart already.
     gap = float(-polygon[:, 2].min())
     growth = clearance if gap < 0 else min(clearance, gap)
     return polygon + np.array([0, 0, growth])
@@ -256,6 +265,8 @@ def _least(rows: Array) -> Array | None:
 
     if not len(rows) or (rows[:, -1] <= 0).all():
         return np.zeros(rows.shape[1] - 1)
+    # Lawson and Hanson's LDP: with E = [G'; h'] and f = (0, .., 0, 1), u >= 0 least in |E u - f|, r = E u - f, the
+    # shortest x with G x >= h is -r[:n] / r[n]. r = 0 says that no x exists. h is scaled to 1 for the rounding test.
     unit = np.abs(rows[:, -1]).max()
     E = np.vstack([rows[:, :-1].T, rows[:, -1] / unit])
     target = np.zeros(len(E))

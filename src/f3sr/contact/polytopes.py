@@ -29,7 +29,7 @@ from f3sr.runtime.kernels import kernel
 COPLANAR = 1e-7
 """Triangles merge into one facet when they leave its plane by less than this share of the polytope's size."""
 SLIVER = 10.0
-"""A triangle is a sliver when it is less high than so many times that."""
+"""A triangle is a sliver when its height is below ``SLIVER`` times ``COPLANAR`` times the polytope's size."""
 TOUCH = 1e-9
 """Overlaps up to this share of the two parts' sizes are contact, not collision.
 
@@ -62,7 +62,9 @@ class Polytope:
 
     @classmethod
     def of(cls, part: ConvexPart) -> Self:
-        """The polytope of a convex part, made once: facets from its triangles, edges where two facets meet."""
+        """The polytope of a convex part, made once: facets from its triangles, edges where two facets meet.
+
+        Raises ValueError for a part whose surface is not closed."""
         if part not in _MADE:
             _MADE[part] = cls._made_of(part)
         return cast(Self, _MADE[part])
@@ -72,6 +74,7 @@ class Polytope:
         left, right, edges = _adjacent(part.faces)
         group = _coplanar_groups(part, left, right)
         normals = _group_normals(part, group)
+        # Edges inside a facet are the triangulation's, not the polytope's.
         real = group[left] != group[right]
         start, end = part.vertices[edges[real, 0]], part.vertices[edges[real, 1]]
         length = np.linalg.norm(end - start, axis=1)
@@ -90,12 +93,12 @@ class Polytope:
 
     @cached_property
     def bounds(self) -> Array:
-        """(2, 3) lowest and highest corner."""
+        """(2, 3) lowest and highest corner of the bounding box [m]."""
         return np.stack([self.vertices.min(0), self.vertices.max(0)])
 
     @cached_property
     def size(self) -> float:
-        """Diagonal of the bounding box."""
+        """Diagonal of the bounding box [m]."""
         return float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
 
     @cached_property
@@ -111,6 +114,7 @@ class Polytope:
 
     def moved(self, T: Array) -> Self:
         """The polytope under a similarity T (4, 4) without reflection; facets and edges are carried along."""
+        # A similarity scales all columns alike: the first one's length is the scale.
         scale = float(np.sqrt(T[0, 0] ** 2 + T[1, 0] ** 2 + T[2, 0] ** 2))
         A, t = np.ascontiguousarray(T[:3, :3].T), T[:3, 3]
         R = A / scale
@@ -140,7 +144,7 @@ Body = Sequence[Polytope]
 
 
 def overlap_depth(a: Polytope, b: Polytope) -> float:
-    """Length of the smallest move that ends the overlap; <= 0 without overlap (then it is no distance)."""
+    """Length [m] of the smallest move that ends the overlap; <= 0 without overlap (then it is no distance)."""
     return float(_depth(*a.packed, *b.packed))
 
 
@@ -177,6 +181,7 @@ def smallest_shift(A: Body, B: Body, direction: ArrayLike, clearance: float = 0.
     for a unit direction).
     """
     t = 0.0
+    # Intervals by their start: t jumps to the end of each that holds it, so one pass finds the first gap.
     for lo, hi in sorted(_forbidden(A, B, np.asarray(direction, float), beyond=-clearance)):
         if lo < t < hi + clearance:
             t = hi + clearance
@@ -197,6 +202,7 @@ def smallest_horizontal_move(A: Body, B: Body) -> Array:
     """
     if not collide(A, B):
         return np.zeros(2)
+    # Half of what the polygons leave: the point on a side must count as outside.
     slack = min(_touch(a, b) for a in A for b in B) / 4
     return nearest_free(forbidden_polygons(A, B), slack)
 
@@ -228,6 +234,7 @@ def _forbidden(A: Body, B: Body, u: Array, *, beyond: float) -> Iterator[tuple[f
 def _boxes_overlap(A: Body, B: Body, axes: tuple[int, ...], gap: Array | float = 0.0) -> NDArray[np.int64]:
     """Broad phase: pairs (k, 2) of parts whose bounding boxes overlap in the given axes, or nearly: ``gap`` apart."""
     a, b = (np.stack([p.bounds for p in body])[:, :, axes] for body in (A, B))
+    # (n, m, axes): the high side of one box is below the low side of the other.
     apart = (a[:, None, 1] + gap <= b[None, :, 0]) | (b[None, :, 1] + gap <= a[:, None, 0])
     return np.argwhere(~apart.any(-1))
 
@@ -246,6 +253,7 @@ def _meeting(a: Array, b: Array, u: Array, beyond: float) -> NDArray[np.int64]:
     still = PARALLEL * np.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     for i in range(len(a)):
         for j in range(len(b)):
+            # Slab test: per axis the boxes overlap while low < t u < high.
             first, last = beyond, np.inf
             for x in range(3):
                 low, high = b[j, 0, x] - a[i, 1, x], b[j, 1, x] - a[i, 0, x]
@@ -271,6 +279,7 @@ def _touch(a: Polytope, b: Polytope) -> float:
 
 def face_facets(a: Polytope, b: Polytope) -> tuple[Array, Array]:
     """Facets whose normal is a face's of a, or the negated one of a face of b."""
+    # Height = support of a along n, less the least of b along n: how far a reaches into b.
     heights_a = a.offsets - (b.vertices @ a.normals.T).min(0)
     heights_b = b.offsets - (a.vertices @ b.normals.T).min(0)
     return np.concatenate([a.normals, -b.normals]), np.concatenate([heights_a, heights_b])
@@ -322,6 +331,7 @@ def _edge_planes(
             f = l1x * qx + l1y * qy + l1z * qz
             if e * f >= 0.0 or c * f >= 0.0:  # a's arc on one side of b's; or crossing on opposite hemispheres
                 continue
+            # The facet's normal is across both edges.
             nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
             sine = np.sqrt(nx * nx + ny * ny + nz * nz)
             if sine < 1e-10:  # parallel edges: their facet is a face's
@@ -408,6 +418,7 @@ def _interval(
     still = PARALLEL * np.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     for k in range(len(faces_a)):
         speed = faces_a[k, 0] * u[0] + faces_a[k, 1] * u[1] + faces_a[k, 2] * u[2]
+        # n . (t u) > slack - height, with height = offset - lowest.
         lo, hi = _clipped(lo, hi, speed, slack - offsets_a[k] + _lowest(points_b, faces_a[k]), still)
         if lo >= hi:
             return np.inf, -np.inf
@@ -446,8 +457,10 @@ def _horizontal_slice(a: Polytope, b: Polytope) -> Array:
     level = lengths <= PARALLEL
     if (heights[level] <= 0).any():  # a level facet separates them at any shift
         return np.empty((0, 3))
+    # In the plane z = 0 of shifts a facet is a line; divided by the length of its level part the normal is unit again.
     planes = np.column_stack([normals[~level, :2], heights[~level]]) / lengths[~level, None]
     low, high = b.bounds[0] - a.bounds[1], b.bounds[1] - a.bounds[0]
+    # Box against box bounds every shift that collides: the start of clipping. Order: bottom, right, top, left.
     box = np.array([[0, 1, -low[1]], [-1, 0, high[0]], [0, -1, high[1]], [1, 0, -low[0]]])
     planes = np.concatenate([planes, box])
     return planes[_polygon_sides(planes)]
@@ -464,6 +477,7 @@ def _polygon_sides(planes: Array) -> NDArray[np.int64]:
     k = len(planes)
     x, y, side = np.empty(k + 8), np.empty(k + 8), np.empty(k + 8, np.int64)
     x2, y2, side2 = np.empty(k + 8), np.empty(k + 8), np.empty(k + 8, np.int64)
+    # Rows [0, 1, -bottom], [-1, 0, right], [0, -1, top], [1, 0, -left]: counter-clockwise from the bottom.
     left, right, bottom, top = -planes[k - 1, 2], planes[k - 3, 2], -planes[k - 4, 2], planes[k - 2, 2]
     x[:4] = np.array([left, right, right, left])
     y[:4] = np.array([bottom, bottom, top, top])
@@ -501,6 +515,8 @@ def _nearest_free(planes: Array, starts: NDArray[np.int64], slack: float) -> Arr
     near = np.empty(len(planes))
     for p in range(len(starts) - 1):
         for i in range(starts[p], starts[p + 1]):
+            # Line i of polygon p bounds it between these two t; the parameter runs along the line from the origin's
+            # foot.
             ends[i] = _across(i, p, planes, starts, 0.0)
             t = min(max(0.0, ends[i, 0]), ends[i, 1])  # t = 0 is the foot of the origin on the line
             near[i] = np.sqrt(planes[i, 2] ** 2 + t * t) if ends[i, 0] <= ends[i, 1] else np.inf
@@ -512,6 +528,7 @@ def _nearest_free(planes: Array, starts: NDArray[np.int64], slack: float) -> Arr
         for sign in (1.0, -1.0):
             t = min(max(0.0, ends[i, 0]), ends[i, 1])
             q = _inside(i, t, planes, starts, slack)
+            # Inside q: jump to where the line leaves it. t is monotone in ``sign``, so the walk ends.
             while q >= 0 and ends[i, 0] <= t <= ends[i, 1] and height * height + t * t < best * best:
                 a, b = _across(i, q, planes, starts, slack)
                 t = b if sign > 0 else a
@@ -538,6 +555,7 @@ def _across(i: int, p: int, planes: Array, starts: NDArray[np.int64], slack: flo
     for k in range(starts[p], starts[p + 1]):
         if k == i:
             continue
+        # Line i is p(t) = -h n + t (-n_y, n_x); half-plane k on it is along t + value > 0.
         along = planes[k, 1] * nx - planes[k, 0] * ny
         value = planes[k, 2] - h * (planes[k, 0] * nx + planes[k, 1] * ny) - slack
         if abs(along) < PARALLEL:
@@ -557,6 +575,7 @@ def _inside(i: int, t: float, planes: Array, starts: NDArray[np.int64], slack: f
     """A polygon that a point of a line lies in, deeper than ``slack``; else -1."""
     x, y = _on_line(i, t, planes)
     for p in range(len(starts) - 1):
+        # A point on a polygon's own side is on its border, not in it.
         inside = not starts[p] <= i < starts[p + 1]
         for k in range(starts[p], starts[p + 1]):
             if planes[k, 0] * x + planes[k, 1] * y + planes[k, 2] <= slack:
@@ -571,6 +590,7 @@ def _inside(i: int, t: float, planes: Array, starts: NDArray[np.int64], slack: f
 
 @kernel
 def _is_free(x: float, y: float, planes: Array, starts: NDArray[np.int64], slack: float) -> bool:
+    """Whether a point lies in no polygon deeper than ``slack``: beyond some side of each."""
     for p in range(len(starts) - 1):
         inside = True
         for i in range(starts[p], starts[p + 1]):
@@ -587,10 +607,12 @@ def _is_free(x: float, y: float, planes: Array, starts: NDArray[np.int64], slack
 
 def _adjacent(faces: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int32]]:
     """Per edge of a closed surface: the triangles to its left and right, and its directed ends (e, 2)."""
+    # Directed edges: the owner has its inside to the left. On a closed surface each occurs once, and its reverse once.
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     owner = np.tile(np.arange(len(faces)), 3)
     forward = np.flatnonzero(edges[:, 0] < edges[:, 1])
     backward = np.flatnonzero(edges[:, 0] > edges[:, 1])
+    # Both sorted by the same pair of vertices: row k of one is the reverse of row k of the other.
     forward = forward[np.lexsort(edges[forward].T)]
     backward = backward[np.lexsort(edges[backward][:, ::-1].T)]
     if not np.array_equal(edges[forward], edges[backward][:, ::-1]):
@@ -608,13 +630,16 @@ def _coplanar_groups(part: ConvexPart, left: NDArray[np.int64], right: NDArray[n
     corners = part.vertices[part.faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(cross, axis=1)
+    # (2, e): the larger triangle's plane is the better known one.
     large, small = np.where(area[left] >= area[right], (left, right), (right, left))
     unit = cross[large] / np.maximum(area[large], np.finfo(float).tiny)[:, None]
+    # (e,) largest distance of the smaller triangle's corners from the larger one's plane.
     away = np.abs(np.einsum("eki,ei->ek", corners[small] - corners[large][:, :1], unit)).max(1)
     size = float(np.linalg.norm(np.ptp(part.vertices, axis=0)))
     same = away <= COPLANAR * size
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
     is_sliver = area <= SLIVER * COPLANAR * size * longest
+    # Per small triangle its links by the area of the neighbour: ``unique`` gives the first, its largest neighbour.
     order = np.lexsort((-area[large], small))
     first = np.zeros(len(same), bool)
     first[order[np.unique(small[order], return_index=True)[1]]] = True

@@ -30,6 +30,7 @@ class Stability:
 
     @property
     def stands(self) -> bool:
+        """Whether nothing moves under untilted gravity."""
         return not self.moving
 
 

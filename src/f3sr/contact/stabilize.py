@@ -24,11 +24,12 @@ from f3sr.scene import Ground
 from f3sr.settings import constants
 
 DIRECTIONS = 6
-"""Of tilted gravity. The tilts are so large that all smaller ones in between are balanced too."""
+"""Directions of tilted gravity. Their hexagon holds the circle of the margin, so that all tilts in it are balanced
+too."""
 CONE_EDGES = 4
-"""Of friction pyramids while shifts are sought: fewer edges have less friction, so this is on the safe side."""
+"""Edges of friction pyramids while shifts are sought: fewer edges have less friction, so this is on the safe side."""
 SIDES = 16
-"""Of the polygons that stand for circles of shifts."""
+"""Sides of the polygons that stand for circles of shifts."""
 CUTS = 12
 """How often a programme is solved at most: each time the polygons that measure shifts get a side where the last one
 ended, until they measure right."""
@@ -76,9 +77,11 @@ class Balanced:
     below_margin: frozenset[int]
     """Bodies on islands that stand, but by less than the wanted margin."""
     rounds: int
+    """Rounds of shifts that were made."""
 
     @property
     def success(self) -> bool:
+        """Whether all bodies stand with the wanted margin."""
         return not self.unbalanced and not self.below_margin
 
 
@@ -94,9 +97,10 @@ def balance(
 ) -> Balanced:
     """Shift bodies, each with its subtree, so that all are stable with the margin.
 
-    ``supports``: the main support of every body, GROUND or None. ``weights``: a positive definite W (2, 2) per id.
-    d' W d is the cost of a shift d [m] in x and y; the default is 1 / size^2. ``max_shifts`` [m] per id are bounds.
-    The sum of the square roots of the costs is minimised, so few bodies move.
+    ``supports``: the main support of every body, GROUND or None. ``weights``: a positive definite W (2, 2) per id. d' W
+    d is the cost of a shift d [m] in x and y; the default is 1 / size^2. ``max_shifts`` [m] per id are bounds. The sum
+    of the square roots of the costs is minimised, so few bodies move. Raises ValueError for a weight that is not
+    positive definite.
     """
     state = _State(bodies, supports, config, contact, weights or {}, max_shifts or {}, ground_friction)
     state.seat_all()
@@ -272,6 +276,7 @@ class _Programme:
     def __init__(self, balance: Balance, state: _State) -> None:
         self.balance, self.state = balance, state
         self.ids = [b.id for b in balance.group]
+        # The hexagon's corners, so that its sides touch the circle of the margin. Balanced tilts are a convex set.
         reach = np.tan(state.config.margin) / np.cos(np.pi / DIRECTIONS)
         angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
         tilts = reach * np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -288,6 +293,9 @@ class _Programme:
 
         rows, n = self.balance.wrenches.shape
         count, shifts = len(self.cases), 2 * len(self.ids)
+        # Unknowns, in this order: per case n forces and two slacks per row; then 2 shifts a body; then a bound of each
+        # body's cost. Per case: wrenches f + slack + moments(shifts) = weights. Shifts are shared by all cases, forces
+        # are not.
         slacked = hstack([self.balance.wrenches, eye_array(rows), -eye_array(rows)])
         moved = np.concatenate([self._moments(forces) for forces in self.forces])
         equal = hstack([block_diag([slacked] * count), csc_array(moved), csc_array((len(moved), len(self.ids)))])
@@ -311,6 +319,7 @@ class _Programme:
             if solution.status != 0:
                 break
             steps = solution.x[free : free + shifts].reshape(-1, 2)
+            # The programme measures shifts by polygons around circles: in a corner it thinks them too short.
             told, true = solution.x[free + shifts :], [self._weighed(i, step) for i, step in enumerate(steps)]
             if sum(map(np.linalg.norm, true)) <= told.sum() * (1 + EXACT) + SEATED:
                 break
@@ -339,6 +348,7 @@ class _Programme:
         sides = ((balance.contacts.upper.tolist(), 1.0), (balance.contacts.lower.tolist(), -1.0))
         follow = balance.contacts.follow
         for k, force in enumerate(forces):
+            # How the contact's point follows each of its two bodies: ``follow`` the upper, the rest the lower.
             points = {ids[k]: f for (ids, _), f in zip(sides, (follow[k], np.eye(3) - follow[k]), strict=True)}
             for ids, sign in sides:
                 if (i := balance.place.get(ids[k])) is None:
@@ -348,6 +358,7 @@ class _Programme:
                 for id, f in points.items():
                     if (j := balance.place.get(id)) is not None:
                         change[i, 3:, j] += unit * (turning @ f)[:, :2]
+                # The moment is about the body's centre, which moves with its own shift.
                 change[i, 3:, i] -= unit * turning[:, :2]
         return change.reshape(6 * len(self.ids), 2 * len(self.ids))
 
@@ -371,6 +382,8 @@ class _Programme:
             carrier = next(
                 (self.balance.place[c] for c in chain_below(id, state.supports) if c in self.balance.place), None
             )
+            # Three circles a body, each as SIDES half-planes: its cost, its whole shift, its step against what carries
+            # it.
             for e in around:
                 row, limit = self._measured(i, e)
                 rows.append(row)

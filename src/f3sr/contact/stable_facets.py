@@ -20,6 +20,7 @@ def stable_normals(hull: ConvexPart, center: Array) -> Array:
     a, b, c, normals = a[real], b[real], c[real], normals[real] / lengths[real, None]
     inside = np.ones(len(a), bool)
     for p, q in ((a, b), (b, c), (c, a)):
+        # The centre is inside the three planes through the sides, at right angles to the triangle.
         inside &= np.einsum("ij,ij->i", np.cross(q - p, center - p), normals) >= 0
     return normals[inside]
 
@@ -32,6 +33,7 @@ def resting_turn(hull: ConvexPart, center: Array, R_world: Array, *, max_tilt: f
     normals = stable_normals(hull, center) @ R_world.T
     if not len(normals):
         return None
+    # The facet that faces down most needs the smallest turn.
     best = normals[int(np.argmin(normals[:, 2]))]
     if -best[2] < np.cos(max_tilt):
         return None

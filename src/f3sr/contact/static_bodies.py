@@ -29,7 +29,9 @@ class StaticBody:
     """[kg]"""
     centers: Array
     friction: float
+    """Coefficient of sliding friction; a contact has the larger of its two bodies'."""
     fixed: bool = False
+    """Whether it is held still, whatever acts on it."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "centers", frozen(np.reshape(self.centers, (-1, 3))))
@@ -88,7 +90,7 @@ def islands(bodies: Sequence[StaticBody], contacts: Contacts) -> Iterator[tuple[
 
 
 def rigid(members: Sequence[StaticBody], id: int) -> StaticBody:
-    """Movable bodies as one, with an id and friction of one of them."""
+    """Movable bodies as one rigid body, with the ``id`` and the friction of one of them. ``centers`` are combined."""
     free = [m for m in members if not m.fixed]
     masses = np.array([m.mass for m in free])
     n = max(len(m.centers) for m in free)

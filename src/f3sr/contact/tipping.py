@@ -67,9 +67,9 @@ class Landing:
     T: Array
     """(4, 4) rigid motion of the world that takes it there."""
     turn: float
-    """[rad] between its orientations before and after."""
+    """Angle [rad] between its orientations before and after."""
     shift: float
-    """[m] that it was shifted before."""
+    """Horizontal shift [m] before it came down."""
     stands: bool
     """It is balanced there by friction."""
     tipped: bool
@@ -154,6 +154,7 @@ class _Fall:
             if (pivot := self.pivot()) is None or jammed == JAMMED:
                 return True
             point, axis = pivot
+            # Horizontal and at right angles to the axis: the way that the centre lacks.
             across = np.cross(UP, axis)
             across /= max(float(np.linalg.norm(across)), 1e-12)
             arm = self.center - point
@@ -169,6 +170,7 @@ class _Fall:
             return np.zeros(2)
         height, way = min(self.missing, key=lambda m: float(np.linalg.norm(m[1])))
         length = float(np.linalg.norm(way))
+        # Over the pivot, and on by margin times height: then a tilt of that tangent is borne.
         return way * (1 + margin * max(height, 0.0) / length) if length > 1e-9 else np.zeros(2)
 
     @property
@@ -207,6 +209,7 @@ class _Fall:
         """A point and a unit axis to turn about so that the centre of mass sinks; None when it is supported."""
         everything: Mapping[int, Sequence[Polytope]] = {0: self.parts, 1: self.around}
         found = find_contacts(everything if self.around else {0: self.parts}, reach=TOUCHING)
+        # Normals point from lower to upper: the sign makes them push the body.
         sign = np.where(found.upper == 0, 1.0, -1.0)
         mine, upward = (found.upper == 0) | (found.lower == 0), sign * found.normals[:, 2]
         points = found.points[mine & (upward > STEEP)]
@@ -214,6 +217,7 @@ class _Fall:
             return None
         corners = points[hull_corners(np.ascontiguousarray(points[:, :2]), TOUCHING)]
         out = _way_out(corners, self.center, ROLLING)
+        # A wall may hold what would tip: only then are forces and friction asked.
         leans = bool((mine & (np.abs(upward) <= STEEP)).any())
         return None if out is None or (leans and self.stands(TOUCHING)) else out
 
@@ -268,12 +272,14 @@ def _way_out(corners: Array, center: Array, rolling: float) -> tuple[Array, Arra
     if len(corners) > 2:
         starts, ends = corners[:, :2], np.roll(corners[:, :2], -1, axis=0)
         along = ends - starts
+        # Corners run counter-clockwise: inside is to the left of every side.
         left = along[:, 0] * (c[1] - starts[:, 1]) - along[:, 1] * (c[0] - starts[:, 0])
         if (left >= -1e-9 * np.linalg.norm(along, axis=1)).all():
             return None
     best, feature = np.inf, (corners[0], corners[0])
     for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         d = b[:2] - a[:2]
+        # Share of the way along the side to its point nearest to the centre; 0 and 1 are its corners.
         w = float(np.clip((c - a[:2]) @ d / max(d @ d, 1e-300), 0, 1))
         distance = float(np.linalg.norm(c - a[:2] - w * d))
         if distance < best:

@@ -15,7 +15,7 @@ from f3sr.vision import height_map
 CELLS = 96
 """Cells along the longer side of what two objects share, seen from above."""
 LOOKS = 2
-"""The second one is taken in a few cells around what the first one finds."""
+"""Height maps per pair: the second one is taken in a few cells around what the first one finds."""
 THROUGH = 5e-5
 """Largest overlap of two meshes that counts as contact [m]; a deeper one belongs to an overhang."""
 

@@ -46,6 +46,7 @@ class Camera:
         """Pixels (n, 2) and z-depths (n,) [m] of world points (n, 3). Pixels are not finite at depth 0."""
         points_camera = self.to_camera(points_world)
         z = points_camera[:, 2]
+        # Points are rows: row @ K.T is (K p).T.
         homogeneous = points_camera @ self.K.T
         with np.errstate(divide="ignore", invalid="ignore"):
             return homogeneous[:, :2] / homogeneous[:, 2:], z
@@ -68,7 +69,8 @@ class Camera:
         return replace(self, K=K)
 
     def resized(self, width: int, height: int) -> Self:
-        """The same view sampled with another number of pixels."""
+        """The same view sampled with another number of pixels; they need not stay square."""
+        # Rows of K scale whole: with corners at whole numbers, focal length and centre scale alike.
         scale = np.array([[width / self.width], [height / self.height], [1.0]])
         return replace(self, width=width, height=height, K=self.K * scale)
 

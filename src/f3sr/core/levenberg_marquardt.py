@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from f3sr.core.transforms import Array
 
 SMALLEST_STEP = 1e-6
-"""Of the box's half width: below it the search has arrived."""
+"""Least step, as a share of the box's width per parameter: below it the search has arrived."""
 DAMPING = (1e-6, 1e-3, 1e3)
 """Least, first and most damping, as a share of the curvature's diagonal."""
 
@@ -25,6 +25,7 @@ class Local:
     curvature: Array
 
     def __add__(self, other: Local) -> Local:
+        """The sum of two objectives at the same point."""
         return Local(
             value=self.value + other.value,
             gradient=self.gradient + other.gradient,
@@ -32,6 +33,7 @@ class Local:
         )
 
     def weighted(self, weight: float) -> Local:
+        """The objective times ``weight``."""
         return Local(value=weight * self.value, gradient=weight * self.gradient, curvature=weight * self.curvature)
 
     def plus_squares(self, weights: Array, x: Array) -> Local:
@@ -69,6 +71,7 @@ def minimise(
     x = np.clip(start, low, high)
     here = objective(x)
     for _ in range(iterations):
+        # A bound holds a parameter while the descent direction points out of the box.
         free = ~(((x <= low) & (here.gradient > 0)) | ((x >= high) & (here.gradient < 0)))
         trial = np.clip(x + _step(here, free, damping), low, high)
         if not np.any(np.abs(trial - x) > SMALLEST_STEP * (high - low)):
@@ -80,6 +83,7 @@ def minimise(
             if gain < tolerance:
                 break
         else:
+            # At least 1e-2: from the least damping, eight-fold steps would take five rejected trials to get there.
             damping = max(8 * damping, 1e-2)
             if damping > most:
                 break
@@ -91,6 +95,7 @@ def _step(here: Local, free: NDArray[np.bool_], damping: float) -> Array:
     step = np.zeros(len(free))
     if free.any():
         H = here.curvature[np.ix_(free, free)]
+        # Marquardt's scaling: damping by the diagonal does not depend on the parameters' units.
         D = np.diag(np.diag(H) + 1e-12)
         step[free] = -np.linalg.solve(H + damping * D, here.gradient[free])
     return step

@@ -50,7 +50,7 @@ class Mesh:
         object.__setattr__(self, "face_material", frozen(material, np.int32))
 
     def with_vertices(self, vertices: Array) -> Self:
-        """The same triangles and appearance with other vertices (n, 3)."""
+        """The same triangles and appearance with other vertices (n, 3), in any frame and unit."""
         from dataclasses import replace
 
         return replace(self, vertices=vertices)
@@ -78,12 +78,12 @@ class Mesh:
 
     @cached_property
     def bounds(self) -> Array:
-        """Lowest and highest corner (2, 3)."""
+        """Lowest and highest corner (2, 3), in the frame and unit of ``vertices``."""
         return np.stack([self.vertices.min(0), self.vertices.max(0)])
 
     @property
     def diagonal(self) -> float:
-        """Diagonal of the bounding box: the size of an unscaled object."""
+        """Diagonal of the bounding box, in the unit of ``vertices``: the size of an unscaled object."""
         return float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
 
     @cached_property
@@ -92,11 +92,13 @@ class Mesh:
 
         Texture seams split vertices, so topology needs positions.
         """
+        # lexsort sorts by its last key first: reversed, x is the first key. Equal positions become neighbours.
         order = np.lexsort(self.vertices.T[::-1])
         placed = self.vertices[order]
         new = np.ones(len(order), np.bool_)
         new[1:] = (placed[1:] != placed[:-1]).any(1)
         place = np.empty(len(order), np.int32)
+        # Rank of a position: how many new ones came up to it.
         place[order] = np.cumsum(new) - 1
         return placed[new], place
 
@@ -160,6 +162,7 @@ class ConvexPart:
         faces = np.searchsorted(corners, hull.simplices).astype(np.int32)
         vertices = points[corners]
         a, b, c = (vertices[faces[:, k]] for k in range(3))
+        # qhull's simplices have no common winding; its equations have outward normals.
         outward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3])
         faces[outward < 0] = faces[outward < 0][:, ::-1]
         if not _is_closed(faces):  # rounding turns slivers
@@ -184,6 +187,7 @@ class ConvexPart:
         height = self.vertices @ normal - offset
         if (height >= 0).all():
             return self
+        # Every directed edge; each edge occurs both ways, so the downward crossing alone finds all.
         start, end = np.concatenate([self.faces, np.roll(self.faces, 1, axis=1)]).reshape(2, -1)
         crossing = (height[start] > 0) & (height[end] < 0)
         start, end = start[crossing], end[crossing]
@@ -192,7 +196,7 @@ class ConvexPart:
         return ConvexPart.hull_of(np.concatenate([self.vertices[height >= 0], np.unique(met, axis=0)]))
 
     def moved(self, T: Array) -> ConvexPart:
-        """The part under an affine map of positive determinant, T (4, 4)."""
+        """The part under an affine map T (4, 4) of positive determinant: a reflection would turn faces inward."""
         return ConvexPart(vertices=transform(T, self.vertices), faces=self.faces)
 
 
@@ -217,6 +221,7 @@ def is_closed(faces: NDArray[np.int32]) -> bool:
         return False
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     n = int(faces.max()) + 1
+    # A directed edge as one number, from * n + to.
     forward, backward = edges[:, 0] * n + edges[:, 1], edges[:, 1] * n + edges[:, 0]
     forward.sort()
     return bool(np.all(forward[1:] != forward[:-1])) and bool(np.array_equal(forward, np.sort(backward)))
@@ -259,11 +264,13 @@ def surface_flaws(mesh: Mesh) -> Flaws:
     if mesh.is_solid:
         return Flaws(degenerate=degenerate, doubled=0, open=0, shared=0, turned=0, layers=False)
     n = len(vertices)
+    # Three indices as one number would exceed 64 bits; the rank of the first two and the third do not.
     low, middle, high = np.sort(faces, axis=1).astype(np.int64).T
     _, pair = np.unique(low * n + middle, return_inverse=True)
     doubled = len(faces) - len(np.unique(pair * n + high))
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     keys, edge, counts = np.unique(edges.min(1) * n + edges.max(1), return_inverse=True, return_counts=True)
+    # How many triangles run through an edge from its lower to its higher vertex: of two, one should.
     ahead = np.bincount(edge[edges[:, 0] < edges[:, 1]], minlength=len(keys))
     return Flaws(
         degenerate=degenerate,
@@ -298,13 +305,16 @@ def _turned_alike(faces: NDArray[np.int32], neighbors: NDArray[np.int32], first:
 
 def signed_volume(vertices: Array, faces: NDArray[np.int32]) -> float:
     """Volume of a closed outward surface (divergence theorem): the sum of det(a, b, c) / 6 over triangles."""
+    # About the mean: far from the origin the tetrahedra would be huge and cancel.
     v = vertices - vertices.mean(0)
     a, b, c = (v[faces[:, k]] for k in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
 def has_layers(vertices: Array, faces: NDArray[np.int32]) -> bool:
-    """Whether outward shells of a closed surface overlap by more than .001 of their volume: their sum counts twice."""
+    """Whether outward shells of a closed surface overlap by more than .001 of their volume: their sum counts twice.
+
+    ``vertices`` (n, 3), welded ``faces`` (m, 3)."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+"""Numbers of double precision; the docstring beside it names shape, unit and frame."""
 
 UP = np.array([0.0, 0.0, 1.0])
-"""Against gravity, in the world."""
+"""(3,) unit vector against gravity, in the world."""
 T_UP_FROM_CAMERA = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 """World axes (Z up) for a camera that looks horizontally: x right, y forward, z up."""
 
@@ -24,13 +25,15 @@ def frozen(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
     """A C-contiguous read-only array; copies only when ``values`` is writable or of another type."""
     array = np.ascontiguousarray(values, dtype=dtype)
     if array.flags.writeable:
+        # Somebody else holds it: the argument itself, or a view of it. What ``ascontiguousarray`` made anew is ours.
         array = array.copy() if array is values or array.base is not None else array
         array.setflags(write=False)
     return array
 
 
 def pose(R: ArrayLike | None = None, t: ArrayLike | None = None) -> Array:
-    """The 4x4 transform ``x -> R x + t``."""
+    """The transform (4, 4) ``x -> R x + t``, of ``R`` (3, 3), the identity by default, and ``t`` (3,), zero by
+    default."""
     T = np.eye(4)
     if R is not None:
         T[:3, :3] = R
@@ -40,54 +43,58 @@ def pose(R: ArrayLike | None = None, t: ArrayLike | None = None) -> Array:
 
 
 def invert_pose(T: Array) -> Array:
-    """Inverse of a rigid 4x4 transform."""
+    """Inverse of a rigid transform T (4, 4)."""
     R = T[:3, :3]
     return pose(R.T, -R.T @ T[:3, 3])
 
 
 def transform(T: Array, points: Array) -> Array:
-    """Apply a 4x4 affine transform to points (..., 3)."""
+    """Points (..., 3) under an affine transform T (4, 4)."""
     return points @ T[:3, :3].T + T[:3, 3]
 
 
 def box_corners(bounds: Array) -> Array:
     """The corners (8, 3) of a box between its lowest and its highest, ``bounds`` (2, 3)."""
+    # Bit i of k chooses low or high along axis i: corner 0 is the lowest, corner 7 the highest.
     return bounds[[[k >> i & 1 for i in range(3)] for k in range(8)], range(3)]
 
 
 def rotation_about(axis: ArrayLike, angle: float) -> Array:
-    """Rotation matrix of ``angle`` [rad] about ``axis`` (Rodrigues)."""
+    """Rotation matrix (3, 3) of ``angle`` [rad] about ``axis`` (3,) of any length but 0 (Rodrigues)."""
     return rotation_from_vector(np.asarray(axis, float) / np.linalg.norm(axis) * angle)
 
 
 def rotation_from_vector(omega: ArrayLike) -> Array:
-    """Rotation matrix of the rotation vector ``omega`` [rad]: the exponential map of SO(3)."""
+    """Rotation matrix (3, 3) of the rotation vector ``omega`` (3,) [rad]: the exponential map of SO(3)."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_rotvec(np.asarray(omega, float)).as_matrix())
 
 
 def vector_from_rotation(R: Array) -> Array:
-    """The rotation vector [rad] of a rotation matrix, no longer than pi: the logarithm map of SO(3)."""
+    """The rotation vector (3,) [rad] of a rotation matrix (3, 3), no longer than pi: the logarithm map of SO(3)."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(R).as_rotvec())
 
 
 def rotation_between(a: ArrayLike, b: ArrayLike) -> Array:
-    """The shortest rotation that turns direction ``a`` onto direction ``b`` (equation 6's R_g)."""
+    """The shortest rotation (3, 3) that turns direction ``a`` (3,) onto direction ``b`` (3,): equation 6's R_g."""
     a, b = (np.asarray(v, float) / np.linalg.norm(v) for v in (a, b))
     axis, cosine = np.cross(a, b), float(a @ b)
     sine = float(np.linalg.norm(axis))
     if sine < 1e-12:
         if cosine > 0:
             return np.eye(3)
+        # Opposite directions: half a turn about any axis across, here that farthest from a.
         axis, sine = np.cross(a, np.eye(3)[int(np.argmin(np.abs(a)))]), 0.0
     return rotation_about(axis, float(np.arctan2(sine, cosine)))
 
 
 def rotation_from_quaternion(wxyz: ArrayLike) -> Array:
-    """Rotation matrix of a quaternion (w, x, y, z); it need not be normalised."""
+    """Rotation matrix (3, 3) of a quaternion (w, x, y, z); it need not be normalised.
+
+    Raises ValueError for a quaternion of length 0."""
     from scipy.spatial.transform import Rotation
 
     w, x, y, z = np.asarray(wxyz, float)
@@ -95,7 +102,7 @@ def rotation_from_quaternion(wxyz: ArrayLike) -> Array:
 
 
 def quaternion_from_rotation(R: Array) -> Array:
-    """Quaternion (w, x, y, z) of a rotation matrix, w >= 0."""
+    """Unit quaternion (w, x, y, z) of a rotation matrix (3, 3), w >= 0."""
     from scipy.spatial.transform import Rotation
 
     x, y, z, w = Rotation.from_matrix(R).as_quat(canonical=True)
@@ -103,5 +110,5 @@ def quaternion_from_rotation(R: Array) -> Array:
 
 
 def rotation_angle(R: Array) -> float:
-    """The angle [rad] of a rotation matrix."""
+    """The angle [rad], from 0 to pi, of a rotation matrix (3, 3)."""
     return float(np.arccos(np.clip((np.trace(R) - 1) / 2, -1, 1)))

@@ -34,6 +34,7 @@ MAX_ARRAY_BYTES = 2_000_000_000
 
 KINDS = {"b": "truth values", "i": "whole numbers", "u": "whole numbers", "f": "floats", "U": "text"}
 NUMBERS = "fiub"
+"""numpy's letters of all kinds of numbers."""
 CHUNK = 1 << 20
 """Bytes inflated at a time: no array is held twice."""
 _SIZES = {"b": (1,), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8), "f": (2, 4, 8), "U": range(1, 257)}
@@ -59,13 +60,14 @@ class Wanted:
     """The exact type, of records, instead of ``kinds``."""
     shape: tuple[int | str, ...] = ()
     most: int = MAX_ARRAY_BYTES
-    """Elements."""
+    """Most elements."""
     optional: bool = False
+    """Whether a file without it will do."""
     also: tuple[str, ...] = ()
     """Other names that it may have; the first that is there is read."""
 
     def said(self, name: str, lengths: Mapping[str, int]) -> str:
-        """In an error message."""
+        """The array in an error message, with the lengths of named axes that are known."""
         axes = [str(lengths.get(axis, axis) if isinstance(axis, str) else axis) for axis in self.shape]
         kind = " or ".join(dict.fromkeys(KINDS[k] for k in self.kinds)) if self.dtype is None else str(self.dtype)
         kind = "numbers" if self.kinds == NUMBERS and self.dtype is None else kind
@@ -114,7 +116,7 @@ def read_all(stream: IO[bytes], where: str, *, most_bytes: int = MAX_ARRAY_BYTES
 
 
 def read_npy(file: Path, name: str, wanted: Wanted) -> NDArray[Any]:
-    """The array of an .npy file. Raises InputError."""
+    """The array of an .npy file, called ``name`` in messages. Raises InputError for any other content."""
     accepted = wanted.said(name, {})
     with opened(file, accepted=accepted) as stream:
         size = file.stat().st_size
@@ -199,11 +201,13 @@ class _Archive:
 def _require_directory(stream: IO[bytes]) -> None:
     """A directory of a size that may be read into memory: zipfile takes whatever the archive's end claims."""
     size = stream.seek(0, io.SEEK_END)
+    # The end record is followed by a comment of at most 64 KiB.
     stream.seek(max(0, size - _DIRECTORY_BYTES - (1 << 16)))
     tail = stream.read()
     at = tail.rfind(_DIRECTORY_END)
     if at < 0 or len(tail) - at < _DIRECTORY_BYTES:
         raise ValueError("no readable npz")
+    # Number of entries, then bytes of the directory; all ones mean that the ZIP64 record holds them.
     entries, length = struct.unpack_from("<HI", tail, at + 10)
     if entries == 0xFFFF or length == 0xFFFFFFFF or tail[max(0, at - 20) : at].startswith(b"PK\x06\x07"):
         _require_large_directory(stream, tail[max(0, at - 20) : at], size)
@@ -227,6 +231,8 @@ def _require_apart(entries: Sequence[zipfile.ZipInfo]) -> None:
     if len({e.filename for e in entries}) < len(entries):
         raise ValueError("a name twice in the archive")
     for one, after in itertools.pairwise(sorted(entries, key=lambda e: e.header_offset)):
+        # A local header has 30 bytes and the name. Entries that share bytes could inflate one block many times (a zip
+        # bomb).
         if one.header_offset + 30 + len(one.filename) + one.compress_size > after.header_offset:
             raise ValueError(f"{one.filename[:60]} and {after.filename[:60]} that overlap")
     for entry in entries:
@@ -252,6 +258,7 @@ def _header(stream: IO[bytes]) -> _Header:
     magic = stream.read(8)
     if len(magic) < 8 or not magic.startswith(b"\x93NUMPY") or magic[6] not in (1, 2, 3):
         raise ValueError("that is no array")
+    # Version 1 has a header length of two bytes, 2 and 3 of four.
     length = stream.read(2 if magic[6] == 1 else 4)
     size = int.from_bytes(length, "little")
     if size > MAX_HEADER:
@@ -339,4 +346,5 @@ def _values(stream: IO[bytes], header: _Header) -> NDArray[Any]:
         raise ValueError("with characters that do not exist")
     if header.dtype.kind == "b":
         array = array.view(np.uint8) != 0  # what else a byte may hold has no meaning to numpy
+    # Fortran order is C order of the transposed array.
     return array.reshape(header.shape[::-1]).T if header.fortran else array.reshape(header.shape)

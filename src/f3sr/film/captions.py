@@ -22,9 +22,10 @@ HEIGHT_SHARE = 1 / 26
 SMALLEST = 11
 """Height of letters [px] that can still be read."""
 PLATE = 0.62
-"""How dark the plate is: white letters keep a contrast of 4.5 over white."""
+"""Opacity of the black plate: over white, white letters keep a contrast of 4.5."""
 PAPER, INK = (255, 255, 255), (27, 29, 32)
 CUT = "…"
+"""Sign that a text was cut."""
 
 
 def captioned(rgb: Picture, text: str, corner: Corner = "bottom left") -> Picture:
@@ -43,6 +44,7 @@ def slowed(frames: Iterable[Picture], slow: Fraction) -> Iterator[Picture]:
 
 
 def speed_words(slow: Fraction) -> str:
+    """The speed of a film that is ``slow`` times slower than life, as "1/4 speed"."""
     speed = 1 / slow
     return f"{speed} speed" if speed.numerator == 1 and speed != 1 else f"{float(speed):g}x speed"
 
@@ -60,6 +62,7 @@ class Caption:
 
     @classmethod
     def of(cls, text: str, size: tuple[int, int], corner: Corner) -> Caption:
+        """A line for pictures of ``size`` (height, width) [px]; too long a line is cut."""
         height, width = size
         letters = font(max(SMALLEST, round(min(height, width) * HEIGHT_SHARE)))
         pad = max(3, round(letters.size / 3))
@@ -78,9 +81,11 @@ class Caption:
         return cls(max(0, top), max(0, left), light, kept)
 
     def on(self, rgb: Picture) -> Picture:
+        """A copy of a picture (h, w, 3) with the line on it."""
         out = rgb.copy()
         area = out[self.top : self.top + len(self.light), self.left : self.left + self.light.shape[1]]
         high, wide = area.shape[:2]  # less than the plate on pictures that are hardly any
+        # Integers: 127 rounds, and the same bytes come out on every machine.
         area[:] = self.light[:high, :wide] + (area * self.kept[:high, :wide] + 127) // 255
         return out
 

@@ -39,11 +39,12 @@ def told(statements: Sequence[str]) -> str:
 
 
 def clock(time: float) -> str:
+    """A time [s] to hundredths."""
     return f"{time:.2f} s"
 
 
 def metres(length: float) -> str:
-    """A length as people say it."""
+    """A length [m] in mm, cm or m, as people say it."""
     if length < 0.0995:
         return f"{1000 * length:.0f} mm"
     return f"{100 * length:.0f} cm" if length < 0.995 else f"{length:.2g} m"

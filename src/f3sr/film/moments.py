@@ -17,7 +17,7 @@ from f3sr.goals.verify import Verdict
 from f3sr.scene import GRAVITY, GROUND, Scene
 
 FEWEST, MOST = 4, 6
-"""Pictures of a strip."""
+"""Least and largest number of pictures of a strip."""
 CLOSE = 0.05
 """Moments nearer to each other [s] are one: their pictures would look the same."""
 FLIES = 0.02
@@ -25,7 +25,7 @@ FLIES = 0.02
 SLOW = 0.02
 """Speed [m/s] of what is at rest."""
 HARD = 5.0
-"""Times its weight from which a contact is a blow."""
+"""Contact force, in weights of the object, from which it is a blow."""
 FALLS = 0.15
 """Speed [m/s] downwards of what hits the ground."""
 FAR = 0.02
@@ -63,7 +63,7 @@ def key_moments(scene: Scene, plan: Plan, rollout: Rollout, verdict: Verdict) ->
 
 
 def frame_at(rollout: Rollout, time: float) -> int:
-    """The first sample at or after a time."""
+    """Index of the first sample at or after ``time`` [s], the last one after the end."""
     return min(int(np.searchsorted(rollout.time, time - 1e-6)), len(rollout.time) - 1)
 
 
@@ -137,6 +137,7 @@ def _impact(seen: Seen, plan: Plan, verdict: Verdict) -> Iterator[Moment]:
     active, rows = plan.task.active, seen.rollout.contacts
     own = rows[((rows["a"] == active) | (rows["b"] == active)) & (rows["time"] > CLOSE)]
     before = [frame_at(seen.rollout, time) - 1 for time in own["time"]]
+    # Vertical speed of each sample to the next; the last one's is anything over infinity, 0.
     climb = np.diff(seen.way(active)[:, 2], append=0.0) / np.diff(seen.time, append=np.inf)
     own = own[(climb[before] < -FALLS) | (own["a"] != GROUND)]
     weight = GRAVITY * next(s.mass for s in plan.semantics if s.id == active)
@@ -183,6 +184,7 @@ def _between(moments: list[Moment], seen: Seen, active: int) -> Moment | None:
     """Another moment: in the middle of the longest way between two, or else where the active object comes to rest; None
     where neither is far enough from all others."""
     way, taken = seen.way(active), [m.frame for m in moments]
+    # (T,) length of the way so far.
     length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))]
     gaps = [(a, b) for a, b in pairwise(taken) if b - a > 2 * APART]
     first, last = max(gaps, key=lambda g: float(length[g[1]] - length[g[0]]), default=(0, 0))

@@ -24,7 +24,7 @@ from f3sr.web.light_mesh import lightened
 from f3sr.web.packed import TextureIndex, packed_camera, packed_mesh
 
 FEWEST_FACES = 200
-"""Of one mesh."""
+"""Least faces of one mesh, however many objects share the page's."""
 FAR = 2.0
 """How far beyond the scene's box, in its diagonals, the view frames what moves."""
 

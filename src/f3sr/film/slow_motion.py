@@ -34,7 +34,8 @@ def rate_of(rollout: Rollout) -> Fraction:
 
 
 def factor(slow: Fraction | float) -> Fraction:
-    """How many times slower than life a film is; InputError where no player could show it."""
+    """How many times slower than life a film is, as a fraction of small numbers. Raises InputError outside
+    FASTEST to SLOWEST."""
     if not (math.isfinite(slow) and FASTEST <= Fraction(slow).limit_denominator(100) <= SLOWEST):
         accepted = f"a factor of {float(FASTEST)} to {SLOWEST}"
         raise InputError("--slow", found=f"{float(slow):g}", accepted=accepted)
@@ -48,6 +49,7 @@ def finer(scene: Scene, plan: Plan, rollout: Rollout, slow: Fraction | float) ->
     motion, as on another machine it may.
     """
     steps = plan.simulation.steps_per_sample
+    # The largest divisor of the plan's steps that is short enough: every old sample is then a new one too.
     fine = next((n for n in range(max(1, math.floor(steps / factor(slow))), 0, -1) if steps % n == 0), 1)
     if fine >= steps:
         return rollout

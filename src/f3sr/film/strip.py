@@ -20,10 +20,11 @@ CELL = 480
 MARGIN, GAP = 24, 16
 """Around everything and between pictures [px]."""
 TITLE, TEXT = 24, 19
-"""Height of letters [px]."""
+"""Height of letters of the title and of words below pictures [px]."""
 LINES = 3
-"""Of words below a picture."""
+"""Most lines of words below a picture."""
 GOOD, BAD = (23, 105, 45), (173, 29, 20)
+"""Colours of the verdict, dark enough to be read on white."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -56,9 +56,11 @@ class Studio:
     """A package's scene, light and background, prepared once for films of any number of goals."""
 
     scene: Scene
+    """The package's scene at the film's size."""
     renderer: Renderer
     config: FilmConfig
     told: tuple[str, ...]
+    """Decisions for the user that hold for every film."""
 
     @classmethod
     def of(cls, package: Package, config: FilmConfig | None = None) -> Self:

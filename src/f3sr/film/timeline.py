@@ -22,7 +22,7 @@ ALWAYS = 0.6
 FAINT = 0.03
 """Share of the tallest force below which it is rest too."""
 SIDE = 1000, 100
-"""Units of a row's drawing along the film and up; it is stretched."""
+"""Units of a row's drawing along the film and up, of SVG's view box; the page stretches it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,12 +71,14 @@ class Pair:
 def pairs_of(rollout: Rollout) -> tuple[Pair, ...]:
     """Every pair that touches, the one with the largest force first."""
     rows, T = rollout.contacts, len(rollout.time)
+    # A contact belongs to the first frame after it.
     frames = np.minimum(np.searchsorted(rollout.time, rows["time"] + 1e-6, side="right"), T - 1)
     found: list[Pair] = []
     tallest = float(rows["force"].max(initial=0.0))
     for a, b in sorted({(int(r["a"]), int(r["b"])) for r in rows}):
         own = (rows["a"] == a) & (rows["b"] == b)
         forces = np.zeros(T)
+        # Several contacts of a pair fall into one frame: ``at`` takes the largest of all, plain indexing the last.
         np.maximum.at(forces, frames[own], rows["force"][own])
         if forces.max() > 0:
             found.append(Pair(a=a, b=b, forces=forces, rests=_rests(forces, tallest)))
@@ -90,6 +92,7 @@ def _rests(forces: NDArray[np.float64], tallest: float) -> bool:
 
 
 def timeline(scene: Scene, plan: Plan, rollout: Rollout, verdict: Verdict) -> Timeline:
+    """All rows of a rollout: conditions as judged, actions of controlled objects, contacts by their largest force."""
     end = float(rollout.time[-1]) or 1.0
     pairs = pairs_of(rollout)
     tallest = max((float(p.forces.max()) for p in pairs), default=0.0)
@@ -148,4 +151,5 @@ def _contact(scene: Scene, pair: Pair, tallest: float) -> BarRow:
 
 
 def force(newtons: float) -> str:
+    """A force [N] in words, to two digits."""
     return f"{newtons:.2g} N" if newtons < 99.5 else f"{newtons:,.0f} N"

@@ -27,14 +27,14 @@ a level, so short pulses."""
 SMALLEST, LARGEST = 16, 8192
 """Sides of a frame [px]; players decode no larger ones."""
 FASTEST = 240
-"""Frames a second."""
+"""Most frames a second of a film."""
 TICKS = 90_000
 """Least time units a second in which the file tells times."""
 
 LUMA = np.array([0.2126, 0.7152, 0.0722])
 """BT.709's weights of red, green and blue."""
 SHIFT = 16
-"""Binary places of the integer weights below."""
+"""Binary places of the integer weights below: errors below 2^-7 of a level, and sums of four pixels fit 32 bits."""
 STUDIO = np.array([219, 224, 224]) / 255
 """Steps of limited range, for Y, U and V, over full range."""
 YUV = np.rint(
@@ -67,6 +67,7 @@ class Video:
 
     @property
     def seconds(self) -> Fraction:
+        """Duration of the film [s]."""
         return self.frames / self.fps
 
 
@@ -99,6 +100,7 @@ class _Encoder:
         av = _av()
         self.count, self.tick = 0, 1 / rate
         self.height, self.width = (n + n % 2 for n in first.shape[:2])
+        # A multiple of the rate's numerator, so that every frame begins at a whole tick.
         scale = -(-TICKS // rate.numerator) * rate.numerator
         options = {"movflags": "+faststart", "fflags": "+bitexact", "use_editlist": "0", "movie_timescale": str(scale)}
 
@@ -138,7 +140,7 @@ class _Encoder:
 
 
 def even(rgb: Picture) -> Picture:
-    """With the last row and column twice where their number is odd."""
+    """The picture (h, w, 3) with its last row and column twice where their number is odd: 4:2:0 needs even sides."""
     height, width = rgb.shape[:2]
     return np.pad(rgb, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge") if height % 2 or width % 2 else rgb
 
@@ -148,6 +150,7 @@ def yuv420(rgb: Picture) -> NDArray[np.uint8]:
 
     Values are rounded; swscale truncates, which darkens a film by one level. A chroma sample is the mean of its four
     pixels. In integers: the same bytes on every machine."""
+    # Sums of four pixels; the two bits more of the shift divide by 4.
     rows = rgb[0::2].astype(np.int32) + rgb[1::2]
     fours = rows[:, 0::2] + rows[:, 1::2]
     planes = [_weighted(rgb, YUV[0], SHIFT, 16), _weighted(fours, YUV[1], SHIFT + 2, 128)]
@@ -159,6 +162,7 @@ def _weighted(rgb: NDArray[Any], weights: NDArray[np.int32], shift: int, offset:
     value = rgb[..., 0] * weights[0]
     for channel in (1, 2):
         value += rgb[..., channel] * weights[channel]
+    # Half a step before the shift rounds to the nearest.
     value += (offset << shift) + (1 << shift - 1)
     value >>= shift
     return value.astype(np.uint8)

@@ -40,7 +40,7 @@ MAX_RELATIONS = 10_000
 MAX_REASON = 1000
 """Most characters of a relation's reason, which goes into the package and its report."""
 RIGID = 1e-4
-"""By how much a rotation's columns may miss unit length and right angles."""
+"""Largest entry of R'R - 1 that a rotation may have: single precision and rounding in files leave less."""
 ABSENT = "the folder has none"
 Shape = tuple[int | str, ...]
 """Lengths of an array's axes; a letter stands for any."""
@@ -96,7 +96,9 @@ def graph_of(
 
 
 def require_relation(where: Path | str, subject: int, predicate: str, object: int, ids: set[int]) -> None:
-    """A relation is between two different objects that exist; its second may be the ground."""
+    """Raises InputError unless a relation is between two different ids of objects that exist.
+
+    Its second may be the ground."""
     if subject not in ids or object not in ids | {GROUND} or subject == object:
         accepted = f"two different ids of {sorted(ids)} ({GROUND} as the second is the ground)"
         _refuse(where, f"{subject} {predicate} {object}", accepted)

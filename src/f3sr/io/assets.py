@@ -42,13 +42,17 @@ class PosedAsset:
 
     mesh: Mesh
     T_camera_object: Array
+    """(4, 4) rigid, OpenCV camera axes [m]."""
     scale: float
+    """Metres per unit of the mesh."""
     source: Path | str
     """The file, or the back end, that says where the mesh stands."""
 
 
 def read_assets(folder: InputFolder, masks: Mapping[int, str], frame: str) -> dict[int, PosedAsset]:
-    """One asset per object; ``masks`` gives each id's mask file name, ``frame`` the axes of GLBs without poses.json."""
+    """One asset per object; ``masks`` gives each id's mask file name, ``frame`` the axes of GLBs without poses.json.
+
+    Raises InputError, which names the file, for a mesh that is missing, left over, broken or of an odd size."""
     place = folder.path("assets")
     names = folder.names("assets")
     given = folder.has("assets/poses.json")
@@ -71,7 +75,9 @@ def require_assets(
 
 
 def require_size(path: Path | str, mask: str, asset: PosedAsset, *, factor: float = 1.0) -> None:
-    """An object between MIN_SIZE and MAX_SIZE, also after scaling by a factor: beyond is another unit, or a mistake."""
+    """Raises InputError for an object outside MIN_SIZE..MAX_SIZE [m], also after scaling by a factor.
+
+    Beyond is another unit, or a mistake."""
     size = factor * asset.scale * asset.mesh.diagonal
     if not MIN_SIZE <= size <= MAX_SIZE:
         raise InputError(
@@ -80,6 +86,7 @@ def require_size(path: Path | str, mask: str, asset: PosedAsset, *, factor: floa
 
 
 def require_total(place: Path | str, meshes: Sequence[Mesh]) -> None:
+    """Raises InputError where all meshes together have too many faces or texture pixels."""
     faces = sum(len(m.faces) for m in meshes)
     textures = [t for m in meshes for material in m.materials if (t := material.texture) is not None]
     pixels = sum(t.shape[0] * t.shape[1] for t in textures)
@@ -106,7 +113,7 @@ def usable_mesh(folder: InputFolder, where: Path | str, id: int, mesh: Mesh) -> 
 
 
 def require_solidity(path: Path | str, mesh: Mesh) -> None:
-    """Require a mesh that spans a volume, with triangles of a plausible total area."""
+    """Raises InputError for a mesh that spans no volume, or whose triangles have no or an absurd total area."""
     accepted = "a mesh that spans a volume"
     try:
         _ = mesh.hull if _is_thin(mesh) else None
@@ -124,6 +131,7 @@ def require_solidity(path: Path | str, mesh: Mesh) -> None:
 def _is_thin(mesh: Mesh) -> bool:
     """Whether its vertices spread so little along some direction that its hull, which takes longer, must tell."""
     away = mesh.vertices - mesh.vertices.mean(0)
+    # Variances along the principal axes, least first: the square root is a standard deviation.
     spread = np.linalg.eigvalsh(away.T @ away / len(away))
     return bool(spread[0] <= (THIN * mesh.diagonal) ** 2)
 

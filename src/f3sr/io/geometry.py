@@ -44,6 +44,7 @@ WANTED = {
 }
 """Arrays of geometry.npz that mean something here."""
 DEPTH = npz.Wanted(kinds="fiu", shape=("h", "w"), most=MAX_PIXELS)
+"""The array of depth.npy: z-depths in units of ``depth_scale``."""
 
 Row = Annotated[list[float], Field(min_length=3, max_length=3)]
 
@@ -58,7 +59,7 @@ CAMERA_FRAMES = {
 
 def read_geometry(folder: InputFolder, photo: Photo) -> tuple[Geometry, Array]:
     """Geometry and K (3, 3) in the photo's pixels, from geometry.npz or from depth.png|npy with intrinsics.json,
-    one of which is there."""
+    one of which is there. Raises InputError, which names the file, for what is invalid."""
     depths = [name for name in DEPTH_FILES if folder.has(name)]
     if folder.has("geometry.npz") and depths:
         raise InputError(folder.root, found=f"geometry.npz and {depths[0]}", accepted="one of the two")
@@ -130,6 +131,7 @@ def _depth_map(folder: InputFolder, name: str, photo: Photo) -> tuple[Geometry, 
     with np.errstate(over="ignore"):  # what overflows is infinite, so invalid
         depth = values.astype(float) * meta.depth_scale
     depth = np.where(np.isfinite(depth), depth, 0)
+    # K belongs to the pixels named in the file; the depth map may have others.
     rays = _pixel_rays(K_depth * [[w / width], [h / height], [1]], w, h)
     valid = _usable(folder, path, depth, depth[..., None], depth > 0)
     points = rays * np.where(valid, depth, 0)[..., None]
@@ -154,7 +156,7 @@ def _load_png(path: Path) -> NDArray[Any]:
 
 
 def camera_frame(where: Path, name: str) -> Array:
-    """The rotation (3, 3) from a named camera frame to OpenCV axes."""
+    """The rotation (3, 3) from a named camera frame to OpenCV axes. InputError for another name."""
     if name not in CAMERA_FRAMES:
         raise InputError(where, found=f"camera frame {name!r}", accepted=", ".join(CAMERA_FRAMES))
     return CAMERA_FRAMES[name]
@@ -170,7 +172,9 @@ def checked_K(path: Path | str, K: Array, photo: Photo) -> Array:
     """K (3, 3) in pixels of the photo, with focal lengths that some lens has. InputError names ``path``."""
     longest = max(photo.width, photo.height)
     low, high = MIN_FOCAL * longest, MAX_FOCAL * longest
+    # The fixed entries: 0 below the diagonal, 1 in the corner.
     ok = np.isfinite(K).all() and np.allclose(K[[1, 2, 2, 2], [0, 0, 1, 2]], [0, 0, 0, 1])
+    # Skew and principal point: of K[:2, 1:] all but fy.
     far = np.abs(K[:2, 1:]).max(initial=0, where=[[True, True], [False, True]]) > MAX_CENTER * longest
     if not ok or far or not (low <= K[0, 0] <= high and low <= K[1, 1] <= high):
         rows = ", ".join(str([float(f"{x:.4g}") for x in row]) for row in K)
@@ -222,7 +226,9 @@ def _pixel_rays(K: Array, width: int, height: int) -> Array:
 
 
 def _fit_intrinsics(path: Path, geometry: Geometry, photo: Photo) -> Array:
-    """Focal length from X/Z and Y/Z of the points, principal point at the centre (robust least squares)."""
+    """K (3, 3): one focal length from X / Z and Y / Z of the points, principal point at the centre.
+
+    It is the median of pixel offsets over slopes; rays near the axis, whose ratio is noise, have no say."""
     h, w = geometry.valid.shape
     pixels = _pixel_rays(np.array([[1, 0, w / 2], [0, 1, h / 2], [0, 0, 1.0]]), w, h)[geometry.valid][:, :2]
     points = geometry.points[geometry.valid].astype(float)

@@ -33,9 +33,11 @@ READABLE_EXTENSIONS = re.compile(r"KHR_materials_\w+|EXT_texture_webp")
 SPECULAR_GLOSSINESS = "KHR_materials_pbrSpecularGlossiness"
 MOVED_TEXTURE = "KHR_texture_transform"
 TRIANGLES = 4
+"""glTF's mode of a primitive of separate triangles."""
 DTYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-"""numpy types by glTF's componentType."""
+"""numpy types by glTF's componentType, little-endian."""
 COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+"""Numbers per element by glTF's accessor type; matrices are not read."""
 
 T = TypeVar("T")
 Index = Annotated[int, Field(ge=0)]
@@ -43,12 +45,16 @@ Index = Annotated[int, Field(ge=0)]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Primitive:
-    """One geometry of a mesh file, in the file's frame."""
+    """One geometry of a mesh file, in the file's frame and unit."""
 
     vertices: Array
+    """(n, 3)"""
     faces: NDArray[np.int64]
+    """(m, 3), outward as the file winds them; indices are not checked yet."""
     uv: Array | None
+    """(n, 2), origin at the image's bottom left."""
     colors: NDArray[np.uint8] | None
+    """(n, 3) sRGB."""
     material: Material
 
 
@@ -193,6 +199,7 @@ def _chunks(data: bytes) -> tuple[bytes, bytes]:
     """The JSON and the binary chunk, if the lengths that the file claims are its own."""
     if len(data) < 20:
         raise _BrokenError(f"a GLB of {len(data)} bytes")
+    # After the magic: version, length of the file, then length and type of the first chunk ("JSON").
     version, total, length, kind = struct.unpack_from("<IIII", data, 4)
     if version != 2 or kind != 0x4E4F534A:
         raise _BrokenError(f"GLB version {version}" if version != 2 else "no JSON chunk")
@@ -356,6 +363,7 @@ class _Reader:
         block, columns = self._bytes(a.bufferView), COLUMNS[a.type]
         row = columns * dtype.itemsize
         stride = view.byteStride or row
+        # The last element ends here; an interleaved view has elements ``stride`` bytes apart.
         if a.byteOffset + max(a.count - 1, 0) * stride + row * bool(a.count) > len(block):
             raise _BrokenError(f"accessor {index} of {a.count} elements beyond its {len(block)} bytes")
         if not a.count:
@@ -454,17 +462,20 @@ def _decoded(uri: str) -> bytes:
 def _matrix(node: _Node) -> Array:
     """The node's transform: its matrix, or translation @ rotation @ scale."""
     if node.matrix is not None:
+        # glTF stores matrices by columns.
         return np.array(node.matrix, float).reshape(4, 4).T
     x, y, z, w = node.rotation
     n = x * x + y * y + z * z + w * w
     T = np.eye(4)
     if n > 1e-12:
+        # 2 / |q|^2 normalises the quaternion on the way; a zero one leaves the identity.
         s = 2.0 / n
         T[:3, :3] = [
             [1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
             [s * (x * y + z * w), 1 - s * (x * x + z * z), s * (y * z - x * w)],
             [s * (x * z - y * w), s * (y * z + x * w), 1 - s * (x * x + y * y)],
         ]
+    # Broadcast over columns: R @ diag(scale).
     T[:3, :3] *= np.array(node.scale)
     T[:3, 3] = node.translation
     return T

@@ -22,8 +22,11 @@ T_YUP_ZUP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]
 """From the world (Z up) to glTF's axes (Y up)."""
 
 FLOAT, UINT8, UINT32 = 5126, 5121, 5125
+"""glTF's component types."""
 VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
+"""glTF's targets of buffer views."""
 LINEAR_REPEAT = {"magFilter": 9729, "minFilter": 9729, "wrapS": 10497, "wrapT": 10497}
+"""The one sampler: bilinear, repeating, as our own renderers draw textures."""
 
 
 def mesh_to_glb(mesh: Mesh, *, name: str = "mesh") -> bytes:
@@ -63,9 +66,10 @@ class GlbBuilder:
     def add_node(
         self, name: str, *, mesh: int, T: Array | None = None, extras: Mapping[str, Any] | None = None
     ) -> None:
-        """A root node that shows ``mesh`` under the 4x4 transform T."""
+        """A root node that shows the mesh of index ``mesh`` under the transform T (4, 4)."""
         node: dict[str, Any] = {"name": name, "mesh": mesh}
         if T is not None:
+            # glTF stores matrices by columns.
             node["matrix"] = T.T.ravel().tolist()
         if extras:
             node["extras"] = dict(extras)
@@ -85,6 +89,7 @@ class GlbBuilder:
         return len(self._tree["meshes"]) - 1
 
     def to_bytes(self) -> bytes:
+        """The GLB file: header, JSON chunk padded with blanks, binary chunk."""
         tree: dict[str, Any] = {"asset": {"version": "2.0", "generator": "f3sr"}, "scene": 0}
         tree["scenes"] = [{"nodes": list(range(len(self._tree["nodes"])))}]
         tree |= {key: values for key, values in self._tree.items() if values}
@@ -117,6 +122,7 @@ class GlbBuilder:
         colors = None if mesh.vertex_colors is None else mesh.vertex_colors[used]
         primitive: dict[str, Any] = {"attributes": attributes, "mode": 4}
         if textured:
+            # v -> 1 - v: glTF's origin is at the top left.
             uv = np.zeros((len(used), 2)) if mesh.uv is None else mesh.uv[used] * [1, -1] + [0, 1]
             attributes["TEXCOORD_0"] = self._accessor(uv.astype(np.float32), "VEC2")
             primitive["material"] = self._material(material)
@@ -172,6 +178,7 @@ def _runs(mesh: Mesh) -> Iterator[tuple[int, NDArray[np.int32] | None]]:
     """(material, faces) of each maximal run of faces of one material; faces None: the whole mesh."""
     material = mesh.face_material
     assert material is not None
+    # -1 is no material: the first face always starts a run.
     starts = np.flatnonzero(np.diff(material, prepend=-1))
     if len(starts) == 1:
         yield int(material[0]), None

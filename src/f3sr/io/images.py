@@ -65,8 +65,9 @@ def _words(error: Exception) -> str:
 
 
 def as_rgb(image: Image.Image) -> NDArray[np.uint8]:
-    """(h, w, 3) 8-bit RGB; 16-bit grey is scaled, alpha is ignored."""
+    """(h, w, 3) uint8 sRGB of an image; 16-bit grey is scaled, alpha is ignored."""
     if image.mode.startswith("I"):
+        # 65535 / 257 = 255: white stays white.
         image = Image.fromarray((np.asarray(image) / 257).clip(0, 255).astype(np.uint8))
     return np.asarray(image.convert("RGB"))
 

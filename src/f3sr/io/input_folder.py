@@ -24,7 +24,10 @@ M = TypeVar("M", bound=BaseModel)
 
 
 class InputFolder:
-    """Opens files of one folder by relative path and remembers what it read."""
+    """Opens files of one folder by relative path and remembers what it read.
+
+    ``digests`` has the sha256 of every file read, by its path relative to ``root``; ``decisions`` are for the user.
+    Raises InputError for a root that is no readable folder."""
 
     def __init__(self, root: Path) -> None:
         try:
@@ -38,7 +41,8 @@ class InputFolder:
         self.digests: dict[str, str] = {}
 
     def path(self, relative: str, *, base: str = "") -> Path:
-        """A path of the folder; one that leaves it is refused."""
+        """A path of the folder, below ``base``. Raises InputError for one that leaves the folder, also through a
+        link."""
         path = self.root / base / relative
         if len(relative) > MAX_PATH:
             found, accepted = f"a path of {len(relative)} characters", f"at most {MAX_PATH}"
@@ -56,7 +60,7 @@ class InputFolder:
         return path
 
     def file(self, relative: str, *, base: str = "", most: int = MAX_FILE_BYTES) -> Path:
-        """A readable file of the folder of at most so many bytes, its sha256 noted."""
+        """A readable file of the folder of at most ``most`` bytes, its sha256 noted. Raises InputError."""
         path = self.path(relative, base=base)
         with opened(path, most=most) as file:
             digest = hashlib.file_digest(cast(Any, file), "sha256").hexdigest()
@@ -91,7 +95,7 @@ class InputFolder:
         return names
 
     def document(self, relative: str, model: type[M]) -> M:
-        """A JSON file, validated."""
+        """A JSON file, validated by ``model``. Raises InputError with the first thing that is wrong."""
         path = self.file(relative, most=MAX_JSON_BYTES)
         value = strict_json.read(path)
         try:
@@ -101,6 +105,7 @@ class InputFolder:
             raise InputError(path, found=found, accepted=accepted) from error
 
     def decide(self, choice: str, reason: str, about: int | None = None, *, fallback: bool = False) -> None:
+        """Note a decision, ``about`` an object's id or the whole folder, with what terminals cannot print left out."""
         self.decisions.append(
             Decision(choice=printable(choice), reason=printable(reason), about=about, fallback=fallback)
         )

@@ -32,6 +32,7 @@ P = TypeVar("P")
 
 PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
+"""No conversions between types, no NaN: what a document says is what it means."""
 MAX_DISTANCE = 100_000.0
 """Largest distance of an object from the camera, in its own sizes: rounding leaves it no shape from far beyond, and no
 pixel shows it."""

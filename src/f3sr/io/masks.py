@@ -29,7 +29,7 @@ MAX_MASK_PIXELS = 2_000_000_000
 
 
 def read_instances(folder: InputFolder, photo: Photo) -> tuple[Instance, ...]:
-    """The objects by id, their masks disjoint."""
+    """The objects by id, their masks (H, W) disjoint. Raises InputError, which names the file, for what is invalid."""
     place = folder.path("masks")
     names = folder.names("masks")
     if strange := [name for name in names if not name.endswith(".png")]:
@@ -48,7 +48,9 @@ def read_instances(folder: InputFolder, photo: Photo) -> tuple[Instance, ...]:
 
 
 def read_mask(folder: InputFolder, relative: str, photo: Photo) -> NDArray[np.bool_]:
-    """A binary mask (H, W); grey levels between are cut in the middle."""
+    """A binary mask (H, W); grey levels between are cut in the middle.
+
+    Raises InputError for another size than the photo's, or fewer than ``MIN_PIXELS`` set pixels."""
     path = folder.file(relative)
     gray = _levels(folder, path)
     if gray.shape != (photo.height, photo.width):

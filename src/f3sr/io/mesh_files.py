@@ -59,7 +59,9 @@ def load_part(path: Path, *, max_faces: int = MAX_FACES, max_bytes: int = MAX_TE
 
 
 def save_glb(mesh: Mesh, path: Path) -> None:
-    """Write a mesh in its own frame; ``load_mesh`` gives it back, vertices rounded to float32."""
+    """Write a mesh in its own frame as GLB; ``load_mesh`` gives it back, vertices rounded to float32.
+
+    Raises OSError where the file cannot be written."""
     Path(path).write_bytes(mesh_to_glb(mesh, name=Path(path).stem))
 
 

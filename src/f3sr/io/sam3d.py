@@ -72,10 +72,11 @@ class AssetPose(BaseModel):
 
     @property
     def uniform_scale(self) -> float:
+        """Metres per unit of the local frame."""
         return sum(self.scale) / 3
 
     def camera_pose(self) -> tuple[Array, Array]:
-        """Rotation (3, 3) and translation (3,) of the local frame in OpenCV camera axes."""
+        """Rotation (3, 3) and translation (3,) [m] of the local frame in OpenCV camera axes: F R(q)^T and F t."""
         R = OPENCV_FROM_PYTORCH3D @ rotation_from_quaternion(self.rotation).T
         return R, OPENCV_FROM_PYTORCH3D @ np.asarray(self.translation)
 

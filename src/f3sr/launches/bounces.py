@@ -68,6 +68,8 @@ def _bouncing_at(s: LaunchContext, target: int, e: float) -> Launches:
             place = np.append((start + part * near * u)[:2], s.height)
             for arc in (0.4, 0.8, 1.5, 3.0):
                 v, first = ballistics.throw(start, place, max(start[2], s.height) + arc * s.size)
+                # It comes down with g t - v_z; the second flight takes the rest of the way at the same horizontal
+                # speed.
                 off = np.array([v[0], v[1], e * (GRAVITY * first - v[2])])
                 second = (1 - part) / part * first
                 height = s.height + off[2] * second - GRAVITY * second**2 / 2
@@ -104,6 +106,7 @@ def _skipping(s: LaunchContext, start: Array, lift: Array | None) -> Launches:
     for part, arc in ((0.6, 0.5), (0.75, 0.5), (0.6, 1.2), (0.4, 0.5), (0.8, 1.5)):
         place = start + max(part * gap, 0.02) * s.direction
         v, seconds = ballistics.throw(start, np.array([*place[:2], s.height]), max(start[2], s.height) + arc * s.size)
+        # Speed that friction takes on the rest of the gap: v^2 = 2 a d.
         on = math.sqrt(2 * s.drag * (1 - part) * max(gap, 0.0))
         v = v + max(0.0, 1.5 * on - float(v @ s.direction)) * s.direction if s.layout.pool(s.target) is None else v
         yield [s.thrown(v, lift=lift, seconds=seconds + AFTER)]
@@ -122,11 +125,13 @@ def _came_down(s: LaunchContext, tried: Tried, height: float) -> Array | None:
         return None
     k = next((int(i) for i in high if way[i + 1, 2] < height), int(high[-1]))
     z0, z1 = way[k, 2], way[k + 1, 2]
+    # Linear between the last sample above the height and the first below it.
     t = (z0 - height) / max(z0 - z1, 1e-9)
     return np.asarray(way[k, :2] + t * (way[k + 1] - way[k])[:2])
 
 
 def _bouncing_up(s: LaunchContext, start: Array, lift: Array | None) -> Launches:
+    """Up to the wanted height and down again where it is, higher and higher."""
     for factor in (1.0, 1.6, 2.5):
         rise = factor * (s.task.amount or 1.5 * s.size)
         up = ballistics.height_speed(rise)

@@ -23,6 +23,7 @@ SEARCHES: Mapping[Kind, Callable[[LaunchContext], Launches]] = {
     "bounce": bounces.bouncing,
     "launch_and_return": flights.launching,
 }
+"""The search of every kind of task: a generator that yields launches and is sent what came of them."""
 
 
 @dataclass(eq=False)
@@ -34,10 +35,13 @@ class Builder:
     task: TaskSpec
     layout: SceneLayout
     told: list[Tried] = field(default_factory=list[Tried])
+    """Trials that the search has been sent."""
     asked: Sequence[Launch] = ()
+    """Launches that it asked for last; empty when it has no more."""
     search: Launches | None = None
 
     def next(self, tried: Sequence[Tried]) -> Sequence[Launch]:
+        """The launches to try after all that were ``tried``, in order; none when the search has ended."""
         if self.search is None or list(tried[: len(self.told)]) != self.told:
             setting = LaunchContext(self.task, self.layout, limits_of(self.layout.scene))
             self.search, self.told = SEARCHES[self.task.kind](setting), []

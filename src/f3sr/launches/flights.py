@@ -61,6 +61,8 @@ def _places(s: LaunchContext) -> Iterator[Array]:
             shift = aim + np.array([i, j]) * (high - low) / 6 - middle
             under = s.layout.under(s.active, shift)
             top, first = s.layout.landing(s.active, shift)
+            # Share of the object that is level over the target; being over something else first costs more than any
+            # share gains.
             good = sum(1.0 for z, whose in under if whose == s.target and z > top - 0.1 * s.size) / len(under)
             off = math.hypot(i, j) / 6
             rated.append((off - 2 * good + (3 if first != s.target else 0), len(rated), shift))
@@ -114,17 +116,19 @@ def _arcs(s: LaunchContext, start: Array, lift: Array | None) -> Search[bool]:
 def is_blocked(
     s: LaunchContext, arcs: list[tuple[Array, Array, float]], goal: Array, *, near: float | None = None
 ) -> bool:
-    """Whether anything except the target is in the path of flights, up to ``near`` [m] before the goal.
+    """Whether anything except the target is in the path of flights, up to ``near`` [m] before the ``goal`` (3,).
 
-    Each flight has a start, a velocity and a duration."""
+    Each flight has a start (3,) [m], a velocity (3,) [m/s] and a duration [s]; the path is looked at in 14 places."""
     half = 0.5 * float(np.ptp(s.layout.corners(s.active) @ np.array([-s.direction[1], s.direction[0], 0.0])))
     if near is None:
         near = _extent(s)
     for start, v, seconds in arcs:
         for t in np.linspace(0, seconds, 16)[1:-1]:
             at = start + v * t - [0, 0, GRAVITY * t * t / 2]
+            # At its ends the object is among what it starts from and comes to.
             if np.linalg.norm(at[:2] - goal[:2]) < near or np.linalg.norm(at[:2] - s.center[:2]) < half:
                 continue
+            # Three lines across the way, within the object's width.
             for aside in (-0.7, 0.0, 0.7):
                 x, y = at[:2] + aside * half * np.array([-s.direction[1], s.direction[0]])
                 top, whose = s.layout.top(float(x), float(y), without=s.active)
@@ -155,6 +159,7 @@ def _strikes(s: LaunchContext, target: int, start: Array, lift: Array | None) ->
         far = max(float(np.linalg.norm((goal - start)[:2])), 1e-3)
         for speed in (2.0, 3.2, 5.0, 1.2, 7.0):
             seconds = far / speed
+            # z(t) = z0 + up t - g t^2 / 2 meets the goal's height after ``seconds``.
             up = (goal[2] - start[2]) / seconds + GRAVITY * seconds / 2
             v = np.append(speed * (goal - start)[:2] / far, up)
             if np.linalg.norm(v) <= s.limits.speed:
@@ -170,7 +175,9 @@ def _strikes(s: LaunchContext, target: int, start: Array, lift: Array | None) ->
 
 
 def goal_of(s: LaunchContext, aim: float) -> tuple[Array, float]:
-    """Where the centre of mass is to come down, and the height that it must clear before."""
+    """Where the centre of mass is to come down (3,) [m], and the height [m] that it must clear before.
+
+    ``aim`` is in half lengths of the target along the way, from its middle."""
     if s.target is None:
         goal = s.center + (s.task.amount or 2 * s.size) * s.direction
         return np.array([goal[0], goal[1], s.height]), s.height
@@ -212,10 +219,12 @@ def _apex_over(z0: float, z1: float, beyond: float, between: tuple[float, float]
     """The lowest apex of a flight over ``beyond`` that is above ``clear`` between two distances, by bisection."""
 
     def lowest(apex: float) -> float:
+        # Seconds from the start to the top and from there down; times below are counted from the top.
         up, down = math.sqrt(2 * (apex - z0) / GRAVITY), math.sqrt(2 * (apex - z1) / GRAVITY)
         times = [np.clip(x / beyond, 0, 1) * (up + down) - up for x in between]
         return min(apex - GRAVITY * t * t / 2 for t in times)
 
+    # A higher apex is steeper at both ends, so the lowest height between them grows with it: bisection.
     low, high = max(z0, z1, clear), max(z0, z1, clear) + 20 * clear
     for _ in range(40):
         middle = (low + high) / 2

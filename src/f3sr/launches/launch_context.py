@@ -29,7 +29,7 @@ from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import GRAVITY, GROUND
 
 RAMP = 0.1
-"""How long a push takes to bring something to its pace [s]."""
+"""How long a push takes to bring something to its pace [s]: a step of velocity would lift it (see ``BLOW``)."""
 BLOW = 0.02
 """Duration of an impulse along the ground [s].
 
@@ -42,7 +42,7 @@ CALM = 0.75
 AT_ONCE = 0.12
 """Before this [s] something that is thrown is not yet gone."""
 CLEARANCE = 0.006
-"""Above what it is let go over, at least [m]."""
+"""Least height [m] over what an object is let go above."""
 
 Result = TypeVar("Result")
 
@@ -57,16 +57,19 @@ class Aim:
 
     goal: float
     most: float = 1.8
-    """By which factor an aim changes at most."""
+    """Largest factor by which an aim changes from one trial to the next."""
     far: float = 0.0
+    """Where to aim now."""
     near: float = 0.0
+    """Farthest aim that fell short."""
     beyond: float = math.inf
+    """Nearest aim that went too far."""
 
     def __post_init__(self) -> None:
         self.far = self.far or self.goal
 
     def ended(self, moved: float) -> None:
-        """It went so far."""
+        """Correct the aim: with the last one the object ``moved`` so far [m]."""
         if moved < self.goal:
             self.near = max(self.near, self.far)
         else:
@@ -86,6 +89,7 @@ class LaunchContext:
 
     @property
     def active(self) -> int:
+        """Id of the object that is launched."""
         return self.task.active
 
     @property
@@ -95,26 +99,28 @@ class LaunchContext:
 
     @cached_property
     def direction(self) -> Array:
-        """Unit vector (3,), level."""
+        """Unit vector (3,) of the task's direction in the world, level; x where the task names none."""
         d = np.array(self.task.direction or (1.0, 0.0, 0.0)) * [1, 1, 0]
         return d / max(float(np.linalg.norm(d)), 1e-12)
 
     @cached_property
     def center(self) -> Array:
+        """Centre of mass (3,) of the active object in the world [m]."""
         return self.layout.center(self.active)
 
     @cached_property
     def height(self) -> float:
-        """Of the centre of mass above the object's lowest point [m]."""
+        """Height [m] of the centre of mass above the object's lowest point."""
         return float(self.center[2] - self.layout.span(self.active)[0, 2])
 
     @cached_property
     def size(self) -> float:
+        """Size of the active object [m], the unit of most heights and aims."""
         return self.layout.size(self.active)
 
     @cached_property
     def drag(self) -> float:
-        """What friction takes from a speed [m/s2]."""
+        """Deceleration by friction on level ground [m/s2]: mu g."""
         return self.layout.friction(self.active) * GRAVITY
 
     @cached_property
@@ -152,6 +158,7 @@ class LaunchContext:
 
     @property
     def hard(self) -> float:
+        """Factor on speeds by the goal's manner, as "gently"."""
         return {"gently": 0.6, "hard": 1.7}.get(self.task.manner or "", 1.0)
 
     def calm(self, direction: Array) -> float:
@@ -159,8 +166,10 @@ class LaunchContext:
         corners = self.layout.corners(self.active)
         base = corners[corners[:, 2] <= corners[:, 2].min() + 0.1 * self.height]
         ahead = max(float(((base - self.center) @ direction).max()), 1e-6)
+        # Friction mu m g at the ground turns it over the edge ahead once mu h exceeds that edge's distance.
         if self.drag / GRAVITY * self.height < STANDS * ahead:
             return math.inf
+        # Energy that lifts the centre over the edge: v^2 / 2 = g (|arm| - h).
         return CALM * math.sqrt(2 * GRAVITY * (math.hypot(ahead, self.height) - self.height))
 
     # --- launches -----------------------------------------------------------------------------------------------------
@@ -168,13 +177,15 @@ class LaunchContext:
     def thrown(
         self, linear: Array, *, angular: Array | None = None, lift: Array | None = None, seconds: float
     ) -> Launch:
-        """A launch with a velocity of the centre of mass and an angular velocity.
+        """A launch with a velocity of the centre of mass (3,) [m/s] and an angular velocity (3,) [rad/s], within the
+        limits.
 
         If a ``lift`` (3,) is needed first, it starts from the top of a hop."""
         speed = float(np.linalg.norm(linear))
         most = min(self.limits.speed, self.limits.impulse / self.layout.mass(self.active))
         turning = np.zeros(3) if angular is None else angular
         whirls = whirl(self.layout.scene[self.active], turning)
+        # Both velocities by one factor: their ratio, as of rolling, stays.
         share = min(1.0, most / max(speed, 1e-12), WHIRL * self.limits.speed / max(whirls, 1e-12))
         linear, turning = share * linear, share * turning
         if lift is not None:
@@ -198,6 +209,7 @@ class LaunchContext:
         It acts so low that it and friction together have no torque."""
         mass, speed = self.layout.mass(self.active), min(speed, self.limits.speed)
         duration = max(BLOW, mass * speed / (0.9 * self.limits.force))
+        # Under constant force the object moves by v t / 2 meanwhile: 1.6 leaves a fifth of the way free.
         duration = min(duration, 1.6 * max(until, 0.0) / max(speed, 1e-9))
         if duration < 1e-3:
             return self.thrown(speed * direction, seconds=seconds)
@@ -208,7 +220,7 @@ class LaunchContext:
         return self._launch(InitialConditions(impulses=(blow,)), seconds)
 
     def lifted(self, lift: Array, *, seconds: float) -> Launch:
-        """Let go somewhere else."""
+        """A launch that lets it go at an offset (3,) [m] from where it is."""
         offset = Offset(id=self.active, translation=_three(lift))
         return self._launch(InitialConditions(offsets=(offset,)), seconds)
 
@@ -222,6 +234,7 @@ class LaunchContext:
         pace = max(pace, far / LONGEST_PUSH)
         a, mass, seconds = self.drag, self.layout.loaded_mass(self.active), far / max(pace, 0.05) + 2.5
         pace = min(pace, math.sqrt(2 * a * far), self.limits.force * RAMP / (2 * mass))
+        # The way at even pace: without what it slides after the push, and without the ramp's.
         rest = far - pace**2 / (2 * a) - pace * RAMP / 2
         rest = min(rest, until - pace * RAMP / 2, pace * LONGEST_PUSH)
         if rest < 0:
@@ -264,7 +277,7 @@ class LaunchContext:
     # --- what came of them ------------------------------------------------------------------------------------------
 
     def way(self, tried: Tried, id: int | None = None) -> Array:
-        """(T, 3) of a centre of mass."""
+        """(T, 3) way of an object's centre of mass in the world [m], the active one's by default."""
         id = self.active if id is None else id
         T = tried.rollout.poses(id)
         return T[:, :3, :3] @ body_of(self.layout.scene[id]).center + T[:, :3, 3]
@@ -274,16 +287,18 @@ class LaunchContext:
         return float((self.way(tried)[-1] - self.center) @ self.direction)
 
     def lean(self, tried: Tried) -> float:
+        """Angle [rad] between the object's upright axis at the start and at the end."""
         R = tried.rollout.poses(self.active)[[0, -1], :3, :3]
         return float(np.arccos(np.clip((R[1] @ R[0].T)[2, 2], -1, 1)))
 
     def rolling(self, linear: Array) -> Array:
-        """The turning (3,) with which it rolls at a speed and does not slide."""
+        """The angular velocity (3,) [rad/s] with which it rolls at a velocity (3,) [m/s] and does not slide: up x v /
+        h."""
         return np.asarray(np.cross(UP, linear) / max(self.height, 1e-6), float)
 
 
 LONGEST, LONGEST_PUSH = 5.0, 3.5
-"""Of a rollout, and of a push in it [s]."""
+"""Longest rollout, and longest push in it [s]."""
 
 
 def _three(v: Array) -> tuple[float, float, float]:

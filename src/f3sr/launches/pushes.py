@@ -15,17 +15,17 @@ from f3sr.scene import GRAVITY
 PACE = 0.6
 """At which a hand pushes things about [m/s]."""
 BEYOND = 1.06
-"""How much farther than needed to aim, as a factor,"""
+"""Factor by which to aim farther than the goal's condition asks."""
 BEYOND_BY = 0.004
-"""and in any case [m]."""
+"""Way [m] by which to aim farther in any case: for short ways, of which a factor is little."""
 LEANS = math.radians(30)
-"""More is falling over."""
+"""Largest lean [rad] that is not falling over."""
 BLOWS = (0.5, 0.8, 1.2, 1.8, 2.6, 3.8, 5.5)
 """Speeds at which one thing is pushed into another [m/s]."""
 SURPLUS = (1.4, 1.9, 2.7, 4.0, 6.0)
-"""Times the energy that toppling needs."""
+"""Factors on the energy that toppling needs, tried in order."""
 CLEAR = 0.005
-"""From the target a push ends [m]."""
+"""Least distance [m] before the target at which a push ends."""
 
 
 def sliding(s: LaunchContext) -> Launches:
@@ -148,7 +148,7 @@ def _hopping(s: LaunchContext, direction: Array, speed: float) -> Launches:
 
 
 LONG = 4.5
-"""What rolls is looked at for so long [s]."""
+"""Duration of a rollout of what rolls [s]."""
 
 
 def toppling(s: LaunchContext) -> Launches:

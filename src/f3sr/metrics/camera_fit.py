@@ -34,6 +34,8 @@ ITERATIONS = 40
 
 @settings
 class ForeignCameraConfig:
+    """Bounds of the search for a camera of a scene that f3sr did not align."""
+
     max_rotation: Annotated[float, Interval(gt=0, le=np.pi / 4)] = math.radians(10)
     """Largest turn of the camera about the scene's middle, per axis [rad]. Twelve raw scenes asked for at most .08."""
     max_translation: Annotated[float, Interval(gt=0, le=0.5)] = 0.2
@@ -59,6 +61,7 @@ def fitted_camera(
         )
     given = np.zeros(6)
     pulled = fit.best(given, loss, iterations=ITERATIONS)
+    # 1 - IoU is flat where silhouette and mask are apart: the first search brings them together.
     near = fit.without_distances()
     start = min((given, pulled), key=lambda u: near.objective(u, iou_loss).value)
     polished = near.best(start, iou_loss, iterations=ITERATIONS)
@@ -96,6 +99,7 @@ class InstancesFit:
         return replace(self, targets=tuple(map(alike, self.targets)))
 
     def objective(self, u: Array, term: Term) -> Local:
+        """The mean of ``term`` over objects at u (6,), with derivatives by u."""
         camera, velocities = self.freedom.at(u), self.freedom.velocities(u)
         terms = [
             term(surface.integrals(camera, target.fields, velocities), target)
@@ -108,6 +112,7 @@ class InstancesFit:
         )
 
     def best(self, start: Array, term: Term, *, iterations: int) -> Array:
+        """Parameters (6,) of the least objective near ``start`` (6,), after at most ``iterations`` steps."""
         ones = np.ones(6)
         return minimise(lambda u: self.objective(u, term), start, bounds=(-ones, ones), iterations=iterations).x
 
@@ -116,6 +121,7 @@ def iou_loss(integrals: Integrals, target: Target) -> Local:
     """1 - IoU with its derivatives: with areas A of the silhouette and M of the mask and L the area where only one is,
     IoU = (A + M - L) / (A + M + L). The curvature is that of L alone. ``target`` is one without distances, so that its
     mismatch is L - M."""
+    # value = 1 - (both - L) / total = 2 L / total; derivatives by the quotient rule.
     A, dA = float(integrals.value[AREA]), integrals.gradient[AREA]
     L, dL = target.area + float(integrals.value[MISMATCH]), integrals.gradient[MISMATCH]
     both, total = A + target.area, A + target.area + L

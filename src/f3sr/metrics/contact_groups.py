@@ -33,7 +33,7 @@ class SettledScene:
 
 
 def groups_of(before: Scene, after: Scene, apart: float) -> list[set[int]]:
-    """Groups of objects that are near each other in either scene, or across the two scenes."""
+    """Groups of ids whose objects come within ``apart`` [m] of each other in either scene, or across the two scenes."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -56,5 +56,7 @@ def _boxes(o: SceneObject) -> Array:
 
 
 def _are_near(a: Array, b: Array, apart: float) -> bool:
+    """Whether any of boxes a (n, 2, 3) is within ``apart`` [m] of any of b (m, 2, 3) along every axis."""
+    # (n, m, 3) gaps per axis: the low side of one less the high side of the other; negative where they overlap.
     between = np.maximum(a[:, None, 0] - b[None, :, 1], b[None, :, 0] - a[:, None, 1])
     return bool((between < apart).all(-1).any())

@@ -239,6 +239,7 @@ def gaps_of(objects: Sequence[SceneObject]) -> tuple[Gap, ...]:
         nearest, distance, start, end = GROUND, max(0.0, float(lowest[2])), lowest, lowest * [1, 1, 0]
         for j, tree in enumerate(trees):
             if j != i and distance > 0:
+                # Every seventh point asks, all points answer; only gaps shorter than the best so far are looked for.
                 distances, hits = tree.query(p[::7], distance_upper_bound=distance)
                 k = int(np.argmin(distances))
                 if distances[k] < distance:
@@ -271,6 +272,7 @@ def points_inside(objects: Sequence[SceneObject], stride: int = 40) -> int:
         for id, points in samples.items():
             points = points[np.all((points > low) & (points < high), axis=1)]
             if id != a.id and len(points):
+                # Into the asset's frame, where the welded mesh is: rows times inverse transposed.
                 local = (points - a.T_world_asset[:3, 3]) @ np.linalg.inv(a.T_world_asset[:3, :3]).T
                 total += int(np.count_nonzero(winding_number(local, vertices, faces) > 0))
     return total
@@ -288,6 +290,7 @@ def proxy_distances(o: SceneObject) -> tuple[float, float]:
     out = union_distance(vertices, o.colliders)
     surface = np.concatenate([o.mesh.vertices, sample_surface(o.mesh.vertices, o.mesh.faces, SAMPLES)])
     samples = np.concatenate([sample_surface(p.vertices, p.faces, PART_SAMPLES) for p in o.colliders])
+    # Only the union's own surface: faces of parts inside other parts are no surface of the proxy.
     free = samples[union_distance(samples, o.colliders) >= -1e-4 * size]
     far = float(KDTree(surface).query(free)[0].mean()) if len(free) else 0.0
     return float(np.percentile(np.maximum(out, 0), 99.9)) / size, far / size
@@ -300,6 +303,7 @@ def sample_surface(vertices: Array, faces: NDArray[np.int32], count: int) -> Arr
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     chosen = rng.choice(len(faces), count, p=area / area.sum())
     u, v = rng.random((2, count, 1))
+    # Uniform over the triangle: the parallelogram's upper half is folded onto the lower.
     flip = u + v > 1
     u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
     return a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]

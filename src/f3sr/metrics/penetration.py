@@ -13,7 +13,7 @@ from f3sr.core.transforms import Array
 from f3sr.runtime.kernels import inline_kernel, kernel
 
 EDGE_LENGTH = 0.01
-"""Target edge length as a share of the scene's diagonal (equation 12's protocol)."""
+"""Longest edge of refined surfaces, as a share of the scene's diagonal (equation 12's protocol)."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -80,6 +80,8 @@ def _meeting(boxes: Sequence[Array]) -> Iterator[tuple[int, int, Array, Array]]:
 def _within(surface: Surface, low: Array, high: Array) -> Array:
     """The triangles (n, 3, 3) of a surface whose boxes meet a box."""
     vertices, faces = surface
+    # Bit 0: below the box, bit 1: above it, per axis. A triangle is apart if its three corners share a bit on some
+    # axis.
     beyond = (vertices < low).astype(np.uint8) + 2 * (vertices > high).astype(np.uint8)
     apart = np.bitwise_and.reduce(beyond[faces], axis=1).any(1)
     return vertices[faces[~apart]]
@@ -107,11 +109,13 @@ def crossings_of(a: Array, b: Array, cell: float) -> tuple[int, Array]:
     bounds = np.array([[np.inf] * 3, [-np.inf] * 3])
     if not len(a) or not len(b):
         return 0, bounds
+    # Crossings lie in the box that both sets share; the grid covers that box.
     low = np.maximum(a.min((0, 1)), b.min((0, 1)))
     high = np.minimum(a.max((0, 1)), b.max((0, 1)))
     if np.any(low >= high):
         return 0, bounds
     a, b = (t[np.all(t.max(1) >= low, 1) & np.all(t.min(1) <= high, 1)] for t in (a, b))
+    # At most 256 cells a side: a tiny cell must not exhaust memory.
     cells = np.clip(((high - low) / cell).astype(np.int64) + 1, 1, 256)
     starts, members = _bins(np.ascontiguousarray(b), low, high, cells)
     a, b = np.ascontiguousarray(a), np.ascontiguousarray(b)
@@ -127,6 +131,7 @@ def warm_up() -> None:
 def _edge_lengths(vertices: Array, faces: NDArray[np.int32]) -> Array:
     """Of every edge once."""
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64), axis=1)
+    # An edge as one number, low * n + high: unique numbers are faster than unique rows.
     a, b = np.divmod(np.unique(edges[:, 0] * len(vertices) + edges[:, 1]), len(vertices))
     return np.linalg.norm(vertices[a] - vertices[b], axis=1)
 
@@ -143,6 +148,7 @@ def _orient(a: Any, b: Any, c: Any, d: Any) -> float:
 @kernel
 def _pierces(p: Any, q: Any, t: Any) -> bool:
     """Whether the segment p-q crosses the interior of triangle t strictly."""
+    # The ends lie strictly on both sides of the triangle's plane, and the segment passes all three edges on one side.
     s, e = _orient(t[0], t[1], t[2], p), _orient(t[0], t[1], t[2], q)
     if not ((s > 0 and e < 0) or (s < 0 and e > 0)):
         return False
@@ -179,6 +185,8 @@ def _box(t: Any, low: Any, high: Any, cells: Any, out: Any) -> None:
 def _bins(b: Any, low: Any, high: Any, cells: Any) -> Any:
     """Triangles per grid cell, as starts (n + 1,) into a list of members."""
     box = np.empty(6, np.int64)
+    # Counting sort: counts, then starts, then members (compressed rows). A triangle is a member of every cell of its
+    # box.
     starts = np.zeros(cells[0] * cells[1] * cells[2] + 1, np.int64)
     for t in range(b.shape[0]):
         _box(b[t], low, high, cells, box)
@@ -212,6 +220,7 @@ def _meet(s: Any, t: Any, bounds: Any) -> None:
 @kernel
 def _count(a: Any, b: Any, low: Any, high: Any, cells: Any, starts: Any, members: Any, bounds: Any) -> int:
     """Crossing pairs; each pair is tested once, in the first cell that both share. ``bounds`` grows around them."""
+    # seen[s]: the last triangle of a that s was tested against. A pair may share many cells.
     seen = np.full(b.shape[0], -1, np.int64)
     box = np.empty(6, np.int64)
     total = 0

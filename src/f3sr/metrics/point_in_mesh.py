@@ -14,7 +14,7 @@ from f3sr.core.transforms import Array
 from f3sr.runtime.kernels import inline_kernel, kernel
 
 PER_CELL = 2.0
-"""Triangles per cell of the grid that finds those over a point, about."""
+"""Mean number of triangles per cell of the grid that finds those over a point."""
 
 
 def winding_number(points: Array, vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.int64]:
@@ -29,6 +29,7 @@ def winding_number(points: Array, vertices: Array, faces: NDArray[np.int32]) -> 
     low, high = points[:, :2].min(0), points[:, :2].max(0)
     triangles = vertices[faces]
     first, last = triangles.min(1), triangles.max(1)
+    # Rays go up: only triangles over the points' rectangle that end above the lowest point can be hit.
     above = np.all(first[:, :2] <= high, 1) & np.all(last[:, :2] >= low, 1) & (last[:, 2] > points[:, 2].min())
     triangles = np.ascontiguousarray(triangles[above])
     side = max(1, int(np.sqrt(len(triangles) / PER_CELL)))
@@ -46,8 +47,10 @@ def _cell(x: float, low: float, width: float, side: int) -> int:
 def _crosses(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> int:
     """1 where the directed edge a-b runs up through y to the right of x, -1 where it runs down; an edge gives exactly
     the opposite of its reverse."""
+    # Half open in y: a vertex at the ray's height counts for one of its two edges.
     if (ay <= y) == (by <= y):
         return 0
+    # Each direction is evaluated from its lower end, so that an edge and its reverse round alike.
     if ay <= y:
         return 1 if (bx - ax) * (y - ay) - (x - ax) * (by - ay) > 0 else 0
     return -1 if (ax - bx) * (y - by) - (x - bx) * (ay - by) > 0 else 0
@@ -59,6 +62,7 @@ def _height(x: float, y: float, t: Any) -> float:
     ux, uy, vx, vy = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[2, 0] - t[0, 0], t[2, 1] - t[0, 1]
     area = ux * vy - uy * vx
     low, high = min(t[0, 2], t[1, 2], t[2, 2]), max(t[0, 2], t[1, 2], t[2, 2])
+    # Seen from its edge: any height between its own is on it.
     if area == 0:
         return (low + high) / 2
     px, py = x - t[0, 0], y - t[0, 1]
@@ -83,6 +87,7 @@ def _bins(triangles: Any, low: Any, width: Any, side: int) -> Any:
         for i in range(box[0], box[2] + 1):
             for j in range(box[1], box[3] + 1):
                 starts[i * side + j + 1] += 1
+    # Counting sort: counts, then starts, then members (compressed rows).
     starts = np.cumsum(starts)
     members, filled = np.empty(starts[-1], np.int64), starts.copy()
     for f in range(len(triangles)):
@@ -103,6 +108,7 @@ def _count(points: Any, triangles: Any, low: Any, width: Any, side: int, number:
         cell = _cell(x, low[0], width[0], side) * side + _cell(y, low[1], width[1], side)
         for n in range(starts[cell], starts[cell + 1]):
             t = triangles[members[n]]
+            # The winding number of the triangle's projection around (x, y): 1 if it faces up, -1 if down, 0 beside it.
             turn = _crosses(x, y, t[0, 0], t[0, 1], t[1, 0], t[1, 1])
             turn += _crosses(x, y, t[1, 0], t[1, 1], t[2, 0], t[2, 1])
             turn += _crosses(x, y, t[2, 0], t[2, 1], t[0, 0], t[0, 1])
@@ -122,6 +128,7 @@ def union_distance(points: Array, parts: Sequence[ConvexPart]) -> Array:
 
 @kernel
 def _union_distance(points: Any, planes: Any, starts: Any) -> Any:
+    """``union_distance`` to ``planes`` (f, 4), rows (normal, offset), of parts that begin at ``starts`` (p + 1,)."""
     least = np.empty(len(points))
     near = 0
     for k in range(len(points)):
@@ -132,6 +139,7 @@ def _union_distance(points: Any, planes: Any, starts: Any) -> Any:
             beyond = -np.inf
             for i in range(starts[p], starts[p + 1]):
                 beyond = max(beyond, planes[i, 0] * x + planes[i, 1] * y + planes[i, 2] * z - planes[i, 3])
+                # The maximum over facets only grows: this part cannot be nearer than the best one.
                 if beyond >= best:
                     break
             if beyond < best:

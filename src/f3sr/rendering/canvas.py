@@ -38,9 +38,9 @@ from f3sr.rendering.textures import LINEAR, srgb
 from f3sr.vision import rasterizer
 
 CELL = 2
-"""Side of the cells that the ground's shadows are drawn in [px]: they are soft."""
+"""Side of the cells that the ground's shadows are drawn in [px]: shadows are soft, and half as fine is enough."""
 TILE = 8
-"""Side of the squares whose objects are coloured anew or not at all [px]."""
+"""Side of the tiles whose objects are coloured anew or not at all [px]; a multiple of ``CELL``."""
 BLURS = 1, 2, 1, 2
 """Reach of the filters over shadows of the disc and of the sky, now and at rest [cells].
 
@@ -55,10 +55,12 @@ BANDS = 4
 """Bands of rows per thread that are coloured: what is dear lies together."""
 
 TABLE = rasterizer.fixed(np.rint(255 * srgb(np.arange(STEPS + 1) / STEPS)), np.uint8)
+"""(STEPS + 1,) sRGB byte of every step of linear light in [0, 1]."""
 SET_BITS = rasterizer.fixed([bin(k).count("1") for k in range(256)], np.int64)
+"""(256,) how many bits of a byte are 1: how many lights are hidden."""
 
 Rectangle = tuple[int, int, int, int]
-"""First row, row after the last, first column, column after the last."""
+"""First row, row after the last, first column, column after the last, in tiles."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -67,15 +69,16 @@ class StillScene:
 
     camera: Camera
     background: NDArray[np.uint8]
+    """(h, w, 3) sRGB, what is seen without the objects."""
     light: Light
     exposures: Array
     """(N, 3, 3) of every object, from a texture's colour to its exposed one, in linear light."""
     config: RenderConfig
     things: Things
     ball: tuple[Array, float]
-    """Middle and radius [m] of what the light's maps cover."""
+    """Middle (3,) in the world and radius [m] of what the light's maps cover."""
     receives: NDArray[np.float32]
-    """(h, w) how much of its shadows the ground shows."""
+    """(h, w) in [0, 1]: how much of its shadows the ground shows."""
     kept: NDArray[np.float32]
     """(h, w) depth [m] of what the background shows and may hide objects, inf where nothing does."""
 
@@ -93,6 +96,7 @@ class Canvas:
         self.setting = setting
         self._rest = self._shown = np.ones((s.camera.height, s.camera.width, 3), np.float32)
         h, w = s.camera.height, s.camera.width
+        # Scaled, not resized: cells keep their size where the picture's side is no multiple of theirs.
         K = s.camera.K * [[1 / CELL], [1 / CELL], [1]]
         self._fine = s.camera.resized(samples * w, samples * h)
         self._cells = replace(s.camera, K=K, width=-(-w // CELL), height=-(-h // CELL))
@@ -106,9 +110,11 @@ class Canvas:
         self._color, self._cover = np.zeros((h, w, 3), np.float32), np.zeros((h, w), np.uint8)
         shape = len(BLURS), self._cells.height, self._cells.width
         self._counts, self._rows, self._blurred = (np.zeros(shape, np.int32) for _ in range(3))
+        # -(-a // b) is a / b rounded up: the last tile may be cut.
         tiles = -(-h // TILE), -(-w // TILE)
         self._depths, self._dirty = np.zeros((*tiles, 2), np.float32), np.ones(tiles, np.bool_)
         count = len(s.things.vertices)
+        # NaN equals nothing: the first frame finds every object moved.
         self._poses = np.full((count, 4, 4), np.nan)
         self._quiet = np.full(count, QUIET)
         self._stays: frozenset[int] = frozenset()
@@ -117,7 +123,7 @@ class Canvas:
         self._picture, self._composed = np.empty_like(s.background), False
 
     def drawn(self, poses: Array) -> NDArray[np.uint8]:
-        """The picture (h, w, 3) with the objects at ``poses`` (N, 4, 4)."""
+        """The picture (h, w, 3) uint8 sRGB with the objects at ``poses`` (N, 4, 4), T_world_object; a copy."""
         self._draw(poses)
         if not self._composed:
             self._compose()
@@ -143,6 +149,7 @@ class Canvas:
         s = self.setting
         maps = light_maps(s.light, s.ball, s.config.shadows.map_size)
         side = s.config.samples
+        # From pixels to samples: every pixel's value on side x side of them. 1 / inf is 0, which hides nothing.
         kept = np.repeat(np.repeat((1 / (HIDES * s.kept)).astype(np.float32), side, 0), side, 1)
         return Buffers.empty(self._fine, maps, self._cells, len(self._words), kept)
 
@@ -154,6 +161,7 @@ class Canvas:
         view = s.things.seen_by(self._fine, poses, s.config.near)
         changed = np.flatnonzero((poses != old).any((1, 2))).tolist()
         if before is None:
+            # The first frame: all objects rest, and both buffers are equal.
             self._stays = frozenset(range(len(poses)))
             self._add(self._still, view, poses, sorted(self._stays))
             self._drawn.take(self._still)
@@ -161,9 +169,12 @@ class Canvas:
             self._measure([(0, self._dirty.shape[0], 0, self._dirty.shape[1])])
         else:
             self._settle(view, poses, changed)
+            # Where an object left and where it arrived, both in the picture and in the lights' maps.
             squares = [self._square(v, k) for v in (before, view) for k in changed]
             texels = np.stack([self._texels(T[k], k) for k in changed for T in (old, poses)])
             self._restore(squares, texels)
+            # All that does not stay is drawn, moved or not: restoring erased what others had in the same squares.
+            # Drawing an object twice changes nothing.
             self._add(self._drawn, view, poses, [k for k in range(len(poses)) if k not in self._stays])
             self._measure(squares)
             self._mark_shadowed(view, texels)
@@ -176,6 +187,7 @@ class Canvas:
         self._quiet += 1
         self._quiet[changed] = 0
         quiet = frozenset(np.flatnonzero(self._quiet >= QUIET).tolist())
+        # Nothing can be erased from a z-buffer: when a still object starts to move, the others are drawn anew.
         if self._stays.intersection(changed):
             self._still.clear()
             self._add(self._still, view, poses, sorted(quiet))
@@ -197,6 +209,8 @@ class Canvas:
     def _square(self, view: FrameGeometry, k: int) -> Rectangle:
         """The tiles that an object may be seen in."""
         side, most = TILE * self.setting.config.samples, self._dirty.shape
+        # A sample wider on each side, for the slack of edge functions. Columns of extents: v before u, as rows come
+        # first.
         low = np.clip(np.floor((view.extents[k, [2, 0]] - 1) / side), 0, most)
         high = np.clip(np.floor((view.extents[k, [3, 1]] + 1) / side) + 1, 0, most)
         (top, left), (bottom, right) = low.astype(int).tolist(), high.astype(int).tolist()
@@ -214,10 +228,12 @@ class Canvas:
             window = slice(top * side, bottom * side), slice(left * side, right * side)
             self._drawn.face[window] = self._still.face[window]
             self._drawn.nearness[window] = self._still.nearness[window]
+        # -1 is left of the map; as a slice's start it would count from the end.
         for reached in np.maximum(texels, 0).tolist():
             for light, (left, right, top, bottom) in enumerate(reached):
                 window = light, slice(top, bottom + 1), slice(left, right + 1)
                 self._drawn.maps.nearest[window] = self._still.maps.nearest[window]
+        # Bits have no depth and cannot be restored by parts: shadows of other objects fall anywhere on the ground.
         np.copyto(self._drawn.bits, self._still.bits)
 
     def _measure(self, squares: Sequence[Rectangle]) -> None:
@@ -231,6 +247,7 @@ class Canvas:
     def _mark_shadowed(self, view: FrameGeometry, texels: NDArray[np.int64]) -> None:
         """Find the tiles whose light has changed with some ``texels`` (k, L, 4) of the maps."""
         maps, spans, limits = self._drawn.maps, self._spans, np.empty((len(self._spans), 5))
+        # (k, L, 4) -> (L, k, 4): a kernel call per light.
         parts = rasterizer.fixed(texels.swapaxes(0, 1), np.int64)
 
         def note(light: int) -> None:
@@ -279,6 +296,7 @@ class Canvas:
     def _compose(self) -> None:
         """Bring the picture up to date where colours or the ground's shadows have changed."""
         s = self.setting
+        # ``_dirty`` holds tiles with new colours already; tiles with new shadows on the ground join them.
         mark_changed(self._blurred, self._blurred_before, TILE // CELL, self._dirty)
         np.copyto(self._blurred_before, self._blurred)
         background, picture = rasterizer.fixed(s.background, np.uint8), self._picture

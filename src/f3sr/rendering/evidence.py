@@ -21,12 +21,12 @@ from f3sr.vision.silhouette import union_of
 
 Mask = NDArray[np.bool_]
 Samples = tuple[NDArray[np.int64], Array, Array, Array, Array]
-"""Group, albedo, photo, points and normals."""
+"""Group (n,), albedo, photo, points and normals (n, 3): fields of ``Evidence`` in their order."""
 
 BLUR = 7
 """Side [px] of the square over which colours of photo and texture are compared: details lie a few pixels apart."""
 INSIDE = 2
-"""Pixels from the border of what shows an object, where colours mix."""
+"""Pixels from the border of what shows an object that are left out: colours mix there."""
 APART = 3
 """Pixels from the masks at which ground is looked at: their borders hold mixed colours."""
 REACH = 1.5
@@ -41,13 +41,13 @@ class Evidence:
 
     group: NDArray[np.int64]
     albedo: Array
-    """(n, 3) of textures, or of the background."""
+    """(n, 3) colour without light: of the objects' textures, or of the background."""
     photo: Array
-    """(n, 3)"""
+    """(n, 3) colour in the photo."""
     points: Array
-    """(n, 3) in the world."""
+    """(n, 3) places in the world [m]."""
     normals: Array
-    """(n, 3)"""
+    """(n, 3) unit normals in the world, of the side that is seen."""
 
     @classmethod
     def of(cls, parts: Sequence[Samples]) -> Self:
@@ -60,9 +60,11 @@ class Evidence:
     @cached_property
     def slope(self) -> Array:
         """(n, 3) of sRGB values over linear light, at the photo's."""
+        # d/dx of 1.055 x^(1 / 2.4) - 0.055. Below .01 the slope would grow without bound, and dark pixels are noisy.
         return rasterizer.fixed(np.maximum(self.photo, 0.01) ** (1 / 2.4 - 1) * 1.055 / 2.4, np.float64)
 
     def thinned(self, step: int) -> Evidence:
+        """Every ``step``-th sample, in order."""
         s = slice(None, None, max(step, 1))
         return Evidence.of([(self.group[s], self.albedo[s], self.photo[s], self.points[s], self.normals[s])])
 
@@ -79,15 +81,22 @@ def evidence_of(
     ball: tuple[Array, float],
     samples: int,
 ) -> Evidence:
-    """``view`` and ``face`` (h, w) are of the photo's camera with one sample a pixel, ``ball`` holds the scene."""
+    """Samples of what the photo and a render of the objects at rest both show, and of shaded ground.
+
+    ``background`` (h, w, 3) is the completed photo in sRGB. ``view`` and ``face`` (h, w) are of the photo's camera with
+    one sample a pixel. ``ball``, middle (3,) and radius [m], holds the scene. Pixels of objects are thinned on a grid
+    so that about ``samples`` remain; ground has at most as many."""
+    # maximum: face -1 would read the last face; ``where`` drops what it read.
     shown = np.where(face >= 0, shapes.object[np.maximum(face, 0)], -1)
     patches = [_MaskWindow.of((shown == k) & o.mask) for k, o in enumerate(scene.objects)]
     inner = {k: pixels for k, patch in enumerate(patches) if len(pixels := patch.inner()) >= FEW}
+    # Every step-th row and column keeps one in step^2 pixels.
     step = max(1, int((sum(map(len, inner.values())) / samples) ** 0.5))
     parts = [_of_ground(scene, background, ball, samples)]
     for k, pixels in inner.items():
         kept = (pixels % step == 0).all(1)
         chosen = pixels[kept] if np.count_nonzero(kept) >= FEW else pixels
+        # Means need all of the object's pixels, thinned ones or not.
         everywhere = patches[k].pixels()
         albedo, place, normal = _seen(shapes, textures, view, near, everywhere, face)
         seen = LINEAR[scene.photo.rgb[tuple(everywhere.T)]]
@@ -108,6 +117,7 @@ class _MaskWindow:
     @classmethod
     def of(cls, whole: Mask) -> Self:
         """The window is ``INSIDE`` pixels wider than what a mask (h, w) holds, within the picture."""
+        # any over columns tells the rows, any over rows the columns.
         spans = [np.flatnonzero(whole.any(axis)) for axis in (1, 0)]
         if not len(spans[0]):
             return cls(np.zeros(2, np.int64), whole[:0, :0])
@@ -125,6 +135,7 @@ class _MaskWindow:
 
     def rows(self, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
         """Which of ``pixels`` some are."""
+        # The rank of a pixel in the order of ``argwhere`` is the count of mask pixels before it.
         number = np.cumsum(self.mask).reshape(self.mask.shape) - 1
         return number[tuple((chosen - self.corner).T)]
 
@@ -132,6 +143,7 @@ class _MaskWindow:
         """Means (n, 3) of the ``colors`` of all pixels over the squares around some of them."""
         from scipy.ndimage import uniform_filter
 
+        # Colours and a one, filtered alike: their ratio is the mean over the mask's pixels in the square.
         picture = np.zeros((*self.mask.shape, 4), np.float32)
         picture[self.mask, :3], picture[self.mask, 3] = colors, 1
         sums = uniform_filter(picture, BLUR, axes=(0, 1), mode="constant")
@@ -158,6 +170,7 @@ def ground_points(camera: Camera, pixels: NDArray[np.int64]) -> Array:
     rays = np.column_stack([pixels[:, 1] + 0.5, pixels[:, 0] + 0.5, np.ones(len(pixels))]) @ np.linalg.inv(camera.K).T
     rays = rays @ camera.T_world_camera[:3, :3].T
     with np.errstate(divide="ignore", invalid="ignore"):
+        # eye + far ray has z = 0; behind the camera (far <= 0) or along the ground there is no such point.
         far = -camera.center[2] / rays[:, 2]
     far = np.where((rays[:, 2] != 0) & (far > 0), far, np.nan)
     return camera.center + far[:, None] * rays
@@ -169,6 +182,7 @@ def _of_ground(scene: Scene, background: NDArray[np.uint8], ball: tuple[Array, f
     changed = np.any(photo != background, axis=2)
     pixels = np.argwhere(changed & ~grown(union_of([o.mask for o in scene.objects], changed.shape), APART))
     points = ground_points(scene.camera, pixels)
+    # NaN compares as False: pixels above the horizon drop out here.
     near = np.linalg.norm(points[:, :2] - ball[0][:2], axis=1) < REACH * ball[1]
     step = max(1, int(np.ceil(np.count_nonzero(near) / samples)))
     pixels, points = pixels[near][::step], points[near][::step]

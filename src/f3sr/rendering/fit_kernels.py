@@ -44,6 +44,7 @@ def sum_misfits(
         light, g = _lit(bases, i, strength), group[i]
         misfit = 0.0
         for c in range(3):
+            # slope turns a difference of linear light into one of sRGB values, as the eye weighs it.
             misfit += abs(slope[i, c] * (photo[i, c] - gains[g, c] * light * albedo[i, c]))
         sums[g] += misfit / 3
 
@@ -69,7 +70,10 @@ def add_equations(
     for i in range(len(group)):
         light, g = _lit(bases, i, strength), group[i]
         for c in range(3):
+            # The model is photo = exposed * (bases . strength), linear in the strengths; its row of the design is
+            # exposed * bases.
             exposed = gains[g, c] * albedo[i, c]
+            # Cauchy: weight 1 / (1 + off^2), off being the residual at the last strengths, in ``loose`` spreads.
             off = slope[i, c] * (photo[i, c] - exposed * light) / (loose * spread[g])
             weight = (slope[i, c] / spread[g]) ** 2 / (1 + off * off)
             for j in range(4):

@@ -33,17 +33,20 @@ AGREES = 0.2
 
 
 def ground_seen(camera: Camera, limit: Mask | None, ball: tuple[Array, float]) -> NDArray[np.float32]:
-    """(h, w): the share of its shadows that the ground z = 0 shows at each pixel.
+    """(h, w): the share in [0, 1] of its shadows that the ground z = 0 shows at each pixel.
 
     It is 1 where the pixel's ray meets the ground from above, inside ``limit`` if that is known. Without it the share
     falls from ``NEAR`` to ``FAR`` radii of the scene's ``ball``: farther away the surface may not be the ground."""
     h, w = camera.height, camera.width
     x, y = np.arange(w) + 0.5, np.arange(h)[:, None] + 0.5
     to_world = camera.T_world_camera[:3, :3] @ np.linalg.inv(camera.K)
+    # x (w,), y (h, 1): each component broadcasts to (h, w), with unit depth along the camera's axis.
     ray = [row[0] * x + row[1] * y + row[2] for row in to_world]
     seen = (ray[2] < 0) & (camera.center[2] > 0)
+    # -1 only keeps the division defined; ``seen`` drops the result.
     along = -camera.center[2] / np.where(seen, ray[2], -1)
     away = np.hypot(*(camera.center[k] + along * ray[k] - ball[0][k] for k in range(2))) / ball[1]
+    # A linear ramp: 1 up to NEAR, 0 from FAR on.
     shown = np.clip((FAR - away) / (FAR - NEAR), 0, 1) * seen
     return (shown if limit is None else shown * limit).astype(np.float32)
 
@@ -62,13 +65,21 @@ def light_shown(
     lit = LINEAR.astype(np.float32).clip(DARK)
     ratio = lit[photo] / lit[background]
     hidden = grown(objects, APART)
+    # Visible ground that no drawn shadow touches: there photo and background must agree, up to one exposure per
+    # channel.
     in_light = ratio[::THIN, ::THIN][(~hidden & (rest >= CLEAR).all(2))[::THIN, ::THIN]]
     if len(in_light):
         if np.median(np.abs(np.log(in_light))) > AGREES:
             return rest, False
         ratio /= np.median(in_light, axis=0)
+    # A shadow scales all channels about alike. Where the channels part, the pixel is an object's colour or its
+    # reflection.
     tint = ratio / rest
     hidden |= grown(tint.max(2) > TINT * tint.min(2), 2)
+    # The exponent is about 1 in a drawn shadow, where the photo's ratio is taken, and 0 outside, where x^0 = 1. DOUBT
+    # sets the depth of shadow at which it is one half.
     shown = np.clip(ratio, *RATIOS) ** ((1 - rest) / (1 - rest + DOUBT))
+    # Shadows multiply light, so logarithms are interpolated: the smooth membrane through the visible ground's
+    # correction.
     correction = membrane(np.log(shown / rest).astype(np.float32), ~hidden)
     return np.where(hidden[..., None], rest * np.exp(correction), shown).astype(np.float32), True

@@ -24,9 +24,9 @@ from f3sr.vision import rasterizer
 from f3sr.vision.scan_conversion import project
 
 WORD = 8
-"""Lights whose shadows share a byte of every pixel."""
+"""Lights whose shadows share a byte of every cell, one bit each."""
 DISC_WORDS = DIRECT_ON_GROUND // WORD
-"""How many bytes are of the disc."""
+"""How many bytes of every cell are of the disc's lights; those of the sky follow."""
 
 
 class Casting(NamedTuple):
@@ -43,17 +43,21 @@ class Things:
     shapes: Shapes
     textures: Textures
     vertices: tuple[Array, ...]
-    """Per object, in its frame at its scale."""
+    """(n, 3) [m] per object, in its frame, scaled."""
     outward: tuple[bool, ...]
     """Per object, whether its back is always hidden by its front."""
     casters: tuple[tuple[Caster, ...], ...]
-    """Of the disc's and of the sky's shadows, per object, likewise."""
+    """Two tuples, for shadows of the disc and of the sky: a simplified surface per object, in its frame, scaled."""
     first_face: NDArray[np.int64]
+    """(N + 1,) where the faces of every object begin among all, and their number."""
     first_vertex: NDArray[np.int64]
+    """(N + 1,) the same of vertices."""
 
     @classmethod
     def of(cls, objects: Sequence[SceneObject], config: RenderConfig) -> Self:
+        """Objects in the scene's order; their poses do not matter."""
         shadows = config.shadows
+        # Simplification runs in a thread of its own while textures are made.
         casters = begun(casters_of, objects, shadows.caster_faces, shadows.sky_caster_faces)
         return cls(
             shapes=shapes_of(objects, crease=config.crease),
@@ -66,7 +70,8 @@ class Things:
         )
 
     def seen_by(self, camera: Camera, poses: Array, near: float) -> FrameGeometry:
-        """Vertices on the pixels of ``camera``, with the objects at ``poses`` (N, 4, 4)."""
+        """Vertices on the pixels of ``camera``, with the objects at ``poses`` (N, 4, 4); ``near`` is the near plane
+        [m]."""
         points = np.empty((int(self.first_vertex[-1]), 5))
         K = rasterizer.fixed(camera.K, np.float64)
         for k, (T, v) in enumerate(zip(poses, self.vertices, strict=True)):
@@ -74,6 +79,7 @@ class Things:
             project(seen, K, near, points[self.first_vertex[k] : self.first_vertex[k + 1]])
         extents = np.empty((len(self.vertices), 4))
         find_extents(points, rasterizer.fixed(self.first_vertex, np.int64), near, extents)
+        # q = (x, y, 1) is the point K^-1 q at depth 1 in camera axes.
         rays = np.column_stack([camera.T_world_camera[:3, :3] @ np.linalg.inv(camera.K), camera.center])
         return FrameGeometry(
             points=rasterizer.fixed(points, np.float64),
@@ -95,10 +101,10 @@ class Buffers:
     face: NDArray[np.int32]
     """(samples h, samples w), -1 where nothing is."""
     nearness: NDArray[np.float32]
-    """1 / z, 0 where nothing is."""
+    """(samples h, samples w) 1 / z [1/m], 0 where nothing is."""
     maps: Maps
     bits: NDArray[np.uint8]
-    """(words, cells h, cells w)"""
+    """(words, cells h, cells w): bit k of word i is 1 where light 8 i + k is hidden from the ground."""
     kept: NDArray[np.float32]
     """(samples h, samples w) 1 / z of what the background shows and may hide objects, 0 where nothing does."""
 
@@ -106,7 +112,8 @@ class Buffers:
     def empty(
         cls, fine: Camera, maps: Maps, cells: Camera, words: int, kept: NDArray[np.float32] | None = None
     ) -> Self:
-        """For the pixels of a camera of all samples and of one of the ground's cells."""
+        """Empty buffers: ``fine`` has a pixel per sample, ``cells`` one per cell of the ground, with ``words`` bytes
+        each."""
         face = np.full((fine.height, fine.width), -1, np.int32)
         bits = np.zeros((words, cells.height, cells.width), np.uint8)
         kept = np.zeros(face.shape, np.float32) if kept is None else kept
@@ -128,10 +135,13 @@ class Buffers:
 
 
 def draw_surfaces(things: Things, view: FrameGeometry, chosen: Sequence[int], near: float, buffers: Buffers) -> None:
-    """Draw the faces of some objects."""
+    """Draw the faces of the objects ``chosen`` (indices) into ``face`` and ``nearness``; ``near`` is the near plane
+    [m]."""
 
     def draw(band: tuple[int, int]) -> None:
         for k in chosen:
+            # Backs are skipped only where no vertex is before the near plane: a cut surface is open, and its back
+            # shows.
             faces = int(things.first_face[k]), int(things.first_face[k + 1])
             nearest_faces(
                 *(
@@ -181,5 +191,6 @@ def draw_maps(casting: Casting, maps: Maps) -> None:
 
 
 def light_maps(light: Light, ball: tuple[Array, float], side: int) -> Maps:
-    """Empty maps of the lights of the disc and of the sky."""
+    """Empty maps of the DIRECT lights of the disc, then the SKY lights, each ``side`` texels wide, over the
+    ``ball``."""
     return Maps.empty(np.concatenate([disc(light.direction, light.angle, DIRECT), even_sky(SKY)]), *ball, side)

@@ -12,11 +12,13 @@ from f3sr.core.transforms import Array, rotation_between
 DIRECT, SKY = 16, 16
 """Lights that stand for the disc and for the sky on objects."""
 DIRECT_ON_GROUND, SKY_ON_GROUND = 32, 64
-"""Those on the ground, which is wide and smooth: steps would show."""
+"""Lights that stand for both on the ground, which is wide and smooth: steps between few shadows would show.
+
+Multiples of 8: each light is one bit of a byte (``layers.WORD``), and no byte holds both kinds."""
 GOLDEN = np.pi * (3 - 5**0.5)
 """Turn from point to point of a sunflower [rad] (Vogel 1979)."""
 LOWEST = np.sin(np.radians(8.0))
-"""Height of the lowest light over the horizon: below it, shadows have no end."""
+"""Least z of the unit vector to a light, 8 degrees over the horizon: below it, shadows have no end."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -51,6 +53,8 @@ class Light:
     @cached_property
     def hidden(self) -> Array:
         """(2, 3) of the ground's light that one of the lights of the disc, or of the sky, stands for."""
+        # Lambert on level ground: the cosine is the direction's z. Sky lights have equal weight there: see
+        # ``ground_sky``.
         direct = self.direct * self.direction[2] / DIRECT_ON_GROUND
         return np.stack([direct, self.sky / SKY_ON_GROUND]) * self.shadow
 
@@ -59,6 +63,7 @@ def disc(direction: Array, angle: float, count: int) -> Array:
     """Unit directions (count, 3) spread evenly over the cap of ``angle`` [rad] around ``direction``, none lower than
     ``LOWEST``."""
     k = np.arange(count)
+    # Archimedes: equal steps of z are equal areas of the sphere. The golden angle spreads the turns.
     z = 1 - (k + 0.5) / count * (1 - np.cos(angle))
     r = np.sqrt(np.maximum(0, 1 - z * z))
     local = np.column_stack([r * np.cos(k * GOLDEN), r * np.sin(k * GOLDEN), z])
@@ -76,11 +81,13 @@ def even_sky(count: int) -> Array:
 def ground_sky(count: int) -> Array:
     """Unit directions (count, 3) of equal weight on the ground: denser around the zenith, by the cosine."""
     k = np.arange(count)
+    # Points even over the unit disc, lifted to the sphere (Malley's method): density follows the cosine.
     r = np.sqrt((k + 0.5) / count)
     return _raised(np.column_stack([r * np.cos(k * GOLDEN), r * np.sin(k * GOLDEN), np.sqrt(1 - r * r)]))
 
 
 def _raised(directions: Array) -> Array:
+    """Directions (n, 3), the low ones lifted to ``LOWEST`` at the same turn."""
     low = directions[:, 2] < LOWEST
     flat = directions[:, :2] / np.maximum(np.linalg.norm(directions[:, :2], axis=1), 1e-12)[:, None]
     raised = np.column_stack([flat * np.sqrt(1 - LOWEST**2), np.full(len(flat), LOWEST)])

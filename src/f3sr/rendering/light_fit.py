@@ -26,18 +26,18 @@ SPREAD = np.radians(12.0)
 ANGLES = tuple(np.radians([2.0, 5.0, 10.0, 18.0, 30.0]))
 """Radii of the disc that are tried [rad]: the sun through haze, lamps, a window."""
 STEPS = tuple(np.radians([8.0, 4.0, 2.0]))
-"""Turns of the direction in its refinement [rad]."""
+"""Turns of the direction in its refinement [rad], coarse to fine."""
 ROUNDS = 4
 """Rounds of weights, strengths and exposures."""
 LEAST_HEIGHT = np.sin(np.radians(15.0))
-"""Height of the lowest direct light that is believed: below, shadows have no end in the picture."""
+"""Least z of the unit vector to a direct light that is believed: below, shadows have no end in the picture."""
 PRIOR = 40.0
 """Samples that the exposure of all objects together weighs in that of one."""
 MOST_TINT = 1.6
 """Factor by which an object's exposure in one channel may differ from that of all objects, after its own brightness: in
 a channel in which a texture is black, a reflection would count as any exposure."""
 FINEST = 1 / 255
-"""Least mean misfit that is informative: a level of eight bits."""
+"""Least mean misfit of a group [sRGB]: below a level of eight bits it would measure rounding."""
 LOOSE = 1.5
 """Mean misfits beyond which a sample counts less and less."""
 DARKEST = 0.9
@@ -74,7 +74,9 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class FittedLight:
-    """A light, whether it has a direction, and the two misfits that this rests on."""
+    """A light, whether it has a direction, and the misfits per sample of the best fits with and without one.
+
+    A misfit is the mean logarithm of a group's mean difference in sRGB values; their difference is a log ratio."""
 
     light: Light
     directed: bool
@@ -93,16 +95,22 @@ def find_light(
     side: int,
     config: LightConfig,
 ) -> FittedLight:
-    """The light that explains the evidence best. Misfits are per sample, so their difference is a share."""
+    """The light that explains the evidence best.
+
+    ``casters`` are the ``objects`` in the world, whose maps of ``side`` texels cover the ``ball`` (middle (3,), radius
+    [m]). A direction is believed where it lowers the misfit per sample by ``config.least_gain``."""
+    # The candidates' maps serve twice: each as a direct light, all together as the sky.
     wide = Maps.empty(even_sky(CANDIDATES), *ball, side)
     wide.cast(casters)
     arriving = wide.arriving(evidence.points, evidence.normals)
+    # Twice the mean cosine: 1 on open level ground, as in ``light_at``.
     sky = 2 * arriving.mean(1)
     groups = objects + 1
     undirected = _fit(evidence, _bases(evidence, np.zeros(len(sky)), sky), groups)
     first, thin, thin_sky = evidence.thinned(THIN), arriving[::THIN].copy(), sky[::THIN]
     misfits: list[float] = []
     for d in wide.directions:
+        # cos a - 1 is about -a^2 / 2: a Gaussian lobe of standard deviation SPREAD, mixed from the candidates' maps.
         share = np.exp((wide.directions @ d - 1) / SPREAD**2)
         misfits.append(
             _fit(first, _bases(first, thin @ (share / share.sum()), thin_sky), groups).misfit
@@ -119,6 +127,7 @@ def find_light(
 
     direction, angle, best = _refined(start, fitted)
     n = max(len(evidence.group), 1)
+    # Fits are sums over n samples.
     directed = undirected.misfit - best.misfit >= config.least_gain * n and best.strength[1] > 0
     chosen = best if directed else undirected
     light = _light(chosen.strength, direction if directed else DEFAULT.direction, angle if directed else DEFAULT.angle)
@@ -153,6 +162,7 @@ def _refined(start: Array, fitted: Callable[[Array, float], Fit]) -> tuple[Array
             direction, angle, best = d, a, fit
 
     for step in STEPS:
+        # Six neighbours on a cone of half angle ``step`` around where the round began; the best so far is kept.
         tried_from = direction
         side = np.cross(direction, [0.0, 0, 1] if direction[2] < 0.9 else [1.0, 0, 0])
         for k in range(6):
@@ -176,6 +186,7 @@ def _fit(evidence: Evidence, bases: Array, groups: int) -> Fit:
     from scipy.optimize import nnls
 
     e, bases = evidence, rasterizer.fixed(bases, np.float64)
+    # A start with all parts; without direct light its column is 0 and so is its strength.
     strength = used = np.array([0.5, 0.3 * bool(bases[:, 1].any()), 0.2, 0.0])
     gains = np.ones((groups, 3))
     count = np.bincount(e.group, minlength=groups)
@@ -184,22 +195,27 @@ def _fit(evidence: Evidence, bases: Array, groups: int) -> Fit:
     for _ in range(ROUNDS):
         below, misfits = np.zeros((groups, 3)), np.zeros(groups)
         sum_lit(e.group, e.albedo, bases, strength, below)
+        # Exposures first, for the strengths of the last round; then new strengths under these exposures.
         gains = exposures_of_sums(above, below, count)
         used = strength
         sum_misfits(e.group, e.albedo, e.photo, e.slope, bases, used, gains, misfits)
         spread = np.maximum(misfits / np.maximum(count, 1), FINEST)
+        # Minus the log likelihood of Laplace errors with each group's own scale, up to a constant.
         misfit = float((count * np.log(spread)).sum())
         gram, target = np.zeros((4, 4)), np.zeros(4)
         add_equations(e.group, e.albedo, e.photo, e.slope, bases, used, gains, spread, LOOSE, gram, target)
+        # min s'Gs - 2 t's over s >= 0 as least squares for nnls: with G = R'R it is |R s - R'^-1 t|^2. The ridge keeps
+        # G positive definite where a column is 0.
         gram += np.tril(gram, -1).T
         root = np.linalg.cholesky(gram + 1e-9 * np.trace(gram) * np.eye(4)).T
         strength = nnls(root, np.linalg.solve(root.T, target))[0]
+        # Exposures hold the scale: light times 2 and exposure times 1/2 are the same picture.
         strength /= max(float(strength.sum()), 1e-9)
     return Fit(used, gains, misfit, bases)
 
 
 def exposures(evidence: Evidence, lit: Array, groups: int) -> Array:
-    """(groups, 3) with which ``lit`` colours (n, 3) of samples are the photo's."""
+    """Exposures (groups, 3) that make ``lit`` linear colours (n, 3) of samples the photo's, group by group."""
     above, below = (sums_of(values, evidence.group, groups) for values in (evidence.photo, lit))
     return exposures_of_sums(above, below, np.bincount(evidence.group, minlength=groups))
 
@@ -216,9 +232,11 @@ def exposures_of_sums(above: Array, below: Array, count: NDArray[np.int64] | Arr
     of a regression. If texture and photo are shifted by some pixels, a slope is too small. It is smallest in the
     channel with most contrast, which would tint the object.
     """
+    # The last group is the ground: its exposure is no object's.
     whole = above[:-1].sum(0) / np.maximum(below[:-1].sum(0), 1e-12)
     prior = PRIOR * (below.mean(1) / np.maximum(count, 1))[:, None]  # of all channels: a dark one tells little
     gains = (above + prior * whole) / np.maximum(below + prior, 1e-12)
+    # The exposure with the object's own brightness and the tint of all objects: clipping keeps others near it.
     grey = ((above + prior * whole).sum(1) / np.maximum((below + prior) @ whole, 1e-12))[:, None] * whole
     return np.clip(gains, grey / MOST_TINT, grey * MOST_TINT)
 
@@ -232,6 +250,7 @@ def with_shadows_of(evidence: Evidence, light: Light, maps: tuple[Maps, Maps], g
     points, normals = evidence.points[here], evidence.normals[here]
     direct, sky = (m.arriving(points, normals) for m in maps)
     open_direct, open_sky = maps[0].directions[:, 2].sum(), maps[1].directions[:, 2].sum()
+    # Share of the open ground's light that is hidden: visible cosines over those of open ground, for disc and sky.
     hidden = light.direct[0] * light.direction[2] * (1 - direct.sum(1) / open_direct)
     hidden = hidden + light.sky[0] * (1 - sky.sum(1) / open_sky)
     most = float(hidden.max(initial=0.0))
@@ -244,14 +263,16 @@ def with_shadows_of(evidence: Evidence, light: Light, maps: tuple[Maps, Maps], g
 
 
 def _robust_slope(hidden: Array, ratio: Array) -> float:
-    """k of ratio = g (1 - k hidden), with less weight for what lies far off."""
+    """k of ratio = g (1 - k hidden) over samples (n,), by least squares with Cauchy weights."""
     weight = np.ones(len(hidden))
     a = b = 0.0
     for _ in range(2 * ROUNDS):
+        # ratio = a - b hidden, so that g = a and k = b / a.
         design = np.column_stack([np.ones(len(hidden)), -hidden])
         scaled = design * weight[:, None]
         a, b = np.linalg.lstsq(scaled, ratio * weight, rcond=None)[0]
         off = np.abs(ratio - design @ [a, b])
+        # The root: rows are scaled, so that squares get the Cauchy weight 1 / (1 + r^2).
         weight = 1 / np.sqrt(1 + (off / max(LOOSE * float(off.mean()), 1e-6)) ** 2)
     return float(b / max(a, 1e-6))
 
@@ -263,6 +284,7 @@ def common_exposure(evidence: Evidence, ground: int) -> Array:
 
 
 def picture_error(evidence: Evidence, shown: Array, ground: int) -> float:
-    """Root mean square difference of sRGB values on objects."""
+    """Root mean square difference of sRGB values in [0, 1] on objects, of ``shown`` linear colours (n, 3) to the
+    photo."""
     own = evidence.group < ground
     return float(np.sqrt(np.mean((srgb(np.clip(shown[own], 0, 1)) - srgb(evidence.photo[own])) ** 2)))

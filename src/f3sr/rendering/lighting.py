@@ -41,7 +41,10 @@ def lit_as_photo(
     ball: tuple[Array, float],
     config: RenderConfig,
 ) -> tuple[Light, Array, tuple[str, ...]]:
-    """Light, exposures (N, 3, 3) and decisions. Without the photo's ``background`` the ground tells nothing."""
+    """Light, exposures (N, 3, 3) from texture colours to shown ones in linear light, and decisions for the user.
+
+    ``background`` (h, w, 3) is the completed photo. Without it the ground tells nothing of shadows. ``ball``: middle
+    (3,) in the world and radius [m] of what shadow maps cover."""
     count = len(scene.objects)
     unexposed = np.tile(np.eye(3), (count, 1, 1))
     if not config.light.enabled or not count:
@@ -51,6 +54,7 @@ def lit_as_photo(
         return UNLIT, unexposed, ("light: no object can be compared with the photo; shown without",)
     poses = np.array([o.T_world_object for o in scene.objects])
     casters = things.casting(poses, range(count)).disc
+    # Half the film's resolution: many maps are drawn for the search, and samples average over them.
     side = config.shadows.map_size // 2
     found = find_light(evidence, casters, ball=ball, objects=count, side=side, config=config.light)
     mix = colour_mix(evidence, found.lit, objects=count, side=PATCH * ball[1])
@@ -74,6 +78,7 @@ def lit_as_photo(
         decisions.append(f"colours: mixed as the photo's camera does; {100 * mix[1]:.0f}% less off than without")
     if not evident:
         decisions.append("shadows: the photo's ground shows too little of them; as dark as the light makes them")
+    # diag(gain) @ matrix for every object: mixed first, then exposed.
     return light, gains[:count, :, None] * matrix, tuple(decisions)
 
 
@@ -103,6 +108,7 @@ def _evidence(
 ) -> Evidence:
     poses = np.array([o.T_world_object for o in scene.objects])
     view: FrameGeometry = things.seen_by(scene.camera, poses, config.near)
+    # Faces only: no lights, no words of ground shadows.
     maps = Maps.empty(np.zeros((0, 3)), *ball, 1)
     drawn = Buffers.empty(scene.camera, maps, scene.camera, 0)
     draw_surfaces(things, view, range(len(poses)), config.near, drawn)

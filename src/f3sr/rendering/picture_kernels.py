@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from f3sr.runtime.kernels import inline_kernel, kernel
 
 STEPS = 65535
-"""Steps of linear light in the table that ends in sRGB: the darkest ones of eight bits are 20 of these wide."""
+"""Steps of linear light from 0 to 1 in the table that ends in sRGB: a dark level of eight bits is 20 of them."""
 LEAST_LIGHT = np.float32(0.02)
 """Share of its light that ground keeps in any shadow."""
 BLUR_SUM = 256
-"""Of the weights of both blurs."""
+"""Sum of the weights of both blurs, 16 by 16: integers, so that blurring is exact."""
 
 
 @kernel
@@ -31,6 +31,7 @@ def count_lights(
 
     ``bits`` (words, h, w) hold one bit per light: the first ``direct`` words are direct light, the others the sky.
     Counts 0 and 1 are direct and sky; counts 2 and 3 are those of them that are hidden in ``rest_bits`` too."""
+    # set_bits (256,) is the number of ones in a byte. Rows are walked word by word, as ``bits`` lies in memory.
     words, width = bits.shape[0], bits.shape[2]
     for y in range(top, bottom):
         for x in range(width):
@@ -50,6 +51,7 @@ def blur_rows(counts: NDArray[Any], reach: int, top: int, bottom: int, blurred: 
     width = counts.shape[1]
     for y in range(top, bottom):
         for x in range(width):
+            # (1, 2, 1) * 4 or (1, 4, 6, 4, 1): both sum to 16, so one constant undoes both.
             a, b, c, d = max(x - 2, 0), max(x - 1, 0), min(x + 1, width - 1), min(x + 2, width - 1)
             if reach == 1:
                 blurred[y, x] = 4 * (counts[y, b] + 2 * counts[y, x] + counts[y, c])
@@ -80,6 +82,7 @@ def mark_changed(values: NDArray[Any], before: NDArray[Any], side: int, dirty: N
         for y in range(values.shape[1]):
             for x in range(values.shape[2]):
                 if values[kind, y, x] != before[kind, y, x]:
+                    # One cell around: ``_between`` blends neighbouring cells, also across a tile's border.
                     for i in range(max((y - 1) // side, 0), min((y + 1) // side, rows - 1) + 1):
                         for j in range(max((x - 1) // side, 0), min((x + 1) // side, columns - 1) + 1):
                             dirty[i, j] = True
@@ -87,7 +90,8 @@ def mark_changed(values: NDArray[Any], before: NDArray[Any], side: int, dirty: N
 
 @inline_kernel
 def _between(x: int, cell: int, count: int) -> tuple[int, int, float]:
-    """The two cells around the centre of pixel ``x``, and the second's weight."""
+    """The two of ``count`` cells of ``cell`` pixels around the centre of pixel ``x``, and the second's weight."""
+    # In cells, minus 0.5: cell i has its centre at i + 0.5. At the border one cell is taken twice.
     s = (x + 0.5) / cell - 0.5
     i = int(np.floor(s))
     return max(i, 0), min(i + 1, count - 1), s - i
@@ -104,7 +108,7 @@ def _bilinear(values: NDArray[Any], kind: int, rows: tuple[int, int, float], col
 def _hidden(
     blurred: NDArray[Any], first: int, rows: tuple[int, int, float], columns: tuple[int, int, float]
 ) -> tuple[float, float]:
-    """Of the direct light and of the sky, between cells."""
+    """Blurred counts of hidden direct and sky lights, between cells; ``first`` is 0 now, 2 for those hidden at rest."""
     return _bilinear(blurred, first, rows, columns), _bilinear(blurred, first + 1, rows, columns)
 
 
@@ -138,6 +142,9 @@ def ground_light(left: Any, stays: Any, rest: Any, shown: Any) -> Any:
     rest. ``shown`` is the factor in the photo, which includes the photo's own shadows. The first bracket blends from
     ``shown`` at rest to the drawn shadow, by the square of the share of darkness that stays. The last factor adds new
     shadows."""
+    # share: how much of the darkness at rest is still there. At rest stays = left = rest, so share is 1 and the result
+    # is ``shown``: the photo itself. Once an object has left, stays is 1 and share 0: the clean background under new
+    # shadows.
     share = (1 - stays) / (1 - rest) if rest < 1 else np.float32(0)
     return (stays + (shown - rest) * share * share) * (left / stays)
 
@@ -162,8 +169,12 @@ def compose(
     bottom: int,
     picture: NDArray[Any],
 ) -> None:
-    """The rows [top, bottom) of ``picture``, where squares of ``tile`` pixels are ``dirty``: objects over the
-    background (h, w, 3), whose linear light ``linear[value]`` is multiplied by ``ground_light``."""
+    """Objects over the background: rows [top, bottom) of ``picture`` (h, w, 3), in ``dirty`` tiles of ``tile`` pixels.
+
+    ``background`` (h, w, 3) has sRGB bytes. Its linear light, ``linear`` (256,), is multiplied by ``ground_light``.
+    ``blurred`` (4, rows, columns) are the counts of ``count_lights`` in cells of ``cell`` pixels, ``weight`` (2, 3) the
+    light that one of them stands for. ``receives`` (h, w), ``rest`` and ``shown`` (h, w, 3) are the ground's shares of
+    light. ``color`` and ``cover`` come from ``shade``; ``table`` (STEPS + 1,) gives sRGB bytes."""
     width = cover.shape[1]
     for y in range(top, bottom):
         rows = _between(y, cell, blurred.shape[1])
@@ -172,13 +183,16 @@ def compose(
                 continue
             columns = _between(x, cell, blurred.shape[2])
             now, still = _hidden(blurred, 0, rows, columns), _hidden(blurred, 2, rows, columns)
+            # Counts 0 and 1: hidden now. Counts 2 and 3: hidden now and at rest.
             objects = cover[y, x] / (samples * samples)
             for c in range(3):
                 left, stays = _left(receives[y, x], now, weight, c), _left(receives[y, x], still, weight, c)
                 factor = ground_light(left, stays, rest[y, x, c], shown[y, x, c])
+                # Untouched background keeps its bytes: the table's round trip could move one by a level.
                 if objects == 0 and factor == 1:
                     picture[y, x, c] = background[y, x, c]
                 else:
+                    # ``color`` holds sums over samples on objects only: it is already multiplied by their cover.
                     value = (1 - objects) * linear[background[y, x, c]] * factor
                     value += color[y, x, c] / (samples * samples)
                     picture[y, x, c] = table[int(min(max(value, 0.0), 1.0) * STEPS + 0.5)]

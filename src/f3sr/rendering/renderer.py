@@ -98,7 +98,9 @@ class Renderer:
         return Renderer(Canvas(setting), self.decisions)
 
     def frame(self, T_world_object: ArrayLike) -> NDArray[np.uint8]:
-        """The picture (h, w, 3) with the objects at poses (N, 4, 4), in the scene's order."""
+        """The picture (h, w, 3) uint8 sRGB with the objects at poses T_world_object (N, 4, 4), in the scene's order.
+
+        Raises InputError for another shape or values that are not finite."""
         poses = np.array(T_world_object, np.float64)
         expected = (len(self.setting.things.vertices), 4, 4)
         if poses.shape != expected or not np.isfinite(poses).all():
@@ -107,12 +109,12 @@ class Renderer:
 
 
 def poses_at_rest(scene: Scene) -> Array:
-    """(N, 4, 4)"""
+    """T_world_object (N, 4, 4) of a scene's objects, in its order."""
     return np.array([o.T_world_object for o in scene.objects]).reshape(-1, 4, 4)
 
 
 def ball_around(scene: Scene) -> tuple[Array, float]:
-    """Middle and radius [m] of the ball that light maps cover."""
+    """Middle (3,) in the world and radius [m] of the ball that light maps cover; the unit ball for no objects."""
     if not scene.objects:
         return np.zeros(3), 1.0
     corners = np.concatenate([o.bounds_world for o in scene.objects])

@@ -19,8 +19,11 @@ from f3sr.vision import rasterizer
 
 
 def shapes_of(objects: Sequence[SceneObject], *, crease: float) -> Shapes:
-    """The triangles of some objects, one after the other; edges of more than ``crease`` [rad] stay sharp."""
+    """The triangles of some objects, one after the other, unscaled in their own frames.
+
+    An edge between faces that turn by more than ``crease`` [rad] stays sharp."""
     meshes = [o.mesh for o in objects]
+    # Rows of one object become rows of all by adding where the object's own begin; zip drops the total at the end.
     vertex, slot = starts_of([len(m.vertices) for m in meshes]), starts_of([len(m.materials) for m in meshes])
     return Shapes(
         faces=_joined([m.faces + k for m, k in zip(meshes, vertex, strict=False)], np.int32, 3),
@@ -39,9 +42,11 @@ def _joined(arrays: Sequence[NDArray[Any]], dtype: Any, *shape: int) -> NDArray[
 
 
 def smooth_normals(mesh: Mesh, crease: float) -> NDArray[np.float32]:
-    """Unit normals (m, 3, 3) of every face's corners, in the mesh's frame."""
+    """Unit normals (m, 3, 3) of all faces' corners, in the mesh's frame; edges beyond ``crease`` [rad] stay sharp."""
     places, place = mesh.weld
     faces = place[mesh.faces]
+    # Vertex to faces, as compressed rows: corners sorted by their vertex, ``first[v]`` where those of v begin. Corner i
+    # is of face i // 3.
     order = np.argsort(faces.ravel(), kind="stable")
     first = np.searchsorted(faces.ravel()[order], np.arange(len(places) + 1))
     out = np.empty((len(faces), 3, 3), np.float32)
@@ -90,6 +95,7 @@ def _casters(o: SceneObject, faces: Sequence[int]) -> list[Caster]:
     vertices, triangles = o.mesh.welded
     within, made = _Within(vertices, triangles), list[Caster]()
     for count in faces:
+        # Goals fall: each starts from the last result, which has done a part of the collapses.
         if len(triangles) > count:
             simplified: Any = fast_simplification.simplify(vertices, triangles, target_count=count)
             vertices = within.moved(np.asarray(simplified[0], np.float64))
@@ -112,20 +118,23 @@ class _Within:
 
     @cached_property
     def _sums(self) -> Array:
-        """(n, 3) along the normals of the vertices."""
+        """(n, 3) along the normals of the vertices, weighted by the areas of the faces around [m2]."""
         corners = self._vertices[self._faces]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         rows, count = self._faces.ravel(), len(self._vertices)
+        # bincount scatters: every face's cross product is added to its three vertices.
         sums = [np.bincount(rows, np.repeat(across[:, c], 3), count) for c in range(3)]
         return np.asarray(np.stack(sums, axis=1), np.float64)
 
     def moved(self, points: Array) -> Array:
-        """(k, 3)"""
+        """Points (k, 3) [m], those above the tangent plane of their nearest vertex moved down onto it."""
         nearest = np.asarray(self._tree.query(points)[1])
         normals = self._sums[nearest] / np.maximum(np.linalg.norm(self._sums[nearest], axis=1), 1e-30)[:, None]
+        # Height over the tangent plane; only what stands out moves.
         out = ((points - self._vertices[nearest]) * normals).sum(1)
         return points - np.maximum(out, 0)[:, None] * normals
 
 
 def starts_of(counts: Sequence[int]) -> NDArray[np.int64]:
+    """Where each of some lists begins when they are joined, and where the last ends: (len(counts) + 1,)."""
     return np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])

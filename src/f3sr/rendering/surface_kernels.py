@@ -13,9 +13,9 @@ from f3sr.runtime.kernels import inline_kernel, kernel
 from f3sr.vision.scan_conversion import bounds, centres, corner, determinant, edge_functions, row_of, span
 
 SAME = 0.97
-"""Cosine of normals up to which samples of a pixel share the light of one of them."""
+"""Least cosine between two normals at which samples of a pixel share one light: 14 degrees."""
 NEARBY = 0.01
-"""Share of their distance to the camera up to which they do."""
+"""Largest difference of their depths at which they do, as a share of the depth."""
 
 
 class Shapes(NamedTuple):
@@ -24,26 +24,26 @@ class Shapes(NamedTuple):
     faces: NDArray[np.int32]
     """(F, 3) rows of vertices."""
     object: NDArray[np.int32]
-    """(F,)"""
+    """(F,) index of the object that a face belongs to."""
     slot: NDArray[np.int32]
-    """(F,) material."""
+    """(F,) row of the face's material in ``Textures``."""
     normals: NDArray[np.float32]
-    """(F, 3, 3) of every corner, in the object's frame."""
+    """(F, 3, 3) unit normal of every corner, in the object's frame."""
     flat: NDArray[np.float32]
-    """(F, 3) of the face itself."""
+    """(F, 3) unit normal of the face itself, in the object's frame."""
     uv: NDArray[np.float32]
-    """(V, 2)"""
+    """(V, 2) texture coordinates; 1 is the whole picture, v points up."""
     colors: NDArray[np.float32]
-    """(V, 3) linear."""
+    """(V, 3) vertex colours in linear light, in [0, 1]."""
 
 
 class Textures(NamedTuple):
     """Pictures of all materials at all levels of detail, in linear light, one after the other."""
 
     texels: NDArray[np.uint16]
-    """(n, 3)"""
+    """(n, 3) linear light, ``UNIT`` is white; rows of a level follow each other from the top."""
     starts: NDArray[np.int64]
-    """(S, L) first texel of a level."""
+    """(S, L) first texel of a level; S materials, L levels of the largest texture."""
     sizes: NDArray[np.int32]
     """(S, L, 2) height and width of a level."""
     levels: NDArray[np.int32]
@@ -54,27 +54,29 @@ class FrameGeometry(NamedTuple):
     """Where everything is in one frame."""
 
     points: NDArray[np.float64]
-    """(V, 5) projected vertices on the grid of samples."""
+    """(V, 5) rows of ``scan_conversion.Point``, in pixels of the grid of samples."""
     turns: NDArray[np.float64]
-    """(O, 3, 3) rotations of the objects."""
+    """(O, 3, 3) rotations from the objects' frames to the world."""
     extents: NDArray[np.float64]
-    """(O, 4) least and largest u, least and largest v of every object: infinite, -inf first, where one of its vertices
-    lies before the near plane; inf first where it has none."""
+    """(O, 4) least and largest u, least and largest v of every object [samples].
+
+    An object with a vertex before the near plane has (-inf, inf, -inf, inf): it may be anywhere. An object without
+    vertices has (inf, -inf, inf, -inf)."""
     rays: NDArray[np.float64]
-    """(3, 4): a sample (x, y, 1) at depth z lies at z times the first three columns' product with it, plus the last."""
+    """(3, 4) [R K^-1 | eye]: a sample q = (x, y, 1) at depth z [m] shows the world point z R K^-1 q + eye."""
 
 
 class Lamps(NamedTuple):
     """The light of a frame."""
 
     directions: NDArray[np.float64]
-    """(L, 3) towards lights, those of the direct light first."""
+    """(L, 3) unit vectors towards the lights, in the world; those of the direct light come first."""
     frames: NDArray[np.float64]
-    """(L, 3, 4) of their maps."""
+    """(L, 3, 4) from world points to their maps: see ``cast_map``."""
     maps: NDArray[np.float32]
-    """(L, s, s)"""
+    """(L, s, s) height of the nearest occluder towards the light [m], -inf where there is none."""
     direct: int
-    """How many are of the direct light."""
+    """How many of the L lights stand for the direct light."""
     offset: float
     """By how much points are moved along their normals [m]."""
     bias: float
@@ -87,11 +89,12 @@ class Lamps(NamedTuple):
 
 @kernel
 def find_extents(points: NDArray[Any], starts: NDArray[Any], near: float, extents: NDArray[Any]) -> None:
-    """``View.extents`` of objects whose vertices begin at ``starts`` (O + 1,) in ``points``."""
+    """Fill ``FrameGeometry.extents`` (O, 4) of objects whose vertices begin at ``starts`` (O + 1,) in ``points``."""
     for k in range(len(extents)):
         u0, u1, v0, v1 = np.inf, -np.inf, np.inf, -np.inf
         for i in range(starts[k], starts[k + 1]):
             if points[i, 2] < near:
+                # A vertex before the near plane has no pixel, and its faces may reach any pixel.
                 u0, u1, v0, v1 = -np.inf, np.inf, -np.inf, np.inf
                 break
             u0, u1 = min(u0, points[i, 3]), max(u1, points[i, 3])
@@ -126,18 +129,23 @@ def nearest_faces(
         left, right = centres(u0, u1, 0, width)
         if low > high or left > right:
             continue
+        # det < 0 is a front face: outward faces turn counter-clockwise, and y points down in pictures.
         det = determinant(a, b, c)
         if not 0 < abs(det) < np.inf or (outward and det > 0):
             continue
         edges = edge_functions(a, b, c, np.sign(det), size, near)
         ea, eb, ec, _ = edges
         scale = 1 / abs(det)
+        # e_k / |det| are barycentrics over z, so that their sum is 1 / z: one multiplication and one addition a sample.
         slope = (ea[0] + eb[0] + ec[0]) * scale
         for y in range(low, high + 1):
             row = row_of(edges, y + 0.5)
             start, end = span(edges, row, left, right)
             constant = (row[0] + row[1] + row[2]) * scale
             for x in range(start, end + 1):
+                # Rounding to the buffer's float32 comes before the comparison. Otherwise the winner would depend on the
+                # order. Ties go to the lower face. A sample of the background has face -1, which no face undercuts: it
+                # wins its ties.
                 w = np.float32(slope * (x + 0.5) + constant)
                 if w > nearness[y, x] or (w == nearness[y, x] and f < face[y, x]):
                     nearness[y, x] = w
@@ -147,6 +155,7 @@ def nearest_faces(
 @inline_kernel
 def _wrapped(t: float, size: int) -> tuple[int, int, float]:
     """The two texels around ``t`` in [0, 1] of a repeating texture, and the second's weight."""
+    # Texel i has its centre at (i + 0.5) / size.
     s = t * size - 0.5
     i = int(np.floor(s))
     j = i + 1
@@ -156,6 +165,7 @@ def _wrapped(t: float, size: int) -> tuple[int, int, float]:
 @inline_kernel
 def _bilinear(textures: Textures, slot: Any, level: Any, u: float, v: float) -> tuple[float, float, float]:
     """A level's colour at u and v in [0, 1], v from the bottom."""
+    # v points up, rows of texels run down: hence 1 - v.
     texels, start = textures.texels, textures.starts[slot, level]
     h, w = textures.sizes[slot, level, 0], textures.sizes[slot, level, 1]
     x0, x1, fx = _wrapped(u, w)
@@ -174,8 +184,10 @@ def texture_at(textures: Textures, slot: Any, u: float, v: float, footprint: flo
     """The trilinear colour of a texture where a sample covers the square ``footprint`` of level 0's texels."""
     u, v = u - np.floor(u), v - np.floor(v)
     last = textures.levels[slot] - 1
+    # A level halves both sides, so its texels have four times the area: the level is log4(footprint).
     lod = 0.5 * np.log2(footprint) if footprint > 1 else 0.0
     level: Any = min(int(lod), last)
+    # On the coarsest level there is nothing to blend with.
     share = min(lod - level, 1.0) if level < last else 0.0
     r, g, b = _bilinear(textures, slot, level, u, v)
     if share > 0:
@@ -189,18 +201,22 @@ def light_at(x: float, y: float, z: float, nx: float, ny: float, nz: float, lamp
     """Direct light, sky light and light from below at a point with a normal; each is 1 without obstacles."""
     directions, frames, maps, bias = lamps.directions, lamps.frames, lamps.maps, lamps.bias
     x, y, z = x + lamps.offset * nx, y + lamps.offset * ny, z + lamps.offset * nz
+    # Cast from off the surface: a face must not shade itself by the error of its map.
     direct = sky = 0.0
     count = len(directions)
     for light in range(lamps.direct):
         direct += arriving(x, y, z, nx, ny, nz, light, directions, frames, maps, bias)
     for light in range(lamps.direct, count):
         sky += arriving(x, y, z, nx, ny, nz, light, directions, frames, maps, bias)
+    # The mean cosine of directions spread evenly over the upper half sphere is 1/2 on a level surface: hence the 2. The
+    # half space below fills the share (1 - n_z) / 2 of what a surface sees, weighted by the cosine.
     return direct / max(lamps.direct, 1), 2 * sky / max(count - lamps.direct, 1), 0.5 - 0.5 * nz
 
 
 @inline_kernel
 def _is_even(row: int, column: int, samples: int, shapes: Shapes, face: NDArray[Any], nearness: NDArray[Any]) -> bool:
     """Whether all samples of a pixel show one material of one object, there nearly flat: one colour stands for them."""
+    # The first sample, top left, stands for the pixel; all others are compared with it.
     y, x = row * samples, column * samples
     f, w = face[y, x], nearness[y, x]
     if f < 0:
@@ -231,10 +247,13 @@ def _weights(
     a, b, c = corner(points, faces[f, 0]), corner(points, faces[f, 1]), corner(points, faces[f, 2])
     sign = 1.0 if determinant(a, b, c) > 0 else -1.0
     ea, eb, ec, _ = edge_functions(a, b, c, sign, size, near)
+    # The place may lie outside the face: the middle of an even pixel, or a border sample that the raised edges let in.
+    # Clamping keeps its colour on the face.
     wa = max(ea[0] * x + ea[1] * y + ea[2], 0.0)
     wb = max(eb[0] * x + eb[1] * y + eb[2], 0.0)
     wc = max(ec[0] * x + ec[1] * y + ec[2], 0.0)
     whole = 1 / (wa + wb + wc)
+    # These are de/dx / sum(e) only. ``_color`` applies the rest of the quotient rule, on attributes.
     along = whole * ea[0], whole * eb[0], whole * ec[0]
     down = whole * ea[1], whole * eb[1], whole * ec[1]
     return (wa * whole, wb * whole, wc * whole), along, down, -sign
@@ -256,6 +275,7 @@ def _color(
     uy = (down[0] * (ua - u) + down[1] * (ub - u) + down[2] * (uc - u)) * wide
     vx = (along[0] * (va - v) + along[1] * (vb - v) + along[2] * (vc - v)) * high
     vy = (down[0] * (va - v) + down[1] * (vb - v) + down[2] * (vc - v)) * high
+    # The longer of the two derivatives, as OpenGL's scale factor: where they differ, blur and not aliasing.
     r, g, b = texture_at(textures, slot, u, v, area * max(ux * ux + vx * vx, uy * uy + vy * vy))
     r *= wa * colors[i, 0] + wb * colors[j, 0] + wc * colors[k, 0]
     g *= wa * colors[i, 1] + wb * colors[j, 1] + wc * colors[k, 1]
@@ -270,6 +290,7 @@ def _normal(normals: NDArray[Any], turns: NDArray[Any], f: Any, o: Any, weights:
     x = wa * normals[f, 0, 0] + wb * normals[f, 1, 0] + wc * normals[f, 2, 0]
     y = wa * normals[f, 0, 1] + wb * normals[f, 1, 1] + wc * normals[f, 2, 1]
     z = wa * normals[f, 0, 2] + wb * normals[f, 1, 2] + wc * normals[f, 2, 2]
+    # ``front`` -1 turns the normal of a back towards the camera: open surfaces are lit on both sides.
     norm = front / max(np.sqrt(x * x + y * y + z * z), 1e-12)
     return (
         norm * (turns[o, 0, 0] * x + turns[o, 0, 1] * y + turns[o, 0, 2] * z),
@@ -335,6 +356,7 @@ def shade(
             count, lit = 0, -1
             total0 = total1 = total2 = 0.0
             e0 = e1 = e2 = lx = ly = lz = ld = 0.0
+            # An even pixel takes one sample at its middle with the footprint of all of them.
             even = _is_even(row, column, samples, shapes, face, nearness)
             for s in range(1 if even else whole):
                 sy, sx = row * samples + s // samples, column * samples + s % samples
@@ -356,8 +378,10 @@ def shade(
                     e0 = strength[0, 0] + strength[1, 0] * direct + strength[2, 0] * sky + strength[3, 0] * below
                     e1 = strength[0, 1] + strength[1, 1] * direct + strength[2, 1] * sky + strength[3, 1] * below
                     e2 = strength[0, 2] + strength[1, 2] * direct + strength[2, 2] * sky + strength[3, 2] * below
+                    # lit: the object of the last lit sample, -1 if none; l: its normal; ld: its depth; e: its light.
                     lit, lx, ly, lz, ld = o, nx, ny, nz, depth
                 r, g, b = _exposed(exposures, o, r, g, b)
+                # Clipped per sample, before the mean: a bright sample must not whiten its pixel's border.
                 total0 += area * min(r * e0, 1.0)
                 total1 += area * min(g * e1, 1.0)
                 total2 += area * min(b * e2, 1.0)
@@ -401,6 +425,7 @@ def corner_normals(
 ) -> None:
     """Normals (m, 3, 3) of the corners of welded ``faces``: the mean, by area, of the faces around that turn away by
     less than the cosine ``crease``. Faces around vertex v are ``around[first[v] : first[v + 1]]``."""
+    # Cross products, as long as twice the face's area: their plain sum is the mean by area.
     flat = np.empty((len(faces), 3))
     for f in range(len(faces)):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -413,6 +438,8 @@ def corner_normals(
         length = np.sqrt(x * x + y * y + z * z)
         for k in range(3):
             v = faces[f, k]
+            # Only faces around the corner's own vertex count, and only against this face: a crease stays sharp on both
+            # sides.
             sx, sy, sz = x, y, z
             for i in range(first[v], first[v + 1]):
                 g = around[i]
@@ -434,6 +461,7 @@ def tile_depths(
     height, width = nearness.shape
     for i in range(top, bottom):
         for j in range(left, right):
+            # Range of 1 / z over drawn samples; 0 marks an empty sample.
             low, high = np.float32(np.inf), np.float32(0)
             for y in range(i * side, min((i + 1) * side, height)):
                 for x in range(j * side, min((j + 1) * side, width)):
@@ -453,13 +481,18 @@ def _is_clear(
     texel: float,
     offset: float,
 ) -> bool:
-    """Whether a ball reads nothing of a map within its ``limits``."""
+    """Whether the samples inside a ball read nothing of a light's map within its ``limits`` (5,): see ``note_changes``.
+
+    ``middle`` (3,) and ``radius`` [m] are the ball's, ``around`` [texel] is how far from their place samples read."""
     x, y, z = middle[0], middle[1], middle[2]
     u = frame[0, 0] * x + frame[0, 1] * y + frame[0, 2] * z + frame[0, 3]
     v = frame[1, 0] * x + frame[1, 1] * y + frame[1, 2] * z + frame[1, 3]
     t = frame[2, 0] * x + frame[2, 1] * y + frame[2, 2] * z + frame[2, 3]
+    # limits hold texel indices, a texel reaches one farther: hence the 1.
     reach = radius / texel + around + 1
     beside = u + reach < limits[0] or u - reach > limits[1] or v + reach < limits[2] or v - reach > limits[3]
+    # An occluder counts where it is higher than the sample. If all changed heights, old and new, are below the ball,
+    # then none shaded it and none shades it.
     return beside or t - radius - offset >= limits[4]
 
 
@@ -481,8 +514,11 @@ def mark_shadowed(
 ) -> None:
     """Set ``dirty`` (rows, columns) for tiles in the rows [top, bottom) whose light may have changed.
 
-    There a map texel that the tile reads was on one side of it and is now on the other. ``spans``
-    (L, b, b, 2) and ``limits`` (L, 5) come from ``note_changes``."""
+    There a map texel that the tile reads was on one side of it and is now on the other. ``depths`` (rows, columns, 2)
+    come from ``tile_depths`` with tiles of ``side`` samples. ``spans`` (L, b, b, 2), of ``block`` texels, and
+    ``limits`` (L, 5) come from ``note_changes``. ``rays``, ``frames``, ``offset`` and ``bias`` are those of ``shade``;
+    ``texel`` is the side of a map's texel [m]. It may mark tiles whose light stays."""
+    # Samples read up to ``offset`` beside their place, plus the bilinear half texel; a quarter is to spare.
     corners, middle = np.empty((8, 3)), np.empty(3)
     around, last = offset / texel + 0.75, spans.shape[1] - 1
     for i in range(top, bottom):
@@ -495,6 +531,7 @@ def mark_shadowed(
                 z = 1 / float(depths[i, j, k >> 2])
                 for c in range(3):
                     corners[k, c] = z * (rays[c, 0] * x + rays[c, 1] * y + rays[c, 2]) + rays[c, 3]
+            # Half the diagonal of the corners' box, around their mean: a cheap first test that rules out most lights.
             radius = 0.0
             for c in range(3):
                 middle[c] = corners[:, c].mean()
@@ -503,6 +540,8 @@ def mark_shadowed(
             for light in range(len(frames)):
                 if _is_clear(middle, radius, frames[light], limits[light], around, texel, offset):
                     continue
+                # The tile's box in the light's frame: columns, rows and heights. A frustum is the hull of its corners,
+                # and the frame is affine, so the corners bound it.
                 u0, u1, v0, v1, low, high = np.inf, -np.inf, np.inf, -np.inf, np.inf, -np.inf
                 f = frames[light]
                 for k in range(8):
@@ -516,6 +555,8 @@ def mark_shadowed(
                 first_row, last_row = max((v0 - around) // block, 0), min((v1 + around) // block, last)
                 for row in range(int(first_row), int(last_row) + 1):
                     for column in range(int(first_column), int(last_column) + 1):
+                        # Light changes where a height passes a sample: some changed height lies above the tile's lowest
+                        # sample, and some lies below its highest.
                         if spans[light, row, column, 1] > low and spans[light, row, column, 0] <= high:
                             dirty[i, j] = True
                 if dirty[i, j]:

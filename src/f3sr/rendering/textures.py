@@ -14,15 +14,16 @@ from f3sr.scene import SceneObject
 from f3sr.vision import rasterizer
 
 WHITE = np.full((1, 1, 3), 255, np.uint8)
+"""The texture of a material that has none: one white texel."""
 
 
 def linear(srgb: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Linear light of sRGB values in [0, 1] (IEC 61966-2-1)."""
+    """Linear light in [0, 1] of sRGB values in [0, 1], of any shape (IEC 61966-2-1)."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
 def srgb(light: NDArray[np.float64]) -> NDArray[np.float64]:
-    """sRGB values of linear light in [0, 1]."""
+    """sRGB values in [0, 1] of linear light in [0, 1], of any shape; the inverse of ``linear``."""
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055)
 
 
@@ -38,6 +39,7 @@ def textures_of(objects: Sequence[SceneObject]) -> Textures:
     shown = [(o.mesh, k) for o in objects for k in range(len(o.mesh.materials))]
     shapes = [_level_shapes(*_texture(mesh, mesh.materials[k]).shape[:2]) for mesh, k in shown]
     most = max(map(len, shapes), default=1)
+    # Ragged levels in rectangular arrays: what a small texture lacks stays 1 x 1 and is never read (``levels``).
     sizes = np.ones((len(shown), most, 2), np.int32)
     for k, levels in enumerate(shapes):
         sizes[k, : len(levels)] = levels
@@ -45,6 +47,7 @@ def textures_of(objects: Sequence[SceneObject]) -> Textures:
     starts = np.zeros((len(shown), most), np.int64)
     total = 0
     for k, count in enumerate(counts):
+        # cumsum minus own count: where each level begins in the one array of texels.
         starts[k, : len(count)] = total + np.cumsum(count) - count
         total += int(count.sum())
     texels = np.zeros((total, 3), np.uint16)
@@ -84,6 +87,7 @@ def _fill(mesh: Mesh, material: int, levels: Sequence[NDArray[np.uint16]]) -> No
     border(rasterizer.fixed(texture, np.uint8), _colors(shown), drawn, sums[0], weights[0])
     for fine in range(len(levels) - 1):
         halve(sums[fine], weights[fine], sums[fine + 1], weights[fine + 1])
+    # Coarsest first: ``settle`` reads the next coarser level, which for the coarsest is itself.
     for level in range(len(levels) - 1, -1, -1):
         settle(sums[level], weights[level], levels[min(level + 1, len(levels) - 1)], levels[level])
 
@@ -108,10 +112,13 @@ def _drawn(mesh: Mesh, material: int, size: tuple[int, int]) -> NDArray[np.bool_
     faces = mesh.faces[mesh.face_material == material]
     if uv is None or h * w == 1 or not len(faces) or not ((uv[faces] >= 0) & (uv[faces] <= 1)).all():
         return np.ones(size, np.bool_)
+    # The z-buffer draws the chart: at depth 1 with K = 1, uv in texels are pixels.
     flat = np.column_stack([uv[:, 0] * w, (1 - uv[:, 1]) * h, np.ones(len(uv))])
     drawn = rasterizer.silhouette(flat, faces, np.eye(3), w, h)
+    # uv = 1 is the last texel's far side.
     x, y = np.minimum(flat[np.unique(faces), :2].astype(int), [w - 1, h - 1]).T
     around = np.pad(drawn, 1)
+    # After padding by 1, i and j in 0..2 are the 3 x 3 texels around (y, x). Corners next to drawn texels need no mark.
     alone = ~np.any([around[y + i, x + j] for i in range(3) for j in range(3)], axis=0)
     drawn[y[alone], x[alone]] = True
     return drawn

@@ -210,10 +210,12 @@ def _finish(out: Path) -> None:
     """Undo a replacement that stopped between its renames, finish an addition, and delete the rest but the marker."""
     building = building_of(out)
     new, previous, added = (building / name for name in (NEW, PREVIOUS, ADDED))
+    # Between the two renames OUT is missing: the older state comes back, as the new one was never announced.
     if new.exists() and previous.exists():
         if os.path.lexists(out):
             raise OutputError(f"{out}: its older state is {previous}; move one of the two away")
         previous.rename(out)
+    # The rename to ``added`` committed the files: moving them on can be repeated until all are there.
     if added.exists() and out.exists():
         for file in added.iterdir():
             file.replace(out / file.name)

@@ -15,6 +15,7 @@ from f3sr.runtime.cache_folder import PRIVATE, is_ours
 PART = ".part"
 """Suffix of a file that is being written."""
 DIGEST = hashlib.sha256().digest_size
+"""Bytes of the seal at the end of a file."""
 
 
 def write_sealed(file: Path, data: bytes, key: str) -> None:
@@ -34,6 +35,7 @@ def read_sealed(file: Path, key: str) -> bytes | None:
 
 
 def _seal(data: bytes, key: str) -> bytes:
+    # The key's own digest has a fixed length, so that no part of the data can pass for a part of the key.
     return hashlib.sha256(hashlib.sha256(key.encode()).digest() + data).digest()
 
 

@@ -24,7 +24,7 @@ from f3sr.runtime.progress import Progress, silent, timed
 from f3sr.runtime.subprocesses import die_with, started
 
 HERE = Path(__file__).parents[1]
-"""The folder of this package."""
+"""The folder of the package f3sr."""
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -50,6 +50,8 @@ def _sources(what: re.Pattern[str]) -> list[Path]:
 def _source_hash() -> str:
     own = [HERE / "runtime" / name for name in ("kernels.py", "kernel_files.py", "cache_files.py")]
     digest = hashlib.sha256()
+    # One hash over all kernels: numba inlines a kernel of one file into those of another and does not notice its
+    # change.
     for file in (*own, *kernel_sources()):
         digest.update(file.read_bytes())
     return digest.hexdigest()[:16]
@@ -67,6 +69,7 @@ def kernel(function: F) -> F:
 
     from f3sr.runtime.kernel_files import KernelFiles
 
+    # No fastmath: reordered sums would differ between machines. error_model "numpy": 1 / 0 is inf, not an exception.
     dispatcher = cast(Any, njit(nogil=True, fastmath=False, error_model="numpy")(function))
     dispatcher._cache = KernelFiles(function, kernel_folder)  # where ``njit(cache=True)`` puts numba's own
     return dispatcher

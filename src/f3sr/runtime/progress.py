@@ -24,6 +24,7 @@ class Step:
 
 
 Progress = Callable[[Step], None]
+"""Called with every step as it starts and as it ends."""
 
 
 def silent(step: Step) -> None:

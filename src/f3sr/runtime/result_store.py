@@ -86,6 +86,7 @@ class Store:
 
         Other processes may do the same at the same time: a missing file counts as deleted.
         """
+        # Newest first: room is used up from the most recent use on, and what no longer fits is the oldest.
         room = self.share * limit_bytes()
         for file, status in sorted(_files(folder), key=lambda pair: -pair[1].st_mtime_ns):
             room -= status.st_size

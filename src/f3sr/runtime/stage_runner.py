@@ -38,6 +38,7 @@ class Runner:
         self.scenes: dict[str, Scene] = {}
         """The scene after every stage that was not skipped."""
         self.seconds: dict[str, float] = {}
+        """Wall time [s] of every stage that was worked on here."""
         self.resumed: list[str] = []
         """Stages whose results were taken from the store."""
 

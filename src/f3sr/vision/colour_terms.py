@@ -68,6 +68,7 @@ def colours_of(rgb: NDArray[np.uint8]) -> tuple[Colour, ...]:
 
 
 def _fits(t: Term, lightness: Array, chroma: Array, hue: Array) -> NDArray[np.bool_]:
+    # Relative to the range's start, so that ranges past 360 need no case of their own.
     turned = (hue - t.hue[0]) % 360 <= t.hue[1] - t.hue[0]
     bright = (lightness >= t.lightness[0]) & (lightness < t.lightness[1])
     return bright & (chroma >= t.chroma[0]) & (chroma < t.chroma[1]) & turned

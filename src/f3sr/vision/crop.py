@@ -22,6 +22,7 @@ def window_around(o: SceneObject, camera: Camera, resolution: int) -> Camera:
     """
     pixels, _ = camera.project(o.vertices_world)
     rows, columns = (np.flatnonzero(o.mask.any(axis=axis)) for axis in (1, 0))
+    # Pixel edges: the last pixel of the mask ends one after its index.
     low = np.minimum(pixels.min(0), [columns[0], rows[0]])
     high = np.maximum(pixels.max(0), [columns[-1] + 1, rows[-1] + 1])
     limit = np.array([camera.width, camera.height])
@@ -51,8 +52,10 @@ def _nearest(
 
     The two cameras' rows of K tell scale and shift: they differ by nothing else.
     """
+    # Row 0 of K has its focal length in column 0, row 1 in column 1.
     axis = int(np.argmax(np.abs(row[:2])))
     scale = row[axis] / window_row[axis]
+    # Window pixel to ray to photo pixel: (x' - c') / f' = (x - c) / f. Then to the image's own resolution.
     at = (np.arange(count) + 0.5 - window_row[2]) * scale + row[2]
     index = np.floor(at * samples / length).astype(np.int64)
     return np.clip(index, 0, samples - 1), (index < 0) | (index >= samples)

@@ -37,15 +37,17 @@ class DepthEvidence:
         """``shown`` (h, w): the window's pixels that show the object. ``camera`` is the one of the whole photo."""
         z = np.where(geometry.valid, geometry.points[..., 2], np.float32(np.nan))
         depth = sampled(z, camera, window, fill=np.nan)
+        # Not ``depth <= NEAR``: the negated comparison also catches NaN.
         depth[~shown | ~(depth > rasterizer.NEAR)] = np.nan
         return cls(depth=depth, camera=window)
 
     def residual(self, o: SceneObject) -> DepthResidual:
-        """Of an object where it is."""
+        """The residual of an object where it is; spread and size are inf where no pixel can be compared."""
         rendered = rasterizer.render([o], self.camera).depth
         both = np.isfinite(rendered) & np.isfinite(self.depth)
         if not both.any():
             return DepthResidual(median=0.0, spread=np.inf, size=np.inf, pixels=0)
+        # A log ratio, as errors of monocular depth are shares of it; medians, as masks leak onto what lies behind.
         ratio = np.log(rendered[both] / self.depth[both])
         median = float(np.median(ratio))
         return DepthResidual(

@@ -54,6 +54,7 @@ def _seen(vertices: Array, faces: NDArray[np.int32], grid: Grid, *, sign: float)
     eye = reference + sign * EYE_DISTANCE * extent
     # Image x runs along world x and image y along world y; the mirrored handedness does not matter to depth.
     points = np.column_stack([vertices[:, :2] - middle, sign * (eye - vertices[:, 2])])
+    # At the mean height, EYE_DISTANCE extents away, a cell is one pixel.
     focal = EYE_DISTANCE * extent / grid.cell
     K = np.array([[focal, 0, grid.columns / 2], [0, focal, grid.rows / 2], [0, 0, 1]])
     ids = np.zeros(len(faces), np.int32)

@@ -14,6 +14,8 @@ def loss_per_pixel(mask: NDArray[np.bool_]) -> Array:
 
     For a silhouette A shifted by d, 1 - IoU = |A xor (A + d)| / |A or (A + d)|. Every border pixel across d counts
     once."""
+    # A shift by one pixel changes both ends of every run: each border costs a pixel of |A xor (A + d)|; the union is
+    # |A|.
     across = np.count_nonzero(mask[:, 1:] != mask[:, :-1]), np.count_nonzero(mask[1:] != mask[:-1])
     return np.array(across) / max(1, np.count_nonzero(mask))
 
@@ -26,6 +28,7 @@ def loss_matrix(mask: NDArray[np.bool_], camera: Camera, point: Array) -> Array:
     if z <= 0:
         return np.zeros((3, 3))
     fx, fy = camera.K[0, 0], camera.K[1, 1]
+    # Derivative (2, 3) of the projection at the point, by world shifts [px/m].
     pixels = np.array([[fx / z, 0, -fx * x / z**2], [0, fy / z, -fy * y / z**2]]) @ camera.T_camera_world[:3, :3]
     weighted = loss_per_pixel(mask)[:, None] * pixels
     return weighted.T @ weighted

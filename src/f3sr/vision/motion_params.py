@@ -33,16 +33,19 @@ class ObjectFreedom:
         """(6, 3, 4): how points of the moved object, in camera axes, move with each parameter."""
         a, omega, s = self._values(u)
         center = self.anchor + self.basis @ a
+        # Parameters come as yaw, tilt x, tilt y, the rotation vector as x, y, z: columns in the parameters' order.
         turns = _left_jacobian(omega)[:, [2, 0, 1]].T
         fields = [
             *(_velocity(shift=b) for b in self.basis.T),
             *(_velocity(turn=axis, about=center) for axis in turns),
+            # The moved point is x = center + s (...), so dx/ds = (x - center) / s.
             _velocity(growth=1 / s, about=center),
         ]
         return np.array([r * _in_camera(f, camera) for r, f in zip(self.reach, fields, strict=True)])
 
     def _values(self, u: Array) -> tuple[Array, Array, float]:
         v = self.reach * u
+        # Rotation vector (x, y, z) = (tilt about X, tilt about Y, yaw).
         return v[:2], v[[3, 4, 2]], 1 + float(v[5])
 
 
@@ -65,6 +68,7 @@ class CameraFreedom:
         """The camera that sees the scene so."""
         turn, shift, zoom = self._values(u)
         R = rotation_from_vector(turn)
+        # Moving the scene by M is moving the camera by M^-1: T_old_new = M^-1.
         T_old_new = pose(R.T, self.center - R.T @ (self.center + shift))
         return self.camera.moved(self.camera.T_world_camera @ T_old_new).zoomed(zoom)
 
@@ -77,6 +81,7 @@ class CameraFreedom:
         fields = [
             *(_velocity(turn=axis, about=center) for axis in (_left_jacobian(turn) @ self.axes).T),
             *(_velocity(shift=axis) for axis in self.axes.T),
+            # d log f scales X and Y at fixed depth.
             np.diag([1.0, 1, 0, 0])[:3],
         ]
         return self.reach[:, None, None] * np.array(fields[: len(u)])
@@ -99,6 +104,7 @@ def _velocity(
 def _in_camera(field: Array, camera: Camera) -> Array:
     """A velocity of world points (3, 4) as one of points in camera axes."""
     R, eye = camera.T_camera_world[:3, :3], camera.center
+    # World point x = R' y + eye: its velocity L x + t seen in camera axes y.
     L = R @ field[:, :3] @ R.T
     return np.column_stack([L, R @ (field[:, :3] @ eye + field[:, 3])])
 
@@ -107,6 +113,7 @@ def _left_jacobian(omega: Array) -> Array:
     """(3, 3): a change d of a rotation vector turns by ``J d`` after the rotation (Sola et al. 2018, equation 145)."""
     angle = float(np.linalg.norm(omega))
     W = _cross(omega)
+    # First order of the series; the next term is below 1e-12.
     if angle < 1e-6:
         return np.eye(3) + W / 2
     return np.eye(3) + (1 - np.cos(angle)) / angle**2 * W + (angle - np.sin(angle)) / angle**3 * W @ W

@@ -14,7 +14,7 @@ from f3sr.vision.silhouette import Mask, union_of
 RESOLUTION = 384
 """Longer side [px] of the images that depths are compared in."""
 ENOUGH = 20
-"""Pixels in common from which rendered depths are compared there."""
+"""Least number of common pixels at which rendered depths are compared there."""
 
 
 def nearer_objects(scene: Scene) -> dict[int, list[SceneObject]]:

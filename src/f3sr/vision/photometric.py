@@ -26,7 +26,9 @@ ENOUGH = 100
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Appearance:
-    """The photo's detail (h, w, 3) where it shows an object, in a window with a ``camera``."""
+    """The photo's detail (h, w, 3) where it shows an object, ``shown`` (h, w), in a window with a ``camera``.
+
+    Detail is the band of colours in [0, 1] between the blurs FINE and COARSE."""
 
     detail: NDArray[np.float32]
     shown: Mask
@@ -59,9 +61,13 @@ class Appearance:
         a, norm = _unit(self.detail[both]), _length(rendered[both])
         b = _unit(rendered[both])
         flow = _flow(np.argwhere(both), depth[both], self.camera.K, velocities)
+        # At the border of the compared region central differences would read what is not compared: there the change is
+        # 0.
         inside = _inner(both)[both]
         dy, dx = (np.gradient(rendered, axis=k)[both] * inside[:, None] for k in (0, 1))
+        # Brightness constancy: (p, n, 3), how each pixel's colour changes per parameter, over the render's length.
         change = -(flow[:, :, 0, None] * dx + flow[:, :, 1, None] * dy) / norm
+        # b keeps mean 0 and length 1 whatever moves: what a change has along either is taken off.
         change -= change.mean(1, keepdims=True)
         change = change.reshape(p, -1)
         flat = b.reshape(-1)
@@ -86,7 +92,9 @@ def _flow(pixels: NDArray[np.int64], depth: Array, K: Array, velocities: Array) 
     Y = (y - K[1, 2]) / K[1, 1]
     X = (x - K[0, 2] - K[0, 1] * Y) / K[0, 0]
     points = np.stack([X * depth, Y * depth, depth, np.ones_like(depth)])
+    # (p, 3, 4) @ (4, n) = (p, 3, n): velocities of the points in camera axes, per parameter.
     d = velocities @ points
+    # Quotient rule of X / z and Y / z; then K, whose third column has no part in a difference.
     u, v = (d[:, 0] - X * d[:, 2]) / depth, (d[:, 1] - Y * d[:, 2]) / depth
     return np.stack([K[0, 0] * u + K[0, 1] * v, K[1, 1] * v], axis=-1)
 
@@ -116,6 +124,7 @@ def _blurred(rgb: NDArray[np.float32], where: Mask, sigma: float) -> NDArray[np.
     """Colours under a Gaussian that counts the given pixels only (normalised convolution, Knutsson and Westin 1993)."""
     from scipy.ndimage import gaussian_filter
 
+    # Colours and the weight 1, masked and blurred alike: their ratio is the mean over given pixels.
     weighted = np.concatenate([rgb, np.ones_like(rgb[..., :1])], axis=2) * where[..., None]
     sums = gaussian_filter(weighted, (sigma, sigma, 0), mode="constant", truncate=TRUNCATED)
     return np.where(where[..., None], sums[..., :3] / np.maximum(sums[..., 3:], 1e-6), 0)

@@ -17,6 +17,7 @@ from f3sr.vision import rasterizer
 from f3sr.vision.silhouette import resample
 
 Image = NDArray[np.uint8]
+"""(h, w, 3) sRGB."""
 
 LONGEST = 1600
 """Longest side [px] of a package's pictures; a larger photo is drawn smaller."""
@@ -27,6 +28,7 @@ TINT = 0.55
 SWAPPED = 0.4
 """Brightness where an object is drawn over another's mask, so that swapped ids show."""
 GROUND_LINE = (40, 170, 60)
+"""Colour of the line z = 0 in side views."""
 MUCH_LARGER = 2.5
 """Two states share a side camera while together they are at most so many times larger than each alone."""
 FRAME = 1.2
@@ -96,6 +98,7 @@ def overlay(scene: Scene, backdrop: Backdrop | None = None) -> Image:
     backdrop = backdrop or Backdrop.of(scene)
     ids, wanted = rasterizer.render(scene.objects, backdrop.camera(scene)).ids, backdrop.wanted
     has_mask, has_render = wanted != rasterizer.EMPTY, ids != rasterizer.EMPTY
+    # 0 neither, 1 mask only, 2 render only, 3 both, 4 both of different objects: an index into the three tables.
     kind = has_mask + 2 * has_render.astype(np.uint8)
     kind[has_mask & has_render & (wanted != ids)] = 4
     colors = np.array([(0, 0, 0), MASK_ONLY, RENDER_ONLY, BOTH, np.multiply(SWAPPED, BOTH)], np.float32)
@@ -157,10 +160,12 @@ def side_camera(scene: Scene, *others: Scene, width: int, height: int, ground: b
     Its height is that of the ground, or of the lowest point where there is no ground yet. Its view holds the scene
     and ``others``.
     """
+    # Look against the photo's x axis, level: from the photo's right.
     forward = scene.camera.T_world_camera[:3, 0] * [1, 1, 0]
     forward = -forward / np.linalg.norm(forward)
     down = np.array([0.0, 0, -1])
     R = np.stack([np.cross(down, forward), down, forward], axis=1)
+    # Rows times R is R' x: points in the side camera's axes, unshifted. y runs down.
     seen = np.concatenate([o.vertices_world @ R for s in (scene, *others) for o in s])
     low, high = seen.min(0), seen.max(0)
     base = 0.0 if ground else high[1]
@@ -168,6 +173,7 @@ def side_camera(scene: Scene, *others: Scene, width: int, height: int, ground: b
     distance = 8 * float(np.linalg.norm(high - low))
     eye = R @ [(low[0] + high[0]) / 2, base, (low[2] + high[2]) / 2 - distance]
     focal = distance / FRAME / max((high[0] - low[0]) / width, (bottom - top) / height)
+    # A level camera at the ground's height sees z = 0 as one row; the principal point moves it to frame the scene.
     horizon = height / 2 + focal * (2 * base - bottom - top) / 2 / distance
     K = np.array([[focal, 0, width / 2], [0, focal, horizon], [0, 0, 1]])
     return Camera(width=width, height=height, K=K, T_world_camera=pose(R, eye))

@@ -54,7 +54,7 @@ NEAR = 1e-3
 
 MANY_FACES = 250_000
 MANY_PIXELS = 500_000
-"""Work below both is done in the calling thread, where it ends before a pool would have begun."""
+"""Triangles and pixels; work below both is done in the calling thread, where it ends before a pool would begin."""
 
 THREADS = min(os.cpu_count() or 1, 8)
 """How many share larger work."""
@@ -64,6 +64,7 @@ STRIP = 2_000_000
 per strip costs little."""
 
 WHITE = np.full((1, 1, 3), 255, np.uint8)
+"""The texture of a material that has none: one white texel."""
 
 Filter = Literal["bilinear", "nearest"]
 Task = TypeVar("Task")
@@ -84,7 +85,9 @@ class Fragments:
 
 
 def render(objects: Iterable[SceneObject], camera: Camera, *, near: float = NEAR) -> Fragments:
-    """The scene as ``camera`` sees it; faces are concatenated in the order given, ids are object ids."""
+    """The scene as ``camera`` sees it; faces are concatenated in the order given, ids are object ids.
+
+    ``near`` > 0 is the distance of the near plane [m]."""
     vertices, faces, ids = _joined(objects, camera)
     return rasterize(vertices, faces, ids, camera.K, camera.width, camera.height, near=near)
 
@@ -235,6 +238,7 @@ def _joined(objects: Iterable[SceneObject], camera: Camera) -> tuple[Array, NDAr
 
 def fixed(values: ArrayLike, dtype: Any) -> NDArray[Any]:
     """A contiguous, aligned, read-only view of one type, whatever was handed in; a copy only where needed."""
+    # numba compiles once per type, layout and writability: all calls must agree in the three.
     array = np.require(values, dtype, ("C", "A")).view()
     array.setflags(write=False)
     return array
@@ -245,6 +249,7 @@ def _projected(vertices_camera: ArrayLike, K: ArrayLike, height: int, near: floa
     vertices = fixed(vertices_camera, np.float64)
     points = np.empty((len(vertices), 5))
     low, high = project(vertices, fixed(K, np.float64), float(near), points)
+    # A row more on each side for rounding; infinite bounds clip to the whole picture.
     first, last = np.clip([np.floor(low - 1), np.ceil(high + 1)], 0, height)
     return fixed(points, np.float64), (int(first), int(last))
 
@@ -260,11 +265,13 @@ def _pixels_by_material(
     """For every visible material: its pixels (flat), the index of its object, and its own index there."""
     slots = [(k, m) for k, o in enumerate(objects) for m in range(len(o.mesh.materials))]
     first_slot = _offsets([len(o.mesh.materials) for o in objects])
+    # A slot is a material of an object; numbered over all objects, it sorts pixels by what paints them.
     slot_of_face = np.concatenate(
         [np.empty(0, np.int64), *(first_slot[k] + _face_material(o.mesh) for k, o in enumerate(objects))]
     )
     pixels = np.flatnonzero(face >= 0)
     slot_of_pixel = slot_of_face[face[pixels]]
+    # Stable: within a slot pixels stay in the order of the picture, which the cache likes.
     pixels = pixels[np.argsort(slot_of_pixel, kind="stable")]
     starts = _offsets(np.bincount(slot_of_pixel, minlength=len(slots)).tolist())
     for (k, material), start, end in zip(slots, starts[:-1], starts[1:], strict=True):
@@ -312,6 +319,7 @@ def _pool(process: int) -> ThreadPoolExecutor:
 
 
 def share(work: Callable[[Task], None], tasks: Sequence[Task]) -> None:
+    """Call ``work`` with every task, in threads; returns when all are done and raises what the first failure raised."""
     if len(tasks) == 1:
         work(tasks[0])
     else:
@@ -346,6 +354,7 @@ def _cover(points: NDArray[Any], faces: NDArray[Any], near: float, start: int, s
         edges = edge_functions(a, b, c, np.sign(det), size, near)
         for y in range(top, bottom + 1):
             row = row_of(edges, y + 0.5)
+            # A short row has no branch to mispredict: ``|=`` writes every pixel of the box.
             if right - left > SHORT:
                 first, last = span(edges, row, left, right)
                 for x in range(first, last + 1):
@@ -390,6 +399,7 @@ def _nearest(
             row, y = row_of(edges, line + 0.5), line - top
             first, last = span(edges, row, left, right)
             for x in range(first, last + 1):
+                # e_k / sum(e) are perspective-correct barycentrics; depth and any attribute are their weighted sums.
                 wa = ea[0] * (x + 0.5) + row[0]
                 wb = eb[0] * (x + 0.5) + row[1]
                 wc = ec[0] * (x + 0.5) + row[2]
@@ -415,7 +425,9 @@ def _paint(
     nearest: bool,
     image: NDArray[Any],
 ) -> None:
-    """Colour some flat ``pixels`` of ``image`` (H W, 3), which show one material of one mesh."""
+    """Colour some flat ``pixels`` (n,) of ``image`` (H W, 3), which show one material of one mesh.
+
+    ``face`` (H W,) and ``bary`` (H W, 3) are those of ``Fragments``, ``first_face`` is where the mesh's faces begin."""
     faces, uv, colors, base_color, texture = surface
     for i in range(len(pixels)):
         pixel = pixels[i]
@@ -444,6 +456,7 @@ def _texels(t: float, size: int, nearest: bool) -> tuple[int, int, float]:
     if nearest:
         i = min(max(int(t * size), 0), size - 1)
         return i, i, 0.0
+    # Texel i has its centre at (i + 0.5) / size. Both % wrap: i is -1 left of the first centre.
     s = t * size - 0.5
     i = int(np.floor(s))
     return i % size, (i + 1) % size, s - i

@@ -16,10 +16,10 @@ PAD = 1e-6
 """Slack [px] of bounding boxes: wider than any rounding error, so that only the edge functions decide."""
 
 ROUNDING = 1e-15
-"""Bound of the relative rounding error of an edge function: nine half units in the last place."""
+"""Bound of the relative rounding error of an edge function: nine half units in the last place, 9 * 2^-53."""
 
 SHORT = 8
-"""Rows [px] up to this long are tested pixel by pixel."""
+"""Longest span [px] that is tested pixel by pixel: below it, solving for the crossings costs more."""
 
 
 def warm_up() -> None:
@@ -34,7 +34,8 @@ def warm_up() -> None:
 def project(vertices: NDArray[Any], K: NDArray[Any], near: float, points: NDArray[Any]) -> tuple[float, float]:
     """Fill ``points`` (n, 5) with p = K v (so p_z = z) and its pixel u, v, the latter only where z >= near.
 
-    Returns the lowest and highest v; infinite ones when a vertex lies before the near plane."""
+    ``vertices`` (n, 3) [m] are in camera axes, ``K`` (3, 3) [px] has the last row (0, 0, 1). Where z < near, u and v
+    are NaN. Returns the lowest and highest v; infinite ones when a vertex lies before the near plane."""
     low, high = np.inf, -np.inf
     for i in range(len(vertices)):
         x, y, z = vertices[i, 0], vertices[i, 1], vertices[i, 2]
@@ -48,6 +49,7 @@ def project(vertices: NDArray[Any], K: NDArray[Any], near: float, points: NDArra
             high = points[i, 4] if points[i, 4] > high else high
         else:
             points[i, 3] = points[i, 4] = np.nan
+            # Later vertices cannot narrow it again: no v is below -inf or above inf.
             low, high = -np.inf, np.inf
     return low, high
 
@@ -65,6 +67,7 @@ Row = tuple[float, float, float, float]
 
 @inline_kernel
 def corner(points: NDArray[Any], i: int) -> Point:
+    """Row ``i`` of ``points`` (n, 5), as numbers."""
     return points[i, 0], points[i, 1], points[i, 2], points[i, 3], points[i, 4]
 
 
@@ -94,6 +97,7 @@ def clipped_bounds(corners: tuple[Point, Point, Point], near: float) -> tuple[fl
 @inline_kernel
 def centres(low: float, high: float, start: int, stop: int) -> tuple[int, int]:
     """First and last index in [start, stop) of the pixels whose centres, at +0.5, lie in [low, high]."""
+    # Compared as floats: an infinite or a huge bound has no int. (0, -1) is the empty range.
     first = max(np.ceil(low - 0.5 - PAD), start)
     last = min(np.floor(high - 0.5 + PAD), stop - 1.0)
     return (int(first), int(last)) if first <= last else (0, -1)
@@ -111,6 +115,7 @@ def edge(p: Point, q: Point, sign: float, size: float) -> Vector:
 @inline_kernel
 def determinant(a: Point, b: Point, c: Point) -> float:
     """det(a, b, c) = a . ((b - a) x (c - a)); with differences, for tiny triangles far away."""
+    # Same determinant, as a . (a x c) = a . (b x a) = 0; the plain triple product would cancel.
     bx, by, bz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     cx, cy, cz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     return a[0] * (by * cz - bz * cy) + a[1] * (bz * cx - bx * cz) + a[2] * (bx * cy - by * cx)
@@ -123,6 +128,7 @@ def edge_functions(a: Point, b: Point, c: Point, sign: float, size: float, near:
     za, zb, zc = a[2] - near, b[2] - near, c[2] - near
     if min(za, zb, zc) >= 0:  # all in front: the near plane's function is 0, which is inside everywhere
         return ea, eb, ec, (0.0, 0.0, 0.0)
+    # At a pixel, sum(z_k e_k) / sum(e_k) is the depth, so sum((z_k - near) e_k) >= 0 says depth >= near.
     x = za * ea[0] + zb * eb[0] + zc * ec[0]
     y = za * ea[1] + zb * eb[1] + zc * ec[1]
     z = za * ea[2] + zb * eb[2] + zc * ec[2]
@@ -131,12 +137,14 @@ def edge_functions(a: Point, b: Point, c: Point, sign: float, size: float, near:
 
 @inline_kernel
 def row_of(edges: Edges, y: float) -> Row:
+    """What the edge functions are at x = 0 of the row through ``y`` [px]: their first coefficient is the slope in x."""
     ea, eb, ec, en = edges
     return ea[1] * y + ea[2], eb[1] * y + eb[2], ec[1] * y + ec[2], en[1] * y + en[2]
 
 
 @inline_kernel
 def inside(x: float, edges: Edges, row: Row) -> bool:
+    """Whether the place ``x`` [px] of a row is in the triangle and not before the near plane."""
     ea, eb, ec, en = edges
     # Bitwise and: four comparisons without a branch.
     in_triangle = (ea[0] * x + row[0] >= 0) & (eb[0] * x + row[1] >= 0) & (ec[0] * x + row[2] >= 0)
@@ -145,8 +153,9 @@ def inside(x: float, edges: Edges, row: Row) -> bool:
 
 @inline_kernel
 def narrowed(low: float, high: float, slope: float, constant: float) -> tuple[float, float]:
-    """Pixels [low, high] without those, but for rounding, where slope x + constant < 0 at the centre."""
+    """Pixels [low, high] without those where slope x + constant < 0 at the centre; up to one too many at each end."""
     if slope > 0:
+        # Rounded outward: the loops of ``span`` drop what is too much, nothing would bring back what is missing.
         return max(low, np.floor(-constant / slope - 0.5)), high
     if slope < 0:
         return low, min(high, np.ceil(-constant / slope - 0.5))
@@ -164,6 +173,7 @@ def span(edges: Edges, row: Row, first: int, last: int) -> tuple[int, int]:
         low, high = narrowed(low, high, edges[1][0], row[1])
         low, high = narrowed(low, high, edges[2][0], row[2])
         low, high = narrowed(low, high, edges[3][0], row[3])
+        # A crossing may be infinite, which has no int; then the range is empty.
         low, high = (low, high) if low <= high else (0.0, -1.0)
         first, last = int(low), int(high)
     while first <= last and not inside(first + 0.5, edges, row):

@@ -38,7 +38,7 @@ def union_of(masks: Iterable[Mask], shape: tuple[int, ...]) -> Mask:
 
 
 def resample(mask: NDArray[P], width: int, height: int) -> NDArray[P]:
-    """A mask, or any values (h, w), read at the pixel centres of another resolution, nearest."""
+    """A mask, or any values (h, w), read at the pixel centres of another resolution (height, width), nearest."""
     rows = ((np.arange(height) + 0.5) * mask.shape[0] / height).astype(int)
     columns = ((np.arange(width) + 0.5) * mask.shape[1] / width).astype(int)
     return mask[rows][:, columns]
@@ -84,8 +84,10 @@ class Target:
 
         valid = np.ones_like(mask) if valid is None else valid
         weights = weights or LossWeights()
+        # Distances [px] to the mask from outside and to its complement from inside; one of the two is 0 everywhere.
         outside, inside = (np.asarray(distance_transform_edt(m), np.float32) for m in (~mask, mask))
         leak = np.float32(weights.distance / max(mask.shape))
+        # Their sum is the distance |d| to the mask's outline.
         stiffness = 1 / np.maximum(outside + inside, 1) + np.where(mask, np.float32(0), leak)
         visible = mask & valid
         return cls(
@@ -104,7 +106,9 @@ class Target:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Surface:
-    """Triangles in the world and their edges: what silhouettes are drawn from."""
+    """Triangles and their edges: what silhouettes are drawn from.
+
+    ``vertices`` (n, 3) [m] in the world, ``faces`` (m, 3), ``edges`` (e, 2) each once."""
 
     vertices: Array
     faces: NDArray[np.int32]
@@ -120,6 +124,7 @@ class Surface:
         )
 
     def moved(self, T: Array, scale: float) -> Surface:
+        """The surface under x -> T (scale x), with ``T`` (4, 4) in the world."""
         return replace(self, vertices=transform(T, scale * self.vertices))
 
     def silhouette(self, camera: Camera) -> Mask:
@@ -141,14 +146,17 @@ def loss(integrals: Integrals, target: Target) -> Local:
 
     With zero weights of centroid and area it is equation 7. These two terms have Gauss-Newton curvatures."""
     F, G, weights = integrals.value, integrals.gradient, target.weights
+    # Centroid and area of the visible silhouette are ratios of its integrals; derivatives follow the quotient rule.
     area = max(float(F[VALID]), 1.0)
     middle = F[[MOMENT_X, MOMENT_Y]] / area
     side = max(target.mask.shape)
     offset = (middle - target.centroid) / side
     d_offset = (G[[MOMENT_X, MOMENT_Y]] - np.outer(middle, G[VALID])) / (area * side)
+    # The logarithm treats twice and half the area alike.
     ratio, d_ratio = np.log(area / target.area), G[VALID] / area
     lambda_c, lambda_a = weights.centroid, weights.area
     return Local(
+        # |S xor mask| = area + the sum over S of (1 - 2 mask): divided by the mask's area, its constant part is 1.
         value=1 + float(F[MISMATCH]) / target.area + lambda_c * float(offset @ offset) + lambda_a * float(ratio**2),
         gradient=G[MISMATCH] / target.area + 2 * lambda_c * offset @ d_offset + 2 * lambda_a * ratio * d_ratio,
         curvature=integrals.curvature / target.area

@@ -17,9 +17,9 @@ from f3sr.vision.silhouette import LossWeights, Mask, Surface, Target, iou, loss
 from f3sr.vision.silhouette_integrals import MOMENT_X, MOMENT_Y, VALID, Integrals
 
 EQUATION_8 = np.array([1, 1, 1, 0, 0, 1.0])
-"""The report's freedom: shifts, yaw and scale."""
+"""(6,) 1 where a parameter of ``ObjectFreedom`` is free; the report's freedom: two shifts, yaw and scale."""
 EVERYTHING = np.ones(6)
-"""Tilt as well."""
+"""(6,) the two tilts as well."""
 SMALLEST_AREA = 16
 """Pixels of a silhouette below which its centre and area say nothing."""
 SEED_STEPS = 2
@@ -40,10 +40,12 @@ class ObjectFit:
     prior: Array
 
     def shown(self, u: Array) -> Surface:
+        """The surface at parameters u (6,), in the world."""
         T, s = self.freedom.similarity(u)
         return self.surface.moved(T, s)
 
     def silhouette(self, u: Array) -> Mask:
+        """(h, w) of the window at parameters u (6,)."""
         return self.shown(u).silhouette(self.camera)
 
     def iou(self, u: Array) -> float:
@@ -55,6 +57,7 @@ class ObjectFit:
         return self.shown(u).integrals(self.camera, self.target.fields, self.freedom.velocities(u, self.camera))
 
     def objective(self, u: Array) -> Local:
+        """Equation 9 at parameters u (6,), with derivatives by u: the prior is the sum of ``prior`` u^2."""
         return loss(self.integrals(u), self.target).plus_squares(self.prior, u)
 
     def best(self, yaws: Iterable[float], *, kept: int, iterations: int) -> Minimum:
@@ -71,6 +74,8 @@ class ObjectFit:
         reach = self.freedom.reach
         u = np.array([0.0, 0, yaw / reach[2], 0, 0, 0])
         depth = self.camera.to_camera(self.freedom.anchor[None])[0, 2]
+        # Weak perspective: (2, 2), how far a point at the anchor's depth moves in the picture per metre along
+        # ``basis``.
         pixels_per_shift = self.camera.K[:2, :2] @ (self.camera.T_camera_world[:3, :3] @ self.freedom.basis)[:2] / depth
         for _ in range(SEED_STEPS):
             found = self.integrals(u).value
@@ -80,6 +85,7 @@ class ObjectFit:
             offset = self.target.centroid - found[[MOMENT_X, MOMENT_Y]] / area
             u = u.copy()
             u[:2] += np.linalg.lstsq(pixels_per_shift, offset)[0] / reach[:2]
+            # u[5] is (s - 1) / reach: the scale so far times the root of the ratio of areas.
             u[5] = ((1 + u[5] * reach[5]) * np.sqrt(self.target.area / area) - 1) / reach[5]
             u = np.clip(u, -1, 1)
         return u
@@ -89,6 +95,7 @@ class ObjectFit:
     ) -> Minimum:
         """The best near a start (6,) that keeps what is not ``free`` (6,); ``also`` adds to the objective."""
         reach = free * (self.freedom.reach > 0)
+        # Equal bounds fix a parameter at its start.
         bounds = np.where(reach, -1.0, u), np.where(reach, 1.0, u)
 
         def objective(u: Array) -> Local:
@@ -99,7 +106,9 @@ class ObjectFit:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CameraFit:
-    """All objects against all masks, as one: equation 7 over the parameters u (p,) of its ``freedom``."""
+    """All objects against all masks, as one: equation 7 over the parameters u (p,) in [-1, 1] of its ``freedom``.
+
+    ``prior`` weighs the sum of the squares of u."""
 
     surface: Surface
     target: Target
@@ -107,10 +116,12 @@ class CameraFit:
     prior: float
 
     def objective(self, u: Array) -> Local:
+        """Equation 7 at parameters u (p,), with derivatives by u; ``prior`` weighs every u^2 alike."""
         integrals = self.surface.integrals(self.freedom.at(u), self.target.fields, self.freedom.velocities(u))
         return loss(integrals, self.target).plus_squares(np.full(len(u), self.prior), u)
 
     def best(self, *, iterations: int) -> Camera:
+        """The camera at the minimum near u = 0, after at most ``iterations`` steps."""
         ones = np.ones_like(self.freedom.reach)
         return self.freedom.at(minimise(self.objective, 0 * ones, bounds=(-ones, ones), iterations=iterations).x)
 

@@ -30,7 +30,7 @@ from f3sr.runtime.kernels import inline_kernel, kernel
 AREA, VALID, MOMENT_X, MOMENT_Y, MISMATCH = range(5)
 """Rows of ``Integrals.value`` and ``Integrals.gradient``."""
 TILE = 8
-"""Pixels along a side of the tiles that edges are sorted out by: about an edge's length, where meshes are fine."""
+"""Pixels along a side of the tiles that edges are sorted out by: fine meshes have edges about so long."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -45,8 +45,10 @@ class Fields:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Integrals:
-    """``value`` (5,), ``gradient`` (5, p) and ``curvature`` (p, p), the sum over the outline of stiffness * J J^T with
-    J = v . n."""
+    """``value`` (5,), ``gradient`` (5, p) and ``curvature`` (p, p), over p parameters.
+
+    Rows are AREA to MISMATCH, in pixels, pixels times pixels for the moments. The curvature is the integral over the
+    outline of stiffness * J J^T with J = v . n."""
 
     value: Array
     gradient: Array
@@ -54,7 +56,9 @@ class Integrals:
 
 
 def unique_edges(faces: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Every edge (e, 2) of some triangles once."""
+    """Every edge (e, 2) of some triangles (m, 3) once, the lower vertex first, sorted."""
+    # One number per pair, low * base + high: ``unique`` of numbers is much faster than of rows. int64, as it can exceed
+    # 2^31.
     pairs = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1).astype(np.int64)
     base = pairs[:, 1].max(initial=0) + 1
     return np.column_stack(np.divmod(np.unique(pairs[:, 0] * base + pairs[:, 1]), base)).astype(np.int32)
@@ -81,6 +85,7 @@ def integrate(
     edges = _at_outline(pixels, inverse_depth, edges, mask)
     value, gradient, curvature = np.zeros(5), np.zeros((5, len(velocities))), np.zeros((len(velocities),) * 2)
     _sum_inside(mask, fields.valid, fields.mismatch, value)
+    # Rows of pixel centres see the part |n_x| ds of the outline, columns the part |n_y| ds.
     for upright in (False, True):
         outline = _outline(pixels, inverse_depth, edges, mask, upright=upright)
         _sum_outline(
@@ -98,10 +103,12 @@ def _at_outline(
     rows, columns = (max(1, -(-(n - 1) // TILE)) for n in mask.shape)
     inside = np.zeros((rows, columns), np.int32)
     _count_in_tiles(mask, inside)
+    # Pixel centres per tile: TILE + 1, as borders are shared, and fewer at the picture's end.
     heights, widths = (
         np.minimum(np.arange(k) * TILE + TILE + 1, n) - np.arange(k) * TILE
         for k, n in zip((rows, columns), mask.shape, strict=True)
     )
+    # Only where some centres are inside and some outside can the outline pass between two of them.
     mixed = (inside > 0) & (inside < np.outer(heights, widths))
     chosen = np.empty((len(edges), 2), np.int32)
     return chosen[: _choose(pixels, inverse_depth, edges, mixed, chosen)]
@@ -153,6 +160,7 @@ def _project(points_camera: Array, K: Array, near: float, pixels: Array, inverse
     """Fill pixels (n, 2) and inverse depths (n,) [1/m], the latter 0 for what is not in front of ``near``."""
     for i in range(len(points_camera)):
         z = points_camera[i, 2]
+        # 0 marks a vertex that has no pixel; edges with one are skipped everywhere below.
         w = 1 / z if z > near else 0.0
         x, y = points_camera[i, 0] * w, points_camera[i, 1] * w
         inverse_depth[i] = w
@@ -165,6 +173,7 @@ def _count_in_tiles(mask: NDArray[np.bool_], inside: NDArray[np.int32]) -> None:
     """Add to ``inside`` (rows, columns) the pixels of the mask in every tile; its last row and column are shared."""
     rows, columns = inside.shape
     for r in range(mask.shape[0]):
+        # The first row of a tile is also the last of the one above; the picture's last row has no tile of its own.
         i = min(r // TILE, rows - 1)
         above = r % TILE == 0 and 0 < r <= i * TILE
         for j in range(columns):
@@ -197,6 +206,8 @@ def _choose(
         if inverse_depth[a] == 0 or inverse_depth[b] == 0:
             continue
         top, left, bottom, right = tiles[a, 0], tiles[a, 1], tiles[b, 0], tiles[b, 1]
+        # An edge within two by two tiles, nearly all of them: its corners are all tiles of its box. Longer ones walk
+        # the box.
         near = mixed[top, left] | mixed[top, right] | mixed[bottom, left] | mixed[bottom, right]
         if abs(top - bottom) > 1 or abs(left - right) > 1:
             for i in range(min(top, bottom), max(top, bottom) + 1):
@@ -210,6 +221,7 @@ def _choose(
 @inline_kernel
 def _tile(place: float, count: int) -> int:
     """Which of ``count`` tiles along a side holds a place [px], the nearest for one beyond them."""
+    # Minus 0.5: tiles hold places between pixel centres.
     return int(min(max((place - 0.5) / TILE, 0.0), count - 1.0))
 
 
@@ -251,19 +263,26 @@ def _cross(
         start, end = pixels[a, over], pixels[b, over]
         if end < 0.5 or start > lines:
             continue
+        # Lines with start <= line + 0.5 < end. The range is half open: a vertex on a line belongs to one of its two
+        # edges.
         first = max(0, int(np.ceil(start - 0.5)))
         last = min(lines - 1, int(np.ceil(end - 0.5)) - 1)
         for line in range(first, last + 1):
             t = (line + 0.5 - start) / (end - start)
             u = pixels[a, along] + t * (pixels[b, along] - pixels[a, along])
+            # Between the first and the last pixel centre of the line: beyond them lies the image's border, not an
+            # outline.
             if not 0.5 <= u < steps + 0.5:
                 continue
+            # The crossing lies between the centres of pixels ``step`` and ``step + 1`` of the line.
             step = int(u - 0.5)
             r, c = (step, line) if upright else (line, step)
+            # Both inside or both outside: this edge is hidden, or too thin for the grid. Then the outline is not here.
             if mask[r, c] == mask[r + down, c + right]:
                 continue
             # Of all edges that cross this boundary the outermost is the outline.
             direction = 1 if mask[r, c] else -1
+            # ``owner`` maps a boundary to its row in the results; (r, c) is the pixel before the boundary.
             k = owner[r, c]
             if k < 0:
                 k = owner[r, c] = found
@@ -303,6 +322,8 @@ def _sum_outline(
         r, c, direction = cells[k, 0], cells[k, 1], cells[k, 2]
         nx, ny = _normal(pixels[a], pixels[b])
         n_along = ny if upright else nx
+        # n points out of the silhouette: along the line it has the sign of ``direction``, which leads from inside to
+        # outside.
         if n_along * direction < 0:
             nx, ny, n_along = -nx, -ny, -n_along
         ds = abs(n_along)  # length of outline that this crossing stands for: |n_x| per row, |n_y| per column [px]
@@ -315,11 +336,13 @@ def _sum_outline(
         v = float(valid[pr, pc])
         w[AREA], w[VALID], w[MOMENT_X], w[MOMENT_Y], w[MISMATCH] = 1.0, v, v * x, v * y, mismatch[pr, pc]
         for f in range(5):
+            # ds^2: rows give n_x^2 of a strip's area and columns n_y^2; the two add up to 1.
             value[f] += ds * ds * direction * beyond * w[f]
 
         line = (c if upright else r) + 0.5
         t = (line - pixels[a, over]) / (pixels[b, over] - pixels[a, over])
         z = 1 / (inverse_depth[a] + t * (inverse_depth[b] - inverse_depth[a]))  # 1 / z is linear along a projected edge
+        # The surface point behind the crossing, in camera axes: K^-1 (x, y, 1) z for an upper triangular K.
         Y = (y - K[1, 2]) * z / K[1, 1]
         X = ((x - K[0, 2]) * z - K[0, 1] * Y) / K[0, 0]
         for p in range(parameters):
