@@ -41,6 +41,7 @@ from f3sr.goals.verify import VerdictDocument, verify
 from f3sr.goals.verify import to_json as verdict_json
 from f3sr.language.capabilities import menu
 from f3sr.language.reasoner import declared, semantics_of
+from f3sr.launches.flights import dropping
 from f3sr.launches.launch_context import LaunchContext
 from f3sr.physics.mujoco_model import body_of
 from f3sr.play import rollout_folder
@@ -286,6 +287,15 @@ def test_a_height_that_is_said_is_fallen(package: Package) -> None:
     found = played(package, "let the soup can fall from 20 cm up")
     moved = way(found, CAN, package.scene)
     assert found.verdict.met and moved[0, 2] - moved[:, 2].min() == pytest.approx(0.2, abs=0.01)
+
+
+def test_drops_on_the_ground_try_several_places() -> None:
+    setting = LaunchContext(
+        _task(kind="drop", active=BALL, target=GROUND), SceneLayout(goal_scene()), limits_of(goal_scene())
+    )
+    search = dropping(setting)
+    found = {tuple(next(search)[0].initial.offsets[0].translation[:2]) for _ in range(8)}
+    assert len(found) >= 5
 
 
 def test_what_is_dropped_starts_clear_of_what_stands_there(tmp_path: Path) -> None:

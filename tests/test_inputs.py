@@ -239,6 +239,9 @@ ODD: dict[str, tuple[Spoil, str | None]] = {
     "a mask of zeros and ones": (picture(f"masks/{BIG}", lambda p: (p > 0).astype(np.uint8)), None),
     "a mask in the alpha channel": (picture(f"masks/{BIG}", cut_out), "alpha channel is the mask"),
     "a palette mask": (palette(f"masks/{BIG}"), None),
+    "a mask of two levels above 0": (
+        picture(f"masks/{BIG}", lambda p: np.where(p > 0, 255, 1).astype(np.uint8)), "neither of them 0",
+    ),
     "a soft mask": (picture(f"masks/{BIG}", soft), "grey levels"),
     "files of others": (
         in_order(*(broken_inputs.write(n, b"x") for n in ("notes.txt", "masks/.DS_Store", "assets/a.md"))), None,

@@ -58,12 +58,10 @@ def read_mask(folder: InputFolder, relative: str, photo: Photo) -> NDArray[np.bo
         raise InputError(path, found=size, accepted=f"the photo's size {photo.width}x{photo.height}")
     levels = np.unique(gray)
     threshold = 0
-    if len(levels) > 2:
-        threshold = int(levels.max()) // 2
-        folder.decide(
-            f"{path.name}: pixels above {threshold} belong to the mask",
-            f"{len(levels)} grey levels, not two",
-        )
+    if len(levels) > 2 or (len(levels) == 2 and levels[0] > 0):
+        threshold = (int(levels.max()) + (int(levels.min()) if len(levels) == 2 else 0)) // 2
+        found = "two grey levels, neither of them 0" if len(levels) == 2 else f"{len(levels)} grey levels, not two"
+        folder.decide(f"{path.name}: pixels above {threshold} belong to the mask", found)
     mask = gray > threshold
     if mask.sum() < MIN_PIXELS:
         raise InputError(

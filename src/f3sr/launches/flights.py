@@ -73,7 +73,7 @@ def _free_ground(s: LaunchContext) -> Iterator[Array]:
     """Shifts (2,) to places where only ground is below, the nearest in the photo first."""
     found = list[tuple[float, Array]]()
     for radius in np.arange(0, 6) * 0.5 * s.size:
-        for angle in np.linspace(0, 2 * np.pi, 12, endpoint=False):
+        for angle in np.linspace(0, 2 * np.pi, 12 if radius else 1, endpoint=False):
             shift = radius * np.array([math.cos(angle), math.sin(angle)])
             if all(whose == GROUND for _, whose in s.layout.under(s.active, shift)):
                 found.append((radius + 5 * s.size * (s.layout.in_frame(s.active, np.append(shift, 0)) < 0.8), shift))
