@@ -17,7 +17,7 @@ import struct
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -167,6 +167,10 @@ def intrinsics(**values: Any) -> Spoil:
 
 def graph(text: str) -> Spoil:
     return write("scene_graph.json", text.encode())
+
+
+def materials(*objects: Mapping[str, Any]) -> Spoil:
+    return write("materials.json", json.dumps({"objects": objects}).encode())
 
 
 def relation(**values: Any) -> Spoil:
@@ -636,6 +640,16 @@ WRONG: dict[str, tuple[Spoil, str, str]] = {
         graph(json.dumps({"support_relations": [{"upper": 5, "lower": 2, "reason": "x" * 5000}]})),
         "scene_graph.json", "reason",
     ),
+    # materials.json
+    "materials of a stranger": (materials({"id": 44, "density": 700}), "materials.json", "object 44"),
+    "materials given twice": (
+        materials({"id": 2, "density": 700}, {"id": 2, "friction": 0.3}), "materials.json", "object 2 twice",
+    ),
+    "materials without a property": (materials({"id": 2, "reason": "heavy"}), "materials.json", "no property"),
+    "materials with a typing error": (materials({"id": 2, "desnity": 700}), "materials.json", "desnity"),
+    "a density in g/cm3": (materials({"id": 2, "density": 0.7}), "materials.json", "density"),
+    "a friction of text": (materials({"id": 2, "friction": "high"}), "materials.json", "friction"),
+    "materials that are a list": (write("materials.json", b"[]"), "materials.json", "the document"),
 }  # fmt: skip
 """What is wrong: how it comes about, the file that the error names, and what the error says it found."""
 

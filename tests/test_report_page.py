@@ -343,8 +343,8 @@ def test_without_evaluation_and_with_any_stage_skipped(given: inputs.Inputs, sta
         (told,) = re.findall(r"<b>Skipped</b>: ([^<]*)", text)
         closing = {"close"} if skip == "settle" else set[str]()
         assert set(re.split(", | and ", told)) == {s for s in (skip, "refine", "evaluate", *closing) if "-" not in s}
-    everything = reconstruct(given, skip=SKIPPABLE)
-    assert "No stage had anything to decide" in report_page(everything).decode()
+    silent = bare(reconstruct(given, skip=SKIPPABLE).scene, outcomes=())
+    assert "No stage had anything to decide" in report_page(silent).decode()
 
 
 def test_one_object_without_ground_geometry_or_parts():
@@ -374,7 +374,7 @@ def test_the_clearance_is_that_of_the_run():
     scene = scene_of(box(0, at=(0.0, 0.0, 0.06)), box(1, at=(0.5, 0.0, 0.05)))
     config = Config()
     chosen = replace(config, settle=replace(config.settle, physics=replace(config.settle.physics, margin=5e-4)))
-    for c, clearance in ((config, "0.32"), (chosen, "1")):
+    for c, clearance in ((config, "0.26"), (chosen, "1")):
         text = report_page(bare(scene, evaluation=evaluate(scene, scene), config=c)).decode()
         assert f"rest {clearance}\u00a0mm apart" in text
 

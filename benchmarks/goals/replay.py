@@ -50,6 +50,8 @@ def replayed(package: Path, plan: dict[str, Any], ids: list[int]) -> Any:
             geom.friction = [made["friction"], 0.005, made["rolling_friction"]]
             if made["restitution"] > math.exp(-2):
                 geom.solref, geom.priority = [-4e4, -400 * damping_ratio(made["restitution"])], 1
+    for geom in (g for g in spec.geoms if g.contype):
+        geom.margin = plan["simulation"]["margin"]
     model = spec.compile()
     package_state, data = mujoco.MjData(model), mujoco.MjData(model)
     mujoco.mj_forward(model, package_state)

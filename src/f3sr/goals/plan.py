@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from f3sr.files import strict_json
 from f3sr.files.bounds import Damping, Density, Direction3, Friction, Id, IdOrGround, Mass, RollingFriction, Share
+from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.scene import MaterialSource, Mobility, Structure
 from f3sr.scene_package.scene_json import Version, dump_json
 
@@ -302,6 +303,8 @@ class SimulationPlan(_Record):
     """[s]"""
     timestep: Annotated[float, Field(ge=MIN_TIMESTEP, le=0.002, allow_inf_nan=False)] = 1 / 960
     """[s]"""
+    margin: Annotated[float, Field(ge=0, le=1e-3, allow_inf_nan=False)] = DEFAULT_MARGIN.body
+    """Contact margin of each body [m]: with that of the package's settling, what rests stays where it is."""
     steps_per_sample: Annotated[int, Field(ge=1, le=1000)] = 32
     """A sample every so many steps: 30 in a second."""
     limits: Limits | None = None

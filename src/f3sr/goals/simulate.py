@@ -17,7 +17,7 @@ import numpy as np
 
 from f3sr.core.transforms import Array, pose, rotation_from_quaternion, rotation_from_vector
 from f3sr.files.bounds import Vector3
-from f3sr.goals.plan import Impulse, InitialConditions, Offset, Plan, Semantics, Velocity
+from f3sr.goals.plan import Impulse, InitialConditions, Offset, Plan, Semantics, SimulationPlan, Velocity
 from f3sr.goals.rollout import CONTACT, Rollout
 from f3sr.physics import mujoco_model
 from f3sr.physics.mujoco_model import PhysicsConfig, body_name, engine
@@ -39,17 +39,17 @@ def simulate(scene: Scene, plan: Plan, *, until: Watch | None = None, model: Any
     """
     _require_playable(scene, plan.semantics, plan.initial)
     if model is None:
-        model = model_of(scene, plan.semantics, plan.simulation.timestep)
+        model = model_of(scene, plan.semantics, plan.simulation)
     return _Run.of(model, [o.id for o in scene], plan.initial.offsets).rollout(plan, until)
 
 
-def model_of(scene: Scene, semantics: Sequence[Semantics], timestep: float) -> Any:
+def model_of(scene: Scene, semantics: Sequence[Semantics], simulation: SimulationPlan) -> Any:
     """MuJoCo's model of a scene with a plan's materials; it serves any number of rollouts, also at once."""
     objects = as_planned(scene, semantics, InitialConditions())
     model = mujoco_model.compiled(
         mujoco_model.build_spec(
             objects,
-            PhysicsConfig(timestep=timestep, margin=0.0),
+            PhysicsConfig(timestep=simulation.timestep, margin=simulation.margin),
             ground_friction=scene.ground.friction,
             bounces=True,
         )

@@ -90,7 +90,7 @@ class Trials:
 
     def _rollout(self, plan: Plan) -> Rollout:
         """Another reading of the same words may ask for the same launch: that is no new rollout."""
-        model, task = self._model_of(plan.semantics, plan.simulation.timestep), plan.task
+        model, task = self._model_of(plan.semantics, plan.simulation), plan.task
         if plan.initial.offsets:
             self._require_clear(model, plan)
         last = max((i.time + i.duration for i in plan.initial.impulses), default=0.0)
@@ -113,9 +113,9 @@ class Trials:
         """The semantics with which the scene rests: what moves by itself, and what it touches, gets back what the
         package has, with which it was settled."""
         known = {o.id: at_rest(o) for o in self.scene}
-        made, timestep = list(semantics), SimulationPlan(duration=REST).timestep
+        made, simulation = list(semantics), SimulationPlan(duration=REST)
         for _ in range(3):
-            moved = _drifts(self._model_of(made, timestep), round(REST / timestep))
+            moved = _drifts(self._model_of(made, simulation), simulation.steps)
             restless = {o.id for o, far in zip(self.scene, moved, strict=True) if far > DRIFT}
             near = {n for id in restless for n in self._neighbours(id)} | restless
             changed = [known[s.id] if s.id in near else s for s in made]
@@ -129,13 +129,13 @@ class Trials:
         above = {o.id for o in self.scene if any(s.id == id for s in o.supports)}
         return below | above
 
-    def _model_of(self, semantics: Sequence[Semantics], timestep: float) -> Any:
+    def _model_of(self, semantics: Sequence[Semantics], simulation: SimulationPlan) -> Any:
         """The last few models are kept: one serves all launches with the same materials."""
-        key = (tuple(semantics), timestep)
+        key = (tuple(semantics), simulation.timestep, simulation.margin)
         if key not in self._models:
             if len(self._models) > 3:
                 self._models.pop(next(iter(self._models)))
-            self._models[key] = model_of(self.scene, semantics, timestep)
+            self._models[key] = model_of(self.scene, semantics, simulation)
         return self._models[key]
 
     def _require_clear(self, model: Any, plan: Plan) -> None:
