@@ -27,7 +27,10 @@ from f3sr.errors import InputError, OutputError
 from f3sr.exporters import mjcf
 from f3sr.files.bounds import MAX_OBJECT_PARTS
 from f3sr.goals.launch_limits import limits_of
+from f3sr.goals.plan import SimulationPlan
+from f3sr.goals.simulate import model_of
 from f3sr.io.mesh_files import load_mesh, load_part, save_glb
+from f3sr.language.reasoner import declared
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.physics.mujoco_model import PhysicsConfig, build_spec, engine
 from f3sr.physics.release import RELEASE_MARGIN, release
@@ -439,6 +442,24 @@ def test_scene_xml_rests_in_plain_mujoco_from_any_folder(
     for _ in range(2000):
         mujoco.mj_step(model, data)
     assert np.abs(data.xipos - landed).max() < 1e-5
+
+
+def test_materials_are_the_same_in_the_package_scene_xml_and_goals(stack: Scene, tmp_path: Path) -> None:
+    """Ten times as heavy, smooth, on a smooth ground: all three say so, with the reason."""
+    slippery = [
+        replace(o, density=6000.0, friction=0.1, material="steel", material_source="given", material_reason="weighed")
+        for o in stack
+    ]
+    scene = replace(stack.with_objects(*slippery), ground=replace(stack.ground, friction=0.05))
+    out = write_package(scene, tmp_path / "out")
+    read = read_package(out).scene
+    theirs = mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
+    ours = model_of(read, [declared(o) for o in read], SimulationPlan(duration=1.0, margin=0.0))
+    assert np.allclose(theirs.body_mass, ours.body_mass, rtol=1e-12) and theirs.body_mass[1] > 5
+    for geom in (ours.geom(k) for k in range(ours.ngeom)):
+        assert np.allclose(theirs.geom(geom.name).friction, geom.friction)
+    assert theirs.geom("ground").friction[0] == read.ground.friction == 0.05
+    assert {(o.material, o.material_source, o.material_reason) for o in read} == {("steel", "given", "weighed")}
 
 
 def test_scene_xml_is_the_model_of_the_product(stack: Scene, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from f3sr.core.transforms import pose
 from f3sr.metrics.contact_groups import SettledScene
-from f3sr.scene import Scene
+from f3sr.scene import Geometry, GeometrySource, Scene
 from f3sr.stages.refine import RefineConfig, refine
 from f3sr.vision import rasterizer
 from scenes import box, scene_of
@@ -82,3 +82,31 @@ def test_a_round_without_gain_is_the_last(seen: Scene):
     scene, outcome = refine(seen, RefineConfig(), parted=seen, stood_up=again, realigned=again)
     assert scene is seen and len(calls) == 1
     assert [d.choice for d in outcome.decisions] == ["re-alignment under contact: rolled back"]
+
+
+def measured(scene: Scene, source: GeometrySource) -> Scene:
+    """The scene with the depth of every pixel as it stands."""
+    camera = scene.camera
+    depth = rasterizer.render(scene.objects, camera).depth
+    rows, columns = np.indices(depth.shape)
+    rays = np.dstack([columns + 0.5, rows + 0.5, np.ones(depth.shape)]) @ np.linalg.inv(camera.K).T
+    valid = np.isfinite(depth)
+    points = (rays * np.where(valid, depth, 1.0)[..., None]).astype(np.float32)
+    return replace(scene, geometry=Geometry(points=points, valid=valid, source=source))
+
+
+@pytest.mark.parametrize("source", ["sensor", "estimate"])
+def test_a_measured_depth_outweighs_a_few_pixels(seen: Scene, source: GeometrySource):
+    """What moves along its viewing rays is seen as before: only a sensor knows that it is in the wrong place."""
+    scene = measured(seen, source)
+    camera, away = scene.camera, 1.02
+    far = scene[0].moved(camera.homothety(away), scale=away, stage="test", reason="")
+    tried = scene.with_objects(far)
+    start, after = (SettledScene(scene=s, restless=frozenset()) for s in (scene, tried))
+    assert after.ious[0] == pytest.approx(start.ious[0], abs=2e-3)
+    shift = 0.02 * np.linalg.norm(scene[0].bounds_world.mean(0) - camera.center) / scene[0].size
+    lost = 4 * shift if source == "sensor" else 0.0
+    assert start.scores[0] - after.scores[0] == pytest.approx(lost, rel=0.1, abs=3e-3)
+    wrong = shifted(tried, {1: 0.03})
+    kept = refined(wrong, shifted(scene, {0: 0.001}))
+    assert np.allclose(kept[0].T_world_object, scene[0].T_world_object, atol=2e-3) == (source == "sensor")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from f3sr.metrics.measures import measure
 from f3sr.scene import GROUND, Geometry, Relation, Scene, SceneGraph, Support
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.align.config import FacetConfig, SearchConfig
-from f3sr.stages.assemble import as_given, assemble
+from f3sr.stages.assemble import AssembleConfig, as_given, assemble
 from f3sr.stages.decompose import decompose
 from f3sr.stages.evaluate import direct_composition, evaluate
 from f3sr.stages.level import LevelConfig, fit_plane, level, plane_errors, vote
@@ -93,6 +94,24 @@ def test_a_wrong_quaternion_convention_is_warned_of(tmp_path):
 
 
 # --- level --------------------------------------------------------------------------------------------------
+
+
+def test_what_is_given_overrules_the_label_and_the_rest_is_the_label_s(folder: Path):
+    names = [i.name for i in inputs.read(folder).instances]
+    for old, new in zip(names, ("02_wooden_spoon.png", "05_thing.png", "07_tennis_ball.png"), strict=True):
+        (folder / "masks" / old).rename(folder / "masks" / new)
+    objects = [{"id": 7, "density": 300.0, "mobility": "fixed"}, {"id": 2, "friction": 0.9, "reason": "sticky"}]
+    (folder / "materials.json").write_text(json.dumps({"objects": objects}))
+    scene, outcome = assemble(as_given(inputs.read(folder)), AssembleConfig(ground_friction=0.3))
+    spoon, thing, tennis = scene
+    assert (spoon.material, spoon.density, spoon.friction, spoon.material_reason) == ("wood", 650, 0.9, "sticky")
+    assert (thing.material, thing.density, thing.friction) == ("unknown", 600, 0.6)
+    assert (tennis.density, tennis.friction, tennis.restitution, tennis.mobility) == (300, 0.7, 0.74, "fixed")
+    assert [o.material_source for o in scene] == ["given", "default", "given"] and scene.ground.friction == 0.3
+    (told,) = (d for d in outcome.decisions if d.choice.startswith("materials"))
+    assert told.fallback and "thing" in told.choice and "600 kg/m3" in told.reason
+    by_label, _ = assemble(as_given(inputs.read(folder, ignore=["materials"])))
+    assert [o.material_source for o in by_label] == ["label", "default", "label"] and by_label[7].density == 400
 
 
 def test_level_finds_the_true_camera(exact: Scene):

@@ -12,6 +12,11 @@ import numpy as np
 from f3sr.core.transforms import Array
 from f3sr.metrics.measures import mean_over_masks, visible_ious
 from f3sr.scene import Scene, SceneObject
+from f3sr.vision.depth_prior import depth_errors
+
+IOU_OF_SHIFT = 4.0
+"""IoU that a shift across the viewing rays costs, per size of an object: 8 / pi per diameter of a disc, whose box has a
+diagonal of 1.6 diameters. A sensor sees shifts along the rays; they count the same."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -26,10 +31,21 @@ class SettledScene:
         """Of every object's visible pixels with its mask, by id."""
         return visible_ious(self.scene)
 
+    @cached_property
+    def scores(self) -> Mapping[int, float]:
+        """``ious``, less what an object's distance from its measured depth would cost across the viewing rays."""
+        errors = depth_errors(self.scene)
+        return {id: iou - IOU_OF_SHIFT * errors[id] / self.scene[id].size for id, iou in self.ious.items()}
+
     @property
     def seen(self) -> float:
         """mIoU_visible."""
         return mean_over_masks(self.ious, self.scene)
+
+    @property
+    def score(self) -> float:
+        """The mean of ``scores`` over the masks, as ``seen``."""
+        return mean_over_masks(self.scores, self.scene)
 
 
 def groups_of(before: Scene, after: Scene, apart: float) -> list[set[int]]:

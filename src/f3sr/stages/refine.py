@@ -85,13 +85,13 @@ def refine(
     for _ in range(config.rounds):
         if not open:
             break
-        was = state.ious
+        was = state.scores
         state, told = _round(state, open, realigned, config)
         decisions += told
         moving = {
             id for g in groups_of(state.scene, state.scene, config.contact.apart) if g & state.restless for id in g
         }
-        open = [id for id in open if id not in moving and state.ious[id] > was[id] + AGAIN]
+        open = [id for id in open if id not in moving and state.scores[id] > was[id] + AGAIN]
     return state.scene, Refined(seen=(before, state.seen), decisions=tuple(decisions))
 
 
@@ -118,9 +118,9 @@ def _named(ids: Sequence[int]) -> str:
 def _better(
     state: SettledScene, tried: SettledScene, ids: Sequence[int], step: str, config: RefineConfig
 ) -> tuple[SettledScene, Decision, list[int]]:
-    """``state`` with every group of ``tried`` that shows more of the photo, and rests unless it did not before; and
-    which of the ``ids`` that were tried were undone."""
-    was, now = state.ious, tried.ious
+    """``state`` with every group of ``tried`` that agrees better with the photo and its measured depth, and rests,
+    unless it did not before; and which of the ``ids`` that were tried were undone."""
+    was, now = state.scores, tried.scores
     groups = groups_of(state.scene, tried.scene, config.contact.apart)
     kept = [
         g for g in groups if g.intersection(ids) and _gain(g, was, now) > GAIN and g & tried.restless <= state.restless
@@ -130,14 +130,19 @@ def _better(
         scene=state.scene.with_objects(*(tried.scene[id] for id in sorted(changed))),
         restless=frozenset(state.restless - changed | tried.restless & changed),
     )
-    before, after = state.seen, mixed.seen
     undone = [id for id in ids if id not in changed]
-    if not changed or after <= before:
+    if not changed or mixed.score <= state.score:
         restless = sorted(tried.restless - state.restless)
-        reason = f"mIoU_visible {before:.4f} -> {tried.seen:.4f}" + _not_at_rest(restless)
+        reason = _told(state, tried) + _not_at_rest(restless)
         return state, Decision(choice=f"{step}: rolled back", reason=reason), list(ids)
     but = f" but for {_named(undone)}" if undone else ""
-    return mixed, Decision(choice=f"{step}: accepted{but}", reason=f"mIoU_visible {before:.4f} -> {after:.4f}"), undone
+    return mixed, Decision(choice=f"{step}: accepted{but}", reason=_told(state, mixed)), undone
+
+
+def _told(was: SettledScene, now: SettledScene) -> str:
+    seen = f"mIoU_visible {was.seen:.4f} -> {now.seen:.4f}"
+    measured = f", with the measured depth {was.score:.4f} -> {now.score:.4f}"
+    return seen + (measured if was.scene.has_measured_depth else "")
 
 
 def _not_at_rest(ids: Sequence[int]) -> str:
@@ -157,7 +162,7 @@ def _would_gain(state: SettledScene, tried: SettledScene, undone: Sequence[int],
         for id in tried.restless - state.restless
         for k in (*after.ancestors(id), *after.subtree(id), *before.ancestors(id))
     }
-    return [id for id in undone if tried.ious[id] > state.ious[id] + gain and id not in bound]
+    return [id for id in undone if tried.scores[id] > state.scores[id] + gain and id not in bound]
 
 
 def _turn(a: SceneObject, b: SceneObject) -> float:

@@ -5,10 +5,12 @@ Every number is a share of the distance. Standard deviations are of the distance
 
 from __future__ import annotations
 
+import numpy as np
+
 from f3sr.core.camera import Camera
 from f3sr.scene import Geometry, Scene, SceneObject
 from f3sr.vision.crop import sampled, window_around
-from f3sr.vision.depth_residual import DepthEvidence
+from f3sr.vision.depth_residual import DepthEvidence, DepthResidual
 
 ASSET_SIGMA = 0.03
 """Standard deviation of a generated pose's distance. Generated assets of known scenes have .022."""
@@ -42,11 +44,30 @@ def sigmas(scene: Scene) -> dict[int, float]:
     return {o.id: min(known, _measured(o, geometry, scene.camera)) for o in scene}
 
 
+def depth_errors(scene: Scene) -> dict[int, float]:
+    """Median distance of every object's visible surface from where a sensor saw it, along the rays [m], by id.
+
+    0 where no sensor measured it."""
+    geometry = scene.geometry
+    if geometry is None or not scene.has_measured_depth:
+        return dict.fromkeys((o.id for o in scene), 0.0)
+    found = {o.id: _residual(o, geometry, scene.camera) for o in scene}
+    return {
+        o.id: found[o.id].size * float(np.linalg.norm(o.bounds_world.mean(0) - scene.camera.center))
+        if found[o.id].pixels
+        else 0.0
+        for o in scene
+    }
+
+
 def _measured(o: SceneObject, geometry: Geometry, camera: Camera) -> float:
+    return max(FINEST_SIGMA, SIGMA_OF_SPREAD * _residual(o, geometry, camera).spread)
+
+
+def _residual(o: SceneObject, geometry: Geometry, camera: Camera) -> DepthResidual:
     window = window_around(o, camera, EVIDENCE)
     shown = sampled(o.mask, camera, window, fill=False)
-    spread = DepthEvidence.of(geometry, camera, window, shown).residual(o).spread
-    return max(FINEST_SIGMA, SIGMA_OF_SPREAD * spread)
+    return DepthEvidence.of(geometry, camera, window, shown).residual(o)
 
 
 def sigma(*, has_geometry: bool) -> float:
