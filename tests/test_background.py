@@ -204,6 +204,23 @@ def test_finer_levels_keep_the_detail_of_their_sources() -> None:
     assert result[hole].std() > 0.7 * rgb[hole].std()
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_a_bound_ends_the_comparison_of_patches_only_above_it(seed: int) -> None:
+    """Also of patches that differ by light, whose first rows alone look like another picture."""
+    rng, side = np.random.default_rng(seed), patchmatch.SIDE
+    picture = rng.normal(0, 0.05, (side, 2 * side, 3)).astype(np.float32)
+    picture[:, side:] = picture[:, :side] + rng.normal(0, 0.01, (side, side, 3)) + [0.3, 0.0, 0.0]
+    weight = rng.uniform(0.2, 1, (side, 2 * side)).astype(np.float32)
+    middle = side // 2
+
+    def mismatch(bound: float) -> float:
+        return float(patchmatch._mismatch(picture, weight, middle, middle, middle, middle + side, bound))
+
+    exact = mismatch(1e30)
+    assert all(mismatch(share * exact) == exact for share in (1.001, 1.5, 10.0))
+    assert mismatch(0.2 * exact) > 0.2 * exact
+
+
 def test_warm_up_compiles_every_kernel() -> None:
     patchmatch.warm_up()
     kernels = [patchmatch.measure, patchmatch.search, patchmatch.vote, patchmatch.vote_slopes, patchmatch.relax]

@@ -54,18 +54,20 @@ def _mismatch(picture: Any, weight: Any, ty: int, tx: int, sy: int, sx: int, bou
     limit = np.float32(bound) * total
     one = np.float32(0)
     a0, a1, a2, b = one, one, one, one
+    sofar = np.float32(1e-12)
     for dy in range(-RADIUS, RADIUS + 1):
         for dx in range(-RADIUS, RADIUS + 1):
             w = weight[ty + dy, tx + dx]
             d0 = picture[ty + dy, tx + dx, 0] - picture[sy + dy, sx + dx, 0]
             d1 = picture[ty + dy, tx + dx, 1] - picture[sy + dy, sx + dx, 1]
             d2 = picture[ty + dy, tx + dx, 2] - picture[sy + dy, sx + dx, 2]
+            sofar += w
             a0 += w * d0
             a1 += w * d1
             a2 += w * d2
             b += w * (d0 * d0 + d1 * d1 + d2 * d2)
-        # What the best shift leaves of the rows so far, with the rows to come taken as equal in both patches.
-        if b - (a0 * a0 + a1 * a1 + a2 * a2) / total > limit:
+        # What the best shift of these rows alone leaves of them: the whole patch, with one shift, leaves no less.
+        if b - (a0 * a0 + a1 * a1 + a2 * a2) / sofar > limit:
             return np.float32(2) * np.float32(bound)
     for a, largest in ((a0, LARGEST_SHIFT[0]), (a1, LARGEST_SHIFT[1]), (a2, LARGEST_SHIFT[2])):
         m = a / total
