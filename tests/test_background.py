@@ -42,9 +42,9 @@ def checker(height: int = 120, width: int = 160, side: int = 8) -> Pixels:
     return grey(60 + 120.0 * ((y + x) % 2))
 
 
-def noise(height: int = 120, width: int = 160, size: float = 1.5) -> Pixels:
+def noise(height: int = 120, width: int = 160, size: float = 1.5, seed: int = 0) -> Pixels:
     """Grain of some size [px] whose levels spread by 30."""
-    rough = gaussian_filter(np.random.default_rng(0).normal(size=(height, width)), size)
+    rough = gaussian_filter(np.random.default_rng(seed).normal(size=(height, width)), size)
     return grey(128 + 30 * rough / rough.std())
 
 
@@ -104,16 +104,20 @@ def test_a_slope_of_light_goes_on(angle: float) -> None:
 
 
 def test_texture_under_a_lamp_keeps_contrast_and_light() -> None:
-    """Grain whose light falls to a third across the picture: in the hole the same light and the same contrast."""
+    """Grain whose light falls to a third across the picture: in the hole the same light and the same contrast, in the
+    median of five grains, as one may have no like patch near."""
     y, x = np.mgrid[:150, :200]
     light = 1 / (1 + ((x - 20) ** 2 + (y - 20) ** 2) / 170**2)
-    rgb = grey(1.2 * light * noise(150, 200, size=0.8)[..., 0])
-    hole = box(rgb.shape, 50, 70, 50, 60)
-    result = filled(rgb, hole).astype(float)[..., 0]
+    hole = box((150, 200), 50, 70, 50, 60)
     quarters = [(slice(50 + 25 * i, 75 + 25 * i), slice(70 + 30 * j, 100 + 30 * j)) for i in (0, 1) for j in (0, 1)]
-    for quarter in quarters:
-        assert result[quarter].mean() == pytest.approx(rgb[quarter].mean(), rel=0.1)
-        assert result[quarter].std() == pytest.approx(rgb[..., 0][quarter].std(), rel=0.4)
+    means, spreads = list[float](), list[float]()
+    for seed in range(5):
+        rgb = grey(1.2 * light * noise(150, 200, size=0.8, seed=seed)[..., 0])
+        result = filled(rgb, hole).astype(float)[..., 0]
+        means += [abs(result[q].mean() / rgb[..., 0][q].mean() - 1) for q in quarters]
+        spreads += [abs(result[q].std() / rgb[..., 0][q].std() - 1) for q in quarters]
+    assert np.median(means) < 0.06 and max(means) < 0.2
+    assert np.median(spreads) < 0.2 and max(spreads) < 0.5
 
 
 def test_same_bytes_on_every_run_and_thread() -> None:
