@@ -100,6 +100,8 @@ def test_what_is_given_overrules_the_label_and_the_rest_is_the_label_s(folder: P
     names = [i.name for i in inputs.read(folder).instances]
     for old, new in zip(names, ("02_wooden_spoon.png", "05_thing.png", "07_tennis_ball.png"), strict=True):
         (folder / "masks" / old).rename(folder / "masks" / new)
+        poses = folder / "assets/poses.json"
+        poses.write_text(poses.read_text().replace(old.removesuffix(".png"), new.removesuffix(".png")))
     objects = [{"id": 7, "density": 300.0, "mobility": "fixed"}, {"id": 2, "friction": 0.9, "reason": "sticky"}]
     (folder / "materials.json").write_text(json.dumps({"objects": objects}))
     scene, outcome = assemble(as_given(inputs.read(folder)), AssembleConfig(ground_friction=0.3))
