@@ -31,7 +31,7 @@ from f3sr.goals.plan import SimulationPlan
 from f3sr.goals.simulate import model_of
 from f3sr.io.mesh_files import load_mesh, load_part, save_glb
 from f3sr.language.reasoner import declared
-from f3sr.physics.contact_margin import DEFAULT_MARGIN
+from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.physics.mujoco_model import PhysicsConfig, build_spec, engine
 from f3sr.physics.release import RELEASE_MARGIN, release
 from f3sr.physics.settling import settle
@@ -466,7 +466,7 @@ def test_scene_xml_is_the_model_of_the_product(stack: Scene, tmp_path: Path) -> 
     scene = stack.with_objects(replace(stack[2], mobility="fixed", friction=0.3, rolling_friction=0.002))
     out = write_package(scene, tmp_path / "out")
     theirs = mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
-    ours = build_spec(scene.objects, PhysicsConfig(margin=0.0)).compile()
+    ours = build_spec(scene.objects, PhysicsConfig(contact=ContactMargin(body=0.0))).compile()
     assert theirs.njnt == ours.njnt == 2 and theirs.neq == theirs.nexclude == 0
     assert not theirs.dof_damping.any() and not theirs.opt.enableflags
     for name in (
@@ -984,7 +984,7 @@ def test_what_is_read_is_to_physics_what_was_written(tmp_path: Path) -> None:
     """Masses, centres, inertias and the corners of parts, to the bit: a rollout magnifies every difference."""
     scene = box_stack_scene(3)
     out = write_package(scene, tmp_path / "out")
-    mine = build_spec(read_package(out).scene.objects, PhysicsConfig(margin=0.0)).compile()
+    mine = build_spec(read_package(out).scene.objects, PhysicsConfig(contact=ContactMargin(body=0.0))).compile()
     plain = engine().MjModel.from_xml_path(str(out / "scene.xml"))
     shown = np.flatnonzero(plain.geom_contype)
     for name in ("body_mass", "body_inertia", "body_ipos", "body_iquat", "body_pos", "body_quat"):

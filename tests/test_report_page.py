@@ -28,6 +28,7 @@ from f3sr.core.transforms import pose, rotation_about
 from f3sr.io import inputs
 from f3sr.metrics.measures import IMAGE_MEASURES, Measures, full_silhouette, measure, measure_with_details
 from f3sr.metrics.penetration import penetration
+from f3sr.physics.contact_margin import ContactMargin
 from f3sr.pipeline import SKIPPABLE, Config, Reconstruction, reconstruct
 from f3sr.report import Decision, Outcome
 from f3sr.report_page import LARGEST_PAGE, report_page
@@ -373,7 +374,9 @@ def test_every_stage_has_its_sheet():
 def test_the_clearance_is_that_of_the_run():
     scene = scene_of(box(0, at=(0.0, 0.0, 0.06)), box(1, at=(0.5, 0.0, 0.05)))
     config = Config()
-    chosen = replace(config, settle=replace(config.settle, physics=replace(config.settle.physics, margin=5e-4)))
+    chosen = replace(
+        config, settle=replace(config.settle, physics=replace(config.settle.physics, contact=ContactMargin(body=5e-4)))
+    )
     for c, clearance in ((config, "0.26"), (chosen, "1")):
         text = report_page(bare(scene, evaluation=evaluate(scene, scene), config=c)).decode()
         assert f"rest {clearance}\u00a0mm apart" in text

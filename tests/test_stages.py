@@ -106,12 +106,18 @@ def test_what_is_given_overrules_the_label_and_the_rest_is_the_label_s(folder: P
     (folder / "materials.json").write_text(json.dumps({"objects": objects}))
     scene, outcome = assemble(as_given(inputs.read(folder)), AssembleConfig(ground_friction=0.3))
     spoon, thing, tennis = scene
-    assert (spoon.material, spoon.density, spoon.friction, spoon.material_reason) == ("wood", 650, 0.9, "sticky")
+    assert (spoon.material, spoon.density, spoon.friction) == ("wood", 650, 0.9)
+    assert spoon.material_reason == "sticky; the label 'wooden spoon'"
     assert (thing.material, thing.density, thing.friction) == ("unknown", 600, 0.6)
     assert (tennis.density, tennis.friction, tennis.restitution, tennis.mobility) == (300, 0.7, 0.74, "fixed")
-    assert [o.material_source for o in scene] == ["given", "default", "given"] and scene.ground.friction == 0.3
+    assert [o.material_source for o in scene] == ["label", "default", "given"]
+    assert scene.ground.friction == 0.3
     (told,) = (d for d in outcome.decisions if d.choice.startswith("materials"))
     assert told.fallback and "thing" in told.choice and "600 kg/m3" in told.reason
+    assert [d.about for d in outcome.decisions if d.choice.startswith("fixed as given") and d.fallback] == [7]
+    (folder / "materials.json").write_text(json.dumps({"objects": [{"id": 5, "material": "steel"}]}))
+    steel = as_given(inputs.read(folder))[5]
+    assert (steel.material, steel.density, steel.material_source) == ("steel", 5000, "given")
     by_label, _ = assemble(as_given(inputs.read(folder, ignore=["materials"])))
     assert [o.material_source for o in by_label] == ["label", "default", "label"] and by_label[7].density == 400
 

@@ -27,7 +27,7 @@ GRAVITY = 9.81
 
 Structure = Literal["solid", "hollow"]
 MaterialSource = Literal["given", "label", "default"]
-"""Materials are given with the inputs or in words, told by the label, or the protocol's density and friction."""
+"""Where the density comes from: materials.json, the label, or the default."""
 Mobility = Literal["dynamic", "fixed"]
 GeometrySource = Literal["estimate", "sensor"]
 
@@ -165,11 +165,12 @@ class SceneObject:
     restitution: float = 0.0
     """Coefficient of restitution in [0, 1]; only rollouts use it, of what flies (docs: physics)."""
     damping: float = 0.0
-    """Rate of velocity loss in the air [1/s]; only rollouts use it."""
+    """Rate of velocity loss [1/s]; only rollouts use it."""
     structure: Structure = "solid"
+    """A description: mass and inertia are those of the solid at ``density``, air inside included."""
     material: str = "unknown"
     material_source: MaterialSource = "default"
-    """Where material, density, friction and restitution come from."""
+    """Where the density comes from; ``material_reason`` tells of the other properties."""
     material_reason: str = ""
     supports: tuple[Support, ...] = ()
     supported_by: int | None = None

@@ -100,7 +100,7 @@ def reconstruct(
 
     Args:
         folder: Must hold image.png|jpg, masks/*.png, assets/, geometry.npz (or depth.png|npy and intrinsics.json).
-            May hold ground.png, scene_graph.json, background.png.
+            May hold ground.png, scene_graph.json, background.png, materials.json.
         out: Where the package goes; an older f3sr package there is replaced.
         geometry: Back end that estimates geometry where the folder has none; ``f3sr doctor`` lists its names.
         assets: Back end that generates meshes where the folder has none; ``f3sr doctor`` lists its names.

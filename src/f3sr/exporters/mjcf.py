@@ -23,7 +23,7 @@ from f3sr.physics.mujoco_model import (
     Body,
     PhysicsConfig,
     body_of,
-    rubbing,
+    ground_contact_friction,
 )
 from f3sr.scene import GRAVITY, Scene, SceneObject
 
@@ -99,7 +99,7 @@ def _options(root: ET.Element, config: PhysicsConfig, ground_friction: float) ->
         contype="0",
         conaffinity="0",
         mass="0",
-        friction=_text(rubbing(ground_friction)),
+        friction=_text(ground_contact_friction(ground_friction)),
     )
 
 
@@ -117,7 +117,11 @@ def _surroundings(world: ET.Element, scene: Scene) -> None:
         fovy=_text(float(np.degrees(2 * np.arctan(camera.height / 2 / camera.K[1, 1])))),
     )
     plane = ET.SubElement(world, "geom", {"class": "collision"}, name=GROUND_NAME, type="plane", size="20 20 0.1")
-    plane.attrib |= {"friction": _text(rubbing(scene.ground.friction)), "group": "0", "rgba": "0.8 0.8 0.8 1"}
+    plane.attrib |= {
+        "friction": _text(ground_contact_friction(scene.ground.friction)),
+        "group": "0",
+        "rgba": "0.8 0.8 0.8 1",
+    }
 
 
 def _body(world: ET.Element, body: Body) -> ET.Element:

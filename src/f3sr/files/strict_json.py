@@ -67,6 +67,8 @@ def problem(error: ValidationError, fields: str) -> tuple[str, str]:
     if first["type"] == "value_error":
         found, _, accepted = message.removeprefix("Value error, ").partition("; accepted: ")
         return f"{where}: {found}", accepted or f"an object with {fields}"
+    if first["type"] == "extra_forbidden":
+        return f"an unknown {where} = {first['input']!r:.60}", "the fields that docs/conventions.md names"
     if first["type"] in ("model_type", "dict_type"):
         return f"{where} = {first['input']!r:.60}", "an object" if first["loc"] else f"an object with {fields}"
     wanted = re.sub(r"^(Input should be|(Value|List|Tuple|String) should have) | after validation", "", message)

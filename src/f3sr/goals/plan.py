@@ -230,7 +230,7 @@ class Semantics(_Record):
     """[m]"""
     restitution: Share
     damping: Damping = 0.0
-    """[1/s]: rate of velocity loss, in the air too; the rules leave it at 0."""
+    """Rate of velocity loss [1/s], also without contact."""
     mobility: Mobility
     source: Source
 

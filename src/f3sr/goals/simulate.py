@@ -20,6 +20,7 @@ from f3sr.files.bounds import Vector3
 from f3sr.goals.plan import Impulse, InitialConditions, Offset, Plan, Semantics, SimulationPlan, Velocity
 from f3sr.goals.rollout import CONTACT, Rollout
 from f3sr.physics import mujoco_model
+from f3sr.physics.contact_margin import ContactMargin
 from f3sr.physics.mujoco_model import PhysicsConfig, body_name, engine
 from f3sr.scene import GROUND, Scene, SceneObject
 
@@ -49,7 +50,7 @@ def model_of(scene: Scene, semantics: Sequence[Semantics], simulation: Simulatio
     model = mujoco_model.compiled(
         mujoco_model.build_spec(
             objects,
-            PhysicsConfig(timestep=simulation.timestep, margin=simulation.margin),
+            PhysicsConfig(timestep=simulation.timestep, contact=ContactMargin(body=simulation.margin)),
             ground_friction=scene.ground.friction,
             bounces=True,
         )

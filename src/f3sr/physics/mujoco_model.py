@@ -48,13 +48,12 @@ class PhysicsConfig:
     """Time step [s], at most half of solref's first value."""
     solref: tuple[Length, Annotated[float, Interval(gt=0, le=10)]] = (0.005, 1.0)
     """Contact time constant [s] and damping ratio. A time constant of .02 creeps ten times more."""
-    margin: Annotated[float, Interval(ge=0, le=1e-3)] = DEFAULT_MARGIN.body
-    """Contact margin of each body [m]. Bodies at rest are two margins apart."""
+    contact: ContactMargin = DEFAULT_MARGIN
 
     @property
-    def contact(self) -> ContactMargin:
-        """The distances that follow from ``margin``."""
-        return ContactMargin(body=self.margin)
+    def margin(self) -> float:
+        """Contact margin of each body [m]. Bodies at rest are two margins apart."""
+        return self.contact.body
 
     def __post_init__(self) -> None:
         if self.solref[0] < 2 * self.timestep:
@@ -180,7 +179,7 @@ def _solid(mesh: Mesh, parts: tuple[ConvexPart, ...]) -> tuple[MassProperties, b
     return known[1], known[2]
 
 
-def rubbing(ground_friction: float) -> tuple[float, float, float]:
+def ground_contact_friction(ground_friction: float) -> tuple[float, float, float]:
     """Sliding, torsional [m] and rolling [m] friction of the ground."""
     return ground_friction, TORSIONAL_FRICTION, GROUND_ROLLING_FRICTION
 
@@ -202,7 +201,7 @@ def empty_spec(
         name=GROUND_NAME,
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[20, 20, 0.1],
-        friction=rubbing(ground_friction),
+        friction=ground_contact_friction(ground_friction),
         **contact_options(config, margin),
     )
     return spec

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from f3sr.physics.contact_margin import ContactMargin
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, MjSpec, add_mesh, compiled, contact_options, empty_spec, engine
 from f3sr.scene import SceneObject
 
@@ -67,7 +68,7 @@ def _release_spec(objects: Sequence[SceneObject], true_scale: float) -> MjSpec:
     """The model of the release protocol: bodies in the order of their masks' names, at the origin, with their
     vertices in world coordinates, mass by density on the geoms."""
     mujoco = engine()
-    config = replace(DEFAULT_PHYSICS, margin=RELEASE_MARGIN)
+    config = replace(DEFAULT_PHYSICS, contact=ContactMargin(body=RELEASE_MARGIN))
     spec = empty_spec(config, ground_friction=RELEASE_FRICTION[0])
     spec.compiler.balanceinertia = False
     for i, o in enumerate(sorted(objects, key=lambda o: o.mask_name)):

@@ -156,12 +156,12 @@ class ObjectRecord(_SceneRecord):
     restitution: Share
     """Of speed, in rollouts; contacts at rest do not bounce."""
     damping: Damping = 0.0
-    """Rate of velocity loss in the air [1/s], in rollouts."""
+    """Rate of velocity loss [1/s], in rollouts."""
     structure: Structure = "solid"
     material: Label
     material_source: MaterialSource = "default"
-    """Where material, density, friction and restitution come from."""
-    material_reason: str = ""
+    """Where the density comes from; material_reason tells of the other properties."""
+    material_reason: Annotated[str, Field(max_length=2000)] = ""
     supports: tuple[SupportRecord, ...]
     supported_by: IdOrGround | None
     motion: tuple[MotionRecord, ...]

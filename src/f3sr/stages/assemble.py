@@ -23,6 +23,8 @@ from f3sr.settings import settings
 from f3sr.vision import rasterizer
 from f3sr.vision.silhouette import iou, resample
 
+NAMED = 8
+"""Objects of unknown material that the report names, at most."""
 CONVENTION_MARGIN = 0.15
 """Gain of mean mask IoU from which another pose convention gives a warning; true conventions win by more."""
 
@@ -80,6 +82,7 @@ def assemble(
     decisions = [*told, *_check_convention(camera, objects)]
     decisions += [d for o in objects if (d := _check_place(o, camera))]
     decisions.append(_told_of_materials(objects))
+    decisions += [_told_of_fixed(o) for o in objects if o.mobility == "fixed"]
     ratios: dict[int, float] = {}
     placed: list[SceneObject] = []
     for o in objects:
@@ -108,23 +111,34 @@ def _given_object(instance: Instance, asset: PosedAsset, camera: Camera, given: 
     )
     if known := material_of(o.label):
         o = replace(o, **known.properties, material_source="label", material_reason=f"the label {o.label!r}")
-    if given:
-        reason = given.reason or f"{MATERIALS} gives {', '.join(given.properties)}"
-        o = replace(o, **given.properties, material_source="given", material_reason=reason)
-    return o
+    if not given:
+        return o
+    named = material_of(given.material) if given.material else None
+    reasons = [given.reason or f"{MATERIALS} gives {', '.join(given.properties)}"]
+    if named or given.density is not None:
+        o = replace(o, **(named.properties if named else {}), material_source="given")
+    else:
+        reasons += [o.material_reason] if o.material_reason else []
+    return replace(o, **given.properties, material_reason="; ".join(reasons))
 
 
 def _told_of_materials(objects: Sequence[SceneObject]) -> Decision:
     """How many objects have a material from where; those of unknown density are named."""
     counts = Counter(o.material_source for o in objects)
     unknown = [o.label or o.mask_name for o in objects if o.material_source == "default"]
-    named = f"; none is known of {', '.join(unknown)}" if unknown else ""
+    more = f" and {len(unknown) - NAMED} more" if len(unknown) > NAMED else ""
+    named = f"; none is known of {', '.join(unknown[:NAMED])}{more}" if unknown else ""
     default = SceneObject.density, SceneObject.friction
     return Decision(
         choice=f"materials: {counts['given']} given, {counts['label']} by label, {len(unknown)} by default{named}",
         reason=f"the default is {default[0]:g} kg/m3 with friction {default[1]:g}",
         fallback=bool(unknown),
     )
+
+
+def _told_of_fixed(o: SceneObject) -> Decision:
+    choice = "fixed as given: kept where alignment puts it, never moved onto a support"
+    return Decision(choice=choice, reason=f"{MATERIALS} gives mobility", about=o.id, fallback=True)
 
 
 def _depth_ratio(o: SceneObject, camera: Camera, geometry: Geometry) -> float | None:
