@@ -11,7 +11,19 @@ from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, Material, Mesh
 from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose
 from f3sr.metrics.measures import mean_over_masks, visible_ious
-from f3sr.scene import GROUND, Ground, Photo, Relation, Scene, SceneGraph, SceneObject, Support
+from f3sr.scene import (
+    GROUND,
+    Geometry,
+    GeometrySource,
+    Ground,
+    Photo,
+    Relation,
+    Scene,
+    SceneGraph,
+    SceneObject,
+    Support,
+)
+from f3sr.vision import rasterizer
 
 WIDTH, HEIGHT = 64, 48
 
@@ -127,3 +139,18 @@ def _revolved(profile: Array, poles: tuple[float, float], sides: int = 32) -> Me
 def visible_iou(scene: Scene) -> float:
     """mIoU_visible at the pixel centres: the mean IoU of visible pixels with the masks."""
     return mean_over_masks(visible_ious(scene), scene)
+
+
+def measured(scene: Scene, source: GeometrySource) -> Scene:
+    """The scene with the depth of its own surfaces as the photo's geometry, and with the masks that it shows."""
+    seen = rasterizer.render(scene.objects, scene.camera)
+    z = np.where(np.isfinite(seen.depth), seen.depth, 1.0).astype(np.float32)
+    v, u = np.indices(z.shape) + 0.5
+    K = scene.camera.K
+    points = np.stack([(u - K[0, 2]) / K[0, 0] * z, (v - K[1, 2]) / K[1, 1] * z, z], -1)
+    return replace(
+        scene,
+        ground=replace(scene.ground, height_error=0.0),
+        geometry=Geometry(points=points.astype(np.float32), valid=np.isfinite(seen.depth), source=source),
+        objects=tuple(replace(o, mask=seen.ids == o.id) for o in scene.objects),
+    )

@@ -10,10 +10,10 @@ import pytest
 
 from f3sr.core.transforms import pose
 from f3sr.metrics.contact_groups import SettledScene
-from f3sr.scene import Geometry, GeometrySource, Scene
+from f3sr.scene import GeometrySource, Scene
 from f3sr.stages.refine import RefineConfig, refine
 from f3sr.vision import rasterizer
-from scenes import box, scene_of
+from scenes import box, measured, scene_of
 
 ONCE = RefineConfig(rounds=1)
 
@@ -82,17 +82,6 @@ def test_a_round_without_gain_is_the_last(seen: Scene):
     scene, outcome = refine(seen, RefineConfig(), parted=seen, stood_up=again, realigned=again)
     assert scene is seen and len(calls) == 1
     assert [d.choice for d in outcome.decisions] == ["re-alignment under contact: rolled back"]
-
-
-def measured(scene: Scene, source: GeometrySource) -> Scene:
-    """The scene with the depth of every pixel as it stands."""
-    camera = scene.camera
-    depth = rasterizer.render(scene.objects, camera).depth
-    rows, columns = np.indices(depth.shape)
-    rays = np.dstack([columns + 0.5, rows + 0.5, np.ones(depth.shape)]) @ np.linalg.inv(camera.K).T
-    valid = np.isfinite(depth)
-    points = (rays * np.where(valid, depth, 1.0)[..., None]).astype(np.float32)
-    return replace(scene, geometry=Geometry(points=points, valid=valid, source=source))
 
 
 @pytest.mark.parametrize("source", ["sensor", "estimate"])

@@ -9,28 +9,12 @@ import pytest
 
 from f3sr.contact.footing import supplied
 from f3sr.physics.settling import settle
-from f3sr.scene import Geometry, GeometrySource, Scene, SceneObject
+from f3sr.scene import GeometrySource, Scene, SceneObject
 from f3sr.stages.close import CloseConfig, lowered
 from f3sr.stages.separate import SeparateConfig, separate
-from f3sr.vision import rasterizer
-from scenes import box, scene_of
+from scenes import box, measured, scene_of
 
 CLEARANCE = SeparateConfig().clearance
-
-
-def measured(scene: Scene, source: GeometrySource) -> Scene:
-    """The scene with the depth of its own surfaces as the photo's geometry, and with the masks that it shows."""
-    seen = rasterizer.render(scene.objects, scene.camera)
-    z = np.where(np.isfinite(seen.depth), seen.depth, 1.0).astype(np.float32)
-    v, u = np.indices(z.shape) + 0.5
-    K = scene.camera.K
-    points = np.stack([(u - K[0, 2]) / K[0, 0] * z, (v - K[1, 2]) / K[1, 1] * z, z], -1)
-    return replace(
-        scene,
-        ground=replace(scene.ground, height_error=0.0),
-        geometry=Geometry(points=points.astype(np.float32), valid=np.isfinite(seen.depth), source=source),
-        objects=tuple(replace(o, mask=seen.ids == o.id) for o in scene.objects),
-    )
 
 
 def hanging(height: float, source: GeometrySource = "sensor") -> Scene:

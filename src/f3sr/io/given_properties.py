@@ -8,13 +8,11 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from f3sr.errors import InputError
-from f3sr.files.bounds import Damping, Density, Friction, Id, RollingFriction, Share
+from f3sr.files.bounds import MAX_OBJECTS, Damping, Density, Friction, Id, RollingFriction, Share
 from f3sr.io.input_folder import InputFolder
 from f3sr.scene import Mobility, Structure
 
 MATERIALS = "materials.json"
-MAX_GIVEN = 500
-"""Most objects of the file, as many as there may be masks."""
 ABOUT = {"id", "reason"}
 """Fields that are no property."""
 
@@ -51,7 +49,7 @@ class GivenProperties(BaseModel):
 class _PropertiesDocument(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid")
 
-    objects: Annotated[list[GivenProperties], Field(max_length=MAX_GIVEN)]
+    objects: Annotated[list[GivenProperties], Field(max_length=MAX_OBJECTS)]
 
 
 def read_properties(folder: InputFolder, ids: Collection[int]) -> Mapping[int, GivenProperties]:

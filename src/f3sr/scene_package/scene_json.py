@@ -53,7 +53,17 @@ from f3sr.files.bounds import (
     intrinsics_fault,
 )
 from f3sr.physics.mujoco_model import body_of
-from f3sr.scene import GROUND, MaterialSource, Mobility, Predicate, RelationSource, Scene, SceneObject, Structure
+from f3sr.scene import (
+    GROUND,
+    Ground,
+    MaterialSource,
+    Mobility,
+    Predicate,
+    RelationSource,
+    Scene,
+    SceneObject,
+    Structure,
+)
 
 SCHEMA_VERSION = 1
 SCHEMA_FILE = "scene.schema.json"
@@ -111,7 +121,7 @@ class GroundRecord(_SceneRecord):
     offset: Place
     source: str
     confidence: Share
-    friction: Friction = 0.6
+    friction: Friction = Ground.friction
     """Coefficient of sliding friction; a contact takes the larger of two."""
 
 
