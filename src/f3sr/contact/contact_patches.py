@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.contact.polytopes import Body, Polytope, face_facets, facets
+from f3sr.contact.sort_order import sort_order
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, Array, frozen
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
@@ -203,7 +204,7 @@ def _merged(patches: list[_ContactPatch], reach: float) -> Iterator[_ContactPatc
 
 def hull_corners(points: Array, tolerance: float) -> NDArray[np.int64]:
     """Indices of the corners of the convex hull of points (k, 2); a corner less than ``tolerance`` out is left out."""
-    order = np.argsort(points[:, 0] + 1e-9 * points[:, 1], kind="stable")  # by x, ties by y
+    order = sort_order(points[:, 0] + 1e-9 * points[:, 1])  # by x, ties by y
     hull = np.empty(2 * len(points) + 2, np.int64)
     return hull[: _chain(points, order, tolerance, hull)]
 

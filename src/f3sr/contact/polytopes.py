@@ -22,6 +22,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from f3sr.contact.sort_order import sort_order
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, frozen
 from f3sr.runtime.kernels import inner_kernel, kernel
@@ -223,7 +224,7 @@ def nearest_free(polygons: Sequence[Array], slack: float) -> Array:
     ends, near = np.empty((len(planes), 2)), np.empty(len(planes))
     if _measure_sides(planes, starts, slack, ends, near):
         return np.zeros(2)
-    return np.array(_nearest_free(planes, starts, ends, near, np.argsort(near, kind="stable"), slack))
+    return np.array(_nearest_free(planes, starts, ends, near, sort_order(near), slack))
 
 
 def _forbidden(A: Body, B: Body, u: Array, *, beyond: float) -> Iterator[tuple[float, float]]:
@@ -369,9 +370,9 @@ def _edge_planes(
 
 
 @inner_kernel
-def _lowest(points: Array, x: float, y: float, z: float) -> float:
-    """The least of ``(x, y, z) . p`` over points (n, 3)."""
-    low = np.inf
+def _lowest(points: Array, normals: Array, k: int) -> float:
+    """The least of ``normals[k] . p`` over points (n, 3)."""
+    low, x, y, z = np.inf, normals[k, 0], normals[k, 1], normals[k, 2]
     for m in range(len(points)):
         low = min(low, points[m, 0] * x + points[m, 1] * y + points[m, 2] * z)
     return low
@@ -397,11 +398,11 @@ def _depth(
     depth = np.inf
     # Faces first: they are few, and one of them separates most pairs that are free of each other.
     for k in range(len(faces_a)):
-        depth = min(depth, offsets_a[k] - _lowest(points_b, faces_a[k, 0], faces_a[k, 1], faces_a[k, 2]))
+        depth = min(depth, offsets_a[k] - _lowest(points_b, faces_a, k))
         if depth <= 0.0:
             return depth
     for k in range(len(faces_b)):
-        depth = min(depth, offsets_b[k] - _lowest(points_a, faces_b[k, 0], faces_b[k, 1], faces_b[k, 2]))
+        depth = min(depth, offsets_b[k] - _lowest(points_a, faces_b, k))
         if depth <= 0.0:
             return depth
     found = _edge_planes(
@@ -438,12 +439,12 @@ def _interval(
     for k in range(len(faces_a)):
         speed = faces_a[k, 0] * u[0] + faces_a[k, 1] * u[1] + faces_a[k, 2] * u[2]
         # n . (t u) > slack - height, with height = offset - lowest.
-        lo, hi = _clipped(lo, hi, speed, slack - offsets_a[k] + _lowest(points_b, faces_a[k, 0], faces_a[k, 1], faces_a[k, 2]), still)
+        lo, hi = _clipped(lo, hi, speed, slack - offsets_a[k] + _lowest(points_b, faces_a, k), still)
         if lo >= hi:
             return np.inf, -np.inf
     for k in range(len(faces_b)):
         speed = -(faces_b[k, 0] * u[0] + faces_b[k, 1] * u[1] + faces_b[k, 2] * u[2])
-        lo, hi = _clipped(lo, hi, speed, slack - offsets_b[k] + _lowest(points_a, faces_b[k, 0], faces_b[k, 1], faces_b[k, 2]), still)
+        lo, hi = _clipped(lo, hi, speed, slack - offsets_b[k] + _lowest(points_a, faces_b, k), still)
         if lo >= hi:
             return np.inf, -np.inf
     found = _edge_planes(
