@@ -88,9 +88,9 @@ def _explained(sum: Any, total: Any, largest: Any) -> Any:
 def measure(picture: Any, weight: Any, targets: Any, nearest: Any, cost: Any) -> None:
     """The mismatch (h, w) of every target's present source."""
     for k in range(len(targets)):
-        y, x = targets[k, 0], targets[k, 1]
-        sy, sx = int(nearest[y, x, 0]), int(nearest[y, x, 1])
-        cost[y, x] = _mismatch(picture, weight, int(y), int(x), sy, sx, np.float32(1e30))
+        y, x = np.int64(targets[k, 0]), np.int64(targets[k, 1])
+        sy, sx = np.int64(nearest[y, x, 0]), np.int64(nearest[y, x, 1])
+        cost[y, x] = _mismatch(picture, weight, y, x, sy, sx, np.float32(1e30))
 
 
 @kernel
@@ -104,8 +104,8 @@ def search(
     step = -1 if not backward else 1
     for i in range(len(targets)):
         k = len(targets) - 1 - i if backward else i
-        y, x = int(targets[k, 0]), int(targets[k, 1])
-        by, bx, best = int(nearest[y, x, 0]), int(nearest[y, x, 1]), cost[y, x]
+        y, x = np.int64(targets[k, 0]), np.int64(targets[k, 1])
+        by, bx, best = np.int64(nearest[y, x, 0]), np.int64(nearest[y, x, 1]), cost[y, x]
         for side in range(2):
             ny, nx = (y + step, x) if side == 0 else (y, x + step)
             if ny < 0 or nx < 0 or ny >= h or nx >= w or nearest[ny, nx, 0] < 0:
