@@ -42,7 +42,7 @@ def _random(state: Any) -> Any:
 
 
 @inner_kernel
-def _mismatch(picture: Any, weight: Any, ty: int, tx: int, sy: int, sx: int, bound: float) -> Any:
+def _mismatch(picture: Any, weight: Any, ty: Any, tx: Any, sy: Any, sx: Any, bound: Any) -> Any:
     """Weighted mean square difference of the patches at (ty, tx) and (sy, sx) after the best shift of light.
 
     Once it is above ``bound``, any number above it. Weights are those around the target (ty, tx)."""

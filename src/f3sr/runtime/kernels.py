@@ -80,7 +80,7 @@ def kernel(function: F) -> F:
     """``njit`` with the project's options: GIL released, cached on disk, IEEE arithmetic for equal bytes."""
     from numba import njit
 
-    dispatcher = cast(Any, njit(no_cfunc_wrapper=True, **OPTIONS)(function))
+    dispatcher = cast(Any, njit)(no_cfunc_wrapper=True, **OPTIONS)(function)
     dispatcher._cache = KernelFiles(function, kernel_folder, _await)  # where ``njit(cache=True)`` puts numba's own
     return dispatcher
 
@@ -99,7 +99,8 @@ def inline_kernel(function: F) -> F:
 def _without_wrappers(function: F, *, inline: bool) -> F:
     from numba import njit
 
-    dispatcher = njit(forceinline=inline, no_cpython_wrapper=True, no_cfunc_wrapper=True, **OPTIONS)(function)
+    wrappers = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    dispatcher = cast(Any, njit)(forceinline=inline, **wrappers, **OPTIONS)(function)
     dispatcher.__class__ = _uncallable(type(dispatcher))
     return cast(F, dispatcher)
 
