@@ -38,7 +38,7 @@ OPTIONS: Mapping[str, Any] = {"nogil": True, "fastmath": False, "error_model": "
 """No fastmath: reordered sums would differ between machines. error_model "numpy": 1 / 0 is inf, not an exception."""
 
 KEPT_VERSIONS = 4
-"""Kernel folders that stay: this version's and the others used last (a megabyte each)."""
+"""Kernel folders that stay: this version's and the others used last (3.4 MB each)."""
 WARM = "warm"
 """Files in such a folder, one for films, with the names of compiled kernels; their age is the time since the last
 use."""
@@ -57,7 +57,12 @@ def kernel_sources() -> list[Path]:
 
 
 def _sources(what: re.Pattern[str]) -> list[Path]:
-    return [file for file in sorted(HERE.rglob("*.py")) if what.search(file.read_text(encoding="utf-8"))]
+    return [file for file, text in _texts().items() if what.search(text)]
+
+
+@cache
+def _texts() -> dict[Path, str]:
+    return {file: file.read_text(encoding="utf-8") for file in sorted(HERE.rglob("*.py"))}
 
 
 def _source_hash() -> str:
@@ -224,7 +229,7 @@ def _call(modules: Iterable[str]) -> None:
 def _cold(folder: Path, film: bool) -> list[str]:
     """Modules of which some kernel is not in the cache: all of a kind, or none."""
     kinds = {is_film for is_film in {False, film} if not _is_kept(folder, is_film)}
-    return [module for module in _warm_ups(film) if (_group(module) == FILM) in kinds]
+    return [module for module in _warm_ups(film) if (_group(module) == FILM) in kinds] if kinds else []
 
 
 def _is_kept(folder: Path, film: bool) -> bool:
