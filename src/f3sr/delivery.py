@@ -22,7 +22,8 @@ def deliver(
     """Write the scene package (docs: conventions) to ``out`` and return the folder's full path.
 
     An older f3sr package there is replaced. One with rollouts is replaced only with ``overwrite``. An error leaves it
-    unchanged. Without ``times`` report.json has no seconds, and equal inputs give equal bytes. Raises OutputError if ``out`` holds anything else, or cannot be written.
+    unchanged. Without ``times`` report.json has no seconds, and equal inputs give equal bytes. Raises OutputError if
+    ``out`` holds anything else, or cannot be written.
     """
     evaluation = result.evaluation
     with timed("pictures", progress):

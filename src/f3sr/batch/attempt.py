@@ -17,7 +17,7 @@ from typing import TypeVar
 from f3sr.batch.job import Job, code_digest, versions
 from f3sr.batch.job_process import explained
 from f3sr.batch.patience import Patience
-from f3sr.batch.supervisor import Answer, Limits, Tell, Worker
+from f3sr.batch.supervisor import Answer, JobLimits, Tell, Worker
 from f3sr.dataset.layout import PACKAGE_FOLDER, scene_of
 from f3sr.dataset.record import Contents, Costs, Failure, Record, contents_of, plain, to_bytes
 from f3sr.dataset.storage import RECORD, Storage, patiently, storage_of
@@ -40,7 +40,7 @@ class Attempted:
         return self.record.failure
 
 
-def attempt(job: Job, place: str, limits: Limits, worker: Worker, tell: Tell, *, number: int = 1) -> Attempted:
+def attempt(job: Job, place: str, limits: JobLimits, worker: Worker, tell: Tell, *, number: int = 1) -> Attempted:
     """Try a job and commit its package to the dataset at ``place``. No failure of a job raises."""
     start = time.monotonic()
     try:
@@ -54,7 +54,7 @@ def attempt(job: Job, place: str, limits: Limits, worker: Worker, tell: Tell, *,
         return Attempted(record=record_of(job, answer, None, number))
 
 
-def _made(job: Job, storage: Storage, limits: Limits, worker: Worker, tell: Tell, number: int) -> Attempted:
+def _made(job: Job, storage: Storage, limits: JobLimits, worker: Worker, tell: Tell, number: int) -> Attempted:
     """The answer of a worker, and its package moved into the dataset where it made one."""
 
     def surely(action: Callable[[], T]) -> T:

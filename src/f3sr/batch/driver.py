@@ -186,9 +186,7 @@ class Driver:
         self.tally.retries += 1
         job = running.jobs[0]
         self.report(
-            Event(
-                name=job.name, state="again", key=job.key, failure=failure, reason=reason, attempt=running.number
-            )
+            Event(name=job.name, state="again", key=job.key, failure=failure, reason=reason, attempt=running.number)
         )
         self.retry.append(running)
 

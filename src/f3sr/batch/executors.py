@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 from f3sr.batch.attempt import attempt
 from f3sr.batch.job import Job
-from f3sr.batch.supervisor import Limits, Worker
+from f3sr.batch.supervisor import JobLimits, Worker
 from f3sr.dataset.record import Record
 from f3sr.runtime import kernels, signals
 
@@ -47,7 +47,7 @@ Told = Callable[[Job, dict[str, Any]], None]
 class Threads:
     """Workers of this machine, one in each of some threads."""
 
-    def __init__(self, slots: int, place: str, limits: Limits, work: str, told: Told) -> None:
+    def __init__(self, slots: int, place: str, limits: JobLimits, work: str, told: Told) -> None:
         self.slots, self.place, self.limits, self.told = slots, place, limits, told
         self.workers = [Worker(work) for _ in range(slots)]
         self.waiting: SimpleQueue[tuple[Job, int] | None] = SimpleQueue()
@@ -82,7 +82,7 @@ class Threads:
 
 
 @contextmanager
-def threads(slots: int, place: str, limits: Limits, work: str, told: Told) -> Generator[Threads]:
+def threads(slots: int, place: str, limits: JobLimits, work: str, told: Told) -> Generator[Threads]:
     """Workers that end with the block, or with this process."""
     made = Threads(slots, place, limits, work, told)
     running = [Thread(target=made.serve, args=[w], daemon=True, name="f3sr-slot") for w in made.workers]

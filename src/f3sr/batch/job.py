@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import stat
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from functools import cache
@@ -65,8 +65,8 @@ class Job:
     @classmethod
     def from_plain(cls, values: Mapping[str, Any]) -> Self:
         """The job whose ``asdict`` went through JSON."""
-        lists = ("goals", "skip", "ignore", "backend_keys")
-        return cls(**{name: tuple(value) if name in lists else value for name, value in values.items()})
+        lists = {name: tuple(values[name]) for name in ("goals", "skip", "ignore", "backend_keys")}
+        return cls(**cast(dict[str, Any], {**values, **lists}))
 
 
 @cache
@@ -128,7 +128,7 @@ def _remote_digest(url: str) -> str:
 
 
 @contextmanager
-def fetched(source: str) -> Iterator[Path]:
+def fetched(source: str) -> Generator[Path]:
     """An input folder as local files; one behind a URL is copied for as long as the block lasts."""
     if "://" not in source:
         yield Path(source)

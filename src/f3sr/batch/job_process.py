@@ -17,6 +17,7 @@ import resource
 import signal
 import sys
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -30,7 +31,7 @@ from f3sr.runtime.subprocesses import die_with
 
 
 @dataclass(frozen=True, kw_only=True)
-class Request:
+class JobRequest:
     """One job for a worker."""
 
     job: dict[str, Any]
@@ -58,7 +59,7 @@ def serve(module: str, parent: int) -> None:
     for line in sys.stdin:
         pid = os.fork()
         if pid == 0:
-            _do(made, Request(**json.loads(line)), reply, parent=own)
+            _do(made, JobRequest(**json.loads(line)), reply, parent=own)
         reply(event="started", pid=pid)
         _, status, used = os.wait4(pid, 0)
         reply(
@@ -81,7 +82,7 @@ class _Reply:
             data = data[os.write(self.descriptor, data) :]
 
 
-def _do(module: Any, request: Request, reply: _Reply, *, parent: int) -> NoReturn:
+def _do(module: Any, request: JobRequest, reply: _Reply, *, parent: int) -> NoReturn:
     """The life of a job's process."""
     try:
         die_with(parent)
@@ -98,7 +99,7 @@ def _do(module: Any, request: Request, reply: _Reply, *, parent: int) -> NoRetur
         os._exit(0)
 
 
-def _result(module: Any, request: Request, reply: _Reply) -> dict[str, Any]:
+def _result(module: Any, request: JobRequest, reply: _Reply) -> dict[str, Any]:
     job = Job.from_plain(request.job)
 
     def told(step: Step) -> None:
@@ -113,7 +114,7 @@ def _result(module: Any, request: Request, reply: _Reply) -> dict[str, Any]:
             Path(request.folder),
             Path(request.stages),
             progress=told,
-            patiently=lambda action: patiently(action, wait=waiting),
+            patiently=partial(patiently, wait=waiting),
         )
     if inputs_digest(job.source) != job.inputs:
         raise ChangedError(f"{job.source}: changed during the run; run again")

@@ -1,4 +1,4 @@
-"""What a batch is to do: a folder of input folders, or a manifest (csv or jsonl), checked as a whole before any work."""
+"""What a batch is to do: a folder of input folders, or a manifest (csv, jsonl), checked as a whole before any work."""
 
 from __future__ import annotations
 
@@ -79,8 +79,9 @@ class BatchInputs:
         except (OSError, ValueError) as error:
             raise InputError(self.place, found=reason(error), accepted=accepted) from error
         for name in names:
-            yield str(self.place), replace(
-                self.common, name=_name(name, str(self.place)), source=str((self.place / name).absolute())
+            yield (
+                str(self.place),
+                replace(self.common, name=_name(name, str(self.place)), source=str((self.place / name).absolute())),
             )
 
     def _manifest(self) -> Iterator[tuple[str, Job]]:
@@ -198,7 +199,7 @@ def _source(path: str, manifest: Path, where: str) -> str:
     if "://" in path:
         return path
     try:
-        return str((manifest.absolute().parent / path))
+        return str(manifest.absolute().parent / path)
     except ValueError as error:
         raise InputError(where, found=f"path = {path!r:.60}", accepted="a path or a URL") from error
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import IO, Any, cast
 
 from f3sr.batch.job import Job
-from f3sr.batch.job_process import Request
+from f3sr.batch.job_process import JobRequest
 from f3sr.dataset.record import Failure
 from f3sr.errors import F3srError, one_line
 from f3sr.runtime.subprocesses import started
@@ -31,7 +31,7 @@ Tell = Callable[[dict[str, Any]], None]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limits:
+class JobLimits:
     """What one job may use."""
 
     wall_s: float
@@ -70,7 +70,7 @@ class Worker:
             return
         self.close()
         self.errors = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
-        one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+        one_thread: dict[str, str] = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
         pipe = subprocess.PIPE
         self.process = started(
             "f3sr.batch.job_process",
@@ -92,9 +92,9 @@ class Worker:
         self.close()
         raise F3srError(f"a worker could not start: {words}")
 
-    def run(self, job: Job, folder: Path, stages: Path, limits: Limits, tell: Tell) -> Answer:
+    def run(self, job: Job, folder: Path, stages: Path, limits: JobLimits, tell: Tell) -> Answer:
         """One attempt at a job. Every end of it is an answer."""
-        request = Request(
+        request = JobRequest(
             job=asdict(job),
             folder=str(folder),
             stages=str(stages),
@@ -152,7 +152,7 @@ class Worker:
 class _Attempt:
     """One job in a worker, followed to its end."""
 
-    def __init__(self, worker: Worker, limits: Limits, tell: Tell) -> None:
+    def __init__(self, worker: Worker, limits: JobLimits, tell: Tell) -> None:
         self.worker, self.limits, self.tell = worker, limits, tell
         self.pid = 0
         self.peak = 0.0

@@ -62,7 +62,9 @@ def read_index(dataset: Dataset, columns: Iterable[str] | None = None) -> Any:
     data = dataset.storage.read(INDEX)
     try:
         names = None if columns is None else list(dict.fromkeys(columns))
-        return arrow("pyarrow.parquet").read_table(pa.BufferReader(data), columns=names)
+        return arrow("pyarrow.parquet").read_table(
+            pa.BufferReader(data), columns=names, use_threads=False, pre_buffer=False
+        )
     except pa.ArrowException as error:
         place = f"{dataset.storage.place}/{INDEX}"
         raise InputError(place, found=str(error), accepted="an index of this version; delete it to derive it") from None

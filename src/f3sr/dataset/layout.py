@@ -22,6 +22,7 @@ from f3sr.files import strict_json
 HEAD = "dataset.json"
 JOBS = "jobs.jsonl"
 INDEX = "index.parquet"
+SHEET = "sheet"
 STALE = "index.stale"
 """Says that a run has begun since the index was written."""
 SCENES, FAILURES = "scenes", "failures"

@@ -20,7 +20,12 @@ def selected(dataset: Dataset, where: Sequence[str], kind: Kind = "scene") -> An
     wanted = arrow("pyarrow.compute").field("kind") == kind
     for text in where:
         wanted = wanted & condition(text)
-    return read_index(dataset).filter(wanted)
+    acero = arrow("pyarrow.acero")
+    plan = [
+        acero.Declaration("table_source", acero.TableSourceNodeOptions(read_index(dataset))),
+        acero.Declaration("filter", acero.FilterNodeOptions(wanted)),
+    ]
+    return acero.Declaration.from_sequence(plan).to_table(use_threads=False)  # in order, and no thread outlives us
 
 
 def scenes_with(dataset: Dataset, where: Sequence[str], kind: Kind = "scene") -> list[Listed]:

@@ -37,10 +37,10 @@ def condition(text: str, where: str = "--where") -> Any:
     """The Arrow expression of a condition. Raises InputError naming what is wrong and what is accepted."""
     if len(text) > LONGEST:
         raise InputError(where, found=f"{len(text)} characters", accepted=f"at most {LONGEST}")
-    return _Reader(text, where).whole()
+    return _ConditionReader(text, where).whole()
 
 
-class _Reader:
+class _ConditionReader:
     def __init__(self, text: str, where: str) -> None:
         self.text, self.where, self.at = text, where, 0
         self.tokens, self.depth = self._split(), 0
