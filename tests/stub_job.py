@@ -3,10 +3,13 @@ benchmarks of batches. Folders without that file are real inputs."""
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import importlib
 import json
 import os
+import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -30,7 +33,8 @@ def work(job: Any, source: Path, folder: Path, stages: Path, *, progress: Any, p
     time.sleep(asked.get("seconds", 0))
     _fail(asked, source, stages)
     data = hashlib.shake_256(json.dumps([asked["seed"], job.goals]).encode()).digest(asked.get("bytes", 1000))
-    patiently(lambda: _write(folder / "package", data))
+    left = [asked.get("full", 0)]
+    patiently(lambda: _write(folder / "package", data, left))
     return {
         "scene": {"n": 1, "mIoU_visible": asked["seed"] % 10 / 10, "goals": len(job.goals), "goals_met": 0},
         "objects": [{"id": 0, "label": "cube", "mass": 0.1 * asked["seed"]}],
@@ -62,10 +66,17 @@ def _fail(asked: dict[str, Any], source: Path, stages: Path) -> None:
         while True:
             held.append(os.urandom(1 << 20) * 16)
             time.sleep(0.01)
+    if kind == "child memory":
+        code = "import time; held = b'x' * 300_000_000; time.sleep(60)"
+        subprocess.run([sys.executable, "-c", code], check=False)
     if kind == "hang":
         time.sleep(3600)
 
 
-def _write(package: Path, data: bytes) -> None:
+def _write(package: Path, data: bytes, full: list[int]) -> None:
+    """The first so many writes find no room."""
+    full[0] -= 1
+    if full[0] >= 0:
+        raise OSError(errno.ENOSPC, "No space left on device")
     package.mkdir(exist_ok=True)
     (package / "data.bin").write_bytes(data)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from f3sr.dataset.layout import Dataset
 from f3sr.pipeline import Config
 
 WORK = "f3sr.batch.scene_job"
-"""Module that does a job."""
+"""What makes a scene of an input folder."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,8 @@ class RunPlan:
     """Also try inputs again that were bad in an earlier run."""
     ray: str | None = None
     """Address of a Ray cluster, or ``auto``; None for this machine."""
-    work: str = WORK
+    work: str = field(default_factory=lambda: WORK)
+    """What makes a scene of an input folder."""
 
 
 def run_batch(
