@@ -20,6 +20,8 @@ from f3sr.errors import F3srError, one_line
 from f3sr.runtime.extras import library
 
 EXTRA = "ray"
+AHEAD = 2
+"""Tasks a processor that are submitted: the next is there when one ends, and no queue grows."""
 _workers: dict[str, Worker] = {}
 """Of a process of Ray: it does one task at a time."""
 
@@ -55,7 +57,7 @@ class RayTasks:
 def ray_tasks(address: str, slots: int, place: str, limits: JobLimits, work: str) -> Generator[RayTasks]:
     """Tasks of the cluster at an address (``auto``: the one of this machine), until the block ends.
 
-    ``slots`` 0 stands for the cluster's processors. Raises F3srError where there is no cluster.
+    ``slots`` 0 stands for two tasks a processor. Raises F3srError where there is no cluster.
     """
     ray = library("ray", extra=EXTRA, why="--ray")
     started = not ray.is_initialized()
@@ -66,7 +68,7 @@ def ray_tasks(address: str, slots: int, place: str, limits: JobLimits, work: str
             raise F3srError(f"no Ray cluster at {address}: {one_line(str(error))}") from error
     try:
         processors = int(ray.cluster_resources().get("CPU", 1))
-        yield RayTasks(ray, slots or processors, place, limits, work)
+        yield RayTasks(ray, slots or AHEAD * processors, place, limits, work)
     finally:
         if started:
             ray.shutdown()

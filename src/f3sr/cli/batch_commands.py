@@ -61,7 +61,7 @@ def batch(
             goals, asset-frame, skip, ignore and settings by dotted name.
         out: The dataset: a folder, or with the extra ray a URL such as s3://bucket/folder.
         goals: A text file with one goal a line, played in every scene whose row names no goals.
-        jobs: Jobs at a time. Without it, as many as processors; on Ray, as the cluster's processors.
+        jobs: Jobs at a time. Without it, as many as processors; on Ray, two a processor, of which one waits.
         timeout: Longest wall time of a job [s], 1 to 604800.
         memory: Most memory of a job with its subprocesses. Without it, an equal share of 80 % of the machine's.
         retries: Further attempts at a job that crashed, or exceeded time or memory, 0 to 100.
