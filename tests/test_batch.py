@@ -146,7 +146,7 @@ def test_a_worker_that_cannot_start_is_told(tmp_path: Path) -> None:
 # --- kills and full disks ----------------------------------------------------------------------------------------
 
 
-def test_a_worker_that_is_killed_costs_one_attempt(tmp_path: Path) -> None:
+def test_a_worker_that_is_killed_is_no_fault_of_its_job(tmp_path: Path) -> None:
     write_stub(tmp_path / "in" / "a", 1, seconds=0.5)
     worker = Worker("stub_job")
     worker.start()
@@ -162,7 +162,7 @@ def test_a_worker_that_is_killed_costs_one_attempt(tmp_path: Path) -> None:
 
     try:
         answer = worker.run(job, tmp_path / "result", tmp_path / "stages", LIMITS, kill)
-        assert answer.failure == "crash" and "was killed by SIGKILL" in answer.reason
+        assert answer.failure == "lost" and "was killed by SIGKILL" in answer.reason
         answer = worker.run(job, tmp_path / "result", tmp_path / "stages", LIMITS, lambda said: None)
         assert not answer.failure
     finally:

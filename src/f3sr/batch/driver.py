@@ -26,7 +26,7 @@ from f3sr.runtime.daemon_thread import ahead
 CHECKPOINT_S = 30.0
 """How often the list of jobs is written during a run [s], and at most a twentieth of the time."""
 LOST = 5
-"""Attempts that may be lost with their machine before a job counts as failed."""
+"""Attempts that may be lost, with their worker or machine, before a job counts as failed."""
 WAKE_S = 0.5
 """How long the driver waits for an attempt to end before it looks around [s]."""
 
@@ -156,8 +156,8 @@ class Driver:
 
     def _end(self, ended: Ended) -> None:
         running = self.running.pop(ended.job.key)
-        if ended.record is None:
-            self._lost(running, ended.reason)
+        if ended.record is None or ended.record.failure == "lost":
+            self._lost(running, ended.record.reason if ended.record else ended.reason)
         elif ended.record.status == "done":
             self.tally.cpu_s += ended.record.costs.cpu_s
             self._surely(lambda: self.dataset.storage.remove(failure_of(ended.job.key)))
@@ -170,7 +170,7 @@ class Driver:
             running.number += 1
 
     def _lost(self, running: _Running, reason: str) -> None:
-        """The machine went with the attempt, which is no fault of the job."""
+        """Worker or machine went with the attempt, which is no fault of the job."""
         running.lost += 1
         if running.lost < LOST:
             self._again(running, "lost", reason)

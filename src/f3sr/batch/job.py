@@ -78,6 +78,7 @@ def code_digest() -> str:
     return digest(code_version(), shown, versions())
 
 
+@cache
 def versions() -> dict[str, str]:
     """f3sr and the libraries that its results depend on, by name."""
     return {"f3sr": f3sr.__version__, **{name: metadata.version(name) for name in NUMERIC}}

@@ -167,7 +167,8 @@ class _Attempt:
                 if (ended := self._heard(reply)) is not None:
                     return ended
             if self.worker.lines.ended:
-                return Answer(failure="crash", reason=self.worker.died(), wall_s=self._wall())
+                # The worker itself only waits: who ended it meant no job.
+                return Answer(failure="lost", reason=self.worker.died(), wall_s=self._wall())
             self._look()
 
     def _wall(self) -> float:
