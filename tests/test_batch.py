@@ -26,6 +26,7 @@ from f3sr.dataset.record import from_bytes, to_bytes
 from f3sr.dataset.storage import RECORD
 from f3sr.errors import InputError, OutputError
 from f3sr.pipeline import Config
+from f3sr.runtime import signals
 from stub_batches import LIMITS, batch, packages, write_stub, write_stubs
 
 pytest.importorskip("pyarrow", reason="no pyarrow: pip install 'f3sr[dataset]'")
@@ -360,6 +361,7 @@ def test_what_holds_no_inputs_is_refused(tmp_path: Path, make: Any, said: str) -
 @pytest.fixture
 def stubbed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runs, "WORK", "stub_job")
+    monkeypatch.setattr(signals, "_kept", [])
 
 
 @pytest.mark.usefixtures("stubbed")

@@ -113,6 +113,21 @@ def test_what_is_no_dataset_is_refused(tmp_path: Path, data: bytes) -> None:
         Dataset.read(tmp_path)
 
 
+@pytest.mark.parametrize("key", ["../../etc", "0" * 63, "A" * 64, 7, None])
+def test_a_key_leads_nowhere_else(dataset: Dataset, tmp_path: Path, key: object) -> None:
+    dataset.storage.write("jobs.jsonl", json.dumps({"name": "a", "source": "", "key": key}).encode())
+    with pytest.raises(InputError, match="accepted: 64 hexadecimal digits"):
+        list(dataset.listed())
+
+
+def test_links_are_no_files_of_a_package(dataset: Dataset, tmp_path: Path) -> None:
+    job = next(dataset.listed())
+    (tmp_path / "ds" / scene_of(job.key) / "package" / "secret.png").symlink_to("/etc/passwd")
+    (tmp_path / "ds" / scene_of(job.key) / "package" / "more").symlink_to("/etc")
+    export(dataset, [job], tmp_path / "shards", megabytes=1, files=("*",))
+    assert not [name for name in samples(tmp_path / "shards")[job.key[:32]] if "secret" in name or "more" in name]
+
+
 # --- conditions --------------------------------------------------------------------------------------------------
 
 CASES: dict[str, Callable[[dict[str, Any]], bool]] = {

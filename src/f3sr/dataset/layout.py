@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager
@@ -28,6 +29,7 @@ STALE = "index.stale"
 SCENES, FAILURES = "scenes", "failures"
 PACKAGE_FOLDER = "package"
 FORMAT = "f3sr dataset"
+KEY = re.compile("[0-9a-f]{64}")
 ACCEPTED = "a dataset that `f3sr batch` wrote"
 
 
@@ -78,10 +80,15 @@ class Dataset:
         data = self.storage.read(JOBS) or b""
         for number, line in enumerate(data.splitlines(), 1):
             try:
-                yield Listed(**strict_json.loads(line))
+                job = Listed(**strict_json.loads(line))
             except (ValueError, TypeError) as error:
                 place = f"{self.storage.place}/{JOBS}"
                 raise InputError(place, found=f"line {number}: {error}", accepted=ACCEPTED) from None
+            if not all(isinstance(text, str) for text in (job.name, job.source)):
+                found = f"line {number}: {line.decode(errors='replace'):.60}"
+                raise InputError(f"{self.storage.place}/{JOBS}", found=found, accepted=ACCEPTED)
+            scene_of(job.key)
+            yield job
 
     def list_jobs(self, jobs: Iterable[Listed]) -> None:
         """Write the list of jobs; names are sorted already."""
@@ -104,7 +111,9 @@ class Dataset:
 
 
 def scene_of(key: str) -> str:
-    """The folder of a job's package and record: 256 folders share them."""
+    """The folder of a job's package and record: 256 folders share them. Raises InputError for what is no key."""
+    if not KEY.fullmatch(str(key)):
+        raise InputError("dataset", found=f"the key {key!r:.60}", accepted="64 hexadecimal digits")
     return f"{SCENES}/{key[:2]}/{key}"
 
 

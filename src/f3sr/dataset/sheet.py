@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from f3sr.dataset.layout import Dataset
+from f3sr.dataset.layout import PACKAGE_FOLDER, Dataset, scene_of
 from f3sr.dataset.selection import selected
 from f3sr.dataset.storage import LocalStorage
 from f3sr.errors import OutputError
@@ -97,7 +97,7 @@ def _report(dataset: Dataset, row: dict[str, Any], out: Path) -> str:
     """The way from the page to a package's report, where both are local."""
     if not row["package"] or not isinstance(dataset.base, LocalStorage):
         return ""
-    report = dataset.base.folder / row["package"] / "report.html"
+    report = dataset.base.folder / scene_of(row["key"]) / PACKAGE_FOLDER / "report.html"
     return Path(os.path.relpath(report, out)).as_posix() if report.exists() else ""
 
 

@@ -260,11 +260,11 @@ class RemoteStorage:
 
 
 def files_of(folder: Path) -> Iterator[str]:
-    """Relative paths of all files below a folder, sorted within each."""
+    """Relative paths of all files below a folder, sorted within each; links are no files of it."""
     for path, folders, names in os.walk(folder):
         folders.sort()
-        inner = Path(path).relative_to(folder)
-        yield from ((inner / name).as_posix() for name in sorted(names))
+        files = (Path(path, name) for name in sorted(names))
+        yield from (file.relative_to(folder).as_posix() for file in files if not file.is_symlink())
 
 
 def patiently(action: Callable[[], T], *, wait: Callable[[BaseException], bool]) -> T:
