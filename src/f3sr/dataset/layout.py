@@ -15,6 +15,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Self
 
+from pydantic import TypeAdapter
+
 from f3sr.dataset.record import Record, from_bytes
 from f3sr.dataset.storage import RECORD, LocalStorage, Storage, storage_of
 from f3sr.errors import InputError, OutputError
@@ -40,6 +42,9 @@ class Listed:
     name: str
     source: str
     key: str
+
+
+_LISTED = TypeAdapter(Listed)
 
 
 class Dataset:
@@ -80,13 +85,10 @@ class Dataset:
         data = self.storage.read(JOBS) or b""
         for number, line in enumerate(data.splitlines(), 1):
             try:
-                job = Listed(**strict_json.loads(line))
-            except (ValueError, TypeError) as error:
-                place = f"{self.storage.place}/{JOBS}"
-                raise InputError(place, found=f"line {number}: {error}", accepted=ACCEPTED) from None
-            if not all(isinstance(text, str) for text in (job.name, job.source)):
-                found = f"line {number}: {line.decode(errors='replace'):.60}"
-                raise InputError(f"{self.storage.place}/{JOBS}", found=found, accepted=ACCEPTED)
+                job = _LISTED.validate_python(strict_json.loads(line), strict=True)
+            except ValueError as error:
+                found = f"line {number}: {str(error).splitlines()[0]}"
+                raise InputError(f"{self.storage.place}/{JOBS}", found=found, accepted=ACCEPTED) from None
             scene_of(job.key)
             yield job
 
