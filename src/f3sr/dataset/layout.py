@@ -85,7 +85,7 @@ class Dataset:
         data = self.storage.read(JOBS) or b""
         for number, line in enumerate(data.splitlines(), 1):
             try:
-                job = _LISTED.validate_python(strict_json.loads(line), strict=True)
+                job = _LISTED.validate_python(strict_json.loads(line))
             except ValueError as error:
                 found = f"line {number}: {str(error).splitlines()[0]}"
                 raise InputError(f"{self.storage.place}/{JOBS}", found=found, accepted=ACCEPTED) from None
