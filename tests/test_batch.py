@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,9 @@ from typing import Any
 import pytest
 
 from f3sr.batch import runs
-from f3sr.batch.driver import Event, keyed
+from f3sr.batch.attempt import attempt
+from f3sr.batch.driver import LOST, Driver, Event, keyed
+from f3sr.batch.executors import Ended
 from f3sr.batch.job import Job, inputs_digest
 from f3sr.batch.manifest import jobs_of, read_goals
 from f3sr.batch.supervisor import JobLimits, Worker
@@ -59,7 +62,8 @@ def test_every_job_ends_with_its_result_or_its_reason(tmp_path: Path) -> None:
     assert found["x13"].attempts == 2 and found["x13"].package is not None
     counts = Counter(e.state for e in events)
     assert [counts[state] for state in ("done", "failed", "again")] == [5, 3, 3]
-    assert not (tmp_path / "out" / "work").exists()
+    left = {p.name for p in (tmp_path / "out" / "work").iterdir()}  # stages, for the next run
+    assert left == {found["x11"].key, found["x12"].key}
 
 
 def test_a_second_run_does_what_is_missing_only(tmp_path: Path) -> None:
@@ -247,6 +251,49 @@ def test_a_dataset_behind_a_url_holds_the_same_bytes(tmp_path: Path) -> None:
     assert inputs_digest("memory://in/one") == inputs_digest(str(inputs / "stub-00001"))
     _, jobs = jobs_of(manifest, Job(name="", source=""), Config())
     assert [(j.name, j.source) for j in jobs] == [("one", "memory://in/one")]
+
+
+def test_an_input_behind_a_url_that_is_not_there_is_a_row(tmp_path: Path) -> None:
+    pytest.importorskip("fsspec", reason="no fsspec: pip install 'f3sr[ray]'")
+    write_stub(tmp_path / "in" / "a", 1)
+    manifest = tmp_path / "m.csv"
+    manifest.write_text("path\nin/a\nmemory://nowhere/b\n")
+    assert batch(manifest, tmp_path / "out", retries=0).counts == {"done": 1, "failed": 1}
+    assert "no folder there" in records(tmp_path / "out")["b"].reason
+
+
+class Losing:
+    """An executor whose machines are lost so many times."""
+
+    slots = 1
+
+    def __init__(self, times: int, place: Path) -> None:
+        self.times, self.place, self.job = times, place, Job(name="", source="")
+        self.worker = Worker("stub_job")
+
+    def submit(self, job: Job, number: int) -> None:
+        self.job = job
+
+    def ended(self, seconds: float) -> Iterator[Ended]:
+        self.times -= 1
+        if self.times >= 0:
+            yield Ended(job=self.job, record=None, reason="NodeDiedError")
+            return
+        found = attempt(self.job, str(self.place), LIMITS, self.worker, lambda said: None)
+        self.worker.close()
+        yield Ended(job=self.job, record=found.record)
+
+
+@pytest.mark.parametrize(("times", "state"), [(LOST - 1, "done"), (LOST, "failed")])
+def test_a_lost_machine_is_no_fault_of_the_job_up_to_a_limit(tmp_path: Path, times: int, state: str) -> None:
+    write_stub(tmp_path / "in" / "a", 1)
+    events: list[Event] = []
+    dataset = Dataset.made(tmp_path / "out")
+    driver = Driver(
+        dataset, Losing(times, tmp_path / "out"), retries=0, again=False, report=events.append, storage_wait_s=1
+    )
+    tally = driver.run([Job(name="a", source=str(tmp_path / "in" / "a"), work="stub_job")])
+    assert tally.counts == {state: 1} and sum(e.failure == "lost" and e.state == "again" for e in events) == LOST - 1
 
 
 def test_a_package_without_a_record_counts_as_nothing(tmp_path: Path) -> None:

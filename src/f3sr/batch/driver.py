@@ -5,6 +5,7 @@ It holds what runs and nothing of what ended: records are on the storage, the li
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
 import tempfile
@@ -18,7 +19,7 @@ from f3sr.batch.executors import Ended, Executor
 from f3sr.batch.job import Job, code_digest, inputs_digest
 from f3sr.batch.patience import Patience
 from f3sr.dataset.index import write_index
-from f3sr.dataset.layout import STALE, Dataset, Listed, failure_of, scene_of
+from f3sr.dataset.layout import KEY, STALE, Dataset, Listed, failure_of, scene_of
 from f3sr.dataset.record import Failure, Record, to_bytes
 from f3sr.dataset.storage import RECORD, patiently
 from f3sr.runtime.daemon_thread import ahead
@@ -220,8 +221,13 @@ class Driver:
         self.report(Event(name="", state="full", reason=said["reason"]))
 
     def _tidy(self) -> None:
-        """Delete what ended attempts left; those of a killed run were taken up by this one."""
-        shutil.rmtree(self.dataset.storage.scratch(), ignore_errors=True)
+        """Delete what attempts left, but for stages of failed jobs that the next run tries again."""
+        work = self.dataset.storage.scratch()
+        for folder in work.iterdir() if work.is_dir() else ():
+            if not KEY.fullmatch(folder.name) or not self.dataset.storage.has(failure_of(folder.name)):
+                shutil.rmtree(folder, ignore_errors=True)
+        with contextlib.suppress(OSError):
+            work.rmdir()
 
 
 class _Listing:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Self, cast
 
 import f3sr
-from f3sr.errors import InputError, reason
+from f3sr.errors import F3srError, reason
 from f3sr.files.limited_file import MAX_FILE_BYTES
 from f3sr.runtime.extras import library
 from f3sr.runtime.result_store import code_version, digest
@@ -124,8 +124,11 @@ def _file_digest(path: Path) -> str:
 
 
 def _remote_digest(url: str) -> str:
-    with fetched(url) as folder:
-        return digest([*_local_digests(folder)])
+    try:
+        with fetched(url) as folder:
+            return digest([*_local_digests(folder)])
+    except UnreachableError as error:
+        return digest(str(error))
 
 
 @contextmanager
@@ -140,8 +143,12 @@ def fetched(source: str) -> Generator[Path]:
         try:
             files, root = fsspec.core.url_to_fs(source)
             if not files.isdir(root):
-                raise InputError(source, found="no folder there", accepted="an input folder")
+                raise UnreachableError(f"{source}: found no folder there; accepted: an input folder")
             files.get(root, str(folder), recursive=True)
         except (OSError, ValueError, ImportError) as error:
-            raise InputError(source, found=str(error), accepted="an input folder that fsspec reaches") from error
+            raise UnreachableError(f"{source}: could not be read ({error})") from error
         yield folder
+
+
+class UnreachableError(F3srError):
+    """An input behind a URL that cannot be had, perhaps for the moment only."""

@@ -234,8 +234,12 @@ class RemoteStorage:
     def commit(self, folder: Path, path: str) -> None:
         if self.has(f"{path}/{RECORD}"):
             return
-        for name in sorted(files_of(folder), key=lambda name: name == RECORD):
-            self.put(f"{path}/{name}", folder / name)
+        names = [name for name in files_of(folder) if name != RECORD]
+        targets = [self._of(f"{path}/{name}") for name in names]
+        for parent in sorted({target.rpartition("/")[0] for target in targets}):
+            self.files.makedirs(parent, exist_ok=True)
+        self.files.put([str(folder / name) for name in names], targets)  # object stores take them side by side
+        self.put(f"{path}/{RECORD}", folder / RECORD)
 
     @contextmanager
     def local(self, path: str) -> Generator[Path]:
