@@ -58,16 +58,16 @@ def drive(inputs: Path, out: str, options: argparse.Namespace) -> None:
 
     limits = JobLimits(wall_s=options.wall, memory_mb=MEMORY_MB, storage_wait_s=120.0)
     plan = RunPlan(slots=options.jobs, limits=limits, retries=options.retries, ray=options.address, work="stub_job")
-    done = 0
+    done, stream = 0, sys.stdout  # Ray has words of its own, which go elsewhere
 
     def report(event: Any) -> None:
         nonlocal done
         done += event.state in ("done", "known", "failed")
         if options.quiet:
             if event.state in ("done", "known") and done % SAMPLE_EVERY == 0:
-                print(json.dumps({"done": done, "rss_mb": resident_mb(os.getpid())}), flush=True)
+                print(json.dumps({"done": done, "rss_mb": resident_mb(os.getpid())}), file=stream, flush=True)
         elif event.state != "step":
-            print(json.dumps(event.plain()), flush=True)
+            print(json.dumps(event.plain()), file=stream, flush=True)
 
     tally = run_batch(inputs, out, Job(name="", source="", work="stub_job"), Config(), plan, report)
     print(json.dumps({"end": dict(tally.counts), "retries": tally.retries, "wall_s": tally.wall_s}), flush=True)

@@ -6,6 +6,8 @@ job. Ray itself repeats nothing: the driver tells lost machines, which are tried
 
 from __future__ import annotations
 
+import contextlib
+import sys
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -57,21 +59,28 @@ class RayTasks:
 def ray_tasks(address: str, slots: int, place: str, limits: JobLimits, work: str) -> Generator[RayTasks]:
     """Tasks of the cluster at an address (``auto``: the one of this machine), until the block ends.
 
+    Meanwhile ``sys.stdout`` is stderr: Ray prints there that nodes are gone, which must not mix with events.
     ``slots`` 0 stands for two tasks a processor. Raises F3srError where there is no cluster.
     """
     ray = library("ray", extra=EXTRA, why="--ray")
-    started = not ray.is_initialized()
-    if started:
-        try:
-            ray.init(address=address, log_to_driver=False, logging_level="ERROR")
-        except (ConnectionError, ValueError, RuntimeError) as error:
-            raise F3srError(f"no Ray cluster at {address}: {one_line(str(error))}") from error
-    try:
+    with contextlib.redirect_stdout(sys.stderr), _connected(ray, address):
         processors = int(ray.cluster_resources().get("CPU", 1))
         yield RayTasks(ray, slots or AHEAD * processors, place, limits, work)
+
+
+@contextmanager
+def _connected(ray: Any, address: str) -> Generator[None]:
+    if ray.is_initialized():
+        yield
+        return
+    try:
+        ray.init(address=address, log_to_driver=False, logging_level="ERROR")
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        raise F3srError(f"no Ray cluster at {address}: {one_line(str(error))}") from error
+    try:
+        yield
     finally:
-        if started:
-            ray.shutdown()
+        ray.shutdown()
 
 
 def remote_attempt(job: dict[str, Any], number: int, place: str, limits: dict[str, Any], work: str) -> bytes:

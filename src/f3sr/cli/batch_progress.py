@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.text import Text
 
-from f3sr.cli.console import CURSOR_BACK, say
+from f3sr.cli.console import CURSOR_BACK
 from f3sr.errors import one_line, printable
 from f3sr.runtime import signals
 
@@ -32,6 +32,7 @@ class Lines:
 
     def __init__(self) -> None:
         self.count, self.ended = 0, 0
+        self.stream = sys.stdout  # Ray has words of its own, which go to stderr meanwhile
         self.lock = threading.Lock()
         self.full = -QUIET_S
 
@@ -69,7 +70,7 @@ class Lines:
         self.print(f"dataset:  {place}")
 
     def print(self, line: str) -> None:
-        say(line)
+        print(line, file=self.stream, flush=True)
 
 
 class JsonLines(Lines):
@@ -86,7 +87,7 @@ class JsonLines(Lines):
         self._say({"event": "end", "dataset": place, **_plain(tally)})
 
     def _say(self, values: dict[str, Any]) -> None:
-        say(json_.dumps(values, allow_nan=False))
+        self.print(json_.dumps(values, allow_nan=False))
 
 
 class Live(Lines):
@@ -140,7 +141,7 @@ def _live() -> Generator[Lines]:
         MofNCompleteColumn(), BarColumn(bar_width=20), TimeElapsedColumn(), TimeRemainingColumn(),
         TextColumn("{task.description}", markup=False),
     )  # fmt: skip
-    bar = Progress(*columns, console=Console(highlight=False), transient=True)
+    bar = Progress(*columns, console=Console(file=sys.stdout, highlight=False), transient=True)
     with signals.undone(lambda: bar, lambda _: os.write(1, CURSOR_BACK)), bar:
         yield Live(bar)
 
