@@ -120,14 +120,13 @@ class Cut:
     bulk: float
 
 
-def cut_up(subject: Subject, config: ProxyConfig, most: int, *, is_shell: bool) -> list[Piece]:
+def cut_up(subject: Subject, config: ProxyConfig, most: int) -> list[Piece]:
     """At most ``most`` pieces of a mesh, ``surplus`` times as many as are wanted in the end."""
     whole = _piece(subject, subject.triangles, subject.simplified, subject.around.core, subject.samples)
     queue, done, count = [(0.0, 0, whole)], list[Piece](), 0
     while queue and len(queue) + len(done) < most:
         _, _, piece = heapq.heappop(queue)
-        wanted = (len(queue) + len(done) + 1) / config.cuts.surplus
-        halves = _halved(piece, subject, replace(config, tolerance=config.allowed(wanted, is_shell=is_shell)))
+        halves = _halved(piece, subject, config)
         if halves is None:
             done.append(piece)
             continue

@@ -1,8 +1,13 @@
-"""Neighbouring pieces joined again where one hull for both stands off the surface no more than it may."""
+"""Neighbouring pieces joined again where one hull for both costs less than a part.
+
+What contact feels of a hull is its loss: the square of its stand-off in units of the tolerance, averaged over the
+surface of the mesh. A recess of a can's lid is a small loss that only many parts avoid; the cavity of a bowl is a
+large one. So parts are joined as long as that saves more parts than it loses (Lagrangian of rate and distortion).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,89 +16,92 @@ from f3sr.core.transforms import Array
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.cuts import MIN_TOUCHED
 from f3sr.proxies.hulls import Hull, hull_of, outermost, spread
-from f3sr.proxies.surface import Samples, Subject, stand_off
+from f3sr.proxies.surface import Subject, area_of, stand_off
 
 AROUND = spread(500)
 """Directions in which the corners of a joined hull are kept while it is only thought of: a ball's are then .1% of its
 size too far in."""
+PART_WORTH = 0.03
+"""Loss that one part fewer is worth: a stand-off by the tolerance over 3% of the surface."""
+MOST_OFF = 4.0
+"""Largest stand-off that a part fewer may bring [tolerances]."""
+LOOSE = 0.03
+"""Thickness [size] of a layer around a hull that joining may add at most."""
 NEXT_TO = 1e-3
 """How far apart the boxes of neighbours lie at most [size]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Joined:
-    """A hull with its outermost corners in fixed directions, its stand-off [size], and its added volume.
+    """A hull with its outermost corners in fixed directions, its loss and stand-off, and its added volume.
 
     The added volume is that of the hull minus that of the hulls that it was joined from."""
 
     hull: Hull
     shape: Array
+    loss: float
     off: float
+    """[tolerances]"""
     added: float = 0.0
     is_looked_over: bool = True
-    """Whether ``off`` tells of the hull's own surface as well, not only of the samples in it."""
+    """Whether loss and stand-off tell of the hull's own surface as well, not only of the samples in it."""
 
     @property
     def box(self) -> tuple[Array, Array]:
         return self.hull.corners.min(0), self.hull.corners.max(0)
 
 
-def joined(hulls: Sequence[Hull], subject: Subject, config: ProxyConfig, *, is_shell: bool) -> list[Hull]:
+def joined(hulls: Sequence[Hull], subject: Subject, config: ProxyConfig) -> list[Hull]:
     """Fewer hulls that cover all the given ones.
 
-    Neighbours are joined within ``tolerance`` first, then as far as their number allows. Down to ``max_parts`` they
-    are joined at any stand-off."""
-    state = _Joining([_alone(h, subject.samples) for h in hulls], subject, config)
-    state.join(lambda count, off: off <= config.tolerance, by_volume=True)
-    state.join(lambda count, off: off <= config.allowed(count, is_shell=is_shell))
-    state.join(lambda count, off: count > config.max_parts)
+    Neighbours are joined where that loses less than a part is worth, and down to ``max_parts`` at any loss."""
+    state = _Joining(hulls, subject, config)
+    state.join()
     return [part.hull for part in state.parts.values()]
-
-
-def _alone(hull: Hull, samples: Samples) -> Joined:
-    return Joined(hull=hull, shape=outermost(hull.corners, AROUND), off=_off(hull, samples))
 
 
 class _Joining:
     """Parts by number, and what joining two neighbours would give."""
 
-    def __init__(self, parts: Sequence[Joined], subject: Subject, config: ProxyConfig) -> None:
-        self.parts = dict(enumerate(parts))
+    def __init__(self, hulls: Sequence[Hull], subject: Subject, config: ProxyConfig) -> None:
         self._subject, self._config = subject, config
         self._pairs: dict[tuple[int, int], Joined] = {}
-        self._next = len(parts)
+        self._next = len(hulls)
+        self._count = len(subject.samples.points)
+        self._area = area_of(subject.simplified)
+        self.parts = {k: self._alone(hull) for k, hull in enumerate(hulls)}
         for b in self.parts:
             self._look_around(b, range(b))
 
-    def join(self, may: Callable[[int, float], bool], *, by_volume: bool = False) -> None:
-        """Join pairs, one after the other: the one that adds least volume, otherwise the one with the least stand-off.
-
-        The number of parts and the stand-off of the common hull decide which pairs may be joined."""
-        while True:
-            prices = {pair: self._price(pair) for pair in self._pairs}
-            allowed = [
-                (p.added if by_volume else prices[pair], p.added, pair)
-                for pair, p in self._pairs.items()
-                if may(len(self.parts), prices[pair])
-            ]
-            if not allowed:
+    def join(self) -> None:
+        """Join pairs, one after the other: the one that loses least, of equals the one that adds least volume."""
+        while self._pairs:
+            many = len(self.parts) > self._config.max_parts
+            price, pair = min((self._price(pair, p, many), pair) for pair, p in self._pairs.items())
+            if price[0] > PART_WORTH and not many:
                 return
-            pair = min(allowed)[2]
+            if not np.isfinite(price[0]):
+                return
             if self._pairs[pair].is_looked_over:
                 self._replace(pair)
             else:
                 self._look_over(pair)
 
+    def _price(self, pair: tuple[int, int], both: Joined, many: bool) -> tuple[float, float]:
+        """What joining loses more than both parts did, and the volume that it adds."""
+        first, second = (self.parts[k] for k in pair)
+        if both.off > max(MOST_OFF, first.off, second.off) and not many:
+            return np.inf, both.added
+        return round(both.loss - first.loss - second.loss, 4), both.added
+
     def _look_over(self, pair: tuple[int, int]) -> None:
         """A look at the hull itself costs more than at the samples in it: it is taken when the pair comes first."""
-        both = self._pairs[pair]
-        bare = _but_a_few(self._subject.bare(both.hull))
-        self._pairs[pair] = replace(both, off=max(both.off, bare), is_looked_over=True)
+        self._pairs[pair] = self._looked_over(self._pairs[pair])
 
-    def _price(self, pair: tuple[int, int]) -> float:
-        """How far the joined hull stands off; nothing where that is no farther than one of the two did."""
-        off = self._pairs[pair].off
-        return 0.0 if off <= max(self.parts[k].off for k in pair) and off <= self._config.cuts.loose_tolerance else off
+    def _looked_over(self, part: Joined) -> Joined:
+        bare = self._subject.bare(part.hull) / self._config.tolerance
+        loss = float((bare**2).mean() * part.hull.area / self._area)
+        return replace(part, off=max(part.off, _but_a_few(bare)), loss=max(part.loss, loss), is_looked_over=True)
 
     def _replace(self, pair: tuple[int, int]) -> None:
         part = self._pairs[pair]
@@ -120,19 +128,25 @@ class _Joining:
         if hull is None:
             return None
         added = hull.volume - first.hull.volume - second.hull.volume
-        if added > self._config.cuts.loose_tolerance * hull.area:
+        if added > LOOSE * hull.area:
             return None
-        off = _off(hull, self._subject.samples)
-        return Joined(hull=hull, shape=hull.corners, off=off, added=added, is_looked_over=False)
+        off, loss = self._of_samples(hull)
+        return Joined(hull=hull, shape=hull.corners, loss=loss, off=off, added=added, is_looked_over=False)
 
+    def _alone(self, hull: Hull) -> Joined:
+        off, loss = self._of_samples(hull)
+        return self._looked_over(Joined(hull=hull, shape=outermost(hull.corners, AROUND), loss=loss, off=off))
 
-def _off(hull: Hull, samples: Samples) -> float:
-    """How far a hull stands off the samples in it, but for a few."""
-    low, high = hull.corners.min(0), hull.corners.max(0)
-    near = samples.chosen(np.all((samples.points >= low) & (samples.points <= high), axis=1))
-    held = near.chosen((near.points @ hull.normals.T - hull.offsets).max(1, initial=-1) <= 1e-9)
-    off = stand_off(held, hull.normals, hull.offsets) if len(held.points) else np.zeros(0)
-    return _but_a_few(off)
+    def _of_samples(self, hull: Hull) -> tuple[float, float]:
+        """How far a hull stands off the samples in it [tolerances], but for a few, and its loss there."""
+        samples = self._subject.samples
+        low, high = hull.corners.min(0), hull.corners.max(0)
+        near = samples.chosen(np.all((samples.points >= low) & (samples.points <= high), axis=1))
+        held = near.chosen((near.points @ hull.normals.T - hull.offsets).max(1, initial=-1) <= 1e-9)
+        if not len(held.points):
+            return 0.0, 0.0
+        off = stand_off(held, hull.normals, hull.offsets) / self._config.tolerance
+        return _but_a_few(off), float((off**2).sum() / self._count)
 
 
 def _but_a_few(off: Array) -> float:

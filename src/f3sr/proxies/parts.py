@@ -11,22 +11,15 @@ from f3sr.core.mesh import ConvexPart, is_closed, signed_volume
 from f3sr.core.transforms import Array
 from f3sr.proxies import fit
 from f3sr.proxies.config import ProxyConfig
-from f3sr.proxies.cuts import Piece, cut_up
+from f3sr.proxies.cuts import STRAY, Piece, cut_up
 from f3sr.proxies.fit import Excess
-from f3sr.proxies.hulls import Hull, hull_of, outside, planes, without_hidden
+from f3sr.proxies.hulls import Hull, hull_of, planes, without_hidden
 from f3sr.proxies.joins import joined
 from f3sr.proxies.simplify import flats_of, simplified_outward
-from f3sr.proxies.surface import PROBE, Faces, NearestTriangles, Subject, area_of, samples_of, surroundings, weighted
+from f3sr.proxies.surface import PROBES, Faces, NearestTriangles, Subject, area_of, samples_of, stand_off, surroundings, weighted
 
-HULL_VOLUME_RATIO = 0.93
-"""Least share of its hull that a closed mesh fills to get one hull: splitting would add little."""
-SHELL_FILL = 0.5
-"""Share of its hull below which a closed mesh is a shell: a bowl, a mug, a pan. What lies in it would float on parts
-that bridge its curved wall."""
 SHEET = 0.004
 """Thickness given to a mesh that spans no volume [size]."""
-STRAY_SHARE = 0.02
-"""Of the vertices of a mesh that is nearly its own hull, those that may lie deeper: the seam of a ball."""
 LARGEST_HOLE = 0.02
 """Share of its area that an open mesh may lack where its hull is taken for it."""
 
@@ -44,22 +37,15 @@ class FittedParts:
 def nearly_convex(vertices: Array, faces: Faces, config: ProxyConfig) -> str | None:
     """Why one hull is enough, or None.
 
-    An open mesh has no volume: its surface alone decides, unless so much is missing that it may be a container."""
-    try:
-        hull = ConvexPart.hull_of(vertices)
-    except ValueError:
+    An open mesh may be a container where much of it is missing: its other side is not seen."""
+    hull = hull_of(vertices[np.unique(faces)])
+    if hull is None:
         return "the mesh spans no volume"
-    used = vertices[np.unique(faces)]
-    some = used[:: max(1, len(used) // 2000)]
-    below = -np.concatenate([outside([hull], chunk)[:, 0] for chunk in np.array_split(some, 1 + len(some) // 100)])
-    depth = float(np.quantile(below, 1 - STRAY_SHARE))
-    if depth > config.tolerance:
+    if not is_closed(faces) and _missing_share(vertices[faces]) > LARGEST_HOLE:
         return None
-    reason = f"surface within {depth:.1%} of its size below the hull"
-    if is_closed(faces) and (volume := signed_volume(vertices, faces)) > 0:
-        ratio = volume / hull.volume
-        return f"fills {ratio:.1%} of its hull, {reason}" if ratio >= HULL_VOLUME_RATIO else None
-    return reason if _missing_share(vertices[faces]) <= LARGEST_HOLE else None
+    off = stand_off(samples_of(vertices[faces], config.cuts.samples), hull.normals, hull.offsets)
+    depth = float(np.partition(off, -STRAY)[-STRAY])
+    return f"surface within {depth:.1%} of its size below the hull" if depth <= config.tolerance else None
 
 
 def _missing_share(triangles: Array) -> float:
@@ -71,30 +57,22 @@ def _missing_share(triangles: Array) -> float:
 def one_hull(vertices: Array, faces: Faces, config: ProxyConfig) -> FittedParts:
     points = vertices[np.unique(faces)]
     try:
-        part = simplified_outward(points, config, most=config.most_faces(1))
+        part = simplified_outward(points, config.max_vertices)
     except ValueError:
         part = ConvexPart.hull_of(_thickened(points))
-    return _fitted([part], vertices, faces, fit.excess([part], NearestTriangles.on(vertices, faces), None, PROBE))
+    return _fitted([part], vertices, faces, fit.excess([part], NearestTriangles.on(vertices, faces), None, PROBES[0]))
 
 
 def several(vertices: Array, faces: Faces, config: ProxyConfig) -> FittedParts:
     """Parts that hold all of the surface, and those of the solid below it that cuts lay bare."""
     whole = ConvexPart.hull_of(vertices)
     subject = subject_of(vertices, faces, whole, config)
-    # An open surface has no volume, but its signed sum still tells a wall with two sides from a body.
-    is_shell = signed_volume(vertices, faces) < SHELL_FILL * whole.volume
-
-    def cut(most: int) -> list[Hull]:
-        return _hulls(cut_up(subject, config, most, is_shell=is_shell))
-
-    hulls = joined(cut(round(config.cuts.surplus * config.max_parts)), subject, config, is_shell=is_shell)
+    hulls = joined(_hulls(cut_up(subject, config, round(config.cuts.surplus * config.max_parts))), subject, config)
     if len(hulls) > config.max_parts:  # what is left are no neighbours
-        hulls = cut(config.max_parts)
+        hulls = _hulls(cut_up(subject, config, config.max_parts))
     base = flats_of(whole)
-    parts = without_hidden(
-        [simplified_outward(h.corners, config, base, most=config.most_faces(len(hulls))) for h in hulls]
-    )
-    excess = fit.excess(parts, subject.nearest, subject.around, PROBE)
+    parts = without_hidden([simplified_outward(h.corners, config.max_vertices, base) for h in hulls])
+    excess = fit.excess(parts, subject.nearest, subject.around, PROBES[0])
     return _fitted(parts, vertices, faces, replace(excess, floor=fit.floor_excess(parts, subject.samples)))
 
 
@@ -102,7 +80,8 @@ def subject_of(vertices: Array, faces: Faces, whole: ConvexPart, config: ProxyCo
     """All that cutting needs to know of a mesh with its hull ``whole``."""
     around = surroundings(vertices, faces)
     samples = samples_of(vertices[faces], config.cuts.samples)
-    touched = samples.chosen(around.is_reached(samples.points, samples.normals, PROBE))
+    felt = around.felt(samples.points, samples.normals)
+    touched = replace(samples, weight=felt).chosen(felt > 0)
     simpler = decimated(vertices, faces, config.cuts.target_faces)
     return Subject(
         triangles=vertices[faces],

@@ -6,11 +6,13 @@ import numpy as np
 
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array
-from f3sr.proxies.config import ProxyConfig
+from f3sr.proxies.collapse import collapsed
 from f3sr.proxies.hulls import planes
 
 THICKNESS = 0.002
 """Largest distance of a simplified hull from the exact one [size]; it makes a can about 27-sided."""
+MOST_FACETS = 96
+"""Most planes before vertices are collapsed: a ball's corners then protrude by .5% of its size."""
 FLAT_SHARE = 0.02
 """Least share of a hull's area by which facets of one direction are kept as one plane: bases stay flat."""
 SAME_FLAT = np.radians(2.0)
@@ -21,34 +23,35 @@ Planes = tuple[Array, Array]
 """Outward unit normals (m, 3) and offsets (m,)."""
 
 
-def simplified_outward(
-    points: Array, config: ProxyConfig, base: Planes | None = None, *, most: int | None = None
-) -> ConvexPart:
-    """A polytope of few facets around points (n, 3), in normalised units; it contains all of them.
+def simplified_outward(points: Array, most: int, base: Planes | None = None) -> ConvexPart:
+    """A polytope of at most ``most`` vertices around points (n, 3), in normalised units; it contains all of them.
 
     Its planes are the hull's flats first. Then planes of the hull are added one by one: the one that cuts off most of
-    the farthest protruding corner. This ends when corners protrude by less than ``THICKNESS``, or with ``most`` facets
-    by less than ``loose_tolerance``; twice ``most`` are never exceeded. ``base`` holds the flats of the whole mesh.
-    Flats that the points reach are used, so that all parts of an object end in one base. A hull too thin for that stays
-    as it is. Raises ValueError when the points span no volume.
+    the farthest protruding corner. This ends when corners protrude by less than ``THICKNESS``, or at ``MOST_FACETS``.
+    Vertices beyond ``most`` are then collapsed outward. ``base`` holds the flats of the whole mesh. Flats that the
+    points reach are used, so that all parts of an object end in one base. Raises ValueError when the points span no
+    volume.
     """
     hull = ConvexPart.hull_of(points)
+    around = _by_planes(hull, base)
+    return ConvexPart.hull_of(merged(collapsed(hull.vertices if around is None else merged(around), most)))
+
+
+def _by_planes(hull: ConvexPart, base: Planes | None) -> Array | None:
+    """Corners (n, 3) of few planes of a hull around it; None for a hull too thin for that."""
     normals, offsets = planes(hull)
-    most = most or config.max_hull_faces
-    kept_normals, kept_offsets = (x[: most // 2] for x in _first_planes(hull, base))
+    kept_normals, kept_offsets = (x[: MOST_FACETS // 2] for x in _first_planes(hull, base))
     while True:
         corners = corners_of(kept_normals, kept_offsets, hull)
         if corners is None:
-            return hull
+            return None
         excess = corners @ normals.T - offsets
         worst = int(excess.argmax())
-        count = len(kept_offsets)
-        if excess.flat[worst] <= (THICKNESS if count < most else config.cuts.loose_tolerance) or count >= 2 * most:
-            break
+        if excess.flat[worst] <= THICKNESS or len(kept_offsets) >= MOST_FACETS:
+            return corners
         plane = worst % len(offsets)
         kept_normals = np.vstack([kept_normals, normals[plane]])
         kept_offsets = np.append(kept_offsets, offsets[plane])
-    return ConvexPart.hull_of(merged(corners))
 
 
 def flats_of(hull: ConvexPart) -> Planes:

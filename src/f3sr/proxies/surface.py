@@ -14,14 +14,19 @@ from numpy.typing import NDArray
 from f3sr.core.transforms import Array
 from f3sr.proxies.hulls import Hull
 
-PROBE = 0.03
-"""Radius [size] of the ball that must fit where something can touch a point. Slots, pores and corners that it does not
-fit into may be bridged, closed voids as well."""
+PROBES = (0.03, 0.06, 0.12)
+"""Radii [size] of the balls that feel a surface. Slots, pores and corners into which not even the smallest fits may be
+bridged, closed voids as well."""
+FULLY_FELT = 0.12
+"""Radius [size] of a ball from which on a hollow counts in full. What a smaller ball feels counts in proportion: the
+bumps of a generated surface are hollows for small balls only."""
+SINKS = 4
+"""Steps in which a ball is sunk past a hull."""
 CELL = 0.01
 """Cells [size] of the grid on which open space is told from the inside."""
 FLOOR_WEIGHT = 3.0
 """Weight of the excess at the floor of a cavity. What lies in a pan is smaller and floats by more of its own size."""
-GRID_CELLS = 600_000
+GRID_CELLS = 1_000_000
 """Most cells of the grid over a mesh's box: at a hundredth of the diagonal a cube has 200,000."""
 DENSE_POINTS = 3_000_000
 """Most points that mark the surface in the grid; meshes folded into many layers get a coarser grid."""
@@ -90,6 +95,23 @@ class Surroundings:
         where = np.clip(where, 0, np.array(self.clearance.shape) - 1)
         return self.clearance[tuple(where.T)] * self.cell >= probe - self.cell
 
+    def felt(self, points: Array, normals: Array) -> Array:
+        """What share of a stand-off is felt at points (n, 3) of the surface: that of the largest ball that touches."""
+        shares = [self.is_reached(points, normals, probe) * _share(probe) for probe in PROBES]
+        return np.max(shares, axis=0)
+
+    def sunk(self, points: Array, normals: Array, off: Array) -> Array:
+        """How deep balls sink past points (n, 3) of a hull until they meet the mesh, at most ``off`` (n,).
+
+        Each depth counts as much as its ball does."""
+        deepest = np.zeros(len(points))
+        for probe in PROBES:
+            free = np.ones(len(points), bool)
+            for depth in np.linspace(0, 1, SINKS + 1)[:, None] * off:
+                free &= self.is_reached(points - depth[:, None] * normals, normals, probe)
+                deepest[free] = np.maximum(deepest[free], _share(probe) * depth[free])
+        return deepest
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NearestTriangles:
@@ -133,11 +155,16 @@ class Subject:
         points = samples_of(hull.triangles, HULL_POINTS)
         inward = np.einsum("ij,ij->i", points.normals, points.points - hull.corners.mean(0)) < 0
         normals = np.where(inward[:, None], -points.normals, points.normals)
-        touched = self.around.is_reached(points.points, normals, PROBE)
+        touched = self.around.is_reached(points.points, normals, PROBES[0])
         off = np.zeros(HULL_POINTS)
         if touched.any():
-            off[touched] = self.nearest.distance(points.points[touched])
+            distance = self.nearest.distance(points.points[touched])
+            off[touched] = self.around.sunk(points.points[touched], normals[touched], distance)
         return off
+
+
+def _share(probe: float) -> float:
+    return min(1.0, probe / FULLY_FELT)
 
 
 def samples_of(triangles: Array, count: int) -> Samples:
@@ -164,8 +191,8 @@ def surroundings(vertices: Array, faces: Faces) -> Surroundings:
 
     image: Any = scipy.ndimage
     cell = _cell(vertices, faces)
-    low = vertices.min(0) - (PROBE + 4 * cell)
-    shape = np.ceil((vertices.max(0) + PROBE + 4 * cell - low) / cell).astype(int) + 1
+    low = vertices.min(0) - (PROBES[-1] + 4 * cell)
+    shape = np.ceil((vertices.max(0) + PROBES[-1] + 4 * cell - low) / cell).astype(int) + 1
     occupied = np.zeros(shape, bool)
     occupied[tuple(((_dense(vertices, faces, 0.9 * cell) - low) / cell).astype(int).T)] = True
     # One cell thicker: points a cell apart may leave a gap that a path from face to face of cells slips through.
@@ -179,7 +206,7 @@ def surroundings(vertices: Array, faces: Faces) -> Surroundings:
 
 def _cell(vertices: Array, faces: Faces) -> float:
     area = area_of(vertices[faces])
-    box = float(np.prod(np.ptp(vertices, axis=0) + 2 * PROBE))
+    box = float(np.prod(np.ptp(vertices, axis=0) + 2 * PROBES[-1]))
     return max(CELL, (box / GRID_CELLS) ** (1 / 3), (4 * area / DENSE_POINTS) ** 0.5)
 
 
@@ -232,7 +259,7 @@ def weighted(samples: Samples, hull: tuple[Array, Array]) -> Samples:
     if (length := float(np.linalg.norm(opening))) < CAVITY_LEAN:
         return samples
     facing = np.where(deep, np.maximum(samples.normals @ opening / length, 0), 0)
-    return replace(samples, weight=1 + (FLOOR_WEIGHT - 1) * facing**FLOOR_POWER)
+    return replace(samples, weight=samples.weight * (1 + (FLOOR_WEIGHT - 1) * facing**FLOOR_POWER))
 
 
 def _to_triangles(p: Array, triangles: Array) -> Array:
