@@ -12,6 +12,7 @@ from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import pose, rotation_about, rotation_angle
 from f3sr.metrics.point_in_mesh import union_distance
 from f3sr.physics.settling import settle
+from f3sr.proxies.simplify import simplified_outward
 from f3sr.scene import SceneObject
 from f3sr.stages.separate import SeparateConfig, separate
 from scenes import box, scene_of
@@ -89,10 +90,27 @@ def test_parts_are_cut_flush_with_the_lowest_point_of_the_mesh_and_cover_as_befo
     assert union_distance(o.mesh.vertices, parts).max() < 1e-9
 
 
-def test_a_ball_can_still_roll():
+def ball() -> SceneObject:
     directions = np.random.default_rng(3).normal(size=(3000, 3))
-    ball = shaped(0.05 * directions / np.linalg.norm(directions, axis=1, keepdims=True), at=(0, 0, 0.05))
-    assert footing(ball, GROUND_PLANE, CONFIG) == ()
+    return shaped(0.05 * directions / np.linalg.norm(directions, axis=1, keepdims=True), at=(0, 0, 0.05))
+
+
+def test_a_ball_of_few_facets_stays_where_it_is_on_its_foot_and_rolls_without():
+    o = ball()
+    rough = replace(o, parts=(simplified_outward(o.mesh.vertices, 16),))
+    assert turned_by_physics(rough) > 2
+    (foot,) = footing(rough, GROUND_PLANE, CONFIG)
+    lowest = o.vertices_world[:, 2].min()
+    assert foot.moved(o.T_world_asset).vertices[:, 2].min() == pytest.approx(lowest, abs=1e-9)
+    assert turned_by_physics(replace(rough, parts=flush(rough, GROUND_PLANE), footing=(foot,))) < 0.1
+
+
+@pytest.mark.parametrize(("degrees", "returns"), [(2.0, True), (8.0, False)])
+def test_a_ball_returns_onto_its_foot_from_within_its_margin_only(degrees: float, returns: bool):
+    o = ball()
+    stands = replace(o, footing=footing(o, GROUND_PLANE, CONFIG))
+    tilted = replace(stands, T_world_object=pose(rotation_about([1, 0, 0], np.radians(degrees)), [0, 0, 0.0505]))
+    assert (abs(turned_by_physics(tilted) - degrees) < 0.1) is returns
 
 
 def test_every_leg_gets_its_own_piece():

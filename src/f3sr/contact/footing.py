@@ -1,8 +1,9 @@
-"""Footings: thin convex wedges under a nearly flat underside that hold an object in the pose of the photo.
+"""Footings: convex wedges under an underside that hold an object in the pose of the photo.
 
 No photo shows an underside, so a generated one is a guess, commonly turned by some degrees against its body. Physics
 would tip the object onto it, against the picture. A footing fills the space between the underside and the plane below
-(docs: contact). It is collision geometry only; the mesh does not change. Round objects get none and can roll.
+(docs: contact). It is collision geometry only; the mesh does not change. A round object that is balanced gets a foot: a
+small flat under its centre of mass. Without, a facet of its proxy decides where it rests. Pushed, it can still roll.
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from f3sr.contact.polytopes import Polytope
 from f3sr.contact.stable_facets import stable_normals
 from f3sr.core.mesh import ConvexPart
-from f3sr.core.transforms import Array, transform
+from f3sr.core.transforms import UP, Array, transform
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import SceneObject
 from f3sr.settings import constants
@@ -36,7 +38,8 @@ class FootingConfig:
     flat: float = 0.01
     """Largest distance of the underside from that facet's plane."""
     min_area: float = 0.15
-    """Least area of the underside's outline, as a share of the object's seen from above. A ball has .07."""
+    """Area of a flat underside's outline from which on it gets a footing, else a foot, as a share of the object's seen
+    from above. A ball has .07."""
     min_margin: float = 0.05
     """Least tilt [rad] at which an object on its footing falls."""
     cells: int = 48
@@ -75,20 +78,59 @@ def footing(
     would fall anyway, or would need more than ``max_height``.
     """
     hull = _hull_of(o)
-    underside = _Underside.of(o, hull, plane, config) if hull else None
-    if hull is None or underside is None:
+    if hull is None:
+        return ()
+    underside = _Underside.of(o, hull, plane, config)
+    if underside is None:
         return ()
     lowest = float(plane.heights(hull.vertices).min()) - below
+    if underside.share >= config.min_area:
+        wedges = _under_a_flat(o, underside, plane, lowest, config)
+    else:
+        wedges = _under_a_round(o, hull, plane, lowest, config)
+    T_asset_world: Array = np.linalg.inv(o.T_world_asset).astype(np.float64)
+    return tuple(wedge.moved(T_asset_world) for wedge in wedges)
+
+
+def _under_a_flat(
+    o: SceneObject, underside: _Underside, plane: SupportPlane, lowest: float, config: FootingConfig
+) -> list[ConvexPart]:
+    """A wedge (world) under every patch of a nearly flat underside that carries the object."""
     missing = plane.heights(underside.corners) - lowest
     if not len(missing) or missing.mean() > config.max_height * o.size or missing.max() <= GRAIN * o.size:
-        return ()
+        return []
     if not underside.carries(plane, lowest, config):
-        return ()
-    T_asset_world: Array = np.linalg.inv(o.T_world_asset).astype(np.float64)
-    return tuple(
-        _wedge(patch, underside.facet, plane, lowest, GRAIN * o.size).moved(T_asset_world)
-        for patch in underside.patches(config.pieces)
-    )
+        return []
+    return [_wedge(patch, underside.facet, plane, lowest, o) for patch in underside.patches(config.pieces)]
+
+
+def _under_a_round(
+    o: SceneObject, hull: ConvexPart, plane: SupportPlane, lowest: float, config: FootingConfig
+) -> list[ConvexPart]:
+    """A foot (world) under the centre of mass of an object that is balanced on a round underside.
+
+    It is as small as ``min_margin`` allows."""
+    center = _center_of(o)
+    foot = plane.below(center[None], lowest)[0]
+    angles = np.arange(SIDES) * 2 * np.pi / SIDES
+    circle = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(SIDES)])
+    radius = FOOT * np.tan(config.min_margin) * float(center[2] - foot[2])
+    bottom = plane.below(foot + radius * circle, lowest)
+    top = _lower_side(hull, bottom)
+    if top is None or (top - bottom[:, 2]).max() > config.flat * o.size:
+        return []
+    return [_raised(bottom, np.column_stack([bottom[:, :2], top]), o)]
+
+
+def _lower_side(hull: ConvexPart, points: Array) -> Array | None:
+    """Heights (n,) of the underside of a hull over or under points (n, 3); None where one is beside it."""
+    a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    normals = normals[down := normals[:, 2] < 0]
+    heights = (np.einsum("ij,ij->i", normals, a[down]) - points[:, :2] @ normals[:, :2].T) / normals[:, 2]
+    found = heights.max(1)
+    depth = np.column_stack([points[:, :2], found + GRAIN * float(np.ptp(hull.vertices, axis=0).max())])
+    return found if _are_inside([hull], depth) else None
 
 
 def supplied(o: SceneObject) -> float:
@@ -115,15 +157,36 @@ def _above(part: ConvexPart, normal: Array, offset: float) -> ConvexPart:
         return part
 
 
-def _wedge(outline: Array, facet: SupportPlane, plane: SupportPlane, lowest: float, grain: float) -> ConvexPart:
-    """The wedge inside an outline (k, 3), from ``lowest`` above the plane up to the facet under the body.
-
-    It is at least ``grain`` high, so that it has a volume."""
-    top = facet.below(outline, grain)
-    bottom = plane.below(outline, lowest)
+def _wedge(outline: Array, facet: SupportPlane, plane: SupportPlane, lowest: float, o: SceneObject) -> ConvexPart:
+    """The wedge inside an outline (k, 3), from ``lowest`` above the plane up to the facet under the body."""
+    bottom, top = plane.below(outline, lowest), facet.below(outline, 0.0)
     # Where the facet dips below the wedge's bottom, the wedge keeps a height.
-    top[:, 2] = np.maximum(top[:, 2], bottom[:, 2] + grain)
-    return ConvexPart.hull_of(np.concatenate([top, bottom]))
+    top[:, 2] = np.maximum(top[:, 2], bottom[:, 2])
+    return _raised(bottom, top, o)
+
+
+def _raised(bottom: Array, top: Array, o: SceneObject) -> ConvexPart:
+    """The hull of a wedge's corners, both (k, 3), raised into the object by ``THICK``: engines lose thin hulls.
+
+    Where the object is thinner, the wedge is raised by ``GRAIN`` only, so that it has a volume."""
+    parts = o.colliders_world
+    heights = (o.size * share * UP for share in (THICK, THICK / 2, GRAIN))
+    raised = next((top + h for h in heights if _are_inside(parts, top + h)), top + GRAIN * o.size * UP)
+    return ConvexPart.hull_of(np.concatenate([raised, bottom]))
+
+
+def _are_inside(parts: Sequence[ConvexPart], points: Array) -> bool:
+    """Whether every one of points (n, 3) lies in some part."""
+    held = np.zeros(len(points), bool)
+    for part in parts:
+        facets = Polytope.of(part)
+        held |= (points @ facets.normals.T <= facets.offsets).all(1)
+    return bool(held.all())
+
+
+def _center_of(o: SceneObject) -> Array:
+    """Its centre of mass (3,) in the world."""
+    return transform(o.T_world_object, body_of(o).center[None])[0]
 
 
 def support_plane(o: SceneObject, tops: Sequence[ConvexPart], config: FootingConfig) -> SupportPlane | None:
@@ -213,7 +276,7 @@ class _Underside:
         is a line from above."""
         from scipy.ndimage import label
 
-        center = transform(o.T_world_object, body_of(o).center[None])[0]
+        center = _center_of(o)
         facet, outline = _facet_below(hull, center, plane, config), _Outline.of(hull.vertices)
         if facet is None or outline is None:
             return None
@@ -244,8 +307,13 @@ class _Underside:
             return False
         height = float(self.center[2] - plane.below(self.center[None], lowest)[0, 2])
         # A body tips over an edge at the tilt whose tangent is (distance to the edge) / (height of the centre).
-        stands = outline.depth(self.center) >= np.tan(config.min_margin) * height
-        return stands and outline.area >= config.min_area * self.outline.area
+        return outline.depth(self.center) >= np.tan(config.min_margin) * height
+
+    @property
+    def share(self) -> float:
+        """Area of its outline over that of the whole body's, seen from above."""
+        outline = _Outline.of(self.corners)
+        return outline.area / self.outline.area if outline else 0.0
 
     def patches(self, most: int) -> list[Array]:
         """The outermost points (k, 3) of every patch, the largest ``most`` of them."""
@@ -264,6 +332,10 @@ def _outermost(points: Array) -> Array:
 
 GRAIN = 1e-3
 """Unevenness of an underside, as a share of the object's size, up to which it needs no footing."""
+FOOT = 1.5
+"""Radius of a round object's foot, in radii that give it the least margin."""
+THICK = 0.02
+"""Thickness of a footing inside its object, as a share of its size: 2 mm of a thing of 10 cm."""
 SIDES = 16
 """Corners of a footing's outline: contacts cost with them, and a circle's outline is within 2 % of its radius."""
 

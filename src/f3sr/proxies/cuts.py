@@ -1,6 +1,6 @@
-"""A mesh cut into pieces by planes until the hull of each piece has a small stand-off from the surface.
+"""A mesh cut into pieces by planes until no further part pays.
 
-The piece with the largest stand-off is cut next, by the plane that leaves the least volume in the two hulls. A cut
+The piece with the largest loss is cut next, by the plane that leaves the least volume in the two hulls. A cut
 saves volume only where the hull of a piece holds open space: pieces hold the mesh's solid core as well as its
 surface. Cuts go exactly through the triangles, so the hulls of the pieces together cover the whole surface.
 """
@@ -17,14 +17,11 @@ from numpy.typing import NDArray
 from f3sr.core.transforms import Array
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.hulls import Hull, bulk, hull_of, outermost, spread
+from f3sr.proxies.loss import NOISE, Loss, of_samples, of_surface
 from f3sr.proxies.surface import CORE_STEP, Samples, Subject, stand_off
 
 OVERLAP = 2e-4
 """How far both parts reach beyond their common cut [size]: no crack lies between them."""
-MIN_TOUCHED = 3
-"""Samples that are no longer noise, of a hull's surface or of what faces one way."""
-STRAY = 8
-"""Samples of the mesh's surface, of thousands, that a piece may stand off too far from."""
 STEPS = 6
 """Cuts across a piece that are tried at even distances."""
 LEVELS = (0.05, 0.5, 0.95)
@@ -90,25 +87,15 @@ class Piece:
     core: Array
     samples: Samples
     hull: Hull | None
+    loss: Loss
     off: Array
     """How far the hull stands off the samples [size]."""
     bare: Array
     """How far points of the hull's surface lie off the mesh [size]: a ring cut into slices is still filled by them."""
 
-    def urgency(self, subject: Subject, tolerance: float) -> float:
-        """Volume between the hull and the surface, beyond the tolerance."""
-        off = np.maximum(self.off - tolerance, 0).sum() / subject.density
-        if self.hull is None:
-            return float(off)
-        return float(off + np.maximum(self.bare - tolerance, 0).mean() * self.hull.area)
-
     @property
     def is_hollow(self) -> bool:
         return any(len(off) and float((off > HOLLOW).mean()) > HOLLOW_SHARE for off in (self.off, self.bare))
-
-    def is_close(self, tolerance: float) -> bool:
-        off, bare = (int(np.count_nonzero(x > tolerance)) for x in (self.off, self.bare))
-        return off < STRAY and bare < MIN_TOUCHED
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -122,7 +109,9 @@ class Cut:
 
 def cut_up(subject: Subject, config: ProxyConfig, most: int) -> list[Piece]:
     """At most ``most`` pieces of a mesh, ``surplus`` times as many as are wanted in the end."""
-    whole = _piece(subject, subject.triangles, subject.simplified, subject.around.core, subject.samples)
+    whole = _piece(
+        subject, subject.triangles, subject.simplified, subject.around.core, subject.samples, config.tolerance
+    )
     queue, done, count = [(0.0, 0, whole)], list[Piece](), 0
     while queue and len(queue) + len(done) < most:
         _, _, piece = heapq.heappop(queue)
@@ -132,29 +121,35 @@ def cut_up(subject: Subject, config: ProxyConfig, most: int) -> list[Piece]:
             continue
         for half in halves:
             count += 1
-            heapq.heappush(queue, (-half.urgency(subject, config.tolerance), count, half))
+            heapq.heappush(queue, (-half.loss.loss, count, half))
     return done + [piece for *_, piece in sorted(queue)]
 
 
-def _piece(subject: Subject, triangles: Array, outline: Array, core: Array, samples: Samples) -> Piece:
+def _piece(
+    subject: Subject, triangles: Array, outline: Array, core: Array, samples: Samples, tolerance: float
+) -> Piece:
     hull = hull_of(np.concatenate([np.unique(triangles.reshape(-1, 3), axis=0), core]))
-    off = np.zeros(len(samples.points))
-    if hull is not None and len(off):
-        off = stand_off(samples, hull.normals, hull.offsets)
+    off, bare, loss = np.zeros(len(samples.points)), np.zeros(0), Loss()
+    if hull is not None:
+        off = stand_off(samples, hull.normals, hull.offsets) if len(off) else off
+        bare = subject.bare(hull)
+        loss = of_samples(off, len(subject.samples.points), tolerance)
+        loss = loss.with_(of_surface(bare, hull.area / subject.area, tolerance))
     return Piece(
         triangles=triangles,
         outline=SimplifiedSurface.of(outline),
         core=core,
         samples=samples,
         hull=hull,
+        loss=loss,
         off=off,
-        bare=np.zeros(0) if hull is None else subject.bare(hull),
+        bare=bare,
     )
 
 
 def _halved(piece: Piece, subject: Subject, config: ProxyConfig) -> tuple[Piece, Piece] | None:
-    """Both sides of the best cut; None where nothing stands off too far or no cut leaves surface on both."""
-    if piece.is_close(config.tolerance):
+    """Both sides of the best cut; None where another part does not pay or no cut leaves surface on both."""
+    if not piece.loss.pays:
         return None
     reach = subject.around.cell * CORE_STEP / 2
     cut = best_cut(piece, reach, config)
@@ -167,7 +162,9 @@ def _halved(piece: Piece, subject: Subject, config: ProxyConfig) -> tuple[Piece,
     if not all(map(len, (*surface, *outline))):
         return None
     sides = zip(surface, outline, _parted(piece.core, u, offset, reach), (below, ~below), strict=True)
-    first, second = (_piece(subject, s, o, c, piece.samples.chosen(which)) for s, o, c, which in sides)
+    first, second = (
+        _piece(subject, s, o, c, piece.samples.chosen(which), config.tolerance) for s, o, c, which in sides
+    )
     return first, second
 
 
@@ -286,7 +283,7 @@ def _directions(piece: Piece, config: ProxyConfig) -> Array:
 def _main_normals(normals: Array, most: int = 3, seeds: int = 60) -> list[Array]:
     """The directions that most of some normals face, one after the other."""
     found: list[Array] = []
-    while len(found) < most and len(normals) >= MIN_TOUCHED:
+    while len(found) < most and len(normals) >= NOISE:
         some = normals[:: max(1, len(normals) // seeds)]
         seed = some[int(np.count_nonzero(some @ normals.T > 0.95, axis=1).argmax())]
         near = normals @ seed > 0.95
@@ -303,7 +300,7 @@ def _offsets(piece: Piece, u: Array, config: ProxyConfig) -> Array:
     bad = piece.off > config.tolerance
     for side in (1, -1):
         facing = bad & (side * (piece.samples.normals @ u) > FACING)
-        if np.count_nonzero(facing) >= MIN_TOUCHED:
+        if np.count_nonzero(facing) >= NOISE:
             levels = np.quantile(side * (piece.samples.points[facing] @ u), LEVELS)
             found.append(side * (levels + config.tolerance / 2))
     offsets = np.unique(np.round(np.concatenate(found) / step)) * step

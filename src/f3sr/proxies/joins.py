@@ -1,9 +1,4 @@
-"""Neighbouring pieces joined again where one hull for both costs less than a part.
-
-What contact feels of a hull is its loss: the square of its stand-off in units of the tolerance, averaged over the
-surface of the mesh. A recess of a can's lid is a small loss that only many parts avoid; the cavity of a bowl is a
-large one. So parts are joined as long as that saves more parts than it loses (Lagrangian of rate and distortion).
-"""
+"""Neighbouring pieces joined again where one hull for both loses less than a part is worth."""
 
 from __future__ import annotations
 
@@ -14,17 +9,13 @@ import numpy as np
 
 from f3sr.core.transforms import Array
 from f3sr.proxies.config import ProxyConfig
-from f3sr.proxies.cuts import MIN_TOUCHED
 from f3sr.proxies.hulls import Hull, hull_of, outermost, spread
-from f3sr.proxies.surface import Subject, area_of, stand_off
+from f3sr.proxies.loss import MOST_OFF, PART_WORTH, Loss, of_samples, of_surface, stand_off_in
+from f3sr.proxies.surface import Subject
 
 AROUND = spread(500)
 """Directions in which the corners of a joined hull are kept while it is only thought of: a ball's are then .1% of its
 size too far in."""
-PART_WORTH = 0.03
-"""Loss that one part fewer is worth: a stand-off by the tolerance over 3% of the surface."""
-MOST_OFF = 4.0
-"""Largest stand-off that a part fewer may bring [tolerances]."""
 LOOSE = 0.03
 """Thickness [size] of a layer around a hull that joining may add at most."""
 NEXT_TO = 1e-3
@@ -33,18 +24,16 @@ NEXT_TO = 1e-3
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Joined:
-    """A hull with its outermost corners in fixed directions, its loss and stand-off, and its added volume.
+    """A hull with its outermost corners in fixed directions, its loss, and its added volume.
 
     The added volume is that of the hull minus that of the hulls that it was joined from."""
 
     hull: Hull
     shape: Array
-    loss: float
-    off: float
-    """[tolerances]"""
+    loss: Loss
     added: float = 0.0
     is_looked_over: bool = True
-    """Whether loss and stand-off tell of the hull's own surface as well, not only of the samples in it."""
+    """Whether the loss tells of the hull's own surface as well, not only of the samples in it."""
 
     @property
     def box(self) -> tuple[Array, Array]:
@@ -67,8 +56,6 @@ class _Joining:
         self._subject, self._config = subject, config
         self._pairs: dict[tuple[int, int], Joined] = {}
         self._next = len(hulls)
-        self._count = len(subject.samples.points)
-        self._area = area_of(subject.simplified)
         self.parts = {k: self._alone(hull) for k, hull in enumerate(hulls)}
         for b in self.parts:
             self._look_around(b, range(b))
@@ -78,9 +65,7 @@ class _Joining:
         while self._pairs:
             many = len(self.parts) > self._config.max_parts
             price, pair = min((self._price(pair, p, many), pair) for pair, p in self._pairs.items())
-            if price[0] > PART_WORTH and not many:
-                return
-            if not np.isfinite(price[0]):
+            if price[0] > (np.finfo(float).max if many else PART_WORTH):
                 return
             if self._pairs[pair].is_looked_over:
                 self._replace(pair)
@@ -90,18 +75,18 @@ class _Joining:
     def _price(self, pair: tuple[int, int], both: Joined, many: bool) -> tuple[float, float]:
         """What joining loses more than both parts did, and the volume that it adds."""
         first, second = (self.parts[k] for k in pair)
-        if both.off > max(MOST_OFF, first.off, second.off) and not many:
+        if both.loss.off > max(MOST_OFF, first.loss.off, second.loss.off) and not many:
             return np.inf, both.added
-        return round(both.loss - first.loss - second.loss, 4), both.added
+        return round(both.loss.loss - first.loss.loss - second.loss.loss, 4), both.added
 
     def _look_over(self, pair: tuple[int, int]) -> None:
         """A look at the hull itself costs more than at the samples in it: it is taken when the pair comes first."""
         self._pairs[pair] = self._looked_over(self._pairs[pair])
 
     def _looked_over(self, part: Joined) -> Joined:
-        bare = self._subject.bare(part.hull) / self._config.tolerance
-        loss = float((bare**2).mean() * part.hull.area / self._area)
-        return replace(part, off=max(part.off, _but_a_few(bare)), loss=max(part.loss, loss), is_looked_over=True)
+        bare, share = self._subject.bare(part.hull), part.hull.area / self._subject.area
+        loss = of_surface(bare, share, self._config.tolerance)
+        return replace(part, loss=part.loss.with_(loss), is_looked_over=True)
 
     def _replace(self, pair: tuple[int, int]) -> None:
         part = self._pairs[pair]
@@ -130,25 +115,11 @@ class _Joining:
         added = hull.volume - first.hull.volume - second.hull.volume
         if added > LOOSE * hull.area:
             return None
-        off, loss = self._of_samples(hull)
-        return Joined(hull=hull, shape=hull.corners, loss=loss, off=off, added=added, is_looked_over=False)
+        return Joined(hull=hull, shape=hull.corners, loss=self._of_samples(hull), added=added, is_looked_over=False)
 
     def _alone(self, hull: Hull) -> Joined:
-        off, loss = self._of_samples(hull)
-        return self._looked_over(Joined(hull=hull, shape=outermost(hull.corners, AROUND), loss=loss, off=off))
+        return self._looked_over(Joined(hull=hull, shape=outermost(hull.corners, AROUND), loss=self._of_samples(hull)))
 
-    def _of_samples(self, hull: Hull) -> tuple[float, float]:
-        """How far a hull stands off the samples in it [tolerances], but for a few, and its loss there."""
+    def _of_samples(self, hull: Hull) -> Loss:
         samples = self._subject.samples
-        low, high = hull.corners.min(0), hull.corners.max(0)
-        near = samples.chosen(np.all((samples.points >= low) & (samples.points <= high), axis=1))
-        held = near.chosen((near.points @ hull.normals.T - hull.offsets).max(1, initial=-1) <= 1e-9)
-        if not len(held.points):
-            return 0.0, 0.0
-        off = stand_off(held, hull.normals, hull.offsets) / self._config.tolerance
-        return _but_a_few(off), float((off**2).sum() / self._count)
-
-
-def _but_a_few(off: Array) -> float:
-    """The largest but for the few that are noise."""
-    return float(np.partition(off, -MIN_TOUCHED)[-MIN_TOUCHED]) if len(off) >= MIN_TOUCHED else 0.0
+        return of_samples(stand_off_in(hull, samples), len(samples.points), self._config.tolerance)

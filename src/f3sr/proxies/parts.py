@@ -7,19 +7,33 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from f3sr.core.mesh import ConvexPart, is_closed, signed_volume
+from f3sr.core.mesh import ConvexPart, is_closed
 from f3sr.core.transforms import Array
 from f3sr.proxies import fit
 from f3sr.proxies.config import ProxyConfig
-from f3sr.proxies.cuts import STRAY, Piece, cut_up
+from f3sr.proxies.cuts import Piece, cut_up
 from f3sr.proxies.fit import Excess
 from f3sr.proxies.hulls import Hull, hull_of, planes, without_hidden
 from f3sr.proxies.joins import joined
+from f3sr.proxies.loss import of_samples
 from f3sr.proxies.simplify import flats_of, simplified_outward
-from f3sr.proxies.surface import PROBES, Faces, NearestTriangles, Subject, area_of, samples_of, stand_off, surroundings, weighted
+from f3sr.proxies.surface import (
+    PROBES,
+    Faces,
+    NearestTriangles,
+    Subject,
+    Surroundings,
+    area_of,
+    samples_of,
+    stand_off,
+    surroundings,
+    weighted,
+)
 
 SHEET = 0.004
 """Thickness given to a mesh that spans no volume [size]."""
+THINNEST = 0.02
+"""Least thickness of a hull where the mesh is as thick [size]: 2 mm of a thing of 10 cm."""
 LARGEST_HOLE = 0.02
 """Share of its area that an open mesh may lack where its hull is taken for it."""
 
@@ -43,9 +57,9 @@ def nearly_convex(vertices: Array, faces: Faces, config: ProxyConfig) -> str | N
         return "the mesh spans no volume"
     if not is_closed(faces) and _missing_share(vertices[faces]) > LARGEST_HOLE:
         return None
-    off = stand_off(samples_of(vertices[faces], config.cuts.samples), hull.normals, hull.offsets)
-    depth = float(np.partition(off, -STRAY)[-STRAY])
-    return f"surface within {depth:.1%} of its size below the hull" if depth <= config.tolerance else None
+    samples = samples_of(vertices[faces], config.cuts.samples)
+    loss = of_samples(stand_off(samples, hull.normals, hull.offsets), len(samples.points), config.tolerance)
+    return None if loss.pays else f"surface within {loss.off * config.tolerance:.1%} of its size below the hull"
 
 
 def _missing_share(triangles: Array) -> float:
@@ -70,8 +84,8 @@ def several(vertices: Array, faces: Faces, config: ProxyConfig) -> FittedParts:
     hulls = joined(_hulls(cut_up(subject, config, round(config.cuts.surplus * config.max_parts))), subject, config)
     if len(hulls) > config.max_parts:  # what is left are no neighbours
         hulls = _hulls(cut_up(subject, config, config.max_parts))
-    base = flats_of(whole)
-    parts = without_hidden([simplified_outward(h.corners, config.max_vertices, base) for h in hulls])
+    base, most = flats_of(whole), config.max_vertices
+    parts = without_hidden([simplified_outward(_thick(h, subject.around), most, base) for h in hulls])
     excess = fit.excess(parts, subject.nearest, subject.around, PROBES[0])
     return _fitted(parts, vertices, faces, replace(excess, floor=fit.floor_excess(parts, subject.samples)))
 
@@ -87,7 +101,7 @@ def subject_of(vertices: Array, faces: Faces, whole: ConvexPart, config: ProxyCo
         triangles=vertices[faces],
         simplified=simpler[0][simpler[1]],
         samples=weighted(touched, planes(whole)),
-        density=config.cuts.samples / area_of(vertices[faces]),
+        area=area_of(vertices[faces]),
         around=around,
         nearest=NearestTriangles.on(vertices, faces),
     )
@@ -103,6 +117,19 @@ def _hulls(pieces: Sequence[Piece]) -> list[Hull]:
             raise ValueError("a piece of the mesh spans no volume")
         found.append(hull)
     return found
+
+
+def _thick(hull: Hull, around: Surroundings) -> Array:
+    """Corners (n, 3) of a hull; of a thin one, also those of the same hull moved into the solid behind it.
+
+    Engines lose contact with thin hulls. Where the mesh itself is thin, they stay."""
+    width = np.ptp(hull.corners @ hull.normals.T, axis=0)
+    k = int(width.argmin())
+    for sign in (1, -1) if width[k] < THINNEST else ():
+        moved = hull.corners + sign * (THINNEST - width[k]) * hull.normals[k]
+        if around.is_solid(moved).all():
+            return np.concatenate([hull.corners, moved])
+    return hull.corners
 
 
 def _thickened(points: Array) -> Array:

@@ -95,6 +95,11 @@ class Surroundings:
         where = np.clip(where, 0, np.array(self.clearance.shape) - 1)
         return self.clearance[tuple(where.T)] * self.cell >= probe - self.cell
 
+    def is_solid(self, points: Array) -> NDArray[np.bool_]:
+        """Whether points (n, 3) lie in closed space or at most a cell outside it."""
+        where = np.clip(((points - self.low) / self.cell).astype(int), 0, np.array(self.clearance.shape) - 1)
+        return self.clearance[tuple(where.T)] <= 1
+
     def felt(self, points: Array, normals: Array) -> Array:
         """What share of a stand-off is felt at points (n, 3) of the surface: that of the largest ball that touches."""
         shares = [self.is_reached(points, normals, probe) * _share(probe) for probe in PROBES]
@@ -137,16 +142,16 @@ class NearestTriangles:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Subject:
-    """A mesh to be covered: its triangles (n, 3, 3), exact and simplified, with reachable samples and their density.
+    """A mesh to be covered: its triangles (n, 3, 3), exact and simplified, with reachable samples and its area.
 
     It also holds the grid of open space around it and a search tree for the nearest surface."""
 
     triangles: Array
     simplified: Array
     samples: Samples
-    density: float
     around: Surroundings
     nearest: NearestTriangles
+    area: float
 
     def bare(self, hull: Hull) -> Array:
         """Stand-off (n,) of points of a hull's surface that would be reachable if no other part covered them.
