@@ -110,7 +110,7 @@ def test_a_ball_returns_onto_its_foot_from_within_its_margin_only(degrees: float
     o = ball()
     stands = replace(o, footing=footing(o, GROUND_PLANE, CONFIG))
     tilted = replace(stands, T_world_object=pose(rotation_about([1, 0, 0], np.radians(degrees)), [0, 0, 0.0505]))
-    assert (abs(turned_by_physics(tilted) - degrees) < 0.1) is returns
+    assert (abs(turned_by_physics(tilted) - degrees) < 0.1) == returns
 
 
 def test_every_leg_gets_its_own_piece():

@@ -9,6 +9,10 @@ from annotated_types import Interval
 from f3sr.settings import constants, settings
 
 
+UNCUT = 0.75
+"""Share of the vertices that parts have before ``close`` cuts them back at contacts."""
+
+
 @constants
 class CutConfig:
     """How finely a mesh is measured and cut."""
@@ -28,8 +32,9 @@ class ProxyConfig:
     tolerance: Annotated[float, Interval(ge=0.0005, le=0.2)] = 0.02
     """Largest depth by which something sinks past a part before it touches the mesh [size]. Half of it doubles the
     parts. In narrow hollows more is allowed, on the floor of a cavity less."""
-    max_parts: Annotated[int, Interval(ge=1, le=256)] = 32
-    """Most convex parts of one object. The cost of contact grows with the square of their number."""
+    max_parts: Annotated[int, Interval(ge=1, le=256)] = 24
+    """Most convex parts of one object. The cost of contact grows with the square of their number. ``close`` may add some.
+    """
     max_vertices: Annotated[int, Interval(ge=12, le=1000)] = 64
     """Most vertices of a part. PhysX takes 64, some engines on a GPU 32."""
     cpu_limit_s: Annotated[float, Interval(gt=0, le=36_000)] = 120.0
@@ -37,3 +42,8 @@ class ProxyConfig:
     wall_limit_s: Annotated[float, Interval(gt=0, le=36_000)] = 600.0
     """Most time by the clock [s], for a busy machine."""
     cuts: CutConfig = CutConfig()
+
+    @property
+    def cut_vertices(self) -> int:
+        """Most vertices of a part at first: contacts cut facets off it later."""
+        return max(8, round(UNCUT * self.max_vertices))

@@ -24,7 +24,7 @@ SINKS = 4
 """Steps in which a ball is sunk past a hull."""
 CELL = 0.01
 """Cells [size] of the grid on which open space is told from the inside."""
-FLOOR_WEIGHT = 3.0
+FLOOR_WEIGHT = 5.0
 """Weight of the excess at the floor of a cavity. What lies in a pan is smaller and floats by more of its own size."""
 GRID_CELLS = 1_000_000
 """Most cells of the grid over a mesh's box: at a hundredth of the diagonal a cube has 200,000."""

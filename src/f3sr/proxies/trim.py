@@ -51,10 +51,13 @@ class Near:
     tolerance: float
     radius: float
     reach: float
+    vertices: int = 64
+    """Most vertices of a part after it is cut."""
 
     def scaled(self, scale: float) -> Near:
         """The same in another unit."""
-        return Near(tolerance=scale * self.tolerance, radius=scale * self.radius, reach=scale * self.reach)
+        tolerance, radius, reach = (scale * x for x in (self.tolerance, self.radius, self.reach))
+        return Near(tolerance=tolerance, radius=radius, reach=reach, vertices=self.vertices)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -232,7 +235,7 @@ def _cut_back(held: _Held, spot: Array, near: Near) -> _Held:
     worst = held.worst(spot[None])
     for _ in range(MOST_CUTS):
         smaller = held.cut(*worst[1]) if worst else None
-        if smaller is None:
+        if smaller is None or len(smaller.part.vertices) > near.vertices:
             break
         held, corners = smaller, smaller.part.vertices
         worst = held.worst(corners[np.linalg.norm(corners - spot, axis=1) <= near.radius])

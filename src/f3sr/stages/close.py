@@ -45,9 +45,10 @@ class CutBackConfig:
     every round, so that an object that rolled may stay."""
     reach: float = 0.1
     """Largest distance from a contact at which the mesh is searched: parts hardly stand off farther."""
-    added: int = 64
-    """Most convex parts that splits add to one object. Crumpled meshes are hollow at every contact, and every part
-    costs time of physics."""
+    most: int = 32
+    """Convex parts of one object, with its footing, up to which splits add some: every part costs time of physics."""
+    vertices: int = 64
+    """Most vertices of a part that is cut back: PhysX takes no more."""
 
 
 @settings
@@ -190,7 +191,7 @@ class _Layout:
 
     def __init__(self, scene: Scene, config: CloseConfig) -> None:
         self.scene, self.config = scene, config
-        self.bodies = {o.id: _Lowered(o, len(o.parts) + config.cut.added) for o in scene}
+        self.bodies = {o.id: _Lowered(o, max(len(o.parts), config.cut.most - len(o.footing))) for o in scene}
 
     def lower(self, id: int) -> None:
         """Lower an object with its subtree until its mesh meets another mesh, or no more can be cut back."""
@@ -257,7 +258,7 @@ class _Layout:
     def _near(self, a: int, b: int) -> Near:
         size = min(self.scene[k].size for k in (a, b) if k != GROUND)
         cut = self.config.cut
-        return Near(tolerance=cut.tolerance * size, radius=cut.radius * size, reach=cut.reach * size)
+        return Near(tolerance=cut.tolerance * size, radius=cut.radius * size, reach=cut.reach * size, vertices=cut.vertices)
 
 
 class _Lowered:
