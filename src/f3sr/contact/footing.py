@@ -126,11 +126,13 @@ def _lower_side(hull: ConvexPart, points: Array) -> Array | None:
     """Heights (n,) of the underside of a hull over or under points (n, 3); None where one is beside it."""
     a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
-    normals = normals[down := normals[:, 2] < 0]
-    heights = (np.einsum("ij,ij->i", normals, a[down]) - points[:, :2] @ normals[:, :2].T) / normals[:, 2]
-    found = heights.max(1)
-    depth = np.column_stack([points[:, :2], found + GRAIN * float(np.ptp(hull.vertices, axis=0).max())])
-    return found if _are_inside([hull], depth) else None
+    offsets = np.einsum("ij,ij->i", normals, a)
+
+    def heights(side: NDArray[np.bool_]) -> Array:
+        return (offsets[side] - points[:, :2] @ normals[side, :2].T) / normals[side, 2]
+
+    low, high = heights(normals[:, 2] < 0).max(1), heights(normals[:, 2] > 0).min(1)
+    return low if (low < high).all() else None
 
 
 def supplied(o: SceneObject) -> float:
@@ -169,19 +171,17 @@ def _raised(bottom: Array, top: Array, o: SceneObject) -> ConvexPart:
     """The hull of a wedge's corners, both (k, 3), raised into the object by ``THICK``: engines lose thin hulls.
 
     Where the object is thinner, the wedge is raised by ``GRAIN`` only, so that it has a volume."""
-    parts = o.colliders_world
-    heights = (o.size * share * UP for share in (THICK, THICK / 2, GRAIN))
-    raised = next((top + h for h in heights if _are_inside(parts, top + h)), top + GRAIN * o.size * UP)
-    return ConvexPart.hull_of(np.concatenate([raised, bottom]))
+    T_asset_world: Array = np.linalg.inv(o.T_world_asset).astype(np.float64)
+    heights = (o.size * share * UP for share in (THICK, THICK / 2))
+    all_over = np.concatenate([top, (top + top.mean(0)) / 2, top.mean(0, keepdims=True)])  # bowls are thin inside
+    inside = (top + h for h in heights if _are_inside(o.colliders, transform(T_asset_world, all_over + h)))
+    return ConvexPart.hull_of(np.concatenate([next(inside, top + GRAIN * o.size * UP), bottom]))
 
 
 def _are_inside(parts: Sequence[ConvexPart], points: Array) -> bool:
-    """Whether every one of points (n, 3) lies in some part."""
-    held = np.zeros(len(points), bool)
-    for part in parts:
-        facets = Polytope.of(part)
-        held |= (points @ facets.normals.T <= facets.offsets).all(1)
-    return bool(held.all())
+    """Whether every one of points (n, 3) lies in some part, in its frame."""
+    facets = map(Polytope.of, parts)
+    return bool(np.any([(points @ f.normals.T <= f.offsets).all(1) for f in facets], axis=0).all())
 
 
 def _center_of(o: SceneObject) -> Array:

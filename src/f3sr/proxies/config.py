@@ -8,7 +8,6 @@ from annotated_types import Interval
 
 from f3sr.settings import constants, settings
 
-
 UNCUT = 0.75
 """Share of the vertices that parts have before ``close`` cuts them back at contacts."""
 
@@ -33,8 +32,8 @@ class ProxyConfig:
     """Largest depth by which something sinks past a part before it touches the mesh [size]. Half of it doubles the
     parts. In narrow hollows more is allowed, on the floor of a cavity less."""
     max_parts: Annotated[int, Interval(ge=1, le=256)] = 24
-    """Most convex parts of one object. The cost of contact grows with the square of their number. ``close`` may add some.
-    """
+    """Most convex parts of one object. The cost of contact grows with the square of their number. ``close`` may add
+    some."""
     max_vertices: Annotated[int, Interval(ge=12, le=1000)] = 64
     """Most vertices of a part. PhysX takes 64, some engines on a GPU 32."""
     cpu_limit_s: Annotated[float, Interval(gt=0, le=36_000)] = 120.0

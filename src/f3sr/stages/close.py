@@ -258,7 +258,9 @@ class _Layout:
     def _near(self, a: int, b: int) -> Near:
         size = min(self.scene[k].size for k in (a, b) if k != GROUND)
         cut = self.config.cut
-        return Near(tolerance=cut.tolerance * size, radius=cut.radius * size, reach=cut.reach * size, vertices=cut.vertices)
+        return Near(
+            tolerance=cut.tolerance * size, radius=cut.radius * size, reach=cut.reach * size, vertices=cut.vertices
+        )
 
 
 class _Lowered:
