@@ -19,9 +19,12 @@ from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.hulls import Hull, bulk, hull_of, outermost, spread
 from f3sr.proxies.loss import NOISE, Loss, of_samples, of_surface
 from f3sr.proxies.surface import CORE_STEP, Samples, Subject, stand_off
+from f3sr.proxies.symmetry import Axis
 
 OVERLAP = 2e-4
 """How far both parts reach beyond their common cut [size]: no crack lies between them."""
+SECTORS = (6, 12)
+"""Least and most sectors about an axis."""
 STEPS = 6
 """Cuts across a piece that are tried at even distances."""
 LEVELS = (0.05, 0.5, 0.95)
@@ -107,12 +110,15 @@ class Cut:
     bulk: float
 
 
-def cut_up(subject: Subject, config: ProxyConfig, most: int) -> list[Piece]:
-    """At most ``most`` pieces of a mesh, ``surplus`` times as many as are wanted in the end."""
-    whole = _piece(
-        subject, subject.triangles, subject.simplified, subject.around.core, subject.samples, config.tolerance
-    )
-    queue, done, count = [(0.0, 0, whole)], list[Piece](), 0
+def cut_up(subject: Subject, config: ProxyConfig, most: int, fan: Axis | None = None) -> list[Piece]:
+    """At most ``most`` pieces of a mesh, ``surplus`` times as many as are wanted in the end.
+
+    With ``fan``, the mesh is first cut into sectors about an axis."""
+    whole = _piece(subject, subject.triangles, subject.simplified, subject.around.core, subject.samples, config)
+    start = _sectors(whole, fan, subject, config) if fan else [whole]
+    queue = [(-piece.loss.loss, k, piece) for k, piece in enumerate(start)]
+    heapq.heapify(queue)
+    done, count = list[Piece](), len(queue)
     while queue and len(queue) + len(done) < most:
         _, _, piece = heapq.heappop(queue)
         halves = _halved(piece, subject, config)
@@ -122,19 +128,38 @@ def cut_up(subject: Subject, config: ProxyConfig, most: int) -> list[Piece]:
         for half in halves:
             count += 1
             heapq.heappush(queue, (-half.loss.loss, count, half))
-    return done + [piece for *_, piece in sorted(queue)]
+    return done + [piece for *_, piece in sorted(queue, key=lambda entry: entry[:2])]
+
+
+def _sectors(whole: Piece, axis: Axis, subject: Subject, config: ProxyConfig) -> list[Piece]:
+    """A mesh cut by half planes at an axis, into as many sectors as walls about it need to be flat in each."""
+    # A chord of a circle of radius r over an angle a stands off by r (1 - cos(a / 2)).
+    flat = np.arccos(np.clip(1 - config.tolerance / max(axis.radius, config.tolerance), -1, 1))
+    count = int(np.clip(np.ceil(np.pi / flat), *SECTORS))
+    normals = axis.fan(count)
+    found: list[Piece] = []
+    for u, w in zip(normals, np.roll(normals, -1, 0), strict=True):
+        sector = whole
+        for side in (np.cross(axis.direction, u), -np.cross(axis.direction, w)):
+            halves = _parts_of(sector, side, float(side @ axis.point), subject, config)
+            if halves is None:
+                break
+            sector = halves[1]
+        else:
+            found.append(sector)
+    return found if len(found) == count else [whole]
 
 
 def _piece(
-    subject: Subject, triangles: Array, outline: Array, core: Array, samples: Samples, tolerance: float
+    subject: Subject, triangles: Array, outline: Array, core: Array, samples: Samples, config: ProxyConfig
 ) -> Piece:
     hull = hull_of(np.concatenate([np.unique(triangles.reshape(-1, 3), axis=0), core]))
     off, bare, loss = np.zeros(len(samples.points)), np.zeros(0), Loss()
     if hull is not None:
         off = stand_off(samples, hull.normals, hull.offsets) if len(off) else off
         bare = subject.bare(hull)
-        loss = of_samples(off, len(subject.samples.points), tolerance)
-        loss = loss.with_(of_surface(bare, hull.area / subject.area, tolerance))
+        loss = of_samples(off, len(subject.samples.points), config.tolerance)
+        loss = loss.with_(of_surface(bare, hull.area / subject.area, config.tolerance))
     return Piece(
         triangles=triangles,
         outline=SimplifiedSurface.of(outline),
@@ -155,16 +180,21 @@ def _halved(piece: Piece, subject: Subject, config: ProxyConfig) -> tuple[Piece,
     cut = best_cut(piece, reach, config)
     if cut is None:
         return None
-    u, offset = cut.normal, cut.offset
+    return _parts_of(piece, cut.normal, cut.offset, subject, config)
+
+
+def _parts_of(
+    piece: Piece, u: Array, offset: float, subject: Subject, config: ProxyConfig
+) -> tuple[Piece, Piece] | None:
+    """Both sides of a plane; None where there is no surface on one."""
+    reach = subject.around.cell * CORE_STEP / 2
     below = piece.samples.points @ u <= offset
     surface = clipped(piece.triangles, u, offset, OVERLAP)
     outline = clipped(piece.outline.triangles, u, offset, 0.0)
     if not all(map(len, (*surface, *outline))):
         return None
     sides = zip(surface, outline, _parted(piece.core, u, offset, reach), (below, ~below), strict=True)
-    first, second = (
-        _piece(subject, s, o, c, piece.samples.chosen(which), config.tolerance) for s, o, c, which in sides
-    )
+    first, second = (_piece(subject, s, o, c, piece.samples.chosen(which), config) for s, o, c, which in sides)
     return first, second
 
 

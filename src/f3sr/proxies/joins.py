@@ -40,13 +40,14 @@ class Joined:
         return self.hull.corners.min(0), self.hull.corners.max(0)
 
 
-def joined(hulls: Sequence[Hull], subject: Subject, config: ProxyConfig) -> list[Hull]:
-    """Fewer hulls that cover all the given ones.
+def joined(hulls: Sequence[Hull], subject: Subject, config: ProxyConfig) -> tuple[list[Hull], float]:
+    """Fewer hulls that cover all the given ones, and their price: their losses and what they are worth as parts.
 
     Neighbours are joined where that loses less than a part is worth, and down to ``max_parts`` at any loss."""
     state = _Joining(hulls, subject, config)
     state.join()
-    return [part.hull for part in state.parts.values()]
+    parts = state.parts.values()
+    return [part.hull for part in parts], sum(part.loss.loss + PART_WORTH for part in parts)
 
 
 class _Joining:

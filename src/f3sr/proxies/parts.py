@@ -29,6 +29,7 @@ from f3sr.proxies.surface import (
     surroundings,
     weighted,
 )
+from f3sr.proxies.symmetry import axis_of
 
 SHEET = 0.004
 """Thickness given to a mesh that spans no volume [size]."""
@@ -81,13 +82,23 @@ def several(vertices: Array, faces: Faces, config: ProxyConfig) -> FittedParts:
     """Parts that hold all of the surface, and those of the solid below it that cuts lay bare."""
     whole = ConvexPart.hull_of(vertices)
     subject = subject_of(vertices, faces, whole, config)
-    hulls = joined(_hulls(cut_up(subject, config, round(config.cuts.surplus * config.max_parts))), subject, config)
-    if len(hulls) > config.max_parts:  # what is left are no neighbours
-        hulls = _hulls(cut_up(subject, config, config.max_parts))
+    hulls = _best_hulls(subject, config)
     base, most = flats_of(whole), config.cut_vertices
     parts = without_hidden([simplified_outward(_thick(h, subject.around), most, base) for h in hulls])
     excess = fit.excess(parts, subject.nearest, subject.around, PROBES[0])
     return _fitted(parts, vertices, faces, replace(excess, floor=fit.floor_excess(parts, subject.samples)))
+
+
+def _best_hulls(subject: Subject, config: ProxyConfig) -> list[Hull]:
+    """The hulls of the lower price: cut freely, or into sectors first where the surface has an axis."""
+    most, axis = round(config.cuts.surplus * config.max_parts), axis_of(subject.samples)
+    proposals = [joined(_hulls(cut_up(subject, config, most)), subject, config)]
+    if axis and len(proposals[0][0]) > 1:
+        proposals.append(joined(_hulls(cut_up(subject, config, most, axis)), subject, config))
+    hulls, _ = min(proposals, key=lambda p: p[1])
+    if len(hulls) > config.max_parts:  # what is left are no neighbours
+        return _hulls(cut_up(subject, config, config.max_parts))
+    return hulls
 
 
 def subject_of(vertices: Array, faces: Faces, whole: ConvexPart, config: ProxyConfig) -> Subject:
