@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import threading
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, gaussian_filter
 
@@ -208,6 +210,11 @@ def test_finer_levels_keep_the_detail_of_their_sources() -> None:
     assert result[hole].std() > 0.7 * rgb[hole].std()
 
 
+@njit
+def mismatch_at(picture: Any, weight: Any, ty: int, tx: int, sy: int, sx: int, bound: float) -> Any:
+    return patchmatch._mismatch(picture, weight, ty, tx, sy, sx, bound)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_a_bound_ends_the_comparison_of_patches_only_above_it(seed: int) -> None:
     """Also of patches that differ by light, whose first rows alone look like another picture."""
@@ -218,7 +225,7 @@ def test_a_bound_ends_the_comparison_of_patches_only_above_it(seed: int) -> None
     middle = side // 2
 
     def mismatch(bound: float) -> float:
-        return float(patchmatch._mismatch(picture, weight, middle, middle, middle, middle + side, bound))
+        return float(mismatch_at(picture, weight, middle, middle, middle, middle + side, bound))
 
     exact = mismatch(1e30)
     assert all(mismatch(share * exact) == exact for share in (1.001, 1.5, 10.0))

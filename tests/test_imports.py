@@ -128,7 +128,7 @@ def test_warming_up_calls_every_module_that_can_be(monkeypatch: pytest.MonkeyPat
         return SimpleNamespace(warm_up=lambda: called.add(name))
 
     monkeypatch.setattr(kernels.importlib, "import_module", imported_module)
-    kernels._call(kernels._warm_ups())
+    kernels._call(kernels._warm_ups(film=True))
     assert called == able and len(able) > 8
     assert {name_of(file) for file in kernels.kernel_sources()} == with_kernels and len(with_kernels) > 12
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.runtime.kernels import inline_kernel, kernel
+from f3sr.runtime.kernels import inline_kernel, inner_kernel, kernel
 
 Picture = NDArray[np.float32]
 """(h, w, 3): logarithms of colour, here of light and twice of its colour, or what is to be spread like them."""
@@ -41,8 +41,8 @@ def _random(state: Any) -> Any:
     return z ^ (z >> np.uint64(31))
 
 
-@kernel
-def _mismatch(picture: Any, weight: Any, ty: int, tx: int, sy: int, sx: int, bound: float) -> Any:
+@inner_kernel
+def _mismatch(picture: Any, weight: Any, ty: Any, tx: Any, sy: Any, sx: Any, bound: Any) -> Any:
     """Weighted mean square difference of the patches at (ty, tx) and (sy, sx) after the best shift of light.
 
     Once it is above ``bound``, any number above it. Weights are those around the target (ty, tx)."""
@@ -69,20 +69,28 @@ def _mismatch(picture: Any, weight: Any, ty: int, tx: int, sy: int, sx: int, bou
         # What the best shift of these rows alone leaves of them: the whole patch, with one shift, leaves no less.
         if b - (a0 * a0 + a1 * a1 + a2 * a2) / sofar > limit:
             return np.float32(2) * np.float32(bound)
-    for a, largest in ((a0, LARGEST_SHIFT[0]), (a1, LARGEST_SHIFT[1]), (a2, LARGEST_SHIFT[2])):
-        m = a / total
-        s = min(max(np.float32(FREE_SHIFT) * m, np.float32(-largest)), np.float32(largest))
-        # sum w (d - s)^2 = sum w d^2 - 2 s total m + total s^2, with m the mean difference.
-        b -= total * (np.float32(2) * m - s) * s
+    b -= _explained(a0, total, np.float32(LARGEST_SHIFT[0]))
+    b -= _explained(a1, total, np.float32(LARGEST_SHIFT[1]))
+    b -= _explained(a2, total, np.float32(LARGEST_SHIFT[2]))
     return max(b, one) / total
+
+
+@inline_kernel
+def _explained(sum: Any, total: Any, largest: Any) -> Any:
+    """What the best shift of a channel takes from the sum of squares; ``sum`` is that of the weighted differences."""
+    m = sum / total
+    s = min(max(np.float32(FREE_SHIFT) * m, -largest), largest)
+    # sum w (d - s)^2 = sum w d^2 - 2 s total m + total s^2, with m the mean difference.
+    return total * (np.float32(2) * m - s) * s
 
 
 @kernel
 def measure(picture: Any, weight: Any, targets: Any, nearest: Any, cost: Any) -> None:
     """The mismatch (h, w) of every target's present source."""
     for k in range(len(targets)):
-        y, x = targets[k, 0], targets[k, 1]
-        cost[y, x] = _mismatch(picture, weight, y, x, nearest[y, x, 0], nearest[y, x, 1], 1e30)
+        y, x = np.int64(targets[k, 0]), np.int64(targets[k, 1])
+        sy, sx = np.int64(nearest[y, x, 0]), np.int64(nearest[y, x, 1])
+        cost[y, x] = _mismatch(picture, weight, y, x, sy, sx, np.float32(1e30))
 
 
 @kernel
@@ -96,8 +104,8 @@ def search(
     step = -1 if not backward else 1
     for i in range(len(targets)):
         k = len(targets) - 1 - i if backward else i
-        y, x = targets[k, 0], targets[k, 1]
-        by, bx, best = nearest[y, x, 0], nearest[y, x, 1], cost[y, x]
+        y, x = np.int64(targets[k, 0]), np.int64(targets[k, 1])
+        by, bx, best = np.int64(nearest[y, x, 0]), np.int64(nearest[y, x, 1]), cost[y, x]
         for side in range(2):
             ny, nx = (y + step, x) if side == 0 else (y, x + step)
             if ny < 0 or nx < 0 or ny >= h or nx >= w or nearest[ny, nx, 0] < 0:

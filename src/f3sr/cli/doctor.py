@@ -226,7 +226,9 @@ def _caches() -> Iterator[Check]:
         yield Check(group="cache", name="folder", state="limited", found=found)
         return
     yield _space("folder", root, group="cache")
-    compiled = "compiled" if kernels.is_warm() else "not compiled yet: the first run takes half a minute longer"
+    compiled = (
+        "compiled" if kernels.is_warm() else "not all compiled yet: the first run and film take some ten seconds longer"
+    )
     yield _check("cache", "kernels", compiled)
     for name in ("stages", "proxies"):
         files = [f for f in (root / name).rglob("*") if f.is_file()]

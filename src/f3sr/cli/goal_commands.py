@@ -13,12 +13,14 @@ import numpy as np
 from f3sr.cli.arguments import Goals, MaybeFile, MaybeOut, MaybePackage, Name, PackageFolder, RolloutFolder, Slow
 from f3sr.errors import F3srError, InputError, MissedError, OutputError, RefusedError, printable
 from f3sr.runtime.daemon_thread import begun
+from f3sr.runtime.progress import silent
 
 if TYPE_CHECKING:
     from f3sr.film.studio import Studio
     from f3sr.goals.language_protocol import Language
     from f3sr.goals.refusal import Refusal
     from f3sr.play.goal_loop import Played
+    from f3sr.runtime.kernels import Compilers
     from f3sr.scene_package.package import Package
 
 MOST = 100
@@ -54,6 +56,7 @@ def simulate(
     from f3sr.goals.refusal import Refusal
     from f3sr.play import rollout_folder
     from f3sr.play.languages import LANGUAGES, CheckedLanguage
+    from f3sr.runtime import kernels
     from f3sr.runtime.atomic_folder import recover
     from f3sr.scene_package.package import read_package
 
@@ -65,23 +68,25 @@ def simulate(
     content = read_package(package)
     places = _places(out, package, max(len(goals), 1), overwrite)
     tellings, failed, decided = list[dict[str, Any]](), None, set[str]()
-    if film:
-        _make_ready(content, json)
-    studio = begun(_studio, content, slow) if film else None  # beside the search for the first goal
-    for played, place, goal, seconds in _played(content, goals, plan, spoken, places, overwrite):
-        tellings.append(_telling(goal, played, place, seconds, replayed=plan is not None))
-        if not json and (tellings[-1]["state"] != "refused" or len(goals) > 1):  # one refusal is the error's line
-            _show(_lines(tellings[-1]))
-        if studio is None or isinstance(played, Refusal) or place is None:
-            continue
-        try:
-            tellings[-1]["film"] = told = _film(studio.result, played, place)
-        except F3srError as error:  # the rollout stands, and so do the other goals
-            failed = failed or error
-            tellings[-1]["film_error"] = str(error)
-        else:
-            _show(() if json else _film_lines(told, decided))
-            decided.update(told["decisions"])
+    with kernels.compiling(film=film) as compilers:
+        if film:
+            _read_pictures(content)
+        studio = begun(_studio_once, content, slow, compilers) if film else None  # beside the search for the first goal
+        for played, place, goal, seconds in _played(content, goals, plan, spoken, places, overwrite):
+            tellings.append(_telling(goal, played, place, seconds, replayed=plan is not None))
+            if not json and (tellings[-1]["state"] != "refused" or len(goals) > 1):  # one refusal is the error's line
+                _show(_lines(tellings[-1]))
+            if studio is None or isinstance(played, Refusal) or place is None:
+                continue
+            try:
+                _finish(compilers, quiet=json)
+                tellings[-1]["film"] = told = _film(studio.result, played, place)
+            except F3srError as error:  # the rollout stands, and so do the other goals
+                failed = failed or error
+                tellings[-1]["film_error"] = str(error)
+            else:
+                _show(() if json else _film_lines(told, decided))
+                decided.update(told["decisions"])
     if json:
         print(json_.dumps({"goals": tellings}, allow_nan=False))
     if failed:
@@ -102,29 +107,35 @@ def film(rollout: RolloutFolder, /, package: MaybePackage = None, slow: Slow = 1
     from f3sr.goals.verify import verify
     from f3sr.play import rollout_folder
     from f3sr.play.goal_loop import Played
+    from f3sr.runtime import kernels
 
     _require_slow(slow)
     found = rollout_folder.read_played(rollout, package)
     place = rollout_folder.require_film_place(rollout)
     verdict = verify(found.package.scene, found.plan, found.rollout)
     played = Played(plan=found.plan, rollout=found.rollout, verdict=verdict)
-    told = _film(lambda: _studio(found.package, slow), played, place)
+    with kernels.compiling(film=True) as compilers:
+        _finish(compilers, quiet=json)
+        told = _film(lambda: _studio(found.package, slow), played, place)
     if json:
         print(json_.dumps(told, allow_nan=False))
     else:
         _show(_film_lines(told, ()))
 
 
-def _make_ready(content: Package, quiet: bool) -> None:
-    """What a film needs, before a goal is played for it: its pictures are read, its kernels compiled."""
-    from f3sr.cli import console
-    from f3sr.runtime import kernels
-
+def _read_pictures(content: Package) -> None:
+    """What a film needs of a package, before a goal is played for it: a damaged file ends the command here."""
     for read in (content.background, content.support, content.kept_depth):
         read()
-    if not kernels.is_warm():
+
+
+def _finish(compilers: Compilers, *, quiet: bool) -> None:
+    """Say so where the kernels of the first film have to be waited for."""
+    from f3sr.cli import console
+
+    if compilers.busy:
         with console.steps_shown(quiet=quiet) as progress:
-            kernels.warm_up(progress)
+            compilers.finish(progress)
 
 
 def _show(lines: Iterable[str]) -> None:
@@ -136,6 +147,12 @@ def _require_slow(slow: float) -> None:
     from f3sr.film.slow_motion import factor
 
     factor(slow)
+
+
+def _studio_once(content: Package, slow: float, compilers: Compilers) -> Studio:
+    """The studio as soon as its kernels are compiled: numba lets nobody else begin with one while it waits for one."""
+    compilers.finish(silent)
+    return _studio(content, slow)
 
 
 def _studio(content: Package, slow: float) -> Studio:

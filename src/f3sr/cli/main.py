@@ -134,11 +134,11 @@ def reconstruct(
         scene_graph=SCENE_GRAPHERS.find(scene_graph) if scene_graph else None,
     )
     completer = BACKGROUND_COMPLETERS.find(background) if background not in (None, DEFAULT_COMPLETER) else None
-    with console.steps_shown(quiet=json) as progress:
+    with console.steps_shown(quiet=json) as progress, kernels.compiling() as compilers:
         with timed("read", progress):
             given = inputs.read(folder, ignore=_names(ignore), asset_frame=asset_frame, fillers=fillers)
         package.prepare_output(out, inputs=folder, overwrite=overwrite)
-        kernels.warm_up(progress)
+        compilers.begin(progress)
         result = pipeline.reconstruct(
             given, chosen, skip=_names(skip), background=completer, store=Store.default(), progress=progress
         )
@@ -189,17 +189,17 @@ def evaluate(
     if not 1e-3 <= true_scale <= 1e3:
         raise InputError("--true-scale", found=str(true_scale), accepted="a positive number from 0.001 to 1000")
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
-    with console.steps_shown(quiet=json) as progress:
+    with console.steps_shown(quiet=json) as progress, kernels.compiling() as compilers:
         if _is_input(folder):
             given = inputs.read(folder, ignore=_names(ignore), asset_frame=asset_frame)
-            kernels.warm_up(progress)
+            compilers.begin(progress)
             scene = pipeline.composed_directly(given, chosen, store=Store.default(), progress=progress)
             direct, foreign, name = None, True, stage.DIRECT
         else:
             require_package(folder, accepted=f"{PACKAGE}, or {INPUT_FOLDER}")
             _refuse_for_packages(ignore, asset_frame)
             content = read_package(folder)
-            kernels.warm_up(progress)
+            compilers.begin(progress)
             scene, direct, foreign, name = content.scene, content.direct, not content.camera_aligned, "f3sr"
         with timed("evaluate", progress):
             measured = stage.evaluate(scene, direct, chosen.evaluate, foreign=foreign, true_scale=true_scale)
@@ -218,9 +218,11 @@ def demo(out: Out = Path("out/demo"), overwrite: bool = False) -> None:
         overwrite: Also replace a package that holds rollouts: a second run needs it.
     """
     from f3sr import example
+    from f3sr.runtime import kernels
 
-    reconstruct(example.folder(), out=out, overwrite=overwrite)
-    goal_commands.simulate(out, (example.GOAL,))
+    with kernels.compiling(film=True):  # those of the film while the scene is reconstructed
+        reconstruct(example.folder(), out=out, overwrite=overwrite)
+        goal_commands.simulate(out, (example.GOAL,))
 
 
 def config() -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.contact.polytopes import Body, Polytope, face_facets, facets
+from f3sr.contact.sort_order import sort_order
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, Array, frozen
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
@@ -153,22 +154,18 @@ def _between(a: Polytope, b: Polytope, reach: float) -> _ContactPatch | None:
         best = faces + int(np.argmin(heights[faces:]))
     if heights[best] < -reach:
         return None
-    n = np.ascontiguousarray(normals[best])
-    rows = _patch_corners(
-        reach * n,
-        a.edge_starts,
-        a.edge_directions,
-        a.edge_lengths,
-        a.normals,
-        a.offsets,
-        b.edge_starts,
-        b.edge_directions,
-        b.edge_lengths,
-        b.normals,
-        b.offsets,
-    )
-    if not len(rows):
+    n = normals[best]
+    shift = reach * n
+    rows = np.empty((2 * (len(a.edge_starts) + len(b.edge_starts)), 12))
+    # a's planes move with a: normal . (x - shift) <= offset.
+    along = a.normals[:, 0] * shift[0] + a.normals[:, 1] * shift[1] + a.normals[:, 2] * shift[2]
+    # Corners of the overlap: ends of a's edges in b, then of b's in a.
+    starts, offsets = frozen(a.edge_starts + shift), frozen(a.offsets + along)
+    k = _clip(starts, a.edge_directions, a.edge_lengths, b.normals, b.offsets, True, rows, 0)
+    k = _clip(b.edge_starts, b.edge_directions, b.edge_lengths, a.normals, offsets, False, rows, k)
+    if not k:
         return None
+    rows = rows[:k]
     # Corners are found with a moved by reach along n; half of it back is midway between the two surfaces.
     return _ContactPatch(-n, rows[:, :3] - reach / 2 * n, rows[:, 3:].reshape(-1, 3, 3))
 
@@ -205,6 +202,13 @@ def _merged(patches: list[_ContactPatch], reach: float) -> Iterator[_ContactPatc
         yield _ContactPatch(n, points[corners], follow[corners])
 
 
+def hull_corners(points: Array, tolerance: float) -> NDArray[np.int64]:
+    """Indices of the corners of the convex hull of points (k, 2); a corner less than ``tolerance`` out is left out."""
+    order = sort_order(points[:, 0] + 1e-9 * points[:, 1])  # by x, ties by y
+    hull = np.empty(2 * len(points) + 2, np.int64)
+    return hull[: _chain(points, order, tolerance, hull)]
+
+
 def tangents(n: Array) -> tuple[Array, Array]:
     """Two unit vectors that make a right-handed frame with unit n (3,)."""
     other = np.eye(3)[int(np.argmin(np.abs(n)))]
@@ -217,88 +221,74 @@ def tangents(n: Array) -> tuple[Array, Array]:
 
 
 @kernel
-def _patch_corners(
-    shift: Array,
-    starts_a: Array,
-    directions_a: Array,
-    lengths_a: Array,
-    normals_a: Array,
-    offsets_a: Array,
-    starts_b: Array,
-    directions_b: Array,
-    lengths_b: Array,
-    normals_b: Array,
-    offsets_b: Array,
-) -> Array:
-    """Corners of the overlap of a moved by ``shift`` with b: rows (point, how it follows a) (k, 12)."""
-    rows = np.empty((2 * (len(starts_a) + len(starts_b)), 12))
-    k = 0
-    # First a's edges clipped by b, then b's by a: together all corners of the overlap, each from an edge and a face.
-    for side in range(2):
-        if side == 0:
-            starts, directions, lengths, normals = starts_a + shift, directions_a, lengths_a, normals_b
-            offsets = offsets_b
-        else:
-            starts, directions, lengths, normals = starts_b + 0.0, directions_b, lengths_b, normals_a
-            # a's planes move with a: normal . (x - shift) <= offset.
-            offsets = offsets_a + (normals_a[:, 0] * shift[0] + normals_a[:, 1] * shift[1] + normals_a[:, 2] * shift[2])
-        for i in range(len(starts)):
-            # Cyrus-Beck clipping of the edge to [first, last]; the face that cut an end, or -1 where it is the edge's
-            # own.
-            first, last, face_first, face_last = 0.0, lengths[i], -1, -1
-            # Relative to the edge, with a floor: an edge in a plane counts as inside it.
-            slack = 1e-9 * (lengths[i] + 1e-3)
-            for m in range(len(normals)):
-                at = -offsets[m]
-                speed = 0.0
-                for c in range(3):
-                    at += normals[m, c] * starts[i, c]
-                    speed += normals[m, c] * directions[i, c]
-                if abs(speed) < 1e-9:
-                    if at > slack:
-                        last = -1.0
-                elif speed > 0.0:
-                    t = -at / speed
-                    if t < last:
-                        last, face_last = t, m
-                else:
-                    t = -at / speed
-                    if t > first:
-                        first, face_first = t, m
-                if first > last + slack:
-                    break
+def _clip(
+    starts: Array,
+    directions: Array,
+    lengths: Array,
+    normals: Array,
+    offsets: Array,
+    first_body: bool,
+    rows: Array,
+    k: int,
+) -> int:
+    """Clip the edges of one body, the ``first_body`` or the other, by the planes of the other one.
+
+    Their ends go to ``rows`` (n, 12) from row ``k`` on: the point, how it follows the first body (3, 3). Returns the
+    row after the last."""
+    for i in range(len(starts)):
+        # Cyrus-Beck clipping of the edge to [first, last]; the face that cut an end, or -1 where it is the edge's own.
+        first, last, face_first, face_last = 0.0, lengths[i], -1, -1
+        # Relative to the edge, with a floor: an edge in a plane counts as inside it.
+        slack = 1e-9 * (lengths[i] + 1e-3)
+        for m in range(len(normals)):
+            at = -offsets[m]
+            speed = 0.0
+            for c in range(3):
+                at += normals[m, c] * starts[i, c]
+                speed += normals[m, c] * directions[i, c]
+            if abs(speed) < 1e-9:
+                if at > slack:
+                    last = -1.0
+            elif speed > 0.0:
+                t = -at / speed
+                if t < last:
+                    last, face_last = t, m
+            else:
+                t = -at / speed
+                if t > first:
+                    first, face_first = t, m
             if first > last + slack:
-                continue
-            for end in range(2):
-                t, face = (first, face_first) if end == 0 else (last, face_last)
+                break
+        if first > last + slack:
+            continue
+        for end in range(2):
+            t, face = (first, face_first) if end == 0 else (last, face_last)
+            for c in range(3):
+                rows[k, c] = starts[i, c] + t * directions[i, c]
+            speed = 0.0
+            if face >= 0:
                 for c in range(3):
-                    rows[k, c] = starts[i, c] + t * directions[i, c]
-                speed = 0.0
-                if face >= 0:
-                    for c in range(3):
-                        speed += normals[face, c] * directions[i, c]
-                # An end cut by a face slides along its edge when edge and face shift apart: with edge direction d and
-                # face normal n the point moves by s_edge + d n . (s_face - s_edge) / (n . d). So it follows its own
-                # body by 1 - F and the other by F, where F = d n' / (n . d). Rows hold what follows a: 1 - F for a's
-                # edges, F for b's.
-                own = 1.0 if side == 0 else 0.0
-                for c in range(3):
-                    for d in range(3):
-                        f = 0.0
-                        if face >= 0 and abs(speed) > STEEP:
-                            f = directions[i, c] * normals[face, d] / speed
-                        same = own if c == d else 0.0
-                        rows[k, 3 + 3 * c + d] = same - f if side == 0 else same + f
-                k += 1
-    return rows[:k].copy()
+                    speed += normals[face, c] * directions[i, c]
+            # An end cut by a face slides along its edge when edge and face shift apart: with edge direction d and face
+            # normal n the point moves by s_edge + d n . (s_face - s_edge) / (n . d). So it follows its own body by
+            # 1 - F and the other by F, where F = d n' / (n . d). Rows hold what follows the first body: 1 - F for its
+            # own edges, F for the other's.
+            own = 1.0 if first_body else 0.0
+            for c in range(3):
+                for d in range(3):
+                    f = 0.0
+                    if face >= 0 and abs(speed) > STEEP:
+                        f = directions[i, c] * normals[face, d] / speed
+                    same = own if c == d else 0.0
+                    rows[k, 3 + 3 * c + d] = same - f if first_body else same + f
+            k += 1
+    return k
 
 
 @kernel
-def hull_corners(points: Array, tolerance: float) -> NDArray[np.int64]:
-    """Indices of the corners of the convex hull of points (k, 2); a corner less than ``tolerance`` out is left out."""
-    # Andrew's monotone chain: by x, ties by y; first the lower chain, then the upper one backwards.
-    order = np.argsort(points[:, 0] + 1e-9 * points[:, 1])
-    hull = np.empty(2 * len(points) + 2, np.int64)
+def _chain(points: Array, order: NDArray[np.int64], tolerance: float, hull: NDArray[np.int64]) -> int:
+    """Fill ``hull`` with the indices of ``hull_corners``, given the ``order`` (k,) of points; returns how many."""
+    # Andrew's monotone chain: first the lower chain, then the upper one backwards.
     k = 0
     for turn in range(2):
         # The last corner of the first chain begins the second one and cannot be dropped from it.
@@ -316,7 +306,7 @@ def hull_corners(points: Array, tolerance: float) -> NDArray[np.int64]:
             hull[k] = i
             k += 1
         k -= 1
-    return hull[: max(k, 1)].copy()
+    return max(k, 1)
 
 
 def warm_up() -> None:

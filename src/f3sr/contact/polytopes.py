@@ -22,9 +22,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from f3sr.contact.sort_order import sort_order
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, frozen
-from f3sr.runtime.kernels import kernel
+from f3sr.runtime.kernels import inner_kernel, kernel
 
 COPLANAR = 1e-7
 """Triangles merge into one facet when they leave its plane by less than this share of the polytope's size."""
@@ -145,7 +146,7 @@ Body = Sequence[Polytope]
 
 def overlap_depth(a: Polytope, b: Polytope) -> float:
     """Length [m] of the smallest move that ends the overlap; <= 0 without overlap (then it is no distance)."""
-    return float(_depth(*a.packed, *b.packed))
+    return float(_depth(*a.packed, *b.packed, _room(a, b)))
 
 
 def forbidden_interval(a: Polytope, b: Polytope, direction: ArrayLike) -> tuple[float, float]:
@@ -153,7 +154,7 @@ def forbidden_interval(a: Polytope, b: Polytope, direction: ArrayLike) -> tuple[
 
     Without any collision it is (inf, -inf).
     """
-    return _interval(*a.packed, *b.packed, np.asarray(direction, float), _touch(a, b) / 2)
+    return _interval(*a.packed, *b.packed, _room(a, b), np.asarray(direction, float), _touch(a, b) / 2)
 
 
 def facets(a: Polytope, b: Polytope) -> tuple[Array, Array]:
@@ -219,8 +220,11 @@ def forbidden_polygons(A: Body, B: Body, *, within: float = np.inf) -> list[Arra
 
 def nearest_free(polygons: Sequence[Array], slack: float) -> Array:
     """The point (2,) nearest to the origin that lies in none of the polygons deeper than ``slack``."""
-    starts = np.cumsum([0, *map(len, polygons)]).astype(np.int64)
-    return _nearest_free(np.concatenate(polygons), starts, slack)
+    planes, starts = np.concatenate(polygons), np.cumsum([0, *map(len, polygons)]).astype(np.int64)
+    ends, near = np.empty((len(planes), 2)), np.empty(len(planes))
+    if _measure_sides(planes, starts, slack, ends, near):
+        return np.zeros(2)
+    return np.array(_nearest_free(planes, starts, ends, near, sort_order(near), slack))
 
 
 def _forbidden(A: Body, B: Body, u: Array, *, beyond: float) -> Iterator[tuple[float, float]]:
@@ -242,13 +246,14 @@ def _boxes_overlap(A: Body, B: Body, axes: tuple[int, ...], gap: Array | float =
 def _boxes_meet(A: Body, B: Body, u: Array, beyond: float) -> NDArray[np.int64]:
     """Swept broad phase: pairs (k, 2) of parts whose boxes overlap at some shift t > ``beyond`` along u."""
     a, b = (np.stack([p.bounds for p in body]) for body in (A, B))
-    return _meeting(a, b, u, beyond)
+    pairs = np.empty((len(a) * len(b), 2), np.int64)
+    return pairs[: _meeting(a, b, u, beyond, pairs)]
 
 
 @kernel
-def _meeting(a: Array, b: Array, u: Array, beyond: float) -> NDArray[np.int64]:
-    """Pairs (k, 2) of boxes (n, 2, 3), (m, 2, 3) that overlap at some shift t > ``beyond`` of the first along u."""
-    pairs = np.empty((len(a) * len(b), 2), np.int64)
+def _meeting(a: Array, b: Array, u: Array, beyond: float, pairs: NDArray[np.int64]) -> int:
+    """Fill ``pairs`` (n m, 2) with those of boxes (n, 2, 3), (m, 2, 3) that overlap at some shift t > ``beyond`` of
+    the first along u; returns how many."""
     k = 0
     still = PARALLEL * np.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     for i in range(len(a)):
@@ -267,7 +272,7 @@ def _meeting(a: Array, b: Array, u: Array, beyond: float) -> NDArray[np.int64]:
             if first < last:
                 pairs[k, 0], pairs[k, 1] = i, j
                 k += 1
-    return pairs[:k].copy()
+    return k
 
 
 # Facets of the Minkowski difference
@@ -287,7 +292,8 @@ def face_facets(a: Polytope, b: Polytope) -> tuple[Array, Array]:
 
 def _edge_facets(a: Polytope, b: Polytope) -> tuple[Array, Array]:
     """Facets spanned by one edge of each."""
-    planes = _edge_planes(
+    planes = _room(a, b)
+    found = _edge_planes(
         a.vertices,
         a.edge_starts,
         a.edge_directions,
@@ -296,8 +302,14 @@ def _edge_facets(a: Polytope, b: Polytope) -> tuple[Array, Array]:
         b.edge_starts,
         b.edge_directions,
         b.edge_normals,
+        planes,
     )
-    return planes[:, :3], planes[:, 3]
+    return planes[:found, :3], planes[:found, 3]
+
+
+def _room(a: Polytope, b: Polytope) -> Array:
+    """Empty rows for what ``_edge_planes`` finds: one for each pair of edges."""
+    return np.empty((len(a.edge_starts) * len(b.edge_starts), 4))
 
 
 @kernel
@@ -310,14 +322,16 @@ def _edge_planes(
     starts_b: Array,
     directions_b: Array,
     normals_b: Array,
-) -> Array:
-    """Rows (normal, height) (k, 4) of the edge pairs whose Gauss-map arcs cross, b's arcs negated."""
-    planes = np.empty((len(starts_a) * len(starts_b), 4))
+    planes: Array,
+) -> int:
+    """Fill ``planes`` (n, 4), normal and height, for the edge pairs whose Gauss-map arcs cross, b's arcs negated.
+
+    Returns how many; n must be the number of edge pairs."""
     k = 0
     for i in range(len(starts_a)):
-        px, py, pz = directions_a[i]
-        l0x, l0y, l0z = normals_a[i, 0]
-        l1x, l1y, l1z = normals_a[i, 1]
+        px, py, pz = directions_a[i, 0], directions_a[i, 1], directions_a[i, 2]
+        l0x, l0y, l0z = normals_a[i, 0, 0], normals_a[i, 0, 1], normals_a[i, 0, 2]
+        l1x, l1y, l1z = normals_a[i, 1, 0], normals_a[i, 1, 1], normals_a[i, 1, 2]
         for j in range(len(starts_b)):
             # On the Gauss map an edge is the arc between its two face normals; two edges make a facet of B - A where
             # arc (l0, l1) of a crosses arc (-r0, -r1) of b. p and q are the normals of the arcs' great circles, so
@@ -326,7 +340,7 @@ def _edge_planes(
             d = normals_b[j, 1, 0] * px + normals_b[j, 1, 1] * py + normals_b[j, 1, 2] * pz
             if c * d >= 0.0:  # b's arc stays on one side of the plane of a's arc
                 continue
-            qx, qy, qz = directions_b[j]
+            qx, qy, qz = directions_b[j, 0], directions_b[j, 1], directions_b[j, 2]
             e = l0x * qx + l0y * qy + l0z * qz
             f = l1x * qx + l1y * qy + l1z * qz
             if e * f >= 0.0 or c * f >= 0.0:  # a's arc on one side of b's; or crossing on opposite hemispheres
@@ -352,15 +366,15 @@ def _edge_planes(
                 h = high - low
             planes[k, 0], planes[k, 1], planes[k, 2], planes[k, 3] = nx, ny, nz, h
             k += 1
-    return planes[:k].copy()
+    return k
 
 
-@kernel
-def _lowest(points: Array, normal: Array) -> float:
-    """The least of ``normal . p`` over points (n, 3)."""
-    low = np.inf
+@inner_kernel
+def _lowest(points: Array, normals: Array, k: int) -> float:
+    """The least of ``normals[k] . p`` over points (n, 3)."""
+    low, x, y, z = np.inf, normals[k, 0], normals[k, 1], normals[k, 2]
     for m in range(len(points)):
-        low = min(low, points[m, 0] * normal[0] + points[m, 1] * normal[1] + points[m, 2] * normal[2])
+        low = min(low, points[m, 0] * x + points[m, 1] * y + points[m, 2] * z)
     return low
 
 
@@ -378,20 +392,23 @@ def _depth(
     starts_b: Array,
     directions_b: Array,
     normals_b: Array,
+    planes: Array,
 ) -> float:
-    """The least height of all facets; that of the first separating face if there is one."""
+    """The least height of all facets; that of the first separating face if there is one. ``planes`` is ``_room``."""
     depth = np.inf
     # Faces first: they are few, and one of them separates most pairs that are free of each other.
     for k in range(len(faces_a)):
-        depth = min(depth, offsets_a[k] - _lowest(points_b, faces_a[k]))
+        depth = min(depth, offsets_a[k] - _lowest(points_b, faces_a, k))
         if depth <= 0.0:
             return depth
     for k in range(len(faces_b)):
-        depth = min(depth, offsets_b[k] - _lowest(points_a, faces_b[k]))
+        depth = min(depth, offsets_b[k] - _lowest(points_a, faces_b, k))
         if depth <= 0.0:
             return depth
-    planes = _edge_planes(points_a, starts_a, directions_a, normals_a, points_b, starts_b, directions_b, normals_b)
-    for k in range(len(planes)):
+    found = _edge_planes(
+        points_a, starts_a, directions_a, normals_a, points_b, starts_b, directions_b, normals_b, planes
+    )
+    for k in range(found):
         depth = min(depth, planes[k, 3])
     return depth
 
@@ -410,25 +427,30 @@ def _interval(
     starts_b: Array,
     directions_b: Array,
     normals_b: Array,
+    planes: Array,
     u: Array,
     slack: float,
 ) -> tuple[float, float]:
-    """The t for which ``t u`` is in all half-spaces ``normal . x > slack - height``; (inf, -inf) if none is."""
+    """The t for which ``t u`` is in all half-spaces ``normal . x > slack - height``; (inf, -inf) if none is.
+
+    ``planes`` is ``_room``."""
     lo, hi = -np.inf, np.inf
     still = PARALLEL * np.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     for k in range(len(faces_a)):
         speed = faces_a[k, 0] * u[0] + faces_a[k, 1] * u[1] + faces_a[k, 2] * u[2]
         # n . (t u) > slack - height, with height = offset - lowest.
-        lo, hi = _clipped(lo, hi, speed, slack - offsets_a[k] + _lowest(points_b, faces_a[k]), still)
+        lo, hi = _clipped(lo, hi, speed, slack - offsets_a[k] + _lowest(points_b, faces_a, k), still)
         if lo >= hi:
             return np.inf, -np.inf
     for k in range(len(faces_b)):
         speed = -(faces_b[k, 0] * u[0] + faces_b[k, 1] * u[1] + faces_b[k, 2] * u[2])
-        lo, hi = _clipped(lo, hi, speed, slack - offsets_b[k] + _lowest(points_a, faces_b[k]), still)
+        lo, hi = _clipped(lo, hi, speed, slack - offsets_b[k] + _lowest(points_a, faces_b, k), still)
         if lo >= hi:
             return np.inf, -np.inf
-    planes = _edge_planes(points_a, starts_a, directions_a, normals_a, points_b, starts_b, directions_b, normals_b)
-    for k in range(len(planes)):
+    found = _edge_planes(
+        points_a, starts_a, directions_a, normals_a, points_b, starts_b, directions_b, normals_b, planes
+    )
+    for k in range(found):
         speed = planes[k, 0] * u[0] + planes[k, 1] * u[1] + planes[k, 2] * u[2]
         lo, hi = _clipped(lo, hi, speed, slack - planes[k, 3], still)
         if lo >= hi:
@@ -436,7 +458,7 @@ def _interval(
     return lo, hi
 
 
-@kernel
+@inner_kernel
 def _clipped(lo: float, hi: float, speed: float, bound: float, still: float) -> tuple[float, float]:
     """The interval (lo, hi) of t where also ``speed t > bound``."""
     if abs(speed) <= still:
@@ -463,94 +485,109 @@ def _horizontal_slice(a: Polytope, b: Polytope) -> Array:
     # Box against box bounds every shift that collides: the start of clipping. Order: bottom, right, top, left.
     box = np.array([[0, 1, -low[1]], [-1, 0, high[0]], [0, -1, high[1]], [1, 0, -low[0]]])
     planes = np.concatenate([planes, box])
-    return planes[_polygon_sides(planes)]
+    # Two buffers swap after each clip; a clip adds at most one corner.
+    corners, sides = np.empty((2, len(planes) + 8, 2)), np.empty((2, len(planes) + 8), np.int64)
+    return planes[sides[0, : _polygon_sides(planes, corners, sides)]]
 
 
 @kernel
-def _polygon_sides(planes: Array) -> NDArray[np.int64]:
-    """Which half-planes (k, 3) bound their common polygon; the last four are a box around it.
+def _polygon_sides(planes: Array, corners: Array, sides: NDArray[np.int64]) -> int:
+    """Which half-planes (k, 3) bound their common polygon: the first of ``sides[0]``; returns how many.
 
-    Sutherland-Hodgman clipping; empty when the half-planes have nothing in common.
-    """
-    # Corner i is (x[i], y[i]); side[i] is the half-plane that bounds the polygon from corner i to corner i + 1.
-    # Two buffers swap after each clip; a clip adds at most one corner.
+    The last four half-planes are a box around it. Sutherland-Hodgman clipping; 0 when the half-planes have nothing in
+    common."""
+    # Corner i is corners[now, i]; sides[now, i] is the half-plane that bounds the polygon from there to corner i + 1.
     k = len(planes)
-    x, y, side = np.empty(k + 8), np.empty(k + 8), np.empty(k + 8, np.int64)
-    x2, y2, side2 = np.empty(k + 8), np.empty(k + 8), np.empty(k + 8, np.int64)
     # Rows [0, 1, -bottom], [-1, 0, right], [0, -1, top], [1, 0, -left]: counter-clockwise from the bottom.
-    left, right, bottom, top = -planes[k - 1, 2], planes[k - 3, 2], -planes[k - 4, 2], planes[k - 2, 2]
-    x[:4] = np.array([left, right, right, left])
-    y[:4] = np.array([bottom, bottom, top, top])
-    side[:4] = np.array([k - 4, k - 3, k - 2, k - 1])
-    n = 4
+    for i in range(4):
+        corners[0, i, 0] = -planes[k - 1, 2] if i == 0 or i == 3 else planes[k - 3, 2]
+        corners[0, i, 1] = -planes[k - 4, 2] if i < 2 else planes[k - 2, 2]
+        sides[0, i] = k - 4 + i
+    now, n = 0, 4
     for p in range(k - 4):
-        m = 0
+        m, then = 0, 1 - now
         for i in range(n):
-            j = (i + 1) % n
-            here = planes[p, 0] * x[i] + planes[p, 1] * y[i] + planes[p, 2]
-            there = planes[p, 0] * x[j] + planes[p, 1] * y[j] + planes[p, 2]
+            j = i + 1 if i + 1 < n else 0
+            x, y = corners[now, i, 0], corners[now, i, 1]
+            next_x, next_y = corners[now, j, 0], corners[now, j, 1]
+            here = planes[p, 0] * x + planes[p, 1] * y + planes[p, 2]
+            there = planes[p, 0] * next_x + planes[p, 1] * next_y + planes[p, 2]
             if here >= 0.0:
-                x2[m], y2[m], side2[m] = x[i], y[i], side[i]
+                corners[then, m, 0], corners[then, m, 1], sides[then, m] = x, y, sides[now, i]
                 m += 1
             if (here >= 0.0) != (there >= 0.0):
                 w = here / (here - there)
-                x2[m], y2[m] = x[i] + w * (x[j] - x[i]), y[i] + w * (y[j] - y[i])
-                side2[m] = p if here >= 0.0 else side[i]  # going out starts the new side, coming in resumes the old one
+                corners[then, m, 0], corners[then, m, 1] = x + w * (next_x - x), y + w * (next_y - y)
+                # Going out starts the new side, coming in resumes the old one.
+                sides[then, m] = p if here >= 0.0 else sides[now, i]
                 m += 1
-        x, y, side, x2, y2, side2, n = x2, y2, side2, x, y, side, m
-    return side[:n].copy()
+        now, n = then, m
+    for i in range(n):
+        sides[0, i] = sides[now, i]
+    return n
 
 
 @kernel
-def _nearest_free(planes: Array, starts: NDArray[np.int64], slack: float) -> Array:
-    """The point nearest to the origin that lies in no polygon deeper than ``slack``.
+def _measure_sides(planes: Array, starts: NDArray[np.int64], slack: float, ends: Array, near: Array) -> bool:
+    """Fill ``ends`` (k, 2) with what each side of its polygon spans, and ``near`` (k,) with its distance.
 
-    Polygon p has the half-planes ``planes[starts[p]:starts[p + 1]]``, rows (unit normal, height). The point lies on a
-    side of some polygon. Sides are visited by their distance. From the nearest point of a side the search walks along
-    it both ways, out of one polygon after the other. It ends at a free point, at the side's end, or beyond the best.
-    """
+    The distance is that to the origin, inf for a side without length. True when the origin itself is free: then
+    nothing is filled. Polygon p has the half-planes ``planes[starts[p]:starts[p + 1]]``, rows (unit normal, height)."""
     if _is_free(0.0, 0.0, planes, starts, slack):
-        return np.zeros(2)
-    ends = np.empty((len(planes), 2))
-    near = np.empty(len(planes))
+        return True
     for p in range(len(starts) - 1):
         for i in range(starts[p], starts[p + 1]):
             # Line i of polygon p bounds it between these two t; the parameter runs along the line from the origin's
             # foot.
-            ends[i] = _across(i, p, planes, starts, 0.0)
-            t = min(max(0.0, ends[i, 0]), ends[i, 1])  # t = 0 is the foot of the origin on the line
-            near[i] = np.sqrt(planes[i, 2] ** 2 + t * t) if ends[i, 0] <= ends[i, 1] else np.inf
-    best, best_x, best_y = np.inf, 0.0, 0.0
-    for i in np.argsort(near):
-        if near[i] >= best:
-            break
-        height = planes[i, 2]
-        for sign in (1.0, -1.0):
-            t = min(max(0.0, ends[i, 0]), ends[i, 1])
-            q = _inside(i, t, planes, starts, slack)
-            # Inside q: jump to where the line leaves it. t is monotone in ``sign``, so the walk ends.
-            while q >= 0 and ends[i, 0] <= t <= ends[i, 1] and height * height + t * t < best * best:
-                a, b = _across(i, q, planes, starts, slack)
-                t = b if sign > 0 else a
-                q = _inside(i, t, planes, starts, slack)
-            distance = np.sqrt(height * height + t * t)
-            if q < 0 and ends[i, 0] <= t <= ends[i, 1] and distance < best:
-                best = distance
-                best_x, best_y = _on_line(i, t, planes)
-    return np.array([best_x, best_y])
+            low, high = _across(i, p, planes, starts, 0.0)
+            t = min(max(0.0, low), high)  # t = 0 is the foot of the origin on the line
+            ends[i, 0], ends[i, 1] = low, high
+            near[i] = np.sqrt(planes[i, 2] ** 2 + t * t) if low <= high else np.inf
+    return False
 
 
 @kernel
+def _nearest_free(
+    planes: Array, starts: NDArray[np.int64], ends: Array, near: Array, order: NDArray[np.int64], slack: float
+) -> tuple[float, float]:
+    """The point nearest to the origin that lies in no polygon deeper than ``slack``.
+
+    The point lies on a side of some polygon. Sides are visited in ``order``, by their distance. From the nearest point
+    of a side the search walks along it both ways, out of one polygon after the other. It ends at a free point, at the
+    side's end, or beyond the best.
+    """
+    best, best_x, best_y = np.inf, 0.0, 0.0
+    for place in range(len(order)):
+        i = order[place]
+        if near[i] >= best:
+            break
+        low, high, height = ends[i, 0], ends[i, 1], planes[i, 2]
+        for turn in range(2):
+            t = min(max(0.0, low), high)
+            q = _inside(i, t, planes, starts, slack)
+            # Inside q: jump to where the line leaves it. t only grows, or only falls, so the walk ends.
+            while q >= 0 and low <= t <= high and height * height + t * t < best * best:
+                a, b = _across(i, q, planes, starts, slack)
+                t = b if turn == 0 else a
+                q = _inside(i, t, planes, starts, slack)
+            distance = np.sqrt(height * height + t * t)
+            if q < 0 and low <= t <= high and distance < best:
+                best = distance
+                best_x, best_y = _on_line(i, t, planes)
+    return best_x, best_y
+
+
+@inner_kernel
 def _on_line(i: int, t: float, planes: Array) -> tuple[float, float]:
     """The point of a line at t from the origin's foot on it."""
-    nx, ny, h = planes[i]
+    nx, ny, h = planes[i, 0], planes[i, 1], planes[i, 2]
     return -h * nx - t * ny, -h * ny + t * nx
 
 
-@kernel
+@inner_kernel
 def _across(i: int, p: int, planes: Array, starts: NDArray[np.int64], slack: float) -> tuple[float, float]:
     """The interval of t where line i is inside polygon p, deeper than ``slack``; its own side counts as inside."""
-    nx, ny, h = planes[i]
+    nx, ny, h = planes[i, 0], planes[i, 1], planes[i, 2]
     low, high = -np.inf, np.inf
     for k in range(starts[p], starts[p + 1]):
         if k == i:
@@ -570,7 +607,7 @@ def _across(i: int, p: int, planes: Array, starts: NDArray[np.int64], slack: flo
     return low, high
 
 
-@kernel
+@inner_kernel
 def _inside(i: int, t: float, planes: Array, starts: NDArray[np.int64], slack: float) -> int:
     """A polygon that a point of a line lies in, deeper than ``slack``; else -1."""
     x, y = _on_line(i, t, planes)
@@ -588,7 +625,7 @@ def _inside(i: int, t: float, planes: Array, starts: NDArray[np.int64], slack: f
     return -1
 
 
-@kernel
+@inner_kernel
 def _is_free(x: float, y: float, planes: Array, starts: NDArray[np.int64], slack: float) -> bool:
     """Whether a point lies in no polygon deeper than ``slack``: beyond some side of each."""
     for p in range(len(starts) - 1):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array
-from f3sr.runtime.kernels import inline_kernel, kernel
+from f3sr.runtime.kernels import inline_kernel, inner_kernel, kernel
 
 EDGE_LENGTH = 0.01
 """Longest edge of refined surfaces, as a share of the scene's diagonal (equation 12's protocol)."""
@@ -117,15 +117,13 @@ def crossings_of(a: Array, b: Array, cell: float) -> tuple[int, Array]:
     a, b = (t[np.all(t.max(1) >= low, 1) & np.all(t.min(1) <= high, 1)] for t in (a, b))
     # At most 256 cells a side: a tiny cell must not exhaust memory.
     cells = np.clip(((high - low) / cell).astype(np.int64) + 1, 1, 256)
-    starts, members = _bins(np.ascontiguousarray(b), low, high, cells)
-    a, b = np.ascontiguousarray(a), np.ascontiguousarray(b)
-    return int(_count(a, b, low, high, cells, starts, members, bounds)), bounds
+    return int(_count(np.ascontiguousarray(a), np.ascontiguousarray(b), low, high, cells, bounds)), bounds
 
 
 def warm_up() -> None:
     """Compile every kernel of this module."""
-    t = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]])
-    crossings_of(t, t[:, :, [2, 0, 1]] + 0.1, 0.5)
+    t = np.array([[[0.0, 0, 0], [1, 0, 1], [0, 1, 1]]])
+    crossings_of(t, t[:, :, [2, 0, 1]], 0.5)
 
 
 def _edge_lengths(vertices: Array, faces: NDArray[np.int32]) -> Array:
@@ -136,8 +134,11 @@ def _edge_lengths(vertices: Array, faces: NDArray[np.int32]) -> Array:
     return np.linalg.norm(vertices[a] - vertices[b], axis=1)
 
 
+Point = tuple[float, float, float]
+
+
 @inline_kernel
-def _orient(a: Any, b: Any, c: Any, d: Any) -> float:
+def _orient(a: Point, b: Point, c: Point, d: Point) -> float:
     """Six times the signed volume of the tetrahedron a, b, c, d."""
     ax, ay, az = a[0] - d[0], a[1] - d[1], a[2] - d[2]
     bx, by, bz = b[0] - d[0], b[1] - d[1], b[2] - d[2]
@@ -145,18 +146,21 @@ def _orient(a: Any, b: Any, c: Any, d: Any) -> float:
     return ax * (by * cz - bz * cy) - ay * (bx * cz - bz * cx) + az * (bx * cy - by * cx)
 
 
-@kernel
-def _pierces(p: Any, q: Any, t: Any) -> bool:
-    """Whether the segment p-q crosses the interior of triangle t strictly."""
+@inner_kernel
+def _pierces(segment: Any, k: int, t: Any) -> bool:
+    """Whether edge ``k`` of a triangle crosses the interior of triangle t strictly."""
     # The ends lie strictly on both sides of the triangle's plane, and the segment passes all three edges on one side.
-    s, e = _orient(t[0], t[1], t[2], p), _orient(t[0], t[1], t[2], q)
+    n = (k + 1) % 3
+    p, q = (segment[k, 0], segment[k, 1], segment[k, 2]), (segment[n, 0], segment[n, 1], segment[n, 2])
+    a, b, c = (t[0, 0], t[0, 1], t[0, 2]), (t[1, 0], t[1, 1], t[1, 2]), (t[2, 0], t[2, 1], t[2, 2])
+    s, e = _orient(a, b, c, p), _orient(a, b, c, q)
     if not ((s > 0 and e < 0) or (s < 0 and e > 0)):
         return False
-    u, v, w = _orient(p, q, t[0], t[1]), _orient(p, q, t[1], t[2]), _orient(p, q, t[2], t[0])
+    u, v, w = _orient(p, q, a, b), _orient(p, q, b, c), _orient(p, q, c, a)
     return (u > 0 and v > 0 and w > 0) or (u < 0 and v < 0 and w < 0)
 
 
-@kernel
+@inner_kernel
 def _cross(s: Any, t: Any) -> bool:
     """Whether an edge of one triangle pierces the other."""
     for k in range(3):
@@ -165,12 +169,12 @@ def _cross(s: Any, t: Any) -> bool:
         if max(s[0, k], s[1, k], s[2, k]) < min(t[0, k], t[1, k], t[2, k]):
             return False
     for e in range(3):  # noqa: SIM110 - numba compiles no generators
-        if _pierces(s[e], s[(e + 1) % 3], t) or _pierces(t[e], t[(e + 1) % 3], s):
+        if _pierces(s, e, t) or _pierces(t, e, s):
             return True
     return False
 
 
-@kernel
+@inner_kernel
 def _box(t: Any, low: Any, high: Any, cells: Any, out: Any) -> None:
     """Grid cells (first and last per axis) that a triangle's box touches."""
     for k in range(3):
@@ -181,7 +185,7 @@ def _box(t: Any, low: Any, high: Any, cells: Any, out: Any) -> None:
         out[3 + k] = min(max(last, 0), cells[k] - 1)
 
 
-@kernel
+@inner_kernel
 def _bins(b: Any, low: Any, high: Any, cells: Any) -> Any:
     """Triangles per grid cell, as starts (n + 1,) into a list of members."""
     box = np.empty(6, np.int64)
@@ -194,9 +198,11 @@ def _bins(b: Any, low: Any, high: Any, cells: Any) -> Any:
             for j in range(box[1], box[4] + 1):
                 for k in range(box[2], box[5] + 1):
                     starts[(i * cells[1] + j) * cells[2] + k + 1] += 1
-    starts[1:] = np.cumsum(starts[1:])
-    members = np.empty(starts[-1], np.int64)
-    filled = starts[:-1].copy()
+    filled = np.empty(len(starts) - 1, np.int64)
+    for cell in range(len(filled)):
+        filled[cell] = starts[cell]
+        starts[cell + 1] += starts[cell]
+    members = np.empty(starts[len(filled)], np.int64)
     for t in range(b.shape[0]):
         _box(b[t], low, high, cells, box)
         for i in range(box[0], box[3] + 1):
@@ -208,7 +214,7 @@ def _bins(b: Any, low: Any, high: Any, cells: Any) -> Any:
     return starts, members
 
 
-@kernel
+@inner_kernel
 def _meet(s: Any, t: Any, bounds: Any) -> None:
     """Let ``bounds`` (2, 3) take in the box that two triangles share."""
     for k in range(3):
@@ -218,8 +224,9 @@ def _meet(s: Any, t: Any, bounds: Any) -> None:
 
 
 @kernel
-def _count(a: Any, b: Any, low: Any, high: Any, cells: Any, starts: Any, members: Any, bounds: Any) -> int:
+def _count(a: Any, b: Any, low: Any, high: Any, cells: Any, bounds: Any) -> int:
     """Crossing pairs; each pair is tested once, in the first cell that both share. ``bounds`` grows around them."""
+    starts, members = _bins(b, low, high, cells)
     # seen[s]: the last triangle of a that s was tested against. A pair may share many cells.
     seen = np.full(b.shape[0], -1, np.int64)
     box = np.empty(6, np.int64)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array
-from f3sr.runtime.kernels import inline_kernel, kernel
+from f3sr.runtime.kernels import inline_kernel, inner_kernel, kernel
+from f3sr.vision.rasterizer import fixed
 
 PER_CELL = 2.0
 """Mean number of triangles per cell of the grid that finds those over a point."""
@@ -34,7 +35,7 @@ def winding_number(points: Array, vertices: Array, faces: NDArray[np.int32]) -> 
     triangles = np.ascontiguousarray(triangles[above])
     side = max(1, int(np.sqrt(len(triangles) / PER_CELL)))
     width = np.maximum((high - low) / side, np.finfo(float).tiny)
-    _count(np.ascontiguousarray(points), triangles, low, width, side, number)
+    _count(fixed(points, float), triangles, low, width, side, number)
     return number
 
 
@@ -43,7 +44,7 @@ def _cell(x: float, low: float, width: float, side: int) -> int:
     return int(min(max((x - low) / width, 0.0), side - 1.0))
 
 
-@kernel
+@inner_kernel
 def _crosses(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> int:
     """1 where the directed edge a-b runs up through y to the right of x, -1 where it runs down; an edge gives exactly
     the opposite of its reverse."""
@@ -56,7 +57,7 @@ def _crosses(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> 
     return -1 if (ax - bx) * (y - by) - (x - bx) * (ay - by) > 0 else 0
 
 
-@kernel
+@inner_kernel
 def _height(x: float, y: float, t: Any) -> float:
     """Of a triangle's plane over (x, y), within the triangle's own heights."""
     ux, uy, vx, vy = t[1, 0] - t[0, 0], t[1, 1] - t[0, 1], t[2, 0] - t[0, 0], t[2, 1] - t[0, 1]
@@ -70,7 +71,7 @@ def _height(x: float, y: float, t: Any) -> float:
     return min(max(z, low), high)
 
 
-@kernel
+@inner_kernel
 def _box(t: Any, low: Any, width: Any, side: int, box: Any) -> None:
     """First and last cell, along x and along y, that a triangle may lie over."""
     for k in range(2):
@@ -78,7 +79,7 @@ def _box(t: Any, low: Any, width: Any, side: int, box: Any) -> None:
         box[2 + k] = _cell(max(t[0, k], t[1, k], t[2, k]), low[k], width[k], side)
 
 
-@kernel
+@inner_kernel
 def _bins(triangles: Any, low: Any, width: Any, side: int) -> Any:
     """Triangles per cell, as starts (side * side + 1,) into a list of members."""
     box, starts = np.empty(4, np.int64), np.zeros(side * side + 1, np.int64)
@@ -88,8 +89,11 @@ def _bins(triangles: Any, low: Any, width: Any, side: int) -> Any:
             for j in range(box[1], box[3] + 1):
                 starts[i * side + j + 1] += 1
     # Counting sort: counts, then starts, then members (compressed rows).
-    starts = np.cumsum(starts)
-    members, filled = np.empty(starts[-1], np.int64), starts.copy()
+    filled = np.empty(side * side, np.int64)
+    for cell in range(len(filled)):
+        filled[cell] = starts[cell]
+        starts[cell + 1] += starts[cell]
+    members = np.empty(starts[len(filled)], np.int64)
     for f in range(len(triangles)):
         _box(triangles[f], low, width, side, box)
         for i in range(box[0], box[2] + 1):
@@ -123,7 +127,7 @@ def union_distance(points: Array, parts: Sequence[ConvexPart]) -> Array:
     polytopes = [Polytope.of(p) for p in parts]
     planes = np.concatenate([np.column_stack([p.normals, p.offsets]) for p in polytopes])
     starts = np.cumsum([0, *(len(p.offsets) for p in polytopes)])
-    return _union_distance(np.ascontiguousarray(points), planes, starts)
+    return _union_distance(fixed(points, float), planes, starts)
 
 
 @kernel

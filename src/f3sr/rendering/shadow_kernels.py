@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.runtime.kernels import inline_kernel, kernel
+from f3sr.runtime.kernels import inline_kernel, inner_kernel, kernel
 from f3sr.vision.scan_conversion import Point, bounds, centres, corner, determinant, edge_functions, row_of, span
 
 FADE = 12.0
@@ -71,7 +71,9 @@ def note_changes(
     (5,): first and last changed column, first and last changed row, largest height."""
     side = len(nearest)
     # Empty ranges: whatever is compared with them lies outside.
-    spans[:, :, 0], spans[:, :, 1] = np.inf, -np.inf
+    for i in range(spans.shape[0]):
+        for j in range(spans.shape[1]):
+            spans[i, j, 0], spans[i, j, 1] = np.inf, -np.inf
     limits[0], limits[1], limits[2], limits[3], limits[4] = np.inf, -np.inf, np.inf, -np.inf, -np.inf
     for k in range(len(parts)):
         for row in range(max(parts[k, 2], 0), min(parts[k, 3] + 1, side)):
@@ -179,7 +181,7 @@ def cast_on_ground(
                         bits[row, column] |= bit
 
 
-@kernel
+@inner_kernel
 def _cover_clipped(a: Point, b: Point, c: Point, near: float, size: float, bit: Any, bits: NDArray[Any]) -> None:
     """Set ``bit`` in ``bits`` (h, w) where the part of a triangle at z >= ``near`` covers the centre.
 

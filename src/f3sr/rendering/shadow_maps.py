@@ -93,7 +93,7 @@ class Maps:
             rasterizer.fixed(normals, np.float64),
             self.directions,
             self.frames,
-            rasterizer.fixed(self.nearest, np.float32),
+            self.nearest,
             self.offset,
             self.bias,
             out,

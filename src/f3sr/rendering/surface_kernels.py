@@ -472,28 +472,42 @@ def tile_depths(
 
 
 @inline_kernel
+def _in_frame(frames: NDArray[Any], light: int, x: float, y: float, z: float) -> Vector:
+    """A point in a light's frame: column, row and height."""
+    return (
+        frames[light, 0, 0] * x + frames[light, 0, 1] * y + frames[light, 0, 2] * z + frames[light, 0, 3],
+        frames[light, 1, 0] * x + frames[light, 1, 1] * y + frames[light, 1, 2] * z + frames[light, 1, 3],
+        frames[light, 2, 0] * x + frames[light, 2, 1] * y + frames[light, 2, 2] * z + frames[light, 2, 3],
+    )
+
+
+@inline_kernel
 def _is_clear(
-    middle: NDArray[Any],
+    x: float,
+    y: float,
+    z: float,
     radius: float,
-    frame: NDArray[Any],
+    light: int,
+    frames: NDArray[Any],
     limits: NDArray[Any],
     around: float,
     texel: float,
     offset: float,
 ) -> bool:
-    """Whether the samples inside a ball read nothing of a light's map within its ``limits`` (5,): see ``note_changes``.
+    """Whether the samples inside a ball read nothing of a light's map within its ``limits`` (L, 5): see
+    ``note_changes``.
 
-    ``middle`` (3,) and ``radius`` [m] are the ball's, ``around`` [texel] is how far from their place samples read."""
-    x, y, z = middle[0], middle[1], middle[2]
-    u = frame[0, 0] * x + frame[0, 1] * y + frame[0, 2] * z + frame[0, 3]
-    v = frame[1, 0] * x + frame[1, 1] * y + frame[1, 2] * z + frame[1, 3]
-    t = frame[2, 0] * x + frame[2, 1] * y + frame[2, 2] * z + frame[2, 3]
+    (x, y, z) and ``radius`` [m] are the ball's, ``around`` [texel] is how far from their place samples read."""
+    u, v, t = _in_frame(frames, light, x, y, z)
     # limits hold texel indices, a texel reaches one farther: hence the 1.
     reach = radius / texel + around + 1
-    beside = u + reach < limits[0] or u - reach > limits[1] or v + reach < limits[2] or v - reach > limits[3]
+    if u + reach < limits[light, 0] or u - reach > limits[light, 1]:
+        return True
+    if v + reach < limits[light, 2] or v - reach > limits[light, 3]:
+        return True
     # An occluder counts where it is higher than the sample. If all changed heights, old and new, are below the ball,
     # then none shaded it and none shades it.
-    return beside or t - radius - offset >= limits[4]
+    return t - radius - offset >= limits[light, 4]
 
 
 @kernel
@@ -534,21 +548,21 @@ def mark_shadowed(
             # Half the diagonal of the corners' box, around their mean: a cheap first test that rules out most lights.
             radius = 0.0
             for c in range(3):
-                middle[c] = corners[:, c].mean()
-                radius += ((corners[:, c].max() - corners[:, c].min()) / 2) ** 2
+                low = high = middle[c] = corners[0, c]
+                for k in range(1, 8):
+                    low, high = min(low, corners[k, c]), max(high, corners[k, c])
+                    middle[c] += corners[k, c]
+                radius += ((high - low) / 2) ** 2
             radius = np.sqrt(radius)
+            mx, my, mz = middle[0] / 8, middle[1] / 8, middle[2] / 8
             for light in range(len(frames)):
-                if _is_clear(middle, radius, frames[light], limits[light], around, texel, offset):
+                if _is_clear(mx, my, mz, radius, light, frames, limits, around, texel, offset):
                     continue
                 # The tile's box in the light's frame: columns, rows and heights. A frustum is the hull of its corners,
                 # and the frame is affine, so the corners bound it.
                 u0, u1, v0, v1, low, high = np.inf, -np.inf, np.inf, -np.inf, np.inf, -np.inf
-                f = frames[light]
                 for k in range(8):
-                    x, y, z = corners[k, 0], corners[k, 1], corners[k, 2]
-                    u = f[0, 0] * x + f[0, 1] * y + f[0, 2] * z + f[0, 3]
-                    v = f[1, 0] * x + f[1, 1] * y + f[1, 2] * z + f[1, 3]
-                    t = f[2, 0] * x + f[2, 1] * y + f[2, 2] * z + f[2, 3]
+                    u, v, t = _in_frame(frames, light, corners[k, 0], corners[k, 1], corners[k, 2])
                     u0, u1, v0, v1 = min(u0, u), max(u1, u), min(v0, v), max(v1, v)
                     low, high = min(low, t - offset), max(high, t + offset + bias)
                 first_column, last_column = max((u0 - around) // block, 0), min((u1 + around) // block, last)

@@ -15,9 +15,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
-import numba
-from numba.core.compiler import CompileResult
-
 from f3sr.runtime.cache_files import PART, is_orphan, read_sealed, write_sealed
 
 SUFFIX = ".kernel"
@@ -25,12 +22,15 @@ SUFFIX = ".kernel"
 
 class KernelFiles:
     """What a numba dispatcher asks for compiled code: one instance per kernel. ``folder`` says where files are kept,
-    None for nowhere; it is asked when the kernel is compiled or used first."""
+    None for nowhere; it is asked when the kernel is compiled or used first. ``wait`` returns once another process will
+    not write a file any more, or has written it."""
 
-    def __init__(self, function: Callable[..., Any], folder: Callable[[], Path | None]) -> None:
+    def __init__(
+        self, function: Callable[..., Any], folder: Callable[[], Path | None], wait: Callable[[Path], None]
+    ) -> None:
         self._name = f"{function.__module__}.{function.__qualname__}"
         self._code = function.__code__.co_code
-        self._folder = folder
+        self._folder, self._wait = folder, wait
 
     @property
     def cache_path(self) -> str | None:
@@ -40,7 +40,11 @@ class KernelFiles:
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled kernel for a signature, None where there is none to trust."""
         target_context.refresh()
+        from numba.core.compiler import CompileResult
+
         file = self._file(sig, target_context.codegen())
+        if file:
+            self._wait(file)
         data = file and read_sealed(file, file.name)
         return data and cast(Any, CompileResult)._rebuild(target_context, *pickle.loads(data))
 
@@ -56,6 +60,8 @@ class KernelFiles:
     enable = disable = flush
 
     def _file(self, sig: Any, codegen: Any) -> Path | None:
+        import numba
+
         key = repr((numba.__version__, sys.version, str(sig), codegen.magic_tuple(), self._code))
         folder = self._folder()
         return folder and folder / f"{self._name}-{hashlib.sha256(key.encode()).hexdigest()[:16]}{SUFFIX}"

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.runtime.kernels import inline_kernel, kernel
+from f3sr.runtime.kernels import inline_kernel, inner_kernel, kernel
 
 PAD = 1e-6
 """Slack [px] of bounding boxes: wider than any rounding error, so that only the edge functions decide."""
@@ -79,7 +79,7 @@ def bounds(a: Point, b: Point, c: Point, near: float) -> tuple[float, float, flo
     return min(a[3], b[3], c[3]), max(a[3], b[3], c[3]), min(a[4], b[4], c[4]), max(a[4], b[4], c[4])
 
 
-@kernel
+@inner_kernel
 def clipped_bounds(corners: tuple[Point, Point, Point], near: float) -> tuple[float, float, float, float]:
     """``bounds`` of a triangle that crosses the near plane, a pixel wider for the rounding in the cuts."""
     u0, u1, v0, v1 = np.inf, -np.inf, np.inf, -np.inf

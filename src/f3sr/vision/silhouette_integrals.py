@@ -320,7 +320,7 @@ def _sum_outline(
     for k in range(len(cells)):
         a, b = edges[crossed[k], 0], edges[crossed[k], 1]
         r, c, direction = cells[k, 0], cells[k, 1], cells[k, 2]
-        nx, ny = _normal(pixels[a], pixels[b])
+        nx, ny = _normal(pixels[b, 0] - pixels[a, 0], pixels[b, 1] - pixels[a, 1])
         n_along = ny if upright else nx
         # n points out of the silhouette: along the line it has the sign of ``direction``, which leads from inside to
         # outside.
@@ -346,10 +346,9 @@ def _sum_outline(
         Y = (y - K[1, 2]) * z / K[1, 1]
         X = ((x - K[0, 2]) * z - K[0, 1] * Y) / K[0, 0]
         for p in range(parameters):
-            M = velocities[p]
-            dX = M[0, 0] * X + M[0, 1] * Y + M[0, 2] * z + M[0, 3]
-            dY = M[1, 0] * X + M[1, 1] * Y + M[1, 2] * z + M[1, 3]
-            dz = M[2, 0] * X + M[2, 1] * Y + M[2, 2] * z + M[2, 3]
+            dX = velocities[p, 0, 0] * X + velocities[p, 0, 1] * Y + velocities[p, 0, 2] * z + velocities[p, 0, 3]
+            dY = velocities[p, 1, 0] * X + velocities[p, 1, 1] * Y + velocities[p, 1, 2] * z + velocities[p, 1, 3]
+            dz = velocities[p, 2, 0] * X + velocities[p, 2, 1] * Y + velocities[p, 2, 2] * z + velocities[p, 2, 3]
             qx, qy = (dX - X * dz / z) / z, (dY - Y * dz / z) / z
             J[p] = nx * (K[0, 0] * qx + K[0, 1] * qy) + ny * K[1, 1] * qy  # v . n, by the quotient rule of X / z, Y / z
             for f in range(5):
@@ -361,9 +360,8 @@ def _sum_outline(
 
 
 @inline_kernel
-def _normal(a: Array, b: Array) -> tuple[float, float]:
-    """A unit normal (2,) of the line through two pixels; zeros if they are one."""
-    dx, dy = b[0] - a[0], b[1] - a[1]
+def _normal(dx: float, dy: float) -> tuple[float, float]:
+    """A unit normal of a line along (dx, dy); zeros if that is no direction."""
     length = np.sqrt(dx * dx + dy * dy)
     if length == 0:
         return 0.0, 0.0
