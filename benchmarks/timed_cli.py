@@ -19,7 +19,6 @@ Steps = dict[str, dict[str, float]]
 
 STEPS = (
     ("read", "io.inputs", "read"),
-    ("kernels", "runtime.kernels", "warm_up"),
     ("stages", "pipeline", "reconstruct"),
     ("pictures", "vision.pictures", "pictures_of"),
     ("package", "scene_package.package", "write_package"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
@@ -66,6 +67,12 @@ class SettleConfig:
 
 
 DEFAULT_SETTLING = SettleConfig()
+CALMING = 4
+"""Windows, each calmer than the one before, after which nothing will tip: .8 s."""
+STILL = 1e-9
+"""Travel in a window that is rounding [m]."""
+CLEARLY = 0.5
+"""Share of the allowed drift within which a body clearly rests."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -166,21 +173,33 @@ class _Settling:
                 return
 
     def undamped(self, model: MjModel, data: MjData, seconds: float) -> tuple[Array, bool]:
-        """Undamped steps: the largest travel of every centre of mass (n,) [m], and whether all that counts as rest."""
+        """Undamped steps: the largest travel of every centre of mass (n,) [m], and whether all that counts as rest.
+
+        They end early when all bodies come to rest ever more: what tips accelerates."""
         engine().mj_forward(model, data)
-        start = before = after = _Snapshot.of(data)
+        seen = [_Snapshot.of(data)]
         drifts = np.zeros(model.nbody - 1)
-        for _ in range(max(1, round(seconds / self.config.rest.window))):
-            before = after
+        windows = max(1, round(seconds / self.config.rest.window))
+        while len(seen) <= windows:
             for _ in range(self._window):
                 self._step(model, data, 1.0)
-                way = data.xipos - start.centers
+                way = data.xipos - seen[0].centers
                 way[:, 2] = np.minimum(way[:, 2], 0)  # what is pushed up by a wider margin does not fall
                 drifts = np.maximum(drifts, np.linalg.norm(way, axis=1)[1:])
-            after = _Snapshot.of(data)
+            seen.append(_Snapshot.of(data))
             if self.exploded or drifts.max() > 20 * self.config.rest.drift:
                 return drifts, False
-        return drifts, self._slow(before, after) and bool(drifts.max() <= self.config.rest.drift)
+            if self._calms(seen, drifts, left=windows - len(seen) + 1):
+                break
+        return drifts, self._slow(*seen[-2:]) and bool(drifts.max() <= self.config.rest.drift)
+
+    def _calms(self, seen: Sequence[_Snapshot], drifts: Array, left: int) -> bool:
+        """Whether no body moves faster than before, nor would drift far in the windows that are left."""
+        if len(seen) <= CALMING:
+            return False
+        ways = np.stack([np.linalg.norm(b.centers - a.centers, axis=1)[1:] for a, b in pairwise(seen[-CALMING - 1 :])])
+        slower = (ways[1:] <= np.maximum(ways[:-1], STILL)).all()
+        return bool(slower and (drifts + left * ways[-1]).max() <= CLEARLY * self.config.rest.drift)
 
     @staticmethod
     def fresh(model: MjModel, data: MjData) -> MjData:
