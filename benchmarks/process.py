@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).parent
-BEFORE, AFTER = ("import", "read", "kernels"), ("pictures", "package")
+BEFORE, AFTER = ("import", "read"), ("pictures", "package")
 """What the command does around the stages; ``timed_cli`` notes them."""
 LIMIT_S = 900.0
 """A command that takes longer is killed and counts as failed."""
