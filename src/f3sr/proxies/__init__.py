@@ -34,7 +34,7 @@ from f3sr.runtime.result_store import Arrays, Store
 
 __all__ = ["Excess", "Proxy", "ProxyConfig", "check", "decompose", "decompose_all", "split"]
 
-INFLATION_LIMIT = 1.4
+INFLATION_LIMIT = 2.0
 """Ratio of the volume of the parts to that of the mesh above which a decision names the object."""
 GRID = 2.0**-26
 """Normalised vertices are rounded to this step, so that the asset's unit and place change no byte."""

@@ -29,6 +29,10 @@ STEPS = 6
 """Cuts across a piece that are tried at even distances."""
 LEVELS = (0.05, 0.5, 0.95)
 """Quantiles of the height of surface that faces along a direction, just above which a cut is tried: floors."""
+ABOVE = 0.002
+"""How far above such a level the cut is tried, so that bumps stay below it [size]."""
+STEP = 0.001
+"""Distance of cuts that are different [size]."""
 FACING = 0.85
 """Cosine from which on surface faces a direction."""
 LAYER = 0.003
@@ -325,13 +329,12 @@ def _main_normals(normals: Array, most: int = 3, seeds: int = 60) -> list[Array]
 def _offsets(piece: Piece, u: Array, config: ProxyConfig) -> Array:
     height = piece.outline.corners @ u
     low, high = float(height.min()), float(height.max())
-    step = config.tolerance / 4
     found = [low + (high - low) * np.arange(1, STEPS) / STEPS]
     bad = piece.off > config.tolerance
     for side in (1, -1):
         facing = bad & (side * (piece.samples.normals @ u) > FACING)
         if np.count_nonzero(facing) >= NOISE:
             levels = np.quantile(side * (piece.samples.points[facing] @ u), LEVELS)
-            found.append(side * (levels + config.tolerance / 2))
-    offsets = np.unique(np.round(np.concatenate(found) / step)) * step
-    return offsets[(offsets > low + step) & (offsets < high - step)]
+            found.append(side * (levels + ABOVE))
+    offsets = np.unique(np.round(np.concatenate(found) / STEP)) * STEP
+    return offsets[(offsets > low + STEP) & (offsets < high - STEP)]
