@@ -26,7 +26,7 @@ from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.fit import Excess
 from f3sr.proxies.parts import FittedParts, nearly_convex, one_hull
 from f3sr.proxies.store import key_of, packed, unpacked
-from f3sr.proxies.surface import Faces
+from f3sr.proxies.surface import CLOSE, Faces
 from f3sr.proxies.worker import run_worker
 from f3sr.report import Decision
 from f3sr.runtime.cache_folder import within
@@ -38,6 +38,11 @@ INFLATION_LIMIT = 2.0
 """Ratio of the volume of the parts to that of the mesh above which a decision names the object."""
 GRID = 2.0**-26
 """Normalised vertices are rounded to this step, so that the asset's unit and place change no byte."""
+
+CLOSE_GRID = 0.02
+"""Grid of the points on other bodies that count as close [size]: small changes of poses change no part."""
+NOTHING = np.zeros((0, 3))
+"""No other bodies."""
 
 Method = Literal["hull", "cuts", "hull-fallback"]
 
@@ -63,6 +68,7 @@ def decompose(
     mesh: Mesh,
     config: ProxyConfig | None = None,
     *,
+    near: Array = NOTHING,
     cache_dir: Path | None = None,
     name: str = "mesh",
     about: int | None = None,
@@ -70,6 +76,7 @@ def decompose(
 ) -> Proxy:
     """Convex parts of one mesh; ``name`` appears in errors, ``about`` (an object id) in decisions.
 
+    ``near``: points (n, 3) on other bodies, in the mesh's frame. Parts are finer where they are close.
     Results are kept by the hash of their input in ``cache_dir``, by default ``proxies`` in f3sr's cache.
     Another thread may set ``cancelled``: the worker is killed and CancelledError raised.
     Raises InputError when there are no faces or a coordinate is not finite, before anything is started.
@@ -77,11 +84,12 @@ def decompose(
     config = config or ProxyConfig()
     check(mesh, name)
     vertices, faces, T_mesh_unit = _normalised(mesh)
-    store, key = Store(cache_dir or within("proxies"), share=0.1), key_of(vertices, faces, config)
+    close = _close(near, vertices, T_mesh_unit)
+    store, key = Store(cache_dir or within("proxies"), share=0.1), key_of(vertices, faces, close, config)
     if found := store.load(key):
         proxy = _restored(*found)
     else:
-        proxy = _decompose_unit(vertices, faces, config, cancelled)
+        proxy = _decompose_unit(vertices, faces, close, config, cancelled)
         if not proxy.cut_short:
             store.save(key, *_stored(proxy))
     x, y, z = map(float, transform(T_mesh_unit, np.array([proxy.excess.at]))[0])
@@ -97,21 +105,25 @@ def decompose_all(
     meshes: Sequence[Mesh],
     config: ProxyConfig | None = None,
     *,
+    near: Sequence[Array] | None = None,
     cache_dir: Path | None = None,
     ids: Sequence[int] | None = None,
 ) -> list[Proxy]:
-    """Convex parts of many meshes, one subprocess per processor at a time; ``ids`` name them in decisions."""
+    """Convex parts of many meshes, one subprocess per processor at a time; ``ids`` name them in decisions.
+
+    ``near``: for each mesh, points (n, 3) on other bodies in its frame."""
     ids = range(len(meshes)) if ids is None else ids
+    near = [NOTHING] * len(meshes) if near is None else near
     for mesh, id in zip(meshes, ids, strict=True):
         check(mesh, f"mesh of object {id}")
 
-    def one(mesh: Mesh, id: int) -> Proxy:
-        return decompose(mesh, config, cache_dir=cache_dir, about=id, cancelled=cancelled)
+    def one(mesh: Mesh, near: Array, id: int) -> Proxy:
+        return decompose(mesh, config, near=near, cache_dir=cache_dir, about=id, cancelled=cancelled)
 
     cancelled = threading.Event()
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         try:
-            return list(pool.map(one, meshes, ids))
+            return list(pool.map(one, meshes, near, ids))
         except BaseException:  # a failure or Ctrl-C: leaving the pool waits for its threads, and they for workers
             cancelled.set()
             raise
@@ -120,7 +132,7 @@ def decompose_all(
 def split(mesh: Mesh, config: ProxyConfig | None = None) -> int:
     """How many parts a worker of its own finds; RuntimeError with the reason where it finds none."""
     vertices, faces, _ = _normalised(mesh)
-    outcome = run_worker(vertices, faces, config or ProxyConfig())
+    outcome = run_worker(vertices, faces, NOTHING, config or ProxyConfig())
     if not outcome.fitted:
         raise RuntimeError(outcome.reason)
     return len(outcome.fitted.parts)
@@ -148,14 +160,21 @@ def _normalised(mesh: Mesh) -> tuple[Array, Faces, Array]:
     return vertices, faces, T
 
 
+def _close(near: Array, vertices: Array, T_mesh_unit: Array) -> Array:
+    """Those of points (n, 3) in the mesh's frame that are close to it, normalised and on a coarse grid."""
+    points = transform(np.linalg.inv(T_mesh_unit).astype(np.float64), near)
+    inside = (points > vertices.min(0) - CLOSE) & (points < vertices.max(0) + CLOSE)
+    return np.unique(np.round(points[inside.all(1)] / CLOSE_GRID), axis=0) * CLOSE_GRID
+
+
 def _decompose_unit(
-    vertices: Array, faces: Faces, config: ProxyConfig, cancelled: threading.Event | None = None
+    vertices: Array, faces: Faces, near: Array, config: ProxyConfig, cancelled: threading.Event | None = None
 ) -> Proxy:
     """One hull where that is enough, else what the worker finds, else one hull again, which a decision tells."""
     if reason := nearly_convex(vertices, faces, config):
         decisions = (Decision(choice="one hull", reason=reason),)
         return _proxy(one_hull(vertices, faces, config), "hull", decisions)
-    outcome = run_worker(vertices, faces, config, cancelled)
+    outcome = run_worker(vertices, faces, near, config, cancelled)
     if outcome.fitted:
         return _proxy(outcome.fitted, "cuts", ())
     failed = Decision(choice="one hull", reason=f"the decomposition was {outcome.reason}", fallback=True)

@@ -24,6 +24,7 @@ from f3sr.proxies.surface import (
     Subject,
     Surroundings,
     area_of,
+    close_to,
     samples_of,
     stand_off,
     surroundings,
@@ -78,10 +79,12 @@ def one_hull(vertices: Array, faces: Faces, config: ProxyConfig) -> FittedParts:
     return _fitted([part], vertices, faces, fit.excess([part], NearestTriangles.on(vertices, faces), None, PROBES[0]))
 
 
-def several(vertices: Array, faces: Faces, config: ProxyConfig) -> FittedParts:
-    """Parts that hold all of the surface, and those of the solid below it that cuts lay bare."""
+def several(vertices: Array, faces: Faces, config: ProxyConfig, near: Array | None = None) -> FittedParts:
+    """Parts that hold all of the surface, and those of the solid below it that cuts lay bare.
+
+    ``near``: points (n, 3) of other bodies close to it."""
     whole = ConvexPart.hull_of(vertices)
-    subject = subject_of(vertices, faces, whole, config)
+    subject = subject_of(vertices, faces, whole, config, near)
     hulls = _best_hulls(subject, config)
     base, most = flats_of(whole), config.cut_vertices
     parts = without_hidden([simplified_outward(_thick(h, subject.around), most, base) for h in hulls])
@@ -101,7 +104,9 @@ def _best_hulls(subject: Subject, config: ProxyConfig) -> list[Hull]:
     return hulls
 
 
-def subject_of(vertices: Array, faces: Faces, whole: ConvexPart, config: ProxyConfig) -> Subject:
+def subject_of(
+    vertices: Array, faces: Faces, whole: ConvexPart, config: ProxyConfig, near: Array | None = None
+) -> Subject:
     """All that cutting needs to know of a mesh with its hull ``whole``."""
     around = surroundings(vertices, faces)
     samples = samples_of(vertices[faces], config.cuts.samples)
@@ -111,7 +116,9 @@ def subject_of(vertices: Array, faces: Faces, whole: ConvexPart, config: ProxyCo
     return Subject(
         triangles=vertices[faces],
         simplified=simpler[0][simpler[1]],
-        samples=weighted(touched, planes(whole)),
+        samples=close_to(weighted(touched, planes(whole)), near)
+        if near is not None
+        else weighted(touched, planes(whole)),
         area=area_of(vertices[faces]),
         around=around,
         nearest=NearestTriangles.on(vertices, faces),

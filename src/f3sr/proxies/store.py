@@ -18,15 +18,16 @@ from f3sr.proxies.parts import FittedParts
 from f3sr.proxies.surface import Faces
 from f3sr.runtime.result_store import Arrays
 
-PROXY_VERSION = 6
+PROXY_VERSION = 7
 """Part of the cache key; raise it when the same input and config give other parts."""
 
 
-def key_of(vertices: Array, faces: Faces, config: ProxyConfig) -> str:
-    """A hash of a normalised mesh and of all that its parts depend on."""
+def key_of(vertices: Array, faces: Faces, near: Array, config: ProxyConfig) -> str:
+    """A hash of a normalised mesh, of points close to it, and of all else that its parts depend on."""
     digest = hashlib.sha256(f"{PROXY_VERSION} {config_json(config)} {vertices.shape} {faces.shape}".encode())
     digest.update(vertices.tobytes())
     digest.update(faces.tobytes())
+    digest.update(near.tobytes())
     return digest.hexdigest()
 
 

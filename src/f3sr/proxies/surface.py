@@ -26,6 +26,10 @@ CELL = 0.01
 """Cells [size] of the grid on which open space is told from the inside."""
 FLOOR_WEIGHT = 5.0
 """Weight of the excess at the floor of a cavity. What lies in a pan is smaller and floats by more of its own size."""
+CLOSE = 0.05
+"""Distance of another body at which a point counts as touched [size]: objects move that far until they rest."""
+CLOSE_WEIGHT = 4.0
+"""Weight of the excess where another body is close."""
 GRID_CELLS = 1_000_000
 """Most cells of the grid over a mesh's box: at a hundredth of the diagonal a cube has 200,000."""
 DENSE_POINTS = 3_000_000
@@ -265,6 +269,17 @@ def weighted(samples: Samples, hull: tuple[Array, Array]) -> Samples:
         return samples
     facing = np.where(deep, np.maximum(samples.normals @ opening / length, 0), 0)
     return replace(samples, weight=samples.weight * (1 + (FLOOR_WEIGHT - 1) * facing**FLOOR_POWER))
+
+
+def close_to(samples: Samples, near: Array) -> Samples:
+    """Samples whose weight rises to ``CLOSE_WEIGHT`` close to points (n, 3) of other bodies: they touch there."""
+    from scipy.spatial import KDTree
+
+    if not len(near):
+        return samples
+    distance, _ = KDTree(near).query(samples.points, distance_upper_bound=3 * CLOSE)
+    touched = 1 + (CLOSE_WEIGHT - 1) * np.exp(-((distance / CLOSE) ** 2))
+    return replace(samples, weight=np.maximum(samples.weight, np.minimum(samples.weight, 1) * touched))
 
 
 def _to_triangles(p: Array, triangles: Array) -> Array:

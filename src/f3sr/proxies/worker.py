@@ -40,11 +40,11 @@ class WorkerResult:
 
 
 def run_worker(
-    vertices: Array, faces: Faces, config: ProxyConfig, cancelled: threading.Event | None = None
+    vertices: Array, faces: Faces, near: Array, config: ProxyConfig, cancelled: threading.Event | None = None
 ) -> WorkerResult:
     """Split a normalised mesh in a subprocess of our own, killed at its processor or wall limit."""
     with tempfile.TemporaryFile() as mesh, tempfile.TemporaryFile() as answer, tempfile.TemporaryFile() as errors:
-        np.savez(mesh, vertices=vertices, faces=faces)
+        np.savez(mesh, vertices=vertices, faces=faces, near=near)
         mesh.seek(0)
         with signals.undone(lambda: _start(config, mesh, answer, errors), subprocess.Popen.kill) as process:
             try:
@@ -112,7 +112,7 @@ def work(config_text: str, parent: str) -> None:
     vertices, faces = given["vertices"], given["faces"]
     answer = os.dup(1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # for the words of the libraries
-    fitted = parts.several(vertices, faces, config)
+    fitted = parts.several(vertices, faces, config, given["near"])
     with os.fdopen(answer, "wb") as stream:
         archive = io.BytesIO()
         np.savez(archive, allow_pickle=False, **packed(fitted))

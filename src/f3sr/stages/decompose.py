@@ -6,11 +6,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
+import numpy as np
+
 from f3sr import proxies
+from f3sr.core.transforms import Array, transform
+from f3sr.metrics.measures import sample_surface
 from f3sr.proxies import Excess, ProxyConfig
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene
 
+SURFACE = 2000
+"""Points on an object's surface that tell others where it is."""
 WIDE = 0.02
 """How far proxies must stand off at one place for a decision to name it [size]."""
 
@@ -66,7 +72,7 @@ def _surface_measures(fit: ProxyFit, id: int) -> list[Measure]:
 
 def decompose(scene: Scene, config: ProxyConfig | None = None) -> tuple[Scene, Decomposed]:
     """Give every object its collision proxies, from the cache where the same mesh was decomposed before."""
-    results = proxies.decompose_all([o.mesh for o in scene], config or ProxyConfig())
+    results = proxies.decompose_all([o.mesh for o in scene], config or ProxyConfig(), near=_near(scene))
     pairs = list(zip(scene, results, strict=True))
     fits = {
         o.id: ProxyFit(parts=len(r.parts), inflation=r.inflation, excess=r.excess, outside=r.outside) for o, r in pairs
@@ -76,6 +82,18 @@ def decompose(scene: Scene, config: ProxyConfig | None = None) -> tuple[Scene, D
     decisions += [_where(r.excess, o.id) for o, r in pairs if r.excess.largest > WIDE]
     cut_short = any(r.cut_short for r in results)
     return scene, Decomposed(fits=fits, decisions=tuple(decisions), cut_short=cut_short)
+
+
+def _near(scene: Scene) -> list[Array]:
+    """For each object, points (n, 3) on the surfaces of all others, in its asset frame."""
+    surfaces = [transform(o.T_world_asset, sample_surface(o.mesh.vertices, o.mesh.faces, SURFACE)) for o in scene]
+    return [
+        transform(
+            np.linalg.inv(o.T_world_asset).astype(np.float64),
+            np.concatenate([np.zeros((0, 3)), *(s for i, s in enumerate(surfaces) if i != k)]),
+        )
+        for k, o in enumerate(scene)
+    ]
 
 
 def _where(excess: Excess, id: int) -> Decision:
