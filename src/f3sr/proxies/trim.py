@@ -8,6 +8,7 @@ exactly, so what was covered stays covered.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
@@ -52,7 +53,7 @@ class Near:
     radius: float
     reach: float
     vertices: int = 64
-    """Most vertices of a part after it is cut."""
+    """Most vertices of a part after it is cut, if it had no more before."""
 
     def scaled(self, scale: float) -> Near:
         """The same in another unit."""
@@ -130,7 +131,8 @@ def trimmed(surface: MeshSurface, parts: Sequence[ConvexPart], place: Place, nea
         if part not in surface.held:
             around = surface.around(part.vertices.min(0), part.vertices.max(0))
             surface.held[part] = _Held.of(part, around, surface.size)
-        left = _trimmed(surface.held[part], place, spot, near, SPLITS)
+        bounded = near if len(part.vertices) <= near.vertices else replace(near, vertices=sys.maxsize)
+        left = _trimmed(surface.held[part], place, spot, bounded, SPLITS)
         surface.held.update({h.part: h for h in left})
         now[k] = left[0].part
         added += [h.part for h in left[1:]]

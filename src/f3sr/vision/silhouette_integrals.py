@@ -80,17 +80,20 @@ def integrate(
     ``velocities`` (p, 3, 4) [m per unit of each parameter] are affine fields in camera axes: a point X moves by
     ``velocity @ (X, 1)``. Edges that reach behind ``near`` are left out, and, rightly, what the image's border cuts.
     """
+    # Kernels are compiled once per layout: one layout for all callers, and K not read-only.
+    points_camera, velocities, mask, K = *map(np.ascontiguousarray, (points_camera, velocities, mask)), np.array(K)
+    valid, mismatch, stiffness = map(np.ascontiguousarray, (fields.valid, fields.mismatch, fields.stiffness))
     pixels, inverse_depth = np.empty((len(points_camera), 2)), np.empty(len(points_camera))
-    _project(np.ascontiguousarray(points_camera), K, near, pixels, inverse_depth)
+    _project(points_camera, K, near, pixels, inverse_depth)
     edges = _at_outline(pixels, inverse_depth, edges, mask)
     value, gradient, curvature = np.zeros(5), np.zeros((5, len(velocities))), np.zeros((len(velocities),) * 2)
-    _sum_inside(mask, fields.valid, fields.mismatch, value)
+    _sum_inside(mask, valid, mismatch, value)
     # Rows of pixel centres see the part |n_x| ds of the outline, columns the part |n_y| ds.
     for upright in (False, True):
         outline = _outline(pixels, inverse_depth, edges, mask, upright=upright)
         _sum_outline(
             *outline, pixels, inverse_depth, edges, K, velocities, upright,
-            fields.valid, fields.mismatch, fields.stiffness, value, gradient, curvature,
+            valid, mismatch, stiffness, value, gradient, curvature,
         )  # fmt: skip
     return Integrals(value=value, gradient=gradient, curvature=curvature)
 
