@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.proxies import trim
+from f3sr.proxies.collapse import collapsed
 from f3sr.proxies.trim import MeshSurface, Near
 from scenes import ball_mesh, dish_mesh
 
-NEAR = Near(tolerance=2e-4, radius=0.01, reach=0.05)
+NEAR = Near(tolerance=2e-4, radius=0.01, reach=0.05, vertices=1000)
 
 
 def around_ball(radius: float = 0.05) -> ConvexPart:
@@ -80,6 +83,20 @@ def test_what_is_not_in_the_way_stays_the_same_value():
     fits = (ConvexPart.hull_of(mesh.vertices),)
     again, before, _ = touched(mesh, fits, np.array([0.0, 0.0, -0.06]))
     assert before <= 1e-6 and again[0] is fits[0]
+
+
+@pytest.mark.parametrize("most", [32, 64])
+def test_a_part_that_is_cut_back_keeps_few_vertices_and_covers(most: int):
+    mesh, coarse = ball_mesh(0.05), around_ball()
+    few = ConvexPart.hull_of(collapsed(coarse.vertices, most))
+    near = replace(NEAR, vertices=most)
+    surface = MeshSurface.of(mesh)
+    there = trim.place_near(surface, (few,), 0.9 * few.vertices[0], near)
+    assert there is not None
+    (less,) = trim.trimmed(surface, (few,), there, near)
+    assert len(less.vertices) <= most
+    assert trim.place_on(surface, (less,), there.point, there.outward).off <= near.tolerance < there.off
+    assert outside((less,), surface_points(mesh)) < 1e-8
 
 
 def test_the_same_touch_gives_the_same_bytes():

@@ -116,7 +116,7 @@ def reconstruct(
     require_kind("inputs", inputs, Inputs, accepted="f3sr.read_inputs(...)")
     require_names("skip", skip)
     given = config or Config()
-    config = same_margin(given)
+    config = consistent(given)
     if REPEATED_BY_REFINE & set(skip):
         skip = {*skip, "refine"}
     if "settle" in skip:
@@ -182,14 +182,16 @@ def reconstruct(
     )
 
 
-def same_margin(config: Config) -> Config:
-    """The settings with one contact margin for every stage: that of the physics in which the scene settles."""
-    contact = config.settle.physics.contact
+def consistent(config: Config) -> Config:
+    """The settings with one contact margin, that of the physics in which the scene settles, and one bound of vertices.
+
+    Every stage then means the same contact, and what cuts a part keeps the bound under which it was made."""
+    contact, cut = config.settle.physics.contact, replace(config.close.cut, vertices=config.decompose.max_vertices)
     return replace(
         config,
         relate=replace(config.relate, contact=contact),
         separate=replace(config.separate, contact=contact),
-        close=replace(config.close, contact=contact),
+        close=replace(config.close, contact=contact, cut=cut),
         refine=replace(config.refine, contact=contact),
     )
 

@@ -8,9 +8,6 @@ from annotated_types import Interval
 
 from f3sr.settings import constants, settings
 
-UNCUT = 0.75
-"""Share of the vertices that parts have before ``close`` cuts them back at contacts."""
-
 
 @constants
 class CutConfig:
@@ -41,8 +38,3 @@ class ProxyConfig:
     wall_limit_s: Annotated[float, Interval(gt=0, le=36_000)] = 600.0
     """Most time by the clock [s], for a busy machine."""
     cuts: CutConfig = CutConfig()
-
-    @property
-    def cut_vertices(self) -> int:
-        """Most vertices of a part at first: contacts cut facets off it later."""
-        return max(8, round(UNCUT * self.max_vertices))
