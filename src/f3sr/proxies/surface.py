@@ -28,7 +28,7 @@ FLOOR_WEIGHT = 5.0
 """Weight of the excess at the floor of a cavity. What lies in a pan is smaller and floats by more of its own size."""
 CLOSE = 0.05
 """Distance of another body at which a point counts as touched [size]: objects move that far until they rest."""
-CLOSE_WEIGHT = 4.0
+CLOSE_WEIGHT = 8.0
 """Weight of the excess where another body is close."""
 GRID_CELLS = 1_000_000
 """Most cells of the grid over a mesh's box: at a hundredth of the diagonal a cube has 200,000."""
