@@ -218,10 +218,11 @@ def help_of(command: str, capsys: pytest.CaptureFixture[str]) -> str:
     return " ".join(re.sub("[─-╿]", " ", capsys.readouterr().out).split())
 
 
-COMMANDS = ("reconstruct", "evaluate", "simulate", "film", "goals", "demo", "config", "doctor")
+COMMANDS = ("reconstruct", "evaluate", "simulate", "film", "goals", "batch", "dataset", "demo", "config", "doctor")
+DATASET_COMMANDS = ("dataset stats", "dataset filter", "dataset sheet", "dataset export")
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", [*COMMANDS, *DATASET_COMMANDS])
 def test_help_names_what_an_argument_is_and_no_empty_default(command: str, capsys: pytest.CaptureFixture[str]):
     said = help_of(command, capsys)
     assert not re.search(r"None|\bPATH\b|\bSTR\b|default: (\)|'')", said), said
@@ -252,6 +253,9 @@ def test_the_help_of_the_demo_has_its_goal(capsys: pytest.CaptureFixture[str]):
         ("reconstruct", "--ignore", options.PARTS),
         ("reconstruct", "--asset-frame", options.ASSET_FRAMES),
         ("evaluate", "--ignore", options.PARTS),
+        ("batch", "--skip", options.SKIPPABLE),
+        ("batch", "--ignore", options.PARTS),
+        ("batch", "--asset-frame", options.ASSET_FRAMES),
     ],
 )
 def test_help_names_all_that_an_option_accepts(

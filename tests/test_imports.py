@@ -56,7 +56,8 @@ FLOORS = (
     ("pipeline",),
     ("language", "report_page"),
     ("play", "delivery"),
-    ("film",),
+    ("film", "dataset"),
+    ("batch",),
     ("cli",),
     ("__main__",),
 )

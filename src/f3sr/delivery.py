@@ -11,11 +11,19 @@ from f3sr.scene_package import package
 from f3sr.vision import pictures
 
 
-def deliver(result: Reconstruction, out: str | Path, *, overwrite: bool = False, progress: Progress = silent) -> Path:
+def deliver(
+    result: Reconstruction,
+    out: str | Path,
+    *,
+    overwrite: bool = False,
+    times: bool = True,
+    progress: Progress = silent,
+) -> Path:
     """Write the scene package (docs: conventions) to ``out`` and return the folder's full path.
 
     An older f3sr package there is replaced. One with rollouts is replaced only with ``overwrite``. An error leaves it
-    unchanged. Raises OutputError if ``out`` holds anything else, or cannot be written.
+    unchanged. Without ``times`` report.json has no seconds, and equal inputs give equal bytes. Raises OutputError if
+    ``out`` holds anything else, or cannot be written.
     """
     evaluation = result.evaluation
     with timed("pictures", progress):
@@ -31,7 +39,7 @@ def deliver(result: Reconstruction, out: str | Path, *, overwrite: bool = False,
             provenance=result.provenance,
             reports=(*result.reports, *([evaluation.report] if evaluation else [])),
             rows={title: row.as_dict() for title, row in evaluation.rows().items()} if evaluation else {},
-            seconds=result.seconds,
+            seconds=result.seconds if times else {},
             pictures=shown,
             inpainting=result.inpainting,
             page=page,

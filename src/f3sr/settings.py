@@ -61,18 +61,37 @@ def read(file: Path, defaults: T) -> T:
     data = limited_file.read(file, most=MAX_BYTES, accepted=accepted)
     try:
         given = tomllib.loads(data.decode("utf-8"))
-        complete = json.dumps(_overlaid(asdict(cast(Any, defaults)), given), default=str)
+        return _checked(file, given, defaults)
     except RecursionError:
         raise InputError(file, found="no TOML (nested too deeply)", accepted=accepted) from None
     except ValueError as error:
         raise InputError(file, found=f"no TOML ({error})", accepted=accepted) from None
-    if unknown := _unknown(file, given, defaults):
+
+
+def with_values(where: str | Path, values: Mapping[str, Any], defaults: T) -> T:
+    """``defaults`` with plain values by dotted name, as ``changed`` gives them. Raises InputError naming ``where``."""
+    tree = dict[str, Any]()
+    for name, value in values.items():
+        *tables, last = name.split(".")
+        table = tree
+        for step in tables:
+            table = table.setdefault(step, {})
+            if not isinstance(table, dict):
+                raise InputError(where, found=f"both a value and a table at {name}", accepted="one of the two")
+        table[last] = value
+    return _checked(where, tree, defaults)
+
+
+def _checked(where: str | Path, given: dict[str, Any], defaults: T) -> T:
+    """``defaults`` overlaid with a tree of values. Raises InputError for the first that is wrong."""
+    complete = json.dumps(_overlaid(asdict(cast(Any, defaults)), given), default=str)
+    if unknown := _unknown(where, given, defaults):
         raise unknown
     try:
         return cast(T, TypeAdapter(type(defaults)).validate_json(complete))
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        raise _input_error(file, first, defaults, given) from None
+        raise _input_error(where, first, defaults, given) from None
 
 
 def describe(config: object) -> str:
@@ -99,7 +118,7 @@ def _overlaid(base: dict[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def _unknown(file: Path, given: Mapping[str, Any], config: object, table: str = "") -> InputError | None:
+def _unknown(file: str | Path, given: Mapping[str, Any], config: object, table: str = "") -> InputError | None:
     """What is wrong with the first name in a file that is no setting."""
     known = _names(config)
     for name, value in given.items():
@@ -113,7 +132,7 @@ def _unknown(file: Path, given: Mapping[str, Any], config: object, table: str = 
     return None
 
 
-def _input_error(file: Path, error: Any, defaults: object, given: Any) -> InputError:
+def _input_error(file: str | Path, error: Any, defaults: object, given: Any) -> InputError:
     """The first value that is wrong in a file, in the words of an InputError."""
     at, node, value = defaults, dict[str, Any](), given
     path: list[str] = []

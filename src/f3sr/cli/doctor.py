@@ -26,6 +26,7 @@ from f3sr.exporters.protocol import EXPORTERS
 from f3sr.play.languages import LANGUAGES
 from f3sr.runtime import kernels
 from f3sr.runtime.cache_folder import cache_folder
+from f3sr.runtime.machine import usable_cores, usable_memory
 
 State = Literal["ok", "optional", "limited", "broken", "failed"]
 
@@ -203,20 +204,6 @@ def _machine() -> Iterator[Check]:
     found = f"{memory:.1f} GB" + ("" if memory >= LITTLE_MEMORY else f", large scenes need {LITTLE_MEMORY:.0f}")
     yield Check(group="machine", name="memory", state="ok" if memory >= LITTLE_MEMORY else "limited", found=found)
     yield _space("temporary files", Path(tempfile.gettempdir()))
-
-
-def usable_cores() -> int:
-    """Processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def usable_memory() -> float:
-    """Memory [GB] of the machine, or what a container leaves of it."""
-    total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
-    try:
-        return min(total, int(Path("/sys/fs/cgroup/memory.max").read_text()) / 1e9)
-    except (OSError, ValueError):
-        return total
 
 
 def _caches() -> Iterator[Check]:

@@ -15,7 +15,7 @@ import tyro
 
 import f3sr
 from f3sr import options
-from f3sr.cli import goal_commands
+from f3sr.cli import batch_commands, goal_commands
 from f3sr.cli.arguments import Axes, Folder, Ignore, MaybeFile, Name, Out, Skip
 from f3sr.errors import (
     F3srError,
@@ -47,6 +47,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         "simulate": goal_commands.simulate,
         "film": goal_commands.film,
         "goals": goal_commands.goals,
+        "batch": batch_commands.batch,
+        "dataset": batch_commands.dataset,
         "demo": demo,
         "config": config,
         "doctor": doctor,
@@ -55,6 +57,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if arguments == ["--version"]:
             print(f"f3sr {f3sr.__version__}")
+            return 0
+        if arguments[:1] == ["dataset"]:
+            tyro.extras.subcommand_cli_from_dict(
+                dict(batch_commands.DATASET_COMMANDS),
+                prog="f3sr dataset",
+                description=batch_commands.dataset.__doc__,
+                args=arguments[1:],
+            )
             return 0
         tyro.extras.subcommand_cli_from_dict(
             commands,

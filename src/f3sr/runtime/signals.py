@@ -27,6 +27,7 @@ PATIENCE_S = 1.5
 _disk = threading.RLock()
 _undo: dict[object, Callable[[], object]] = {}
 _written: list[Path] = []
+_kept: list[str] = []
 _watching: list[threading.Thread] = []
 
 
@@ -71,9 +72,16 @@ def wrote(place: Path) -> None:
     _written.append(place)
 
 
+def keeps(words: str) -> None:
+    """What to say of the disk while no result as a whole is complete."""
+    _kept[:] = [words]
+
+
 def state() -> str:
     """What this process has left on disk, in words."""
-    return f"{_written[-1]} is complete" if _written else "nothing was written"
+    if _written:
+        return f"{_written[-1]} is complete"
+    return _kept[0] if _kept else "nothing was written"
 
 
 def _heard(*_: Any) -> None:

@@ -33,14 +33,17 @@ def document(
     styles: tuple[Path, ...],
     scripts: tuple[Path, ...],
     films: bool = False,
+    pictures: bool = False,
 ) -> bytes:
     """The bytes of the document that ``template`` makes of ``values``, with its files of style and script.
 
-    Other templates are found beside it. ``films``: whether it may show films, from data of its own.
+    Other templates are found beside it. ``films``: whether it may show films, from data of its own. ``pictures``:
+    whether it may show pictures from files beside it.
     """
     style, script = _joined(styles), _joined(scripts)
+    beside = " 'self' file:" if pictures else ""
     policy = (
-        f"default-src 'none'; img-src data:; {'media-src data:; ' if films else ''}"
+        f"default-src 'none'; img-src data:{beside}; {'media-src data:; ' if films else ''}"
         f"style-src {_hash(style)}; script-src {_hash(script)}; base-uri 'none'; form-action 'none'"
     )
     page = environment(template.parent).get_template(template.name)
