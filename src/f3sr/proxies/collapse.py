@@ -59,7 +59,7 @@ class _Facets:
         return cls(
             normals=planes[:, :3],
             offsets=-planes[:, 3],
-            areas=np.bincount(facet, area, minlength=len(planes)),
+            areas=np.asarray(np.bincount(facet, area, minlength=len(planes)), np.float64),
             edges=ends[real].astype(np.int64),
             around=around,
         )

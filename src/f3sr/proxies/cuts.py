@@ -144,7 +144,8 @@ def _sectors(whole: Piece, axis: Axis, subject: Subject, config: ProxyConfig) ->
     found: list[Piece] = []
     for u, w in zip(normals, np.roll(normals, -1, 0), strict=True):
         sector = whole
-        for side in (np.cross(axis.direction, u), -np.cross(axis.direction, w)):
+        first, last = np.cross(axis.direction, u), np.cross(w, axis.direction)
+        for side in (np.asarray(first, np.float64), np.asarray(last, np.float64)):
             halves = _parts_of(sector, side, float(side @ axis.point), subject, config)
             if halves is None:
                 break

@@ -39,11 +39,11 @@ class Axis:
 
     def fan(self, count: int) -> Array:
         """Unit normals (count, 3) of half planes that start at the axis, evenly around it."""
-        u = np.cross(self.direction, np.eye(3)[int(np.argmin(np.abs(self.direction)))])
-        u /= np.linalg.norm(u)
-        v = np.cross(self.direction, u)
-        angles = 2 * np.pi * np.arange(count) / count
-        return np.cos(angles)[:, None] * u + np.sin(angles)[:, None] * v
+        across = np.cross(self.direction, np.eye(3)[int(np.argmin(np.abs(self.direction)))])
+        u: Array = np.asarray(across / np.linalg.norm(across), np.float64)
+        v: Array = np.cross(self.direction, u)
+        angles: Array = 2 * np.pi * np.arange(count)[:, None] / count
+        return np.cos(angles) * u + np.sin(angles) * v
 
     def surrounds(self, points: Array) -> bool:
         """Whether points (n, 3) lie all around the axis."""

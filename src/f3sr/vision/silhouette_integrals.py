@@ -80,11 +80,12 @@ def integrate(
     ``velocities`` (p, 3, 4) [m per unit of each parameter] are affine fields in camera axes: a point X moves by
     ``velocity @ (X, 1)``. Edges that reach behind ``near`` are left out, and, rightly, what the image's border cuts.
     """
-    # Kernels are compiled once per layout: one layout for all callers, and K not read-only.
-    points_camera, velocities, mask, K = *map(np.ascontiguousarray, (points_camera, velocities, mask)), np.array(K)
+    # Kernels are compiled once per layout: one layout for all callers, and a matrix that is not read-only.
+    matrix, mask = np.array(K), np.ascontiguousarray(mask)
+    points_camera, velocities = map(np.ascontiguousarray, (points_camera, velocities))
     valid, mismatch, stiffness = map(np.ascontiguousarray, (fields.valid, fields.mismatch, fields.stiffness))
     pixels, inverse_depth = np.empty((len(points_camera), 2)), np.empty(len(points_camera))
-    _project(points_camera, K, near, pixels, inverse_depth)
+    _project(points_camera, matrix, near, pixels, inverse_depth)
     edges = _at_outline(pixels, inverse_depth, edges, mask)
     value, gradient, curvature = np.zeros(5), np.zeros((5, len(velocities))), np.zeros((len(velocities),) * 2)
     _sum_inside(mask, valid, mismatch, value)
@@ -92,7 +93,7 @@ def integrate(
     for upright in (False, True):
         outline = _outline(pixels, inverse_depth, edges, mask, upright=upright)
         _sum_outline(
-            *outline, pixels, inverse_depth, edges, K, velocities, upright,
+            *outline, pixels, inverse_depth, edges, matrix, velocities, upright,
             valid, mismatch, stiffness, value, gradient, curvature,
         )  # fmt: skip
     return Integrals(value=value, gradient=gradient, curvature=curvature)
