@@ -69,30 +69,25 @@ class _Facets:
         return np.maximum(points @ self.normals.T - self.offsets, 0) @ self.areas / 3
 
 
-def collapsed(points: Array, most: int, spared: Array | None = None, radius: float = 0.0) -> Array:
+def collapsed(points: Array, most: int) -> Array:
     """Corners (k, 3) of a polytope that contains points (n, 3), at most ``most`` of them.
 
-    More are left where no edge can be collapsed. Edges within ``radius`` of a point ``spared`` (3,) stay."""
+    More are left where no edge can be collapsed."""
     while True:
         hull = qhull_of(points)
         if hull is None:
             return points
         corners = np.sort(hull.vertices)
-        smaller = _once(points, hull, corners, most, spared, radius) if len(corners) > most else None
+        smaller = _once(points, hull, corners, most) if len(corners) > most else None
         if smaller is None:
             return points[corners]
         points = smaller
 
 
-def _once(
-    points: Array, hull: Any, corners: NDArray[np.int64], most: int, spared: Array | None, radius: float
-) -> Array | None:
+def _once(points: Array, hull: Any, corners: NDArray[np.int64], most: int) -> Array | None:
     """The corners after the cheapest collapses, no two of neighbours; None where there is none."""
     facets = _Facets.of(points, hull)
     places, costs = _places(facets)
-    if spared is not None:
-        near = np.linalg.norm(points - spared, axis=1) <= radius
-        costs[near[facets.edges].any(1) | (np.linalg.norm(places - spared, axis=1) <= radius)] = np.inf
     limit = max(1, min(len(corners) - most, round(AT_ONCE * len(corners))))
     beside: dict[int, set[int]] = {int(v): {int(v)} for v in corners}
     for a, b in facets.edges.tolist():

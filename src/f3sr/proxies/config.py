@@ -8,6 +8,9 @@ from annotated_types import Interval
 
 from f3sr.settings import constants, settings
 
+UNCUT = 2 / 3
+"""Share of the allowed vertices that a part is made with: it is cut flush with its mesh and back at contacts later."""
+
 
 @constants
 class CutConfig:
@@ -31,10 +34,15 @@ class ProxyConfig:
     max_parts: Annotated[int, Interval(ge=1, le=256)] = 24
     """Most convex parts of one object. The cost of contact grows with the square of their number. ``close`` may add
     some."""
-    max_vertices: Annotated[int, Interval(ge=12, le=1000)] = 64
+    max_vertices: Annotated[int, Interval(ge=16, le=1000)] = 64
     """Most vertices of a part. PhysX takes 64, some engines on a GPU 32."""
     cpu_limit_s: Annotated[float, Interval(gt=0, le=36_000)] = 120.0
     """Most processor time [s]. Work cut short is lost; most meshes need 3 s."""
     wall_limit_s: Annotated[float, Interval(gt=0, le=36_000)] = 600.0
     """Most time by the clock [s], for a busy machine."""
     cuts: CutConfig = CutConfig()
+
+    @property
+    def made_vertices(self) -> int:
+        """Most vertices of a part at first."""
+        return round(UNCUT * self.max_vertices)

@@ -73,7 +73,7 @@ def _missing_share(triangles: Array) -> float:
 def one_hull(vertices: Array, faces: Faces, config: ProxyConfig) -> FittedParts:
     points = vertices[np.unique(faces)]
     try:
-        part = simplified_outward(points, config.max_vertices)
+        part = simplified_outward(points, config.made_vertices)
     except ValueError:
         part = ConvexPart.hull_of(_thickened(points))
     return _fitted([part], vertices, faces, fit.excess([part], NearestTriangles.on(vertices, faces), None, PROBES[0]))
@@ -86,7 +86,7 @@ def several(vertices: Array, faces: Faces, config: ProxyConfig, near: Array | No
     whole = ConvexPart.hull_of(vertices)
     subject = subject_of(vertices, faces, whole, config, near)
     hulls = _best_hulls(subject, config)
-    base, most = flats_of(whole), config.max_vertices
+    base, most = flats_of(whole), config.made_vertices
     parts = without_hidden([simplified_outward(_thick(h, subject.around), most, base) for h in hulls])
     excess = fit.excess(parts, subject.nearest, subject.around, PROBES[0])
     return _fitted(parts, vertices, faces, replace(excess, floor=fit.floor_excess(parts, subject.samples)))

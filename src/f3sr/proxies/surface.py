@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from f3sr.core.transforms import Array
 from f3sr.proxies.hulls import Hull
 
-PROBES = (0.03, 0.06, 0.12)
+PROBES = (0.03, 0.06)
 """Radii [size] of the balls that feel a surface. Slots, pores and corners into which not even the smallest fits may be
 bridged, closed voids as well."""
-FULLY_FELT = 0.12
+FULLY_FELT = 0.06
 """Radius [size] of a ball from which on a hollow counts in full. What a smaller ball feels counts in proportion: the
 bumps of a generated surface are hollows for small balls only."""
 SINKS = 4

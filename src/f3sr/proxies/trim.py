@@ -8,6 +8,7 @@ exactly, so what was covered stays covered.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
@@ -17,7 +18,6 @@ import numpy as np
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import Array
-from f3sr.proxies.collapse import collapsed
 from f3sr.proxies.cuts import OVERLAP, below
 from f3sr.proxies.hulls import qhull_of
 from f3sr.proxies.simplify import corners_of, merged
@@ -53,7 +53,7 @@ class Near:
     radius: float
     reach: float
     vertices: int = 64
-    """Most vertices of a part after it is cut."""
+    """Most vertices of a part after it is cut, if it had no more before."""
 
     def scaled(self, scale: float) -> Near:
         """The same in another unit."""
@@ -131,7 +131,8 @@ def trimmed(surface: MeshSurface, parts: Sequence[ConvexPart], place: Place, nea
         if part not in surface.held:
             around = surface.around(part.vertices.min(0), part.vertices.max(0))
             surface.held[part] = _Held.of(part, around, surface.size)
-        left = _trimmed(surface.held[part], place, spot, near, SPLITS)
+        bounded = near if len(part.vertices) <= near.vertices else replace(near, vertices=sys.maxsize)
+        left = _trimmed(surface.held[part], place, spot, bounded, SPLITS)
         surface.held.update({h.part: h for h in left})
         now[k] = left[0].part
         added += [h.part for h in left[1:]]
@@ -212,13 +213,6 @@ class _Held:
         part = less(self.part, normal, offset, self.size)
         return None if part is None else replace(self, part=part)
 
-    def of_few(self, most: int, spot: Array, radius: float) -> _Held | None:
-        """The part with at most so many vertices, unchanged around a spot (3,); None where that is not possible."""
-        if len(self.part.vertices) <= most:
-            return self
-        points = collapsed(self.part.vertices / self.size, most, spot / self.size, radius / self.size)
-        return replace(self, part=ConvexPart.hull_of(points * self.size)) if len(points) <= most else None
-
     def half(self, normal: Array, offset: float) -> _Held | None:
         """What is below a plane; None where that is too little."""
         part = less(self.part, normal, offset, self.size)
@@ -243,8 +237,7 @@ def _cut_back(held: _Held, spot: Array, near: Near) -> _Held:
     worst = held.worst(spot[None])
     for _ in range(MOST_CUTS):
         smaller = held.cut(*worst[1]) if worst else None
-        smaller = None if smaller is None else smaller.of_few(near.vertices, spot, near.radius)
-        if smaller is None:
+        if smaller is None or len(smaller.part.vertices) > near.vertices:
             break
         held, corners = smaller, smaller.part.vertices
         worst = held.worst(corners[np.linalg.norm(corners - spot, axis=1) <= near.radius])
