@@ -67,6 +67,10 @@ class SettleConfig:
 
 
 DEFAULT_SETTLING = SettleConfig()
+CREEPING = 3
+"""Rounds without less drift after which a scene creeps."""
+FALLING = 0.9
+"""Share of the earlier drift below which the drift still falls."""
 CALMING = 4
 """Windows, each calmer than the one before, after which nothing will tip: .8 s."""
 STILL = 1e-9
@@ -127,7 +131,7 @@ def settle(
         m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
     run = _Settling(model, settling)
     data, calm = mujoco.MjData(model), False
-    drifts = np.full(len(objects), np.inf)
+    drifts, history = np.full(len(objects), np.inf), list[float]()
     for _ in range(settling.rounds):
         run.until_rest(data)
         drifts, calm = np.zeros(len(objects)), not run.exploded
@@ -138,7 +142,8 @@ def settle(
             if not calm:
                 data = run.fresh(model, released)
                 break
-        if calm or run.exploded or run.seconds >= settling.time_limit:
+        history.append(float(drifts.max()))
+        if calm or run.exploded or run.seconds >= settling.time_limit or _creeps(history):
             break
     return SettleResult(
         T_world_object={o.id: o.T_world_object if run.exploded else _pose_of(model, data, o) for o in objects},
@@ -149,6 +154,12 @@ def settle(
         drifts={o.id: float(d) for o, d in zip(objects, drifts, strict=True)},
         loads={} if run.exploded else contact_loads(model, data, [o.id for o in objects]),
     )
+
+
+def _creeps(history: Sequence[float]) -> bool:
+    """Whether the largest drifts of rounds [m] do not fall any more: what creeps would creep in every further round."""
+    recent, before = history[-CREEPING:], history[:-CREEPING]
+    return bool(before) and min(recent) > FALLING * min(before)
 
 
 @dataclass(eq=False)
