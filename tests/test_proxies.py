@@ -302,6 +302,17 @@ def test_a_bowl_is_covered_and_stays_a_container(bowl):
     assert lowest_of_a_dropped_ball(bowl, 0.1, (0, 0), 0.5) == pytest.approx(0.05, abs=QUICK.tolerance * BOWL.diagonal)
 
 
+def test_parts_are_finer_where_another_body_is_close(tmp_path):
+    """A ball beside the wall of a bowl comes nearer to the wall with parts that were made for it."""
+    rng = np.random.default_rng(3)
+    near = rng.normal(size=(400, 3))
+    near = 0.2 * near / np.linalg.norm(near, axis=1, keepdims=True) + [0.6, 0, 0.35]
+    plain, made = (decompose(BOWL, cache_dir=tmp_path, near=points) for points in (np.zeros((0, 3)), near))
+    ways = [polytopes.free_travel(ball(0.1, (0.4, 0, 0.4)), body(p), (0.8, 0, -0.6)) for p in (plain, made)]
+    assert ways[1] > ways[0]
+    assert made.outside < 1e-7
+
+
 def test_all_parts_of_a_bowl_end_in_its_base(bowl):
     lowest = np.array([part.vertices[:, 2].min() for part in bowl.parts])
     assert lowest.min() == pytest.approx(0, abs=1e-6)
