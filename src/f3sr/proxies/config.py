@@ -31,7 +31,7 @@ class ProxyConfig:
     tolerance: Annotated[float, Interval(ge=0.0005, le=0.2)] = 0.02
     """Largest depth by which something sinks past a part before it touches the mesh [size]. Half of it doubles the
     parts. In narrow hollows more is allowed, on the floor of a cavity less."""
-    max_parts: Annotated[int, Interval(ge=1, le=256)] = 20
+    max_parts: Annotated[int, Interval(ge=1, le=256)] = 32
     """Most convex parts of one object. The cost of contact grows with the square of their number. ``close`` may add
     some."""
     max_vertices: Annotated[int, Interval(ge=16, le=1000)] = 64

@@ -15,8 +15,8 @@ from f3sr.core.transforms import Array
 from f3sr.proxies.hulls import Hull
 from f3sr.proxies.surface import Samples, stand_off
 
-PART_WORTH = 0.02
-"""Loss that one part fewer is worth: a stand-off by the tolerance over 2% of the surface."""
+PART_WORTH = 0.01
+"""Loss that one part fewer is worth: a stand-off by the tolerance over 1% of the surface."""
 MOST_OFF = 4.0
 """Largest stand-off that a part fewer may bring [tolerances]."""
 NOISE = 3

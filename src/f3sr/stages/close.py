@@ -45,7 +45,7 @@ class CutBackConfig:
     every round, so that an object that rolled may stay."""
     reach: float = 0.1
     """Largest distance from a contact at which the mesh is searched: parts hardly stand off farther."""
-    most: int = 32
+    most: int = 48
     """Convex parts of one object, with its footing, up to which splits add some: every part costs time of physics."""
     vertices: int = 64
     """Most vertices of a part that is cut back: PhysX takes no more."""
