@@ -14,7 +14,7 @@ import pytest
 import f3sr
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import rotation_about
-from f3sr.physics import mujoco_model
+from f3sr.physics import mujoco_model, settling
 from f3sr.physics.mujoco_model import PhysicsConfig, body_of, build_spec
 from f3sr.physics.release import RELEASE_MARGIN, filling, release
 from f3sr.physics.settling import RestConfig, SettleConfig, settle
@@ -158,6 +158,26 @@ def test_a_scene_without_rest_is_reported_within_the_time_limit() -> None:
     high = [box(0, at=(0, 0, 500))]
     result = settle(high, settling=SettleConfig(time_limit=0.3, check_time=0.1, rest=RestConfig(window=0.05)))
     assert not result.at_rest and not result.exploded and result.seconds == pytest.approx(0.3, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("drifts", "creeps"),
+    [([4, 4, 4], False), ([4, 4, 4, 4], True), ([4, 3, 2, 1], False), ([9, 1, 1, 1], False), ([9, 1, 1, 1, 1], True)],
+)
+def test_what_drifts_as_far_in_every_round_creeps(drifts: list[float], creeps: bool) -> None:
+    assert settling._creeps(drifts) is creeps
+
+
+@pytest.mark.parametrize("rate", [2.0, 6.0])
+def test_an_undamped_check_does_not_end_while_something_tips(rate: float) -> None:
+    """A body that tips moves exponentially, ever faster, however slowly it begins."""
+    run = settling._Settling(None, SettleConfig())
+    tipping, calming = (
+        [settling._Snapshot(np.array([[0.0, 0, 0], [way(t), 0, 0]]), np.zeros((2, 3, 3))) for t in np.arange(0, 2, 0.2)]
+        for way in (lambda t: 1e-7 * np.exp(rate * t), lambda t: -1e-7 * np.exp(-rate * t))
+    )
+    assert not run._calms(tipping, np.zeros(1), left=15)
+    assert run._calms(calming, np.zeros(1), left=15)
 
 
 @pytest.fixture

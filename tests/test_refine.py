@@ -11,7 +11,7 @@ import pytest
 from f3sr.core.transforms import pose
 from f3sr.metrics.contact_groups import SettledScene
 from f3sr.scene import GeometrySource, Scene
-from f3sr.stages.refine import RefineConfig, refine
+from f3sr.stages.refine import RefineConfig, Retry, refine
 from f3sr.vision import rasterizer
 from scenes import box, measured, scene_of
 
@@ -99,3 +99,44 @@ def test_a_measured_depth_outweighs_a_few_pixels(seen: Scene, source: GeometrySo
     wrong = shifted(tried, {1: 0.03})
     kept = refined(wrong, shifted(scene, {0: 0.001}))
     assert np.allclose(kept[0].T_world_object, scene[0].T_world_object, atol=2e-3) == (source == "sensor")
+
+
+def test_a_retry_moves_the_group_that_gains_and_holds_the_rest(seen: Scene):
+    start = shifted(seen, {0: 0.03})
+    aligned = shifted(seen, {0: 0.0, 1: 0.03})
+    retry = Retry.of(start, aligned, [0, 1], ONCE.contact)
+    assert retry.moving == {0}
+    assert np.array_equal(retry.scene[0].T_world_object, seen[0].T_world_object)
+    assert np.array_equal(retry.scene[1].T_world_object, start[1].T_world_object)
+    assert retry.scene[1].mobility == "fixed"
+    ended = retry.ended(SettledScene(scene=retry.scene, restless=frozenset()), ONCE.contact)
+    assert ended.scene[1].mobility == "dynamic" and not ended.restless
+
+
+def test_a_group_moves_as_a_whole(seen: Scene):
+    """The second loses by its alignment, but leaves the room that the first needs."""
+    near = shifted(seen, {1: -0.3995})
+    ids = rasterizer.render(near.objects, near.camera).ids
+    near = near.with_objects(*(replace(o, mask=ids == o.id) for o in near))
+    start = shifted(near, {0: -0.03})
+    aligned = shifted(start, {0: 0.03, 1: 0.0002})
+    retry = Retry.of(start, aligned, [0, 1], ONCE.contact)
+    assert retry.moving == {0, 1}
+    assert all(np.array_equal(retry.scene[k].T_world_object, aligned[k].T_world_object) for k in (0, 1))
+
+
+def test_what_came_to_touch_a_held_object_does_not_count_as_at_rest(seen: Scene):
+    start = shifted(seen, {0: 0.03})
+    retry = Retry.of(start, shifted(seen, {0: 0.0}), [0], ONCE.contact)
+    touching = retry.scene.with_objects(retry.scene[0].moved(pose(t=[0.4, 0, 0]), stage="test", reason=""))
+    assert retry.ended(SettledScene(scene=touching, restless=frozenset()), ONCE.contact).restless == {0}
+
+
+def test_a_group_that_lost_much_is_put_back_before_its_gaps_are_closed(seen: Scene):
+    start = shifted(seen, {0: 0.03})
+    retry = Retry.of(start, shifted(seen, {0: 0.0}), [0], ONCE.contact)
+    fallen = retry.scene.with_objects(shifted(seen, {0: -0.2})[0])
+    lost = SettledScene(scene=fallen, restless=frozenset())
+    back = retry.without_losers(lost, ONCE.contact)
+    assert not back.moving
+    assert np.array_equal(back.scene[0].T_world_object, start[0].T_world_object)

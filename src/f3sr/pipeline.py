@@ -31,7 +31,7 @@ from f3sr.stages.decompose import Decomposed, decompose
 from f3sr.stages.evaluate import EvaluateConfig, Evaluation, direct_composition, evaluate
 from f3sr.stages.inpaint import Inpainted, inpaint
 from f3sr.stages.level import LevelConfig, Levelled, level
-from f3sr.stages.refine import UPRIGHT, RefineConfig, Refined, refine
+from f3sr.stages.refine import UPRIGHT, RefineConfig, Refined, Retry, refine
 from f3sr.stages.relate import Described, RelateConfig, Related, describe, relate
 from f3sr.stages.separate import SeparateConfig, Separated, separate
 from f3sr.stages.settle import Settled, SettleStageConfig, settle
@@ -147,8 +147,8 @@ def reconstruct(
         scene,
         config.refine,
         parted=parted,
-        stood_up=partial(again, aligning=config.align.upright(within=UPRIGHT)),
-        realigned=partial(again, aligning=config.align.under_contact()),
+        stood_up=partial(again, aligning=config.align.upright(within=UPRIGHT), holds=False),
+        realigned=partial(again, aligning=config.align.under_contact(), holds=True),
         restless=settled.restless,
     )
     scene, _ = run.stage(Described, describe, scene, config.relate)
@@ -220,17 +220,24 @@ def _rested(scene: Scene, config: SettleStageConfig) -> SettledScene:
 
 
 def _made_again(
-    scene: Scene, ids: Collection[int], *, aligning: AlignConfig, config: Config, closes: bool
+    scene: Scene, ids: Collection[int], *, aligning: AlignConfig, config: Config, closes: bool, holds: bool
 ) -> SettledScene:
-    """The scene after another alignment of some objects, as it would be delivered: at rest and closed."""
-    scene, _ = align(scene, aligning, only=ids)
-    scene, _ = separate(scene, config.separate, ground=False, margin=False)
-    rested = _rested(scene, config.settle)
-    if not closes:
-        return rested
-    at_rest = partial(_rested, config=config.settle)
-    scene, _ = close(rested.scene, config.close, settled=at_rest, restless=rested.restless)
-    return replace(rested, scene=scene)
+    """The scene after another alignment of some objects, as it would be delivered: at rest and closed.
+
+    With ``holds``, only groups move in which something gains by the alignment; all else is held where it rests."""
+    contact = config.refine.contact
+    aligned, _ = align(scene, aligning, only=ids)
+    retry = Retry.of(scene, aligned, ids, contact) if holds else Retry.of_all(scene, aligned)
+    if not retry.moving:
+        return SettledScene(scene=scene, restless=frozenset())
+    parted, _ = separate(retry.scene, config.separate, ground=False, margin=False)
+    rested = _rested(parted, config.settle)
+    retry = retry.without_losers(rested, contact) if holds else replace(retry, scene=rested.scene)
+    scene = retry.scene
+    if closes and retry.moving:
+        at_rest = partial(_rested, config=config.settle)
+        scene, _ = close(scene, config.close, settled=at_rest, restless=rested.restless)
+    return retry.ended(replace(rested, scene=scene), contact)
 
 
 def _without(config: AlignConfig, skip: Collection[str]) -> AlignConfig:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
@@ -66,6 +67,16 @@ class SettleConfig:
 
 
 DEFAULT_SETTLING = SettleConfig()
+CREEPING = 3
+"""Rounds without less drift after which a scene creeps."""
+FALLING = 0.9
+"""Share of the earlier drift below which the drift still falls."""
+CALMING = 4
+"""Windows, each calmer than the one before, after which nothing will tip: .8 s."""
+STILL = 1e-9
+"""Travel in a window that is rounding [m]."""
+CLEARLY = 0.5
+"""Share of the allowed drift within which a body clearly rests."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -120,7 +131,7 @@ def settle(
         m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
     run = _Settling(model, settling)
     data, calm = mujoco.MjData(model), False
-    drifts = np.full(len(objects), np.inf)
+    drifts, history = np.full(len(objects), np.inf), list[float]()
     for _ in range(settling.rounds):
         run.until_rest(data)
         drifts, calm = np.zeros(len(objects)), not run.exploded
@@ -131,7 +142,8 @@ def settle(
             if not calm:
                 data = run.fresh(model, released)
                 break
-        if calm or run.exploded or run.seconds >= settling.time_limit:
+        history.append(float(drifts.max()))
+        if calm or run.exploded or run.seconds >= settling.time_limit or _creeps(history):
             break
     return SettleResult(
         T_world_object={o.id: o.T_world_object if run.exploded else _pose_of(model, data, o) for o in objects},
@@ -142,6 +154,12 @@ def settle(
         drifts={o.id: float(d) for o, d in zip(objects, drifts, strict=True)},
         loads={} if run.exploded else contact_loads(model, data, [o.id for o in objects]),
     )
+
+
+def _creeps(history: Sequence[float]) -> bool:
+    """Whether the largest drifts of rounds [m] do not fall any more: what creeps would creep in every further round."""
+    recent, before = history[-CREEPING:], history[:-CREEPING]
+    return bool(before) and min(recent) > FALLING * min(before)
 
 
 @dataclass(eq=False)
@@ -166,21 +184,33 @@ class _Settling:
                 return
 
     def undamped(self, model: MjModel, data: MjData, seconds: float) -> tuple[Array, bool]:
-        """Undamped steps: the largest travel of every centre of mass (n,) [m], and whether all that counts as rest."""
+        """Undamped steps: the largest travel of every centre of mass (n,) [m], and whether all that counts as rest.
+
+        They end early when all bodies come to rest ever more: what tips accelerates."""
         engine().mj_forward(model, data)
-        start = before = after = _Snapshot.of(data)
+        seen = [_Snapshot.of(data)]
         drifts = np.zeros(model.nbody - 1)
-        for _ in range(max(1, round(seconds / self.config.rest.window))):
-            before = after
+        windows = max(1, round(seconds / self.config.rest.window))
+        while len(seen) <= windows:
             for _ in range(self._window):
                 self._step(model, data, 1.0)
-                way = data.xipos - start.centers
+                way = data.xipos - seen[0].centers
                 way[:, 2] = np.minimum(way[:, 2], 0)  # what is pushed up by a wider margin does not fall
                 drifts = np.maximum(drifts, np.linalg.norm(way, axis=1)[1:])
-            after = _Snapshot.of(data)
+            seen.append(_Snapshot.of(data))
             if self.exploded or drifts.max() > 20 * self.config.rest.drift:
                 return drifts, False
-        return drifts, self._slow(before, after) and bool(drifts.max() <= self.config.rest.drift)
+            if self._calms(seen, drifts, left=windows - len(seen) + 1):
+                break
+        return drifts, self._slow(*seen[-2:]) and bool(drifts.max() <= self.config.rest.drift)
+
+    def _calms(self, seen: Sequence[_Snapshot], drifts: Array, left: int) -> bool:
+        """Whether no body moves faster than before, nor would drift far in the windows that are left."""
+        if len(seen) <= CALMING:
+            return False
+        ways = np.stack([np.linalg.norm(b.centers - a.centers, axis=1)[1:] for a, b in pairwise(seen[-CALMING - 1 :])])
+        slower = (ways[1:] <= np.maximum(ways[:-1], STILL)).all()
+        return bool(slower and (drifts + left * ways[-1]).max() <= CLEARLY * self.config.rest.drift)
 
     @staticmethod
     def fresh(model: MjModel, data: MjData) -> MjData:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -27,6 +27,8 @@ UPRIGHT = math.radians(25)
 """Largest turn [rad] onto the stable facet on which a toppled object is stood."""
 GAIN = 5e-4
 """Least gain of mean mIoU_visible, over the objects that a round changes, for the round to be kept."""
+HOPELESS = 0.02
+"""Loss of score of a group at rest from which on it is given up before its gaps are closed."""
 AGAIN = 3e-3
 """Least gain for another round: the next gains a third, or less. Groups that do not rest are not tried again either,
 as they take all the time that settling may."""
@@ -163,6 +165,54 @@ def _would_gain(state: SettledScene, tried: SettledScene, undone: Sequence[int],
         for k in (*after.ancestors(id), *after.subtree(id), *before.ancestors(id))
     }
     return [id for id in undone if tried.scores[id] > state.scores[id] + gain and id not in bound]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Retry:
+    """A scene at rest in which some groups are to move: the others are held where they rest.
+
+    Objects that do not come near each other do not act on each other, so what stays is no matter of physics."""
+
+    before: Scene
+    scene: Scene
+    """With new poses; what stays is fixed."""
+    moving: frozenset[int]
+    """Ids of all objects that may move."""
+
+    @classmethod
+    def of(cls, before: Scene, aligned: Scene, ids: Collection[int], contact: ContactMargin) -> Retry:
+        """Groups in which some of the aligned objects ``ids`` gain, before physics takes its part; all else is held.
+
+        What gains may need room that its neighbours leave by their alignment, so a group moves as a whole."""
+        was, now = (SettledScene(scene=scene, restless=frozenset()).scores for scene in (before, aligned))
+        gaining = frozenset(id for id in ids if now[id] > was[id] + GAIN)
+        groups = groups_of(before, aligned, contact.apart)
+        moving = frozenset(id for g in groups if g & gaining for id in g)
+        moved = before.with_objects(*(aligned[id] for id in ids if id in moving))
+        held = (replace(o, mobility="fixed") for o in before if o.id not in moving)
+        return cls(before=before, scene=moved.with_objects(*held), moving=moving)
+
+    @classmethod
+    def of_all(cls, before: Scene, aligned: Scene) -> Retry:
+        """All objects move, as those of a scene that is not at rest yet."""
+        return cls(before=before, scene=aligned, moving=frozenset(o.id for o in aligned))
+
+    def ended(self, rested: SettledScene, contact: ContactMargin) -> SettledScene:
+        """The scene with the others free again. What came to touch them does not count as at rest: they were held."""
+        scene = rested.scene.with_objects(
+            *(replace(o, mobility=self.before[o.id].mobility) for o in rested.scene if o.id not in self.moving)
+        )
+        groups = groups_of(scene, scene, contact.apart) if len(self.moving) < len(scene.objects) else []
+        mixed = {id for g in groups if g - self.moving for id in g & self.moving}
+        return SettledScene(scene=scene, restless=rested.restless | mixed)
+
+    def without_losers(self, rested: SettledScene, contact: ContactMargin) -> Retry:
+        """The retry without groups that lost so much that ``close`` will not win it back: they are as before."""
+        was, now = SettledScene(scene=self.before, restless=frozenset()).scores, rested.scores
+        groups = groups_of(self.before, rested.scene, contact.apart)
+        lost = {id for g in groups if g & self.moving and _gain(g & self.moving, was, now) < -HOPELESS for id in g}
+        back = (replace(self.before[id], mobility="fixed") for id in sorted(lost & self.moving))
+        return replace(self, scene=rested.scene.with_objects(*back), moving=self.moving - lost)
 
 
 def _turn(a: SceneObject, b: SceneObject) -> float:

@@ -71,7 +71,7 @@ def separate(
     Returns the scene with poses in the world [m], parts and footings in the asset frame, and the outcome.
     """
     config = config or SeparateConfig()
-    scene = scene.with_objects(*(replace(o, footing=()) for o in scene if o.footing))
+    scene = scene.with_objects(*(replace(o, footing=()) for o in scene if o.footing and o.mobility != "fixed"))
     came, scene = scene, grounded(scene, config) if ground else scene
     layout = Placement(scene)
     before = len(layout.collisions())
