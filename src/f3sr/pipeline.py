@@ -27,6 +27,7 @@ from f3sr.settings import changed, settings
 from f3sr.stages.align import AlignConfig, Aligned, align
 from f3sr.stages.assemble import AssembleConfig, Assembled, as_given, assemble
 from f3sr.stages.close import CloseConfig, Closed, close
+from f3sr.stages.coarsen import CoarsenConfig, Coarsened, coarsen
 from f3sr.stages.decompose import Decomposed, decompose
 from f3sr.stages.evaluate import EvaluateConfig, Evaluation, direct_composition, evaluate
 from f3sr.stages.inpaint import Inpainted, inpaint
@@ -58,6 +59,7 @@ class Config:
     settle: SettleStageConfig = field(default_factory=SettleStageConfig)
     close: CloseConfig = field(default_factory=CloseConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
+    coarsen: CoarsenConfig = field(default_factory=CoarsenConfig)
     evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
     inpaint: BackgroundConfig = field(default_factory=BackgroundConfig)
 
@@ -137,8 +139,8 @@ def reconstruct(
     )
     scene, _ = run.stage(Aligned, align, direct, _without(config.align, skip))
     scene, _ = run.stage(Related, relate, scene, config.relate)
-    scene, _ = run.stage(Decomposed, decompose, scene, config.decompose)
-    parted, _ = run.stage(Separated, separate, scene, config.separate)
+    made, decomposed = run.stage(Decomposed, decompose, scene, config.decompose)
+    parted, _ = run.stage(Separated, separate, made, config.separate)
     scene, settled = run.stage(Settled, settle, parted, config.settle)
     scene, _ = run.stage(Closed, close, scene, config.close, settled=at_rest, restless=settled.restless)
     scene, _ = run.stage(
@@ -149,6 +151,10 @@ def reconstruct(
         parted=parted,
         stood_up=partial(again, aligning=config.align.upright(within=UPRIGHT), holds=False),
         realigned=partial(again, aligning=config.align.under_contact(), holds=True),
+        restless=settled.restless,
+    )
+    scene, _ = run.stage(
+        Coarsened, coarsen, scene, config.coarsen, made=made, joins=decomposed.joins, settled=at_rest,
         restless=settled.restless,
     )
     scene, _ = run.stage(Described, describe, scene, config.relate)
@@ -191,6 +197,7 @@ def same_margin(config: Config) -> Config:
         separate=replace(config.separate, contact=contact),
         close=replace(config.close, contact=contact),
         refine=replace(config.refine, contact=contact),
+        coarsen=replace(config.coarsen, contact=contact),
     )
 
 

@@ -24,6 +24,7 @@ from f3sr.core.transforms import Array, transform
 from f3sr.errors import InputError
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.fit import Excess
+from f3sr.proxies.joins import Join
 from f3sr.proxies.parts import FittedParts, nearly_convex, one_hull
 from f3sr.proxies.store import key_of, packed, unpacked
 from f3sr.proxies.surface import Faces
@@ -32,7 +33,7 @@ from f3sr.report import Decision
 from f3sr.runtime.cache_folder import within
 from f3sr.runtime.result_store import Arrays, Store
 
-__all__ = ["Excess", "Proxy", "ProxyConfig", "check", "decompose", "decompose_all", "split"]
+__all__ = ["Excess", "Join", "Proxy", "ProxyConfig", "check", "decompose", "decompose_all", "split"]
 
 INFLATION_LIMIT = 1.4
 """Ratio of the volume of the parts to that of the mesh above which a decision names the object."""
@@ -55,6 +56,8 @@ class Proxy:
     """Largest distance of a visual vertex outside all parts [size]."""
     excess: Excess
     """How far they stand off the mesh, where something can touch it [size]; the place is in the mesh's frame."""
+    joins: tuple[Join, ...] = ()
+    """How parts may be joined further, where nothing touches."""
     cut_short: bool = False
     """An attempt was killed by its limit, so another run may do better; such a result is never cached."""
 
@@ -174,6 +177,7 @@ def _proxy(fitted: FittedParts, method: Method, decisions: tuple[Decision, ...])
         inflation=fitted.inflation,
         outside=fitted.outside,
         excess=fitted.excess,
+        joins=fitted.joins,
     )
 
 
@@ -182,7 +186,9 @@ def _proxy(fitted: FittedParts, method: Method, decisions: tuple[Decision, ...])
 
 def _stored(proxy: Proxy) -> tuple[dict[str, Any], Arrays]:
     sheet = {"method": proxy.method, "decisions": [asdict(d) for d in proxy.decisions]}
-    fitted = FittedParts(parts=proxy.parts, inflation=proxy.inflation, outside=proxy.outside, excess=proxy.excess)
+    fitted = FittedParts(
+        parts=proxy.parts, inflation=proxy.inflation, outside=proxy.outside, excess=proxy.excess, joins=proxy.joins
+    )
     return sheet, packed(fitted)
 
 
@@ -195,4 +201,5 @@ def _restored(sheet: dict[str, Any], arrays: Arrays) -> Proxy:
         inflation=fitted.inflation,
         outside=fitted.outside,
         excess=fitted.excess,
+        joins=fitted.joins,
     )

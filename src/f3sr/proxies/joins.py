@@ -1,13 +1,17 @@
-"""Neighbouring pieces joined again where one hull for both stands off the surface no more than it may."""
+"""Neighbouring pieces joined again where one hull for both stands off the surface no more than it may.
+
+``joined`` makes the parts of a mesh. ``join_order`` goes on from there to a single hull, and tells what every further
+join would lose: few parts are enough where nothing touches (docs: proxies)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from f3sr.core.transforms import Array
+from f3sr.core.mesh import ConvexPart
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.cuts import MIN_TOUCHED
 from f3sr.proxies.hulls import Hull, hull_of, outermost, spread
@@ -18,20 +22,40 @@ AROUND = spread(500)
 size too far in."""
 NEXT_TO = 1e-3
 """How far apart the boxes of neighbours lie at most [size]."""
+LAYER = 0.05
+"""Thickness [size] of a layer around a hull that a further join may add at most."""
+FELT = 0.02
+"""Stand-off [size] that counts as 1 in a loss."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Join:
+    """Two parts of a mesh that one hull may replace.
+
+    Parts have numbers from 0; the hull that the k-th join gives is number ``parts + k``, and later joins name it."""
+
+    first: int
+    second: int
+    loss: float
+    """What contact feels of it more than of the two: the mean over the mesh's surface of the squared stand-off
+    [squares of ``FELT``]. Floors of cavities count more."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Joined:
-    """A hull with its outermost corners in fixed directions, its stand-off [size], and its added volume.
+    """A hull with its outermost corners in fixed directions, its stand-off [size], its loss, and its added volume.
 
     The added volume is that of the hull minus that of the hulls that it was joined from."""
 
     hull: Hull
     shape: Array
     off: float
+    loss: float
+    """The squared stand-off, averaged over the mesh's surface."""
     added: float = 0.0
     is_looked_over: bool = True
-    """Whether ``off`` tells of the hull's own surface as well, not only of the samples in it."""
+    """Whether ``off`` and ``loss`` tell of the hull's own surface as well, not only of the samples in
+    it."""
 
     @property
     def box(self) -> tuple[Array, Array]:
@@ -43,25 +67,31 @@ def joined(hulls: Sequence[Hull], subject: Subject, config: ProxyConfig, *, is_s
 
     Neighbours are joined within ``tolerance`` first, then as far as their number allows. Down to ``max_parts`` they
     are joined at any stand-off."""
-    state = _Joining([_alone(h, subject.samples) for h in hulls], subject, config)
+    state = _Joining(hulls, subject, layer=config.cuts.loose_tolerance)
     state.join(lambda count, off: off <= config.tolerance, by_volume=True)
     state.join(lambda count, off: off <= config.allowed(count, is_shell=is_shell))
     state.join(lambda count, off: count > config.max_parts)
     return [part.hull for part in state.parts.values()]
 
 
-def _alone(hull: Hull, samples: Samples) -> Joined:
-    return Joined(hull=hull, shape=outermost(hull.corners, AROUND), off=_off(hull, samples))
+def join_order(parts: Sequence[ConvexPart], subject: Subject) -> tuple[Join, ...]:
+    """All further joins of neighbours, each time the one that loses least."""
+    hulls = [hull_of(part.vertices) for part in parts]
+    if any(hull is None for hull in hulls):  # a sheet stays as it is
+        return ()
+    state = _Joining([hull for hull in hulls if hull], subject, layer=LAYER)
+    return tuple(state.by_loss())
 
 
 class _Joining:
     """Parts by number, and what joining two neighbours would give."""
 
-    def __init__(self, parts: Sequence[Joined], subject: Subject, config: ProxyConfig) -> None:
-        self.parts = dict(enumerate(parts))
-        self._subject, self._config = subject, config
+    def __init__(self, hulls: Sequence[Hull], subject: Subject, *, layer: float) -> None:
+        """``layer``: thickness [size] of a layer around a hull that joining may add at most."""
+        self._subject, self._layer = subject, layer
         self._pairs: dict[tuple[int, int], Joined] = {}
-        self._next = len(parts)
+        self._next = len(hulls)
+        self.parts = {k: self._of(hull, outermost(hull.corners, AROUND)) for k, hull in enumerate(hulls)}
         for b in self.parts:
             self._look_around(b, range(b))
 
@@ -84,16 +114,36 @@ class _Joining:
             else:
                 self._look_over(pair)
 
+    def by_loss(self) -> Iterator[Join]:
+        """Join all neighbours, one pair after the other: the one that loses least, of equals the one that adds least
+        volume."""
+        self.parts = {k: self._looked_over(part) for k, part in self.parts.items()}
+        while self._pairs:
+            loss, _, pair = min((self._lost(pair), p.added, pair) for pair, p in self._pairs.items())
+            if self._pairs[pair].is_looked_over:
+                self._replace(pair)
+                yield Join(first=pair[0], second=pair[1], loss=loss)
+            else:
+                self._look_over(pair)
+
+    def _lost(self, pair: tuple[int, int]) -> float:
+        """What joining loses, rounded so that noise decides nothing."""
+        first, second = (self.parts[k].loss for k in pair)
+        return max(0.0, round(self._pairs[pair].loss - first - second, 4))
+
     def _look_over(self, pair: tuple[int, int]) -> None:
         """A look at the hull itself costs more than at the samples in it: it is taken when the pair comes first."""
-        both = self._pairs[pair]
-        bare = _but_a_few(self._subject.bare(both.hull))
-        self._pairs[pair] = replace(both, off=max(both.off, bare), is_looked_over=True)
+        self._pairs[pair] = self._looked_over(self._pairs[pair])
+
+    def _looked_over(self, part: Joined) -> Joined:
+        bare = self._subject.bare(part.hull)
+        loss = float(((bare / FELT) ** 2).mean()) * part.hull.area / self._subject.area
+        return replace(part, off=max(part.off, _but_a_few(bare)), loss=max(part.loss, loss), is_looked_over=True)
 
     def _price(self, pair: tuple[int, int]) -> float:
         """How far the joined hull stands off; nothing where that is no farther than one of the two did."""
         off = self._pairs[pair].off
-        return 0.0 if off <= max(self.parts[k].off for k in pair) and off <= self._config.cuts.loose_tolerance else off
+        return 0.0 if off <= max(self.parts[k].off for k in pair) and off <= self._layer else off
 
     def _replace(self, pair: tuple[int, int]) -> None:
         part = self._pairs[pair]
@@ -120,19 +170,24 @@ class _Joining:
         if hull is None:
             return None
         added = hull.volume - first.hull.volume - second.hull.volume
-        if added > self._config.cuts.loose_tolerance * hull.area:
+        if added > self._layer * hull.area:
             return None
-        off = _off(hull, self._subject.samples)
-        return Joined(hull=hull, shape=hull.corners, off=off, added=added, is_looked_over=False)
+        return replace(self._of(hull, hull.corners), added=added, is_looked_over=False)
+
+    def _of(self, hull: Hull, shape: Array) -> Joined:
+        """A hull with how far it stands off the samples in it."""
+        held = _held(hull, self._subject.samples)
+        off = stand_off(held, hull.normals, hull.offsets) if len(held.points) else np.zeros(0)
+        # ``off`` is weighted: squared, it has the weight twice.
+        loss = float(((off / FELT) ** 2 / held.weight).sum()) / self._subject.taken
+        return Joined(hull=hull, shape=shape, off=_but_a_few(off), loss=loss)
 
 
-def _off(hull: Hull, samples: Samples) -> float:
-    """How far a hull stands off the samples in it, but for a few."""
+def _held(hull: Hull, samples: Samples) -> Samples:
+    """Those of some samples that lie in a hull."""
     low, high = hull.corners.min(0), hull.corners.max(0)
     near = samples.chosen(np.all((samples.points >= low) & (samples.points <= high), axis=1))
-    held = near.chosen((near.points @ hull.normals.T - hull.offsets).max(1, initial=-1) <= 1e-9)
-    off = stand_off(held, hull.normals, hull.offsets) if len(held.points) else np.zeros(0)
-    return _but_a_few(off)
+    return near.chosen((near.points @ hull.normals.T - hull.offsets).max(1, initial=-1) <= 1e-9)
 
 
 def _but_a_few(off: Array) -> float:

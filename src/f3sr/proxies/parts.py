@@ -14,7 +14,7 @@ from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.cuts import Piece, cut_up
 from f3sr.proxies.fit import Excess
 from f3sr.proxies.hulls import Hull, hull_of, outside, planes, without_hidden
-from f3sr.proxies.joins import joined
+from f3sr.proxies.joins import Join, join_order, joined
 from f3sr.proxies.simplify import flats_of, simplified_outward
 from f3sr.proxies.surface import PROBE, Faces, NearestTriangles, Subject, area_of, samples_of, surroundings, weighted
 
@@ -39,6 +39,8 @@ class FittedParts:
     inflation: float | None
     outside: float
     excess: Excess
+    joins: tuple[Join, ...] = ()
+    """How parts may be joined further."""
 
 
 def nearly_convex(vertices: Array, faces: Faces, config: ProxyConfig) -> str | None:
@@ -95,7 +97,8 @@ def several(vertices: Array, faces: Faces, config: ProxyConfig) -> FittedParts:
         [simplified_outward(h.corners, config, base, most=config.most_faces(len(hulls))) for h in hulls]
     )
     excess = fit.excess(parts, subject.nearest, subject.around, PROBE)
-    return _fitted(parts, vertices, faces, replace(excess, floor=fit.floor_excess(parts, subject.samples)))
+    excess = replace(excess, floor=fit.floor_excess(parts, subject.samples))
+    return replace(_fitted(parts, vertices, faces, excess), joins=join_order(parts, subject))
 
 
 def subject_of(vertices: Array, faces: Faces, whole: ConvexPart, config: ProxyConfig) -> Subject:
@@ -108,7 +111,8 @@ def subject_of(vertices: Array, faces: Faces, whole: ConvexPart, config: ProxyCo
         triangles=vertices[faces],
         simplified=simpler[0][simpler[1]],
         samples=weighted(touched, planes(whole)),
-        density=config.cuts.samples / area_of(vertices[faces]),
+        taken=config.cuts.samples,
+        area=area_of(vertices[faces]),
         around=around,
         nearest=NearestTriangles.on(vertices, faces),
     )

@@ -14,11 +14,12 @@ from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.fit import Excess
+from f3sr.proxies.joins import Join
 from f3sr.proxies.parts import FittedParts
 from f3sr.proxies.surface import Faces
 from f3sr.runtime.result_store import Arrays
 
-PROXY_VERSION = 3
+PROXY_VERSION = 51
 """Part of the cache key; raise it when the same input and config give other parts."""
 
 
@@ -35,7 +36,7 @@ def config_json(config: ProxyConfig) -> str:
 
 
 def packed(fitted: FittedParts) -> Arrays:
-    """As arrays that ``unpacked`` reads: all vertices, all faces, the counts (parts, 2) of each, and the fit."""
+    """As arrays that ``unpacked`` reads: all vertices, all faces, the counts (parts, 2) of each, the fit, and the joins."""
     inflation, floor = (np.nan if x is None else x for x in (fitted.inflation, fitted.excess.floor))
     excess = fitted.excess
     return {
@@ -43,6 +44,7 @@ def packed(fitted: FittedParts) -> Arrays:
         "faces": np.concatenate([p.faces for p in fitted.parts]),
         "counts": np.array([(len(p.vertices), len(p.faces)) for p in fitted.parts], np.int32),
         "fit": np.array([inflation, fitted.outside, excess.mean, excess.most, excess.largest, floor, *excess.at]),
+        "joins": np.array([(j.first, j.second, j.loss) for j in fitted.joins], np.float64).reshape(-1, 3),
     }
 
 
@@ -55,4 +57,5 @@ def unpacked(data: Mapping[str, Any]) -> FittedParts:
         inflation=None if np.isnan(inflation) else inflation,
         outside=outside,
         excess=Excess(mean=mean, most=most, largest=largest, floor=None if np.isnan(floor) else floor, at=(x, y, z)),
+        joins=tuple(Join(first=int(a), second=int(b), loss=float(loss)) for a, b, loss in data["joins"]),
     )

@@ -115,16 +115,22 @@ class NearestTriangles:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Subject:
-    """A mesh to be covered: its triangles (n, 3, 3), exact and simplified, with reachable samples and their density.
+    """A mesh to be covered: its triangles (n, 3, 3), exact and simplified, with those of ``taken`` samples that are reachable.
 
     It also holds the grid of open space around it and a search tree for the nearest surface."""
 
     triangles: Array
     simplified: Array
     samples: Samples
-    density: float
+    taken: int
+    area: float
     around: Surroundings
     nearest: NearestTriangles
+
+    @property
+    def density(self) -> float:
+        """Samples per area."""
+        return self.taken / self.area
 
     def bare(self, hull: Hull) -> Array:
         """Stand-off (n,) of points of a hull's surface that would be reachable if no other part covered them.

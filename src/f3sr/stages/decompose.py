@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 from f3sr import proxies
-from f3sr.proxies import Excess, ProxyConfig
+from f3sr.proxies import Excess, Join, ProxyConfig
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene
 
@@ -32,6 +32,8 @@ class Decomposed(Outcome):
     stage: ClassVar[str] = "decompose"
     fits: Mapping[int, ProxyFit] = field(default_factory=dict[int, ProxyFit])
     """By object id."""
+    joins: Mapping[int, tuple[Join, ...]] = field(default_factory=dict[int, tuple[Join, ...]])
+    """How parts may be joined further, by object id."""
 
     @property
     def measures(self) -> tuple[Measure, ...]:
@@ -74,8 +76,9 @@ def decompose(scene: Scene, config: ProxyConfig | None = None) -> tuple[Scene, D
     decisions = [replace(d, about=o.id) for o, r in pairs for d in r.decisions]
     scene = scene.with_objects(*(replace(o, parts=r.parts) for o, r in pairs))
     decisions += [_where(r.excess, o.id) for o, r in pairs if r.excess.largest > WIDE]
+    joins = {o.id: r.joins for o, r in pairs}
     cut_short = any(r.cut_short for r in results)
-    return scene, Decomposed(fits=fits, decisions=tuple(decisions), cut_short=cut_short)
+    return scene, Decomposed(fits=fits, joins=joins, decisions=tuple(decisions), cut_short=cut_short)
 
 
 def _where(excess: Excess, id: int) -> Decision:

@@ -1,0 +1,182 @@
+"""Few convex parts for bodies at rest: joined where no other body is near, and with few vertices away from contacts.
+
+Every part costs time in every later simulation. What touches is settled at rest, so parts may be coarse elsewhere: as
+far as their mesh allows (``proxies.joins``) and as long as no part comes nearer to another body (docs: proxies).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.contact import polytopes
+from f3sr.contact.contact_patches import find_contacts
+from f3sr.contact.polytopes import Polytope
+from f3sr.core.mesh import ConvexPart
+from f3sr.core.transforms import Array, transform
+from f3sr.proxies.collapse import collapsed
+from f3sr.proxies.hulls import outside
+from f3sr.proxies.joins import Join
+from f3sr.scene import Scene, SceneObject
+
+KEPT = (0.1, 0.05, 0.02, 0.0)
+"""Radii around contacts in which vertices are kept, the largest that is possible [size]."""
+DEAREST = 1.0
+"""Loss from which on no part fewer is worth it, however many there are: a hull over a cavity."""
+NEARER = 1e-6
+"""Distance [m] by which a joined part may come nearer to another body: rounding."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """How few parts, and how near to other bodies."""
+
+    worth: float
+    """Largest loss that a part fewer may bring, as ``Join.loss``."""
+    parts: int
+    """Most parts, with footing; joined down to at any loss."""
+    vertices: int
+    """Most vertices of a part."""
+    apart: float
+    """Distance [m] to other bodies that parts may always have."""
+    reach: float
+    """Largest gap [m] of bodies that touch."""
+
+
+def with_few_parts(scene: Scene, made: Scene, joins: Mapping[int, Sequence[Join]], limits: Limits) -> Scene:
+    """The scene with the parts of every object joined; its poses and footings are the same.
+
+    ``made`` has the parts that the joins (by object id) are about. Those of ``scene`` were cut back and split since."""
+    bodies = {o.id: tuple(Polytope.of(p).moved(o.T_world_asset) for p in o.solids) for o in scene}
+    touched = find_contacts(bodies, reach=limits.reach)
+    now = list[SceneObject]()
+    for o in scene:
+        rows = (touched.upper == o.id) | (touched.lower == o.id)
+        others = [p for k, body in bodies.items() if k != o.id for p in body]
+        body = _Body(o, others, touched.points[rows], limits)
+        if o.parts:
+            parts = body.joined(made[o.id].parts, joins.get(o.id, ()))
+            now.append(replace(o, parts=parts))
+            bodies[o.id] = tuple(Polytope.of(p).moved(o.T_world_asset) for p in now[-1].solids)
+    return scene.with_objects(*now)
+
+
+class _Body:
+    """One object whose parts are joined; ``others`` are the parts of all other bodies."""
+
+    def __init__(self, o: SceneObject, others: Iterable[Polytope], contacts: Array, limits: Limits) -> None:
+        self._o, self._limits = o, limits
+        self._size = o.mesh.diagonal
+        self._contacts = transform(np.linalg.inv(o.T_world_asset).astype(np.float64), contacts)
+        boxes = np.array([[p.vertices.min(0), p.vertices.max(0)] for p in o.colliders_world])
+        low, high = boxes[:, 0].min(0) - limits.apart, boxes[:, 1].max(0) + limits.apart
+        self._others = [p for p in others if (p.bounds[0] <= high).all() and (p.bounds[1] >= low).all()]
+
+    def joined(self, made: Sequence[ConvexPart], joins: Sequence[Join]) -> tuple[ConvexPart, ...]:
+        """The object's parts, joined where that is worth it and comes no nearer to other bodies."""
+        tree = _Tree(_pieces(self._o.parts, made), joins)
+        most = max(1, self._limits.parts - len(self._o.footing))
+        worth = self._limits.worth
+        while True:
+            parts = tuple(part for root in tree.roots for part in self._under(root, tree, tree.worthy(worth)))
+            if len(parts) <= most or worth > DEAREST:
+                return parts
+            worth *= 2
+
+    def _under(self, node: int, tree: _Tree, worthy: Collection[int]) -> Iterator[ConvexPart]:
+        """What replaces the parts under a node of the tree: one hull where that is worth it and free."""
+        pieces = tree.pieces[node]
+        one = self._hull(pieces) if node in worthy else None
+        if one:
+            yield one
+        elif node in tree.children:
+            for child in tree.children[node]:
+                yield from self._under(child, tree, worthy)
+        else:
+            yield from (self._hull((part,)) or part for part in pieces)
+
+    def _hull(self, parts: tuple[ConvexPart, ...]) -> ConvexPart | None:
+        """One hull of few vertices for parts; None where it would come too near to another body."""
+        points = np.concatenate([part.vertices for part in parts])
+        allowed = np.minimum(np.min([self._gaps(part) for part in parts], axis=0), self._limits.reach) - NEARER
+        try:
+            whole = ConvexPart.hull_of(points)
+        except ValueError:  # hardly a volume
+            return None
+        if not self._is_free(whole, allowed):
+            return None
+        if len(whole.vertices) <= self._limits.vertices:
+            return parts[0] if len(parts) == 1 else whole
+        for radius in KEPT:
+            fewer = self._with_fewer_vertices(whole, radius)
+            if len(fewer.vertices) <= self._limits.vertices and self._is_free(fewer, allowed):
+                return fewer
+        return None
+
+    def _with_fewer_vertices(self, part: ConvexPart, radius: float) -> ConvexPart:
+        from scipy.spatial import KDTree
+
+        tree = KDTree(self._contacts) if len(self._contacts) and radius else None
+
+        def kept(points: Array) -> NDArray[np.bool_]:
+            if tree is None:
+                return np.zeros(len(points), bool)
+            return tree.query(points * self._size)[0] <= radius * self._size
+
+        return ConvexPart.hull_of(collapsed(part.vertices / self._size, self._limits.vertices, kept) * self._size)
+
+    def _is_free(self, part: ConvexPart, allowed: Array) -> bool:
+        return bool((self._gaps(part) >= allowed).all())
+
+    def _gaps(self, part: ConvexPart) -> Array:
+        """Distance (n + 1,) [m] of a part from other bodies' parts and from the ground, negative inside.
+
+        What is far counts as ``apart``."""
+        body = Polytope.of(part).moved(self._o.T_world_asset)
+        apart = self._limits.apart
+        gaps = np.full(len(self._others) + 1, apart)
+        gaps[-1] = min(apart, float(body.bounds[0, 2]))
+        for k, other in enumerate(self._others):
+            if (body.bounds[0] - apart < other.bounds[1]).all() and (other.bounds[0] - apart < body.bounds[1]).all():
+                gaps[k] = min(apart, -float(polytopes.facets(body, other)[1].min()))
+        return gaps
+
+
+class _Tree:
+    """The tree of joins: under every node the pieces that one hull would replace."""
+
+    def __init__(self, leaves: Mapping[int, tuple[ConvexPart, ...]], joins: Sequence[Join]) -> None:
+        self.pieces = dict(leaves)
+        self.children = {len(leaves) + k: (join.first, join.second) for k, join in enumerate(joins)}
+        self._loss = dict.fromkeys(leaves, 0.0)
+        for (node, (a, b)), join in zip(self.children.items(), joins, strict=True):
+            self.pieces[node] = (*self.pieces[a], *self.pieces[b])
+            self._loss[node] = self._loss[a] + self._loss[b] + join.loss
+        joined = {k for pair in self.children.values() for k in pair}
+        self.roots = [k for k in self.pieces if k not in joined]
+
+    def worthy(self, worth: float) -> set[int]:
+        """Nodes at which one hull loses no more than its parts, of which each is ``worth`` that loss, would cost.
+
+        Of all ways to cut the tree, that of least loss plus worth of parts (Chou, Lookabaugh, Gray, Optimal pruning
+        with applications to tree-structured source coding, IEEE Trans. Information Theory 1989)."""
+        price = {k: worth * len(self.pieces[k]) for k in self.pieces if k not in self.children}
+        found = {k for k, pieces in self.pieces.items() if k not in self.children and len(pieces) > 1}
+        for node, (a, b) in self.children.items():
+            one, several = self._loss[node] + worth, price[a] + price[b]
+            price[node] = min(one, several)
+            if one <= several:
+                found.add(node)
+        return found
+
+
+def _pieces(parts: Sequence[ConvexPart], made: Sequence[ConvexPart]) -> dict[int, tuple[ConvexPart, ...]]:
+    """Which parts came of which part that was made: the first ones in their order, the others by where they lie."""
+    found = {k: (part,) for k, part in enumerate(parts[: len(made)])}
+    for part in parts[len(made) :]:
+        nearest = int(np.argmin(outside(made, part.vertices).max(0)))
+        found[nearest] = (*found[nearest], part)
+    return found
