@@ -10,20 +10,19 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from f3sr.contact import polytopes
 from f3sr.contact.contact_patches import find_contacts
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart
-from f3sr.core.transforms import Array, transform
-from f3sr.proxies.collapse import collapsed
+from f3sr.core.transforms import UP, Array, transform
+from f3sr.proxies.collapse import Bounds, collapsed
 from f3sr.proxies.hulls import outside
 from f3sr.proxies.joins import Join
 from f3sr.scene import Scene, SceneObject
 
 KEPT = (0.1, 0.05, 0.02, 0.0)
-"""Radii around contacts in which vertices are kept, the largest that is possible [size]."""
+"""Radii around contacts in which vertices are kept, the first that is possible [size]."""
 DEAREST = 1.0
 """Loss from which on no part fewer is worth it, however many there are: a hull over a cavity."""
 NEARER = 1e-6
@@ -70,7 +69,9 @@ class _Body:
     def __init__(self, o: SceneObject, others: Iterable[Polytope], contacts: Array, limits: Limits) -> None:
         self._o, self._limits = o, limits
         self._size = o.mesh.diagonal
-        self._contacts = transform(np.linalg.inv(o.T_world_asset).astype(np.float64), contacts)
+        T_asset_world: Array = np.linalg.inv(o.T_world_asset).astype(np.float64)
+        self._contacts = transform(T_asset_world, contacts)
+        self._found: dict[tuple[int, ...], ConvexPart | None] = {}
         boxes = np.array([[p.vertices.min(0), p.vertices.max(0)] for p in o.colliders_world])
         low, high = boxes[:, 0].min(0) - limits.apart, boxes[:, 1].max(0) + limits.apart
         self._others = [p for p in others if (p.bounds[0] <= high).all() and (p.bounds[1] >= low).all()]
@@ -100,6 +101,12 @@ class _Body:
 
     def _hull(self, parts: tuple[ConvexPart, ...]) -> ConvexPart | None:
         """One hull of few vertices for parts; None where it would come too near to another body."""
+        key = tuple(map(id, parts))
+        if key not in self._found:
+            self._found[key] = self._made(parts)
+        return self._found[key]
+
+    def _made(self, parts: tuple[ConvexPart, ...]) -> ConvexPart | None:
         points = np.concatenate([part.vertices for part in parts])
         allowed = np.minimum(np.min([self._gaps(part) for part in parts], axis=0), self._limits.reach) - NEARER
         try:
@@ -110,23 +117,34 @@ class _Body:
             return None
         if len(whole.vertices) <= self._limits.vertices:
             return parts[0] if len(parts) == 1 else whole
+        bounds = self._bounds(whole, allowed)
         for radius in KEPT:
-            fewer = self._with_fewer_vertices(whole, radius)
+            fewer = self._with_fewer_vertices(whole, replace(bounds, radius=radius))
             if len(fewer.vertices) <= self._limits.vertices and self._is_free(fewer, allowed):
                 return fewer
         return None
 
-    def _with_fewer_vertices(self, part: ConvexPart, radius: float) -> ConvexPart:
-        from scipy.spatial import KDTree
+    def _with_fewer_vertices(self, part: ConvexPart, bounds: Bounds) -> ConvexPart:
+        return ConvexPart.hull_of(collapsed(part.vertices / self._size, self._limits.vertices, bounds) * self._size)
 
-        tree = KDTree(self._contacts) if len(self._contacts) and radius else None
-
-        def kept(points: Array) -> NDArray[np.bool_]:
-            if tree is None:
-                return np.zeros(len(points), bool)
-            return tree.query(points * self._size)[0] <= radius * self._size
-
-        return ConvexPart.hull_of(collapsed(part.vertices / self._size, self._limits.vertices, kept) * self._size)
+    def _bounds(self, part: ConvexPart, allowed: Array) -> Bounds:
+        """Planes (asset frame, normalised) that a part may not cross: those that separate it from other bodies."""
+        normals, offsets = [-UP], [-float(allowed[-1])]
+        body = Polytope.of(part).moved(self._o.T_world_asset)
+        for other, least in zip(self._others, allowed[:-1], strict=True):
+            if _are_near(body, other, self._limits.apart):
+                n, heights = polytopes.facets(body, other)
+                k = int(heights.argmin())
+                normals.append(n[k])
+                offsets.append(float((body.vertices @ n[k]).max()) - float(heights[k]) - float(least))
+        T = self._o.T_world_asset
+        n = np.array(normals)
+        return Bounds(
+            normals=np.ascontiguousarray(n @ self._o.T_world_object[:3, :3]),
+            offsets=(np.array(offsets) - n @ T[:3, 3]) / self._o.scale / self._size,
+            points=self._contacts / self._size,
+            radius=0.0,
+        )
 
     def _is_free(self, part: ConvexPart, allowed: Array) -> bool:
         return bool((self._gaps(part) >= allowed).all())
@@ -140,9 +158,14 @@ class _Body:
         gaps = np.full(len(self._others) + 1, apart)
         gaps[-1] = min(apart, float(body.bounds[0, 2]))
         for k, other in enumerate(self._others):
-            if (body.bounds[0] - apart < other.bounds[1]).all() and (other.bounds[0] - apart < body.bounds[1]).all():
+            if _are_near(body, other, apart):
                 gaps[k] = min(apart, -float(polytopes.facets(body, other)[1].min()))
         return gaps
+
+
+def _are_near(a: Polytope, b: Polytope, apart: float) -> bool:
+    """Whether boxes come within ``apart`` [m] of each other."""
+    return bool((a.bounds[0] - apart < b.bounds[1]).all() and (b.bounds[0] - apart < a.bounds[1]).all())
 
 
 class _Tree:
