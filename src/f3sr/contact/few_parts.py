@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -17,14 +18,18 @@ from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, Array, transform
 from f3sr.proxies.collapse import Bounds, collapsed
-from f3sr.proxies.hulls import outside
+from f3sr.proxies.hulls import outside, planes, qhull_of
 from f3sr.proxies.joins import Join
 from f3sr.scene import Scene, SceneObject
 
 KEPT = (0.1, 0.05, 0.02, 0.0)
 """Radii around contacts in which vertices are kept, the first that is possible [size]."""
-DEAREST = 1.0
-"""Loss from which on no part fewer is worth it, however many there are: a hull over a cavity."""
+FEW = 0.25
+"""Largest share of the allowed vertices that is kept around contacts: the rest has to hold all else."""
+DEAREST = 0.1
+"""Loss of one part fewer from which on parts are joined by volume, where they are still too many."""
+THIN, THIN_M = 0.01, 2e-3
+"""Least thickness of a hull, as a share of its object's size and in metres, where the object is as thick."""
 NEARER = 1e-6
 """Distance [m] by which a joined part may come nearer to another body: rounding."""
 
@@ -58,7 +63,7 @@ def with_few_parts(scene: Scene, made: Scene, joins: Mapping[int, Sequence[Join]
         body = _Body(o, others, touched.points[rows], limits)
         if o.parts:
             parts = body.joined(made[o.id].parts, joins.get(o.id, ()))
-            now.append(replace(o, parts=parts))
+            now.append(replace(o, parts=parts, footing=tuple(map(body.thick, o.footing))))
             bodies[o.id] = tuple(Polytope.of(p).moved(o.T_world_asset) for p in now[-1].solids)
     return scene.with_objects(*now)
 
@@ -71,7 +76,7 @@ class _Body:
         self._size = o.mesh.diagonal
         T_asset_world: Array = np.linalg.inv(o.T_world_asset).astype(np.float64)
         self._contacts = transform(T_asset_world, contacts)
-        self._found: dict[tuple[int, ...], ConvexPart | None] = {}
+        self._found: dict[tuple[int, ...], tuple[Sequence[ConvexPart], ConvexPart | None]] = {}
         boxes = np.array([[p.vertices.min(0), p.vertices.max(0)] for p in o.colliders_world])
         low, high = boxes[:, 0].min(0) - limits.apart, boxes[:, 1].max(0) + limits.apart
         self._others = [p for p in others if (p.bounds[0] <= high).all() and (p.bounds[1] >= low).all()]
@@ -82,10 +87,29 @@ class _Body:
         most = max(1, self._limits.parts - len(self._o.footing))
         worth = self._limits.worth
         while True:
-            parts = tuple(part for root in tree.roots for part in self._under(root, tree, tree.worthy(worth)))
+            worthy = tree.worthy(worth)
+            parts = [part for root in tree.roots for part in self._under(root, tree, worthy)]
             if len(parts) <= most or worth > DEAREST:
-                return parts
+                return tuple(map(self.thick, self._paired(parts, most)))
             worth *= 2
+
+    def thick(self, part: ConvexPart) -> ConvexPart:
+        """A part that reaches into the solid where it would be a thin layer: engines lose or throw thin hulls.
+
+        Where the object itself is thin, it stays thin."""
+        normals, _ = planes(part)
+        width = np.ptp(part.vertices @ normals.T, axis=0)
+        thinnest, least = normals[int(width.argmin())], max(THIN_M / self._o.scale, THIN * self._size)
+        if width.min() >= least:
+            return part
+        middle = part.vertices.mean(0)
+        for apex in (middle + least * thinnest, middle - least * thinnest):
+            inner = np.concatenate([apex[None], (part.vertices + apex) / 2])
+            if (outside(self._o.colliders, inner).min(1) <= 0).all():
+                thick = self._held(np.concatenate([part.vertices, apex[None]]), self._gaps(part))
+                if thick:
+                    return thick
+        return part
 
     def _under(self, node: int, tree: _Tree, worthy: Collection[int]) -> Iterator[ConvexPart]:
         """What replaces the parts under a node of the tree: one hull where that is worth it and free."""
@@ -99,16 +123,38 @@ class _Body:
         else:
             yield from (self._hull((part,)) or part for part in pieces)
 
+    def _paired(self, parts: list[ConvexPart], most: int) -> list[ConvexPart]:
+        """At most ``most`` parts if possible: pairs joined that are free, those first that add least volume."""
+        while len(parts) > most:
+            found = [(self._added(a, b), i, j) for (i, a), (j, b) in combinations(enumerate(parts), 2)]
+            pairs = ((i, j, self._hull((parts[i], parts[j]))) for _, i, j in sorted(found))
+            pair = next(((i, j, one) for i, j, one in pairs if one), None)
+            if pair is None:
+                break
+            i, j, one = pair
+            parts = [*(p for k, p in enumerate(parts) if k not in (i, j)), one]
+        return parts
+
+    @staticmethod
+    def _added(a: ConvexPart, b: ConvexPart) -> float:
+        """The volume that one hull for both has more than they."""
+        hull = qhull_of(np.concatenate([a.vertices, b.vertices]))
+        return np.inf if hull is None else float(hull.volume) - a.volume - b.volume
+
     def _hull(self, parts: tuple[ConvexPart, ...]) -> ConvexPart | None:
         """One hull of few vertices for parts; None where it would come too near to another body."""
         key = tuple(map(id, parts))
         if key not in self._found:
-            self._found[key] = self._made(parts)
-        return self._found[key]
+            if len(parts) == 1 and len(parts[0].vertices) <= self._limits.vertices:
+                self._found[key] = parts, parts[0]
+            else:
+                gaps = np.min([self._gaps(part) for part in parts], axis=0)
+                self._found[key] = parts, self._held(np.concatenate([part.vertices for part in parts]), gaps)
+        return self._found[key][1]
 
-    def _made(self, parts: tuple[ConvexPart, ...]) -> ConvexPart | None:
-        points = np.concatenate([part.vertices for part in parts])
-        allowed = np.minimum(np.min([self._gaps(part) for part in parts], axis=0), self._limits.reach) - NEARER
+    def _held(self, points: Array, gaps: Array) -> ConvexPart | None:
+        """A hull of few vertices that holds points (n, 3) and comes no nearer to other bodies than ``gaps`` [m]."""
+        allowed = np.minimum(gaps, self._limits.reach) - NEARER
         try:
             whole = ConvexPart.hull_of(points)
         except ValueError:  # hardly a volume
@@ -116,16 +162,17 @@ class _Body:
         if not self._is_free(whole, allowed):
             return None
         if len(whole.vertices) <= self._limits.vertices:
-            return parts[0] if len(parts) == 1 else whole
+            return whole
         bounds = self._bounds(whole, allowed)
         for radius in KEPT:
-            fewer = self._with_fewer_vertices(whole, replace(bounds, radius=radius))
-            if len(fewer.vertices) <= self._limits.vertices and self._is_free(fewer, allowed):
-                return fewer
+            near = replace(bounds, radius=radius)
+            if near.keeps(whole.vertices / self._size).sum() > FEW * self._limits.vertices:
+                continue
+            fewer = collapsed(whole.vertices / self._size, self._limits.vertices, near) * self._size
+            part = ConvexPart.hull_of(fewer)
+            if len(part.vertices) <= self._limits.vertices and self._is_free(part, allowed):
+                return part
         return None
-
-    def _with_fewer_vertices(self, part: ConvexPart, bounds: Bounds) -> ConvexPart:
-        return ConvexPart.hull_of(collapsed(part.vertices / self._size, self._limits.vertices, bounds) * self._size)
 
     def _bounds(self, part: ConvexPart, allowed: Array) -> Bounds:
         """Planes (asset frame, normalised) that a part may not cross: those that separate it from other bodies."""

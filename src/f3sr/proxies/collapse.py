@@ -7,7 +7,6 @@ keeps its plane, as a vertex beyond it would add volume over all of its area.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import chain
 from typing import Any

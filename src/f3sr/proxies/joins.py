@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from f3sr.core.transforms import Array
 from f3sr.core.mesh import ConvexPart
+from f3sr.core.transforms import Array
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.cuts import MIN_TOUCHED
 from f3sr.proxies.hulls import Hull, hull_of, outermost, spread

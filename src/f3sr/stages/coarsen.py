@@ -25,7 +25,7 @@ LOSS = 2e-3
 class CoarsenConfig:
     """How few parts are delivered. Parts keep their shape at contacts."""
 
-    worth: Annotated[float, Interval(ge=0, le=1)] = 0.02
+    worth: Annotated[float, Interval(ge=0, le=1)] = 0.025
     """Loss that a part fewer is worth: a stand-off by 2 % of the size over 2 % of the surface, or by 4 % over .5 %. On
     the floor of a cavity less. 0 keeps all parts."""
     max_parts: Annotated[int, Interval(ge=1, le=256)] = 32
