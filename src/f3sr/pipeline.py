@@ -154,7 +154,13 @@ def reconstruct(
         restless=settled.restless,
     )
     scene, _ = run.stage(
-        Coarsened, coarsen, scene, config.coarsen, made=made, joins=decomposed.joins, settled=at_rest,
+        Coarsened,
+        coarsen,
+        scene,
+        config.coarsen,
+        made=made,
+        joins=decomposed.joins,
+        settled=at_rest,
         restless=settled.restless,
     )
     scene, _ = run.stage(Described, describe, scene, config.relate)

@@ -17,6 +17,7 @@ from f3sr.contact.contact_patches import find_contacts
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, Array, transform
+from f3sr.physics.mujoco_model import solid_of
 from f3sr.proxies.collapse import Bounds, collapsed
 from f3sr.proxies.hulls import outside, planes, qhull_of
 from f3sr.proxies.joins import Join
@@ -28,6 +29,8 @@ FEW = 0.25
 """Largest share of the allowed vertices that is kept around contacts: the rest has to hold all else."""
 DEAREST = 0.1
 """Loss of one part fewer from which on parts are joined by volume, where they are still too many."""
+PAST = 1e-3
+"""How far a hull that is made thick may stand out of the parts [size]."""
 THIN, THIN_M = 0.01, 2e-3
 """Least thickness of a hull, as a share of its object's size and in metres, where the object is as thick."""
 NEARER = 1e-6
@@ -36,40 +39,49 @@ NEARER = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """How few parts, and how near to other bodies."""
+    """How few parts an object may have, and how near they may come to other bodies."""
 
     worth: float
-    """Largest loss that a part fewer may bring, as ``Join.loss``."""
+    """Loss that a part fewer is worth, as ``Join.loss``."""
     parts: int
-    """Most parts, with footing; joined down to at any loss."""
+    """Most parts, with footing, at any loss."""
     vertices: int
     """Most vertices of a part."""
     apart: float
-    """Distance [m] to other bodies that parts may always have."""
+    """Distance [m] from which other bodies do not matter."""
     reach: float
-    """Largest gap [m] of bodies that touch."""
+    """Distance [m] to another body that a part may always have: bodies that touch are nearer."""
 
 
-def with_few_parts(scene: Scene, made: Scene, joins: Mapping[int, Sequence[Join]], limits: Limits) -> Scene:
-    """The scene with the parts of every object joined; its poses and footings are the same.
+def with_few_parts(
+    scene: Scene, made: Scene, joins: Mapping[int, Sequence[Join]], limits: Mapping[int, Limits]
+) -> Scene:
+    """The scene with fewer parts of the objects that have ``limits`` (by id); poses and masses are the same.
 
-    ``made`` has the parts that the joins (by object id) are about. Those of ``scene`` were cut back and split since."""
-    bodies = {o.id: tuple(Polytope.of(p).moved(o.T_world_asset) for p in o.solids) for o in scene}
-    touched = find_contacts(bodies, reach=limits.reach)
+    ``made`` has the parts that the joins (by id) are about. Those of ``scene`` may have been cut back and split since.
+    """
+    bodies = {o.id: _body(o) for o in scene}
+    contacts = find_contacts(bodies, reach=max(limit.reach for limit in limits.values()))
     now = list[SceneObject]()
     for o in scene:
-        rows = (touched.upper == o.id) | (touched.lower == o.id)
+        if o.id not in limits or not o.parts:
+            continue
+        rows = (contacts.upper == o.id) | (contacts.lower == o.id)
         others = [p for k, body in bodies.items() if k != o.id for p in body]
-        body = _Body(o, others, touched.points[rows], limits)
-        if o.parts:
-            parts = body.joined(made[o.id].parts, joins.get(o.id, ()))
-            now.append(replace(o, parts=parts, footing=tuple(map(body.thick, o.footing))))
-            bodies[o.id] = tuple(Polytope.of(p).moved(o.T_world_asset) for p in now[-1].solids)
+        fewer = _Fewer(o, others, contacts.points[rows], limits[o.id])
+        parts, footing = fewer.on_footing(fewer.joined(made[o.id].parts, joins.get(o.id, ())))
+        parts, footing = tuple(map(fewer.thick, parts)), tuple(map(fewer.thick, footing))
+        now.append(replace(o, parts=parts, footing=footing, solid=solid_of(o)[0]))
+        bodies[o.id] = _body(now[-1])
     return scene.with_objects(*now)
 
 
-class _Body:
-    """One object whose parts are joined; ``others`` are the parts of all other bodies."""
+def _body(o: SceneObject) -> tuple[Polytope, ...]:
+    return tuple(Polytope.of(p).moved(o.T_world_asset) for p in o.solids)
+
+
+class _Fewer:
+    """An object whose parts become fewer; ``others`` are the parts of all other bodies."""
 
     def __init__(self, o: SceneObject, others: Iterable[Polytope], contacts: Array, limits: Limits) -> None:
         self._o, self._limits = o, limits
@@ -81,7 +93,7 @@ class _Body:
         low, high = boxes[:, 0].min(0) - limits.apart, boxes[:, 1].max(0) + limits.apart
         self._others = [p for p in others if (p.bounds[0] <= high).all() and (p.bounds[1] >= low).all()]
 
-    def joined(self, made: Sequence[ConvexPart], joins: Sequence[Join]) -> tuple[ConvexPart, ...]:
+    def joined(self, made: Sequence[ConvexPart], joins: Sequence[Join]) -> list[ConvexPart]:
         """The object's parts, joined where that is worth it and comes no nearer to other bodies."""
         tree = _Tree(_pieces(self._o.parts, made), joins)
         most = max(1, self._limits.parts - len(self._o.footing))
@@ -90,8 +102,22 @@ class _Body:
             worthy = tree.worthy(worth)
             parts = [part for root in tree.roots for part in self._under(root, tree, worthy)]
             if len(parts) <= most or worth > DEAREST:
-                return tuple(map(self.thick, self._paired(parts, most)))
+                return self._paired(parts, most)
             worth *= 2
+
+    def on_footing(self, parts: list[ConvexPart]) -> tuple[list[ConvexPart], list[ConvexPart]]:
+        """Parts and the wedges of the footing that are left: a wedge joins the part with which it adds least volume.
+
+        It stays a part of its own where that would add more than its own volume."""
+        left = list[ConvexPart]()
+        for wedge in self._o.footing:
+            added, k = min((self._added(part, wedge), k) for k, part in enumerate(parts))
+            one = self._hull((parts[k], wedge)) if added <= wedge.volume else None
+            if one:
+                parts = [*parts[:k], one, *parts[k + 1 :]]
+            else:
+                left.append(wedge)
+        return parts, left
 
     def thick(self, part: ConvexPart) -> ConvexPart:
         """A part that reaches into the solid where it would be a thin layer: engines lose or throw thin hulls.
@@ -105,7 +131,7 @@ class _Body:
         middle = part.vertices.mean(0)
         for apex in (middle + least * thinnest, middle - least * thinnest):
             inner = np.concatenate([apex[None], (part.vertices + apex) / 2])
-            if (outside(self._o.colliders, inner).min(1) <= 0).all():
+            if (outside(self._o.colliders, inner).min(1) <= PAST * self._size).all():
                 thick = self._held(np.concatenate([part.vertices, apex[None]]), self._gaps(part))
                 if thick:
                     return thick
@@ -245,7 +271,7 @@ class _Tree:
 
 def _pieces(parts: Sequence[ConvexPart], made: Sequence[ConvexPart]) -> dict[int, tuple[ConvexPart, ...]]:
     """Which parts came of which part that was made: the first ones in their order, the others by where they lie."""
-    found = {k: (part,) for k, part in enumerate(parts[: len(made)])}
+    found: dict[int, tuple[ConvexPart, ...]] = {k: (part,) for k, part in enumerate(parts[: len(made)])}
     for part in parts[len(made) :]:
         nearest = int(np.argmin(outside(made, part.vertices).max(0)))
         found[nearest] = (*found[nearest], part)

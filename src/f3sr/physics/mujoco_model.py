@@ -114,7 +114,7 @@ def body_of(o: SceneObject, *, bounces: bool = False) -> Body:
     """The rigid body of an object: mass and inertia of its solid at its density, its parts in metres.
 
     Its contacts follow its restitution only where it ``bounces``: a pile would sink into contacts so soft."""
-    solid, from_mesh = _solid(o.mesh, o.parts or (o.mesh.hull,)) if o.solid is None else (o.solid, o.mesh.is_solid)
+    solid, from_mesh = solid_of(o)
     scale = np.diag([o.scale, o.scale, o.scale, 1.0])
     return Body(
         name=body_name(o.id),
@@ -128,6 +128,12 @@ def body_of(o: SceneObject, *, bounces: bool = False) -> Body:
         solref=restitution.solref(o.restitution) if bounces else None,
         parts=tuple(part.moved(scale) for part in o.solids),
     )
+
+
+def solid_of(o: SceneObject) -> tuple[MassProperties, bool]:
+    """Volume, centre and inertia of an object's solid, as given, else of its mesh or its parts; and whether of the
+    mesh."""
+    return _solid(o.mesh, o.parts or (o.mesh.hull,)) if o.solid is None else (o.solid, o.mesh.is_solid)
 
 
 def build_spec(

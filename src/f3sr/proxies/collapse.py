@@ -63,6 +63,7 @@ class _Facets:
             around=around,
         )
 
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Bounds:
     """What collapsing keeps: all vertices within ``radius`` of points (k, 3), and ``normals . x <= offsets``."""
@@ -129,9 +130,7 @@ def _places(facets: _Facets, bounds: Bounds) -> tuple[Array, Array]:
     starts = np.cumsum([0, *map(len, stars)])
     star = np.fromiter(chain.from_iterable(stars), np.int64, int(starts[-1]))
     places, costs = np.zeros((len(stars), 3)), np.full(len(stars), np.inf)
-    _cheapest(
-        facets.normals, facets.offsets, facets.areas, bounds.normals, bounds.offsets, star, starts, places, costs
-    )
+    _cheapest(facets.normals, facets.offsets, facets.areas, bounds.normals, bounds.offsets, star, starts, places, costs)
     return places, costs
 
 
@@ -187,10 +186,10 @@ def _meeting(normals: Array, offsets: Array, i: int, j: int, k: int) -> tuple[fl
 @kernel
 def _is_within(normals: Array, offsets: Array, x: float, y: float, z: float) -> bool:
     """Whether a point is behind all planes."""
+    beyond = -np.inf
     for p in range(len(offsets)):
-        if normals[p, 0] * x + normals[p, 1] * y + normals[p, 2] * z > offsets[p]:
-            return False
-    return True
+        beyond = max(beyond, normals[p, 0] * x + normals[p, 1] * y + normals[p, 2] * z - offsets[p])
+    return beyond <= 0
 
 
 @kernel

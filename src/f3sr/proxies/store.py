@@ -36,7 +36,7 @@ def config_json(config: ProxyConfig) -> str:
 
 
 def packed(fitted: FittedParts) -> Arrays:
-    """As arrays that ``unpacked`` reads: all vertices, all faces, the counts (parts, 2) of each, the fit, and the joins."""
+    """As arrays that ``unpacked`` reads: vertices, faces, their counts (parts, 2), the fit, and the joins."""
     inflation, floor = (np.nan if x is None else x for x in (fitted.inflation, fitted.excess.floor))
     excess = fitted.excess
     return {

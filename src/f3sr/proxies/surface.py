@@ -115,7 +115,7 @@ class NearestTriangles:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Subject:
-    """A mesh to be covered: its triangles (n, 3, 3), exact and simplified, with those of ``taken`` samples that are reachable.
+    """A mesh to be covered: its triangles (n, 3, 3), exact and simplified, and the reachable ones of ``taken`` samples.
 
     It also holds the grid of open space around it and a search tree for the nearest surface."""
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.core.mesh import ConvexPart
+from f3sr.core.mesh import ConvexPart, MassProperties
 from f3sr.core.transforms import Array
 from f3sr.scene import Ground, Motion, Node, Relation, Scene, SceneGraph, SceneObject, Support
 
@@ -66,6 +66,7 @@ def _pack_object(o: SceneObject) -> dict[str, Any]:
         "plain": {name: getattr(o, name) for name in PLAIN},
         "parts": len(o.parts),
         "footing": len(o.footing),
+        "solid": o.solid and [o.solid.volume, o.solid.center.tolist(), o.solid.inertia.tolist()],
         "supports": [asdict(s) for s in o.supports],
         "motion": [asdict(m) for m in o.motion],
     }
@@ -82,6 +83,11 @@ def _unpack_object(o: SceneObject, state: dict[str, Any], arrays: Arrays) -> Sce
         parts=tuple(part(k) for k in range(state["parts"])),
         footing=tuple(part(state["parts"] + k) for k in range(state["footing"])),
         supports=tuple(Support(**s) for s in state["supports"]),
+        solid=_solid(*state["solid"]) if state["solid"] else None,
         motion=tuple(Motion(**m | {"translation": tuple(m["translation"])}) for m in state["motion"]),
         **state["plain"],
     )
+
+
+def _solid(volume: float, center: list[float], inertia: list[list[float]]) -> MassProperties:
+    return MassProperties(volume=volume, center=np.array(center), inertia=np.array(inertia))

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, ClassVar
 
-import numpy as np
 from annotated_types import Interval
 
 from f3sr.contact.few_parts import Limits, with_few_parts
 from f3sr.metrics.contact_groups import SettledScene, groups_of
+from f3sr.metrics.measures import visible_ious
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.proxies import Join
 from f3sr.report import Decision, Measure, Outcome
@@ -18,14 +18,18 @@ from f3sr.scene import Scene
 from f3sr.settings import settings
 
 LOSS = 2e-3
-"""Largest loss of mean visible IoU of a group by new parts: what still tips or slides loses more."""
+"""Largest loss of an object's visible IoU by new parts: what tips or slides loses more."""
+TRIES = 3
+"""Most attempts: with the parts wanted, with finer ones of what moves, and with still finer ones."""
+FINER = 0.1
+"""What a part fewer is worth of an object that moved, as a share of what it was before."""
 
 
 @settings
 class CoarsenConfig:
     """How few parts are delivered. Parts keep their shape at contacts."""
 
-    worth: Annotated[float, Interval(ge=0, le=1)] = 0.025
+    worth: Annotated[float, Interval(ge=0, le=1)] = 0.022
     """Loss that a part fewer is worth: a stand-off by 2 % of the size over 2 % of the surface, or by 4 % over .5 %. On
     the floor of a cavity less. 0 keeps all parts."""
     max_parts: Annotated[int, Interval(ge=1, le=256)] = 32
@@ -33,7 +37,17 @@ class CoarsenConfig:
     max_vertices: Annotated[int, Interval(ge=16, le=1000)] = 64
     """Most vertices of a part. PhysX takes 64, some engines on a GPU 32."""
     contact: ContactMargin = DEFAULT_MARGIN
-    """Parts come no nearer to another body than they were, within its ``apart``."""
+    """Parts come no nearer to another body than they were, or than its ``reach``."""
+
+    def limits(self, worth: float) -> Limits:
+        """Those of an object whose part fewer is ``worth`` some loss."""
+        return Limits(
+            worth=worth,
+            parts=self.max_parts,
+            vertices=self.max_vertices,
+            apart=self.contact.apart,
+            reach=self.contact.reach,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,26 +72,41 @@ def coarsen(
     settled: Callable[[Scene], SettledScene],
     restless: Collection[int] = (),
 ) -> tuple[Scene, Coarsened]:
-    limits = Limits(
-        worth=config.worth,
-        parts=config.max_parts,
-        vertices=config.max_vertices,
-        apart=config.contact.apart,
-        reach=config.contact.reach,
+    """Give objects at rest few convex parts, where contact does not feel it (docs: proxies).
+
+    ``made`` is the scene as decomposed, ``joins`` (by object id) tell how its parts may be joined. ``settled`` runs
+    physics. A group of touching objects keeps its new parts if it rests as before. Where it does not, what moves gets
+    finer parts; after ``TRIES`` the group keeps its parts. Objects that were ``restless`` may stay so.
+    """
+    worth = {o.id: config.worth for o in scene}
+    start, left = scene, frozenset(worth)
+    for _ in range(TRIES):
+        limits = {id: config.limits(worth[id]) for id in left}
+        tried = with_few_parts(scene, made, joins, limits)
+        rested = settled(replace(tried, objects=tuple(o for o in tried if o.id in left)))
+        after = tried.with_objects(*rested.scene)
+        spoilt = _spoilt(scene, after, left, rested.restless.difference(restless), config.contact)
+        scene = scene.with_objects(*(after[id] for id in left.difference(*spoilt)))
+        worth |= {id: FINER * worth[id] for moved in spoilt.values() for id in moved}
+        left = frozenset[int]().union(*spoilt)
+        if not left:
+            break
+    kept = [
+        Decision(choice="keeps all its convex parts", reason="with fewer it moves", about=id) for id in sorted(left)
+    ]
+    return scene, Coarsened(
+        parts={o.id: (len(start[o.id].colliders), len(o.colliders)) for o in scene}, decisions=tuple(kept)
     )
-    tried = with_few_parts(scene, made, joins, limits)
-    rested = settled(tried)
-    was, now = SettledScene(scene=scene, restless=frozenset()).ious, rested.ious
-    result, decisions = scene, list[Decision]()
-    for group in groups_of(scene, rested.scene, config.contact.apart):
-        loss = float(np.mean([was[id] - now[id] for id in group]))
-        spoilt = group & rested.restless - frozenset(restless)
-        if loss <= LOSS and not spoilt:
-            result = result.with_objects(*(rested.scene[id] for id in sorted(group)))
-        else:
-            names = ", ".join(map(str, sorted(group)))
-            reason = f"visible IoU of the group {-loss:+.4f}" + (", and it does not rest" if spoilt else "")
-            decisions.append(Decision(choice=f"all parts kept of object {names}", reason=reason))
-    return result, Coarsened(
-        parts={o.id: (len(o.colliders), len(result[o.id].colliders)) for o in scene}, decisions=tuple(decisions)
-    )
+
+
+def _spoilt(
+    before: Scene, after: Scene, ids: Collection[int], restless: Collection[int], contact: ContactMargin
+) -> dict[frozenset[int], frozenset[int]]:
+    """Groups (of some ids) that do not rest as before, each with the objects that move."""
+    was, now = visible_ious(before), visible_ious(after)
+    found = dict[frozenset[int], frozenset[int]]()
+    for group in map(frozenset, groups_of(before, after, contact.apart)):
+        moved = frozenset(id for id in group if id in restless or was[id] - now[id] > LOSS)
+        if moved and group.intersection(ids):
+            found[group] = moved
+    return found
