@@ -342,7 +342,7 @@ def test_without_evaluation_and_with_any_stage_skipped(given: inputs.Inputs, sta
         text = report_page(reconstruct(given, skip=[skip, "refine", "evaluate"], store=stages)).decode()
         assert Tags(text).open == [] and "Not measured" in text and "evaluate" in text[: text.index("<section")]
         (told,) = re.findall(r"<b>Skipped</b>: ([^<]*)", text)
-        closing = {"close"} if skip == "settle" else set[str]()
+        closing = {"close", "coarsen"} if skip == "settle" else set[str]()
         assert set(re.split(", | and ", told)) == {s for s in (skip, "refine", "evaluate", *closing) if "-" not in s}
     silent = bare(reconstruct(given, skip=SKIPPABLE).scene, outcomes=())
     assert "No stage had anything to decide" in report_page(silent).decode()

@@ -29,8 +29,8 @@ from folders import write_folder
 from scenes import box_stack_scene
 
 STAGES = (
-    *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "close", "refine", "describe"),
-    *("evaluate", "inpaint"),
+    *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "close", "refine", "coarsen"),
+    *("describe", "evaluate", "inpaint"),
 )
 
 
@@ -111,7 +111,10 @@ def test_a_valid_archive_with_other_content_is_made_anew(given: inputs.Inputs, t
     with np.load(files[3]) as archive:
         np.savez(files[3], **archive)
     again = reconstruct(given, store=store, skip=skip)
-    assert again.resumed == ("relate", "separate", "settle", "close", "describe") and again.reports == cold.reports
+    assert (
+        again.resumed == ("relate", "separate", "settle", "close", "coarsen", "describe")
+        and again.reports == cold.reports
+    )
     assert len(reconstruct(given, store=store, skip=skip).resumed) == len(cold.reports)
 
 
@@ -157,7 +160,8 @@ KINDS = {
     kind.stage: kind
     for kind in (
         *(pipeline.Assembled, pipeline.Levelled, pipeline.Aligned, pipeline.Related, pipeline.Decomposed),
-        *(pipeline.Separated, pipeline.Settled, pipeline.Closed, pipeline.Refined, pipeline.Described),
+        *(pipeline.Separated, pipeline.Settled, pipeline.Closed, pipeline.Refined, pipeline.Coarsened),
+        pipeline.Described,
     )
 }
 
@@ -178,12 +182,12 @@ def test_keys_change_from_the_stage_on_whose_settings_change(
     changed: str, given: inputs.Inputs, monkeypatch: pytest.MonkeyPatch
 ):
     """``close`` and ``refine`` read settings of stages before them, which thereby are in their keys too."""
-    for name in STAGES[:10]:
+    for name in STAGES[:11]:
         monkeypatch.setattr(pipeline, name, lambda scene, config, kind=KINDS[name], **_: (scene, kind()))
     field, value = {
         "align": ("max_yaw", 0.5), "relate": ("max_gap", 0.123), "decompose": ("max_parts", 7),
         "separate": ("max_ray_scale", 0.05), "settle": ("settling", SettleConfig(rounds=3)), "close": ("loss", 0.1),
-        "refine": ("rounds", 1),
+        "refine": ("rounds", 1), "coarsen": ("worth", 0.5),
     }[changed]  # fmt: skip
     config, runs = Config(), list[list[str]]()
     other = replace(config, **{changed: replace(getattr(config, changed), **{field: value})})
@@ -191,7 +195,7 @@ def test_keys_change_from_the_stage_on_whose_settings_change(
         runs.append((keys := Keys()).asked)
         reconstruct(given, chosen, store=keys, skip=["evaluate", "inpaint"])
     same = [a == b for a, b in zip(*runs, strict=True)]
-    assert same == [k < STAGES.index(changed) for k in range(10)]
+    assert same == [k < STAGES.index(changed) for k in range(11)]
 
 
 def test_keys_name_every_byte_read(tmp_path: Path):

@@ -159,7 +159,7 @@ def test_every_stage_has_the_margin_of_physics(margin: float | None) -> None:
     physics = PhysicsConfig() if margin is None else PhysicsConfig(contact=ContactMargin(body=margin))
     given = replace(Config(), settle=replace(Config().settle, physics=physics))
     config = given if margin is None else same_margin(given)
-    stages = (config.relate, config.separate, config.close, config.refine)
+    stages = (config.relate, config.separate, config.close, config.refine, config.coarsen)
     assert {stage.contact for stage in stages} == {config.settle.physics.contact}
     found = config.separate.contact
     assert config.separate.clearance == found.clearance == 2 * physics.margin

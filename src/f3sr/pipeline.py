@@ -110,7 +110,8 @@ def reconstruct(
     """Turn validated inputs into a scene at rest (equation 3; docs: method).
 
     ``skip`` names stages to leave out: any but ``assemble``, as a valid scene always remains. ``refine`` repeats
-    alignment, separation and settling, so skipping one of them skips it too; skipping ``settle`` also skips ``close``.
+    alignment, separation and settling, so skipping one of them skips it too; skipping ``settle`` also skips ``close`` and
+    ``coarsen``.
     ``store`` holds results of earlier runs: a stage with equal inputs, settings and code is read instead of run.
     ``background`` completes the photo behind the objects instead of f3sr's own method. ``progress`` receives one line
     of text per event. Equal arguments give equal scenes. Raises InputError for arguments of another kind.
@@ -122,7 +123,7 @@ def reconstruct(
     if REPEATED_BY_REFINE & set(skip):
         skip = {*skip, "refine"}
     if "settle" in skip:
-        skip = {*skip, "close"}
+        skip = {*skip, "close", "coarsen"}
     run = Runner(inputs.key, skip=skip, skippable=SKIPPABLE, store=store, progress=progress)
     at_rest = partial(_rested, config=config.settle)
     again = partial(_made_again, config=config, closes="close" not in skip)

@@ -31,7 +31,7 @@ Skip = Annotated[
         help_behavior_hint=default_shown,
         help="Stages to leave out, any but assemble, comma separated without spaces: "
         f"{','.join(options.SKIPPABLE)}. Without align, align-objects, separate or settle, refine is left out too; "
-        "without settle, close too.",
+        "without settle, close and coarsen too.",
     ),
 ]
 Ignore = Annotated[

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array
 from f3sr.proxies.hulls import qhull_of
-from f3sr.runtime.kernels import kernel
+from f3sr.runtime.kernels import inline_kernel, kernel
 
 MOST_PLANES = 14
 """Planes around an edge up to which it is tried: work grows with the fourth power."""
@@ -167,7 +167,7 @@ def _cheapest(
             costs[e] = _added(normals, offsets, areas, places[e, 0], places[e, 1], places[e, 2])
 
 
-@kernel
+@inline_kernel
 def _meeting(normals: Array, offsets: Array, i: int, j: int, k: int) -> tuple[float, float, float, bool]:
     """The point in which three planes meet, and whether that is definite."""
     ax, ay, az = normals[i, 0], normals[i, 1], normals[i, 2]
@@ -183,7 +183,7 @@ def _meeting(normals: Array, offsets: Array, i: int, j: int, k: int) -> tuple[fl
     return d * ux + e * vx + f * wx, d * uy + e * vy + f * wy, d * uz + e * vz + f * wz, True
 
 
-@kernel
+@inline_kernel
 def _is_within(normals: Array, offsets: Array, x: float, y: float, z: float) -> bool:
     """Whether a point is behind all planes."""
     beyond = -np.inf
@@ -192,7 +192,7 @@ def _is_within(normals: Array, offsets: Array, x: float, y: float, z: float) -> 
     return beyond <= 0
 
 
-@kernel
+@inline_kernel
 def _price(
     normals: Array,
     offsets: Array,
@@ -215,7 +215,7 @@ def _price(
     return total
 
 
-@kernel
+@inline_kernel
 def _added(normals: Array, offsets: Array, areas: Array, x: float, y: float, z: float) -> float:
     """The volume between a point and the hull; infinite where it is too far from a facet's plane."""
     total = 0.0

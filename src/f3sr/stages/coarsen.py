@@ -78,9 +78,9 @@ def coarsen(
     physics. A group of touching objects keeps its new parts if it rests as before. Where it does not, what moves gets
     finer parts; after ``TRIES`` the group keeps its parts. Objects that were ``restless`` may stay so.
     """
-    worth = {o.id: config.worth for o in scene}
+    worth = {o.id: config.worth for o in scene if o.parts}
     start, left = scene, frozenset(worth)
-    for _ in range(TRIES):
+    for _ in range(TRIES if left else 0):
         limits = {id: config.limits(worth[id]) for id in left}
         tried = with_few_parts(scene, made, joins, limits)
         rested = settled(replace(tried, objects=tuple(o for o in tried if o.id in left)))
