@@ -120,7 +120,7 @@ def test_motion_notes_add_up_to_the_way_from_input_to_result(whole: Reconstructi
     for o in whole.scene:
         scale = np.prod([m.scale for m in o.motion])
         assert o.scale == pytest.approx(whole.direct[o.id].scale * scale)
-        assert {m.stage for m in o.motion} <= {"align", "separate", "settle", "close"}
+        assert {m.stage for m in o.motion} <= {"align", "separate", "settle", "close", "coarsen"}
 
 
 def test_reports_carry_units_and_reasons(whole: Reconstruction):

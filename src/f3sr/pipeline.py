@@ -110,9 +110,9 @@ def reconstruct(
     """Turn validated inputs into a scene at rest (equation 3; docs: method).
 
     ``skip`` names stages to leave out: any but ``assemble``, as a valid scene always remains. ``refine`` repeats
-    alignment, separation and settling, so skipping one of them skips it too; skipping ``settle`` also skips ``close`` and
-    ``coarsen``.
-    ``store`` holds results of earlier runs: a stage with equal inputs, settings and code is read instead of run.
+    alignment, separation and settling, so skipping one of them skips it too; skipping ``settle`` also skips ``close``
+    and ``coarsen``. ``store`` holds results of earlier runs: a stage with equal inputs, settings and code is read
+    instead of run.
     ``background`` completes the photo behind the objects instead of f3sr's own method. ``progress`` receives one line
     of text per event. Equal arguments give equal scenes. Raises InputError for arguments of another kind.
     """

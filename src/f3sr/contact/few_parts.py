@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
@@ -25,6 +25,8 @@ from f3sr.scene import Scene, SceneObject
 
 KEPT = (0.1, 0.05, 0.02, 0.0)
 """Radii around contacts in which vertices are kept, the first that is possible [size]."""
+FARTHEST = (0.03, 0.1)
+"""Distances from a facet's plane up to which vertices may come to lie, the first that is possible [size]."""
 FEW = 0.25
 """Largest share of the allowed vertices that is kept around contacts: the rest has to hold all else."""
 DEAREST = 0.1
@@ -190,8 +192,8 @@ class _Fewer:
         if len(whole.vertices) <= self._limits.vertices:
             return whole
         bounds = self._bounds(whole, allowed)
-        for radius in KEPT:
-            near = replace(bounds, radius=radius)
+        for farthest, radius in product(FARTHEST, KEPT):
+            near = replace(bounds, radius=radius, farthest=farthest)
             if near.keeps(whole.vertices / self._size).sum() > FEW * self._limits.vertices:
                 continue
             fewer = collapsed(whole.vertices / self._size, self._limits.vertices, near) * self._size
@@ -217,6 +219,7 @@ class _Fewer:
             offsets=(np.array(offsets) - n @ T[:3, 3]) / self._o.scale / self._size,
             points=self._contacts / self._size,
             radius=0.0,
+            farthest=0.0,
         )
 
     def _is_free(self, part: ConvexPart, allowed: Array) -> bool:

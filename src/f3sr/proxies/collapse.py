@@ -22,8 +22,6 @@ MOST_PLANES = 14
 """Planes around an edge up to which it is tried: work grows with the fourth power."""
 ON = 1e-9
 """What lies this far behind a plane still counts as on it [size]."""
-FARTHEST = 0.03
-"""Largest distance of a new vertex from the plane of a facet [size]: where few edges may go, some would shoot far."""
 AT_ONCE = 0.15
 """Share of the vertices that is collapsed before the hull is made again."""
 SINGULAR = 1e-6
@@ -66,12 +64,16 @@ class _Facets:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Bounds:
-    """What collapsing keeps: all vertices within ``radius`` of points (k, 3), and ``normals . x <= offsets``."""
+    """What collapsing keeps: all vertices within ``radius`` of points (k, 3), and ``normals . x <= offsets``.
+
+    No new vertex is farther than ``farthest`` from the plane of a facet [size]. Where few edges may go, some would
+    shoot far."""
 
     normals: Array
     offsets: Array
     points: Array
     radius: float
+    farthest: float
 
     def keeps(self, points: Array) -> NDArray[np.bool_]:
         """Which of points (n, 3) stay."""
@@ -82,7 +84,7 @@ class Bounds:
         return KDTree(self.points).query(points)[0] <= self.radius
 
 
-UNBOUNDED = Bounds(normals=np.zeros((0, 3)), offsets=np.zeros(0), points=np.zeros((0, 3)), radius=0.0)
+UNBOUNDED = Bounds(normals=np.zeros((0, 3)), offsets=np.zeros(0), points=np.zeros((0, 3)), radius=0.0, farthest=np.inf)
 
 
 def collapsed(points: Array, most: int, bounds: Bounds = UNBOUNDED) -> Array:
@@ -130,7 +132,10 @@ def _places(facets: _Facets, bounds: Bounds) -> tuple[Array, Array]:
     starts = np.cumsum([0, *map(len, stars)])
     star = np.fromiter(chain.from_iterable(stars), np.int64, int(starts[-1]))
     places, costs = np.zeros((len(stars), 3)), np.full(len(stars), np.inf)
-    _cheapest(facets.normals, facets.offsets, facets.areas, bounds.normals, bounds.offsets, star, starts, places, costs)
+    _cheapest(
+        *(facets.normals, facets.offsets, facets.areas, bounds.normals, bounds.offsets, bounds.farthest),
+        *(star, starts, places, costs),
+    )
     return places, costs
 
 
@@ -141,6 +146,7 @@ def _cheapest(
     areas: Array,
     bound_normals: Array,
     bound_offsets: Array,
+    farthest: float,
     star: NDArray[np.int64],
     starts: NDArray[np.int64],
     places: Array,
@@ -164,7 +170,7 @@ def _cheapest(
                             least = price
                             places[e, 0], places[e, 1], places[e, 2] = x, y, z
         if least < np.inf:
-            costs[e] = _added(normals, offsets, areas, places[e, 0], places[e, 1], places[e, 2])
+            costs[e] = _added(normals, offsets, areas, farthest, places[e, 0], places[e, 1], places[e, 2])
 
 
 @inline_kernel
@@ -216,12 +222,12 @@ def _price(
 
 
 @inline_kernel
-def _added(normals: Array, offsets: Array, areas: Array, x: float, y: float, z: float) -> float:
+def _added(normals: Array, offsets: Array, areas: Array, farthest: float, x: float, y: float, z: float) -> float:
     """The volume between a point and the hull; infinite where it is too far from a facet's plane."""
     total = 0.0
     for p in range(len(offsets)):
         off = normals[p, 0] * x + normals[p, 1] * y + normals[p, 2] * z - offsets[p]
-        if off > FARTHEST:
+        if off > farthest:
             return np.inf
         if off > 0:
             total += off * areas[p]

@@ -14,7 +14,7 @@ from f3sr.metrics.measures import visible_ious
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.proxies import Join
 from f3sr.report import Decision, Measure, Outcome
-from f3sr.scene import Scene
+from f3sr.scene import Scene, SceneObject
 from f3sr.settings import settings
 
 LOSS = 2e-3
@@ -30,8 +30,7 @@ class CoarsenConfig:
     """How few parts are delivered. Parts keep their shape at contacts."""
 
     worth: Annotated[float, Interval(ge=0, le=1)] = 0.022
-    """Loss that a part fewer is worth: a stand-off by 2 % of the size over 2 % of the surface, or by 4 % over .5 %. On
-    the floor of a cavity less. 0 keeps all parts."""
+    """Loss that a part fewer is worth: .02 is a stand-off of 2 % of the size over 2 % of the surface; 0 keeps all."""
     max_parts: Annotated[int, Interval(ge=1, le=256)] = 32
     """Convex parts of one object, with footing, above which they are joined at any loss."""
     max_vertices: Annotated[int, Interval(ge=16, le=1000)] = 64
@@ -86,7 +85,7 @@ def coarsen(
         rested = settled(replace(tried, objects=tuple(o for o in tried if o.id in left)))
         after = tried.with_objects(*rested.scene)
         spoilt = _spoilt(scene, after, left, rested.restless.difference(restless), config.contact)
-        scene = scene.with_objects(*(after[id] for id in left.difference(*spoilt)))
+        scene = scene.with_objects(*(_noted(scene[id], after[id]) for id in left.difference(*spoilt)))
         worth |= {id: FINER * worth[id] for moved in spoilt.values() for id in moved}
         left = frozenset[int]().union(*spoilt)
         if not left:
@@ -97,6 +96,12 @@ def coarsen(
     return scene, Coarsened(
         parts={o.id: (len(start[o.id].colliders), len(o.colliders)) for o in scene}, decisions=tuple(kept)
     )
+
+
+def _noted(before: SceneObject, after: SceneObject) -> SceneObject:
+    """The object with what physics moved it noted as this stage's."""
+    new = (replace(m, stage=Coarsened.stage) for m in after.motion[len(before.motion) :])
+    return replace(after, motion=(*before.motion, *new))
 
 
 def _spoilt(

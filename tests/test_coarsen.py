@@ -1,0 +1,198 @@
+"""coarsen: fewer convex parts for a scene at rest, which come no nearer to other bodies and leave it at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from f3sr.contact import polytopes
+from f3sr.contact.few_parts import THIN_M, Limits, with_few_parts
+from f3sr.contact.polytopes import Polytope
+from f3sr.core.mesh import ConvexPart, Mesh
+from f3sr.core.transforms import Array, pose
+from f3sr.metrics.contact_groups import SettledScene
+from f3sr.physics.mujoco_model import body_of
+from f3sr.proxies import Join, ProxyConfig
+from f3sr.proxies.collapse import UNBOUNDED, collapsed
+from f3sr.proxies.hulls import planes
+from f3sr.proxies.joins import join_order
+from f3sr.proxies.parts import subject_of
+from f3sr.runtime import scene_serialization
+from f3sr.scene import Scene, SceneObject
+from f3sr.stages.coarsen import TRIES, CoarsenConfig, coarsen
+from scenes import ball_mesh, box, scene_of
+
+REST = 0.5 * CoarsenConfig().contact.clearance
+LIMITS = CoarsenConfig().limits(0.02)
+FEW_SAMPLES = ProxyConfig(cuts=replace(ProxyConfig().cuts, samples=2000))
+
+
+def cuboid(low: Sequence[float], high: Sequence[float]) -> ConvexPart:
+    corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
+    return ConvexPart.hull_of(corners)
+
+
+def mesh_of(*parts: ConvexPart) -> Mesh:
+    """The parts' surfaces together."""
+    starts = np.cumsum([0, *(len(p.vertices) for p in parts[:-1])])
+    faces = np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=True)])
+    return Mesh(vertices=np.concatenate([p.vertices for p in parts]), faces=faces.astype(np.int32))
+
+
+def made_of(id: int, parts: Sequence[ConvexPart], at: Sequence[float] = (0, 0, REST)) -> SceneObject:
+    return replace(box(id), mesh=mesh_of(*parts), parts=tuple(parts), T_world_object=pose(t=np.array(at)))
+
+
+def trough(id: int = 0) -> SceneObject:
+    """Two walls on a base, 10 x 10 x 6 cm, open along y."""
+    base = cuboid((-0.05, -0.05, 0), (0.05, 0.05, 0.02))
+    walls = [cuboid((x, -0.05, 0.02), (x + 0.02, 0.05, 0.06)) for x in (-0.05, 0.03)]
+    return made_of(id, [base, *walls])
+
+
+FREE = (Join(first=0, second=1, loss=0.0), Join(first=2, second=3, loss=0.0))
+"""Joins of three parts to one."""
+
+
+def fewer(scene: Scene, joins: Sequence[Join], limits: Limits = LIMITS) -> SceneObject:
+    """The first object with fewer parts."""
+    return with_few_parts(scene, scene, {0: joins}, {0: limits})[0]
+
+
+def moved_to_world(o: SceneObject) -> list[Polytope]:
+    return [Polytope.of(p).moved(o.T_world_asset) for p in o.solids]
+
+
+@pytest.mark.parametrize("most", [16, 64])
+def test_collapsed_edges_contain_all_points_with_few_vertices(most: int):
+    points = np.random.default_rng(2).normal(size=(200, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    corners = collapsed(points, most)
+    polytope = Polytope.of(ConvexPart.hull_of(corners))
+    assert len(corners) <= most
+    assert (points @ polytope.normals.T - polytope.offsets).max() < 1e-9
+
+
+def test_a_collapsed_can_keeps_its_two_flats():
+    angles = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    points = 0.3 * np.array([(np.cos(a), np.sin(a), z) for a in angles for z in (0, 2)])
+    corners = collapsed(points, 32)
+    assert len(corners) == 32
+    assert np.abs(corners[:, 2] - 0.3) == pytest.approx(np.full(32, 0.3), abs=1e-9)
+    assert ConvexPart.hull_of(corners).volume < 1.03 * ConvexPart.hull_of(points).volume
+
+
+def test_collapsing_stays_behind_planes_and_keeps_vertices():
+    points = 0.3 * ConvexPart.hull_of(ball_mesh(1.0, rings=16).vertices).vertices
+    lowest = points[points[:, 2].argmin()]
+    ground = replace(
+        UNBOUNDED, normals=np.array([[0.0, 0, -1]]), offsets=np.array([0.3]), points=lowest[None], radius=0.05
+    )
+    free, bounded = collapsed(points, 40), collapsed(points, 40, ground)
+    assert len(bounded) <= 40 and bounded[:, 2].min() >= -0.3 > free[:, 2].min()
+    assert (np.linalg.norm(bounded - lowest, axis=1) < 1e-12).any()
+
+
+def test_parts_of_a_box_are_joined_without_loss_and_a_cavity_is_bridged_last():
+    size = trough().mesh.diagonal
+    parts = [p.moved(np.diag([1 / size, 1 / size, 1 / size, 1.0])) for p in trough().parts]
+    mesh = mesh_of(*parts)
+    first, last = join_order(parts, subject_of(mesh.vertices, mesh.faces, mesh.hull, FEW_SAMPLES))
+    assert first.loss < last.loss and last.loss > 0.1 and last.second == 3
+
+
+def test_parts_are_joined_where_nothing_is_near():
+    few = fewer(scene_of(trough()), FREE)
+    assert len(few.parts) == 1
+    assert few.parts[0].volume == pytest.approx(trough().mesh.hull.volume)
+
+
+def test_parts_are_not_joined_over_another_body():
+    """A box stands between the walls of a trough: a hull of both walls would hold it."""
+    scene = scene_of(trough(), box(1, size=(0.03, 0.03, 0.03), at=(0, 0, 0.02 + 0.015 + 4 * REST)))
+    few = fewer(scene, FREE)
+    assert 1 < len(few.parts) < 4
+    assert not polytopes.collide(moved_to_world(few), moved_to_world(scene[1]))
+
+
+def test_what_loses_too_much_is_not_joined_unless_there_are_too_many():
+    dear = (FREE[0], replace(FREE[1], loss=0.05))
+    assert len(fewer(scene_of(trough()), dear).parts) == 2
+    assert len(fewer(scene_of(trough()), dear, replace(LIMITS, parts=1)).parts) == 1
+    assert len(fewer(scene_of(trough()), (), replace(LIMITS, parts=1)).parts) == 1
+
+
+def test_a_whole_subtree_is_joined_where_that_is_worth_its_parts():
+    """The first join alone loses more than a part is worth, both together less than two."""
+    joins = (replace(FREE[0], loss=0.025), FREE[1])
+    assert len(fewer(scene_of(trough()), joins).parts) == 1
+
+
+@pytest.mark.parametrize("most", [32, 64])
+def test_a_ball_gets_few_vertices_covers_its_mesh_and_stays_above_the_ground(most: int):
+    mesh = ball_mesh(0.05)
+    ball = replace(box(0), mesh=mesh, parts=(mesh.hull,), T_world_object=pose(t=[0, 0, 0.05 + REST]))
+    few = fewer(scene_of(ball), (), replace(LIMITS, vertices=most))
+    (part,) = few.parts
+    normals, offsets = planes(part)
+    assert len(part.vertices) <= most < len(mesh.hull.vertices)
+    assert (mesh.vertices @ normals.T - offsets).max() < 1e-9
+    assert part.vertices[:, 2].min() + 0.05 > -2e-6
+
+
+def test_a_thin_part_of_a_solid_reaches_into_it_and_a_thin_object_stays_thin():
+    layers = [cuboid((-0.05, -0.05, 0), (0.05, 0.05, 0.0005)), cuboid((-0.05, -0.05, 0.0005), (0.05, 0.05, 0.1))]
+    thin, solid = fewer(scene_of(made_of(0, layers)), ()).parts
+    assert np.ptp(thin.vertices[:, 2]) >= THIN_M and solid is layers[1]
+    assert thin.vertices[:, 2].min() == 0
+    sheet = [layers[0]]
+    assert fewer(scene_of(made_of(0, sheet)), ()).parts[0] is sheet[0]
+
+
+def test_a_body_keeps_its_mass_where_its_parts_become_larger():
+    o = trough()
+    open_mesh = Mesh(vertices=o.mesh.vertices, faces=o.mesh.faces[2:])
+    o = replace(o, mesh=open_mesh)
+    few = fewer(scene_of(o), FREE)
+    before, after = body_of(o), body_of(few)
+    assert few.parts[0].volume > sum(p.volume for p in o.parts)
+    assert after.mass == pytest.approx(before.mass) and after.center == pytest.approx(before.center)
+    document, arrays = scene_serialization.pack(scene_of(few))
+    again = scene_serialization.unpack(scene_of(o), document, arrays)[0]
+    assert body_of(again).mass == after.mass and np.array_equal(body_of(again).inertia, after.inertia)
+
+
+def coarsened(scene: Scene, restless: Sequence[Collection[int]]) -> tuple[Scene, list[str], int]:
+    """The scene, its decisions and how often it was settled; physics says which objects do not rest, in turn."""
+    told = list(restless)
+
+    def settled(tried: Scene) -> SettledScene:
+        return SettledScene(scene=tried, restless=frozenset(told.pop(0)))
+
+    result, outcome = coarsen(scene, CoarsenConfig(), made=scene, joins={0: FREE, 1: FREE}, settled=settled)
+    return result, [f"{d.about}: {d.choice}" for d in outcome.decisions], len(restless) - len(told)
+
+
+@pytest.fixture
+def two() -> Scene:
+    far: Array = np.array([0.5, 0, REST])
+    return scene_of(trough(), replace(trough(1), T_world_object=pose(t=far)))
+
+
+def test_a_scene_that_rests_is_settled_once(two: Scene):
+    scene, decisions, times = coarsened(two, [()])
+    assert [len(o.parts) for o in scene] == [1, 1] and not decisions and times == 1
+
+
+def test_only_the_group_that_moves_is_tried_again(two: Scene):
+    scene, decisions, times = coarsened(two, [(1,), ()])
+    assert [len(o.parts) for o in scene] == [1, 1] and not decisions and times == 2
+
+
+def test_what_moves_however_fine_its_parts_keeps_them(two: Scene):
+    scene, decisions, times = coarsened(two, [(1,)] * TRIES)
+    assert scene[1].parts is two[1].parts and len(scene[0].parts) == 1
+    assert decisions == ["1: keeps all its convex parts"] and times == TRIES
