@@ -8,11 +8,11 @@ from typing import Annotated, ClassVar
 
 from annotated_types import Interval
 
-from f3sr.contact.few_parts import Limits, with_few_parts
 from f3sr.metrics.contact_groups import SettledScene, groups_of
 from f3sr.metrics.measures import visible_ious
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.proxies import Join
+from f3sr.proxies.few_parts import PartLimits, with_few_parts
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene, SceneObject
 from f3sr.settings import settings
@@ -29,8 +29,8 @@ FINER = 0.1
 class CoarsenConfig:
     """How few parts are delivered. Parts keep their shape at contacts."""
 
-    worth: Annotated[float, Interval(ge=0, le=1)] = 0.022
-    """Loss that a part fewer is worth: .02 is a stand-off of 2 % of the size over 2 % of the surface; 0 keeps all."""
+    worth: Annotated[float, Interval(ge=0, le=1)] = 0.03
+    """Loss that a part fewer is worth. .03 is a stand-off of 2 % of the size over 3 % of the surface."""
     max_parts: Annotated[int, Interval(ge=1, le=256)] = 32
     """Convex parts of one object, with footing, above which they are joined at any loss."""
     max_vertices: Annotated[int, Interval(ge=16, le=1000)] = 64
@@ -38,9 +38,9 @@ class CoarsenConfig:
     contact: ContactMargin = DEFAULT_MARGIN
     """Parts come no nearer to another body than they were, or than its ``reach``."""
 
-    def limits(self, worth: float) -> Limits:
+    def limits(self, worth: float) -> PartLimits:
         """Those of an object whose part fewer is ``worth`` some loss."""
-        return Limits(
+        return PartLimits(
             worth=worth,
             parts=self.max_parts,
             vertices=self.max_vertices,

@@ -35,12 +35,12 @@ PAST = 1e-3
 """How far a hull that is made thick may stand out of the parts [size]."""
 THIN, THIN_M = 0.01, 2e-3
 """Least thickness of a hull, as a share of its object's size and in metres, where the object is as thick."""
-NEARER = 1e-6
-"""Distance [m] by which a joined part may come nearer to another body: rounding."""
+NEARER = 5e-5
+"""Distance [m] by which a joined part may come nearer to another body: a fifth of the clearance, which physics ends."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Limits:
+class PartLimits:
     """How few parts an object may have, and how near they may come to other bodies."""
 
     worth: float
@@ -56,7 +56,7 @@ class Limits:
 
 
 def with_few_parts(
-    scene: Scene, made: Scene, joins: Mapping[int, Sequence[Join]], limits: Mapping[int, Limits]
+    scene: Scene, made: Scene, joins: Mapping[int, Sequence[Join]], limits: Mapping[int, PartLimits]
 ) -> Scene:
     """The scene with fewer parts of the objects that have ``limits`` (by id); poses and masses are the same.
 
@@ -85,7 +85,7 @@ def _body(o: SceneObject) -> tuple[Polytope, ...]:
 class _Fewer:
     """An object whose parts become fewer; ``others`` are the parts of all other bodies."""
 
-    def __init__(self, o: SceneObject, others: Iterable[Polytope], contacts: Array, limits: Limits) -> None:
+    def __init__(self, o: SceneObject, others: Iterable[Polytope], contacts: Array, limits: PartLimits) -> None:
         self._o, self._limits = o, limits
         self._size = o.mesh.diagonal
         T_asset_world: Array = np.linalg.inv(o.T_world_asset).astype(np.float64)
