@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, ClassVar
@@ -20,9 +21,10 @@ from f3sr.settings import settings
 LOSS = 2e-3
 """Largest loss of an object's visible IoU by new parts: what tips or slides loses more."""
 TRIES = 3
-"""Most attempts: with the parts wanted, with finer ones of what moves, and with still finer ones."""
+"""Most attempts: with the parts wanted, with finer ones of what moves, and with still finer ones of twice the vertices.
+"""
 FINER = 0.1
-"""What a part fewer is worth of an object that moved, as a share of what it was before."""
+"""What a part fewer is worth of an object that moved, as a share of before."""
 
 
 @settings
@@ -38,12 +40,12 @@ class CoarsenConfig:
     contact: ContactMargin = DEFAULT_MARGIN
     """Parts come no nearer to another body than they were, or than its ``reach``."""
 
-    def limits(self, worth: float) -> PartLimits:
-        """Those of an object whose part fewer is ``worth`` some loss."""
+    def limits(self, moved: int = 0) -> PartLimits:
+        """Those of an object that ``moved`` so many times with fewer parts."""
         return PartLimits(
-            worth=worth,
+            worth=FINER**moved * self.worth,
             parts=self.max_parts,
-            vertices=self.max_vertices,
+            vertices=self.max_vertices if moved < 2 else 2 * self.max_vertices,
             apart=self.contact.apart,
             reach=self.contact.reach,
         )
@@ -75,24 +77,22 @@ def coarsen(
 
     ``made`` is the scene as decomposed, ``joins`` (by object id) tell how its parts may be joined. ``settled`` runs
     physics. A group of touching objects keeps its new parts if it rests as before. Where it does not, what moves gets
-    finer parts; after ``TRIES`` the group keeps its parts. Objects that were ``restless`` may stay so.
+    finer parts, at last of more vertices; after ``TRIES`` the group keeps its parts. Objects that were ``restless`` may
+    stay so.
     """
-    worth = {o.id: config.worth for o in scene if o.parts}
-    start, left = scene, frozenset(worth)
-    for _ in range(TRIES if left else 0):
-        limits = {id: config.limits(worth[id]) for id in left}
-        tried = with_few_parts(scene, made, joins, limits)
+    start, moved = scene, Counter[int]()
+    left = frozenset(o.id for o in scene if o.parts)
+    for _ in range(TRIES):
+        if not left:
+            break
+        tried = with_few_parts(scene, made, joins, {id: config.limits(moved[id]) for id in left})
         rested = settled(replace(tried, objects=tuple(o for o in tried if o.id in left)))
         after = tried.with_objects(*rested.scene)
         spoilt = _spoilt(scene, after, left, rested.restless.difference(restless), config.contact)
         scene = scene.with_objects(*(_noted(scene[id], after[id]) for id in left.difference(*spoilt)))
-        worth |= {id: FINER * worth[id] for moved in spoilt.values() for id in moved}
+        moved.update(id for ids in spoilt.values() for id in ids)
         left = frozenset[int]().union(*spoilt)
-        if not left:
-            break
-    kept = [
-        Decision(choice="keeps all its convex parts", reason="with fewer it moves", about=id) for id in sorted(left)
-    ]
+    kept = (Decision(choice="keeps all its convex parts", reason="moves with fewer", about=id) for id in sorted(left))
     return scene, Coarsened(
         parts={o.id: (len(start[o.id].colliders), len(o.colliders)) for o in scene}, decisions=tuple(kept)
     )
