@@ -27,8 +27,6 @@ KEPT = (0.1, 0.05, 0.02, 0.0)
 """Radii around contacts in which vertices are kept, the first that is possible [size]."""
 FARTHEST = (0.03, 0.1)
 """Distances from a facet's plane up to which vertices may come to lie, the first that is possible [size]."""
-FEW = 0.25
-"""Largest share of the allowed vertices that is kept around contacts: the rest has to hold all else."""
 DEAREST = 0.1
 """Loss of one part fewer from which on parts are joined by volume, where they are still too many."""
 PAST = 1e-3
@@ -49,6 +47,8 @@ class PartLimits:
     """Most parts, with footing, at any loss."""
     vertices: int
     """Most vertices of a part."""
+    kept: float
+    """Largest share of these that is kept around contacts: the rest has to hold all else."""
     apart: float
     """Distance [m] from which other bodies do not matter."""
     reach: float
@@ -194,7 +194,7 @@ class _Fewer:
         bounds = self._bounds(whole, allowed)
         for farthest, radius in product(FARTHEST, KEPT):
             near = replace(bounds, radius=radius, farthest=farthest)
-            if near.keeps(whole.vertices / self._size).sum() > FEW * self._limits.vertices:
+            if near.keeps(whole.vertices / self._size).sum() > self._limits.kept * self._limits.vertices:
                 continue
             fewer = collapsed(whole.vertices / self._size, self._limits.vertices, near) * self._size
             part = ConvexPart.hull_of(fewer)

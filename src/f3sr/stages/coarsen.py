@@ -20,6 +20,8 @@ from f3sr.settings import settings
 
 LOSS = 2e-3
 """Largest loss of an object's visible IoU by new parts: what tips or slides loses more."""
+KEPT, KEPT_MOVED = 0.25, 0.75
+"""Share of the vertices that is kept around contacts, of an object that rests so and of one that moved with fewer."""
 TRIES = 3
 """Most attempts: with the parts wanted, with finer ones of what moves, and with still finer ones of twice the vertices.
 """
@@ -46,6 +48,7 @@ class CoarsenConfig:
             worth=FINER**moved * self.worth,
             parts=self.max_parts,
             vertices=self.max_vertices if moved < 2 else 2 * self.max_vertices,
+            kept=KEPT if moved == 0 else KEPT_MOVED,
             apart=self.contact.apart,
             reach=self.contact.reach,
         )
