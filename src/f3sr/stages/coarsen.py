@@ -33,8 +33,8 @@ FINER = 0.1
 class CoarsenConfig:
     """How few parts are delivered. Parts keep their shape at contacts."""
 
-    worth: Annotated[float, Interval(ge=0, le=1)] = 0.03
-    """Loss that a part fewer is worth. .03 is a stand-off of 2 % of the size over 3 % of the surface."""
+    worth: Annotated[float, Interval(ge=0, le=1)] = 0.02
+    """Loss that a part fewer is worth. .02 is a stand-off of 2 % of the size over 2 % of the surface."""
     max_parts: Annotated[int, Interval(ge=1, le=256)] = 32
     """Convex parts of one object, with footing, above which they are joined at any loss."""
     max_vertices: Annotated[int, Interval(ge=16, le=1000)] = 64
