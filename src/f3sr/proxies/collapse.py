@@ -7,7 +7,7 @@ keeps its plane, as a vertex beyond it would add volume over all of its area.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain
 from typing import Any
 
@@ -22,8 +22,6 @@ MOST_PLANES = 14
 """Planes around an edge up to which it is tried: work grows with the fourth power."""
 ON = 1e-9
 """What lies this far behind a plane still counts as on it [size]."""
-NEAREST, FARTHER = 0.002, 1.5
-"""Distance of new vertices from facets' planes that is allowed first [size], and how it grows where none is left."""
 AT_ONCE = 0.15
 """Share of the vertices that is collapsed before the hull is made again."""
 SINGULAR = 1e-6
@@ -93,21 +91,15 @@ def collapsed(points: Array, most: int, bounds: Bounds = UNBOUNDED) -> Array:
     """Corners (k, 3) of a polytope that contains points (n, 3) [size], at most ``most`` of them.
 
     More are left where no edge can be collapsed."""
-    farthest = min(NEAREST, bounds.farthest)
     while True:
         hull = qhull_of(points)
         if hull is None:
             return points
         corners = np.sort(hull.vertices)
-        if len(corners) <= most:
+        smaller = _once(points, hull, corners, most, bounds) if len(corners) > most else None
+        if smaller is None:
             return points[corners]
-        smaller = _once(points, hull, corners, most, replace(bounds, farthest=farthest))
-        if smaller is not None:
-            points = smaller
-        elif farthest < bounds.farthest and farthest < 1:
-            farthest = min(FARTHER * farthest, bounds.farthest)
-        else:
-            return points[corners]
+        points = smaller
 
 
 def _once(points: Array, hull: Any, corners: NDArray[np.int64], most: int, bounds: Bounds) -> Array | None:
