@@ -501,6 +501,21 @@ def test_runs_that_begin_at_once_do_not_take_each_others_parents_away(tmp_path: 
     assert {p.name for p in tmp_path.rglob("*") if not p.name.isdecimal()} <= {"sweep"}, "empty parents at most"
 
 
+def test_a_parent_that_is_gone_again_when_it_is_looked_at_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mkdir, calls = Path.mkdir, itertools.count()
+
+    def gone(path: Path, *given: Any, **more: Any) -> None:
+        if not next(calls):
+            raise FileExistsError  # as of a parent that another run made and removed
+        mkdir(path, *given, **more)
+
+    monkeypatch.setattr(Path, "mkdir", gone)
+    prepare_output(tmp_path / "sweep" / "r")
+    assert names(tmp_path) == []
+
+
 def test_a_reader_leaves_a_writer_alone(tmp_path: Path) -> None:
     with claimed(tmp_path / "r", lambda _: None) as claim:
         claim.write("x", b"whole")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -152,20 +151,20 @@ def test_a_worker_that_cannot_start_is_told(tmp_path: Path) -> None:
 
 
 def test_a_worker_that_is_killed_is_no_fault_of_its_job(tmp_path: Path) -> None:
-    write_stub(tmp_path / "in" / "a", 1, seconds=0.5)
+    write_stub(tmp_path / "in" / "a", 1, full=1)  # the job tells that it waits
     worker = Worker("stub_job")
-    worker.start()
-    assert worker.process is not None
-    os.kill(worker.process.pid, signal.SIGKILL)
     job = keyed(Job(name="a", source=str(tmp_path / "in" / "a")))
     for name in ("result", "stages"):
         (tmp_path / name).mkdir()
 
     def kill(said: dict[str, Any]) -> None:
         assert worker.process is not None
-        os.kill(worker.process.pid, signal.SIGKILL)
+        worker.process.kill()
+        worker.process.wait()
 
     try:
+        worker.start()
+        kill({})  # before the job: it begins in another worker
         answer = worker.run(job, tmp_path / "result", tmp_path / "stages", LIMITS, kill)
         assert answer.failure == "lost" and "was killed by SIGKILL" in answer.reason
         answer = worker.run(job, tmp_path / "result", tmp_path / "stages", LIMITS, lambda said: None)

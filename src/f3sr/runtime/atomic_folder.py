@@ -153,14 +153,13 @@ def _make(building: Path) -> None:
     """Raises FileNotFoundError where the parents cannot be made, as in /proc."""
     for attempt in range(1, ATTEMPTS + 1):
         try:
-            building.mkdir(parents=True)
-        except FileNotFoundError:
+            return building.mkdir(parents=True)
+        except (FileNotFoundError, FileExistsError):  # the second also of a parent that was there and is gone
+            if os.path.lexists(building):
+                return None
             if attempt == ATTEMPTS:
                 raise
-            continue
-        except FileExistsError:
-            pass
-        return
+    return None
 
 
 def _locked(out: Path, *, surely: bool = False) -> int:
