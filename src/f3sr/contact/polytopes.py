@@ -13,7 +13,7 @@ Lengths have the unit of the polytopes: metres in the world.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self, cast
@@ -149,12 +149,15 @@ def overlap_depth(a: Polytope, b: Polytope) -> float:
     return float(_depth(*a.packed, *b.packed, _room(a, b)))
 
 
-def forbidden_interval(a: Polytope, b: Polytope, direction: ArrayLike) -> tuple[float, float]:
+def forbidden_interval(
+    a: Polytope, b: Polytope, direction: ArrayLike, *, after: float = -np.inf, before: float = np.inf
+) -> tuple[float, float]:
     """The open interval (lo, hi) of t where ``a`` moved by ``t * direction`` (3,) collides with ``b``.
 
-    Without any collision it is (inf, -inf).
+    Without any collision it is (inf, -inf), as is one that ends by ``after`` or starts from ``before`` on.
     """
-    return _interval(*a.packed, *b.packed, _room(a, b), np.asarray(direction, float), _touch(a, b) / 2)
+    u = np.asarray(direction, float)
+    return _interval(*a.packed, *b.packed, _room(a, b), u, _touch(a, b) / 2, after, before)
 
 
 def facets(a: Polytope, b: Polytope) -> tuple[Array, Array]:
@@ -181,18 +184,28 @@ def smallest_shift(A: Body, B: Body, direction: ArrayLike, clearance: float = 0.
     and collide on the way are included. ``clearance`` is the gap left behind A along the direction, in t (metres
     for a unit direction).
     """
-    t = 0.0
-    # Intervals by their start: t jumps to the end of each that holds it, so one pass finds the first gap.
-    for lo, hi in sorted(_forbidden(A, B, np.asarray(direction, float), beyond=-clearance)):
-        if lo < t < hi + clearance:
-            t = hi + clearance
-    return t
+    u, t, done = np.asarray(direction, float), 0.0, 0
+    pairs, starts = _boxes_meet(A, B, u, -clearance)
+    found = list[tuple[float, float]]()
+    # A pair matters once t is past the start of its boxes' overlap. t jumps to the ends of intervals that hold it.
+    while True:
+        now = int(np.searchsorted(starts, t))
+        found += [forbidden_interval(A[i], B[j], u, after=t - clearance) for i, j in pairs[done:now]]
+        done = now
+        end = max((hi + clearance for lo, hi in found if lo < t), default=t)
+        if end <= t:
+            return t
+        t = end
 
 
 def free_travel(A: Body, B: Body, direction: ArrayLike) -> float:
     """The largest t >= 0 by which A can move along ``direction`` before it collides with B, or inf."""
-    u = np.asarray(direction, float)
-    return max(0.0, min((lo for lo, _ in _forbidden(A, B, u, beyond=0.0)), default=np.inf))
+    u, t = np.asarray(direction, float), np.inf
+    for (i, j), start in zip(*_boxes_meet(A, B, u, 0.0), strict=True):
+        if start >= t:
+            break
+        t = min(t, forbidden_interval(A[i], B[j], u, after=0.0, before=t)[0])
+    return max(0.0, t)
 
 
 def smallest_horizontal_move(A: Body, B: Body) -> Array:
@@ -227,14 +240,6 @@ def nearest_free(polygons: Sequence[Array], slack: float) -> Array:
     return np.array(_nearest_free(planes, starts, ends, near, sort_order(near), slack))
 
 
-def _forbidden(A: Body, B: Body, u: Array, *, beyond: float) -> Iterator[tuple[float, float]]:
-    """The forbidden intervals of all pairs of parts that end after ``beyond``."""
-    for i, j in _boxes_meet(A, B, u, beyond):
-        lo, hi = forbidden_interval(A[i], B[j], u)
-        if lo < hi and hi > beyond:
-            yield lo, hi
-
-
 def _boxes_overlap(A: Body, B: Body, axes: tuple[int, ...], gap: Array | float = 0.0) -> NDArray[np.int64]:
     """Broad phase: pairs (k, 2) of parts whose bounding boxes overlap in the given axes, or nearly: ``gap`` apart."""
     a, b = (np.stack([p.bounds for p in body])[:, :, axes] for body in (A, B))
@@ -243,23 +248,26 @@ def _boxes_overlap(A: Body, B: Body, axes: tuple[int, ...], gap: Array | float =
     return np.argwhere(~apart.any(-1))
 
 
-def _boxes_meet(A: Body, B: Body, u: Array, beyond: float) -> NDArray[np.int64]:
-    """Swept broad phase: pairs (k, 2) of parts whose boxes overlap at some shift t > ``beyond`` along u."""
+def _boxes_meet(A: Body, B: Body, u: Array, beyond: float) -> tuple[NDArray[np.int64], Array]:
+    """Swept broad phase: pairs (k, 2) of parts whose boxes overlap at some shift t > ``beyond`` along u, and from which
+    t on (k,), which ascends."""
     a, b = (np.stack([p.bounds for p in body]) for body in (A, B))
-    pairs = np.empty((len(a) * len(b), 2), np.int64)
-    return pairs[: _meeting(a, b, u, beyond, pairs)]
+    pairs, starts = np.empty((len(a) * len(b), 2), np.int64), np.empty(len(a) * len(b))
+    found = _meeting(a, b, u, beyond, pairs, starts)
+    order = np.argsort(starts[:found], kind="stable")
+    return pairs[order], starts[order]
 
 
 @kernel
-def _meeting(a: Array, b: Array, u: Array, beyond: float, pairs: NDArray[np.int64]) -> int:
+def _meeting(a: Array, b: Array, u: Array, beyond: float, pairs: NDArray[np.int64], starts: Array) -> int:
     """Fill ``pairs`` (n m, 2) with those of boxes (n, 2, 3), (m, 2, 3) that overlap at some shift t > ``beyond`` of
-    the first along u; returns how many."""
+    the first along u, and ``starts`` (n m,) with the t from which on; returns how many."""
     k = 0
     still = PARALLEL * np.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     for i in range(len(a)):
         for j in range(len(b)):
             # Slab test: per axis the boxes overlap while low < t u < high.
-            first, last = beyond, np.inf
+            first, last = -np.inf, np.inf
             for x in range(3):
                 low, high = b[j, 0, x] - a[i, 1, x], b[j, 1, x] - a[i, 0, x]
                 if abs(u[x]) > still:
@@ -267,10 +275,10 @@ def _meeting(a: Array, b: Array, u: Array, beyond: float, pairs: NDArray[np.int6
                     first, last = max(first, min(s, t)), min(last, max(s, t))
                 elif low >= 0 or high <= 0:
                     last = -np.inf
-                if first >= last:
+                if first >= last or last <= beyond:
                     break
-            if first < last:
-                pairs[k, 0], pairs[k, 1] = i, j
+            if first < last and last > beyond:
+                pairs[k, 0], pairs[k, 1], starts[k] = i, j, first
                 k += 1
     return k
 
@@ -430,8 +438,11 @@ def _interval(
     planes: Array,
     u: Array,
     slack: float,
+    after: float,
+    before: float,
 ) -> tuple[float, float]:
-    """The t for which ``t u`` is in all half-spaces ``normal . x > slack - height``; (inf, -inf) if none is.
+    """The t for which ``t u`` is in all half-spaces ``normal . x > slack - height``; (inf, -inf) if none is, if they
+    end by ``after`` or start from ``before`` on.
 
     ``planes`` is ``_room``."""
     lo, hi = -np.inf, np.inf
@@ -440,12 +451,12 @@ def _interval(
         speed = faces_a[k, 0] * u[0] + faces_a[k, 1] * u[1] + faces_a[k, 2] * u[2]
         # n . (t u) > slack - height, with height = offset - lowest.
         lo, hi = _clipped(lo, hi, speed, slack - offsets_a[k] + _lowest(points_b, faces_a, k), still)
-        if lo >= hi:
+        if lo >= min(hi, before) or hi <= after:
             return np.inf, -np.inf
     for k in range(len(faces_b)):
         speed = -(faces_b[k, 0] * u[0] + faces_b[k, 1] * u[1] + faces_b[k, 2] * u[2])
         lo, hi = _clipped(lo, hi, speed, slack - offsets_b[k] + _lowest(points_a, faces_b, k), still)
-        if lo >= hi:
+        if lo >= min(hi, before) or hi <= after:
             return np.inf, -np.inf
     found = _edge_planes(
         points_a, starts_a, directions_a, normals_a, points_b, starts_b, directions_b, normals_b, planes
@@ -453,7 +464,7 @@ def _interval(
     for k in range(found):
         speed = planes[k, 0] * u[0] + planes[k, 1] * u[1] + planes[k, 2] * u[2]
         lo, hi = _clipped(lo, hi, speed, slack - planes[k, 3], still)
-        if lo >= hi:
+        if lo >= min(hi, before) or hi <= after:
             return np.inf, -np.inf
     return lo, hi
 
