@@ -5,11 +5,14 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
 import f3sr
 from f3sr.core.mesh import ConvexPart
@@ -168,16 +171,32 @@ def test_what_drifts_as_far_in_every_round_creeps(drifts: list[float], creeps: b
     assert settling._creeps(drifts) is creeps
 
 
+def seen(way: Callable[[float], float]) -> list[settling._Snapshot]:
+    """Ten windows of a body that moves along x by ``way`` [m] of the time [s], beside one that is still."""
+    return [
+        settling._Snapshot(np.array([[0.0, 0, 0], [way(t), 0, 0]]), np.zeros((2, 3, 3))) for t in np.arange(0, 2, 0.2)
+    ]
+
+
 @pytest.mark.parametrize("rate", [2.0, 6.0])
 def test_an_undamped_check_does_not_end_while_something_tips(rate: float) -> None:
     """A body that tips moves exponentially, ever faster, however slowly it begins."""
     run = settling._Settling(None, SettleConfig())
-    tipping, calming = (
-        [settling._Snapshot(np.array([[0.0, 0, 0], [way(t), 0, 0]]), np.zeros((2, 3, 3))) for t in np.arange(0, 2, 0.2)]
-        for way in (lambda t: 1e-7 * np.exp(rate * t), lambda t: -1e-7 * np.exp(-rate * t))
-    )
-    assert not run._calms(tipping, np.zeros(1), left=15)
-    assert run._calms(calming, np.zeros(1), left=15)
+    assert not run._is_foreseen(seen(lambda t: 1e-7 * np.exp(rate * t)), np.zeros(1), left=15)
+    assert run._is_foreseen(seen(lambda t: -1e-7 * np.exp(-rate * t)), np.zeros(1), left=15)
+
+
+@given(st.floats(0, 1e-3), st.floats(0, 4e-4))
+def test_an_undamped_check_ends_where_a_steady_drift_stays_allowed_four_times_over(speed: float, drift: float) -> None:
+    run, ahead = settling._Settling(None, SettleConfig()), 15 * 0.2 * speed
+    assume(abs(drift + 4 * ahead - 5e-4) > 1e-6)
+    assert run._is_foreseen(seen(lambda t: speed * t), np.full(1, drift), left=15) == (drift + 4 * ahead < 5e-4)
+
+
+def test_an_undamped_check_does_not_end_on_less_than_a_second() -> None:
+    run = settling._Settling(None, SettleConfig())
+    assert not run._is_foreseen(seen(lambda t: 0.0)[:5], np.zeros(1), left=15)
+    assert run._is_foreseen(seen(lambda t: 0.0)[:6], np.zeros(1), left=15)
 
 
 @pytest.fixture
