@@ -63,6 +63,9 @@ def _between(upper: SceneObject, lower: SceneObject) -> Meeting | None:
 
 
 def _over(o: SceneObject, low: Array, high: Array) -> NDArray[np.int32]:
-    """An object's triangles over a rectangle of the xy plane."""
-    corners = o.vertices_world[:, :2][o.mesh.faces]
-    return o.mesh.faces[((corners.min(1) <= high) & (corners.max(1) >= low)).all(1)]
+    """An object's triangles over a rectangle of the xy plane: those not wholly beyond one of its sides."""
+    x, y = o.vertices_world[:, 0], o.vertices_world[:, 1]
+    # One bit per side (Cohen and Sutherland).
+    beyond = (x < low[0]) | (x > high[0]) * np.uint8(2) | (y < low[1]) * np.uint8(4) | (y > high[1]) * np.uint8(8)
+    a, b, c = o.mesh.faces.T
+    return o.mesh.faces[beyond[a] & beyond[b] & beyond[c] == 0]
