@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from f3sr.core.transforms import pose
+from f3sr.core.transforms import pose, rotation_about
 from f3sr.metrics.contact_groups import SettledScene
 from f3sr.scene import GeometrySource, Scene
 from f3sr.stages.refine import RefineConfig, Retry, refine
@@ -32,7 +32,7 @@ def shifted(scene: Scene, shifts: Mapping[int, float]) -> Scene:
 
 
 def refined(start: Scene, tried: Scene, *, restless: Collection[int] = (), before: Collection[int] = ()) -> Scene:
-    def again(_: Scene, ids: Collection[int]) -> SettledScene:
+    def again(_: Scene, ids: Collection[int], moving: Collection[int] = ()) -> SettledScene:
         kept = [tried[o.id] if o.id in ids else o for o in start]
         return SettledScene(scene=start.with_objects(*kept), restless=frozenset(restless))
 
@@ -60,7 +60,7 @@ def test_one_that_spoils_its_group_is_left_out_and_the_other_tried_alone(seen: S
     start = shifted(seen, {0: 0.03})
     calls: list[list[int]] = []
 
-    def again(scene: Scene, ids: Collection[int]) -> SettledScene:
+    def again(scene: Scene, ids: Collection[int], moving: Collection[int] = ()) -> SettledScene:
         calls.append(list(ids))
         tried = shifted(seen, {0: 0.0, 1: -0.42})
         return SettledScene(scene=scene.with_objects(*(tried[id] for id in ids)), restless=frozenset())
@@ -72,10 +72,24 @@ def test_one_that_spoils_its_group_is_left_out_and_the_other_tried_alone(seen: S
     assert np.array_equal(after[1].T_world_object, seen[1].T_world_object)
 
 
+def test_only_what_toppled_and_what_is_near_it_goes_back_to_before_physics(seen: Scene):
+    fell = seen[0].moved(pose(rotation_about([1, 0, 0], np.pi / 2)), stage="test", reason="")
+    start = seen.with_objects(fell, seen[1].moved(pose(t=[0.01, 0, 0]), stage="test", reason=""))
+    asked: list[tuple[Scene, Collection[int], Collection[int]]] = []
+
+    def stood_up(scene: Scene, ids: Collection[int], moving: Collection[int] = ()) -> SettledScene:
+        asked.append((scene, ids, moving))
+        return SettledScene(scene=scene, restless=frozenset())
+
+    refine(start, RefineConfig(rounds=0), parted=seen, stood_up=stood_up, realigned=stood_up)
+    [(scene, ids, moving)] = asked
+    assert list(ids) == [0] and moving == {0} and scene[0] is seen[0] and scene[1] is start[1]
+
+
 def test_a_round_without_gain_is_the_last(seen: Scene):
     calls: list[Collection[int]] = []
 
-    def again(scene: Scene, ids: Collection[int]) -> SettledScene:
+    def again(scene: Scene, ids: Collection[int], moving: Collection[int] = ()) -> SettledScene:
         calls.append(ids)
         return SettledScene(scene=scene, restless=frozenset())
 

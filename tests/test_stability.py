@@ -226,6 +226,14 @@ def test_the_margin_is_where_balance_ends() -> None:
     assert not all(balanced(a, margin + 0.03) for a in directions)
 
 
+@pytest.mark.parametrize("offset", [0.0, 0.02, 0.045, 0.06])
+def test_what_a_tilt_moves_is_told_without_the_margin_itself(offset: float) -> None:
+    lower, upper = body(0, block(), fixed=True), body(1, block(at=(offset, 0, 0.15 + GAP)))
+    balance = Balance([upper], [lower, upper], contacts_of([lower, upper]), 0.6)
+    margin = balance.margin()
+    assert [balance.bears(margin + d) for d in (-0.01, -0.003, 0.003, 0.01)] == [True, True, False, False]
+
+
 # Against the physics engine
 
 

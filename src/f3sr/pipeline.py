@@ -150,8 +150,8 @@ def reconstruct(
         scene,
         config.refine,
         parted=parted,
-        stood_up=partial(again, aligning=config.align.upright(within=UPRIGHT), holds=False),
-        realigned=partial(again, aligning=config.align.under_contact(), holds=True),
+        stood_up=partial(again, aligning=config.align.upright(within=UPRIGHT)),
+        realigned=partial(again, aligning=config.align.under_contact()),
         restless=settled.restless,
     )
     scene, _ = run.stage(
@@ -234,19 +234,26 @@ def _rested(scene: Scene, config: SettleStageConfig) -> SettledScene:
 
 
 def _made_again(
-    scene: Scene, ids: Collection[int], *, aligning: AlignConfig, config: Config, closes: bool, holds: bool
+    scene: Scene,
+    ids: Collection[int],
+    moving: frozenset[int] | None = None,
+    *,
+    aligning: AlignConfig,
+    config: Config,
+    closes: bool,
 ) -> SettledScene:
     """The scene after another alignment of some objects, as it would be delivered: at rest and closed.
 
-    With ``holds``, only groups move in which something gains by the alignment; all else is held where it rests."""
+    Objects that are not ``moving`` are held where they rest. By default groups move in which something gains by the
+    alignment."""
     contact = config.refine.contact
     aligned, _ = align(scene, aligning, only=ids)
-    retry = Retry.of(scene, aligned, ids, contact) if holds else Retry.of_all(scene, aligned)
+    retry = Retry.of(scene, aligned, ids, contact) if moving is None else Retry.of_moving(scene, aligned, moving)
     if not retry.moving:
         return SettledScene(scene=scene, restless=frozenset())
     parted, _ = separate(retry.scene, config.separate, ground=False, margin=False)
     rested = _rested(parted, config.settle)
-    retry = retry.without_losers(rested, contact) if holds else replace(retry, scene=rested.scene)
+    retry = retry.without_losers(rested, contact) if moving is None else replace(retry, scene=rested.scene)
     scene = retry.scene
     if closes and retry.moving:
         at_rest = partial(_rested, config=config.settle)

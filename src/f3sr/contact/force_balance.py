@@ -6,7 +6,7 @@ the least tilt at which the bodies move is exact (Bretl and Lall, "Testing Stati
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -125,8 +125,28 @@ class Balance:
         """The least tilt that moves it [rad]."""
         return min(self._margin(c) for c in range(self.choices))
 
+    def bears(self, tilt: float) -> bool:
+        """Whether no tilt up to this one [rad] moves it: ``margin() >= tilt``, but for the rounding, in fewer steps."""
+        wanted = float(np.tan(tilt))
+        return all(self._bears(wanted, c) for c in range(self.choices))
+
     def _margin(self, center: int) -> float:
-        """How far the origin lies inside the set of tilts that are balanced.
+        least = -np.inf
+        for inner, least in self._bounds(center):
+            if least - inner < TOLERANCE:
+                break
+        # The programme bounds tilts by this tangent: what bears that much counts as immovable.
+        return np.pi / 2 if least >= STEEPEST * (1 - 1e-9) else float(np.arctan(least))
+
+    def _bears(self, wanted: float, center: int) -> bool:
+        for inner, least in self._bounds(center):
+            if least < wanted or inner >= wanted or least - inner < TOLERANCE:
+                return least >= wanted
+        return False
+
+    def _bounds(self, center: int) -> Iterator[tuple[float, float]]:
+        """Ever closer bounds, lower and upper, of how far the origin lies inside the set of tilts that are balanced
+        [tangent]; only an upper one of -inf where there is none.
 
         The signed distance is the least reach of the set over all directions. Corners found so far span an inner
         bound; the next direction is that in which the inner bound is nearest.
@@ -138,17 +158,16 @@ class Balance:
         for _ in range(40):
             found = self._farthest(directions.pop(0), center)
             if found is None:
-                return FALLS
+                yield -np.inf, -np.inf
+                return
             corner, reach = found
             corners.append(corner)
             least = min(least, reach)
+            inner = -np.inf
             if not directions:
                 inner, direction = _signed_distance(np.array(corners))
-                if least - inner < TOLERANCE:
-                    break
                 directions = [direction]
-        # The programme bounds tilts by this tangent: what bears that much counts as immovable.
-        return np.pi / 2 if least >= STEEPEST * (1 - 1e-9) else float(np.arctan(least))
+            yield inner, least
 
     def _farthest(self, u: Array, center: int, *, still: bool = False) -> tuple[Array, float] | None:
         """The balanced tilt (2,) farthest along u, and how far; None when there is none.

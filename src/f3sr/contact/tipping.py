@@ -143,6 +143,19 @@ class _Fall:
         self.missing: list[tuple[float, Array]] = []
         """Per pivot: how high the centre of mass was above it [m], and its horizontal way (2,) to it [m]."""
 
+    @property
+    def motion(self) -> Array:
+        """(4, 4) from the start to where it is."""
+        return self._motion
+
+    @motion.setter
+    def motion(self, T: Array) -> None:
+        self._motion, self.parts = T, tuple(p.moved(T) for p in self.body.parts)
+
+    def _raise(self, height: float) -> None:
+        if height:
+            self.motion = pose(t=height * UP) @ self.motion
+
     def lie_down(self, config: LandingConfig) -> bool:
         """Come down and turn until supported; False where that is farther than allowed."""
         farthest = config.max_drop * self.body.size
@@ -174,26 +187,21 @@ class _Fall:
         return way * (1 + margin * max(height, 0.0) / length) if length > 1e-9 else np.zeros(2)
 
     @property
-    def parts(self) -> tuple[Polytope, ...]:
-        return tuple(p.moved(self.motion) for p in self.body.parts)
-
-    @property
     def center(self) -> Array:
         return self.motion[:3, :3] @ self.body.centers[0] + self.motion[:3, 3]
 
     def lower(self) -> float:
         """Bring it down until it touches, and say how far."""
-        parts = self.parts
         drop = min(
-            min(float(p.bounds[0, 2]) for p in parts),
-            polytopes.free_travel(parts, self.around, -UP) if self.around else np.inf,
+            min(float(p.bounds[0, 2]) for p in self.parts),
+            polytopes.free_travel(self.parts, self.around, -UP) if self.around else np.inf,
         )
-        self.motion = pose(t=-drop * UP) @ self.motion
+        self._raise(-drop)
         return drop
 
     def rise(self, clearance: float) -> None:
         """Raise it until it is free of everything with the clearance."""
-        self.motion = pose(t=max(0.0, self._lift(self.parts, clearance)) * UP) @ self.motion
+        self._raise(max(0.0, self._lift(self.parts, clearance)))
 
     def _lift(self, parts: Sequence[Polytope], clearance: float = 0.0) -> float:
         lift = polytopes.smallest_shift(parts, self.around, UP, clearance) if self.around else 0.0
@@ -221,9 +229,21 @@ class _Fall:
         leans = bool((mine & (np.abs(upward) <= STEEP)).any())
         return None if out is None or (leans and self.stands(TOUCHING)) else out
 
+    def _may_meet(self, point: Array) -> list[Polytope]:
+        """The body's parts, where it starts, that may meet something in a step about a point (3,): their boxes, wider
+        by how far they go, reach it."""
+        boxes = np.stack([p.bounds for p in self.parts])
+        far = np.linalg.norm(np.maximum(np.abs(boxes[:, 0] - point), np.abs(boxes[:, 1] - point)), axis=1)
+        low, high = boxes[:, 0] - STEP * far[:, None], boxes[:, 1] + STEP * far[:, None]
+        meets = low[:, 2] <= 0
+        if self.around:
+            others = np.stack([p.bounds for p in self.around])
+            meets |= ((low[:, None] <= others[None, :, 1]) & (high[:, None] >= others[None, :, 0])).all(-1).any(1)
+        return [p for p, is_near in zip(self.body.parts, meets, strict=True) if is_near]
+
     def turn(self, point: Array, axis: Array) -> float:
         """Turn about an axis until something new is met, at most one step; how far."""
-        here = self.motion
+        here, meeting = self.motion, self._may_meet(point)
 
         def turned(angle: float) -> Array:
             R = rotation_about(axis, angle)
@@ -232,9 +252,9 @@ class _Fall:
         def excess(angle: float) -> float:
             """How much higher than tolerated it must be raised after a turn [m]."""
             T = turned(angle)
-            return self._lift([p.moved(T) for p in self.body.parts]) - MEETS - angle * TOUCHING
+            return self._lift([p.moved(T) for p in meeting]) - MEETS - angle * TOUCHING
 
-        low = _first_meeting(excess)
+        low = _first_meeting(excess) if meeting else STEP
         self.motion = turned(low)
         self.turned += low
         self.rise(0.0)

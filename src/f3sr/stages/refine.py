@@ -49,7 +49,9 @@ class RefineConfig:
 
 
 Retried = Callable[[Scene, Collection[int]], SettledScene]
-"""Moves some objects of a scene and settles all of it."""
+"""Moves some objects of a scene at rest and settles what that affects."""
+StoodUp = Callable[[Scene, Collection[int], frozenset[int]], SettledScene]
+"""Stands some objects up and settles all that are to move, the third argument; the others rest."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +70,7 @@ def refine(
     config: RefineConfig,
     *,
     parted: Scene,
-    stood_up: Retried,
+    stood_up: StoodUp,
     realigned: Retried,
     restless: Collection[int] = (),
 ) -> tuple[Scene, Refined]:
@@ -81,7 +83,8 @@ def refine(
     decisions: list[Decision] = []
     if toppled := [o.id for o in state.scene if _turn(parted[o.id], o) > TOPPLE]:
         step = f"standing up what toppled: object {_named(toppled)}"
-        state, decision, _ = _better(state, stood_up(parted, toppled), toppled, step, config)
+        tried = stood_up(*_before_the_fall(state.scene, parted, toppled, config.contact))
+        state, decision, _ = _better(state, tried, toppled, step, config)
         decisions.append(decision)
     open = [o.id for o in state.scene]
     for _ in range(config.rounds):
@@ -95,6 +98,15 @@ def refine(
         }
         open = [id for id in open if id not in moving and state.scores[id] > was[id] + AGAIN]
     return state.scene, Refined(seen=(before, state.seen), decisions=tuple(decisions))
+
+
+def _before_the_fall(
+    scene: Scene, parted: Scene, toppled: Collection[int], contact: ContactMargin
+) -> tuple[Scene, Collection[int], frozenset[int]]:
+    """A scene at rest with what toppled, and all that came near it, as before physics; and the ids of both."""
+    groups = groups_of(scene, parted, contact.apart)
+    moving = frozenset(id for g in groups if g.intersection(toppled) for id in g)
+    return scene.with_objects(*(parted[id] for id in sorted(moving))), toppled, moving
 
 
 def _round(
@@ -188,14 +200,13 @@ class Retry:
         gaining = frozenset(id for id in ids if now[id] > was[id] + GAIN)
         groups = groups_of(before, aligned, contact.apart)
         moving = frozenset(id for g in groups if g & gaining for id in g)
-        moved = before.with_objects(*(aligned[id] for id in ids if id in moving))
-        held = (replace(o, mobility="fixed") for o in before if o.id not in moving)
-        return cls(before=before, scene=moved.with_objects(*held), moving=moving)
+        return cls.of_moving(before, before.with_objects(*(aligned[id] for id in ids if id in moving)), moving)
 
     @classmethod
-    def of_all(cls, before: Scene, aligned: Scene) -> Retry:
-        """All objects move, as those of a scene that is not at rest yet."""
-        return cls(before=before, scene=aligned, moving=frozenset(o.id for o in aligned))
+    def of_moving(cls, before: Scene, aligned: Scene, moving: frozenset[int]) -> Retry:
+        """Some objects move, whatever they gain, as those that do not rest yet; all else is held."""
+        held = (replace(o, mobility="fixed") for o in before if o.id not in moving)
+        return cls(before=before, scene=aligned.with_objects(*held), moving=moving)
 
     def ended(self, rested: SettledScene, contact: ContactMargin) -> SettledScene:
         """The scene with the others free again. What came to touch them does not count as at rest: they were held."""

@@ -183,7 +183,7 @@ def _stands(layout: Placement, id: int, config: SeparateConfig) -> bool:
     everything = [whole, *others]
     contacts = contacts_of(everything, reach=config.contact.loose)
     friction = layout.scene.ground.friction
-    return Balance([whole], everything, contacts, friction).margin() >= config.footing.min_margin
+    return Balance([whole], everything, contacts, friction).bears(config.footing.min_margin)
 
 
 def _footing_decision(o: SceneObject, wedges: tuple[ConvexPart, ...]) -> Decision:
