@@ -27,6 +27,7 @@ from f3sr.physics.mujoco_model import (
     engine,
 )
 from f3sr.physics.release import RELEASE_DENSITY, RELEASE_FRICTION, RELEASE_MARGIN, filling
+from f3sr.runtime.daemon_thread import begun
 from f3sr.scene import Ground, SceneObject
 from f3sr.settings import constants, settings
 
@@ -125,24 +126,21 @@ def settle(
     """
     mujoco = engine()
     model = compiled(build_spec(objects, config, ground_friction=ground_friction))
-    checks = [(model, settling.check_time)]
+    checks = {model: settling.check_time}
     if settling.rest.even_masses:
-        checks.append((compiled(_even_spec(objects, config)), settling.release_time))
-    for m, _ in checks:
+        checks[compiled(_even_spec(objects, config))] = settling.release_time
+    for m in checks:
         m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
     run = _Settling(model, settling)
     data, calm = mujoco.MjData(model), False
     drifts, history = np.full(len(objects), np.inf), list[float]()
     for _ in range(settling.rounds):
         run.until_rest(data)
-        drifts, calm = np.zeros(len(objects)), not run.exploded
-        for m, seconds in checks:
-            released = run.fresh(m, data)
-            travels, calm = run.undamped(m, released, seconds)
-            drifts = np.maximum(drifts, travels)
-            if not calm:
-                data = run.fresh(model, released)
-                break
+        if run.exploded:
+            break
+        drifts, failed = run.released(checks, data)
+        calm = failed is None
+        data = _fresh(model, failed) if failed else data
         history.append(float(drifts.max()))
         if calm or run.exploded or run.seconds >= settling.time_limit or _creeps(history):
             break
@@ -155,6 +153,13 @@ def settle(
         drifts={o.id: float(d) for o, d in zip(objects, drifts, strict=True)},
         loads={} if run.exploded else contact_loads(model, data, [o.id for o in objects]),
     )
+
+
+def _fresh(model: MjModel, data: MjData) -> MjData:
+    """The same positions with nothing remembered: no velocity, no warm start."""
+    new = engine().MjData(model)
+    new.qpos[:] = data.qpos
+    return new
 
 
 def _creeps(history: Sequence[float]) -> bool:
@@ -172,6 +177,8 @@ class _Settling:
     seconds: float = 0.0
     max_speed: float = 0.0
     exploded: bool = False
+    unwanted: bool = False
+    """Set by another thread to end an undamped check."""
 
     def until_rest(self, data: MjData) -> None:
         """Damped steps until the mean speeds of a window of ``rest.window`` are low, or the time is up."""
@@ -179,22 +186,40 @@ class _Settling:
         while self.seconds < self.config.time_limit and not self.exploded:
             before = _Snapshot.of(data)
             for _ in range(self._window):
-                self._step(self.model, data, damping)
+                self._step(data, damping)
             self.seconds += self.config.rest.window
             if self._slow(before, _Snapshot.of(data)):
                 return
 
-    def undamped(self, model: MjModel, data: MjData, seconds: float) -> tuple[Array, bool]:
+    def released(self, checks: Mapping[MjModel, float], data: MjData) -> tuple[Array, MjData | None]:
+        """Undamped checks of so many seconds from the positions of ``data``, all at the same time: MuJoCo releases the
+        GIL. The largest travel of every centre of mass (n,) [m] up to the first check that fails, and where that
+        ended; None where all rest."""
+        runs = [_Settling(model, self.config) for model in checks]
+        ends = [_fresh(model, data) for model in checks]
+        going_on = [begun(run.undamped, *given) for run, *given in zip(runs, ends, checks.values(), strict=True)]
+        drifts = np.zeros(self.model.nbody - 1)
+        for run, end, check in zip(runs, ends, going_on, strict=True):
+            travels, calm = check.result()
+            drifts = np.maximum(drifts, travels)
+            self.max_speed, self.exploded = max(self.max_speed, run.max_speed), self.exploded or run.exploded
+            if not calm:
+                for other in runs:
+                    other.unwanted = True
+                return drifts, end
+        return drifts, None
+
+    def undamped(self, data: MjData, seconds: float) -> tuple[Array, bool]:
         """Undamped steps: the largest travel of every centre of mass (n,) [m], and whether all that counts as rest.
 
         They end early when no body would drift too far even if its travel went on growing as it does."""
-        engine().mj_forward(model, data)
+        engine().mj_forward(self.model, data)
         seen = [_Snapshot.of(data)]
-        drifts = np.zeros(model.nbody - 1)
+        drifts = np.zeros(self.model.nbody - 1)
         windows = max(1, round(seconds / self.config.rest.window))
-        while len(seen) <= windows:
+        while len(seen) <= windows and not self.unwanted:
             for _ in range(self._window):
-                self._step(model, data, 1.0)
+                self._step(data, 1.0)
                 way = data.xipos - seen[0].centers
                 way[:, 2] = np.minimum(way[:, 2], 0)  # what is pushed up by a wider margin does not fall
                 drifts = np.maximum(drifts, np.linalg.norm(way, axis=1)[1:])
@@ -217,21 +242,14 @@ class _Settling:
         ahead = now * (growth[:, None] ** np.arange(1, left + 1)).sum(1)
         return bool((drifts + DOUBT * ahead <= self.config.rest.drift).all())
 
-    @staticmethod
-    def fresh(model: MjModel, data: MjData) -> MjData:
-        """The same positions with nothing remembered: no velocity, no warm start."""
-        new = engine().MjData(model)
-        new.qpos[:] = data.qpos
-        return new
-
     @property
     def _window(self) -> int:
         """Steps in ``rest.window``."""
         return max(1, round(self.config.rest.window / self.model.opt.timestep))
 
-    def _step(self, model: MjModel, data: MjData, damping: float) -> None:
+    def _step(self, data: MjData, damping: float) -> None:
         """One step, noting the largest speed; ``cvel`` is (angular, linear) at each free body's centre of mass."""
-        engine().mj_step(model, data)
+        engine().mj_step(self.model, data)
         data.qvel *= damping
         speed = float(np.linalg.norm(data.cvel[:, 3:], axis=1).max())
         self.max_speed = max(self.max_speed, speed)
