@@ -131,6 +131,14 @@ def test_a_whole_subtree_is_joined_where_that_is_worth_its_parts():
     assert len(fewer(scene_of(trough()), joins).parts) == 1
 
 
+def test_parts_that_no_join_names_are_joined_where_that_adds_hardly_a_volume():
+    """A step of .5 mm on a cube of 10 cm; one of 3 cm stays."""
+    cube = cuboid((-0.05, -0.05, 0), (0.05, 0.05, 0.1))
+    steps = {height: cuboid((-0.05, -0.05, 0.1), (0, 0.05, 0.1 + height)) for height in (5e-4, 0.03)}
+    parts = {height: fewer(scene_of(made_of(0, [cube, step])), ()).parts for height, step in steps.items()}
+    assert {height: len(few) for height, few in parts.items()} == {5e-4: 1, 0.03: 2}
+
+
 @pytest.mark.parametrize("most", [32, 64])
 def test_a_ball_gets_few_vertices_covers_its_mesh_and_stays_above_the_ground(most: int):
     mesh = ball_mesh(0.05)
@@ -144,7 +152,7 @@ def test_a_ball_gets_few_vertices_covers_its_mesh_and_stays_above_the_ground(mos
 
 
 def test_a_thin_part_of_a_solid_reaches_into_it_and_a_thin_object_stays_thin():
-    layers = [cuboid((-0.05, -0.05, 0), (0.05, 0.05, 0.0005)), cuboid((-0.05, -0.05, 0.0005), (0.05, 0.05, 0.1))]
+    layers = [cuboid((-0.05, -0.05, 0), (0.05, 0.05, 0.0005)), cuboid((-0.03, -0.03, 0.0005), (0.03, 0.03, 0.1))]
     thin, solid = fewer(scene_of(made_of(0, layers)), ()).parts
     assert np.ptp(thin.vertices[:, 2]) >= THIN_M and solid is layers[1]
     assert thin.vertices[:, 2].min() == 0

@@ -20,7 +20,7 @@ from f3sr.core.transforms import UP, Array, transform
 from f3sr.physics.mujoco_model import solid_of
 from f3sr.proxies.collapse import Bounds, collapsed
 from f3sr.proxies.hulls import outside, planes, qhull_of
-from f3sr.proxies.joins import Join
+from f3sr.proxies.joins import FELT, NEXT_TO, Join
 from f3sr.scene import Scene, SceneObject
 
 KEPT = (0.1, 0.05, 0.02, 0.0)
@@ -91,6 +91,7 @@ class _Fewer:
         T_asset_world: Array = np.linalg.inv(o.T_world_asset).astype(np.float64)
         self._contacts = transform(T_asset_world, contacts)
         self._found: dict[tuple[int, ...], tuple[Sequence[ConvexPart], ConvexPart | None]] = {}
+        self._volumes: dict[tuple[int, ...], tuple[Sequence[ConvexPart], float]] = {}
         boxes = np.array([[p.vertices.min(0), p.vertices.max(0)] for p in o.colliders_world])
         low, high = boxes[:, 0].min(0) - limits.apart, boxes[:, 1].max(0) + limits.apart
         self._others = [p for p in others if (p.bounds[0] <= high).all() and (p.bounds[1] >= low).all()]
@@ -152,22 +153,34 @@ class _Fewer:
             yield from (self._hull((part,)) or part for part in pieces)
 
     def _paired(self, parts: list[ConvexPart], most: int) -> list[ConvexPart]:
-        """At most ``most`` parts if possible: pairs joined that are free, those first that add least volume."""
-        while len(parts) > most:
-            found = [(self._added(a, b), i, j) for (i, a), (j, b) in combinations(enumerate(parts), 2)]
-            pairs = ((i, j, self._hull((parts[i], parts[j]))) for _, i, j in sorted(found))
-            pair = next(((i, j, one) for i, j, one in pairs if one), None)
-            if pair is None:
-                break
-            i, j, one = pair
-            parts = [*(p for k, p in enumerate(parts) if k not in (i, j)), one]
-        return parts
+        """Pairs joined that are free, those first that add least volume: as long as that is worth a part fewer, and at
+        any volume while there are more than ``most``.
 
-    @staticmethod
-    def _added(a: ConvexPart, b: ConvexPart) -> float:
+        The tree of joins does not know where other bodies forbid one of them."""
+        hull = qhull_of(self._o.mesh.hull.vertices)
+        worth = FELT * self._limits.worth * hull.area * self._size if hull else 0.0
+        while True:
+            needless = len(parts) > most
+            pairs = combinations(parts, 2)
+            found = [(self._added(a, b), a, b) for a, b in pairs if needless or self._are_neighbours(a, b)]
+            found = sorted((f for f in found if needless or f[0] <= worth), key=lambda f: f[0])
+            pair = next(((a, b, one) for _, a, b in found if (one := self._hull((a, b)))), None)
+            if pair is None:
+                return parts
+            parts = [*(p for p in parts if p not in pair[:2]), pair[2]]
+
+    def _are_neighbours(self, a: ConvexPart, b: ConvexPart) -> bool:
+        """Whether the boxes of two parts touch."""
+        low, high = (np.stack([f(p.vertices, axis=0) for p in (a, b)]) for f in (np.min, np.max))
+        return bool((low.max(0) - high.min(0) <= NEXT_TO * self._size).all())
+
+    def _added(self, a: ConvexPart, b: ConvexPart) -> float:
         """The volume that one hull for both has more than they."""
-        hull = qhull_of(np.concatenate([a.vertices, b.vertices]))
-        return np.inf if hull is None else float(hull.volume) - a.volume - b.volume
+        key = (id(a), id(b))
+        if key not in self._volumes:
+            hull = qhull_of(np.concatenate([a.vertices, b.vertices]))
+            self._volumes[key] = (a, b), np.inf if hull is None else float(hull.volume) - a.volume - b.volume
+        return self._volumes[key][1]
 
     def _hull(self, parts: tuple[ConvexPart, ...]) -> ConvexPart | None:
         """One hull of few vertices for parts; None where it would come too near to another body."""
