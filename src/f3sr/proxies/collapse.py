@@ -9,7 +9,7 @@ as there may be, spread evenly.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
@@ -38,7 +38,7 @@ CHEAP = 0.1
 """Share of the edges, the cheapest, of which these are: where an edge is collapsed its neighbours have to wait."""
 CLOSE = 4
 """Vertices as a multiple of those allowed from which on planes touch the body: before, facets stand off by little."""
-PER_VERTEX = 6
+PER_VERTEX = 12
 """Planes of a body for every vertex allowed, above which only the largest of those turned alike make its start."""
 BETWEEN, LAST = (0.5, 0.5), (0.5,) * 20 + (1.0,) * 20
 """Steps of the vertices to their best places, between collapses and after them.
@@ -85,7 +85,7 @@ def collapsed(points: Array, most: int, bounds: Bounds = UNBOUNDED) -> Array:
     body = _Body(points, hull, most, bounds)
     if len(body.corners) <= most:
         return body.corners
-    found = [_fewer(start, body) for start in (body.start(), body.spread())]
+    found = [_fewer(start, body) for start in body.starts()]
     enough = [corners for corners in found if len(corners) <= most and body.is_in(corners)]
     return min(enough, key=body.loss, default=body.corners)
 
@@ -116,22 +116,24 @@ class _Body:
         cells = np.round(largest[:, :3] / np.sqrt(4 * np.pi / count))
         return largest[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
 
-    def start(self) -> Array:
-        """Corners (k, 3) of a polytope that is hardly larger than the body."""
-        return self.corners if len(self.corners) <= PER_VERTEX * self.most else self._behind(self.planes)
+    def starts(self) -> Iterator[Array]:
+        """Corners (k, 3) of polytopes to begin with: one hardly larger than the body, and one for round bodies.
 
-    def spread(self) -> Array:
-        """Corners (k, 3) of a polytope of vertices spread evenly around the body, cut off at the bounds."""
-        area, middles = self._areas, self._triangles.mean(1)
-        values, axes = np.linalg.eigh((middles - self._center).T @ ((middles - self._center) * area[:, None]))
-        rays = _evenly(max(4, self.most - len(self.kept))) @ (axes * np.sqrt(np.maximum(values, 0) / area.sum())).T
-        normals, heights = self._planes[:, :3], -self._heights(self._planes, self._center[None])[0]
-        corners = rays / (normals @ rays.T / heights[:, None]).max(0)[:, None]
-        hull = qhull_of(corners)
-        if hull is None:
-            return self.corners
-        grown = ((self.corners - self._center) @ hull.equations[:, :3].T).max(0)
-        return self._behind(np.c_[hull.equations[:, :3], -grown - hull.equations[:, :3] @ self._center])
+        That has vertices spread evenly around the body, and is cut off at the bounds."""
+        yield self.corners if len(self.corners) <= PER_VERTEX * self.most else self._behind(self.planes)
+        hull = qhull_of(self._spread(max(4, self.most - len(self.kept))))
+        if hull is not None:
+            normals, reach = hull.equations[:, :3], -hull.equations[:, 3]
+            touched = ((self.corners - self._center) @ normals.T).max(0)
+            yield self._behind(np.c_[normals, -(touched / reach).max() * reach - normals @ self._center])
+
+    def _spread(self, count: int) -> Array:
+        """Points (count, 3) on the body, from its centre, evenly where it is an ellipsoid."""
+        arms = self._triangles.mean(1) - self._center
+        values, axes = np.linalg.eigh(arms.T @ (arms * self._areas[:, None]))
+        rays = _evenly(count) @ (axes * np.sqrt(np.maximum(values, 0) / self._areas.sum())).T
+        heights = -self._heights(self._planes, self._center[None])[0]
+        return rays / (self._planes[:, :3] @ rays.T / heights[:, None]).max(0)[:, None]
 
     def is_in(self, corners: Array) -> bool:
         """Whether the hull of corners (k, 3) contains the body."""
@@ -158,6 +160,8 @@ class _Body:
             corners = HalfspaceIntersection(planes, self._center).intersections
         except QhullError:
             return self.corners
+        for shift in (0, 0.5):  # many planes meet in one corner
+            corners = corners[np.unique(np.floor(corners / OUT + shift), axis=0, return_index=True)[1]]
         if len(self.kept):
             near = np.abs(corners[:, None] - self.kept).max(2).min(1) < OUT
             corners = np.concatenate([self.kept, corners[~near]])
@@ -219,9 +223,11 @@ def _drawn_in(points: Array, body: _Body, steps: Sequence[float]) -> Array:
     for step in steps:
         surface = _Surface(points, body)
         each = surface.corners[:, None]
+        corners = points[surface.corners]
         places, costs = surface.places(each, True)
-        costs[(costs > -LEAST_GAIN * body.volume / len(each)) | (body.height(places) > body.farthest)] = np.inf
-        places = points[surface.corners] + step * (places - points[surface.corners])
+        places = corners + step * (places - corners)
+        is_spike = body.height(places) > min(body.farthest, float(body.height(corners).max()))
+        costs[(costs > -LEAST_GAIN * body.volume / len(each)) | is_spike] = np.inf
         points = surface.moved(each, places, costs, len(each))
         if not np.isfinite(costs).any():
             break
@@ -451,10 +457,10 @@ def _meeting(planes: Array, i: int, j: int, k: int) -> tuple[float, float, float
 @inline_kernel
 def _is_outside(planes: Array, count: int, x: float, y: float, z: float) -> bool:
     """Whether a point is behind none of the first ``count`` planes."""
-    for r in range(count):
-        if planes[r, 0] * x + planes[r, 1] * y + planes[r, 2] * z + planes[r, 3] < -ON:
-            return False
-    return True
+    r = 0
+    while r < count and planes[r, 0] * x + planes[r, 1] * y + planes[r, 2] * z + planes[r, 3] >= -ON:
+        r += 1
+    return r == count
 
 
 @inline_kernel
@@ -469,9 +475,7 @@ def _worst(planes: Array, x: float, y: float, z: float) -> int:
 
 
 @inline_kernel
-def _beyond(
-    planes: Array, areas: Array, triangles: Indices, i: int, j: int, x: float, y: float, z: float
-) -> float:
+def _beyond(planes: Array, areas: Array, triangles: Indices, i: int, j: int, x: float, y: float, z: float) -> float:
     """The volume that a point adds beyond the triangles that have neither i nor j as a corner."""
     total = 0.0
     for p in range(len(areas)):
