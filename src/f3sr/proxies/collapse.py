@@ -40,7 +40,9 @@ CLOSE = 4
 """Vertices as a multiple of those allowed from which on planes touch the body: before, facets stand off by little."""
 PER_VERTEX = 12
 """Planes of a body for every vertex allowed, above which only the largest of those turned alike make its start."""
-BETWEEN, LAST = (0.5, 0.5), (0.5,) * 20 + (1.0,) * 20
+ROUND = 3
+"""Loss of vertices spread evenly, as a multiple of that with edges collapsed, from which on a body is not round."""
+BETWEEN, LAST = (0.5,), (0.5,) * 10 + (1.0,) * 10
 """Steps of the vertices to their best places, between collapses and after them.
 
 Half of the way leaves to the neighbours some of the room that a facet has."""
@@ -85,9 +87,11 @@ def collapsed(points: Array, most: int, bounds: Bounds = UNBOUNDED) -> Array:
     body = _Body(points, hull, most, bounds)
     if len(body.corners) <= most:
         return body.corners
-    found = [_fewer(start, body) for start in body.starts()]
-    enough = [corners for corners in found if len(corners) <= most and body.is_in(corners)]
-    return min(enough, key=body.loss, default=body.corners)
+    found = [body.corners]
+    for start in body.starts():
+        if body.loss(start) < ROUND * body.loss(found[-1]) or len(found) == 1:
+            found.append(_fewer(start, body))
+    return min(filter(body.allows, found), key=lambda corners: (max(most, len(corners)), body.loss(corners)))
 
 
 class _Body:
@@ -102,30 +106,28 @@ class _Body:
         self.volume = float(hull.volume)
         self._triangles = points[hull.simplices]
         self._planes = hull.equations
+        self._facets = np.unique(hull.equations, axis=0)
         around = np.unique(hull.equations[is_kept[hull.simplices].any(1)], axis=0)
         self.bounds = np.concatenate([np.c_[bounds.normals, -bounds.offsets], around])
         """Planes (b, 4) that new vertices stay behind: n . x + d <= 0."""
-
-    @cached_property
-    def planes(self) -> Array:
-        """Planes (m, 4) of the facets; of many, the largest of those turned alike."""
-        largest = self._planes[np.argsort(-self._areas, kind="stable")]
-        count = PER_VERTEX * self.most
-        if len(self.corners) <= count:
-            return np.unique(largest, axis=0)
-        cells = np.round(largest[:, :3] / np.sqrt(4 * np.pi / count))
-        return largest[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
 
     def starts(self) -> Iterator[Array]:
         """Corners (k, 3) of polytopes to begin with: one hardly larger than the body, and one for round bodies.
 
         That has vertices spread evenly around the body, and is cut off at the bounds."""
-        yield self.corners if len(self.corners) <= PER_VERTEX * self.most else self._behind(self.planes)
+        count = PER_VERTEX * self.most
+        yield self.corners if len(self.corners) <= count else self._behind(self._largest(count))
         hull = qhull_of(self._spread(max(4, self.most - len(self.kept))))
         if hull is not None:
             normals, reach = hull.equations[:, :3], -hull.equations[:, 3]
             touched = ((self.corners - self._center) @ normals.T).max(0)
             yield self._behind(np.c_[normals, -(touched / reach).max() * reach - normals @ self._center])
+
+    def _largest(self, count: int) -> Array:
+        """The planes of the largest facets of those turned alike, about ``count``."""
+        largest = self._planes[np.argsort(-self._areas, kind="stable")]
+        cells = np.round(largest[:, :3] / np.sqrt(4 * np.pi / count))
+        return largest[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
 
     def _spread(self, count: int) -> Array:
         """Points (count, 3) on the body, from its centre, evenly where it is an ellipsoid."""
@@ -135,10 +137,10 @@ class _Body:
         heights = -self._heights(self._planes, self._center[None])[0]
         return rays / (self._planes[:, :3] @ rays.T / heights[:, None]).max(0)[:, None]
 
-    def is_in(self, corners: Array) -> bool:
-        """Whether the hull of corners (k, 3) contains the body."""
-        hull = qhull_of(corners)
-        return hull is not None and self._heights(hull.equations, self.corners).max() <= OUT
+    def allows(self, corners: Array) -> bool:
+        """Whether the hull of corners (k, 3) contains the body and none is too far."""
+        is_out = self._heights(qhull_of(corners).equations, self.corners).max() > OUT
+        return not is_out and float(self.height(corners).max()) <= self.farthest
 
     def loss(self, corners: Array) -> float:
         """The squared stand-off of a polytope's surface [size^4]."""
@@ -148,7 +150,7 @@ class _Body:
 
     def height(self, points: Array) -> Array:
         """Distance (n,) of points from the farthest of the facets' planes, at least 0."""
-        return np.maximum(self._heights(self.planes, points).max(1), 0)
+        return np.maximum(self._heights(self._facets, points).max(1), 0)
 
     def _behind(self, planes: Array) -> Array:
         """Corners (k, 3) of what is behind planes (m, 4) and the bounds."""
@@ -208,14 +210,24 @@ def _fewer(points: Array, body: _Body) -> Array:
             return _drawn_in(points, body, LAST)
         is_close = len(surface.corners) <= CLOSE * body.most
         places, costs = surface.places(surface.edges, is_close)
-        costs[body.height(places) > body.farthest] = np.inf
+        costs = _cheap(places, costs, body)
         if not np.isfinite(costs).any():
             return points[surface.corners]
-        costs[costs > np.quantile(costs[np.isfinite(costs)], CHEAP)] = np.inf
         count = max(1, min(surplus, round(AT_ONCE * len(surface.corners))))
         points = surface.moved(surface.edges, places, costs, count)
         if is_close:
             points = _drawn_in(points, body, BETWEEN)
+
+
+def _cheap(places: Array, costs: Array, body: _Body) -> Array:
+    """The costs (e,) of the cheapest edges, of all where none of these may go; infinite for others."""
+    finite = costs[np.isfinite(costs)]
+    for limit in np.quantile(finite, (CHEAP, 1)) if len(finite) else ():
+        is_cheap = costs <= limit
+        is_cheap[is_cheap] = body.height(places[is_cheap]) <= body.farthest
+        if is_cheap.any():
+            return np.where(is_cheap, costs, np.inf)
+    return np.full(len(costs), np.inf)
 
 
 def _drawn_in(points: Array, body: _Body, steps: Sequence[float]) -> Array:
@@ -226,8 +238,10 @@ def _drawn_in(points: Array, body: _Body, steps: Sequence[float]) -> Array:
         corners = points[surface.corners]
         places, costs = surface.places(each, True)
         places = corners + step * (places - corners)
-        is_spike = body.height(places) > min(body.farthest, float(body.height(corners).max()))
-        costs[(costs > -LEAST_GAIN * body.volume / len(each)) | is_spike] = np.inf
+        gains = costs < -LEAST_GAIN * body.volume / len(each)
+        farthest = min(body.farthest, float(body.height(corners).max()))
+        gains[gains] = body.height(places[gains]) <= farthest
+        costs[~gains] = np.inf
         points = surface.moved(each, places, costs, len(each))
         if not np.isfinite(costs).any():
             break
@@ -262,7 +276,7 @@ class _Surface:
         body = self._body.corners if is_close else self._body.corners[:0]
         touching = np.empty((len(self._triangles), 3, 4))
         _touching(self._points, self._triangles, self._planes, body, touching)
-        stars = [sorted({*self._around[i[0]], *self._around[i[-1]]}) for i in items.tolist()]
+        stars = [{*self._around[i[0]], *self._around[i[-1]]} for i in items.tolist()]
         starts = np.cumsum([0, *map(len, stars)])
         star = np.fromiter(chain.from_iterable(stars), np.int64, int(starts[-1]))
         places, costs = np.zeros((len(items), 3)), np.full(len(items), np.inf)
