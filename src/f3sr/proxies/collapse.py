@@ -30,6 +30,8 @@ ON = 1e-11
 """What lies this far behind a plane still counts as on it [size]."""
 OUT = 1e-9
 """Distance of the body outside a polytope that is rounding [size]."""
+LOWER = 1e-6
+"""How far new vertices stay behind a plane on a vertex that is kept [size]."""
 SINGULAR = 1e-6
 """Volume that three unit normals span below which they meet in no definite point."""
 AT_ONCE = 0.15
@@ -108,8 +110,12 @@ class _Body:
         self._planes = hull.equations
         self._facets = np.unique(hull.equations, axis=0)
         around = np.unique(hull.equations[is_kept[hull.simplices].any(1)], axis=0)
-        self.bounds = np.concatenate([np.c_[bounds.normals, -bounds.offsets], around])
-        """Planes (b, 4) that new vertices stay behind: n . x + d <= 0."""
+        offsets = np.maximum(bounds.offsets - OUT, (self.corners @ bounds.normals.T).max(0, initial=-np.inf))
+        self._cuts = np.concatenate([np.c_[bounds.normals, -offsets], around])
+        normals = _normals(hull, self._areas)[is_kept]
+        lower = np.c_[normals, LOWER - (normals * self.kept).sum(1)]
+        self.bounds = np.concatenate([np.c_[bounds.normals, -offsets], lower])
+        """Planes (b, 4) that new vertices stay behind: n . x + d <= 0. One on each vertex kept leaves it a corner."""
 
     def starts(self) -> Iterator[Array]:
         """Corners (k, 3) of polytopes to begin with: one hardly larger than the body, and one for round bodies.
@@ -156,7 +162,7 @@ class _Body:
         """Corners (k, 3) of what is behind planes (m, 4) and the bounds."""
         from scipy.spatial import HalfspaceIntersection, QhullError
 
-        planes = np.concatenate([planes, self.bounds])
+        planes = np.concatenate([planes, self._cuts])
         planes = planes[self._heights(planes, self._center[None])[0] < 0]
         try:
             corners = HalfspaceIntersection(planes, self._center).intersections
@@ -180,6 +186,14 @@ class _Body:
     @staticmethod
     def _heights(planes: Array, points: Array) -> Array:
         return points @ planes[:, :3].T + planes[:, 3]
+
+
+def _normals(hull: Any, areas: Array) -> Array:
+    """Normals (n, 3) of a hull's points, as means of those of their triangles; 0 of points inside."""
+    normals = np.zeros((len(hull.points), 3))
+    for k in range(3):
+        np.add.at(normals, hull.simplices[:, k], hull.equations[:, :3] * areas[:, None])
+    return normals / np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
 
 
 def _areas(triangles: Array) -> Array:
