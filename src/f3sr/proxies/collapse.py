@@ -89,10 +89,10 @@ def collapsed(points: Array, most: int, bounds: Bounds = UNBOUNDED) -> Array:
     body = _Body(points, hull, most, bounds)
     if len(body.corners) <= most:
         return body.corners
-    found = [body.corners]
-    for start in body.starts():
-        if body.loss(start) < ROUND * body.loss(found[-1]) or len(found) == 1:
-            found.append(_fewer(start, body))
+    starts = body.starts()
+    first = _fewer(next(starts), body)
+    found = [body.corners, first]
+    found += [_fewer(start, body) for start in starts if body.loss(start) < ROUND * body.loss(first)]
     return min(filter(body.allows, found), key=lambda corners: (max(most, len(corners)), body.loss(corners)))
 
 
@@ -159,7 +159,7 @@ class _Body:
         return np.maximum(self._heights(self._facets, points).max(1), 0)
 
     def _behind(self, planes: Array) -> Array:
-        """Corners (k, 3) of what is behind planes (m, 4) and the bounds."""
+        """Corners (k, 3) of what is behind planes (m, 4) and the bounds; the body's where that is too thin."""
         from scipy.spatial import HalfspaceIntersection, QhullError
 
         planes = np.concatenate([planes, self._cuts])
@@ -173,7 +173,7 @@ class _Body:
         if len(self.kept):
             near = np.abs(corners[:, None] - self.kept).max(2).min(1) < OUT
             corners = np.concatenate([self.kept, corners[~near]])
-        return corners
+        return self.corners if qhull_of(corners) is None else corners
 
     @cached_property
     def _areas(self) -> Array:
