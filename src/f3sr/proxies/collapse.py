@@ -42,6 +42,8 @@ CLOSE = 4
 """Vertices as a multiple of those allowed from which on planes touch the body: before, facets stand off by little."""
 PER_VERTEX = 12
 """Planes of a body for every vertex allowed, above which only the largest of those turned alike make its start."""
+FACETS = 2000
+"""Facets up to which distances are measured from all, otherwise from the largest of those turned alike."""
 ROUND = 3
 """Loss of vertices spread evenly, as a multiple of that with edges collapsed, from which on a body is not round."""
 BETWEEN, LAST = (0.5,), (0.5,) * 10 + (1.0,) * 10
@@ -108,7 +110,7 @@ class _Body:
         self.volume = float(hull.volume)
         self._triangles = points[hull.simplices]
         self._planes = hull.equations
-        self._facets = np.unique(hull.equations, axis=0)
+        self._facets = np.unique(hull.equations if len(hull.equations) <= FACETS else self._largest(FACETS), axis=0)
         around = np.unique(hull.equations[is_kept[hull.simplices].any(1)], axis=0)
         offsets = np.maximum(bounds.offsets - OUT, (self.corners @ bounds.normals.T).max(0, initial=-np.inf))
         self._cuts = np.concatenate([np.c_[bounds.normals, -offsets], around])
