@@ -26,7 +26,7 @@ from f3sr.stages.coarsen import TRIES, CoarsenConfig, coarsen
 from scenes import ball_mesh, box, scene_of
 
 REST = 0.5 * CoarsenConfig().contact.clearance
-LIMITS = CoarsenConfig().limits(0.02)
+LIMITS = CoarsenConfig().limits()
 FEW_SAMPLES = ProxyConfig(cuts=replace(ProxyConfig().cuts, samples=2000))
 
 
@@ -66,34 +66,77 @@ def moved_to_world(o: SceneObject) -> list[Polytope]:
     return [Polytope.of(p).moved(o.T_world_asset) for p in o.solids]
 
 
-@pytest.mark.parametrize("most", [16, 64])
-def test_collapsed_edges_contain_all_points_with_few_vertices(most: int):
-    points = np.random.default_rng(2).normal(size=(200, 3))
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
-    corners = collapsed(points, most)
+def on_a_ball(count: int = 400) -> Array:
+    """Points (count, 3) on a ball of radius .3."""
+    points = np.random.default_rng(2).normal(size=(count, 3))
+    return 0.3 * points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def can(around: int, radius: float = 0.3, height: float = 0.6) -> Array:
+    angles = np.linspace(0, 2 * np.pi, around, endpoint=False)
+    return np.array([(radius * np.cos(a), radius * np.sin(a), z) for a in angles for z in (0, height)])
+
+
+def height_over(corners: Array, points: Array) -> Array:
+    """Distance (n,) of points beyond the farthest plane of the hull of corners."""
     polytope = Polytope.of(ConvexPart.hull_of(corners))
+    return (points @ polytope.normals.T - polytope.offsets).max(1)
+
+
+SHAPES = {
+    "ball": on_a_ball(),
+    "ellipsoid": on_a_ball() * (1, 0.6, 0.3),
+    "can": can(100),
+    "cone": np.array([*can(100)[::2], (0, 0, 0.7)]),
+    "rounded box": np.concatenate(
+        [c + 0.2 * on_a_ball(60) for c in cuboid((-0.3, -0.2, -0.1), (0.3, 0.2, 0.1)).vertices]
+    ),
+}
+
+
+@pytest.mark.parametrize("most", [16, 32, 64])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_few_vertices_contain_all_points(shape: str, most: int):
+    corners = collapsed(SHAPES[shape], most)
     assert len(corners) <= most
-    assert (points @ polytope.normals.T - polytope.offsets).max() < 1e-9
+    assert height_over(corners, SHAPES[shape]).max() < 1e-9
+    assert np.array_equal(corners, collapsed(SHAPES[shape], most))
 
 
-def test_a_collapsed_can_keeps_its_two_flats():
-    angles = np.linspace(0, 2 * np.pi, 60, endpoint=False)
-    points = 0.3 * np.array([(np.cos(a), np.sin(a), z) for a in angles for z in (0, 2)])
-    corners = collapsed(points, 32)
-    assert len(corners) == 32
-    assert np.abs(corners[:, 2] - 0.3) == pytest.approx(np.full(32, 0.3), abs=1e-9)
-    assert ConvexPart.hull_of(corners).volume < 1.03 * ConvexPart.hull_of(points).volume
+@pytest.mark.parametrize("most", [32, 64])
+def test_a_ball_of_few_vertices_has_no_spikes(most: int):
+    """No polytope around a ball of radius 1 has all of its vertices within 3^.5 tan(pi n / (6 n - 12)) (Fejes Toth)."""
+    farthest = np.linalg.norm(collapsed(on_a_ball(1000), most), axis=1).max() / 0.3 - 1
+    least = np.sqrt(3) * np.tan(np.pi / 6 * most / (most - 2)) - 1
+    assert farthest < 1.6 * least
 
 
-def test_collapsing_stays_behind_planes_and_keeps_vertices():
-    points = 0.3 * ConvexPart.hull_of(ball_mesh(1.0, rings=16).vertices).vertices
-    lowest = points[points[:, 2].argmin()]
+@pytest.mark.parametrize(("most", "volume"), [(32, 1.018), (64, 1.005)])
+def test_a_can_of_few_vertices_is_a_prism(most: int, volume: float):
+    corners = collapsed(can(100), most)
+    assert len(corners) == most
+    assert np.abs(corners[:, 2] - 0.3) == pytest.approx(np.full(most, 0.3), abs=1e-9)
+    assert ConvexPart.hull_of(corners).volume < volume * ConvexPart.hull_of(can(100)).volume
+
+
+def test_new_vertices_stay_behind_planes_and_keep_others_in_place():
+    points = np.concatenate([on_a_ball(1000), [(0, 0, -0.3)]])
     ground = replace(
-        UNBOUNDED, normals=np.array([[0.0, 0, -1]]), offsets=np.array([0.3]), points=lowest[None], radius=0.05
+        UNBOUNDED, normals=np.array([[0.0, 0, -1]]), offsets=np.array([0.3]), points=points[-1:], radius=0.05
     )
+    kept = points[ground.keeps(points)]
     free, bounded = collapsed(points, 40), collapsed(points, 40, ground)
-    assert len(bounded) <= 40 and bounded[:, 2].min() >= -0.3 > free[:, 2].min()
-    assert (np.linalg.norm(bounded - lowest, axis=1) < 1e-12).any()
+    assert len(kept) > 1 and len(bounded) <= 40 and bounded[:, 2].min() >= -0.3 - 1e-9 > free[:, 2].min()
+    assert height_over(bounded, points).max() < 1e-9
+    assert (np.linalg.norm(bounded[:, None] - kept, axis=2).min(0) < 1e-12).all()
+    assert height_over(bounded, kept) == pytest.approx(np.zeros(len(kept)), abs=1e-9)
+
+
+def test_no_new_vertex_is_farther_than_allowed():
+    for farthest, is_enough in ((0.01, False), (0.05, True)):
+        corners = collapsed(on_a_ball(), 32, replace(UNBOUNDED, farthest=farthest))
+        assert height_over(on_a_ball(), corners).max() < farthest + 1e-9
+        assert (len(corners) <= 32) is is_enough
 
 
 def test_parts_of_a_box_are_joined_without_loss_and_a_cavity_is_bridged_last():

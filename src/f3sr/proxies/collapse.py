@@ -1,13 +1,17 @@
-"""Convex polytopes of fewer vertices that contain the given one: edges collapsed outward.
+"""Convex polytopes of few vertices that contain a given one: edges collapsed outward, then all vertices moved inward.
 
-An edge becomes one vertex outside all facets that meet it. The place that adds least volume is a linear programme in
-three variables (progressive hulls: Sander, Gu, Gortler, Hoppe, Snyder, Silhouette Clipping, SIGGRAPH 2000). A flat
-keeps its plane, as a vertex beyond it would add volume over all of its area.
+A vertex takes the place of an edge, or of itself, so that none of its facets cuts the body. The place of least volume
+is a linear programme in three variables (progressive hulls: Sander, Gu, Gortler, Hoppe, Snyder, Silhouette Clipping,
+SIGGRAPH 2000). Its planes touch the body, as those of the facets so far may stand off. A flat keeps its plane, as a
+vertex beyond it would add volume over all of its area. A round body has a better start than itself: as many vertices
+as there may be, spread evenly.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import chain
 from typing import Any
 
@@ -15,59 +19,48 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array
-from f3sr.proxies.hulls import qhull_of
+from f3sr.proxies.hulls import qhull_of, spread
 from f3sr.runtime.kernels import inline_kernel, kernel
 
-MOST_PLANES = 14
-"""Planes around an edge up to which it is tried: work grows with the fourth power."""
-ON = 1e-9
+Indices = NDArray[np.int64]
+
+MOST_PLANES = 14, 32
+"""Planes around an edge, and around a vertex, up to which it is tried: work grows with the fourth power."""
+ON = 1e-11
 """What lies this far behind a plane still counts as on it [size]."""
-AT_ONCE = 0.15
-"""Share of the vertices that is collapsed before the hull is made again."""
+OUT = 1e-9
+"""Distance of the body outside a polytope that is rounding [size]."""
+LOWER = 1e-6
+"""How far new vertices stay behind a plane on a vertex that is kept [size]."""
 SINGULAR = 1e-6
 """Volume that three unit normals span below which they meet in no definite point."""
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Facets:
-    """The facets of a hull: unit normals (m, 3), offsets (m,), areas (m,); the edges (e, 2) between them."""
-
-    normals: Array
-    offsets: Array
-    areas: Array
-    edges: NDArray[np.int64]
-    around: dict[int, set[int]]
-    """The facets at each vertex."""
-
-    @classmethod
-    def of(cls, points: Array, hull: Any) -> _Facets:
-        planes, facet = np.unique(hull.equations, axis=0, return_inverse=True)
-        facet = facet.ravel()
-        a, b, c = (points[hull.simplices[:, k]] for k in range(3))
-        area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-        around: dict[int, set[int]] = {int(v): set() for v in hull.vertices}
-        for corners, k in zip(hull.simplices.tolist(), facet.tolist(), strict=True):
-            for v in corners:
-                around[v].add(k)
-        # neighbors[:, k] is the triangle across from corner k.
-        own, across = np.repeat(np.arange(len(facet)), 3), hull.neighbors.ravel()
-        ends = np.stack([np.roll(hull.simplices, -1, 1).ravel(), np.roll(hull.simplices, -2, 1).ravel()], axis=1)
-        real = (own < across) & (facet[own] != facet[across])
-        return cls(
-            normals=np.ascontiguousarray(planes[:, :3]),
-            offsets=-planes[:, 3],
-            areas=np.asarray(np.bincount(facet, area, minlength=len(planes)), np.float64),
-            edges=ends[real].astype(np.int64),
-            around=around,
-        )
+AT_ONCE = 0.15
+"""Share of the vertices that is collapsed before the hull is made again."""
+CHEAP = 0.1
+"""Share of the edges, the cheapest, of which these are: where an edge is collapsed its neighbours have to wait."""
+CLOSE = 4
+"""Vertices as a multiple of those allowed from which on planes touch the body: before, facets stand off by little."""
+PER_VERTEX = 12
+"""Planes of a body for every vertex allowed, above which only the largest of those turned alike make its start."""
+FACETS = 2000
+"""Facets up to which distances are measured from all, otherwise from the largest of those turned alike."""
+ROUND = 3
+"""Loss of vertices spread evenly, as a multiple of that with edges collapsed, from which on a body is not round."""
+STEPS = (0.5,) * 10 + (1.0,) * 10
+"""Steps of a round body's vertices to their best places. Half of the way leaves to the neighbours some of the room that
+a facet has."""
+LEAST_GAIN = 1e-5
+"""Gain of a vertex below which it stays [its share of the volume]."""
+EVENING, STRIDE = 60, 0.3
+"""How often vertices that are spread repel each other, and by how much at first [their distance]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Bounds:
-    """What collapsing keeps: all vertices within ``radius`` of points (k, 3), and ``normals . x <= offsets``.
+    """What new vertices keep: all vertices within ``radius`` of points (k, 3), and ``normals . x <= offsets``.
 
-    No new vertex is farther than ``farthest`` from the plane of a facet [size]. Where few edges may go, some would
-    shoot far."""
+    No new vertex is farther than ``farthest`` from the plane of a facet of the body [size]. Where few edges may go,
+    some would shoot far."""
 
     normals: Array
     offsets: Array
@@ -91,146 +84,434 @@ def collapsed(points: Array, most: int, bounds: Bounds = UNBOUNDED) -> Array:
     """Corners (k, 3) of a polytope that contains points (n, 3) [size], at most ``most`` of them.
 
     More are left where no edge can be collapsed."""
-    while True:
-        hull = qhull_of(points)
+    hull = qhull_of(points)
+    if hull is None:
+        return points
+    body = _Body(points, hull, most, bounds)
+    if len(body.corners) <= most:
+        return body.corners
+    first, even = body.starts()
+    found = [body.corners, _fewer(first, body)]
+    if even is not None and body.loss(even) < ROUND * body.loss(found[1]):
+        found += [_drawn_in(found[1], body, STEPS), _drawn_in(_fewer(even, body), body, STEPS)]
+    return min(filter(body.allows, found), key=lambda corners: (max(most, len(corners)), body.loss(corners)))
+
+
+class _Body:
+    """What a polytope has to contain, and how."""
+
+    def __init__(self, points: Array, hull: Any, most: int, bounds: Bounds) -> None:
+        self.most, self.farthest = most, bounds.farthest
+        self.corners = np.ascontiguousarray(points[np.sort(hull.vertices)])
+        is_kept = np.zeros(len(points), bool)
+        is_kept[hull.vertices] = bounds.keeps(points[hull.vertices])
+        self.kept = points[is_kept]
+        self.volume = float(hull.volume)
+        self._triangles = points[hull.simplices]
+        self._planes = hull.equations
+        self._facets = np.unique(hull.equations if len(hull.equations) <= FACETS else self._largest(FACETS), axis=0)
+        around = np.unique(hull.equations[is_kept[hull.simplices].any(1)], axis=0)
+        offsets = np.maximum(bounds.offsets - OUT, (self.corners @ bounds.normals.T).max(0, initial=-np.inf))
+        self._cuts = np.concatenate([np.c_[bounds.normals, -offsets], around])
+        normals = _normals(hull, self._areas)[is_kept]
+        lower = np.c_[normals, LOWER - (normals * self.kept).sum(1)]
+        self.bounds = np.concatenate([np.c_[bounds.normals, -offsets], lower])
+        """Planes (b, 4) that new vertices stay behind: n . x + d <= 0. One on each vertex kept leaves it a corner."""
+
+    def starts(self) -> tuple[Array, Array | None]:
+        """Corners (k, 3) of polytopes to begin with: one hardly larger than the body, and one if it were round.
+
+        That has vertices spread evenly around the body, and is cut off at the bounds."""
+        count = PER_VERTEX * self.most
+        first = self.corners if len(self.corners) <= count else self._behind(self._largest(count))
+        hull = qhull_of(self._spread(max(4, self.most - len(self.kept))))
         if hull is None:
-            return points
-        corners = np.sort(hull.vertices)
-        smaller = _once(points, hull, corners, most, bounds) if len(corners) > most else None
-        if smaller is None:
-            return points[corners]
-        points = smaller
+            return first, None
+        normals, reach = hull.equations[:, :3], -hull.equations[:, 3]
+        touched = ((self.corners - self._center) @ normals.T).max(0)
+        return first, self._behind(np.c_[normals, -(touched / reach).max() * reach - normals @ self._center])
+
+    def _largest(self, count: int) -> Array:
+        """The planes of the largest facets of those turned alike, about ``count``."""
+        largest = self._planes[np.argsort(-self._areas, kind="stable")]
+        cells = np.round(largest[:, :3] / np.sqrt(4 * np.pi / count))
+        return largest[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
+
+    def _spread(self, count: int) -> Array:
+        """Points (count, 3) on the body, from its centre, evenly where it is an ellipsoid."""
+        arms = self._triangles.mean(1) - self._center
+        values, axes = np.linalg.eigh(arms.T @ (arms * self._areas[:, None]))
+        rays = _evenly(count) @ (axes * np.sqrt(np.maximum(values, 0) / self._areas.sum())).T
+        heights = -self._heights(self._planes, self._center[None])[0]
+        return rays / (self._planes[:, :3] @ rays.T / heights[:, None]).max(0)[:, None]
+
+    def allows(self, corners: Array) -> bool:
+        """Whether the hull of corners (k, 3) contains the body and none is too far."""
+        is_out = self._heights(qhull_of(corners).equations, self.corners).max() > OUT
+        return not is_out and float(self.height(corners).max()) <= self.farthest
+
+    def loss(self, corners: Array) -> float:
+        """The squared stand-off of a polytope's surface [size^4]."""
+        triangles = qhull_of(corners).simplices
+        squares = self.height(corners) ** 2
+        return float(_areas(corners[triangles]) @ squares[triangles].mean(1))
+
+    def height(self, points: Array) -> Array:
+        """Distance (n,) of points from the farthest of the facets' planes, at least 0."""
+        return np.maximum(self._heights(self._facets, points).max(1), 0)
+
+    def _behind(self, planes: Array) -> Array:
+        """Corners (k, 3) of what is behind planes (m, 4) and the bounds; the body's where that is too thin."""
+        from scipy.spatial import HalfspaceIntersection, QhullError
+
+        planes = np.concatenate([planes, self._cuts])
+        planes = planes[self._heights(planes, self._center[None])[0] < 0]
+        try:
+            corners = HalfspaceIntersection(planes, self._center).intersections
+        except QhullError:
+            return self.corners
+        for shift in (0, 0.5):  # many planes meet in one corner
+            corners = corners[np.unique(np.floor(corners / OUT + shift), axis=0, return_index=True)[1]]
+        if len(self.kept):
+            near = np.abs(corners[:, None] - self.kept).max(2).min(1) < OUT
+            corners = np.concatenate([self.kept, corners[~near]])
+        return self.corners if qhull_of(corners) is None else corners
+
+    @cached_property
+    def _areas(self) -> Array:
+        return _areas(self._triangles)
+
+    @cached_property
+    def _center(self) -> Array:
+        return self._areas @ self._triangles.mean(1) / self._areas.sum()
+
+    @staticmethod
+    def _heights(planes: Array, points: Array) -> Array:
+        return points @ planes[:, :3].T + planes[:, 3]
 
 
-def _once(points: Array, hull: Any, corners: NDArray[np.int64], most: int, bounds: Bounds) -> Array | None:
-    """The corners after the cheapest collapses, no two of neighbours; None where there is none."""
-    facets = _Facets.of(points, hull)
-    places, costs = _places(facets, bounds)
-    costs[bounds.keeps(points)[facets.edges].any(1)] = np.inf
-    limit = max(1, min(len(corners) - most, round(AT_ONCE * len(corners))))
-    beside: dict[int, set[int]] = {int(v): {int(v)} for v in corners}
-    for a, b in facets.edges.tolist():
-        beside[a].add(b)
-        beside[b].add(a)
-    taken, gone, new = set[int](), set[int](), list[Array]()
-    for k in np.argsort(costs, kind="stable"):
-        if len(new) == limit or not np.isfinite(costs[k]):
+def _normals(hull: Any, areas: Array) -> Array:
+    """Normals (n, 3) of a hull's points, as means of those of their triangles; 0 of points inside."""
+    normals = np.zeros((len(hull.points), 3))
+    for k in range(3):
+        np.add.at(normals, hull.simplices[:, k], hull.equations[:, :3] * areas[:, None])
+    return normals / np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
+
+
+def _areas(triangles: Array) -> Array:
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+
+
+def _evenly(count: int) -> Array:
+    """Directions (count, 3) all around: points on a sphere that repel each other."""
+    x = spread(count)
+    for k in range(EVENING):
+        apart = x[:, None] - x
+        squares = (apart**2).sum(2)
+        np.fill_diagonal(squares, np.inf)
+        push = (apart / squares[:, :, None]).sum(1)
+        push -= (push * x).sum(1)[:, None] * x
+        x = x + STRIDE * (1 - k / EVENING) * np.sqrt(4 * np.pi / count) * push / np.linalg.norm(push, axis=1).max()
+        x /= np.linalg.norm(x, axis=1)[:, None]
+    return x
+
+
+def _fewer(points: Array, body: _Body) -> Array:
+    """The corners (k, 3) after edges of the hull of points (n, 3) were collapsed to as few as wanted."""
+    while True:
+        surface = _Surface(points, body)
+        surplus = len(surface.corners) - body.most
+        if surplus <= 0:
+            return points[surface.corners]
+        is_close = len(surface.corners) <= CLOSE * body.most
+        places, costs = surface.places(surface.edges, is_close)
+        costs = _cheap(places, costs, body)
+        if not np.isfinite(costs).any():
+            return points[surface.corners]
+        count = max(1, min(surplus, round(AT_ONCE * len(surface.corners))))
+        points = surface.moved(surface.edges, places, costs, count)
+
+
+def _cheap(places: Array, costs: Array, body: _Body) -> Array:
+    """The costs (e,) of the cheapest edges, of all where none of these may go; infinite for others."""
+    finite = costs[np.isfinite(costs)]
+    for limit in np.quantile(finite, (CHEAP, 1)) if len(finite) else ():
+        is_cheap = costs <= limit
+        is_cheap[is_cheap] = body.height(places[is_cheap]) <= body.farthest
+        if is_cheap.any():
+            return np.where(is_cheap, costs, np.inf)
+    return np.full(len(costs), np.inf)
+
+
+def _drawn_in(points: Array, body: _Body, steps: Sequence[float]) -> Array:
+    """The corners (k, 3) after every vertex went some of the way to its best place, several times."""
+    for step in steps:
+        surface = _Surface(points, body)
+        each = surface.corners[:, None]
+        corners = points[surface.corners]
+        places, costs = surface.places(each, True)
+        places = corners + step * (places - corners)
+        gains = costs < -LEAST_GAIN * body.volume / len(each)
+        farthest = min(body.farthest, float(body.height(corners).max()))
+        gains[gains] = body.height(places[gains]) <= farthest
+        costs[~gains] = np.inf
+        points = surface.moved(each, places, costs, len(each))
+        if not np.isfinite(costs).any():
             break
-        a, b = facets.edges[k].tolist()
-        if taken.isdisjoint((a, b)):
-            taken |= beside[a] | beside[b]
-            gone |= {a, b}
-            new.append(places[k])
-    if not new:
-        return None
-    return np.concatenate([points[[v for v in corners.tolist() if v not in gone]], new])
+    return points[_Surface(points, body).corners]
 
 
-def _places(facets: _Facets, bounds: Bounds) -> tuple[Array, Array]:
-    """For each edge the vertex (e, 3) that would take its place, and the volume (e,) that this adds."""
-    stars = [sorted(facets.around[a] | facets.around[b]) for a, b in facets.edges.tolist()]
-    starts = np.cumsum([0, *map(len, stars)])
-    star = np.fromiter(chain.from_iterable(stars), np.int64, int(starts[-1]))
-    places, costs = np.zeros((len(stars), 3)), np.full(len(stars), np.inf)
-    _cheapest(
-        *(facets.normals, facets.offsets, facets.areas, bounds.normals, bounds.offsets, bounds.farthest),
-        *(star, starts, places, costs),
-    )
-    return places, costs
+class _Surface:
+    """The hull of points as triangles (f, 3), counterclockwise from outside."""
+
+    def __init__(self, points: Array, body: _Body) -> None:
+        hull = qhull_of(points)
+        self._points, self._body = points, body
+        self.corners: Indices = np.sort(hull.vertices).astype(np.int64)
+        a, b, c = (points[hull.simplices[:, k]] for k in range(3))
+        is_turned = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+        self._triangles = np.where(is_turned[:, None], hull.simplices[:, ::-1], hull.simplices).astype(np.int64)
+        self._planes = np.ascontiguousarray(hull.equations)
+        self._areas = _areas(points[hull.simplices])
+        self._around: dict[int, list[int]] = {v: [] for v in self.corners.tolist()}
+        for k, corners in enumerate(self._triangles.tolist()):
+            for v in corners:
+                self._around[v].append(k)
+
+    @cached_property
+    def edges(self) -> Indices:
+        """The edges (e, 2)."""
+        ends = np.concatenate([self._triangles[:, [0, 1]], self._triangles[:, [1, 2]], self._triangles[:, [2, 0]]])
+        return np.ascontiguousarray(ends[ends[:, 0] < ends[:, 1]])
+
+    def places(self, items: Indices, is_close: bool) -> tuple[Array, Array]:
+        """For every edge, or vertex, of items (e, 1 or 2) the vertex (e, 3) to take its place, and the volume added."""
+        body = self._body.corners if is_close else self._body.corners[:0]
+        touching = np.empty((len(self._triangles), 3, 4))
+        _touching(self._points, self._triangles, self._planes, body, touching)
+        stars = [{*self._around[i[0]], *self._around[i[-1]]} for i in items.tolist()]
+        starts = np.cumsum([0, *map(len, stars)])
+        star = np.fromiter(chain.from_iterable(stars), np.int64, int(starts[-1]))
+        places, costs = np.zeros((len(items), 3)), np.full(len(items), np.inf)
+        _cheapest(
+            *(self._points, self._triangles, self._planes, self._areas, touching, self._body.bounds),
+            *(MOST_PLANES[items.shape[1] - 1], items, star, starts, places, costs),
+        )
+        if len(self._body.kept):
+            costs[self._is_kept[items].any(1)] = np.inf
+        return places, costs
+
+    def moved(self, items: Indices, places: Array, costs: Array, count: int) -> Array:
+        """The corners after the cheapest items, no two of neighbours, gave way to their places."""
+        taken, gone, new = set[int](), set[int](), list[Array]()
+        for k in np.argsort(costs, kind="stable"):
+            if len(new) == count or not np.isfinite(costs[k]):
+                break
+            item = items[k].tolist()
+            if taken.isdisjoint(item):
+                taken.update(*(self._triangles[t].tolist() for v in item for t in self._around[v]))
+                gone.update(item)
+                new.append(places[k])
+        return np.array([*(self._points[v] for v in self.corners.tolist() if v not in gone), *new])
+
+    @property
+    def _is_kept(self) -> NDArray[np.bool_]:
+        return (self._points[:, None] == self._body.kept).all(2).any(1)
+
+
+@kernel
+def _touching(points: Array, triangles: Indices, planes: Array, body: Array, touching: Array) -> None:
+    """Fill in planes (f, 3, 4) that touch the body: each of a triangle's, turned around the edge across from a corner.
+
+    Without a body they are the triangle's own."""
+    for f in range(len(triangles)):
+        nx, ny, nz = planes[f, 0], planes[f, 1], planes[f, 2]
+        for k in range(3):
+            a, b = triangles[f, (k + 1) % 3], triangles[f, (k + 2) % 3]
+            ax, ay, az = points[a, 0], points[a, 1], points[a, 2]
+            ex, ey, ez = points[b, 0] - ax, points[b, 1] - ay, points[b, 2] - az
+            length = np.sqrt(ex * ex + ey * ey + ez * ez)
+            ux, uy, uz = (ny * ez - nz * ey) / length, (nz * ex - nx * ez) / length, (nx * ey - ny * ex) / length
+            along, down = _first_met(body, ax, ay, az, nx, ny, nz, ux, uy, uz)
+            mx, my, mz = along * nx + down * ux, along * ny + down * uy, along * nz + down * uz
+            touching[f, k, 0], touching[f, k, 1], touching[f, k, 2] = mx, my, mz
+            touching[f, k, 3] = -(mx * ax + my * ay + mz * az)
+
+
+@inline_kernel
+def _first_met(
+    body: Array,
+    ax: float,
+    ay: float,
+    az: float,
+    nx: float,
+    ny: float,
+    nz: float,
+    ux: float,
+    uy: float,
+    uz: float,
+) -> tuple[float, float]:
+    """Cosine and sine of the angle by which a half plane from a line along u, turned towards -n, meets the body."""
+    along, down = (-1.0, 0.0) if len(body) else (1.0, 0.0)
+    for p in range(len(body)):
+        px, py, pz = body[p, 0] - ax, body[p, 1] - ay, body[p, 2] - az
+        t = max(0.0, -(nx * px + ny * py + nz * pz))
+        s = ux * px + uy * py + uz * pz
+        is_first = t * along < down * s or (down == 0.0 and along < 0 and (t > 0 or s > 0))
+        if is_first and t * t + s * s > OUT * OUT:
+            along, down = s, t
+    length = np.sqrt(along * along + down * down)
+    return along / length, down / length
 
 
 @kernel
 def _cheapest(
-    normals: Array,
-    offsets: Array,
+    points: Array,
+    triangles: Indices,
+    planes: Array,
     areas: Array,
-    bound_normals: Array,
-    bound_offsets: Array,
-    farthest: float,
-    star: NDArray[np.int64],
-    starts: NDArray[np.int64],
+    touching: Array,
+    bounds: Array,
+    most: int,
+    items: Indices,
+    star: Indices,
+    starts: Indices,
     places: Array,
     costs: Array,
 ) -> None:
-    """Fill in, for every edge, the meeting point of three of its planes that is behind none of them and adds least.
+    """Fill in, for every item, the place of least volume so that no facet around it cuts the body or a bound.
 
-    The planes of edge e are ``star[starts[e]:starts[e + 1]]``."""
-    for e in range(len(places)):
-        low, high = starts[e], starts[e + 1]
-        if high - low < 3 or high - low > MOST_PLANES:
+    The triangles around item e are ``star[starts[e]:starts[e + 1]]``."""
+    around = np.empty((most + TIMES, 4))
+    for e in range(len(items)):
+        i, j = items[e, 0], items[e, -1]
+        count, volume = 0, 0.0
+        gx = gy = gz = 0.0
+        for r in range(starts[e], starts[e + 1]):
+            f = star[r]
+            volume += _six_volumes(points, triangles[f, 0], triangles[f, 1], triangles[f, 2])
+            k = _only(triangles, f, i, j)
+            if k >= 0:
+                a, b = triangles[f, (k + 1) % 3], triangles[f, (k + 2) % 3]
+                gx += points[a, 1] * points[b, 2] - points[a, 2] * points[b, 1]
+                gy += points[a, 2] * points[b, 0] - points[a, 0] * points[b, 2]
+                gz += points[a, 0] * points[b, 1] - points[a, 1] * points[b, 0]
+                if count <= most and not _has(around, count, touching, f, k):
+                    if count < most:
+                        around[count] = touching[f, k]
+                    count += 1
+        if count < 3 or count > most:
             continue
-        least = np.inf
-        for i in range(low, high):
-            for j in range(i + 1, high):
-                for k in range(j + 1, high):
-                    x, y, z, is_sure = _meeting(normals, offsets, star[i], star[j], star[k])
-                    if is_sure and _is_within(bound_normals, bound_offsets, x, y, z):
-                        price = _price(normals, offsets, areas, star, low, high, x, y, z)
-                        if price < least:
-                            least = price
-                            places[e, 0], places[e, 1], places[e, 2] = x, y, z
-        if least < np.inf:
-            costs[e] = _added(normals, offsets, areas, farthest, places[e, 0], places[e, 1], places[e, 2])
+        for _ in range(TIMES):
+            x, y, z, least = _lowest(around, count, gx, gy, gz)
+            worst = _worst(bounds, x, y, z) if least < np.inf else -1
+            if worst < 0:
+                if least < np.inf:
+                    places[e, 0], places[e, 1], places[e, 2] = x, y, z
+                    costs[e] = (least - volume) / 6 + _beyond(planes, areas, triangles, i, j, x, y, z)
+                break
+            around[count] = -bounds[worst]
+            count += 1
+
+
+TIMES = 4
+"""How often a place may cross a bound before it is given up; each time that bound becomes one of its planes."""
 
 
 @inline_kernel
-def _meeting(normals: Array, offsets: Array, i: int, j: int, k: int) -> tuple[float, float, float, bool]:
+def _six_volumes(points: Array, a: int, b: int, c: int) -> float:
+    """Six times the volume between a triangle and the origin."""
+    px, py, pz = points[a, 0], points[a, 1], points[a, 2]
+    qx, qy, qz = points[b, 0], points[b, 1], points[b, 2]
+    x, y, z = points[c, 0], points[c, 1], points[c, 2]
+    return px * (qy * z - qz * y) + py * (qz * x - qx * z) + pz * (qx * y - qy * x)
+
+
+@inline_kernel
+def _only(triangles: Indices, f: int, i: int, j: int) -> int:
+    """Which corner of a triangle is i or j; -1 where two are, or none."""
+    found, count = -1, 0
+    for k in range(3):
+        if triangles[f, k] == i or triangles[f, k] == j:
+            found = k
+            count += 1
+    return found if count == 1 else -1
+
+
+@inline_kernel
+def _has(around: Array, count: int, touching: Array, f: int, k: int) -> bool:
+    """Whether a plane is among the first ``count``: a flat has many triangles."""
+    for r in range(count):
+        if (
+            abs(around[r, 0] - touching[f, k, 0]) + abs(around[r, 1] - touching[f, k, 1]) < OUT
+            and abs(around[r, 2] - touching[f, k, 2]) + abs(around[r, 3] - touching[f, k, 3]) < OUT
+        ):
+            return True
+    return False
+
+
+@inline_kernel
+def _lowest(planes: Array, count: int, gx: float, gy: float, gz: float) -> tuple[float, float, float, float]:
+    """The lowest point along g in which three planes meet and that is behind none, and its height or infinity."""
+    x = y = z = 0.0
+    least = np.inf
+    for i in range(count):
+        for j in range(i + 1, count):
+            for k in range(j + 1, count):
+                px, py, pz, is_sure = _meeting(planes, i, j, k)
+                height = gx * px + gy * py + gz * pz
+                if is_sure and height < least and _is_outside(planes, count, px, py, pz):
+                    x, y, z, least = px, py, pz, height
+    return x, y, z, least
+
+
+@inline_kernel
+def _meeting(planes: Array, i: int, j: int, k: int) -> tuple[float, float, float, bool]:
     """The point in which three planes meet, and whether that is definite."""
-    ax, ay, az = normals[i, 0], normals[i, 1], normals[i, 2]
-    bx, by, bz = normals[j, 0], normals[j, 1], normals[j, 2]
-    cx, cy, cz = normals[k, 0], normals[k, 1], normals[k, 2]
+    ax, ay, az = planes[i, 0], planes[i, 1], planes[i, 2]
+    bx, by, bz = planes[j, 0], planes[j, 1], planes[j, 2]
+    cx, cy, cz = planes[k, 0], planes[k, 1], planes[k, 2]
     ux, uy, uz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
     vx, vy, vz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
     wx, wy, wz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     volume = ax * ux + ay * uy + az * uz
     if abs(volume) <= SINGULAR:
         return 0.0, 0.0, 0.0, False
-    d, e, f = offsets[i] / volume, offsets[j] / volume, offsets[k] / volume
+    d, e, f = -planes[i, 3] / volume, -planes[j, 3] / volume, -planes[k, 3] / volume
     return d * ux + e * vx + f * wx, d * uy + e * vy + f * wy, d * uz + e * vz + f * wz, True
 
 
 @inline_kernel
-def _is_within(normals: Array, offsets: Array, x: float, y: float, z: float) -> bool:
-    """Whether a point is behind all planes."""
-    beyond = -np.inf
-    for p in range(len(offsets)):
-        beyond = max(beyond, normals[p, 0] * x + normals[p, 1] * y + normals[p, 2] * z - offsets[p])
-    return beyond <= 0
+def _is_outside(planes: Array, count: int, x: float, y: float, z: float) -> bool:
+    """Whether a point is behind none of the first ``count`` planes."""
+    r = 0
+    while r < count and planes[r, 0] * x + planes[r, 1] * y + planes[r, 2] * z + planes[r, 3] >= -ON:
+        r += 1
+    return r == count
 
 
 @inline_kernel
-def _price(
-    normals: Array,
-    offsets: Array,
-    areas: Array,
-    star: NDArray[np.int64],
-    low: int,
-    high: int,
-    x: float,
-    y: float,
-    z: float,
-) -> float:
-    """Three times the volume that a point adds over an edge's planes; infinite where it is behind one of them."""
-    total = 0.0
-    for r in range(low, high):
-        p = star[r]
-        off = normals[p, 0] * x + normals[p, 1] * y + normals[p, 2] * z - offsets[p]
-        if off < -ON:
-            return np.inf
-        total += off * areas[p]
-    return total
+def _worst(planes: Array, x: float, y: float, z: float) -> int:
+    """The plane that a point is farthest beyond; -1 where it is behind all."""
+    worst, most = -1, ON
+    for r in range(len(planes)):
+        off = planes[r, 0] * x + planes[r, 1] * y + planes[r, 2] * z + planes[r, 3]
+        if off > most:
+            worst, most = r, off
+    return worst
 
 
 @inline_kernel
-def _added(normals: Array, offsets: Array, areas: Array, farthest: float, x: float, y: float, z: float) -> float:
-    """The volume between a point and the hull; infinite where it is too far from a facet's plane."""
+def _beyond(planes: Array, areas: Array, triangles: Indices, i: int, j: int, x: float, y: float, z: float) -> float:
+    """The volume that a point adds beyond the triangles that have neither i nor j as a corner."""
     total = 0.0
-    for p in range(len(offsets)):
-        off = normals[p, 0] * x + normals[p, 1] * y + normals[p, 2] * z - offsets[p]
-        if off > farthest:
-            return np.inf
+    for p in range(len(areas)):
+        off = planes[p, 0] * x + planes[p, 1] * y + planes[p, 2] * z + planes[p, 3]
         if off > 0:
-            total += off * areas[p]
+            a, b, c = triangles[p, 0], triangles[p, 1], triangles[p, 2]
+            if a != i and a != j and b != i and b != j and c != i and c != j:
+                total += off * areas[p]
     return total / 3
 
 
