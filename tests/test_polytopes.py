@@ -198,6 +198,21 @@ def test_copies_shifted_by_almost_nothing():
         assert polytopes.overlap_depth(a, b) == pytest.approx(minkowski_planes(a, b)[1].min(), rel=1e-6)
 
 
+@pytest.mark.parametrize("apart", [1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-11, 1e-13])
+def test_corners_that_nearly_coincide_change_no_depth(apart: float):
+    """Rounding decides the direction of an edge that short; its facets know it better."""
+    doubled = 0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        a, b = random_hull(rng), random_hull(rng)
+        corner = b.vertices[rng.integers(len(b.vertices))]
+        twice = Polytope.of(ConvexPart.hull_of(np.vstack([b.vertices, corner + apart * random_direction(rng)])))
+        doubled += len(twice.vertices) > len(b.vertices)
+        depth, now = (max(0.0, polytopes.overlap_depth(a, c)) for c in (b, twice))
+        assert now == pytest.approx(depth, abs=2 * apart + 1e-9)
+    assert doubled > 50
+
+
 # Against independent answers
 
 

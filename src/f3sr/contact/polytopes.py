@@ -35,6 +35,8 @@ TOUCH = 1e-9
 """Overlaps up to this share of the two parts' sizes are contact, not collision.
 
 Shifts leave half of it: rounding cannot turn their final contact into a collision."""
+SHORT = 1e-6
+"""Length of an edge, as a share of the polytope's size, below which its facets tell its direction, not its ends."""
 PARALLEL = 1e-12
 """Sine below which a facet counts as parallel to a direction: rounding of unit vectors."""
 
@@ -82,14 +84,15 @@ class Polytope:
         long = length > 0  # rounding merges corners; where they meet is no edge
         real[real] = long
         start, end, length = start[long], end[long], length[long]
+        beside = np.stack([normals[group[left[real]]], normals[group[right[real]]]], axis=1)
         return cls(
             vertices=part.vertices,
             normals=normals,
             offsets=(part.vertices @ normals.T).max(0),
             edge_starts=start,
-            edge_directions=(end - start) / length[:, None],
+            edge_directions=_directions(end - start, beside, SHORT * float(np.linalg.norm(np.ptp(start, axis=0)))),
             edge_lengths=length,
-            edge_normals=np.stack([normals[group[left[real]]], normals[group[right[real]]]], axis=1),
+            edge_normals=beside,
         )
 
     @cached_property
@@ -666,6 +669,17 @@ def _adjacent(faces: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.i
     if not np.array_equal(edges[forward], edges[backward][:, ::-1]):
         raise ValueError(f"a convex part of {len(faces)} faces is not closed")
     return owner[forward], owner[backward], edges[forward]
+
+
+def _directions(edges: Array, beside: Array, short: float) -> Array:
+    """Unit directions (e, 3) of edges (e, 3) between facets with normals ``beside`` (e, 2, 3).
+
+    Rounding decides what the ends of a ``short`` edge tell; it is at right angles to both normals."""
+    across = np.cross(beside[:, 0], beside[:, 1])
+    # Rounding turns an edge by 1e-16 over its length, or over the sine between its facets.
+    by_facets = (np.linalg.norm(edges, axis=1) < short) & across.any(1)
+    edges = np.where(by_facets[:, None], across, edges)
+    return edges / np.linalg.norm(edges, axis=1)[:, None]
 
 
 def _coplanar_groups(part: ConvexPart, left: NDArray[np.int64], right: NDArray[np.int64]) -> NDArray[np.int64]:

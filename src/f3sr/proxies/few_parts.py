@@ -93,7 +93,8 @@ class _Fewer:
         self._found: dict[tuple[int, ...], tuple[Sequence[ConvexPart], ConvexPart | None]] = {}
         self._volumes: dict[tuple[int, ...], tuple[Sequence[ConvexPart], float]] = {}
         boxes = np.array([[p.vertices.min(0), p.vertices.max(0)] for p in o.colliders_world])
-        low, high = boxes[:, 0].min(0) - limits.apart, boxes[:, 1].max(0) + limits.apart
+        reached = limits.apart + max(FARTHEST) * self._size * o.scale
+        low, high = boxes[:, 0].min(0) - reached, boxes[:, 1].max(0) + reached
         self._others = [p for p in others if (p.bounds[0] <= high).all() and (p.bounds[1] >= low).all()]
 
     def joined(self, made: Sequence[ConvexPart], joins: Sequence[Join]) -> list[ConvexPart]:
@@ -204,11 +205,13 @@ class _Fewer:
             return None
         if len(whole.vertices) <= self._limits.vertices:
             return whole
-        bounds = self._bounds(whole, allowed)
+        bounds, tried = self._bounds(whole, allowed), set[tuple[float, bytes]]()
         for farthest, radius in product(FARTHEST, KEPT):
             near = replace(bounds, radius=radius, farthest=farthest)
-            if near.keeps(whole.vertices / self._size).sum() > self._limits.kept * self._limits.vertices:
+            kept = near.keeps(whole.vertices / self._size)
+            if kept.sum() > self._limits.kept * self._limits.vertices or (farthest, kept.tobytes()) in tried:
                 continue
+            tried.add((farthest, kept.tobytes()))
             fewer = collapsed(whole.vertices / self._size, self._limits.vertices, near) * self._size
             part = ConvexPart.hull_of(fewer)
             if len(part.vertices) <= self._limits.vertices and self._is_free(part, allowed):
@@ -219,8 +222,9 @@ class _Fewer:
         """Planes (asset frame, normalised) that a part may not cross: those that separate it from other bodies."""
         normals, offsets = [-UP], [-float(allowed[-1])]
         body = Polytope.of(part).moved(self._o.T_world_asset)
+        reached = self._limits.apart + max(FARTHEST) * self._size * self._o.scale
         for other, least in zip(self._others, allowed[:-1], strict=True):
-            if _are_near(body, other, self._limits.apart):
+            if _are_near(body, other, reached):
                 n, heights = polytopes.facets(body, other)
                 k = int(heights.argmin())
                 normals.append(n[k])

@@ -23,8 +23,8 @@ LOSS = 2e-3
 KEPT, KEPT_MOVED = 0.25, 0.75
 """Share of the vertices that is kept around contacts, of an object that rests so and of one that moved with fewer."""
 TRIES = 3
-"""Most attempts: with the parts wanted, with finer ones of what moves, and with still finer ones of twice the vertices.
-"""
+"""Most attempts: with the parts wanted, with finer ones of what moves, at last with finer ones of the whole group and
+twice the vertices of what moves."""
 FINER = 0.1
 """What a part fewer is worth of an object that moved, as a share of before."""
 
@@ -85,7 +85,7 @@ def coarsen(
     """
     start, moved = scene, Counter[int]()
     left = frozenset(o.id for o in scene if o.parts)
-    for _ in range(TRIES):
+    for attempt in range(TRIES):
         if not left:
             break
         tried = with_few_parts(scene, made, joins, {id: config.limits(moved[id]) for id in left})
@@ -95,6 +95,8 @@ def coarsen(
         scene = scene.with_objects(*(_noted(scene[id], after[id]) for id in left.difference(*spoilt)))
         moved.update(id for ids in spoilt.values() for id in ids)
         left = frozenset[int]().union(*spoilt)
+        if attempt == TRIES - 2:
+            moved.update(left)
     kept = (Decision(choice="keeps all its convex parts", reason="moves with fewer", about=id) for id in sorted(left))
     return scene, Coarsened(
         parts={o.id: (len(start[o.id].colliders), len(o.colliders)) for o in scene}, decisions=tuple(kept)
