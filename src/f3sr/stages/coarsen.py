@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, ClassVar
 
+import numpy as np
 from annotated_types import Interval
 
 from f3sr.metrics.contact_groups import SettledScene, groups_of
@@ -19,12 +20,11 @@ from f3sr.scene import Scene, SceneObject
 from f3sr.settings import settings
 
 LOSS = 2e-3
-"""Largest loss of an object's visible IoU by new parts: what tips or slides loses more."""
+"""Largest mean loss of visible IoU of a group by new parts: where something tips or slides, it is more."""
 KEPT, KEPT_MOVED = 0.25, 0.75
 """Share of the vertices that is kept around contacts, of an object that rests so and of one that moved with fewer."""
 TRIES = 3
-"""Most attempts: with the parts wanted, with finer ones of what moves, at last with finer ones of the whole group and
-twice the vertices of what moves."""
+"""Most attempts: with the parts wanted, with finer ones of what moves, at last with still finer ones of the group."""
 FINER = 0.1
 """What a part fewer is worth of an object that moved, as a share of before."""
 
@@ -47,7 +47,7 @@ class CoarsenConfig:
         return PartLimits(
             worth=FINER**moved * self.worth,
             parts=self.max_parts,
-            vertices=self.max_vertices if moved < 2 else 2 * self.max_vertices,
+            vertices=self.max_vertices,
             kept=KEPT if moved == 0 else KEPT_MOVED,
             apart=self.contact.apart,
             reach=self.contact.reach,
@@ -110,13 +110,13 @@ def _noted(before: SceneObject, after: SceneObject) -> SceneObject:
 
 
 def _spoilt(
-    before: Scene, after: Scene, ids: Collection[int], restless: Collection[int], contact: ContactMargin
+    before: Scene, after: Scene, ids: Collection[int], restless: frozenset[int], contact: ContactMargin
 ) -> dict[frozenset[int], frozenset[int]]:
     """Groups (of some ids) that do not rest as before, each with the objects that move."""
     was, now = visible_ious(before), visible_ious(after)
     found = dict[frozenset[int], frozenset[int]]()
     for group in map(frozenset, groups_of(before, after, contact.apart)):
-        moved = frozenset(id for id in group if id in restless or was[id] - now[id] > LOSS)
-        if moved and group.intersection(ids):
-            found[group] = moved
+        losses = {id: was[id] - now[id] for id in group}
+        if group.intersection(ids) and (group & restless or np.mean([*losses.values()]) > LOSS):
+            found[group] = frozenset(id for id in group if id in restless or losses[id] > LOSS)
     return found
