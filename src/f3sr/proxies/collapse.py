@@ -11,14 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import chain
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.core.transforms import Array
+from f3sr.core.transforms import Array, frozen
 from f3sr.proxies.hulls import qhull_of, spread
 from f3sr.runtime.kernels import inline_kernel, kernel
 
@@ -203,6 +203,7 @@ def _areas(triangles: Array) -> Array:
     return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
 
 
+@cache
 def _evenly(count: int) -> Array:
     """Directions (count, 3) all around: points on a sphere that repel each other."""
     x = spread(count)
@@ -214,7 +215,7 @@ def _evenly(count: int) -> Array:
         push -= (push * x).sum(1)[:, None] * x
         x = x + STRIDE * (1 - k / EVENING) * np.sqrt(4 * np.pi / count) * push / np.linalg.norm(push, axis=1).max()
         x /= np.linalg.norm(x, axis=1)[:, None]
-    return x
+    return frozen(x)
 
 
 def _fewer(points: Array, body: _Body) -> Array:
