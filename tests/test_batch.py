@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from f3sr.batch import runs
+from f3sr.batch import ray_address, runs
 from f3sr.batch.attempt import attempt
 from f3sr.batch.driver import LOST, Driver, Event, keyed
 from f3sr.batch.executors import Ended
@@ -26,7 +29,7 @@ from f3sr.cli.main import main
 from f3sr.dataset.layout import Dataset, scene_of
 from f3sr.dataset.record import from_bytes, to_bytes
 from f3sr.dataset.storage import RECORD
-from f3sr.errors import InputError, OutputError
+from f3sr.errors import F3srError, InputError, OutputError
 from f3sr.pipeline import Config
 from f3sr.runtime import signals
 from stub_batches import LIMITS, batch, packages, write_stub, write_stubs
@@ -318,6 +321,52 @@ def test_a_record_survives_its_file_and_a_foreign_one_is_refused(tmp_path: Path)
     for data in (b"{", b"[]", b'{"format": 2}', to_bytes(record).replace(b'"done"', b'"fine"')):
         with pytest.raises(InputError, match="accepted: a record that `f3sr batch` wrote"):
             from_bytes(data, "here")
+
+
+# --- addresses of Ray -------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def answering(said: bytes | None) -> Iterator[str]:
+    """A server that says this to whoever connects, or nothing."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            with suppress(OSError):
+                connection, _ = server.accept()
+                with connection:
+                    connection.recv(1000)
+                    connection.sendall(said or b"")
+                    time.sleep(0.0 if said else 2.0)
+
+        threading.Thread(target=serve, daemon=True).start()
+        yield f"127.0.0.1:{server.getsockname()[1]}"
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        (b"HTTP/1.1 400 Bad Request\r\n\r\n", "what answers is no Ray"),
+        (b"HTTP", "what answers is no Ray"),
+        (None, "nothing answers"),
+        (bytes([0, 0, 6, 4, 0, 0, 0, 0, 0]) + bytes(6), ""),
+    ],
+)
+def test_an_address_without_ray_is_told_at_once(monkeypatch: pytest.MonkeyPatch, said: bytes | None, told: str) -> None:
+    monkeypatch.setattr(ray_address, "ANSWER_S", 0.3)
+    with answering(said) as address:
+        if not told:
+            ray_address.require_answer(address, given="auto")
+            return
+        with pytest.raises(F3srError, match=f"--ray: no Ray cluster at auto \\({address}\\): {told}"):
+            ray_address.require_answer(address, given="auto")
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "127.0.0.1:99999", "no.such.host.invalid:6379", "here"])
+def test_an_address_that_cannot_be_reached_is_named(address: str) -> None:
+    with pytest.raises(F3srError, match=f"no Ray cluster at {address}: ") as caught:
+        ray_address.require_answer(address, given=address)
+    assert "\n" not in str(caught.value)
 
 
 # --- manifests ---------------------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from typing import Any
 from f3sr.batch.attempt import attempt
 from f3sr.batch.executors import Ended
 from f3sr.batch.job import Job
+from f3sr.batch.ray_address import require_cluster
 from f3sr.batch.supervisor import JobLimits, Worker
 from f3sr.dataset.record import from_bytes, to_bytes
 from f3sr.errors import F3srError, one_line
@@ -73,10 +74,11 @@ def _connected(ray: Any, address: str) -> Generator[None]:
     if ray.is_initialized():
         yield
         return
+    require_cluster(ray, address)
     try:
         ray.init(address=address, log_to_driver=False, logging_level="ERROR")
     except (ConnectionError, ValueError, RuntimeError) as error:
-        raise F3srError(f"no Ray cluster at {address}: {one_line(str(error))}") from error
+        raise F3srError(f"--ray: no Ray cluster at {address}: {one_line(str(error))}") from error
     try:
         yield
     finally:
