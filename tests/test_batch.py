@@ -27,6 +27,7 @@ from f3sr.batch.manifest import jobs_of, read_goals
 from f3sr.batch.supervisor import JobLimits, Worker
 from f3sr.cli.main import main
 from f3sr.dataset.layout import Dataset, scene_of
+from f3sr.dataset.prune import prune
 from f3sr.dataset.record import from_bytes, to_bytes
 from f3sr.dataset.storage import RECORD
 from f3sr.errors import F3srError, InputError, OutputError
@@ -197,11 +198,14 @@ def test_after_a_kill_of_the_driver_the_next_run_does_the_rest(tmp_path: Path) -
         while any(Path(f"/proc/{pid}").exists() for pid in workers) and time.monotonic() < deadline:
             time.sleep(0.02)
         assert workers and not any(Path(f"/proc/{pid}").exists() for pid in workers)
+        with pytest.raises(OutputError, match="its list may lack jobs"):
+            prune(Dataset.read(out))
         for folder in out.glob("scenes/*/*"):
             assert {p.name for p in folder.iterdir()} == {"package", RECORD}
     tally = batch(inputs, out)
     assert tally.counts["known"] >= 7 and tally.jobs == 12 and not tally.counts["failed"]
     assert packages(out) == packages(tmp_path / "calm")
+    assert prune(Dataset.read(out)).packages == 0
 
 
 def children(pid: int) -> list[int]:

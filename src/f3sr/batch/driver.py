@@ -19,7 +19,7 @@ from f3sr.batch.executors import Ended, Executor
 from f3sr.batch.job import Job, code_digest, inputs_digest
 from f3sr.batch.patience import Patience
 from f3sr.dataset.index import write_index
-from f3sr.dataset.layout import KEY, STALE, Dataset, Listed, failure_of, scene_of
+from f3sr.dataset.layout import KEY, STALE, UNFINISHED, Dataset, Listed, failure_of, scene_of
 from f3sr.dataset.record import Failure, Record, to_bytes
 from f3sr.dataset.storage import RECORD, patiently
 from f3sr.runtime.daemon_thread import ahead
@@ -107,9 +107,11 @@ class Driver:
         start = time.monotonic()
         dataset = self.dataset
         self._surely(dataset.begin)
+        self._surely(lambda: dataset.storage.write(UNFINISHED, b""))
         self._surely(lambda: dataset.storage.write(STALE, b""))
         with _Listing(dataset, self._surely) as listing:
             self._work(ahead(map(keyed, jobs)), listing)
+        self._surely(lambda: dataset.storage.remove(UNFINISHED))
         self._tidy()
         self.tally.wall_s = time.monotonic() - start
         return self.tally
