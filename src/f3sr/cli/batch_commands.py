@@ -286,7 +286,7 @@ DATASET_COMMANDS: Mapping[str, Any] = {
 
 
 def dataset() -> None:
-    """Look at a dataset of scenes: stats, filter, sheet, export, prune; ``f3sr dataset COMMAND --help`` explains each."""
+    """Look at a dataset of scenes: stats, filter, sheet, export, prune; ``f3sr dataset COMMAND --help`` tells more."""
     raise InputError("dataset", found="no command", accepted=", ".join(DATASET_COMMANDS))
 
 
