@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import socket
@@ -22,7 +23,7 @@ from f3sr.batch import ray_address, runs
 from f3sr.batch.attempt import attempt
 from f3sr.batch.driver import LOST, Driver, Event, keyed
 from f3sr.batch.executors import Ended
-from f3sr.batch.job import Job, inputs_digest
+from f3sr.batch.job import Job, fetched, inputs_digest
 from f3sr.batch.manifest import jobs_of, read_goals
 from f3sr.batch.supervisor import JobLimits, Worker
 from f3sr.cli.main import main
@@ -114,13 +115,13 @@ def test_a_key_depends_on_content_options_and_code_and_on_nothing_else(tmp_path:
 
 
 def test_what_cannot_be_read_has_a_digest_that_changes_where_it_is_mended(tmp_path: Path) -> None:
-    absent = inputs_digest(str(tmp_path / "in"))
+    absent = inputs_digest(tmp_path / "in")
     (tmp_path / "in").mkdir()
     os.mkfifo(tmp_path / "in" / "pipe")
     (tmp_path / "in" / "loop").symlink_to("loop")
-    odd = inputs_digest(str(tmp_path / "in"))
+    odd = inputs_digest(tmp_path / "in")
     (tmp_path / "in" / "loop").unlink()
-    assert len({absent, odd, inputs_digest(str(tmp_path / "in"))}) == 3
+    assert len({absent, odd, inputs_digest(tmp_path / "in")}) == 3
 
 
 # --- limits ------------------------------------------------------------------------------------------------------
@@ -169,9 +170,11 @@ def test_a_worker_that_is_killed_is_no_fault_of_its_job(tmp_path: Path) -> None:
     try:
         worker.start()
         kill({})  # before the job: it begins in another worker
-        answer = worker.run(job, tmp_path / "result", tmp_path / "stages", LIMITS, kill)
+        answer = worker.run(job, tmp_path / "in" / "a", tmp_path / "result", tmp_path / "stages", LIMITS, kill)
         assert answer.failure == "lost" and "was killed by SIGKILL" in answer.reason
-        answer = worker.run(job, tmp_path / "result", tmp_path / "stages", LIMITS, lambda said: None)
+        answer = worker.run(
+            job, tmp_path / "in" / "a", tmp_path / "result", tmp_path / "stages", LIMITS, lambda said: None
+        )
         assert not answer.failure
     finally:
         worker.close()
@@ -254,7 +257,8 @@ def test_a_dataset_behind_a_url_holds_the_same_bytes(tmp_path: Path) -> None:
     manifest = tmp_path / "m.jsonl"
     files.pipe_file("/in/one/stub.json", (inputs / "stub-00001" / "stub.json").read_bytes())
     manifest.write_text('{"path": "memory://in/one"}\n')
-    assert inputs_digest("memory://in/one") == inputs_digest(str(inputs / "stub-00001"))
+    with fetched("memory://in/one") as folder:
+        assert inputs_digest(folder) == inputs_digest(inputs / "stub-00001")
     _, jobs = jobs_of(manifest, Job(name="", source=""), Config())
     assert [(j.name, j.source) for j in jobs] == [("one", "memory://in/one")]
 
@@ -266,6 +270,31 @@ def test_an_input_behind_a_url_that_is_not_there_is_a_row(tmp_path: Path) -> Non
     manifest.write_text("path\nin/a\nmemory://nowhere/b\n")
     assert batch(manifest, tmp_path / "out", retries=0).counts == {"done": 1, "failed": 1}
     assert "no folder there" in records(tmp_path / "out")["b"].reason
+
+
+def test_an_input_behind_a_url_is_fetched_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For its key and for the work; and its content counts, as that of a local folder does."""
+    pytest.importorskip("fsspec", reason="no fsspec: pip install 'f3sr[ray]'")
+    importlib.import_module("counted_files")
+    notes = tmp_path / "notes"
+    monkeypatch.setenv("COUNTED_FILES", str(notes))
+    inputs = write_stubs(tmp_path / "in", 2)
+    write_stub(inputs / "bad", 7, fail="bad")
+    write_stub(inputs / "twin", 1)
+    batch(inputs, tmp_path / "local")
+    names = sorted(p.name for p in inputs.iterdir())
+    manifest = tmp_path / "m.jsonl"
+    manifest.write_text("".join(f'{{"path": "counted://{inputs / name}"}}\n' for name in names))
+    assert batch(manifest, tmp_path / "out", slots=1).counts == {"done": 2, "known": 1, "failed": 1}
+    assert sorted(notes.read_text().split()) == [str(inputs / name) for name in names]
+    assert packages(tmp_path / "out") == packages(tmp_path / "local")
+    keys = [[(j.name, j.key) for j in Dataset.read(tmp_path / d).listed()] for d in ("local", "out")]
+    assert keys[0] == keys[1]
+    events: list[Event] = []
+    assert batch(manifest, tmp_path / "out", report=events.append).counts == {"known": 3, "failed": 1}
+    assert "not tried again" in next(e.reason for e in events if e.state == "failed")
+    write_stub(inputs / "bad", 7)  # mended
+    assert batch(manifest, tmp_path / "out").counts == {"known": 3, "done": 1}
 
 
 class Losing:

@@ -32,10 +32,10 @@ _workers: dict[str, Worker] = {}
 class RayTasks:
     """Tasks of a cluster, so many at a time."""
 
-    def __init__(self, ray: Any, slots: int, place: str, limits: JobLimits, work: str) -> None:
+    def __init__(self, ray: Any, slots: int, place: str, limits: JobLimits, work: str, *, again: bool) -> None:
         self.ray, self.slots = ray, slots
         self.running: dict[Any, Job] = {}
-        self.options = {"place": place, "limits": asdict(limits), "work": work}
+        self.options = {"place": place, "limits": asdict(limits), "work": work, "again": again}
         # A job that fails is an answer, not an exception; what raises is a machine or process that is gone.
         self.task = ray.remote(num_cpus=1, max_retries=0)(remote_attempt)
 
@@ -47,17 +47,19 @@ class RayTasks:
         for reference in ready:
             job = self.running.pop(reference)
             try:
-                data = self.ray.get(reference)
+                data, known = self.ray.get(reference)
             except self.ray.exceptions.RayTaskError as error:
                 raise F3srError(f"a task of Ray failed: {one_line(str(error.cause))}") from error
             except self.ray.exceptions.RayError as error:
                 yield Ended(job=job, record=None, reason=_told(error))
             else:
-                yield Ended(job=job, record=from_bytes(data, job.name))
+                yield Ended(job=job, record=from_bytes(data, job.name), known=known)
 
 
 @contextmanager
-def ray_tasks(address: str, slots: int, place: str, limits: JobLimits, work: str) -> Generator[RayTasks]:
+def ray_tasks(
+    address: str, slots: int, place: str, limits: JobLimits, work: str, *, again: bool
+) -> Generator[RayTasks]:
     """Tasks of the cluster at an address (``auto``: the one of this machine), until the block ends.
 
     Meanwhile ``sys.stdout`` is stderr: Ray prints there that nodes are gone, which must not mix with events.
@@ -66,7 +68,7 @@ def ray_tasks(address: str, slots: int, place: str, limits: JobLimits, work: str
     ray = library("ray", extra=EXTRA, why="--ray")
     with contextlib.redirect_stdout(sys.stderr), _connected(ray, address):
         processors = int(ray.cluster_resources().get("CPU", 1))
-        yield RayTasks(ray, slots or AHEAD * processors, place, limits, work)
+        yield RayTasks(ray, slots or AHEAD * processors, place, limits, work, again=again)
 
 
 @contextmanager
@@ -85,11 +87,13 @@ def _connected(ray: Any, address: str) -> Generator[None]:
         ray.shutdown()
 
 
-def remote_attempt(job: dict[str, Any], number: int, place: str, limits: dict[str, Any], work: str) -> bytes:
-    """The task: one attempt, and its record as bytes."""
+def remote_attempt(
+    job: dict[str, Any], number: int, place: str, limits: dict[str, Any], work: str, again: bool
+) -> tuple[bytes, bool]:
+    """The task: one attempt; its record as bytes, and whether an earlier attempt made that."""
     worker = _workers.setdefault(work, Worker(work))
-    found = attempt(Job.from_plain(job), place, JobLimits(**limits), worker, _unheard, number=number)
-    return to_bytes(found.record)
+    found = attempt(Job.from_plain(job), place, JobLimits(**limits), worker, _unheard, number=number, again=again)
+    return to_bytes(found.record), found.known
 
 
 def _unheard(said: dict[str, Any]) -> None:
