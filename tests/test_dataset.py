@@ -24,7 +24,7 @@ from f3sr.dataset.record import Record, contents_of, to_bytes
 from f3sr.dataset.selection import refer, scenes_with, selected
 from f3sr.dataset.shards import export
 from f3sr.dataset.storage import RECORD
-from f3sr.dataset.summary import summary
+from f3sr.dataset.summary import grouped, summary, told
 from f3sr.errors import F3srError, InputError, OutputError
 
 pytest.importorskip("pyarrow", reason="no pyarrow: pip install 'f3sr[dataset]'")
@@ -231,6 +231,20 @@ def test_figures_count_each_scene_once(dataset: Dataset) -> None:
     assert summary(dataset, ["n = 2"])["objects"] == 18 and summary(dataset, ["status = 'failed'"])["objects"] == 0
 
 
+def test_reasons_count_as_one_where_paths_of_the_input_or_numbers_differ() -> None:
+    rows = [
+        {"source": f"/in/{k}", "failure": "bad input", "reason": f"/in/{k}/image.jpg: found {k}.5 MB; accepted: 1 MB"}
+        for k in range(3)
+    ]
+    other = {"source": "/in/7", "failure": "crash", "reason": "killed"}
+    assert grouped(map(told, [other, *rows])) == {
+        "bad input: image.jpg: found 0.5 MB; accepted: 1 MB": 3,
+        "crash: killed": 1,
+    }
+    assert told({"source": "/in/7", "failure": "", "reason": ""}) == ""
+    assert told({"source": None, "failure": "lost", "reason": None}) == "lost"
+
+
 def samples(shards: Path) -> dict[str, dict[str, bytes]]:
     """What a reader of WebDataset finds: members by the key before the first dot of their name."""
     found: dict[str, dict[str, bytes]] = {}
@@ -275,6 +289,7 @@ def test_a_page_shows_every_scene_and_runs_nothing_of_its_texts(dataset: Dataset
         assert main(["dataset", "sheet", str(tmp_path / "ds"), "-o", str(out)]) == 0
     page = (out / "index.html").read_text()
     assert page.count("<article") == 12 and page.count('loading="lazy"') == 9
+    assert page.count('data-state="failed"') == 3 and "Why 3 failed" in page and page.count("mug, ball") == 9
     assert "<script>alert" not in page and "\u202e" not in page and "&lt;script&gt;alert(1)" in page
     pictures = re.findall(r'src="(pictures/[0-9a-f]+\.jpg)"', page)
     assert len(pictures) == 9 and all(Image.open(out / p).size == (320, 240) for p in pictures)
