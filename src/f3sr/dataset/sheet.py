@@ -81,6 +81,7 @@ def _page(cards: Sequence[SceneCard], where: Sequence[str], dataset: Dataset) ->
         "columns": SHOWN,
         "where": " and ".join(where),
         "title": Path(dataset.storage.place).name,
+        "overlays": any(card.picture for card in cards),
         "reasons": grouped(card.reason for card in cards if card.reason),
         "counts": {state: sum(c.status == state for c in cards) for state in sorted({c.status for c in cards})},
     }
