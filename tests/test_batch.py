@@ -15,16 +15,19 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
-from f3sr.batch import ray_address, runs
+from f3sr.batch import ray_address, runs, scene_job
 from f3sr.batch.attempt import attempt
 from f3sr.batch.driver import LOST, Driver, Event, keyed
 from f3sr.batch.executors import Ended
 from f3sr.batch.job import Job, fetched, inputs_digest
 from f3sr.batch.manifest import jobs_of, read_goals
+from f3sr.batch.scene_job import goal_rows
 from f3sr.batch.supervisor import JobLimits, Worker
 from f3sr.cli.main import main
 from f3sr.dataset.layout import Dataset, scene_of
@@ -32,8 +35,10 @@ from f3sr.dataset.prune import prune
 from f3sr.dataset.record import from_bytes, to_bytes
 from f3sr.dataset.storage import RECORD
 from f3sr.errors import F3srError, InputError, OutputError
+from f3sr.goals.file_names import ROLLOUT
 from f3sr.pipeline import Config
 from f3sr.runtime import signals
+from goal_scene import goal_package
 from stub_batches import LIMITS, batch, packages, write_stub, write_stubs
 
 pytest.importorskip("pyarrow", reason="no pyarrow: pip install 'f3sr[dataset]'")
@@ -481,6 +486,37 @@ def test_what_holds_no_inputs_is_refused(tmp_path: Path, make: Any, said: str) -
     make(tmp_path / "in")
     with pytest.raises(InputError, match=said):
         jobs_of(tmp_path / "in", Job(name="", source=""), Config())
+
+
+# --- goals and films ---------------------------------------------------------------------------------------------
+
+
+def test_a_goal_of_a_batch_is_filmed_and_a_film_that_fails_leaves_the_goal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    av = pytest.importorskip("av")
+    package = goal_package(tmp_path / "package")
+    goals = ("knock over the cereal box", "drop the moon")
+    job = Job(name="a", source="", goals=goals, film=True)
+
+    def rows() -> list[dict[str, Any]]:
+        return goal_rows(package, job, lambda step: None, lambda action: action())
+
+    filmed, refused = rows()
+    assert (filmed["state"], filmed["film"]) == ("met", "rollouts/1/film.mp4")
+    with av.open(str(package.folder / filmed["film"])) as container:
+        frames = [frame.time for frame in container.decode(video=0)]
+    time = np.load(package.folder / filmed["folder"] / ROLLOUT)["time"]
+    assert len(frames) == len(time) and abs(frames[-1] - time[-1]) < 1e-6
+    assert refused["state"] == "refused" and "film" not in refused
+
+    def no_film(*_: Any) -> None:
+        raise F3srError("no light")
+
+    monkeypatch.setattr(scene_job, "Studio", SimpleNamespace(of=no_film))
+    again = rows()[0]
+    assert "film" not in again and again.pop("film_reason") == "no light"
+    assert again == {name: value for name, value in filmed.items() if name != "film"}
 
 
 # --- the command -------------------------------------------------------------------------------------------------
