@@ -293,6 +293,7 @@ def test_an_input_behind_a_url_is_fetched_once(tmp_path: Path, monkeypatch: pyte
     assert batch(manifest, tmp_path / "out", slots=1).counts == {"done": 2, "known": 1, "failed": 1}
     assert sorted(notes.read_text().split()) == [str(inputs / name) for name in names]
     assert packages(tmp_path / "out") == packages(tmp_path / "local")
+    assert records(tmp_path / "out")["bad"].reason.startswith(f"counted://{inputs}/bad/stub.json: found fail = bad")
     keys = [[(j.name, j.key) for j in Dataset.read(tmp_path / d).listed()] for d in ("local", "out")]
     assert keys[0] == keys[1]
     events: list[Event] = []

@@ -102,6 +102,7 @@ def _made(
         result = folder / RESULT
         surely(lambda: _emptied(result))
         answer = worker.run(job, source, result, folder / STAGES, limits, tell)
+        answer = replace(answer, reason=answer.reason.replace(str(source), job.source))  # not where it was fetched to
         made = None if answer.failure else contents_of(result / PACKAGE_FOLDER)
         record = record_of(job, answer, made, number)
         if made is not None:
