@@ -5,8 +5,8 @@ usage: batch.py disturbed [--real 30] [--stubs 170] [--ray] [--urls] [--out out/
        batch.py many [--count 10000]
 
 ``disturbed`` runs the same inputs twice: once in peace, once while workers, the driver, on Ray a whole node are killed
-with ``kill -9`` and the disk is full for a while. Every package must have the same bytes, every job one row. With ``--urls``
-the disturbed run gets its inputs as URLs, which are fetched.
+with ``kill -9`` and the disk is full for a while. Every package must have the same bytes, every job one row. With
+``--urls`` the disturbed run gets its inputs as URLs, which are fetched.
 ``throughput`` holds a batch against independent processes. ``many`` watches the driver's memory over stub jobs.
 Exit code 1 where anything is not as docs/batch.md promises. ``disturbed`` fills a disk only as root, on a tmpfs of its
 own.
