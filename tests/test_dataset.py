@@ -26,6 +26,7 @@ from f3sr.dataset.shards import export
 from f3sr.dataset.storage import RECORD
 from f3sr.dataset.summary import grouped, summary, told
 from f3sr.errors import F3srError, InputError, OutputError
+from f3sr.runtime import signals
 
 pytest.importorskip("pyarrow", reason="no pyarrow: pip install 'f3sr[dataset]'")
 HOSTILE = '<script>alert(1)</script>"\u202e'
@@ -207,7 +208,10 @@ def test_conditions_on_objects_select_their_scenes(dataset: Dataset) -> None:
 # --- what is made of it ------------------------------------------------------------------------------------------
 
 
-def test_a_dataset_by_reference_serves_like_its_base(dataset: Dataset, tmp_path: Path) -> None:
+def test_a_dataset_by_reference_serves_like_its_base(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(signals, "_kept", [])
     (tmp_path / "moved").mkdir()
     out = str(tmp_path / "some")
     call = ["dataset", "filter", str(tmp_path / "ds"), "--where", "mIoU_visible > .3"]
