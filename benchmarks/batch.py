@@ -1,11 +1,12 @@
 """Batches under disturbance, their throughput, and ten thousand jobs (docs/batch.md).
 
-usage: batch.py disturbed [--real 30] [--stubs 170] [--ray] [--out out/batch]
+usage: batch.py disturbed [--real 30] [--stubs 170] [--ray] [--urls] [--out out/batch]
        batch.py throughput [--real 8] [--jobs 2]
        batch.py many [--count 10000]
 
 ``disturbed`` runs the same inputs twice: once in peace, once while workers, the driver, on Ray a whole node are killed
-with ``kill -9`` and the disk is full for a while. Every package must have the same bytes, every job one row.
+with ``kill -9`` and the disk is full for a while. Every package must have the same bytes, every job one row. With
+``--urls`` the disturbed run gets its inputs as URLs, which are fetched.
 ``throughput`` holds a batch against independent processes. ``many`` watches the driver's memory over stub jobs.
 Exit code 1 where anything is not as docs/batch.md promises. ``disturbed`` fills a disk only as root, on a tmpfs of its
 own.
@@ -120,13 +121,21 @@ def disturbed(options: argparse.Namespace) -> list[str]:
     print("in peace: ", last, flush=True)
     with disk(out, options.real) as (place, fill), cluster(options.ray) as (address, kill_node):
         told = Disturbed()
-        wall = _until_done(inputs, place, address, options, told, fill, kill_node)
+        given = _urls(inputs, out / "inputs.jsonl") if options.urls else inputs
+        wall = _until_done(given, place, address, options, told, fill, kill_node)
         print("disturbed:", vars(told), f"{wall:.0f} s in all", flush=True)
         faults = [*compared(out / "calm", place), *index_faults(place, len(list(inputs.iterdir())))]
         wanted = ("workers", "drivers", *(["nodes"] if options.ray else []), *(["full"] if fill else []))
         faults += [f"nothing was done to {name}" for name in wanted if not getattr(told, name)]
         shutil.copytree(place, out / "disturbed")
     return faults
+
+
+def _urls(inputs: Path, manifest: Path) -> Path:
+    """A manifest that names the same folders by URLs."""
+    rows = (json.dumps({"path": f"file://{folder}"}) for folder in sorted(inputs.iterdir()))
+    manifest.write_text("".join(f"{row}\n" for row in rows))
+    return manifest
 
 
 def _until_done(
@@ -274,7 +283,7 @@ def index_faults(place: Path, count: int) -> list[str]:
 
 
 def _recovers(source: str) -> bool:
-    file = Path(source, "stub.json")
+    file = Path(source.removeprefix("file://"), "stub.json")
     return file.exists() and bool(json.loads(file.read_text()).get("once"))
 
 
@@ -372,6 +381,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command.add_argument("--count", type=int, default=10_000)
         command.add_argument("--turns", type=int, default=3)
         command.add_argument("--ray", action="store_true")
+        command.add_argument("--urls", action="store_true")
         command.add_argument("--wall", type=float, default=60.0, help="limit of a job [s]")
         command.add_argument("--seed", type=int, default=0)
         command.add_argument("--every", type=float, default=8.0, help="seconds between kills of workers")

@@ -22,6 +22,8 @@ STUB = "stub.json"
 def preload() -> None:
     if os.environ.get("STUBS_WITH_SCENES"):
         _scenes().preload()
+    if os.environ.get("COUNTED_FILES"):
+        importlib.import_module("counted_files")
 
 
 def work(job: Any, source: Path, folder: Path, stages: Path, *, progress: Any, patiently: Any) -> dict[str, Any]:

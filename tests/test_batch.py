@@ -2,33 +2,43 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
-from f3sr.batch import runs
+from f3sr.batch import ray_address, runs, scene_job
 from f3sr.batch.attempt import attempt
 from f3sr.batch.driver import LOST, Driver, Event, keyed
 from f3sr.batch.executors import Ended
-from f3sr.batch.job import Job, inputs_digest
+from f3sr.batch.job import Job, fetched, inputs_digest
 from f3sr.batch.manifest import jobs_of, read_goals
+from f3sr.batch.scene_job import goal_rows
 from f3sr.batch.supervisor import JobLimits, Worker
 from f3sr.cli.main import main
 from f3sr.dataset.layout import Dataset, scene_of
+from f3sr.dataset.prune import prune
 from f3sr.dataset.record import from_bytes, to_bytes
 from f3sr.dataset.storage import RECORD
-from f3sr.errors import InputError, OutputError
+from f3sr.errors import F3srError, InputError, OutputError
+from f3sr.goals.file_names import ROLLOUT
 from f3sr.pipeline import Config
 from f3sr.runtime import signals
+from goal_scene import goal_package
 from stub_batches import LIMITS, batch, packages, write_stub, write_stubs
 
 pytest.importorskip("pyarrow", reason="no pyarrow: pip install 'f3sr[dataset]'")
@@ -110,13 +120,13 @@ def test_a_key_depends_on_content_options_and_code_and_on_nothing_else(tmp_path:
 
 
 def test_what_cannot_be_read_has_a_digest_that_changes_where_it_is_mended(tmp_path: Path) -> None:
-    absent = inputs_digest(str(tmp_path / "in"))
+    absent = inputs_digest(tmp_path / "in")
     (tmp_path / "in").mkdir()
     os.mkfifo(tmp_path / "in" / "pipe")
     (tmp_path / "in" / "loop").symlink_to("loop")
-    odd = inputs_digest(str(tmp_path / "in"))
+    odd = inputs_digest(tmp_path / "in")
     (tmp_path / "in" / "loop").unlink()
-    assert len({absent, odd, inputs_digest(str(tmp_path / "in"))}) == 3
+    assert len({absent, odd, inputs_digest(tmp_path / "in")}) == 3
 
 
 # --- limits ------------------------------------------------------------------------------------------------------
@@ -165,9 +175,11 @@ def test_a_worker_that_is_killed_is_no_fault_of_its_job(tmp_path: Path) -> None:
     try:
         worker.start()
         kill({})  # before the job: it begins in another worker
-        answer = worker.run(job, tmp_path / "result", tmp_path / "stages", LIMITS, kill)
+        answer = worker.run(job, tmp_path / "in" / "a", tmp_path / "result", tmp_path / "stages", LIMITS, kill)
         assert answer.failure == "lost" and "was killed by SIGKILL" in answer.reason
-        answer = worker.run(job, tmp_path / "result", tmp_path / "stages", LIMITS, lambda said: None)
+        answer = worker.run(
+            job, tmp_path / "in" / "a", tmp_path / "result", tmp_path / "stages", LIMITS, lambda said: None
+        )
         assert not answer.failure
     finally:
         worker.close()
@@ -194,11 +206,14 @@ def test_after_a_kill_of_the_driver_the_next_run_does_the_rest(tmp_path: Path) -
         while any(Path(f"/proc/{pid}").exists() for pid in workers) and time.monotonic() < deadline:
             time.sleep(0.02)
         assert workers and not any(Path(f"/proc/{pid}").exists() for pid in workers)
+        with pytest.raises(OutputError, match="its list may lack jobs"):
+            prune(Dataset.read(out))
         for folder in out.glob("scenes/*/*"):
             assert {p.name for p in folder.iterdir()} == {"package", RECORD}
     tally = batch(inputs, out)
     assert tally.counts["known"] >= 7 and tally.jobs == 12 and not tally.counts["failed"]
     assert packages(out) == packages(tmp_path / "calm")
+    assert prune(Dataset.read(out)).packages == 0
 
 
 def children(pid: int) -> list[int]:
@@ -247,7 +262,8 @@ def test_a_dataset_behind_a_url_holds_the_same_bytes(tmp_path: Path) -> None:
     manifest = tmp_path / "m.jsonl"
     files.pipe_file("/in/one/stub.json", (inputs / "stub-00001" / "stub.json").read_bytes())
     manifest.write_text('{"path": "memory://in/one"}\n')
-    assert inputs_digest("memory://in/one") == inputs_digest(str(inputs / "stub-00001"))
+    with fetched("memory://in/one") as folder:
+        assert inputs_digest(folder) == inputs_digest(inputs / "stub-00001")
     _, jobs = jobs_of(manifest, Job(name="", source=""), Config())
     assert [(j.name, j.source) for j in jobs] == [("one", "memory://in/one")]
 
@@ -259,6 +275,32 @@ def test_an_input_behind_a_url_that_is_not_there_is_a_row(tmp_path: Path) -> Non
     manifest.write_text("path\nin/a\nmemory://nowhere/b\n")
     assert batch(manifest, tmp_path / "out", retries=0).counts == {"done": 1, "failed": 1}
     assert "no folder there" in records(tmp_path / "out")["b"].reason
+
+
+def test_an_input_behind_a_url_is_fetched_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For its key and for the work; and its content counts, as that of a local folder does."""
+    pytest.importorskip("fsspec", reason="no fsspec: pip install 'f3sr[ray]'")
+    importlib.import_module("counted_files")
+    notes = tmp_path / "notes"
+    monkeypatch.setenv("COUNTED_FILES", str(notes))
+    inputs = write_stubs(tmp_path / "in", 2)
+    write_stub(inputs / "bad", 7, fail="bad")
+    write_stub(inputs / "twin", 1)
+    batch(inputs, tmp_path / "local")
+    names = sorted(p.name for p in inputs.iterdir())
+    manifest = tmp_path / "m.jsonl"
+    manifest.write_text("".join(f'{{"path": "counted://{inputs / name}"}}\n' for name in names))
+    assert batch(manifest, tmp_path / "out", slots=1).counts == {"done": 2, "known": 1, "failed": 1}
+    assert sorted(notes.read_text().split()) == [str(inputs / name) for name in names]
+    assert packages(tmp_path / "out") == packages(tmp_path / "local")
+    assert records(tmp_path / "out")["bad"].reason.startswith(f"counted://{inputs}/bad/stub.json: found fail = bad")
+    keys = [[(j.name, j.key) for j in Dataset.read(tmp_path / d).listed()] for d in ("local", "out")]
+    assert keys[0] == keys[1]
+    events: list[Event] = []
+    assert batch(manifest, tmp_path / "out", report=events.append).counts == {"known": 3, "failed": 1}
+    assert "not tried again" in next(e.reason for e in events if e.state == "failed")
+    write_stub(inputs / "bad", 7)  # mended
+    assert batch(manifest, tmp_path / "out").counts == {"known": 3, "done": 1}
 
 
 class Losing:
@@ -318,6 +360,52 @@ def test_a_record_survives_its_file_and_a_foreign_one_is_refused(tmp_path: Path)
     for data in (b"{", b"[]", b'{"format": 2}', to_bytes(record).replace(b'"done"', b'"fine"')):
         with pytest.raises(InputError, match="accepted: a record that `f3sr batch` wrote"):
             from_bytes(data, "here")
+
+
+# --- addresses of Ray -------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def answering(said: bytes | None) -> Iterator[str]:
+    """A server that says this to whoever connects, or nothing."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            with suppress(OSError):
+                connection, _ = server.accept()
+                with connection:
+                    connection.recv(1000)
+                    connection.sendall(said or b"")
+                    time.sleep(0.0 if said else 2.0)
+
+        threading.Thread(target=serve, daemon=True).start()
+        yield f"127.0.0.1:{server.getsockname()[1]}"
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        (b"HTTP/1.1 400 Bad Request\r\n\r\n", "what answers is no Ray"),
+        (b"HTTP", "what answers is no Ray"),
+        (None, "nothing answers"),
+        (bytes([0, 0, 6, 4, 0, 0, 0, 0, 0]) + bytes(6), ""),
+    ],
+)
+def test_an_address_without_ray_is_told_at_once(monkeypatch: pytest.MonkeyPatch, said: bytes | None, told: str) -> None:
+    monkeypatch.setattr(ray_address, "ANSWER_S", 0.3)
+    with answering(said) as address:
+        if not told:
+            ray_address.require_answer(address, given="auto")
+            return
+        with pytest.raises(F3srError, match=f"--ray: no Ray cluster at auto \\({address}\\): {told}"):
+            ray_address.require_answer(address, given="auto")
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "127.0.0.1:99999", "no.such.host.invalid:6379", "here"])
+def test_an_address_that_cannot_be_reached_is_named(address: str) -> None:
+    with pytest.raises(F3srError, match=f"no Ray cluster at {address}: ") as caught:
+        ray_address.require_answer(address, given=address)
+    assert "\n" not in str(caught.value)
 
 
 # --- manifests ---------------------------------------------------------------------------------------------------
@@ -399,6 +487,37 @@ def test_what_holds_no_inputs_is_refused(tmp_path: Path, make: Any, said: str) -
     make(tmp_path / "in")
     with pytest.raises(InputError, match=said):
         jobs_of(tmp_path / "in", Job(name="", source=""), Config())
+
+
+# --- goals and films ---------------------------------------------------------------------------------------------
+
+
+def test_a_goal_of_a_batch_is_filmed_and_a_film_that_fails_leaves_the_goal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    av = pytest.importorskip("av")
+    package = goal_package(tmp_path / "package")
+    goals = ("knock over the cereal box", "drop the moon")
+    job = Job(name="a", source="", goals=goals, film=True)
+
+    def rows() -> list[dict[str, Any]]:
+        return goal_rows(package, job, lambda step: None, lambda action: action())
+
+    filmed, refused = rows()
+    assert (filmed["state"], filmed["film"]) == ("met", "rollouts/1/film.mp4")
+    with av.open(str(package.folder / filmed["film"])) as container:
+        frames = [frame.time for frame in container.decode(video=0)]
+    time = np.load(package.folder / filmed["folder"] / ROLLOUT)["time"]
+    assert len(frames) == len(time) and abs(frames[-1] - time[-1]) < 1e-6
+    assert refused["state"] == "refused" and "film" not in refused
+
+    def no_film(*_: Any) -> None:
+        raise F3srError("no light")
+
+    monkeypatch.setattr(scene_job, "Studio", SimpleNamespace(of=no_film))
+    again = rows()[0]
+    assert "film" not in again and again.pop("film_reason") == "no light"
+    assert again == {name: value for name, value in filmed.items() if name != "film"}
 
 
 # --- the command -------------------------------------------------------------------------------------------------

@@ -219,7 +219,7 @@ def help_of(command: str, capsys: pytest.CaptureFixture[str]) -> str:
 
 
 COMMANDS = ("reconstruct", "evaluate", "simulate", "film", "goals", "batch", "dataset", "demo", "config", "doctor")
-DATASET_COMMANDS = ("dataset stats", "dataset filter", "dataset sheet", "dataset export")
+DATASET_COMMANDS = ("dataset stats", "dataset filter", "dataset sheet", "dataset export", "dataset prune")
 
 
 @pytest.mark.parametrize("command", [*COMMANDS, *DATASET_COMMANDS])

@@ -6,6 +6,7 @@ import io
 import json
 import random
 import re
+import shutil
 import tarfile
 from collections.abc import Callable
 from pathlib import Path
@@ -17,13 +18,15 @@ from PIL import Image
 from f3sr.cli.main import main
 from f3sr.dataset.columns import COLUMNS
 from f3sr.dataset.index import read_index, write_index
-from f3sr.dataset.layout import INDEX, STALE, Dataset, failure_of, scene_of
+from f3sr.dataset.layout import INDEX, STALE, UNFINISHED, Dataset, failure_of, scene_of
+from f3sr.dataset.prune import prune
 from f3sr.dataset.record import Record, contents_of, to_bytes
-from f3sr.dataset.selection import scenes_with, selected
+from f3sr.dataset.selection import refer, scenes_with, selected
 from f3sr.dataset.shards import export
 from f3sr.dataset.storage import RECORD
-from f3sr.dataset.summary import summary
-from f3sr.errors import F3srError, InputError
+from f3sr.dataset.summary import grouped, summary, told
+from f3sr.errors import F3srError, InputError, OutputError
+from f3sr.runtime import signals
 
 pytest.importorskip("pyarrow", reason="no pyarrow: pip install 'f3sr[dataset]'")
 HOSTILE = '<script>alert(1)</script>"\u202e'
@@ -205,7 +208,10 @@ def test_conditions_on_objects_select_their_scenes(dataset: Dataset) -> None:
 # --- what is made of it ------------------------------------------------------------------------------------------
 
 
-def test_a_dataset_by_reference_serves_like_its_base(dataset: Dataset, tmp_path: Path) -> None:
+def test_a_dataset_by_reference_serves_like_its_base(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(signals, "_kept", [])
     (tmp_path / "moved").mkdir()
     out = str(tmp_path / "some")
     call = ["dataset", "filter", str(tmp_path / "ds"), "--where", "mIoU_visible > .3"]
@@ -227,6 +233,20 @@ def test_figures_count_each_scene_once(dataset: Dataset) -> None:
     assert told["measures"]["mIoU_visible"]["median"] == sorted(values)[4]
     assert told["measures"]["mIoU_visible"]["least"] == 0 and "K_max_J" not in told["measures"]
     assert summary(dataset, ["n = 2"])["objects"] == 18 and summary(dataset, ["status = 'failed'"])["objects"] == 0
+
+
+def test_reasons_count_as_one_where_paths_of_the_input_or_numbers_differ() -> None:
+    rows = [
+        {"source": f"/in/{k}", "failure": "bad input", "reason": f"/in/{k}/image.jpg: found {k}.5 MB; accepted: 1 MB"}
+        for k in range(3)
+    ]
+    other = {"source": "/in/7", "failure": "crash", "reason": "killed"}
+    assert grouped(map(told, [other, *rows])) == {
+        "bad input: image.jpg: found 0.5 MB; accepted: 1 MB": 3,
+        "crash: killed": 1,
+    }
+    assert told({"source": "/in/7", "failure": "", "reason": ""}) == ""
+    assert told({"source": None, "failure": "lost", "reason": None}) == "lost"
 
 
 def samples(shards: Path) -> dict[str, dict[str, bytes]]:
@@ -273,6 +293,7 @@ def test_a_page_shows_every_scene_and_runs_nothing_of_its_texts(dataset: Dataset
         assert main(["dataset", "sheet", str(tmp_path / "ds"), "-o", str(out)]) == 0
     page = (out / "index.html").read_text()
     assert page.count("<article") == 12 and page.count('loading="lazy"') == 9
+    assert page.count('data-state="failed"') == 3 and "Why 3 failed" in page and page.count("mug, ball") == 9
     assert "<script>alert" not in page and "\u202e" not in page and "&lt;script&gt;alert(1)" in page
     pictures = re.findall(r'src="(pictures/[0-9a-f]+\.jpg)"', page)
     assert len(pictures) == 9 and all(Image.open(out / p).size == (320, 240) for p in pictures)
@@ -297,6 +318,71 @@ def test_the_commands_tell_in_text_and_json(
     assert main(["dataset", "export", place, "-o", str(tmp_path / "s"), "--size", "0"]) == 2
     assert main(["dataset", "stats", str(tmp_path)]) == 2
     assert f"{tmp_path}: found no dataset.json; accepted: a dataset" in capsys.readouterr().err
+
+
+def tree(folder: Path) -> set[str]:
+    return {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.name != ".lock"}
+
+
+@pytest.mark.parametrize("scheme", ["", "file://"])
+def test_what_no_job_has_is_counted_then_removed(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], scheme: str
+) -> None:
+    if scheme:
+        pytest.importorskip("fsspec", reason="no fsspec: pip install 'f3sr[ray]'")
+    folder, jobs = tmp_path / "ds", list(dataset.listed())
+    place = f"{scheme}{folder}"
+    assert main(["dataset", "filter", str(folder), "--where", "name = 'scene-000'", "-o", str(tmp_path / "ref")]) == 0
+    dataset.list_jobs(jobs[4:])  # scenes 0, 1, 2 and the failure 3 belong to no job
+    write_index(dataset)
+    size = sum(p.stat().st_size for k in (1, 2) for p in (folder / scene_of(jobs[k].key)).rglob("*") if p.is_file())
+    (folder / "work" / jobs[3].key).mkdir(parents=True)
+    before, call = tree(folder), ["dataset", "prune", place, "--keep", str(tmp_path / "ref")]
+    capsys.readouterr()
+    assert main([*call, "--dry-run"]) == 0
+    assert capsys.readouterr().out == f"would remove 2 packages of {size / 1e6:.1f} MB, 1 record of failures\n"
+    assert tree(folder) == before
+    assert main([*call, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told == {"dry_run": False, "packages": 2, "failures": 1, "bytes": size}
+    gone = (*(scene_of(jobs[k].key) for k in (1, 2)), failure_of(jobs[3].key), *(["work"] if not scheme else []))
+    assert {p for p in before - tree(folder) if not p.startswith(gone)} == set() and tree(folder) < before
+    assert all(not (folder / path).exists() for path in gone)
+    assert main([*call, "--json"]) == 0 and json.loads(capsys.readouterr().out)["packages"] == 0
+
+
+def test_a_prune_that_is_cut_off_leaves_no_package_in_part(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jobs = list(dataset.listed())
+    dataset.list_jobs(jobs[1:])
+
+    def cut_off(folder: Path, **_: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(shutil, "rmtree", cut_off)
+        prune(dataset)
+    assert not (tmp_path / "ds" / scene_of(jobs[0].key)).exists()
+    prune(dataset)
+    assert not (tmp_path / "ds" / "work").exists()
+
+
+def test_nothing_is_removed_while_the_list_may_lack_jobs(dataset: Dataset, tmp_path: Path) -> None:
+    before = tree(tmp_path / "ds")
+    with dataset.storage.claimed(), pytest.raises(OutputError, match="another run is writing it right now"):
+        prune(Dataset.read(tmp_path / "ds"))
+    dataset.storage.write(UNFINISHED, b"")
+    with pytest.raises(OutputError, match="goes on or was cut off, so that its list may lack jobs; run the same"):
+        prune(dataset)
+    dataset.storage.remove(UNFINISHED)
+    refer(dataset, list(dataset.listed()), tmp_path / "ref")
+    with pytest.raises(OutputError, match=f"holds no packages; give {tmp_path}/ds"):
+        prune(Dataset.read(tmp_path / "ref"))
+    dataset.storage.remove("jobs.jsonl")
+    with pytest.raises(InputError, match=r"found no jobs\.jsonl"):
+        prune(dataset)
+    assert tree(tmp_path / "ds") == before - {"jobs.jsonl"}
 
 
 def test_without_pyarrow_one_line_says_how_to_get_it(

@@ -13,13 +13,15 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import IO, Any, Literal
 
+from f3sr.batch.attempt import known_record, with_inputs
 from f3sr.batch.executors import Ended, Executor
 from f3sr.batch.job import Job, code_digest, inputs_digest
 from f3sr.batch.patience import Patience
 from f3sr.dataset.index import write_index
-from f3sr.dataset.layout import KEY, STALE, Dataset, Listed, failure_of, scene_of
+from f3sr.dataset.layout import KEY, STALE, UNFINISHED, Dataset, Listed, failure_of, scene_of
 from f3sr.dataset.record import Failure, Record, to_bytes
 from f3sr.dataset.storage import RECORD, patiently
 from f3sr.runtime.daemon_thread import ahead
@@ -101,15 +103,18 @@ class Driver:
         self.running: dict[str, _Running] = {}
         self.retry: deque[_Running] = deque()
         self.tally = Tally()
+        self.listing = _Listing(dataset, self._surely)
 
     def run(self, jobs: Iterable[Job]) -> Tally:
         """Bring every job to its end; what is done already is not done again."""
         start = time.monotonic()
         dataset = self.dataset
         self._surely(dataset.begin)
+        self._surely(lambda: dataset.storage.write(UNFINISHED, b""))
         self._surely(lambda: dataset.storage.write(STALE, b""))
-        with _Listing(dataset, self._surely) as listing:
-            self._work(ahead(map(keyed, jobs)), listing)
+        with self.listing:
+            self._work(ahead(map(keyed, jobs)))
+        self._surely(lambda: dataset.storage.remove(UNFINISHED))
         self._tidy()
         self.tally.wall_s = time.monotonic() - start
         return self.tally
@@ -118,7 +123,7 @@ class Driver:
         """Derive the index."""
         self._surely(lambda: write_index(self.dataset))
 
-    def _work(self, jobs: Iterator[Job], listing: _Listing) -> None:
+    def _work(self, jobs: Iterator[Job]) -> None:
         more = True
         while more or self.running or self.retry:
             while len(self.running) < self.executor.slots and (more or self.retry):
@@ -127,43 +132,54 @@ class Driver:
                 elif (job := next(jobs, None)) is None:
                     more = False
                 else:
-                    listing.add(job)
                     self._begin(job)
-            listing.checkpoint()
+            self.listing.checkpoint()
             if self.running:
                 for ended in self.executor.ended(WAKE_S):
                     self._end(ended)
 
     def _begin(self, job: Job) -> None:
-        """Attempt a job unless its result, or its bad input, is known."""
+        """Attempt a job unless its result, or its bad input, is known; only the attempt knows it of a remote one."""
+        if job.remote:
+            self._submit(_Running([job]))
+            return
         key = job.key
+        self.listing.add(job, key)
         if key in self.running:
             self.running[key].jobs.append(job)
             return
         if self.dataset.storage.has(f"{scene_of(key)}/{RECORD}"):
             self._tell(job, "known")
-            return
-        record = self.dataset.record(key)
-        if record is not None and record.failure == "bad input" and not self.again:
+        elif (record := known_record(self.dataset.storage, key, again=self.again)) is not None:
+            self._known(job, record)
+        else:
+            self._submit(_Running([job]))
+
+    def _known(self, job: Job, record: Record) -> None:
+        """An earlier attempt made it, or found its input bad."""
+        if record.status == "failed":
             self._failed(job, record, known=True)
-            return
-        self._submit(_Running([job]))
+        else:
+            self._tell(job, "known", record)
 
     def _submit(self, running: _Running) -> None:
         job = running.jobs[0]
-        self.running[job.key] = running
-        self.report(Event(name=job.name, state="started", key=job.key, attempt=running.number))
+        self.running[_mark(job)] = running
+        self.report(Event(name=job.name, state="started", key=_key(job), attempt=running.number))
         self.executor.submit(job, running.number)
 
     def _end(self, ended: Ended) -> None:
-        running = self.running.pop(ended.job.key)
+        running = self.running.pop(_mark(ended.job))
         if ended.record is None or ended.record.failure == "lost":
             self._lost(running, ended.record.reason if ended.record else ended.reason)
+        elif ended.known:
+            self._known(running.jobs[0], ended.record)
         elif ended.record.status == "done":
-            self.tally.cpu_s += ended.record.costs.cpu_s
-            self._surely(lambda: self.dataset.storage.remove(failure_of(ended.job.key)))
+            record = ended.record
+            self.tally.cpu_s += record.costs.cpu_s
+            self._surely(lambda: self.dataset.storage.remove(failure_of(record.key)))
             for job in running.jobs:
-                self._tell(job, "done", ended.record)
+                self._tell(job, "done", record)
         elif ended.record.failure == "bad input" or running.number > self.retries:
             self._give_up(running, ended.record)
         else:
@@ -176,7 +192,7 @@ class Driver:
         if running.lost < LOST:
             self._again(running, "lost", reason)
             return
-        job = running.jobs[0]
+        job = with_inputs(running.jobs[0], reason)
         record = Record(
             key=job.key, inputs=job.inputs, code=job.code, status="failed", failure="lost", reason=reason,
             attempts=running.number + running.lost - 1,
@@ -187,7 +203,7 @@ class Driver:
         self.tally.retries += 1
         job = running.jobs[0]
         self.report(
-            Event(name=job.name, state="again", key=job.key, failure=failure, reason=reason, attempt=running.number)
+            Event(name=job.name, state="again", key=_key(job), failure=failure, reason=reason, attempt=running.number)
         )
         self.retry.append(running)
 
@@ -204,8 +220,11 @@ class Driver:
 
     def _tell(self, job: Job, state: State, record: Record | None = None) -> None:
         self.tally.counts[state] += 1
-        event = Event(name=job.name, state=state, key=job.key)
-        if record is not None:
+        key = job.key if record is None else record.key
+        if job.remote:
+            self.listing.add(job, key)
+        event = Event(name=job.name, state=state, key=key)
+        if record is not None and state != "known":
             costs = record.costs
             event = replace(
                 event, failure=record.failure, reason=record.reason, attempt=record.attempts,
@@ -246,8 +265,8 @@ class _Listing:
             self._merge()
         self.spool.close()
 
-    def add(self, job: Job) -> None:
-        self.spool.write(json.dumps(asdict(Listed(name=job.name, source=job.source, key=job.key))) + "\n")
+    def add(self, job: Job, key: str) -> None:
+        self.spool.write(json.dumps(asdict(Listed(name=job.name, source=job.source, key=key))) + "\n")
         self.new += 1
 
     def checkpoint(self) -> None:
@@ -265,5 +284,16 @@ class _Listing:
 
 
 def keyed(job: Job) -> Job:
-    """The job with the digests of its input and of the code."""
-    return replace(job, inputs=inputs_digest(job.source), code=code_digest())
+    """The job with the digests of the code and of its input, where that is local: others are fetched once, for the
+    attempt, which is where their digest is found."""
+    inputs = "" if job.remote else inputs_digest(Path(job.source))
+    return replace(job, inputs=inputs, code=code_digest())
+
+
+def _mark(job: Job) -> str:
+    """What tells a running job from others: jobs of equal keys run as one."""
+    return job.name if job.remote else job.key
+
+
+def _key(job: Job) -> str:
+    return "" if job.remote else job.key

@@ -24,6 +24,8 @@ class Ended:
     job: Job
     record: Record | None
     reason: str = ""
+    known: bool = False
+    """Whether the record is of an earlier attempt."""
 
 
 class Executor(Protocol):
@@ -47,8 +49,8 @@ Told = Callable[[Job, dict[str, Any]], None]
 class Threads:
     """Workers of this machine, one in each of some threads."""
 
-    def __init__(self, slots: int, place: str, limits: JobLimits, work: str, told: Told) -> None:
-        self.slots, self.place, self.limits, self.told = slots, place, limits, told
+    def __init__(self, slots: int, place: str, limits: JobLimits, work: str, told: Told, *, again: bool) -> None:
+        self.slots, self.place, self.limits, self.told, self.again = slots, place, limits, told, again
         self.workers = [Worker(work) for _ in range(slots)]
         self.waiting: SimpleQueue[tuple[Job, int] | None] = SimpleQueue()
         self.done: SimpleQueue[Ended | BaseException] = SimpleQueue()
@@ -72,9 +74,15 @@ class Threads:
                     continue
                 job, number = taken
                 found = attempt(
-                    job, self.place, self.limits, worker, lambda said, job=job: self.told(job, said), number=number
+                    job,
+                    self.place,
+                    self.limits,
+                    worker,
+                    lambda said, job=job: self.told(job, said),
+                    number=number,
+                    again=self.again,
                 )
-                self.done.put(Ended(job=job, record=found.record))
+                self.done.put(Ended(job=job, record=found.record, known=found.known))
         except BaseException as error:  # raised again where ends are asked for
             self.done.put(error)
         finally:
@@ -82,9 +90,9 @@ class Threads:
 
 
 @contextmanager
-def threads(slots: int, place: str, limits: JobLimits, work: str, told: Told) -> Generator[Threads]:
+def threads(slots: int, place: str, limits: JobLimits, work: str, told: Told, *, again: bool) -> Generator[Threads]:
     """Workers that end with the block, or with this process."""
-    made = Threads(slots, place, limits, work, told)
+    made = Threads(slots, place, limits, work, told, again=again)
     running = [Thread(target=made.serve, args=[w], daemon=True, name="f3sr-slot") for w in made.workers]
     if not kernels.is_warm():
         made.workers[0].warm()  # one compiles for all

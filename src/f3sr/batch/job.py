@@ -62,6 +62,11 @@ class Job:
         values = asdict(self)
         return digest("job 1", {name: value for name, value in values.items() if name not in ("name", "source")})
 
+    @property
+    def remote(self) -> bool:
+        """Whether the input lies behind a URL. It is digested where it is fetched for the work."""
+        return "://" in self.source
+
     @classmethod
     def from_plain(cls, values: Mapping[str, Any]) -> Self:
         """The job whose ``asdict`` went through JSON."""
@@ -84,10 +89,10 @@ def versions() -> dict[str, str]:
     return {"f3sr": f3sr.__version__, **{name: metadata.version(name) for name in NUMERIC}}
 
 
-def inputs_digest(source: str) -> str:
-    """Digest of every file of an input folder by relative path and content. What cannot be read has a digest too:
+def inputs_digest(source: Path) -> str:
+    """Digest of every file of a local input folder by relative path and content. What cannot be read has a digest too:
     the job then says what is wrong, and another one begins where it is mended."""
-    return _remote_digest(source) if "://" in source else digest([*_local_digests(Path(source))])
+    return digest([*_local_digests(source)])
 
 
 def _local_digests(root: Path) -> Iterator[tuple[str, str]]:
@@ -121,14 +126,6 @@ def _file_digest(path: Path) -> str:
             return hashlib.file_digest(cast(Any, file), "sha256").hexdigest()
     except OSError as error:
         return reason(error)
-
-
-def _remote_digest(url: str) -> str:
-    try:
-        with fetched(url) as folder:
-            return digest([*_local_digests(folder)])
-    except UnreachableError as error:
-        return digest(str(error))
 
 
 @contextmanager

@@ -21,7 +21,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
-from f3sr.batch.job import Job, fetched, inputs_digest
+from f3sr.batch.job import Job, inputs_digest
 from f3sr.batch.patience import Patience
 from f3sr.dataset.record import Failure
 from f3sr.dataset.storage import is_full, patiently
@@ -35,6 +35,8 @@ class JobRequest:
     """One job for a worker."""
 
     job: dict[str, Any]
+    source: str
+    """The files of its input."""
     folder: str
     """Where the package is made."""
     stages: str
@@ -107,16 +109,16 @@ def _result(module: Any, request: JobRequest, reply: _Reply) -> dict[str, Any]:
             reply(event="step", **asdict(step))
 
     waiting = Patience(request.storage_wait_s, lambda said: reply(**said))
-    with fetched(job.source) as source:
-        result = module.work(
-            job,
-            source,
-            Path(request.folder),
-            Path(request.stages),
-            progress=told,
-            patiently=partial(patiently, wait=waiting),
-        )
-    if inputs_digest(job.source) != job.inputs:
+    source = Path(request.source)
+    result = module.work(
+        job,
+        source,
+        Path(request.folder),
+        Path(request.stages),
+        progress=told,
+        patiently=partial(patiently, wait=waiting),
+    )
+    if inputs_digest(source) != job.inputs:
         raise ChangedError(f"{job.source}: changed during the run; run again")
     return result
 

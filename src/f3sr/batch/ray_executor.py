@@ -16,6 +16,7 @@ from typing import Any
 from f3sr.batch.attempt import attempt
 from f3sr.batch.executors import Ended
 from f3sr.batch.job import Job
+from f3sr.batch.ray_address import require_cluster
 from f3sr.batch.supervisor import JobLimits, Worker
 from f3sr.dataset.record import from_bytes, to_bytes
 from f3sr.errors import F3srError, one_line
@@ -31,10 +32,10 @@ _workers: dict[str, Worker] = {}
 class RayTasks:
     """Tasks of a cluster, so many at a time."""
 
-    def __init__(self, ray: Any, slots: int, place: str, limits: JobLimits, work: str) -> None:
+    def __init__(self, ray: Any, slots: int, place: str, limits: JobLimits, work: str, *, again: bool) -> None:
         self.ray, self.slots = ray, slots
         self.running: dict[Any, Job] = {}
-        self.options = {"place": place, "limits": asdict(limits), "work": work}
+        self.options = {"place": place, "limits": asdict(limits), "work": work, "again": again}
         # A job that fails is an answer, not an exception; what raises is a machine or process that is gone.
         self.task = ray.remote(num_cpus=1, max_retries=0)(remote_attempt)
 
@@ -46,17 +47,19 @@ class RayTasks:
         for reference in ready:
             job = self.running.pop(reference)
             try:
-                data = self.ray.get(reference)
+                data, known = self.ray.get(reference)
             except self.ray.exceptions.RayTaskError as error:
                 raise F3srError(f"a task of Ray failed: {one_line(str(error.cause))}") from error
             except self.ray.exceptions.RayError as error:
                 yield Ended(job=job, record=None, reason=_told(error))
             else:
-                yield Ended(job=job, record=from_bytes(data, job.name))
+                yield Ended(job=job, record=from_bytes(data, job.name), known=known)
 
 
 @contextmanager
-def ray_tasks(address: str, slots: int, place: str, limits: JobLimits, work: str) -> Generator[RayTasks]:
+def ray_tasks(
+    address: str, slots: int, place: str, limits: JobLimits, work: str, *, again: bool
+) -> Generator[RayTasks]:
     """Tasks of the cluster at an address (``auto``: the one of this machine), until the block ends.
 
     Meanwhile ``sys.stdout`` is stderr: Ray prints there that nodes are gone, which must not mix with events.
@@ -65,7 +68,7 @@ def ray_tasks(address: str, slots: int, place: str, limits: JobLimits, work: str
     ray = library("ray", extra=EXTRA, why="--ray")
     with contextlib.redirect_stdout(sys.stderr), _connected(ray, address):
         processors = int(ray.cluster_resources().get("CPU", 1))
-        yield RayTasks(ray, slots or AHEAD * processors, place, limits, work)
+        yield RayTasks(ray, slots or AHEAD * processors, place, limits, work, again=again)
 
 
 @contextmanager
@@ -73,21 +76,24 @@ def _connected(ray: Any, address: str) -> Generator[None]:
     if ray.is_initialized():
         yield
         return
+    require_cluster(ray, address)
     try:
         ray.init(address=address, log_to_driver=False, logging_level="ERROR")
     except (ConnectionError, ValueError, RuntimeError) as error:
-        raise F3srError(f"no Ray cluster at {address}: {one_line(str(error))}") from error
+        raise F3srError(f"--ray: no Ray cluster at {address}: {one_line(str(error))}") from error
     try:
         yield
     finally:
         ray.shutdown()
 
 
-def remote_attempt(job: dict[str, Any], number: int, place: str, limits: dict[str, Any], work: str) -> bytes:
-    """The task: one attempt, and its record as bytes."""
+def remote_attempt(
+    job: dict[str, Any], number: int, place: str, limits: dict[str, Any], work: str, again: bool
+) -> tuple[bytes, bool]:
+    """The task: one attempt; its record as bytes, and whether an earlier attempt made that."""
     worker = _workers.setdefault(work, Worker(work))
-    found = attempt(Job.from_plain(job), place, JobLimits(**limits), worker, _unheard, number=number)
-    return to_bytes(found.record)
+    found = attempt(Job.from_plain(job), place, JobLimits(**limits), worker, _unheard, number=number, again=again)
+    return to_bytes(found.record), found.known
 
 
 def _unheard(said: dict[str, Any]) -> None:

@@ -69,10 +69,10 @@ def run_batch(
 def _executor(dataset: Dataset, plan: RunPlan, told: Told) -> Generator[Executor]:
     place = dataset.storage.place
     if plan.ray is not None:
-        with ray_tasks(plan.ray, plan.slots, place, plan.limits, plan.work) as cluster:
+        with ray_tasks(plan.ray, plan.slots, place, plan.limits, plan.work, again=plan.again) as cluster:
             yield cluster
         return
-    with threads(plan.slots, place, plan.limits, plan.work, told) as made:
+    with threads(plan.slots, place, plan.limits, plan.work, told, again=plan.again) as made:
         yield made
 
 

@@ -16,6 +16,7 @@ from f3sr.dataset.storage import is_full
 from f3sr.delivery import deliver
 from f3sr.errors import F3srError, InputError
 from f3sr.film.studio import FilmConfig, Studio
+from f3sr.goals.file_names import FILM
 from f3sr.goals.refusal import Refusal
 from f3sr.io import inputs
 from f3sr.io.input_folder import INPUT_FOLDER
@@ -74,13 +75,18 @@ def work(
     out = folder / PACKAGE_FOLDER
     patiently(lambda: deliver(result, out, overwrite=True, times=False, progress=progress))
     package = read_package(out)
-    goals = _Goals(package, job, progress, patiently).played() if job.goals else []
+    goals = goal_rows(package, job, progress, patiently)
     return {
         "scene": _scene(result) | {"goals": len(goals), "goals_met": sum(g["state"] == "met" for g in goals)},
         "objects": [_object(record, result) for record in package.document.objects],
         "goals": goals,
         "stages": result.seconds,
     }
+
+
+def goal_rows(package: Package, job: Job, progress: Progress, patiently: Patiently) -> list[dict[str, Any]]:
+    """The goals of a job played in its package, with films if it asks for them."""
+    return _Goals(package, job, progress, patiently).played()
 
 
 class _Goals:
@@ -103,19 +109,25 @@ class _Goals:
                 return row | {"state": "refused", "goal_reason": f"{played.reason}: {played.message}"}
             place = Path(ROLLOUTS, str(number))
             self.patiently(lambda: write_played(played, self.package.folder / place, overwrite=True))
-            if self.job.film:
-                self._film(played, self.package.folder / place)
         except F3srError as error:
             if is_full(error):
                 raise
             return row | {"state": "failed", "goal_reason": str(error)}
-        return row | _told(played) | {"folder": place.as_posix()}
+        filmed = self._film(played, place) if self.job.film else {}
+        return row | _told(played) | {"folder": place.as_posix()} | filmed
 
-    def _film(self, played: Played, place: Path) -> None:
-        self.studio = self.studio or Studio.of(self.package, FilmConfig())
-        with timed("film", self.progress):
-            made = self.studio.film(played)
-        self.patiently(lambda: write_film(made.files, place))
+    def _film(self, played: Played, place: Path) -> dict[str, Any]:
+        """Where the film of a goal is; one that fails leaves the goal as it is."""
+        try:
+            with timed("film", self.progress):
+                self.studio = self.studio or Studio.of(self.package, FilmConfig())
+                made = self.studio.film(played)
+            self.patiently(lambda: write_film(made.files, self.package.folder / place))
+        except F3srError as error:
+            if is_full(error):
+                raise
+            return {"film_reason": str(error)}
+        return {"film": (place / FILM).as_posix()}
 
 
 def _told(played: Played) -> dict[str, Any]:

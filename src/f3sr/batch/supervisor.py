@@ -92,10 +92,11 @@ class Worker:
         self.close()
         raise F3srError(f"a worker could not start: {words}")
 
-    def run(self, job: Job, folder: Path, stages: Path, limits: JobLimits, tell: Tell) -> Answer:
-        """One attempt at a job. Every end of it is an answer."""
+    def run(self, job: Job, source: Path, folder: Path, stages: Path, limits: JobLimits, tell: Tell) -> Answer:
+        """One attempt at a job whose input files are in ``source``. Every end of it is an answer."""
         request = JobRequest(
             job=asdict(job),
+            source=str(source),
             folder=str(folder),
             stages=str(stages),
             data_bytes=round(2e6 * limits.memory_mb) + SPARE_BYTES,

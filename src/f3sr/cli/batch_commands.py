@@ -20,6 +20,7 @@ MaybeDataset = Annotated[str | None, arg(aliases=["-o"], metavar="DATASET", help
 FolderOut = Annotated[Path, arg(aliases=["-o"], metavar="OUT")]
 Address = Annotated[str | None, arg(metavar="auto|ADDRESS", help_behavior_hint=default_shown)]
 Where = Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="CONDITION", help_behavior_hint=default_shown)]
+Keep = Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="DATASET", help_behavior_hint=default_shown)]
 RowKind = Annotated[Literal["scene", "object", "goal"], arg(metavar="scene|object|goal")]
 Gigabytes = Annotated[float, arg(metavar="GB", help_behavior_hint=lambda v: "" if v == "0.0" else f"(default: {v})")]
 Count = Annotated[int, arg(metavar="N", help_behavior_hint=lambda v: "" if v == "0" else f"(default: {v})")]
@@ -249,11 +250,43 @@ def export(
     console.say(json_.dumps({"shards": str(written)}) if json else f"shards:   {written}, listed in {CONTENTS}")
 
 
-DATASET_COMMANDS: Mapping[str, Any] = {"stats": stats, "filter": filter_, "sheet": sheet, "export": export}
+def prune(dataset: DatasetPlace, /, keep: Keep = (), dry_run: bool = False, json: bool = False) -> None:
+    """Remove packages that no job of the dataset has any more: of older inputs, settings or code.
+
+    Args:
+        dataset: What ``f3sr batch`` wrote. No run may write it meanwhile, nor may its last run have been cut off.
+        keep: A dataset by reference whose packages stay; several are possible.
+        dry_run: Only say what would be removed.
+        json: Print one JSON object instead of text.
+    """
+    from dataclasses import asdict
+
+    from f3sr.cli import console
+    from f3sr.dataset.layout import Dataset
+    from f3sr.dataset.prune import prune as removed
+
+    found = removed(Dataset.read(dataset), keep=[Dataset.read(place) for place in keep], dry_run=dry_run)
+    if json:
+        console.say(json_.dumps({"dry_run": dry_run, **asdict(found)}))
+        return
+    begun = "would remove" if dry_run else "removed"
+    console.say(
+        f"{begun} {_plural(found.packages, 'package')} of {found.bytes / 1e6:.1f} MB, "
+        f"{_plural(found.failures, 'record')} of failures"
+    )
+
+
+DATASET_COMMANDS: Mapping[str, Any] = {
+    "stats": stats,
+    "filter": filter_,
+    "sheet": sheet,
+    "export": export,
+    "prune": prune,
+}
 
 
 def dataset() -> None:
-    """Look at a dataset of scenes: stats, filter, sheet, export; ``f3sr dataset COMMAND --help`` explains each."""
+    """Look at a dataset of scenes: stats, filter, sheet, export, prune; ``f3sr dataset COMMAND --help`` tells more."""
     raise InputError("dataset", found="no command", accepted=", ".join(DATASET_COMMANDS))
 
 
@@ -283,6 +316,10 @@ def _names(text: str) -> list[str]:
 def _require(option: str, value: float, least: float, most: float) -> None:
     if not least <= value <= most:
         raise InputError(option, found=f"{value:g}", accepted=f"a number from {least:g} to {most:g}")
+
+
+def _plural(count: int, thing: str) -> str:
+    return f"{count} {thing}{'' if count == 1 else 's'}"
 
 
 def _counted(counts: Mapping[str, int]) -> str:

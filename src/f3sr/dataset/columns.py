@@ -44,7 +44,7 @@ def _columns() -> Iterator[Column]:
     for name in ("mass", "density", "friction", "restitution", "IoU", "IoU_visible", "gap_m", "below_m"):
         yield Column(name=name, type="number", of=("object",))
     yield from (Column(name=n, type="whole", of=("goal",)) for n in ("number", "rollouts"))
-    for name in ("goal", "state", "goal_reason", "interpretation", "task", "folder"):
+    for name in ("goal", "state", "goal_reason", "interpretation", "task", "folder", "film", "film_reason"):
         yield Column(name=name, type="text", of=("goal",))
     yield from (Column(name=n, type="number", of=("goal",)) for n in ("margin", "simulated_s"))
 

@@ -2,7 +2,7 @@
 {
   const cards = document.getElementById("cards");
   const all = [...cards.children];
-  const [sort, down, search, count] = ["sort", "down", "search", "count"].map((id) => document.getElementById(id));
+  const [state, sort, down, search, count] = ["state", "sort", "down", "search", "count"].map((id) => document.getElementById(id));
 
   function show() {
     const name = sort.value.toLowerCase();
@@ -17,14 +17,15 @@
     if (!name && down.checked) order.reverse();
     let shown = 0;
     for (const [card] of order) {
-      card.hidden = words !== "" && !card.textContent.toLowerCase().includes(words);
+      const wanted = state.value === "" || card.dataset.state === state.value;
+      card.hidden = !wanted || (words !== "" && !card.textContent.toLowerCase().includes(words));
       shown += !card.hidden;
     }
     cards.append(...order.map(([card]) => card));
     count.textContent = `${shown} shown`;
   }
 
-  for (const control of [sort, down, search]) control.addEventListener("input", show);
+  for (const control of [state, sort, down, search]) control.addEventListener("input", show);
   document.querySelector("form").addEventListener("submit", (event) => event.preventDefault());
   show();
 }

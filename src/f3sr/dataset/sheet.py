@@ -16,6 +16,7 @@ from typing import Any
 from f3sr.dataset.layout import PACKAGE_FOLDER, Dataset, scene_of
 from f3sr.dataset.selection import selected
 from f3sr.dataset.storage import LocalStorage
+from f3sr.dataset.summary import grouped, told
 from f3sr.errors import OutputError
 from f3sr.runtime import atomic_folder
 from f3sr.web.document import WEB, document
@@ -28,6 +29,8 @@ WIDTH, HEIGHT = 320, 240
 """Largest thumbnail [pixels]."""
 SHOWN = ("n", "mIoU_visible", "K_max_J", "D_max_cm", "gap_pct", "proxy_far_pct", "cpu_s", "goals_met")
 """Measures of a scene on the page; the page sorts by them."""
+Goal = tuple[str, str, str]
+"""Goal, state and reason."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -37,14 +40,17 @@ class SceneCard:
     name: str
     status: str
     reason: str
+    """Of a failure, with paths relative to ``source``."""
+    source: str
+    labels: str
+    """Of its objects."""
     picture: str
     """Relative path; empty where there is none."""
     report: str
     """Relative path of report.html; empty where there is none."""
     values: Sequence[tuple[str, float, str]]
     """Name, value and text of the measures that are known."""
-    goals: Sequence[tuple[str, str, str]]
-    """Goal, state and reason."""
+    goals: Sequence[Goal]
 
 
 def write_sheet(dataset: Dataset, out: Path, where: Sequence[str] = ()) -> Path:
@@ -54,14 +60,16 @@ def write_sheet(dataset: Dataset, out: Path, where: Sequence[str] = ()) -> Path:
     """
     out = out.absolute()
     rows = selected(dataset, where).to_pylist()
-    goals = _goals(dataset)
+    goals, labels = _goals(dataset), _labels(dataset)
     with atomic_folder.claimed(out, _require_sheet) as claim:
         cards: list[SceneCard] = []
         for row in rows:
             picture = _thumbnail(dataset, row)
             if picture:
                 claim.write(f"{PICTURES}/{row['key']}.jpg", picture)
-            cards.append(_card(dataset, row, goals.get(row["name"], []), bool(picture), out))
+            cards.append(
+                _card(dataset, row, goals.get(row["name"], []), labels.get(row["name"], []), bool(picture), out)
+            )
         claim.write(PAGE, _page(cards, where, dataset))
         claim.replace()
     return out / PAGE
@@ -73,6 +81,8 @@ def _page(cards: Sequence[SceneCard], where: Sequence[str], dataset: Dataset) ->
         "columns": SHOWN,
         "where": " and ".join(where),
         "title": Path(dataset.storage.place).name,
+        "overlays": any(card.picture for card in cards),
+        "reasons": grouped(card.reason for card in cards if card.reason),
         "counts": {state: sum(c.status == state for c in cards) for state in sorted({c.status for c in cards})},
     }
     styles, scripts = (WEB / "page.css", HERE / "sheet.css"), (HERE / "sheet.js",)
@@ -80,17 +90,25 @@ def _page(cards: Sequence[SceneCard], where: Sequence[str], dataset: Dataset) ->
 
 
 def _card(
-    dataset: Dataset, row: dict[str, Any], goals: list[tuple[str, str, str]], pictured: bool, out: Path
+    dataset: Dataset, row: dict[str, Any], goals: list[Goal], labels: list[str], pictured: bool, out: Path
 ) -> SceneCard:
     return SceneCard(
         name=row["name"],
         status=row["status"],
-        reason=": ".join(filter(None, (row["failure"], row["reason"]))),
+        reason=told(row),
+        source=row["source"] or "",
+        labels=", ".join(labels),
         picture=f"{PICTURES}/{row['key']}.jpg" if pictured else "",
         report=_report(dataset, row, out),
-        values=[(name, float(row[name]), f"{row[name]:.4g}") for name in SHOWN if row[name] is not None],
+        values=[(name, float(row[name]), _shown(name, row)) for name in SHOWN if row[name] is not None],
         goals=goals,
     )
+
+
+def _shown(name: str, row: dict[str, Any]) -> str:
+    if name == "goals_met":
+        return f"{row[name]} of {row['goals']}" if row["goals"] else "no goals"
+    return f"{row[name]:.4g}"
 
 
 def _report(dataset: Dataset, row: dict[str, Any], out: Path) -> str:
@@ -101,11 +119,19 @@ def _report(dataset: Dataset, row: dict[str, Any], out: Path) -> str:
     return Path(os.path.relpath(report, out)).as_posix() if report.exists() else ""
 
 
-def _goals(dataset: Dataset) -> dict[str, list[tuple[str, str, str]]]:
+def _goals(dataset: Dataset) -> dict[str, list[Goal]]:
     """Goals with state and reason, by the name of their scene."""
-    found: dict[str, list[tuple[str, str, str]]] = {}
+    found: dict[str, list[Goal]] = {}
     for row in selected(dataset, (), "goal").select(["name", "goal", "state", "goal_reason"]).to_pylist():
         found.setdefault(row["name"], []).append((row["goal"] or "", row["state"] or "", row["goal_reason"] or ""))
+    return found
+
+
+def _labels(dataset: Dataset) -> dict[str, list[str]]:
+    """Labels of objects, by the name of their scene."""
+    found: dict[str, list[str]] = {}
+    for row in selected(dataset, (), "object").select(["name", "label"]).to_pylist():
+        found.setdefault(row["name"], []).append(row["label"] or "")
     return found
 
 

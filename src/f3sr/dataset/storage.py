@@ -64,6 +64,14 @@ class Storage(Protocol):
         """Put a local folder with a record there. A folder that is there with its record stays."""
         ...
 
+    def discard(self, path: str) -> None:
+        """Delete a folder with a record: it counts whole, or not at all."""
+        ...
+
+    def size(self, path: str) -> int:
+        """Bytes of all files of a folder."""
+        ...
+
     def local(self, path: str) -> contextlib.AbstractContextManager[Path]:
         """A folder as local files, for as long as the block lasts."""
         ...
@@ -164,6 +172,15 @@ class LocalStorage:
                 if error.errno not in (errno.ENOTEMPTY, errno.EEXIST) or not (target / RECORD).exists():
                     raise
 
+    def discard(self, path: str) -> None:
+        away = self.scratch() / f"{Path(path).name}.{uuid.uuid4().hex}"
+        away.parent.mkdir(exist_ok=True)
+        (self.folder / path).rename(away)
+        shutil.rmtree(away)
+
+    def size(self, path: str) -> int:
+        return sum((self.folder / path / name).stat().st_size for name in files_of(self.folder / path))
+
     @contextmanager
     def local(self, path: str) -> Generator[Path]:
         yield self.folder / path
@@ -240,6 +257,14 @@ class RemoteStorage:
             self.files.makedirs(parent, exist_ok=True)
         self.files.put([str(folder / name) for name in names], targets)  # object stores take them side by side
         self.put(f"{path}/{RECORD}", folder / RECORD)
+
+    def discard(self, path: str) -> None:
+        self.remove(f"{path}/{RECORD}")  # without it the rest is nothing
+        with contextlib.suppress(FileNotFoundError):  # an object store has no folder without files
+            self.files.rm(self._of(path), recursive=True)
+
+    def size(self, path: str) -> int:
+        return int(self.files.du(self._of(path)))
 
     @contextmanager
     def local(self, path: str) -> Generator[Path]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ REASONS = 20
 """Reasons of failures that are listed."""
 SHOWN = 160
 """Characters of a reason by which failures are counted."""
+NUMBER = re.compile(r"\d+(?:\.\d+)?")
+"""Reasons that differ in numbers only are counted as one."""
 
 
 def summary(dataset: Dataset, where: Sequence[str] = ()) -> dict[str, Any]:
@@ -26,13 +29,12 @@ def summary(dataset: Dataset, where: Sequence[str] = ()) -> dict[str, Any]:
     names = {job.name for job in scenes_with(dataset, where)} if where else None
     goals = _of(names, selected(dataset, (), "goal"), "state")
     labels = _of(names, selected(dataset, (), "object"), "label")
-    failures = [(r["failure"], r["reason"]) for r in _rows(scenes, "failure", "reason") if r["failure"]]
-    reasons = Counter(f"{kind}: {text[:SHOWN]}" for kind, text in failures)
+    failed = [row for row in _rows(scenes, "source", "failure", "reason") if row["failure"]]
     return {
         "scenes": scenes.num_rows,
         "status": _counts(scenes.column("status").to_pylist()),
-        "failures": _counts(kind for kind, _ in failures),
-        "reasons": dict(reasons.most_common(REASONS)),
+        "failures": _counts(row["failure"] for row in failed),
+        "reasons": dict(list(grouped(map(told, failed)).items())[:REASONS]),
         "objects": len(labels),
         "labels": dict(Counter(labels).most_common(REASONS)),
         "goals": _counts(goals),
@@ -40,6 +42,21 @@ def summary(dataset: Dataset, where: Sequence[str] = ()) -> dict[str, Any]:
         "costs": {n: q for n in COSTS if (q := _quantiles(scenes, n))},
         "total": {name: _total(scenes, name) for name in ("cpu_s", "package_bytes")},
     }
+
+
+def told(row: Mapping[str, Any]) -> str:
+    """Kind and reason of a failure; paths are relative to the input folder. Empty for a scene without one."""
+    text = (row["reason"] or "").replace(f"{row['source']}/", "").replace(row["source"] or "\0", "the input")
+    return ": ".join(filter(None, (row["failure"], text)))
+
+
+def grouped(reasons: Iterable[str]) -> dict[str, int]:
+    """How often each reason comes, most frequent first; of those that differ in numbers only, the first stands."""
+    shown: dict[str, str] = {}
+    counts = Counter[str]()
+    for text in reasons:
+        counts[shown.setdefault(NUMBER.sub("0", text), text[:SHOWN])] += 1
+    return dict(counts.most_common())
 
 
 def _rows(table: Any, *names: str) -> list[dict[str, Any]]:
