@@ -27,7 +27,7 @@ from f3sr.settings import changed, settings
 from f3sr.stages.align import AlignConfig, Aligned, align
 from f3sr.stages.assemble import AssembleConfig, Assembled, as_given, assemble
 from f3sr.stages.close import CloseConfig, Closed, close
-from f3sr.stages.coarsen import CoarsenConfig, Coarsened, coarsen
+from f3sr.stages.coarsen import ROUNDS, CoarsenConfig, Coarsened, coarsen
 from f3sr.stages.decompose import Decomposed, decompose
 from f3sr.stages.evaluate import EvaluateConfig, Evaluation, direct_composition, evaluate
 from f3sr.stages.inpaint import Inpainted, inpaint
@@ -161,7 +161,7 @@ def reconstruct(
         config.coarsen,
         made=made,
         joins=decomposed.joins,
-        settled=at_rest,
+        settled=partial(_rested, config=config.settle.within(ROUNDS)),
         restless=settled.restless,
     )
     scene, _ = run.stage(Described, describe, scene, config.relate)

@@ -221,7 +221,7 @@ def _evenly(count: int) -> Array:
 def _fewer(points: Array, body: _Body) -> Array:
     """The corners (k, 3) after edges of the hull of points (n, 3) were collapsed to as few as wanted."""
     while True:
-        surface = _Surface(points, body)
+        surface = _Triangulated(points, body)
         surplus = len(surface.corners) - body.most
         if surplus <= 0:
             return points[surface.corners]
@@ -248,7 +248,7 @@ def _cheap(places: Array, costs: Array, body: _Body) -> Array:
 def _drawn_in(points: Array, body: _Body, steps: Sequence[float]) -> Array:
     """The corners (k, 3) after every vertex went some of the way to its best place, several times."""
     for step in steps:
-        surface = _Surface(points, body)
+        surface = _Triangulated(points, body)
         each = surface.corners[:, None]
         corners = points[surface.corners]
         places, costs = surface.places(each, True)
@@ -260,10 +260,10 @@ def _drawn_in(points: Array, body: _Body, steps: Sequence[float]) -> Array:
         points = surface.moved(each, places, costs, len(each))
         if not np.isfinite(costs).any():
             break
-    return points[_Surface(points, body).corners]
+    return points[_Triangulated(points, body).corners]
 
 
-class _Surface:
+class _Triangulated:
     """The hull of points as triangles (f, 3), counterclockwise from outside."""
 
     def __init__(self, points: Array, body: _Body) -> None:

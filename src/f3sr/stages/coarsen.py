@@ -25,6 +25,8 @@ KEPT, KEPT_MOVED = 0.25, 0.75
 """Share of the vertices that is kept around contacts, of an object that rests so and of one that moved with fewer."""
 TRIES = 3
 """Most attempts: with the parts wanted, with finer ones of what moves, at last with still finer ones of the group."""
+ROUNDS = 2
+"""Most rounds of settling: what takes more moves with its new parts."""
 FINER = 0.1
 """What a part fewer is worth of an object that moved, as a share of before."""
 

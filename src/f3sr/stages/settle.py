@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -24,6 +24,10 @@ MIN_SHARE = 0.05
 class SettleStageConfig:
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     settling: SettleConfig = field(default_factory=SettleConfig)
+
+    def within(self, rounds: int) -> Self:
+        """The same with no more rounds."""
+        return replace(self, settling=replace(self.settling, rounds=min(rounds, self.settling.rounds)))
 
 
 @dataclass(frozen=True, kw_only=True)
