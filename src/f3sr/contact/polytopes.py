@@ -13,7 +13,7 @@ Lengths have the unit of the polytopes: metres in the world.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self, cast
@@ -139,6 +139,12 @@ class Polytope:
 
 
 _MADE: WeakKeyDictionary[ConvexPart, Polytope] = WeakKeyDictionary()
+
+
+def placed(parts: Iterable[ConvexPart], T: Array) -> tuple[Polytope, ...]:
+    """The polytopes of convex parts under a similarity T (4, 4)."""
+    return tuple(Polytope.of(p).moved(T) for p in parts)
+
 
 Body = Sequence[Polytope]
 """A body is the union of its convex parts."""

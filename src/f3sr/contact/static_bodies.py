@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from f3sr.contact.contact_patches import Contacts, find_contacts
-from f3sr.contact.polytopes import Body, Polytope
+from f3sr.contact.polytopes import Body, Polytope, placed
 from f3sr.core.transforms import Array, frozen, transform
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.physics.mujoco_model import body_of
@@ -61,7 +61,7 @@ def _body_of(o: SceneObject, parts: Body | None) -> StaticBody:
     even = volumes @ np.array([p.centroid for p in o.solids]) / volumes.sum()
     return StaticBody(
         id=o.id,
-        parts=tuple(parts or (Polytope.of(p).moved(o.T_world_asset) for p in o.solids)),
+        parts=tuple(parts or placed(o.solids, o.T_world_asset)),
         mass=body.mass,
         centers=transform(o.T_world_object, np.stack([body.center, o.scale * even])),
         friction=o.friction,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from f3sr.contact.polytopes import Polytope, free_travel
+from f3sr.contact.polytopes import Polytope, free_travel, placed
 from f3sr.core.transforms import UP, Array, transform
 from f3sr.goals.cavity import Cavity, cavity_of
 from f3sr.physics import mujoco_model
@@ -91,7 +91,7 @@ class SceneLayout:
         """Its collision parts, in the world."""
         if id not in self._polytopes:
             T = self.scene[id].T_world_object
-            self._polytopes[id] = tuple(Polytope.of(q).moved(T) for q in self.body(id).parts)
+            self._polytopes[id] = placed(self.body(id).parts, T)
         return self._polytopes[id]
 
     @cached_property

@@ -14,7 +14,7 @@ import numpy as np
 
 from f3sr.contact import polytopes
 from f3sr.contact.contact_patches import find_contacts
-from f3sr.contact.polytopes import Polytope
+from f3sr.contact.polytopes import Polytope, placed
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, Array, transform
 from f3sr.physics.mujoco_model import solid_of
@@ -62,7 +62,7 @@ def with_few_parts(
 
     ``made`` has the parts that the joins (by id) are about. Those of ``scene`` may have been cut back and split since.
     """
-    bodies = {o.id: _body(o) for o in scene}
+    bodies = {o.id: placed(o.solids, o.T_world_asset) for o in scene}
     contacts = find_contacts(bodies, reach=max(limit.reach for limit in limits.values()))
     now = list[SceneObject]()
     for o in scene:
@@ -74,12 +74,8 @@ def with_few_parts(
         parts, footing = fewer.on_footing(fewer.joined(made[o.id].parts, joins.get(o.id, ())))
         parts, footing = tuple(map(fewer.thick, parts)), tuple(map(fewer.thick, footing))
         now.append(replace(o, parts=parts, footing=footing, solid=solid_of(o)[0]))
-        bodies[o.id] = _body(now[-1])
+        bodies[o.id] = placed(now[-1].solids, o.T_world_asset)
     return scene.with_objects(*now)
-
-
-def _body(o: SceneObject) -> tuple[Polytope, ...]:
-    return tuple(Polytope.of(p).moved(o.T_world_asset) for p in o.solids)
 
 
 class _Fewer:

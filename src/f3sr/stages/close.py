@@ -14,7 +14,7 @@ from annotated_types import Interval
 from f3sr.contact import polytopes
 from f3sr.contact.contact_patches import find_contacts
 from f3sr.contact.footing import supplied
-from f3sr.contact.polytopes import Polytope
+from f3sr.contact.polytopes import Polytope, placed
 from f3sr.contact.vertical_gap import Meeting, meeting
 from f3sr.core.transforms import UP, Array, pose, transform
 from f3sr.metrics.contact_groups import SettledScene, groups_of
@@ -273,7 +273,7 @@ class _Lowered:
     @cached_property
     def polytopes(self) -> tuple[Polytope, ...]:
         """All colliders, footing included, in the world."""
-        return tuple(Polytope.of(p).moved(self.now.T_world_asset) for p in self.now.solids)
+        return placed(self.now.solids, self.now.T_world_asset)
 
     @property
     def box(self) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from f3sr.contact import polytopes
-from f3sr.contact.polytopes import Polytope
+from f3sr.contact.polytopes import placed
 from f3sr.core.transforms import Array
 from f3sr.metrics.measures import sample_surface
 from f3sr.scene import Relation, Scene
@@ -140,7 +140,7 @@ def _bodies(known: Known) -> dict[int, polytopes.Body]:
     """Every object's proxies, in the plan."""
     scene: Scene = known.scene
     T = known.plan.T_plan_world
-    return {o.id: tuple(Polytope.of(p).moved(T @ o.T_world_asset) for p in o.parts) for o in scene}
+    return {o.id: placed(o.parts, T @ o.T_world_asset) for o in scene}
 
 
 def _touching(A: polytopes.Body, B: polytopes.Body, limit: float) -> SurfaceDistance | None:

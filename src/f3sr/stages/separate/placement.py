@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from f3sr.contact.polytopes import Body, Polytope, collide
+from f3sr.contact.polytopes import Body, Polytope, collide, placed
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, pose, transform
 from f3sr.scene import GROUND, Scene, SceneObject
@@ -26,7 +26,7 @@ class Placement:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.depth_sigma = depth_prior.sigmas(scene)
-        self.bodies = {o.id: polytopes(o, o.parts) for o in scene}
+        self.bodies = {o.id: placed(o.parts, o.T_world_asset) for o in scene}
         self.footings: dict[int, tuple[ConvexPart, ...]] = {}
         self.parts: dict[int, tuple[ConvexPart, ...]] = {o.id: o.parts for o in scene}
         self.shift: dict[int, Array] = {o.id: np.zeros(3) for o in scene}
@@ -84,7 +84,7 @@ class Placement:
     def stand(self, id: int, parts: tuple[ConvexPart, ...], wedges: tuple[ConvexPart, ...]) -> None:
         """Give a body other ``parts`` and a footing of ``wedges`` (both in the asset frame)."""
         self.parts[id], self.footings[id] = parts, wedges
-        self.bodies[id] = polytopes(self.object(id), (*parts, *wedges))
+        self.bodies[id] = placed((*parts, *wedges), self.object(id).T_world_asset)
 
     def rays_left(self, id: int, limit: float) -> tuple[float, float]:
         """Least and largest scale k that keep a body within ``limit`` of its first distance [share of it]."""
@@ -139,10 +139,6 @@ class Placement:
         """Pairs of ids that overlap, the ground included as the second."""
         pairs = [(a, b) for a, b in combinations(self.bodies, 2) if collide(self.bodies[a], self.bodies[b])]
         return pairs + [(id, GROUND) for id in self.bodies if self.lowest(id) < -1e-9]
-
-
-def polytopes(o: SceneObject, parts: tuple[ConvexPart, ...]) -> tuple[Polytope, ...]:
-    return tuple(Polytope.of(p).moved(o.T_world_asset) for p in parts)
 
 
 def moved(body: Body, t: Array, scale: float) -> tuple[Polytope, ...]:
