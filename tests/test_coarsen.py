@@ -182,6 +182,18 @@ def test_parts_that_no_join_names_are_joined_where_that_adds_hardly_a_volume():
     assert {height: len(few) for height, few in parts.items()} == {5e-4: 1, 0.03: 2}
 
 
+def test_a_wedge_of_a_footing_joins_a_part_where_it_adds_little_or_where_there_are_too_many():
+    cube, flat = cuboid((-0.05, -0.05, 0.03), (0.05, 0.05, 0.13)), cuboid((-0.05, -0.05, 0.025), (0.05, 0.05, 0.03))
+    leg = cuboid((0.03, 0.03, 0), (0.05, 0.05, 0.03))
+
+    def left(wedge: ConvexPart, limits: PartLimits) -> tuple[int, int]:
+        few = fewer(scene_of(replace(made_of(0, [cube]), footing=(wedge,))), (), limits)
+        return len(few.parts), len(few.footing)
+
+    assert [left(wedge, LIMITS) for wedge in (flat, leg)] == [(1, 0), (1, 1)]
+    assert left(leg, replace(LIMITS, parts=1)) == (1, 0)
+
+
 @pytest.mark.parametrize("most", [32, 64])
 def test_a_ball_gets_few_vertices_covers_its_mesh_and_stays_above_the_ground(most: int):
     mesh = ball_mesh(0.05)

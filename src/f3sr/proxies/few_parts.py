@@ -108,11 +108,12 @@ class _Fewer:
     def on_footing(self, parts: list[ConvexPart]) -> tuple[list[ConvexPart], list[ConvexPart]]:
         """Parts and the wedges of the footing that are left: a wedge joins the part with which it adds least volume.
 
-        It stays a part of its own where that would add more than its own volume."""
+        It stays a part of its own where that would add more than its own volume, unless there are too many."""
         left = list[ConvexPart]()
+        crowded = len(parts) + len(self._o.footing) > self._limits.parts
         for wedge in self._o.footing:
             added, k = min((self._added(part, wedge), k) for k, part in enumerate(parts))
-            one = self._hull((parts[k], wedge)) if added <= wedge.volume else None
+            one = self._hull((parts[k], wedge)) if crowded or added <= wedge.volume else None
             if one:
                 parts = [*parts[:k], one, *parts[k + 1 :]]
             else:
