@@ -202,9 +202,10 @@ class _Fewer:
             return None
         if len(whole.vertices) <= self._limits.vertices:
             return whole
-        bounds, tried = self._bounds(whole, allowed), set[tuple[float, bytes]]()
+        normals, offsets = self._separating(whole, allowed)
+        contacts, tried = self._contacts / self._size, set[tuple[float, bytes]]()
         for farthest, radius in product(FARTHEST, KEPT):
-            near = replace(bounds, radius=radius, farthest=farthest)
+            near = Bounds(normals=normals, offsets=offsets, points=contacts, radius=radius, farthest=farthest)
             kept = near.keeps(whole.vertices / self._size)
             if kept.sum() > self._limits.kept * self._limits.vertices or (farthest, kept.tobytes()) in tried:
                 continue
@@ -215,8 +216,8 @@ class _Fewer:
                 return part
         return None
 
-    def _bounds(self, part: ConvexPart, allowed: Array) -> Bounds:
-        """Planes (asset frame, normalised) that a part may not cross: those that separate it from other bodies."""
+    def _separating(self, part: ConvexPart, allowed: Array) -> tuple[Array, Array]:
+        """Planes (asset frame, normalised), normals (k, 3) and offsets (k,), that separate a part from other bodies."""
         normals, offsets = [-UP], [-float(allowed[-1])]
         body = Polytope.of(part).moved(self._o.T_world_asset)
         reached = self._limits.apart + max(FARTHEST) * self._size * self._o.scale
@@ -228,13 +229,8 @@ class _Fewer:
                 offsets.append(float((body.vertices @ n[k]).max()) - float(heights[k]) - float(least))
         T = self._o.T_world_asset
         n = np.array(normals)
-        return Bounds(
-            normals=np.ascontiguousarray(n @ self._o.T_world_object[:3, :3]),
-            offsets=(np.array(offsets) - n @ T[:3, 3]) / self._o.scale / self._size,
-            points=self._contacts / self._size,
-            radius=0.0,
-            farthest=0.0,
-        )
+        in_asset = np.ascontiguousarray(n @ self._o.T_world_object[:3, :3])
+        return in_asset, (np.array(offsets) - n @ T[:3, 3]) / self._o.scale / self._size
 
     def _is_free(self, part: ConvexPart, allowed: Array) -> bool:
         return bool((self._gaps(part) >= allowed).all())
