@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
 
@@ -16,6 +17,11 @@ ARCS = (0.4, 0.9, 1.6, 2.8)
 """How far above what it flies over an arc's top is, in sizes of what flies."""
 AIMS = (0.0, -0.25, 0.25)
 """Where inside the target to aim, in half lengths of it along the way."""
+STEEP, NARROW_AIMS = (2.8, 4.5, 1.6, 7.0), (0.0, -0.08, 0.08)
+"""The same into an opening that is hardly wider than what flies: from high above, near its middle, and with its
+longest axis upright when it comes down."""
+TIGHT = 0.7
+"""Share of an opening's width from which on what flies is hardly narrower."""
 AFTER = 1.6
 """How long to look after a flight [s]."""
 
@@ -100,17 +106,35 @@ def throwing(s: LaunchContext) -> Launches:
 def _arcs(s: LaunchContext, start: Array, lift: Array | None) -> Search[bool]:
     """Returns whether the first met something at once, which a start above it would not."""
     arcs = (0.12, *ARCS) if s.task.way == "into" or s.task.manner == "hard" else ARCS
-    ways = list[tuple[bool, int, Array, float]]()
-    for aim in AIMS:
-        for arc in arcs:
-            goal, over = goal_of(s, aim)
-            v, seconds = ballistics.throw(start, goal, max(start[2], over) + arc * s.size)
-            ways.append((is_blocked(s, [(start, v, seconds)], goal), len(ways), v, seconds))
-    for k, (_, _, v, seconds) in enumerate(sorted(ways, key=lambda w: w[:2])):
-        (tried,) = yield [s.thrown(v, lift=lift, seconds=seconds + AFTER)]
+    ways = list[tuple[bool, int, Array, float, Array]]()
+    narrow = list(product(NARROW_AIMS, STEEP)) if s.task.way == "into" and _is_tight(s) else []
+    for k, (aim, arc) in enumerate((*narrow, *product(AIMS, arcs))):
+        goal, over = goal_of(s, aim)
+        v, seconds = ballistics.throw(start, goal, max(start[2], over) + arc * s.size)
+        spin = _turned_upright(s, seconds) if k < len(narrow) else np.zeros(3)
+        ways.append((is_blocked(s, [(start, v, seconds)], goal), k, v, seconds, spin))
+    for k, (_, _, v, seconds, spin) in enumerate(sorted(ways, key=lambda w: w[:2])):
+        (tried,) = yield [s.thrown(v, angular=spin, lift=lift, seconds=seconds + AFTER)]
         if k == 0 and lift is None and s.hindered(tried):
             return True
     return False
+
+
+def _is_tight(s: LaunchContext) -> bool:
+    """Whether the opening of the target is hardly wider than the object's middle extent."""
+    pool = None if s.target is None else s.layout.pool(s.target)
+    extents = np.sort(np.ptp(s.layout.corners(s.active), axis=0))
+    return pool is not None and bool(extents[1] > 2 * TIGHT * pool.radius)
+
+
+def _turned_upright(s: LaunchContext, seconds: float) -> Array:
+    """The angular velocity (3,) [rad/s] that turns the object's longest axis upright in a time [s]."""
+    arms = s.layout.corners(s.active) - s.layout.corners(s.active).mean(0)
+    longest = np.linalg.eigh(arms.T @ arms)[1][:, -1]
+    longest = longest if longest[2] >= 0 else -longest
+    axis = np.cross(longest, UP)
+    sine = float(np.linalg.norm(axis))
+    return axis / max(sine, 1e-12) * math.atan2(sine, longest[2]) / seconds
 
 
 def is_blocked(

@@ -22,8 +22,8 @@ from f3sr.scene import GROUND, Scene
 
 ROLLOUTS = 64
 """That the search for one goal may take."""
-WORK = 240.0
-"""Seconds simulated in all of them, times the objects of the scene: at most about 9 s of a processor."""
+WORK = 480.0
+"""Seconds simulated in all of them, times the objects of the scene: at most about 12 s of a processor."""
 SLOW, SLOWLY = 0.01, 0.1
 """Speeds [m/s, rad/s] below which everything counts as still."""
 LINGERS = 1.5
