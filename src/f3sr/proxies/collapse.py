@@ -1,4 +1,5 @@
-"""Convex polytopes of few vertices that contain a given one: edges collapsed outward, then all vertices moved inward.
+"""Convex polytopes of few vertices that contain a given one: edges collapsed outward, then, of round ones, all vertices
+moved inward.
 
 A vertex takes the place of an edge, or of itself, so that none of its facets cuts the body. The place of least volume
 is a linear programme in three variables (progressive hulls: Sander, Gu, Gortler, Hoppe, Snyder, Silhouette Clipping,
@@ -9,7 +10,6 @@ as there may be, spread evenly.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import chain
@@ -93,7 +93,7 @@ def collapsed(points: Array, most: int, bounds: Bounds = UNBOUNDED) -> Array:
     first, even = body.starts()
     found = [body.corners, _fewer(first, body)]
     if even is not None and body.loss(even) < ROUND * body.loss(found[1]):
-        found += [_drawn_in(found[1], body, STEPS), _drawn_in(_fewer(even, body), body, STEPS)]
+        found += [_drawn_in(found[1], body), _drawn_in(_fewer(even, body), body)]
     return min(filter(body.allows, found), key=lambda corners: (max(most, len(corners)), body.loss(corners)))
 
 
@@ -245,9 +245,9 @@ def _cheap(places: Array, costs: Array, body: _Body) -> Array:
     return np.full(len(costs), np.inf)
 
 
-def _drawn_in(points: Array, body: _Body, steps: Sequence[float]) -> Array:
+def _drawn_in(points: Array, body: _Body) -> Array:
     """The corners (k, 3) after every vertex went some of the way to its best place, several times."""
-    for step in steps:
+    for step in STEPS:
         surface = _Triangulated(points, body)
         each = surface.corners[:, None]
         corners = points[surface.corners]

@@ -89,8 +89,8 @@ class _Fewer:
         self._found: dict[tuple[int, ...], tuple[Sequence[ConvexPart], ConvexPart | None]] = {}
         self._volumes: dict[tuple[int, ...], tuple[Sequence[ConvexPart], float]] = {}
         boxes = np.array([[p.vertices.min(0), p.vertices.max(0)] for p in o.colliders_world])
-        reached = limits.apart + max(FARTHEST) * self._size * o.scale
-        low, high = boxes[:, 0].min(0) - reached, boxes[:, 1].max(0) + reached
+        self._reached = limits.apart + max(FARTHEST) * self._size * o.scale
+        low, high = boxes[:, 0].min(0) - self._reached, boxes[:, 1].max(0) + self._reached
         self._others = [p for p in others if (p.bounds[0] <= high).all() and (p.bounds[1] >= low).all()]
 
     def joined(self, made: Sequence[ConvexPart], joins: Sequence[Join]) -> list[ConvexPart]:
@@ -158,10 +158,10 @@ class _Fewer:
         hull = qhull_of(self._o.mesh.hull.vertices)
         worth = FELT * self._limits.worth * hull.area * self._size if hull else 0.0
         while True:
-            needless = len(parts) > most
+            crowded = len(parts) > most
             pairs = combinations(parts, 2)
-            found = [(self._added(a, b), a, b) for a, b in pairs if needless or self._are_neighbours(a, b)]
-            found = sorted((f for f in found if needless or f[0] <= worth), key=lambda f: f[0])
+            found = [(self._added(a, b), a, b) for a, b in pairs if crowded or self._are_neighbours(a, b)]
+            found = sorted((f for f in found if crowded or f[0] <= worth), key=lambda f: f[0])
             pair = next(((a, b, one) for _, a, b in found if (one := self._hull((a, b)))), None)
             if pair is None:
                 return parts
@@ -169,8 +169,7 @@ class _Fewer:
 
     def _are_neighbours(self, a: ConvexPart, b: ConvexPart) -> bool:
         """Whether the boxes of two parts touch."""
-        low, high = (np.stack([f(p.vertices, axis=0) for p in (a, b)]) for f in (np.min, np.max))
-        return bool((low.max(0) - high.min(0) <= NEXT_TO * self._size).all())
+        return _are_near(Polytope.of(a), Polytope.of(b), NEXT_TO * self._size)
 
     def _added(self, a: ConvexPart, b: ConvexPart) -> float:
         """The volume that one hull for both has more than they."""
@@ -220,9 +219,8 @@ class _Fewer:
         """Planes (asset frame, normalised), normals (k, 3) and offsets (k,), that separate a part from other bodies."""
         normals, offsets = [-UP], [-float(allowed[-1])]
         body = Polytope.of(part).moved(self._o.T_world_asset)
-        reached = self._limits.apart + max(FARTHEST) * self._size * self._o.scale
         for other, least in zip(self._others, allowed[:-1], strict=True):
-            if _are_near(body, other, reached):
+            if _are_near(body, other, self._reached):
                 n, heights = polytopes.facets(body, other)
                 k = int(heights.argmin())
                 normals.append(n[k])

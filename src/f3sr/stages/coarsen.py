@@ -82,7 +82,7 @@ def coarsen(
 
     ``made`` is the scene as decomposed, ``joins`` (by object id) tell how its parts may be joined. ``settled`` runs
     physics. A group of touching objects keeps its new parts if it rests as before. Where it does not, what moves gets
-    finer parts, at last of more vertices; after ``TRIES`` the group keeps its parts. Objects that were ``restless`` may
+    finer parts, at last all of the group; after ``TRIES`` the group keeps its parts. Objects that were ``restless`` may
     stay so.
     """
     start, moved = scene, Counter[int]()

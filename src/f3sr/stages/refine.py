@@ -83,7 +83,8 @@ def refine(
     decisions: list[Decision] = []
     if toppled := [o.id for o in state.scene if _turn(parted[o.id], o) > TOPPLE]:
         step = f"standing up what toppled: object {_named(toppled)}"
-        tried = stood_up(*_before_the_fall(state.scene, parted, toppled, config.contact))
+        upright, moving = _before_the_fall(state.scene, parted, toppled, config.contact)
+        tried = stood_up(upright, toppled, moving)
         state, decision, _ = _better(state, tried, toppled, step, config)
         decisions.append(decision)
     open = [o.id for o in state.scene]
@@ -102,11 +103,11 @@ def refine(
 
 def _before_the_fall(
     scene: Scene, parted: Scene, toppled: Collection[int], contact: ContactMargin
-) -> tuple[Scene, Collection[int], frozenset[int]]:
+) -> tuple[Scene, frozenset[int]]:
     """A scene at rest with what toppled, and all that came near it, as before physics; and the ids of both."""
     groups = groups_of(scene, parted, contact.apart)
     moving = frozenset(id for g in groups if g.intersection(toppled) for id in g)
-    return scene.with_objects(*(parted[id] for id in sorted(moving))), toppled, moving
+    return scene.with_objects(*(parted[id] for id in sorted(moving))), moving
 
 
 def _round(
