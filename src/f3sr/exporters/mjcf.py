@@ -24,6 +24,7 @@ from f3sr.physics.mujoco_model import (
     PhysicsConfig,
     body_of,
     ground_contact_friction,
+    part_name,
 )
 from f3sr.scene import GRAVITY, Scene, SceneObject
 
@@ -138,7 +139,7 @@ def _body(world: ET.Element, body: Body) -> ET.Element:
 
 def _collision(asset: ET.Element, node: ET.Element, body: Body, id: int) -> None:
     for k in range(len(body.parts)):
-        name = f"{body.name}_{k:02d}"
+        name = part_name(body.name, k)
         ET.SubElement(asset, "mesh", name=name, file=collision_path(id, k), inertia="shell")
         attributes = {"type": "mesh", "mesh": name, "friction": _text(body.friction)}
         ET.SubElement(node, "geom", {"class": "collision"}, name=name, **attributes)

@@ -110,6 +110,11 @@ def body_name(id: int) -> str:
     return f"object_{id:02d}"
 
 
+def part_name(body: str, k: int) -> str:
+    """Of the geom and the mesh of a body's part."""
+    return f"{body}_{k:02d}"
+
+
 def body_of(o: SceneObject, *, bounces: bool = False) -> Body:
     """The rigid body of an object: mass and inertia of its solid at its density, its parts in metres.
 
@@ -241,7 +246,7 @@ def add_body(
         node.mass, node.ipos = body.mass, body.center
         node.fullinertia = [*np.diag(moment), moment[0, 1], moment[0, 2], moment[1, 2]]
     for k, part in enumerate(body.parts):
-        name = f"{body.name}_{k:02d}"
+        name = part_name(body.name, k)
         mesh = add_mesh(spec, name, part)
         geom = node.add_geom(
             name=name,

@@ -9,7 +9,16 @@ from typing import NamedTuple
 import numpy as np
 
 from f3sr.physics.contact_margin import ContactMargin
-from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, MjSpec, add_mesh, compiled, contact_options, empty_spec, engine
+from f3sr.physics.mujoco_model import (
+    DEFAULT_PHYSICS,
+    MjSpec,
+    PhysicsConfig,
+    add_mesh,
+    contact_options,
+    empty_spec,
+    engine,
+)
+from f3sr.physics.near_pairs import NearPairs
 from f3sr.scene import SceneObject
 
 RELEASE_MARGIN = 2e-4
@@ -39,13 +48,15 @@ def release(objects: Sequence[SceneObject], *, true_scale: float = 1.0, seconds:
     mujoco = engine()
     if not objects:
         return Release(0.0, 0.0)
-    model = compiled(_release_spec(objects, true_scale))
+    config = replace(DEFAULT_PHYSICS, contact=ContactMargin(body=RELEASE_MARGIN))
+    near = NearPairs(_release_spec(objects, config, true_scale), config)
+    model = near.model
     data = mujoco.MjData(model)
     K_max = D_max = 0.0
     mujoco.mj_forward(model, data)
     centers = data.xipos[1:].copy()
     for step in range(int(seconds / model.opt.timestep)):
-        mujoco.mj_step(model, data)
+        near.step(data)
         if step < 500:
             mujoco.mj_energyVel(model, data)
             K_max = max(K_max, float(data.energy[1]))
@@ -64,11 +75,10 @@ def filling(o: SceneObject) -> float:
     return max(1e-9 / o.scale**3, min(o.mesh.stored_volume, o.mesh.hull.volume, parts)) / parts
 
 
-def _release_spec(objects: Sequence[SceneObject], true_scale: float) -> MjSpec:
+def _release_spec(objects: Sequence[SceneObject], config: PhysicsConfig, true_scale: float) -> MjSpec:
     """The model of the release protocol: bodies in the order of their masks' names, at the origin, with their
     vertices in world coordinates, mass by density on the geoms."""
     mujoco = engine()
-    config = replace(DEFAULT_PHYSICS, contact=ContactMargin(body=RELEASE_MARGIN))
     spec = empty_spec(config, ground_friction=RELEASE_FRICTION[0])
     spec.compiler.balanceinertia = False
     for i, o in enumerate(sorted(objects, key=lambda o: o.mask_name)):

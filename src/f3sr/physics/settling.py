@@ -21,11 +21,11 @@ from f3sr.physics.mujoco_model import (
     body_name,
     body_of,
     build_spec,
-    compiled,
     contact_loads,
     empty_spec,
     engine,
 )
+from f3sr.physics.near_pairs import NearPairs
 from f3sr.physics.release import RELEASE_DENSITY, RELEASE_FRICTION, RELEASE_MARGIN, filling
 from f3sr.runtime.daemon_thread import begun
 from f3sr.scene import Ground, SceneObject
@@ -125,13 +125,13 @@ def settle(
     starts where the release ended. A state that is not finite is reported as ``exploded``, not raised.
     """
     mujoco = engine()
-    model = compiled(build_spec(objects, config, ground_friction=ground_friction))
-    checks = {model: settling.check_time}
+    near = NearPairs(build_spec(objects, config, ground_friction=ground_friction), config)
+    checks = {near: settling.check_time}
     if settling.rest.even_masses:
-        checks[compiled(_even_spec(objects, config))] = settling.release_time
-    for m in checks:
-        m.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
-    run = _Settling(model, settling)
+        checks[NearPairs(_even_spec(objects, config), config, RELEASE_MARGIN)] = settling.release_time
+    for check in checks:
+        check.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
+    run, model = _Settling(near, settling), near.model
     data, calm = mujoco.MjData(model), False
     drifts, history = np.full(len(objects), np.inf), list[float]()
     for _ in range(settling.rounds):
@@ -172,7 +172,7 @@ def _creeps(history: Sequence[float]) -> bool:
 class _Settling:
     """The run of ``settle``: steps data and keeps count of time and speed."""
 
-    model: MjModel
+    near: NearPairs
     config: SettleConfig
     seconds: float = 0.0
     max_speed: float = 0.0
@@ -182,7 +182,7 @@ class _Settling:
 
     def until_rest(self, data: MjData) -> None:
         """Damped steps until the mean speeds of a window of ``rest.window`` are low, or the time is up."""
-        damping = 1 - self.config.damping * self.model.opt.timestep
+        damping = 1 - self.config.damping * self._model.opt.timestep
         while self.seconds < self.config.time_limit and not self.exploded:
             before = _Snapshot.of(data)
             for _ in range(self._window):
@@ -191,14 +191,14 @@ class _Settling:
             if self._slow(before, _Snapshot.of(data)):
                 return
 
-    def released(self, checks: Mapping[MjModel, float], data: MjData) -> tuple[Array, MjData | None]:
+    def released(self, checks: Mapping[NearPairs, float], data: MjData) -> tuple[Array, MjData | None]:
         """Undamped checks of so many seconds from the positions of ``data``, all at the same time: MuJoCo releases the
         GIL. The largest travel of every centre of mass (n,) [m] up to the first check that fails, and where that
         ended; None where all rest."""
-        runs = [_Settling(model, self.config) for model in checks]
-        ends = [_fresh(model, data) for model in checks]
+        runs = [_Settling(near, self.config) for near in checks]
+        ends = [_fresh(near.model, data) for near in checks]
         going_on = [begun(run.undamped, *given) for run, *given in zip(runs, ends, checks.values(), strict=True)]
-        drifts = np.zeros(self.model.nbody - 1)
+        drifts = np.zeros(self._model.nbody - 1)
         for run, end, check in zip(runs, ends, going_on, strict=True):
             travels, calm = check.result()
             drifts = np.maximum(drifts, travels)
@@ -213,9 +213,9 @@ class _Settling:
         """Undamped steps: the largest travel of every centre of mass (n,) [m], and whether all that counts as rest.
 
         They end early when no body would drift too far even if its travel went on growing as it does."""
-        engine().mj_forward(self.model, data)
+        engine().mj_forward(self._model, data)
         seen = [_Snapshot.of(data)]
-        drifts = np.zeros(self.model.nbody - 1)
+        drifts = np.zeros(self._model.nbody - 1)
         windows = max(1, round(seconds / self.config.rest.window))
         while len(seen) <= windows and not self.unwanted:
             for _ in range(self._window):
@@ -243,13 +243,17 @@ class _Settling:
         return bool((drifts + DOUBT * ahead <= self.config.rest.drift).all())
 
     @property
+    def _model(self) -> MjModel:
+        return self.near.model
+
+    @property
     def _window(self) -> int:
         """Steps in ``rest.window``."""
-        return max(1, round(self.config.rest.window / self.model.opt.timestep))
+        return max(1, round(self.config.rest.window / self._model.opt.timestep))
 
     def _step(self, data: MjData, damping: float) -> None:
         """One step, noting the largest speed; ``cvel`` is (angular, linear) at each free body's centre of mass."""
-        engine().mj_step(self.model, data)
+        self.near.step(data)
         data.qvel *= damping
         speed = float(np.linalg.norm(data.cvel[:, 3:], axis=1).max())
         self.max_speed = max(self.max_speed, speed)
