@@ -41,6 +41,9 @@ PARALLEL = 1e-12
 """Sine below which a facet counts as parallel to a direction: rounding of unit vectors."""
 
 
+UNMOVED = np.eye(4)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Polytope:
     """A convex polytope with the data of separating-axis tests; coplanar triangles are one facet.
@@ -95,10 +98,41 @@ class Polytope:
             edge_normals=beside,
         )
 
-    @cached_property
+    def __getattr__(self, name: str) -> Array:
+        if name not in Polytope.__dataclass_fields__ or "_of" not in self.__dict__:
+            raise AttributeError(name)
+        self._make(*self.__dict__["_of"])
+        return self.__dict__[name]
+
+    def _make(self, source: Polytope, T: Array) -> None:
+        """The arrays of a polytope that was moved by T (4, 4): most are only asked for their bounds."""
+        # A similarity scales all columns alike: the first one's length is the scale.
+        scale = float(np.sqrt(T[0, 0] ** 2 + T[1, 0] ** 2 + T[2, 0] ** 2))
+        A, t = np.ascontiguousarray(T[:3, :3].T), T[:3, 3]
+        R = A / scale
+        normals = source.normals @ R
+        arrays = {
+            "vertices": source.vertices @ A + t,
+            "normals": normals,
+            "offsets": scale * source.offsets + normals @ t,
+            "edge_starts": source.edge_starts @ A + t,
+            "edge_directions": source.edge_directions @ R,
+            "edge_lengths": scale * source.edge_lengths,
+            "edge_normals": source.edge_normals @ R,
+        }
+        for array in arrays.values():
+            array.flags.writeable = False
+        self.__dict__.update(arrays)
+
+    @property
     def bounds(self) -> Array:
         """(2, 3) lowest and highest corner of the bounding box [m]."""
-        return np.stack([self.vertices.min(0), self.vertices.max(0)])
+        known = self.__dict__.get("_bounds")
+        if known is None:
+            source, T = self.__dict__.get("_of", (self, UNMOVED))
+            self.__dict__["_bounds"] = known = np.empty((2, 3))
+            _fill_bounds(source.vertices, T, known)
+        return known
 
     @cached_property
     def size(self) -> float:
@@ -118,23 +152,9 @@ class Polytope:
 
     def moved(self, T: Array) -> Self:
         """The polytope under a similarity T (4, 4) without reflection; facets and edges are carried along."""
-        # A similarity scales all columns alike: the first one's length is the scale.
-        scale = float(np.sqrt(T[0, 0] ** 2 + T[1, 0] ** 2 + T[2, 0] ** 2))
-        A, t = np.ascontiguousarray(T[:3, :3].T), T[:3, 3]
-        R = A / scale
-        normals = self.normals @ R
+        source, before = self.__dict__.get("_of", (self, None))
         moved = object.__new__(type(self))
-        moved.__dict__.update(
-            vertices=self.vertices @ A + t,
-            normals=normals,
-            offsets=scale * self.offsets + normals @ t,
-            edge_starts=self.edge_starts @ A + t,
-            edge_directions=self.edge_directions @ R,
-            edge_lengths=scale * self.edge_lengths,
-            edge_normals=self.edge_normals @ R,
-        )
-        for array in moved.__dict__.values():
-            array.flags.writeable = False
+        moved.__dict__["_of"] = source, np.array(T) if before is None else T @ before
         return moved
 
 
@@ -290,6 +310,17 @@ def _meeting(a: Array, b: Array, u: Array, beyond: float, pairs: NDArray[np.int6
                 pairs[k, 0], pairs[k, 1], starts[k] = i, j, first
                 k += 1
     return k
+
+
+@kernel
+def _fill_bounds(points: Array, T: Array, bounds: Array) -> None:
+    """Fill ``bounds`` (2, 3) with the box of points (n, 3) under T (4, 4)."""
+    for x in range(3):
+        low, high = np.inf, -np.inf
+        for k in range(len(points)):
+            at = points[k, 0] * T[x, 0] + points[k, 1] * T[x, 1] + points[k, 2] * T[x, 2] + T[x, 3]
+            low, high = min(low, at), max(high, at)
+        bounds[0, x], bounds[1, x] = low, high
 
 
 # Facets of the Minkowski difference
