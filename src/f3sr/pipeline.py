@@ -18,6 +18,7 @@ from f3sr.metrics.contact_groups import SettledScene
 from f3sr.options import SKIPPABLE
 from f3sr.proxies import ProxyConfig
 from f3sr.report import Outcome, Report
+from f3sr.runtime.daemon_thread import begun
 from f3sr.runtime.progress import Progress, silent
 from f3sr.runtime.result_forms import ArraysForm, PlainForm
 from f3sr.runtime.result_store import Store, digest
@@ -29,7 +30,7 @@ from f3sr.stages.assemble import AssembleConfig, Assembled, as_given, assemble
 from f3sr.stages.close import CloseConfig, Closed, close
 from f3sr.stages.coarsen import ROUNDS, CoarsenConfig, Coarsened, coarsen
 from f3sr.stages.decompose import Decomposed, decompose
-from f3sr.stages.evaluate import EvaluateConfig, Evaluation, direct_composition, evaluate
+from f3sr.stages.evaluate import DirectView, EvaluateConfig, Evaluation, direct_composition, evaluate
 from f3sr.stages.inpaint import Inpainted, inpaint
 from f3sr.stages.level import LevelConfig, Levelled, level
 from f3sr.stages.refine import UPRIGHT, RefineConfig, Refined, Retry, refine
@@ -139,6 +140,8 @@ def reconstruct(
         later=inputs.photo.rgb[..., 0].size > BESIDE,
     )
     scene, _ = run.stage(Aligned, align, direct, _without(config.align, skip))
+    is_new = "evaluate" not in run.skip and "align" not in run.resumed
+    view = begun(DirectView.of, direct, config.evaluate) if is_new else None
     scene, _ = run.stage(Related, relate, scene, config.relate)
     made, decomposed = run.stage(Decomposed, decompose, scene, config.decompose)
     parted, _ = run.stage(Separated, separate, made, config.separate)
@@ -168,7 +171,7 @@ def reconstruct(
     aligned = _without(config.align, skip).camera and "align" not in skip
     evaluation = run.value(
         "evaluate",
-        partial(evaluate, scene, direct, config.evaluate, foreign=not aligned),
+        partial(evaluate, scene, direct, config.evaluate, foreign=not aligned, view=view.result if view else None),
         PlainForm(Evaluation),
         config.evaluate,
     )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,48 +124,76 @@ class Details:
     overlaps: tuple[Overlap, ...]
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MeshMeasures:
+    """What is measured of a scene's meshes and masks, without proxies and physics."""
+
+    image: Mapping[str, float]
+    """The IMAGE_MEASURES by name."""
+    full: Sequence[float]
+    """IoU of every object's full silhouette."""
+    visible: Sequence[float]
+    """IoU of every object's visible pixels."""
+    crossings: penetration.Penetration
+    gaps: Sequence[Gap]
+    inside: int
+    """See ``points_inside``."""
+
+    @classmethod
+    def of(cls, scene: Scene) -> Self:
+        image, full, visible = _seen(scene)
+        surfaces = [(o.T_world_asset, o.mesh.welded) for o in scene]
+        return cls(
+            image=image,
+            full=full,
+            visible=visible,
+            crossings=penetration.penetration([(v @ T[:3, :3].T + T[:3, 3], f) for T, (v, f) in surfaces]),
+            gaps=gaps_of(scene.objects),
+            inside=points_inside(scene.objects),
+        )
+
+
 def measure(scene: Scene, *, true_scale: float = 1.0) -> Measures:
     """All measures of a scene. ``true_scale`` is the factor from its lengths to true metres, for physics."""
     return measure_with_details(scene, true_scale=true_scale)[0]
 
 
-def measure_with_details(scene: Scene, *, true_scale: float = 1.0) -> tuple[Measures, Details]:
-    """``measure``, with the terms per object and their places."""
-    image, full, visible = _seen(scene)
-    surfaces = [(o.T_world_asset, o.mesh.welded) for o in scene]
-    pen = penetration.penetration([(v @ T[:3, :3].T + T[:3, 3], f) for T, (v, f) in surfaces])
+def measure_with_details(
+    scene: Scene, *, true_scale: float = 1.0, of_meshes: Callable[[], MeshMeasures] | None = None
+) -> tuple[Measures, Details]:
+    """``measure``, with the terms per object and their places. ``of_meshes`` gives what is measured of its meshes, at
+    last, by default here."""
     K, D = release.release(scene.objects, true_scale=true_scale)
-    gaps = gaps_of(scene.objects)
     out, far = zip(*(proxy_distances(o) for o in scene), strict=True)
+    found = of_meshes() if of_meshes else MeshMeasures.of(scene)
     measures = Measures(
         n=len(scene.objects),
         excluded=len(scene.excluded),
         fixed=sum(o.mobility == "fixed" for o in scene),
-        **image,
-        R_pen=pen.r_pen,
-        N_cross=pen.crossings,
+        **found.image,
+        R_pen=found.crossings.r_pen,
+        N_cross=found.crossings.crossings,
         K_max_J=K,
         D_max_cm=100 * D,
-        gap_pct=100 * max(g.distance / g.size for g in gaps),
-        below_pct=100 * max(g.below / g.size for g in gaps),
-        inside=points_inside(scene.objects),
+        gap_pct=100 * max(g.distance / g.size for g in found.gaps),
+        below_pct=100 * max(g.below / g.size for g in found.gaps),
+        inside=found.inside,
         proxy_out_pct=100 * max(out),
         proxy_far_pct=100 * max(far),
     )
     return measures, Details(
         objects=tuple(
             ObjectMeasures(id=o.id, IoU=f, IoU_visible=v, proxy_out=out, proxy_far=far)
-            for o, f, v, out, far in zip(scene, full, visible, out, far, strict=True)
+            for o, f, v, out, far in zip(scene, found.full, found.visible, out, far, strict=True)
         ),
-        gaps=gaps,
-        overlaps=tuple(_overlap(pair, scene.objects) for pair in pen.pairs),
+        gaps=tuple(found.gaps),
+        overlaps=tuple(_overlap(pair, scene.objects) for pair in found.crossings.pairs),
     )
 
 
-def seen_by(camera: Camera, scene: Scene, measures: Measures) -> Measures:
-    """The ``measures`` of a scene with another camera: only IMAGE_MEASURES are computed again."""
-    image, _, _ = _seen(replace(scene, camera=camera))
-    return replace(measures, **image)
+def image_measures(scene: Scene) -> dict[str, float]:
+    """The IMAGE_MEASURES of a scene by name."""
+    return _seen(scene)[0]
 
 
 def _overlap(pair: penetration.Crossing, objects: Sequence[SceneObject]) -> Overlap:

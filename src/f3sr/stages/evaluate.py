@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Self
 
+from f3sr.core.camera import Camera
 from f3sr.core.transforms import pose
 from f3sr.errors import require_kind
 from f3sr.metrics.camera_fit import ForeignCameraConfig, fitted_camera
-from f3sr.metrics.measures import Details, Measures, measure_with_details, seen_by
+from f3sr.metrics.measures import Details, Measures, MeshMeasures, image_measures, measure_with_details
 from f3sr.report import Decision, Report
 from f3sr.runtime.daemon_thread import begun
 from f3sr.scene import Scene
@@ -68,6 +71,41 @@ class Evaluation:
         return Report(stage="evaluate", decisions=tuple(f.decision for f in fitted if f))
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DirectView:
+    """What is measured of direct composition without proxies: it is known as soon as the input is levelled."""
+
+    meshes: MeshMeasures
+    fitted: _FittedCamera
+
+    @classmethod
+    def of(cls, levelled: Scene, config: EvaluateConfig | None = None) -> Self:
+        composed = _on_ground(levelled)
+        fitted = _FittedCamera.of(composed, DIRECT, config or EvaluateConfig())
+        return cls(meshes=MeshMeasures.of(composed), fitted=fitted)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _FittedCamera:
+    camera: Camera
+    decision: Decision
+    image: Mapping[str, float]
+
+    @classmethod
+    def of(cls, scene: Scene, name: str, config: EvaluateConfig) -> Self:
+        camera, decision = fitted_camera(scene, config.foreign_camera)
+        told = replace(decision, choice=f"{name}: {decision.choice}")
+        return cls(camera=camera, decision=told, image=image_measures(replace(scene, camera=camera)))
+
+    def measures(self, measures: Measures) -> FittedCameraMeasures:
+        """The ``measures`` of a scene, as this camera sees it."""
+        return FittedCameraMeasures(
+            measures=replace(measures, **self.image),
+            T_world_camera=tuple(tuple(row) for row in self.camera.T_world_camera.tolist()),
+            decision=self.decision,
+        )
+
+
 def evaluate(
     scene: Scene,
     direct: Scene | None,
@@ -75,24 +113,26 @@ def evaluate(
     *,
     foreign: bool = False,
     true_scale: float = 1.0,
+    view: Callable[[], DirectView] | None = None,
 ) -> Evaluation:
     """Measure ``scene`` and direct composition, made of ``direct``, with the same proxies.
 
     ``direct`` is the levelled input, None without one. Direct composition is measured twice: with its own camera, and
     with a camera fitted to its own masks. That is the report's protocol for scenes of others. So is ``scene`` if it
     is ``foreign``: its camera was not aligned. ``true_scale`` is the factor from the scene's lengths to true metres.
-    Raises InputError for anything but scenes.
+    ``view`` gives the view of ``direct`` where it was begun before. Raises InputError for anything but scenes.
     """
     for where, value in (("scene", scene), ("direct", scene if direct is None else direct)):
         require_kind(where, value, Scene, accepted=f"f3sr.read_package(...).{where}")
     config = config or EvaluateConfig()
-    beside = begun(_composed, direct, scene, config, true_scale) if direct else None
-    result, result_details = measure_with_details(scene, true_scale=true_scale)
-    result_fitted = _seen_by_its_own(scene, result, "the result", config) if foreign else None
-    composed, details, fitted = beside.result() if beside else (None, None, None)
+    composed = begun(_composed, direct, scene, config, true_scale, view) if direct else None
+    of_meshes = begun(MeshMeasures.of, scene)
+    result, result_details = measure_with_details(scene, true_scale=true_scale, of_meshes=of_meshes.result)
+    result_fitted = _FittedCamera.of(scene, "the result", config).measures(result) if foreign else None
+    direct_result, details, fitted = composed.result() if composed else (None, None, None)
     return Evaluation(
         result=result,
-        direct=composed,
+        direct=direct_result,
         result_details=result_details,
         direct_details=details,
         result_fitted=result_fitted,
@@ -101,21 +141,17 @@ def evaluate(
 
 
 def _composed(
-    direct: Scene, scene: Scene, config: EvaluateConfig, true_scale: float
+    direct: Scene,
+    scene: Scene,
+    config: EvaluateConfig,
+    true_scale: float,
+    view: Callable[[], DirectView] | None,
 ) -> tuple[Measures, Details, FittedCameraMeasures]:
     """Measures, details and fitted-camera measures of direct composition."""
+    known = view() if view else DirectView.of(direct, config)
     composed = direct_composition(direct, scene)
-    measures, details = measure_with_details(composed, true_scale=true_scale)
-    return measures, details, _seen_by_its_own(composed, measures, DIRECT, config)
-
-
-def _seen_by_its_own(scene: Scene, measures: Measures, name: str, config: EvaluateConfig) -> FittedCameraMeasures:
-    camera, decision = fitted_camera(scene, config.foreign_camera)
-    return FittedCameraMeasures(
-        measures=seen_by(camera, scene, measures),
-        T_world_camera=tuple(tuple(row) for row in camera.T_world_camera.tolist()),
-        decision=replace(decision, choice=f"{name}: {decision.choice}"),
-    )
+    measures, details = measure_with_details(composed, true_scale=true_scale, of_meshes=lambda: known.meshes)
+    return measures, details, known.fitted.measures(measures)
 
 
 def direct_composition(levelled: Scene, result: Scene) -> Scene:
@@ -123,8 +159,13 @@ def direct_composition(levelled: Scene, result: Scene) -> Scene:
 
     It has the proxies of ``result``. Proxies are in the asset frame, so they fit the unmoved assets too.
     """
+    composed = _on_ground(levelled)
+    return composed.with_objects(*(replace(o, parts=result[o.id].parts) for o in composed))
+
+
+def _on_ground(levelled: Scene) -> Scene:
+    """The levelled input, moved vertically until its lowest vertex touches the ground."""
     lowest = min(float(o.bounds_world[0, 2]) for o in levelled)
     T = pose(t=[0, 0, -lowest])
-    objects = tuple(replace(o, T_world_object=T @ o.T_world_object, parts=result[o.id].parts) for o in levelled)
-    camera = levelled.camera.moved(T @ levelled.camera.T_world_camera)
-    return replace(levelled, objects=objects, camera=camera)
+    objects = tuple(replace(o, T_world_object=T @ o.T_world_object) for o in levelled)
+    return replace(levelled, objects=objects, camera=levelled.camera.moved(T @ levelled.camera.T_world_camera))
