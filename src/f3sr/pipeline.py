@@ -131,6 +131,7 @@ def reconstruct(
 
     scene, _ = run.stage(Assembled, assemble, as_given(inputs), config.assemble, told=inputs.decisions)
     direct, _ = run.stage(Levelled, level, scene, config.level)
+    scene, _ = run.stage(Aligned, align, direct, _without(config.align, skip))
     inpainted = run.beside(
         "inpaint",
         partial(inpaint, direct, config.inpaint, given=inputs.background, completer=background),
@@ -139,7 +140,6 @@ def reconstruct(
         also=background.key if background else "",
         later=inputs.photo.rgb[..., 0].size > BESIDE,
     )
-    scene, _ = run.stage(Aligned, align, direct, _without(config.align, skip))
     is_new = "evaluate" not in run.skip and "align" not in run.resumed
     view = begun(DirectView.of, direct, config.evaluate) if is_new else None
     scene, _ = run.stage(Related, relate, scene, config.relate)

@@ -15,7 +15,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.contact.polytopes import Body, Polytope, face_facets, facets
+from f3sr.contact.polytopes import Body, Polytope, facets
 from f3sr.contact.sort_order import sort_order
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, Array, frozen
@@ -142,12 +142,11 @@ def _near(a: Array, b: Array, reach: float) -> NDArray[np.bool_]:
 
 def _between(a: Polytope, b: Polytope, reach: float) -> _ContactPatch | None:
     """The patch of two convex parts, its normal from b to a; None when they are further apart than reach."""
-    # Cheap test first: a face's axis already separates most pairs that are near.
-    normals, heights = face_facets(a, b)
-    faces = len(normals)
-    if heights.min() < -reach:
+    # A face's axis already separates most pairs that are near.
+    normals, heights = facets(a, b, within=reach)
+    if not len(heights):
         return None
-    normals, heights = facets(a, b)
+    faces = len(a.normals) + len(b.normals)
     # The axis of best separation has the least height; -height is the gap along it.
     best = int(np.argmin(heights[:faces]))
     if len(heights) > faces and heights[faces:].min() < heights[best] - FACE_FIRST * reach:

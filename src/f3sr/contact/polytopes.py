@@ -175,7 +175,7 @@ Body = Sequence[Polytope]
 
 def overlap_depth(a: Polytope, b: Polytope) -> float:
     """Length [m] of the smallest move that ends the overlap; <= 0 without overlap (then it is no distance)."""
-    return float(_depth(*a.packed, *b.packed, _room(a, b)))
+    return float(_depth(*a.packed, *b.packed))
 
 
 def forbidden_interval(
@@ -186,14 +186,16 @@ def forbidden_interval(
     Without any collision it is (inf, -inf), as is one that ends by ``after`` or starts from ``before`` on.
     """
     u = np.asarray(direction, float)
-    return _interval(*a.packed, *b.packed, _room(a, b), u, _touch(a, b) / 2, after, before)
+    return _interval(*a.packed, *b.packed, u, _touch(a, b) / 2, after, before)
 
 
-def facets(a: Polytope, b: Polytope) -> tuple[Array, Array]:
-    """Unit normals (k, 3) and heights (k,): ``a`` moved by x overlaps ``b`` iff all ``n . x > -h``."""
-    face_normals, face_heights = face_facets(a, b)
-    edge_normals, edge_heights = _edge_facets(a, b)
-    return np.concatenate([face_normals, edge_normals]), np.concatenate([face_heights, edge_heights])
+def facets(a: Polytope, b: Polytope, *, within: float = np.inf) -> tuple[Array, Array]:
+    """Unit normals (k, 3) and heights (k,): ``a`` moved by x overlaps ``b`` iff all ``n . x > -h``.
+
+    Facets of faces come first: those of a's, then those of b's. There are none where a face already shows a gap of more
+    than ``within``."""
+    planes = _planes(*a.packed, *b.packed, within)
+    return planes[:, :3], planes[:, 3]
 
 
 # Bodies made of several parts
@@ -330,36 +332,6 @@ def _touch(a: Polytope, b: Polytope) -> float:
     return TOUCH * (a.size + b.size)
 
 
-def face_facets(a: Polytope, b: Polytope) -> tuple[Array, Array]:
-    """Facets whose normal is a face's of a, or the negated one of a face of b."""
-    # Height = support of a along n, less the least of b along n: how far a reaches into b.
-    heights_a = a.offsets - (b.vertices @ a.normals.T).min(0)
-    heights_b = b.offsets - (a.vertices @ b.normals.T).min(0)
-    return np.concatenate([a.normals, -b.normals]), np.concatenate([heights_a, heights_b])
-
-
-def _edge_facets(a: Polytope, b: Polytope) -> tuple[Array, Array]:
-    """Facets spanned by one edge of each."""
-    planes = _room(a, b)
-    found = _edge_planes(
-        a.vertices,
-        a.edge_starts,
-        a.edge_directions,
-        a.edge_normals,
-        b.vertices,
-        b.edge_starts,
-        b.edge_directions,
-        b.edge_normals,
-        planes,
-    )
-    return planes[:found, :3], planes[:found, 3]
-
-
-def _room(a: Polytope, b: Polytope) -> Array:
-    """Empty rows for what ``_edge_planes`` finds: one for each pair of edges."""
-    return np.empty((len(a.edge_starts) * len(b.edge_starts), 4))
-
-
 @kernel
 def _edge_planes(
     points_a: Array,
@@ -371,11 +343,10 @@ def _edge_planes(
     directions_b: Array,
     normals_b: Array,
     planes: Array,
+    k: int,
 ) -> int:
-    """Fill ``planes`` (n, 4), normal and height, for the edge pairs whose Gauss-map arcs cross, b's arcs negated.
-
-    Returns how many; n must be the number of edge pairs."""
-    k = 0
+    """Fill ``planes`` (n, 4), normal and height, from row k on, for the edge pairs whose Gauss-map arcs cross, b's arcs
+    negated. Returns the row after the last; there must be one for each pair of edges."""
     for i in range(len(starts_a)):
         px, py, pz = directions_a[i, 0], directions_a[i, 1], directions_a[i, 2]
         l0x, l0y, l0z = normals_a[i, 0, 0], normals_a[i, 0, 1], normals_a[i, 0, 2]
@@ -427,6 +398,40 @@ def _lowest(points: Array, normals: Array, k: int) -> float:
 
 
 @kernel
+def _planes(
+    points_a: Array,
+    faces_a: Array,
+    offsets_a: Array,
+    starts_a: Array,
+    directions_a: Array,
+    normals_a: Array,
+    points_b: Array,
+    faces_b: Array,
+    offsets_b: Array,
+    starts_b: Array,
+    directions_b: Array,
+    normals_b: Array,
+    within: float,
+) -> Array:
+    """All facets (k, 4), normal and height; none where a face has a height below ``-within``."""
+    m, n = len(faces_a), len(faces_b)
+    planes = np.empty((m + n + len(starts_a) * len(starts_b), 4))
+    # Height = support of a along n, less the least of b along n: how far a reaches into b.
+    for k in range(m):
+        planes[k, :3], planes[k, 3] = faces_a[k], offsets_a[k] - _lowest(points_b, faces_a, k)
+        if planes[k, 3] < -within:
+            return planes[:0]
+    for k in range(n):
+        planes[m + k, :3], planes[m + k, 3] = -faces_b[k], offsets_b[k] - _lowest(points_a, faces_b, k)
+        if planes[m + k, 3] < -within:
+            return planes[:0]
+    k = _edge_planes(
+        points_a, starts_a, directions_a, normals_a, points_b, starts_b, directions_b, normals_b, planes, m + n
+    )
+    return planes[:k]
+
+
+@kernel
 def _depth(
     points_a: Array,
     faces_a: Array,
@@ -440,9 +445,8 @@ def _depth(
     starts_b: Array,
     directions_b: Array,
     normals_b: Array,
-    planes: Array,
 ) -> float:
-    """The least height of all facets; that of the first separating face if there is one. ``planes`` is ``_room``."""
+    """The least height of all facets; that of the first separating face if there is one."""
     depth = np.inf
     # Faces first: they are few, and one of them separates most pairs that are free of each other.
     for k in range(len(faces_a)):
@@ -453,8 +457,9 @@ def _depth(
         depth = min(depth, offsets_b[k] - _lowest(points_a, faces_b, k))
         if depth <= 0.0:
             return depth
+    planes = np.empty((len(starts_a) * len(starts_b), 4))
     found = _edge_planes(
-        points_a, starts_a, directions_a, normals_a, points_b, starts_b, directions_b, normals_b, planes
+        points_a, starts_a, directions_a, normals_a, points_b, starts_b, directions_b, normals_b, planes, 0
     )
     for k in range(found):
         depth = min(depth, planes[k, 3])
@@ -475,16 +480,13 @@ def _interval(
     starts_b: Array,
     directions_b: Array,
     normals_b: Array,
-    planes: Array,
     u: Array,
     slack: float,
     after: float,
     before: float,
 ) -> tuple[float, float]:
     """The t for which ``t u`` is in all half-spaces ``normal . x > slack - height``; (inf, -inf) if none is, if they
-    end by ``after`` or start from ``before`` on.
-
-    ``planes`` is ``_room``."""
+    end by ``after`` or start from ``before`` on."""
     lo, hi = -np.inf, np.inf
     still = PARALLEL * np.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     for k in range(len(faces_a)):
@@ -498,8 +500,9 @@ def _interval(
         lo, hi = _clipped(lo, hi, speed, slack - offsets_b[k] + _lowest(points_a, faces_b, k), still)
         if lo >= min(hi, before) or hi <= after:
             return np.inf, -np.inf
+    planes = np.empty((len(starts_a) * len(starts_b), 4))
     found = _edge_planes(
-        points_a, starts_a, directions_a, normals_a, points_b, starts_b, directions_b, normals_b, planes
+        points_a, starts_a, directions_a, normals_a, points_b, starts_b, directions_b, normals_b, planes, 0
     )
     for k in range(found):
         speed = planes[k, 0] * u[0] + planes[k, 1] * u[1] + planes[k, 2] * u[2]
@@ -524,21 +527,33 @@ def _clipped(lo: float, hi: float, speed: float, bound: float, still: float) -> 
 
 def _horizontal_slice(a: Polytope, b: Polytope) -> Array:
     """The polygon of horizontal shifts where a collides with b: half-planes (k, 3), ``n . x + h > 0``."""
-    normals, heights = facets(a, b)
-    heights = heights - _touch(a, b) / 2
-    lengths = np.linalg.norm(normals[:, :2], axis=1)
-    level = lengths <= PARALLEL
-    if (heights[level] <= 0).any():  # a level facet separates them at any shift
-        return np.empty((0, 3))
-    # In the plane z = 0 of shifts a facet is a line; divided by the length of its level part the normal is unit again.
-    planes = np.column_stack([normals[~level, :2], heights[~level]]) / lengths[~level, None]
+    planes = _planes(*a.packed, *b.packed, np.inf)
     low, high = b.bounds[0] - a.bounds[1], b.bounds[1] - a.bounds[0]
+    return _sliced(planes, _touch(a, b) / 2, low, high)
+
+
+@kernel
+def _sliced(facets: Array, slack: float, low: Array, high: Array) -> Array:
+    """The half-planes (k, 3) that bound facets (n, 4) in the plane z = 0 of shifts; none where they hold no shift.
+
+    Shifts that collide are between ``low`` and ``high`` (2,)."""
+    planes = np.empty((len(facets) + 4, 3))
+    k = 0
+    for i in range(len(facets)):
+        x, y, height = facets[i, 0], facets[i, 1], facets[i, 3] - slack
+        length = np.sqrt(x * x + y * y)
+        if length > PARALLEL:
+            # Divided by the length of its level part the normal is unit again.
+            planes[k, 0], planes[k, 1], planes[k, 2] = x / length, y / length, height / length
+            k += 1
+        elif height <= 0.0:  # a level facet separates them at any shift
+            return planes[:0]
     # Box against box bounds every shift that collides: the start of clipping. Order: bottom, right, top, left.
-    box = np.array([[0, 1, -low[1]], [-1, 0, high[0]], [0, -1, high[1]], [1, 0, -low[0]]])
-    planes = np.concatenate([planes, box])
+    planes[k], planes[k + 1] = np.array([0.0, 1.0, -low[1]]), np.array([-1.0, 0.0, high[0]])
+    planes[k + 2], planes[k + 3] = np.array([0.0, -1.0, high[1]]), np.array([1.0, 0.0, -low[0]])
     # Two buffers swap after each clip; a clip adds at most one corner.
-    corners, sides = np.empty((2, len(planes) + 8, 2)), np.empty((2, len(planes) + 8), np.int64)
-    return planes[sides[0, : _polygon_sides(planes, corners, sides)]]
+    corners, sides = np.empty((2, k + 12, 2)), np.empty((2, k + 12), np.int64)
+    return planes[sides[0, : _polygon_sides(planes[: k + 4], corners, sides)]]
 
 
 @kernel
