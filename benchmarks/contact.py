@@ -24,7 +24,7 @@ import contact_report
 import tables
 import truth
 from f3sr import pipeline
-from f3sr.contact import polytopes
+from f3sr.contact import compounds
 from f3sr.contact.polytopes import Polytope
 from f3sr.io import inputs
 from f3sr.metrics import measures
@@ -129,7 +129,7 @@ def measured(scene: Scene, start: Scene, folder: Path, objects: Path) -> Row:
 def overlapping(scene: Scene, depth: float = DEEP) -> list[tuple[int, int]]:
     """Pairs of objects whose proxies overlap deeper than ``depth`` [m]."""
     bodies = {o.id: [Polytope.of(p) for p in o.colliders_world] for o in scene}
-    return [(a, b) for a, b in combinations(bodies, 2) if polytopes.collide(bodies[a], bodies[b], depth)]
+    return [(a, b) for a, b in combinations(bodies, 2) if compounds.collide(bodies[a], bodies[b], depth)]
 
 
 class Kept:

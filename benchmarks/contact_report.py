@@ -13,8 +13,9 @@ from itertools import combinations
 
 import numpy as np
 
-from f3sr.contact import polytopes
-from f3sr.contact.polytopes import Body, Polytope
+from f3sr.contact import compounds
+from f3sr.contact.compounds import Compound
+from f3sr.contact.polytopes import Polytope
 from f3sr.core.transforms import UP, Array, pose
 from f3sr.physics import mujoco_model
 from f3sr.physics.mujoco_model import PhysicsConfig
@@ -38,12 +39,12 @@ SECONDS = 2.4
 class Layout:
     """Bodies while they are moved, and by how much each was [m]."""
 
-    bodies: dict[int, Body]
+    bodies: dict[int, Compound]
     shifts: dict[int, Array] = field(default_factory=dict)
 
     @classmethod
     def of(cls, scene: Scene) -> Layout:
-        bodies: dict[int, Body] = {o.id: tuple(Polytope.of(p) for p in o.colliders_world) for o in scene}
+        bodies: dict[int, Compound] = {o.id: Compound.of(Polytope.of(p) for p in o.colliders_world) for o in scene}
         return cls(bodies, {id: np.zeros(3) for id in bodies})
 
     def move(self, id: int, t: Array) -> None:
@@ -94,7 +95,7 @@ def _pushed_with_carried(layout: Placement, a: int, b: int, clearance: float) ->
     return True
 
 
-def lift_of(body: Body, support: int | None, bodies: Mapping[int, Body]) -> float:
+def lift_of(body: Compound, support: int | None, bodies: Mapping[int, Compound]) -> float:
     """Equation 11, the ground included: the least lift out of the support, and the gap; 0 where they do not collide."""
     sunk = max(0.0, -min(float(p.bounds[0, 2]) for p in body))
     free = shortest(body, bodies[support], UP) if support in bodies else 0.0
@@ -115,17 +116,17 @@ def pushed_apart(layout: Layout, a: int, b: int) -> bool:
     return True
 
 
-def shortest(A: Body, B: Body, direction: Array) -> float:
+def shortest(A: Compound, B: Compound, direction: Array) -> float:
     """The way along a direction after which A is free of B: doubled until it is, then bisected. It finds no first way
     out where there are several."""
-    if not polytopes.collide(A, B):
+    if not compounds.collide(A, B):
         return 0.0
     low, high = 0.0, GAP
-    while polytopes.collide(shifted(A, high * direction), B):
+    while compounds.collide(shifted(A, high * direction), B):
         low, high = high, 2 * high
     for _ in range(BISECTIONS):
         half = (low + high) / 2
-        if polytopes.collide(shifted(A, half * direction), B):
+        if compounds.collide(shifted(A, half * direction), B):
             low = half
         else:
             high = half
@@ -161,13 +162,12 @@ def unrelated(scene: Scene) -> Iterator[tuple[int, int]]:
             yield a, b
 
 
-def shifted(body: Body, t: Array) -> Body:
-    return tuple(p.shifted(t) for p in body)
+def shifted(body: Compound, t: Array) -> Compound:
+    return body.moved(pose(t=t))
 
 
-def middle(body: Body) -> Array:
-    corners = np.concatenate([p.bounds for p in body])
-    return (corners.min(0) + corners.max(0)) / 2
+def middle(body: Compound) -> Array:
+    return body.bounds.mean(0)
 
 
 def moved(o: SceneObject, t: Array) -> SceneObject:

@@ -21,7 +21,7 @@ import numpy as np
 import resting
 import tables
 from f3sr.contact import stability, stabilize
-from f3sr.contact.polytopes import Polytope
+from f3sr.contact.compounds import placed
 from f3sr.contact.static_bodies import StaticBody, bodies_of, contacts_of
 from f3sr.contact.tipping import LandingConfig
 from f3sr.core.mesh import ConvexPart
@@ -145,7 +145,7 @@ def growth() -> None:
         for id in range(count):
             at = np.array([0.25 * (id // 5), 0.003 * (id % 5), stacks.CLEARANCE + (id % 5) * 0.0204])
             T = pose(rotation_about(UP, 0.1 * id), at)
-            parts = tuple(Polytope.of(p).moved(T) for p in one.parts)
+            parts = placed(one.parts, T)
             center = at + 0.01 * UP
             bodies.append(StaticBody(id=id, parts=parts, mass=0.3, centers=center, friction=0.6))
         contacts, finding = timed(lambda bodies=bodies: contacts_of(bodies))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from f3sr.contact.compounds import Compound
 from f3sr.contact.polytopes import Polytope
 from f3sr.contact.static_bodies import StaticBody
 from f3sr.core.mesh import ConvexPart
@@ -25,5 +26,10 @@ def body(id: int, *parts: Polytope, mass=1.0, friction=0.6, fixed=False) -> Stat
     volumes = np.array([np.prod(p.edge_lengths[:1]) * np.ptp(p.vertices, axis=0).prod() for p in parts])
     middles = np.array([p.vertices.mean(0) for p in parts])
     return StaticBody(
-        id=id, parts=parts, mass=mass, centers=volumes @ middles / volumes.sum(), friction=friction, fixed=fixed
+        id=id,
+        parts=Compound.of(parts),
+        mass=mass,
+        centers=volumes @ middles / volumes.sum(),
+        friction=friction,
+        fixed=fixed,
     )

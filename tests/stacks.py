@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from f3sr.contact import polytopes
+from f3sr.contact import compounds
 from f3sr.contact.contact_patches import Contacts, find_contacts
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart, Mesh, union
@@ -83,7 +83,7 @@ def stack(
         low = min(p.bounds[0, 2] for p in parts)
         lift = CLEARANCE - low
         raised = [p.shifted(lift * UP) for p in parts]
-        lift += polytopes.smallest_shift(raised, below, UP, CLEARANCE) if below else 0.0
+        lift += compounds.smallest_shift(raised, below, UP, CLEARANCE) if below else 0.0
         objects.append(replace(o, T_world_object=pose(t=lift * UP) @ T))
         below += world_parts(objects[-1])
     touching = find_contacts({o.id: world_parts(o) for o in objects})

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from f3sr.contact import polytopes
+from f3sr.contact import compounds
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import Array, pose
@@ -158,7 +158,7 @@ def test_parts_are_not_joined_over_another_body():
     scene = scene_of(trough(), box(1, size=(0.03, 0.03, 0.03), at=(0, 0, 0.02 + 0.015 + 4 * REST)))
     few = fewer(scene, FREE)
     assert 1 < len(few.parts) < 4
-    assert not polytopes.collide(moved_to_world(few), moved_to_world(scene[1]))
+    assert not compounds.collide(moved_to_world(few), moved_to_world(scene[1]))
 
 
 def test_what_loses_too_much_is_not_joined_unless_there_are_too_many():

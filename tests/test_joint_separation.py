@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from f3sr.contact import polytopes
+from f3sr.contact import compounds
 from f3sr.contact.joint_separation import part
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart
@@ -33,7 +33,7 @@ def at(bodies, found):
 
 
 def overlapping(bodies):
-    return [(a, b) for a, b in all_pairs(bodies) if polytopes.collide(bodies[a], bodies[b])]
+    return [(a, b) for a, b in all_pairs(bodies) if compounds.collide(bodies[a], bodies[b])]
 
 
 def heap(seed: int, count: int, *, crowding: float = 0.5):
@@ -58,7 +58,7 @@ def one_pair_after_the_other(bodies, rounds=64):
     for _ in range(rounds):
         busy = False
         for a, b in all_pairs(bodies):
-            t = polytopes.smallest_horizontal_move(bodies[a], bodies[b])
+            t = compounds.smallest_horizontal_move(bodies[a], bodies[b])
             if length := float(np.linalg.norm(t)):
                 t = t * (1 + 1e-9 / length)
                 moved[a], moved[b] = moved[a] + t / 2, moved[b] - t / 2

@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
-from f3sr.contact import polytopes
+from f3sr.contact import compounds, horizontal_moves, polytopes
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import pose, rotation_about
@@ -119,41 +119,41 @@ def test_edge_against_edge():
     a = box().moved(pose(rotation_about([1, 0, 0], np.pi / 4)))
     b = box().moved(pose(rotation_about([0, 1, 0], np.pi / 4), [0, 0, np.sqrt(2) - 0.01]))
     assert polytopes.overlap_depth(a, b) == pytest.approx(0.01, abs=1e-12)
-    assert polytopes.smallest_shift([b], [a], UP) == pytest.approx(0.01, abs=1e-8)
+    assert compounds.smallest_shift([b], [a], UP) == pytest.approx(0.01, abs=1e-8)
 
 
 def test_a_shift_passes_through_what_hangs_above():
     """A gap that is too low for the body is no place to stop; one that is high enough is."""
     body, floor = [box()], box(size=(5, 5, 1), center=(0, 0, -0.5))
-    assert polytopes.smallest_shift(body, [floor], UP) == pytest.approx(0.5, abs=1e-8)
+    assert compounds.smallest_shift(body, [floor], UP) == pytest.approx(0.5, abs=1e-8)
     shelf = [floor, box(size=(5, 5, 0.2), center=(0, 0, 1.0))]
-    assert polytopes.smallest_shift(body, shelf, UP) == pytest.approx(1.6, abs=1e-8)
+    assert compounds.smallest_shift(body, shelf, UP) == pytest.approx(1.6, abs=1e-8)
     high_shelf = [floor, box(size=(5, 5, 0.2), center=(0, 0, 1.2))]
-    assert polytopes.smallest_shift(body, high_shelf, UP) == pytest.approx(0.5, abs=1e-8)
+    assert compounds.smallest_shift(body, high_shelf, UP) == pytest.approx(0.5, abs=1e-8)
 
 
 def test_clearance_is_left_behind_only():
     body = [box()]
-    assert polytopes.smallest_shift(body, [box(center=(0, 0, -1.0))], UP, clearance=0.1) == pytest.approx(0.1)
-    assert polytopes.smallest_shift(body, [box(center=(0, 0, -1.04))], UP, clearance=0.1) == pytest.approx(0.06)
-    assert polytopes.smallest_shift(body, [box(center=(0, 0, -1.2))], UP, clearance=0.1) == 0
-    assert polytopes.smallest_shift(body, [box(center=(0, 0, 1.01))], UP, clearance=0.1) == 0
+    assert compounds.smallest_shift(body, [box(center=(0, 0, -1.0))], UP, clearance=0.1) == pytest.approx(0.1)
+    assert compounds.smallest_shift(body, [box(center=(0, 0, -1.04))], UP, clearance=0.1) == pytest.approx(0.06)
+    assert compounds.smallest_shift(body, [box(center=(0, 0, -1.2))], UP, clearance=0.1) == 0
+    assert compounds.smallest_shift(body, [box(center=(0, 0, 1.01))], UP, clearance=0.1) == 0
 
 
 def test_free_travel():
     body = [box()]
-    assert polytopes.free_travel(body, [box(center=(3, 0, 0))], (1, 0, 0)) == pytest.approx(2, abs=1e-8)
-    assert polytopes.free_travel(body, [box(center=(-3, 0, 0))], (1, 0, 0)) == np.inf
-    assert polytopes.free_travel(body, [box(center=(0.5, 0, 0))], (1, 0, 0)) == 0
+    assert compounds.free_travel(body, [box(center=(3, 0, 0))], (1, 0, 0)) == pytest.approx(2, abs=1e-8)
+    assert compounds.free_travel(body, [box(center=(-3, 0, 0))], (1, 0, 0)) == np.inf
+    assert compounds.free_travel(body, [box(center=(0.5, 0, 0))], (1, 0, 0)) == 0
 
 
 def test_a_horizontal_move_leaves_a_union_not_a_part():
     """Out of two overlapping walls at once: the way out of either alone would end in the other."""
     walls = [box(size=(1, 9, 1)), box(size=(1, 9, 1), center=(0.8, 0, 0))]
     body = [box(size=(0.2, 0.2, 0.2), center=(0.45, 0, 0))]
-    move = polytopes.smallest_horizontal_move(body, walls)
+    move = compounds.smallest_horizontal_move(body, walls)
     assert move == pytest.approx([0.95, 0], abs=1e-8)
-    assert np.allclose(polytopes.smallest_horizontal_move(body, [box(center=(5, 0, 0))]), 0)
+    assert np.allclose(compounds.smallest_horizontal_move(body, [box(center=(5, 0, 0))]), 0)
 
 
 # Touching and nearly coincident bodies
@@ -161,19 +161,19 @@ def test_a_horizontal_move_leaves_a_union_not_a_part():
 
 def test_touching_is_no_collision():
     a, b = box(), box(center=(0, 0, 1))
-    assert not polytopes.collide([a], [b])
-    assert not polytopes.collide([a], [b.shifted((0, 0, -1e-10))])
-    assert polytopes.collide([a], [b.shifted((0, 0, -1e-6))])
-    assert not polytopes.collide([a], [b.shifted((0, 0, -1e-3))], tolerance=2e-3)
-    assert polytopes.smallest_shift([b], [a], UP) == 0
+    assert not compounds.collide([a], [b])
+    assert not compounds.collide([a], [b.shifted((0, 0, -1e-10))])
+    assert compounds.collide([a], [b.shifted((0, 0, -1e-6))])
+    assert not compounds.collide([a], [b.shifted((0, 0, -1e-3))], tolerance=2e-3)
+    assert compounds.smallest_shift([b], [a], UP) == 0
 
 
 def test_what_rests_may_slide():
     R = rotation_about([1, 2, 3], 0.7)
     a, b = box().moved(pose(R)), box(center=(0, 0, 1)).moved(pose(R))
-    assert polytopes.free_travel([b], [a], R @ [1, 0, 0]) == np.inf
-    assert polytopes.free_travel([b], [a], R @ UP) == np.inf
-    assert polytopes.free_travel([b], [a], -R @ UP) == pytest.approx(0, abs=1e-8)
+    assert compounds.free_travel([b], [a], R @ [1, 0, 0]) == np.inf
+    assert compounds.free_travel([b], [a], R @ UP) == np.inf
+    assert compounds.free_travel([b], [a], -R @ UP) == pytest.approx(0, abs=1e-8)
 
 
 def test_identical_boxes():
@@ -249,15 +249,15 @@ def test_horizontal_move_against_a_sweep_of_directions():
     for seed in range(6):
         rng = np.random.default_rng(seed)
         A, B = random_body(rng), random_body(rng)
-        move = polytopes.smallest_horizontal_move(A, B)
+        move = compounds.smallest_horizontal_move(A, B)
         length = np.linalg.norm(move)
         if length == 0:
-            assert not polytopes.collide(A, B)
+            assert not compounds.collide(A, B)
             continue
-        assert not polytopes.collide([p.shifted([*move, 0]) for p in A], B)
+        assert not compounds.collide([p.shifted([*move, 0]) for p in A], B)
         angles = np.linspace(0, 2 * np.pi, 180, endpoint=False)
-        ways = [polytopes.smallest_shift(A, B, (np.cos(w), np.sin(w), 0)) for w in angles]
-        toward = polytopes.smallest_shift(A, B, (*(move / length), 0))
+        ways = [compounds.smallest_shift(A, B, (np.cos(w), np.sin(w), 0)) for w in angles]
+        toward = compounds.smallest_shift(A, B, (*(move / length), 0))
         assert toward == pytest.approx(length, abs=1e-7)
         assert min(ways) >= length - 1e-7
 
@@ -302,14 +302,14 @@ def test_the_smallest_shift_is_free_and_smallest():
     for seed in SEEDS:
         rng = np.random.default_rng(seed)
         A, B, u = random_body(rng), random_body(rng), random_direction(rng)
-        t = polytopes.smallest_shift(A, B, u)
-        assert (t > 0) == polytopes.collide(A, B)
-        assert not polytopes.collide([p.shifted((t + 1e-9) * u) for p in A], B)
+        t = compounds.smallest_shift(A, B, u)
+        assert (t > 0) == compounds.collide(A, B)
+        assert not compounds.collide([p.shifted((t + 1e-9) * u) for p in A], B)
         if t > 0:
             moved += 1
-            assert polytopes.collide([p.shifted((t - 1e-6) * u) for p in A], B)
+            assert compounds.collide([p.shifted((t - 1e-6) * u) for p in A], B)
             for s in rng.uniform(0, t - 1e-6, 5):
-                assert polytopes.collide([p.shifted(s * u) for p in A], B)
+                assert compounds.collide([p.shifted(s * u) for p in A], B)
     assert moved > 10
 
 
@@ -318,10 +318,10 @@ def test_free_travel_ends_in_contact():
         rng = np.random.default_rng(seed)
         A, B, u = random_body(rng, 2), random_body(rng, 2), random_direction(rng)
         A = [p.shifted(-4 * u) for p in A]
-        t = polytopes.free_travel(A, B, u)
+        t = compounds.free_travel(A, B, u)
         if 0 < t < np.inf:
-            assert not polytopes.collide([p.shifted((t - 1e-9) * u) for p in A], B)
-            assert polytopes.collide([p.shifted((t + 1e-5) * u) for p in A], B)
+            assert not compounds.collide([p.shifted((t - 1e-9) * u) for p in A], B)
+            assert compounds.collide([p.shifted((t + 1e-5) * u) for p in A], B)
 
 
 def test_an_open_surface_is_refused():
@@ -367,7 +367,7 @@ def test_no_free_place_is_nearer(seed: int):
     """Not even without slack, where rounding puts crossings of sides into the polygons that they belong to."""
     rng = np.random.default_rng(seed)
     polygons = [p for p in (polygon(rng) for _ in range(12)) if p is not None]
-    at = polytopes.nearest_free(polygons, 0.0)
+    at = horizontal_moves.nearest_free(polygons, 0.0)
 
     def depth(x: np.ndarray) -> np.ndarray:
         return np.max([(x @ p[:, :2].T + p[:, 2]).min(-1) for p in polygons], axis=0)
@@ -386,5 +386,5 @@ def test_thousands_of_polygons_take_no_minutes():
     middles = rng.uniform(-1, 1, (4000, 2))
     polygons = [np.column_stack([around, 0.1 - around @ m]) for m in middles]
     start = time.process_time()
-    at = polytopes.nearest_free(polygons, 0.0)
+    at = horizontal_moves.nearest_free(polygons, 0.0)
     assert 0.8 < np.abs(at).max() < 1.2 and time.process_time() - start < 5

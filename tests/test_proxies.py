@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from f3sr import proxies
-from f3sr.contact import polytopes
+from f3sr.contact import compounds
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.errors import InputError
@@ -175,7 +175,7 @@ def test_an_l_shape_is_two_boxes_and_stays_open(cache):
     assert len(proxy.parts) == 2
     assert distance_outside(proxy, surface_points(L_SHAPE)).max() < 1e-7
     assert proxy.inflation == pytest.approx(1, abs=0.01)
-    assert not polytopes.collide(ball(0.15, (0.6, 0.6, 0.25)), body(proxy))
+    assert not compounds.collide(ball(0.15, (0.6, 0.6, 0.25)), body(proxy))
 
 
 def crate(wall=0.05):
@@ -205,7 +205,7 @@ def cup(cache):
 def lowest_of_a_dropped_ball(proxy, radius, at, height):
     x, y = at
     pole = ball(radius, (x, y, height))
-    rest = polytopes.free_travel(pole, body(proxy), (0, 0, -1))
+    rest = compounds.free_travel(pole, body(proxy), (0, 0, -1))
     return min(p.vertices[:, 2].min() for p in pole) - rest
 
 
@@ -227,9 +227,9 @@ def test_a_mug_holds_a_ball_on_its_visual_floor(cup):
     for wall in ((1, 0, 0), (0, 1, 0), (-0.6, 0.8, 0)):
         inside = ball(0.1, (0, 0, 0.5))
         reach = max(float((p.vertices @ wall).max()) for p in inside)
-        travel = polytopes.free_travel(inside, body(cup), wall)
+        travel = compounds.free_travel(inside, body(cup), wall)
         assert travel + reach == pytest.approx(0.36, abs=0.01 * mesh.diagonal)
-    assert not polytopes.collide(ball(0.05, (0.5, 0, 0.5)), body(cup)), "a finger fits through the handle"
+    assert not compounds.collide(ball(0.05, (0.5, 0, 0.5)), body(cup)), "a finger fits through the handle"
     assert cup.excess.floor is not None and cup.excess.floor < 0.005
 
 
@@ -239,8 +239,8 @@ def test_a_bowl_is_covered_and_stays_a_container(bowl):
     assert distance_outside(bowl, surface_points(BOWL)).max() < 1e-6 * BOWL.diagonal
     assert len(bowl.parts) <= QUICK.max_parts
     for x in (0, 0.2, -0.3):
-        assert not polytopes.collide(ball(0.1, (x, 0, 0.3)), body(bowl))
-    assert polytopes.collide(ball(0.1, (0, 0, 0.1)), body(bowl))
+        assert not compounds.collide(ball(0.1, (x, 0, 0.3)), body(bowl))
+    assert compounds.collide(ball(0.1, (0, 0, 0.1)), body(bowl))
     assert lowest_of_a_dropped_ball(bowl, 0.1, (0, 0), 0.5) == pytest.approx(0.05, abs=0.005 * BOWL.diagonal)
 
 
@@ -270,7 +270,7 @@ def test_single_layers_of_triangles_get_a_thickness(cache):
     proxy = decompose(mesh, QUICK, cache_dir=cache)
     assert proxy.method == "cuts"
     assert distance_outside(proxy, surface_points(mesh)).max() < 1e-6
-    assert not polytopes.collide(ball(0.3, (0.5, 0.5, 0.5)), body(proxy))
+    assert not compounds.collide(ball(0.3, (0.5, 0.5, 0.5)), body(proxy))
 
 
 # The pieces of it

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from f3sr.contact.polytopes import Polytope, collide
+from f3sr.contact.compounds import collide
+from f3sr.contact.polytopes import Polytope
 from f3sr.goals.cavity import cavity_of
 from f3sr.goals.scene_layout import SceneLayout, way_between
 from f3sr.launches.launch_context import Aim

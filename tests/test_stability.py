@@ -178,9 +178,7 @@ def test_a_larger_world_stands_alike(k: float) -> None:
     """Scaled with its gaps and the reach; masses grow alike."""
     bodies = bodies_of(stacks.stack(12))
     T = pose(k * np.eye(3))
-    large = [
-        replace(b, parts=tuple(p.moved(T) for p in b.parts), centers=k * b.centers, mass=k**3 * b.mass) for b in bodies
-    ]
+    large = [replace(b, parts=b.parts.moved(T), centers=k * b.centers, mass=k**3 * b.mass) for b in bodies]
     found = stability(large, contacts_of(large, reach=k * DEFAULT_MARGIN.reach))
     once = stability(bodies)
     assert found.margin == pytest.approx(once.margin, abs=2e-3)

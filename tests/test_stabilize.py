@@ -9,7 +9,7 @@ import pytest
 
 import stacks
 from bodies import GAP, block, body
-from f3sr.contact import polytopes
+from f3sr.contact import compounds
 from f3sr.contact.stability import stability, stands
 from f3sr.contact.stabilize import BalanceConfig, balance
 from f3sr.contact.static_bodies import StaticBody, bodies_of
@@ -71,7 +71,7 @@ def test_bodies_are_not_pushed_into_their_neighbours() -> None:
     thing = body(1, block((0.1, 0.1, 0.2), (0.06, 0, 0.2 + GAP)))
     found = balance([shelf, thing, wall], {0: GROUND, 1: 0, 2: GROUND})
     moved = after([shelf, thing, wall], found)
-    assert not polytopes.collide(moved[1].parts, moved[2].parts)
+    assert not compounds.collide(moved[1].parts, moved[2].parts)
     assert not found.success and found.unbalanced == {1}
 
 

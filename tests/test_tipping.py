@@ -9,7 +9,7 @@ import pytest
 
 import stacks
 from bodies import GAP, block, body
-from f3sr.contact import polytopes
+from f3sr.contact import compounds
 from f3sr.contact.static_bodies import bodies_of
 from f3sr.contact.tipping import LandingConfig, land
 from f3sr.core.transforms import UP, pose, rotation_about, rotation_angle
@@ -43,7 +43,7 @@ def test_a_plank_over_an_edge_leans_from_it_to_the_floor() -> None:
     plank = body(0, block((0.4, 0.05, 0.02), (0.15, 0, 0.3)))
     found = land(plank, [shelf], LandingConfig(max_turn=1.0, max_drop=10))
     assert found.stands and found.turn == pytest.approx(np.arcsin(1 / 3), abs=EXACT)
-    assert not polytopes.collide(plank.moved(found.T).parts, shelf.parts)
+    assert not compounds.collide(plank.moved(found.T).parts, shelf.parts)
 
 
 def test_what_would_turn_too_far_or_drop_too_low_stays_and_says_so() -> None:

@@ -17,7 +17,7 @@ import stress
 import stress_judged as judged
 import stress_things as things
 from f3sr import pipeline
-from f3sr.contact import polytopes
+from f3sr.contact import compounds
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.transforms import pose, rotation_about
 from f3sr.pipeline import Config
@@ -28,7 +28,7 @@ from scenes import box, box_stack_scene, scene_of
 
 def overlaps(scene: Scene) -> bool:
     bodies = [[Polytope.of(p) for p in o.colliders_world] for o in scene]
-    return any(polytopes.collide(a, b) for i, a in enumerate(bodies) for b in bodies[:i])
+    return any(compounds.collide(a, b) for i, a in enumerate(bodies) for b in bodies[:i])
 
 
 # --- the report's recipe --------------------------------------------------------------------------------------------

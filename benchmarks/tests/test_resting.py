@@ -10,7 +10,7 @@ import pytest
 import resting
 import stacks
 from bodies import GAP, block, body
-from f3sr.contact import polytopes
+from f3sr.contact import compounds
 from f3sr.contact.static_bodies import bodies_of
 from f3sr.contact.tipping import LandingConfig
 from f3sr.physics import release
@@ -23,7 +23,7 @@ def test_tilted_stacks_lie_down_one_after_the_other_and_rest(seed: int) -> None:
     assert all(x.stands for x in found.landings.values())
     landed = [replace(o, T_world_object=found.motions[o.id] @ o.T_world_object) for o in objects]
     assert not any(
-        polytopes.collide(stacks.world_parts(a), stacks.world_parts(b)) for a in landed for b in landed if a.id < b.id
+        compounds.collide(stacks.world_parts(a), stacks.world_parts(b)) for a in landed for b in landed if a.id < b.id
     )
     assert release.release(objects, seconds=1).D_max > 5e-3 > 1e-3 > release.release(landed, seconds=1).D_max
 

@@ -15,10 +15,11 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.contact.polytopes import Body, Polytope, facets
+from f3sr.contact.compounds import Compound, Parts, compound, near_parts, placed
+from f3sr.contact.polytopes import Polytope, facets
 from f3sr.contact.sort_order import sort_order
 from f3sr.core.mesh import ConvexPart
-from f3sr.core.transforms import UP, Array, frozen
+from f3sr.core.transforms import UP, Array, frozen, pose
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.runtime.kernels import kernel
 from f3sr.scene import GROUND
@@ -73,11 +74,11 @@ class Contacts:
         return frozenset(zip(self.upper.tolist(), self.lower.tolist(), strict=True))
 
 
-def find_contacts(bodies: Mapping[int, Body], *, reach: float = DEFAULT_MARGIN.reach, ground: bool = True) -> Contacts:
+def find_contacts(bodies: Mapping[int, Parts], *, reach: float = DEFAULT_MARGIN.reach, ground: bool = True) -> Contacts:
     """All contacts between bodies, given by id with their parts in the world, and with the ground z = 0.
 
     Parts with gaps of at most ``reach`` [m] touch."""
-    rows = list(_rows(bodies, reach, ground))
+    rows = list(_rows({id: compound(parts) for id, parts in bodies.items()}, reach, ground))
     owners = np.array([r.owners for r in rows], np.int64).reshape(-1, 2)
     counts = [len(r.patch.points) for r in rows]
     upper, lower = np.repeat(owners, counts, axis=0).T
@@ -103,14 +104,14 @@ class _Row(NamedTuple):
     patch: _ContactPatch
 
 
-def _rows(bodies: Mapping[int, Body], reach: float, ground: bool) -> Iterator[_Row]:
-    boxes = {id: np.stack([p.bounds for p in parts]) for id, parts in bodies.items()}
+def _rows(bodies: Mapping[int, Compound], reach: float, ground: bool) -> Iterator[_Row]:
+    boxes = {id: body.bounds for id, body in bodies.items()}
     for a, b in combinations(bodies, 2):
-        if _apart(_around(boxes[a]), _around(boxes[b]), reach):
+        if _apart(boxes[a], boxes[b], reach):
             continue
         patches = [
             patch
-            for i, j in np.argwhere(_near(boxes[a], boxes[b], reach))
+            for i, j in near_parts(bodies[a], bodies[b], reach).tolist()
             if (patch := _between(bodies[a][i], bodies[b][j], reach))
         ]
         if not patches:
@@ -121,31 +122,19 @@ def _rows(bodies: Mapping[int, Body], reach: float, ground: bool) -> Iterator[_R
             patches = [_ContactPatch(-p.normal, p.points, np.eye(3) - p.follow) for p in patches]
         yield from (_Row((a, b) if upward else (b, a), patch) for patch in _merged(patches, reach))
     if ground:
-        for id, parts in bodies.items():
-            patches = [p for part in parts if (p := _on_ground(part, reach))]
+        for id, body in bodies.items():
+            low = np.flatnonzero(body.boxes[:, 0, 2] <= reach)
+            patches = [_on_ground(body[k], reach) for k in low.tolist()]
             yield from (_Row((id, GROUND), patch) for patch in _merged(patches, reach))
-
-
-def _around(boxes: Array) -> Array:
-    return np.stack([boxes[:, 0].min(0), boxes[:, 1].max(0)])
 
 
 def _apart(a: Array, b: Array, reach: float) -> bool:
     return bool(((a[0] > b[1] + reach) | (b[0] > a[1] + reach)).any())
 
 
-def _near(a: Array, b: Array, reach: float) -> NDArray[np.bool_]:
-    """Pairs (n, m) of parts whose boxes come within reach of each other."""
-    near = (a[:, None, 0] <= b[None, :, 1] + reach) & (b[None, :, 0] <= a[:, None, 1] + reach)
-    return np.logical_and.reduce(near, axis=-1)
-
-
 def _between(a: Polytope, b: Polytope, reach: float) -> _ContactPatch | None:
     """The patch of two convex parts, its normal from b to a; None when they are further apart than reach."""
-    # A face's axis already separates most pairs that are near.
-    normals, heights = facets(a, b, within=reach)
-    if not len(heights):
-        return None
+    normals, heights = facets(a, b)
     faces = len(a.normals) + len(b.normals)
     # The axis of best separation has the least height; -height is the gap along it.
     best = int(np.argmin(heights[:faces]))
@@ -169,9 +158,7 @@ def _between(a: Polytope, b: Polytope, reach: float) -> _ContactPatch | None:
     return _ContactPatch(-n, rows[:, :3] - reach / 2 * n, rows[:, 3:].reshape(-1, 3, 3))
 
 
-def _on_ground(part: Polytope, reach: float) -> _ContactPatch | None:
-    if part.bounds[0, 2] > reach:
-        return None
+def _on_ground(part: Polytope, reach: float) -> _ContactPatch:
     starts, ends = part.edge_starts, part.edge_starts + part.edge_lengths[:, None] * part.edge_directions
     with np.errstate(divide="ignore", invalid="ignore"):
         # The part below z = reach, seen from above: its own low corners, and where its edges pass that height.
@@ -310,6 +297,5 @@ def _chain(points: Array, order: NDArray[np.int64], tolerance: float, hull: NDAr
 
 def warm_up() -> None:
     """Compile every kernel of this module by calling it once."""
-    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-    a = Polytope.of(ConvexPart.hull_of(corners))
-    find_contacts({0: [a], 1: [a.shifted((0.1, 0.1, 0.7))]})
+    part = ConvexPart.hull_of(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]))
+    find_contacts({0: placed([part], np.eye(4)), 1: placed([part], pose(t=[0.1, 0.1, 0.7]))})

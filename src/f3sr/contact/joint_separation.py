@@ -16,8 +16,8 @@ from itertools import count
 
 import numpy as np
 
-from f3sr.contact import polytopes
-from f3sr.contact.polytopes import Body
+from f3sr.contact.compounds import Compound, forbidden_polygons
+from f3sr.contact.horizontal_moves import nearest_free
 from f3sr.core.transforms import Array
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
 
@@ -51,7 +51,7 @@ class Parted:
 
 
 def part(
-    bodies: Mapping[int, Body],
+    bodies: Mapping[int, Compound],
     pairs: Iterable[Pair],
     weights: Mapping[int, Array],
     *,
@@ -107,7 +107,7 @@ class _Problem:
 
     def __init__(
         self,
-        bodies: Mapping[int, Body],
+        bodies: Mapping[int, Compound],
         pairs: Iterable[Pair],
         weights: Mapping[int, Array],
         carriers: Mapping[int, int | None],
@@ -119,7 +119,7 @@ class _Problem:
         self.moves = {id: np.linalg.inv(np.linalg.cholesky(np.asarray(weights[id], float)).T) for id in self.ids}
         self.obstacles: list[_Obstacle] = []
         for a, b in pairs:
-            polygons = [_grown(p, clearance) for p in polytopes.forbidden_polygons(bodies[a], bodies[b])]
+            polygons = [_grown(p, clearance) for p in forbidden_polygons(bodies[a], bodies[b])]
             if polygons:
                 self.obstacles.append(_Obstacle((a, b), polygons, self.matrix(a) - self.matrix(b)))
 
@@ -171,7 +171,7 @@ class _Problem:
                 r = o.matrix @ x
                 # The polygons as seen from the present relative move r: n . (r + t) + h.
                 here = [np.column_stack([p[:, :2], p[:, 2] + p[:, :2] @ r]) for p in o.polygons]
-                t = polytopes.nearest_free(here, 0.0)
+                t = nearest_free(here, 0.0)
                 # The cheapest x that makes the relative move t: the pseudoinverse is least in |x|.
                 x = x + np.linalg.pinv(o.matrix) @ (t * (1 + 1e-6))
         return x

@@ -1,4 +1,4 @@
-"""Exact relations between convex polytopes and unions of them: depth, forbidden shifts, least separating moves.
+"""Exact relations between two convex polytopes: depth and forbidden shifts.
 
 Everything follows from the facets of the Minkowski difference B - A. ``A`` moved by ``x`` overlaps ``B`` if and only if
 ``normal . x > -height`` for every facet. Facets have three sources: A's faces, B's faces negated, and pairs of edges
@@ -6,14 +6,12 @@ whose arcs cross on the Gauss map (Gregorius, "The Separating Axis Test between 
 
 - The depth is the smallest height (equation 10).
 - The overlapping shifts along a direction form one interval (equation 11).
-- The overlapping horizontal shifts form one convex polygon.
 
 Lengths have the unit of the polytopes: metres in the world.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self, cast
@@ -22,7 +20,6 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from f3sr.contact.sort_order import sort_order
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, frozen
 from f3sr.runtime.kernels import inner_kernel, kernel
@@ -39,9 +36,6 @@ SHORT = 1e-6
 """Length of an edge, as a share of the polytope's size, below which its facets tell its direction, not its ends."""
 PARALLEL = 1e-12
 """Sine below which a facet counts as parallel to a direction: rounding of unit vectors."""
-
-
-UNMOVED = np.eye(4)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -98,41 +92,10 @@ class Polytope:
             edge_normals=beside,
         )
 
-    def __getattr__(self, name: str) -> Array:
-        if name not in Polytope.__dataclass_fields__ or "_of" not in self.__dict__:
-            raise AttributeError(name)
-        self._make(*self.__dict__["_of"])
-        return self.__dict__[name]
-
-    def _make(self, source: Polytope, T: Array) -> None:
-        """The arrays of a polytope that was moved by T (4, 4): most are only asked for their bounds."""
-        # A similarity scales all columns alike: the first one's length is the scale.
-        scale = float(np.sqrt(T[0, 0] ** 2 + T[1, 0] ** 2 + T[2, 0] ** 2))
-        A, t = np.ascontiguousarray(T[:3, :3].T), T[:3, 3]
-        R = A / scale
-        normals = source.normals @ R
-        arrays = {
-            "vertices": source.vertices @ A + t,
-            "normals": normals,
-            "offsets": scale * source.offsets + normals @ t,
-            "edge_starts": source.edge_starts @ A + t,
-            "edge_directions": source.edge_directions @ R,
-            "edge_lengths": scale * source.edge_lengths,
-            "edge_normals": source.edge_normals @ R,
-        }
-        for array in arrays.values():
-            array.flags.writeable = False
-        self.__dict__.update(arrays)
-
-    @property
+    @cached_property
     def bounds(self) -> Array:
         """(2, 3) lowest and highest corner of the bounding box [m]."""
-        known = self.__dict__.get("_bounds")
-        if known is None:
-            source, T = self.__dict__.get("_of", (self, UNMOVED))
-            self.__dict__["_bounds"] = known = np.empty((2, 3))
-            _fill_bounds(source.vertices, T, known)
-        return known
+        return np.stack([self.vertices.min(0), self.vertices.max(0)])
 
     @cached_property
     def size(self) -> float:
@@ -152,22 +115,36 @@ class Polytope:
 
     def moved(self, T: Array) -> Self:
         """The polytope under a similarity T (4, 4) without reflection; facets and edges are carried along."""
-        source, before = self.__dict__.get("_of", (self, None))
-        moved = object.__new__(type(self))
-        moved.__dict__["_of"] = source, np.array(T) if before is None else T @ before
-        return moved
+        A, t = np.ascontiguousarray(T[:3, :3].T), T[:3, 3]
+        scale = scale_of(T)
+        R = A / scale
+        normals = self.normals @ R
+        return type(self).with_arrays(
+            vertices=self.vertices @ A + t,
+            normals=normals,
+            offsets=scale * self.offsets + normals @ t,
+            edge_starts=self.edge_starts @ A + t,
+            edge_directions=self.edge_directions @ R,
+            edge_lengths=scale * self.edge_lengths,
+            edge_normals=self.edge_normals @ R,
+        )
+
+    @classmethod
+    def with_arrays(cls, **arrays: Array) -> Self:
+        """A polytope of arrays that are its own: they are not copied, and cannot be written any more."""
+        made = object.__new__(cls)
+        for array in arrays.values():
+            array.flags.writeable = False
+        made.__dict__.update(arrays)
+        return made
 
 
 _MADE: WeakKeyDictionary[ConvexPart, Polytope] = WeakKeyDictionary()
 
 
-def placed(parts: Iterable[ConvexPart], T: Array) -> tuple[Polytope, ...]:
-    """The polytopes of convex parts under a similarity T (4, 4)."""
-    return tuple(Polytope.of(p).moved(T) for p in parts)
-
-
-Body = Sequence[Polytope]
-"""A body is the union of its convex parts."""
+def scale_of(T: Array) -> float:
+    """Factor of lengths under a similarity T (4, 4), which scales all columns alike: the first one's length."""
+    return float(np.sqrt(T[0, 0] ** 2 + T[1, 0] ** 2 + T[2, 0] ** 2))
 
 
 # One pair of convex polytopes
@@ -175,7 +152,7 @@ Body = Sequence[Polytope]
 
 def overlap_depth(a: Polytope, b: Polytope) -> float:
     """Length [m] of the smallest move that ends the overlap; <= 0 without overlap (then it is no distance)."""
-    return float(_depth(*a.packed, *b.packed))
+    return float(depth_kernel(*a.packed, *b.packed))
 
 
 def forbidden_interval(
@@ -186,153 +163,26 @@ def forbidden_interval(
     Without any collision it is (inf, -inf), as is one that ends by ``after`` or starts from ``before`` on.
     """
     u = np.asarray(direction, float)
-    return _interval(*a.packed, *b.packed, u, _touch(a, b) / 2, after, before)
+    return interval_kernel(*a.packed, *b.packed, u, touch(a, b) / 2, after, before)
 
 
-def facets(a: Polytope, b: Polytope, *, within: float = np.inf) -> tuple[Array, Array]:
+def facets(a: Polytope, b: Polytope) -> tuple[Array, Array]:
     """Unit normals (k, 3) and heights (k,): ``a`` moved by x overlaps ``b`` iff all ``n . x > -h``.
 
-    Facets of faces come first: those of a's, then those of b's. There are none where a face already shows a gap of more
-    than ``within``."""
-    planes = _planes(*a.packed, *b.packed, within)
+    Facets of faces come first: those of a's, then those of b's."""
+    planes = planes_kernel(*a.packed, *b.packed)
     return planes[:, :3], planes[:, 3]
-
-
-# Bodies made of several parts
-
-
-def collide(A: Body, B: Body, tolerance: float = 0.0) -> bool:
-    """Equation 10: whether some pair of parts overlaps deeper than ``tolerance`` and than contact."""
-    return any(
-        overlap_depth(A[i], B[j]) > max(tolerance, _touch(A[i], B[j])) for i, j in _boxes_overlap(A, B, (0, 1, 2))
-    )
-
-
-def smallest_shift(A: Body, B: Body, direction: ArrayLike, clearance: float = 0.0) -> float:
-    """Equation 11: the smallest t >= 0 for which A moved by ``t * direction`` is free of B.
-
-    Exact: the first t outside the union of the forbidden intervals of all pairs of parts. Pairs that are free at t = 0
-    and collide on the way are included. ``clearance`` is the gap left behind A along the direction, in t (metres
-    for a unit direction).
-    """
-    u, t, done = np.asarray(direction, float), 0.0, 0
-    pairs, starts = _boxes_meet(A, B, u, -clearance)
-    found = list[tuple[float, float]]()
-    # A pair matters once t is past the start of its boxes' overlap. t jumps to the ends of intervals that hold it.
-    while True:
-        now = int(np.searchsorted(starts, t))
-        found += [forbidden_interval(A[i], B[j], u, after=t - clearance) for i, j in pairs[done:now]]
-        done = now
-        end = max((hi + clearance for lo, hi in found if lo < t), default=t)
-        if end <= t:
-            return t
-        t = end
-
-
-def free_travel(A: Body, B: Body, direction: ArrayLike) -> float:
-    """The largest t >= 0 by which A can move along ``direction`` before it collides with B, or inf."""
-    u, t = np.asarray(direction, float), np.inf
-    for (i, j), start in zip(*_boxes_meet(A, B, u, 0.0), strict=True):
-        if start >= t:
-            break
-        t = min(t, forbidden_interval(A[i], B[j], u, after=0.0, before=t)[0])
-    return max(0.0, t)
-
-
-def smallest_horizontal_move(A: Body, B: Body) -> Array:
-    """The shortest horizontal move (2,) after which A is free of B; zeros if it is free already.
-
-    Exact: the forbidden moves are a union of convex polygons. The nearest free point is the origin, its foot on an
-    edge, or a crossing of two edges: the nearest of these that is inside no polygon.
-    """
-    if not collide(A, B):
-        return np.zeros(2)
-    # Half of what the polygons leave: the point on a side must count as outside.
-    slack = min(_touch(a, b) for a in A for b in B) / 4
-    return nearest_free(forbidden_polygons(A, B), slack)
-
-
-def forbidden_polygons(A: Body, B: Body, *, within: float = np.inf) -> list[Array]:
-    """The horizontal moves of A that collide with B: convex polygons, one for each pair of parts that can meet.
-
-    Each is given by its sides (k, 3), rows ``(n, h)`` with unit n (2,): inside is ``n . x + h > 0`` for all. Parts
-    with a gap of more than ``within`` along x or y are left out.
-    """
-    near = _boxes_overlap(A, B, (0, 1, 2), gap=np.array([within, within, 0]))
-    return [p for i, j in near if len(p := _horizontal_slice(A[i], B[j]))]
-
-
-def nearest_free(polygons: Sequence[Array], slack: float) -> Array:
-    """The point (2,) nearest to the origin that lies in none of the polygons deeper than ``slack``."""
-    planes, starts = np.concatenate(polygons), np.cumsum([0, *map(len, polygons)]).astype(np.int64)
-    ends, near = np.empty((len(planes), 2)), np.empty(len(planes))
-    if _measure_sides(planes, starts, slack, ends, near):
-        return np.zeros(2)
-    return np.array(_nearest_free(planes, starts, ends, near, sort_order(near), slack))
-
-
-def _boxes_overlap(A: Body, B: Body, axes: tuple[int, ...], gap: Array | float = 0.0) -> NDArray[np.int64]:
-    """Broad phase: pairs (k, 2) of parts whose bounding boxes overlap in the given axes, or nearly: ``gap`` apart."""
-    a, b = (np.stack([p.bounds for p in body])[:, :, axes] for body in (A, B))
-    # (n, m, axes): the high side of one box is below the low side of the other.
-    apart = (a[:, None, 1] + gap <= b[None, :, 0]) | (b[None, :, 1] + gap <= a[:, None, 0])
-    return np.argwhere(~apart.any(-1))
-
-
-def _boxes_meet(A: Body, B: Body, u: Array, beyond: float) -> tuple[NDArray[np.int64], Array]:
-    """Swept broad phase: pairs (k, 2) of parts whose boxes overlap at some shift t > ``beyond`` along u, and from which
-    t on (k,), which ascends."""
-    a, b = (np.stack([p.bounds for p in body]) for body in (A, B))
-    pairs, starts = np.empty((len(a) * len(b), 2), np.int64), np.empty(len(a) * len(b))
-    found = _meeting(a, b, u, beyond, pairs, starts)
-    order = np.argsort(starts[:found], kind="stable")
-    return pairs[order], starts[order]
-
-
-@kernel
-def _meeting(a: Array, b: Array, u: Array, beyond: float, pairs: NDArray[np.int64], starts: Array) -> int:
-    """Fill ``pairs`` (n m, 2) with those of boxes (n, 2, 3), (m, 2, 3) that overlap at some shift t > ``beyond`` of
-    the first along u, and ``starts`` (n m,) with the t from which on; returns how many."""
-    k = 0
-    still = PARALLEL * np.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
-    for i in range(len(a)):
-        for j in range(len(b)):
-            # Slab test: per axis the boxes overlap while low < t u < high.
-            first, last = -np.inf, np.inf
-            for x in range(3):
-                low, high = b[j, 0, x] - a[i, 1, x], b[j, 1, x] - a[i, 0, x]
-                if abs(u[x]) > still:
-                    s, t = low / u[x], high / u[x]
-                    first, last = max(first, min(s, t)), min(last, max(s, t))
-                elif low >= 0 or high <= 0:
-                    last = -np.inf
-                if first >= last or last <= beyond:
-                    break
-            if first < last and last > beyond:
-                pairs[k, 0], pairs[k, 1], starts[k] = i, j, first
-                k += 1
-    return k
-
-
-@kernel
-def _fill_bounds(points: Array, T: Array, bounds: Array) -> None:
-    """Fill ``bounds`` (2, 3) with the box of points (n, 3) under T (4, 4)."""
-    for x in range(3):
-        low, high = np.inf, -np.inf
-        for k in range(len(points)):
-            at = points[k, 0] * T[x, 0] + points[k, 1] * T[x, 1] + points[k, 2] * T[x, 2] + T[x, 3]
-            low, high = min(low, at), max(high, at)
-        bounds[0, x], bounds[1, x] = low, high
 
 
 # Facets of the Minkowski difference
 
 
-def _touch(a: Polytope, b: Polytope) -> float:
+def touch(a: Polytope, b: Polytope) -> float:
+    """Overlap [m] up to which two polytopes are in contact, not in collision."""
     return TOUCH * (a.size + b.size)
 
 
-@kernel
+@inner_kernel
 def _edge_planes(
     points_a: Array,
     starts_a: Array,
@@ -398,7 +248,7 @@ def _lowest(points: Array, normals: Array, k: int) -> float:
 
 
 @kernel
-def _planes(
+def planes_kernel(
     points_a: Array,
     faces_a: Array,
     offsets_a: Array,
@@ -411,28 +261,37 @@ def _planes(
     starts_b: Array,
     directions_b: Array,
     normals_b: Array,
-    within: float,
 ) -> Array:
-    """All facets (k, 4), normal and height; none where a face has a height below ``-within``."""
+    """All facets (k, 4), normal and height."""
     m, n = len(faces_a), len(faces_b)
     planes = np.empty((m + n + len(starts_a) * len(starts_b), 4))
     # Height = support of a along n, less the least of b along n: how far a reaches into b.
     for k in range(m):
         planes[k, :3], planes[k, 3] = faces_a[k], offsets_a[k] - _lowest(points_b, faces_a, k)
-        if planes[k, 3] < -within:
-            return planes[:0]
     for k in range(n):
         planes[m + k, :3], planes[m + k, 3] = -faces_b[k], offsets_b[k] - _lowest(points_a, faces_b, k)
-        if planes[m + k, 3] < -within:
-            return planes[:0]
     k = _edge_planes(
         points_a, starts_a, directions_a, normals_a, points_b, starts_b, directions_b, normals_b, planes, m + n
     )
     return planes[:k]
 
 
+@inner_kernel
+def has_gap(
+    points_a: Array, faces_a: Array, offsets_a: Array, points_b: Array, faces_b: Array, offsets_b: Array, gap: float
+) -> bool:
+    """Whether a face of one of them shows a gap of more than ``gap``."""
+    for k in range(len(faces_a)):
+        if offsets_a[k] - _lowest(points_b, faces_a, k) < -gap:
+            return True
+    for k in range(len(faces_b)):  # noqa: SIM110 (a kernel)
+        if offsets_b[k] - _lowest(points_a, faces_b, k) < -gap:
+            return True
+    return False
+
+
 @kernel
-def _depth(
+def depth_kernel(
     points_a: Array,
     faces_a: Array,
     offsets_a: Array,
@@ -467,7 +326,7 @@ def _depth(
 
 
 @kernel
-def _interval(
+def interval_kernel(
     points_a: Array,
     faces_a: Array,
     offsets_a: Array,
@@ -520,189 +379,6 @@ def _clipped(lo: float, hi: float, speed: float, bound: float, still: float) -> 
     if speed > 0.0:
         return max(lo, bound / speed), hi
     return lo, min(hi, bound / speed)
-
-
-# Horizontal moves: polygons in the plane of shifts
-
-
-def _horizontal_slice(a: Polytope, b: Polytope) -> Array:
-    """The polygon of horizontal shifts where a collides with b: half-planes (k, 3), ``n . x + h > 0``."""
-    planes = _planes(*a.packed, *b.packed, np.inf)
-    low, high = b.bounds[0] - a.bounds[1], b.bounds[1] - a.bounds[0]
-    return _sliced(planes, _touch(a, b) / 2, low, high)
-
-
-@kernel
-def _sliced(facets: Array, slack: float, low: Array, high: Array) -> Array:
-    """The half-planes (k, 3) that bound facets (n, 4) in the plane z = 0 of shifts; none where they hold no shift.
-
-    Shifts that collide are between ``low`` and ``high`` (2,)."""
-    planes = np.empty((len(facets) + 4, 3))
-    k = 0
-    for i in range(len(facets)):
-        x, y, height = facets[i, 0], facets[i, 1], facets[i, 3] - slack
-        length = np.sqrt(x * x + y * y)
-        if length > PARALLEL:
-            # Divided by the length of its level part the normal is unit again.
-            planes[k, 0], planes[k, 1], planes[k, 2] = x / length, y / length, height / length
-            k += 1
-        elif height <= 0.0:  # a level facet separates them at any shift
-            return planes[:0]
-    # Box against box bounds every shift that collides: the start of clipping. Order: bottom, right, top, left.
-    planes[k], planes[k + 1] = np.array([0.0, 1.0, -low[1]]), np.array([-1.0, 0.0, high[0]])
-    planes[k + 2], planes[k + 3] = np.array([0.0, -1.0, high[1]]), np.array([1.0, 0.0, -low[0]])
-    # Two buffers swap after each clip; a clip adds at most one corner.
-    corners, sides = np.empty((2, k + 12, 2)), np.empty((2, k + 12), np.int64)
-    return planes[sides[0, : _polygon_sides(planes[: k + 4], corners, sides)]]
-
-
-@kernel
-def _polygon_sides(planes: Array, corners: Array, sides: NDArray[np.int64]) -> int:
-    """Which half-planes (k, 3) bound their common polygon: the first of ``sides[0]``; returns how many.
-
-    The last four half-planes are a box around it. Sutherland-Hodgman clipping; 0 when the half-planes have nothing in
-    common."""
-    # Corner i is corners[now, i]; sides[now, i] is the half-plane that bounds the polygon from there to corner i + 1.
-    k = len(planes)
-    # Rows [0, 1, -bottom], [-1, 0, right], [0, -1, top], [1, 0, -left]: counter-clockwise from the bottom.
-    for i in range(4):
-        corners[0, i, 0] = -planes[k - 1, 2] if i == 0 or i == 3 else planes[k - 3, 2]
-        corners[0, i, 1] = -planes[k - 4, 2] if i < 2 else planes[k - 2, 2]
-        sides[0, i] = k - 4 + i
-    now, n = 0, 4
-    for p in range(k - 4):
-        m, then = 0, 1 - now
-        for i in range(n):
-            j = i + 1 if i + 1 < n else 0
-            x, y = corners[now, i, 0], corners[now, i, 1]
-            next_x, next_y = corners[now, j, 0], corners[now, j, 1]
-            here = planes[p, 0] * x + planes[p, 1] * y + planes[p, 2]
-            there = planes[p, 0] * next_x + planes[p, 1] * next_y + planes[p, 2]
-            if here >= 0.0:
-                corners[then, m, 0], corners[then, m, 1], sides[then, m] = x, y, sides[now, i]
-                m += 1
-            if (here >= 0.0) != (there >= 0.0):
-                w = here / (here - there)
-                corners[then, m, 0], corners[then, m, 1] = x + w * (next_x - x), y + w * (next_y - y)
-                # Going out starts the new side, coming in resumes the old one.
-                sides[then, m] = p if here >= 0.0 else sides[now, i]
-                m += 1
-        now, n = then, m
-    for i in range(n):
-        sides[0, i] = sides[now, i]
-    return n
-
-
-@kernel
-def _measure_sides(planes: Array, starts: NDArray[np.int64], slack: float, ends: Array, near: Array) -> bool:
-    """Fill ``ends`` (k, 2) with what each side of its polygon spans, and ``near`` (k,) with its distance.
-
-    The distance is that to the origin, inf for a side without length. True when the origin itself is free: then
-    nothing is filled. Polygon p has the half-planes ``planes[starts[p]:starts[p + 1]]``, rows (unit normal, height)."""
-    if _is_free(0.0, 0.0, planes, starts, slack):
-        return True
-    for p in range(len(starts) - 1):
-        for i in range(starts[p], starts[p + 1]):
-            # Line i of polygon p bounds it between these two t; the parameter runs along the line from the origin's
-            # foot.
-            low, high = _across(i, p, planes, starts, 0.0)
-            t = min(max(0.0, low), high)  # t = 0 is the foot of the origin on the line
-            ends[i, 0], ends[i, 1] = low, high
-            near[i] = np.sqrt(planes[i, 2] ** 2 + t * t) if low <= high else np.inf
-    return False
-
-
-@kernel
-def _nearest_free(
-    planes: Array, starts: NDArray[np.int64], ends: Array, near: Array, order: NDArray[np.int64], slack: float
-) -> tuple[float, float]:
-    """The point nearest to the origin that lies in no polygon deeper than ``slack``.
-
-    The point lies on a side of some polygon. Sides are visited in ``order``, by their distance. From the nearest point
-    of a side the search walks along it both ways, out of one polygon after the other. It ends at a free point, at the
-    side's end, or beyond the best.
-    """
-    best, best_x, best_y = np.inf, 0.0, 0.0
-    for place in range(len(order)):
-        i = order[place]
-        if near[i] >= best:
-            break
-        low, high, height = ends[i, 0], ends[i, 1], planes[i, 2]
-        for turn in range(2):
-            t = min(max(0.0, low), high)
-            q = _inside(i, t, planes, starts, slack)
-            # Inside q: jump to where the line leaves it. t only grows, or only falls, so the walk ends.
-            while q >= 0 and low <= t <= high and height * height + t * t < best * best:
-                a, b = _across(i, q, planes, starts, slack)
-                t = b if turn == 0 else a
-                q = _inside(i, t, planes, starts, slack)
-            distance = np.sqrt(height * height + t * t)
-            if q < 0 and low <= t <= high and distance < best:
-                best = distance
-                best_x, best_y = _on_line(i, t, planes)
-    return best_x, best_y
-
-
-@inner_kernel
-def _on_line(i: int, t: float, planes: Array) -> tuple[float, float]:
-    """The point of a line at t from the origin's foot on it."""
-    nx, ny, h = planes[i, 0], planes[i, 1], planes[i, 2]
-    return -h * nx - t * ny, -h * ny + t * nx
-
-
-@inner_kernel
-def _across(i: int, p: int, planes: Array, starts: NDArray[np.int64], slack: float) -> tuple[float, float]:
-    """The interval of t where line i is inside polygon p, deeper than ``slack``; its own side counts as inside."""
-    nx, ny, h = planes[i, 0], planes[i, 1], planes[i, 2]
-    low, high = -np.inf, np.inf
-    for k in range(starts[p], starts[p + 1]):
-        if k == i:
-            continue
-        # Line i is p(t) = -h n + t (-n_y, n_x); half-plane k on it is along t + value > 0.
-        along = planes[k, 1] * nx - planes[k, 0] * ny
-        value = planes[k, 2] - h * (planes[k, 0] * nx + planes[k, 1] * ny) - slack
-        if abs(along) < PARALLEL:
-            if value <= 0 and starts[p] <= i < starts[p + 1]:
-                continue
-            if value <= 0:
-                return np.inf, -np.inf
-        elif along > 0:
-            low = max(low, -value / along)
-        else:
-            high = min(high, -value / along)
-    return low, high
-
-
-@inner_kernel
-def _inside(i: int, t: float, planes: Array, starts: NDArray[np.int64], slack: float) -> int:
-    """A polygon that a point of a line lies in, deeper than ``slack``; else -1."""
-    x, y = _on_line(i, t, planes)
-    for p in range(len(starts) - 1):
-        # A point on a polygon's own side is on its border, not in it.
-        inside = not starts[p] <= i < starts[p + 1]
-        for k in range(starts[p], starts[p + 1]):
-            if planes[k, 0] * x + planes[k, 1] * y + planes[k, 2] <= slack:
-                inside = False
-                break
-        if inside:
-            a, b = _across(i, p, planes, starts, slack)
-            if a < t < b:
-                return p
-    return -1
-
-
-@inner_kernel
-def _is_free(x: float, y: float, planes: Array, starts: NDArray[np.int64], slack: float) -> bool:
-    """Whether a point lies in no polygon deeper than ``slack``: beyond some side of each."""
-    for p in range(len(starts) - 1):
-        inside = True
-        for i in range(starts[p], starts[p + 1]):
-            if planes[i, 0] * x + planes[i, 1] * y + planes[i, 2] <= slack:
-                inside = False
-                break
-        if inside:
-            return False
-    return True
 
 
 # Facets and edges of a triangulated convex part
@@ -774,5 +450,6 @@ def warm_up() -> None:
     """Compile every kernel of this module by calling it once."""
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     a = Polytope.of(ConvexPart.hull_of(corners))
-    smallest_horizontal_move([a], [a.shifted((0.1, 0.2, 0.1))])
-    smallest_shift([a], [a], (0, 0, 1))
+    overlap_depth(a, a)
+    facets(a, a)
+    forbidden_interval(a, a, (0, 0, 1))

@@ -18,12 +18,12 @@ def sort_order(keys: Array) -> NDArray[np.int64]:
     """Indices (n,) that sort ``keys`` (n,), which hold no NaN."""
     # numpy's sorts compile for a second within kernels, and outside of kernels order equal keys otherwise.
     order = np.arange(len(keys))
-    _sort(keys, order, np.empty((DEPTH, 2), np.int64))
+    sort_kernel(keys, order, np.empty((DEPTH, 2), np.int64))
     return order
 
 
 @kernel
-def _sort(keys: Array, order: NDArray[np.int64], waiting: NDArray[np.int64]) -> None:
+def sort_kernel(keys: Array, order: NDArray[np.int64], waiting: NDArray[np.int64]) -> None:
     """Sort ``order`` by ``keys``; ``waiting`` (DEPTH, 2) is room for the first and last place of parts."""
     waiting[0, 0], waiting[0, 1] = 0, len(order) - 1
     n = 1

@@ -14,7 +14,7 @@ from itertools import combinations
 
 import numpy as np
 
-from f3sr.contact import polytopes
+from f3sr.contact.compounds import Compound, collide, forbidden_polygons, free_travel, smallest_shift
 from f3sr.contact.force_balance import Balance
 from f3sr.contact.static_bodies import StaticBody, contacts_of, islands
 from f3sr.core.support_forest import carried, chain_below, supports_first
@@ -146,7 +146,7 @@ class _State:
                 self.shifts[id] = self.shifts[id] + t
 
     def collide(self, a: int, b: int) -> bool:
-        return polytopes.collide(self.bodies[a].parts, self.bodies[b].parts)
+        return collide(self.bodies[a].parts, self.bodies[b].parts)
 
     def beside(self, ids: Sequence[int]) -> Iterator[tuple[int, int, Array]]:
         """Pairs of bodies, one of ``ids``, that shifts could bring together, and the sides (k, 3) to stay beyond.
@@ -157,7 +157,7 @@ class _State:
             if (a not in ids and b not in ids) or (a, b) in self.overlapping:
                 continue
             far = self.config.max_step * (self.bodies[a].size + self.bodies[b].size)
-            polygons = polytopes.forbidden_polygons(self.bodies[a].parts, self.bodies[b].parts, within=far)
+            polygons = forbidden_polygons(self.bodies[a].parts, self.bodies[b].parts, within=far)
             sides = np.array([p[int(np.argmin(p[:, 2]))] for p in polygons]).reshape(-1, 3)
             sides = sides[(sides[:, 2] > -far) & (sides[:, 2] <= 0)]
             if len(sides):
@@ -172,13 +172,12 @@ class _State:
         body, ids = self.bodies[id], carried(id, self.supports)
         if body.fixed:
             return
-        chain = [p for i in chain_below(id, self.supports) for p in self.bodies[i].parts]
-        over_ground = min(float(p.bounds[0, 2]) for p in body.parts) - self.contact.clearance
-        rise = polytopes.smallest_shift(body.parts, chain, UP, self.contact.clearance) if chain else 0.0
-        rise = max(rise, -over_ground)
+        chain = Compound.of(self.bodies[i].parts for i in chain_below(id, self.supports))
+        over_ground = body.parts.lowest - self.contact.clearance
+        rise = max(smallest_shift(body.parts, chain, UP, self.contact.clearance), -over_ground)
         if rise <= 0 and self.supports.get(id) is not None:
-            others = [p for i, b in self.bodies.items() if i not in ids for p in b.parts]
-            drop = polytopes.free_travel(body.parts, others, -UP) - self.contact.clearance if others else np.inf
+            others = Compound.of(b.parts for i, b in self.bodies.items() if i not in ids)
+            drop = free_travel(body.parts, others, -UP) - self.contact.clearance
             rise = -max(0.0, min(drop, over_ground))
         if abs(rise) > SEATED:
             self.move(ids, rise * UP)

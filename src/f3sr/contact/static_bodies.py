@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from f3sr.contact.compounds import Compound, placed
 from f3sr.contact.contact_patches import Contacts, find_contacts
-from f3sr.contact.polytopes import Body, Polytope, placed
 from f3sr.core.transforms import Array, frozen, transform
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.physics.mujoco_model import body_of
@@ -24,7 +24,7 @@ class StaticBody:
     """
 
     id: int
-    parts: tuple[Polytope, ...]
+    parts: Compound
     mass: float
     """[kg]"""
     centers: Array
@@ -39,29 +39,29 @@ class StaticBody:
     @property
     def size(self) -> float:
         """Diagonal of its bounding box [m]."""
-        return float(np.linalg.norm(np.ptp(np.concatenate([p.bounds for p in self.parts]), axis=0)))
+        return float(np.linalg.norm(np.ptp(self.parts.bounds, axis=0)))
 
     def moved(self, T: Array) -> StaticBody:
         """The body under a rigid motion T (4, 4)."""
-        return replace(self, parts=tuple(p.moved(T) for p in self.parts), centers=transform(T, self.centers))
+        return replace(self, parts=self.parts.moved(T), centers=transform(T, self.centers))
 
 
 def bodies_of(
     objects: Iterable[SceneObject],
     *,
-    parts: Mapping[int, Body] | None = None,
+    parts: Mapping[int, Compound] | None = None,
 ) -> tuple[StaticBody, ...]:
     """The objects as bodies; ``parts``: their parts in the world where somebody has them already."""
     return tuple(_body_of(o, parts[o.id] if parts else None) for o in objects)
 
 
-def _body_of(o: SceneObject, parts: Body | None) -> StaticBody:
+def _body_of(o: SceneObject, parts: Compound | None) -> StaticBody:
     body = body_of(o)
     volumes = np.array([p.volume for p in o.solids])
     even = volumes @ np.array([p.centroid for p in o.solids]) / volumes.sum()
     return StaticBody(
         id=o.id,
-        parts=tuple(parts or placed(o.solids, o.T_world_asset)),
+        parts=parts or placed(o.solids, o.T_world_asset),
         mass=body.mass,
         centers=transform(o.T_world_object, np.stack([body.center, o.scale * even])),
         friction=o.friction,
@@ -97,7 +97,7 @@ def rigid(members: Sequence[StaticBody], id: int) -> StaticBody:
     centers = [sum(m.mass * m.centers[min(c, len(m.centers) - 1)] for m in free) / masses.sum() for c in range(n)]
     return StaticBody(
         id=id,
-        parts=tuple(p for m in free for p in m.parts),
+        parts=Compound.of(m.parts for m in free),
         mass=float(masses.sum()),
         centers=np.array(centers),
         friction=next(m.friction for m in members if m.id == id),

@@ -7,15 +7,14 @@ speed enters, so the same start always ends in the same place.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from f3sr.contact import polytopes
+from f3sr.contact.compounds import Compound, free_travel, smallest_shift
 from f3sr.contact.contact_patches import find_contacts, hull_corners
 from f3sr.contact.force_balance import Balance
-from f3sr.contact.polytopes import Polytope
 from f3sr.contact.static_bodies import StaticBody, contacts_of
 from f3sr.core.transforms import UP, Array, pose, rotation_about, rotation_angle
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, TOUCHING, ContactMargin
@@ -109,23 +108,14 @@ def _in_reach(body: StaticBody, surroundings: Sequence[StaticBody], config: Land
     """The surroundings with only those parts that a body may meet: a turn takes no point of it farther than angle times
     size."""
     reach = (config.max_shift + config.max_turn + STEP) * body.size
-    low, high = _level_box(body.parts)
+    low, high = body.parts.bounds[:, :2]
     found: list[StaticBody] = []
     for b in surroundings:
-        near = tuple(p for p in b.parts if _is_near(p, low - reach, high + reach))
-        if near:
-            found.append(replace(b, parts=near))
+        boxes = b.parts.boxes[:, :, :2]
+        near = np.flatnonzero(((boxes[:, 0] <= high + reach) & (boxes[:, 1] >= low - reach)).all(1))
+        if len(near):
+            found.append(replace(b, parts=b.parts.some(near)))
     return found
-
-
-def _level_box(parts: Sequence[Polytope]) -> tuple[Array, Array]:
-    """The least and largest x and y (2,) of some parts."""
-    bounds = np.stack([p.bounds[:, :2] for p in parts])
-    return bounds[:, 0].min(0), bounds[:, 1].max(0)
-
-
-def _is_near(part: Polytope, low: Array, high: Array) -> bool:
-    return bool((part.bounds[0, :2] <= high).all() and (part.bounds[1, :2] >= low).all())
 
 
 class _Fall:
@@ -136,7 +126,7 @@ class _Fall:
     ) -> None:
         self.body = body
         self.surroundings = [replace(b, fixed=True) for b in surroundings]
-        self.around = [p for b in surroundings for p in b.parts]
+        self.around = Compound.of(b.parts for b in surroundings)
         self.ground_friction = ground_friction
         self.motion = pose(t=np.r_[shift, 0.0])
         self.turned = 0.0
@@ -150,7 +140,7 @@ class _Fall:
 
     @motion.setter
     def motion(self, T: Array) -> None:
-        self._motion, self.parts = T, tuple(p.moved(T) for p in self.body.parts)
+        self._motion, self.parts = T, self.body.parts.moved(T)
 
     def _raise(self, height: float) -> None:
         if height:
@@ -192,10 +182,7 @@ class _Fall:
 
     def lower(self) -> float:
         """Bring it down until it touches, and say how far."""
-        drop = min(
-            min(float(p.bounds[0, 2]) for p in self.parts),
-            polytopes.free_travel(self.parts, self.around, -UP) if self.around else np.inf,
-        )
+        drop = min(self.parts.lowest, free_travel(self.parts, self.around, -UP))
         self._raise(-drop)
         return drop
 
@@ -203,9 +190,8 @@ class _Fall:
         """Raise it until it is free of everything with the clearance."""
         self._raise(max(0.0, self._lift(self.parts, clearance)))
 
-    def _lift(self, parts: Sequence[Polytope], clearance: float = 0.0) -> float:
-        lift = polytopes.smallest_shift(parts, self.around, UP, clearance) if self.around else 0.0
-        return max(lift, clearance - min(float(p.bounds[0, 2]) for p in parts))
+    def _lift(self, parts: Compound, clearance: float = 0.0) -> float:
+        return max(smallest_shift(parts, self.around, UP, clearance), clearance - parts.lowest)
 
     def stands(self, reach: float) -> bool:
         """Whether forces at contacts within reach, with friction, balance it."""
@@ -215,8 +201,7 @@ class _Fall:
 
     def pivot(self) -> tuple[Array, Array] | None:
         """A point and a unit axis to turn about so that the centre of mass sinks; None when it is supported."""
-        everything: Mapping[int, Sequence[Polytope]] = {0: self.parts, 1: self.around}
-        found = find_contacts(everything if self.around else {0: self.parts}, reach=TOUCHING)
+        found = find_contacts({0: self.parts, 1: self.around} if self.around else {0: self.parts}, reach=TOUCHING)
         # Normals point from lower to upper: the sign makes them push the body.
         sign = np.where(found.upper == 0, 1.0, -1.0)
         mine, upward = (found.upper == 0) | (found.lower == 0), sign * found.normals[:, 2]
@@ -229,17 +214,17 @@ class _Fall:
         leans = bool((mine & (np.abs(upward) <= STEEP)).any())
         return None if out is None or (leans and self.stands(TOUCHING)) else out
 
-    def _may_meet(self, point: Array) -> list[Polytope]:
+    def _may_meet(self, point: Array) -> Compound:
         """The body's parts, where it starts, that may meet something in a step about a point (3,): their boxes, wider
         by how far they go, reach it."""
-        boxes = np.stack([p.bounds for p in self.parts])
+        boxes = self.parts.boxes
         far = np.linalg.norm(np.maximum(np.abs(boxes[:, 0] - point), np.abs(boxes[:, 1] - point)), axis=1)
         low, high = boxes[:, 0] - STEP * far[:, None], boxes[:, 1] + STEP * far[:, None]
         meets = low[:, 2] <= 0
         if self.around:
-            others = np.stack([p.bounds for p in self.around])
+            others = self.around.boxes
             meets |= ((low[:, None] <= others[None, :, 1]) & (high[:, None] >= others[None, :, 0])).all(-1).any(1)
-        return [p for p, is_near in zip(self.body.parts, meets, strict=True) if is_near]
+        return self.body.parts.some(np.flatnonzero(meets))
 
     def turn(self, point: Array, axis: Array) -> float:
         """Turn about an axis until something new is met, at most one step; how far."""
@@ -252,7 +237,7 @@ class _Fall:
         def excess(angle: float) -> float:
             """How much higher than tolerated it must be raised after a turn [m]."""
             T = turned(angle)
-            return self._lift([p.moved(T) for p in meeting]) - MEETS - angle * TOUCHING
+            return self._lift(meeting.moved(T)) - MEETS - angle * TOUCHING
 
         low = _first_meeting(excess) if meeting else STEP
         self.motion = turned(low)

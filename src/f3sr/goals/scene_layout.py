@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from f3sr.contact.polytopes import Polytope, free_travel, placed
+from f3sr.contact.compounds import Compound, free_travel, placed
 from f3sr.core.transforms import UP, Array, transform
 from f3sr.goals.cavity import Cavity, cavity_of
 from f3sr.physics import mujoco_model
@@ -46,7 +46,7 @@ class SceneLayout:
         self.scene, self._model = scene, model
         self._bodies: dict[int, Body] = {}
         self._corners: dict[int, Array] = {}
-        self._polytopes: dict[int, tuple[Polytope, ...]] = {}
+        self._polytopes: dict[int, Compound] = {}
         self._pools: dict[int, Cavity | None] = {}
 
     @cached_property
@@ -87,7 +87,7 @@ class SceneLayout:
             self._corners[id] = transform(self.scene[id].T_world_object, parts)
         return self._corners[id]
 
-    def polytopes(self, id: int) -> tuple[Polytope, ...]:
+    def polytopes(self, id: int) -> Compound:
         """Its collision parts, in the world."""
         if id not in self._polytopes:
             T = self.scene[id].T_world_object

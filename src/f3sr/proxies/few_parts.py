@@ -13,8 +13,9 @@ from itertools import combinations, product
 import numpy as np
 
 from f3sr.contact import polytopes
+from f3sr.contact.compounds import placed
 from f3sr.contact.contact_patches import find_contacts
-from f3sr.contact.polytopes import Polytope, placed
+from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, Array, transform
 from f3sr.physics.mujoco_model import solid_of

@@ -11,10 +11,9 @@ from typing import Annotated, ClassVar
 import numpy as np
 from annotated_types import Interval
 
-from f3sr.contact import polytopes
+from f3sr.contact.compounds import Compound, free_travel, placed
 from f3sr.contact.contact_patches import find_contacts
 from f3sr.contact.footing import supplied
-from f3sr.contact.polytopes import Polytope, placed
 from f3sr.contact.vertical_gap import Meeting, meeting
 from f3sr.core.transforms import UP, Array, pose, transform
 from f3sr.metrics.contact_groups import SettledScene, groups_of
@@ -220,10 +219,9 @@ class _Layout:
 
     def _room(self, members: tuple[int, ...]) -> float:
         """Distance [m] that some objects can be lowered until colliders meet."""
-        mine = [p for k in members for p in self.bodies[k].polytopes]
-        others = [p for k, b in self.bodies.items() if k not in members for p in b.polytopes]
-        lowest = min(float(p.bounds[0, 2]) for p in mine)
-        return min(lowest, polytopes.free_travel(mine, others, -UP)) if others else lowest
+        mine = Compound.of(self.bodies[k].body for k in members)
+        others = Compound.of(b.body for k, b in self.bodies.items() if k not in members)
+        return min(mine.lowest, free_travel(mine, others, -UP))
 
     def _move(self, members: tuple[int, ...], drop: float) -> float:
         for k in members:
@@ -246,13 +244,13 @@ class _Layout:
                     cut |= self.bodies[id].cut_near(x, near)
         return cut
 
-    def _around(self, members: tuple[int, ...]) -> dict[int, tuple[Polytope, ...]]:
+    def _around(self, members: tuple[int, ...]) -> dict[int, Compound]:
         """Bodies of some objects and of all whose boxes overlap theirs."""
-        boxes = {k: b.box for k, b in self.bodies.items()}
+        boxes = {k: b.body.bounds for k, b in self.bodies.items()}
         low = np.min([boxes[k][0] for k in members], axis=0) - TOUCHING
         high = np.max([boxes[k][1] for k in members], axis=0) + TOUCHING
         reached = [k for k, box in boxes.items() if (box[0] <= high).all() and (box[1] >= low).all()]
-        return {k: self.bodies[k].polytopes for k in reached}
+        return {k: self.bodies[k].body for k in reached}
 
     def _near(self, a: int, b: int) -> Near:
         size = min(self.scene[k].size for k in (a, b) if k != GROUND)
@@ -271,15 +269,9 @@ class _Lowered:
         """Height [m] that its footing supplies below its mesh, which is no gap to be closed."""
 
     @cached_property
-    def polytopes(self) -> tuple[Polytope, ...]:
+    def body(self) -> Compound:
         """All colliders, footing included, in the world."""
         return placed(self.now.solids, self.now.T_world_asset)
-
-    @property
-    def box(self) -> Array:
-        """Bounds (2, 3) of all colliders."""
-        bounds = np.stack([p.bounds for p in self.polytopes])
-        return np.stack([bounds[:, 0].min(0), bounds[:, 1].max(0)])
 
     @cached_property
     def _surface(self) -> MeshSurface:
@@ -306,7 +298,7 @@ class _Lowered:
 
     def stands_on_footing(self, x: Array, near: Near) -> bool:
         """Whether a contact point (3,) is on the footing, with no mesh near."""
-        footing = self.polytopes[len(self.polytopes) - len(self.now.footing) :]
+        footing = self.body[len(self.body) - len(self.now.footing) :]
         if not any(float((p.normals @ x - p.offsets).max()) <= 2 * TOUCHING for p in footing):
             return False
         return self._surface.nearest(self._to_asset(x, UP)[0], near.tolerance / self.now.scale) is None
@@ -330,7 +322,7 @@ class _Lowered:
 
     def _change(self, o: SceneObject) -> None:
         self.now = o
-        self.__dict__.pop("polytopes", None)
+        self.__dict__.pop("body", None)
 
     def _to_asset(self, point: Array, direction: Array) -> tuple[Array, Array]:
         """A point (3,) and a unit direction (3,) of the world in the asset's frame."""

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from f3sr.contact import polytopes
-from f3sr.contact.polytopes import placed
+from f3sr.contact.compounds import Compound, placed
 from f3sr.core.transforms import Array
 from f3sr.metrics.measures import sample_surface
 from f3sr.scene import Relation, Scene
@@ -136,14 +136,14 @@ def _apart(a: _Cloud, b: _Cloud, reach: float) -> SurfaceDistance | None:
     return SurfaceDistance(distance=float(distances[k]), place=place, exact=False)
 
 
-def _bodies(known: Known) -> dict[int, polytopes.Body]:
+def _bodies(known: Known) -> dict[int, Compound]:
     """Every object's proxies, in the plan."""
     scene: Scene = known.scene
     T = known.plan.T_plan_world
     return {o.id: placed(o.parts, T @ o.T_world_asset) for o in scene}
 
 
-def _touching(A: polytopes.Body, B: polytopes.Body, limit: float) -> SurfaceDistance | None:
+def _touching(A: Compound, B: Compound, limit: float) -> SurfaceDistance | None:
     """The contact of two bodies: the pair of parts with the least gap along a facet of their Minkowski difference.
 
     That gap is their distance, except where corners meet. None beyond ``limit``."""

@@ -8,7 +8,8 @@ from itertools import combinations
 
 import numpy as np
 
-from f3sr.contact import joint_separation, polytopes
+from f3sr.contact import joint_separation
+from f3sr.contact.compounds import collide, smallest_shift
 from f3sr.core.transforms import UP, Array
 from f3sr.report import Decision
 from f3sr.scene import GROUND, Scene, name_of
@@ -45,7 +46,7 @@ def take_beside(layout: Placement, config: SeparateConfig) -> list[Decision]:
 def _losses(layout: Placement, id: int, other: int, config: SeparateConfig) -> tuple[float, float]:
     """IoU lost by lifting an object out of another one, and by moving both apart; at most 1 each."""
     bodies = {k: layout.bodies[k] for k in (id, other)}
-    rise = polytopes.smallest_shift(bodies[id], bodies[other], UP, config.clearance)
+    rise = smallest_shift(bodies[id], bodies[other], UP, config.clearance)
     lifted = min(1.0, rise * float(np.sqrt(layout.loss(id)[2, 2])))
     weights = {k: weight_of(layout, k) for k in bodies if layout.scene[k].mobility == "dynamic"}
     found = joint_separation.part(bodies, [(id, other)], weights, clearance=config.clearance)
@@ -60,7 +61,7 @@ def part(layout: Placement, config: SeparateConfig) -> bool:
     """
     moved, known = False, set[tuple[int, int]]()
     for _ in range(ROUNDS):
-        pairs = {(a, b) for a, b in _unrelated(layout.scene) if polytopes.collide(layout.bodies[a], layout.bodies[b])}
+        pairs = {(a, b) for a, b in _unrelated(layout.scene) if collide(layout.bodies[a], layout.bodies[b])}
         if not pairs:
             break
         known |= pairs

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from f3sr.contact.polytopes import Body, Polytope, collide, placed
+from f3sr.contact.compounds import Compound, collide, placed
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, pose, transform
 from f3sr.scene import GROUND, Scene, SceneObject
@@ -48,7 +48,7 @@ class Placement:
         for id in ids:
             if self.scene[id].mobility == "fixed":
                 continue
-            self.bodies[id] = moved(self.bodies[id], t, scale)
+            self.bodies[id] = self.bodies[id].moved(pose(scale * np.eye(3), t))
             self.shift[id] = scale * self.shift[id] + t
             self.scale[id] *= scale
 
@@ -57,7 +57,7 @@ class Placement:
         for id in ids:
             if self.scene[id].mobility == "fixed":
                 continue
-            self.bodies[id] = tuple(p.moved(T) for p in self.bodies[id])
+            self.bodies[id] = self.bodies[id].moved(T)
             self.shift[id] = transform(T, self.shift[id][None])[0]
             self.rotation[id] = T[:3, :3] @ self.rotation[id]
 
@@ -77,9 +77,9 @@ class Placement:
         """The scene with all objects in their present poses."""
         return self.scene.with_objects(*(self.object(o.id) for o in self.scene))
 
-    def carriers(self, id: int) -> tuple[Polytope, ...]:
-        """Polytopes of everything that carries a body, without the ground."""
-        return tuple(p for k in supports_of(self.scene[id]) if k != GROUND for p in self.bodies[k])
+    def carriers(self, id: int) -> Compound:
+        """Everything that carries a body, without the ground."""
+        return Compound.of(self.bodies[k] for k in supports_of(self.scene[id]) if k != GROUND)
 
     def stand(self, id: int, parts: tuple[ConvexPart, ...], wedges: tuple[ConvexPart, ...]) -> None:
         """Give a body other ``parts`` and a footing of ``wedges`` (both in the asset frame)."""
@@ -117,19 +117,14 @@ class Placement:
         return known**2 * np.outer(ray, ray)
 
     def lowest(self, id: int) -> float:
-        return min(float(p.bounds[0, 2]) for p in self.bodies[id])
+        return self.bodies[id].lowest
 
     def has_beside(self, id: int, room: float) -> bool:
         """Whether the box of an unrelated body is within ``room`` [m] of a body's box."""
-        low, high = self.bounds(id)
+        low, high = self.bodies[id].bounds
         others = set(self.bodies) - {*self.scene.subtree(id), *supports_of(self.scene[id])}
-        boxes = [self.bounds(k) for k in others]
+        boxes = [self.bodies[k].bounds for k in others]
         return any(((a < high + room) & (b > low - room)).all() for a, b in boxes)
-
-    def bounds(self, id: int) -> Array:
-        """Lowest and highest corner (2, 3) of a body."""
-        boxes = np.stack([p.bounds for p in self.bodies[id]])
-        return np.stack([boxes[:, 0].min(0), boxes[:, 1].max(0)])
 
     def collisions_of(self, id: int) -> set[int]:
         """Ids of bodies that a body overlaps."""
@@ -139,11 +134,6 @@ class Placement:
         """Pairs of ids that overlap, the ground included as the second."""
         pairs = [(a, b) for a, b in combinations(self.bodies, 2) if collide(self.bodies[a], self.bodies[b])]
         return pairs + [(id, GROUND) for id in self.bodies if self.lowest(id) < -1e-9]
-
-
-def moved(body: Body, t: Array, scale: float) -> tuple[Polytope, ...]:
-    T = pose(scale * np.eye(3), t)
-    return tuple(p.moved(T) for p in body)
 
 
 def supports_of(o: SceneObject) -> list[int]:

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from f3sr.contact import polytopes
+from f3sr.contact.compounds import Compound, free_travel, smallest_shift
 from f3sr.core.transforms import UP, pose
 from f3sr.scene import GROUND, Scene
 from f3sr.stages.separate.config import PICTURE_SIGMA, UNDERSIDE_SIGMA, SeparateConfig
-from f3sr.stages.separate.placement import Placement, moved
+from f3sr.stages.separate.placement import Placement
 
 LEAST_LOSS = 1e-6
 """Least squared IoU lost per squared metre: a mask that fills the picture loses none."""
@@ -53,16 +53,16 @@ def _height_variances(layout: Placement, id: int, above: float) -> tuple[float, 
     return position, (UNDERSIDE_SIGMA * layout.scene[id].size) ** 2
 
 
-def gap(body: polytopes.Body, id: int, layout: Placement, config: SeparateConfig) -> float:
+def gap(body: Compound, id: int, layout: Placement, config: SeparateConfig) -> float:
     """Height of a body above its support and the ground [m]. Negative: the lift that ends its overlap with them."""
-    lowest = min(float(p.bounds[0, 2]) for p in body) - config.clearance
+    lowest = body.lowest - config.clearance
     carriers = layout.carriers(id)
     if not carriers:
         return lowest
-    rise = max(polytopes.smallest_shift(body, carriers, UP, config.clearance), -lowest)
+    rise = max(smallest_shift(body, carriers, UP, config.clearance), -lowest)
     if rise > 0:
         return -rise
-    return min(polytopes.free_travel(body, carriers, -UP) - config.clearance, lowest)
+    return min(free_travel(body, carriers, -UP) - config.clearance, lowest)
 
 
 def grounded(scene: Scene, config: SeparateConfig) -> Scene:
@@ -97,7 +97,7 @@ def _contact_scale(layout: Placement, id: int, config: SeparateConfig) -> float:
     def height(k: float) -> float:
         if on_the_ground:
             return float(C[2]) + k * (layout.lowest(id) - float(C[2])) - config.clearance
-        return gap(moved(body, (1 - k) * C, k), id, layout, config)
+        return gap(body.moved(pose(k * np.eye(3), (1 - k) * C)), id, layout, config)
 
     def cost(k: float) -> float:
         above = height(k)
