@@ -191,7 +191,7 @@ def test_forces_balance_weights_and_pull_at_nothing() -> None:
         forces = np.zeros((len(contacts), 3))
         for group in islands(bodies, contacts):
             balance = Balance(group, bodies, contacts, Ground.friction)
-            forces[balance.rows] = GRAVITY * balance.eased(np.zeros(2))[0]
+            forces[balance.rows] = GRAVITY * balance.eased(np.zeros(2)).forces
         assert (np.einsum("ki,ki->k", forces, contacts.normals) >= -1e-9).all()
         for b in bodies:
             sign = (contacts.upper == b.id).astype(float) - (contacts.lower == b.id)

@@ -7,6 +7,7 @@ the least tilt at which the bodies move is exact (Bretl and Lall, "Testing Stati
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ TOLERANCE = 1e-3
 MOVES = 0.01
 """A body whose part in a virtual motion is smaller than this share of the largest does not move."""
 STIFF = 1e7
-"""What a wrench that is not balanced costs against contact forces, both in weights: see ``least_forces``."""
+"""What a wrench that is not balanced costs against contact forces, both in weights: see ``least_multipliers``."""
 FALLS = -np.pi / 2
 """The margin [rad] of what no tilt would balance."""
 
@@ -68,7 +69,7 @@ class Balance:
         """(k, e, 3): forces with a normal part of 1 along the edges of every contact's pyramid."""
         angles = 2 * np.pi * np.arange(self.edge_count) / self.edge_count
         around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        frames = np.array([tangents(n) for n in self.contacts.normals]).reshape(-1, 2, 3)
+        frames = np.stack(tangents(self.contacts.normals), axis=1)
         # (e, 2) @ (k, 2, 3) = (k, e, 3): e unit tangents of every contact, n + mu t is an edge of its cone.
         return self.contacts.normals[:, None] + self.friction[:, None, None] * (around @ frames)
 
@@ -218,29 +219,47 @@ class Balance:
         speeds = np.abs(motion).reshape(-1, 6).max(1)
         return frozenset(b.id for b, s in zip(self.group, speeds, strict=True) if s > MOVES * max(speeds.max(), 1e-9))
 
-    def eased(self, tilt: Array, center: int = 0) -> tuple[Array, float]:
-        """(k, 3) [kg] forces of least squares on the upper bodies, and what they leave unbalanced: the length of the
-        wrench, in weights and sizes."""
+    def eased(self, tilt: Array, center: int = 0, *, near: Eased | None = None) -> Eased:
+        """The forces of least squares; ``near`` are those of a tilt that differs little: it takes less time then."""
         upright, lean = self.weights(center)
         wanted = upright + lean @ tilt
-        f = least_forces(self.wrenches, wanted)
-        return self._on_upper(f), float(np.linalg.norm(self.wrenches @ f - wanted))
+        dense = self.wrenches.toarray()
+        multipliers = least_multipliers(dense, wanted, near.multipliers if near else None)
+        f = np.maximum(dense.T @ multipliers, 0)
+        left = float(np.linalg.norm(dense @ f - wanted))
+        return Eased(forces=self._on_upper(f), left=left, multipliers=multipliers)
 
     def _on_upper(self, f: Array) -> Array:
         # Sum over a contact's edges of f times the edge's force, in the contact's unit.
         return np.einsum("ke,keq,k->kq", f.reshape(-1, self.edge_count), self.edges, self.units)
 
 
-def least_forces(wrenches: Any, wanted: Array) -> Array:
-    """f >= 0 with the least ``|f|^2 + STIFF |wrenches f - wanted|^2``.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Eased:
+    """Contact forces of least squares."""
 
-    Newton's method on the dual, whose gradient is piecewise linear: f is the positive part of ``wrenches.T`` times the
-    multipliers. The stiffness grows by steps, each from where the last one ended.
+    forces: Array
+    """(k, 3) on the upper bodies [kg]."""
+    left: float
+    """What they leave unbalanced: the length of the wrench, in weights and sizes."""
+    multipliers: Array
+    """(6 n,) of the balance."""
+
+
+def least_multipliers(wrenches: Array, wanted: Array, start: Array | None = None) -> Array:
+    """Multipliers l (6 n,) of f >= 0 with the least ``|f|^2 + STIFF |wrenches f - wanted|^2``.
+
+    f is the positive part of ``wrenches.T l``.
+
+    Newton's method on the dual, whose gradient is piecewise linear. Without a ``start`` near the end, the stiffness
+    grows by steps, each from where the last one ended.
     """
-    multipliers, dense = np.zeros(len(wanted)), wrenches.toarray()
+    if start is not None:
+        return _ascend(wrenches, wanted, start, STIFF)
+    multipliers = np.zeros(len(wanted))
     for stiffness in STIFF ** np.linspace(0.2, 1, 5):
-        multipliers = _ascend(dense, wanted, multipliers, stiffness)
-    return np.maximum(dense.T @ multipliers, 0)
+        multipliers = _ascend(wrenches, wanted, multipliers, stiffness)
+    return multipliers
 
 
 def _ascend(dense: Array, wanted: Array, at: Array, stiffness: float) -> Array:

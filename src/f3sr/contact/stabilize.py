@@ -15,7 +15,7 @@ from itertools import combinations
 import numpy as np
 
 from f3sr.contact.compounds import Compound, collide, forbidden_polygons, free_travel, smallest_shift
-from f3sr.contact.force_balance import Balance
+from f3sr.contact.force_balance import Balance, Eased
 from f3sr.contact.static_bodies import StaticBody, contacts_of, islands
 from f3sr.core.support_forest import carried, chain_below, supports_first
 from f3sr.core.transforms import UP, Array, pose
@@ -280,10 +280,13 @@ class _Programme:
         angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
         tilts = reach * np.stack([np.cos(angles), np.sin(angles)], axis=1)
         self.cases = [(tilt, c) for tilt in tilts for c in range(balance.choices)]
-        eased = [balance.eased(*case) for case in self.cases]
-        self.forces = [forces for forces, _ in eased]
-        self.unbalanced = max(left for _, left in eased)
-        self.mean = float(np.mean([left for _, left in eased]))
+        eased, last = list[Eased](), dict[int, Eased]()
+        for tilt, c in self.cases:
+            last[c] = balance.eased(tilt, c, near=last.get(c))
+            eased.append(last[c])
+        self.forces = [e.forces for e in eased]
+        self.unbalanced = max(e.left for e in eased)
+        self.mean = float(np.mean([e.left for e in eased]))
 
     def solve(self) -> dict[int, Array]:
         """Horizontal steps (2,) [m] per id."""

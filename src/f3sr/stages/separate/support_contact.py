@@ -37,20 +37,20 @@ def seat(layout: Placement, config: SeparateConfig) -> None:
 
 def _missing_underside(layout: Placement, id: int, above: float) -> float:
     """Of the height [m] at which a body hangs over its support, what its generated underside most likely lacks."""
-    position, underside = _height_variances(layout, id, above)
+    if above <= 0:
+        return 0.0
+    position, underside = _height_variances(layout, id)
     return above * underside / (position + underside)
 
 
-def _height_variances(layout: Placement, id: int, above: float) -> tuple[float, float]:
+def _height_variances(layout: Placement, id: int) -> tuple[float, float]:
     """Variances [m2] of a body's height, known by the picture, and of its hidden underside.
 
     Only a body that hangs over its support can lack some of its underside, and only a sensor knows distances better
     than undersides are known.
     """
     position = PICTURE_SIGMA**2 / max(float(layout.loss(id)[2, 2]), LEAST_LOSS)
-    if above <= 0 or not layout.scene.has_measured_depth:
-        return position, 0.0
-    return position, (UNDERSIDE_SIGMA * layout.scene[id].size) ** 2
+    return position, (UNDERSIDE_SIGMA * layout.scene[id].size) ** 2 if layout.scene.has_measured_depth else 0.0
 
 
 def gap(body: Compound, id: int, layout: Placement, config: SeparateConfig) -> float:
@@ -89,7 +89,7 @@ def _contact_scale(layout: Placement, id: int, config: SeparateConfig) -> float:
     is that of lifts by the picture and of the underside; on another object a third term holds it in place. Over the
     ground height(k) is linear.
     """
-    sigma = layout.depth_sigma[id]
+    sigma, (position, underside) = layout.depth_sigma[id], _height_variances(layout, id)
     C, body = layout.scene.camera.center, layout.bodies[id]
     on_the_ground = layout.scene[id].supported_by == GROUND
     slide = 0.0 if on_the_ground else layout.distance(id) / (SLIDE_SIGMA * layout.scene[id].size)
@@ -101,7 +101,7 @@ def _contact_scale(layout: Placement, id: int, config: SeparateConfig) -> float:
 
     def cost(k: float) -> float:
         above = height(k)
-        variance = sum(_height_variances(layout, id, above))
+        variance = position + (underside if above > 0 else 0.0)
         return float(np.log(k) / sigma) ** 2 + (slide * (k - 1)) ** 2 + above**2 / variance
 
     low, high = layout.rays_left(id, config.max_ray_scale)
