@@ -155,7 +155,14 @@ Body = Sequence[Polytope]
 
 def overlap_depth(a: Polytope, b: Polytope) -> float:
     """Length [m] of the smallest move that ends the overlap; <= 0 without overlap (then it is no distance)."""
-    return float(_depth(*a.packed, *b.packed, _room(a, b)))
+    return float(_depth(*a.packed, *b.packed, _room(a, b), 0.0))
+
+
+def separation(a: Polytope, b: Polytope, enough: float = np.inf) -> float:
+    """Gap [m] along the facet that separates two polytopes best, negative if they overlap.
+
+    Of a gap of ``enough`` or more it is only some such gap."""
+    return -float(_depth(*a.packed, *b.packed, _room(a, b), -enough))
 
 
 def forbidden_interval(
@@ -410,17 +417,20 @@ def _depth(
     directions_b: Array,
     normals_b: Array,
     planes: Array,
+    enough: float,
 ) -> float:
-    """The least height of all facets; that of the first separating face if there is one. ``planes`` is ``_room``."""
+    """The least height of all facets; that of the first face at most ``enough`` if there is one.
+
+    ``planes`` is ``_room``."""
     depth = np.inf
     # Faces first: they are few, and one of them separates most pairs that are free of each other.
     for k in range(len(faces_a)):
         depth = min(depth, offsets_a[k] - _lowest(points_b, faces_a, k))
-        if depth <= 0.0:
+        if depth <= enough:
             return depth
     for k in range(len(faces_b)):
         depth = min(depth, offsets_b[k] - _lowest(points_a, faces_b, k))
-        if depth <= 0.0:
+        if depth <= enough:
             return depth
     found = _edge_planes(
         points_a, starts_a, directions_a, normals_a, points_b, starts_b, directions_b, normals_b, planes

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, cached_property
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -91,10 +90,12 @@ def collapsed(points: Array, most: int, bounds: Bounds = UNBOUNDED) -> Array:
     if len(body.corners) <= most:
         return body.corners
     first, even = body.starts()
-    found = [body.corners, _fewer(first, body)]
-    if even is not None and body.loss(even) < ROUND * body.loss(found[1]):
-        found += [_drawn_in(found[1], body), _drawn_in(_fewer(even, body), body)]
-    return min(filter(body.allows, found), key=lambda corners: (max(most, len(corners)), body.loss(corners)))
+    few = _fewer(first, body)
+    found = [(few, *body.judged(few))]
+    if even is not None and body.judged(even)[0] < ROUND * found[0][1]:
+        found += [(c, *body.judged(c)) for c in (_drawn_in(few, body), _drawn_in(_fewer(even, body), body))]
+    allowed = [(max(most, len(corners)), loss, k) for k, (corners, loss, is_allowed) in enumerate(found) if is_allowed]
+    return found[min(allowed)[2]][0] if allowed else body.corners
 
 
 class _Body:
@@ -145,16 +146,12 @@ class _Body:
         heights = -self._heights(self._planes, self._center[None])[0]
         return rays / (self._planes[:, :3] @ rays.T / heights[:, None]).max(0)[:, None]
 
-    def allows(self, corners: Array) -> bool:
-        """Whether the hull of corners (k, 3) contains the body and none is too far."""
-        is_out = self._heights(qhull_of(corners).equations, self.corners).max() > OUT
-        return not is_out and float(self.height(corners).max()) <= self.farthest
-
-    def loss(self, corners: Array) -> float:
-        """The squared stand-off of a polytope's surface [size^4]."""
-        triangles = qhull_of(corners).simplices
-        squares = self.height(corners) ** 2
-        return float(_areas(corners[triangles]) @ squares[triangles].mean(1))
+    def judged(self, corners: Array) -> tuple[float, bool]:
+        """The squared stand-off of a polytope's surface [size^4]; whether it holds the body and is nowhere too far."""
+        hull, heights = qhull_of(corners), self.height(corners)
+        loss = _areas(corners[hull.simplices]) @ (heights**2)[hull.simplices].mean(1)
+        is_out = self._heights(hull.equations, self.corners).max() > OUT
+        return float(loss), not is_out and float(heights.max()) <= self.farthest
 
     def height(self, points: Array) -> Array:
         """Distance (n,) of points from the farthest of the facets' planes, at least 0."""
@@ -275,10 +272,10 @@ class _Triangulated:
         self._triangles = np.where(is_turned[:, None], hull.simplices[:, ::-1], hull.simplices).astype(np.int64)
         self._planes = np.ascontiguousarray(hull.equations)
         self._areas = _areas(points[hull.simplices])
-        self._around: dict[int, list[int]] = {v: [] for v in self.corners.tolist()}
-        for k, corners in enumerate(self._triangles.tolist()):
-            for v in corners:
-                self._around[v].append(k)
+        corners = self._triangles.ravel()
+        # The triangles around vertex v are ``around[starts[v]:starts[v + 1]]``.
+        self._around: Indices = np.argsort(corners, kind="stable") // 3
+        self._starts: Indices = np.cumsum([0, *np.bincount(corners, minlength=len(points))])
 
     @cached_property
     def edges(self) -> Indices:
@@ -291,13 +288,10 @@ class _Triangulated:
         body = self._body.corners if is_close else self._body.corners[:0]
         touching = np.empty((len(self._triangles), 3, 4))
         _touching(self._points, self._triangles, self._planes, body, touching)
-        stars = [{*self._around[i[0]], *self._around[i[-1]]} for i in items.tolist()]
-        starts = np.cumsum([0, *map(len, stars)])
-        star = np.fromiter(chain.from_iterable(stars), np.int64, int(starts[-1]))
         places, costs = np.zeros((len(items), 3)), np.full(len(items), np.inf)
         _cheapest(
             *(self._points, self._triangles, self._planes, self._areas, touching, self._body.bounds),
-            *(MOST_PLANES[items.shape[1] - 1], items, star, starts, places, costs),
+            *(MOST_PLANES[items.shape[1] - 1], items, self._around, self._starts, places, costs),
         )
         if len(self._body.kept):
             costs[self._is_kept[items].any(1)] = np.inf
@@ -305,20 +299,41 @@ class _Triangulated:
 
     def moved(self, items: Indices, places: Array, costs: Array, count: int) -> Array:
         """The corners after the cheapest items, no two of neighbours, gave way to their places."""
-        taken, gone, new = set[int](), set[int](), list[Array]()
-        for k in np.argsort(costs, kind="stable"):
-            if len(new) == count or not np.isfinite(costs[k]):
-                break
-            item = items[k].tolist()
-            if taken.isdisjoint(item):
-                taken.update(*(self._triangles[t].tolist() for v in item for t in self._around[v]))
-                gone.update(item)
-                new.append(places[k])
-        return np.array([*(self._points[v] for v in self.corners.tolist() if v not in gone), *new])
+        order = np.argsort(costs, kind="stable")[: int(np.isfinite(costs).sum())]
+        taken, chosen = np.zeros(len(self._points), np.bool_), np.empty(count, np.int64)
+        found = chosen[: _chosen(order, items, self._triangles, self._around, self._starts, taken, chosen)]
+        return np.concatenate([self._points[np.setdiff1d(self.corners, items[found])], places[found]])
 
     @property
     def _is_kept(self) -> NDArray[np.bool_]:
         return (self._points[:, None] == self._body.kept).all(2).any(1)
+
+
+@kernel
+def _chosen(
+    order: Indices,
+    items: Indices,
+    triangles: Indices,
+    around: Indices,
+    starts: Indices,
+    taken: NDArray[np.bool_],
+    chosen: Indices,
+) -> int:
+    """Fill ``chosen`` with the first items of an order, no two of neighbours; returns how many.
+
+    ``taken`` (n,) is False for every vertex."""
+    count = 0
+    for e in order:
+        if count == len(chosen):
+            break
+        if not (taken[items[e, 0]] or taken[items[e, -1]]):
+            chosen[count] = e
+            count += 1
+            for v in items[e]:
+                for r in range(starts[v], starts[v + 1]):
+                    for k in range(3):
+                        taken[triangles[around[r], k]] = True
+    return count
 
 
 @kernel
@@ -376,21 +391,24 @@ def _cheapest(
     bounds: Array,
     most: int,
     items: Indices,
-    star: Indices,
+    around: Indices,
     starts: Indices,
     places: Array,
     costs: Array,
 ) -> None:
     """Fill in, for every item, the place of least volume so that no facet around it cuts the body or a bound.
 
-    The triangles around item e are ``star[starts[e]:starts[e + 1]]``."""
-    around = np.empty((most + TIMES, 4))
+    The triangles around vertex v are ``around[starts[v]:starts[v + 1]]``."""
+    met = np.empty((most + TIMES, 4))
     for e in range(len(items)):
         i, j = items[e, 0], items[e, -1]
         count, volume = 0, 0.0
         gx = gy = gz = 0.0
-        for r in range(starts[e], starts[e + 1]):
-            f = star[r]
+        first = starts[i + 1] - starts[i]
+        for r in range(first + (0 if i == j else starts[j + 1] - starts[j])):
+            f = around[starts[i] + r] if r < first else around[starts[j] + r - first]
+            if r >= first and (triangles[f, 0] == i or triangles[f, 1] == i or triangles[f, 2] == i):
+                continue
             volume += _six_volumes(points, triangles[f, 0], triangles[f, 1], triangles[f, 2])
             k = _only(triangles, f, i, j)
             if k >= 0:
@@ -398,21 +416,21 @@ def _cheapest(
                 gx += points[a, 1] * points[b, 2] - points[a, 2] * points[b, 1]
                 gy += points[a, 2] * points[b, 0] - points[a, 0] * points[b, 2]
                 gz += points[a, 0] * points[b, 1] - points[a, 1] * points[b, 0]
-                if count <= most and not _has(around, count, touching, f, k):
+                if count <= most and not _has(met, count, touching, f, k):
                     if count < most:
-                        around[count] = touching[f, k]
+                        met[count] = touching[f, k]
                     count += 1
         if count < 3 or count > most:
             continue
         for _ in range(TIMES):
-            x, y, z, least = _lowest(around, count, gx, gy, gz)
+            x, y, z, least = _lowest(met, count, gx, gy, gz)
             worst = _worst(bounds, x, y, z) if least < np.inf else -1
             if worst < 0:
                 if least < np.inf:
                     places[e, 0], places[e, 1], places[e, 2] = x, y, z
                     costs[e] = (least - volume) / 6 + _beyond(planes, areas, triangles, i, j, x, y, z)
                 break
-            around[count] = -bounds[worst]
+            met[count] = -bounds[worst]
             count += 1
 
 
@@ -441,12 +459,12 @@ def _only(triangles: Indices, f: int, i: int, j: int) -> int:
 
 
 @inline_kernel
-def _has(around: Array, count: int, touching: Array, f: int, k: int) -> bool:
+def _has(planes: Array, count: int, touching: Array, f: int, k: int) -> bool:
     """Whether a plane is among the first ``count``: a flat has many triangles."""
     for r in range(count):
         if (
-            abs(around[r, 0] - touching[f, k, 0]) + abs(around[r, 1] - touching[f, k, 1]) < OUT
-            and abs(around[r, 2] - touching[f, k, 2]) + abs(around[r, 3] - touching[f, k, 3]) < OUT
+            abs(planes[r, 0] - touching[f, k, 0]) + abs(planes[r, 1] - touching[f, k, 1]) < OUT
+            and abs(planes[r, 2] - touching[f, k, 2]) + abs(planes[r, 3] - touching[f, k, 3]) < OUT
         ):
             return True
     return False
