@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,7 @@ from f3sr.contact.contact_patches import find_contacts
 from f3sr.contact.polytopes import Polytope, placed
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, Array, transform
+from f3sr.metrics.measures import sample_surface
 from f3sr.physics.mujoco_model import solid_of
 from f3sr.proxies.collapse import Bounds, collapsed
 from f3sr.proxies.hulls import beyond, planes, qhull_of
@@ -25,18 +28,32 @@ from f3sr.proxies.joins import FELT, NEXT_TO, Join
 from f3sr.proxies.pair_volumes import Pair, PairQueue, PairVolumes
 from f3sr.scene import Scene, SceneObject
 
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
+
 KEPT = (0.1, 0.05, 0.02, 0.0)
 """Radii around contacts in which vertices are kept, the first that is possible [size]."""
-FARTHEST = (0.03, 0.1)
+FARTHEST = (0.03, 0.1, 0.3)
 """Distances from a facet's plane up to which vertices may come to lie, the first that is possible [size]."""
+REACHED = 0.1
+"""Distance from a part in which other bodies bound where its vertices may come to lie [size]."""
+LEAST = 1e-5
+"""Loss of one part fewer from which on more are tried, where parts are too many."""
 DEAREST = 0.1
 """Loss of one part fewer from which on parts are joined by volume, where they are still too many."""
 PAST = 1e-3
 """How far a hull that is made thick may stand out of the parts [size]."""
 THIN, THIN_M = 0.01, 2e-3
 """Least thickness of a hull, as a share of its object's size and in metres, where the object is as thick."""
-NEARER = 5e-5
-"""Distance [m] by which a joined part may come nearer to another body: a fifth of the clearance, which physics ends."""
+NEARER = 1e-4
+"""Distance [m] by which a joined part may come nearer to another body: two fifths of the clearance, which physics
+ends."""
+MUCH_NEARER = (1, 2, 4, 8)
+"""The same in units of ``NEARER``, the first that is possible, where there are too many parts or vertices."""
+REFUSALS = 12
+"""Most joins of an object that are refused as its parts stand off too much."""
+SAMPLES = 20_000, 1200
+"""Points on a mesh, and on all of its parts together, by which their stand-off is measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +66,8 @@ class PartLimits:
     """Most parts, with footing, at any loss."""
     vertices: int
     """Most vertices of a part."""
+    stand_off: float
+    """Most mean distance of the parts' own surface from the mesh [size], if parts fewer are joined by choice."""
     kept: float
     """Largest share of these that is kept around contacts: the rest has to hold all else."""
     apart: float
@@ -73,8 +92,7 @@ def with_few_parts(
         rows = (contacts.upper == o.id) | (contacts.lower == o.id)
         others = [p for k, body in bodies.items() if k != o.id for p in body]
         fewer = _Fewer(o, others, contacts.points[rows], limits[o.id])
-        parts, footing = fewer.on_footing(fewer.joined(made[o.id].parts, joins.get(o.id, ())))
-        parts, footing = (tuple(few for part in some for few in fewer.delivered(part)) for some in (parts, footing))
+        parts, footing = fewer.few(made[o.id].parts, joins.get(o.id, ()))
         now.append(replace(o, parts=parts, footing=footing, solid=solid_of(o)[0]))
         bodies[o.id] = placed(now[-1].solids, o.T_world_asset)
     return scene.with_objects(*now)
@@ -91,29 +109,79 @@ class _Fewer:
         self._found: dict[tuple[ConvexPart, ...], ConvexPart | None] = {}
         self._joined: dict[ConvexPart, tuple[ConvexPart, ...]] = {}
         self._between: dict[ConvexPart, Array] = {}
+        self._refused = set[tuple[ConvexPart, ...]]()
+        self._few: dict[ConvexPart, ConvexPart | None] = {}
+        self._nearer = NEARER
         self._faces: dict[ConvexPart, tuple[Array, Array]] = {}
         self._part_boxes: dict[ConvexPart, Array] = {}
         self._volumes = PairVolumes()
         boxes = np.array([[p.vertices.min(0), p.vertices.max(0)] for p in o.colliders_world])
-        self._reached = limits.apart + max(FARTHEST) * self._size * o.scale
+        self._reached = limits.apart + REACHED * self._size * o.scale
         low, high = boxes[:, 0].min(0) - self._reached, boxes[:, 1].max(0) + self._reached
         self._others = [p for p in others if (p.bounds[0] <= high).all() and (p.bounds[1] >= low).all()]
         self._theirs = [transform(self._T_asset_world, p.vertices) for p in self._others]
         self._other_boxes = np.array([p.bounds for p in self._others]).reshape(-1, 2, 3)
 
-    def joined(self, made: Sequence[ConvexPart], joins: Sequence[Join]) -> list[ConvexPart]:
-        """The object's parts, joined where that is worth it and comes no nearer to other bodies."""
+    def few(
+        self, made: Sequence[ConvexPart], joins: Sequence[Join]
+    ) -> tuple[tuple[ConvexPart, ...], tuple[ConvexPart, ...]]:
+        """Parts and what is left of the footing.
+
+        Joins are refused where parts stand off farthest, until their mean is as asked, or that of before."""
         tree = _Tree(_pieces(self._o.parts, made), joins)
+        for _ in range(REFUSALS):
+            parts, footing = self._on_footing(self._joined_by(tree))
+            found = [(part, few) for part in (*parts, *footing) for few in self._delivered(part)]
+            off = self._stand_off([few for _, few in found])
+            joined = [(float(each.sum()), k) for k, each in enumerate(off) if found[k][0] in self._joined]
+            if not joined or len(found) >= self._limits.parts or not self._is_far(off):
+                break
+            self._refused.add(self._joined[found[max(joined)[1]][0]])
+        return tuple(few for part, few in found if part in parts), tuple(few for part, few in found if part in footing)
+
+    def _is_far(self, off: Sequence[Array]) -> bool:
+        mean = np.concatenate(off).mean()
+        return bool(mean > self._limits.stand_off and mean > self._off_before)
+
+    @cached_property
+    def _off_before(self) -> float:
+        return float(np.concatenate(self._stand_off(self._o.colliders)).mean())
+
+    def _stand_off(self, parts: Sequence[ConvexPart]) -> list[Array]:
+        """Distances [size] from the mesh of points on each part's surface, of those in no other part."""
+        count = max(50, SAMPLES[1] // len(parts))
+        on = [sample_surface(part.vertices, part.faces, count) for part in parts]
+        points = np.concatenate(on)
+        is_own = np.min([beyond(points, *self._planes(part)) for part in parts], axis=0) >= -1e-4 * self._size
+        off = self._surface.query(points)[0] / self._size
+        return [off[k : k + count][is_own[k : k + count]] for k in range(0, len(points), count)]
+
+    @cached_property
+    def _surface(self) -> KDTree:
+        from scipy.spatial import KDTree
+
+        mesh = self._o.mesh
+        return KDTree(np.concatenate([mesh.vertices, sample_surface(mesh.vertices, mesh.faces, SAMPLES[0])]))
+
+    def _joined_by(self, tree: _Tree) -> list[ConvexPart]:
+        """The object's parts, joined where that is worth it and comes no nearer to other bodies."""
         most = max(1, self._limits.parts - len(self._o.footing))
         worth = self._limits.worth
         while True:
             worthy = tree.worthy(worth)
             parts = [part for root in tree.roots for part in self._under(root, tree, worthy)]
             if len(parts) <= most or worth > DEAREST:
-                return self._paired(parts, most)
-            worth *= 2
+                break
+            worth = max(2 * worth, LEAST)
+        for self._nearer in (NEARER * k for k in MUCH_NEARER):
+            parts = self._paired(parts, most)
+            if len(parts) <= most:
+                break
+            self._found = {parts: one for parts, one in self._found.items() if one}
+        self._nearer = NEARER
+        return parts
 
-    def on_footing(self, parts: list[ConvexPart]) -> tuple[list[ConvexPart], list[ConvexPart]]:
+    def _on_footing(self, parts: list[ConvexPart]) -> tuple[list[ConvexPart], list[ConvexPart]]:
         """Parts and the wedges of the footing that are left: a wedge joins the part with which it adds least volume.
 
         It stays a part of its own where that would add more than its own volume, unless there are too many."""
@@ -130,14 +198,17 @@ class _Fewer:
                 left.append(wedge)
         return parts, left
 
-    def delivered(self, part: ConvexPart) -> Iterator[ConvexPart]:
-        """A part as thick and with as few vertices as it has to be; where that is not free, the parts that it joins."""
-        few = self._of_few_vertices(self._thick(part))
-        if few is None and part in self._joined:
-            for each in self._joined[part]:
-                yield from self.delivered(each)
-        else:
+    def _delivered(self, part: ConvexPart) -> Iterator[ConvexPart]:
+        """A part as thick and with as few vertices as it has to be; where that cannot be, the parts that it joins."""
+        if part not in self._few:
+            tries = (self._of_few_vertices(self._thick(part), k * NEARER) for k in MUCH_NEARER)
+            self._few[part] = next(filter(None, tries), None)
+        few = self._few[part]
+        if few or part not in self._joined:
             yield few or part
+        else:
+            for each in self._joined[part]:
+                yield from self._delivered(each)
 
     def _thick(self, part: ConvexPart) -> ConvexPart:
         """A part that reaches into the solid where it would be a thin layer: engines lose or throw thin hulls.
@@ -215,6 +286,8 @@ class _Fewer:
         """One hull for parts; None where it would come too near to another body."""
         if len(parts) == 1:
             return parts[0]
+        if parts in self._refused:
+            return None
         if parts not in self._found:
             gaps = np.min([self._gaps(part) for part in parts], axis=0)
             one = self._found[parts] = self._held(np.concatenate([part.vertices for part in parts]), gaps)
@@ -228,16 +301,16 @@ class _Fewer:
             whole = ConvexPart.hull_of(points)
         except ValueError:  # hardly a volume
             return None
-        if not self._is_free(whole, gaps - NEARER):
+        if not self._is_free(whole, gaps - self._nearer):
             return None
-        self._between[whole] = gaps
+        self._between[whole] = gaps - (self._nearer - NEARER)
         return whole
 
-    def _of_few_vertices(self, part: ConvexPart) -> ConvexPart | None:
+    def _of_few_vertices(self, part: ConvexPart, nearer: float = NEARER) -> ConvexPart | None:
         """A hull of few vertices that holds a part and comes hardly nearer to other bodies; None where that is none."""
         if len(part.vertices) <= self._limits.vertices:
             return part
-        allowed = self._gaps(part) - NEARER
+        allowed = self._gaps(part) - nearer
         normals, offsets = self._separating(part, allowed)
         contacts, tried = self._contacts / self._size, set[tuple[float, bytes]]()
         for farthest, radius in product(FARTHEST, KEPT):

@@ -41,6 +41,8 @@ class CoarsenConfig:
     """Convex parts of one object, with footing, above which they are joined at any loss."""
     max_vertices: Annotated[int, Interval(ge=16, le=1000)] = 64
     """Most vertices of a part. PhysX takes 64, some engines on a GPU 32."""
+    stand_off: Annotated[float, Interval(gt=0, le=1)] = 0.0135
+    """Mean distance [size] of the parts' surface from the mesh, above which joins are refused."""
     contact: ContactMargin = DEFAULT_MARGIN
     """Parts come no nearer to another body than they were, or than its ``reach``."""
 
@@ -50,6 +52,7 @@ class CoarsenConfig:
             worth=FINER**moved * self.worth,
             parts=self.max_parts,
             vertices=self.max_vertices,
+            stand_off=self.stand_off,
             kept=KEPT if moved == 0 else KEPT_MOVED,
             apart=self.contact.apart,
             reach=self.contact.reach,
