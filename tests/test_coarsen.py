@@ -26,7 +26,9 @@ from f3sr.stages.coarsen import TRIES, CoarsenConfig, coarsen
 from scenes import ball_mesh, box, scene_of
 
 REST = 0.5 * CoarsenConfig().contact.clearance
-LIMITS = CoarsenConfig().limits()
+CONFIG = CoarsenConfig(stand_off=1.0)
+"""These scenes are about other bodies: their parts may stand off."""
+LIMITS = CONFIG.limits()
 FEW_SAMPLES = ProxyConfig(cuts=replace(ProxyConfig().cuts, samples=2000))
 
 
@@ -235,7 +237,7 @@ def coarsened(scene: Scene, restless: Sequence[Collection[int]]) -> tuple[Scene,
     def settled(tried: Scene) -> SettledScene:
         return SettledScene(scene=tried, restless=frozenset(told.pop(0)))
 
-    result, outcome = coarsen(scene, CoarsenConfig(), made=scene, joins={0: FREE, 1: FREE}, settled=settled)
+    result, outcome = coarsen(scene, CONFIG, made=scene, joins={0: FREE, 1: FREE}, settled=settled)
     return result, [f"{d.about}: {d.choice}" for d in outcome.decisions], len(restless) - len(told)
 
 

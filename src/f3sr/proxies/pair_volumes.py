@@ -57,7 +57,7 @@ class PairQueue:
             self._put(self._volumes.least(*pair), self._pushed, False, pair)
 
     def pop(self, among: Iterable[ConvexPart] | None = None) -> tuple[float, Pair] | None:
-        """The least volume that a pair adds, and that pair; None at the end. Pairs of parts not ``among`` are dropped."""
+        """The least volume that a pair adds, and that pair; None at the end. Pairs not ``among`` parts are dropped."""
         parts = None if among is None else set(among)
         while self._heap:
             volume, number, is_exact, pair = heapq.heappop(self._heap)
