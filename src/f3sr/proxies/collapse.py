@@ -404,9 +404,10 @@ def _cheapest(
         i, j = items[e, 0], items[e, -1]
         count, volume = 0, 0.0
         gx = gy = gz = 0.0
-        first = starts[i + 1] - starts[i]
-        for r in range(first + (0 if i == j else starts[j + 1] - starts[j])):
-            f = around[starts[i] + r] if r < first else around[starts[j] + r - first]
+        start, next_start = int(starts[i]), int(starts[j])
+        first, others = int(starts[i + 1]) - start, 0 if i == j else int(starts[j + 1]) - next_start
+        for r in range(first + others):
+            f = int(around[start + r if r < first else next_start + r - first])
             if r >= first and (triangles[f, 0] == i or triangles[f, 1] == i or triangles[f, 2] == i):
                 continue
             volume += _six_volumes(points, triangles[f, 0], triangles[f, 1], triangles[f, 2])

@@ -129,15 +129,22 @@ class _Fewer:
 
         Joins are refused where parts stand off farthest, until their mean is as asked, or that of before."""
         tree = _Tree(_pieces(self._o.parts, made), joins)
-        for _ in range(REFUSALS):
+        while True:
             parts, footing = self._on_footing(self._joined_by(tree))
             found = [(part, few) for part in (*parts, *footing) for few in self._delivered(part)]
-            off = self._stand_off([few for _, few in found])
-            joined = [(float(each.sum()), k) for k, each in enumerate(off) if found[k][0] in self._joined]
-            if not joined or len(found) >= self._limits.parts or not self._is_far(off):
-                break
-            self._refused.add(self._joined[found[max(joined)[1]][0]])
-        return tuple(few for part, few in found if part in parts), tuple(few for part, few in found if part in footing)
+            farthest = self._farthest(found) if len(self._refused) < REFUSALS else None
+            if farthest is None:
+                few = [tuple(few for part, few in found if part in some) for some in (parts, footing)]
+                return few[0], few[1]
+            self._refused.add(self._joined[farthest])
+
+    def _farthest(self, found: Sequence[tuple[ConvexPart, ConvexPart]]) -> ConvexPart | None:
+        """Of parts, each with what is delivered of it, the joined one that stands off most; None where that may be."""
+        if len(found) >= self._limits.parts:
+            return None
+        off = self._stand_off([few for _, few in found])
+        joined = [(float(each.sum()), k) for k, each in enumerate(off) if found[k][0] in self._joined]
+        return found[max(joined)[1]][0] if joined and self._is_far(off) else None
 
     def _is_far(self, off: Sequence[Array]) -> bool:
         mean = np.concatenate(off).mean()
@@ -275,7 +282,7 @@ class _Fewer:
         """A part with each of those whose boxes touch its own, or with all."""
         boxes = np.array([self._box(p) for p in parts]).reshape(-1, 2, 3)
         near = np.full(len(parts), True) if anywhere else _are_near(boxes, self._box(part), NEXT_TO * self._size)
-        return [(parts[k], part) for k in np.flatnonzero(near)]
+        return [(parts[k], part) for k in np.flatnonzero(near).tolist()]
 
     def _box(self, part: ConvexPart) -> Array:
         if part not in self._part_boxes:
@@ -344,10 +351,11 @@ class _Fewer:
         near = self._near(box, self._limits.reach)
         if box[0, 2] < allowed[-1]:
             return False
-        left = [k for k in near if not self._is_beside(part, k, allowed[k])]
-        if any(allowed[k] > 0 and self._holds(part, k) for k in left):
+        least = {k: float(allowed[k]) for k in near.tolist()}
+        left = {k: gap for k, gap in least.items() if not self._is_beside(part, k, gap)}
+        if any(gap > 0 and self._holds(part, k) for k, gap in left.items()):
             return False
-        return all(self._gap(part, k, allowed[k]) >= allowed[k] for k in left)
+        return all(self._gap(part, k, gap) >= gap for k, gap in left.items())
 
     def _is_beside(self, part: ConvexPart, other: int, enough: float) -> bool:
         """Whether a face of either separates the two by ``enough`` [m]: a look that costs little."""
