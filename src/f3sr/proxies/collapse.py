@@ -196,8 +196,13 @@ def _normals(hull: Any, areas: Array) -> Array:
 
 
 def _areas(triangles: Array) -> Array:
-    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    return np.sqrt((_across(triangles) ** 2).sum(1)) / 2
+
+
+def _across(triangles: Array) -> Array:
+    """Normals (n, 3) of triangles (n, 3, 3), twice as long as their area."""
+    (ux, uy, uz), (vx, vy, vz) = (triangles[:, k].T - triangles[:, 0].T for k in (1, 2))
+    return np.stack([uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx], axis=1)
 
 
 @cache
@@ -267,11 +272,11 @@ class _Triangulated:
         hull = qhull_of(points)
         self._points, self._body = points, body
         self.corners: Indices = np.sort(hull.vertices).astype(np.int64)
-        a, b, c = (points[hull.simplices[:, k]] for k in range(3))
-        is_turned = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+        across = _across(points[hull.simplices])
+        is_turned = (across * hull.equations[:, :3]).sum(1) < 0
         self._triangles = np.where(is_turned[:, None], hull.simplices[:, ::-1], hull.simplices).astype(np.int64)
         self._planes = np.ascontiguousarray(hull.equations)
-        self._areas = _areas(points[hull.simplices])
+        self._areas = np.sqrt((across**2).sum(1)) / 2
         corners = self._triangles.ravel()
         # The triangles around vertex v are ``around[starts[v]:starts[v + 1]]``.
         self._around: Indices = np.argsort(corners, kind="stable") // 3
@@ -302,7 +307,9 @@ class _Triangulated:
         order = np.argsort(costs, kind="stable")[: int(np.isfinite(costs).sum())]
         taken, chosen = np.zeros(len(self._points), np.bool_), np.empty(count, np.int64)
         found = chosen[: _chosen(order, items, self._triangles, self._around, self._starts, taken, chosen)]
-        return np.concatenate([self._points[np.setdiff1d(self.corners, items[found])], places[found]])
+        is_left = np.ones(len(self._points), np.bool_)
+        is_left[items[found]] = False
+        return np.concatenate([self._points[self.corners[is_left[self.corners]]], places[found]])
 
     @property
     def _is_kept(self) -> NDArray[np.bool_]:
@@ -473,33 +480,50 @@ def _has(planes: Array, count: int, touching: Array, f: int, k: int) -> bool:
 
 @inline_kernel
 def _lowest(planes: Array, count: int, gx: float, gy: float, gz: float) -> tuple[float, float, float, float]:
-    """The lowest point along g in which three planes meet and that is behind none, and its height or infinity."""
+    """The lowest point along g in which three planes meet and that is behind none, and its height or infinity.
+
+    It is an end of what the other planes leave of the line in which two meet."""
     x = y = z = 0.0
     least = np.inf
     for i in range(count):
         for j in range(i + 1, count):
-            for k in range(j + 1, count):
-                px, py, pz, is_sure = _meeting(planes, i, j, k)
-                height = gx * px + gy * py + gz * pz
-                if is_sure and height < least and _is_outside(planes, count, px, py, pz):
-                    x, y, z, least = px, py, pz, height
+            ax, ay, az = planes[i, 0], planes[i, 1], planes[i, 2]
+            bx, by, bz = planes[j, 0], planes[j, 1], planes[j, 2]
+            wx, wy, wz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+            square = wx * wx + wy * wy + wz * wz
+            if square <= SINGULAR * SINGULAR:
+                continue
+            d, e = -planes[i, 3] / square, -planes[j, 3] / square
+            px = d * (by * wz - bz * wy) + e * (wy * az - wz * ay)
+            py = d * (bz * wx - bx * wz) + e * (wz * ax - wx * az)
+            pz = d * (bx * wy - by * wx) + e * (wx * ay - wy * ax)
+            first, last = _ends(planes, count, px, py, pz, wx, wy, wz)
+            for t in (first, last):
+                qx, qy, qz = px + t * wx, py + t * wy, pz + t * wz
+                height = gx * qx + gy * qy + gz * qz
+                if abs(t) < np.inf and height < least and _is_outside(planes, count, qx, qy, qz):
+                    x, y, z, least = qx, qy, qz, height
     return x, y, z, least
 
 
 @inline_kernel
-def _meeting(planes: Array, i: int, j: int, k: int) -> tuple[float, float, float, bool]:
-    """The point in which three planes meet, and whether that is definite."""
-    ax, ay, az = planes[i, 0], planes[i, 1], planes[i, 2]
-    bx, by, bz = planes[j, 0], planes[j, 1], planes[j, 2]
-    cx, cy, cz = planes[k, 0], planes[k, 1], planes[k, 2]
-    ux, uy, uz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-    vx, vy, vz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
-    wx, wy, wz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    volume = ax * ux + ay * uy + az * uz
-    if abs(volume) <= SINGULAR:
-        return 0.0, 0.0, 0.0, False
-    d, e, f = -planes[i, 3] / volume, -planes[j, 3] / volume, -planes[k, 3] / volume
-    return d * ux + e * vx + f * wx, d * uy + e * vy + f * wy, d * uz + e * vz + f * wz, True
+def _ends(
+    planes: Array, count: int, px: float, py: float, pz: float, wx: float, wy: float, wz: float
+) -> tuple[float, float]:
+    """First and last t for which p + t w is behind none of the first ``count`` planes; infinite where there is none.
+
+    Planes that are nearly parallel to w have no part in it."""
+    first, last, until, since = -np.inf, np.inf, np.inf, -np.inf
+    for r in range(count):
+        along = planes[r, 0] * wx + planes[r, 1] * wy + planes[r, 2] * wz
+        height = planes[r, 0] * px + planes[r, 1] * py + planes[r, 2] * pz + planes[r, 3]
+        if along > SINGULAR:
+            first, since = max(first, -height / along), max(since, (-height - ON) / along)
+        elif along < -SINGULAR:
+            last, until = min(last, -height / along), min(until, (-height - ON) / along)
+        if since > until:
+            return np.inf, np.inf
+    return first, last
 
 
 @inline_kernel
