@@ -229,22 +229,11 @@ def _fewer(points: Array, body: _Body) -> Array:
             return points[surface.corners]
         is_close = len(surface.corners) <= CLOSE * body.most
         places, costs = surface.places(surface.edges, is_close)
-        costs = _cheap(places, costs, body)
+        costs = surface.cheap(surface.edges, places, costs)
         if not np.isfinite(costs).any():
             return points[surface.corners]
         count = max(1, min(surplus, round(AT_ONCE * len(surface.corners))))
         points = surface.moved(surface.edges, places, costs, count)
-
-
-def _cheap(places: Array, costs: Array, body: _Body) -> Array:
-    """The costs (e,) of the cheapest edges, of all where none of these may go; infinite for others."""
-    finite = costs[np.isfinite(costs)]
-    for limit in np.quantile(finite, (CHEAP, 1)) if len(finite) else ():
-        is_cheap = costs <= limit
-        is_cheap[is_cheap] = body.height(places[is_cheap]) <= body.farthest
-        if is_cheap.any():
-            return np.where(is_cheap, costs, np.inf)
-    return np.full(len(costs), np.inf)
 
 
 def _drawn_in(points: Array, body: _Body) -> Array:
@@ -254,6 +243,7 @@ def _drawn_in(points: Array, body: _Body) -> Array:
         each = surface.corners[:, None]
         corners = points[surface.corners]
         places, costs = surface.places(each, True)
+        costs = surface.whole(each, places, costs)
         places = corners + step * (places - corners)
         gains = costs < -LEAST_GAIN * body.volume / len(each)
         farthest = min(body.farthest, float(body.height(corners).max()))
@@ -295,12 +285,34 @@ class _Triangulated:
         _touching(self._points, self._triangles, self._planes, body, touching)
         places, costs = np.zeros((len(items), 3)), np.full(len(items), np.inf)
         _cheapest(
-            *(self._points, self._triangles, self._planes, self._areas, touching, self._body.bounds),
+            *(self._points, self._triangles, touching, self._body.bounds),
             *(MOST_PLANES[items.shape[1] - 1], items, self._around, self._starts, places, costs),
         )
         if len(self._body.kept):
             costs[self._is_kept[items].any(1)] = np.inf
         return places, costs
+
+    def whole(self, items: Indices, places: Array, costs: Array) -> Array:
+        """The costs (e,) with what places add beyond facets elsewhere."""
+        full, order = np.full(len(costs), np.inf), np.flatnonzero(np.isfinite(costs))
+        _with_beyond(order, len(order), items, self._triangles, self._planes, self._areas, places, costs, full)
+        return full
+
+    def cheap(self, edges: Indices, places: Array, costs: Array) -> Array:
+        """The costs (e,) of the cheapest edges, of all where none of these may go; infinite for others.
+
+        What a place adds beyond facets elsewhere is only looked for where an edge may be one of the cheapest."""
+        order = np.argsort(costs, kind="stable")[: int(np.isfinite(costs).sum())]
+        for share in (CHEAP, 1.0):
+            full, most = np.full(len(costs), np.inf), int(np.ceil(share * len(order)))
+            _with_beyond(order, most, edges, self._triangles, self._planes, self._areas, places, costs, full)
+            cheapest = np.argsort(full, kind="stable")[:most]
+            may = cheapest[self._body.height(places[cheapest]) <= self._body.farthest]
+            if len(may):
+                break
+        found = np.full(len(costs), np.inf)
+        found[may] = full[may]
+        return found
 
     def moved(self, items: Indices, places: Array, costs: Array, count: int) -> Array:
         """The corners after the cheapest items, no two of neighbours, gave way to their places."""
@@ -392,8 +404,6 @@ def _first_met(
 def _cheapest(
     points: Array,
     triangles: Indices,
-    planes: Array,
-    areas: Array,
     touching: Array,
     bounds: Array,
     most: int,
@@ -436,7 +446,7 @@ def _cheapest(
             if worst < 0:
                 if least < np.inf:
                     places[e, 0], places[e, 1], places[e, 2] = x, y, z
-                    costs[e] = (least - volume) / 6 + _beyond(planes, areas, triangles, i, j, x, y, z)
+                    costs[e] = (least - volume) / 6
                 break
             met[count] = -bounds[worst]
             count += 1
@@ -444,6 +454,29 @@ def _cheapest(
 
 TIMES = 4
 """How often a place may cross a bound before it is given up; each time that bound becomes one of its planes."""
+
+
+@kernel
+def _with_beyond(
+    order: Indices,
+    most: int,
+    items: Indices,
+    triangles: Indices,
+    planes: Array,
+    areas: Array,
+    places: Array,
+    costs: Array,
+    full: Array,
+) -> None:
+    """Fill in the full costs of items in an order of ascending costs, until ``most`` of them are full already."""
+    count = 0
+    for e in order:
+        if count == most:
+            break
+        beyond = _beyond(planes, areas, triangles, items[e, 0], items[e, -1], places[e, 0], places[e, 1], places[e, 2])
+        full[e] = costs[e] + beyond
+        if beyond <= ON:
+            count += 1
 
 
 @inline_kernel

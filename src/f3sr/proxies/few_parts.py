@@ -140,11 +140,11 @@ class _Fewer:
 
     def _farthest(self, found: Sequence[tuple[ConvexPart, ConvexPart]]) -> ConvexPart | None:
         """Of parts, each with what is delivered of it, the joined one that stands off most; None where that may be."""
-        if len(found) >= self._limits.parts:
+        if len(found) >= self._limits.parts or not any(part in self._joined for part, _ in found):
             return None
         off = self._stand_off([few for _, few in found])
         joined = [(float(each.sum()), k) for k, each in enumerate(off) if found[k][0] in self._joined]
-        return found[max(joined)[1]][0] if joined and self._is_far(off) else None
+        return found[max(joined)[1]][0] if self._is_far(off) else None
 
     def _is_far(self, off: Sequence[Array]) -> bool:
         mean = np.concatenate(off).mean()
@@ -156,7 +156,7 @@ class _Fewer:
 
     def _stand_off(self, parts: Sequence[ConvexPart]) -> list[Array]:
         """Distances [size] from the mesh of points on each part's surface, of those in no other part."""
-        count = max(50, SAMPLES[1] // len(parts))
+        count = max(20, SAMPLES[1] // len(parts))
         on = [sample_surface(part.vertices, part.faces, count) for part in parts]
         points = np.concatenate(on)
         is_own = np.min([beyond(points, *self._planes(part)) for part in parts], axis=0) >= -1e-4 * self._size
@@ -168,7 +168,8 @@ class _Fewer:
         from scipy.spatial import KDTree
 
         mesh = self._o.mesh
-        return KDTree(np.concatenate([mesh.vertices, sample_surface(mesh.vertices, mesh.faces, SAMPLES[0])]))
+        points = np.concatenate([mesh.vertices, sample_surface(mesh.vertices, mesh.faces, SAMPLES[0])])
+        return KDTree(points, balanced_tree=False, compact_nodes=False)  # faster for few queries
 
     def _joined_by(self, tree: _Tree) -> list[ConvexPart]:
         """The object's parts, joined where that is worth it and comes no nearer to other bodies."""
