@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -13,20 +14,25 @@ from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import Array, pose
 from f3sr.metrics.contact_groups import SettledScene
+from f3sr.metrics.measures import proxy_distances, visible_ious
 from f3sr.physics.mujoco_model import body_of
 from f3sr.proxies import Join, ProxyConfig
 from f3sr.proxies.collapse import UNBOUNDED, collapsed
 from f3sr.proxies.few_parts import NEARER, THIN_M, PartLimits, with_few_parts
 from f3sr.proxies.hulls import planes
 from f3sr.proxies.joins import join_order
+from f3sr.proxies.pair_volumes import Pair, PairQueue, PairVolumes
 from f3sr.proxies.parts import subject_of
 from f3sr.runtime import scene_serialization
 from f3sr.scene import Scene, SceneObject
-from f3sr.stages.coarsen import TRIES, CoarsenConfig, coarsen
+from f3sr.stages.coarsen import LOSS, LOSS_TO_REST, TRIES, CoarsenConfig, coarsen
+from f3sr.vision import rasterizer
 from scenes import ball_mesh, box, scene_of
 
 REST = 0.5 * CoarsenConfig().contact.clearance
-LIMITS = CoarsenConfig().limits()
+CONFIG = CoarsenConfig(stand_off=1.0)
+"""These scenes are about other bodies: their parts may stand off."""
+LIMITS = CONFIG.limits()
 FEW_SAMPLES = ProxyConfig(cuts=replace(ProxyConfig().cuts, samples=2000))
 
 
@@ -139,6 +145,25 @@ def test_no_new_vertex_is_farther_than_allowed():
         assert (len(corners) <= 32) is is_enough
 
 
+def test_pairs_come_by_volume_and_no_bound_exceeds_it():
+    rng = np.random.default_rng(3)
+    parts = [ConvexPart.hull_of(rng.normal(size=(12, 3)) + 3 * rng.normal(size=3)) for _ in range(8)]
+    volumes, pairs = PairVolumes(), list(combinations(parts, 2))
+    exact = {pair: ConvexPart.hull_of(np.concatenate([p.vertices for p in pair])).volume for pair in pairs}
+    exact = {pair: volume - pair[0].volume - pair[1].volume for pair, volume in exact.items()}
+    bounds = np.array([volumes.least(*pair) for pair in pairs])
+    assert (bounds <= np.array([*exact.values()]) * (1 + 1e-9)).all() and bounds.max() > 0
+    most = float(np.median([*exact.values()]))
+    queue = PairQueue(volumes, most)
+    queue.push(pairs)
+    among, found = parts[1:], list[Pair]()
+    while one := queue.pop(among):
+        assert one[0] == pytest.approx(exact[one[1]])
+        found.append(one[1])
+    wanted = sorted((p for p in pairs if parts[0] not in p and exact[p] <= most), key=lambda p: exact[p])
+    assert found == wanted
+
+
 def test_parts_of_a_box_are_joined_without_loss_and_a_cavity_is_bridged_last():
     size = trough().mesh.diagonal
     parts = [p.moved(np.diag([1 / size, 1 / size, 1 / size, 1.0])) for p in trough().parts]
@@ -180,6 +205,30 @@ def test_parts_that_no_join_names_are_joined_where_that_adds_hardly_a_volume():
     steps = {height: cuboid((-0.05, -0.05, 0.1), (0, 0.05, 0.1 + height)) for height in (5e-4, 0.03)}
     parts = {height: fewer(scene_of(made_of(0, [cube, step])), ()).parts for height, step in steps.items()}
     assert {height: len(few) for height, few in parts.items()} == {5e-4: 1, 0.03: 2}
+
+
+def test_too_many_parts_are_joined_where_fewer_are_worth_nothing():
+    assert len(fewer(scene_of(trough()), FREE, replace(LIMITS, worth=0.0, parts=1)).parts) == 1
+
+
+def test_joins_are_refused_while_parts_stand_off_farther_than_asked():
+    """One hull fills a trough, and its walls alone stand off nothing."""
+    scene = scene_of(trough(), replace(trough(1), T_world_object=pose(t=np.array([0.5, 0, REST]))))
+    o, few = scene[0], fewer(scene, FREE, replace(LIMITS, stand_off=0.01))
+    assert proxy_distances(fewer(scene, FREE))[1] > 0.01 > proxy_distances(few)[1]
+    assert len(few.parts) == len(o.parts)
+    assert len(fewer(scene, FREE, replace(LIMITS, stand_off=0.01, parts=1)).parts) == 1
+
+
+@pytest.mark.parametrize(("lower", "left"), [(0.5, 1), (2.5, 2)])
+def test_a_join_comes_hardly_nearer_to_another_body(lower: float, left: int):
+    """A plate lies over the lower of two bars: one hull for both comes nearer by the step between them."""
+    step = lower * NEARER
+    bars = [cuboid((-0.05, -0.05, 0), (0, 0.05, 0.1)), cuboid((0, -0.05, 0), (0.05, 0.05, 0.1 - step))]
+    plate = box(1, size=(0.001, 0.1, 0.02), at=(0.001, 0, 0.11 + REST + 4 * NEARER - step))
+    scene = scene_of(made_of(0, bars), plate)
+    assert len(fewer(scene, ()).parts) == left
+    assert len(fewer(scene, (), replace(LIMITS, parts=1)).parts) == 1
 
 
 def test_a_wedge_of_a_footing_joins_a_part_where_it_adds_little_or_where_there_are_too_many():
@@ -235,7 +284,7 @@ def coarsened(scene: Scene, restless: Sequence[Collection[int]]) -> tuple[Scene,
     def settled(tried: Scene) -> SettledScene:
         return SettledScene(scene=tried, restless=frozenset(told.pop(0)))
 
-    result, outcome = coarsen(scene, CoarsenConfig(), made=scene, joins={0: FREE, 1: FREE}, settled=settled)
+    result, outcome = coarsen(scene, CONFIG, made=scene, joins={0: FREE, 1: FREE}, settled=settled)
     return result, [f"{d.about}: {d.choice}" for d in outcome.decisions], len(restless) - len(told)
 
 
@@ -259,3 +308,55 @@ def test_what_moves_however_fine_its_parts_keeps_them(two: Scene):
     scene, decisions, times = coarsened(two, [(1,)] * TRIES)
     assert scene[1].parts is two[1].parts and len(scene[0].parts) == 1
     assert decisions == ["1: keeps all its convex parts"] and times == TRIES
+
+
+LIMITED = replace(CONFIG, max_parts=2)
+
+
+def slid(before: Scene, restless: Collection[int], slides: Sequence[float]) -> tuple[Scene, list[str], list[list[int]]]:
+    """The scene, its decisions, and the number of parts that were tried; object 1 slides a way [m] in each attempt."""
+    ways, tried = list(slides), list[list[int]]()
+
+    def settled(scene: Scene) -> SettledScene:
+        tried.append([len(o.parts) for o in scene])
+        o = scene[1]
+        T = pose(t=o.T_world_object[:3, 3] + np.array([ways.pop(0), 0, 0]))
+        return SettledScene(scene=scene.with_objects(replace(o, T_world_object=T)), restless=frozenset())
+
+    found, outcome = coarsen(before, LIMITED, made=before, joins={0: FREE, 1: FREE}, settled=settled, restless=restless)
+    assert not ways
+    return found, [f"{d.about}: {d.choice}" for d in outcome.decisions], tried
+
+
+@pytest.fixture
+def seen(two: Scene) -> Scene:
+    """The two with masks as they are seen, nearer to each other in the picture, and far apart all the same."""
+    near = two.with_objects(replace(two[1], T_world_object=pose(t=np.array([0.2, 0, REST]))))
+    ids = rasterizer.visible_ids(near.objects, near.camera)
+    return near.with_objects(*(replace(o, mask=ids == o.id) for o in near))
+
+
+def test_a_group_over_the_limits_that_always_moves_takes_what_loses_least(seen: Scene):
+    scene, decisions, tried = slid(seen, (), [0.05, 0.03, 0.05, 0.05])
+    assert [len(o.parts) for o in scene] == [1, 1] and tried == [[1, 1], [1], [1], [1]]
+    assert scene[1].T_world_object[0, 3] == pytest.approx(0.23)
+    assert decisions == [d for d in decisions if d.startswith("1: moves with fewer convex parts")] and decisions
+
+
+def test_what_is_over_the_limits_gets_fewer_parts_where_its_group_rests_with_them(seen: Scene):
+    scene, decisions, _ = slid(seen, (), [0.05, 0.05, 0.05, 0.0])
+    assert [len(o.parts) for o in scene] == [1, 1] and not decisions
+    assert scene[1].T_world_object[0, 3] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(("restless", "attempts"), [([1], 1), ([], TRIES + 1)])
+def test_what_did_not_rest_before_may_move_a_little_to_come_to_rest(
+    seen: Scene, restless: Collection[int], attempts: int
+):
+    mask = seen[1].mask.copy()
+    mask[:4, :40] = True  # sky that it does not cover: few of the pixels are its own
+    scene = seen.with_objects(replace(seen[1], mask=mask))
+    moved = scene.with_objects(replace(scene[1], T_world_object=pose(t=np.array([0.205, 0, REST]))))
+    assert LOSS < visible_ious(scene)[1] - visible_ious(moved)[1] < LOSS_TO_REST
+    _, decisions, tried = slid(scene, restless, [0.005] * attempts)
+    assert len(tried) == attempts and len(decisions) == 1

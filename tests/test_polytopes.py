@@ -230,6 +230,16 @@ def test_depth_against_the_minkowski_hull():
     assert 20 < overlaps < 58
 
 
+def test_separation_is_that_of_the_best_facet_and_some_gap_where_less_is_enough():
+    rng = np.random.default_rng(8)
+    for _ in range(20):
+        a, b = random_hull(rng), random_hull(rng).shifted(rng.uniform(-1.5, 1.5, 3))
+        best = -polytopes.facets(a, b)[1].min()
+        assert polytopes.separation(a, b) == pytest.approx(best)
+        for enough in (-0.1, 0.1, 0.5):
+            assert min(enough, polytopes.separation(a, b, enough)) == pytest.approx(min(enough, best))
+
+
 def test_interval_against_linear_programming():
     found = 0
     for seed in range(40):

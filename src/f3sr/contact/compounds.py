@@ -457,6 +457,7 @@ def _depth(a: Arrays, i: int, b: Arrays, j: int) -> float:
         b.edge_starts[q[j, 2] : q[j + 1, 2]],
         b.edge_directions[q[j, 2] : q[j + 1, 2]],
         b.edge_normals[q[j, 2] : q[j + 1, 2]],
+        0.0,
     )
 
 

@@ -197,8 +197,8 @@ def hull_corners(points: Array, tolerance: float) -> NDArray[np.int64]:
 
 def tangents(n: Array) -> tuple[Array, Array]:
     """Two unit vectors (..., 3) that make a right-handed frame with unit n (..., 3)."""
-    u = np.cross(np.eye(3)[np.argmin(np.abs(n), axis=-1)], n)
-    u /= np.linalg.norm(u, axis=-1, keepdims=True)
+    across: Array = np.cross(np.eye(3)[np.argmin(np.abs(n), axis=-1)], n).astype(np.float64)
+    u = across / np.linalg.norm(across, axis=-1, keepdims=True)
     return u, np.cross(n, u)
 
 

@@ -152,7 +152,14 @@ def scale_of(T: Array) -> float:
 
 def overlap_depth(a: Polytope, b: Polytope) -> float:
     """Length [m] of the smallest move that ends the overlap; <= 0 without overlap (then it is no distance)."""
-    return float(depth_kernel(*a.packed, *b.packed))
+    return float(depth_kernel(*a.packed, *b.packed, 0.0))
+
+
+def separation(a: Polytope, b: Polytope, enough: float = np.inf) -> float:
+    """Gap [m] along the facet that separates two polytopes best, negative if they overlap.
+
+    Of a gap of ``enough`` or more it is only some such gap."""
+    return -float(depth_kernel(*a.packed, *b.packed, -enough))
 
 
 def forbidden_interval(
@@ -304,17 +311,18 @@ def depth_kernel(
     starts_b: Array,
     directions_b: Array,
     normals_b: Array,
+    enough: float,
 ) -> float:
-    """The least height of all facets; that of the first separating face if there is one."""
+    """The least height of all facets; that of the first face at most ``enough`` if there is one."""
     depth = np.inf
     # Faces first: they are few, and one of them separates most pairs that are free of each other.
     for k in range(len(faces_a)):
         depth = min(depth, offsets_a[k] - _lowest(points_b, faces_a, k))
-        if depth <= 0.0:
+        if depth <= enough:
             return depth
     for k in range(len(faces_b)):
         depth = min(depth, offsets_b[k] - _lowest(points_a, faces_b, k))
-        if depth <= 0.0:
+        if depth <= enough:
             return depth
     planes = np.empty((len(starts_a) * len(starts_b), 4))
     found = _edge_planes(

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, cached_property
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -91,10 +90,12 @@ def collapsed(points: Array, most: int, bounds: Bounds = UNBOUNDED) -> Array:
     if len(body.corners) <= most:
         return body.corners
     first, even = body.starts()
-    found = [body.corners, _fewer(first, body)]
-    if even is not None and body.loss(even) < ROUND * body.loss(found[1]):
-        found += [_drawn_in(found[1], body), _drawn_in(_fewer(even, body), body)]
-    return min(filter(body.allows, found), key=lambda corners: (max(most, len(corners)), body.loss(corners)))
+    few = _fewer(first, body)
+    found = [(few, *body.judged(few))]
+    if even is not None and body.judged(even)[0] < ROUND * found[0][1]:
+        found += [(c, *body.judged(c)) for c in (_drawn_in(few, body), _drawn_in(_fewer(even, body), body))]
+    allowed = [(max(most, len(corners)), loss, k) for k, (corners, loss, is_allowed) in enumerate(found) if is_allowed]
+    return found[min(allowed)[2]][0] if allowed else body.corners
 
 
 class _Body:
@@ -145,16 +146,12 @@ class _Body:
         heights = -self._heights(self._planes, self._center[None])[0]
         return rays / (self._planes[:, :3] @ rays.T / heights[:, None]).max(0)[:, None]
 
-    def allows(self, corners: Array) -> bool:
-        """Whether the hull of corners (k, 3) contains the body and none is too far."""
-        is_out = self._heights(qhull_of(corners).equations, self.corners).max() > OUT
-        return not is_out and float(self.height(corners).max()) <= self.farthest
-
-    def loss(self, corners: Array) -> float:
-        """The squared stand-off of a polytope's surface [size^4]."""
-        triangles = qhull_of(corners).simplices
-        squares = self.height(corners) ** 2
-        return float(_areas(corners[triangles]) @ squares[triangles].mean(1))
+    def judged(self, corners: Array) -> tuple[float, bool]:
+        """The squared stand-off of a polytope's surface [size^4]; whether it holds the body and is nowhere too far."""
+        hull, heights = qhull_of(corners), self.height(corners)
+        loss = _areas(corners[hull.simplices]) @ (heights**2)[hull.simplices].mean(1)
+        is_out = self._heights(hull.equations, self.corners).max() > OUT
+        return float(loss), not is_out and float(heights.max()) <= self.farthest
 
     def height(self, points: Array) -> Array:
         """Distance (n,) of points from the farthest of the facets' planes, at least 0."""
@@ -199,8 +196,13 @@ def _normals(hull: Any, areas: Array) -> Array:
 
 
 def _areas(triangles: Array) -> Array:
-    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    return np.sqrt((_across(triangles) ** 2).sum(1)) / 2
+
+
+def _across(triangles: Array) -> Array:
+    """Normals (n, 3) of triangles (n, 3, 3), twice as long as their area."""
+    (ux, uy, uz), (vx, vy, vz) = (triangles[:, k].T - triangles[:, 0].T for k in (1, 2))
+    return np.stack([uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx], axis=1)
 
 
 @cache
@@ -227,22 +229,11 @@ def _fewer(points: Array, body: _Body) -> Array:
             return points[surface.corners]
         is_close = len(surface.corners) <= CLOSE * body.most
         places, costs = surface.places(surface.edges, is_close)
-        costs = _cheap(places, costs, body)
+        costs = surface.cheap(surface.edges, places, costs)
         if not np.isfinite(costs).any():
             return points[surface.corners]
         count = max(1, min(surplus, round(AT_ONCE * len(surface.corners))))
         points = surface.moved(surface.edges, places, costs, count)
-
-
-def _cheap(places: Array, costs: Array, body: _Body) -> Array:
-    """The costs (e,) of the cheapest edges, of all where none of these may go; infinite for others."""
-    finite = costs[np.isfinite(costs)]
-    for limit in np.quantile(finite, (CHEAP, 1)) if len(finite) else ():
-        is_cheap = costs <= limit
-        is_cheap[is_cheap] = body.height(places[is_cheap]) <= body.farthest
-        if is_cheap.any():
-            return np.where(is_cheap, costs, np.inf)
-    return np.full(len(costs), np.inf)
 
 
 def _drawn_in(points: Array, body: _Body) -> Array:
@@ -252,6 +243,7 @@ def _drawn_in(points: Array, body: _Body) -> Array:
         each = surface.corners[:, None]
         corners = points[surface.corners]
         places, costs = surface.places(each, True)
+        costs = surface.whole(each, places, costs)
         places = corners + step * (places - corners)
         gains = costs < -LEAST_GAIN * body.volume / len(each)
         farthest = min(body.farthest, float(body.height(corners).max()))
@@ -270,15 +262,15 @@ class _Triangulated:
         hull = qhull_of(points)
         self._points, self._body = points, body
         self.corners: Indices = np.sort(hull.vertices).astype(np.int64)
-        a, b, c = (points[hull.simplices[:, k]] for k in range(3))
-        is_turned = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+        across = _across(points[hull.simplices])
+        is_turned = (across * hull.equations[:, :3]).sum(1) < 0
         self._triangles = np.where(is_turned[:, None], hull.simplices[:, ::-1], hull.simplices).astype(np.int64)
         self._planes = np.ascontiguousarray(hull.equations)
-        self._areas = _areas(points[hull.simplices])
-        self._around: dict[int, list[int]] = {v: [] for v in self.corners.tolist()}
-        for k, corners in enumerate(self._triangles.tolist()):
-            for v in corners:
-                self._around[v].append(k)
+        self._areas = np.sqrt((across**2).sum(1)) / 2
+        corners = self._triangles.ravel()
+        # The triangles around vertex v are ``around[starts[v]:starts[v + 1]]``.
+        self._around: Indices = np.argsort(corners, kind="stable") // 3
+        self._starts: Indices = np.cumsum([0, *np.bincount(corners, minlength=len(points))])
 
     @cached_property
     def edges(self) -> Indices:
@@ -291,34 +283,76 @@ class _Triangulated:
         body = self._body.corners if is_close else self._body.corners[:0]
         touching = np.empty((len(self._triangles), 3, 4))
         _touching(self._points, self._triangles, self._planes, body, touching)
-        stars = [{*self._around[i[0]], *self._around[i[-1]]} for i in items.tolist()]
-        starts = np.cumsum([0, *map(len, stars)])
-        star = np.fromiter(chain.from_iterable(stars), np.int64, int(starts[-1]))
         places, costs = np.zeros((len(items), 3)), np.full(len(items), np.inf)
         _cheapest(
-            *(self._points, self._triangles, self._planes, self._areas, touching, self._body.bounds),
-            *(MOST_PLANES[items.shape[1] - 1], items, star, starts, places, costs),
+            *(self._points, self._triangles, touching, self._body.bounds),
+            *(MOST_PLANES[items.shape[1] - 1], items, self._around, self._starts, places, costs),
         )
         if len(self._body.kept):
             costs[self._is_kept[items].any(1)] = np.inf
         return places, costs
 
+    def whole(self, items: Indices, places: Array, costs: Array) -> Array:
+        """The costs (e,) with what places add beyond facets elsewhere."""
+        full, order = np.full(len(costs), np.inf), np.flatnonzero(np.isfinite(costs))
+        _with_beyond(order, len(order), items, self._triangles, self._planes, self._areas, places, costs, full)
+        return full
+
+    def cheap(self, edges: Indices, places: Array, costs: Array) -> Array:
+        """The costs (e,) of the cheapest edges, of all where none of these may go; infinite for others.
+
+        What a place adds beyond facets elsewhere is only looked for where an edge may be one of the cheapest."""
+        order = np.argsort(costs, kind="stable")[: int(np.isfinite(costs).sum())]
+        for share in (CHEAP, 1.0):
+            full, most = np.full(len(costs), np.inf), int(np.ceil(share * len(order)))
+            _with_beyond(order, most, edges, self._triangles, self._planes, self._areas, places, costs, full)
+            cheapest = np.argsort(full, kind="stable")[:most]
+            may = cheapest[self._body.height(places[cheapest]) <= self._body.farthest]
+            if len(may):
+                break
+        found = np.full(len(costs), np.inf)
+        found[may] = full[may]
+        return found
+
     def moved(self, items: Indices, places: Array, costs: Array, count: int) -> Array:
         """The corners after the cheapest items, no two of neighbours, gave way to their places."""
-        taken, gone, new = set[int](), set[int](), list[Array]()
-        for k in np.argsort(costs, kind="stable"):
-            if len(new) == count or not np.isfinite(costs[k]):
-                break
-            item = items[k].tolist()
-            if taken.isdisjoint(item):
-                taken.update(*(self._triangles[t].tolist() for v in item for t in self._around[v]))
-                gone.update(item)
-                new.append(places[k])
-        return np.array([*(self._points[v] for v in self.corners.tolist() if v not in gone), *new])
+        order = np.argsort(costs, kind="stable")[: int(np.isfinite(costs).sum())]
+        taken, chosen = np.zeros(len(self._points), np.bool_), np.empty(count, np.int64)
+        found = chosen[: _chosen(order, items, self._triangles, self._around, self._starts, taken, chosen)]
+        is_left = np.ones(len(self._points), np.bool_)
+        is_left[items[found]] = False
+        return np.concatenate([self._points[self.corners[is_left[self.corners]]], places[found]])
 
     @property
     def _is_kept(self) -> NDArray[np.bool_]:
         return (self._points[:, None] == self._body.kept).all(2).any(1)
+
+
+@kernel
+def _chosen(
+    order: Indices,
+    items: Indices,
+    triangles: Indices,
+    around: Indices,
+    starts: Indices,
+    taken: NDArray[np.bool_],
+    chosen: Indices,
+) -> int:
+    """Fill ``chosen`` with the first items of an order, no two of neighbours; returns how many.
+
+    ``taken`` (n,) is False for every vertex."""
+    count = 0
+    for e in order:
+        if count == len(chosen):
+            break
+        if not (taken[items[e, 0]] or taken[items[e, -1]]):
+            chosen[count] = e
+            count += 1
+            for v in items[e]:
+                for r in range(starts[v], starts[v + 1]):
+                    for k in range(3):
+                        taken[triangles[around[r], k]] = True
+    return count
 
 
 @kernel
@@ -370,27 +404,29 @@ def _first_met(
 def _cheapest(
     points: Array,
     triangles: Indices,
-    planes: Array,
-    areas: Array,
     touching: Array,
     bounds: Array,
     most: int,
     items: Indices,
-    star: Indices,
+    around: Indices,
     starts: Indices,
     places: Array,
     costs: Array,
 ) -> None:
     """Fill in, for every item, the place of least volume so that no facet around it cuts the body or a bound.
 
-    The triangles around item e are ``star[starts[e]:starts[e + 1]]``."""
-    around = np.empty((most + TIMES, 4))
+    The triangles around vertex v are ``around[starts[v]:starts[v + 1]]``."""
+    met = np.empty((most + TIMES, 4))
     for e in range(len(items)):
         i, j = items[e, 0], items[e, -1]
         count, volume = 0, 0.0
         gx = gy = gz = 0.0
-        for r in range(starts[e], starts[e + 1]):
-            f = star[r]
+        start, next_start = int(starts[i]), int(starts[j])
+        first, others = int(starts[i + 1]) - start, 0 if i == j else int(starts[j + 1]) - next_start
+        for r in range(first + others):
+            f = int(around[start + r if r < first else next_start + r - first])
+            if r >= first and (triangles[f, 0] == i or triangles[f, 1] == i or triangles[f, 2] == i):
+                continue
             volume += _six_volumes(points, triangles[f, 0], triangles[f, 1], triangles[f, 2])
             k = _only(triangles, f, i, j)
             if k >= 0:
@@ -398,26 +434,49 @@ def _cheapest(
                 gx += points[a, 1] * points[b, 2] - points[a, 2] * points[b, 1]
                 gy += points[a, 2] * points[b, 0] - points[a, 0] * points[b, 2]
                 gz += points[a, 0] * points[b, 1] - points[a, 1] * points[b, 0]
-                if count <= most and not _has(around, count, touching, f, k):
+                if count <= most and not _has(met, count, touching, f, k):
                     if count < most:
-                        around[count] = touching[f, k]
+                        met[count] = touching[f, k]
                     count += 1
         if count < 3 or count > most:
             continue
         for _ in range(TIMES):
-            x, y, z, least = _lowest(around, count, gx, gy, gz)
+            x, y, z, least = _lowest(met, count, gx, gy, gz)
             worst = _worst(bounds, x, y, z) if least < np.inf else -1
             if worst < 0:
                 if least < np.inf:
                     places[e, 0], places[e, 1], places[e, 2] = x, y, z
-                    costs[e] = (least - volume) / 6 + _beyond(planes, areas, triangles, i, j, x, y, z)
+                    costs[e] = (least - volume) / 6
                 break
-            around[count] = -bounds[worst]
+            met[count] = -bounds[worst]
             count += 1
 
 
 TIMES = 4
 """How often a place may cross a bound before it is given up; each time that bound becomes one of its planes."""
+
+
+@kernel
+def _with_beyond(
+    order: Indices,
+    most: int,
+    items: Indices,
+    triangles: Indices,
+    planes: Array,
+    areas: Array,
+    places: Array,
+    costs: Array,
+    full: Array,
+) -> None:
+    """Fill in the full costs of items in an order of ascending costs, until ``most`` of them are full already."""
+    count = 0
+    for e in order:
+        if count == most:
+            break
+        beyond = _beyond(planes, areas, triangles, items[e, 0], items[e, -1], places[e, 0], places[e, 1], places[e, 2])
+        full[e] = costs[e] + beyond
+        if beyond <= ON:
+            count += 1
 
 
 @inline_kernel
@@ -441,12 +500,12 @@ def _only(triangles: Indices, f: int, i: int, j: int) -> int:
 
 
 @inline_kernel
-def _has(around: Array, count: int, touching: Array, f: int, k: int) -> bool:
+def _has(planes: Array, count: int, touching: Array, f: int, k: int) -> bool:
     """Whether a plane is among the first ``count``: a flat has many triangles."""
     for r in range(count):
         if (
-            abs(around[r, 0] - touching[f, k, 0]) + abs(around[r, 1] - touching[f, k, 1]) < OUT
-            and abs(around[r, 2] - touching[f, k, 2]) + abs(around[r, 3] - touching[f, k, 3]) < OUT
+            abs(planes[r, 0] - touching[f, k, 0]) + abs(planes[r, 1] - touching[f, k, 1]) < OUT
+            and abs(planes[r, 2] - touching[f, k, 2]) + abs(planes[r, 3] - touching[f, k, 3]) < OUT
         ):
             return True
     return False
@@ -454,33 +513,50 @@ def _has(around: Array, count: int, touching: Array, f: int, k: int) -> bool:
 
 @inline_kernel
 def _lowest(planes: Array, count: int, gx: float, gy: float, gz: float) -> tuple[float, float, float, float]:
-    """The lowest point along g in which three planes meet and that is behind none, and its height or infinity."""
+    """The lowest point along g in which three planes meet and that is behind none, and its height or infinity.
+
+    It is an end of what the other planes leave of the line in which two meet."""
     x = y = z = 0.0
     least = np.inf
     for i in range(count):
         for j in range(i + 1, count):
-            for k in range(j + 1, count):
-                px, py, pz, is_sure = _meeting(planes, i, j, k)
-                height = gx * px + gy * py + gz * pz
-                if is_sure and height < least and _is_outside(planes, count, px, py, pz):
-                    x, y, z, least = px, py, pz, height
+            ax, ay, az = planes[i, 0], planes[i, 1], planes[i, 2]
+            bx, by, bz = planes[j, 0], planes[j, 1], planes[j, 2]
+            wx, wy, wz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+            square = wx * wx + wy * wy + wz * wz
+            if square <= SINGULAR * SINGULAR:
+                continue
+            d, e = -planes[i, 3] / square, -planes[j, 3] / square
+            px = d * (by * wz - bz * wy) + e * (wy * az - wz * ay)
+            py = d * (bz * wx - bx * wz) + e * (wz * ax - wx * az)
+            pz = d * (bx * wy - by * wx) + e * (wx * ay - wy * ax)
+            first, last = _ends(planes, count, px, py, pz, wx, wy, wz)
+            for t in (first, last):
+                qx, qy, qz = px + t * wx, py + t * wy, pz + t * wz
+                height = gx * qx + gy * qy + gz * qz
+                if abs(t) < np.inf and height < least and _is_outside(planes, count, qx, qy, qz):
+                    x, y, z, least = qx, qy, qz, height
     return x, y, z, least
 
 
 @inline_kernel
-def _meeting(planes: Array, i: int, j: int, k: int) -> tuple[float, float, float, bool]:
-    """The point in which three planes meet, and whether that is definite."""
-    ax, ay, az = planes[i, 0], planes[i, 1], planes[i, 2]
-    bx, by, bz = planes[j, 0], planes[j, 1], planes[j, 2]
-    cx, cy, cz = planes[k, 0], planes[k, 1], planes[k, 2]
-    ux, uy, uz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-    vx, vy, vz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
-    wx, wy, wz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    volume = ax * ux + ay * uy + az * uz
-    if abs(volume) <= SINGULAR:
-        return 0.0, 0.0, 0.0, False
-    d, e, f = -planes[i, 3] / volume, -planes[j, 3] / volume, -planes[k, 3] / volume
-    return d * ux + e * vx + f * wx, d * uy + e * vy + f * wy, d * uz + e * vz + f * wz, True
+def _ends(
+    planes: Array, count: int, px: float, py: float, pz: float, wx: float, wy: float, wz: float
+) -> tuple[float, float]:
+    """First and last t for which p + t w is behind none of the first ``count`` planes; infinite where there is none.
+
+    Planes that are nearly parallel to w have no part in it."""
+    first, last, until, since = -np.inf, np.inf, np.inf, -np.inf
+    for r in range(count):
+        along = planes[r, 0] * wx + planes[r, 1] * wy + planes[r, 2] * wz
+        height = planes[r, 0] * px + planes[r, 1] * py + planes[r, 2] * pz + planes[r, 3]
+        if along > SINGULAR:
+            first, since = max(first, -height / along), max(since, (-height - ON) / along)
+        elif along < -SINGULAR:
+            last, until = min(last, -height / along), min(until, (-height - ON) / along)
+        if since > until:
+            return np.inf, np.inf
+    return first, last
 
 
 @inline_kernel

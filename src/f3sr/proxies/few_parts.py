@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from functools import cached_property
+from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from f3sr.contact import polytopes
 from f3sr.contact.compounds import placed
@@ -18,24 +21,40 @@ from f3sr.contact.contact_patches import find_contacts
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, Array, transform
+from f3sr.metrics.measures import sample_surface
 from f3sr.physics.mujoco_model import solid_of
 from f3sr.proxies.collapse import Bounds, collapsed
-from f3sr.proxies.hulls import outside, planes, qhull_of
+from f3sr.proxies.hulls import beyond, planes, qhull_of
 from f3sr.proxies.joins import FELT, NEXT_TO, Join
+from f3sr.proxies.pair_volumes import Pair, PairQueue, PairVolumes
 from f3sr.scene import Scene, SceneObject
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 KEPT = (0.1, 0.05, 0.02, 0.0)
 """Radii around contacts in which vertices are kept, the first that is possible [size]."""
-FARTHEST = (0.03, 0.1)
+FARTHEST = (0.03, 0.1, 0.3)
 """Distances from a facet's plane up to which vertices may come to lie, the first that is possible [size]."""
+REACHED = 0.1
+"""Distance from a part in which other bodies bound where its vertices may come to lie [size]."""
+LEAST = 1e-5
+"""Loss of one part fewer from which on more are tried, where parts are too many."""
 DEAREST = 0.1
 """Loss of one part fewer from which on parts are joined by volume, where they are still too many."""
 PAST = 1e-3
 """How far a hull that is made thick may stand out of the parts [size]."""
 THIN, THIN_M = 0.01, 2e-3
 """Least thickness of a hull, as a share of its object's size and in metres, where the object is as thick."""
-NEARER = 5e-5
-"""Distance [m] by which a joined part may come nearer to another body: a fifth of the clearance, which physics ends."""
+NEARER = 1e-4
+"""Distance [m] by which a joined part may come nearer to another body: two fifths of the clearance, which physics
+ends."""
+MUCH_NEARER = (1, 2, 4, 8)
+"""The same in units of ``NEARER``, the first that is possible, where there are too many parts or vertices."""
+REFUSALS = 12
+"""Most joins of an object that are refused as its parts stand off too much."""
+SAMPLES = 20_000, 1200
+"""Points on a mesh, and on all of its parts together, by which their stand-off is measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +67,8 @@ class PartLimits:
     """Most parts, with footing, at any loss."""
     vertices: int
     """Most vertices of a part."""
+    stand_off: float
+    """Most mean distance of the parts' own surface from the mesh [size], if parts fewer are joined by choice."""
     kept: float
     """Largest share of these that is kept around contacts: the rest has to hold all else."""
     apart: float
@@ -72,8 +93,7 @@ def with_few_parts(
         rows = (contacts.upper == o.id) | (contacts.lower == o.id)
         others = [p for k, body in bodies.items() if k != o.id for p in body]
         fewer = _Fewer(o, others, contacts.points[rows], limits[o.id])
-        parts, footing = fewer.on_footing(fewer.joined(made[o.id].parts, joins.get(o.id, ())))
-        parts, footing = tuple(map(fewer.thick, parts)), tuple(map(fewer.thick, footing))
+        parts, footing = fewer.few(made[o.id].parts, joins.get(o.id, ()))
         now.append(replace(o, parts=parts, footing=footing, solid=solid_of(o)[0]))
         bodies[o.id] = placed(now[-1].solids, o.T_world_asset)
     return scene.with_objects(*now)
@@ -85,47 +105,125 @@ class _Fewer:
     def __init__(self, o: SceneObject, others: Iterable[Polytope], contacts: Array, limits: PartLimits) -> None:
         self._o, self._limits = o, limits
         self._size = o.mesh.diagonal
-        T_asset_world: Array = np.linalg.inv(o.T_world_asset).astype(np.float64)
-        self._contacts = transform(T_asset_world, contacts)
-        self._found: dict[tuple[int, ...], tuple[Sequence[ConvexPart], ConvexPart | None]] = {}
-        self._volumes: dict[tuple[int, ...], tuple[Sequence[ConvexPart], float]] = {}
+        self._T_asset_world: Array = np.linalg.inv(o.T_world_asset).astype(np.float64)
+        self._contacts = transform(self._T_asset_world, contacts)
+        self._found: dict[tuple[ConvexPart, ...], ConvexPart | None] = {}
+        self._joined: dict[ConvexPart, tuple[ConvexPart, ...]] = {}
+        self._between: dict[ConvexPart, Array] = {}
+        self._refused = set[tuple[ConvexPart, ...]]()
+        self._few: dict[ConvexPart, ConvexPart | None] = {}
+        self._nearer = NEARER
+        self._faces: dict[ConvexPart, tuple[Array, Array]] = {}
+        self._part_boxes: dict[ConvexPart, Array] = {}
+        self._volumes = PairVolumes()
         boxes = np.array([[p.vertices.min(0), p.vertices.max(0)] for p in o.colliders_world])
-        self._reached = limits.apart + max(FARTHEST) * self._size * o.scale
+        self._reached = limits.apart + REACHED * self._size * o.scale
         low, high = boxes[:, 0].min(0) - self._reached, boxes[:, 1].max(0) + self._reached
         self._others = [p for p in others if (p.bounds[0] <= high).all() and (p.bounds[1] >= low).all()]
+        self._theirs = [transform(self._T_asset_world, p.vertices) for p in self._others]
+        self._other_boxes = np.array([p.bounds for p in self._others]).reshape(-1, 2, 3)
 
-    def joined(self, made: Sequence[ConvexPart], joins: Sequence[Join]) -> list[ConvexPart]:
-        """The object's parts, joined where that is worth it and comes no nearer to other bodies."""
+    def few(
+        self, made: Sequence[ConvexPart], joins: Sequence[Join]
+    ) -> tuple[tuple[ConvexPart, ...], tuple[ConvexPart, ...]]:
+        """Parts and what is left of the footing.
+
+        Joins are refused where parts stand off farthest, until their mean is as asked, or that of before."""
         tree = _Tree(_pieces(self._o.parts, made), joins)
+        while True:
+            parts, footing = self._on_footing(self._joined_by(tree))
+            found = [(part, few) for part in (*parts, *footing) for few in self._delivered(part)]
+            farthest = self._farthest(found) if len(self._refused) < REFUSALS else None
+            if farthest is None:
+                few = [tuple(few for part, few in found if part in some) for some in (parts, footing)]
+                return few[0], few[1]
+            self._refused.add(self._joined[farthest])
+
+    def _farthest(self, found: Sequence[tuple[ConvexPart, ConvexPart]]) -> ConvexPart | None:
+        """Of parts, each with what is delivered of it, the joined one that stands off most; None where that may be."""
+        if len(found) >= self._limits.parts or not any(part in self._joined for part, _ in found):
+            return None
+        off = self._stand_off([few for _, few in found])
+        joined = [(float(each.sum()), k) for k, each in enumerate(off) if found[k][0] in self._joined]
+        return found[max(joined)[1]][0] if self._is_far(off) else None
+
+    def _is_far(self, off: Sequence[Array]) -> bool:
+        mean = np.concatenate(off).mean()
+        return bool(mean > self._limits.stand_off and mean > self._off_before)
+
+    @cached_property
+    def _off_before(self) -> float:
+        return float(np.concatenate(self._stand_off(self._o.colliders)).mean())
+
+    def _stand_off(self, parts: Sequence[ConvexPart]) -> list[Array]:
+        """Distances [size] from the mesh of points on each part's surface, of those in no other part."""
+        count = max(20, SAMPLES[1] // len(parts))
+        on = [sample_surface(part.vertices, part.faces, count) for part in parts]
+        points = np.concatenate(on)
+        is_own = np.min([beyond(points, *self._planes(part)) for part in parts], axis=0) >= -1e-4 * self._size
+        off = self._surface.query(points)[0] / self._size
+        return [off[k : k + count][is_own[k : k + count]] for k in range(0, len(points), count)]
+
+    @cached_property
+    def _surface(self) -> KDTree:
+        from scipy.spatial import KDTree
+
+        mesh = self._o.mesh
+        points = np.concatenate([mesh.vertices, sample_surface(mesh.vertices, mesh.faces, SAMPLES[0])])
+        return KDTree(points, balanced_tree=False, compact_nodes=False)  # faster for few queries
+
+    def _joined_by(self, tree: _Tree) -> list[ConvexPart]:
+        """The object's parts, joined where that is worth it and comes no nearer to other bodies."""
         most = max(1, self._limits.parts - len(self._o.footing))
         worth = self._limits.worth
         while True:
             worthy = tree.worthy(worth)
             parts = [part for root in tree.roots for part in self._under(root, tree, worthy)]
             if len(parts) <= most or worth > DEAREST:
-                return self._paired(parts, most)
-            worth *= 2
+                break
+            worth = max(2 * worth, LEAST)
+        for self._nearer in (NEARER * k for k in MUCH_NEARER):
+            parts = self._paired(parts, most)
+            if len(parts) <= most:
+                break
+            self._found = {parts: one for parts, one in self._found.items() if one}
+        self._nearer = NEARER
+        return parts
 
-    def on_footing(self, parts: list[ConvexPart]) -> tuple[list[ConvexPart], list[ConvexPart]]:
+    def _on_footing(self, parts: list[ConvexPart]) -> tuple[list[ConvexPart], list[ConvexPart]]:
         """Parts and the wedges of the footing that are left: a wedge joins the part with which it adds least volume.
 
         It stays a part of its own where that would add more than its own volume, unless there are too many."""
         left = list[ConvexPart]()
         crowded = len(parts) + len(self._o.footing) > self._limits.parts
         for wedge in self._o.footing:
-            added, k = min((self._added(part, wedge), k) for k, part in enumerate(parts))
-            one = self._hull((parts[k], wedge)) if crowded or added <= wedge.volume else None
-            if one:
-                parts = [*parts[:k], one, *parts[k + 1 :]]
+            pairs = PairQueue(self._volumes, np.inf if crowded else wedge.volume)
+            pairs.push((part, wedge) for part in parts)
+            found = pairs.pop()
+            one = self._hull(found[1]) if found else None
+            if found and one:
+                parts = [one if part is found[1][0] else part for part in parts]
             else:
                 left.append(wedge)
         return parts, left
 
-    def thick(self, part: ConvexPart) -> ConvexPart:
+    def _delivered(self, part: ConvexPart) -> Iterator[ConvexPart]:
+        """A part as thick and with as few vertices as it has to be; where that cannot be, the parts that it joins."""
+        if part not in self._few:
+            tries = (self._of_few_vertices(self._thick(part), k * NEARER) for k in MUCH_NEARER)
+            self._few[part] = next(filter(None, tries), None)
+        few = self._few[part]
+        if few or part not in self._joined:
+            yield few or part
+        else:
+            for each in self._joined[part]:
+                yield from self._delivered(each)
+
+    def _thick(self, part: ConvexPart) -> ConvexPart:
         """A part that reaches into the solid where it would be a thin layer: engines lose or throw thin hulls.
 
         Where the object itself is thin, it stays thin."""
-        normals, _ = planes(part)
+        normals, _ = self._planes(part)
         width = np.ptp(part.vertices @ normals.T, axis=0)
         thinnest, least = normals[int(width.argmin())], max(THIN_M / self._o.scale, THIN * self._size)
         if width.min() >= least:
@@ -133,11 +231,20 @@ class _Fewer:
         middle = part.vertices.mean(0)
         for apex in (middle + least * thinnest, middle - least * thinnest):
             inner = np.concatenate([apex[None], (part.vertices + apex) / 2])
-            if (outside(self._o.colliders, inner).min(1) <= PAST * self._size).all():
+            if self._is_solid(inner):
                 thick = self._held(np.concatenate([part.vertices, apex[None]]), self._gaps(part))
                 if thick:
                     return thick
         return part
+
+    def _is_solid(self, points: Array) -> bool:
+        """Whether each of points (n, 3) is in a part, or hardly outside."""
+        left = points
+        for part in self._o.colliders:
+            left = left[beyond(left, *self._planes(part)) > PAST * self._size]
+            if not len(left):
+                return True
+        return False
 
     def _under(self, node: int, tree: _Tree, worthy: Collection[int]) -> Iterator[ConvexPart]:
         """What replaces the parts under a node of the tree: one hull where that is worth it and free."""
@@ -149,7 +256,7 @@ class _Fewer:
             for child in tree.children[node]:
                 yield from self._under(child, tree, worthy)
         else:
-            yield from (self._hull((part,)) or part for part in pieces)
+            yield from pieces
 
     def _paired(self, parts: list[ConvexPart], most: int) -> list[ConvexPart]:
         """Pairs joined that are free, those first that add least volume: as long as that is worth a part fewer, and at
@@ -158,99 +265,149 @@ class _Fewer:
         The tree of joins does not know where other bodies forbid one of them."""
         hull = qhull_of(self._o.mesh.hull.vertices)
         worth = FELT * self._limits.worth * hull.area * self._size if hull else 0.0
-        while True:
+        crowded = len(parts) > most
+        pairs = PairQueue(self._volumes, np.inf if crowded else worth)
+        pairs.push(pair for k, part in enumerate(parts) for pair in self._pairs(parts[:k], part, anywhere=crowded))
+        while found := pairs.pop(parts):
+            added, pair = found
             crowded = len(parts) > most
-            pairs = combinations(parts, 2)
-            found = [(self._added(a, b), a, b) for a, b in pairs if crowded or self._are_neighbours(a, b)]
-            found = sorted((f for f in found if crowded or f[0] <= worth), key=lambda f: f[0])
-            pair = next(((a, b, one) for _, a, b in found if (one := self._hull((a, b)))), None)
-            if pair is None:
-                return parts
-            parts = [*(p for p in parts if p not in pair[:2]), pair[2]]
+            if added > worth and not crowded:
+                break
+            one = self._hull(pair) if crowded or self._pairs(pair[:1], pair[1]) else None
+            if one:
+                parts = [part for part in parts if part not in pair]
+                pairs.push(self._pairs(parts, one, anywhere=crowded))
+                parts.append(one)
+        return parts
 
-    def _are_neighbours(self, a: ConvexPart, b: ConvexPart) -> bool:
-        """Whether the boxes of two parts touch."""
-        return _are_near(Polytope.of(a), Polytope.of(b), NEXT_TO * self._size)
+    def _pairs(self, parts: Sequence[ConvexPart], part: ConvexPart, *, anywhere: bool = False) -> list[Pair]:
+        """A part with each of those whose boxes touch its own, or with all."""
+        boxes = np.array([self._box(p) for p in parts]).reshape(-1, 2, 3)
+        near = np.full(len(parts), True) if anywhere else _are_near(boxes, self._box(part), NEXT_TO * self._size)
+        return [(parts[k], part) for k in np.flatnonzero(near).tolist()]
 
-    def _added(self, a: ConvexPart, b: ConvexPart) -> float:
-        """The volume that one hull for both has more than they."""
-        key = (id(a), id(b))
-        if key not in self._volumes:
-            hull = qhull_of(np.concatenate([a.vertices, b.vertices]))
-            self._volumes[key] = (a, b), np.inf if hull is None else float(hull.volume) - a.volume - b.volume
-        return self._volumes[key][1]
+    def _box(self, part: ConvexPart) -> Array:
+        if part not in self._part_boxes:
+            self._part_boxes[part] = _box_of(part.vertices)
+        return self._part_boxes[part]
 
     def _hull(self, parts: tuple[ConvexPart, ...]) -> ConvexPart | None:
-        """One hull of few vertices for parts; None where it would come too near to another body."""
-        key = tuple(map(id, parts))
-        if key not in self._found:
-            if len(parts) == 1 and len(parts[0].vertices) <= self._limits.vertices:
-                self._found[key] = parts, parts[0]
-            else:
-                gaps = np.min([self._gaps(part) for part in parts], axis=0)
-                self._found[key] = parts, self._held(np.concatenate([part.vertices for part in parts]), gaps)
-        return self._found[key][1]
+        """One hull for parts; None where it would come too near to another body."""
+        if len(parts) == 1:
+            return parts[0]
+        if parts in self._refused:
+            return None
+        if parts not in self._found:
+            gaps = np.min([self._gaps(part) for part in parts], axis=0)
+            one = self._found[parts] = self._held(np.concatenate([part.vertices for part in parts]), gaps)
+            if one:
+                self._joined[one] = parts
+        return self._found[parts]
 
     def _held(self, points: Array, gaps: Array) -> ConvexPart | None:
-        """A hull of few vertices that holds points (n, 3) and comes no nearer to other bodies than ``gaps`` [m]."""
-        allowed = np.minimum(gaps, self._limits.reach) - NEARER
+        """The hull of points (n, 3), if it comes hardly nearer to other bodies than ``gaps`` [m]."""
         try:
             whole = ConvexPart.hull_of(points)
         except ValueError:  # hardly a volume
             return None
-        if not self._is_free(whole, allowed):
+        if not self._is_free(whole, gaps - self._nearer):
             return None
-        if len(whole.vertices) <= self._limits.vertices:
-            return whole
-        normals, offsets = self._separating(whole, allowed)
+        self._between[whole] = gaps - (self._nearer - NEARER)
+        return whole
+
+    def _of_few_vertices(self, part: ConvexPart, nearer: float = NEARER) -> ConvexPart | None:
+        """A hull of few vertices that holds a part and comes hardly nearer to other bodies; None where that is none."""
+        if len(part.vertices) <= self._limits.vertices:
+            return part
+        allowed = self._gaps(part) - nearer
+        normals, offsets = self._separating(part, allowed)
         contacts, tried = self._contacts / self._size, set[tuple[float, bytes]]()
         for farthest, radius in product(FARTHEST, KEPT):
             near = Bounds(normals=normals, offsets=offsets, points=contacts, radius=radius, farthest=farthest)
-            kept = near.keeps(whole.vertices / self._size)
+            kept = near.keeps(part.vertices / self._size)
             if kept.sum() > self._limits.kept * self._limits.vertices or (farthest, kept.tobytes()) in tried:
                 continue
             tried.add((farthest, kept.tobytes()))
-            fewer = collapsed(whole.vertices / self._size, self._limits.vertices, near) * self._size
-            part = ConvexPart.hull_of(fewer)
-            if len(part.vertices) <= self._limits.vertices and self._is_free(part, allowed):
-                return part
+            few = ConvexPart.hull_of(collapsed(part.vertices / self._size, self._limits.vertices, near) * self._size)
+            if len(few.vertices) <= self._limits.vertices and self._is_free(few, allowed):
+                return few
         return None
 
     def _separating(self, part: ConvexPart, allowed: Array) -> tuple[Array, Array]:
         """Planes (asset frame, normalised), normals (k, 3) and offsets (k,), that separate a part from other bodies."""
         normals, offsets = [-UP], [-float(allowed[-1])]
         body = Polytope.of(part).moved(self._o.T_world_asset)
-        for other, least in zip(self._others, allowed[:-1], strict=True):
-            if _are_near(body, other, self._reached):
-                n, heights = polytopes.facets(body, other)
-                k = int(heights.argmin())
-                normals.append(n[k])
-                offsets.append(float((body.vertices @ n[k]).max()) - float(heights[k]) - float(least))
+        for k in self._near(body.bounds, self._reached):
+            n, heights = polytopes.facets(body, self._others[k])
+            best = int(heights.argmin())
+            normals.append(n[best])
+            offsets.append(float((body.vertices @ n[best]).max()) - float(heights[best]) - float(allowed[k]))
         T = self._o.T_world_asset
         n = np.array(normals)
         in_asset = np.ascontiguousarray(n @ self._o.T_world_object[:3, :3])
         return in_asset, (np.array(offsets) - n @ T[:3, 3]) / self._o.scale / self._size
 
     def _is_free(self, part: ConvexPart, allowed: Array) -> bool:
-        return bool((self._gaps(part) >= allowed).all())
+        """Whether a part is as far from other bodies' parts and from the ground as ``allowed`` (n + 1,) [m]."""
+        box = _box_of(transform(self._o.T_world_asset, part.vertices))
+        near = self._near(box, self._limits.reach)
+        if box[0, 2] < allowed[-1]:
+            return False
+        least = {k: float(allowed[k]) for k in near.tolist()}
+        left = {k: gap for k, gap in least.items() if not self._is_beside(part, k, gap)}
+        if any(gap > 0 and self._holds(part, k) for k, gap in left.items()):
+            return False
+        return all(self._gap(part, k, gap) >= gap for k, gap in left.items())
+
+    def _is_beside(self, part: ConvexPart, other: int, enough: float) -> bool:
+        """Whether a face of either separates the two by ``enough`` [m]: a look that costs little."""
+        normals, offsets = self._planes(part)
+        theirs = self._others[other]
+        if ((self._theirs[other] @ normals.T).min(0) - offsets).max() * self._o.scale >= enough:
+            return True
+        ours = transform(self._o.T_world_asset, part.vertices)
+        return bool(((ours @ theirs.normals.T).min(0) - theirs.offsets).max() >= enough)
+
+    def _holds(self, part: ConvexPart, other: int) -> bool:
+        """Whether some vertex of another body's part lies in a part."""
+        return bool((beyond(self._theirs[other], *self._planes(part)) < 0).any())
+
+    def _planes(self, part: ConvexPart) -> tuple[Array, Array]:
+        if part not in self._faces:
+            self._faces[part] = planes(part)
+        return self._faces[part]
 
     def _gaps(self, part: ConvexPart) -> Array:
         """Distance (n + 1,) [m] of a part from other bodies' parts and from the ground, negative inside.
 
-        What is far counts as ``apart``."""
+        What is farther than ``reach`` counts as that far."""
+        if part not in self._between:
+            reach = self._limits.reach
+            gaps = np.full(len(self._others) + 1, reach)
+            box = _box_of(transform(self._o.T_world_asset, part.vertices))
+            gaps[-1] = min(reach, float(box[0, 2]))
+            for k in self._near(box, reach):
+                gaps[k] = min(reach, self._gap(part, k, reach))
+            self._between[part] = gaps
+        return self._between[part]
+
+    def _gap(self, part: ConvexPart, other: int, enough: float) -> float:
         body = Polytope.of(part).moved(self._o.T_world_asset)
-        apart = self._limits.apart
-        gaps = np.full(len(self._others) + 1, apart)
-        gaps[-1] = min(apart, float(body.bounds[0, 2]))
-        for k, other in enumerate(self._others):
-            if _are_near(body, other, apart):
-                gaps[k] = min(apart, -float(polytopes.facets(body, other)[1].min()))
-        return gaps
+        return polytopes.separation(body, self._others[other], enough)
+
+    def _near(self, box: Array, apart: float) -> NDArray[np.int64]:
+        """Which of the others' boxes come within ``apart`` [m] of a box (2, 3)."""
+        return np.flatnonzero(_are_near(self._other_boxes, box, apart))
 
 
-def _are_near(a: Polytope, b: Polytope, apart: float) -> bool:
-    """Whether boxes come within ``apart`` [m] of each other."""
-    return bool((a.bounds[0] - apart < b.bounds[1]).all() and (b.bounds[0] - apart < a.bounds[1]).all())
+def _box_of(points: Array) -> Array:
+    """(2, 3) lowest and highest corner."""
+    return np.stack([points.min(0), points.max(0)])
+
+
+def _are_near(boxes: Array, box: Array, apart: float) -> NDArray[np.bool_]:
+    """Which of boxes (n, 2, 3) come within ``apart`` of a box (2, 3)."""
+    return ((boxes[:, 0] - apart < box[1]) & (box[0] - apart < boxes[:, 1])).all(1)
 
 
 class _Tree:
@@ -284,7 +441,8 @@ class _Tree:
 def _pieces(parts: Sequence[ConvexPart], made: Sequence[ConvexPart]) -> dict[int, tuple[ConvexPart, ...]]:
     """Which parts came of which part that was made: the first ones in their order, the others by where they lie."""
     found: dict[int, tuple[ConvexPart, ...]] = {k: (part,) for k, part in enumerate(parts[: len(made)])}
+    faces = [planes(part) for part in made] if len(parts) > len(made) else []
     for part in parts[len(made) :]:
-        nearest = int(np.argmin(outside(made, part.vertices).max(0)))
+        nearest = int(np.argmin([beyond(part.vertices, *each).max() for each in faces]))
         found[nearest] = (*found[nearest], part)
     return found

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -21,10 +22,13 @@ from f3sr.settings import settings
 
 LOSS = 2e-3
 """Largest mean loss of visible IoU of a group by new parts: where something tips or slides, it is more."""
+LOSS_TO_REST = 2e-2
+"""The same of a group that did not rest before and does now."""
 KEPT, KEPT_MOVED = 0.25, 0.75
 """Share of the vertices that is kept around contacts, of an object that rests so and of one that moved with fewer."""
 TRIES = 3
-"""Most attempts: with the parts wanted, with finer ones of what moves, at last with still finer ones of the group."""
+"""Most attempts: with the parts wanted, with finer ones of what moves, at last with still finer ones of the group. One
+more follows where parts are over the limits."""
 ROUNDS = 2
 """Most rounds of settling: what takes more moves with its new parts."""
 FINER = 0.1
@@ -41,6 +45,8 @@ class CoarsenConfig:
     """Convex parts of one object, with footing, above which they are joined at any loss."""
     max_vertices: Annotated[int, Interval(ge=16, le=1000)] = 64
     """Most vertices of a part. PhysX takes 64, some engines on a GPU 32."""
+    stand_off: Annotated[float, Interval(gt=0, le=1)] = 0.0135
+    """Mean distance [size] of the parts' surface from the mesh, above which joins are refused."""
     contact: ContactMargin = DEFAULT_MARGIN
     """Parts come no nearer to another body than they were, or than its ``reach``."""
 
@@ -50,10 +56,16 @@ class CoarsenConfig:
             worth=FINER**moved * self.worth,
             parts=self.max_parts,
             vertices=self.max_vertices,
+            stand_off=self.stand_off,
             kept=KEPT if moved == 0 else KEPT_MOVED,
             apart=self.contact.apart,
             reach=self.contact.reach,
         )
+
+    def is_met_by(self, o: SceneObject) -> bool:
+        """Whether an object has no more parts, and these no more vertices, than it may."""
+        most = max((len(part.vertices) for part in o.colliders), default=0)
+        return len(o.colliders) <= self.max_parts and most <= self.max_vertices
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,43 +94,142 @@ def coarsen(
 
     ``made`` is the scene as decomposed, ``joins`` (by object id) tell how its parts may be joined. ``settled`` runs
     physics. A group of touching objects keeps its new parts if it rests as before. Where it does not, what moves gets
-    finer parts, at last all of the group; after ``TRIES`` the group keeps its parts. Objects that were ``restless`` may
-    stay so.
+    finer parts, then all of the group. After ``TRIES`` a group within the limits keeps its parts. Of another, only what
+    is over them gets fewer. If it moves then too, it takes the attempt in which it rests and loses least. Objects that
+    were ``restless`` may stay so.
     """
-    start, moved = scene, Counter[int]()
-    left = frozenset(o.id for o in scene if o.parts)
-    for attempt in range(TRIES):
-        if not left:
-            break
-        tried = with_few_parts(scene, made, joins, {id: config.limits(moved[id]) for id in left})
-        rested = settled(replace(tried, objects=tuple(o for o in tried if o.id in left)))
-        after = tried.with_objects(*rested.scene)
-        spoilt = _spoilt(scene, after, left, rested.restless.difference(restless), config.contact)
-        scene = scene.with_objects(*(_noted(scene[id], after[id]) for id in left.difference(*spoilt)))
-        moved.update(id for ids in spoilt.values() for id in ids)
-        left = frozenset[int]().union(*spoilt)
-        if attempt == TRIES - 2:
-            moved.update(left)
-    kept = (Decision(choice="keeps all its convex parts", reason="moves with fewer", about=id) for id in sorted(left))
-    return scene, Coarsened(
-        parts={o.id: (len(start[o.id].colliders), len(o.colliders)) for o in scene}, decisions=tuple(kept)
+    few = partial(with_few_parts, made=made, joins=joins)
+    run = _Run(scene, config, few, settled, frozenset(restless))
+    while run.left and len(run.tries) < TRIES:
+        run.attempt(run.left, run.left)
+    if run.over:
+        run.keep_limits()
+    return run.scene, Coarsened(
+        parts={o.id: (len(scene[o.id].colliders), len(o.colliders)) for o in run.scene}, decisions=run.decisions
     )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Effect:
+    """What new parts do to a group of touching objects."""
+
+    losses: Mapping[int, float]
+    """Of visible IoU, by object id."""
+    restless: frozenset[int]
+    """Objects that do not rest now, but did before."""
+    comes_to_rest: bool
+    """Whether some did not rest before, and all do now."""
+
+    @property
+    def loss(self) -> float:
+        return float(np.mean([*self.losses.values()]))
+
+    @property
+    def is_bad(self) -> bool:
+        return bool(self.restless) or self.loss > (LOSS_TO_REST if self.comes_to_rest else LOSS)
+
+    @property
+    def moving(self) -> frozenset[int]:
+        return frozenset(id for id, loss in self.losses.items() if id in self.restless or loss > LOSS)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Try:
+    """The scene after an attempt, and its effect on every group of ids."""
+
+    scene: Scene
+    effects: Mapping[frozenset[int], _Effect]
+
+    @property
+    def spoilt(self) -> tuple[frozenset[int], ...]:
+        return tuple(ids for ids, effect in self.effects.items() if effect.is_bad)
+
+
+class _Run:
+    """The scene so far. Objects ``left`` still have all their parts."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        config: CoarsenConfig,
+        few: Callable[..., Scene],
+        settled: Callable[[Scene], SettledScene],
+        restless: frozenset[int],
+    ) -> None:
+        self.scene, self.tries = scene, list[_Try]()
+        self.left = frozenset(o.id for o in scene if o.parts)
+        self._config, self._few, self._settled, self._restless = config, few, settled, restless
+        self._moved = Counter[int]()
+        self._told = list[Decision]()
+
+    @property
+    def over(self) -> frozenset[int]:
+        """Objects left that are over the limits."""
+        return frozenset(id for id in self.left if not self._config.is_met_by(self.scene[id]))
+
+    @property
+    def decisions(self) -> tuple[Decision, ...]:
+        kept = (Decision(choice="keeps all its convex parts", reason="moves with fewer", about=id) for id in self.left)
+        return tuple(sorted((*self._told, *kept), key=lambda d: d.about or 0))
+
+    def attempt(self, among: frozenset[int], fewer: frozenset[int]) -> None:
+        """Give some objects fewer parts and let those ``among`` which they are settle; groups that rest keep them."""
+        new = self._few(self.scene, limits={id: self._config.limits(self._moved[id]) for id in fewer})
+        rested = self._settled(replace(new, objects=tuple(o for o in new if o.id in among)))
+        after = new.with_objects(*rested.scene)
+        now = _Try(scene=after, effects=self._effects(after, among, rested.restless))
+        self.tries.append(now)
+        for ids, effect in now.effects.items():
+            if effect.is_bad:
+                self._moved.update(effect.moving)
+            else:
+                self._take(now, ids, among, reason="did not rest before")
+        if len(self.tries) == TRIES - 1:
+            self._moved.update(self.left)
+
+    def keep_limits(self) -> None:
+        """Give fewer parts only to what is over the limits; where that moves, those with which its group lost least."""
+        groups = [ids for ids in self.tries[-1].spoilt if ids & self.over]
+        among = self.left.intersection(frozenset[int]().union(*groups))
+        self.attempt(among, among & self.over)
+        for ids in self.tries[-1].spoilt:
+            at_rest = [one for one in self.tries if ids in one.effects and not one.effects[ids].restless]
+            if at_rest:
+                best = min(at_rest, key=lambda one: round(one.effects[ids].loss / LOSS))
+                self._take(best, ids, among, reason="had too many parts, or these too many vertices")
+
+    def _effects(
+        self, after: Scene, among: frozenset[int], restless: frozenset[int]
+    ) -> Mapping[frozenset[int], _Effect]:
+        """Those on every group with an object ``among`` some."""
+        was, now = visible_ious(self.scene), visible_ious(after)
+        return {
+            ids: _Effect(
+                losses={id: was[id] - now[id] for id in ids},
+                restless=ids & restless - self._restless,
+                comes_to_rest=bool(ids & self._restless) and not ids & restless,
+            )
+            for ids in map(frozenset, groups_of(self.scene, after, self._config.contact.apart))
+            if ids & among
+        }
+
+    def _take(self, one: _Try, ids: frozenset[int], among: frozenset[int], *, reason: str) -> None:
+        """Let objects of a group have the parts and places of an attempt; the user is told where that costs."""
+        effect = one.effects[ids]
+        if effect.loss > LOSS:
+            self._told += (
+                Decision(
+                    choice=f"moves with fewer convex parts: visible IoU {-effect.losses[id]:+.3f}",
+                    reason=reason,
+                    about=id,
+                )
+                for id in effect.moving & among
+            )
+        self.scene = self.scene.with_objects(*(_noted(self.scene[id], one.scene[id]) for id in ids & among))
+        self.left -= ids
 
 
 def _noted(before: SceneObject, after: SceneObject) -> SceneObject:
     """The object with what physics moved it noted as this stage's."""
     new = (replace(m, stage=Coarsened.stage) for m in after.motion[len(before.motion) :])
     return replace(after, motion=(*before.motion, *new))
-
-
-def _spoilt(
-    before: Scene, after: Scene, ids: Collection[int], restless: frozenset[int], contact: ContactMargin
-) -> dict[frozenset[int], frozenset[int]]:
-    """Groups (of some ids) that do not rest as before, each with the objects that move."""
-    was, now = visible_ious(before), visible_ious(after)
-    found = dict[frozenset[int], frozenset[int]]()
-    for group in map(frozenset, groups_of(before, after, contact.apart)):
-        losses = {id: was[id] - now[id] for id in group}
-        if group.intersection(ids) and (group & restless or np.mean([*losses.values()]) > LOSS):
-            found[group] = frozenset(id for id in group if id in restless or losses[id] > LOSS)
-    return found
