@@ -197,9 +197,9 @@ def hull_corners(points: Array, tolerance: float) -> NDArray[np.int64]:
 
 def tangents(n: Array) -> tuple[Array, Array]:
     """Two unit vectors (..., 3) that make a right-handed frame with unit n (..., 3)."""
-    across: Array = np.cross(np.eye(3)[np.argmin(np.abs(n), axis=-1)], n).astype(np.float64)
+    across = np.cross(np.eye(3)[np.argmin(np.abs(n), axis=-1)], n)
     u = across / np.linalg.norm(across, axis=-1, keepdims=True)
-    return u, np.cross(n, u)
+    return u, np.asarray(np.cross(n, u), np.float64)
 
 
 # Kernels
