@@ -14,11 +14,13 @@ from f3sr.contact import polytopes
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.errors import InputError
-from f3sr.proxies import ProxyConfig, decompose, decompose_all, worker
+from f3sr.proxies import ProxyConfig, decompose, decompose_all, joins, worker
 from f3sr.proxies.config import CutConfig
+from f3sr.proxies.cut_volumes import LAYER, FirstLook, SimplifiedSurface, bulk_of_sides
 from f3sr.proxies.cuts import clipped
 from f3sr.proxies.fit import excess
-from f3sr.proxies.parts import subject_of
+from f3sr.proxies.hulls import distinct
+from f3sr.proxies.parts import several, subject_of
 from f3sr.proxies.simplify import simplified_outward
 from f3sr.proxies.surface import NearestTriangles, samples_of, surroundings
 
@@ -290,6 +292,63 @@ def test_clipped_triangles_keep_their_area_and_their_side():
 def area(triangles):
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     return np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+
+
+def turned(rng):
+    """A random rotation (3, 3)."""
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return q * np.sign(np.linalg.det(q))
+
+
+def box_bulk(size):
+    a, b, c = size
+    return a * b * c + LAYER * 2 * (a * b + b * c + c * a)
+
+
+def test_a_first_look_at_a_box_is_exact(seeds=20):
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        size, R = rng.uniform(0.02, 0.5, 3), turned(rng)
+        box = box_mesh(size)
+        look = FirstLook.at(SimplifiedSurface.of((box.vertices @ R.T)[box.faces]), np.zeros((0, 3)), 0.0)
+        shares = np.array([0.2, 0.5, 0.9])
+        for k in range(3):
+            sides = [[np.where(np.arange(3) == k, s, 1) * size for s in (x, 1 - x)] for x in shares]
+            wanted = [sum(map(box_bulk, pair)) for pair in sides]
+            assert look.bulks(R[:, k], (shares - 0.5) * size[k]) == pytest.approx(wanted, rel=1e-9)
+        assert look.whole == pytest.approx(box_bulk(size), rel=1e-9)
+
+
+def test_a_first_look_comes_near_the_hulls_from_below(seeds=20):
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        stretch = np.diag(rng.uniform(0.05, 0.5, 3)) @ turned(rng)
+        body = revolved([(0, -1), *rng.uniform((0.3, -0.9), (1, 0.9), (6, 2)), (0, 1)], sides=16)
+        core = rng.uniform(-0.2, 0.2, (50, 3)) @ stretch
+        outline = SimplifiedSurface.of((body.vertices @ stretch)[body.faces])
+        u = turned(rng)[0]
+        offsets = np.quantile(outline.corners @ u, (0.2, 0.4, 0.7))
+        exact = np.array([bulk_of_sides(outline, core, u, o, 0.02) for o in offsets])
+        found = FirstLook.at(outline, core, 0.02).bulks(u, offsets)
+        assert (found <= exact * (1 + 1e-9)).all() and (found > 0.9 * exact).all()
+
+
+def test_points_without_repetitions_are_all_points():
+    rng = np.random.default_rng(0)
+    points = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], float)
+    given = points[rng.integers(len(points), size=500)]
+    found, where = distinct(given)
+    assert np.array_equal(found[where], given)
+    assert len(found) == len(np.unique(given, axis=0))
+
+
+def test_what_is_looked_at_late_changes_no_join(monkeypatch):
+    bowl = proxies._normalised(BOWL)[:2]
+    late = several(*bowl, QUICK)
+    monkeypatch.setattr(joins, "FEW", 1)
+    early = several(*bowl, QUICK)
+    assert late.joins == early.joins and len(late.joins) == len(late.parts) - 1
+    assert all(np.array_equal(p.vertices, q.vertices) for p, q in zip(late.parts, early.parts, strict=True))
 
 
 def test_open_space_ends_at_walls_and_narrow_slots():

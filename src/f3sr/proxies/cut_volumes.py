@@ -1,8 +1,8 @@
-"""The volumes of the hulls on both sides of planes through a piece: exact for one plane, at a first look for many.
+"""The volumes of the hulls on both sides of planes through a piece: exactly for one plane, at a first look for many.
 
-The first look spans a surface over the outermost points in fixed directions. The directions are the corners of a
-triangulated sphere, and so are their outermost points the corners of a closed surface within the hull. Of a polytope of
-few corners it is the hull itself. No hull is built, so a plane costs a few array operations.
+The first look builds no hull, which takes most of the time for so few points. It takes the outermost points in fixed
+directions. These directions are the corners of a triangulated sphere. So their outermost points are the corners of a
+closed surface within the hull; of a polytope of few corners it is the hull's own.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ LAYER = 0.003
 """A hull counts as much thicker, on all sides [size]: slices across a bowl save what is below its rim, but they are
 full discs, each to be cut again."""
 DIRECTIONS = 128
-"""Directions of a first look: of the cuts of real meshes, it finds one that is .01 % from the best."""
+"""Directions of a first look. The best of the eight cuts it puts first is .01 % worse than the best of all."""
 FLATTEST = 1e-4
-"""Least spread of points that directions are stretched for [size]."""
+"""Least spread of points by which directions are stretched [size]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -84,7 +84,7 @@ class FirstLook:
     @classmethod
     def at(cls, outline: SimplifiedSurface, core: Array, reach: float) -> FirstLook:
         points = np.concatenate([outline.corners, core])
-        # As if the points were spread evenly to all sides: in equal directions a long body would have two ends only.
+        # As if the points had the same spread all around: in even directions, a needle's outermost points are its ends.
         squares, axes = np.linalg.eigh(np.cov(points.T))
         directions = _sphere()[0] @ (axes / np.sqrt(np.maximum(squares, FLATTEST**2))) @ axes.T
         return cls(
@@ -106,14 +106,15 @@ class FirstLook:
         if not len(offsets):
             return np.zeros(0)
         height = self.points @ u
-        far, points = self._outermost_of_slabs(height, offsets)
+        slabs = self._outermost_of_slabs(height, offsets)
         most, met = self._outermost_at_planes(u, height, offsets)
-        below = _farthest_so_far(far, points)
-        above = (x[::-1] for x in _farthest_so_far(far[::-1], points[::-1]))
         # Slab k lies below plane k, slab k + 1 above it.
-        sides = [(f[s], p[s]) for (f, p), s in ((below, slice(-1)), (tuple(above), slice(1, None)))]
-        outer = [np.where((most >= f)[..., None], met, p) for f, p in sides]
-        return self._bulks(outer[0]) + self._bulks(outer[1])
+        below = _farthest_so_far(*(x[:-1] for x in slabs))
+        above = _farthest_so_far(*(x[:0:-1] for x in slabs))
+        total = np.zeros(len(offsets))
+        for far, points in (below, tuple(x[::-1] for x in above)):
+            total += self._bulks(np.where((most >= far)[..., None], met, points))
+        return total
 
     def _outermost_of_slabs(self, height: Array, offsets: Array) -> tuple[Array, Array]:
         """Heights (k + 1, m) and places (k + 1, m, 3) of the outermost points between two planes."""

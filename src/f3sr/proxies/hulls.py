@@ -109,15 +109,8 @@ def distinct(points: Array) -> tuple[Array, NDArray[np.int64]]:
 
 def bulk(points: Array, layer: float) -> float:
     """The volume of the hull of points (n, 3) with a layer around it; 0 where it has none."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    if len(points) < 4:
-        return 0.0
-    try:
-        hull = ConvexHull(points)
-    except (QhullError, ValueError):
-        return 0.0
-    return float(hull.volume + layer * hull.area)
+    hull = qhull_of(points)
+    return 0.0 if hull is None else float(hull.volume + layer * hull.area)
 
 
 def outside(parts: Sequence[ConvexPart], points: Array) -> Array:

@@ -119,12 +119,13 @@ class NearestTriangles:
         cross = np.cross(edges[:, 0], edges[:, 1])
         tiny = np.finfo(float).tiny
         normals = cross / np.maximum(np.linalg.norm(cross, axis=1), tiny)[:, None]
+        inward: Array = np.cross(normals[:, None], edges).astype(np.float64)
         return cls(
             corners=corners,
             edges=edges,
             squares=np.maximum((edges**2).sum(2), tiny),
             normals=normals,
-            inward=np.cross(normals[:, None], edges),
+            inward=inward,
             triangle=samples.triangle,
             tree=KDTree(samples.points),
         )
