@@ -112,8 +112,8 @@ class _Joining:
         self._next = len(hulls)
         samples = subject.samples
         self._held = {
-            Look.FEW: _Held(samples.chosen(np.arange(len(samples.points)) % FEW == 0)),
-            Look.ALL: _Held(samples),
+            Look.FEW: _SampleTable(samples.chosen(np.arange(len(samples.points)) % FEW == 0)),
+            Look.ALL: _SampleTable(samples),
         }
         self.parts = {k: self._of(hull, outermost(hull.corners, AROUND)) for k, hull in enumerate(hulls)}
         for b in self.parts:
@@ -228,7 +228,7 @@ def _box(hull: Hull) -> tuple[Array, Array]:
     return hull.corners.min(0), hull.corners.max(0)
 
 
-class _Held:
+class _SampleTable:
     """The samples that lie in hulls."""
 
     def __init__(self, samples: Samples) -> None:
