@@ -19,8 +19,8 @@ from f3sr.proxies.config import CutConfig
 from f3sr.proxies.cut_volumes import LAYER, FirstLook, SimplifiedSurface, bulk_of_sides
 from f3sr.proxies.cuts import clipped
 from f3sr.proxies.fit import excess
-from f3sr.proxies.hulls import distinct
-from f3sr.proxies.parts import several, subject_of
+from f3sr.proxies.hulls import distinct, hull_of
+from f3sr.proxies.parts import SHEET, several, subject_of, thickened
 from f3sr.proxies.simplify import simplified_outward
 from f3sr.proxies.surface import NearestTriangles, samples_of, surroundings
 
@@ -88,6 +88,12 @@ def distance_outside(proxy, points):
     """Of points (n, 3): how far each lies outside the part that covers it best."""
     beyond = [(points @ p.normals.T - p.offsets).max(1) for p in body(proxy)]
     return np.min(beyond, axis=0)
+
+
+def turned(rng):
+    """A random rotation (3, 3)."""
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return q * np.sign(np.linalg.det(q))
 
 
 def surface_points(mesh, n=2000):
@@ -278,6 +284,17 @@ def test_single_layers_of_triangles_get_a_thickness(cache):
 # The pieces of it
 
 
+@pytest.mark.parametrize("extent", [(0.3, 0.2, 0), (1e-4, 3e-5, 0), (1e-4, 0, 0), (0, 0, 0)])
+def test_scraps_of_surface_get_a_hull_of_a_sheets_thickness(extent):
+    """A cut may leave one triangle, of any size, on its side."""
+    R = turned(np.random.default_rng(1))
+    points = np.array([(0, 0, 0), (1, 0, 0), (0.2, 1, 0)]) * extent @ R.T + (0.1, 0.2, 0.3)
+    hull = hull_of(thickened(points))
+    assert hull is not None
+    width = np.ptp(hull.corners @ R, axis=0)
+    assert (width >= 0.9 * SHEET).all() and (width <= np.maximum(extent, 0) + 2 * SHEET).all()
+
+
 def test_clipped_triangles_keep_their_area_and_their_side():
     rng = np.random.default_rng(0)
     triangles = rng.normal(size=(500, 3, 3))
@@ -292,12 +309,6 @@ def test_clipped_triangles_keep_their_area_and_their_side():
 def area(triangles):
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     return np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
-
-
-def turned(rng):
-    """A random rotation (3, 3)."""
-    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    return q * np.sign(np.linalg.det(q))
 
 
 def box_bulk(size):
