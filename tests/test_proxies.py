@@ -344,6 +344,11 @@ def test_a_first_look_comes_near_the_hulls_from_below(seeds=20):
         assert (found <= exact * (1 + 1e-9)).all() and (found > 0.9 * exact).all()
 
 
+def test_a_first_look_at_a_single_point_sees_no_volume():
+    look = FirstLook.at(SimplifiedSurface.of(np.full((2, 3, 3), 0.1)), np.zeros((0, 3)), 0.0)
+    assert look.whole == 0
+
+
 def test_points_without_repetitions_are_all_points():
     rng = np.random.default_rng(0)
     points = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], float)

@@ -85,7 +85,7 @@ class FirstLook:
     def at(cls, outline: SimplifiedSurface, core: Array, reach: float) -> FirstLook:
         points = np.concatenate([outline.corners, core])
         # As if the points had the same spread all around: in even directions, a needle's outermost points are its ends.
-        squares, axes = np.linalg.eigh(np.cov(points.T))
+        squares, axes = np.linalg.eigh(np.cov(points.T, ddof=min(1, len(points) - 1)))
         directions = _sphere()[0] @ (axes / np.sqrt(np.maximum(squares, FLATTEST**2))) @ axes.T
         return cls(
             outline=outline,
