@@ -16,7 +16,7 @@ import numpy as np
 from f3sr.core.transforms import Array
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.cut_volumes import LAYER, FirstLook, SimplifiedSurface, bulk_of_sides, parted
-from f3sr.proxies.hulls import Hull, bulk, distinct, hull_of
+from f3sr.proxies.hulls import Hull, distinct, hull_of
 from f3sr.proxies.surface import CORE_STEP, Samples, Subject, stand_off
 
 OVERLAP = 2e-4
@@ -207,16 +207,14 @@ def _looked_ahead(piece: Piece, u: Array, directions: Array, reach: float) -> Cu
 
 
 def _after_best(outline: SimplifiedSurface, core: Array, directions: Array, reach: float) -> float:
-    """The volume that one more cut can leave, or none, where that is less."""
+    """The volume that one more cut can leave, or none, where that is less; a first look is enough."""
     look = FirstLook.at(outline, core, reach)
-    least, cut = look.whole, None
+    least = look.whole
     for w in directions:
         across = outline.corners @ w
         offsets = across.min() + np.ptp(across) * np.array(AHEAD)
-        bulks = look.bulks(w, offsets)
-        if bulks.min() < least:
-            least, cut = float(bulks.min()), (w, float(offsets[bulks.argmin()]))
-    return bulk(look.points, LAYER) if cut is None else bulk_of_sides(outline, core, *cut, reach)
+        least = min(least, float(look.bulks(w, offsets).min()))
+    return least
 
 
 def _directions(piece: Piece, config: ProxyConfig) -> Array:
