@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array
-from f3sr.proxies.hulls import bulk, distinct, spread
+from f3sr.proxies.hulls import bulk, distinct, outermost, spread
 
 LAYER = 0.003
 """A hull counts as much thicker, on all sides [size]: slices across a bowl save what is below its rim, but they are
@@ -59,13 +59,18 @@ def parted(core: Array, u: Array, offset: float, reach: float) -> tuple[Array, A
     return np.concatenate([core[height <= 0], moved]), np.concatenate([core[height >= 0], moved])
 
 
-def bulk_of_sides(outline: SimplifiedSurface, core: Array, u: Array, offset: float, reach: float) -> float:
-    """Volume of the hulls of both sides of a plane together, with their layers."""
+def bulk_of_sides(
+    outline: SimplifiedSurface, core: Array, u: Array, offset: float, reach: float, *, around: Array | None = None
+) -> float:
+    """Volume of the hulls of both sides of a plane together, with their layers.
+
+    With ``around`` (m, 3), of the hulls of the points that are outermost in these directions."""
     height = outline.corners @ u
     _, crossed = outline.crossings(height, np.array([offset]))
     sides = outline.corners[height <= offset], outline.corners[height >= offset]
     cores = parted(core, u, offset, reach)
-    return sum(bulk(np.concatenate([side, crossed, c]), LAYER) for side, c in zip(sides, cores, strict=True))
+    bodies = (np.concatenate([side, crossed, c]) for side, c in zip(sides, cores, strict=True))
+    return sum(bulk(body if around is None else outermost(body, around), LAYER) for body in bodies)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

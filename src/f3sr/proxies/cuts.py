@@ -16,7 +16,7 @@ import numpy as np
 from f3sr.core.transforms import Array
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.cut_volumes import LAYER, FirstLook, SimplifiedSurface, bulk_of_sides, parted
-from f3sr.proxies.hulls import Hull, distinct, hull_of
+from f3sr.proxies.hulls import Hull, bulk, distinct, hull_of, outermost, spread
 from f3sr.proxies.surface import CORE_STEP, Samples, Subject, stand_off
 
 OVERLAP = 2e-4
@@ -41,6 +41,8 @@ HOLLOW_SHARE = 0.1
 """... and over how much of its surface or of its hull's."""
 FINALISTS = 8
 """Cuts that are compared by all points."""
+AROUND = spread(128)
+"""Directions of outermost points whose hull is enough where cuts are thought of two steps ahead."""
 AHEAD = (0.3, 0.5, 0.7)
 """Where across a half the next cut is tried."""
 
@@ -207,14 +209,18 @@ def _looked_ahead(piece: Piece, u: Array, directions: Array, reach: float) -> Cu
 
 
 def _after_best(outline: SimplifiedSurface, core: Array, directions: Array, reach: float) -> float:
-    """The volume that one more cut can leave, or none, where that is less; a first look is enough."""
+    """The volume that one more cut can leave, or none, where that is less, of hulls of the outermost points."""
     look = FirstLook.at(outline, core, reach)
-    least = look.whole
+    least, cut = look.whole, None
     for w in directions:
         across = outline.corners @ w
         offsets = across.min() + np.ptp(across) * np.array(AHEAD)
-        least = min(least, float(look.bulks(w, offsets).min()))
-    return least
+        bulks = look.bulks(w, offsets)
+        if bulks.min() < least:
+            least, cut = float(bulks.min()), (w, float(offsets[bulks.argmin()]))
+    if cut is None:
+        return bulk(outermost(look.points, AROUND), LAYER)
+    return bulk_of_sides(outline, core, *cut, reach, around=np.vstack([AROUND, cut[0], -cut[0]]))
 
 
 def _directions(piece: Piece, config: ProxyConfig) -> Array:
