@@ -14,11 +14,13 @@ from f3sr.contact import compounds
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.errors import InputError
-from f3sr.proxies import ProxyConfig, decompose, decompose_all, worker
+from f3sr.proxies import ProxyConfig, decompose, decompose_all, joins, worker
 from f3sr.proxies.config import CutConfig
+from f3sr.proxies.cut_volumes import LAYER, FirstLook, SimplifiedSurface, bulk_of_sides
 from f3sr.proxies.cuts import clipped
 from f3sr.proxies.fit import excess
-from f3sr.proxies.parts import subject_of
+from f3sr.proxies.hulls import distinct, hull_of
+from f3sr.proxies.parts import SHEET, several, subject_of, thickened
 from f3sr.proxies.simplify import simplified_outward
 from f3sr.proxies.surface import NearestTriangles, samples_of, surroundings
 
@@ -86,6 +88,12 @@ def distance_outside(proxy, points):
     """Of points (n, 3): how far each lies outside the part that covers it best."""
     beyond = [(points @ p.normals.T - p.offsets).max(1) for p in body(proxy)]
     return np.min(beyond, axis=0)
+
+
+def turned(rng):
+    """A random rotation (3, 3)."""
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return q * np.sign(np.linalg.det(q))
 
 
 def surface_points(mesh, n=2000):
@@ -276,6 +284,17 @@ def test_single_layers_of_triangles_get_a_thickness(cache):
 # The pieces of it
 
 
+@pytest.mark.parametrize("extent", [(0.3, 0.2, 0), (1e-4, 3e-5, 0), (1e-4, 0, 0), (0, 0, 0)])
+def test_scraps_of_surface_get_a_hull_of_a_sheets_thickness(extent):
+    """A cut may leave one triangle, of any size, on its side."""
+    R = turned(np.random.default_rng(1))
+    points = np.array([(0, 0, 0), (1, 0, 0), (0.2, 1, 0)]) * extent @ R.T + (0.1, 0.2, 0.3)
+    hull = hull_of(thickened(points))
+    assert hull is not None
+    width = np.ptp(hull.corners @ R, axis=0)
+    assert (width >= 0.9 * SHEET).all() and (width <= np.maximum(extent, 0) + 2 * SHEET).all()
+
+
 def test_clipped_triangles_keep_their_area_and_their_side():
     rng = np.random.default_rng(0)
     triangles = rng.normal(size=(500, 3, 3))
@@ -290,6 +309,62 @@ def test_clipped_triangles_keep_their_area_and_their_side():
 def area(triangles):
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     return np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+
+
+def box_bulk(size):
+    a, b, c = size
+    return a * b * c + LAYER * 2 * (a * b + b * c + c * a)
+
+
+def test_a_first_look_at_a_box_is_exact(seeds=20):
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        size, R = rng.uniform(0.02, 0.5, 3), turned(rng)
+        box = box_mesh(size)
+        look = FirstLook.at(SimplifiedSurface.of((box.vertices @ R.T)[box.faces]), np.zeros((0, 3)), 0.0)
+        shares = np.array([0.2, 0.5, 0.9])
+        for k in range(3):
+            sides = [[np.where(np.arange(3) == k, s, 1) * size for s in (x, 1 - x)] for x in shares]
+            wanted = [sum(map(box_bulk, pair)) for pair in sides]
+            assert look.bulks(R[:, k], (shares - 0.5) * size[k]) == pytest.approx(wanted, rel=1e-9)
+        assert look.whole == pytest.approx(box_bulk(size), rel=1e-9)
+
+
+def test_a_first_look_comes_near_the_hulls_from_below(seeds=20):
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        stretch = np.diag(rng.uniform(0.05, 0.5, 3)) @ turned(rng)
+        body = revolved([(0, -1), *rng.uniform((0.3, -0.9), (1, 0.9), (6, 2)), (0, 1)], sides=16)
+        core = rng.uniform(-0.2, 0.2, (50, 3)) @ stretch
+        outline = SimplifiedSurface.of((body.vertices @ stretch)[body.faces])
+        u = turned(rng)[0]
+        offsets = np.quantile(outline.corners @ u, (0.2, 0.4, 0.7))
+        exact = np.array([bulk_of_sides(outline, core, u, o, 0.02) for o in offsets])
+        found = FirstLook.at(outline, core, 0.02).bulks(u, offsets)
+        assert (found <= exact * (1 + 1e-9)).all() and (found > 0.9 * exact).all()
+
+
+def test_a_first_look_at_a_single_point_sees_no_volume():
+    look = FirstLook.at(SimplifiedSurface.of(np.full((2, 3, 3), 0.1)), np.zeros((0, 3)), 0.0)
+    assert look.whole == 0
+
+
+def test_points_without_repetitions_are_all_points():
+    rng = np.random.default_rng(0)
+    points = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], float)
+    given = points[rng.integers(len(points), size=500)]
+    found, where = distinct(given)
+    assert np.array_equal(found[where], given)
+    assert len(found) == len(np.unique(given, axis=0))
+
+
+def test_what_is_looked_at_late_changes_no_join(monkeypatch):
+    bowl = proxies._normalised(BOWL)[:2]
+    late = several(*bowl, QUICK)
+    monkeypatch.setattr(joins, "FEW", 1)
+    early = several(*bowl, QUICK)
+    assert late.joins == early.joins and len(late.joins) == len(late.parts) - 1
+    assert all(np.array_equal(p.vertices, q.vertices) for p, q in zip(late.parts, early.parts, strict=True))
 
 
 def test_open_space_ends_at_walls_and_narrow_slots():

@@ -18,6 +18,8 @@ FEW_PLANES = 300
 """Facets up to which all of them count."""
 TURN = 0.1
 """Facets turned by less than about this [rad] are alike: a ball's are then .1% of its size too far out."""
+MIXED = (1.0, 0.754877666246693, 0.569840290998053)
+"""Shares of coordinates whose sum tells points apart: without a common ratio."""
 SMALLEST_FACET = 1e-14
 """Twice the area of a facet whose normal is still trusted [squares of the size]."""
 
@@ -54,7 +56,7 @@ def hull_of(points: Array) -> Hull | None:
     hull = qhull_of(points)
     if hull is None or hull.volume < THINNEST * hull.area:
         return None
-    planes = hull.equations[_of_each_turn(hull.equations[:, :3], points[hull.simplices])]
+    planes = hull.equations[_of_each_turn(hull.equations, points[hull.simplices])]
     return Hull(
         corners=points[np.sort(hull.vertices)],
         normals=planes[:, :3],
@@ -65,14 +67,16 @@ def hull_of(points: Array) -> Hull | None:
     )
 
 
-def _of_each_turn(normals: Array, triangles: Array) -> NDArray[np.int64]:
-    """The largest facet of those whose normals lie in one cell of a grid, in the order of the cells."""
-    if len(normals) <= FEW_PLANES:
-        return np.arange(len(normals))
+def _of_each_turn(equations: Array, triangles: Array) -> NDArray[np.int64]:
+    """One of the facets in each plane; where they are many, of those whose normals lie in one cell of a grid the
+    largest, in the order of the cells."""
+    if len(equations) <= FEW_PLANES:
+        return np.unique(distinct(equations[:, :3])[1], return_index=True)[1]
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     order = np.argsort(-np.linalg.norm(np.cross(b - a, c - a), axis=1), kind="stable")
-    cells = np.round(normals[order] / TURN).astype(np.int64)
-    return order[np.unique(cells, axis=0, return_index=True)[1]]
+    cells = np.round(equations[order, :3] / TURN).astype(np.int64) + round(1 / TURN)
+    wide = 2 * round(1 / TURN) + 1
+    return order[np.unique((cells[:, 0] * wide + cells[:, 1]) * wide + cells[:, 2], return_index=True)[1]]
 
 
 def spread(count: int) -> Array:
@@ -90,17 +94,23 @@ def outermost(points: Array, directions: Array) -> Array:
     return points[np.unique((points @ directions.T).argmax(0))]
 
 
+def distinct(points: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Points (n, 3) without repetitions, and where each of the given ones is among them (n,).
+
+    Sorted by a single number: equal points have the same one, and other points hardly ever."""
+    x, y, z = points.T
+    order = np.argsort(MIXED[0] * x + MIXED[1] * y + MIXED[2] * z)
+    ordered = points[order]
+    is_new = np.concatenate([[True], (ordered[1:] != ordered[:-1]).any(1)])
+    where = np.empty(len(points), np.int64)
+    where[order] = np.cumsum(is_new) - 1
+    return ordered[is_new], where
+
+
 def bulk(points: Array, layer: float) -> float:
     """The volume of the hull of points (n, 3) with a layer around it; 0 where it has none."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    if len(points) < 4:
-        return 0.0
-    try:
-        hull = ConvexHull(points)
-    except (QhullError, ValueError):
-        return 0.0
-    return float(hull.volume + layer * hull.area)
+    hull = qhull_of(points)
+    return 0.0 if hull is None else float(hull.volume + layer * hull.area)
 
 
 def outside(parts: Sequence[ConvexPart], points: Array) -> Array:
@@ -126,8 +136,8 @@ def planes(part: ConvexPart) -> tuple[Array, Array]:
 
 def without_hidden(parts: Sequence[ConvexPart]) -> list[ConvexPart]:
     """Parts that do not lie inside another one, the first of equals kept."""
-    kept: list[ConvexPart] = []
+    kept: list[tuple[ConvexPart, Array, Array]] = []
     for part in sorted(parts, key=lambda p: -p.volume):
-        if not kept or not (outside(kept, part.vertices).max(0) <= 1e-9).any():
-            kept.append(part)
-    return kept
+        if not any((beyond(part.vertices, n, o) <= 1e-9).all() for _, n, o in kept):
+            kept.append((part, *planes(part)))
+    return [part for part, *_ in kept]

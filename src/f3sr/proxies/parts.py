@@ -75,7 +75,7 @@ def one_hull(vertices: Array, faces: Faces, config: ProxyConfig) -> FittedParts:
     try:
         part = simplified_outward(points, config, most=config.most_faces(1))
     except ValueError:
-        part = ConvexPart.hull_of(_thickened(points))
+        part = ConvexPart.hull_of(thickened(points))
     return _fitted([part], vertices, faces, fit.excess([part], NearestTriangles.on(vertices, faces), None, PROBE))
 
 
@@ -123,18 +123,22 @@ def _hulls(pieces: Sequence[Piece]) -> list[Hull]:
     found: list[Hull] = []
     for piece in pieces:
         points = np.concatenate([piece.triangles.reshape(-1, 3), piece.core])
-        hull = piece.hull or hull_of(_thickened(points))
+        hull = piece.hull or hull_of(thickened(points))
         if hull is None:
             raise ValueError("a piece of the mesh spans no volume")
         found.append(hull)
     return found
 
 
-def _thickened(points: Array) -> Array:
-    """A sheet with a thickness along its normal."""
-    normal = np.linalg.svd(points - points.mean(0), full_matrices=False)[2][2]
-    offset = SHEET / 2 * normal
-    return np.concatenate([points - offset, points + offset])
+def thickened(points: Array) -> Array:
+    """A sheet (n, 3), n > 2, with a thickness along its normal; a scrap, which is as thin in other directions, also in
+    these."""
+    axes = np.linalg.svd(points - points.mean(0), full_matrices=False)[2]
+    thin = np.ptp(points @ axes.T, axis=0) < SHEET
+    thin[2] = True
+    for offset in SHEET / 2 * axes[thin]:
+        points = np.concatenate([points - offset, points + offset])
+    return points
 
 
 def _fitted(parts: Sequence[ConvexPart], vertices: Array, faces: Faces, excess: Excess) -> FittedParts:
