@@ -193,11 +193,12 @@ class _Fewer:
     def _on_footing(self, parts: list[ConvexPart]) -> tuple[list[ConvexPart], list[ConvexPart]]:
         """Parts and the wedges of the footing that are left: a wedge joins the part with which it adds least volume.
 
-        It stays a part of its own where that would add more than its own volume, unless there are too many."""
+        It stays a part of its own where that would add more than its own volume and than a part fewer is worth, unless
+        there are too many."""
         left = list[ConvexPart]()
         crowded = len(parts) + len(self._o.footing) > self._limits.parts
         for wedge in self._o.footing:
-            pairs = PairQueue(self._volumes, np.inf if crowded else wedge.volume)
+            pairs = PairQueue(self._volumes, np.inf if crowded else max(wedge.volume, self._worth))
             pairs.push((part, wedge) for part in parts)
             found = pairs.pop()
             one = self._hull(found[1]) if found else None
@@ -263,9 +264,7 @@ class _Fewer:
         any volume while there are more than ``most``.
 
         The tree of joins does not know where other bodies forbid one of them."""
-        hull = qhull_of(self._o.mesh.hull.vertices)
-        worth = FELT * self._limits.worth * hull.area * self._size if hull else 0.0
-        crowded = len(parts) > most
+        worth, crowded = self._worth, len(parts) > most
         pairs = PairQueue(self._volumes, np.inf if crowded else worth)
         pairs.push(pair for k, part in enumerate(parts) for pair in self._pairs(parts[:k], part, anywhere=crowded))
         while found := pairs.pop(parts):
@@ -279,6 +278,12 @@ class _Fewer:
                 pairs.push(self._pairs(parts, one, anywhere=crowded))
                 parts.append(one)
         return parts
+
+    @cached_property
+    def _worth(self) -> float:
+        """Volume that a part fewer may add."""
+        hull = qhull_of(self._o.mesh.hull.vertices)
+        return FELT * self._limits.worth * hull.area * self._size if hull else 0.0
 
     def _pairs(self, parts: Sequence[ConvexPart], part: ConvexPart, *, anywhere: bool = False) -> list[Pair]:
         """A part with each of those whose boxes touch its own, or with all."""
