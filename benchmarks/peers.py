@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from f3sr.core.mesh import ConvexPart, Mesh
+from f3sr.core.mesh import ConvexPart, Mesh, mass_properties, union
 from f3sr.core.transforms import Array
 from f3sr.proxies import GRID, Excess, ProxyConfig, fit
 from f3sr.proxies.parts import FittedParts, decimated, nearly_convex, one_hull
@@ -88,10 +88,11 @@ def stage(method: str) -> Callable[[Scene, ProxyConfig], tuple[Scene, Decomposed
 
 
 def _fitted(parts: Sequence[ConvexPart], vertices: Array, faces: Faces) -> FittedParts:
-    around = surroundings(vertices, faces)
+    around, solid = surroundings(vertices, faces), mass_properties(*union(parts))
     return FittedParts(
         parts=tuple(parts),
-        inflation=fit.inflation(parts, vertices, faces),
+        solid=solid,
+        inflation=fit.inflation(solid, vertices, faces),
         outside=fit.largest_outside(parts, vertices[np.unique(faces)]),
         excess=fit.excess(parts, NearestTriangles.on(vertices, faces), around, PROBE),
     )

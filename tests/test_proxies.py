@@ -12,7 +12,7 @@ import pytest
 from f3sr import proxies
 from f3sr.contact import compounds
 from f3sr.contact.polytopes import Polytope
-from f3sr.core.mesh import ConvexPart, Mesh
+from f3sr.core.mesh import ConvexPart, Mesh, solid_properties
 from f3sr.errors import InputError
 from f3sr.proxies import ProxyConfig, decompose, decompose_all, joins, worker
 from f3sr.proxies.config import CutConfig
@@ -555,3 +555,15 @@ def test_what_has_no_surface_is_refused_first(tmp_path, no_subprocess, vertices,
     mesh = Mesh(vertices=vertices, faces=faces.astype(np.int32))
     with pytest.raises(InputError, match=found):
         decompose_all([box_mesh(), mesh], cache_dir=tmp_path)
+
+
+def test_the_mass_of_an_open_mesh_comes_with_its_proxies() -> None:
+    """In the mesh's frame and unit."""
+    block = mesh_of(mf.Manifold.cube((3, 2, 1)).translate((5, 0, 0)))
+    open_block = replace(block, faces=block.faces[1:])
+    proxy = decompose(open_block)
+    known, from_mesh = solid_properties(open_block, proxy.parts)
+    assert not from_mesh and 0 < known.volume < 6.1
+    assert proxy.solid.volume == pytest.approx(known.volume, rel=1e-5)
+    assert proxy.solid.center == pytest.approx(known.center, abs=1e-4)
+    assert proxy.solid.inertia == pytest.approx(known.inertia, rel=1e-4, abs=1e-4)

@@ -19,7 +19,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from f3sr.core.mesh import ConvexPart, Mesh
+from f3sr.core.mesh import ConvexPart, MassProperties, Mesh
 from f3sr.core.transforms import Array, transform
 from f3sr.errors import InputError
 from f3sr.proxies.config import ProxyConfig
@@ -56,6 +56,8 @@ class Proxy:
     """Largest distance of a visual vertex outside all parts [size]."""
     excess: Excess
     """How far they stand off the mesh, where something can touch it [size]; the place is in the mesh's frame."""
+    solid: MassProperties
+    """Of the union of the parts."""
     joins: tuple[Join, ...] = ()
     """How parts may be joined further, where nothing touches."""
     cut_short: bool = False
@@ -92,6 +94,7 @@ def decompose(
         proxy,
         parts=tuple(part.moved(T_mesh_unit) for part in proxy.parts),
         excess=replace(proxy.excess, at=(x, y, z)),
+        solid=_in_mesh(proxy.solid, T_mesh_unit),
         decisions=tuple(replace(d, about=about) for d in proxy.decisions),
     )
 
@@ -151,6 +154,13 @@ def _normalised(mesh: Mesh) -> tuple[Array, Faces, Array]:
     return vertices, faces, T
 
 
+def _in_mesh(solid: MassProperties, T_mesh_unit: Array) -> MassProperties:
+    """The solid under a scale and a shift."""
+    k = float(T_mesh_unit[0, 0])
+    center = transform(T_mesh_unit, solid.center[None])[0]
+    return MassProperties(volume=k**3 * solid.volume, center=center, inertia=k**5 * solid.inertia)
+
+
 def _decompose_unit(
     vertices: Array, faces: Faces, config: ProxyConfig, cancelled: threading.Event | None = None
 ) -> Proxy:
@@ -177,6 +187,7 @@ def _proxy(fitted: FittedParts, method: Method, decisions: tuple[Decision, ...])
         inflation=fitted.inflation,
         outside=fitted.outside,
         excess=fitted.excess,
+        solid=fitted.solid,
         joins=fitted.joins,
     )
 
@@ -187,7 +198,12 @@ def _proxy(fitted: FittedParts, method: Method, decisions: tuple[Decision, ...])
 def _stored(proxy: Proxy) -> tuple[dict[str, Any], Arrays]:
     sheet = {"method": proxy.method, "decisions": [asdict(d) for d in proxy.decisions]}
     fitted = FittedParts(
-        parts=proxy.parts, inflation=proxy.inflation, outside=proxy.outside, excess=proxy.excess, joins=proxy.joins
+        parts=proxy.parts,
+        inflation=proxy.inflation,
+        outside=proxy.outside,
+        excess=proxy.excess,
+        solid=proxy.solid,
+        joins=proxy.joins,
     )
     return sheet, packed(fitted)
 
@@ -201,5 +217,6 @@ def _restored(sheet: dict[str, Any], arrays: Arrays) -> Proxy:
         inflation=fitted.inflation,
         outside=fitted.outside,
         excess=fitted.excess,
+        solid=fitted.solid,
         joins=fitted.joins,
     )

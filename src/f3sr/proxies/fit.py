@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.core.mesh import ConvexPart, is_closed, signed_volume, union
+from f3sr.core.mesh import ConvexPart, MassProperties, is_closed, signed_volume
 from f3sr.core.transforms import Array
 from f3sr.proxies.hulls import outside, planes
 from f3sr.proxies.surface import Faces, NearestTriangles, Samples, Surroundings, samples_of, stand_off
@@ -33,11 +33,11 @@ class Excess:
     """99th percentile over the surface that faces the opening of a cavity; None without a cavity."""
 
 
-def inflation(parts: Sequence[ConvexPart], vertices: Array, faces: Faces) -> float | None:
-    """Volume of the union over that of the mesh; None when the mesh has none."""
+def inflation(solid: MassProperties, vertices: Array, faces: Faces) -> float | None:
+    """Volume of parts, as one ``solid``, over that of the mesh; None when the mesh has none."""
     if not is_closed(faces) or (volume := signed_volume(vertices, faces)) <= 0:
         return None
-    return signed_volume(*union(parts)) / volume
+    return solid.volume / volume
 
 
 def largest_outside(parts: Sequence[ConvexPart], vertices: Array) -> float:

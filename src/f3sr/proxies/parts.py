@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from f3sr.core.mesh import ConvexPart, is_closed, signed_volume
+from f3sr.core.mesh import ConvexPart, MassProperties, is_closed, mass_properties, signed_volume, union
 from f3sr.core.transforms import Array
 from f3sr.proxies import fit
 from f3sr.proxies.config import ProxyConfig
@@ -39,6 +39,8 @@ class FittedParts:
     inflation: float | None
     outside: float
     excess: Excess
+    solid: MassProperties
+    """Of the union of the parts."""
     joins: tuple[Join, ...] = ()
     """How parts may be joined further."""
 
@@ -142,9 +144,11 @@ def thickened(points: Array) -> Array:
 
 
 def _fitted(parts: Sequence[ConvexPart], vertices: Array, faces: Faces, excess: Excess) -> FittedParts:
+    solid = mass_properties(*union(parts))
     return FittedParts(
         parts=tuple(parts),
-        inflation=fit.inflation(parts, vertices, faces),
+        solid=solid,
+        inflation=fit.inflation(solid, vertices, faces),
         outside=fit.largest_outside(parts, vertices[np.unique(faces)]),
         excess=excess,
     )

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from f3sr.core.mesh import ConvexPart
+from f3sr.core.mesh import ConvexPart, MassProperties
 from f3sr.core.transforms import Array
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.fit import Excess
@@ -19,7 +19,7 @@ from f3sr.proxies.parts import FittedParts
 from f3sr.proxies.surface import Faces
 from f3sr.runtime.result_store import Arrays
 
-PROXY_VERSION = 5
+PROXY_VERSION = 6
 """Part of the cache key; raise it when the same input and config give other parts."""
 
 
@@ -36,7 +36,7 @@ def config_json(config: ProxyConfig) -> str:
 
 
 def packed(fitted: FittedParts) -> Arrays:
-    """As arrays that ``unpacked`` reads: vertices, faces, their counts (parts, 2), the fit, and the joins."""
+    """As arrays that ``unpacked`` reads: vertices, faces, counts (parts, 2), the fit, the solid, and the joins."""
     inflation, floor = (np.nan if x is None else x for x in (fitted.inflation, fitted.excess.floor))
     excess = fitted.excess
     return {
@@ -44,6 +44,7 @@ def packed(fitted: FittedParts) -> Arrays:
         "faces": np.concatenate([p.faces for p in fitted.parts]),
         "counts": np.array([(len(p.vertices), len(p.faces)) for p in fitted.parts], np.int32),
         "fit": np.array([inflation, fitted.outside, excess.mean, excess.most, excess.largest, floor, *excess.at]),
+        "solid": np.array([fitted.solid.volume, *fitted.solid.center, *fitted.solid.inertia.ravel()]),
         "joins": np.array([(j.first, j.second, j.loss) for j in fitted.joins], np.float64).reshape(-1, 3),
     }
 
@@ -52,10 +53,12 @@ def unpacked(data: Mapping[str, Any]) -> FittedParts:
     cuts = np.cumsum(data["counts"], axis=0)[:-1]
     vertices, faces = np.split(data["vertices"], cuts[:, 0]), np.split(data["faces"], cuts[:, 1])
     inflation, outside, mean, most, largest, floor, x, y, z = map(float, data["fit"])
+    volume, *moments = data["solid"].tolist()
     return FittedParts(
         parts=tuple(ConvexPart(vertices=v.copy(), faces=f.copy()) for v, f in zip(vertices, faces, strict=True)),
         inflation=None if np.isnan(inflation) else inflation,
         outside=outside,
         excess=Excess(mean=mean, most=most, largest=largest, floor=None if np.isnan(floor) else floor, at=(x, y, z)),
+        solid=MassProperties(volume=volume, center=np.array(moments[:3]), inertia=np.array(moments[3:]).reshape(3, 3)),
         joins=tuple(Join(first=int(a), second=int(b), loss=float(loss)) for a, b, loss in data["joins"]),
     )

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 from f3sr import proxies
-from f3sr.proxies import Excess, Join, ProxyConfig
+from f3sr.proxies import Excess, Join, Proxy, ProxyConfig
 from f3sr.report import Decision, Measure, Outcome
-from f3sr.scene import Scene
+from f3sr.scene import Scene, SceneObject
 
 WIDE = 0.02
 """How far proxies must stand off at one place for a decision to name it [size]."""
@@ -74,11 +74,17 @@ def decompose(scene: Scene, config: ProxyConfig | None = None) -> tuple[Scene, D
         o.id: ProxyFit(parts=len(r.parts), inflation=r.inflation, excess=r.excess, outside=r.outside) for o, r in pairs
     }
     decisions = [replace(d, about=o.id) for o, r in pairs for d in r.decisions]
-    scene = scene.with_objects(*(replace(o, parts=r.parts) for o, r in pairs))
+    scene = scene.with_objects(*(_with(o, r) for o, r in pairs))
     decisions += [_where(r.excess, o.id) for o, r in pairs if r.excess.largest > WIDE]
     joins = {o.id: r.joins for o, r in pairs}
     cut_short = any(r.cut_short for r in results)
     return scene, Decomposed(fits=fits, joins=joins, decisions=tuple(decisions), cut_short=cut_short)
+
+
+def _with(o: SceneObject, proxy: Proxy) -> SceneObject:
+    """The object with its parts. The mass of an open mesh is theirs, and stays so when they are cut back or joined."""
+    given = o.solid is not None or o.mesh.is_solid
+    return replace(o, parts=proxy.parts, solid=o.solid if given else proxy.solid)
 
 
 def _where(excess: Excess, id: int) -> Decision:
