@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
+from f3sr.core.surface_samples import sample_surface
 from f3sr.core.transforms import Array, invert_pose, transform
 from f3sr.io.mesh_files import load_mesh
-from f3sr.metrics.measures import sample_surface
 from f3sr.physics.release import release
 from f3sr.scene import GROUND, Scene
 from f3sr.scene_package.package import read_package

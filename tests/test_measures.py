@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from f3sr.core.mesh import ConvexPart, Material, Mesh
+from f3sr.core.surface_samples import sample_surface
 from f3sr.core.transforms import Array, rotation_about
 from f3sr.metrics.measures import (
     Measures,
@@ -19,7 +20,6 @@ from f3sr.metrics.measures import (
     mean_over_masks,
     points_inside,
     proxy_distances,
-    sample_surface,
     visible_ious,
 )
 from f3sr.scene import Excluded, Photo, Scene

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
+from f3sr.core.surface_samples import sample_surface
 from f3sr.core.transforms import Array
 from f3sr.metrics import penetration
 from f3sr.metrics.point_in_mesh import union_distance, winding_number
@@ -323,16 +324,3 @@ def proxy_distances(o: SceneObject) -> tuple[float, float]:
     free = samples[union_distance(samples, o.colliders) >= -1e-4 * size]
     far = float(KDTree(surface).query(free)[0].mean()) if len(free) else 0.0
     return float(np.percentile(np.maximum(out, 0), 99.9)) / size, far / size
-
-
-def sample_surface(vertices: Array, faces: NDArray[np.int32], count: int) -> Array:
-    """``count`` points (count, 3) sampled on a surface by area, with a fixed seed."""
-    rng = np.random.default_rng(0)
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    chosen = rng.choice(len(faces), count, p=area / area.sum())
-    u, v = rng.random((2, count, 1))
-    # Uniform over the triangle: the parallelogram's upper half is folded onto the lower.
-    flip = u + v > 1
-    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
-    return a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]

@@ -20,8 +20,8 @@ from f3sr.contact.compounds import placed
 from f3sr.contact.contact_patches import find_contacts
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart
+from f3sr.core.surface_samples import sample_surface
 from f3sr.core.transforms import UP, Array, transform
-from f3sr.metrics.measures import sample_surface
 from f3sr.physics.mujoco_model import solid_of
 from f3sr.proxies.collapse import Bounds, collapsed
 from f3sr.proxies.hulls import beyond, planes, qhull_of

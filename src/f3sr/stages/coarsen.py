@@ -99,7 +99,7 @@ def coarsen(
     were ``restless`` may stay so.
     """
     few = partial(with_few_parts, made=made, joins=joins)
-    run = _Run(scene, config, few, settled, frozenset(restless))
+    run = _Coarsening(scene, config, few, settled, frozenset(restless))
     while run.left and len(run.tries) < TRIES:
         run.attempt(run.left, run.left)
     if run.over:
@@ -145,7 +145,7 @@ class _Try:
         return tuple(ids for ids, effect in self.effects.items() if effect.is_bad)
 
 
-class _Run:
+class _Coarsening:
     """The scene so far. Objects ``left`` still have all their parts."""
 
     def __init__(

@@ -10,8 +10,8 @@ from scipy.spatial import KDTree
 
 from f3sr.contact import polytopes
 from f3sr.contact.compounds import Compound, placed
+from f3sr.core.surface_samples import sample_surface
 from f3sr.core.transforms import Array
-from f3sr.metrics.measures import sample_surface
 from f3sr.scene import Relation, Scene
 from f3sr.stages.relate.known import Known
 
