@@ -398,3 +398,57 @@ def test_thousands_of_polygons_take_no_minutes():
     start = time.process_time()
     at = horizontal_moves.nearest_free(polygons, 0.0)
     assert 0.8 < np.abs(at).max() < 1.2 and time.process_time() - start < 5
+
+
+def compound_of(rng):
+    return compounds.Compound.of(random_body(rng, parts=5))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_compound_moves_as_its_parts_do(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    body, T = compound_of(rng), pose(1.7 * rotation_about(random_direction(rng), 1.0), rng.normal(size=3))
+    moved = body.moved(T).moved(pose(t=[0, 0, 0.5]))
+    assert len(moved) == len(body) == 5
+    for was, now in zip(body, moved, strict=True):
+        expected = was.moved(T).shifted([0, 0, 0.5])
+        for a, b in zip(expected.packed, now.packed, strict=True):
+            assert np.allclose(a, b, atol=1e-12)
+    boxes = np.array([p.bounds for p in moved])
+    assert np.allclose(moved.boxes, boxes) and np.allclose(moved.bounds, [boxes[:, 0].min(0), boxes[:, 1].max(0)])
+    assert moved.lowest == pytest.approx(boxes[:, 0, 2].min())
+
+
+def test_some_parts_of_compounds_are_compounds() -> None:
+    rng = np.random.default_rng(0)
+    a, b = compound_of(rng), compound_of(rng)
+    both = compounds.Compound.of([a, b])
+    assert len(both) == 10 and len(both[7:]) == 3 and len(compounds.Compound.of([])) == 0
+    assert np.array_equal(both.some([1, 6])[1].vertices, b[1].vertices)
+    assert np.array_equal(both[-1].vertices, b[4].vertices)
+    with pytest.raises(IndexError):
+        both[10]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_near_parts_are_those_without_a_wider_gap_along_a_face(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a, b, reach = compound_of(rng), compound_of(rng), 0.1
+
+    def gap(p: Polytope, q: Polytope) -> float:
+        faces = len(p.normals) + len(q.normals)
+        return -float(polytopes.facets(p, q)[1][:faces].min())
+
+    expected = {
+        (i, j)
+        for i, p in enumerate(a)
+        for j, q in enumerate(b)
+        if ((p.bounds[0] - q.bounds[1] < reach) & (q.bounds[0] - p.bounds[1] < reach)).all() and gap(p, q) <= reach
+    }
+    assert set(map(tuple, compounds.near_parts(a, b, reach).tolist())) == expected
+
+
+def test_nothing_is_free_of_everything() -> None:
+    nothing, thing = compounds.placed([], np.eye(4)), compound_of(np.random.default_rng(1))
+    assert not compounds.collide(thing, nothing)
+    assert compounds.smallest_shift(thing, nothing, UP) == 0 and compounds.free_travel(thing, nothing, UP) == np.inf
