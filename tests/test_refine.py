@@ -115,6 +115,17 @@ def test_a_measured_depth_outweighs_a_few_pixels(seen: Scene, source: GeometrySo
     assert np.allclose(kept[0].T_world_object, scene[0].T_world_object, atol=2e-3) == (source == "sensor")
 
 
+def test_a_measured_depth_outweighs_no_mask(seen: Scene):
+    """Nearer to its measured depth, but beside its mask."""
+    scene = measured(seen, "sensor")
+    camera, away = scene.camera, 1.1
+    start = scene.with_objects(scene[0].moved(camera.homothety(away), scale=away, stage="test", reason=""))
+    tried = shifted(scene, {0: 0.012})
+    a, b = (SettledScene(scene=s, restless=frozenset()) for s in (start, tried))
+    assert b.scores[0] > a.scores[0] + 0.1 and 0.05 < a.ious[0] - b.ious[0] < 0.3
+    assert np.array_equal(refined(start, tried)[0].T_world_object, start[0].T_world_object)
+
+
 def test_a_retry_moves_the_group_that_gains_and_holds_the_rest(seen: Scene):
     start = shifted(seen, {0: 0.03})
     aligned = shifted(seen, {0: 0.0, 1: 0.03})

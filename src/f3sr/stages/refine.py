@@ -28,7 +28,8 @@ UPRIGHT = math.radians(25)
 GAIN = 5e-4
 """Least gain of mean mIoU_visible, over the objects that a round changes, for the round to be kept."""
 HOPELESS = 0.02
-"""Loss of score of a group at rest from which on it is given up before its gaps are closed."""
+"""Loss of score of a group at rest from which on it is given up before its gaps are closed; and of visible IoU, whatever
+its measured depths gain."""
 AGAIN = 3e-3
 """Least gain for another round: the next gains a third, or less. Groups that do not rest are not tried again either,
 as they take all the time that settling may."""
@@ -138,7 +139,12 @@ def _better(
     was, now = state.scores, tried.scores
     groups = groups_of(state.scene, tried.scene, config.contact.apart)
     kept = [
-        g for g in groups if g.intersection(ids) and _gain(g, was, now) > GAIN and g & tried.restless <= state.restless
+        g
+        for g in groups
+        if g.intersection(ids)
+        and _gain(g, was, now) > GAIN
+        and _gain(g, state.ious, tried.ious) >= -HOPELESS
+        and g & tried.restless <= state.restless
     ]
     changed = {id for g in kept for id in g}
     mixed = SettledScene(
