@@ -28,8 +28,8 @@ UPRIGHT = math.radians(25)
 GAIN = 5e-4
 """Least gain of mean mIoU_visible, over the objects that a round changes, for the round to be kept."""
 HOPELESS = 0.02
-"""Loss of score of a group at rest from which on it is given up before its gaps are closed; and of visible IoU, whatever
-its measured depths gain."""
+"""Loss of score of a group at rest from which on it is given up before its gaps are closed; and of its visible IoU,
+whatever its measured depths gain."""
 AGAIN = 3e-3
 """Least gain for another round: the next gains a third, or less. Groups that do not rest are not tried again either,
 as they take all the time that settling may."""
