@@ -494,6 +494,15 @@ def test_a_parent_in_which_nothing_can_be_made_is_told_as_that() -> None:
         prepare_output(Path("/proc/f3sr-none/package"))
 
 
+def test_a_parent_that_another_run_takes_away_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is there at one look, and not at the next."""
+    parent, looks = tmp_path / "sweep", iter([True])
+    parent.mkdir()
+    is_dir = Path.is_dir
+    monkeypatch.setattr(Path, "is_dir", lambda path: is_dir(path) and not (path == parent and next(looks, False)))
+    assert prepare_output(parent / "out").name == "out"
+
+
 def test_runs_that_begin_at_once_do_not_take_each_others_parents_away(tmp_path: Path) -> None:
     for k in range(20):
         with ThreadPoolExecutor(8) as pool:

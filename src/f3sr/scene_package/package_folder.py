@@ -73,6 +73,14 @@ def prepare_output(out: Path, *, inputs: Path | None = None, overwrite: bool = F
     return atomic_folder.check(out, lambda out: require_replaceable(out, overwrite=overwrite))
 
 
+def _is_no_folder(path: Path) -> bool:
+    """Whether something else is there: at one look, as other runs take empty parents away."""
+    try:
+        return not stat.S_ISDIR(path.stat().st_mode)
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+
+
 def placed(out: Path, *, rollout: bool = False) -> Path:
     """The full path of a folder to be written, once what killed runs left there is tidied up.
 
@@ -91,7 +99,7 @@ def placed(out: Path, *, rollout: bool = False) -> Path:
                 raise OutputError(f"{link}: is a link to nothing; give another folder")
             if package := _package_around(link.parent):
                 raise OutputError(f"{link}: is a link in the package {package}; nothing is written through it")
-        if blocked := next((p for p in full.parents if p.exists() and not p.is_dir()), None):
+        if blocked := next(filter(_is_no_folder, full.parents), None):
             raise OutputError(f"{full}: cannot be made, {blocked} is a file")
         if full.is_mount():  # the root too
             raise OutputError(f"{full}: is a mount point, which nothing can replace; give a folder in it")
