@@ -135,10 +135,9 @@ class _Effect:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Try:
-    """The scene after an attempt, as its new parts were before physics, and their effect on every group of ids."""
+    """The scene after an attempt, and its effect on every group of ids."""
 
     scene: Scene
-    unsettled: Scene
     effects: Mapping[frozenset[int], _Effect]
 
     @property
@@ -178,7 +177,7 @@ class _Coarsening:
         new = self._few(self.scene, limits={id: self._config.limits(self._moved[id]) for id in fewer})
         rested = self._settled(replace(new, objects=tuple(o for o in new if o.id in among)))
         after = new.with_objects(*rested.scene)
-        now = _Try(scene=after, unsettled=new, effects=self._effects(after, among, rested.restless))
+        now = _Try(scene=after, effects=self._effects(after, among, rested.restless))
         self.tries.append(now)
         for ids, effect in now.effects.items():
             if effect.is_bad:
@@ -189,29 +188,15 @@ class _Coarsening:
             self._moved.update(self.left)
 
     def keep_limits(self) -> None:
-        """Give fewer parts only to what is over the limits; where that moves, those with which its group lost least.
-
-        Where that is much, the new parts stay where the old ones were: what creeps moves in every settling."""
+        """Give fewer parts only to what is over the limits; where that moves, those with which its group lost least."""
         groups = [ids for ids in self.tries[-1].spoilt if ids & self.over]
         among = self.left.intersection(frozenset[int]().union(*groups))
         self.attempt(among, among & self.over)
         for ids in self.tries[-1].spoilt:
             at_rest = [one for one in self.tries if ids in one.effects and not one.effects[ids].restless]
-            best = min(at_rest, key=lambda one: round(one.effects[ids].loss / LOSS), default=None)
-            if best and best.effects[ids].loss <= LOSS_TO_REST:
+            if at_rest:
+                best = min(at_rest, key=lambda one: round(one.effects[ids].loss / LOSS))
                 self._take(best, ids, among, reason="had too many parts, or these too many vertices")
-            else:
-                self._take_in_place(ids & among)
-
-    def _take_in_place(self, ids: frozenset[int]) -> None:
-        """Let objects have the parts of the last attempt where they are."""
-        unsettled = self.tries[-1].unsettled
-        self._told += (
-            Decision(choice="fewer convex parts, not settled again", reason="moves with fewer", about=id)
-            for id in ids & self.over
-        )
-        self.scene = self.scene.with_objects(*(unsettled[id] for id in ids))
-        self.left -= ids
 
     def _effects(
         self, after: Scene, among: frozenset[int], restless: frozenset[int]
