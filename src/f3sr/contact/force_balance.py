@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -223,11 +224,16 @@ class Balance:
         """The forces of least squares; ``near`` are those of a tilt that differs little: it takes less time then."""
         upright, lean = self.weights(center)
         wanted = upright + lean @ tilt
-        dense = self.wrenches.toarray()
+        dense = self._dense
         multipliers = least_multipliers(dense, wanted, near.multipliers if near else None)
         f = np.maximum(dense.T @ multipliers, 0)
         left = float(np.linalg.norm(dense @ f - wanted))
         return Eased(forces=self._on_upper(f), left=left, multipliers=multipliers)
+
+    @cached_property
+    def _dense(self) -> Array:
+        """``wrenches`` (6 n, k e), for all tilts."""
+        return np.asarray(self.wrenches.toarray(), np.float64)
 
     def _on_upper(self, f: Array) -> Array:
         # Sum over a contact's edges of f times the edge's force, in the contact's unit.
