@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from f3sr.contact.footing import GROUND_PLANE, FootingConfig, SupportPlane, flush, footing, support_plane
+from f3sr.contact.footing import flush, footing, support_plane
+from f3sr.contact.undersides import GROUND_PLANE, FootingConfig, SupportPlane
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import pose, rotation_about, rotation_angle
 from f3sr.metrics.point_in_mesh import union_distance

@@ -205,7 +205,7 @@ def same_margin(config: Config) -> Config:
         config,
         relate=replace(config.relate, contact=contact),
         separate=replace(config.separate, contact=contact),
-        close=replace(config.close, contact=contact),
+        close=replace(config.close, contact=contact, footing=config.separate.footing),
         refine=replace(config.refine, contact=contact),
         coarsen=replace(config.coarsen, contact=contact),
     )

@@ -224,6 +224,12 @@ class SceneObject:
         Raises ValueError where that hull spans no volume."""
         return (*(self.parts or (self.mesh.hull,)), *self.footing)
 
+    @property
+    def carriers(self) -> list[int]:
+        """Ids of all that it rests on, GROUND included: its support in the forest and its other supports, sorted."""
+        main = () if self.supported_by is None else (self.supported_by,)
+        return sorted({*main, *(s.id for s in self.supports)})
+
     @cached_property
     def colliders_world(self) -> tuple[ConvexPart, ...]:
         """``colliders`` in the world [m]."""

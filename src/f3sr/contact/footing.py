@@ -1,69 +1,36 @@
-"""Footings: thin convex wedges under a nearly flat underside that hold an object in the pose of the photo.
+"""Footings: thin convex wedges under an underside that hold an object in the pose of the photo.
 
 No photo shows an underside, so a generated one is a guess, commonly turned by some degrees against its body. Physics
 would tip the object onto it, against the picture. A footing fills the space between the underside and the plane below
-(docs: contact). It is collision geometry only; the mesh does not change. Round objects get none and can roll.
+(docs: contact). A round object has none to fall onto: it would roll onto a facet of its proxy, or down a slope that
+is as uncertain. Its footing is as small as it can be, so that it rests by its shape, and rolls once it is moved.
+A footing is collision geometry only; the mesh does not change.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from f3sr.contact.stable_facets import stable_normals
+from f3sr.contact.undersides import (
+    GRAIN,
+    GROUND_PLANE,
+    FlatUnderside,
+    FootingConfig,
+    StandingBody,
+    SupportPlane,
+    outermost,
+)
 from f3sr.core.mesh import ConvexPart
-from f3sr.core.transforms import Array, transform
-from f3sr.physics.mujoco_model import body_of
-from f3sr.scene import SceneObject
-from f3sr.settings import constants
+from f3sr.core.transforms import Array
+from f3sr.scene import GROUND, SceneObject
 from f3sr.vision import height_map
 
-
-@constants
-class FootingConfig:
-    """Which undersides get a footing. Lengths are shares of the object's size."""
-
-    enabled: bool = True
-    """Fill in under undersides. Without, objects are laid down on them before physics."""
-    max_turn: float = 0.22
-    """Largest angle [rad] from the support to the facet an object would fall onto. Undersides are off by up to .21."""
-    max_height: float = 0.03
-    """Largest mean height of a footing: a higher one looks afloat."""
-    flat: float = 0.01
-    """Largest distance of the underside from that facet's plane."""
-    min_area: float = 0.15
-    """Least area of the underside's outline, as a share of the object's seen from above. A ball has .07."""
-    min_margin: float = 0.05
-    """Least tilt [rad] at which an object on its footing falls."""
-    cells: int = 48
-    """Cells along the longer side of the underside's height map."""
-    pieces: int = 8
-    """Most pieces, one for every patch of the underside: a chair has four legs."""
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class SupportPlane:
-    """``normal . x = offset`` in the world, the normal upward."""
-
-    normal: Array
-    offset: float
-
-    def heights(self, points: Array) -> Array:
-        """Signed distance (n,) of points (n, 3) above the plane [m]."""
-        return points @ self.normal - self.offset
-
-    def below(self, points: Array, height: float) -> Array:
-        """Points (n, 3) moved vertically until they are ``height`` above the plane."""
-        z = (self.offset + height - points[:, :2] @ self.normal[:2]) / self.normal[2]
-        return np.column_stack([points[:, :2], z])
-
-
-GROUND_PLANE = SupportPlane(normal=np.array([0.0, 0.0, 1.0]), offset=0.0)
-"""The ground z = 0."""
+SLOPE_HEIGHT = 0.003
+"""Height of the section of a body, as a share of its size, under which the slope of what carries it is taken."""
+SLOPE_CELLS = 16
+"""Cells along the longer side of that section."""
 
 
 def footing(
@@ -71,24 +38,51 @@ def footing(
 ) -> tuple[ConvexPart, ...]:
     """Wedges (asset frame) that keep an object in its pose on a plane below it (world frame).
 
-    They reach down to ``below`` [m] under its lowest point. There are none for an object that needs none, is round,
-    would fall anyway, or would need more than ``max_height``.
+    They reach down to ``below`` [m] under its lowest point, which a round object does not need. There are none for an
+    object that needs none, would fall anyway, or would need more than ``max_height``.
     """
-    hull = _hull_of(o)
-    underside = _Underside.of(o, hull, plane, config) if hull else None
-    if hull is None or underside is None:
+    body = StandingBody.of(o)
+    if body is None:
         return ()
-    lowest = float(plane.heights(hull.vertices).min()) - below
-    missing = plane.heights(underside.corners) - lowest
-    if not len(missing) or missing.mean() > config.max_height * o.size or missing.max() <= GRAIN * o.size:
+    lowest, grain = body.lowest(plane) - below, GRAIN * body.size
+    flat = FlatUnderside.of(o, body, plane, config)
+    missing = plane.heights(flat.corners) - lowest if flat else np.array([np.inf])
+    if missing.max() <= grain:
         return ()
-    if not underside.carries(plane, lowest, config):
+    if flat and missing.mean() <= config.max_height * body.size and flat.carries(plane, lowest, config):
+        return _in_asset(o, [_wedge(p, flat.facet, plane, lowest, grain) for p in flat.patches(config.pieces)])
+    return () if below else _in_asset(o, _under_round(body, plane, config))
+
+
+def round_footing(
+    o: SceneObject, plane: SupportPlane, config: FootingConfig, *, above: float = 0.0
+) -> tuple[ConvexPart, ...]:
+    """The wedge (asset frame) that keeps an object on its round underside; none where a flat one carries it.
+
+    It reaches down to ``above`` [m] over the lowest point: what is below rises beside that point."""
+    body = StandingBody.of(o)
+    if body is None:
         return ()
+    flat = FlatUnderside.of(o, body, plane, config)
+    if flat and flat.carries(plane, body.lowest(plane), config):
+        return ()
+    return _in_asset(o, _under_round(body, plane, config, above=above))
+
+
+def _under_round(
+    body: StandingBody, plane: SupportPlane, config: FootingConfig, *, above: float = 0.0
+) -> list[ConvexPart]:
+    """The space between the section on which a body stands and the plane through its lowest point."""
+    height = body.round_underside(plane, config)
+    if height is None:
+        return []
+    section = outermost(body.section(plane, max(height, above + GRAIN * body.size)))
+    return [ConvexPart.hull_of(np.concatenate([section, plane.below(section, body.lowest(plane) + above)]))]
+
+
+def _in_asset(o: SceneObject, wedges: Sequence[ConvexPart]) -> tuple[ConvexPart, ...]:
     T_asset_world: Array = np.linalg.inv(o.T_world_asset).astype(np.float64)
-    return tuple(
-        _wedge(patch, underside.facet, plane, lowest, GRAIN * o.size).moved(T_asset_world)
-        for patch in underside.patches(config.pieces)
-    )
+    return tuple(wedge.moved(T_asset_world) for wedge in wedges)
 
 
 def supplied(o: SceneObject) -> float:
@@ -126,32 +120,37 @@ def _wedge(outline: Array, facet: SupportPlane, plane: SupportPlane, lowest: flo
     return ConvexPart.hull_of(np.concatenate([top, bottom]))
 
 
-def support_plane(o: SceneObject, tops: Sequence[ConvexPart], config: FootingConfig) -> SupportPlane | None:
-    """The plane on which a flat underside of ``o`` would come to rest on ``tops`` (convex parts, world frame).
+def plane_below(o: SceneObject, carriers: Sequence[SceneObject], config: FootingConfig) -> SupportPlane | None:
+    """The plane that the underside of ``o`` would rest on: the ground, or ``support_plane`` of what carries it."""
+    if o.supported_by == GROUND:
+        return GROUND_PLANE
+    return support_plane(o, [part for carrier in carriers for part in carrier.colliders_world], config)
 
-    It is a facet of the hull of their upper surfaces under the object's outline: the one under its centre of mass. None
-    if there is none or it is steep."""
-    hull = _hull_of(o)
-    underside = _Underside.of(o, hull, GROUND_PLANE, config) if hull else None
-    if underside is None or not tops:
+
+def support_plane(o: SceneObject, tops: Sequence[ConvexPart], config: FootingConfig) -> SupportPlane | None:
+    """The plane on which the underside of ``o`` would come to rest on ``tops`` (convex parts, world frame).
+
+    It is a facet of the hull of their upper surfaces under the underside: the one under its centre of mass. None if
+    there is none or it is steep."""
+    body = StandingBody.of(o)
+    if body is None or not tops:
         return None
     vertices = np.concatenate([p.vertices for p in tops])
     starts = np.cumsum([0, *(len(p.vertices) for p in tops)])
     faces = np.concatenate([p.faces + start for p, start in zip(tops, starts, strict=False)])
-    top = height_map.upper(vertices, faces, underside.grid)
+    flat = FlatUnderside.of(o, body, GROUND_PLANE, config)
+    if flat and flat.carries(GROUND_PLANE, body.lowest(GROUND_PLANE), config):
+        grid = flat.grid
+        top = np.where(flat.cells, height_map.upper(vertices, faces, grid), np.nan)
+    else:
+        low, high = (f(body.section(GROUND_PLANE, SLOPE_HEIGHT * body.size), axis=0) for f in (np.min, np.max))
+        grid = height_map.Grid.over(low, high, float((high - low)[:2].max()) / SLOPE_CELLS)
+        top = height_map.upper(vertices, faces, grid)
     try:
-        tops_hull = ConvexPart.hull_of(underside.grid.points(np.where(underside.cells, top, np.nan)))
+        hull = ConvexPart.hull_of(grid.points(top))
     except ValueError:
         return None
-    return _facet_above(tops_hull, underside.center, config)
-
-
-def _hull_of(o: SceneObject) -> ConvexPart | None:
-    """The hull of the mesh in the world; None for a sheet."""
-    try:
-        return o.mesh.hull.moved(o.T_world_asset)
-    except ValueError:
-        return None
+    return _facet_above(hull, body.center, config)
 
 
 def _facet_above(hull: ConvexPart, center: Array, config: FootingConfig) -> SupportPlane | None:
@@ -167,126 +166,3 @@ def _facet_above(hull: ConvexPart, center: Array, config: FootingConfig) -> Supp
         return None
     k = int(np.argmax(met))
     return SupportPlane(normal=normals[k], offset=float(normals[k] @ a[k]))
-
-
-def _facet_below(hull: ConvexPart, center: Array, plane: SupportPlane, config: FootingConfig) -> SupportPlane | None:
-    """The plane (upward normal) of the facet that the body would fall onto: its nearest stable facet.
-
-    Where that is far, as for a tall body with a bulging underside, it is the mean of all facets that face down. None
-    where none does."""
-    near = np.cos(config.max_turn)
-    stable = -stable_normals(hull, center)
-    if len(stable) and (stable @ plane.normal).max() >= near:
-        normal = stable[int(np.argmax(stable @ plane.normal))]
-    else:
-        a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
-        # Inward normals as long as twice the area: those of facets that face down point up.
-        areas = -np.cross(b - a, c - a)
-        lengths = np.linalg.norm(areas, axis=1)
-        normal = areas[areas @ plane.normal >= near * lengths].sum(0)
-        if not normal.any():
-            return None
-        normal /= np.linalg.norm(normal)
-    return SupportPlane(normal=normal, offset=float((hull.vertices @ normal).min()))
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Underside:
-    """What of a body lies on the facet it would fall onto, in the cells of a height map from below."""
-
-    facet: SupportPlane
-    grid: height_map.Grid
-    cells: NDArray[np.bool_]
-    """Which cells (rows, columns) belong to it."""
-    corners: Array
-    """Their corners (4 n, 3) in the world."""
-    patch: NDArray[np.int64]
-    """To which connected patch each corner belongs (4 n,), from 1."""
-    center: Array
-    """The body's centre of mass (3,)."""
-    outline: _Outline
-    """Of the whole body."""
-
-    @classmethod
-    def of(cls, o: SceneObject, hull: ConvexPart, plane: SupportPlane, config: FootingConfig) -> _Underside | None:
-        """The underside of ``o``, whose ``hull`` is in the world; None where no stable facet is near, or of a body that
-        is a line from above."""
-        from scipy.ndimage import label
-
-        center = transform(o.T_world_object, body_of(o).center[None])[0]
-        facet, outline = _facet_below(hull, center, plane, config), _Outline.of(hull.vertices)
-        if facet is None or outline is None:
-            return None
-        low, high = o.bounds_world
-        grid = height_map.Grid.over(low, high, float((high - low)[:2].max()) / config.cells)
-        z = height_map.lower(o.vertices_world, o.mesh.faces, grid)
-        points = grid.points(z)
-        on_it = facet.heights(points) <= config.flat * o.size
-        # Points come in the order of the finite cells, so a mask assigns them back.
-        cells = np.isfinite(z)
-        cells[cells] = on_it
-        patches, _ = cast(tuple[NDArray[np.int64], int], label(cells, np.ones((3, 3))))
-        half = 0.5 * grid.cell * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-        return cls(
-            facet=facet,
-            grid=grid,
-            cells=cells,
-            corners=(points[on_it, None] + half).reshape(-1, 3),
-            patch=np.repeat(patches[cells], len(half)),
-            center=center,
-            outline=outline,
-        )
-
-    def carries(self, plane: SupportPlane, lowest: float, config: FootingConfig) -> bool:
-        """Whether the body stands on it, were all of it ``lowest`` above the plane."""
-        outline = _Outline.of(self.corners)
-        if outline is None:
-            return False
-        height = float(self.center[2] - plane.below(self.center[None], lowest)[0, 2])
-        # A body tips over an edge at the tilt whose tangent is (distance to the edge) / (height of the centre).
-        stands = outline.depth(self.center) >= np.tan(config.min_margin) * height
-        return stands and outline.area >= config.min_area * self.outline.area
-
-    def patches(self, most: int) -> list[Array]:
-        """The outermost points (k, 3) of every patch, the largest ``most`` of them."""
-        sizes = np.bincount(self.patch)
-        largest = np.argsort(-sizes, kind="stable")[:most]
-        return [_outermost(self.corners[self.patch == k]) for k in sorted(largest) if sizes[k]]
-
-
-def _outermost(points: Array) -> Array:
-    """Those of points (n, 3) that reach farthest in one of ``SIDES`` horizontal directions."""
-    angles = np.arange(SIDES) * 2 * np.pi / SIDES
-    # (n, SIDES): how far each point reaches in each direction.
-    reach = points[:, :2] @ np.array([np.cos(angles), np.sin(angles)])
-    return points[np.unique(reach.argmax(0))]
-
-
-GRAIN = 1e-3
-"""Unevenness of an underside, as a share of the object's size, up to which it needs no footing."""
-SIDES = 16
-"""Corners of a footing's outline: contacts cost with them, and a circle's outline is within 2 % of its radius."""
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Outline:
-    """The convex outline of points seen from above: unit outward normals (k, 2), offsets (k,), area [m2]."""
-
-    normals: Array
-    offsets: Array
-    area: float
-
-    @classmethod
-    def of(cls, points: Array) -> _Outline | None:
-        """None when the points lie on a line, seen from above."""
-        from scipy.spatial import ConvexHull, QhullError
-
-        try:
-            hull = ConvexHull(points[:, :2])
-        except (QhullError, ValueError):
-            return None
-        return cls(normals=hull.equations[:, :2], offsets=-hull.equations[:, 2], area=float(hull.volume))
-
-    def depth(self, point: Array) -> float:
-        """How far inside the outline a point (3,) lies [m]; negative outside."""
-        return float((self.offsets - self.normals @ point[:2]).min())

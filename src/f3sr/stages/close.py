@@ -11,10 +11,12 @@ from typing import Annotated, ClassVar
 import numpy as np
 from annotated_types import Interval
 
-from f3sr.contact.compounds import Compound, free_travel, placed
+from f3sr.contact.compounds import Compound, free_travel, placed, smallest_shift
 from f3sr.contact.contact_patches import find_contacts
-from f3sr.contact.footing import supplied
+from f3sr.contact.footing import plane_below, round_footing, supplied
+from f3sr.contact.undersides import FootingConfig
 from f3sr.contact.vertical_gap import Meeting, meeting
+from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, Array, pose, transform
 from f3sr.metrics.contact_groups import SettledScene, groups_of
 from f3sr.metrics.measures import visible_ious
@@ -58,6 +60,8 @@ class CloseConfig:
     loss: Annotated[float, Interval(ge=0, le=1)] = 0.02
     """Largest mean loss of visible IoU of a group of touching objects. A group that loses more is put back."""
     cut: CutBackConfig = CutBackConfig()
+    footing: FootingConfig = FootingConfig()
+    """Round objects get their footing anew, as that of ``separate``."""
     contact: ContactMargin = DEFAULT_MARGIN
     """Its clearance stays below a lowered object. Objects that are ``apart`` by it do not affect each other."""
 
@@ -210,6 +214,31 @@ class _Layout:
             if goal.gap - drop <= 2 * near.tolerance or not self._cut_free(members, goal.gap - drop):
                 break
         self._move(members, self._room(members) - self.config.contact.clearance)
+        self._stand_again(id)
+
+    def _stand_again(self, id: int) -> None:
+        """Make the footing of a round object anew, as what it rests on was cut back."""
+        o = self.bodies[id].now
+        plane = plane_below(o, [self.bodies[k].now for k in o.carriers if k != GROUND], self.config.footing)
+        if not self.scene[id].footing or not plane:
+            return
+        above = 0.0
+        for _ in range(2):  # once to the lowest point, then as high as that would raise the object
+            if wedges := round_footing(o, plane, self.config.footing, above=above):
+                self.bodies[id].stand(wedges)
+                above = self._raised(self.scene.subtree(id))
+        self._move(self.scene.subtree(id), -above)
+
+    def _raised(self, members: tuple[int, ...]) -> float:
+        """Height [m] by which objects must rise to be free of what they rest on."""
+        mine, others = self._parted(members)
+        clearance = self.config.contact.clearance
+        return max(0.0, smallest_shift(mine, others, UP, clearance), clearance - mine.lowest)
+
+    def _parted(self, members: tuple[int, ...]) -> tuple[Compound, Compound]:
+        """Bodies of some objects, and of all others."""
+        mine = Compound.of(self.bodies[k].body for k in members)
+        return mine, Compound.of(b.body for k, b in self.bodies.items() if k not in members)
 
     def _meet(self, id: int, goal: Meeting, near: Near) -> None:
         """Cut back colliders between the two points that are to meet."""
@@ -219,8 +248,7 @@ class _Layout:
 
     def _room(self, members: tuple[int, ...]) -> float:
         """Distance [m] that some objects can be lowered until colliders meet."""
-        mine = Compound.of(self.bodies[k].body for k in members)
-        others = Compound.of(b.body for k, b in self.bodies.items() if k not in members)
+        mine, others = self._parted(members)
         return min(mine.lowest, free_travel(mine, others, -UP))
 
     def _move(self, members: tuple[int, ...], drop: float) -> float:
@@ -284,6 +312,10 @@ class _Lowered:
         reason = f"lowered by {1000 * self._drop:.2f} mm, until its mesh meets what it rests on"
         moved = self._start.moved(pose(t=-self._drop * UP), stage="close", reason=reason)
         self._change(replace(moved, parts=self.now.parts, footing=self.now.footing))
+
+    def stand(self, wedges: tuple[ConvexPart, ...]) -> None:
+        """Replace the footing by other wedges (asset frame)."""
+        self._change(replace(self.now, footing=wedges))
 
     def cut_on(self, point: Array, outward: Array, near: Near) -> bool:
         """Cut back parts that stand off a mesh point (3,) in a direction (3,). Returns whether any was cut."""

@@ -134,30 +134,36 @@ def _named(ids: Sequence[int]) -> str:
 def _better(
     state: SettledScene, tried: SettledScene, ids: Sequence[int], step: str, config: RefineConfig
 ) -> tuple[SettledScene, Decision, list[int]]:
-    """``state`` with every group of ``tried`` that agrees better with the photo and its measured depth, and rests,
-    unless it did not before; and which of the ``ids`` that were tried were undone."""
+    """``state`` with the groups of ``tried`` that agree better with the photo and its measured depth, and rest, unless
+    they did not before; and which of the ``ids`` that were tried were undone.
+
+    One group may hide another, so what each gains it may only gain together: all that gain, or all that lose little."""
     was, now = state.scores, tried.scores
-    groups = groups_of(state.scene, tried.scene, config.contact.apart)
-    kept = [
+    able = [
         g
-        for g in groups
+        for g in groups_of(state.scene, tried.scene, config.contact.apart)
         if g.intersection(ids)
-        and _gain(g, was, now) > GAIN
         and _gain(g, state.ious, tried.ious) >= -HOPELESS
         and g & tried.restless <= state.restless
     ]
-    changed = {id for g in kept for id in g}
-    mixed = SettledScene(
-        scene=state.scene.with_objects(*(tried.scene[id] for id in sorted(changed))),
-        restless=frozenset(state.restless - changed | tried.restless & changed),
-    )
-    undone = [id for id in ids if id not in changed]
-    if not changed or mixed.score <= state.score:
-        restless = sorted(tried.restless - state.restless)
-        reason = _told(state, tried) + _not_at_rest(restless)
+    gaining = [g for g in able if _gain(g, was, now) > GAIN]
+    candidates = [_mixed(state, tried, groups) for groups in (gaining, able)] if gaining else []
+    best, changed = max(candidates, key=lambda c: c[0].score, default=(state, frozenset[int]()))
+    if best.score <= state.score:
+        reason = _told(state, tried) + _not_at_rest(sorted(tried.restless - state.restless))
         return state, Decision(choice=f"{step}: rolled back", reason=reason), list(ids)
+    undone = [id for id in ids if id not in changed]
     but = f" but for {_named(undone)}" if undone else ""
-    return mixed, Decision(choice=f"{step}: accepted{but}", reason=_told(state, mixed)), undone
+    return best, Decision(choice=f"{step}: accepted{but}", reason=_told(state, best)), undone
+
+
+def _mixed(
+    state: SettledScene, tried: SettledScene, groups: Collection[Collection[int]]
+) -> tuple[SettledScene, frozenset[int]]:
+    """``state`` with some groups as in ``tried``, and their ids."""
+    changed = frozenset(id for g in groups for id in g)
+    scene = state.scene.with_objects(*(tried.scene[id] for id in sorted(changed)))
+    return SettledScene(scene=scene, restless=state.restless - changed | tried.restless & changed), changed
 
 
 def _told(was: SettledScene, now: SettledScene) -> str:

@@ -6,9 +6,9 @@ from typing import Annotated
 
 from annotated_types import Interval
 
-from f3sr.contact.footing import FootingConfig
 from f3sr.contact.stabilize import BalanceConfig
 from f3sr.contact.tipping import LandingConfig
+from f3sr.contact.undersides import FootingConfig
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.settings import settings
 from f3sr.vision.depth_prior import CONTACT_REACH

@@ -14,7 +14,7 @@ from f3sr.core.transforms import UP, Array
 from f3sr.report import Decision
 from f3sr.scene import GROUND, Scene, name_of
 from f3sr.stages.separate.config import PICTURE_SIGMA, SeparateConfig
-from f3sr.stages.separate.placement import Placement, supports_of
+from f3sr.stages.separate.placement import Placement
 
 ROUNDS = 16
 """Most rounds of horizontal parting; the report allows 32."""
@@ -29,7 +29,7 @@ def take_beside(layout: Placement, config: SeparateConfig) -> list[Decision]:
     """
     decisions: list[Decision] = []
     for o in layout.scene:
-        for other in set(supports_of(o)) - {o.supported_by, GROUND}:
+        for other in set(o.carriers) - {o.supported_by, GROUND}:
             lifted, apart = _losses(layout, o.id, other, config)
             if lifted <= PICTURE_SIGMA or lifted <= apart:
                 continue
@@ -96,4 +96,4 @@ def _unrelated(scene: Scene) -> Iterator[tuple[int, int]]:
 
 def _carriers(scene: Scene, id: int) -> set[int]:
     """Ids of everything that carries an object, directly or not."""
-    return {*scene.ancestors(id), *supports_of(scene[id])}
+    return {*scene.ancestors(id), *scene[id].carriers}

@@ -79,7 +79,7 @@ class Placement:
 
     def carriers(self, id: int) -> Compound:
         """Everything that carries a body, without the ground."""
-        return Compound.of(self.bodies[k] for k in supports_of(self.scene[id]) if k != GROUND)
+        return Compound.of(self.bodies[k] for k in self.scene[id].carriers if k != GROUND)
 
     def stand(self, id: int, parts: tuple[ConvexPart, ...], wedges: tuple[ConvexPart, ...]) -> None:
         """Give a body other ``parts`` and a footing of ``wedges`` (both in the asset frame)."""
@@ -122,7 +122,7 @@ class Placement:
     def has_beside(self, id: int, room: float) -> bool:
         """Whether the box of an unrelated body is within ``room`` [m] of a body's box."""
         low, high = self.bodies[id].bounds
-        others = set(self.bodies) - {*self.scene.subtree(id), *supports_of(self.scene[id])}
+        others = set(self.bodies) - {*self.scene.subtree(id), *self.scene[id].carriers}
         boxes = [self.bodies[k].bounds for k in others]
         return any(((a < high + room) & (b > low - room)).all() for a, b in boxes)
 
@@ -134,9 +134,3 @@ class Placement:
         """Pairs of ids that overlap, the ground included as the second."""
         pairs = [(a, b) for a, b in combinations(self.bodies, 2) if collide(self.bodies[a], self.bodies[b])]
         return pairs + [(id, GROUND) for id in self.bodies if self.lowest(id) < -1e-9]
-
-
-def supports_of(o: SceneObject) -> list[int]:
-    """Ids of everything an object rests on, its parent in the support forest included."""
-    main = () if o.supported_by is None else (o.supported_by,)
-    return sorted({*main, *(s.id for s in o.supports)})

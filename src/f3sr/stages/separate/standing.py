@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from f3sr.contact import tipping
-from f3sr.contact.footing import GROUND_PLANE, FootingConfig, SupportPlane, flush, footing, support_plane
+from f3sr.contact.footing import flush, footing, plane_below
 from f3sr.contact.force_balance import Balance
 from f3sr.contact.static_bodies import StaticBody, bodies_of, contacts_of, rigid
 from f3sr.core.mesh import ConvexPart
@@ -16,7 +16,7 @@ from f3sr.metrics.measures import visible_ious
 from f3sr.report import Decision
 from f3sr.scene import GROUND, SceneObject
 from f3sr.stages.separate.config import SeparateConfig
-from f3sr.stages.separate.placement import Placement, Saved, supports_of
+from f3sr.stages.separate.placement import Placement, Saved
 from f3sr.stages.separate.support_contact import gap
 
 STILL = 1e-3
@@ -37,9 +37,10 @@ def stand(layout: Placement, config: SeparateConfig) -> list[Decision]:
         if o.mobility == "fixed" or o.supported_by is None:
             continue
         decision = _put_on_a_footing(layout, o, config)
-        if decision is None:
+        if decision is None and layout.missing[id]:
             _lower_without_footing(layout, id, config)
-            decision = _lie_down(layout, layout.object(id), config)
+            decision = _put_on_a_footing(layout, layout.object(id), config)
+        decision = decision or _lie_down(layout, layout.object(id), config)
         if decision:
             decisions.append(decision)
     return decisions
@@ -47,20 +48,20 @@ def stand(layout: Placement, config: SeparateConfig) -> list[Decision]:
 
 def _lower_without_footing(layout: Placement, id: int, config: SeparateConfig) -> None:
     """Lower a body that hangs over its support for a footing that it does not get."""
-    if layout.missing[id]:
-        layout.missing[id] = 0.0
-        layout.move(layout.scene.subtree(id), -gap(layout.bodies[id], id, layout, config) * UP)
+    layout.missing[id] = 0.0
+    layout.move(layout.scene.subtree(id), -gap(layout.bodies[id], id, layout, config) * UP)
 
 
 def _put_on_a_footing(layout: Placement, o: SceneObject, config: SeparateConfig) -> Decision | None:
     """Give an object a footing in its present pose, if it is then stable and the footing overlaps no other body."""
-    plane = _plane_below(layout, o, config.footing) if config.footing.enabled else None
+    below = [layout.object(k) for k in o.carriers if k != GROUND]
+    plane = plane_below(o, below, config.footing) if config.footing.enabled else None
     wedges = footing(o, plane, config.footing, below=layout.missing[o.id]) if plane else ()
     if not plane or not wedges:
         return None
     before, was = layout.saved(), layout.collisions_of(o.id)
     layout.stand(o.id, flush(o, plane), wedges)
-    if layout.collisions_of(o.id) - was - set(supports_of(o)):
+    if layout.collisions_of(o.id) - was - set(o.carriers):
         layout.restore(before)
         return None
     layout.move(layout.scene.subtree(o.id), -gap(layout.bodies[o.id], o.id, layout, config) * UP)
@@ -193,11 +194,3 @@ def _footing_decision(o: SceneObject, wedges: tuple[ConvexPart, ...]) -> Decisio
         f"{1000 * height:.1f} mm ({100 * height / o.size:.1f} % of its size), for contact only"
     )
     return Decision(choice="given a footing", reason=reason, about=o.id)
-
-
-def _plane_below(layout: Placement, o: SceneObject, config: FootingConfig) -> SupportPlane | None:
-    """The plane that a flat underside would rest on."""
-    if o.supported_by == GROUND:
-        return GROUND_PLANE
-    below = [layout.object(k).colliders_world for k in supports_of(o) if k != GROUND]
-    return support_plane(o, [part for parts in below for part in parts], config)
