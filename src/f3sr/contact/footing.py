@@ -13,11 +13,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from f3sr.contact.tops import highest_points
 from f3sr.contact.undersides import (
     GRAIN,
     GROUND_PLANE,
     FlatUnderside,
     FootingConfig,
+    Outline,
     StandingBody,
     SupportPlane,
     outermost,
@@ -25,12 +27,13 @@ from f3sr.contact.undersides import (
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array
 from f3sr.scene import GROUND, SceneObject
-from f3sr.vision import height_map
 
 SLOPE_HEIGHT = 0.003
 """Height of the section of a body, as a share of its size, under which the slope of what carries it is taken."""
-SLOPE_CELLS = 16
-"""Cells along the longer side of that section."""
+TURNS = 4
+"""Most turns in which the plane below and the underside that meets it are found."""
+SAME = 1e-4
+"""Difference of two normals [rad] that counts as none."""
 
 
 def footing(
@@ -130,31 +133,41 @@ def plane_below(o: SceneObject, carriers: Sequence[SceneObject], config: Footing
 def support_plane(o: SceneObject, tops: Sequence[ConvexPart], config: FootingConfig) -> SupportPlane | None:
     """The plane on which the underside of ``o`` would come to rest on ``tops`` (convex parts, world frame).
 
-    It is a facet of the hull of their upper surfaces under the underside: the one under its centre of mass. None if
-    there is none or it is steep."""
+    It is a facet of the hull of their upper sides under the underside: the one under its centre of mass. None if there
+    is none or it is steep. Which underside that is depends on the plane, so both are found in turn."""
     body = StandingBody.of(o)
     if body is None or not tops:
         return None
-    vertices = np.concatenate([p.vertices for p in tops])
-    starts = np.cumsum([0, *(len(p.vertices) for p in tops)])
-    faces = np.concatenate([p.faces + start for p, start in zip(tops, starts, strict=False)])
-    flat = FlatUnderside.of(o, body, GROUND_PLANE, config)
-    if flat and flat.carries(GROUND_PLANE, body.lowest(GROUND_PLANE), config):
-        grid = flat.grid
-        top = np.where(flat.cells, height_map.upper(vertices, faces, grid), np.nan)
-    else:
-        low, high = (f(body.section(GROUND_PLANE, SLOPE_HEIGHT * body.size), axis=0) for f in (np.min, np.max))
-        grid = height_map.Grid.over(low, high, float((high - low)[:2].max()) / SLOPE_CELLS)
-        top = height_map.upper(vertices, faces, grid)
+    plane = GROUND_PLANE
+    for _ in range(TURNS):
+        regions = filter(None, map(Outline.of, _regions(o, body, plane, config)))
+        found = _facet_above(np.concatenate([highest_points(tops, r) for r in regions]), body.center, config)
+        if found is None:
+            return None
+        was, plane = plane, found
+        if np.allclose(plane.normal, was.normal, atol=SAME):
+            break
+    return plane
+
+
+def _regions(o: SceneObject, body: StandingBody, plane: SupportPlane, config: FootingConfig) -> list[Array]:
+    """Where the underside of a body would meet a plane: points (k, 3) around each region."""
+    flat = FlatUnderside.of(o, body, plane, config)
+    if flat and flat.carries(plane, body.lowest(plane), config):
+        return flat.patches(config.pieces)
+    return [outermost(body.section(plane, body.round_underside(plane, config) or SLOPE_HEIGHT * body.size))]
+
+
+def _facet_above(points: Array, center: Array, config: FootingConfig) -> SupportPlane | None:
+    """The upper facet of the hull of points (n, 3) that a vertical line through ``center`` meets."""
+    if len(points) < 3:
+        return None
+    # A point far below gives points of one plane a hull.
+    apex = points.mean(0) - np.array([0.0, 0.0, np.ptp(points, axis=0).max()])
     try:
-        hull = ConvexPart.hull_of(grid.points(top))
+        hull = ConvexPart.hull_of(np.concatenate([points, apex[None]]))
     except ValueError:
         return None
-    return _facet_above(hull, body.center, config)
-
-
-def _facet_above(hull: ConvexPart, center: Array, config: FootingConfig) -> SupportPlane | None:
-    """The upper facet of a hull that a vertical line through ``center`` meets."""
     a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)

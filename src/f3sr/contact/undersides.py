@@ -215,8 +215,10 @@ def outermost(points: Array) -> Array:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Outline:
-    """The convex outline of points seen from above: unit outward normals (k, 2), offsets (k,), area [m2]."""
+    """The convex outline of points seen from above: corners (k, 2), unit outward normals (n, 2) and offsets (n,) of its
+    sides, area [m2]."""
 
+    corners: Array
     normals: Array
     offsets: Array
     area: float
@@ -230,7 +232,12 @@ class Outline:
             hull = ConvexHull(points[:, :2])
         except (QhullError, ValueError):
             return None
-        return cls(normals=hull.equations[:, :2], offsets=-hull.equations[:, 2], area=float(hull.volume))
+        return cls(
+            corners=points[hull.vertices, :2],
+            normals=hull.equations[:, :2],
+            offsets=-hull.equations[:, 2],
+            area=float(hull.volume),
+        )
 
     def depth(self, point: Array) -> float:
         """How far inside the outline a point (3,) lies [m]; negative outside."""

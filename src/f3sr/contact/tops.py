@@ -1,0 +1,61 @@
+"""The upper sides of convex parts over a region seen from above, exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from f3sr.contact.undersides import Outline
+from f3sr.core.mesh import ConvexPart
+from f3sr.core.transforms import Array
+
+STEEP = 1e-9
+"""Vertical share of a unit normal below which a face has no height over a point."""
+
+
+def highest_points(parts: Sequence[ConvexPart], region: Outline) -> Array:
+    """Points (n, 3) that span the upper hull of convex parts over a region, among others that are not above it.
+
+    They are the ends of the parts' edges, clipped to the region, and the parts' upper sides at its corners."""
+    low, high = region.corners.min(0), region.corners.max(0)
+    near = [p for p in parts if (p.vertices.min(0)[:2] <= high).all() and (p.vertices.max(0)[:2] >= low).all()]
+    found = [points for part in near for points in _over(part, region)]
+    return np.concatenate(found) if found else np.zeros((0, 3))
+
+
+def _over(part: ConvexPart, region: Outline) -> Iterator[Array]:
+    yield _clipped_edges(part, region)
+    yield _at_corners(part, region.corners)
+
+
+def _clipped_edges(part: ConvexPart, region: Outline) -> Array:
+    """Ends (n, 3) of the edges of a part inside the region (Liang and Barsky 1984)."""
+    start, end = np.concatenate([part.faces, np.roll(part.faces, -1, axis=1)]).reshape(2, -1)
+    start, end = start[start < end], end[start < end]
+    beyond = part.vertices[:, :2] @ region.normals.T - region.offsets
+    a, b = beyond[start], beyond[end]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossing = a / (a - b)
+    enters = np.where(a > b, crossing, np.where((a == b) & (a > 0), np.inf, -np.inf)).max(1)
+    leaves = np.where(b > a, crossing, np.inf).min(1)
+    first, last = np.maximum(enters, 0.0), np.minimum(leaves, 1.0)
+    met = first <= last
+    p, q = part.vertices[start[met]], part.vertices[end[met]]
+    return np.concatenate([p + share[met, None] * (q - p) for share in (first, last)])
+
+
+def _at_corners(part: ConvexPart, corners: Array) -> Array:
+    """The upper side of a part over points (k, 2): points (n, 3), none where the part is not."""
+    a, b, c = (part.vertices[part.faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1)
+    real = lengths > 0
+    normals, a = normals[real] / lengths[real, None], a[real]
+    # (k, m): how far each corner may rise below each face, times the face's vertical share.
+    room = np.einsum("mi,mi->m", normals, a) - corners @ normals[:, :2].T
+    up, down = normals[:, 2] > STEEP, normals[:, 2] < -STEEP
+    top = (room[:, up] / normals[up, 2]).min(1)
+    bottom = (room[:, down] / normals[down, 2]).max(1)
+    is_over = (room[:, ~up & ~down] >= 0).all(1) & (top >= bottom)
+    return np.column_stack([corners, top])[is_over]
