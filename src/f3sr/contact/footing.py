@@ -37,14 +37,15 @@ SAME = 1e-4
 
 
 def footing(
-    o: SceneObject, plane: SupportPlane, config: FootingConfig, *, below: float = 0.0
+    o: SceneObject, plane: SupportPlane, config: FootingConfig, *, below: float = 0.0, center: Array | None = None
 ) -> tuple[ConvexPart, ...]:
     """Wedges (asset frame) that keep an object in its pose on a plane below it (world frame).
 
     They reach down to ``below`` [m] under its lowest point, which a round object does not need. There are none for an
-    object that needs none, would fall anyway, or would need more than ``max_height``.
+    object that needs none, would fall anyway, or would need more than ``max_height``. ``center`` (3,) is the centre of
+    mass of the object and all it carries, by default its own.
     """
-    body = StandingBody.of(o)
+    body = StandingBody.of(o, center)
     if body is None:
         return ()
     lowest, grain = body.lowest(plane) - below, GRAIN * body.size
@@ -123,19 +124,25 @@ def _wedge(outline: Array, facet: SupportPlane, plane: SupportPlane, lowest: flo
     return ConvexPart.hull_of(np.concatenate([top, bottom]))
 
 
-def plane_below(o: SceneObject, carriers: Sequence[SceneObject], config: FootingConfig) -> SupportPlane | None:
+def plane_below(
+    o: SceneObject, carriers: Sequence[SceneObject], config: FootingConfig, *, center: Array | None = None
+) -> SupportPlane | None:
     """The plane that the underside of ``o`` would rest on: the ground, or ``support_plane`` of what carries it."""
     if o.supported_by == GROUND:
         return GROUND_PLANE
-    return support_plane(o, [part for carrier in carriers for part in carrier.colliders_world], config)
+    tops = [part for carrier in carriers for part in carrier.colliders_world]
+    return support_plane(o, tops, config, center=center)
 
 
-def support_plane(o: SceneObject, tops: Sequence[ConvexPart], config: FootingConfig) -> SupportPlane | None:
+def support_plane(
+    o: SceneObject, tops: Sequence[ConvexPart], config: FootingConfig, *, center: Array | None = None
+) -> SupportPlane | None:
     """The plane on which the underside of ``o`` would come to rest on ``tops`` (convex parts, world frame).
 
     It is a facet of the hull of their upper sides under the underside: the one under its centre of mass. None if there
-    is none or it is steep. Which underside that is depends on the plane, so both are found in turn."""
-    body = StandingBody.of(o)
+    is none or it is steep. Which underside that is depends on the plane, so both are found in turn. ``center`` (3,) as
+    for ``footing``."""
+    body = StandingBody.of(o, center)
     if body is None or not tops:
         return None
     plane = GROUND_PLANE

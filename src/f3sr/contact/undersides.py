@@ -69,20 +69,22 @@ GROUND_PLANE = SupportPlane(normal=np.array([0.0, 0.0, 1.0]), offset=0.0)
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class StandingBody:
-    """What decides whether a body stands: the hull of its mesh and its centre of mass (3,), in the world."""
+    """What decides whether a body stands, in the world: the hull of its mesh, and the centre of mass (3,) of it and all
+    it carries."""
 
     hull: ConvexPart
     center: Array
     size: float
 
     @classmethod
-    def of(cls, o: SceneObject) -> Self | None:
-        """None for a sheet, whose mesh has no hull."""
+    def of(cls, o: SceneObject, center: Array | None = None) -> Self | None:
+        """None for a sheet, whose mesh has no hull. By default it carries nothing."""
         try:
             hull = o.mesh.hull.moved(o.T_world_asset)
         except ValueError:
             return None
-        return cls(hull=hull, center=transform(o.T_world_object, body_of(o).center[None])[0], size=o.size)
+        own = transform(o.T_world_object, body_of(o).center[None])[0]
+        return cls(hull=hull, center=own if center is None else center, size=o.size)
 
     def lowest(self, plane: SupportPlane) -> float:
         """Height [m] of the lowest point over a plane."""

@@ -54,9 +54,12 @@ def _lower_without_footing(layout: Placement, id: int, config: SeparateConfig) -
 
 def _put_on_a_footing(layout: Placement, o: SceneObject, config: SeparateConfig) -> Decision | None:
     """Give an object a footing in its present pose, if it is then stable and the footing overlaps no other body."""
-    below = [layout.object(k) for k in o.carriers if k != GROUND]
-    plane = plane_below(o, below, config.footing) if config.footing.enabled else None
-    wedges = footing(o, plane, config.footing, below=layout.missing[o.id]) if plane else ()
+    if not config.footing.enabled:
+        return None
+    whole, _ = _parted(layout, o.id)
+    below, center = [layout.object(k) for k in o.carriers if k != GROUND], whole.centers[0]
+    plane = plane_below(o, below, config.footing, center=center)
+    wedges = footing(o, plane, config.footing, below=layout.missing[o.id], center=center) if plane else ()
     if not plane or not wedges:
         return None
     before, was = layout.saved(), layout.collisions_of(o.id)
