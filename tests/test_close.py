@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from scipy.spatial import HalfspaceIntersection
 
+from f3sr.contact.footing import flush, footing, plane_below
 from f3sr.contact.polytopes import Polytope
 from f3sr.contact.vertical_gap import meeting
 from f3sr.core.mesh import ConvexPart, Mesh
-from f3sr.core.transforms import Array, pose
+from f3sr.core.transforms import Array, pose, rotation_angle
 from f3sr.metrics.contact_groups import SettledScene
 from f3sr.scene import GROUND, Scene, SceneObject, Support
 from f3sr.stages.close import CloseConfig, close, lowered
@@ -127,6 +128,32 @@ def test_it_rests_there(dish: Scene):
     assert settle(after)[1].at_rest
     assert gap(after, 1) < 0.1 * gap(dish, 1)
     assert any("accepted" in d.choice for d in outcome.decisions)
+
+
+def ball_on_a_sloping_block(slope: float) -> Scene:
+    """The block's collider has a flat top, over its mesh's sloping one."""
+    rise = 0.1 * np.tan(slope)
+    corners = [[x, y, z and 0.05 + rise * x / 0.1] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (0, 1)]
+    mesh = ConvexPart.hull_of(np.array(corners))
+    hull = ConvexPart.hull_of(
+        np.concatenate([mesh.vertices, mesh.vertices[:, [0, 1]] @ np.eye(2, 3) + [0, 0, 0.05 + rise]])
+    )
+    block = made(0, Mesh(vertices=mesh.vertices, faces=mesh.faces), (hull,), np.array([0, 0, GAP]))
+    ball = on_colliders(made(1, ball_mesh(RADIUS), (around_ball(),), np.zeros(3), on=0), 0.05 + rise + GAP)
+    plane = plane_below(ball, [block], CONFIG.footing)
+    assert plane is not None and plane.normal[2] == pytest.approx(1)
+    ball = replace(ball, parts=flush(ball, plane), footing=footing(ball, plane, CONFIG.footing))
+    return scene_of(block, on_colliders(ball, 0.05 + rise + GAP))
+
+
+@pytest.mark.parametrize("slope", [0.03, 0.08])
+def test_a_round_object_gets_its_footing_anew_on_what_was_cut_back(slope: float):
+    scene = ball_on_a_sloping_block(slope)
+    after = lowered(scene, CONFIG)
+    assert gap(after, 1) < 0.3 * gap(scene, 1)
+    end = settle(after)[0][1].T_world_object
+    turn = rotation_angle(end[:3, :3] @ after[1].T_world_object[:3, :3].T)
+    assert turn < 0.75 * slope, "on the shaved footing it rolls by the slope"
 
 
 def test_what_touches_stays_the_same_value():

@@ -6,16 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import HalfspaceIntersection
 
 from f3sr.contact.footing import flush, footing, support_plane
-from f3sr.contact.undersides import GROUND_PLANE, FootingConfig, SupportPlane
+from f3sr.contact.polytopes import Polytope
+from f3sr.contact.stability import stability
+from f3sr.contact.static_bodies import bodies_of
+from f3sr.contact.tops import highest_points
+from f3sr.contact.undersides import GRAIN, GROUND_PLANE, FootingConfig, Outline, SupportPlane
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import pose, rotation_about, rotation_angle
 from f3sr.metrics.point_in_mesh import union_distance
 from f3sr.physics.settling import settle
-from f3sr.scene import SceneObject
+from f3sr.scene import GROUND, SceneObject, Support
 from f3sr.stages.separate import SeparateConfig, separate
-from scenes import box, scene_of
+from scenes import ball_mesh, box, scene_of
 
 CONFIG = FootingConfig()
 
@@ -90,10 +97,49 @@ def test_parts_are_cut_flush_with_the_lowest_point_of_the_mesh_and_cover_as_befo
     assert union_distance(o.mesh.vertices, parts).max() < 1e-9
 
 
-def test_a_ball_can_still_roll():
-    directions = np.random.default_rng(3).normal(size=(3000, 3))
-    ball = shaped(0.05 * directions / np.linalg.norm(directions, axis=1, keepdims=True), at=(0, 0, 0.05))
-    assert footing(ball, GROUND_PLANE, CONFIG) == ()
+def ball(seed: int, *, radius: float = 0.05, height: float = 0.05) -> SceneObject:
+    """A ball turned at random whose proxy has few facets, a corner of which may be below."""
+    directions = np.random.default_rng(seed).normal(size=(40, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    facets = HalfspaceIntersection(np.column_stack([directions, np.full(40, -radius)]), np.zeros(3))
+    around = ConvexPart.hull_of(facets.intersections)
+    return replace(box(0), mesh=ball_mesh(radius), parts=(around,), T_world_object=pose(t=[0, 0, height]))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_ball_rests_by_its_shape_and_rolls_once_it_is_tilted(seed: int):
+    o = ball(seed)
+    wedges = footing(o, GROUND_PLANE, CONFIG)
+    stood = replace(o, parts=flush(o, GROUND_PLANE), footing=wedges, T_world_object=pose(t=[0, 0, 0.05 + 2.6e-4]))
+    assert turned_by_physics(stood) < 0.1
+    assert CONFIG.min_margin - 1e-3 < stability(bodies_of([stood])).margin < 0.25
+    assert sum(w.volume for w in wedges) < 1e-3 * o.mesh.hull.volume
+
+
+def test_without_it_the_ball_rolls_onto_a_facet_of_its_proxy():
+    turns = [turned_by_physics(on_its_proxy(ball(seed))) for seed in range(4)]
+    assert max(turns) > 2
+
+
+def on_its_proxy(o: SceneObject) -> SceneObject:
+    low = min(p.vertices[:, 2].min() for p in o.colliders_world)
+    return replace(o, T_world_object=pose(t=[0, 0, 2.6e-4 - low]) @ o.T_world_object)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.03, 0.06])
+def test_a_ball_stands_on_a_floor_whose_slope_is_as_uncertain_as_any(slope: float):
+    """Its footing reaches as far as it must for the weight to be over it."""
+    plane = SupportPlane(normal=rotation_about([0, 1, 0], slope)[:, 2], offset=0.0)
+    (wedge,) = footing(ball(0), plane, CONFIG)
+    # It lies around the contact, which is .05 slope beside the centre of mass.
+    reach = np.hypot(*(wedge.vertices[:, :2] - 0.05 * np.array([-slope, 0])).T).max()
+    least = 0.05 * (np.tan(CONFIG.min_margin) + slope)
+    assert least <= reach <= 1.35 * max(least, 0.05 * np.sqrt(2 * GRAIN * np.sqrt(12)))
+
+
+def test_no_ball_stands_on_a_steep_slope():
+    steep = SupportPlane(normal=rotation_about([0, 1, 0], 0.3)[:, 2], offset=0.0)
+    assert footing(ball(0), steep, CONFIG) == ()
 
 
 def test_every_leg_gets_its_own_piece():
@@ -122,6 +168,63 @@ def test_the_plane_below_is_the_top_of_what_carries():
     assert plane is not None
     assert plane.normal == pytest.approx(tilt[:, 2], abs=1e-5)
     assert plane.heights((tilt @ [[0.01], [0.02], [0.025]]).T)[0] == pytest.approx(0, abs=1e-5)
+
+
+def test_a_ridge_thinner_than_any_cell_carries():
+    """What stands on a slab with two sharp ridges stands on the ridges, where samples would see the slab."""
+    slab = box(1, size=(0.3, 0.3, 0.05)).colliders_world
+    ridges = [box(2, size=(1e-4, 0.3, 0.004 * k), at=(0.04 * (-1) ** k, 0, 0.075)).colliders_world[0] for k in (1, 2)]
+    plane = support_plane(box(0, at=(0, 0, 0.2)), [*slab, *ridges], CONFIG)
+    assert plane is not None
+    assert plane.heights(np.array([[-0.04, 0, 0.077], [0.04, 0, 0.079]])) == pytest.approx([0, 0], abs=1e-5)
+
+
+@given(seed=st.integers(0, 10_000))
+def test_the_highest_points_span_the_upper_hull_over_a_region(seed: int):
+    """Against heights of the parts at many points of the region: none is above the hull, which is exact at its ends."""
+    rng = np.random.default_rng(seed)
+    parts = [ConvexPart.hull_of(rng.normal(size=(12, 3)) * 0.3 + rng.normal(size=3) * 0.5) for _ in range(3)]
+    region = Outline.of(rng.normal(size=(7, 3)) * 0.4)
+    assert region is not None
+    found = highest_points(parts, region)
+    assert (found[:, :2] @ region.normals.T <= region.offsets + 1e-9).all()
+    shares = rng.dirichlet(np.ones(len(region.corners)), size=200)
+    sampled = [p for q in shares @ region.corners if (p := highest(parts, q)) is not None]
+    assert bool(len(found)) >= bool(sampled)
+    assert all(union_distance(found, parts) < 1e-9)
+    for direction in rng.normal(size=(20, 3)) * [1, 1, 0] + [0, 0, 1]:
+        assert (
+            max((float(p @ direction) for p in sampled), default=-np.inf)
+            <= (found @ direction).max(initial=-1e9) + 1e-9
+        )
+
+
+def highest(parts: list[ConvexPart], xy: np.ndarray) -> np.ndarray | None:
+    """The highest point of the parts over (2,): a linear programme a part."""
+    heights: list[float] = []
+    for p in parts:
+        facets = Polytope.of(p)
+        up, down = facets.normals[:, 2] > 1e-9, facets.normals[:, 2] < -1e-9
+        room = facets.offsets - facets.normals[:, :2] @ xy
+        top, bottom = (room[up] / facets.normals[up, 2]).min(), (room[down] / facets.normals[down, 2]).max()
+        if top >= bottom:
+            heights.append(float(top))
+    return np.array([*xy, max(heights)]) if heights else None
+
+
+def test_an_object_stands_with_what_it_carries_and_not_with_what_others_carry_too():
+    """A load over the edge takes a footing away; one that lies on the ground as well does not."""
+    low = slanted(np.radians(4))
+    load = box(1, size=(0.3, 0.04, 0.1), at=(0.18, 0, 0.2))
+    alone = replace(load, supported_by=0, supports=(Support(id=0),))
+    shared = replace(alone, supports=(Support(id=0), Support(id=GROUND)))
+    footed = [
+        [d.about for d in separate(scene_of(low, top), SeparateConfig(max_ray_scale=0.0))[1].decisions
+         if d.choice == "given a footing"]
+        for top in (alone, shared)
+    ]  # fmt: skip
+    assert 0 not in footed[0]
+    assert 0 in footed[1]
 
 
 def test_a_stack_of_slanted_boxes_stands_as_it_is_seen():

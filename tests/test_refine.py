@@ -10,6 +10,7 @@ import pytest
 
 from f3sr.core.transforms import pose, rotation_about
 from f3sr.metrics.contact_groups import SettledScene
+from f3sr.metrics.measures import visible_ious
 from f3sr.scene import GeometrySource, Scene
 from f3sr.stages.refine import RefineConfig, Retry, refine
 from f3sr.vision import rasterizer
@@ -53,6 +54,19 @@ def test_what_would_not_rest_is_not_kept_unless_it_did_not_before(seen: Scene):
     assert np.array_equal(after[1].T_world_object, start[1].T_world_object)
     after = refined(start, seen, restless=[1], before=[1])
     assert np.array_equal(after[1].T_world_object, seen[1].T_world_object)
+
+
+def test_one_that_hides_another_moves_with_it(seen: Scene):
+    """The one in front gains nothing, but without its move the other gains nothing either."""
+    scene = scene_of(box(0, at=(0, 0.3, 0.05)), box(1, size=(0.1, 0.1, 0.3), at=(0, -0.3, 0.15)))
+    start, tried = (shifted(scene, {0: -0.003 * k, 1: 0.06 + 0.035 * k}) for k in (-1, 1))
+    front, behind = (rasterizer.render(s.objects, s.camera).ids for s in (shifted(scene, {1: 0.06}), tried))
+    masks = {0: behind == 0, 1: front == 1}
+    start, tried = (s.with_objects(*(replace(o, mask=masks[o.id]) for o in s)) for s in (start, tried))
+    was, now = (visible_ious(s) for s in (start, tried))
+    assert now[0] > was[0] + 0.05 and abs(now[1] - was[1]) < 5e-4
+    after = refined(start, tried)
+    assert all(np.array_equal(after[id].T_world_object, tried[id].T_world_object) for id in (0, 1))
 
 
 def test_one_that_spoils_its_group_is_left_out_and_the_other_tried_alone(seen: Scene):

@@ -17,7 +17,7 @@ from f3sr.errors import InputError
 from f3sr.options import SKIPPABLE
 from f3sr.physics.contact_margin import ContactMargin
 from f3sr.physics.mujoco_model import PhysicsConfig
-from f3sr.pipeline import Config, same_margin
+from f3sr.pipeline import Config, with_shared_settings
 from f3sr.stages.align import AlignConfig
 from f3sr.stages.align.config import CameraConfig, SearchConfig
 
@@ -158,7 +158,7 @@ def test_every_stage_has_the_margin_of_physics(margin: float | None) -> None:
     """By default, and where it is set; clearance, reach and the rest grow in this order."""
     physics = PhysicsConfig() if margin is None else PhysicsConfig(contact=ContactMargin(body=margin))
     given = replace(Config(), settle=replace(Config().settle, physics=physics))
-    config = given if margin is None else same_margin(given)
+    config = given if margin is None else with_shared_settings(given)
     stages = (config.relate, config.separate, config.close, config.refine, config.coarsen)
     assert {stage.contact for stage in stages} == {config.settle.physics.contact}
     found = config.separate.contact

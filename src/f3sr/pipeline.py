@@ -120,7 +120,7 @@ def reconstruct(
     require_kind("inputs", inputs, Inputs, accepted="f3sr.read_inputs(...)")
     require_names("skip", skip)
     given = config or Config()
-    config = same_margin(given)
+    config = with_shared_settings(given)
     if REPEATED_BY_REFINE & set(skip):
         skip = {*skip, "refine"}
     if "settle" in skip:
@@ -198,8 +198,9 @@ def reconstruct(
     )
 
 
-def same_margin(config: Config) -> Config:
-    """The settings with one contact margin for every stage: that of the physics in which the scene settles."""
+def with_shared_settings(config: Config) -> Config:
+    """The settings with one contact margin for every stage, that of the physics in which the scene settles, and footings
+    of ``close`` as those of ``separate``."""
     contact = config.settle.physics.contact
     return replace(
         config,
