@@ -11,6 +11,7 @@ import pytest
 
 from f3sr.contact import compounds
 from f3sr.contact.polytopes import Polytope
+from f3sr.contact.undersides import FootingConfig
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import Array, pose
 from f3sr.metrics.contact_groups import SettledScene
@@ -65,7 +66,7 @@ FREE = (Join(first=0, second=1, loss=0.0), Join(first=2, second=3, loss=0.0))
 
 def fewer(scene: Scene, joins: Sequence[Join], limits: PartLimits = LIMITS) -> SceneObject:
     """The first object with fewer parts."""
-    return with_few_parts(scene, scene, {0: joins}, {0: limits})[0]
+    return with_few_parts(scene, scene, {0: joins}, {0: limits}, footing=FootingConfig(), clearance=2.6e-4)[0]
 
 
 def moved_to_world(o: SceneObject) -> list[Polytope]:

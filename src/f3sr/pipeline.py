@@ -199,8 +199,8 @@ def reconstruct(
 
 
 def with_shared_settings(config: Config) -> Config:
-    """The settings with one contact margin for every stage, that of the physics in which the scene settles, and footings
-    of ``close`` as those of ``separate``."""
+    """The settings with one contact margin for every stage, that of the physics in which the scene settles, and with one
+    kind of footings, that of ``separate``."""
     contact = config.settle.physics.contact
     return replace(
         config,
@@ -208,7 +208,7 @@ def with_shared_settings(config: Config) -> Config:
         separate=replace(config.separate, contact=contact),
         close=replace(config.close, contact=contact, footing=config.separate.footing),
         refine=replace(config.refine, contact=contact),
-        coarsen=replace(config.coarsen, contact=contact),
+        coarsen=replace(config.coarsen, contact=contact, footing=config.separate.footing),
     )
 
 

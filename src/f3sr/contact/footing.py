@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from f3sr.contact.compounds import Compound, placed, smallest_shift
 from f3sr.contact.tops import highest_points
 from f3sr.contact.undersides import (
     GRAIN,
@@ -25,7 +26,7 @@ from f3sr.contact.undersides import (
     outermost,
 )
 from f3sr.core.mesh import ConvexPart
-from f3sr.core.transforms import Array
+from f3sr.core.transforms import UP, Array
 from f3sr.scene import GROUND, SceneObject
 
 SLOPE_HEIGHT = 0.003
@@ -71,6 +72,28 @@ def round_footing(
     if flat and flat.carries(plane, body.lowest(plane), config):
         return ()
     return _in_asset(o, _under_round(body, plane, config, above=above))
+
+
+def footing_again(
+    o: SceneObject,
+    carriers: Sequence[SceneObject],
+    around: Compound,
+    config: FootingConfig,
+    *,
+    clearance: float,
+) -> tuple[tuple[ConvexPart, ...], float]:
+    """The footing (asset frame) of an object whose ``carriers`` changed, made anew where its underside is round.
+
+    Also returns the height [m] by which the object must rise to have the clearance [m] from all ``around`` it. What is
+    below may rise beside the lowest point: then the footing ends there, and the object stays low."""
+    wedges, rise = o.footing, 0.0
+    plane = plane_below(o, carriers, config)
+    for _ in range(2):
+        if plane and (found := round_footing(o, plane, config, above=rise)):
+            wedges = found
+            body = placed((*o.parts, *wedges), o.T_world_asset)
+            rise = max(0.0, smallest_shift(body, around, UP, clearance), clearance - body.lowest)
+    return wedges, rise
 
 
 def _under_round(

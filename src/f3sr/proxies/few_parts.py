@@ -16,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.contact import polytopes
-from f3sr.contact.compounds import placed
+from f3sr.contact.compounds import Compound, placed
 from f3sr.contact.contact_patches import find_contacts
+from f3sr.contact.footing import footing_again
 from f3sr.contact.polytopes import Polytope
+from f3sr.contact.undersides import FootingConfig
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.surface_samples import sample_surface
 from f3sr.core.transforms import UP, Array, transform
@@ -27,7 +29,7 @@ from f3sr.proxies.collapse import Bounds, collapsed
 from f3sr.proxies.hulls import beyond, planes, qhull_of
 from f3sr.proxies.joins import FELT, NEXT_TO, Join
 from f3sr.proxies.pair_volumes import Pair, PairQueue, PairVolumes
-from f3sr.scene import Scene, SceneObject
+from f3sr.scene import GROUND, Scene, SceneObject
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
@@ -78,25 +80,43 @@ class PartLimits:
 
 
 def with_few_parts(
-    scene: Scene, made: Scene, joins: Mapping[int, Sequence[Join]], limits: Mapping[int, PartLimits]
+    scene: Scene,
+    made: Scene,
+    joins: Mapping[int, Sequence[Join]],
+    limits: Mapping[int, PartLimits],
+    *,
+    footing: FootingConfig,
+    clearance: float,
 ) -> Scene:
     """The scene with fewer parts of the objects that have ``limits`` (by id); poses and masses are the same.
 
     ``made`` has the parts that the joins (by id) are about. Those of ``scene`` may have been cut back and split since.
+    Round objects get their footing anew on what carries them then, ``clearance`` [m] above it.
     """
     bodies = {o.id: placed(o.solids, o.T_world_asset) for o in scene}
-    contacts = find_contacts(bodies, reach=max(limit.reach for limit in limits.values()))
-    now = list[SceneObject]()
-    for o in scene:
-        if o.id not in limits or not o.parts:
+    reach = max(limit.reach for limit in limits.values())
+    contacts = find_contacts(bodies, reach=reach)
+    now = dict[int, SceneObject]()
+    for id in scene.supports_first:
+        o = scene[id]
+        if id not in limits or not o.parts:
             continue
-        rows = (contacts.upper == o.id) | (contacts.lower == o.id)
-        others = [p for k, body in bodies.items() if k != o.id for p in body]
-        fewer = _Fewer(o, others, contacts.points[rows], limits[o.id])
-        parts, footing = fewer.few(made[o.id].parts, joins.get(o.id, ()))
-        now.append(replace(o, parts=parts, footing=footing, solid=solid_of(o)[0]))
-        bodies[o.id] = placed(now[-1].solids, o.T_world_asset)
-    return scene.with_objects(*now)
+        others = {k: body for k, body in bodies.items() if k != id}
+        if o.footing and now.keys() & set(o.carriers):
+            around = Compound.of(others.values())
+            wedges, rise = footing_again(
+                o, [now.get(k, scene[k]) for k in o.carriers if k != GROUND], around, footing, clearance=clearance
+            )
+            if rise <= NEARER:
+                o = replace(o, footing=wedges)
+                bodies[id] = placed(o.solids, o.T_world_asset)
+                contacts = find_contacts(bodies, reach=reach)
+        rows = (contacts.upper == id) | (contacts.lower == id)
+        fewer = _Fewer(o, [p for body in others.values() for p in body], contacts.points[rows], limits[id])
+        parts, left = fewer.few(made[id].parts, joins.get(id, ()))
+        now[id] = replace(o, parts=parts, footing=left, solid=solid_of(o)[0])
+        bodies[id] = placed(now[id].solids, o.T_world_asset)
+    return scene.with_objects(*now.values())
 
 
 class _Fewer:

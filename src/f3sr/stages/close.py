@@ -11,9 +11,9 @@ from typing import Annotated, ClassVar
 import numpy as np
 from annotated_types import Interval
 
-from f3sr.contact.compounds import Compound, free_travel, placed, smallest_shift
+from f3sr.contact.compounds import Compound, free_travel, placed
 from f3sr.contact.contact_patches import find_contacts
-from f3sr.contact.footing import plane_below, round_footing, supplied
+from f3sr.contact.footing import footing_again, supplied
 from f3sr.contact.undersides import FootingConfig
 from f3sr.contact.vertical_gap import Meeting, meeting
 from f3sr.core.mesh import ConvexPart
@@ -218,22 +218,18 @@ class _Layout:
 
     def _stand_again(self, id: int) -> None:
         """Make the footing of a round object anew, as what it rests on was cut back."""
-        o = self.bodies[id].now
-        plane = plane_below(o, [self.bodies[k].now for k in o.carriers if k != GROUND], self.config.footing)
-        if not self.scene[id].footing or not plane:
+        if not self.scene[id].footing:
             return
-        above = 0.0
-        for _ in range(2):  # once to the lowest point, then as high as that would raise the object
-            if wedges := round_footing(o, plane, self.config.footing, above=above):
-                self.bodies[id].stand(wedges)
-                above = self._raised(self.scene.subtree(id))
-        self._move(self.scene.subtree(id), -above)
-
-    def _raised(self, members: tuple[int, ...]) -> float:
-        """Height [m] by which objects must rise to be free of what they rest on."""
-        mine, others = self._parted(members)
-        clearance = self.config.contact.clearance
-        return max(0.0, smallest_shift(mine, others, UP, clearance), clearance - mine.lowest)
+        o, members = self.bodies[id].now, self.scene.subtree(id)
+        wedges, rise = footing_again(
+            o,
+            [self.bodies[k].now for k in o.carriers if k != GROUND],
+            self._parted(members)[1],
+            self.config.footing,
+            clearance=self.config.contact.clearance,
+        )
+        self.bodies[id].stand(wedges)
+        self._move(members, -rise)
 
     def _parted(self, members: tuple[int, ...]) -> tuple[Compound, Compound]:
         """Bodies of some objects, and of all others."""

@@ -11,6 +11,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from annotated_types import Interval
 
+from f3sr.contact.undersides import FootingConfig
 from f3sr.metrics.contact_groups import SettledScene, groups_of
 from f3sr.metrics.measures import visible_ious
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
@@ -47,6 +48,8 @@ class CoarsenConfig:
     """Most vertices of a part. PhysX takes 64, some engines on a GPU 32."""
     stand_off: Annotated[float, Interval(gt=0, le=1)] = 0.0135
     """Mean distance [size] of the parts' surface from the mesh, above which joins are refused."""
+    footing: FootingConfig = FootingConfig()
+    """Round objects get their footing anew, as that of ``separate``."""
     contact: ContactMargin = DEFAULT_MARGIN
     """Parts come no nearer to another body than they were, or than its ``reach``."""
 
@@ -98,7 +101,7 @@ def coarsen(
     is over them gets fewer. If it moves then too, it takes the attempt in which it rests and loses least. Objects that
     were ``restless`` may stay so.
     """
-    few = partial(with_few_parts, made=made, joins=joins)
+    few = partial(with_few_parts, made=made, joins=joins, footing=config.footing, clearance=config.contact.clearance)
     run = _Coarsening(scene, config, few, settled, frozenset(restless))
     while run.left and len(run.tries) < TRIES:
         run.attempt(run.left, run.left)
