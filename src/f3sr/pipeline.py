@@ -199,7 +199,7 @@ def reconstruct(
 
 
 def with_shared_settings(config: Config) -> Config:
-    """The settings with one contact margin for every stage, that of the physics in which the scene settles, and with one
+    """The settings with one contact margin for every stage, that of the physics in which the scene settles, and one
     kind of footings, that of ``separate``."""
     contact = config.settle.physics.contact
     return replace(
