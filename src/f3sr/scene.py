@@ -376,6 +376,14 @@ class Scene:
         """Ids of the objects whose main support is ``id``."""
         return tuple(o.id for o in self.objects if o.supported_by == id)
 
+    def load(self, id: int) -> tuple[int, ...]:
+        """Ids of an object and all that rests on it alone: what rests on other things too is left out."""
+        found = {id}
+        for k in self.supports_first:
+            if k in self.subtree(id) and found.issuperset(self[k].carriers):
+                found.add(k)
+        return tuple(sorted(found))
+
     def subtree(self, id: int) -> tuple[int, ...]:
         """``id``, then everything that rests on it by main supports, directly or not."""
         found = [id]

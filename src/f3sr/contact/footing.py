@@ -42,9 +42,9 @@ def footing(
 ) -> tuple[ConvexPart, ...]:
     """Wedges (asset frame) that keep an object in its pose on a plane below it (world frame).
 
-    They reach down to ``below`` [m] under its lowest point, which a round object does not need. There are none for an
-    object that needs none, would fall anyway, or would need more than ``max_height``. ``center`` (3,) is the centre of
-    mass of the object and all it carries, by default its own.
+    They reach down to ``below`` [m] under its lowest point, which a round object does not need. Negative, they end over
+    it. There are none for an object that needs none, would fall anyway, or would need more than ``max_height``.
+    ``center`` (3,) is the centre of mass of the object and all it carries, by default its own.
     """
     body = StandingBody.of(o, center)
     if body is None:
@@ -56,22 +56,7 @@ def footing(
         return ()
     if flat and missing.mean() <= config.max_height * body.size and flat.carries(plane, lowest, config):
         return _in_asset(o, [_wedge(p, flat.facet, plane, lowest, grain) for p in flat.patches(config.pieces)])
-    return () if below else _in_asset(o, _under_round(body, plane, config))
-
-
-def round_footing(
-    o: SceneObject, plane: SupportPlane, config: FootingConfig, *, above: float = 0.0
-) -> tuple[ConvexPart, ...]:
-    """The wedge (asset frame) that keeps an object on its round underside; none where a flat one carries it.
-
-    It reaches down to ``above`` [m] over the lowest point: what is below rises beside that point."""
-    body = StandingBody.of(o)
-    if body is None:
-        return ()
-    flat = FlatUnderside.of(o, body, plane, config)
-    if flat and flat.carries(plane, body.lowest(plane), config):
-        return ()
-    return _in_asset(o, _under_round(body, plane, config, above=above))
+    return () if below > 0 else _in_asset(o, _under_round(body, plane, config, above=-below))
 
 
 def footing_again(
@@ -81,24 +66,25 @@ def footing_again(
     config: FootingConfig,
     *,
     clearance: float,
+    center: Array,
+    below: float = 0.0,
 ) -> tuple[tuple[ConvexPart, ...], float]:
-    """The footing (asset frame) of an object whose ``carriers`` changed, made anew where its underside is round.
+    """The footing (asset frame) of an object whose ``carriers`` changed, made anew; and the height [m] by which the object
+    must rise to be ``clearance`` [m] from all ``around`` it.
 
-    Also returns the height [m] by which the object must rise to have the clearance [m] from all ``around`` it. What is
-    below may rise beside the lowest point: then the footing ends there, and the object stays low."""
+    What carries it may rise beside its lowest point. Then the footing ends there, and the object stays low. The rest is
+    as for ``footing``."""
     wedges, rise = o.footing, 0.0
-    plane = plane_below(o, carriers, config)
+    plane = plane_below(o, carriers, config, center=center)
     for _ in range(2):
-        if plane and (found := round_footing(o, plane, config, above=rise)):
+        if plane and (found := footing(o, plane, config, below=below - rise, center=center)):
             wedges = found
             body = placed((*o.parts, *wedges), o.T_world_asset)
             rise = max(0.0, smallest_shift(body, around, UP, clearance), clearance - body.lowest)
     return wedges, rise
 
 
-def _under_round(
-    body: StandingBody, plane: SupportPlane, config: FootingConfig, *, above: float = 0.0
-) -> list[ConvexPart]:
+def _under_round(body: StandingBody, plane: SupportPlane, config: FootingConfig, *, above: float) -> list[ConvexPart]:
     """The space between the section on which a body stands and the plane through its lowest point."""
     height = body.round_underside(plane, config)
     if height is None:

@@ -102,3 +102,8 @@ def rigid(members: Sequence[StaticBody], id: int) -> StaticBody:
         centers=np.array(centers),
         friction=next(m.friction for m in members if m.id == id),
     )
+
+
+def center_of(objects: Sequence[SceneObject], *, parts: Mapping[int, Compound] | None = None) -> Array:
+    """Common centre of mass (3,) of movable objects; ``parts`` as for ``bodies_of``."""
+    return rigid(bodies_of(objects, parts=parts), objects[0].id).centers[0]

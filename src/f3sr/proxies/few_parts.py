@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from f3sr.contact import polytopes
 from f3sr.contact.compounds import Compound, placed
 from f3sr.contact.contact_patches import find_contacts
-from f3sr.contact.footing import footing_again
+from f3sr.contact.footing import footing_again, supplied
 from f3sr.contact.polytopes import Polytope
+from f3sr.contact.static_bodies import center_of
 from f3sr.contact.undersides import FootingConfig
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.surface_samples import sample_surface
@@ -91,7 +92,7 @@ def with_few_parts(
     """The scene with fewer parts of the objects that have ``limits`` (by id); poses and masses are the same.
 
     ``made`` has the parts that the joins (by id) are about. Those of ``scene`` may have been cut back and split since.
-    Round objects get their footing anew on what carries them then, ``clearance`` [m] above it.
+    Footings are made anew on what carries an object then, ``clearance`` [m] above it.
     """
     bodies = {o.id: placed(o.solids, o.T_world_asset) for o in scene}
     reach = max(limit.reach for limit in limits.values())
@@ -105,7 +106,13 @@ def with_few_parts(
         if o.footing and now.keys() & set(o.carriers):
             around = Compound.of(others.values())
             wedges, rise = footing_again(
-                o, [now.get(k, scene[k]) for k in o.carriers if k != GROUND], around, footing, clearance=clearance
+                o,
+                [now.get(k, scene[k]) for k in o.carriers if k != GROUND],
+                around,
+                footing,
+                clearance=clearance,
+                center=center_of([scene[k] for k in scene.load(id)], parts=bodies),
+                below=supplied(o) if scene.has_measured_depth else 0.0,
             )
             if rise <= NEARER:
                 o = replace(o, footing=wedges)

@@ -14,6 +14,7 @@ from annotated_types import Interval
 from f3sr.contact.compounds import Compound, free_travel, placed
 from f3sr.contact.contact_patches import find_contacts
 from f3sr.contact.footing import footing_again, supplied
+from f3sr.contact.static_bodies import center_of
 from f3sr.contact.undersides import FootingConfig
 from f3sr.contact.vertical_gap import Meeting, meeting
 from f3sr.core.mesh import ConvexPart
@@ -61,7 +62,7 @@ class CloseConfig:
     """Largest mean loss of visible IoU of a group of touching objects. A group that loses more is put back."""
     cut: CutBackConfig = CutBackConfig()
     footing: FootingConfig = FootingConfig()
-    """Round objects get their footing anew, as that of ``separate``."""
+    """That of ``separate``: footings are made anew on what was cut back."""
     contact: ContactMargin = DEFAULT_MARGIN
     """Its clearance stays below a lowered object. Objects that are ``apart`` by it do not affect each other."""
 
@@ -217,7 +218,7 @@ class _Layout:
         self._stand_again(id)
 
     def _stand_again(self, id: int) -> None:
-        """Make the footing of a round object anew, as what it rests on was cut back."""
+        """Make the footing of an object anew, as what it rests on was cut back."""
         if not self.scene[id].footing:
             return
         o, members = self.bodies[id].now, self.scene.subtree(id)
@@ -227,6 +228,8 @@ class _Layout:
             self._parted(members)[1],
             self.config.footing,
             clearance=self.config.contact.clearance,
+            center=center_of([self.bodies[k].now for k in self.scene.load(id)]),
+            below=self.bodies[id].supplied if self.scene.has_measured_depth else 0.0,
         )
         self.bodies[id].stand(wedges)
         self._move(members, -rise)

@@ -49,7 +49,7 @@ class CoarsenConfig:
     stand_off: Annotated[float, Interval(gt=0, le=1)] = 0.0135
     """Mean distance [size] of the parts' surface from the mesh, above which joins are refused."""
     footing: FootingConfig = FootingConfig()
-    """Round objects get their footing anew, as that of ``separate``."""
+    """That of ``separate``: footings are made anew on few parts."""
     contact: ContactMargin = DEFAULT_MARGIN
     """Parts come no nearer to another body than they were, or than its ``reach``."""
 

@@ -9,7 +9,7 @@ import numpy as np
 from f3sr.contact import tipping
 from f3sr.contact.footing import flush, footing, plane_below
 from f3sr.contact.force_balance import Balance
-from f3sr.contact.static_bodies import StaticBody, bodies_of, contacts_of, rigid
+from f3sr.contact.static_bodies import StaticBody, bodies_of, center_of, contacts_of, rigid
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, Array, pose, rotation_from_vector, transform, vector_from_rotation
 from f3sr.metrics.measures import visible_ious
@@ -56,7 +56,8 @@ def _put_on_a_footing(layout: Placement, o: SceneObject, config: SeparateConfig)
     """Give an object a footing in its present pose, if it is then stable and the footing overlaps no other body."""
     if not config.footing.enabled:
         return None
-    below, center = [layout.object(k) for k in o.carriers if k != GROUND], _loaded_center(layout, o.id)
+    below = [layout.object(k) for k in o.carriers if k != GROUND]
+    center = center_of([layout.object(k) for k in layout.scene.load(o.id)], parts=layout.bodies)
     plane = plane_below(o, below, config.footing, center=center)
     wedges = footing(o, plane, config.footing, below=layout.missing[o.id], center=center) if plane else ()
     if not plane or not wedges:
@@ -178,15 +179,6 @@ def _parted(layout: Placement, id: int) -> tuple[StaticBody, list[StaticBody]]:
     bodies = {b.id: b for b in bodies_of([layout.object(k.id) for k in layout.scene], parts=layout.bodies)}
     whole = rigid([bodies[k] for k in members], id)
     return whole, [replace(bodies[k], fixed=True) for k in bodies if k not in members]
-
-
-def _loaded_center(layout: Placement, id: int) -> Array:
-    """Centre of mass (3,) of a body and all that rests on it alone. What rests on other bodies too is left out."""
-    loaded = {id}
-    for k in layout.scene.supports_first:
-        if k in layout.scene.subtree(id) and loaded.issuperset(layout.scene[k].carriers):
-            loaded.add(k)
-    return rigid(bodies_of([layout.object(k) for k in sorted(loaded)], parts=layout.bodies), id).centers[0]
 
 
 def _stands(layout: Placement, id: int, config: SeparateConfig) -> bool:
