@@ -69,8 +69,8 @@ def footing_again(
     center: Array,
     below: float = 0.0,
 ) -> tuple[tuple[ConvexPart, ...], float]:
-    """The footing (asset frame) of an object whose ``carriers`` changed, made anew; and the height [m] by which the object
-    must rise to be ``clearance`` [m] from all ``around`` it.
+    """The footing (asset frame) of an object whose ``carriers`` changed, made anew; and the height [m] by which it must
+    rise to be ``clearance`` [m] from all ``around`` it.
 
     What carries it may rise beside its lowest point. Then the footing ends there, and the object stays low. The rest is
     as for ``footing``."""
