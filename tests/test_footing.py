@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import HalfspaceIntersection
 
-from f3sr.contact.footing import flush, footing, support_plane
+from f3sr.contact.footing import flush, footing, footing_again, support_plane
 from f3sr.contact.polytopes import Polytope
 from f3sr.contact.stability import stability
-from f3sr.contact.static_bodies import bodies_of
+from f3sr.contact.static_bodies import bodies_of, center_of
 from f3sr.contact.tops import highest_points
 from f3sr.contact.undersides import GRAIN, GROUND_PLANE, FootingConfig, Outline, SupportPlane
 from f3sr.core.mesh import ConvexPart, Mesh
@@ -225,6 +225,25 @@ def test_an_object_stands_with_what_it_carries_and_not_with_what_others_carry_to
     ]  # fmt: skip
     assert 0 not in footed[0]
     assert 0 in footed[1]
+
+
+@pytest.mark.parametrize("kind", ["flat", "round"])
+def test_a_footing_is_made_anew_for_what_carries_it_now(kind: str):
+    """The carrier's top is turned. The new footing lies on it, and the object need not rise from where it touches."""
+    turned = rotation_about([0, 1, 0], 0.03)
+    slab = box(1, size=(0.4, 0.4, 0.05), R=turned, at=(0, 0, 0))
+    o = slanted(np.radians(5)) if kind == "flat" else ball(1)
+    o = replace(o, parts=flush(o, GROUND_PLANE), footing=footing(o, GROUND_PLANE, CONFIG), supported_by=1)
+    o = replace(o, supports=(Support(id=1),))
+    plane = SupportPlane(normal=turned[:, 2], offset=0.025)
+    low = float(plane.heights(o.vertices_world).min()) / turned[2, 2]
+    o = replace(o, T_world_object=pose(t=[0, 0, 3e-4 - low]) @ o.T_world_object)
+    o, around = replace(o, parts=flush(o, plane)), bodies_of([slab])[0].parts
+    wedges, rise = footing_again(o, [slab], around, CONFIG, clearance=2.6e-4, center=center_of([o]))
+    assert rise < 1e-4
+    (heights,) = (plane.heights(w.moved(o.T_world_asset).vertices) for w in wedges)
+    assert np.sum(heights < 3.1e-4) >= 4, "it lies on the top with a face"
+    assert heights.min() > 2.5e-4
 
 
 def test_a_stack_of_slanted_boxes_stands_as_it_is_seen():
