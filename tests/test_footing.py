@@ -246,6 +246,16 @@ def test_a_footing_is_made_anew_for_what_carries_it_now(kind: str):
     assert heights.min() > 2.5e-4
 
 
+def test_a_footing_stays_where_a_new_one_would_raise_the_object():
+    """A slab that reaches into it, and one that stands over half of its underside."""
+    o = replace(slanted(np.radians(5)), supported_by=1, supports=(Support(id=1),))
+    o = replace(o, footing=footing(o, GROUND_PLANE, CONFIG))
+    for size, x in ((0.4, 0.0), (0.1, 0.06)):
+        slab = box(1, size=(size, 0.4, 0.05), at=(x, 0, 0.0))
+        kept = footing_again(o, [slab], bodies_of([slab])[0].parts, CONFIG, clearance=2.6e-4, center=center_of([o]))
+        assert kept == (o.footing, 0.0)
+
+
 def test_a_stack_of_slanted_boxes_stands_as_it_is_seen():
     low = replace(slanted(np.radians(4)), id=0)
     top = replace(slanted(np.radians(-6)), id=1, supported_by=0, supports=(), T_world_object=pose(t=[0, 0, 0.24]))

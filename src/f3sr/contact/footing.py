@@ -72,8 +72,8 @@ def footing_again(
     """The footing (asset frame) of an object whose ``carriers`` changed, made anew; and the height [m] by which it must
     rise to be ``clearance`` [m] from all ``around`` it.
 
-    What carries it may rise beside its lowest point. Then the footing ends there, and the object stays low. The rest is
-    as for ``footing``."""
+    What carries it may rise beside its lowest point. Then the footing ends there, and the object stays low. Where it
+    would still rise by more than a grain it keeps its footing. The rest is as for ``footing``."""
     wedges, rise = o.footing, 0.0
     plane = plane_below(o, carriers, config, center=center)
     for _ in range(2):
@@ -81,13 +81,13 @@ def footing_again(
             wedges = found
             body = placed((*o.parts, *wedges), o.T_world_asset)
             rise = max(0.0, smallest_shift(body, around, UP, clearance), clearance - body.lowest)
-    return wedges, rise
+    return (wedges, rise) if rise <= GRAIN * o.size else (o.footing, 0.0)
 
 
 def _under_round(body: StandingBody, plane: SupportPlane, config: FootingConfig, *, above: float) -> list[ConvexPart]:
     """The space between the section on which a body stands and the plane through its lowest point."""
     height = body.round_underside(plane, config)
-    if height is None:
+    if height is None or above + GRAIN * body.size > config.flat * body.size:
         return []
     section = outermost(body.section(plane, max(height, above + GRAIN * body.size)))
     return [ConvexPart.hull_of(np.concatenate([section, plane.below(section, body.lowest(plane) + above)]))]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -20,13 +20,8 @@ def highest_points(parts: Sequence[ConvexPart], region: Outline) -> Array:
     They are the ends of the parts' edges, clipped to the region, and the parts' upper sides at its corners."""
     low, high = region.corners.min(0), region.corners.max(0)
     near = [p for p in parts if (p.vertices.min(0)[:2] <= high).all() and (p.vertices.max(0)[:2] >= low).all()]
-    found = [points for part in near for points in _over(part, region)]
+    found = [points for p in near for points in (_clipped_edges(p, region), _at_corners(p, region.corners))]
     return np.concatenate(found) if found else np.zeros((0, 3))
-
-
-def _over(part: ConvexPart, region: Outline) -> Iterator[Array]:
-    yield _clipped_edges(part, region)
-    yield _at_corners(part, region.corners)
 
 
 def _clipped_edges(part: ConvexPart, region: Outline) -> Array:
