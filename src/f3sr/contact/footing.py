@@ -3,7 +3,7 @@
 No photo shows an underside, so a generated one is a guess, commonly turned by some degrees against its body. Physics
 would tip the object onto it, against the picture. A footing fills the space between the underside and the plane below
 (docs: contact). A round object has none to fall onto: it would roll onto a facet of its proxy, or down a slope that
-is as uncertain. Its footing is as small as it can be, so that it rests by its shape, and rolls once it is moved.
+is as uncertain. Its footing is as small as it can be. So it rests by its shape, and rolls once it is moved.
 A footing is collision geometry only; the mesh does not change.
 """
 
@@ -30,7 +30,7 @@ from f3sr.core.transforms import UP, Array
 from f3sr.scene import GROUND, SceneObject
 
 SLOPE_HEIGHT = 0.003
-"""Height of the section of a body, as a share of its size, under which the slope of what carries it is taken."""
+"""Height of the section of a body [size] under which the slope of what carries it is taken."""
 TURNS = 4
 """Most turns in which the plane below and the underside that meets it are found."""
 SAME = 1e-4
@@ -69,8 +69,9 @@ def footing_again(
     center: Array,
     below: float = 0.0,
 ) -> tuple[tuple[ConvexPart, ...], float]:
-    """The footing (asset frame) of an object whose ``carriers`` changed, made anew; and the height [m] by which it must
-    rise to be ``clearance`` [m] from all ``around`` it.
+    """The footing (asset frame) of an object whose ``carriers`` changed, made anew; and the rise [m] that it then needs.
+
+    After that rise the object is ``clearance`` [m] from all ``around`` it.
 
     What carries it may rise beside its lowest point. Then the footing ends there, and the object stays low. Where it
     would still rise by more than a grain it keeps its footing. The rest is as for ``footing``."""

@@ -91,8 +91,9 @@ class StandingBody:
         return float(plane.heights(self.hull.vertices).min())
 
     def stands_on(self, points: Array, plane: SupportPlane, lowest: float, margin: float) -> bool:
-        """Whether it stands, even tilted by ``margin`` [rad], were the outline of ``points`` (n, 3) all of it that is
-        ``lowest`` [m] above a plane."""
+        """Whether it stands, even tilted by ``margin`` [rad], on the outline of ``points`` (n, 3) at a height.
+
+        All of the outline is taken to be ``lowest`` [m] above the plane."""
         outline = Outline.of(points)
         if outline is None:
             return False
@@ -115,7 +116,7 @@ class StandingBody:
         """Height [m] of the lowest section on which the body stands; None where that is higher than ``flat``.
 
         A smooth body stands where its centre of mass is above its contact. Slopes and shapes are known to some degrees
-        only, so the centre may be as far beside it as the section reaches."""
+        only. So the centre may be as far from it as the section reaches."""
 
         def stands(height: float) -> bool:
             return self.stands_on(self.section(plane, height), plane, lowest, config.min_margin)
