@@ -69,7 +69,7 @@ def footing_again(
     center: Array,
     below: float = 0.0,
 ) -> tuple[tuple[ConvexPart, ...], float]:
-    """The footing (asset frame) of an object whose ``carriers`` changed, made anew; and the rise [m] that it then needs.
+    """The footing (asset frame) of an object whose ``carriers`` changed, made anew; and the rise [m] it then needs.
 
     After that rise the object is ``clearance`` [m] from all ``around`` it.
 
