@@ -31,8 +31,8 @@ HOPELESS = 0.02
 """Loss of score of a group at rest from which on it is given up before its gaps are closed; and of its visible IoU,
 whatever its measured depths gain."""
 AGAIN = 3e-3
-"""Least gain for another round: the next gains a third, or less. Groups that do not rest are not tried again either,
-as they take all the time that settling may."""
+"""Least gain of a group, and of an object in it, for another round: the next gains a third, or less. Groups that do not
+rest are not tried again either, as they take all the time that settling may."""
 
 
 @settings
@@ -95,10 +95,13 @@ def refine(
         was = state.scores
         state, told = _round(state, open, realigned, config)
         decisions += told
-        moving = {
-            id for g in groups_of(state.scene, state.scene, config.contact.apart) if g & state.restless for id in g
+        gained = {
+            id
+            for g in groups_of(state.scene, state.scene, config.contact.apart)
+            if not g & state.restless and _gain(g, was, state.scores) > AGAIN
+            for id in g
         }
-        open = [id for id in open if id not in moving and state.scores[id] > was[id] + AGAIN]
+        open = [id for id in open if id in gained and state.scores[id] > was[id] + AGAIN]
     return state.scene, Refined(seen=(before, state.seen), decisions=tuple(decisions))
 
 
