@@ -112,7 +112,8 @@ def test_a_ball_rests_by_its_shape_and_rolls_once_it_is_tilted(seed: int):
     wedges = footing(o, GROUND_PLANE, CONFIG)
     stood = replace(o, parts=flush(o, GROUND_PLANE), footing=wedges, T_world_object=pose(t=[0, 0, 0.05 + 2.6e-4]))
     assert turned_by_physics(stood) < 0.1
-    assert CONFIG.round_margin - 1e-3 < stability(bodies_of([stood])).margin < 0.35
+    # The centre of the evenly filled proxy, which statics tries too, is off that of the ball.
+    assert 0.8 * CONFIG.round_margin < stability(bodies_of([stood])).margin < 0.35
     assert sum(w.volume for w in wedges) < 1e-3 * o.mesh.hull.volume
 
 
