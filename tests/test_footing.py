@@ -247,6 +247,12 @@ def test_a_footing_is_made_anew_for_what_carries_it_now(kind: str):
     assert heights.min() > 2.5e-4
 
 
+def test_a_plate_thinner_than_any_section_is_no_reason_to_fail():
+    """Its load is beside it, so that it does not stand on its flat side, and it has no section to stand on."""
+    plate = box(0, size=(0.3, 0.3, 5e-4), at=(0, 0, 0.2))
+    assert support_plane(plate, box(1).colliders_world, CONFIG, center=np.array([0.4, 0, 0.3])) is None
+
+
 def test_a_footing_stays_where_a_new_one_would_raise_the_object():
     """A slab that reaches into it, and one that stands over half of its underside."""
     o = replace(slanted(np.radians(5)), supported_by=1, supports=(Support(id=1),))

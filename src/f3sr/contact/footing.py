@@ -71,10 +71,9 @@ def footing_again(
 ) -> tuple[tuple[ConvexPart, ...], float]:
     """The footing (asset frame) of an object whose ``carriers`` changed, made anew; and the rise [m] it then needs.
 
-    After that rise the object is ``clearance`` [m] from all ``around`` it.
-
-    What carries it may rise beside its lowest point. Then the footing ends there, and the object stays low. Where it
-    would still rise by more than a grain it keeps its footing. The rest is as for ``footing``."""
+    After that rise the object is ``clearance`` [m] from all ``around`` it. What carries it may rise beside its lowest
+    point. Then the footing ends there, and the object stays low. Where it would still rise by more than a grain it
+    keeps its footing. The rest is as for ``footing``."""
     wedges, rise = o.footing, 0.0
     plane = plane_below(o, carriers, config, center=center)
     for _ in range(2):
@@ -158,7 +157,8 @@ def support_plane(
     plane = GROUND_PLANE
     for _ in range(TURNS):
         regions = filter(None, map(Outline.of, _regions(o, body, plane, config)))
-        found = _facet_above(np.concatenate([highest_points(tops, r) for r in regions]), body.center, config)
+        points = np.concatenate([np.zeros((0, 3)), *(highest_points(tops, r) for r in regions)])
+        found = _facet_above(points, body.center, config)
         if found is None:
             return None
         was, plane = plane, found
@@ -172,7 +172,8 @@ def _regions(o: SceneObject, body: StandingBody, plane: SupportPlane, config: Fo
     flat = FlatUnderside.of(o, body, plane, config)
     if flat and flat.carries(plane, body.lowest(plane), config):
         return flat.patches(config.pieces)
-    return [outermost(body.section(plane, body.round_underside(plane, config) or SLOPE_HEIGHT * body.size))]
+    section = body.section(plane, body.round_underside(plane, config) or SLOPE_HEIGHT * body.size)
+    return [outermost(section)] if len(section) else []
 
 
 def _facet_above(points: Array, center: Array, config: FootingConfig) -> SupportPlane | None:
