@@ -19,6 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from f3sr.runtime.machine import ONE_THREAD
+
 HERE = Path(__file__).parent
 BEFORE, AFTER = ("import", "read"), ("pictures", "package")
 """What the command does around the stages; ``timed_cli`` notes them."""
@@ -50,10 +52,9 @@ def run(arguments: Sequence[str | Path], log: Path, *, environment: Mapping[str,
     log.parent.mkdir(parents=True, exist_ok=True)
     answer = log.with_suffix(".json")
     start = time.perf_counter()
+    complete = {**ONE_THREAD, **os.environ, **(environment or {})}
     with log.open("w") as errors, answer.open("w") as out:
-        process = subprocess.Popen(
-            command, stdout=out, stderr=errors, env={**os.environ, **(environment or {})}, start_new_session=True
-        )
+        process = subprocess.Popen(command, stdout=out, stderr=errors, env=complete, start_new_session=True)
         status, usage = _wait(process)
     wall = time.perf_counter() - start
     if code := os.waitstatus_to_exitcode(status):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -274,6 +275,21 @@ def test_the_package_says_what_it_is():
 def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]):
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"f3sr {f3sr.__version__}\n"
+
+
+@pytest.mark.parametrize(("given", "taken"), [(None, "1"), ("2", "2")])
+def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise(given: str | None, taken: str):
+    code = """
+import os, sys, f3sr.__main__ as command
+os._exit = lambda code: print(*(os.environ[name] for name in command.ONE_THREAD))
+sys.argv = ["f3sr", "--version"]
+command.run()
+"""
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    others = {name: value for name, value in os.environ.items() if name not in names}
+    env = others | (dict.fromkeys(names, given) if given else {})
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=False)
+    assert done.stdout.splitlines()[-1] == f"{taken} {taken}", done.stderr
 
 
 # --- doctor -------------------------------------------------------------------------------------------------

@@ -1,9 +1,10 @@
-"""The process of the ``f3sr`` command: signals are looked after before anything heavy is imported."""
+"""The process of the ``f3sr`` command: signals and threads are looked after before anything heavy is imported."""
 
 import os
 from contextlib import suppress
 
 from f3sr.runtime import signals
+from f3sr.runtime.machine import ONE_THREAD
 
 
 def run() -> None:
@@ -15,6 +16,8 @@ def run() -> None:
 def _code() -> int:
     try:
         signals.watch()
+        for name, threads in ONE_THREAD.items():
+            os.environ.setdefault(name, threads)
         from f3sr.cli import main
 
         return main.run()

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from f3sr.pipeline import Reconstruction
 from f3sr.report_page import report_page
+from f3sr.runtime.daemon_thread import begun
 from f3sr.runtime.progress import Progress, silent, timed
 from f3sr.scene_package import package
 from f3sr.vision import pictures
@@ -26,10 +27,9 @@ def deliver(
     ``out`` holds anything else, or cannot be written.
     """
     evaluation = result.evaluation
+    page = begun(report_page, result)
     with timed("pictures", progress):
         shown = pictures.pictures_of(result.direct, result.scene)
-    with timed("report", progress):
-        page = report_page(result)
     with timed("package", progress):
         return package.write_package(
             result.scene,
@@ -42,7 +42,7 @@ def deliver(
             seconds=result.seconds if times else {},
             pictures=shown,
             inpainting=result.inpainting,
-            page=page,
+            page=page.result,
             physics=result.config.settle.physics,
             overwrite=overwrite,
         )

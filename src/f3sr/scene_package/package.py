@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -130,7 +130,7 @@ def write_package(
     seconds: Mapping[str, float] | None = None,
     pictures: Mapping[str, NDArray[np.uint8]] | None = None,
     inpainting: Inpainting | None = None,
-    page: bytes | None = None,
+    page: Callable[[], bytes] | None = None,
     physics: PhysicsConfig = DEFAULT_PHYSICS,
     overwrite: bool = False,
 ) -> Path:
@@ -138,9 +138,9 @@ def write_package(
 
     ``direct``: the levelled input with the same ids. ``metrics`` by name. ``provenance``: stages, hashes and the like,
     without paths or times. ``reports``, ``rows`` (measures by title) and ``seconds`` per stage go to report.json.
-    ``pictures`` (h, w, 3) uint8 by name without suffix. ``inpainting``: the completed photo. ``page``: report.html.
-    ``physics``: contact settings of scene.xml. ``out`` changes only after all files exist in a hidden folder.
-    Raises OutputError if ``out`` is not an f3sr package, or is one with rollouts without ``overwrite``.
+    ``pictures`` (h, w, 3) uint8 by name without suffix. ``inpainting``: the completed photo. ``page`` makes
+    report.html. ``physics``: contact settings of scene.xml. ``out`` changes only after all files exist in a hidden
+    folder. Raises OutputError if ``out`` is not an f3sr package, or is one with rollouts without ``overwrite``.
     """
     out = placed(out)
     with claimed(out, lambda out: require_replaceable(out, overwrite=overwrite)) as claim:
@@ -226,7 +226,7 @@ def _files(
     report: dict[str, Any],
     pictures: Mapping[str, NDArray[np.uint8]],
     inpainting: Inpainting | None,
-    page: bytes | None,
+    page: Callable[[], bytes] | None,
     physics: PhysicsConfig,
 ) -> Iterator[tuple[str, bytes]]:
     """Every file of the package with its relative path, one at a time: together they may be larger than the scene."""
@@ -248,7 +248,7 @@ def _files(
         yield f"pictures/{name}.png", encode_png(picture)
     yield "report.json", dump_json(report)
     if page is not None:
-        yield PAGE, page
+        yield PAGE, page()
     yield SCHEMA_FILE, dump_json(scene_schema())
     yield "scene.json", to_json(to_document(scene, direct=direct, metrics=metrics, provenance=provenance))
 
