@@ -77,8 +77,8 @@ LOOK = 2
 STILL = 1e-9
 """Travel in a window that is rounding [m]."""
 DOUBT = 4.0
-"""Factor on a foreseen drift. With it none of 16 checks that failed, of 173 in eleven scenes, would have passed; with 2
-one would have."""
+"""Factor on a foreseen drift, to either side. With it none of 16 checks that failed, of 173 in eleven scenes, would
+have passed; with 2 one would have."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -96,8 +96,8 @@ class SettleResult:
     max_speed: float
     """Largest speed of a centre of mass on the way [m/s]."""
     drifts: Mapping[int, float]
-    """Largest travel of every centre of mass, but upward, in the last undamped check [m]; infinite when there was
-    none."""
+    """Largest travel of every centre of mass, but upward, in the last undamped check [m], foreseen where it creeps;
+    infinite when there was none."""
     loads: Mapping[tuple[int, int], float]
     """(carried, carrier) ids, the ground GROUND, to the net upward force between them [N]; empty when ``exploded``."""
 
@@ -212,7 +212,8 @@ class _Settling:
     def undamped(self, data: MjData, seconds: float) -> tuple[Array, bool]:
         """Undamped steps: the largest travel of every centre of mass (n,) [m], and whether all that counts as rest.
 
-        They end early when no body would drift too far even if its travel went on growing as it does."""
+        They end early when no body would drift too far even if its travel went on growing as it does. They also end
+        when a body creeps: then the travels are those foreseen for all of the time."""
         engine().mj_forward(self._model, data)
         seen = [_Snapshot.of(data)]
         drifts = np.zeros(self._model.nbody - 1)
@@ -226,21 +227,12 @@ class _Settling:
             seen.append(_Snapshot.of(data))
             if self.exploded or drifts.max() > 20 * self.config.rest.drift:
                 return drifts, False
-            if self._is_foreseen(seen, drifts, left=windows - len(seen) + 1):
+            outlook = _Outlook.of(seen, drifts, self.config.rest.drift, left=windows - len(seen) + 1)
+            if outlook and outlook.rests:
                 break
+            if outlook and outlook.creeps:
+                return outlook.foreseen, False
         return drifts, self._slow(*seen[-2:]) and bool(drifts.max() <= self.config.rest.drift)
-
-    def _is_foreseen(self, seen: Sequence[_Snapshot], drifts: Array, left: int) -> bool:
-        """Whether every body's drift stays allowed in the windows that are left: what creeps goes on, what tips grows
-        by the same factor in every window."""
-        if len(seen) < 2 * LOOK + 2:  # in the first window wider margins push
-            return False
-        recent = seen[-2 * LOOK - 1 :]
-        ways = np.stack([np.linalg.norm(b.centers - a.centers, axis=1)[1:] for a, b in pairwise(recent)])
-        before, now = np.maximum(ways[:LOOK].max(0), STILL), np.maximum(ways[LOOK:].max(0), STILL)
-        growth = np.maximum(1.0, now / before) ** (1 / LOOK)
-        ahead = now * (growth[:, None] ** np.arange(1, left + 1)).sum(1)
-        return bool((drifts + DOUBT * ahead <= self.config.rest.drift).all())
 
     @property
     def _model(self) -> MjModel:
@@ -266,6 +258,60 @@ class _Settling:
         angular = np.arccos(np.clip((turns.min() - 1) / 2, -1, 1)) / self.config.rest.window
         self.exploded = self.exploded or not np.isfinite(linear + angular)
         return bool(linear < self.config.rest.speed and angular < self.config.rest.turning)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Outlook:
+    """What an undamped check would end with: what creeps goes on, what tips grows by the same factor in every
+    window."""
+
+    drifts: Array
+    """(n,) [m] so far."""
+    before: Array
+    now: Array
+    """(n,) [m]: the largest travel in a window, of ``LOOK`` windows and of the ``LOOK`` last ones."""
+    left: int
+    """Windows."""
+    limit: float
+    """Of the drift [m]."""
+
+    @classmethod
+    def of(cls, seen: Sequence[_Snapshot], drifts: Array, limit: float, left: int) -> _Outlook | None:
+        """None in the first second: in its first window wider margins push."""
+        if len(seen) < 2 * LOOK + 2:
+            return None
+        recent = seen[-2 * LOOK - 1 :]
+        ways = np.stack([np.linalg.norm(b.centers - a.centers, axis=1)[1:] for a, b in pairwise(recent)])
+        before, now = np.maximum(ways[:LOOK].max(0), STILL), np.maximum(ways[LOOK:].max(0), STILL)
+        return cls(drifts=drifts, before=before, now=now, left=left, limit=limit)
+
+    @property
+    def rests(self) -> bool:
+        """Whether every body's drift stays allowed, were all of them ``DOUBT`` times faster."""
+        return bool((self.drifts + DOUBT * self._ahead(np.maximum(1.0, self._growth)) <= self.limit).all())
+
+    @property
+    def creeps(self) -> bool:
+        """Whether a body's drift will not stay allowed, were it ``DOUBT`` times slower, and none is ever faster that
+        drifts too far at its present speed."""
+        slower = self._growth <= 1
+        faster = ~slower & (self.drifts + self.now * self.left > self.limit)
+        too_far = self.drifts + self._ahead(self._growth) / DOUBT > self.limit
+        return bool((slower & too_far).any() and not faster.any())
+
+    @property
+    def foreseen(self) -> Array:
+        """(n,) [m]: the drifts at the end."""
+        return self.drifts + self._ahead(np.minimum(1.0, self._growth))
+
+    @property
+    def _growth(self) -> Array:
+        """(n,): factor on the travel from one window to the next."""
+        return (self.now / self.before) ** (1 / LOOK)
+
+    def _ahead(self, growth: Array) -> Array:
+        """Travel (n,) [m] in the windows that are left."""
+        return self.now * (growth[:, None] ** np.arange(1, self.left + 1)).sum(1)
 
 
 @dataclass(frozen=True, eq=False)
