@@ -92,15 +92,7 @@ class Mesh:
 
         Texture seams split vertices, so topology needs positions.
         """
-        # lexsort sorts by its last key first: reversed, x is the first key. Equal positions become neighbours.
-        order = np.lexsort(self.vertices.T[::-1])
-        placed = self.vertices[order]
-        new = np.ones(len(order), np.bool_)
-        new[1:] = (placed[1:] != placed[:-1]).any(1)
-        place = np.empty(len(order), np.int32)
-        # Rank of a position: how many new ones came up to it.
-        place[order] = np.cumsum(new) - 1
-        return placed[new], place
+        return places(self.vertices)
 
     @cached_property
     def welded(self) -> tuple[Array, NDArray[np.int32]]:
@@ -213,6 +205,19 @@ class MassProperties:
         """Whether a body can have this inertia: principal moments are positive, none exceeds the sum of the others."""
         a, b, c = np.linalg.eigvalsh(self.inertia)
         return bool(a > 0 and a + b >= c * (1 - 1e-9))
+
+
+def places(points: Array) -> tuple[Array, NDArray[np.int32]]:
+    """The distinct ones (k, 3) of points (n, 3), sorted by x, y, z, and where each point is among them (n,)."""
+    # lexsort sorts by its last key first: reversed, x is the first key. Equal points become neighbours.
+    order = np.lexsort(points.T[::-1])
+    placed = points[order]
+    new = np.ones(len(order), np.bool_)
+    new[1:] = (placed[1:] != placed[:-1]).any(1)
+    place = np.empty(len(order), np.int32)
+    # Rank of a place: how many new ones came up to it.
+    place[order] = np.cumsum(new) - 1
+    return placed[new], place
 
 
 def is_closed(faces: NDArray[np.int32]) -> bool:
