@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.core.transforms import Array, frozen, transform
+from f3sr.core.transforms import Array, cross, frozen, transform
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -153,9 +153,8 @@ class ConvexPart:
         corners = np.sort(hull.vertices)
         faces = np.searchsorted(corners, hull.simplices).astype(np.int32)
         vertices = points[corners]
-        a, b, c = (vertices[faces[:, k]] for k in range(3))
         # qhull's simplices have no common winding; its equations have outward normals.
-        outward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3])
+        outward = np.einsum("ij,ij->i", area_vectors(vertices[faces]), hull.equations[:, :3])
         faces[outward < 0] = faces[outward < 0][:, ::-1]
         if not _is_closed(faces):  # rounding turns slivers
             faces = _turned_alike(faces, hull.neighbors, int(np.argmax(np.abs(outward))))
@@ -218,6 +217,11 @@ def places(points: Array) -> tuple[Array, NDArray[np.int32]]:
     # Rank of a place: how many new ones came up to it.
     place[order] = np.cumsum(new) - 1
     return placed[new], place
+
+
+def area_vectors(triangles: Array) -> Array:
+    """Normals (n, 3) of triangles (n, 3, 3), twice as long as their area."""
+    return cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
 
 
 def is_closed(faces: NDArray[np.int32]) -> bool:
