@@ -22,6 +22,7 @@ from f3sr.proxies.collapse import UNBOUNDED, collapsed
 from f3sr.proxies.few_parts import NEARER, THIN_M, PartLimits, with_few_parts
 from f3sr.proxies.hulls import planes
 from f3sr.proxies.joins import join_order
+from f3sr.proxies.known_parts import KnownParts
 from f3sr.proxies.pair_volumes import Pair, PairQueue, PairVolumes
 from f3sr.proxies.parts import subject_of
 from f3sr.runtime import scene_serialization
@@ -64,9 +65,12 @@ FREE = (Join(first=0, second=1, loss=0.0), Join(first=2, second=3, loss=0.0))
 """Joins of three parts to one."""
 
 
-def fewer(scene: Scene, joins: Sequence[Join], limits: PartLimits = LIMITS) -> SceneObject:
+def fewer(
+    scene: Scene, joins: Sequence[Join], limits: PartLimits = LIMITS, known: dict[int, KnownParts] | None = None
+) -> SceneObject:
     """The first object with fewer parts."""
-    return with_few_parts(scene, scene, {0: joins}, {0: limits}, footing=FootingConfig(), clearance=2.6e-4)[0]
+    footing = FootingConfig()
+    return with_few_parts(scene, scene, {0: joins}, {0: limits}, footing=footing, clearance=2.6e-4, known=known)[0]
 
 
 def moved_to_world(o: SceneObject) -> list[Polytope]:
@@ -192,6 +196,17 @@ def test_what_loses_too_much_is_not_joined_unless_there_are_too_many():
     assert len(fewer(scene_of(trough()), dear).parts) == 2
     assert len(fewer(scene_of(trough()), dear, replace(LIMITS, parts=1)).parts) == 1
     assert len(fewer(scene_of(trough()), (), replace(LIMITS, parts=1)).parts) == 1
+
+
+def test_what_is_known_of_parts_changes_nothing_under_other_limits_or_beside_other_bodies():
+    o, known = trough(), dict[int, KnownParts]()
+    ball = ConvexPart.hull_of(on_a_ball(1000) / 3)
+    o = replace(o, mesh=mesh_of(*o.parts, ball), parts=(*o.parts, ball))
+    for beside in ((), (box(1, at=(0, 0, 0.2)),)):
+        for limits in (LIMITS, replace(LIMITS, parts=1), replace(LIMITS, vertices=32), LIMITS):
+            few, again = (fewer(scene_of(o, *beside), FREE, limits, each).parts for each in (None, known))
+            assert len(few) == len(again)
+            assert all(np.array_equal(a.vertices, b.vertices) for a, b in zip(few, again, strict=True))
 
 
 def test_a_whole_subtree_is_joined_where_that_is_worth_its_parts():

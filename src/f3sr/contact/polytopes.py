@@ -20,8 +20,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from f3sr.core.mesh import ConvexPart
-from f3sr.core.transforms import Array, frozen
+from f3sr.core.mesh import ConvexPart, area_vectors
+from f3sr.core.transforms import AFTER, Array, cross, frozen
 from f3sr.runtime.kernels import inner_kernel, kernel
 
 COPLANAR = 1e-7
@@ -72,8 +72,9 @@ class Polytope:
     @classmethod
     def _made_of(cls, part: ConvexPart) -> Self:
         left, right, edges = _adjacent(part.faces)
-        group = _coplanar_groups(part, left, right)
-        normals = _group_normals(part, group)
+        across = area_vectors(part.vertices[part.faces])
+        group = _coplanar_groups(part, across, left, right)
+        normals = _group_normals(across, group)
         # Edges inside a facet are the triangulation's, not the polytope's.
         real = group[left] != group[right]
         start, end = part.vertices[edges[real, 0]], part.vertices[edges[real, 1]]
@@ -411,46 +412,54 @@ def _directions(edges: Array, beside: Array, short: float) -> Array:
     """Unit directions (e, 3) of edges (e, 3) between facets with normals ``beside`` (e, 2, 3).
 
     Rounding decides what the ends of a ``short`` edge tell; it is at right angles to both normals."""
-    across = np.cross(beside[:, 0], beside[:, 1])
+    across = cross(beside[:, 0], beside[:, 1])
     # Rounding turns an edge by 1e-16 over its length, or over the sine between its facets.
     by_facets = (np.linalg.norm(edges, axis=1) < short) & across.any(1)
     edges = np.where(by_facets[:, None], across, edges)
     return edges / np.linalg.norm(edges, axis=1)[:, None]
 
 
-def _coplanar_groups(part: ConvexPart, left: NDArray[np.int64], right: NDArray[np.int64]) -> NDArray[np.int64]:
+def _coplanar_groups(
+    part: ConvexPart, across: Array, left: NDArray[np.int64], right: NDArray[np.int64]
+) -> NDArray[np.int64]:
     """Label (m,) per triangle: neighbours share one when the smaller lies in the plane of the larger.
 
-    A sliver lies in the planes of all its neighbours. It joins the largest one only, so it links no two facets."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
+    ``across`` (m, 3) are the area vectors; neighbours are ``left`` and ``right`` (e,) of an edge. A sliver lies in the
+    planes of all its neighbours. It joins the largest one only, so it links no two facets."""
     corners = part.vertices[part.faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(cross, axis=1)
+    area = np.linalg.norm(across, axis=1)
     # (2, e): the larger triangle's plane is the better known one.
     large, small = np.where(area[left] >= area[right], (left, right), (right, left))
-    unit = cross[large] / np.maximum(area[large], np.finfo(float).tiny)[:, None]
+    unit = across[large] / np.maximum(area[large], np.finfo(float).tiny)[:, None]
     # (e,) largest distance of the smaller triangle's corners from the larger one's plane.
-    away = np.abs(np.einsum("eki,ei->ek", corners[small] - corners[large][:, :1], unit)).max(1)
+    away = np.abs(np.einsum("eki,ei->ek", corners[small] - corners[large, :1], unit)).max(1)
     size = float(np.linalg.norm(np.ptp(part.vertices, axis=0)))
     same = away <= COPLANAR * size
-    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
+    longest = np.linalg.norm(corners - corners[:, AFTER], axis=2).max(1)
     is_sliver = area <= SLIVER * COPLANAR * size * longest
     # Per small triangle its links by the area of the neighbour: ``unique`` gives the first, its largest neighbour.
     order = np.lexsort((-area[large], small))
     first = np.zeros(len(same), bool)
     first[order[np.unique(small[order], return_index=True)[1]]] = True
     same &= first | ~is_sliver[small]
-    links = coo_array((np.ones(same.sum()), (left[same], right[same])), shape=(len(area), len(area)))
-    return connected_components(links, directed=False)[1].astype(np.int64)
+    return _linked(len(area), left[same], right[same])
 
 
-def _group_normals(part: ConvexPart, group: NDArray[np.int64]) -> Array:
-    """Outward unit normal (f, 3) of every group of triangles: the direction of their summed area."""
-    corners = part.vertices[part.faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    total = np.stack([np.bincount(group, weights=cross[:, k]) for k in range(3)], axis=1)
+def _linked(count: int, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Label (count,) of the things that links from a (k,) to b (k,) hold together, in the order of the first ones.
+
+    As scipy's ``connected_components``, whose matrix costs more than all else for a few links."""
+    first = np.arange(count)
+    while (first[a] != first[b]).any():
+        np.minimum.at(first, a, first[b])
+        np.minimum.at(first, b, first[a])
+        first = first[first]
+    return np.unique(first, return_inverse=True)[1]
+
+
+def _group_normals(across: Array, group: NDArray[np.int64]) -> Array:
+    """Outward unit normal (f, 3) of every group of triangles: the direction of their summed area vectors (m, 3)."""
+    total = np.stack([np.bincount(group, weights=across[:, k]) for k in range(3)], axis=1)
     return total / np.linalg.norm(total, axis=1, keepdims=True)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from f3sr.contact.undersides import Outline
-from f3sr.core.mesh import ConvexPart
+from f3sr.core.mesh import ConvexPart, area_vectors
 from f3sr.core.transforms import Array
 
 STEEP = 1e-9
@@ -42,11 +42,11 @@ def _clipped_edges(part: ConvexPart, region: Outline) -> Array:
 
 def _at_corners(part: ConvexPart, corners: Array) -> Array:
     """The upper side of a part over points (k, 2): points (n, 3), none where the part is not."""
-    a, b, c = (part.vertices[part.faces[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
+    triangles = part.vertices[part.faces]
+    normals = area_vectors(triangles)
     lengths = np.linalg.norm(normals, axis=1)
     real = lengths > 0
-    normals, a = normals[real] / lengths[real, None], a[real]
+    normals, a = normals[real] / lengths[real, None], triangles[real, 0]
     # (k, m): how far each corner may rise below each face, times the face's vertical share.
     room = np.einsum("mi,mi->m", normals, a) - corners @ normals[:, :2].T
     up, down = normals[:, 2] > STEEP, normals[:, 2] < -STEEP

@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.core.transforms import Array, frozen, transform
+from f3sr.core.transforms import Array, cross, frozen, transform
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -92,15 +92,7 @@ class Mesh:
 
         Texture seams split vertices, so topology needs positions.
         """
-        # lexsort sorts by its last key first: reversed, x is the first key. Equal positions become neighbours.
-        order = np.lexsort(self.vertices.T[::-1])
-        placed = self.vertices[order]
-        new = np.ones(len(order), np.bool_)
-        new[1:] = (placed[1:] != placed[:-1]).any(1)
-        place = np.empty(len(order), np.int32)
-        # Rank of a position: how many new ones came up to it.
-        place[order] = np.cumsum(new) - 1
-        return placed[new], place
+        return places(self.vertices)
 
     @cached_property
     def welded(self) -> tuple[Array, NDArray[np.int32]]:
@@ -161,9 +153,8 @@ class ConvexPart:
         corners = np.sort(hull.vertices)
         faces = np.searchsorted(corners, hull.simplices).astype(np.int32)
         vertices = points[corners]
-        a, b, c = (vertices[faces[:, k]] for k in range(3))
         # qhull's simplices have no common winding; its equations have outward normals.
-        outward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3])
+        outward = np.einsum("ij,ij->i", area_vectors(vertices[faces]), hull.equations[:, :3])
         faces[outward < 0] = faces[outward < 0][:, ::-1]
         if not _is_closed(faces):  # rounding turns slivers
             faces = _turned_alike(faces, hull.neighbors, int(np.argmax(np.abs(outward))))
@@ -213,6 +204,24 @@ class MassProperties:
         """Whether a body can have this inertia: principal moments are positive, none exceeds the sum of the others."""
         a, b, c = np.linalg.eigvalsh(self.inertia)
         return bool(a > 0 and a + b >= c * (1 - 1e-9))
+
+
+def places(points: Array) -> tuple[Array, NDArray[np.int32]]:
+    """The distinct ones (k, 3) of points (n, 3), sorted by x, y, z, and where each point is among them (n,)."""
+    # lexsort sorts by its last key first: reversed, x is the first key. Equal points become neighbours.
+    order = np.lexsort(points.T[::-1])
+    placed = points[order]
+    new = np.ones(len(order), np.bool_)
+    new[1:] = (placed[1:] != placed[:-1]).any(1)
+    place = np.empty(len(order), np.int32)
+    # Rank of a place: how many new ones came up to it.
+    place[order] = np.cumsum(new) - 1
+    return placed[new], place
+
+
+def area_vectors(triangles: Array) -> Array:
+    """Normals (n, 3) of triangles (n, 3, 3), twice as long as their area."""
+    return cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
 
 
 def is_closed(faces: NDArray[np.int32]) -> bool:

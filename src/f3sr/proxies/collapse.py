@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from f3sr.core.mesh import area_vectors
 from f3sr.core.transforms import Array, frozen
 from f3sr.proxies.hulls import qhull_of, spread
 from f3sr.runtime.kernels import inline_kernel, kernel
@@ -196,13 +197,7 @@ def _normals(hull: Any, areas: Array) -> Array:
 
 
 def _areas(triangles: Array) -> Array:
-    return np.sqrt((_across(triangles) ** 2).sum(1)) / 2
-
-
-def _across(triangles: Array) -> Array:
-    """Normals (n, 3) of triangles (n, 3, 3), twice as long as their area."""
-    (ux, uy, uz), (vx, vy, vz) = (triangles[:, k].T - triangles[:, 0].T for k in (1, 2))
-    return np.stack([uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx], axis=1)
+    return np.sqrt((area_vectors(triangles) ** 2).sum(1)) / 2
 
 
 @cache
@@ -262,7 +257,7 @@ class _Triangulated:
         hull = qhull_of(points)
         self._points, self._body = points, body
         self.corners: Indices = np.sort(hull.vertices).astype(np.int64)
-        across = _across(points[hull.simplices])
+        across = area_vectors(points[hull.simplices])
         is_turned = (across * hull.equations[:, :3]).sum(1) < 0
         self._triangles = np.where(is_turned[:, None], hull.simplices[:, ::-1], hull.simplices).astype(np.int64)
         self._planes = np.ascontiguousarray(hull.equations)

@@ -46,6 +46,11 @@ AROUND = spread(128)
 AHEAD = (0.3, 0.5, 0.7)
 """Where across a half the next cut is tried."""
 
+TURNED = np.array([[0, 1, 2], [1, 2, 0], [2, 0, 1]])
+"""Corners of a triangle from each of them on."""
+TIP, REST = (0, 3, 4), ((3, 1, 2), (3, 2, 4))
+"""Triangles of the corners a, b, c and of two points ab, ac: the tip a, and what is left without it."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Piece:
@@ -144,21 +149,23 @@ def clipped(triangles: Array, u: Array, offset: float, overlap: float) -> tuple[
 
 
 def below(triangles: Array, u: Array, offset: float) -> Array:
+    """The parts of triangles (n, 3, 3) below a plane."""
     height = triangles @ u - offset
     over = height > 0
-    mixed = over.any(1) & ~over.all(1)
-    corners, height, over = triangles[mixed], height[mixed], over[mixed]
-    single = over.sum(1) == 1
-    alone = np.where(single, over.argmax(1), (~over).argmax(1))
-    order = (alone[:, None] + np.arange(3)) % 3
-    rows = np.arange(len(corners))[:, None]
-    corners, height = corners[rows, order], height[rows, order]
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    ab = a + (height[:, 0] / (height[:, 0] - height[:, 1]))[:, None] * (b - a)
-    ac = a + (height[:, 0] / (height[:, 0] - height[:, 2]))[:, None] * (c - a)
-    tips = np.stack([a, ab, ac], axis=1)[~single]
-    first, second = np.stack([ab, b, c], axis=1)[single], np.stack([ab, c, ac], axis=1)[single]
-    return np.concatenate([triangles[~(triangles @ u - offset > 0).any(1)], tips, first, second])
+    count = over.sum(1)
+    kept, mixed = triangles[count == 0], (count == 1) | (count == 2)
+    if not mixed.any():
+        return kept
+    single = count[mixed] == 1
+    alone = np.where(single, over[mixed].argmax(1), (~over[mixed]).argmax(1))
+    # Corners a, b, c from the one that is alone on its side, and where edges ab and ac meet the plane.
+    rows, order = np.arange(len(alone))[:, None], TURNED[alone]
+    corners, height = triangles[mixed][rows, order], height[mixed][rows, order]
+    share = height[:, :1] / (height[:, :1] - height[:, 1:])
+    met = corners[:, :1] + share[:, :, None] * (corners[:, 1:] - corners[:, :1])
+    points = np.concatenate([corners, met], axis=1)
+    tips, others = points[~single], points[single]
+    return np.concatenate([kept, tips[:, TIP], others[:, REST[0]], others[:, REST[1]]])
 
 
 # Which cut

@@ -6,11 +6,10 @@ far as their mesh allows (``proxies.joins``) and as long as no part comes nearer
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,14 +25,12 @@ from f3sr.core.mesh import ConvexPart
 from f3sr.core.surface_samples import sample_surface
 from f3sr.core.transforms import UP, Array, transform
 from f3sr.physics.mujoco_model import solid_of
-from f3sr.proxies.collapse import Bounds, collapsed
+from f3sr.proxies.collapse import Bounds
 from f3sr.proxies.hulls import beyond, planes, qhull_of
 from f3sr.proxies.joins import FELT, NEXT_TO, Join
-from f3sr.proxies.pair_volumes import Pair, PairQueue, PairVolumes
+from f3sr.proxies.known_parts import KnownParts, box_of, hull_of
+from f3sr.proxies.pair_volumes import Pair, PairQueue
 from f3sr.scene import GROUND, Scene, SceneObject
-
-if TYPE_CHECKING:
-    from scipy.spatial import KDTree
 
 KEPT = (0.1, 0.05, 0.02, 0.0)
 """Radii around contacts in which vertices are kept, the first that is possible [size]."""
@@ -56,8 +53,8 @@ MUCH_NEARER = (1, 2, 4, 8)
 """The same in units of ``NEARER``, the first that is possible, where there are too many parts or vertices."""
 REFUSALS = 12
 """Most joins of an object that are refused as its parts stand off too much."""
-SAMPLES = 20_000, 1200
-"""Points on a mesh, and on all of its parts together, by which their stand-off is measured."""
+SAMPLES = 1200
+"""Points on all of an object's parts together by which their stand-off is measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,12 +85,15 @@ def with_few_parts(
     *,
     footing: FootingConfig,
     clearance: float,
+    known: MutableMapping[int, KnownParts] | None = None,
 ) -> Scene:
     """The scene with fewer parts of the objects that have ``limits`` (by id); poses and masses are the same.
 
     ``made`` has the parts that the joins (by id) are about. Those of ``scene`` may have been cut back and split since.
-    Footings are made anew on what carries an object then, ``clearance`` [m] above it.
+    Footings are made anew on what carries an object then, ``clearance`` [m] above it. ``known`` (by id) keeps from call
+    to call what does not depend on the limits.
     """
+    known = {} if known is None else known
     bodies = {o.id: placed(o.solids, o.T_world_asset) for o in scene}
     reach = max(limit.reach for limit in limits.values())
     contacts = find_contacts(bodies, reach=reach)
@@ -119,7 +119,8 @@ def with_few_parts(
                 bodies[id] = placed(o.solids, o.T_world_asset)
                 contacts = find_contacts(bodies, reach=reach)
         rows = (contacts.upper == id) | (contacts.lower == id)
-        fewer = _Fewer(o, [p for body in others.values() for p in body], contacts.points[rows], limits[id])
+        about = known.setdefault(id, KnownParts(o.mesh))
+        fewer = _Fewer(o, about, [p for body in others.values() for p in body], contacts.points[rows], limits[id])
         parts, left = fewer.few(made[id].parts, joins.get(id, ()))
         now[id] = replace(o, parts=parts, footing=left, solid=solid_of(o)[0])
         bodies[id] = placed(now[id].solids, o.T_world_asset)
@@ -129,9 +130,11 @@ def with_few_parts(
 class _Fewer:
     """An object whose parts become fewer; ``others`` are the parts of all other bodies."""
 
-    def __init__(self, o: SceneObject, others: Iterable[Polytope], contacts: Array, limits: PartLimits) -> None:
-        self._o, self._limits = o, limits
-        self._size = o.mesh.diagonal
+    def __init__(
+        self, o: SceneObject, known: KnownParts, others: Iterable[Polytope], contacts: Array, limits: PartLimits
+    ) -> None:
+        self._o, self._known, self._limits = o, known, limits
+        self._size = known.size
         self._T_asset_world: Array = np.linalg.inv(o.T_world_asset).astype(np.float64)
         self._contacts = transform(self._T_asset_world, contacts)
         self._found: dict[tuple[ConvexPart, ...], ConvexPart | None] = {}
@@ -140,9 +143,6 @@ class _Fewer:
         self._refused = set[tuple[ConvexPart, ...]]()
         self._few: dict[ConvexPart, ConvexPart | None] = {}
         self._nearer = NEARER
-        self._faces: dict[ConvexPart, tuple[Array, Array]] = {}
-        self._part_boxes: dict[ConvexPart, Array] = {}
-        self._volumes = PairVolumes()
         boxes = np.array([[p.vertices.min(0), p.vertices.max(0)] for p in o.colliders_world])
         self._reached = limits.apart + REACHED * self._size * o.scale
         low, high = boxes[:, 0].min(0) - self._reached, boxes[:, 1].max(0) + self._reached
@@ -184,20 +184,12 @@ class _Fewer:
 
     def _stand_off(self, parts: Sequence[ConvexPart]) -> list[Array]:
         """Distances [size] from the mesh of points on each part's surface, of those in no other part."""
-        count = max(20, SAMPLES[1] // len(parts))
+        count = max(20, SAMPLES // len(parts))
         on = [sample_surface(part.vertices, part.faces, count) for part in parts]
         points = np.concatenate(on)
-        is_own = np.min([beyond(points, *self._planes(part)) for part in parts], axis=0) >= -1e-4 * self._size
-        off = self._surface.query(points)[0] / self._size
+        is_own = np.min([beyond(points, *self._known.planes(part)) for part in parts], axis=0) >= -1e-4 * self._size
+        off = self._known.surface.query(points)[0] / self._size
         return [off[k : k + count][is_own[k : k + count]] for k in range(0, len(points), count)]
-
-    @cached_property
-    def _surface(self) -> KDTree:
-        from scipy.spatial import KDTree
-
-        mesh = self._o.mesh
-        points = np.concatenate([mesh.vertices, sample_surface(mesh.vertices, mesh.faces, SAMPLES[0])])
-        return KDTree(points, balanced_tree=False, compact_nodes=False)  # faster for few queries
 
     def _joined_by(self, tree: _Tree) -> list[ConvexPart]:
         """The object's parts, joined where that is worth it and comes no nearer to other bodies."""
@@ -225,7 +217,7 @@ class _Fewer:
         left = list[ConvexPart]()
         crowded = len(parts) + len(self._o.footing) > self._limits.parts
         for wedge in self._o.footing:
-            pairs = PairQueue(self._volumes, np.inf if crowded else max(wedge.volume, self._worth))
+            pairs = PairQueue(self._known.volumes, np.inf if crowded else max(wedge.volume, self._worth))
             pairs.push((part, wedge) for part in parts)
             found = pairs.pop()
             one = self._hull(found[1]) if found else None
@@ -251,7 +243,7 @@ class _Fewer:
         """A part that reaches into the solid where it would be a thin layer: engines lose or throw thin hulls.
 
         Where the object itself is thin, it stays thin."""
-        normals, _ = self._planes(part)
+        normals, _ = self._known.planes(part)
         width = np.ptp(part.vertices @ normals.T, axis=0)
         thinnest, least = normals[int(width.argmin())], max(THIN_M / self._o.scale, THIN * self._size)
         if width.min() >= least:
@@ -260,7 +252,7 @@ class _Fewer:
         for apex in (middle + least * thinnest, middle - least * thinnest):
             inner = np.concatenate([apex[None], (part.vertices + apex) / 2])
             if self._is_solid(inner):
-                thick = self._held(np.concatenate([part.vertices, apex[None]]), self._gaps(part))
+                thick = self._free(hull_of(np.concatenate([part.vertices, apex[None]])), self._gaps(part))
                 if thick:
                     return thick
         return part
@@ -269,7 +261,7 @@ class _Fewer:
         """Whether each of points (n, 3) is in a part, or hardly outside."""
         left = points
         for part in self._o.colliders:
-            left = left[beyond(left, *self._planes(part)) > PAST * self._size]
+            left = left[beyond(left, *self._known.planes(part)) > PAST * self._size]
             if not len(left):
                 return True
         return False
@@ -292,7 +284,7 @@ class _Fewer:
 
         The tree of joins does not know where other bodies forbid one of them."""
         worth, crowded = self._worth, len(parts) > most
-        pairs = PairQueue(self._volumes, np.inf if crowded else worth)
+        pairs = PairQueue(self._known.volumes, np.inf if crowded else worth)
         pairs.push(pair for k, part in enumerate(parts) for pair in self._pairs(parts[:k], part, anywhere=crowded))
         while found := pairs.pop(parts):
             added, pair = found
@@ -314,14 +306,9 @@ class _Fewer:
 
     def _pairs(self, parts: Sequence[ConvexPart], part: ConvexPart, *, anywhere: bool = False) -> list[Pair]:
         """A part with each of those whose boxes touch its own, or with all."""
-        boxes = np.array([self._box(p) for p in parts]).reshape(-1, 2, 3)
-        near = np.full(len(parts), True) if anywhere else _are_near(boxes, self._box(part), NEXT_TO * self._size)
+        boxes = np.array([self._known.box(p) for p in parts]).reshape(-1, 2, 3)
+        near = np.full(len(parts), True) if anywhere else _are_near(boxes, self._known.box(part), NEXT_TO * self._size)
         return [(parts[k], part) for k in np.flatnonzero(near).tolist()]
-
-    def _box(self, part: ConvexPart) -> Array:
-        if part not in self._part_boxes:
-            self._part_boxes[part] = _box_of(part.vertices)
-        return self._part_boxes[part]
 
     def _hull(self, parts: tuple[ConvexPart, ...]) -> ConvexPart | None:
         """One hull for parts; None where it would come too near to another body."""
@@ -331,18 +318,14 @@ class _Fewer:
             return None
         if parts not in self._found:
             gaps = np.min([self._gaps(part) for part in parts], axis=0)
-            one = self._found[parts] = self._held(np.concatenate([part.vertices for part in parts]), gaps)
+            one = self._found[parts] = self._free(self._known.hull(parts), gaps)
             if one:
                 self._joined[one] = parts
         return self._found[parts]
 
-    def _held(self, points: Array, gaps: Array) -> ConvexPart | None:
-        """The hull of points (n, 3), if it comes hardly nearer to other bodies than ``gaps`` [m]."""
-        try:
-            whole = ConvexPart.hull_of(points)
-        except ValueError:  # hardly a volume
-            return None
-        if not self._is_free(whole, gaps - self._nearer):
+    def _free(self, whole: ConvexPart | None, gaps: Array) -> ConvexPart | None:
+        """A hull, if it is one and comes hardly nearer to other bodies than ``gaps`` [m]."""
+        if whole is None or not self._is_free(whole, gaps - self._nearer):
             return None
         self._between[whole] = gaps - (self._nearer - NEARER)
         return whole
@@ -360,7 +343,7 @@ class _Fewer:
             if kept.sum() > self._limits.kept * self._limits.vertices or (farthest, kept.tobytes()) in tried:
                 continue
             tried.add((farthest, kept.tobytes()))
-            few = ConvexPart.hull_of(collapsed(part.vertices / self._size, self._limits.vertices, near) * self._size)
+            few = self._known.few(part, self._limits.vertices, near)
             if len(few.vertices) <= self._limits.vertices and self._is_free(few, allowed):
                 return few
         return None
@@ -381,7 +364,7 @@ class _Fewer:
 
     def _is_free(self, part: ConvexPart, allowed: Array) -> bool:
         """Whether a part is as far from other bodies' parts and from the ground as ``allowed`` (n + 1,) [m]."""
-        box = _box_of(transform(self._o.T_world_asset, part.vertices))
+        box = box_of(transform(self._o.T_world_asset, part.vertices))
         near = self._near(box, self._limits.reach)
         if box[0, 2] < allowed[-1]:
             return False
@@ -393,7 +376,7 @@ class _Fewer:
 
     def _is_beside(self, part: ConvexPart, other: int, enough: float) -> bool:
         """Whether a face of either separates the two by ``enough`` [m]: a look that costs little."""
-        normals, offsets = self._planes(part)
+        normals, offsets = self._known.planes(part)
         theirs = self._others[other]
         if ((self._theirs[other] @ normals.T).min(0) - offsets).max() * self._o.scale >= enough:
             return True
@@ -402,12 +385,7 @@ class _Fewer:
 
     def _holds(self, part: ConvexPart, other: int) -> bool:
         """Whether some vertex of another body's part lies in a part."""
-        return bool((beyond(self._theirs[other], *self._planes(part)) < 0).any())
-
-    def _planes(self, part: ConvexPart) -> tuple[Array, Array]:
-        if part not in self._faces:
-            self._faces[part] = planes(part)
-        return self._faces[part]
+        return bool((beyond(self._theirs[other], *self._known.planes(part)) < 0).any())
 
     def _gaps(self, part: ConvexPart) -> Array:
         """Distance (n + 1,) [m] of a part from other bodies' parts and from the ground, negative inside.
@@ -416,7 +394,7 @@ class _Fewer:
         if part not in self._between:
             reach = self._limits.reach
             gaps = np.full(len(self._others) + 1, reach)
-            box = _box_of(transform(self._o.T_world_asset, part.vertices))
+            box = box_of(transform(self._o.T_world_asset, part.vertices))
             gaps[-1] = min(reach, float(box[0, 2]))
             for k in self._near(box, reach):
                 gaps[k] = min(reach, self._gap(part, k, reach))
@@ -430,11 +408,6 @@ class _Fewer:
     def _near(self, box: Array, apart: float) -> NDArray[np.int64]:
         """Which of the others' boxes come within ``apart`` [m] of a box (2, 3)."""
         return np.flatnonzero(_are_near(self._other_boxes, box, apart))
-
-
-def _box_of(points: Array) -> Array:
-    """(2, 3) lowest and highest corner."""
-    return np.stack([points.min(0), points.max(0)])
 
 
 def _are_near(boxes: Array, box: Array, apart: float) -> NDArray[np.bool_]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.core.mesh import ConvexPart
+from f3sr.core.mesh import ConvexPart, area_vectors
 from f3sr.core.transforms import Array
 
 THINNEST = 1e-5
@@ -72,8 +72,7 @@ def _of_each_turn(equations: Array, triangles: Array) -> NDArray[np.int64]:
     largest, in the order of the cells."""
     if len(equations) <= FEW_PLANES:
         return np.unique(distinct(equations[:, :3])[1], return_index=True)[1]
-    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    order = np.argsort(-np.linalg.norm(np.cross(b - a, c - a), axis=1), kind="stable")
+    order = np.argsort(-np.linalg.norm(area_vectors(triangles), axis=1), kind="stable")
     cells = np.round(equations[order, :3] / TURN).astype(np.int64) + round(1 / TURN)
     wide = 2 * round(1 / TURN) + 1
     return order[np.unique((cells[:, 0] * wide + cells[:, 1]) * wide + cells[:, 2], return_index=True)[1]]
@@ -126,12 +125,12 @@ def beyond(points: Array, normals: Array, offsets: Array) -> Array:
 
 def planes(part: ConvexPart) -> tuple[Array, Array]:
     """Outward unit normals (m, 3) and offsets (m,) of a part's triangles."""
-    a, b, c = (part.vertices[part.faces[:, k]] for k in range(3))
-    cross = np.cross(b - a, c - a)
-    area = np.linalg.norm(cross, axis=1)
+    triangles = part.vertices[part.faces]
+    across = area_vectors(triangles)
+    area = np.linalg.norm(across, axis=1)
     real = area > SMALLEST_FACET
-    normals = cross[real] / area[real, None]
-    return normals, np.einsum("ij,ij->i", normals, a[real])
+    normals = across[real] / area[real, None]
+    return normals, np.einsum("ij,ij->i", normals, triangles[real, 0])
 
 
 def without_hidden(parts: Sequence[ConvexPart]) -> list[ConvexPart]:

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from f3sr.core.mesh import ConvexPart
+from f3sr.core.mesh import ConvexPart, area_vectors
 from f3sr.core.transforms import Array
 from f3sr.proxies.hulls import qhull_of
 
@@ -75,6 +75,6 @@ class PairQueue:
 
 def _faces(part: ConvexPart) -> Array:
     """A part's triangles as planes (m, 4), ``n . x - d``, with normals as long as a third of their area."""
-    a, b, c = (part.vertices[part.faces[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a) / 6
-    return np.c_[normals, np.einsum("ij,ij->i", normals, a)]
+    triangles = part.vertices[part.faces]
+    normals = area_vectors(triangles) / 6
+    return np.c_[normals, np.einsum("ij,ij->i", normals, triangles[:, 0])]

@@ -15,7 +15,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from f3sr.contact.polytopes import Polytope
-from f3sr.core.mesh import ConvexPart, Mesh
+from f3sr.core.mesh import ConvexPart, Mesh, places
 from f3sr.core.transforms import Array
 from f3sr.proxies.cuts import OVERLAP, below
 from f3sr.proxies.hulls import qhull_of
@@ -139,7 +139,7 @@ def less(part: ConvexPart, normal: Array, offset: float, size: float) -> ConvexP
     left = below(part.vertices[part.faces], normal, offset).reshape(-1, 3)
     if not len(left):
         return None
-    facets, inside = Polytope.of(part), np.unique(left, axis=0).mean(0)
+    facets, inside = Polytope.of(part), places(left)[0].mean(0)
     corners = corners_of(np.vstack([facets.normals, normal]), np.append(facets.offsets, offset), part, inside)
     try:
         smaller = None if corners is None else ConvexPart.hull_of(merged(corners, SLACK * size))
@@ -177,10 +177,12 @@ def _in_the_way(part: ConvexPart, place: Place, tolerance: float, slack: float) 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Held:
-    """A part, what it holds of the mesh (n, 3, 3), and the planes of the hull of that, None for a sheet."""
+    """A part, what it holds of the mesh (n, 3, 3), the corners of that (k, 3), and its hull's planes, None for a
+    sheet."""
 
     part: ConvexPart
     triangles: Array
+    corners: Array
     hull: Planes | None
     size: float
 
@@ -191,7 +193,8 @@ class _Held:
 
     @classmethod
     def holding(cls, part: ConvexPart, held: Array, size: float) -> _Held:
-        return cls(part=part, triangles=held, hull=_hull_planes(np.unique(held.reshape(-1, 3), axis=0)), size=size)
+        corners, _ = places(held.reshape(-1, 3))
+        return cls(part=part, triangles=held, corners=corners, hull=_hull_planes(corners), size=size)
 
     def worst(self, points: Array) -> tuple[float, tuple[Array, float]] | None:
         """Distance of the worst of some points (n, 3) outside the hull of the covered points, and the plane it is
@@ -245,8 +248,7 @@ def _best_split(held: _Held, place: Place, spot: Array) -> tuple[_Held, _Held] |
     """The halves by a plane through the place along its outward direction.
 
     The plane leaves the place farthest outside the hulls of both sides; None if it stays inside for all."""
-    corners = np.unique(held.triangles.reshape(-1, 3), axis=0)
-    looks = [(_left_outside(corners, w, place.point, spot), k, w) for k, w in enumerate(_across(place.outward))]
+    looks = [(_left_outside(held.corners, w, place.point, spot), k, w) for k, w in enumerate(_across(place.outward))]
     outside, _, w = max(looks)
     if outside <= SLACK * held.size:
         return None
@@ -277,10 +279,11 @@ def _across(direction: Array) -> Iterator[Array]:
 
 def _clipped(triangles: Array, normals: Array, offsets: Array) -> Array:
     """The parts of triangles (n, 3, 3) below all planes."""
-    over = triangles @ normals.T > offsets
-    some, every = np.logical_or.reduce(over, axis=1), np.logical_and.reduce(over, axis=1)
-    inside, outside = ~some.any(-1), every.any(-1)
-    whole, crossing, crossed = triangles[inside], triangles[~inside & ~outside], some.any(0)
+    over = (triangles.reshape(-1, 3) @ normals.T > offsets).reshape(len(triangles), -1)
+    inside = ~over.any(1)
+    whole, others, over = triangles[inside], triangles[~inside], over[~inside].reshape(-1, 3, len(offsets))
+    outside, crossed = (over[:, 0] & over[:, 1] & over[:, 2]).any(1), over.any((0, 1))
+    crossing = others[~outside]
     for u, offset in zip(normals[crossed], offsets[crossed], strict=True):
         crossing = below(crossing, u, float(offset))
     return np.concatenate([whole, crossing])

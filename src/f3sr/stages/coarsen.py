@@ -17,6 +17,7 @@ from f3sr.metrics.measures import visible_ious
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.proxies import Join
 from f3sr.proxies.few_parts import PartLimits, with_few_parts
+from f3sr.proxies.known_parts import KnownParts
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene, SceneObject
 from f3sr.settings import settings
@@ -101,7 +102,9 @@ def coarsen(
     is over them gets fewer. If it moves then too, it takes the attempt in which it rests and loses least. Objects that
     were ``restless`` may stay so.
     """
-    few = partial(with_few_parts, made=made, joins=joins, footing=config.footing, clearance=config.contact.clearance)
+    known = dict[int, KnownParts]()
+    footing, clearance = config.footing, config.contact.clearance
+    few = partial(with_few_parts, made=made, joins=joins, footing=footing, clearance=clearance, known=known)
     run = _Coarsening(scene, config, few, settled, frozenset(restless))
     while run.left and len(run.tries) < TRIES:
         run.attempt(run.left, run.left)
