@@ -27,7 +27,7 @@ def of(m: trimesh.Trimesh) -> Mesh:
 def test_a_hull_for_which_memory_is_lacking_is_not_said_to_be_flat(monkeypatch: pytest.MonkeyPatch):
     from scipy.spatial import QhullError
 
-    def full(_: object) -> None:
+    def full(*_: object, **__: object) -> None:
         raise QhullError("QH6082 qhull error (qh_memalloc): insufficient memory to allocate 880 bytes")
 
     monkeypatch.setattr("scipy.spatial.ConvexHull", full)
@@ -168,3 +168,25 @@ def test_hulls_of_points_with_near_twins_are_closed(seed: int):
         edges = np.concatenate([hull.faces[:, [0, 1]], hull.faces[:, [1, 2]], hull.faces[:, [2, 0]]]).tolist()
         assert sorted(edges) == sorted([b, a] for a, b in edges)
         assert hull.volume > 0
+
+
+def test_a_hull_with_a_facet_a_hair_wide_is_no_sheet():
+    """Qhull stops at these points, which a cut through a scan left: two and three of them are near twins."""
+    points = np.array(
+        [
+            [1.1094749090573, -0.2671262789157, -1.1708353530705],
+            [1.1094749159699, -0.2671262849671, -1.1708353516575],
+            [1.1163385246368, -0.2730338405761, -1.1713704950875],
+            [1.1163386172416, -0.2730339175783, -1.1713705542081],
+            [1.1163387001105, -0.2730339803442, -1.171370725005],
+            [1.1136983042532, -0.2626792934102, -1.3263267502793],
+            [1.1119427512086, -0.2974212731999, -1.231610864969],
+        ]
+    )
+    assert ConvexPart.hull_of(points).volume == pytest.approx(5.5605e-6, rel=1e-3)
+
+
+def test_the_hull_of_a_sheet_is_refused():
+    for sheet in (np.zeros((0, 3)), np.eye(3), np.random.default_rng(0).random((50, 3)) * [1, 1, 0]):
+        with pytest.raises(ValueError, match="span no volume"):
+            ConvexPart.hull_of(sheet)

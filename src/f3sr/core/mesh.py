@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,14 +142,7 @@ class ConvexPart:
     @classmethod
     def hull_of(cls, points: Array) -> Self:
         """The convex hull of points (n, 3). Raises ValueError when they span no volume, MemoryError when qhull does."""
-        from scipy.spatial import ConvexHull, QhullError
-
-        try:
-            hull = ConvexHull(points)
-        except (QhullError, ValueError) as error:
-            if "insufficient memory" in str(error):
-                raise MemoryError(f"hull of {len(points)} points") from error
-            raise ValueError(f"{len(points)} points span no volume") from error
+        hull = qhull(points)
         corners = np.sort(hull.vertices)
         faces = np.searchsorted(corners, hull.simplices).astype(np.int32)
         vertices = points[corners]
@@ -204,6 +197,23 @@ class MassProperties:
         """Whether a body can have this inertia: principal moments are positive, none exceeds the sum of the others."""
         a, b, c = np.linalg.eigvalsh(self.inertia)
         return bool(a > 0 and a + b >= c * (1 - 1e-9))
+
+
+QHULL_OPTIONS = ("Qt", "Qt Q12")
+"""Tried in order. Near twins of points may leave facets 1e-12 wide, at which Qhull stops without Q12."""
+
+
+def qhull(points: Array) -> Any:
+    """scipy's hull of points (n, 3). Raises ValueError when they span no volume, MemoryError when Qhull does."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    for options in QHULL_OPTIONS:
+        try:
+            return ConvexHull(points, qhull_options=options)
+        except (QhullError, ValueError) as error:
+            if "insufficient memory" in str(error):
+                raise MemoryError(f"hull of {len(points)} points") from error
+    raise ValueError(f"{len(points)} points span no volume")
 
 
 def places(points: Array) -> tuple[Array, NDArray[np.int32]]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.core.mesh import ConvexPart, area_vectors
+from f3sr.core.mesh import ConvexPart, area_vectors, qhull
 from f3sr.core.transforms import Array
 
 THINNEST = 1e-5
@@ -40,14 +40,10 @@ class Hull:
 
 
 def qhull_of(points: Array) -> Any:
-    """scipy's hull of points (n, 3); None where they span no volume."""
-    from scipy.spatial import ConvexHull, QhullError
-
-    if len(points) < 4:
-        return None
+    """scipy's hull of points (n, 3); None where they span no volume. Raises MemoryError when qhull does."""
     try:
-        return ConvexHull(points)
-    except (QhullError, ValueError):
+        return qhull(points) if len(points) >= 4 else None
+    except ValueError:
         return None
 
 

@@ -19,7 +19,7 @@ from f3sr.proxies.parts import FittedParts
 from f3sr.proxies.surface import Faces
 from f3sr.runtime.result_store import Arrays
 
-PROXY_VERSION = 6
+PROXY_VERSION = 7
 """Part of the cache key; raise it when the same input and config give other parts."""
 
 
