@@ -21,7 +21,7 @@ from f3sr.contact import compounds
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart, Mesh, solid_properties
 from f3sr.errors import InputError
-from f3sr.proxies import ProxyConfig, decompose, decompose_all, joins, worker
+from f3sr.proxies import ProxyConfig, decompose, decompose_all, decomposing, joins, worker
 from f3sr.proxies.config import CutConfig
 from f3sr.proxies.cut_volumes import LAYER, FirstLook, SimplifiedSurface, bulk_of_sides
 from f3sr.proxies.cuts import clipped
@@ -553,6 +553,24 @@ def test_a_worker_that_is_called_off_is_killed_at_once_with_its_work():
     while not all(map(is_gone, ours)):
         time.sleep(0.01)
     assert len(ours) == 2 and time.monotonic() - began < 2
+
+
+def test_what_is_made_beside_a_block_ends_with_it():
+    with decomposing([BOWL, BOWL], GREEDY) as made:
+        while not (ours := [grandchild for child in children(os.getpid()) for grandchild in children(child)]):
+            time.sleep(0.01)
+    began = time.monotonic()
+    with pytest.raises(CancelledError):
+        made()
+    while not all(map(is_gone, ours)):
+        time.sleep(0.01)
+    assert time.monotonic() - began < 2
+
+
+def test_what_fails_beside_a_block_is_raised_where_the_result_is_asked_for(no_subprocess):
+    empty = Mesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), np.int32))
+    with decomposing([empty], QUICK) as made, pytest.raises(InputError, match="mesh of object 0"):
+        made()
 
 
 def test_workers_fork_with_everything_imported_and_before_any_thread():

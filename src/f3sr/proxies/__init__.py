@@ -10,8 +10,9 @@ bounding box). So the result does not depend on the asset's unit.
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -30,10 +31,11 @@ from f3sr.proxies.surface import Faces
 from f3sr.proxies.worker import ProxyWorker
 from f3sr.report import Decision
 from f3sr.runtime.cache_folder import within
+from f3sr.runtime.daemon_thread import begun
 from f3sr.runtime.machine import usable_cores
 from f3sr.runtime.result_store import Arrays, Store
 
-__all__ = ["Excess", "Join", "Proxy", "ProxyConfig", "check", "decompose", "decompose_all", "split"]
+__all__ = ["Excess", "Join", "Proxy", "ProxyConfig", "check", "decompose", "decompose_all", "decomposing", "split"]
 
 INFLATION_LIMIT = 1.4
 """Ratio of the volume of the parts to that of the mesh above which a decision names the object."""
@@ -82,14 +84,29 @@ def decompose(
         return _decomposed(mesh, worker, cache_dir, about)
 
 
+@contextmanager
+def decomposing(meshes: Sequence[Mesh], config: ProxyConfig) -> Generator[Callable[[], list[Proxy]]]:
+    """``decompose_all`` beside the block, which ends it; the call waits for its result and raises what it raised."""
+    cancelled = threading.Event()
+    try:
+        yield begun(decompose_all, meshes, config, cancelled=cancelled).result
+    finally:
+        cancelled.set()
+
+
 def decompose_all(
     meshes: Sequence[Mesh],
     config: ProxyConfig | None = None,
     *,
     cache_dir: Path | None = None,
     ids: Sequence[int] | None = None,
+    cancelled: threading.Event | None = None,
 ) -> list[Proxy]:
-    """Convex parts of many meshes, by one worker per processor, large ones first; ``ids`` name them in decisions."""
+    """Convex parts of many meshes, by one worker per processor, large ones first; ``ids`` name them in decisions.
+
+    Another thread may set ``cancelled``: workers are killed and CancelledError raised.
+    """
+    cancelled = cancelled or threading.Event()
     ids = range(len(meshes)) if ids is None else ids
     for mesh, id in zip(meshes, ids, strict=True):
         check(mesh, f"mesh of object {id}")
@@ -101,7 +118,6 @@ def decompose_all(
             for k in waiting:
                 found[k] = _decomposed(meshes[k], worker, cache_dir, ids[k])
 
-    cancelled = threading.Event()
     with ThreadPoolExecutor(cores := usable_cores()) as pool:
         try:
             for served in [pool.submit(serve) for _ in range(cores)]:
