@@ -31,7 +31,7 @@ from f3sr.proxies.parts import SHEET, several, subject_of, thickened
 from f3sr.proxies.simplify import simplified_outward
 from f3sr.proxies.surface import NearestTriangles, samples_of, surroundings
 from f3sr.proxies.worker import ProxyWorker
-from f3sr.runtime.subprocesses import ONE_THREAD
+from f3sr.runtime.machine import ONE_THREAD
 
 QUICK = ProxyConfig(tolerance=0.012, max_parts=24, cuts=CutConfig(target_faces=600, samples=2000, surplus=1.5))
 GREEDY = ProxyConfig(tolerance=0.0005, max_parts=256, cuts=CutConfig(samples=100_000))

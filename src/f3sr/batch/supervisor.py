@@ -19,7 +19,8 @@ from f3sr.batch.job import Job
 from f3sr.batch.job_process import JobRequest
 from f3sr.dataset.record import Failure
 from f3sr.errors import F3srError, one_line
-from f3sr.runtime.subprocesses import ONE_THREAD, started
+from f3sr.runtime.machine import ONE_THREAD
+from f3sr.runtime.subprocesses import started
 
 POLL_S = 0.1
 """How often memory and time of a job are looked at [s]: a job touches at most half a gigabyte in between."""

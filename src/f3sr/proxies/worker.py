@@ -32,7 +32,8 @@ from f3sr.proxies.parts import FittedParts
 from f3sr.proxies.store import config_json, packed, unpacked
 from f3sr.proxies.surface import Faces
 from f3sr.runtime import signals
-from f3sr.runtime.subprocesses import ONE_THREAD, die_with, started
+from f3sr.runtime.machine import ONE_THREAD
+from f3sr.runtime.subprocesses import die_with, started
 
 LOOK_UP_S = 0.2
 """How often a thread that waits for a worker looks whether all has been called off [s]."""

@@ -11,9 +11,6 @@ from typing import IO
 PR_SET_PDEATHSIG = 1
 """From Linux' sys/prctl.h."""
 
-ONE_THREAD: Mapping[str, str] = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-"""Environment of processes that run in parallel to each other: sums keep their order."""
-
 Stream = IO[bytes] | int
 
 
