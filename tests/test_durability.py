@@ -63,6 +63,10 @@ def children(pid: int) -> list[int]:
     return [int(child) for line in found for child in line]
 
 
+def grandchildren(pid: int) -> list[int]:
+    return [grandchild for child in children(pid) for grandchild in children(child)]
+
+
 def runs(pid: int) -> bool:
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
@@ -110,9 +114,8 @@ def test_ctrl_c_while_starting_ends_at_once_with_one_line(after: float, cache: P
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_no_worker_outlives_a_run_that_is_ended(number: signal.Signals, cache: Path, tmp_path: Path):
     process = start("reconstruct", example.folder(), "-o", tmp_path / "out", *TO_WORKERS, cache=cache)
-    assert soon(lambda: children(process.pid), 60)
-    time.sleep(0.5)
-    workers = children(process.pid)
+    assert soon(lambda: grandchildren(process.pid), 60), "a worker forks a process for a mesh"
+    workers = children(process.pid) + grandchildren(process.pid)
     process.send_signal(number)
     began = time.monotonic()
     _, errors = process.communicate()

@@ -10,10 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from f3sr import pipeline
+from f3sr.core.mesh import Mesh
 from f3sr.errors import InputError
 from f3sr.io import inputs
 from f3sr.pipeline import SKIPPABLE, Config, Reconstruction, reconstruct
 from f3sr.play.goal_loop import replay_plan, simulate_goal
+from f3sr.proxies import ProxyConfig, decomposing
 from f3sr.runtime.result_store import Store
 from f3sr.scene import SceneGraph
 from f3sr.scene_package.package import read_package, write_package
@@ -61,6 +64,22 @@ def test_what_was_skipped_does_not_come_back(given: inputs.Inputs, stages: Store
 def test_everything_skipped_is_direct_composition(given: inputs.Inputs):
     result = reconstruct(given, skip=[s for s in SKIPPABLE if s != "level"])
     assert all(np.array_equal(o.T_world_object, result.direct[o.id].T_world_object) for o in result.scene)
+
+
+@pytest.mark.parametrize("skip", [SKIPPABLE, [s for s in SKIPPABLE if s != "decompose"]])
+def test_proxies_are_begun_early_where_they_are_neither_skipped_nor_stored(
+    given: inputs.Inputs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, skip: list[str]
+):
+    begun: list[ProxyConfig] = []
+
+    def counted(meshes: list[Mesh], config: ProxyConfig) -> Any:
+        begun.append(config)
+        return decomposing(meshes, config)
+
+    monkeypatch.setattr(pipeline, "decomposing", counted)
+    for _ in range(2):
+        reconstruct(given, skip=skip, store=Store(tmp_path))
+    assert len(begun) == ("decompose" not in skip)
 
 
 def test_unknown_stages_are_refused(given: inputs.Inputs):

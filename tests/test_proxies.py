@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
+import sys
+import time
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
+from queue import SimpleQueue
+from threading import Event
 
 import manifold3d as mf
 import numpy as np
@@ -14,7 +21,7 @@ from f3sr.contact import compounds
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart, Mesh, solid_properties
 from f3sr.errors import InputError
-from f3sr.proxies import ProxyConfig, decompose, decompose_all, joins, worker
+from f3sr.proxies import ProxyConfig, decompose, decompose_all, decomposing, joins, worker
 from f3sr.proxies.config import CutConfig
 from f3sr.proxies.cut_volumes import LAYER, FirstLook, SimplifiedSurface, bulk_of_sides
 from f3sr.proxies.cuts import clipped
@@ -23,8 +30,12 @@ from f3sr.proxies.hulls import distinct, hull_of
 from f3sr.proxies.parts import SHEET, several, subject_of, thickened
 from f3sr.proxies.simplify import simplified_outward
 from f3sr.proxies.surface import NearestTriangles, samples_of, surroundings
+from f3sr.proxies.worker import ProxyWorker
+from f3sr.runtime.machine import ONE_THREAD
 
 QUICK = ProxyConfig(tolerance=0.012, max_parts=24, cuts=CutConfig(target_faces=600, samples=2000, surplus=1.5))
+GREEDY = ProxyConfig(tolerance=0.0005, max_parts=256, cuts=CutConfig(samples=100_000))
+"""With it a bowl takes 20 s."""
 
 
 def box_mesh(size=(1.0, 1.0, 1.0), center=(0.0, 0.0, 0.0)):
@@ -440,8 +451,7 @@ def test_the_same_bytes_twice(tmp_path):
 
 
 def test_a_worker_over_its_limit_falls_back_and_is_not_cached(tmp_path):
-    greedy = ProxyConfig(cpu_limit_s=1, tolerance=0.0005, max_parts=256, cuts=CutConfig(samples=100_000))
-    proxy = decompose(BOWL, greedy, cache_dir=tmp_path, about=3)
+    proxy = decompose(BOWL, replace(GREEDY, cpu_limit_s=1), cache_dir=tmp_path, about=3)
     assert proxy.cut_short
     assert proxy.method == "hull-fallback"
     assert proxy.decisions[0].fallback
@@ -454,6 +464,129 @@ def test_a_worker_over_its_wall_limit_is_killed(tmp_path):
     proxy = decompose(BOWL, replace(QUICK, wall_limit_s=0.05), cache_dir=tmp_path)
     assert proxy.cut_short
     assert "killed after 0.05 s" in proxy.decisions[0].reason
+
+
+def split(worker, mesh):
+    return worker.split(*proxies._normalised(mesh)[:2])
+
+
+def same_parts(one, other):
+    return all(a.vertices.tobytes() == b.vertices.tobytes() for a, b in zip(one.parts, other.parts, strict=True))
+
+
+def children(pid):
+    found = [p.read_text().split() for p in Path(f"/proc/{pid}/task").glob("*/children")]
+    return [int(child) for line in found for child in line]
+
+
+def is_gone(pid):
+    stat = Path(f"/proc/{pid}/stat")
+    return not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] == "Z"
+
+
+@pytest.fixture
+def at_work():
+    """A worker that has split a mesh, with its answer."""
+    with ProxyWorker(QUICK) as worker:
+        yield worker, split(worker, L_SHAPE)
+
+
+def test_a_mesh_over_its_limit_takes_nothing_from_the_others():
+    with ProxyWorker(replace(GREEDY, cpu_limit_s=2)) as worker:
+        before, over, after = (split(worker, mesh) for mesh in (L_SHAPE, BOWL, L_SHAPE))
+    assert over.cut_short and "2 s of processor time" in over.reason
+    assert before.fitted and after.fitted and same_parts(before.fitted, after.fitted)
+
+
+def test_a_worker_answers_alike_in_any_order():
+    meshes = [L_SHAPE, crate(), BOWL]
+    with ProxyWorker(QUICK) as one, ProxyWorker(QUICK) as other:
+        forth = [split(one, mesh).fitted for mesh in meshes]
+        back = [split(other, mesh).fitted for mesh in reversed(meshes)]
+    for a, b in zip(forth, reversed(back), strict=True):
+        assert same_parts(a, b) and (a.excess, a.joins) == (b.excess, b.joins)
+
+
+def test_a_failure_ends_the_process_of_its_mesh_alone(at_work):
+    worker, first = at_work
+    process = worker.running.process
+    bad = worker.split(np.full((4, 3), np.nan), np.array([[0, 1, 2]], np.int32))
+    assert bad.reason.startswith("failed: ") and not bad.cut_short
+    assert same_parts(split(worker, L_SHAPE).fitted, first.fitted)
+    assert worker.running.process is process and process.poll() is None
+
+
+def test_a_worker_that_is_gone_is_replaced(at_work):
+    worker, first = at_work
+    worker.running.process.kill()
+    while not (answer := split(worker, L_SHAPE)).fitted:
+        assert answer.cut_short
+    assert same_parts(answer.fitted, first.fitted)
+
+
+def test_a_worker_that_cannot_start_says_why(monkeypatch):
+    monkeypatch.setattr(worker, "config_json", lambda _: "no JSON")
+    with ProxyWorker(QUICK) as broken:
+        answer = split(broken, L_SHAPE)
+    assert answer.reason.startswith("failed: ") and not answer.cut_short
+
+
+def test_a_worker_that_is_called_off_is_killed_at_once_with_its_work():
+    cancelled = Event()
+    with ThreadPoolExecutor() as pool:
+
+        def wait():
+            with ProxyWorker(GREEDY, cancelled) as worker:
+                started.put(worker)
+                split(worker, BOWL)
+
+        started = SimpleQueue()
+        waiting = pool.submit(wait)
+        process = started.get()
+        while process.running is None or not children(process.running.process.pid):
+            time.sleep(0.01)
+        ours = [process.running.process.pid, *children(process.running.process.pid)]
+        cancelled.set()
+        began = time.monotonic()
+        with pytest.raises(CancelledError):
+            waiting.result()
+    while not all(map(is_gone, ours)):
+        time.sleep(0.01)
+    assert len(ours) == 2 and time.monotonic() - began < 2
+
+
+def test_what_is_made_beside_a_block_ends_with_it():
+    with decomposing([BOWL, BOWL], GREEDY) as made:
+        while not (ours := [grandchild for child in children(os.getpid()) for grandchild in children(child)]):
+            time.sleep(0.01)
+    began = time.monotonic()
+    with pytest.raises(CancelledError):
+        made()
+    while not all(map(is_gone, ours)):
+        time.sleep(0.01)
+    assert time.monotonic() - began < 2
+
+
+def test_what_fails_beside_a_block_is_raised_where_the_result_is_asked_for(no_subprocess):
+    empty = Mesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), np.int32))
+    with decomposing([empty], QUICK) as made, pytest.raises(InputError, match="mesh of object 0"):
+        made()
+
+
+def test_workers_fork_with_everything_imported_and_before_any_thread():
+    code = """
+import os, sys
+from test_proxies import L_SHAPE, QUICK, proxies, several, worker
+mesh = proxies._normalised(L_SHAPE)[:2]
+before = set(sys.modules)
+worker.load()
+assert len(os.listdir("/proc/self/task")) == 1
+loaded = set(sys.modules)
+worker.packed(several(*mesh, QUICK))
+assert set(sys.modules) == loaded, set(sys.modules) - loaded
+"""
+    environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join(sys.path)}
+    subprocess.run([sys.executable, "-c", code], check=True, env=environment)
 
 
 def pile(count, size):
@@ -488,7 +621,7 @@ def test_scattered_triangles_are_covered(tmp_path):
 )
 def test_what_a_lack_of_memory_left_is_not_kept(code, words, tmp_path, monkeypatch):
     """Another run may have it."""
-    monkeypatch.setattr(proxies, "run_worker", lambda *_: worker.explained(code, words, QUICK))
+    monkeypatch.setattr(ProxyWorker, "split", lambda *_: worker.explained(code, words, QUICK))
     proxy = decompose(L_SHAPE, QUICK, cache_dir=tmp_path)
     assert proxy.cut_short and "out of memory" in proxy.decisions[0].reason
     assert not list(tmp_path.iterdir())
@@ -498,7 +631,7 @@ def test_a_crash_leaves_one_hull_and_says_so(tmp_path, monkeypatch):
     def crash(*_):
         return worker.explained(-6, "", QUICK)
 
-    monkeypatch.setattr(proxies, "run_worker", crash)
+    monkeypatch.setattr(ProxyWorker, "split", crash)
     proxy = decompose(L_SHAPE, QUICK, cache_dir=tmp_path)
     assert proxy.method == "hull-fallback" and len(proxy.parts) == 1
     assert not proxy.cut_short

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 
@@ -16,7 +17,7 @@ from f3sr.errors import require_kind, require_names
 from f3sr.io.inputs import Inputs
 from f3sr.metrics.contact_groups import SettledScene
 from f3sr.options import SKIPPABLE
-from f3sr.proxies import ProxyConfig
+from f3sr.proxies import ProxyConfig, decomposing
 from f3sr.report import Outcome, Report
 from f3sr.runtime.daemon_thread import begun
 from f3sr.runtime.progress import Progress, silent
@@ -130,20 +131,22 @@ def reconstruct(
     again = partial(_made_again, config=config, closes="close" not in skip)
 
     scene, _ = run.stage(Assembled, assemble, as_given(inputs), config.assemble, told=inputs.decisions)
-    direct, _ = run.stage(Levelled, level, scene, config.level)
-    scene, _ = run.stage(Aligned, align, direct, _without(config.align, skip))
-    inpainted = run.beside(
-        "inpaint",
-        partial(inpaint, direct, config.inpaint, given=inputs.background, completer=background),
-        ArraysForm(Inpainting, Inpainted),
-        config.inpaint,
-        also=background.key if background else "",
-        later=inputs.photo.rgb[..., 0].size > BESIDE,
-    )
-    is_new = "evaluate" not in run.skip and "align" not in run.resumed
-    view = begun(DirectView.of, direct, config.evaluate) if is_new else None
-    scene, _ = run.stage(Related, relate, scene, config.relate)
-    made, decomposed = run.stage(Decomposed, decompose, scene, config.decompose)
+    early = "assemble" not in run.resumed and "decompose" not in run.skip
+    with decomposing([o.mesh for o in scene], config.decompose) if early else nullcontext() as proxies:
+        direct, _ = run.stage(Levelled, level, scene, config.level)
+        scene, _ = run.stage(Aligned, align, direct, _without(config.align, skip))
+        inpainted = run.beside(
+            "inpaint",
+            partial(inpaint, direct, config.inpaint, given=inputs.background, completer=background),
+            ArraysForm(Inpainting, Inpainted),
+            config.inpaint,
+            also=background.key if background else "",
+            later=inputs.photo.rgb[..., 0].size > BESIDE,
+        )
+        is_new = "evaluate" not in run.skip and "align" not in run.resumed
+        view = begun(DirectView.of, direct, config.evaluate) if is_new else None
+        scene, _ = run.stage(Related, relate, scene, config.relate)
+        made, decomposed = run.stage(Decomposed, decompose, scene, config.decompose, begun=proxies)
     parted, _ = run.stage(Separated, separate, made, config.separate)
     scene, settled = run.stage(Settled, settle, parted, config.settle)
     scene, _ = run.stage(Closed, close, scene, config.close, settled=at_rest, restless=settled.restless)

@@ -19,6 +19,7 @@ from f3sr.batch.job import Job
 from f3sr.batch.job_process import JobRequest
 from f3sr.dataset.record import Failure
 from f3sr.errors import F3srError, one_line
+from f3sr.runtime.machine import ONE_THREAD
 from f3sr.runtime.subprocesses import started
 
 POLL_S = 0.1
@@ -70,12 +71,11 @@ class Worker:
             return
         self.close()
         self.errors = tempfile.TemporaryFile()  # noqa: SIM115 - it lives as long as the process
-        one_thread: dict[str, str] = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
         pipe = subprocess.PIPE
         self.process = started(
             "f3sr.batch.job_process",
             self.module,
-            environment=one_thread,
+            environment=ONE_THREAD,
             stdin=pipe,
             stdout=pipe,
             stderr=self.errors,

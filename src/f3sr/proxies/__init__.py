@@ -3,16 +3,16 @@
 A mesh that is nearly its own hull gets one part. Others are cut by planes, exactly through their triangles. This ends
 when the hulls of the pieces have a small stand-off from the reachable surface everywhere. Then neighbours are joined
 where that costs nothing. Finally every hull is simplified outward, to a polytope of few of its own facet planes. A
-subprocess with a time limit does this. All lengths inside are shares of the mesh's size (the diagonal of its bounding
-box). So the result does not depend on the asset's unit.
+process with limits on its time does this. All lengths inside are shares of the mesh's size (the diagonal of its
+bounding box). So the result does not depend on the asset's unit.
 """
 
 from __future__ import annotations
 
-import os
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -28,12 +28,14 @@ from f3sr.proxies.joins import Join
 from f3sr.proxies.parts import FittedParts, nearly_convex, one_hull
 from f3sr.proxies.store import key_of, packed, unpacked
 from f3sr.proxies.surface import Faces
-from f3sr.proxies.worker import run_worker
+from f3sr.proxies.worker import ProxyWorker
 from f3sr.report import Decision
 from f3sr.runtime.cache_folder import within
+from f3sr.runtime.daemon_thread import begun
+from f3sr.runtime.machine import usable_cores
 from f3sr.runtime.result_store import Arrays, Store
 
-__all__ = ["Excess", "Join", "Proxy", "ProxyConfig", "check", "decompose", "decompose_all", "split"]
+__all__ = ["Excess", "Join", "Proxy", "ProxyConfig", "check", "decompose", "decompose_all", "decomposing", "split"]
 
 INFLATION_LIMIT = 1.4
 """Ratio of the volume of the parts to that of the mesh above which a decision names the object."""
@@ -71,32 +73,25 @@ def decompose(
     cache_dir: Path | None = None,
     name: str = "mesh",
     about: int | None = None,
-    cancelled: threading.Event | None = None,
 ) -> Proxy:
     """Convex parts of one mesh; ``name`` appears in errors, ``about`` (an object id) in decisions.
 
     Results are kept by the hash of their input in ``cache_dir``, by default ``proxies`` in f3sr's cache.
-    Another thread may set ``cancelled``: the worker is killed and CancelledError raised.
     Raises InputError when there are no faces or a coordinate is not finite, before anything is started.
     """
-    config = config or ProxyConfig()
     check(mesh, name)
-    vertices, faces, T_mesh_unit = _normalised(mesh)
-    store, key = Store(cache_dir or within("proxies"), share=0.1), key_of(vertices, faces, config)
-    if found := store.load(key):
-        proxy = _restored(*found)
-    else:
-        proxy = _decompose_unit(vertices, faces, config, cancelled)
-        if not proxy.cut_short:
-            store.save(key, *_stored(proxy))
-    x, y, z = map(float, transform(T_mesh_unit, np.array([proxy.excess.at]))[0])
-    return replace(
-        proxy,
-        parts=tuple(part.moved(T_mesh_unit) for part in proxy.parts),
-        excess=replace(proxy.excess, at=(x, y, z)),
-        solid=_in_mesh(proxy.solid, T_mesh_unit),
-        decisions=tuple(replace(d, about=about) for d in proxy.decisions),
-    )
+    with ProxyWorker(config or ProxyConfig()) as worker:
+        return _decomposed(mesh, worker, cache_dir, about)
+
+
+@contextmanager
+def decomposing(meshes: Sequence[Mesh], config: ProxyConfig) -> Generator[Callable[[], list[Proxy]]]:
+    """``decompose_all`` beside the block, which ends it; the call waits for its result and raises what it raised."""
+    cancelled = threading.Event()
+    try:
+        yield begun(decompose_all, meshes, config, cancelled=cancelled).result
+    finally:
+        cancelled.set()
 
 
 def decompose_all(
@@ -105,28 +100,39 @@ def decompose_all(
     *,
     cache_dir: Path | None = None,
     ids: Sequence[int] | None = None,
+    cancelled: threading.Event | None = None,
 ) -> list[Proxy]:
-    """Convex parts of many meshes, one subprocess per processor at a time; ``ids`` name them in decisions."""
+    """Convex parts of many meshes, by one worker per processor, large ones first; ``ids`` name them in decisions.
+
+    Another thread may set ``cancelled``: workers are killed and CancelledError raised.
+    """
+    cancelled = cancelled or threading.Event()
     ids = range(len(meshes)) if ids is None else ids
     for mesh, id in zip(meshes, ids, strict=True):
         check(mesh, f"mesh of object {id}")
+    waiting = iter(sorted(range(len(meshes)), key=lambda k: -len(meshes[k].faces)))
+    found: dict[int, Proxy] = {}
 
-    def one(mesh: Mesh, id: int) -> Proxy:
-        return decompose(mesh, config, cache_dir=cache_dir, about=id, cancelled=cancelled)
+    def serve() -> None:
+        with ProxyWorker(config or ProxyConfig(), cancelled) as worker:
+            for k in waiting:
+                found[k] = _decomposed(meshes[k], worker, cache_dir, ids[k])
 
-    cancelled = threading.Event()
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(cores := usable_cores()) as pool:
         try:
-            return list(pool.map(one, meshes, ids))
+            for served in [pool.submit(serve) for _ in range(cores)]:
+                served.result()
         except BaseException:  # a failure or Ctrl-C: leaving the pool waits for its threads, and they for workers
             cancelled.set()
             raise
+    return [found[k] for k in range(len(meshes))]
 
 
 def split(mesh: Mesh, config: ProxyConfig | None = None) -> int:
     """How many parts a worker of its own finds; RuntimeError with the reason where it finds none."""
     vertices, faces, _ = _normalised(mesh)
-    outcome = run_worker(vertices, faces, config or ProxyConfig())
+    with ProxyWorker(config or ProxyConfig()) as worker:
+        outcome = worker.split(vertices, faces)
     if not outcome.fitted:
         raise RuntimeError(outcome.reason)
     return len(outcome.fitted.parts)
@@ -142,6 +148,26 @@ def check(mesh: Mesh, name: str) -> None:
         raise InputError(name, found=f"{bad} vertices that are not finite", accepted=accepted)
     if mesh.diagonal == 0:
         raise InputError(name, found="all vertices at one point", accepted=accepted)
+
+
+def _decomposed(mesh: Mesh, worker: ProxyWorker, cache_dir: Path | None, about: int | None) -> Proxy:
+    """The parts of a mesh in its frame and unit, from the cache or made anew."""
+    vertices, faces, T_mesh_unit = _normalised(mesh)
+    store, key = Store(cache_dir or within("proxies"), share=0.1), key_of(vertices, faces, worker.config)
+    if found := store.load(key):
+        proxy = _restored(*found)
+    else:
+        proxy = _decompose_unit(vertices, faces, worker)
+        if not proxy.cut_short:
+            store.save(key, *_stored(proxy))
+    x, y, z = map(float, transform(T_mesh_unit, np.array([proxy.excess.at]))[0])
+    return replace(
+        proxy,
+        parts=tuple(part.moved(T_mesh_unit) for part in proxy.parts),
+        excess=replace(proxy.excess, at=(x, y, z)),
+        solid=_in_mesh(proxy.solid, T_mesh_unit),
+        decisions=tuple(replace(d, about=about) for d in proxy.decisions),
+    )
 
 
 def _normalised(mesh: Mesh) -> tuple[Array, Faces, Array]:
@@ -161,14 +187,13 @@ def _in_mesh(solid: MassProperties, T_mesh_unit: Array) -> MassProperties:
     return MassProperties(volume=k**3 * solid.volume, center=center, inertia=k**5 * solid.inertia)
 
 
-def _decompose_unit(
-    vertices: Array, faces: Faces, config: ProxyConfig, cancelled: threading.Event | None = None
-) -> Proxy:
+def _decompose_unit(vertices: Array, faces: Faces, worker: ProxyWorker) -> Proxy:
     """One hull where that is enough, else what the worker finds, else one hull again, which a decision tells."""
+    config = worker.config
     if reason := nearly_convex(vertices, faces, config):
         decisions = (Decision(choice="one hull", reason=reason),)
         return _proxy(one_hull(vertices, faces, config), "hull", decisions)
-    outcome = run_worker(vertices, faces, config, cancelled)
+    outcome = worker.split(vertices, faces)
     if outcome.fitted:
         return _proxy(outcome.fitted, "cuts", ())
     failed = Decision(choice="one hull", reason=f"the decomposition was {outcome.reason}", fallback=True)

@@ -1,8 +1,8 @@
-"""The subprocess in which one mesh is decomposed: ``python -m f3sr.proxies CONFIG PARENT``."""
+"""A worker that decomposes meshes: ``python -m f3sr.proxies CONFIG PARENT``."""
 
 import sys
 
-from f3sr.proxies.worker import work
+from f3sr.proxies.worker import serve
 
 if __name__ == "__main__":
-    work(*sys.argv[1:])
+    serve(*sys.argv[1:])

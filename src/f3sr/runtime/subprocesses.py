@@ -20,7 +20,7 @@ def started(
     """``python -m MODULE ARGUMENT ... PID`` with these streams; PID is this process, for ``die_with``.
 
     It has a process group of its own: f3sr, not the terminal, ends it on Ctrl-C."""
-    environment = os.environ | environment | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    environment = {**os.environ, **environment} | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     command = [sys.executable, "-m", module, *arguments, str(os.getpid())]
     return subprocess.Popen(command, env=environment, process_group=0, stdin=stdin, stdout=stdout, stderr=stderr)
 

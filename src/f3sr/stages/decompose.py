@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -66,9 +66,13 @@ def _surface_measures(fit: ProxyFit, id: int) -> list[Measure]:
     ]
 
 
-def decompose(scene: Scene, config: ProxyConfig | None = None) -> tuple[Scene, Decomposed]:
-    """Give every object its collision proxies, from the cache where the same mesh was decomposed before."""
-    results = proxies.decompose_all([o.mesh for o in scene], config or ProxyConfig())
+def decompose(
+    scene: Scene, config: ProxyConfig | None = None, *, begun: Callable[[], Sequence[Proxy]] | None = None
+) -> tuple[Scene, Decomposed]:
+    """Give every object its collision proxies, from the cache where the same mesh was decomposed before.
+
+    ``begun`` waits for those of the scene's meshes where they are made already."""
+    results = begun() if begun else proxies.decompose_all([o.mesh for o in scene], config or ProxyConfig())
     pairs = list(zip(scene, results, strict=True))
     fits = {
         o.id: ProxyFit(parts=len(r.parts), inflation=r.inflation, excess=r.excess, outside=r.outside) for o, r in pairs
