@@ -23,6 +23,7 @@ import tables
 from f3sr import proxies
 from f3sr.io.mesh_files import load_mesh
 from f3sr.metrics import measures
+from f3sr.runtime.machine import ONE_THREAD
 from f3sr.scene import SceneObject
 
 METHODS = ("cuts", *peers.PEERS)
@@ -92,7 +93,7 @@ def main() -> None:
     parser.add_argument("--all", action="store_true", help="every asset, not one per model")
     parser.add_argument("-o", "--out", type=Path, default=Path("out/proxies"))
     args = parser.parse_args()
-    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
+    os.environ.update(ONE_THREAD)
     args.out.mkdir(parents=True, exist_ok=True)
     chosen: dict[str, tuple[str, str, Path]] = {}
     for name, model, file in assets(args.data):

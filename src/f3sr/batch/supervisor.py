@@ -19,7 +19,6 @@ from f3sr.batch.job import Job
 from f3sr.batch.job_process import JobRequest
 from f3sr.dataset.record import Failure
 from f3sr.errors import F3srError, one_line
-from f3sr.runtime.machine import ONE_THREAD
 from f3sr.runtime.subprocesses import started
 
 POLL_S = 0.1
@@ -75,7 +74,6 @@ class Worker:
         self.process = started(
             "f3sr.batch.job_process",
             self.module,
-            environment=ONE_THREAD,
             stdin=pipe,
             stdout=pipe,
             stderr=self.errors,

@@ -32,7 +32,6 @@ from f3sr.proxies.parts import FittedParts
 from f3sr.proxies.store import config_json, packed, unpacked
 from f3sr.proxies.surface import Faces
 from f3sr.runtime import signals
-from f3sr.runtime.machine import ONE_THREAD
 from f3sr.runtime.subprocesses import die_with, started
 
 LOOK_UP_S = 0.2
@@ -115,9 +114,7 @@ class _WorkerProcess:
 
 @contextmanager
 def _running(config: ProxyConfig) -> Generator[_WorkerProcess]:
-    """A worker process that ends with the block. Its files have no name: nothing is left after ``kill -9``.
-
-    One thread each: the objects are what runs in parallel, and sums keep their order."""
+    """A worker process that ends with the block. Its files have no name: nothing is left after ``kill -9``."""
     ours, theirs = socket.socketpair()
     ours.settimeout(LOOK_UP_S)
     with tempfile.TemporaryFile() as errors, ours:
@@ -127,7 +124,6 @@ def _running(config: ProxyConfig) -> Generator[_WorkerProcess]:
                 return started(
                     "f3sr.proxies",
                     config_json(config),
-                    environment=ONE_THREAD,
                     stdin=theirs.fileno(),
                     stdout=subprocess.DEVNULL,  # for the words of the libraries
                     stderr=errors,

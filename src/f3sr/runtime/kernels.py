@@ -266,9 +266,7 @@ def _compiler(modules: Sequence[str]) -> Generator[subprocess.Popen[bytes]]:
     none, groups = subprocess.DEVNULL, set(map(_group, modules))
 
     def start() -> subprocess.Popen[bytes]:
-        return started(
-            "f3sr.runtime.kernels", *modules, environment={}, stdin=none, stdout=subprocess.PIPE, stderr=none
-        )
+        return started("f3sr.runtime.kernels", *modules, stdin=none, stdout=subprocess.PIPE, stderr=none)
 
     with signals.undone(start, subprocess.Popen.kill) as process:
         _compiled_by.update(dict.fromkeys(groups, process))
