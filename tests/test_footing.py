@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import HalfspaceIntersection
 
+from f3sr.contact.compounds import placed, smallest_shift
 from f3sr.contact.footing import flush, footing, footing_again, support_plane
 from f3sr.contact.polytopes import Polytope
 from f3sr.contact.stability import stability
@@ -17,7 +18,7 @@ from f3sr.contact.static_bodies import bodies_of, center_of
 from f3sr.contact.tops import highest_points
 from f3sr.contact.undersides import GRAIN, GROUND_PLANE, FootingConfig, Outline, SupportPlane
 from f3sr.core.mesh import ConvexPart, Mesh
-from f3sr.core.transforms import pose, rotation_about, rotation_angle
+from f3sr.core.transforms import UP, pose, rotation_about, rotation_angle
 from f3sr.metrics.point_in_mesh import union_distance
 from f3sr.physics.settling import settle
 from f3sr.scene import GROUND, SceneObject, Support
@@ -245,6 +246,51 @@ def test_a_footing_is_made_anew_for_what_carries_it_now(kind: str):
     (heights,) = (plane.heights(w.moved(o.T_world_asset).vertices) for w in wedges)
     assert np.sum(heights < 3.1e-4) >= 4, "it lies on the top with a face"
     assert heights.min() > 2.5e-4
+
+
+def dome(height: float) -> SceneObject:
+    """A slab of .3 x .3 m with a top that falls by ``height`` at .06 m from the middle."""
+    x, y = np.meshgrid(*2 * [np.linspace(-0.15, 0.15, 21)])
+    top = np.column_stack([x.ravel(), y.ravel(), (-height * (x**2 + y**2) / 0.06**2).ravel()])
+    return replace(shaped(np.concatenate([top, top * [1, 1, 0] - [0, 0, 0.1]]), at=(0, 0, 0.1)), id=1)
+
+
+def upon(slab: SceneObject, o: SceneObject) -> tuple[SceneObject, SupportPlane]:
+    """The object, its middle at x = y = 0, with a footing on a slab; and the plane that it was made for."""
+    plane = support_plane(o, slab.colliders_world, CONFIG)
+    assert plane is not None
+    o = replace(o, supported_by=slab.id, supports=(Support(id=slab.id),))
+    return replace(o, parts=flush(o, plane), footing=footing(o, plane, CONFIG)), plane
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.4, 1.1])
+def test_on_a_dome_it_stands_on_pads_whose_weight_may_be_anywhere(turn: float):
+    """One plane would meet the dome in a facet, over whose edges the object rocks."""
+    slab, R = dome(0.002), pose(rotation_about([0, 0, 1], turn))
+    o, plane = upon(slab, replace(slanted(np.radians(4)), T_world_object=pose(t=[0, 0, 0.1755]) @ R))
+    assert len(o.footing) == 4
+    lowest = float(plane.heights(o.vertices_world).min())
+    around = bodies_of([slab])[0].parts
+    for pad in o.footing:
+        gap = 0.02 - smallest_shift(placed([pad], pose(t=[0, 0, -0.02]) @ o.T_world_asset), around, UP, 0.0)
+        assert gap == pytest.approx(lowest, abs=2e-5), "it meets the dome as the object does"
+    stood = replace(o, T_world_object=pose(t=[0, 0, 2.6e-4 - lowest]) @ o.T_world_object)
+    single = replace(stood, footing=footing(o, replace(plane, tops=()), CONFIG))
+    margins = [stability(bodies_of([replace(slab, mobility="fixed"), one])).margin for one in (stood, single)]
+    assert margins[0] > 0.45 and margins[1] < 0.2
+
+
+def test_pads_do_not_fill_what_an_object_stands_over():
+    """On the rim of a box without a lid there is one plane to stand on."""
+    walls = [box(1, size=size, at=at).colliders_world[0]
+             for size, at in [((0.1, 0.004, 0.08), (0, 0.048, 0.04)), ((0.1, 0.004, 0.08), (0, -0.048, 0.04)),
+                              ((0.004, 0.1, 0.08), (0.048, 0, 0.04)), ((0.004, 0.1, 0.08), (-0.048, 0, 0.04)),
+                              ((0.1, 0.1, 0.004), (0, 0, 0.002))]]  # fmt: skip
+    o = replace(slanted(np.radians(4)), T_world_object=pose(t=[0, 0, 0.155]))
+    plane = support_plane(o, walls, CONFIG)
+    assert plane is not None
+    (wedge,) = footing(o, plane, CONFIG)
+    assert wedge.moved(o.T_world_asset).vertices[:, 2].min() > 0.08 - 1e-6
 
 
 def test_a_plate_thinner_than_any_section_is_no_reason_to_fail():

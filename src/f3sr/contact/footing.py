@@ -10,11 +10,12 @@ A footing is collision geometry only; the mesh does not change.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from f3sr.contact.compounds import Compound, placed, smallest_shift
-from f3sr.contact.tops import highest_points
+from f3sr.contact.tops import facet_above, highest_points
 from f3sr.contact.undersides import (
     GRAIN,
     GROUND_PLANE,
@@ -55,7 +56,9 @@ def footing(
     if missing.max() <= grain:
         return ()
     if flat and missing.mean() <= config.max_height * body.size and flat.carries(plane, lowest, config):
-        return _in_asset(o, [_wedge(p, flat.facet, plane, lowest, grain) for p in flat.patches(config.pieces)])
+        outlines = flat.patches(config.pieces)
+        pads = _pads(outlines, flat, plane, lowest, config) or [(outline, plane) for outline in outlines]
+        return _in_asset(o, [_wedge(outline, flat.facet, under, lowest, grain) for outline, under in pads])
     return () if below > 0 else _in_asset(o, _under_round(body, plane, config, above=-below))
 
 
@@ -84,6 +87,53 @@ def footing_again(
     return (wedges, rise) if rise <= GRAIN * o.size else (o.footing, 0.0)
 
 
+def _pads(
+    outlines: Sequence[Array], flat: FlatUnderside, plane: SupportPlane, lowest: float, config: FootingConfig
+) -> list[tuple[Array, SupportPlane]]:
+    """Quarters of the outlines (k, 3) of an underside, each with the plane on what is below it.
+
+    There are none where one plane meets all that is below, where the pads would be too many, and where one would be too
+    high."""
+    size = flat.body.size
+    if not plane.tops or 4 * len(outlines) > config.pieces:
+        return []
+    pads = [(q, _plane_under(q, plane, config)) for outline in outlines for q in _quarters(outline)]
+    missing = [float((under.heights(flat.facet.below(q, 0.0)) - lowest).mean()) for q, under in pads]
+    domed = any((plane.below(q, 0.0) - under.below(q, 0.0))[:, 2].max() > GRAIN * size for q, under in pads)
+    return pads if domed and max(missing) <= config.max_height * size else []
+
+
+def _quarters(outline: Array) -> list[Array]:
+    """The four quarters (k, 3) of a convex outline seen from above, cut along its principal axes."""
+    corners = Outline.of(outline)
+    if corners is None:
+        return []
+    polygon = np.column_stack([corners.corners, np.zeros(len(corners.corners))])
+    middle = polygon.mean(0)
+    long, across = np.linalg.svd((polygon - middle)[:, :2])[2]
+    halves = [_clipped(polygon, middle, way) for way in (long, -long)]
+    return [q for half in halves for way in (across, -across) if len(q := _clipped(half, middle, way)) >= 3]
+
+
+def _clipped(polygon: Array, point: Array, direction: Array) -> Array:
+    """The part of a convex polygon (k, 3) ahead of a vertical plane through a point (Sutherland and Hodgman 1974)."""
+    ahead = (polygon - point)[:, :2] @ direction
+    kept = list[Array]()
+    for a, b, here, there in zip(polygon, np.roll(polygon, -1, 0), ahead, np.roll(ahead, -1), strict=True):
+        if here >= 0:
+            kept.append(a)
+        if here * there < 0:
+            kept.append(a + here / (here - there) * (b - a))
+    return np.array(kept)
+
+
+def _plane_under(outline: Array, plane: SupportPlane, config: FootingConfig) -> SupportPlane:
+    """The plane on what is below an outline (k, 3); ``plane`` where there is nothing, or it is steep."""
+    region = Outline.of(outline)
+    found = facet_above(highest_points(plane.tops, region), outline.mean(0), config.max_turn) if region else None
+    return replace(found, tops=plane.tops) if found else plane
+
+
 def _under_round(body: StandingBody, plane: SupportPlane, config: FootingConfig, *, above: float) -> list[ConvexPart]:
     """The space between the section on which a body stands and the plane through its lowest point."""
     height = body.round_underside(plane, config)
@@ -99,8 +149,10 @@ def _in_asset(o: SceneObject, wedges: Sequence[ConvexPart]) -> tuple[ConvexPart,
 
 
 def supplied(o: SceneObject) -> float:
-    """Height [m] that the footing of an object supplies below the lowest point of its mesh; 0 without one."""
-    lowest = min((float(p.moved(o.T_world_asset).vertices[:, 2].min()) for p in o.footing), default=np.inf)
+    """Height [m] that the footing of an object supplies below the lowest point of its mesh; 0 without one.
+
+    It is that of the highest piece: others reach lower only as what is below them does."""
+    lowest = max((float(p.moved(o.T_world_asset).vertices[:, 2].min()) for p in o.footing), default=np.inf)
     return max(0.0, float(o.vertices_world[:, 2].min()) - lowest)
 
 
@@ -158,10 +210,10 @@ def support_plane(
     for _ in range(TURNS):
         regions = filter(None, map(Outline.of, _regions(o, body, plane, config)))
         points = np.concatenate([np.zeros((0, 3)), *(highest_points(tops, r) for r in regions)])
-        found = _facet_above(points, body.center, config)
+        found = facet_above(points, body.center, config.max_turn)
         if found is None:
             return None
-        was, plane = plane, found
+        was, plane = plane, replace(found, tops=tuple(tops))
         if np.allclose(plane.normal, was.normal, atol=SAME):
             break
     return plane
@@ -174,26 +226,3 @@ def _regions(o: SceneObject, body: StandingBody, plane: SupportPlane, config: Fo
         return flat.patches(config.pieces)
     section = body.section(plane, body.round_underside(plane, config) or SLOPE_HEIGHT * body.size)
     return [outermost(section)] if len(section) else []
-
-
-def _facet_above(points: Array, center: Array, config: FootingConfig) -> SupportPlane | None:
-    """The upper facet of the hull of points (n, 3) that a vertical line through ``center`` meets."""
-    if len(points) < 3:
-        return None
-    # A point far below gives points of one plane a hull.
-    apex = points.mean(0) - np.array([0.0, 0.0, np.ptp(points, axis=0).max()])
-    try:
-        hull = ConvexPart.hull_of(np.concatenate([points, apex[None]]))
-    except ValueError:
-        return None
-    a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
-    normals = np.cross(b - a, c - a)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
-    met = normals[:, 2] > np.cos(config.max_turn)
-    # Inside the triangle seen from above: to the left of its three edges, which run counter-clockwise.
-    for p, q in ((a, b), (b, c), (c, a)):
-        met &= (q - p)[:, 0] * (center[1] - p[:, 1]) - (q - p)[:, 1] * (center[0] - p[:, 0]) >= 0
-    if not met.any():
-        return None
-    k = int(np.argmax(met))
-    return SupportPlane(normal=normals[k], offset=float(normals[k] @ a[k]))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from f3sr.contact.undersides import Outline
+from f3sr.contact.undersides import Outline, SupportPlane
 from f3sr.core.mesh import ConvexPart, area_vectors
 from f3sr.core.transforms import Array
 
@@ -22,6 +22,31 @@ def highest_points(parts: Sequence[ConvexPart], region: Outline) -> Array:
     near = [p for p in parts if (p.vertices.min(0)[:2] <= high).all() and (p.vertices.max(0)[:2] >= low).all()]
     found = [points for p in near for points in (_clipped_edges(p, region), _at_corners(p, region.corners))]
     return np.concatenate(found) if found else np.zeros((0, 3))
+
+
+def facet_above(points: Array, center: Array, max_turn: float) -> SupportPlane | None:
+    """The upper facet of the hull of points (n, 3) that a vertical line through ``center`` meets.
+
+    None if there is none, or it is turned by more than ``max_turn`` [rad]."""
+    if len(points) < 3:
+        return None
+    # A point far below gives points of one plane a hull.
+    apex = points.mean(0) - np.array([0.0, 0.0, np.ptp(points, axis=0).max()])
+    try:
+        hull = ConvexPart.hull_of(np.concatenate([points, apex[None]]))
+    except ValueError:
+        return None
+    a, b, c = (hull.vertices[hull.faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    met = normals[:, 2] > np.cos(max_turn)
+    # Inside the triangle seen from above: to the left of its three edges, which run counter-clockwise.
+    for p, q in ((a, b), (b, c), (c, a)):
+        met &= (q - p)[:, 0] * (center[1] - p[:, 1]) - (q - p)[:, 1] * (center[0] - p[:, 0]) >= 0
+    if not met.any():
+        return None
+    k = int(np.argmax(met))
+    return SupportPlane(normal=normals[k], offset=float(normals[k] @ a[k]))
 
 
 def _clipped_edges(part: ConvexPart, region: Outline) -> Array:

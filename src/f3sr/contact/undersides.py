@@ -54,6 +54,8 @@ class SupportPlane:
 
     normal: Array
     offset: float
+    tops: tuple[ConvexPart, ...] = ()
+    """The convex parts whose upper hull it is a facet of; none for the ground."""
 
     def heights(self, points: Array) -> Array:
         """Signed distance (n,) of points (n, 3) above the plane [m]."""
