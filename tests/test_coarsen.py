@@ -26,7 +26,7 @@ from f3sr.proxies.known_parts import KnownParts
 from f3sr.proxies.pair_volumes import Pair, PairQueue, PairVolumes
 from f3sr.proxies.parts import subject_of
 from f3sr.runtime import scene_serialization
-from f3sr.scene import Scene, SceneObject
+from f3sr.scene import Scene, SceneObject, Support
 from f3sr.stages.coarsen import LOSS, LOSS_TO_REST, TRIES, CoarsenConfig, coarsen
 from f3sr.vision import rasterizer
 from scenes import ball_mesh, box, scene_of
@@ -257,6 +257,26 @@ def test_a_wedge_of_a_footing_joins_a_part_where_it_adds_little_or_where_there_a
 
     assert [left(wedge, LIMITS) for wedge in (flat, leg)] == [(1, 0), (1, 1)]
     assert left(leg, replace(LIMITS, parts=1)) == (1, 0)
+
+
+@pytest.mark.parametrize("gap", [10 * REST, 1.9 * REST])
+def test_a_footing_is_made_anew_whatever_lies_on_the_object(gap: float):
+    """It has a spur that ends below it, beside what carries it. A load in contact leaves the object no room to rise,
+    and it need not."""
+    slab = box(0, size=(0.3, 0.3, 0.1), at=(-0.1, 0, 0.05 + REST))
+    corners = cuboid((-0.05, -0.05, 0.002), (0.05, 0.05, 0.1)).vertices
+    body = ConvexPart.hull_of(np.where(corners[:, :1] + corners[:, 2:] < 0, corners - [0, 0, 0.002], corners))
+    spur = cuboid((0.051, -0.01, -0.0004), (0.06, 0.01, 0.05))
+    outdated = cuboid((-0.05, -0.05, 0.001), (0.0, 0.05, 0.002))
+    o = made_of(1, [body, spur], at=(0, 0, 0.1 + 3 * REST))
+    o = replace(o, footing=(outdated,), supports=(Support(id=0),), supported_by=0)
+    load = replace(box(2, at=(0, 0, 0.25 + 3 * REST + gap)), supports=(Support(id=1),), supported_by=1)
+    limits = {0: LIMITS, 1: replace(LIMITS, worth=0.0)}
+    scene = scene_of(slab, o, load)
+    few = with_few_parts(scene, scene, {}, limits, footing=FootingConfig(), clearance=2 * REST)
+    corners = np.concatenate([p.vertices for p in few[1].solids])
+    over = (corners[:, 0] > -0.01) & (corners[:, 0] < 0.05)
+    assert corners[over, 2].min(initial=1.0) == pytest.approx(0, abs=1e-4)
 
 
 @pytest.mark.parametrize("most", [32, 64])

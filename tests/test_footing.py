@@ -280,6 +280,19 @@ def test_on_a_dome_it_stands_on_pads_whose_weight_may_be_anywhere(turn: float):
     assert margins[0] > 0.45 and margins[1] < 0.2
 
 
+def test_what_is_flat_stands_on_pads_on_a_dome_as_well():
+    slab = dome(0.002)
+    o, plane = upon(slab, box(0, at=(0, 0, 0.2)))
+    assert len(o.footing) == 4
+    stood = replace(o, T_world_object=pose(t=[0, 0, 0.2 + 2.6e-4 - float(plane.heights(o.vertices_world).min())]))
+    margins = [
+        stability(bodies_of([replace(slab, mobility="fixed"), one])).margin
+        for one in (stood, replace(stood, footing=()))
+    ]
+    assert margins[0] > 0.45 and margins[1] < 0.3, margins
+    assert footing(o, plane, CONFIG, below=-0.01) == (), "there is nothing to fill in under what ends higher"
+
+
 def test_pads_do_not_fill_what_an_object_stands_over():
     """On the rim of a box without a lid there is one plane to stand on."""
     walls = [box(1, size=size, at=at).colliders_world[0]

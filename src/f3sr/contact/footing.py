@@ -53,12 +53,13 @@ def footing(
     lowest, grain = body.lowest(plane) - below, GRAIN * body.size
     flat = FlatUnderside.of(o, body, plane, config)
     missing = plane.heights(flat.corners) - lowest if flat else np.array([np.inf])
-    if missing.max() <= grain:
+    outlines = flat.patches(config.pieces) if flat else []
+    pads = _pads(outlines, flat, plane, lowest, config) if flat else []
+    if missing.max() <= grain and not pads:
         return ()
     if flat and missing.mean() <= config.max_height * body.size and flat.carries(plane, lowest, config):
-        outlines = flat.patches(config.pieces)
-        pads = _pads(outlines, flat, plane, lowest, config) or [(outline, plane) for outline in outlines]
-        return _in_asset(o, [_wedge(outline, flat.facet, under, lowest, grain) for outline, under in pads])
+        pieces = pads or [(outline, plane) for outline in outlines]
+        return _in_asset(o, [_wedge(outline, flat.facet, under, lowest, grain) for outline, under in pieces])
     return () if below > 0 else _in_asset(o, _under_round(body, plane, config, above=-below))
 
 
@@ -92,15 +93,16 @@ def _pads(
 ) -> list[tuple[Array, SupportPlane]]:
     """Quarters of the outlines (k, 3) of an underside, each with the plane on what is below it.
 
-    There are none where one plane meets all that is below, where the pads would be too many, and where one would be too
-    high."""
-    size = flat.body.size
+    There are none where one plane meets all that is below, where nothing is missing, where the pads would be too many,
+    and where one would be too high."""
     if not plane.tops or 4 * len(outlines) > config.pieces:
         return []
+    grain, highest = GRAIN * flat.body.size, config.max_height * flat.body.size
     pads = [(q, _plane_under(q, plane, config)) for outline in outlines for q in _quarters(outline)]
-    missing = [float((under.heights(flat.facet.below(q, 0.0)) - lowest).mean()) for q, under in pads]
-    domed = any((plane.below(q, 0.0) - under.below(q, 0.0))[:, 2].max() > GRAIN * size for q, under in pads)
-    return pads if domed and max(missing) <= config.max_height * size else []
+    domed = any((plane.below(q, 0.0) - under.below(q, 0.0))[:, 2].max() > grain for q, under in pads)
+    missing = [under.heights(flat.facet.below(q, 0.0)) - lowest for q, under in pads]
+    fit = max(m.max() for m in missing) > grain and max(m.mean() for m in missing) <= highest
+    return pads if domed and fit else []
 
 
 def _quarters(outline: Array) -> list[Array]:

@@ -104,7 +104,8 @@ def with_few_parts(
             continue
         others = {k: body for k, body in bodies.items() if k != id}
         if o.footing and now.keys() & set(o.carriers):
-            around = Compound.of(others.values())
+            members = scene.subtree(id)
+            around = Compound.of(body for k, body in bodies.items() if k not in members)
             wedges, rise = footing_again(
                 o,
                 [now.get(k, scene[k]) for k in o.carriers if k != GROUND],
