@@ -47,7 +47,7 @@ PAST = 1e-3
 THIN, THIN_M = 0.01, 2e-3
 """Least thickness of a hull, as a share of its object's size and in metres, where the object is as thick."""
 NEARER = 1e-4
-"""Distance [m] by which a joined part may come nearer to another body: two fifths of the clearance, which physics
+"""Distance [m] by which a joined part may come nearer to another body: three tenths of the clearance, which physics
 ends."""
 MUCH_NEARER = (1, 2, 4, 8)
 """The same in units of ``NEARER``, the first that is possible, where there are too many parts or vertices."""

@@ -26,8 +26,8 @@ class Placement:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.depth_sigma = depth_prior.sigmas(scene)
-        self.bodies = {o.id: placed(o.parts, o.T_world_asset) for o in scene}
-        self.footings: dict[int, tuple[ConvexPart, ...]] = {}
+        self.bodies = {o.id: placed((*o.parts, *o.footing), o.T_world_asset) for o in scene}
+        self.footings: dict[int, tuple[ConvexPart, ...]] = {o.id: o.footing for o in scene}
         self.parts: dict[int, tuple[ConvexPart, ...]] = {o.id: o.parts for o in scene}
         self.shift: dict[int, Array] = {o.id: np.zeros(3) for o in scene}
         self.scale: dict[int, float] = {o.id: 1.0 for o in scene}
@@ -71,7 +71,7 @@ class Placement:
         if t.any() or k != 1 or (np.eye(3) != R).any():
             reason = f"onto its support and out of overlap: {1000 * self.travel(id):.1f} mm, scale {k:.4f}"
             o = o.moved(pose(R, t), scale=k, stage="separate", reason=reason)
-        return replace(o, parts=self.parts[id], footing=self.footings.get(id, ()))
+        return replace(o, parts=self.parts[id], footing=self.footings[id])
 
     def moved_scene(self) -> Scene:
         """The scene with all objects in their present poses."""
