@@ -1,4 +1,6 @@
-"""level: find the ground plane in the geometry, turn it up by one rotation and move it to z = 0 (equations 4 to 6)."""
+"""level: find the ground plane in the geometry, turn it up by one rotation and move it to z = 0 (equations 4 to 6).
+
+Where a network estimated the geometry, its normals tell the focal length too."""
 
 from __future__ import annotations
 
@@ -12,22 +14,24 @@ from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array, pose, rotation_angle, rotation_between
 from f3sr.report import Decision, Measure, Outcome
-from f3sr.scene import Geometry, Ground, Scene
+from f3sr.scene import Geometry, Ground, Scene, SceneObject
 from f3sr.settings import settings
+from f3sr.vision.ground_plane import (
+    ALIKE,
+    FocalLength,
+    GroundNormal,
+    GroundPlane,
+    agreeing,
+    combined,
+    fit_plane,
+    focal_length,
+    normal_of,
+    plane_errors,
+)
 from f3sr.vision.silhouette import union_of
-
-GROUPS = 4
-"""Strips along each of two axes that split the ground's points into groups for the jackknife: 16 in all."""
-
 
 MAX_POINTS = 50_000
 """Most ground points used; more do not move the plane. The report samples as many."""
-HYPOTHESES = 400
-"""RANSAC planes tried. With half the points on the plane all of them miss it with p < 1e-23."""
-NORMAL_ANGLE = math.radians(35)
-"""Largest angle [rad] between the plane's normal and a surface normal that votes."""
-NORMAL_WEIGHT = 0.55
-"""Lambda of equation 5: weight of the surface normals against the plane's."""
 LOWER_REGION = 0.4
 """Share of the image height, from below, searched for ground where there is no ground mask."""
 
@@ -38,17 +42,8 @@ class LevelConfig:
     """Seed of the random choice of ground points."""
     tolerance: Annotated[float, Interval(gt=0, le=0.1)] = 0.01
     """Largest distance of a ground point from the ground plane [share of the median ground depth]."""
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class GroundPlane:
-    """``normal . x = offset`` in the camera frame; ``inliers`` is the share of points on it, ``residual`` [m] their
-    root mean square distance."""
-
-    normal: Array
-    offset: float
-    inliers: float
-    residual: float
+    focal_sigma: Annotated[float, Interval(ge=0, le=0.3)] = 0.03
+    """One standard error of an estimated geometry's focal length [share]. 0 takes it as exact."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +60,7 @@ class GroundFit:
     lowest: float
     """Height of the lowest vertex."""
     tilt_error: float
-    """Not finite where it was not measured, as the next."""
+    """Not finite where nothing measured it, as the next."""
     height_error: float
 
 
@@ -90,16 +85,30 @@ def level(scene: Scene, config: LevelConfig | None = None) -> tuple[Scene, Level
     points, normals, source = _ground_points(scene, rng)
     if len(points) < 3:
         return _lowest_vertex(scene)
-    plane = fit_plane(points, rng, config)
-    normal_camera, agreement = vote(plane.normal, normals)
-    on_plane = np.abs(points @ plane.normal - plane.offset) < config.tolerance * _depth(points)
-    height = -float(np.median(points[on_plane] @ normal_camera))
-    R_g = rotation_between(scene.camera.T_world_camera[:3, :3] @ normal_camera, [0, 0, 1])
+    tolerance = config.tolerance * _depth(points)
+    plane = fit_plane(points, rng, tolerance)
+    agree, normals, agreement = agreeing(normals, plane.normal)
+    seen, decisions = None, list[Decision]()
+    if agreement >= 0.5:  # fewer agree with it than not: no vote
+        seen = normal_of(points[agree], normals[agree])
+        focal = focal_length(points[agree], seen) if config.focal_sigma else None
+        if focal:
+            factor = focal.shrunk(config.focal_sigma)
+            decisions.append(_focal_decision(scene, focal, factor))
+            scene, points = _zoomed(scene, factor), points / [factor, factor, 1.0]
+            plane = fit_plane(points, rng, tolerance)
+    on_plane = np.abs(points @ plane.normal - plane.offset) < tolerance
+    found, height_error = _weighed(plane, points[on_plane], seen, config, measured=scene.has_measured_depth)
+    height = -float(np.median(points[on_plane] @ found.normal))
+    R_g = rotation_between(scene.camera.T_world_camera[:3, :3] @ found.normal, [0, 0, 1])
     T = pose(R_g, [0, 0, height - (R_g @ scene.camera.center)[2]])
-    ground = Ground(source=source, confidence=plane.inliers, friction=scene.ground.friction)
-    if scene.has_measured_depth:
-        tilt_error, height_error = plane_errors(points[on_plane])
-        ground = replace(ground, tilt_error=tilt_error, height_error=height_error)
+    ground = Ground(
+        source=source,
+        confidence=plane.inliers,
+        friction=scene.ground.friction,
+        tilt_error=found.error,
+        height_error=height_error,
+    )
     moved = _move_all(scene, T, ground)
     lowest = min(o.bounds_world[0, 2] for o in moved)
     fit = GroundFit(
@@ -112,67 +121,45 @@ def level(scene: Scene, config: LevelConfig | None = None) -> tuple[Scene, Level
         height_error=ground.height_error,
     )
     decision = Decision(choice=f"ground plane from {source}", reason=f"{len(points)} points")
-    return moved, Levelled(fit=fit, decisions=(decision, *_upside_down(plane)))
+    return moved, Levelled(fit=fit, decisions=(decision, *decisions, *_upside_down(plane)))
 
 
-def fit_plane(points: Array, rng: np.random.Generator, config: LevelConfig) -> GroundPlane:
-    """Robust plane through points (n, 3) in camera axes, its normal towards the camera, which sees its upper side
-    (equation 4).
+def _weighed(
+    plane: GroundPlane, points: Array, seen: GroundNormal | None, config: LevelConfig, *, measured: bool
+) -> tuple[GroundNormal, float]:
+    """The ground's normal by all evidence, and two standard errors of its height [m].
 
-    RANSAC finds the points on the plane; SVD about their median refines it, twice, so that strays have no weight.
-    """
-    tolerance = config.tolerance * _depth(points)
-    sample = points[rng.choice(len(points), min(len(points), 2000), replace=False)]
-    a, b, c = (points[rng.integers(len(points), size=HYPOTHESES)] for _ in range(3))
-    normals = np.cross(b - a, c - a)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 1e-12)
-    offsets = np.einsum("ij,ij->i", normals, a)
-    votes = (np.abs(sample @ normals.T - offsets) < tolerance).sum(0) * (lengths[:, 0] > 1e-12)
-    best = int(np.argmax(votes))
-    normal, offset = normals[best], offsets[best]
-    on_plane = np.abs(points @ normal - offset) < tolerance
-    for _ in range(3):
-        inliers = points[on_plane]
-        center = np.median(inliers, axis=0)
-        normal = np.linalg.svd(inliers - center, full_matrices=False)[2][2]
-        offset = float(np.median(inliers @ normal))
-        distance = np.abs(points @ normal - offset)
-        spread = 1.4826 * float(np.median(distance[on_plane]))
-        on_plane = distance < np.clip(3 * spread, 0.1 * tolerance, tolerance)
-    if offset > 0:
-        normal, offset = -normal, -offset
-    share = float((np.abs(points @ normal - offset) < tolerance).mean())
-    residual = float(np.sqrt(np.mean((points[on_plane] @ normal - offset) ** 2)))
-    return GroundPlane(normal=normal, offset=offset, inliers=share, residual=residual)
+    Points (n, 3) on the plane and the normals ``seen`` weigh by their inverse variances. A wrong focal length turns
+    estimated points, and shows in no residual. So without normals the error of an estimate is not known."""
+    tilt_error, height_error = plane_errors(points)
+    if measured and seen is None:
+        return GroundNormal(normal=plane.normal, error=tilt_error), height_error
+    if seen is None:
+        return GroundNormal(normal=plane.normal, error=np.inf), np.inf
+    cosine = min(1.0, abs(float(plane.normal[2])))
+    by_focal = 0.0 if measured else 2 * config.focal_sigma * cosine * math.sqrt(1 - cosine**2)
+    error = tilt_error if measured else math.hypot(ALIKE * tilt_error, by_focal)
+    both = combined(GroundNormal(normal=plane.normal, error=error), seen)
+    return both, height_error if measured else np.inf
 
 
-def plane_errors(points: Array) -> tuple[float, float]:
-    """Two standard errors of a plane fitted to points (n, 3): of its normal [rad] and of its height amid them [m].
-
-    Delete-a-group jackknife (Efron 1982) over ``GROUPS`` squared contiguous groups of equally many points: neighbours
-    have like errors, so the residual over the square root of n would be far too small.
-    """
-    center = points.mean(0)
-    axes = np.linalg.svd((points - center).T @ (points - center))[0]
-    u, v, height = ((points - center) @ axes).T
-    strip = _ranks(u) * GROUPS // len(points)
-    rows = np.column_stack([u, v, np.ones_like(u)])
-    groups = strip * GROUPS
-    for k in range(GROUPS):
-        groups[strip == k] += _ranks(v[strip == k]) * GROUPS // np.count_nonzero(strip == k)
-    fits: list[Array] = []
-    for k in np.unique(groups):
-        left = groups != k
-        fits.append(np.linalg.lstsq(rows[left], height[left])[0])
-    G = len(fits)
-    slope_u, slope_v, offset = np.sqrt((G - 1) / G * ((np.array(fits) - np.mean(fits, axis=0)) ** 2).sum(0))
-    return 2 * float(np.hypot(slope_u, slope_v)), 2 * float(offset)
+def _focal_decision(scene: Scene, focal: FocalLength, factor: float) -> Decision:
+    was = float(scene.camera.K[0, 0])
+    agree = f"points and normals of the ground agree at {focal.factor * was:.0f} px +- {100 * focal.error:.1f} %"
+    return Decision(choice=f"focal length {was:.0f} -> {factor * was:.0f} px", reason=agree)
 
 
-def _ranks(values: Array) -> NDArray[np.int64]:
-    """The place of each value (n,) in their ascending order."""
-    return np.argsort(np.argsort(values, kind="stable"))
+def _zoomed(scene: Scene, factor: float) -> Scene:
+    """The scene under another focal length: depths, and places and sizes in the picture, stay."""
+    camera, geometry = scene.camera.zoomed(factor), scene.geometry
+    if geometry:
+        geometry = replace(geometry, points=geometry.points / np.array([factor, factor, 1], np.float32))
+    objects = list[SceneObject]()
+    for o in scene:
+        T_camera_object = camera.T_camera_world @ o.T_world_object
+        T_camera_object[:2, 3] /= factor
+        objects.append(replace(o, T_world_object=camera.T_world_camera @ T_camera_object, scale=o.scale / factor))
+    return replace(scene, camera=camera, geometry=geometry, objects=tuple(objects))
 
 
 def _measures(fit: GroundFit) -> tuple[Measure, ...]:
@@ -198,29 +185,12 @@ def _upside_down(plane: GroundPlane) -> list[Decision]:
     return [Decision(choice="the photo is taken as upside down, or as looking up", reason=reason, fallback=True)]
 
 
-def vote(normal: Array, normals: Array | None) -> tuple[Array, float]:
-    """Blend the plane's normal with the median of the surface normals that agree with it (equation 5).
-
-    Returns the unit normal and the share of normals within ``NORMAL_ANGLE``. Fewer than half agreeing: no vote.
-    """
-    if normals is None or not len(normals):
-        return normal, 0.0
-    cosines = normals @ normal
-    normals = np.where(cosines[:, None] < 0, -normals, normals)
-    agree = np.abs(cosines) > np.cos(NORMAL_ANGLE)
-    share = float(agree.mean())
-    if share < 0.5:
-        return normal, share
-    median = np.median(normals[agree], axis=0)
-    blended = (1 - NORMAL_WEIGHT) * normal + NORMAL_WEIGHT * median / np.linalg.norm(median)
-    return blended / np.linalg.norm(blended), share
-
-
-def _ground_points(scene: Scene, rng: np.random.Generator) -> tuple[Array, Array | None, str]:
-    """Ground points (n, 3) and normals in the camera frame, and where they come from."""
+def _ground_points(scene: Scene, rng: np.random.Generator) -> tuple[Array, Array, str]:
+    """Ground points and unit normals (n, 3) in the camera frame, normals not finite where there is none, and where they
+    come from."""
     geometry = scene.geometry
     if geometry is None:
-        return np.zeros((0, 3)), None, "none"
+        return np.zeros((0, 3)), np.zeros((0, 3)), "none"
     if scene.ground_mask is not None and geometry.inside(scene.ground_mask).any():
         where, source = geometry.inside(scene.ground_mask), "ground mask"
     else:
@@ -230,11 +200,11 @@ def _ground_points(scene: Scene, rng: np.random.Generator) -> tuple[Array, Array
         index = np.sort(rng.choice(index, MAX_POINTS, replace=False))
     points = geometry.points.reshape(-1, 3)[index].astype(float)
     if geometry.normals is None:
-        return points, None, source
+        return points, np.full_like(points, np.nan), source
     normals = geometry.normals.reshape(-1, 3)[index].astype(float)
     lengths = np.linalg.norm(normals, axis=1)
-    good = np.isfinite(lengths) & (lengths > 0.5)
-    return points, normals[good] / lengths[good, None], source
+    lengths[~(lengths > 0.5)] = np.nan
+    return points, normals / lengths[:, None], source
 
 
 def _lower_region(scene: Scene, geometry: Geometry) -> NDArray[np.bool_]:
