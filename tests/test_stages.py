@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from f3sr.contact.stabilize import BalanceConfig
-from f3sr.core.transforms import T_UP_FROM_CAMERA, invert_pose, pose, rotation_about, rotation_from_vector
+from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, invert_pose, pose, rotation_about, rotation_from_vector
 from f3sr.io import inputs
 from f3sr.metrics.measures import measure
 from f3sr.scene import GROUND, Geometry, Relation, Scene, SceneGraph, Support
@@ -19,7 +19,7 @@ from f3sr.stages.align.config import FacetConfig, SearchConfig
 from f3sr.stages.assemble import AssembleConfig, as_given, assemble
 from f3sr.stages.decompose import decompose
 from f3sr.stages.evaluate import direct_composition, evaluate
-from f3sr.stages.level import LevelConfig, fit_plane, level, plane_errors, vote
+from f3sr.stages.level import LevelConfig, level
 from f3sr.stages.separate import SeparateConfig, separate
 from f3sr.stages.settle import settle
 from f3sr.vision import rasterizer
@@ -138,40 +138,52 @@ def test_level_changes_no_pixel(exact: Scene):
     assert np.mean(before.ids != after.ids) < 1e-3
 
 
-def test_strays_metres_away_tilt_nothing():
-    rng = np.random.default_rng(0)
-    plane = np.column_stack([rng.uniform(-1, 1, (5000, 2)), np.zeros(5000)]) + rng.normal(0, 0.003, (5000, 3))
-    R = rotation_about([1, 0, 0], 2.2)
-    points = plane @ R.T + [0, 0.2, 1.5]
-    strays = rng.uniform([-3, -3, 0.5], [3, 3, 9], (2500, 3))
-    fitted = fit_plane(np.concatenate([points, strays]), rng, LevelConfig())
-    normal = R @ [0, 0, 1] * np.sign(-(R @ [0, 0, 1])[1])
-    assert np.degrees(np.arccos(np.clip(fitted.normal @ normal, -1, 1))) < 0.1
-    assert fitted.normal[1] < 0 and fitted.offset == pytest.approx(normal @ [0, 0.2, 1.5], abs=1e-3)
+def true_up() -> Array:
+    """Up in the camera's axes (3,)."""
+    return camera().T_world_camera[:3, :3].T @ [0.0, 0.0, 1.0]
 
 
-@pytest.mark.parametrize("wave", [0.0, 0.002], ids=["independent", "correlated"])
-def test_the_error_of_a_plane_covers_the_truth(wave: float):
-    """Independent noise: two standard errors, no more. Noise that neighbours share: no less, although the residual
-    over the square root of n would be a tenth of it."""
-    rng = np.random.default_rng(4)
-    rows = []
-    for _ in range(20):
-        x, y = rng.uniform(-0.5, 0.5, (2, 4000))
-        a, b = rng.uniform(0, 2 * np.pi, 2)
-        z = 0.001 * rng.normal(size=len(x)) + wave * np.sin(8 * x + a) * np.sin(8 * y + b)
-        true = np.linalg.lstsq(np.column_stack([x, y, np.ones_like(x)]), z)[0]
-        rows.append([np.hypot(true[0], true[1]), abs(true[2]), *plane_errors(np.column_stack([x, y, z]))])
-    tilt, height, tilt_error, height_error = np.array(rows).T
-    assert (tilt <= tilt_error).mean() >= 0.9 and (height <= height_error).mean() >= 0.8
-    if not wave:
-        assert np.median(tilt_error) < 4 * np.sqrt(np.mean(tilt**2))
-        assert np.median(height_error) < 4 * np.sqrt(np.mean(height**2))
+def with_another_focal_length(exact: Scene, factor: float) -> Scene:
+    """What a network delivers that takes the focal length for ``factor`` times the true one: the same picture and
+    depths, points and assets placed and sized accordingly, the normals as they are."""
+    camera, up = exact.camera.zoomed(factor), true_up()
+    points = exact.geometry.points / np.array([factor, factor, 1], np.float32)
+    objects = []
+    for o in exact:
+        T = camera.T_camera_world @ o.T_world_object
+        T[:2, 3] /= factor
+        objects.append(replace(o, T_world_object=camera.T_world_camera @ T, scale=o.scale / factor))
+    geometry = replace(exact.geometry, points=points, normals=np.broadcast_to(up.astype(np.float32), points.shape))
+    return replace(exact, camera=camera, geometry=geometry, objects=tuple(objects))
 
 
-def test_only_a_sensor_measures_the_ground(exact: Scene, tmp_path: Path):
+@pytest.mark.parametrize("factor", [0.95, 1.04])
+def test_normals_tell_a_wrong_focal_length_and_the_tilt_that_comes_with_it(exact: Scene, factor: float):
+    wrong = with_another_focal_length(exact, factor)
+    scene, outcome = level(wrong)
+    up = scene.camera.T_world_camera[:3, :3].T @ [0, 0, 1]
+    assert np.degrees(np.arccos(np.clip(up @ true_up(), -1, 1))) < 0.02
+    assert scene.camera.K[0, 0] == pytest.approx(camera().K[0, 0], rel=2e-3)
+    assert any(d.choice.startswith("focal length") for d in outcome.decisions)
+    assert visible_iou(scene) > 0.98
+    for o in scene:
+        assert o.scale == pytest.approx(exact[o.id].scale, rel=3e-3)
+    assert 0 < scene.ground.tilt_error < np.radians(0.1) and np.isinf(scene.ground.height_error)
+    trusted, outcome = level(wrong, LevelConfig(focal_sigma=0.0))
+    assert np.array_equal(trusted.camera.K, wrong.camera.K)
+    assert not any(d.choice.startswith("focal length") for d in outcome.decisions)
+
+
+def test_without_normals_an_estimate_keeps_its_focal_length_and_knows_no_error(exact: Scene):
+    wrong = with_another_focal_length(exact, 1.04)
+    scene, _ = level(replace(wrong, geometry=replace(wrong.geometry, normals=None)))
+    assert np.array_equal(scene.camera.K, wrong.camera.K)
+    assert np.isinf([scene.ground.tilt_error, scene.ground.height_error]).all()
+
+
+def test_only_a_sensor_measures_the_height_of_the_ground(exact: Scene, tmp_path: Path):
     estimated, _ = level(exact)
-    assert np.isinf([estimated.ground.tilt_error, estimated.ground.height_error]).all()
+    assert np.isinf(estimated.ground.height_error)
     write_folder(tmp_path / "input")
     to_depth(tmp_path / "input")
     measured, outcome = level(assemble(as_given(inputs.read(tmp_path / "input")))[0])
@@ -195,17 +207,6 @@ def test_the_camera_is_on_the_upper_side_of_the_ground_and_a_photo_upside_down_i
     expected, outcome = level(exact)
     assert not outcome.report.fallbacks
     assert np.allclose([o.bounds_world[:, 2] for o in levelled], [o.bounds_world[:, 2] for o in expected], atol=1e-4)
-
-
-def test_the_vote_blends_agreeing_normals_only():
-    normal = np.array([0.0, -1, 0])
-    tilted = rotation_about([1, 0, 0], np.radians(2)) @ normal
-    far = rotation_about([1, 0, 0], np.radians(60)) @ normal
-    voted, share = vote(normal, np.array([tilted] * 8 + [far] * 2))
-    expected = (1 - 0.55) * normal + 0.55 * tilted
-    assert share == 0.8 and np.allclose(voted, expected / np.linalg.norm(expected))
-    assert np.allclose(vote(normal, np.array([far] * 8 + [tilted] * 2))[0], normal)
-    assert np.allclose(vote(normal, -np.array([tilted] * 10))[0], voted)
 
 
 def test_without_any_ground_the_lowest_vertex_is_the_ground(exact: Scene):

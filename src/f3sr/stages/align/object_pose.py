@@ -29,6 +29,8 @@ from f3sr.vision.silhouette_fit import EQUATION_8, EVERYTHING, SMALLEST_AREA, Ob
 
 NEAR_VERTICAL = 0.9
 """Cosine to the vertical from which on an axis is taken for it."""
+NOISE = 1.5
+"""Spread of an object's depths, in standard deviations of the geometry, that is still its noise: a mean is exceeded."""
 LEAST_IOU = 0.2
 """IoU below which a fitted mesh and its mask do not show the same thing; the object stays as it came."""
 BLIND_TURN = np.radians(16)
@@ -263,8 +265,8 @@ class _Scores:
         return self.iou + self.config.appearance.weight * self.correlation
 
     def agrees(self, before: _Scores) -> bool:
-        """Whether depths spread about the geometry's no more than ``before``, or no more than the geometry's noise."""
-        return self.spread <= max(before.spread, GEOMETRY_SIGMA)
+        """Whether depths spread about the geometry's no more than ``before``, or no more than its noise may."""
+        return self.spread <= max(before.spread, NOISE * GEOMETRY_SIGMA)
 
     def told(self, after: _Scores) -> str:
         return (
