@@ -164,7 +164,7 @@ def focal_length(points: Array, normal: GroundNormal) -> FocalLength | None:
 
 def _relative_plane(points: Array) -> Array:
     """a (3,) with a . p = 1 for points (n, 3), least squares."""
-    return np.linalg.lstsq(points, np.ones(len(points)))[0]
+    return np.linalg.lstsq(points, np.ones(len(points)))[0].astype(np.float64)
 
 
 def _axes(points: Array) -> Array:
