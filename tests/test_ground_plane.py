@@ -82,6 +82,17 @@ def test_the_error_of_the_focal_length_covers_it_and_weighing_halves_the_varianc
     assert np.mean(weighed**2) < 0.5 * np.mean(given**2)
 
 
+def test_a_principal_point_that_is_off_is_within_the_error():
+    """It turns all rays alike, which shows in nothing but the focal length, most where the ground is seen flat."""
+    for pitch in (0.4, 0.8):
+        normal = ground(pitch)
+        points = seen(normal)
+        points[:, 1] += 0.008 * points[:, 2]
+        found = focal_length(points, exactly(normal), center=0.008)
+        assert found is not None
+        assert 0.5 * found.error < abs(np.log(found.factor)) < 1.5 * found.error
+
+
 def test_an_exact_focal_length_stays():
     assert FocalLength(factor=1.2, error=0.01).shrunk(0.0) == 1.0
     assert FocalLength(factor=1.2, error=0.03).shrunk(0.03) == pytest.approx(np.sqrt(1.2))

@@ -137,12 +137,13 @@ def combined(one: GroundNormal, other: GroundNormal) -> GroundNormal:
     )
 
 
-def focal_length(points: Array, normal: GroundNormal) -> FocalLength | None:
+def focal_length(points: Array, normal: GroundNormal, *, center: float = 0.0) -> FocalLength | None:
     """The factor on the focal length of points (n, 3) in camera axes for which their plane has a normal (3,).
 
     x and y of the points go with 1 / factor, so the tangent of the plane's angle to the image plane goes with factor.
-    The plane is a . p = 1 with least relative residuals: noise of depths is in proportion to them. Its error is the
-    jackknife's and the normal's together. None where the camera looks straight down on the ground.
+    The plane is a . p = 1 with least relative residuals: noise of depths is in proportion to them. The error is that of
+    the jackknife, of the normal, and of the principal point, ``center`` [rad], which turns the rays. None where the
+    camera looks straight down on the ground, or along it.
     """
     tangent = float(np.hypot(*normal.normal[:2]) / max(abs(normal.normal[2]), 1e-9))
     if not math.tan(LEAST_TILT) < tangent < 1 / math.tan(LEAST_TILT):
@@ -159,7 +160,9 @@ def focal_length(points: Array, normal: GroundNormal) -> FocalLength | None:
     slopes = np.log(np.hypot(fits[:, 0], fits[:, 1]) / np.maximum(np.abs(fits[:, 2]), 1e-12))
     (error,) = _jackknife_errors(slopes[1:, None])
     from_normal = normal.error / 2 * (tangent + 1 / tangent)
-    return FocalLength(factor=tangent / math.exp(slopes[0]), error=math.hypot(ALIKE * float(error), from_normal))
+    return FocalLength(
+        factor=tangent / math.exp(slopes[0]), error=math.hypot(ALIKE * float(error), from_normal, tangent * center)
+    )
 
 
 def _relative_plane(points: Array) -> Array:
