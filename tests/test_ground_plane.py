@@ -62,6 +62,13 @@ def test_a_ground_seen_from_above_or_edge_on_tells_no_focal_length(pitch: float)
     assert focal_length(points, exactly(ground(pitch))) is None
 
 
+@pytest.mark.parametrize("rows", [1, 2])
+def test_a_line_of_pixels_or_a_few_tell_no_focal_length(rows: int):
+    points = seen(ground(0.6))
+    assert focal_length(points[: 64 * rows : 2 // rows], exactly(ground(0.6))) is None
+    assert focal_length(points[:: len(points) // 50], exactly(ground(0.6))) is None
+
+
 def wavy(rng: np.random.Generator) -> Array:
     """Noise of logarithms of depths that is smooth over the picture, 2 %."""
     a, b = rng.uniform(0, 2 * np.pi, 2)

@@ -174,6 +174,14 @@ def test_normals_tell_a_wrong_focal_length_and_the_tilt_that_comes_with_it(exact
     assert not any(d.choice.startswith("focal length") for d in outcome.decisions)
 
 
+def test_a_focal_length_far_from_the_given_one_is_not_believed_and_told(exact: Scene):
+    wrong = with_another_focal_length(exact, 1.4)
+    scene, outcome = level(wrong)
+    assert np.array_equal(scene.camera.K, wrong.camera.K)
+    (told,) = (d for d in outcome.decisions if d.choice.startswith("focal length"))
+    assert told.fallback and "kept" in told.choice
+
+
 def test_without_normals_an_estimate_keeps_its_focal_length_and_knows_no_error(exact: Scene):
     wrong = with_another_focal_length(exact, 1.04)
     scene, _ = level(replace(wrong, geometry=replace(wrong.geometry, normals=None)))

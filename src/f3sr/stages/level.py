@@ -97,7 +97,7 @@ def level(scene: Scene, config: LevelConfig | None = None) -> tuple[Scene, Level
         center = CENTER * max(scene.camera.width, scene.camera.height) / float(scene.camera.K[0, 0])
         focal = focal_length(points[agree], seen, center=center) if config.focal_sigma else None
         if focal:
-            factor = focal.shrunk(config.focal_sigma)
+            factor = 1.0 if focal.contradicts(config.focal_sigma) else focal.shrunk(config.focal_sigma)
             decisions.append(_focal_decision(scene, focal, factor))
             scene, points = _zoomed(scene, factor), points / [factor, factor, 1.0]
             plane = fit_plane(points, rng, tolerance)
@@ -149,6 +149,9 @@ def _weighed(
 
 def _focal_decision(scene: Scene, focal: FocalLength, factor: float) -> Decision:
     was = float(scene.camera.K[0, 0])
+    if factor == 1.0:
+        reason = f"points and normals of the ground agree at {focal.factor * was:.0f} px only, which is too far off"
+        return Decision(choice=f"focal length {was:.0f} px kept", reason=reason, fallback=True)
     agree = f"points and normals of the ground agree at {focal.factor * was:.0f} px +- {100 * focal.error:.1f} %"
     return Decision(choice=f"focal length {was:.0f} -> {factor * was:.0f} px", reason=agree)
 

@@ -30,6 +30,12 @@ TRIMS = 3
 LEAN = math.radians(0.6)
 """Two standard errors of a network's normals that are alike in all places, so that no spread shows them. Not measured:
 a bound on what normals of the ground may decide, which are good to .03 degrees in the ten rendered scenes."""
+BEYOND = 3.0
+"""Standard errors by which a focal length that points and normals tell may be off the given one."""
+LEAST_POINTS = 64
+"""Least number of points that tell a focal length."""
+LEAST_EXTENT = 0.01
+"""Least extent of the points that tell a focal length, across, as a share of their distance."""
 LEAST_TILT = math.radians(5)
 """Least angle [rad] of the ground's normal to the optical axis at which it tells the focal length."""
 
@@ -60,6 +66,10 @@ class FocalLength:
 
     factor: float
     error: float
+
+    def contradicts(self, sigma: float) -> bool:
+        """Whether it is farther from 1 than it may be: ``BEYOND`` standard errors of both together."""
+        return abs(math.log(self.factor)) > BEYOND * math.hypot(sigma, self.error)
 
     def shrunk(self, sigma: float) -> float:
         """The factor, weighed against 1 with a standard error ``sigma`` of the logarithm (inverse variances)."""
@@ -146,7 +156,7 @@ def focal_length(points: Array, normal: GroundNormal, *, center: float = 0.0) ->
     x and y of the points go with 1 / factor, so the tangent of the plane's angle to the image plane goes with factor.
     The plane is a . p = 1 with least relative residuals: noise of depths is in proportion to them. The error is that of
     the jackknife, of the normal, and of the principal point, ``center`` [rad], which turns the rays. None where the
-    camera looks straight down on the ground, or along it.
+    camera looks straight down on the ground, or along it, and where points are few or not on a plane.
     """
     tangent = float(np.hypot(*normal.normal[:2]) / max(abs(normal.normal[2]), 1e-9))
     if not math.tan(LEAST_TILT) < tangent < 1 / math.tan(LEAST_TILT):
@@ -158,10 +168,14 @@ def focal_length(points: Array, normal: GroundNormal, *, center: float = 0.0) ->
         residuals = np.abs(points @ a - 1)
         kept = residuals < TRIMMED * 1.4826 * np.median(residuals) + 1e-9
     points = points[kept]
+    if len(points) < LEAST_POINTS or np.linalg.cond(points) > 1 / LEAST_EXTENT:
+        return None
     groups = _groups(*_axes(points)[:2])
     fits = np.array([a, *(_relative_plane(points[groups != k]) for k in np.unique(groups))])
     slopes = np.log(np.hypot(fits[:, 0], fits[:, 1]) / np.maximum(np.abs(fits[:, 2]), 1e-12))
     (error,) = _jackknife_errors(slopes[1:, None])
+    if not (np.isfinite(slopes[0]) and np.isfinite(error)):
+        return None
     from_normal = normal.error / 2 * (tangent + 1 / tangent)
     return FocalLength(
         factor=tangent / math.exp(slopes[0]), error=math.hypot(ALIKE * float(error), from_normal, tangent * center)
