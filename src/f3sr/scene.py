@@ -89,6 +89,10 @@ class Geometry:
         if self.normals is not None:
             object.__setattr__(self, "normals", frozen(self.normals, np.float32))
 
+    def zoomed(self, factor: float) -> Geometry:
+        """The same depths under ``factor`` times the focal length."""
+        return replace(self, points=self.points / np.array([factor, factor, 1], np.float32))
+
     def inside(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Valid geometry pixels (h, w) whose centres fall into a photo-sized mask."""
         h, w = self.valid.shape

@@ -158,9 +158,7 @@ def _focal_decision(scene: Scene, focal: FocalLength, factor: float) -> Decision
 
 def _zoomed(scene: Scene, factor: float) -> Scene:
     """The scene under another focal length: depths, and places and sizes in the picture, stay."""
-    camera, geometry = scene.camera.zoomed(factor), scene.geometry
-    if geometry:
-        geometry = replace(geometry, points=geometry.points / np.array([factor, factor, 1], np.float32))
+    camera, geometry = scene.camera.zoomed(factor), scene.geometry and scene.geometry.zoomed(factor)
     objects = list[SceneObject]()
     for o in scene:
         T_camera_object = camera.T_camera_world @ o.T_world_object

@@ -73,7 +73,7 @@ class FocalLength:
 
     def shrunk(self, sigma: float) -> float:
         """The factor, weighed against 1 with a standard error ``sigma`` of the logarithm (inverse variances)."""
-        return self.factor ** (sigma**2 / (sigma**2 + self.error**2)) if sigma else 1.0
+        return self.factor ** (sigma**2 / (sigma**2 + self.error**2))
 
 
 def fit_plane(points: Array, rng: np.random.Generator, tolerance: float) -> GroundPlane:

@@ -66,9 +66,7 @@ def _fitted(scene: Scene, config: AlignConfig, *, focal: bool) -> Camera:
 def _with(scene: Scene, camera: Camera) -> Scene:
     """The scene seen by another camera; its geometry keeps its depths and goes with the focal length."""
     zoom = camera.K[0, 0] / scene.camera.K[0, 0]
-    geometry = scene.geometry
-    if geometry and zoom != 1:
-        geometry = replace(geometry, points=geometry.points / np.array([zoom, zoom, 1], np.float32))
+    geometry = scene.geometry.zoomed(zoom) if scene.geometry and zoom != 1 else scene.geometry
     return replace(scene, camera=camera, geometry=geometry)
 
 
