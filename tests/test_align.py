@@ -13,7 +13,14 @@ from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose, rotation_about, rotation_angle
 from f3sr.scene import Geometry, Photo, Scene, SceneObject
 from f3sr.stages.align import AlignConfig, align
-from f3sr.stages.align.config import AppearanceConfig, CameraConfig, DepthConfig, FacetConfig, TiltConfig
+from f3sr.stages.align.config import (
+    AppearanceConfig,
+    CameraConfig,
+    DepthConfig,
+    FacetConfig,
+    OrientationConfig,
+    TiltConfig,
+)
 from f3sr.vision import rasterizer
 from f3sr.vision.crop import sampled, window_around
 from f3sr.vision.motion_params import ObjectFreedom
@@ -30,6 +37,7 @@ PLAIN = replace(
     OBJECTS_ONLY,
     tilt=TiltConfig(enabled=False),
     appearance=AppearanceConfig(enabled=False),
+    orientations=OrientationConfig(enabled=False),
     facets=FacetConfig(enabled=False),
     depth=DepthConfig(enabled=False),
 )
@@ -51,6 +59,16 @@ def painted(shape: trimesh.Trimesh, *, rounds: int = 3) -> Mesh:
 CAN = painted(trimesh.creation.cylinder(0.06, 0.14, sections=48))
 BALL = painted(trimesh.creation.icosphere(subdivisions=2, radius=0.07), rounds=2)
 BOX = painted(trimesh.creation.box((0.10, 0.16, 0.12)), rounds=5)
+HAMMER = painted(
+    trimesh.util.concatenate(
+        [
+            trimesh.creation.box((0.2, 0.02, 0.03)),
+            trimesh.creation.box((0.03, 0.08, 0.05)).apply_translation((0.1, 0.01, 0.01)),
+        ]
+    ),
+    rounds=4,
+)
+"""Different from every side, and thin: a wrong start does not even touch its mask."""
 
 
 def thing(id: int, mesh: Mesh, at: tuple[float, float, float], *, yaw: float = 0.3) -> SceneObject:
@@ -137,6 +155,31 @@ def test_a_tilted_box_is_stood_on_its_facet() -> None:
     wrong = disturbed(scene[0], SIDEWAYS, np.radians(6))
     found = aligned(scene, wrong, replace(PLAIN, facets=FacetConfig()))
     assert found.T_world_object[2, 2] == pytest.approx(1, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("axis", "degrees"), [("z", 90), ("z", 180), ("z", 270), ("x", 180), ("y", 180)], ids=lambda v: str(v)
+)
+@pytest.mark.parametrize("has_detail", [True, False], ids=["painted", "plain"])
+def test_an_object_that_came_the_wrong_way_round_is_found_in_every_orientation(
+    axis: str, degrees: float, has_detail: bool
+) -> None:
+    mesh = HAMMER if has_detail else replace(HAMMER, vertex_colors=None)
+    scene = photographed(thing(0, mesh, (0, 0.05, 0.025)))
+    wrong = disturbed(scene[0], np.eye(3)["xyz".index(axis)], np.radians(degrees), shift=0.01, scale=0.95)
+    assert turn_between(aligned(scene, wrong), scene[0]) < 3
+    if degrees == 180:
+        unsearched = replace(OBJECTS_ONLY, orientations=OrientationConfig(enabled=False))
+        assert turn_between(aligned(scene, wrong, unsearched), scene[0]) > 30
+
+
+@pytest.mark.parametrize("stretch", [(1.15, 1, 1), (1, 1.6, 1), (1, 1, 1.5)], ids=["longer", "wider", "higher"])
+def test_a_wrong_shape_is_no_reason_for_another_orientation(stretch: tuple[float, float, float]) -> None:
+    scene = photographed(thing(0, HAMMER, (0, 0.05, 0.025)))
+    wrong = replace(scene[0], mesh=replace(HAMMER, vertices=HAMMER.vertices * stretch))
+    found, report = align(scene.with_objects(wrong), OBJECTS_ONLY)
+    assert any("another orientation" in d.choice for d in report.decisions)
+    assert turn_between(found[0], scene[0]) < 20
 
 
 def test_distance_comes_from_the_geometry() -> None:

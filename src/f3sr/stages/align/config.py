@@ -76,6 +76,39 @@ class AppearanceConfig:
 
 
 @constants
+class OrientationConfig:
+    """The global search of an object that misses its mask: all yaws, as it came and upside down."""
+
+    enabled: bool = True
+    """Search."""
+    enough: float = 0.965
+    """IoU with the valid mask from which on no other orientation is sought."""
+    share: float = 0.9
+    """Of what an object misses (of its mask, the photo's detail and the geometry's depths), the most that it may still
+    miss in another orientation. Meshes are wrong themselves, and most come right to ten degrees."""
+    detail: float = 0.3
+    """Weight of the photo's detail, 1 - correlation, in what it misses; the mask's, 1 - IoU, weighs 1."""
+    depth: float = 2.0
+    """Weight of the spread of depth [share of the distance] in that."""
+    step: float = math.radians(15)
+    """Step between yaws [rad]; the refinement corrects half of it."""
+    facet: float = math.radians(45)
+    """Largest turn from an end of a principal axis onto a stable facet [rad]."""
+    iterations: int = 6
+    """Most steps in which the silhouette of one that fits better than its neighbours is refined."""
+    compared: int = 6
+    """Orientations that are then compared at full resolution, the best first."""
+    detailed: int = 3
+    """Of these, the most that are refined by the photo's detail too."""
+    slack: float = 0.02
+    """How much more of mask and depth than before these may miss."""
+    max_faces: int = 1_000
+    """Most faces of a mesh in the search."""
+    resolution: int = 128
+    """Longer side [px] of the window in the search."""
+
+
+@constants
 class FacetConfig:
     """Objects are tried on their nearest stable facet; the picture guards what is turned."""
 
@@ -117,6 +150,7 @@ class AlignConfig:
     search: SearchConfig = SearchConfig()
     tilt: TiltConfig = TiltConfig()
     appearance: AppearanceConfig = AppearanceConfig()
+    orientations: OrientationConfig = OrientationConfig()
     facets: FacetConfig = FacetConfig()
     depth: DepthConfig = DepthConfig()
 
@@ -131,6 +165,7 @@ class AlignConfig:
             max_scale=min(self.max_scale, 0.15),
             search=replace(self.search, yaw_seeds=(0.0,)),
             tilt=replace(self.tilt, enabled=False),
+            orientations=replace(self.orientations, enabled=False),
             facets=replace(self.facets, enabled=False),
             depth=replace(self.depth, enabled=False),
             appearance=replace(self.appearance, known=0.0),
@@ -139,4 +174,9 @@ class AlignConfig:
     def upright(self, *, within: float) -> AlignConfig:
         """For objects that toppled: they stand on their nearest stable facet ``within`` a turn [rad], whatever the
         picture loses."""
-        return replace(self, camera=False, facets=FacetConfig(most=within, loss=1.0))
+        return replace(
+            self,
+            camera=False,
+            orientations=replace(self.orientations, enabled=False),
+            facets=FacetConfig(most=within, loss=1.0),
+        )

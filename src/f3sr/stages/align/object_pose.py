@@ -7,19 +7,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
-from f3sr.contact.stable_facets import resting_turn
 from f3sr.core.levenberg_marquardt import Local
-from f3sr.core.mesh import Mesh, mass_properties
+from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import UP, Array, pose, rotation_about
 from f3sr.report import Decision, keep_better
 from f3sr.scene import Scene, SceneObject
 from f3sr.stages.align.config import AlignConfig
+from f3sr.stages.align.orientations import Orientation, best_orientations, facet_turn
 from f3sr.vision import rasterizer
 from f3sr.vision.crop import sampled, window_around
+from f3sr.vision.decimated import outlined
 from f3sr.vision.depth_prior import GEOMETRY_PIXELS, GEOMETRY_REACH, GEOMETRY_SIGMA, GEOMETRY_SPREAD
 from f3sr.vision.depth_residual import DepthEvidence
 from f3sr.vision.motion_params import ObjectFreedom
@@ -86,29 +87,27 @@ def align_object(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> t
     """The object where its silhouette fits its mask best, improved by the extensions that are enabled."""
     if reason := _not_comparable(o, view):
         return o, [Decision(choice="kept in its input pose", reason=reason, about=o.id, fallback=True)]
-    fit = object_fit(
-        o, view.valid, view.scene.camera, _freedom(o, view, config),
-        resolution=config.resolution, weights=LossWeights(), prior=config.search.prior,
-    )  # fmt: skip
+    fit = _object_fit(o, view, config, resolution=config.resolution)
     placed = came = _Placed(base=o, fit=fit, u=np.zeros(6))
     evidence = _evidence(o, view, config)
     decisions: list[Decision] = []
-    for phase in _phases(evidence, config):
+    for phase in _phases(o, evidence, config):
         placed, more = phase(placed, evidence, view, config)
         decisions += more
-        if placed.iou < LEAST_IOU:
-            reason = f"its mask and its mesh do not show the same thing: valid mask IoU {placed.iou:.2f} at best"
-            return o, [Decision(choice="kept in its input pose", reason=reason, about=o.id, fallback=True)]
+    if placed.iou < LEAST_IOU:
+        reason = f"its mask and its mesh do not show the same thing: valid mask IoU {placed.iou:.2f} at best"
+        return o, [Decision(choice="kept in its input pose", reason=reason, about=o.id, fallback=True)]
     if placed is came:
         return o, decisions
     was, now = came.iou, placed.iou
     return _as_one_motion(o, placed.object, reason=f"valid mask IoU {was:.4f} -> {now:.4f}"), decisions
 
 
-def _phases(evidence: _Evidence, config: AlignConfig) -> list[_Phase]:
+def _phases(o: SceneObject, evidence: _Evidence, config: AlignConfig) -> list[_Phase]:
     wanted: list[tuple[_Phase, bool]] = [
         (_fitted, True),
         (_polished, config.tilt.enabled or evidence.appearance is not None),
+        (partial(_reoriented, o), config.orientations.enabled),
         (_standing, config.facets.enabled),
         (_at_its_depth, evidence.depth is not None and config.depth.enabled),
     ]
@@ -126,6 +125,13 @@ def _not_comparable(o: SceneObject, view: ObjectEvidence) -> str | None:
     if np.count_nonzero(o.mask & view.valid) < SMALLEST_AREA:
         return "nearer objects hide all of its mask"
     return None
+
+
+def _object_fit(o: SceneObject, view: ObjectEvidence, config: AlignConfig, *, resolution: int) -> ObjectFit:
+    return object_fit(
+        o, view.valid, view.scene.camera, _freedom(o, view, config),
+        resolution=resolution, weights=LossWeights(), prior=config.search.prior,
+    )  # fmt: skip
 
 
 def _freedom(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> ObjectFreedom:
@@ -172,12 +178,11 @@ def _polished(
     placed: _Placed, evidence: _Evidence, view: ObjectEvidence, config: AlignConfig
 ) -> tuple[_Placed, list[Decision]]:
     """All degrees of freedom together, silhouette and appearance, also from the turn that the photo's detail tells."""
-    free = EVERYTHING if config.tilt.enabled else EQUATION_8
     was = _scores(placed, evidence, view, config)
     best, now = placed, was
     for start in (placed, *_turned(placed, was.correlation, evidence, view, config)):
         also = _mismatch(start, evidence, view, config)
-        found = start.fit.refined(start.u, iterations=config.search.iterations, free=free, also=also)
+        found = start.fit.refined(start.u, iterations=config.search.iterations, free=_free(config), also=also)
         scores = _scores(start.moved(found.x), evidence, view, config)
         if scores.total > now.total and scores.iou >= was.iou - config.appearance.loss and scores.agrees(was):
             best, now = start.moved(found.x), scores
@@ -206,14 +211,45 @@ def _turned(
     return []
 
 
+def _reoriented(
+    came: SceneObject, placed: _Placed, evidence: _Evidence, view: ObjectEvidence, config: AlignConfig
+) -> tuple[_Placed, list[Decision]]:
+    """What misses its mask, in the orientation of all that fits far better; sought from where it ``came``."""
+    search = config.orientations
+    if placed.iou >= search.enough:
+        return placed, []
+    was = _scores(placed, evidence, view, config)
+    light = _object_fit(outlined(came, search.max_faces), view, config, resolution=search.resolution)
+    starts = [
+        (start, _scores(start, evidence, view, config))
+        for found in best_orientations(_textured(came, view), light, search)
+        for start in [_turned_from(came, found, view, config)]
+    ]
+    best, now = placed, was
+    for start, first in sorted(starts, key=lambda s: s[1].shape)[: search.detailed]:
+        if first.shape > was.shape + search.slack:
+            break
+        also = _mismatch(start, evidence, view, config)
+        found = start.fit.refined(start.u, iterations=config.search.iterations, free=_free(config), also=also)
+        scores = _scores(start.moved(found.x), evidence, view, config)
+        if scores.miss < now.miss:
+            best, now = start.moved(found.x), scores
+    is_kept = now.miss <= search.share * was.miss
+    decision = Decision(
+        choice=f"another orientation: {'accepted' if is_kept else 'none fits better'}", reason=was.told(now),
+        about=came.id,
+    )  # fmt: skip
+    return (best if is_kept else placed), [decision]
+
+
 def _standing(
     placed: _Placed, evidence: _Evidence, view: ObjectEvidence, config: AlignConfig
 ) -> tuple[_Placed, list[Decision]]:
     """On the nearest stable facet, where that is near and the picture does not mind."""
-    turn = _resting_turn(_textured(placed.object, view), config.facets.most)
+    turn = facet_turn(_textured(placed.object, view), config.facets.most)
     if turn is None:
         return placed, []
-    standing = _after(placed, turn, view, config)
+    standing = _after(placed, _about_middle(placed.object, turn), view, config)
     also = _mismatch(standing, evidence, view, config)
     found = standing.fit.refined(standing.u, iterations=config.search.iterations // 2, also=also)
     was, now = (_scores(p, evidence, view, config) for p in (placed, standing.moved(found.x)))
@@ -257,12 +293,24 @@ class _Scores:
 
     iou: float
     correlation: float
+    has_detail: bool
+    """The mesh has detail to correlate."""
     spread: float
     config: AlignConfig
 
     @property
     def total(self) -> float:
         return self.iou + self.config.appearance.weight * self.correlation
+
+    @property
+    def shape(self) -> float:
+        """How far mask and depth are from those of a perfect mesh."""
+        return 1 - self.iou + self.config.orientations.depth * self.spread
+
+    @property
+    def miss(self) -> float:
+        """How far all three are from a perfect mesh's."""
+        return self.shape + (self.config.orientations.detail * (1 - self.correlation) if self.has_detail else 0)
 
     def agrees(self, before: _Scores) -> bool:
         """Whether depths spread about the geometry's no more than ``before``, or no more than its noise may."""
@@ -280,6 +328,7 @@ def _scores(placed: _Placed, evidence: _Evidence, view: ObjectEvidence, config: 
     return _Scores(
         iou=placed.iou,
         correlation=evidence.appearance.correlation(_textured(o, view)) if evidence.appearance else 0.0,
+        has_detail=evidence.appearance is not None,
         spread=evidence.depth.residual(o).spread if evidence.depth else 0.0,
         config=config,
     )
@@ -314,6 +363,16 @@ def _after(placed: _Placed, T: Array, view: ObjectEvidence, config: AlignConfig,
     return _Placed(base=base, fit=fit, u=np.zeros(6))
 
 
+def _turned_from(came: SceneObject, found: Orientation, view: ObjectEvidence, config: AlignConfig) -> _Placed:
+    turned = _turned_by(came, found.T)
+    return _Placed(base=turned, fit=_object_fit(turned, view, config, resolution=config.resolution), u=found.u)
+
+
+def _free(config: AlignConfig) -> Array:
+    """(6,) what is free once detail is compared."""
+    return EVERYTHING if config.tilt.enabled else EQUATION_8
+
+
 def _blind_axes(placed: _Placed, view: ObjectEvidence, config: AlignConfig) -> Iterator[Array]:
     """Own axes (3,), not near the vertical, about which the silhouette does not see a turn to either side."""
     o, least = placed.object, placed.iou - config.appearance.blind
@@ -339,14 +398,6 @@ def _turned_by(o: SceneObject, T: Array) -> SceneObject:
 
 def _textured(o: SceneObject, view: ObjectEvidence) -> SceneObject:
     return o if o.mesh is view.textured else replace(o, mesh=view.textured)
-
-
-def _resting_turn(o: SceneObject, most: float) -> Array | None:
-    """The world pose change (4, 4) about the object's middle that puts it on its nearest stable facet, if near."""
-    hull = o.mesh.hull
-    solid = o.mesh.welded if o.mesh.is_solid else (hull.vertices, hull.faces)
-    R = resting_turn(hull, mass_properties(*solid).center, o.T_world_object[:3, :3], max_tilt=most)
-    return None if R is None else _about_middle(o, R)
 
 
 def _as_one_motion(before: SceneObject, after: SceneObject, *, reason: str) -> SceneObject:

@@ -1,0 +1,89 @@
+"""The global search: every orientation in which an object may have been meant, for those that miss their masks.
+
+Generated poses are right to ten degrees, or wrong by far: half a turn, upside down, or the other half of a near
+symmetry. A silhouette compares them all in a tenth of a second, as each gets its shift and scale in closed form.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from f3sr.contact.stable_facets import resting_turn
+from f3sr.core.mesh import mass_properties
+from f3sr.core.transforms import UP, Array, pose, rotation_about, rotation_between
+from f3sr.scene import SceneObject
+from f3sr.stages.align.config import OrientationConfig
+from f3sr.vision.photometric import principal_axes
+from f3sr.vision.silhouette_fit import EVERYTHING, ObjectFit
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Orientation:
+    """An object turned by ``T`` (4, 4) about its middle in the world; ``u`` (6,) is where its silhouette then fits,
+    with the loss ``value``."""
+
+    T: Array
+    u: Array
+    value: float
+
+
+def best_orientations(o: SceneObject, fit: ObjectFit, config: OrientationConfig) -> list[Orientation]:
+    """Orientations of an object, best first, whose silhouettes fit its mask better than their neighbours do.
+
+    ``fit`` is the object's, and should be a light one: some hundred silhouettes are compared.
+    """
+    count = max(1, round(2 * math.pi / config.step))
+    yaws = [rotation_about(UP, 2 * math.pi * k / count) for k in range(count)]
+    rings = [[_tried(o, fit, yaw @ side) for yaw in yaws] for side in _sides(o, config)]
+    lowest = [
+        found
+        for ring in rings
+        for k, found in enumerate(ring)
+        if found.value <= min(ring[k - 1].value, ring[(k + 1) % count].value)
+    ]
+    return sorted((_refined(fit, f, config) for f in lowest), key=lambda f: f.value)[: config.compared]
+
+
+def facet_turn(o: SceneObject, most: float) -> Array | None:
+    """The world rotation (3, 3) that puts an object on its nearest stable facet; None where that is over ``most``."""
+    return _turn_onto_facet(o, o.T_world_object[:3, :3], most)
+
+
+def _turn_onto_facet(o: SceneObject, R_world: Array, most: float) -> Array | None:
+    hull = o.mesh.hull
+    solid = o.mesh.welded if o.mesh.is_solid else (hull.vertices, hull.faces)
+    return resting_turn(hull, mass_properties(*solid).center, R_world, max_tilt=most)
+
+
+def _sides(o: SceneObject, config: OrientationConfig) -> list[Array]:
+    """World rotations (3, 3): the object as it came, and with either end of each principal axis down, on the stable
+    facet there."""
+    found = [np.eye(3)]
+    for down in (sign * axis for axis in principal_axes(o) for sign in (1, -1)):
+        R = rotation_between(down, -UP)
+        onto = _turn_onto_facet(o, R @ o.T_world_object[:3, :3], config.facet)
+        side = R if onto is None else onto @ R
+        # What faces down tells sides apart: yaws are tried of each.
+        if all(side[2] @ other[2] < math.cos(config.step) for other in found):
+            found.append(side)
+    return found
+
+
+def _tried(o: SceneObject, fit: ObjectFit, R: Array) -> Orientation:
+    middle = o.bounds_world.mean(0)
+    T = pose(R, middle - R @ middle)
+    turned = _turned(fit, T)
+    u = turned.seed(0.0)
+    return Orientation(T=T, u=u, value=turned.objective(u).value)
+
+
+def _refined(fit: ObjectFit, found: Orientation, config: OrientationConfig) -> Orientation:
+    least = _turned(fit, found.T).refined(found.u, iterations=config.iterations, free=EVERYTHING)
+    return replace(found, u=least.x, value=least.value)
+
+
+def _turned(fit: ObjectFit, T: Array) -> ObjectFit:
+    return replace(fit, surface=fit.surface.moved(T, 1.0))
