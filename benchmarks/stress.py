@@ -20,6 +20,8 @@ import tables
 from run import REPO
 
 CASES = ("tower", "bowls", "planks", "pile", "floor", "overlaps", "dining", "shelf")
+CONTAINERS = {"in_bowl": 3, "in_pan": 3, "in_mug": 2, "on_plate": 2, "in_crate": 2}
+"""Scans in containers, and how many seeds make the family of twelve; by default they are not run."""
 GROWTH = (5, 10, 20, 50)
 STAGES = (
     *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "close", "refine", "describe"),
@@ -182,8 +184,8 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--counts", nargs="+", type=int, default=list(GROWTH), choices=GROWTH, metavar="N")
     parser.add_argument("--out", type=Path, default=REPO / "out" / "bench" / "stress", help="inputs, packages, tables")
     args = parser.parse_args()
-    if unknown := sorted(set(args.cases) - set(CASES)):
-        parser.error(f"no cases {', '.join(unknown)}; there are {', '.join(CASES)}")
+    if unknown := sorted(set(args.cases) - {*CASES, *CONTAINERS}):
+        parser.error(f"no cases {', '.join(unknown)}; there are {', '.join((*CASES, *CONTAINERS))}")
     args.out = args.out.resolve()
     return args
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+import container_things
 import stress_things
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh
@@ -69,7 +70,7 @@ def write(data: Path, case: Case) -> Path:
     for place in (folder / "masks", folder / "assets", data / "objects"):
         place.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng([case.seed, *case.case.encode()])
-    stage = numbered(stress_things.CASES[case.case](rng))
+    stage = numbered({**stress_things.CASES, **container_things.CASES}[case.case](rng))
     edges = FINER if case.case.startswith("mixed") else FINE
     meshes = [mesh_of(item, edges) for item in stage.items]
     rest = settle(stage.items, seconds=stage.seconds)
@@ -102,7 +103,9 @@ def numbered(stage: Stage) -> Stage:
 
 
 def mesh_of(item: Item, edges: int) -> Mesh:
-    """The item's own surface, cut up finely, in its colours."""
+    """The item's own surface, cut up finely, in its colours; a scan as it is."""
+    if item.mesh is not None:
+        return item.mesh
     corners = shapes.vertices(item.shape.solid)
     length = float(np.linalg.norm(np.ptp(corners, axis=0))) / edges
     out = item.shape.solid.refine_to_length(length).to_mesh()

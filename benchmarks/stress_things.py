@@ -11,6 +11,7 @@ from pathlib import Path
 import manifold3d as mf
 import numpy as np
 
+from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import Array, pose, rotation_about
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
@@ -30,6 +31,8 @@ class Item(Thing):
     R: Array = field(default_factory=lambda: np.eye(3))
     push: Array = field(default_factory=lambda: np.zeros(3))
     """[m] in the world: on top of what a generator misses."""
+    mesh: Mesh | None = None
+    """Its surface and colours where they are a scan's; else ``shape`` and ``look`` are."""
 
     @property
     def T_start(self) -> Array:
