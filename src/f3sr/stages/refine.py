@@ -27,6 +27,8 @@ UPRIGHT = math.radians(25)
 """Largest turn [rad] onto the stable facet on which a toppled object is stood."""
 GAIN = 5e-4
 """Least gain of mean mIoU_visible, over the objects that a round changes, for the round to be kept."""
+LOST = 0.03
+"""Mean visible IoU that contact costs a group, from which on it is placed again from where alignment had it."""
 HOPELESS = 0.02
 """Loss of score of a group at rest from which on it is given up before its gaps are closed; and of its visible IoU,
 whatever its measured depths gain."""
@@ -45,6 +47,8 @@ class RefineConfig:
 
     rounds: Annotated[int, Interval(ge=0, le=10)] = 4
     """Most rounds of re-alignment; each tries only what gained in the one before."""
+    returns: Annotated[int, Interval(ge=0, le=10)] = 2
+    """Most times that a group which contact moved off its masks is placed again, with the colliders it has by then."""
     contact: ContactMargin = DEFAULT_MARGIN
     """Objects with its ``apart`` between them do not affect each other."""
 
@@ -70,8 +74,10 @@ def refine(
     scene: Scene,
     config: RefineConfig,
     *,
+    aligned: Scene,
     parted: Scene,
     stood_up: StoodUp,
+    replaced: StoodUp,
     realigned: Retried,
     restless: Collection[int] = (),
 ) -> tuple[Scene, Refined]:
@@ -88,6 +94,16 @@ def refine(
         tried = stood_up(upright, toppled, moving)
         state, decision, _ = _better(state, tried, toppled, step, config)
         decisions.append(decision)
+    for _ in range(config.returns):
+        if not (lost := _lost(state, aligned, config.contact)):
+            break
+        step = f"again from where the photo shows object {_named(sorted(lost))}"
+        tried = replaced(_as_seen(state.scene, aligned, lost), sorted(lost), lost)
+        was = state.score
+        state, decision, _ = _better(state, tried, sorted(lost), step, config)
+        decisions.append(decision)
+        if state.score <= was + GAIN:
+            break
     open = [o.id for o in state.scene]
     for _ in range(config.rounds):
         if not open:
@@ -103,6 +119,18 @@ def refine(
         }
         open = [id for id in open if id in gained and state.scores[id] > was[id] + AGAIN]
     return state.scene, Refined(seen=(before, state.seen), decisions=tuple(decisions))
+
+
+def _lost(state: SettledScene, aligned: Scene, contact: ContactMargin) -> frozenset[int]:
+    """Ids of the groups that contact moved off their masks."""
+    was = SettledScene(scene=aligned, restless=frozenset()).ious
+    groups = groups_of(state.scene, state.scene, contact.apart)
+    return frozenset(id for g in groups if len(g) > 1 and _gain(g, was, state.ious) < -LOST for id in g)
+
+
+def _as_seen(scene: Scene, aligned: Scene, ids: Collection[int]) -> Scene:
+    """Some objects where alignment had them, with the colliders that they have now, and without footings."""
+    return scene.with_objects(*(replace(aligned[id], parts=scene[id].parts) for id in sorted(ids)))
 
 
 def _before_the_fall(

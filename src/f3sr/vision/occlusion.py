@@ -7,14 +7,18 @@ from collections.abc import Iterable
 import numpy as np
 
 from f3sr.core.transforms import Array
-from f3sr.scene import Scene, SceneObject
+from f3sr.scene import Geometry, Scene, SceneObject
 from f3sr.vision import rasterizer
-from f3sr.vision.silhouette import Mask, union_of
+from f3sr.vision.depth_prior import GEOMETRY_SIGMA
+from f3sr.vision.silhouette import Mask, resample, union_of
 
 RESOLUTION = 384
 """Longer side [px] of the images that depths are compared in."""
 ENOUGH = 20
 """Least number of common pixels at which rendered depths are compared there."""
+
+BORDER = 3
+"""Pixels of the geometry at the border of a mask whose depths may be mixed with its neighbour's."""
 
 
 def nearer_objects(scene: Scene) -> dict[int, list[SceneObject]]:
@@ -28,6 +32,38 @@ def nearer_objects(scene: Scene) -> dict[int, list[SceneObject]]:
 def visible_region(o: SceneObject, nearer: Iterable[SceneObject]) -> Mask:
     """The pixels (H, W) where an object's silhouette must agree with its mask: not in a nearer object's mask."""
     return ~union_of((p.mask for p in nearer), o.mask.shape)
+
+
+def behind_the_photo(o: SceneObject, others: Iterable[SceneObject], geometry: Geometry) -> Mask:
+    """The pixels (H, W) of other objects' masks where the geometry shows a surface before an object, as a bowl's wall
+    before the fruit in it: there the object would be hidden.
+
+    Before it is what is nearer than the object's own nearest pixel by more than the geometry's error. Where an object
+    stands on another, depth goes on without a step.
+    """
+    from scipy.ndimage import binary_erosion, distance_transform_edt
+
+    mine = geometry.inside(o.mask)
+    # Depths mix at the borders of masks.
+    sure = binary_erosion(mine, iterations=BORDER)
+    hidden = np.zeros_like(mine)
+    if sure.any():
+        around = _around(mine)
+        depth = geometry.points[..., 2][around]
+        rest = geometry.inside(union_of((p.mask for p in others), o.mask.shape))[around]
+        _, (rows, columns) = distance_transform_edt(~sure[around], return_indices=True)
+        hidden[around] = rest & (depth < (1 - GEOMETRY_SIGMA) * depth[rows, columns])
+    return resample(hidden, o.mask.shape[1], o.mask.shape[0])
+
+
+def _around(mask: Mask) -> tuple[slice, slice]:
+    """Rows and columns of a mask's box, with as much again on every side."""
+    spans: list[slice] = []
+    for axis in (1, 0):
+        there = np.flatnonzero(mask.any(axis=axis))
+        size = int(there[-1] - there[0]) + 1
+        spans.append(slice(max(0, int(there[0]) - size), int(there[-1]) + size + 1))
+    return spans[0], spans[1]
 
 
 def _nearer(a: Array, b: Array) -> bool:
