@@ -20,6 +20,7 @@ from f3sr.physics.contact_margin import DEFAULT_MARGIN, ContactMargin
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Scene, SceneObject
 from f3sr.settings import settings
+from f3sr.vision import depth_prior
 
 TOPPLE = math.radians(20)
 """Turn [rad] while settling from which an object has toppled; the report's instability."""
@@ -47,7 +48,7 @@ class RefineConfig:
 
     rounds: Annotated[int, Interval(ge=0, le=10)] = 4
     """Most rounds of re-alignment; each tries only what gained in the one before."""
-    returns: Annotated[int, Interval(ge=0, le=10)] = 2
+    returns: Annotated[int, Interval(ge=0, le=10)] = 3
     """Most times that a group which contact moved off its masks is placed again, with the colliders it has by then."""
     contact: ContactMargin = DEFAULT_MARGIN
     """Objects with its ``apart`` between them do not affect each other."""
@@ -94,16 +95,13 @@ def refine(
         tried = stood_up(upright, toppled, moving)
         state, decision, _ = _better(state, tried, toppled, step, config)
         decisions.append(decision)
-    for _ in range(config.returns):
+    for k in range(config.returns):
         if not (lost := _lost(state, aligned, config.contact)):
             break
-        step = f"again from where the photo shows object {_named(sorted(lost))}"
-        tried = replaced(_as_seen(state.scene, aligned, lost), sorted(lost), lost)
-        was = state.score
+        step = f"placed again {'near' if k else 'from'} where the photo shows object {_named(sorted(lost))}"
+        tried = replaced(_as_seen(state.scene, aligned, lost, attempt=k), sorted(lost), lost)
         state, decision, _ = _better(state, tried, sorted(lost), step, config)
         decisions.append(decision)
-        if state.score <= was + GAIN:
-            break
     open = [o.id for o in state.scene]
     for _ in range(config.rounds):
         if not open:
@@ -128,9 +126,18 @@ def _lost(state: SettledScene, aligned: Scene, contact: ContactMargin) -> frozen
     return frozenset(id for g in groups if len(g) > 1 and _gain(g, was, state.ious) < -LOST for id in g)
 
 
-def _as_seen(scene: Scene, aligned: Scene, ids: Collection[int]) -> Scene:
-    """Some objects where alignment had them, with the colliders that they have now, and without footings."""
-    return scene.with_objects(*(replace(aligned[id], parts=scene[id].parts) for id in sorted(ids)))
+def _as_seen(scene: Scene, aligned: Scene, ids: Collection[int], *, attempt: int) -> Scene:
+    """Some objects where alignment had them, with the colliders that they have now, and without footings.
+
+    From the second ``attempt`` on their distances are drawn anew by what is known of them."""
+    sigmas = depth_prior.sigmas(aligned)
+    camera = aligned.camera
+    objects: list[SceneObject] = []
+    for id in sorted(ids):
+        k = float(np.exp(sigmas[id] * np.random.default_rng([attempt, id]).normal())) if attempt else 1.0
+        o = aligned[id].moved(camera.homothety(k), scale=k, stage="refine", reason="") if attempt else aligned[id]
+        objects.append(replace(o, parts=scene[id].parts))
+    return scene.with_objects(*objects)
 
 
 def _before_the_fall(

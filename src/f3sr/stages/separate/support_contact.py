@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from f3sr.contact.compounds import Compound, free_travel, smallest_shift
-from f3sr.core.transforms import UP, pose
+from f3sr.core.transforms import UP, Array, pose
 from f3sr.scene import GROUND, Scene
 from f3sr.stages.separate.config import PICTURE_SIGMA, UNDERSIDE_SIGMA, SeparateConfig
 from f3sr.stages.separate.placement import Placement
@@ -18,6 +18,12 @@ LEAST_LOSS = 1e-6
 SLIDE_SIGMA = 0.25
 """Standard deviation of an object's place on another one, as a share of its size: viewing rays must not take it over
 an edge."""
+SURPRISE = 3.0
+"""Standard deviations of a move onto a support from which on a horizontal move is tried."""
+RINGS = (0.04, 0.08, 0.16, 0.3)
+"""Horizontal moves that are tried then, as shares of the object's size."""
+DIRECTIONS = 8
+"""Of these moves."""
 RAY_STEPS = 10
 """Samples to either side along the viewing rays before the best one is refined."""
 
@@ -28,11 +34,46 @@ def seat(layout: Placement, config: SeparateConfig) -> None:
         if layout.scene[id].supported_by is None:
             layout.move(layout.scene.subtree(id), max(0.0, config.clearance - layout.lowest(id)) * UP)
             continue
-        if config.max_ray_scale:
-            layout.along_rays(layout.scene.subtree(id), _contact_scale(layout, id, config))
+        k, unlikely = _contact_scale(layout, id, config)
+        if config.max_ray_scale and unlikely > SURPRISE**2 and layout.carriers(id):
+            aside, less_so = _aside(layout, id, config)
+            if less_so < unlikely:
+                layout.move(layout.scene.subtree(id), np.append(aside, 0.0))
+                k, _ = _contact_scale(layout, id, config)
+        layout.along_rays(layout.scene.subtree(id), k)
         above = gap(layout.bodies[id], id, layout, config)
         layout.missing[id] = _missing_underside(layout, id, above)
         layout.move(layout.scene.subtree(id), (layout.missing[id] - above) * UP)
+
+
+def _aside(layout: Placement, id: int, config: SeparateConfig) -> tuple[Array, float]:
+    """The horizontal move (2,) [m] with which a body comes onto its support most likely, and how unlikely both are.
+
+    What overlaps the wall of a bowl or a crate that it lies in would be lifted onto the rim; it rather moves inwards.
+    The measure is the square of standard deviations, as in ``_contact_scale``. A pattern search (Hooke and Jeeves,
+    1961) starts from the best of some rings, as heights of contact have many minima.
+    """
+    body, size = layout.bodies[id], layout.scene[id].size
+    metric = (layout.loss(id) + layout.depth_loss(id)) / PICTURE_SIGMA**2
+    turns = np.linspace(0, 2 * np.pi, DIRECTIONS, endpoint=False)
+    circle = np.stack([np.cos(turns), np.sin(turns)], axis=1)
+
+    def cost(d: Array) -> float:
+        above = gap(body.moved(pose(t=np.append(d, 0.0))), id, layout, config)
+        way = np.append(d, -above)
+        return float(way @ metric @ way)
+
+    moves = np.concatenate([np.zeros((1, 2)), *(r * size * circle for r in RINGS)])
+    costs = [cost(d) for d in moves]
+    best, least, step = moves[int(np.argmin(costs))], min(costs), RINGS[0] * size / 2
+    while step > config.clearance:
+        around = best + step * circle
+        costs = [cost(d) for d in around]
+        if min(costs) < least:
+            best, least = around[int(np.argmin(costs))], min(costs)
+        else:
+            step /= 2
+    return best, least
 
 
 def _missing_underside(layout: Placement, id: int, above: float) -> float:
@@ -82,8 +123,9 @@ def grounded(scene: Scene, config: SeparateConfig) -> Scene:
     return replace(scene, objects=objects, camera=scene.camera.moved(T @ scene.camera.T_world_camera))
 
 
-def _contact_scale(layout: Placement, id: int, config: SeparateConfig) -> float:
-    """The k by which the body is moved along its viewing rays before it is lifted or lowered onto its support.
+def _contact_scale(layout: Placement, id: int, config: SeparateConfig) -> tuple[float, float]:
+    """The k by which the body is moved along its viewing rays before it is lifted or lowered onto its support, and how
+    unlikely both are, as the square of standard deviations.
 
     It is the most likely one: k has the least (log k / sigma)^2 + height(k)^2 / variance within its bound. The variance
     is that of lifts by the picture and of the underside; on another object a third term holds it in place. Over the
@@ -107,7 +149,8 @@ def _contact_scale(layout: Placement, id: int, config: SeparateConfig) -> float:
     low, high = layout.rays_left(id, config.max_ray_scale)
     tried = np.linspace(low, high, 2 * RAY_STEPS + 1)
     best = int(np.argmin([cost(float(k)) for k in tried]))
-    return _least(cost, float(tried[max(best - 1, 0)]), float(tried[min(best + 1, len(tried) - 1)]))
+    k = _least(cost, float(tried[max(best - 1, 0)]), float(tried[min(best + 1, len(tried) - 1)]))
+    return k, cost(k)
 
 
 def _least(cost: Callable[[float], float], a: float, b: float) -> float:
