@@ -158,7 +158,7 @@ def reconstruct(
         aligned=made,
         parted=parted,
         replaced=partial(again, aligning=replace(config.align, camera=False, objects=False)),
-        stood_up=partial(again, aligning=config.align.upright(within=UPRIGHT)),
+        stood_up=partial(again, aligning=config.align.upright(within=UPRIGHT), gives_up=False),
         realigned=partial(again, aligning=config.align.under_contact()),
         restless=settled.restless,
     )
@@ -250,11 +250,12 @@ def _made_again(
     aligning: AlignConfig,
     config: Config,
     closes: bool,
+    gives_up: bool = True,
 ) -> SettledScene:
     """The scene after another alignment of some objects, as it would be delivered: at rest and closed.
 
     Objects that are not ``moving`` are held where they rest. By default groups move in which something gains by the
-    alignment."""
+    alignment. ``gives_up``: groups that lost too much by then are not closed, but put back."""
     contact = config.refine.contact
     aligned, _ = align(scene, aligning, only=ids)
     retry = Retry.of(scene, aligned, ids, contact) if moving is None else Retry.of_moving(scene, aligned, moving)
@@ -262,7 +263,7 @@ def _made_again(
         return SettledScene(scene=scene, restless=frozenset())
     parted, _ = separate(retry.scene, config.separate, ground=False, margin=False)
     rested = _rested(parted, config.settle)
-    retry = retry.without_losers(rested, contact) if moving is None else replace(retry, scene=rested.scene)
+    retry = retry.without_losers(rested, contact) if gives_up else replace(retry, scene=rested.scene)
     scene = retry.scene
     if closes and retry.moving:
         at_rest = partial(_rested, config=config.settle)

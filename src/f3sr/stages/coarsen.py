@@ -26,6 +26,8 @@ LOSS = 2e-3
 """Largest mean loss of visible IoU of a group by new parts: where something tips or slides, it is more."""
 LOSS_TO_REST = 2e-2
 """The same of a group that did not rest before and does now."""
+LOSS_TO_LIMIT = 3e-2
+"""The same of a group with parts over the limits. What loses more keeps its parts: it would be another scene."""
 KEPT, KEPT_MOVED = 0.25, 0.75
 """Share of the vertices that is kept around contacts, of an object that rests so and of one that moved with fewer."""
 TRIES = 3
@@ -99,8 +101,8 @@ def coarsen(
     ``made`` is the scene as decomposed, ``joins`` (by object id) tell how its parts may be joined. ``settled`` runs
     physics. A group of touching objects keeps its new parts if it rests as before. Where it does not, what moves gets
     finer parts, then all of the group. After ``TRIES`` a group within the limits keeps its parts. Of another, only what
-    is over them gets fewer. If it moves then too, it takes the attempt in which it rests and loses least. Objects that
-    were ``restless`` may stay so.
+    is over them gets fewer. If it moves then too, it takes the attempt in which it rests and loses least, unless that
+    shows another scene: then it keeps its parts, a fallback. Objects that were ``restless`` may stay so.
     """
     known = dict[int, KnownParts]()
     footing, clearance = config.footing, config.contact.clearance
@@ -175,7 +177,15 @@ class _Coarsening:
 
     @property
     def decisions(self) -> tuple[Decision, ...]:
-        kept = (Decision(choice="keeps all its convex parts", reason="moves with fewer", about=id) for id in self.left)
+        kept = (
+            Decision(
+                choice=f"keeps all its {len(self.scene[id].colliders)} convex parts",
+                reason="moves with fewer" + (", which the limits ask for" if id in self.over else ""),
+                about=id,
+                fallback=id in self.over,
+            )
+            for id in self.left
+        )
         return tuple(sorted((*self._told, *kept), key=lambda d: d.about or 0))
 
     def attempt(self, among: frozenset[int], fewer: frozenset[int]) -> None:
@@ -199,9 +209,13 @@ class _Coarsening:
         among = self.left.intersection(frozenset[int]().union(*groups))
         self.attempt(among, among & self.over)
         for ids in self.tries[-1].spoilt:
-            at_rest = [one for one in self.tries if ids in one.effects and not one.effects[ids].restless]
-            if at_rest:
-                best = min(at_rest, key=lambda one: round(one.effects[ids].loss / LOSS))
+            able = [
+                one
+                for one in self.tries
+                if ids in one.effects and not one.effects[ids].restless and one.effects[ids].loss <= LOSS_TO_LIMIT
+            ]
+            if able:
+                best = min(able, key=lambda one: round(one.effects[ids].loss / LOSS))
                 self._take(best, ids, among, reason="had too many parts, or these too many vertices")
 
     def _effects(
