@@ -343,7 +343,7 @@ def test_only_the_group_that_moves_is_tried_again(two: Scene):
 def test_what_moves_however_fine_its_parts_keeps_them(two: Scene):
     scene, decisions, times = coarsened(two, [(1,)] * TRIES)
     assert scene[1].parts is two[1].parts and len(scene[0].parts) == 1
-    assert decisions == ["1: keeps all its convex parts"] and times == TRIES
+    assert decisions == ["1: keeps all its 3 convex parts"] and times == TRIES
 
 
 LIMITED = replace(CONFIG, max_parts=2)
@@ -372,11 +372,18 @@ def seen(two: Scene) -> Scene:
     return near.with_objects(*(replace(o, mask=ids == o.id) for o in near))
 
 
-def test_a_group_over_the_limits_that_always_moves_takes_what_loses_least(seen: Scene):
+def test_a_group_over_the_limits_that_always_moves_takes_what_loses_least(seen: Scene, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("f3sr.stages.coarsen.LOSS_TO_LIMIT", 0.9)
     scene, decisions, tried = slid(seen, (), [0.05, 0.03, 0.05, 0.05])
     assert [len(o.parts) for o in scene] == [1, 1] and tried == [[1, 1], [1], [1], [1]]
     assert scene[1].T_world_object[0, 3] == pytest.approx(0.23)
     assert decisions == [d for d in decisions if d.startswith("1: moves with fewer convex parts")] and decisions
+
+
+def test_a_group_over_the_limits_keeps_its_parts_where_fewer_show_another_scene(seen: Scene):
+    scene, decisions, _ = slid(seen, (), [0.05] * (TRIES + 1))
+    assert scene[1].parts is seen[1].parts and np.array_equal(scene[1].T_world_object, seen[1].T_world_object)
+    assert decisions == ["1: keeps all its 3 convex parts"]
 
 
 def test_what_is_over_the_limits_gets_fewer_parts_where_its_group_rests_with_them(seen: Scene):

@@ -16,7 +16,7 @@ from f3sr.stages.refine import RefineConfig, Retry, refine
 from f3sr.vision import rasterizer
 from scenes import box, measured, scene_of
 
-ONCE = RefineConfig(rounds=1)
+ONCE, NO_ROUND = RefineConfig(rounds=1), RefineConfig(rounds=0)
 
 
 @pytest.fixture
@@ -33,11 +33,13 @@ def shifted(scene: Scene, shifts: Mapping[int, float]) -> Scene:
 
 
 def refined(start: Scene, tried: Scene, *, restless: Collection[int] = (), before: Collection[int] = ()) -> Scene:
-    def again(_: Scene, ids: Collection[int], moving: Collection[int] = ()) -> SettledScene:
+    def again(_: Scene, ids: Collection[int], **_others: object) -> SettledScene:
         kept = [tried[o.id] if o.id in ids else o for o in start]
         return SettledScene(scene=start.with_objects(*kept), restless=frozenset(restless))
 
-    return refine(start, ONCE, parted=start, stood_up=again, realigned=again, restless=before)[0]
+    return refine(
+        start, ONCE, aligned=start, parted=start, stood_up=again, replaced=again, realigned=again, restless=before
+    )[0]
 
 
 def test_the_one_that_gains_is_kept_and_the_one_that_loses_undone(seen: Scene):
@@ -74,12 +76,12 @@ def test_one_that_spoils_its_group_is_left_out_and_the_other_tried_alone(seen: S
     start = shifted(seen, {0: 0.03})
     calls: list[list[int]] = []
 
-    def again(scene: Scene, ids: Collection[int], moving: Collection[int] = ()) -> SettledScene:
+    def again(scene: Scene, ids: Collection[int], **_others: object) -> SettledScene:
         calls.append(list(ids))
         tried = shifted(seen, {0: 0.0, 1: -0.42})
         return SettledScene(scene=scene.with_objects(*(tried[id] for id in ids)), restless=frozenset())
 
-    after, outcome = refine(start, ONCE, parted=start, stood_up=again, realigned=again)
+    after, outcome = refine(start, ONCE, aligned=start, parted=start, stood_up=again, replaced=again, realigned=again)
     assert calls == [[0, 1], [0]]
     assert [d.choice.rsplit(": ")[-1] for d in outcome.decisions] == ["rolled back", "accepted"]
     assert np.array_equal(after[0].T_world_object, seen[0].T_world_object)
@@ -91,23 +93,72 @@ def test_only_what_toppled_and_what_is_near_it_goes_back_to_before_physics(seen:
     start = seen.with_objects(fell, seen[1].moved(pose(t=[0.01, 0, 0]), stage="test", reason=""))
     asked: list[tuple[Scene, Collection[int], Collection[int]]] = []
 
-    def stood_up(scene: Scene, ids: Collection[int], moving: Collection[int] = ()) -> SettledScene:
-        asked.append((scene, ids, moving))
-        return SettledScene(scene=scene, restless=frozenset())
+    def stood_up(
+        before: Scene, ids: Collection[int], *, start: Scene = start, moving: frozenset[int] = frozenset()
+    ) -> SettledScene:
+        asked.append((start, ids, moving))
+        return SettledScene(scene=start, restless=frozenset())
 
-    refine(start, RefineConfig(rounds=0), parted=seen, stood_up=stood_up, realigned=stood_up)
+    refine(start, NO_ROUND, aligned=start, parted=seen, stood_up=stood_up, replaced=stood_up, realigned=stood_up)
     [(scene, ids, moving)] = asked
     assert list(ids) == [0] and moving == {0} and scene[0] is seen[0] and scene[1] is start[1]
+
+
+@pytest.fixture
+def touching() -> Scene:
+    """Two boxes side by side, the masks what the camera sees."""
+    scene = scene_of(box(0, at=(-0.05, 0, 0.05)), box(1, at=(0.05, 0, 0.05)))
+    ids = rasterizer.render(scene.objects, scene.camera).ids
+    return scene.with_objects(*(replace(o, mask=ids == o.id) for o in scene))
+
+
+@pytest.mark.parametrize("helps", [1, 2, 3, None])
+def test_a_group_that_contact_moved_off_its_masks_is_placed_again_until_it_meets_them(
+    touching: Scene, helps: int | None
+):
+    start = shifted(touching, {0: 0.03, 1: 0.03})
+    asked: list[Scene] = []
+
+    def replaced(
+        before: Scene, ids: Collection[int], *, start: Scene = start, moving: frozenset[int] = frozenset()
+    ) -> SettledScene:
+        assert set(ids) == set(moving) == {0, 1}
+        asked.append(start)
+        return SettledScene(scene=touching if len(asked) == helps else before, restless=frozenset())
+
+    after, _ = refine(
+        start, NO_ROUND, aligned=touching, parted=start, stood_up=replaced, replaced=replaced, realigned=replaced
+    )
+    assert len(asked) == (helps or NO_ROUND.returns)
+    assert np.array_equal(after[0].T_world_object, (touching if helps else start)[0].T_world_object)
+    eye = touching.camera.center
+    for k, scene in enumerate(asked):
+        for o in scene:
+            there = touching[o.id]
+            assert (o.scale == there.scale) == (k == 0)
+            # Other distances, on the same viewing rays.
+            assert o.bounds_world.mean(0) - eye == pytest.approx(o.scale * (there.bounds_world.mean(0) - eye))
+
+
+def test_what_stands_alone_or_loses_little_by_contact_is_not_placed_again(seen: Scene, touching: Scene):
+    def never(*_: object, **_others: object) -> SettledScene:
+        raise AssertionError
+
+    for aligned, x in ((seen, 0.03), (touching, 0.0005)):
+        start = shifted(aligned, {0: x, 1: x})
+        refine(start, NO_ROUND, aligned=aligned, parted=start, stood_up=never, replaced=never, realigned=never)
 
 
 def test_a_round_without_gain_is_the_last(seen: Scene):
     calls: list[Collection[int]] = []
 
-    def again(scene: Scene, ids: Collection[int], moving: Collection[int] = ()) -> SettledScene:
+    def again(scene: Scene, ids: Collection[int], **_others: object) -> SettledScene:
         calls.append(ids)
         return SettledScene(scene=scene, restless=frozenset())
 
-    scene, outcome = refine(seen, RefineConfig(), parted=seen, stood_up=again, realigned=again)
+    scene, outcome = refine(
+        seen, RefineConfig(), aligned=seen, parted=seen, stood_up=again, replaced=again, realigned=again
+    )
     assert scene is seen and len(calls) == 1
     assert [d.choice for d in outcome.decisions] == ["re-alignment under contact: rolled back"]
 

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from f3sr.contact.stabilize import BalanceConfig
+from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, invert_pose, pose, rotation_about, rotation_from_vector
 from f3sr.io import inputs
 from f3sr.metrics.measures import measure
-from f3sr.scene import GROUND, Geometry, Relation, Scene, SceneGraph, Support
+from f3sr.scene import GROUND, Geometry, Relation, Scene, SceneGraph, SceneObject, Support
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.align.config import FacetConfig, SearchConfig
 from f3sr.stages.assemble import AssembleConfig, as_given, assemble
@@ -23,9 +24,9 @@ from f3sr.stages.level import LevelConfig, level
 from f3sr.stages.separate import SeparateConfig, separate
 from f3sr.stages.settle import settle
 from f3sr.vision import rasterizer
-from f3sr.vision.occlusion import nearer_objects, visible_region
+from f3sr.vision.occlusion import behind_the_photo, nearer_objects, visible_region
 from folders import boxes, camera, to_depth, write_folder
-from scenes import box, box_stack_scene, scene_of, visible_iou
+from scenes import box, box_mesh, box_stack_scene, scene_of, visible_iou
 
 
 @pytest.fixture(scope="module")
@@ -271,6 +272,22 @@ def test_regions_of_nearer_objects_are_left_out():
     assert not valid[1][near.mask].any() and valid[1][~near.mask].all()
 
 
+def test_where_the_geometry_shows_something_before_an_object_it_is_hidden_and_where_depth_goes_on_it_is_not():
+    fruit, bowl = box(0), box(1)
+    mine, other = (np.zeros_like(fruit.mask) for _ in range(2))
+    mine[10:20, 20:40], other[20:40, 20:40] = True, True
+    # Below the fruit a wall is seen on the left, 3 cm before it; on the right what it stands on comes nearer slowly.
+    points = np.ones((*mine.shape, 3), np.float32)
+    points[20:, :30, 2] = 0.97
+    points[20:, 30:, 2] -= np.linspace(0, 0.004, len(points) - 20, dtype=np.float32)[:, None]
+    geometry = Geometry(points=points, valid=np.ones_like(mine))
+    hidden = behind_the_photo(replace(fruit, mask=mine), [replace(bowl, mask=other)], geometry)
+    wall = other.copy()
+    wall[:, 30:] = False
+    assert not (hidden & ~wall).any()
+    assert np.array_equal(hidden[20:30, 20:30], wall[20:30, 20:30])
+
+
 # --- separate and settle ------------------------------------------------------------------------------------
 
 
@@ -321,6 +338,32 @@ def test_what_overlaps_beside_its_main_support_goes_aside_not_up():
     assert scene[1].bounds_world[0, 2] == pytest.approx(GAP, abs=1e-5)
     assert [d.about for d in outcome.decisions if d.choice.startswith("beside object 0")] == [1]
     assert scene[1].supports == (Support(id=GROUND),)
+
+
+def crate(id: int, *, width: float = 0.3, height: float = 0.12, wall: float = 0.02) -> SceneObject:
+    """An open box on the ground, its walls and floor a convex part each."""
+    middle, side = height / 2, (width - wall) / 2
+    boards = [
+        ((width, width, wall), (0, 0, wall / 2)),
+        *(((wall, width, height), (x, 0, middle)) for x in (-side, side)),
+        *(((width, wall, height), (0, y, middle)) for y in (-side, side)),
+    ]
+    hulls = [ConvexPart.hull_of(box_mesh(size).vertices + np.array(at)) for size, at in boards]
+    starts = np.cumsum([0, *(len(h.vertices) for h in hulls)])
+    mesh = Mesh(
+        vertices=np.concatenate([h.vertices for h in hulls]),
+        faces=np.concatenate([h.faces + k for h, k in zip(hulls, starts, strict=False)]),
+    )
+    return replace(box(id), mesh=mesh, T_world_object=pose(t=[0, 0, GAP]), parts=tuple(hulls))
+
+
+@pytest.mark.parametrize("side", [(0.11, 0), (-0.11, 0), (0, 0.11), (0.11, 0.11)])
+def test_what_reaches_into_the_wall_of_its_container_moves_inwards_and_not_onto_the_rim(side: tuple[float, float]):
+    content = replace(box(1, size=(0.08, 0.08, 0.08), at=(*side, 0.062)), supported_by=0, supports=(Support(id=0),))
+    scene, outcome = separate(scene_of(crate(0), content))
+    assert outcome.report.value("overlapping pairs") == 0
+    assert scene[1].bounds_world[0, 2] == pytest.approx(scene[0].bounds_world[0, 2] + 0.02 + GAP, abs=2e-3)
+    assert np.linalg.norm(scene[1].bounds_world.mean(0)[:2] - side) < 0.04
 
 
 def test_what_is_said_to_be_inside_but_stands_beside_is_parted():

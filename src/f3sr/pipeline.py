@@ -245,8 +245,9 @@ def _rested(scene: Scene, config: SettleStageConfig) -> SettledScene:
 def _made_again(
     scene: Scene,
     ids: Collection[int],
-    moving: frozenset[int] | None = None,
     *,
+    start: Scene | None = None,
+    moving: frozenset[int] | None = None,
     aligning: AlignConfig,
     config: Config,
     closes: bool,
@@ -254,10 +255,11 @@ def _made_again(
 ) -> SettledScene:
     """The scene after another alignment of some objects, as it would be delivered: at rest and closed.
 
-    Objects that are not ``moving`` are held where they rest. By default groups move in which something gains by the
-    alignment. ``gives_up``: groups that lost too much by then are not closed, but put back."""
+    Objects that are not ``moving`` are held where they rest; the others begin where they are in ``start``. By default
+    groups move in which something gains by the alignment. ``gives_up``: groups that lost too much by then are not
+    closed, but put back."""
     contact = config.refine.contact
-    aligned, _ = align(scene, aligning, only=ids)
+    aligned, _ = align(start or scene, aligning, only=ids)
     retry = Retry.of(scene, aligned, ids, contact) if moving is None else Retry.of_moving(scene, aligned, moving)
     if not retry.moving:
         return SettledScene(scene=scene, restless=frozenset())

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Protocol
 
 import numpy as np
 from annotated_types import Interval
@@ -56,8 +56,15 @@ class RefineConfig:
 
 Retried = Callable[[Scene, Collection[int]], SettledScene]
 """Moves some objects of a scene at rest and settles what that affects."""
-StoodUp = Callable[[Scene, Collection[int], frozenset[int]], SettledScene]
-"""Stands some objects up and settles all that are to move, the third argument; the others rest."""
+
+
+class Restarted(Protocol):
+    """Settles the objects that are to move, ``moving``, from where they are in ``start``, with those of ``ids`` aligned
+    first; ``before`` is the scene at rest that is to become better, and the other objects stay as they are in it."""
+
+    def __call__(
+        self, before: Scene, ids: Collection[int], *, start: Scene, moving: frozenset[int]
+    ) -> SettledScene: ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,8 +84,8 @@ def refine(
     *,
     aligned: Scene,
     parted: Scene,
-    stood_up: StoodUp,
-    replaced: StoodUp,
+    stood_up: Restarted,
+    replaced: Restarted,
     realigned: Retried,
     restless: Collection[int] = (),
 ) -> tuple[Scene, Refined]:
@@ -92,14 +99,15 @@ def refine(
     if toppled := [o.id for o in state.scene if _turn(parted[o.id], o) > TOPPLE]:
         step = f"standing up what toppled: object {_named(toppled)}"
         upright, moving = _before_the_fall(state.scene, parted, toppled, config.contact)
-        tried = stood_up(upright, toppled, moving)
+        tried = stood_up(state.scene, toppled, start=upright, moving=moving)
         state, decision, _ = _better(state, tried, toppled, step, config)
         decisions.append(decision)
     for k in range(config.returns):
         if not (lost := _lost(state, aligned, config.contact)):
             break
         step = f"placed again {'near' if k else 'from'} where the photo shows object {_named(sorted(lost))}"
-        tried = replaced(_as_seen(state.scene, aligned, lost, attempt=k), sorted(lost), lost)
+        start = _as_seen(state.scene, aligned, lost, attempt=k)
+        tried = replaced(state.scene, sorted(lost), start=start, moving=lost)
         state, decision, _ = _better(state, tried, sorted(lost), step, config)
         decisions.append(decision)
     open = [o.id for o in state.scene]
