@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from f3sr.contact.stabilize import BalanceConfig
+from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, invert_pose, pose, rotation_about, rotation_from_vector
 from f3sr.io import inputs
 from f3sr.metrics.measures import measure
-from f3sr.scene import GROUND, Geometry, Relation, Scene, SceneGraph, SceneObject, Support
+from f3sr.scene import GROUND, Geometry, Photo, Relation, Scene, SceneGraph, SceneObject, Support
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.align.config import FacetConfig, SearchConfig
 from f3sr.stages.assemble import AssembleConfig, as_given, assemble
@@ -26,7 +27,7 @@ from f3sr.stages.settle import settle
 from f3sr.vision import rasterizer
 from f3sr.vision.occlusion import behind_the_photo, nearer_objects, visible_region
 from folders import boxes, camera, to_depth, write_folder
-from scenes import box, box_mesh, box_stack_scene, scene_of, visible_iou
+from scenes import box, box_mesh, box_stack_scene, measured, scene_of, visible_iou
 
 
 @pytest.fixture(scope="module")
@@ -357,10 +358,15 @@ def crate(id: int, *, width: float = 0.3, height: float = 0.12, wall: float = 0.
     return replace(box(id), mesh=mesh, T_world_object=pose(t=[0, 0, GAP]), parts=tuple(hulls))
 
 
-@pytest.mark.parametrize("side", [(0.11, 0), (-0.11, 0), (0, 0.11), (0.11, 0.11)])
+@pytest.mark.parametrize("side", [(0.095, 0), (-0.095, 0), (0, 0.11), (0.095, 0.095)])
 def test_what_reaches_into_the_wall_of_its_container_moves_inwards_and_not_onto_the_rim(side: tuple[float, float]):
     content = replace(box(1, size=(0.08, 0.08, 0.08), at=(*side, 0.062)), supported_by=0, supports=(Support(id=0),))
-    scene, outcome = separate(scene_of(crate(0), content))
+    from_above = pose(rotation_about([1, 0, 0], -0.8), [0, -0.9, 0.9]) @ T_UP_FROM_CAMERA
+    K = np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]])
+    camera = Camera(width=640, height=480, K=K, T_world_camera=from_above)
+    objects = tuple(replace(o, mask=np.zeros((480, 640), bool)) for o in (crate(0), content))
+    scene = Scene(photo=Photo(rgb=np.zeros((480, 640, 3), np.uint8)), camera=camera, objects=objects)
+    scene, outcome = separate(measured(scene, "estimate"))
     assert outcome.report.value("overlapping pairs") == 0
     assert scene[1].bounds_world[0, 2] == pytest.approx(scene[0].bounds_world[0, 2] + 0.02 + GAP, abs=2e-3)
     assert np.linalg.norm(scene[1].bounds_world.mean(0)[:2] - side) < 0.04

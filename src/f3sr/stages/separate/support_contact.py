@@ -49,7 +49,8 @@ def seat(layout: Placement, config: SeparateConfig) -> None:
 def _aside(layout: Placement, id: int, config: SeparateConfig) -> tuple[Array, float]:
     """The horizontal move (2,) [m] with which a body comes onto its support most likely, and how unlikely both are.
 
-    What overlaps the wall of a bowl or a crate that it lies in would be lifted onto the rim; it rather moves inwards.
+    What overlaps the wall of a bowl or a crate that it lies in would be lifted onto the rim; it rather moves inwards,
+    and nowhere where its support is not below it.
     The measure is the square of standard deviations, as in ``_contact_scale``. A pattern search (Hooke and Jeeves,
     1961) starts from the best of some rings, as heights of contact have many minima.
     """
@@ -59,8 +60,10 @@ def _aside(layout: Placement, id: int, config: SeparateConfig) -> tuple[Array, f
     circle = np.stack([np.cos(turns), np.sin(turns)], axis=1)
 
     def cost(d: Array) -> float:
-        above = gap(body.moved(pose(t=np.append(d, 0.0))), id, layout, config)
-        way = np.append(d, -above)
+        moved = body.moved(pose(t=np.append(d, 0.0)))
+        if np.isinf(free_travel(moved, layout.carriers(id), -UP)):
+            return np.inf
+        way = np.append(d, -gap(moved, id, layout, config))
         return float(way @ metric @ way)
 
     moves = np.concatenate([np.zeros((1, 2)), *(r * size * circle for r in RINGS)])
