@@ -28,6 +28,8 @@ UPRIGHT = math.radians(25)
 """Largest turn [rad] onto the stable facet on which a toppled object is stood."""
 GAIN = 5e-4
 """Least gain of mean mIoU_visible, over the objects that a round changes, for the round to be kept."""
+RETURNS = 3
+"""Most times that a group which contact moved off its masks is placed again."""
 LOST = 0.03
 """Mean visible IoU that contact costs a group, from which on it is placed again from where alignment had it."""
 HOPELESS = 0.02
@@ -42,14 +44,13 @@ rest are not tried again either, as they take all the time that settling may."""
 class RefineConfig:
     """What is tried again once everything rests, and kept where the picture gains.
 
-    Objects that toppled are stood on their nearest stable facet before physics. Then all are re-aligned under contact:
+    Objects that toppled are stood on their nearest stable facet before physics. What contact moved off its masks is
+    placed again from where alignment had it. Then all are re-aligned under contact:
     they turn about the vertical, shift horizontally and scale about their base, and are separated and settled again.
     """
 
     rounds: Annotated[int, Interval(ge=0, le=10)] = 4
     """Most rounds of re-alignment; each tries only what gained in the one before."""
-    returns: Annotated[int, Interval(ge=0, le=10)] = 3
-    """Most times that a group which contact moved off its masks is placed again, with the colliders it has by then."""
     contact: ContactMargin = DEFAULT_MARGIN
     """Objects with its ``apart`` between them do not affect each other."""
 
@@ -59,8 +60,9 @@ Retried = Callable[[Scene, Collection[int]], SettledScene]
 
 
 class Restarted(Protocol):
-    """Settles the objects that are to move, ``moving``, from where they are in ``start``, with those of ``ids`` aligned
-    first; ``before`` is the scene at rest that is to become better, and the other objects stay as they are in it."""
+    """Settles some objects, ``moving``, from where they are in ``start``; those of ``ids`` are aligned first.
+
+    ``before`` is the scene at rest that is to become better. The other objects stay as they are in it."""
 
     def __call__(
         self, before: Scene, ids: Collection[int], *, start: Scene, moving: frozenset[int]
@@ -102,7 +104,7 @@ def refine(
         tried = stood_up(state.scene, toppled, start=upright, moving=moving)
         state, decision, _ = _better(state, tried, toppled, step, config)
         decisions.append(decision)
-    for k in range(config.returns):
+    for k in range(RETURNS):
         if not (lost := _lost(state, aligned, config.contact)):
             break
         step = f"placed again {'near' if k else 'from'} where the photo shows object {_named(sorted(lost))}"
@@ -142,9 +144,12 @@ def _as_seen(scene: Scene, aligned: Scene, ids: Collection[int], *, attempt: int
     camera = aligned.camera
     objects: list[SceneObject] = []
     for id in sorted(ids):
-        k = float(np.exp(sigmas[id] * np.random.default_rng([attempt, id]).normal())) if attempt else 1.0
-        o = aligned[id].moved(camera.homothety(k), scale=k, stage="refine", reason="") if attempt else aligned[id]
-        objects.append(replace(o, parts=scene[id].parts))
+        o = replace(aligned[id], parts=scene[id].parts)
+        if attempt:
+            k = float(np.exp(sigmas[id] * np.random.default_rng([attempt, id]).normal()))
+            reason = f"placed again at {k:.3f} of its distance, drawn by its standard deviation"
+            o = o.moved(camera.homothety(k), scale=k, stage=Refined.stage, reason=reason)
+        objects.append(o)
     return scene.with_objects(*objects)
 
 
