@@ -65,7 +65,7 @@ class Restarted(Protocol):
     ``before`` is the scene at rest that is to become better. The other objects stay as they are in it."""
 
     def __call__(
-        self, before: Scene, ids: Collection[int], *, start: Scene, moving: frozenset[int]
+        self, before: Scene, ids: Collection[int], /, *, start: Scene, moving: frozenset[int]
     ) -> SettledScene: ...
 
 

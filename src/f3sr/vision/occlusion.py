@@ -45,14 +45,14 @@ def behind_the_photo(o: SceneObject, others: Iterable[SceneObject], geometry: Ge
 
     mine = geometry.inside(o.mask)
     # Depths mix at the borders of masks.
-    sure = binary_erosion(mine, iterations=BORDER)
+    sure = np.asarray(binary_erosion(mine, iterations=BORDER), np.bool_)
     hidden = np.zeros_like(mine)
     if sure.any():
         around = _around(mine)
         depth = geometry.points[..., 2][around]
         rest = geometry.inside(union_of((p.mask for p in others), o.mask.shape))[around]
-        _, (rows, columns) = distance_transform_edt(~sure[around], return_indices=True)
-        hidden[around] = rest & (depth < (1 - GEOMETRY_SIGMA) * depth[rows, columns])
+        nearest = np.asarray(distance_transform_edt(~sure[around], return_distances=False, return_indices=True))
+        hidden[around] = rest & (depth < (1 - GEOMETRY_SIGMA) * depth[tuple(nearest)])
     return resample(hidden, o.mask.shape[1], o.mask.shape[0])
 
 
