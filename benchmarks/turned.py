@@ -17,7 +17,7 @@ from statistics import median
 
 import f3sr
 import tables
-from f3sr.core.transforms import UP, pose, rotation_about, rotation_angle
+from f3sr.core.transforms import UP, rotation_about, rotation_angle, turn_about
 from f3sr.metrics.measures import full_silhouette
 from f3sr.pipeline import Config, as_given, assemble, level
 from f3sr.scene import Scene, SceneObject
@@ -99,8 +99,8 @@ def turned(name: str, folder: Path, turns: list[float]) -> Iterator[Run]:
 
 
 def _turned(scene: Scene, o: SceneObject, yaw: float) -> Scene:
-    R, middle = rotation_about(UP, yaw), o.bounds_world.mean(0)
-    return scene.with_objects(o.moved(pose(R, middle - R @ middle), stage="start", reason="turned"))
+    T = turn_about(o.bounds_world.mean(0), rotation_about(UP, yaw))
+    return scene.with_objects(o.moved(T, stage="start", reason="turned"))
 
 
 def _arguments() -> argparse.Namespace:

@@ -16,7 +16,7 @@ from f3sr.contact.compounds import Compound, free_travel, smallest_shift
 from f3sr.contact.contact_patches import find_contacts, hull_corners
 from f3sr.contact.force_balance import Balance
 from f3sr.contact.static_bodies import StaticBody, contacts_of
-from f3sr.core.transforms import UP, Array, pose, rotation_about, rotation_angle
+from f3sr.core.transforms import UP, Array, pose, rotation_about, rotation_angle, turn_about
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, TOUCHING, ContactMargin
 from f3sr.physics.mujoco_model import GROUND_ROLLING_FRICTION
 from f3sr.scene import Ground
@@ -231,8 +231,7 @@ class _Fall:
         here, meeting = self.motion, self._may_meet(point)
 
         def turned(angle: float) -> Array:
-            R = rotation_about(axis, angle)
-            return pose(R, point - R @ point) @ here
+            return turn_about(point, rotation_about(axis, angle)) @ here
 
         def excess(angle: float) -> float:
             """How much higher than tolerated it must be raised after a turn [m]."""

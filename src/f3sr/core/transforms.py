@@ -45,6 +45,12 @@ def pose(R: ArrayLike | None = None, t: ArrayLike | None = None) -> Array:
     return T
 
 
+def turn_about(point: ArrayLike, R: Array) -> Array:
+    """The transform (4, 4) that turns by ``R`` (3, 3) about ``point`` (3,)."""
+    point = np.asarray(point, float)
+    return pose(R, point - R @ point)
+
+
 def invert_pose(T: Array) -> Array:
     """Inverse of a rigid transform T (4, 4)."""
     R = T[:3, :3]

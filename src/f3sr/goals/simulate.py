@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from f3sr.core.transforms import Array, pose, rotation_from_quaternion, rotation_from_vector
+from f3sr.core.transforms import Array, rotation_from_quaternion, rotation_from_vector, turn_about
 from f3sr.files.bounds import Vector3
 from f3sr.goals.plan import Impulse, InitialConditions, Offset, Plan, Semantics, SimulationPlan, Velocity
 from f3sr.goals.rollout import CONTACT, Rollout
@@ -109,7 +109,7 @@ def _turned(o: SceneObject, rotation: Vector3) -> Array:
     """The pose (4, 4) of an object turned about its centre of mass by a rotation vector."""
     T, R = o.T_world_object, rotation_from_vector(np.array(rotation))
     center = T[:3, :3] @ mujoco_model.body_of(o).center + T[:3, 3]
-    return pose(R, center - R @ center) @ T
+    return turn_about(center, R) @ T
 
 
 def _displace(model: Any, data: Any, offset: Offset, body: int) -> None:

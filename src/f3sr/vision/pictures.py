@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
-from f3sr.core.transforms import Array, pose
+from f3sr.core.transforms import Array, pose, turn_about
 from f3sr.io.images import resized
 from f3sr.scene import Scene
 from f3sr.vision import rasterizer
@@ -138,7 +138,7 @@ def turned_view(scene: Scene, *, turn: float, width: int, height: int) -> Image:
     middle = _box(scene).mean(0)
     c, s = np.cos(turn), np.sin(turn)
     R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    T = pose(R, middle - R @ middle) @ scene.camera.T_world_camera
+    T = turn_about(middle, R) @ scene.camera.T_world_camera
     camera = scene.camera.resized(width, height).moved(T)
     return _textured(scene, camera, np.full((height, width, 3), PAPER, np.uint8))
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from f3sr.core.levenberg_marquardt import Local
 from f3sr.core.mesh import Mesh
-from f3sr.core.transforms import UP, Array, pose, rotation_about
+from f3sr.core.transforms import UP, Array, pose, rotation_about, turn_about
 from f3sr.report import Decision, keep_better
 from f3sr.scene import Scene, SceneObject
 from f3sr.stages.align.config import AlignConfig
@@ -220,11 +220,8 @@ def _reoriented(
         return placed, []
     was = _scores(placed, evidence, view, config)
     light = _object_fit(outlined(came, search.max_faces), view, config, resolution=search.resolution)
-    starts = [
-        (start, _scores(start, evidence, view, config))
-        for found in best_orientations(_textured(came, view), light, search)
-        for start in [_turned_from(came, found, view, config)]
-    ]
+    turned = [_turned_from(came, f, view, config) for f in best_orientations(_textured(came, view), light, search)]
+    starts = [(start, _scores(start, evidence, view, config)) for start in turned]
     best, now = placed, was
     for start, first in sorted(starts, key=lambda s: s[1].shape)[: search.detailed]:
         if first.shape > was.shape + search.slack:
@@ -388,8 +385,7 @@ def _blind_axes(placed: _Placed, view: ObjectEvidence, config: AlignConfig) -> I
 
 def _about_middle(o: SceneObject, R: Array) -> Array:
     """The turn (4, 4) by R (3, 3) about an object's middle."""
-    middle = o.bounds_world.mean(0)
-    return pose(R, middle - R @ middle)
+    return turn_about(o.bounds_world.mean(0), R)
 
 
 def _turned_by(o: SceneObject, T: Array) -> SceneObject:

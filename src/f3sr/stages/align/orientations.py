@@ -13,7 +13,7 @@ import numpy as np
 
 from f3sr.contact.stable_facets import resting_turn
 from f3sr.core.mesh import mass_properties
-from f3sr.core.transforms import UP, Array, pose, rotation_about, rotation_between
+from f3sr.core.transforms import UP, Array, rotation_about, rotation_between, turn_about
 from f3sr.scene import SceneObject
 from f3sr.stages.align.config import OrientationConfig
 from f3sr.vision.photometric import principal_axes
@@ -73,8 +73,7 @@ def _sides(o: SceneObject, config: OrientationConfig) -> list[Array]:
 
 
 def _tried(o: SceneObject, fit: ObjectFit, R: Array) -> Orientation:
-    middle = o.bounds_world.mean(0)
-    T = pose(R, middle - R @ middle)
+    T = turn_about(o.bounds_world.mean(0), R)
     turned = _turned(fit, T)
     u = turned.seed(0.0)
     return Orientation(T=T, u=u, value=turned.objective(u).value)

@@ -11,7 +11,7 @@ from f3sr.contact.footing import flush, footing, plane_below
 from f3sr.contact.force_balance import Balance
 from f3sr.contact.static_bodies import StaticBody, bodies_of, center_of, contacts_of, rigid
 from f3sr.core.mesh import ConvexPart
-from f3sr.core.transforms import UP, Array, pose, rotation_from_vector, transform, vector_from_rotation
+from f3sr.core.transforms import UP, Array, rotation_from_vector, transform, turn_about, vector_from_rotation
 from f3sr.metrics.measures import visible_ious
 from f3sr.report import Decision
 from f3sr.scene import GROUND, SceneObject
@@ -165,8 +165,7 @@ def _turned_onto_a_footing(
     None where it is not stable there or overlaps another body."""
     members = layout.scene.subtree(o.id)
     was = {k: layout.collisions_of(k) for k in members}
-    R = rotation_from_vector(turn)
-    layout.turn(members, pose(R, center - R @ center))
+    layout.turn(members, turn_about(center, rotation_from_vector(turn)))
     layout.move(members, max(0.0, config.clearance - min(layout.lowest(k) for k in members)) * UP)
     decision = _put_on_a_footing(layout, layout.object(o.id), config)
     is_free = not any(layout.collisions_of(k) - was[k] - set(members) for k in members)
