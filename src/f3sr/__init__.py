@@ -47,6 +47,7 @@ _PUBLIC = {
     "read_package": "f3sr.scene_package.package",
     "reconstruct": "f3sr.pipeline",
     "replay_plan": "f3sr.play.goal_loop",
+    "sample_scenes": "f3sr.scene_samples",
     "simulate_goal": "f3sr.play.goal_loop",
     "write_film": "f3sr.play.rollout_folder",
     "write_package": "f3sr.scene_package.package",

@@ -35,6 +35,7 @@ def deliver(
             result.scene,
             Path(out),
             direct=result.direct,
+            uncertainty=result.uncertainty,
             metrics=evaluation.result.as_dict() if evaluation else {},
             provenance=result.provenance,
             reports=(*result.reports, *([evaluation.report] if evaluation else [])),

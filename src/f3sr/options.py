@@ -6,7 +6,7 @@ from typing import Literal, get_args
 
 SKIPPABLE = (
     *("level", "align", "align-camera", "align-objects", "relate", "decompose", "separate", "settle"),
-    *("close", "refine", "coarsen", "describe", "evaluate", "inpaint"),
+    *("close", "refine", "coarsen", "describe", "uncertainty", "evaluate", "inpaint"),
 )
 """Stages, and parts of ``align``, that ``--skip`` leaves out."""
 Part = Literal["assets", "geometry", "ground", "scene_graph", "background", "materials"]

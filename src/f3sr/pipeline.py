@@ -13,6 +13,7 @@ from f3sr.backends.protocols import BackgroundCompleter
 from f3sr.backends.registry import Backend
 from f3sr.background import BackgroundConfig
 from f3sr.background.inpainting import Inpainting
+from f3sr.core.pose_uncertainty import PoseUncertainty
 from f3sr.errors import require_kind, require_names
 from f3sr.io.inputs import Inputs
 from f3sr.metrics.contact_groups import SettledScene
@@ -34,10 +35,12 @@ from f3sr.stages.decompose import Decomposed, decompose
 from f3sr.stages.evaluate import DirectView, EvaluateConfig, Evaluation, direct_composition, evaluate
 from f3sr.stages.inpaint import Inpainted, inpaint
 from f3sr.stages.level import LevelConfig, Levelled, level
-from f3sr.stages.refine import UPRIGHT, RefineConfig, Refined, Retry, refine
+from f3sr.stages.refine import UPRIGHT, RefineConfig, Refined, Restarted, Retry, refine
 from f3sr.stages.relate import Described, RelateConfig, Related, describe, relate
 from f3sr.stages.separate import SeparateConfig, Separated, separate
 from f3sr.stages.settle import Settled, SettleStageConfig, settle
+from f3sr.stages.uncertainty import Uncertain, uncertainty
+from f3sr.uncertainty.config import UncertaintyConfig
 
 BESIDE = 2_000_000
 """Largest photo [pixels] that is completed in parallel with the other stages; that takes 100 bytes a pixel."""
@@ -62,6 +65,7 @@ class Config:
     close: CloseConfig = field(default_factory=CloseConfig)
     refine: RefineConfig = field(default_factory=RefineConfig)
     coarsen: CoarsenConfig = field(default_factory=CoarsenConfig)
+    uncertainty: UncertaintyConfig = field(default_factory=UncertaintyConfig)
     evaluate: EvaluateConfig = field(default_factory=EvaluateConfig)
     inpaint: BackgroundConfig = field(default_factory=BackgroundConfig)
 
@@ -86,6 +90,8 @@ class Reconstruction:
     """The settings that were used."""
     provenance: Mapping[str, JsonValue]
     """Digests of inputs and settings, settings that are not defaults, skipped stages, back ends that answered."""
+    uncertainty: Mapping[int, PoseUncertainty] = field(default_factory=dict[int, PoseUncertainty])
+    """How well the pose of every object is known, by id; empty where ``uncertainty`` was skipped."""
     evaluation: Evaluation | None = None
     """Measures of the result and of direct composition; None where ``evaluate`` was skipped."""
     inpainting: Inpainting | None = None
@@ -173,6 +179,7 @@ def reconstruct(
         restless=settled.restless,
     )
     scene, _ = run.stage(Described, describe, scene, config.relate)
+    scene, uncertain = run.stage(Uncertain, uncertainty, scene, config.uncertainty)
     aligned = _without(config.align, skip).camera and "align" not in skip
     evaluation = run.value(
         "evaluate",
@@ -198,6 +205,7 @@ def reconstruct(
             "camera_aligned": aligned,
             **_named(inputs, background if "inpaint" not in skip else None),
         },
+        uncertainty=uncertain.poses,
         evaluation=evaluation,
         inpainting=inpainting,
     )
@@ -271,6 +279,12 @@ def _made_again(
         at_rest = partial(_rested, config=config.settle)
         scene, _ = close(scene, config.close, settled=at_rest, restless=rested.restless)
     return retry.ended(replace(rested, scene=scene), contact)
+
+
+def settling(config: Config) -> Restarted:
+    """What brings objects of a scene to rest from other poses, as ``reconstruct`` would deliver them."""
+    aligning = replace(config.align, camera=False, objects=False)
+    return partial(_made_again, config=with_shared_settings(config), closes=True, aligning=aligning, gives_up=False)
 
 
 def _without(config: AlignConfig, skip: Collection[str]) -> AlignConfig:

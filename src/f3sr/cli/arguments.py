@@ -52,3 +52,4 @@ Axes = Annotated[
     ),
 ]
 Slow = Annotated[float, arg(metavar="FACTOR")]
+Samples = Annotated[int, arg(metavar="N", help_behavior_hint=lambda v: "" if v == "0" else f"(default: {v})")]

@@ -5,12 +5,23 @@ from __future__ import annotations
 import json as json_
 import time
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from f3sr.cli.arguments import Goals, MaybeFile, MaybeOut, MaybePackage, Name, PackageFolder, RolloutFolder, Slow
+from f3sr.cli.arguments import (
+    Goals,
+    MaybeFile,
+    MaybeOut,
+    MaybePackage,
+    Name,
+    PackageFolder,
+    RolloutFolder,
+    Samples,
+    Slow,
+)
 from f3sr.errors import F3srError, InputError, MissedError, OutputError, RefusedError, printable
 from f3sr.runtime.daemon_thread import begun
 from f3sr.runtime.progress import silent
@@ -18,9 +29,11 @@ from f3sr.runtime.progress import silent
 if TYPE_CHECKING:
     from f3sr.film.studio import Studio
     from f3sr.goals.language_protocol import Language
+    from f3sr.goals.plan import Plan
     from f3sr.goals.refusal import Refusal
     from f3sr.play.goal_loop import Played
     from f3sr.runtime.kernels import Compilers
+    from f3sr.scene import Scene
     from f3sr.scene_package.package import Package
 
 MOST = 100
@@ -36,6 +49,7 @@ def simulate(
     language: Name = None,
     film: bool = True,
     slow: Slow = 1.0,
+    samples: Samples = 0,
     overwrite: bool = False,
     json: bool = False,
 ) -> None:
@@ -50,6 +64,7 @@ def simulate(
         language: Back end that understands goals; ``f3sr doctor`` lists its names. Without it: rules.
         film: Make film.mp4, its key frames film.png and player.html too.
         slow: How many times slower than life the film is, 0.125 to 100.
+        samples: Also play each plan in so many scenes that the photo may show as well, and tell the rate of success.
         overwrite: Also replace an older rollout.
         json: Print one JSON object instead of text.
     """
@@ -66,6 +81,7 @@ def simulate(
     _require_slow(slow)
     plan = plan and rollout_folder.plan_file(plan)
     content = read_package(package)
+    drawn = _Samples.of(content, samples)
     places = _places(out, package, max(len(goals), 1), overwrite)
     tellings, failed, decided = list[dict[str, Any]](), None, set[str]()
     with kernels.compiling(film=film) as compilers:
@@ -76,6 +92,10 @@ def simulate(
             tellings.append(_telling(goal, played, place, seconds, replayed=plan is not None))
             if not json and (tellings[-1]["state"] != "refused" or len(goals) > 1):  # one refusal is the error's line
                 _show(_lines(tellings[-1]))
+            if samples and not isinstance(played, Refusal):
+                _finish(compilers, quiet=json)
+                tellings[-1]["samples"] = rate = drawn.rate(played.plan, quiet=json)
+                _show(() if json else [_rate_line(rate)])
             if studio is None or isinstance(played, Refusal) or place is None:
                 continue
             try:
@@ -121,6 +141,54 @@ def film(rollout: RolloutFolder, /, package: MaybePackage = None, slow: Slow = 1
         print(json_.dumps(told, allow_nan=False))
     else:
         _show(_film_lines(told, ()))
+
+
+@dataclass(eq=False)
+class _Samples:
+    """Scenes that a package's photo may show as well, drawn when the first goal needs them."""
+
+    content: Package
+    count: int
+    scenes: list[Scene] = field(default_factory=list["Scene"])
+
+    @classmethod
+    def of(cls, content: Package, count: int) -> _Samples:
+        """Raises InputError at once where no samples can be drawn."""
+        from f3sr.scene_samples import sample_scenes
+
+        if count:
+            sample_scenes(content, count)
+        return cls(content, count)
+
+    def rate(self, plan: Plan, *, quiet: bool) -> dict[str, Any]:
+        from f3sr.cli import console
+        from f3sr.play.sample_rollouts import success_rate
+        from f3sr.scene_samples import sample_scenes
+
+        if not self.scenes:
+            with console.steps_shown(quiet=quiet) as progress:
+                self.scenes += [d.sample.scene for d in sample_scenes(self.content, self.count, progress=progress)]
+        if not self.scenes:
+            raise F3srError(f"no sample of {self.content.folder} rests on its masks")
+        found = success_rate(plan, self.scenes)
+        return {
+            "wanted": self.count,
+            "count": found.count,
+            "met": found.met,
+            "rate": found.rate,
+            "interval": list(found.interval),
+            "missed": {str(k): said for k, said in found.missed.items()},
+        }
+
+
+def _rate_line(rate: dict[str, Any]) -> str:
+    low, high = rate["interval"]
+    why = f"; sample {next(iter(rate['missed']))}: {next(iter(rate['missed'].values()))}" if rate["missed"] else ""
+    few = f" (of {rate['wanted']} wanted)" if rate["count"] < rate["wanted"] else ""
+    return (
+        f"samples:   met in {rate['met']} of {rate['count']}{few}, "
+        f"90 % interval {100 * low:.0f} to {100 * high:.0f} %{why}"
+    )
 
 
 def _read_pictures(content: Package) -> None:

@@ -73,6 +73,12 @@ def box_corners(bounds: Array) -> Array:
     return bounds[[[k >> i & 1 for i in range(3)] for k in range(8)], range(3)]
 
 
+def skew(a: Array) -> Array:
+    """The matrix (3, 3) of the cross product x -> a x x with ``a`` (3,)."""
+    x, y, z = a
+    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+
+
 def rotation_about(axis: ArrayLike, angle: float) -> Array:
     """Rotation matrix (3, 3) of ``angle`` [rad] about ``axis`` (3,) of any length but 0 (Rodrigues)."""
     return rotation_from_vector(np.asarray(axis, float) / np.linalg.norm(axis) * angle)

@@ -15,6 +15,7 @@ from pydantic import JsonValue, ValidationError
 import f3sr
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, MassProperties, Mesh
+from f3sr.core.pose_uncertainty import PoseUncertainty
 from f3sr.errors import InputError
 from f3sr.exporters.glb import Glb
 from f3sr.exporters.mjcf import Mjcf
@@ -87,6 +88,12 @@ class Package:
         """Whether f3sr aligned the camera. If not, ``evaluate`` also measures with a fitted camera."""
         return self.document.provenance.get("camera_aligned") is True
 
+    @property
+    def uncertainty(self) -> dict[int, PoseUncertainty]:
+        """How well the pose of every object is known, by id; without objects of which scene.json does not tell it."""
+        known = ((o.id, o.uncertainty) for o in self.document.objects)
+        return {id: PoseUncertainty(**record.model_dump()) for id, record in known if record}
+
     def background(self) -> NDArray[np.uint8] | None:
         """background.png (H, W, 3) uint8 sRGB, the photo completed behind its objects; None if the file is absent."""
         return self._picture(BACKGROUND, "RGB")
@@ -123,6 +130,7 @@ def write_package(
     out: Path,
     *,
     direct: Scene | None = None,
+    uncertainty: Mapping[int, PoseUncertainty] | None = None,
     metrics: Mapping[str, float | None] | None = None,
     provenance: Mapping[str, JsonValue] | None = None,
     reports: Sequence[Report] = (),
@@ -136,7 +144,7 @@ def write_package(
 ) -> Path:
     """Write the scene as a package to ``out`` and return the folder's full path (docs: conventions).
 
-    ``direct``: the levelled input with the same ids. ``metrics`` by name. ``provenance``: stages, hashes and the like,
+    ``direct``: the levelled input with the same ids. ``uncertainty`` of poses, by id. ``metrics`` by name. ``provenance``: stages, hashes and the like,
     without paths or times. ``reports``, ``rows`` (measures by title) and ``seconds`` per stage go to report.json.
     ``pictures`` (h, w, 3) uint8 by name without suffix. ``inpainting``: the completed photo. ``page`` makes
     report.html. ``physics``: contact settings of scene.xml. ``out`` changes only after all files exist in a hidden
@@ -147,6 +155,7 @@ def write_package(
         for name, data in _files(
             scene,
             direct=direct,
+            uncertainty=uncertainty or {},
             metrics=metrics or {},
             provenance={"f3sr": f3sr.__version__, **(provenance or {})},
             report=_report(reports, rows or {}, seconds or {}),
@@ -221,6 +230,7 @@ def _files(
     scene: Scene,
     *,
     direct: Scene | None,
+    uncertainty: Mapping[int, PoseUncertainty],
     metrics: Mapping[str, float | None],
     provenance: Mapping[str, JsonValue],
     report: dict[str, Any],
@@ -250,7 +260,8 @@ def _files(
     if page is not None:
         yield PAGE, page()
     yield SCHEMA_FILE, dump_json(scene_schema())
-    yield "scene.json", to_json(to_document(scene, direct=direct, metrics=metrics, provenance=provenance))
+    document = to_document(scene, direct=direct, uncertainty=uncertainty, metrics=metrics, provenance=provenance)
+    yield "scene.json", to_json(document)
 
 
 def _report(

@@ -21,11 +21,13 @@ from pydantic import (
     model_validator,
 )
 
+from f3sr.core.pose_uncertainty import PoseUncertainty
 from f3sr.core.transforms import Array
 from f3sr.errors import OutputError
 from f3sr.exporters.collision_parts import collision_path
 from f3sr.files import strict_json
 from f3sr.files.bounds import (
+    FARTHEST,
     MAX_OBJECT_PARTS,
     MAX_OBJECTS,
     MAX_SCENE_PARTS,
@@ -142,6 +144,39 @@ class MotionRecord(_SceneRecord):
     reason: str
 
 
+Length = Annotated[float, Field(ge=0, le=FARTHEST, allow_inf_nan=False)]
+Row7 = Annotated[tuple[Place, ...], Field(min_length=7, max_length=7)]
+Covariance = Annotated[tuple[Row7, ...], Field(min_length=7, max_length=7)]
+"""(7, 7), symmetric and positive semidefinite."""
+
+
+class UncertaintyRecord(_SceneRecord):
+    """How well a pose is known: half widths of 90 % intervals, and covariances of a shift along the world's axes [m], a
+    rotation vector [rad] and the logarithm of the scale, both about the middle of the object's world box."""
+
+    along_ray: Length
+    """Of the middle, along the viewing ray [m]."""
+    across_ray: Length
+    """Of the middle, across the viewing ray [m]."""
+    yaw: Annotated[Number, Field(ge=0, le=math.pi)]
+    tilt: Annotated[Number, Field(ge=0, le=math.pi)]
+    size: Annotated[Number, Field(ge=0, le=10)]
+    """Share of the size."""
+    covariance: Covariance
+    """All else is as uncertain as it is: camera, ground and other objects."""
+    conditional: Covariance
+    """All else is as the scene has it."""
+
+    @model_validator(mode="after")
+    def _are_covariances(self) -> Self:
+        for rows in (self.covariance, self.conditional):
+            matrix = np.array(rows)
+            values = np.linalg.eigvalsh((matrix + matrix.T) / 2)
+            if np.abs(matrix - matrix.T).max() > 1e-6 * max(values[-1], 0) or values[0] < -1e-6 * max(values[-1], 0):
+                raise ValueError("a matrix that is no covariance; accepted: symmetric, without negative eigenvalues")
+        return self
+
+
 class ObjectRecord(_SceneRecord):
     """One object. Lengths in its own frame, metres; world points are T_world_object @ v."""
 
@@ -175,6 +210,7 @@ class ObjectRecord(_SceneRecord):
     supports: tuple[SupportRecord, ...]
     supported_by: IdOrGround | None
     motion: tuple[MotionRecord, ...]
+    uncertainty: UncertaintyRecord | None = None
 
     @model_validator(mode="after")
     def _has_a_proxy(self) -> Self:
@@ -296,6 +332,7 @@ def to_document(
     scene: Scene,
     *,
     direct: Scene | None,
+    uncertainty: Mapping[int, PoseUncertainty],
     metrics: Mapping[str, float | None],
     provenance: Mapping[str, JsonValue],
 ) -> SceneDocument:
@@ -321,7 +358,7 @@ def to_document(
                 "confidence": float(ground.confidence),
                 "friction": float(ground.friction),
             },
-            "objects": [_object(o) for o in scene.objects],
+            "objects": [_object(o, uncertainty.get(o.id)) for o in scene.objects],
             "excluded": [{"mask": e.mask, "reason": e.reason} for e in scene.excluded],
             "scene_graph": {
                 "relations": [vars(r) | {"evidence": _well_formed(r.evidence)} for r in scene.graph.relations],
@@ -360,7 +397,7 @@ def mesh_path(id: int) -> str:
     return f"meshes/{id:02d}.glb"
 
 
-def _object(o: SceneObject) -> dict[str, Any]:
+def _object(o: SceneObject, known: PoseUncertainty | None) -> dict[str, Any]:
     body = body_of(o)
     return {
         "id": o.id,
@@ -387,6 +424,7 @@ def _object(o: SceneObject) -> dict[str, Any]:
         "supports": [{"id": s.id, "share": float(s.share)} for s in o.supports],
         "supported_by": o.supported_by,
         "motion": [vars(m) for m in o.motion],
+        "uncertainty": vars(known) if known else None,
     }
 
 

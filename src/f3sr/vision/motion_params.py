@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from f3sr.core.camera import Camera
-from f3sr.core.transforms import Array, pose, rotation_from_vector
+from f3sr.core.transforms import Array, pose, rotation_from_vector, skew
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -92,11 +92,32 @@ class CameraFreedom:
         return self.axes @ v[:3], self.axes @ v[3:6], float(np.exp(v[6])) if len(v) > 6 else 1.0
 
 
+def similarity_velocities(center: Array, camera: Camera) -> Array:
+    """(7, 3, 4): how points of an object, in camera axes, move by a shift along the world's axes [m], by a turn about
+    them [rad] and by the logarithm of the scale, both about ``center`` (3,) [m]."""
+    fields = [
+        *(_velocity(shift=axis) for axis in np.eye(3)),
+        *(_velocity(turn=axis, about=center) for axis in np.eye(3)),
+        _velocity(growth=1.0, about=center),
+    ]
+    return np.array([_in_camera(field, camera) for field in fields])
+
+
+def intrinsics_velocities(camera: Camera) -> Array:
+    """(3, 3, 4): how points, in camera axes, seem to move by the principal point [px] and by the logarithm of the focal
+    length."""
+    return np.array([
+        np.outer([1 / camera.K[0, 0], 0, 0], [0, 0, 1, 0]),
+        np.outer([0, 1 / camera.K[1, 1], 0], [0, 0, 1, 0]),
+        np.diag([1.0, 1, 0, 0])[:3],
+    ])  # fmt: skip
+
+
 def _velocity(
     *, shift: Array | None = None, turn: Array | None = None, growth: float = 0.0, about: Array | None = None
 ) -> Array:
     """The affine velocity (3, 4) of x -> shift + (turn x + growth) (x - about)."""
-    L = growth * np.eye(3) + (_cross(turn) if turn is not None else 0)
+    L = growth * np.eye(3) + (skew(turn) if turn is not None else 0)
     t = np.zeros(3) if shift is None else np.asarray(shift, float)
     return np.column_stack([L, t if about is None else t - L @ about])
 
@@ -112,14 +133,8 @@ def _in_camera(field: Array, camera: Camera) -> Array:
 def _left_jacobian(omega: Array) -> Array:
     """(3, 3): a change d of a rotation vector turns by ``J d`` after the rotation (Sola et al. 2018, equation 145)."""
     angle = float(np.linalg.norm(omega))
-    W = _cross(omega)
+    W = skew(omega)
     # First order of the series; the next term is below 1e-12.
     if angle < 1e-6:
         return np.eye(3) + W / 2
     return np.eye(3) + (1 - np.cos(angle)) / angle**2 * W + (angle - np.sin(angle)) / angle**3 * W @ W
-
-
-def _cross(a: Array) -> Array:
-    """(3, 3): the matrix of x -> a x x."""
-    x, y, z = a
-    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

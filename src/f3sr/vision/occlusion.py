@@ -34,6 +34,15 @@ def visible_region(o: SceneObject, nearer: Iterable[SceneObject]) -> Mask:
     return ~union_of((p.mask for p in nearer), o.mask.shape)
 
 
+def comparable_region(o: SceneObject, nearer: Iterable[SceneObject], scene: Scene) -> Mask:
+    """The pixels (H, W) where an object is compared with its mask: those of its ``visible_region`` without what the
+    photo's geometry shows before it."""
+    valid = visible_region(o, nearer)
+    if scene.geometry:
+        valid &= ~behind_the_photo(o, (p for p in scene if p.id != o.id), scene.geometry)
+    return valid
+
+
 def behind_the_photo(o: SceneObject, others: Iterable[SceneObject], geometry: Geometry) -> Mask:
     """The pixels (H, W) of other objects' masks where the geometry shows a surface before an object, as a bowl's wall
     before the fruit in it: there the object would be hidden.

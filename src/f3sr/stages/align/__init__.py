@@ -17,7 +17,7 @@ from f3sr.stages.align.camera_pose import align_camera
 from f3sr.stages.align.config import AlignConfig as AlignConfig
 from f3sr.stages.align.object_pose import ObjectEvidence, align_object
 from f3sr.vision.decimated import outlined
-from f3sr.vision.occlusion import behind_the_photo, nearer_objects, visible_region
+from f3sr.vision.occlusion import comparable_region, nearer_objects
 from f3sr.vision.silhouette import iou, resample
 
 MOST_THREADS = 8
@@ -60,9 +60,7 @@ def align(
         nearer = nearer_objects(scene)
 
         def aligned(o: SceneObject) -> tuple[SceneObject, list[Decision]]:
-            valid = visible_region(o, nearer[o.id])
-            if scene.geometry:
-                valid &= ~behind_the_photo(o, (p for p in scene if p.id != o.id), scene.geometry)
+            valid = comparable_region(o, nearer[o.id], scene)
             view = ObjectEvidence(scene=scene, valid=valid, textured=full[o.id].mesh)
             return align_object(o, view, config)
 

@@ -1,0 +1,114 @@
+"""The command for samples of a scene."""
+
+from __future__ import annotations
+
+import json as json_
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from tyro.conf import arg
+
+from f3sr.cli.arguments import MaybeOut, PackageFolder
+from f3sr.errors import F3srError, OutputError
+
+if TYPE_CHECKING:
+    from f3sr.scene import SceneObject
+    from f3sr.scene_package.package import Package
+    from f3sr.uncertainty.sampling import Sample
+
+Count = Annotated[int, arg(aliases=["-n"], metavar="N")]
+INDEX = "samples.json"
+
+
+def sample(
+    package: PackageFolder, /, count: Count = 20, out: MaybeOut = None, seed: int = 0, json: bool = False
+) -> None:
+    """Draw scenes that the photo may show as well: each meets the masks, penetrates nothing and rests.
+
+    Args:
+        package: What ``f3sr reconstruct`` wrote.
+        count: How many scenes.
+        out: A new folder for them. Each scene is a package of its own, 001, 002 and so on; samples.json lists them.
+            Without it, PACKAGE_samples.
+        seed: Of the draws: equal seeds give equal scenes.
+        json: Print one JSON object instead of text.
+    """
+    from f3sr.cli import console
+    from f3sr.play.goal_loop import scene_sha
+    from f3sr.runtime import kernels
+    from f3sr.scene_package.package import read_package
+    from f3sr.scene_package.package_folder import placed
+    from f3sr.scene_samples import sample_scenes
+
+    content = read_package(package)
+    folder = placed(out or Path(package).absolute().with_name(Path(package).absolute().name + "_samples"))
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise OutputError(f"{folder}: is there already; give a new or empty folder with -o")
+    of, rows, rejected = scene_sha(content), list[dict[str, Any]](), list[str]()
+    kept: list[Sample] = []
+    with console.steps_shown(quiet=json) as progress, kernels.compiling() as compilers:
+        compilers.finish(progress)
+        for drawn in sample_scenes(content, count, seed=seed, progress=progress):
+            name = f"{len(rows) + 1:03d}"
+            _write(drawn.sample, content, folder / name, {"of": of, "seed": seed, "number": len(rows) + 1})
+            rejected += [r.reason for r in drawn.rejected]
+            kept.append(drawn.sample)
+            rows.append(_row(drawn.sample, name))
+    if not rows:
+        raise F3srError(f"no sample of {package} rests on its masks: {rejected[-1] if rejected else 'none was drawn'}")
+    told = {"package": str(package), "scene": of, "seed": seed, "wanted": count, "samples": rows, "rejected": rejected}
+    told["spread"] = [_spread(o, kept) for o in content.scene if o.mobility == "dynamic"]
+    (folder / INDEX).write_text(json_.dumps(told, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    if json:
+        print(json_.dumps(told | {"folder": str(folder)}, allow_nan=False))
+        return
+    console.print_table(
+        [(f"{s['id']}", s["label"], f"{s['position_mm']:.1f}", f"{s['turn_deg']:.1f}", f"{s['size_pct']:.1f}")
+         for s in told["spread"]],
+        header=("id", "object", "position [mm]", "turn [deg]", "size [%]"),
+    )  # fmt: skip
+    if len(rows) < count:
+        console.say(f"fallback: only {len(rows)} of {count} samples; of the others {rejected[-1]}")
+    if bound := sum(bool(r["moved_as_one"]) for r in rows):
+        console.say(f"fallback: in {bound} samples a group moved as one body; with poses of their own they fell")
+    console.say(f"samples:  {folder}, {len(rows)} packages, {len(rejected)} scenes rejected")
+
+
+def _write(sample: Sample, content: Package, folder: Path, provenance: dict[str, Any]) -> None:
+    from f3sr.background.inpainting import Inpainting
+    from f3sr.scene_package.package import write_package
+
+    rgb, support, kept = content.background(), content.support(), content.kept_depth()
+    whole = rgb is not None and support is not None and kept is not None
+    write_package(
+        sample.scene,
+        folder,
+        metrics=sample.measures.as_dict(),
+        provenance={"sample": provenance},
+        inpainting=Inpainting(rgb=rgb, support=support, kept=kept) if whole else None,
+    )
+
+
+def _row(sample: Sample, name: str) -> dict[str, Any]:
+    names = ("mIoU_visible", "N_cross", "K_max_J", "D_max_cm", "gap_pct")
+    measures = sample.measures.as_dict()
+    return {"folder": name, **{n: measures[n] for n in names}, "moved_as_one": sorted(sample.as_one)}
+
+
+def _spread(o: SceneObject, samples: list[Sample]) -> dict[str, Any]:
+    """Root mean squares of how far an object is from where the package has it."""
+    from f3sr.core.transforms import rotation_angle
+
+    ends = [s.scene[o.id] for s in samples]
+    away = [np.linalg.norm(e.bounds_world.mean(0) - o.bounds_world.mean(0)) for e in ends]
+    turns = [rotation_angle(e.T_world_object[:3, :3] @ o.T_world_object[:3, :3].T) for e in ends]
+    sizes = [np.log(e.scale / o.scale) for e in ends]
+    rms = [float(np.sqrt(np.mean(np.square(v)))) for v in (away, turns, sizes)]
+    return {
+        "id": o.id,
+        "label": o.label,
+        "position_mm": 1000 * rms[0],
+        "turn_deg": float(np.degrees(rms[1])),
+        "size_pct": 100 * rms[2],
+    }

@@ -1,0 +1,1 @@
+"""How well the poses of a scene are known, and other scenes that the same photo may show."""
