@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from f3sr.core.transforms import Array
 from f3sr.errors import InputError, require_kind
 from f3sr.pipeline import Config, settling
 from f3sr.runtime.progress import Progress, silent, timed
@@ -56,19 +57,22 @@ def _drawn(
     package: Package,
     count: int,
     seed: int,
-    covariances: dict[int, np.ndarray],
+    covariances: Mapping[int, Array],
     config: SamplingConfig,
     progress: Progress,
 ) -> Iterator[Drawn]:
     scenes = draw(package.scene, covariances, settling(Config()), config, seed=seed)
     tries = config.attempts * count
     for k in range(count):
-        rejected: list[Rejected] = []
+        sample, rejected = None, list[Rejected]()
         with timed(f"sample {k + 1} of {count}", progress):
-            while tries and isinstance(found := next(scenes), Rejected):
-                rejected.append(found)
+            while tries and sample is None:
                 tries -= 1
-        if not tries:
+                found = next(scenes)
+                if isinstance(found, Rejected):
+                    rejected.append(found)
+                else:
+                    sample = found
+        if sample is None:
             return
-        tries -= 1
-        yield Drawn(sample=found, rejected=tuple(rejected))
+        yield Drawn(sample=sample, rejected=tuple(rejected))

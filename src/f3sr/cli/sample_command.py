@@ -80,13 +80,16 @@ def _write(sample: Sample, content: Package, folder: Path, provenance: dict[str,
     from f3sr.scene_package.package import write_package
 
     rgb, support, kept = content.background(), content.support(), content.kept_depth()
-    whole = rgb is not None and support is not None and kept is not None
+    if rgb is None or support is None or kept is None:
+        inpainting = None
+    else:
+        inpainting = Inpainting(rgb=rgb, support=support, kept=kept)
     write_package(
         sample.scene,
         folder,
         metrics=sample.measures.as_dict(),
         provenance={"sample": provenance},
-        inpainting=Inpainting(rgb=rgb, support=support, kept=kept) if whole else None,
+        inpainting=inpainting,
     )
 
 

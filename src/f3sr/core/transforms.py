@@ -76,7 +76,7 @@ def box_corners(bounds: Array) -> Array:
 def skew(a: Array) -> Array:
     """The matrix (3, 3) of the cross product x -> a x x with ``a`` (3,)."""
     x, y, z = a
-    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]], float)
 
 
 def rotation_about(axis: ArrayLike, angle: float) -> Array:

@@ -144,8 +144,9 @@ def write_package(
 ) -> Path:
     """Write the scene as a package to ``out`` and return the folder's full path (docs: conventions).
 
-    ``direct``: the levelled input with the same ids. ``uncertainty`` of poses, by id. ``metrics`` by name. ``provenance``: stages, hashes and the like,
-    without paths or times. ``reports``, ``rows`` (measures by title) and ``seconds`` per stage go to report.json.
+    ``direct``: the levelled input with the same ids. ``uncertainty`` of poses, by id. ``metrics``
+    by name. ``provenance``: stages, hashes and the like, without paths or times. ``reports``,
+    ``rows`` (measures by title) and ``seconds`` per stage go to report.json.
     ``pictures`` (h, w, 3) uint8 by name without suffix. ``inpainting``: the completed photo. ``page`` makes
     report.html. ``physics``: contact settings of scene.xml. ``out`` changes only after all files exist in a hidden
     folder. Raises OutputError if ``out`` is not an f3sr package, or is one with rollouts without ``overwrite``.

@@ -32,6 +32,10 @@ POSE, CAMERA, LAND = 7, 3, 3
 """Numbers of parameters of an object, of the camera and of the ground."""
 
 
+LEAST_ERROR = 1e-4
+"""Of the ground's height [m] and tilts [rad], however many points measured it."""
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Information:
     """``matrix`` (7 n + 6, 7 n + 6): objects in the scene's order, then the camera, then the ground."""
@@ -58,12 +62,12 @@ class Information:
 
     def covariance(self) -> dict[int, Array]:
         """(7, 7) of every object, by id: all else is as uncertain as it is."""
-        inverse = np.linalg.inv(self.matrix)
+        inverse = np.asarray(np.linalg.inv(self.matrix), float)
         return {id: _block(inverse, k) for k, id in enumerate(self.ids)}
 
     def conditional(self) -> dict[int, Array]:
         """(7, 7) of every object, by id, where all else is as the scene has it."""
-        return {id: np.linalg.inv(_block(self.matrix, k)) for k, id in enumerate(self.ids)}
+        return {id: np.asarray(np.linalg.inv(_block(self.matrix, k)), float) for k, id in enumerate(self.ids)}
 
 
 def _block(matrix: Array, k: int) -> Array:
@@ -145,11 +149,6 @@ def _intrinsics_prior(scene: Scene, config: UncertaintyConfig) -> Array:
 
 
 def _ground_prior(scene: Scene, config: UncertaintyConfig) -> Array:
-    height, tilt = (
-        e / 2 if np.isfinite(e) else most
-        for e, most in (
-            (scene.ground.height_error, config.ground * float(scene.camera.center[2])),
-            (scene.ground.tilt_error, config.ground),
-        )
-    )
-    return np.array([max(height, 1e-4), max(tilt, 1e-4), max(tilt, 1e-4)]) ** -2.0
+    errors = np.array([scene.ground.height_error, scene.ground.tilt_error, scene.ground.tilt_error]) / 2
+    unknown = config.ground * np.array([abs(float(scene.camera.center[2])), 1, 1])
+    return np.maximum(np.where(np.isfinite(errors), errors, unknown), LEAST_ERROR) ** -2.0

@@ -1,9 +1,9 @@
 """Other scenes that the same photo may show: poses drawn from their posterior, and brought to rest.
 
-An object's pose is drawn from its conditional Gaussian, cut off where the object would show less of its mask. Elliptical
-slice sampling (Murray, Adams and MacKay 2010) draws from exactly that, one object after another (Gibbs). What rests on
-an object goes up and down with it. Physics then ends every overlap and gap, and a scene that moves, crosses or misses
-the masks is drawn again.
+An object's pose is drawn from its conditional Gaussian, cut off where the object would show less of its mask.
+Elliptical slice sampling (Murray, Adams and MacKay 2010) draws from exactly that, one object after another (Gibbs).
+What rests on an object goes up and down with it. Physics then ends every overlap and gap. A scene that moves, crosses
+or misses the masks is drawn again.
 """
 
 from __future__ import annotations
@@ -121,7 +121,7 @@ def _at_rest(
     A group that physics moves off its masks, or that does not rest, goes halfway back to the poses of the ``last``
     sample, which were ``known``. In the end it moves as one body from where it is in the ``best`` scene."""
     moving = frozenset(poses.x)
-    state = last
+    state, failed = last, list[list[int]]()
     for k in range(config.halvings + 1):
         drawn = poses.scene()
         start = state.scene.with_objects(*(drawn[id] for id in sorted(moving)))
@@ -213,7 +213,7 @@ class _Poses:
             if o.id in self.roots:
                 A = _as_pose(o.bounds_world.mean(0) - pivot)
                 known += A.T @ np.linalg.pinv(self.roots[o.id] @ self.roots[o.id].T) @ A
-        root = _root(np.linalg.pinv(known))
+        root = _root(np.asarray(np.linalg.pinv(known), float))
 
         def motion(x: Array) -> tuple[Array, float]:
             east, north, yaw, growth = root @ x
@@ -251,8 +251,9 @@ class _Poses:
             rise = self._rise(o, foot, moves)
             if o.supported_by is not None:
                 lowest = float(transform(T, scale * corners)[:, 2].min())
-                T = pose(t=(foot[2] + rise - lowest) * UP) @ T
-            moves[id] = T, scale
+                moves[id] = pose(t=(foot[2] + rise - lowest) * UP) @ T, scale
+            else:
+                moves[id] = T, scale
         return moves
 
     def _rise(self, o: SceneObject, foot: Array, moves: Mapping[int, tuple[Array, float]]) -> float:

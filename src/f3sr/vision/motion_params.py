@@ -106,11 +106,10 @@ def similarity_velocities(center: Array, camera: Camera) -> Array:
 def intrinsics_velocities(camera: Camera) -> Array:
     """(3, 3, 4): how points, in camera axes, seem to move by the principal point [px] and by the logarithm of the focal
     length."""
-    return np.array([
-        np.outer([1 / camera.K[0, 0], 0, 0], [0, 0, 1, 0]),
-        np.outer([0, 1 / camera.K[1, 1], 0], [0, 0, 1, 0]),
-        np.diag([1.0, 1, 0, 0])[:3],
-    ])  # fmt: skip
+    fields = np.zeros((3, 3, 4))
+    fields[0, 0, 2], fields[1, 1, 2] = 1 / camera.K[0, 0], 1 / camera.K[1, 1]
+    fields[2, 0, 0] = fields[2, 1, 1] = 1
+    return fields
 
 
 def _velocity(
