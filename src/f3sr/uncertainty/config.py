@@ -27,7 +27,7 @@ class UncertaintyConfig:
     """Standard deviation of a turn that nothing shows, a uniform one's [rad]."""
     scale: Annotated[float, Interval(gt=0, le=1)] = 0.2
     """Standard deviation of the logarithm of a scale that nothing shows."""
-    center: Annotated[float, Interval(ge=0, le=0.1)] = 0.005
+    center: Annotated[float, Interval(gt=0, le=0.1)] = 0.005
     """Standard deviation of an estimated principal point [longer image sides]."""
     focal: Annotated[float, Interval(gt=0, le=0.3)] = 0.01
     """Standard deviation of the logarithm of an estimated focal length, once levelled."""
