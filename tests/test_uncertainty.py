@@ -26,7 +26,7 @@ from f3sr.uncertainty import sampling
 from f3sr.uncertainty.config import UncertaintyConfig
 from f3sr.uncertainty.pose_information import Information, of_depth, of_picture
 from f3sr.uncertainty.sampling import Rejected, Sample, SamplingConfig, draw
-from f3sr.vision import rasterizer
+from f3sr.vision import depth_prior, rasterizer
 from f3sr.vision.motion_params import intrinsics_velocities, similarity_velocities
 from scenes import ball_mesh, box, box_stack_scene, measured, scene_of, visible_iou
 
@@ -151,6 +151,35 @@ def test_intervals_are_those_of_the_covariance():
     assert known.yaw == pytest.approx(1.645 * 0.2)
     assert known.tilt == pytest.approx(np.sqrt(4.605) * 0.1, rel=1e-3)
     assert known.size == pytest.approx(1.645 * 0.3)
+
+
+def test_a_given_noise_of_the_geometry_holds(pile: Scene):
+    seen = measured(pile, "estimate")
+    assert seen.geometry
+
+    def known(noise: float | None) -> dict[int, float]:
+        return depth_prior.sigmas(replace(seen, geometry=replace(seen.geometry, noise=noise)))
+
+    assert set(known(None).values()) == {depth_prior.GEOMETRY_SIGMA}
+    assert set(known(0.04).values()) == {0.04}
+    assert set(known(0.002).values()) == {0.002}
+    precise, coarse = (replace(seen, geometry=replace(seen.geometry, noise=n)) for n in (0.002, 0.04))
+    assert precise.has_measured_depth
+    assert not coarse.has_measured_depth
+    along = [uncertainty(s)[1].poses[0].along_ray for s in (precise, coarse)]
+    assert along[0] < along[1]
+
+
+@pytest.mark.parametrize("noise", [0.0, -0.1, 0.6, float("nan"), float("inf")])
+def test_a_noise_that_no_geometry_has_is_refused(folder: Path, noise: float):
+    with pytest.raises(InputError, match="--geometry-noise"):
+        f3sr.read_inputs(folder, geometry_noise=noise)
+
+
+def test_a_given_noise_is_told_and_makes_other_results(folder: Path):
+    given, told = f3sr.read_inputs(folder), f3sr.read_inputs(folder, geometry_noise=0.02)
+    assert given.key != told.key
+    assert any("2 % of the distance" in d.choice for d in told.decisions)
 
 
 # --- samples ----------------------------------------------------------------------------------------------------------

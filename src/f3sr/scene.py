@@ -25,6 +25,9 @@ GROUND = -1
 GRAVITY = 9.81
 """Acceleration of free fall along -Z [m/s2]."""
 
+SENSOR_NOISE = 0.005
+"""Most noise of a depth sensor [share of the distance], half of what networks are off by."""
+
 Structure = Literal["solid", "hollow"]
 MaterialSource = Literal["given", "label", "default"]
 """Where the density comes from: materials.json, the label, or the default."""
@@ -82,6 +85,8 @@ class Geometry:
     valid: NDArray[np.bool_]
     normals: NDArray[np.float32] | None = None
     source: GeometrySource = "estimate"
+    noise: float | None = None
+    """Standard deviation of its depths [share of the distance], where a user gives it."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", frozen(self.points, np.float32))
@@ -405,8 +410,12 @@ class Scene:
 
     @property
     def has_measured_depth(self) -> bool:
-        """Whether a depth sensor measured the geometry: it knows distances better than generated shapes are known."""
-        return self.geometry is not None and self.geometry.source == "sensor"
+        """Whether the geometry knows distances better than generated shapes are known: a depth sensor's, unless its
+        noise is given."""
+        if self.geometry is None:
+            return False
+        noise = self.geometry.noise
+        return self.geometry.source == "sensor" if noise is None else noise <= SENSOR_NOISE
 
     @property
     def supports_first(self) -> tuple[int, ...]:

@@ -23,6 +23,7 @@ Out = Annotated[Path, arg(aliases=["-o"], metavar="OUT")]
 MaybeOut = Annotated[Path | None, arg(aliases=["-o"], metavar="OUT", help_behavior_hint=default_shown)]
 MaybePackage = Annotated[Path | None, arg(metavar="PACKAGE", help_behavior_hint=default_shown)]
 MaybeFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=default_shown)]
+MaybeShare = Annotated[float | None, arg(metavar="SHARE", help_behavior_hint=default_shown)]
 Name = Annotated[str | None, arg(metavar="NAME", help_behavior_hint=default_shown)]
 Skip = Annotated[
     str,

@@ -16,7 +16,7 @@ import tyro
 import f3sr
 from f3sr import options
 from f3sr.cli import batch_commands, goal_commands, sample_command
-from f3sr.cli.arguments import Axes, Folder, Ignore, MaybeFile, Name, Out, Skip
+from f3sr.cli.arguments import Axes, Folder, Ignore, MaybeFile, MaybeShare, Name, Out, Skip
 from f3sr.errors import (
     F3srError,
     F3srWarning,
@@ -99,6 +99,7 @@ def reconstruct(
     skip: Skip = "",
     ignore: Ignore = "",
     asset_frame: Axes = "auto",
+    geometry_noise: MaybeShare = None,
     geometry: Name = None,
     assets: Name = None,
     scene_graph: Name = None,
@@ -113,6 +114,8 @@ def reconstruct(
         folder: Must hold image.png|jpg, masks/*.png, assets/, geometry.npz (or depth.png|npy and intrinsics.json).
             May hold ground.png, scene_graph.json, background.png, materials.json.
         out: Where the package goes; an older f3sr package there is replaced.
+        geometry_noise: Standard deviation of the geometry's depths, as a share of the distance, 0.0001 to 0.5. Without
+            it: measured for a sensor's depth, 0.01 for an estimate.
         geometry: Back end that estimates geometry where the folder has none; ``f3sr doctor`` lists its names.
         assets: Back end that generates meshes where the folder has none; ``f3sr doctor`` lists its names.
         scene_graph: Back end that proposes relations where the folder has none; ``f3sr doctor`` lists its names.
@@ -147,7 +150,9 @@ def reconstruct(
     completer = BACKGROUND_COMPLETERS.find(background) if background not in (None, DEFAULT_COMPLETER) else None
     with console.steps_shown(quiet=json) as progress, kernels.compiling() as compilers:
         with timed("read", progress):
-            given = inputs.read(folder, ignore=_names(ignore), asset_frame=asset_frame, fillers=fillers)
+            given = inputs.read(
+                folder, ignore=_names(ignore), asset_frame=asset_frame, geometry_noise=geometry_noise, fillers=fillers
+            )
         package.prepare_output(out, inputs=folder, overwrite=overwrite)
         compilers.begin(progress)
         result = pipeline.reconstruct(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Self, TypeVar
 
@@ -30,6 +30,8 @@ from f3sr.scene import Geometry, Instance, Photo, Predicate, Relation, SceneGrap
 
 P = TypeVar("P")
 
+NOISES = (1e-4, 0.5)
+"""Least and most noise of a geometry [share of the distance]."""
 PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 """No conversions between types, no NaN: what a document says is what it means."""
@@ -74,7 +76,7 @@ class Inputs:
     @property
     def key(self) -> str:
         """A hash of all files and options: equal keys mean equal inputs."""
-        return digest(self.digests, self.asset_frame)
+        return digest(self.digests, self.asset_frame, self.geometry.noise)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -87,12 +89,18 @@ class Fillers:
 
 
 def read(
-    folder: str | Path, *, ignore: Collection[str] = (), asset_frame: str = "auto", fillers: Fillers | None = None
+    folder: str | Path,
+    *,
+    ignore: Collection[str] = (),
+    asset_frame: str = "auto",
+    geometry_noise: float | None = None,
+    fillers: Fillers | None = None,
 ) -> Inputs:
     """Read and validate a prompted-image folder (docs: conventions).
 
     ``ignore`` treats parts of PARTS as absent. ``asset_frame`` names the axes of GLBs without ``poses.json``: one of
-    ASSET_FRAMES. ``fillers`` make parts that are absent; their answers are validated as files are. Raises InputError
+    ASSET_FRAMES. ``geometry_noise``: standard deviation of the depths [share of the distance], else measured.
+    ``fillers`` make parts that are absent; their answers are validated as files are. Raises InputError
     for the first invalid file or value, BackendError where a filler raises.
     """
     require_names("ignore", ignore)
@@ -105,6 +113,8 @@ def read(
     ground_mask = parts.ground_mask(photo, instances)
     image = PromptedImage(photo=photo, instances=instances, ground_mask=ground_mask)
     geometry, K = parts.geometry(image)
+    if geometry_noise is not None:
+        geometry = _with_noise(source, geometry, geometry_noise)
     _require_inside(source, geometry, instances)
     assets = parts.assets(image, geometry, K, asset_frame)
     _require_agreement(source, geometry, instances, assets)
@@ -126,6 +136,16 @@ def read(
 
 
 read_inputs = read
+
+
+def _with_noise(folder: InputFolder, geometry: Geometry, noise: float) -> Geometry:
+    """The geometry, of which a user knows the noise. Raises InputError for a noise that no geometry has."""
+    low, high = NOISES
+    if not low <= noise <= high:
+        raise InputError("--geometry-noise", found=str(noise), accepted=f"a share of the distance from {low} to {high}")
+    known = replace(geometry, noise=noise)
+    folder.decide(f"geometry: its depths have a noise of {100 * noise:.3g} % of the distance", "--geometry-noise")
+    return known
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from f3sr.core.pose_uncertainty import PoseUncertainty
 from f3sr.core.transforms import rotation_angle, transform
 from f3sr.io.images import resized
 from f3sr.metrics.measures import ObjectMeasures
@@ -26,6 +27,8 @@ OUTSIDE = 0.25
 """Brightness of a thumbnail's pixels that are not the object's."""
 NO_SHIFT, NO_TURN, NO_SCALE = 1e-4, np.radians(0.1), 1e-3
 """Shifts [m], turns [rad] and changes of scale that are not shown."""
+UNKNOWN_TURN = np.pi / 2
+"""Half width of a yaw's interval [rad] from which on the yaw is unknown."""
 LOST = 0.05
 """A fall of the visible IoU that is marked."""
 
@@ -54,7 +57,8 @@ class Move:
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ObjectRow:
     """An object; ``before``, ``after``: direct composition and ours where they are measured; ``inflation``: volume of
-    the proxy over that of the mesh; ``mass`` [kg]; ``supports``, the largest share first."""
+    the proxy over that of the mesh; ``mass`` [kg]; ``supports``, the largest share first;
+    ``known``: how well its pose is."""
 
     o: SceneObject
     thumbnail: Image
@@ -64,6 +68,14 @@ class ObjectRow:
     inflation: float | None
     mass: float
     supports: Sequence[Support]
+    known: PoseUncertainty | None
+
+    @property
+    def yaw(self) -> str:
+        """The interval of the yaw in words: beyond a quarter turn nothing shows it."""
+        if self.known is None or self.known.yaw >= UNKNOWN_TURN:
+            return "yaw unknown"
+        return f"yaw ±{number(float(np.degrees(self.known.yaw)), digits=2)}°"
 
     @property
     def worse(self) -> bool:
@@ -85,6 +97,7 @@ def rows(page: PageData) -> list[ObjectRow]:
             inflation=inflation.get(o.id),
             mass=body_of(o).mass,
             supports=sorted(o.supports, key=lambda s: -s.share),
+            known=page.result.uncertainty.get(o.id),
         )
         for o in page.scene
     ]

@@ -36,10 +36,10 @@ FINEST_SIGMA = 1e-3
 
 def sigmas(scene: Scene) -> dict[int, float]:
     """Standard deviation of every object's distance, by id. Where a sensor measured the depth, it is the spread of that
-    depth about the object's surface: the error of its shape."""
+    depth about the object's surface: the error of its shape. A noise that a user gives holds for all."""
     geometry = scene.geometry
-    known = sigma(has_geometry=geometry is not None)
-    if geometry is None or not scene.has_measured_depth:
+    known = sigma(geometry)
+    if geometry is None or geometry.noise is not None or not scene.has_measured_depth:
         return dict.fromkeys((o.id for o in scene), known)
     return {o.id: min(known, _measured(o, geometry, scene.camera)) for o in scene}
 
@@ -70,6 +70,8 @@ def _residual(o: SceneObject, geometry: Geometry, camera: Camera) -> DepthResidu
     return DepthEvidence.of(geometry, camera, window, shown).residual(o)
 
 
-def sigma(*, has_geometry: bool) -> float:
-    """Standard deviation of an object's distance."""
-    return GEOMETRY_SIGMA if has_geometry else ASSET_SIGMA
+def sigma(geometry: Geometry | None) -> float:
+    """Standard deviation of an object's distance by a geometry that no sensor measured."""
+    if geometry is None:
+        return ASSET_SIGMA
+    return GEOMETRY_SIGMA if geometry.noise is None else geometry.noise

@@ -9,7 +9,7 @@ import numpy as np
 from f3sr.core.transforms import Array
 from f3sr.scene import Geometry, Scene, SceneObject
 from f3sr.vision import rasterizer
-from f3sr.vision.depth_prior import GEOMETRY_SIGMA
+from f3sr.vision.depth_prior import sigma
 from f3sr.vision.silhouette import Mask, resample, union_of
 
 RESOLUTION = 384
@@ -61,7 +61,7 @@ def behind_the_photo(o: SceneObject, others: Iterable[SceneObject], geometry: Ge
         depth = geometry.points[..., 2][around]
         rest = geometry.inside(union_of((p.mask for p in others), o.mask.shape))[around]
         nearest = np.asarray(distance_transform_edt(~sure[around], return_distances=False, return_indices=True))
-        hidden[around] = rest & (depth < (1 - GEOMETRY_SIGMA) * depth[tuple(nearest)])
+        hidden[around] = rest & (depth < (1 - sigma(geometry)) * depth[tuple(nearest)])
     return resample(hidden, o.mask.shape[1], o.mask.shape[0])
 
 

@@ -21,7 +21,7 @@ from f3sr.stages.align.orientations import Orientation, best_orientations, facet
 from f3sr.vision import rasterizer
 from f3sr.vision.crop import sampled, window_around
 from f3sr.vision.decimated import outlined
-from f3sr.vision.depth_prior import GEOMETRY_PIXELS, GEOMETRY_REACH, GEOMETRY_SIGMA, GEOMETRY_SPREAD
+from f3sr.vision.depth_prior import GEOMETRY_PIXELS, GEOMETRY_REACH, GEOMETRY_SPREAD, sigma
 from f3sr.vision.depth_residual import DepthEvidence
 from f3sr.vision.motion_params import ObjectFreedom
 from f3sr.vision.photometric import Appearance, principal_axes
@@ -293,6 +293,8 @@ class _Scores:
     has_detail: bool
     """The mesh has detail to correlate."""
     spread: float
+    noise: float
+    """Standard deviation of the geometry's depths [share of the distance]."""
     config: AlignConfig
 
     @property
@@ -311,7 +313,7 @@ class _Scores:
 
     def agrees(self, before: _Scores) -> bool:
         """Whether depths spread about the geometry's no more than ``before``, or no more than its noise may."""
-        return self.spread <= max(before.spread, NOISE * GEOMETRY_SIGMA)
+        return self.spread <= max(before.spread, NOISE * self.noise)
 
     def told(self, after: _Scores) -> str:
         return (
@@ -327,6 +329,7 @@ def _scores(placed: _Placed, evidence: _Evidence, view: ObjectEvidence, config: 
         correlation=evidence.appearance.correlation(_textured(o, view)) if evidence.appearance else 0.0,
         has_detail=evidence.appearance is not None,
         spread=evidence.depth.residual(o).spread if evidence.depth else 0.0,
+        noise=sigma(view.scene.geometry),
         config=config,
     )
 
