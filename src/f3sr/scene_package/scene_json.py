@@ -151,8 +151,10 @@ Covariance = Annotated[tuple[Row7, ...], Field(min_length=7, max_length=7)]
 
 
 class UncertaintyRecord(_SceneRecord):
-    """How well a pose is known: half widths of 90 % intervals, and covariances of a shift along the world's axes [m], a
-    rotation vector [rad] and the logarithm of the scale, both about the middle of the object's world box."""
+    """How well a pose is known: half widths of 90 % intervals, and covariances of seven parameters.
+
+    These are a shift along the world's axes [m], a rotation vector [rad] and the logarithm of the scale. Turn and scale
+    are about the middle of the object's world box."""
 
     along_ray: Length
     """Of the middle, along the viewing ray [m]."""

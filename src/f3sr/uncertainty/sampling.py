@@ -11,10 +11,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Protocol
+from typing import Protocol
 
 import numpy as np
-from annotated_types import Interval
 
 from f3sr.core.camera import Camera
 from f3sr.core.pose_uncertainty import SCALE, SHIFT, TURN
@@ -46,23 +45,23 @@ class Settle(Protocol):
 class SamplingConfig:
     """How scenes are drawn, and what they must meet."""
 
-    loss: Annotated[float, Interval(gt=0, le=0.2)] = 0.01
+    loss: float = 0.01
     """Most mIoU_visible that a sample may lose."""
-    share: Annotated[float, Interval(gt=0, le=1)] = 0.8
+    share: float = 0.8
     """Share of ``loss`` that the poses of one object may take; the rest is left to physics."""
-    travel: Annotated[float, Interval(gt=0, le=10)] = 0.1
+    travel: float = 0.1
     """Most travel of a centre of mass in the 5 s after release [cm]."""
-    energy: Annotated[float, Interval(gt=0, le=1)] = 1e-3
+    energy: float = 1e-3
     """Most kinetic energy in the first second after release [J]."""
-    sweeps: Annotated[int, Interval(ge=1, le=100)] = 12
+    sweeps: int = 48
     """Times that every object is drawn again from one scene to the next."""
-    attempts: Annotated[int, Interval(ge=1, le=100)] = 3
+    attempts: int = 3
     """Scenes that are tried for each that is wanted, before fewer are delivered."""
-    halvings: Annotated[int, Interval(ge=0, le=20)] = 3
+    halvings: int = 3
     """Times that a group which physics moves off its masks goes halfway back to the poses that it had last."""
-    resolution: Annotated[int, Interval(ge=64, le=1024)] = 192
+    resolution: int = 192
     """Longer side [px] of the windows in which silhouettes are compared."""
-    max_faces: Annotated[int, Interval(ge=100)] = 2000
+    max_faces: int = 2000
     """Most faces of the meshes that silhouettes are drawn from."""
 
 

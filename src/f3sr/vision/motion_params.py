@@ -93,8 +93,10 @@ class CameraFreedom:
 
 
 def similarity_velocities(center: Array, camera: Camera) -> Array:
-    """(7, 3, 4): how points of an object, in camera axes, move by a shift along the world's axes [m], by a turn about
-    them [rad] and by the logarithm of the scale, both about ``center`` (3,) [m]."""
+    """(7, 3, 4): how points of an object, in camera axes, move with the parameters of its pose.
+
+    These are a shift along the world's axes [m], a turn about them [rad] and the logarithm of the scale. Turn and scale
+    are about ``center`` (3,) [m]."""
     fields = [
         *(_velocity(shift=axis) for axis in np.eye(3)),
         *(_velocity(turn=axis, about=center) for axis in np.eye(3)),
