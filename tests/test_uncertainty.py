@@ -325,6 +325,8 @@ def test_what_cannot_be_sampled_is_one_clear_error(package: Path, tmp_path: Path
     for count in ("0", "-3", "100000"):
         assert main(["sample", str(package), "-n", count, "-o", str(tmp_path / "out")]) == 2
         assert "from 1 to" in capsys.readouterr().err
+    assert main(["sample", str(package), "--seed", "-1", "-o", str(tmp_path / "out")]) == 2
+    assert "seed: found -1" in capsys.readouterr().err
     tree = json.loads((package / "scene.json").read_text())
     for o in tree["objects"]:
         del o["uncertainty"]

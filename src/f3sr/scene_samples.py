@@ -43,6 +43,8 @@ def sample_scenes(
     require_kind("package", package, Package, accepted="f3sr.read_package(...)")
     if not 1 <= count <= MOST_SAMPLES:
         raise InputError("count", found=str(count), accepted=f"from 1 to {MOST_SAMPLES:,}")
+    if seed < 0:
+        raise InputError("seed", found=str(seed), accepted="0 or more")
     covariances = {id: np.array(u.conditional) for id, u in package.uncertainty.items()}
     if not covariances:
         raise InputError(

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json as json_
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
+from pydantic import JsonValue
 from tyro.conf import arg
 
 from f3sr.cli.arguments import MaybeOut, PackageFolder
@@ -37,29 +39,37 @@ def sample(
     from f3sr.cli import console
     from f3sr.play.goal_loop import scene_sha
     from f3sr.runtime import kernels
+    from f3sr.runtime.atomic_folder import claimed, recover
     from f3sr.scene_package.package import read_package
     from f3sr.scene_package.package_folder import placed
+    from f3sr.scene_package.scene_json import dump_json
     from f3sr.scene_samples import sample_scenes
+    from f3sr.uncertainty.sampling import Sample
 
+    recover(*(place for place in (package, out) if place))
     content = read_package(package)
-    folder = placed(out or Path(package).absolute().with_name(Path(package).absolute().name + "_samples"))
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise OutputError(f"{folder}: is there already; give a new or empty folder with -o")
-    of, rows, rejected = scene_sha(content), list[dict[str, Any]](), list[str]()
-    kept: list[Sample] = []
-    with console.steps_shown(quiet=json) as progress, kernels.compiling() as compilers:
+    whole = Path(package).absolute()
+    folder = placed(out or whole.with_name(f"{whole.name}_samples"))
+    of, rows, rejected, kept = scene_sha(content), list[dict[str, Any]](), list[str](), list[Sample]()
+    with (
+        claimed(folder, _require_new) as claim,
+        console.steps_shown(quiet=json) as progress,
+        kernels.compiling() as compilers,
+    ):
         compilers.finish(progress)
-        for drawn in sample_scenes(content, count, seed=seed, progress=progress):
-            name = f"{len(rows) + 1:03d}"
-            _write(drawn.sample, content, folder / name, {"of": of, "seed": seed, "number": len(rows) + 1})
+        for number, drawn in enumerate(sample_scenes(content, count, seed=seed, progress=progress), 1):
+            provenance: dict[str, JsonValue] = {"of": of, "seed": seed, "number": number}
+            for name, data in _files(drawn.sample, content, provenance):
+                claim.write(f"{number:03d}/{name}", data)
             rejected += [r.reason for r in drawn.rejected]
             kept.append(drawn.sample)
-            rows.append(_row(drawn.sample, name))
-    if not rows:
-        raise F3srError(f"no sample of {package} rests on its masks: {rejected[-1] if rejected else 'none was drawn'}")
-    told = {"package": str(package), "scene": of, "seed": seed, "wanted": count, "samples": rows, "rejected": rejected}
-    told["spread"] = [_spread(o, kept) for o in content.scene if o.mobility == "dynamic"]
-    (folder / INDEX).write_text(json_.dumps(told, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+            rows.append(_row(drawn.sample, f"{number:03d}"))
+        if not rows:
+            raise F3srError(f"no sample of {package} rests on its masks")
+        told = {"scene": of, "seed": seed, "wanted": count, "samples": rows, "rejected": rejected}
+        told["spread"] = [_spread(o, kept) for o in content.scene if o.mobility == "dynamic"]
+        claim.write(INDEX, dump_json(told))
+        claim.replace()
     if json:
         print(json_.dumps(told | {"folder": str(folder)}, allow_nan=False))
         return
@@ -75,22 +85,23 @@ def sample(
     console.say(f"samples:  {folder}, {len(rows)} packages, {len(rejected)} scenes rejected")
 
 
-def _write(sample: Sample, content: Package, folder: Path, provenance: dict[str, Any]) -> None:
+def _require_new(folder: Path) -> None:
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise OutputError(f"{folder}: is there already; give a new or empty folder with -o")
+
+
+def _files(sample: Sample, content: Package, provenance: dict[str, JsonValue]) -> Iterator[tuple[str, bytes]]:
+    """The files of a sample's package: it has the package's completed photo, for films."""
     from f3sr.background.inpainting import Inpainting
-    from f3sr.scene_package.package import write_package
+    from f3sr.scene_package.package import package_files
 
     rgb, support, kept = content.background(), content.support(), content.kept_depth()
     if rgb is None or support is None or kept is None:
         inpainting = None
     else:
         inpainting = Inpainting(rgb=rgb, support=support, kept=kept)
-    write_package(
-        sample.scene,
-        folder,
-        metrics=sample.measures.as_dict(),
-        provenance={"sample": provenance},
-        inpainting=inpainting,
-    )
+    measures = sample.measures.as_dict()
+    return package_files(sample.scene, metrics=measures, provenance={"sample": provenance}, inpainting=inpainting)
 
 
 def _row(sample: Sample, name: str) -> dict[str, Any]:

@@ -59,7 +59,16 @@ from f3sr.scene_package.scene_json import (
 if TYPE_CHECKING:
     from f3sr.background.inpainting import Inpainting
 
-__all__ = ["Package", "SceneDocument", "is_package", "prepare_output", "read_package", "scene_schema", "write_package"]
+__all__ = [
+    "Package",
+    "SceneDocument",
+    "is_package",
+    "package_files",
+    "prepare_output",
+    "read_package",
+    "scene_schema",
+    "write_package",
+]
 
 WRITTEN: Sequence[Exporter] = (Glb(), Mjcf())
 """Formats of every package: ``scene.glb``; ``scene.xml``, ``visual/``, and ``collision/``, which scene.json names."""
@@ -153,12 +162,12 @@ def write_package(
     """
     out = placed(out)
     with claimed(out, lambda out: require_replaceable(out, overwrite=overwrite)) as claim:
-        for name, data in _files(
+        for name, data in package_files(
             scene,
             direct=direct,
             uncertainty=uncertainty or {},
             metrics=metrics or {},
-            provenance={"f3sr": f3sr.__version__, **(provenance or {})},
+            provenance=provenance or {},
             report=_report(reports, rows or {}, seconds or {}),
             pictures=pictures or {},
             inpainting=inpainting,
@@ -227,18 +236,18 @@ def _direct(document: SceneDocument, scene: Scene) -> Scene | None:
     )
 
 
-def _files(
+def package_files(
     scene: Scene,
     *,
-    direct: Scene | None,
-    uncertainty: Mapping[int, PoseUncertainty],
+    direct: Scene | None = None,
+    uncertainty: Mapping[int, PoseUncertainty] | None = None,
     metrics: Mapping[str, float | None],
     provenance: Mapping[str, JsonValue],
-    report: dict[str, Any],
-    pictures: Mapping[str, NDArray[np.uint8]],
-    inpainting: Inpainting | None,
-    page: Callable[[], bytes] | None,
-    physics: PhysicsConfig,
+    report: Mapping[str, Any] | None = None,
+    pictures: Mapping[str, NDArray[np.uint8]] | None = None,
+    inpainting: Inpainting | None = None,
+    page: Callable[[], bytes] | None = None,
+    physics: PhysicsConfig = DEFAULT_PHYSICS,
 ) -> Iterator[tuple[str, bytes]]:
     """Every file of the package with its relative path, one at a time: together they may be larger than the scene."""
     yield PHOTO, encode_png(scene.photo.rgb)
@@ -253,15 +262,16 @@ def _files(
         yield mesh_path(o.id), mesh_to_glb(mesh, name=f"object_{o.id:02d}")
     for exporter in WRITTEN:
         yield from exporter.files(scene, physics)
-    for name, picture in pictures.items():
+    for name, picture in (pictures or {}).items():
         if not re.fullmatch(r"[\w-]+", name, flags=re.ASCII):
             raise ValueError(f"picture name {name!r}: only letters, digits, _ and - are accepted")
         yield f"pictures/{name}.png", encode_png(picture)
-    yield "report.json", dump_json(report)
+    yield "report.json", dump_json(report or _report((), {}, {}))
     if page is not None:
         yield PAGE, page()
     yield SCHEMA_FILE, dump_json(scene_schema())
-    document = to_document(scene, direct=direct, uncertainty=uncertainty, metrics=metrics, provenance=provenance)
+    provenance = {"f3sr": f3sr.__version__, **provenance}
+    document = to_document(scene, direct=direct, uncertainty=uncertainty or {}, metrics=metrics, provenance=provenance)
     yield "scene.json", to_json(document)
 
 
