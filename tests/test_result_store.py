@@ -12,6 +12,7 @@ import pytest
 from f3sr import pipeline
 from f3sr.core.mesh import ConvexPart
 from f3sr.io import inputs
+from f3sr.options import SKIPPABLE
 from f3sr.physics.settling import SettleConfig
 from f3sr.pipeline import Config, Reconstruction, reconstruct
 from f3sr.proxies import Excess
@@ -26,11 +27,11 @@ from f3sr.stages.decompose import Decomposed, ProxyFit
 from f3sr.stages.evaluate import Evaluation
 from f3sr.stages.settle import Settled, SettleStageConfig, settle
 from folders import write_folder
-from scenes import box_stack_scene
+from scenes import box_stack_scene, measured
 
 STAGES = (
     *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "close", "refine", "coarsen"),
-    *("describe", "evaluate", "inpaint"),
+    *("describe", "uncertainty", "evaluate", "inpaint"),
 )
 
 
@@ -51,6 +52,32 @@ def test_a_scene_comes_back_exactly(tmp_path: Path):
         assert all(np.array_equal(p.vertices, q.vertices) for p, q in zip(a.colliders, b.colliders, strict=True))
         assert len(a.footing) == len(b.footing)
     assert scene.graph == changed.graph and np.array_equal(scene.camera.T_world_camera, changed.camera.T_world_camera)
+
+
+def test_a_zoomed_scene_comes_back_exactly():
+    """`level` and `align` find the focal length: camera and geometry change with it."""
+    base = measured(box_stack_scene(2), "estimate")
+    assert base.geometry
+    zoomed = replace(base, camera=base.camera.zoomed(1.07), geometry=base.geometry.zoomed(1.07))
+    again = replace(
+        zoomed, camera=zoomed.camera.zoomed(0.99), geometry=zoomed.geometry and zoomed.geometry.zoomed(0.99)
+    )
+    for origin, scene in ((base, zoomed), (base, again), (zoomed, again)):
+        back = scene_serialization.unpack(origin, *scene_serialization.pack(scene))
+        np.testing.assert_array_equal(back.camera.K, scene.camera.K)
+        assert back.geometry and scene.geometry
+        np.testing.assert_array_equal(back.geometry.points, scene.geometry.points)
+
+
+def test_a_resumed_run_keeps_the_focal_length_that_level_found(shared_data: Path, tmp_path: Path):
+    given = inputs.read(shared_data / "scenes" / "dev_07_scatter")
+    store, others = Store(tmp_path), [stage for stage in SKIPPABLE if stage != "level"]
+    cold, warm = (reconstruct(given, skip=others, store=store) for _ in range(2))
+    assert "level" in warm.resumed
+    assert cold.scene.camera.K[0, 0] != given.K[0, 0]
+    np.testing.assert_array_equal(warm.scene.camera.K, cold.scene.camera.K)
+    assert warm.scene.geometry and cold.scene.geometry
+    np.testing.assert_array_equal(warm.scene.geometry.points, cold.scene.geometry.points)
 
 
 def test_outcomes_come_back_exactly(whole: Reconstruction, tmp_path: Path):
@@ -112,7 +139,7 @@ def test_a_valid_archive_with_other_content_is_made_anew(given: inputs.Inputs, t
         np.savez(files[3], **archive)
     again = reconstruct(given, store=store, skip=skip)
     assert (
-        again.resumed == ("relate", "separate", "settle", "close", "coarsen", "describe")
+        again.resumed == ("relate", "separate", "settle", "close", "coarsen", "describe", "uncertainty")
         and again.reports == cold.reports
     )
     assert len(reconstruct(given, store=store, skip=skip).resumed) == len(cold.reports)
@@ -161,7 +188,7 @@ KINDS = {
     for kind in (
         *(pipeline.Assembled, pipeline.Levelled, pipeline.Aligned, pipeline.Related, pipeline.Decomposed),
         *(pipeline.Separated, pipeline.Settled, pipeline.Closed, pipeline.Refined, pipeline.Coarsened),
-        pipeline.Described,
+        *(pipeline.Described, pipeline.Uncertain),
     )
 }
 
@@ -182,7 +209,7 @@ def test_keys_change_from_the_stage_on_whose_settings_change(
     changed: str, given: inputs.Inputs, monkeypatch: pytest.MonkeyPatch
 ):
     """``close`` and ``refine`` read settings of stages before them, which thereby are in their keys too."""
-    for name in STAGES[:11]:
+    for name in STAGES[:12]:
         monkeypatch.setattr(pipeline, name, lambda scene, config, kind=KINDS[name], **_: (scene, kind()))
     field, value = {
         "align": ("max_yaw", 0.5), "relate": ("max_gap", 0.123), "decompose": ("max_parts", 7),
@@ -195,7 +222,7 @@ def test_keys_change_from_the_stage_on_whose_settings_change(
         runs.append((keys := Keys()).asked)
         reconstruct(given, chosen, store=keys, skip=["evaluate", "inpaint"])
     same = [a == b for a, b in zip(*runs, strict=True)]
-    assert same == [k < STAGES.index(changed) for k in range(11)]
+    assert same == [k < STAGES.index(changed) for k in range(12)]
 
 
 def test_keys_name_every_byte_read(tmp_path: Path):

@@ -49,6 +49,7 @@ _PUBLIC = {
     "replay_plan": "f3sr.play.goal_loop",
     "sample_scenes": "f3sr.scene_samples",
     "simulate_goal": "f3sr.play.goal_loop",
+    "success_rate": "f3sr.play.sample_rollouts",
     "write_film": "f3sr.play.rollout_folder",
     "write_package": "f3sr.scene_package.package",
     "write_played": "f3sr.play.rollout_folder",

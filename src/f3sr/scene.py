@@ -87,6 +87,8 @@ class Geometry:
     source: GeometrySource = "estimate"
     noise: float | None = None
     """Standard deviation of its depths [share of the distance], where a user gives it."""
+    zooms: tuple[float, ...] = ()
+    """Factors by which ``zoomed`` has changed it, in order."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", frozen(self.points, np.float32))
@@ -96,7 +98,8 @@ class Geometry:
 
     def zoomed(self, factor: float) -> Geometry:
         """The same depths under ``factor`` times the focal length."""
-        return replace(self, points=self.points / np.array([factor, factor, 1], np.float32))
+        points = self.points / np.array([factor, factor, 1], np.float32)
+        return replace(self, points=points, zooms=(*self.zooms, float(factor)))
 
     def inside(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Valid geometry pixels (h, w) whose centres fall into a photo-sized mask."""

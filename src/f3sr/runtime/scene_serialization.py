@@ -1,4 +1,6 @@
-"""What stages change in a scene, as plain JSON and arrays: everything but the photo, the masks and the meshes."""
+"""What stages change in a scene, as plain JSON and arrays: everything but the photo, the masks and the meshes.
+
+Of a geometry only its zooms change: the factors are stored, not the points."""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ from numpy.typing import NDArray
 
 from f3sr.core.mesh import ConvexPart, MassProperties
 from f3sr.core.transforms import Array
-from f3sr.scene import Ground, Motion, Node, Relation, Scene, SceneGraph, SceneObject, Support
+from f3sr.scene import Geometry, Ground, Motion, Node, Relation, Scene, SceneGraph, SceneObject, Support
 
 Arrays = dict[str, NDArray[Any]]
 PLAIN = (
@@ -22,7 +24,7 @@ PLAIN = (
 
 def pack(scene: Scene) -> tuple[dict[str, Any], Arrays]:
     """The changeable state of a scene; floats survive JSON exactly, as Python writes their shortest exact form."""
-    arrays: Arrays = {"T_world_camera": scene.camera.T_world_camera}
+    arrays: Arrays = {"T_world_camera": scene.camera.T_world_camera, "K": scene.camera.K}
     for o in scene:
         arrays[f"T/{o.id}"] = o.T_world_object
         for k, part in enumerate(o.colliders):
@@ -39,6 +41,7 @@ def pack(scene: Scene) -> tuple[dict[str, Any], Arrays]:
             "height_error": float(ground.height_error),
             "friction": float(ground.friction),
         },
+        "zooms": list(scene.geometry.zooms) if scene.geometry else [],
         "graph": asdict(scene.graph),
         "objects": {str(o.id): _pack_object(o) for o in scene},
     }
@@ -50,7 +53,8 @@ def unpack(base: Scene, document: dict[str, Any], arrays: Arrays) -> Scene:
     ground, graph = document["ground"], document["graph"]
     return replace(
         base,
-        camera=base.camera.moved(arrays["T_world_camera"]),
+        camera=replace(base.camera, K=arrays["K"], T_world_camera=arrays["T_world_camera"]),
+        geometry=_zoomed(base.geometry, document["zooms"]),
         ground=Ground(**ground | {"normal": np.array(ground["normal"])}),
         graph=SceneGraph(
             source=graph["source"],
@@ -59,6 +63,13 @@ def unpack(base: Scene, document: dict[str, Any], arrays: Arrays) -> Scene:
         ),
         objects=tuple(_unpack_object(o, document["objects"][str(o.id)], arrays) for o in base),
     )
+
+
+def _zoomed(geometry: Geometry | None, zooms: list[float]) -> Geometry | None:
+    """The geometry after all of some zooms: those that it has not been through yet, one after another."""
+    for factor in zooms[len(geometry.zooms) :] if geometry else ():
+        geometry = geometry and geometry.zoomed(factor)
+    return geometry
 
 
 def _pack_object(o: SceneObject) -> dict[str, Any]:

@@ -43,11 +43,14 @@ def uncertainty(scene: Scene, config: UncertaintyConfig | None = None) -> tuple[
     The Laplace approximation: one joint Gaussian over all poses, the camera's intrinsics and the ground. Silhouettes,
     detail, depth and contacts each add their Fisher information.
     """
-    found = Information.of(scene, config or UncertaintyConfig())
+    config = config or UncertaintyConfig()
+    found = Information.of(scene, config)
     covariance, conditional = found.covariance(), found.conditional()
     poses: dict[int, PoseUncertainty] = {}
     for o in scene:
         if o.mobility == "dynamic":
             ray = o.bounds_world.mean(0) - scene.camera.center
-            poses[o.id] = PoseUncertainty.of(covariance[o.id], conditional[o.id], ray / np.linalg.norm(ray))
+            # No photo shows the far side of a shape: its middle is no better known than a side is.
+            hidden = np.diag([(config.shape * o.size) ** 2] * 3 + [0.0] * 4)
+            poses[o.id] = PoseUncertainty.of(covariance[o.id] + hidden, conditional[o.id], ray / np.linalg.norm(ray))
     return scene, Uncertain(poses=poses)
