@@ -34,18 +34,21 @@ def contents(names: Sequence[str], count: int, radius: float, base: float, rng: 
         R = turned(rng.uniform(0, 360)) @ turned(rng.uniform(-25, 25), X)
         away, angle = radius * np.sqrt(rng.random()), rng.uniform(0, 2 * np.pi)
         at = (away * np.cos(angle), away * np.sin(angle), height)
-        items.append(scanned(str(name), shape, mesh, at, R))
+        items.append(scanned(_label(str(name)), shape, mesh, at, R))
         height += float(np.ptp(mesh.vertices @ R.T, axis=0)[2]) + DROP
     return items
 
 
-def scanned(name: str, shape: Shape, mesh: Mesh, at: Sequence[float], R: Array) -> Item:
-    label = name.split("_", 1)[1]
+def scanned(label: str, shape: Shape, mesh: Mesh, at: Sequence[float], R: Array, *, is_round: bool = False) -> Item:
     volume = sum(mf.Manifold.hull_points(p).volume() for p in shape.parts)
     return Item(
         label=label, shape=shape, look=lambda points: np.full_like(points, 0.5), mass=DENSITY * volume,
-        at=(float(at[0]), float(at[1]), float(at[2])), R=R, round=label in ROUND, mesh=mesh,
+        at=(float(at[0]), float(at[1]), float(at[2])), R=R, round=is_round or label in ROUND, mesh=mesh,
     )  # fmt: skip
+
+
+def _label(name: str) -> str:
+    return name.split("_", 1)[1]
 
 
 @cache
@@ -57,7 +60,7 @@ def scan(name: str) -> tuple[Shape, Mesh]:
 
 
 def container(name: str) -> Item:
-    return scanned(name, *scan(name), (0.0, 0.0, 0.001), rotation_about(Z, 0.0))
+    return scanned(_label(name), *scan(name), (0.0, 0.0, 0.001), rotation_about(Z, 0.0))
 
 
 def in_bowl(rng: np.random.Generator) -> Stage:
@@ -80,9 +83,9 @@ def in_mug(rng: np.random.Generator) -> Stage:
     R = rotation_about(axis, float(np.arccos(np.clip(along @ Z, -1, 1))) - 0.12)
     low = float((mesh.vertices @ R.T)[:, 2].min())
     middle = (mesh.vertices @ R.T).mean(0)
-    tool = scanned(name, shape, mesh, (-middle[0], -middle[1], 0.02 - low), R)
+    tool = scanned(_label(name), shape, mesh, (-middle[0], -middle[1], 0.02 - low), R)
     beside = contents(SMALL, 2, 0.01, 0.002, rng)
-    moved = [scanned(f"x_{i.label}", i.shape, i.mesh, (0.16 - 0.3 * k, 0.03, 0.03), i.R) for k, i in enumerate(beside)]
+    moved = [scanned(i.label, i.shape, i.mesh, (0.16 - 0.3 * k, 0.03, 0.03), i.R) for k, i in enumerate(beside)]
     return Stage(items=[container("ycb_mug"), tool, *moved], distance=0.7, height=0.45, seconds=5.0)
 
 

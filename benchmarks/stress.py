@@ -22,6 +22,8 @@ from run import REPO
 CASES = ("tower", "bowls", "planks", "pile", "floor", "overlaps", "dining", "shelf")
 CONTAINERS = {"in_bowl": 3, "in_pan": 3, "in_mug": 2, "on_plate": 2, "in_crate": 2}
 """Scans in containers, and how many seeds make the family of twelve; by default they are not run."""
+ROOMS = ("kitchen", "lounge", "bedroom", "study", "dining_room", "storeroom")
+"""Floors with furniture that is itself objects; by default they are not run."""
 GROWTH = (5, 10, 20, 50)
 STAGES = (
     *("assemble", "level", "align", "relate", "decompose", "separate", "settle", "close", "refine", "describe"),
@@ -184,8 +186,9 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--counts", nargs="+", type=int, default=list(GROWTH), choices=GROWTH, metavar="N")
     parser.add_argument("--out", type=Path, default=REPO / "out" / "bench" / "stress", help="inputs, packages, tables")
     args = parser.parse_args()
-    if unknown := sorted(set(args.cases) - {*CASES, *CONTAINERS}):
-        parser.error(f"no cases {', '.join(unknown)}; there are {', '.join((*CASES, *CONTAINERS))}")
+    known = (*CASES, *CONTAINERS, *ROOMS)
+    if unknown := sorted(set(args.cases) - {*known}):
+        parser.error(f"no cases {', '.join(unknown)}; there are {', '.join(known)}")
     args.out = args.out.resolve()
     return args
 

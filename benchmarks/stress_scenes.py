@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import container_things
+import room_things
 import stress_things
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh
@@ -49,6 +51,7 @@ GENERATED = Damage(bump=0.002, squash=0.0)
 """What generated assets miss of place, turn and size (as the bundled example's), their shapes nearly right."""
 PUSHED = Damage(unit=1.0, focal=1.0, depth=0, sideways=0, turn=0, scale=0, bump=0, squash=0)
 """Assets where they truly are but for what a stage pushes them; a geometry with its noise."""
+CASES = {**stress_things.CASES, **container_things.CASES, **room_things.CASES}
 CONVENTION = "sam-3d-objects: p_opencv = s F R(q)^T A v_glb + F t"
 
 
@@ -70,7 +73,7 @@ def write(data: Path, case: Case) -> Path:
     for place in (folder / "masks", folder / "assets", data / "objects"):
         place.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng([case.seed, *case.case.encode()])
-    stage = numbered({**stress_things.CASES, **container_things.CASES}[case.case](rng))
+    stage = numbered(CASES[case.case](rng))
     edges = FINER if case.case.startswith("mixed") else FINE
     meshes = [mesh_of(item, edges) for item in stage.items]
     rest = settle(stage.items, seconds=stage.seconds)
@@ -99,7 +102,9 @@ def write(data: Path, case: Case) -> Path:
 
 def numbered(stage: Stage) -> Stage:
     """Every label once: they are names of bodies."""
-    return replace(stage, items=[replace(item, label=f"{item.label}_{k}") for k, item in enumerate(stage.items)])
+    count = Counter(item.label for item in stage.items)
+    items = (replace(i, label=f"{i.label}_{k}" if count[i.label] > 1 else i.label) for k, i in enumerate(stage.items))
+    return replace(stage, items=list(items))
 
 
 def mesh_of(item: Item, edges: int) -> Mesh:

@@ -273,10 +273,11 @@ def test_regions_of_nearer_objects_are_left_out():
     assert not valid[1][near.mask].any() and valid[1][~near.mask].all()
 
 
-def test_where_the_geometry_shows_something_before_an_object_it_is_hidden_and_where_depth_goes_on_it_is_not():
+@pytest.mark.parametrize("rows", [10, 4, 1])
+def test_where_the_geometry_shows_something_before_an_object_it_is_hidden_and_where_depth_goes_on_it_is_not(rows: int):
     fruit, bowl = box(0), box(1)
     mine, other = (np.zeros_like(fruit.mask) for _ in range(2))
-    mine[10:20, 20:40], other[20:40, 20:40] = True, True
+    mine[20 - rows : 20, 20:40], other[20:40, 20:40] = True, True
     # Below the fruit a wall is seen on the left, 3 cm before it; on the right what it stands on comes nearer slowly.
     points = np.ones((*mine.shape, 3), np.float32)
     points[20:, :30, 2] = 0.97
@@ -286,7 +287,8 @@ def test_where_the_geometry_shows_something_before_an_object_it_is_hidden_and_wh
     wall = other.copy()
     wall[:, 30:] = False
     assert not (hidden & ~wall).any()
-    assert np.array_equal(hidden[20:30, 20:30], wall[20:30, 20:30])
+    below = slice(20, 20 + rows)
+    assert np.array_equal(hidden[below, 20:30], wall[below, 20:30])
 
 
 # --- separate and settle ------------------------------------------------------------------------------------

@@ -50,11 +50,10 @@ def behind_the_photo(o: SceneObject, others: Iterable[SceneObject], geometry: Ge
     Before it is what is nearer than the object's own nearest pixel by more than the geometry's error. Where an object
     stands on another, depth goes on without a step.
     """
-    from scipy.ndimage import binary_erosion, distance_transform_edt
+    from scipy.ndimage import distance_transform_edt
 
     mine = geometry.inside(o.mask)
-    # Depths mix at the borders of masks.
-    sure = np.asarray(binary_erosion(mine, iterations=BORDER), np.bool_)
+    sure = _inner(mine)
     hidden = np.zeros_like(mine)
     if sure.any():
         around = _around(mine)
@@ -63,6 +62,19 @@ def behind_the_photo(o: SceneObject, others: Iterable[SceneObject], geometry: Ge
         nearest = np.asarray(distance_transform_edt(~sure[around], return_distances=False, return_indices=True))
         hidden[around] = rest & (depth < (1 - sigma(geometry)) * depth[tuple(nearest)])
     return resample(hidden, o.mask.shape[1], o.mask.shape[0])
+
+
+def _inner(mask: Mask) -> Mask:
+    """A mask without its border, where depths mix; of a small object what lies farthest from it."""
+    from scipy.ndimage import binary_erosion
+
+    inner = mask
+    for _ in range(BORDER):
+        less = np.asarray(binary_erosion(inner), np.bool_)
+        if not less.any():
+            break
+        inner = less
+    return inner
 
 
 def _around(mask: Mask) -> tuple[slice, slice]:

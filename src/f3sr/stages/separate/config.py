@@ -17,6 +17,10 @@ PICTURE_SIGMA = 0.02
 """Standard deviation of an object's place in the picture, as IoU that a lift costs: less costs the picture and gains no
 places, more costs places in depth."""
 
+MATCHED = 0.05
+"""1 - IoU of a silhouette that matches its mask. What an object misses beyond it adds to its standard deviation in
+proportion: an object that fits its mask badly is known badly, and rather moves than its well-known neighbour."""
+
 UNDERSIDE_SIGMA = 0.02
 """Standard deviation of a generated underside, which no photo shows, as a share of the object's size. The undersides of
 18 objects of SAM 3D are .014 off in the median, once their depth is right."""

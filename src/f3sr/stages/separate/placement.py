@@ -11,10 +11,13 @@ import numpy as np
 from f3sr.contact.compounds import Compound, collide, placed
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, pose, transform
+from f3sr.metrics.measures import full_silhouette
 from f3sr.scene import GROUND, Scene, SceneObject
-from f3sr.stages.separate.config import PICTURE_SIGMA
+from f3sr.stages.separate.config import MATCHED, PICTURE_SIGMA
 from f3sr.vision import depth_prior
 from f3sr.vision.iou_sensitivity import loss_matrix
+from f3sr.vision.occlusion import nearer_objects, visible_region
+from f3sr.vision.silhouette import iou
 
 Saved = tuple[dict[int, Any], ...]
 """A layout's state."""
@@ -26,6 +29,7 @@ class Placement:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.depth_sigma = depth_prior.sigmas(scene)
+        self.evidence = _evidence(scene)
         self.bodies = {o.id: placed((*o.parts, *o.footing), o.T_world_asset) for o in scene}
         self.footings: dict[int, tuple[ConvexPart, ...]] = {o.id: o.footing for o in scene}
         self.parts: dict[int, tuple[ConvexPart, ...]] = {o.id: o.parts for o in scene}
@@ -106,9 +110,10 @@ class Placement:
         return self.scale[id] * (self.rotation[id] @ point) + self.shift[id]
 
     def loss(self, id: int) -> Array:
-        """Metric W (3, 3) [1/m2] of the picture: a shift d loses the IoU sqrt(d' W d)."""
+        """Metric W (3, 3) [1/m2] of the picture: a shift d loses the IoU sqrt(d' W d), less so where little evidence
+        holds the object."""
         o = self.scene[id]
-        return loss_matrix(o.mask, self.scene.camera, self.place(id, o.bounds_world.mean(0)))
+        return self.evidence[id] * loss_matrix(o.mask, self.scene.camera, self.place(id, o.bounds_world.mean(0)))
 
     def depth_loss(self, id: int) -> Array:
         """Metric (3, 3) of the geometry in the unit of ``loss``: rank 1, along the viewing ray."""
@@ -134,3 +139,13 @@ class Placement:
         """Pairs of ids that overlap, the ground included as the second."""
         pairs = [(a, b) for a, b in combinations(self.bodies, 2) if collide(self.bodies[a], self.bodies[b])]
         return pairs + [(id, GROUND) for id in self.bodies if self.lowest(id) < -1e-9]
+
+
+def _evidence(scene: Scene) -> dict[int, float]:
+    """Weight of the picture by id: 1 where a silhouette matches its mask, else the square of how much less it misses
+    then (the variance of a least-squares estimate grows with its residual)."""
+    nearer = nearer_objects(scene)
+    missed = {
+        o.id: 1 - iou(full_silhouette(o, scene.camera), o.mask, visible_region(o, nearer[o.id])) for o in scene
+    }
+    return {id: (MATCHED / max(MATCHED, m)) ** 2 for id, m in missed.items()}
