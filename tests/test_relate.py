@@ -19,6 +19,7 @@ from f3sr.runtime import scene_serialization
 from f3sr.scene import GROUND, Geometry, Photo, Predicate, Relation, Scene, SceneGraph, SceneObject, Support
 from f3sr.scene_package.scene_json import SceneGraphRecord
 from f3sr.stages.relate import Candidate, RelateConfig, describe, forest, relate
+from f3sr.stages.relate.supports import likelihood
 from f3sr.stages.relate.depth_order import INVERSE, SYMMETRIC
 from f3sr.stages.relate.nodes import colours, place
 from f3sr.vision.rasterizer import visible_ids
@@ -542,3 +543,11 @@ def test_every_predicate_but_unknown_is_told_of_somewhere():
 def test_settings_change_what_they_say():
     assert not relate(stack(), RelateConfig(beside=0.01))[0].graph.of("next_to")
     assert not relate(bowl_with_fruit(), RelateConfig(common=0.5))[0].graph.of("overlaps_2d") - {(0, 1)}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("cost", "expected"), [(0.0, 0.8808), (2.0, 0.5), (2000.0, 0.0), (-2000.0, 1.0)])
+def test_a_support_is_as_likely_as_its_cost_against_the_others_says(cost: float, expected: float):
+    chosen, other = (Candidate(child=0, parent=k, cost=c, evidence="") for k, c in ((1, cost), (2, 2.0)))
+    assert likelihood(chosen, [chosen, other]) == pytest.approx(expected, abs=1e-4)
+    assert likelihood(chosen, [chosen]) == 1

@@ -1,6 +1,7 @@
 """The goal suite through the real command: plans, rollouts and verdicts, judged by the independent checker and replay.
 
 usage: python benchmarks/goals/run.py [PART ...] [--goals NAME ...] [--packages FOLDER] [--data PATH] [--out FOLDER]
+       python benchmarks/goals/run.py suite --suite rooms.toml --packages out/bench/stress
 Parts: suite, paraphrases, refusals; all by default. Packages that are not there are reconstructed first. Writes
 results.json and results.md. Exit codes: 0 no regression (or no data), 1 a regression, 2 wrong arguments.
 """
@@ -36,9 +37,9 @@ Numbers = dict[str, float]
 
 def main() -> int:
     args = _arguments()
-    goals = [g for g in checker.read_suite() if not args.goals or g["name"] in args.goals]
+    goals = [g for g in checker.read_suite(args.suite) if not args.goals or g["name"] in args.goals]
     if unknown := set(args.goals) - {g["name"] for g in goals}:
-        print(f"no goals {', '.join(sorted(unknown))}; suite.toml has the names", file=sys.stderr)
+        print(f"no goals {', '.join(sorted(unknown))}; {args.suite.name} has the names", file=sys.stderr)
         return 2
     asks = {"suite": goals, **{part: read(f"{part}.toml") for part in PARTS[1:]}}
     scenes = sorted({goal["scene"] for part in args.parts for goal in asks[part]})
@@ -54,8 +55,8 @@ def main() -> int:
     (args.out / "results.json").write_text(json.dumps({"numbers": numbers, **rows}, indent=1) + "\n")
     (args.out / "results.md").write_text(results.markdown(numbers, rows))
     print(results.summary(numbers, rows))
-    if left_out or args.goals:
-        print("not judged: not all of the suite was run")
+    if left_out or args.goals or args.suite != checker.SUITE:
+        print("not judged: not all of suite.toml was run")
         return 0
     return baseline.judged(FILE, dict.fromkeys(args.parts, numbers), update=args.update)
 
@@ -131,6 +132,9 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("parts", nargs="*", metavar="PART", help="suite, paraphrases, refusals")
     parser.add_argument("--goals", nargs="+", default=[], metavar="NAME", help="only these of the suite; not judged")
+    parser.add_argument(
+        "--suite", type=lambda name: HERE / name, default=checker.SUITE, help="goals: suite.toml, rooms.toml"
+    )
     parser.add_argument("--packages", type=Path, help="finished packages by scene, by default OUT/packages")
     parser.add_argument("--data", type=Path, default=REPO.parent / "shared" / "data", help="holds scenes/, real/")
     parser.add_argument("--out", type=Path, default=REPO / "out" / "goals", help="rollouts and results")

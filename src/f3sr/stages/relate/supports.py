@@ -120,8 +120,10 @@ def forest(candidates: Iterable[Candidate]) -> dict[int, Candidate]:
 
 def likelihood(chosen: Candidate, found: Iterable[Candidate], *, beside: Collection[int] = ()) -> float:
     """How likely one candidate is among all of the same child, those not counted that carry ``beside`` it."""
-    rivals = [c for c in found if c.parent != chosen.parent and c.parent not in beside]
-    return float(1 / (1 + sum(np.exp(chosen.cost - c.cost) for c in rivals)))
+    from scipy.special import softmax
+
+    rivals = [c.cost for c in found if c.parent != chosen.parent and c.parent not in beside]
+    return float(softmax([-cost for cost in (chosen.cost, *rivals)])[0])
 
 
 def order_cost(common: Common | None, k: float, config: RelateConfig) -> float:
