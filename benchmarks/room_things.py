@@ -20,18 +20,18 @@ GAP = 0.002
 
 
 def kitchen(rng: np.random.Generator) -> Stage:
-    """A counter with a microwave, a pan, a bottle, cups and groceries; before it a bin, a stool and a crate."""
+    """A counter with a pan, a bottle, cups and groceries; before it a microwave, a bin, a stool and a barrel."""
     top = 0.9
     stuff = _Room(rng)
     stuff.put("counter", table((2.0, 0.6, top), 0.05, panels=True), (0, 0))
-    stuff.put("microwave", microwave(), (-0.68, 0.06), top)
+    stuff.put("microwave", microwave(), (-1.35, -0.3), yaw=15)
     stuff.put_scan("frying_pan", "gso_frypan", (0.02, 0.02), top, yaw=stuff.any_yaw())
     stuff.put("bottle", shapes.bottle(0.038, 0.27), (0.33, -0.08), top)
     stuff.put("cup", cup(), (0.47, -0.18), top, yaw=stuff.any_yaw())
     stuff.put_scan("mug", "ycb_mug", (0.66, -0.12), top, yaw=stuff.any_yaw())
     stuff.put_scan("cereal_box", "ycb_cracker_box", (0.82, 0.1), top, factor=1.4, yaw=80)
     stuff.put_scan("bleach", "ycb_bleach_cleanser", (0.55, 0.15), top, yaw=stuff.any_yaw())
-    stuff.put("trash_bin", trash_bin(0.15, 0.36), (-0.75, -0.75))
+    stuff.put("trash_bin", trash_bin(0.15, 0.36), (-0.6, -0.75))
     stuff.put("stool", stool(), (0.35, -0.7), yaw=stuff.any_yaw())
     stuff.put_scan("barrel", "ycb_tomato_soup_can", (0.9, -0.65), factor=3.5, yaw=stuff.any_yaw())
     return stuff.stage(distance=2.4, height=1.7)
@@ -92,7 +92,7 @@ def study(rng: np.random.Generator) -> Stage:
     stuff.put("bookcase", bookcase((0.7, 0.3, 1.2), 3), (1.35, 0.2))
     stuff.put_scan("sugar", "ycb_sugar_box", (1.2, 0.15), 1.2, factor=1.5, yaw=stuff.any_yaw())
     stuff.put("parcel", brick((0.35, 0.3, 0.22)), (0.85, -0.7), yaw=rng.uniform(-30, 30))
-    stuff.put("parcel_top", brick((0.25, 0.2, 0.15)), (0.85, -0.7), 0.224, yaw=rng.uniform(-40, 40), jitter=0.015)
+    stuff.put("small_parcel", brick((0.25, 0.2, 0.15)), (0.85, -0.7), 0.224, yaw=rng.uniform(-40, 40), jitter=0.015)
     return stuff.stage(distance=2.8, height=1.7)
 
 

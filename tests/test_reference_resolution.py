@@ -273,6 +273,18 @@ def test_an_active_object_must_move_and_not_be_its_target():
     assert meant("zebra", "can") == "unknown"
 
 
+def test_a_target_is_another_object():
+    def target(active: str, words: str) -> int | str | None:
+        found = resolve_request(Request(kind="push_into", active=active, target=words), table())
+        return found.reason if isinstance(found, Refusal) else found.target
+
+    assert target("red mug", "mug") == target("red mug", "other mug") == target("red mug", "other cup") == 1
+    assert target("blue mug", "the other one") == "ambiguous"
+    assert target("red mug", "other zebra") == "unknown"
+    assert target("bowl", "other bowl") == "unknown"
+    assert target("bowl", "mug") == "ambiguous"
+
+
 def test_many_objects_are_refused_in_time():
     scene = replace(table(), objects=tuple(thing(id, "cup", at=(0, 0, 0)) for id in range(300)), graph=SceneGraph())
     start = time.perf_counter()

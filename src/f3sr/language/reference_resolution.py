@@ -17,6 +17,8 @@ from f3sr.scene import GROUND, Scene
 
 PRONOUNS = {"it", "itself", "back"}
 """They mean the active object."""
+OTHER = "other "
+"""A target that is called so is not the active object."""
 SHOWN = 8
 """Objects that a refusal tells apart."""
 
@@ -38,7 +40,8 @@ def resolve_request(request: Request, scene: Scene) -> Named | Refusal:
 
 
 def resolve(phrase: str, scene: Scene, *, active: int | None = None) -> int | Refusal:
-    """The id of the one object that a phrase means, GROUND for the ground; ``it`` is the ``active`` object.
+    """The id of the one object that a phrase means, GROUND for the ground; ``it`` is the ``active`` object, which no
+    other words mean where they fit another object too.
 
     A refusal's candidates are phrases that select one object each.
     """
@@ -73,9 +76,16 @@ def _resolved(phrase: str, sight: Sight, active: int | None) -> int:
         return active
     if words in PRONOUNS - {"back"}:
         refuse("ambiguous", f"{quoted(words)} refers to no object; accepted: an object's name")
+    other = active is not None and words.startswith(OTHER)
+    words = words.removeprefix(OTHER) if other else words
     ids, plural = _meant(words, sight)
     if plural:
         _refuse_all("plural", f"{quoted(spoken(words))} means more than one object", ids, sight)
+    if other or len(ids) > 1:
+        ids = [id for id in ids if id != active]
+    if not ids:
+        everything = [o.id for o in sight.scene if o.id != active]
+        _refuse_all("unknown", f"the scene has no other {quoted(spoken(words))}", everything, sight)
     if len(ids) > 1:
         _refuse_all("ambiguous", f"{quoted(spoken(words))} may mean {len(ids)} objects", ids, sight)
     return ids[0]

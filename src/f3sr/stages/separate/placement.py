@@ -16,7 +16,7 @@ from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.stages.separate.config import MATCHED, PICTURE_SIGMA
 from f3sr.vision import depth_prior
 from f3sr.vision.iou_sensitivity import loss_matrix
-from f3sr.vision.occlusion import nearer_objects, visible_region
+from f3sr.vision.occlusion import comparable_region, nearer_objects
 from f3sr.vision.silhouette import iou
 
 Saved = tuple[dict[int, Any], ...]
@@ -146,6 +146,7 @@ def _evidence(scene: Scene) -> dict[int, float]:
     then (the variance of a least-squares estimate grows with its residual)."""
     nearer = nearer_objects(scene)
     missed = {
-        o.id: 1 - iou(full_silhouette(o, scene.camera), o.mask, visible_region(o, nearer[o.id])) for o in scene
+        o.id: 1 - iou(full_silhouette(o, scene.camera), o.mask, comparable_region(o, nearer[o.id], scene))
+        for o in scene
     }
     return {id: (MATCHED / max(MATCHED, m)) ** 2 for id, m in missed.items()}
