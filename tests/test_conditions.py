@@ -98,6 +98,19 @@ def test_a_contact_is_an_event_and_a_miss_a_distance(scene: Scene) -> None:
     assert one(Contact(a=0, b=GROUND), flying, scene).margin == pytest.approx(-0.2, abs=1e-6)
 
 
+def test_a_first_contact_comes_after_what_it_is_to_come_after(scene: Scene) -> None:
+    def second(*touches: tuple[float, int, int, float]) -> Judged:
+        conditions = (Contact(a=0, b=GROUND), Contact(a=0, b=1, after=0, first=True))
+        return judge(conditions, rollout_of(scene, touches=touches), scene)[1]
+
+    floor, again = (0.5, GROUND, 0, 1.0), (0.7, 0, 1, 1.0)
+    assert second(floor, again).met and second(floor, again).time == pytest.approx(0.7)
+    early = second((0.2, 0, 1, 1.0), floor, again)
+    assert not early.met and early.margin == pytest.approx(-0.3) and early.unit == "s" and "0.30 s early" in early.said
+    assert second((0.0, 0, 1, 1.0), floor, again).met, "what touches at the start has not come there"
+    assert not second(floor).met
+
+
 def test_order_and_deadlines(scene: Scene) -> None:
     rollout = rollout_of(scene, {1: along(scene, 1, sideways(0.3))}, [(0.2, 0, 1, 1.0), (0.8, 0, 1, 1.0)])
     conditions = (Displaced(a=1, at_least=0.15), Contact(a=0, b=1, after=0))

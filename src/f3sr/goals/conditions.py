@@ -80,7 +80,12 @@ def _in_time(judged: Judged, within: float | None) -> Judged:
 def _contact(c: p.Contact, seen: Seen, start: float) -> Judged:
     a, b = seen.name(c.a), seen.name(c.b)
     rows = seen.rollout.touches(c.a, c.b)
+    early = rows[(rows["time"] > 0) & (rows["time"] < start - 1e-9)]
     rows = rows[rows["time"] >= start - 1e-9]
+    if c.first and len(early):
+        ahead = start - float(early[0]["time"])
+        said = f"{a} touches {b} {ahead:.2f} s early"
+        return Judged(condition=c, margin=-ahead, unit="s", time=start - ahead, said=said, relative=-ahead / start)
     if len(rows):
         first = rows[0]
         said = f"{a} touches {b} after {first['time']:.2f} s"

@@ -68,6 +68,8 @@ class Contact(_Condition):
     type: Literal["contact"] = "contact"
     a: Id
     b: IdOrGround
+    first: bool = False
+    """Whether they must not touch before the event that this one comes ``after``, but for the start."""
 
 
 class Displaced(_Condition):

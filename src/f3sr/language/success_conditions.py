@@ -37,6 +37,8 @@ NEARLY = 0.9
 """Share of a height said that something falls at least: it may end on its side."""
 STIRS, STIRS_BY = 0.03, 0.006
 """The same for what something is only pushed into, and in any case [m]."""
+HOPS = 0.03
+"""Share of its size that the active object rises at least when it bounces off the ground on its way."""
 SEEN = 0.25
 """Share of its size that the active object moves at least."""
 
@@ -206,10 +208,11 @@ def _bounce(m: Meant, layout: SceneLayout) -> list[Reading]:
     if way in ("off", "onto", "over"):
         loose = p.Contact(a=a, b=target, after=0)
         return [((up, p.Bounced(a=a, b=target, at_least=seen, after=0)), ""), ((up, loose), "how high it bounces")]
-    floor, touch = p.Contact(a=a, b=GROUND, after=0), p.Contact(a=a, b=target, after=1)
+    floor, touch = p.Contact(a=a, b=GROUND, after=0), p.Contact(a=a, b=target, after=1, first=True)
+    bounce = p.Bounced(a=a, b=GROUND, at_least=HOPS * layout.size(a), after=0)
     if way == "into" and layout.pool(target):
         return [((up, floor, touch, p.Inside(a=a, b=target)), "")]
-    return [((up, floor, touch), "")]
+    return [((up, bounce, touch), ""), ((up, floor, touch), "how high it bounces")]
 
 
 def _launch(m: Meant, layout: SceneLayout) -> list[Reading]:

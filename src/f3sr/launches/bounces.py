@@ -15,6 +15,11 @@ from f3sr.launches.launch_context import LaunchContext, Launches
 from f3sr.physics.restitution import LEAST
 from f3sr.scene import GRAVITY, GROUND
 
+LEFT = 0.15
+"""Time [s] after which a launched object touches the ground by falling on it."""
+FASTER = 5
+"""Most speeds that are tried for one throw."""
+
 
 def bouncing(s: LaunchContext) -> Launches:
     """To the ground and from there to the target; the aim is corrected by where the bounce led."""
@@ -57,7 +62,7 @@ def _bouncing_at(s: LaunchContext, target: int, e: float) -> Launches:
     """To the ground somewhere on the way, from where the bounce leads to the target's side: wherever both flights are
     clear, straight on first."""
     start, lift = s.start
-    top = float(s.layout.span(target)[1, 2])
+    top, rolls = float(s.layout.span(target)[1, 2]), s.layout.rolls(s.active, s.direction)
     ways = list[tuple[bool, float, int, Array, float]]()
     for angle in range(-35, 36, 7):
         u = rotation_about(UP, math.radians(angle)) @ s.direction
@@ -66,19 +71,42 @@ def _bouncing_at(s: LaunchContext, target: int, e: float) -> Launches:
             continue
         for part in (0.5, 0.65, 0.35, 0.8, 0.92):
             place = np.append((start + part * near * u)[:2], s.height)
-            for arc in (0.4, 0.8, 1.5, 3.0):
+            for arc in (0.4, 0.8, 1.5, 3.0) if rolls else (0.15, 0.25, 0.4, 0.8):
                 v, first = ballistics.throw(start, place, max(start[2], s.height) + arc * s.size)
-                # It comes down with g t - v_z; the second flight takes the rest of the way at the same horizontal
-                # speed.
-                off = np.array([v[0], v[1], e * (GRAVITY * first - v[2])])
-                second = (1 - part) / part * first
+                # It comes down with g t - v_z. What spins as it rolls keeps its horizontal speed; from what does not,
+                # friction takes as much of it as it presses.
+                down = GRAVITY * first - v[2]
+                kept = 1 if rolls else 1 - s.drag / GRAVITY * (1 + e) * down / max(np.linalg.norm(v[:2]), 1e-12)
+                if kept <= 0:
+                    continue
+                off = np.array([kept * v[0], kept * v[1], e * down])
+                second = (1 - part) / part * first / kept
                 height = s.height + off[2] * second - GRAVITY * second**2 / 2
                 if s.height < height < 0.9 * top:
                     flights, goal = [(start, v, first), (place, off, second)], start + near * u
                     blocked = not _ground_at(s, place) or is_blocked(s, flights, goal, near=0.0)
                     ways.append((blocked, abs(angle), len(ways), v, first + second))
     for *_, v, seconds in sorted(ways, key=lambda w: w[:3])[:10]:
-        yield [s.thrown(v, angular=s.rolling(v * [1, 1, 0]), lift=lift, seconds=seconds + AFTER)]
+        yield from _in_time(s, target, v, lift, seconds + AFTER)
+
+
+def _in_time(s: LaunchContext, target: int, v: Array, lift: Array | None, seconds: float) -> Launches:
+    """A throw whose horizontal speed is bisected between those that miss after the bounce, as friction takes speed
+    then, and those that touch the target before it."""
+    slow, fast, factor = 0.0, math.inf, 1.0
+    for _ in range(FASTER):
+        off = v * [factor, factor, 1]
+        spin = s.rolling(off * [1, 1, 0]) if s.layout.rolls(s.active, s.direction) else None
+        (tried,) = yield [s.thrown(off, angular=spin, lift=lift, seconds=seconds)]
+        bounced = min((t for t in tried.rollout.touches(s.active, GROUND)["time"] if t > LEFT), default=math.inf)
+        touched = min((t for t in tried.rollout.touches(s.active, target)["time"] if t > 0), default=math.inf)
+        if bounced < touched < math.inf:
+            return
+        if touched < bounced:
+            fast = factor
+        else:
+            slow = factor
+        factor = (slow + fast) / 2 if fast < math.inf else 1.5 * factor
 
 
 def _ground_at(s: LaunchContext, place: Array) -> bool:
@@ -116,7 +144,7 @@ def _came_down(s: LaunchContext, tried: Tried, height: float) -> Array | None:
     """Where (2,) the centre of mass was when it came down to a height after its first bounce; None where it never was
     so high."""
     flown = tried.rollout.touches(s.active, GROUND)["time"]
-    flown = flown[flown > 0.15]
+    flown = flown[flown > LEFT]
     if not len(flown):
         return None
     way, after = s.way(tried), tried.rollout.time > float(flown[0])
