@@ -20,6 +20,8 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import numpy as np
+
 import contact as bench
 import contact_report
 import peers
@@ -28,7 +30,7 @@ from f3sr import pipeline
 from f3sr.pipeline import Config, Reconstruction
 from f3sr.report import Outcome
 from f3sr.runtime import kernels
-from f3sr.scene import Scene
+from f3sr.scene import Scene, SceneObject
 from f3sr.scene_package import package
 from f3sr.stages.decompose import Decomposed
 from f3sr.stages.evaluate import direct_composition
@@ -55,6 +57,10 @@ def _as_it_came(result: Reconstruction) -> Scene:
 
 def _report_recipe(result: Reconstruction) -> Scene:
     return contact_report.settle(contact_report.separate(result.scene))
+
+
+def _nothing_hidden(o: SceneObject, *_: Any) -> Any:
+    return np.zeros_like(o.mask)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +94,14 @@ ROWS: Mapping[str, Variant] = {
     "no closing": Variant(skip=("close",)),
     "closing without cuts": Variant(patched={"f3sr.stages.close._Lowered._trim": lambda *_: False}),
     "no damping": Variant(settings={"settle.settling.damping": 1e-9}),
+    "no focal length from the ground": Variant(settings={"level.focal_sigma": 0.0}),
+    "no search of orientations": Variant(settings={"align.orientations.enabled": False}),
+    "no hidden parts": Variant(patched={"f3sr.vision.occlusion.behind_the_photo": _nothing_hidden}),
+    "no moves inwards": Variant(patched={"f3sr.stages.separate.support_contact._aside": lambda *_: (None, np.inf)}),
+    "no weights by mismatch": Variant(
+        patched={"f3sr.stages.separate.placement._evidence": lambda scene: {o.id: 1.0 for o in scene}}
+    ),
+    "no placing again": Variant(patched={"f3sr.stages.refine._lost": lambda *_: frozenset[int]()}),
     "report's contact": Variant(skip=tuple(bench.after_proxies()), end=_report_recipe),
     "report's recipe": Variant(instead={"align": staged.align}, skip=tuple(bench.after_proxies()), end=_report_recipe),
     "direct composition": Variant(skip=tuple(bench.after_proxies()), end=_as_it_came),
