@@ -163,6 +163,19 @@ def test_rolled_is_turning_across_the_way(scene: Scene) -> None:
     assert one(Rolled(a=0, at_least=5), rollout_of(scene, {0: T}), scene).margin == pytest.approx(-5, abs=1e-6)
 
 
+def test_what_fell_over_rolls_about_its_own_axis(scene: Scene) -> None:
+    """In .5 s it falls towards +x; what was up then lies along +x and it turns about that by 1 rad, or not at all."""
+    fallen, rolling = Toppled(a=0), Rolled(a=0, at_least=0.75, after=0, upended=True)
+    for sign, turned in ((1, 1.0), (-1, 1.0), (0, 0.0)):
+        T = along(scene, 0, sideways(0.3))
+        for k, t in enumerate(TIME):
+            over, own = min(t / 0.5, 1.0) * np.pi / 2, sign * max(0.0, 2 * (t - 0.5))
+            T[k, :3, :3] = rotation_about([0, 1, 0], over) @ rotation_about([0, 0, 1], own)
+        lies, rolled = judge((fallen, rolling), rollout_of(scene, {0: T}), scene)
+        assert lies.met and rolled.margin == pytest.approx(turned - 0.75, abs=1e-6)
+        assert one(Rolled(a=0, at_least=0.75), rollout_of(scene, {0: T}), scene).met, "falling is turning across its way"
+
+
 def test_rocking_to_and_fro_is_not_rolling(scene: Scene) -> None:
     """Three times .1 m there and back, turning as it goes: what is turned back does not count."""
     x = 0.1 * np.abs(np.sin(3 * np.pi * TIME))

@@ -110,9 +110,15 @@ def upright(film: Film, c: Check, before: Before) -> Found:
 
 
 def rolls(film: Film, c: Check, before: Before) -> Found:
-    """It turns forwards as it goes, by ``degrees`` in all, and never rises by more than its own radius."""
+    """It turns forwards as it goes, by ``degrees`` in all, and never rises by more than its own radius. ``lying``: while
+    it leans by 45 degrees and more it turns about what was up in it."""
     centre, R = film.centre(c["id"]), Rotation.from_matrix(film.T[c["id"]][:, :3, :3])
     steps, turns = np.diff(centre, axis=0), (R[1:] * R[:-1].inv()).as_rotvec()
+    if c.get("lying"):
+        up = film.uprights(c["id"])[1:]
+        about = np.degrees(np.abs(np.cumsum(np.where(up[:, 2] < np.sqrt(0.5), (turns * up).sum(axis=1), 0))))
+        words = f"{about.max():.0f} deg lying of {c['degrees']}"
+        return Found(check="rolls", met=bool(about.max() >= c["degrees"]), measured=words)
     ahead = np.cross([0, 0, 1.0], steps)
     length = np.linalg.norm(ahead, axis=1)
     forwards = np.where(length > 1e-6, (turns * ahead).sum(axis=1) / np.maximum(length, 1e-6), 0)

@@ -15,7 +15,7 @@ import numpy as np
 
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart
-from f3sr.core.transforms import Array, vector_from_rotation
+from f3sr.core.transforms import UP, Array, vector_from_rotation
 from f3sr.goals import plan as p
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.rollout_queries import Seen, outside, parts_of
@@ -139,14 +139,18 @@ def _upright(c: p.Upright, seen: Seen, start: float) -> Judged:
 
 
 def _rolled(c: p.Rolled, seen: Seen, start: float) -> Judged:
-    """Turns from sample to sample about the horizontal axis across the way to where it was farthest, to and fro set
-    off against each other."""
+    """Turns from sample to sample about the horizontal axis across the way to where it was farthest, or about its own,
+    to and fro set off against each other."""
     way, R = seen.way(c.a), seen.rollout.poses(c.a)[:, :3, :3]
-    off = (way - way[int(np.argmax(seen.since(start)))])[:, :2]
-    x, y = off[int(np.argmax(np.linalg.norm(off, axis=1)))]
-    across = np.array([-y, x, 0.0]) / max(float(np.hypot(x, y)), 1e-12)
+    if c.upended:
+        axes = (R @ R[0].T @ UP)[1:]
+    else:
+        off = (way - way[int(np.argmax(seen.since(start)))])[:, :2]
+        x, y = off[int(np.argmax(np.linalg.norm(off, axis=1)))]
+        axes = np.array([-y, x, 0.0]) / max(float(np.hypot(x, y)), 1e-12)
     turns = np.array([vector_from_rotation(b @ a.T) for a, b in pairwise(R)])
-    turned = np.concatenate([[0.0], np.cumsum(np.where(seen.since(start)[1:], turns @ across, 0.0))])
+    turned = np.concatenate([[0.0], np.cumsum(np.where(seen.since(start)[1:], (turns * axes).sum(1), 0.0))])
+    turned = abs(turned) if c.upended else turned
     return _reached(c, seen, turned, c.at_least, "rad", start, f"{seen.name(c.a)} rolls")
 
 

@@ -106,6 +106,8 @@ class Rolled(_Condition):
     type: Literal["rolled"] = "rolled"
     a: Id
     at_least: Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
+    upended: bool = False
+    """Whether it rolls as what has fallen over does: only rotation about its initial up direction counts."""
 
 
 class Bounced(_Condition):

@@ -273,7 +273,9 @@ def _outcome(m: Meant, layout: SceneLayout, before: Sequence[p.Condition], moves
         case "move":
             return (p.Displaced(a=id, at_least=seen, after=after),)
         case "roll":
-            return (p.Rolled(a=id, at_least=math.pi / 4, after=after),)
+            fallen = next((k for k, c in enumerate(before) if c.type == "toppled" and c.a == id), None)
+            after = after if fallen is None else fallen
+            return (p.Rolled(a=id, at_least=math.pi / 4, after=after, upended=fallen is not None),)
         case "bounce":
             return (p.Bounced(a=id, b=GROUND if m.target is None else m.target, at_least=0.1 * layout.size(id)),)
         case "return":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 
 import numpy as np
 
@@ -24,6 +25,9 @@ BLOWS = (0.5, 0.8, 1.2, 1.8, 2.6, 3.8, 5.5)
 """Speeds at which one thing is pushed into another [m/s]."""
 SURPLUS = (1.4, 1.9, 2.7, 4.0, 6.0)
 """Factors on the energy that toppling needs, tried in order."""
+SPINS = (6.0, -6.0, 12.0, -12.0)
+"""Rotation [rad/s] about the vertical, of what is to fall over and roll: it keeps it as a rotation about its own axis.
+"""
 CLEAR = 0.005
 """Least distance [m] before the target at which a push ends."""
 
@@ -157,8 +161,10 @@ def toppling(s: LaunchContext) -> Launches:
     turned = np.array([-s.direction[1], s.direction[0], 0.0])
     sides = [s.direction] if said else [s.direction, turned, -turned, -s.direction]
     ways = [(side, surplus) for side in sides for surplus in SURPLUS[:3]] + [(sides[0], more) for more in SURPLUS[3:]]
+    rolls = any(c.type == "rolled" for c in s.task.conditions)
+    spins = (0.0, *SPINS) if rolls else (0.0,)
     load = s.layout.loaded_mass(s.active) / s.layout.mass(s.active)
-    for side, surplus in ways:
+    for spin, (side, surplus) in product(spins, ways):
         twist = ballistics.topple(
             s.layout.corners(s.active),
             s.center,
@@ -168,7 +174,7 @@ def toppling(s: LaunchContext) -> Launches:
             surplus=surplus * load * (1.3 if s.task.manner == "hard" else 1.0),
         )
         if twist is None:
-            spin = np.asarray(np.cross(UP, side), float)
-            yield [s.thrown(0.3 * side, angular=3.0 * spin, seconds=2.5)]
+            over = np.asarray(np.cross(UP, side), float)
+            yield [s.thrown(0.3 * side, angular=3.0 * over, seconds=2.5)]
         else:
-            yield [s.thrown(twist.linear, angular=twist.angular, seconds=2.5)]
+            yield [s.thrown(twist.linear, angular=twist.angular + spin * UP, seconds=2.5)]
