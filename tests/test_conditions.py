@@ -173,7 +173,7 @@ def test_what_fell_over_rolls_about_its_own_axis(scene: Scene) -> None:
             T[k, :3, :3] = rotation_about([0, 1, 0], over) @ rotation_about([0, 0, 1], own)
         lies, rolled = judge((fallen, rolling), rollout_of(scene, {0: T}), scene)
         assert lies.met and rolled.margin == pytest.approx(turned - 0.75, abs=1e-6)
-        assert one(Rolled(a=0, at_least=0.75), rollout_of(scene, {0: T}), scene).met, "falling is turning across its way"
+        assert one(Rolled(a=0, at_least=0.75), rollout_of(scene, {0: T}), scene).met, "falling turns it too"
 
 
 def test_rocking_to_and_fro_is_not_rolling(scene: Scene) -> None:

@@ -19,9 +19,9 @@ from f3sr.runtime import scene_serialization
 from f3sr.scene import GROUND, Geometry, Photo, Predicate, Relation, Scene, SceneGraph, SceneObject, Support
 from f3sr.scene_package.scene_json import SceneGraphRecord
 from f3sr.stages.relate import Candidate, RelateConfig, describe, forest, relate
-from f3sr.stages.relate.supports import likelihood
 from f3sr.stages.relate.depth_order import INVERSE, SYMMETRIC
 from f3sr.stages.relate.nodes import colours, place
+from f3sr.stages.relate.supports import likelihood
 from f3sr.vision.rasterizer import visible_ids
 from scenes import box
 

@@ -110,8 +110,9 @@ def upright(film: Film, c: Check, before: Before) -> Found:
 
 
 def rolls(film: Film, c: Check, before: Before) -> Found:
-    """It turns forwards as it goes, by ``degrees`` in all, and never rises by more than its own radius. ``lying``: while
-    it leans by 45 degrees and more it turns about what was up in it."""
+    """It turns forwards as it goes, by ``degrees`` in all, and never rises by more than its own radius.
+
+    ``lying``: while it leans by 45 degrees and more it turns about what was up in it."""
     centre, R = film.centre(c["id"]), Rotation.from_matrix(film.T[c["id"]][:, :3, :3])
     steps, turns = np.diff(centre, axis=0), (R[1:] * R[:-1].inv()).as_rotvec()
     if c.get("lying"):
