@@ -150,7 +150,7 @@ def _rolled(c: p.Rolled, seen: Seen, start: float) -> Judged:
         axes = np.array([-y, x, 0.0]) / max(float(np.hypot(x, y)), 1e-12)
     turns = np.array([vector_from_rotation(b @ a.T) for a, b in pairwise(R)])
     turned = np.concatenate([[0.0], np.cumsum(np.where(seen.since(start)[1:], (turns * axes).sum(1), 0.0))])
-    turned = abs(turned) if c.upended else turned
+    turned = np.asarray(np.abs(turned) if c.upended else turned, float)
     return _reached(c, seen, turned, c.at_least, "rad", start, f"{seen.name(c.a)} rolls")
 
 
