@@ -14,7 +14,7 @@ from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, invert_pose, pose, rotation_about, rotation_from_vector
 from f3sr.io import inputs
-from f3sr.metrics.measures import measure
+from f3sr.metrics.measures import full_silhouette, measure
 from f3sr.scene import GROUND, Geometry, Photo, Relation, Scene, SceneGraph, SceneObject, Support
 from f3sr.stages.align import AlignConfig, align
 from f3sr.stages.align.config import FacetConfig, SearchConfig
@@ -23,6 +23,7 @@ from f3sr.stages.decompose import decompose
 from f3sr.stages.evaluate import direct_composition, evaluate
 from f3sr.stages.level import LevelConfig, level
 from f3sr.stages.separate import SeparateConfig, separate
+from f3sr.stages.separate.placement import Placement
 from f3sr.stages.settle import settle
 from f3sr.vision import rasterizer
 from f3sr.vision.occlusion import behind_the_photo, nearer_objects, visible_region
@@ -322,14 +323,31 @@ def test_the_ground_moves_by_no_more_than_the_error_of_its_height(error: float):
     assert all(o.bounds_world[0, 2] == pytest.approx(GAP, abs=1e-5) for o in scene)
 
 
+def matched(scene: Scene) -> Scene:
+    """The scene ten times as fine, with every object's own silhouette as its mask."""
+    camera = scene.camera.resized(640, 480)
+    objects = tuple(replace(o, mask=full_silhouette(o, camera)) for o in scene)
+    return replace(scene, camera=camera, objects=objects, photo=Photo(rgb=np.zeros((480, 640, 3), np.uint8)))
+
+
 def test_moving_along_viewing_rays_changes_no_silhouette():
-    before = overlapping_stack()
-    after, _ = separate(before.with_objects(replace(before[2], T_world_object=pose(t=[0.4, 0, 0.05]))))
-    for o in after.objects[:2]:
-        a, b = (rasterizer.silhouette(s.camera.to_camera(s[o.id].vertices_world), o.mesh.faces, s.camera.K, 64, 48)
-                for s in (before, after))  # fmt: skip
-        assert np.mean(a != b) < 2e-3
-        assert after[o.id].scale != 1
+    before = matched(overlapping_stack())
+    layout = Placement(before)
+    layout.along_rays(tuple(o.id for o in before), 0.96)
+    after = layout.moved_scene()
+    for o in after:
+        assert np.mean(full_silhouette(o, after.camera) != before[o.id].mask) < 1e-4
+        assert o.scale == pytest.approx(0.96 * before[o.id].scale)
+
+
+@pytest.mark.parametrize("missing", [0, 1])
+def test_what_misses_its_mask_moves_rather_than_what_matches_it(missing: int):
+    scene = matched(scene_of(box(0, at=(-0.04, 0, 0.0503)), box(1, at=(0.04, 0, 0.0503))))
+    both = separate(scene)[1].travel
+    assert both[0] == pytest.approx(both[1], rel=0.1)
+    one = scene.with_objects(replace(scene[missing], mask=np.roll(scene[missing].mask, 20, axis=0)))
+    travel = separate(one)[1].travel
+    assert travel[missing] > 5 * travel[1 - missing]
 
 
 def test_what_overlaps_beside_its_main_support_goes_aside_not_up():

@@ -110,13 +110,16 @@ class Placement:
         return self.scale[id] * (self.rotation[id] @ point) + self.shift[id]
 
     def loss(self, id: int) -> Array:
-        """Metric W (3, 3) [1/m2] of the picture: a shift d loses the IoU sqrt(d' W d), less so where little evidence
-        holds the object."""
+        """Metric W (3, 3) [1/m2] of the picture: a shift d loses the IoU sqrt(d' W d)."""
         o = self.scene[id]
-        return self.evidence[id] * loss_matrix(o.mask, self.scene.camera, self.place(id, o.bounds_world.mean(0)))
+        return loss_matrix(o.mask, self.scene.camera, self.place(id, o.bounds_world.mean(0)))
+
+    def picture(self, id: int) -> Array:
+        """``loss`` in the unit of PICTURE_SIGMA: less where the object misses its mask, and so is known badly."""
+        return self.evidence[id] * self.loss(id)
 
     def depth_loss(self, id: int) -> Array:
-        """Metric (3, 3) of the geometry in the unit of ``loss``: rank 1, along the viewing ray."""
+        """Metric (3, 3) of the geometry in the unit of ``picture``: rank 1, along the viewing ray."""
         ray = self.place(id, self.scene[id].bounds_world.mean(0)) - self.scene.camera.center
         known = PICTURE_SIGMA / self.depth_sigma[id] / float(ray @ ray)
         return known**2 * np.outer(ray, ray)

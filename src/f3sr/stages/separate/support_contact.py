@@ -55,7 +55,7 @@ def _aside(layout: Placement, id: int, config: SeparateConfig) -> tuple[Array, f
     1961) starts from the best of some rings, as heights of contact have many minima.
     """
     body, size = layout.bodies[id], layout.scene[id].size
-    metric = (layout.loss(id) + layout.depth_loss(id)) / PICTURE_SIGMA**2
+    metric = (layout.picture(id) + layout.depth_loss(id)) / PICTURE_SIGMA**2
     turns = np.linspace(0, 2 * np.pi, DIRECTIONS, endpoint=False)
     circle = np.stack([np.cos(turns), np.sin(turns)], axis=1)
 
@@ -93,7 +93,7 @@ def _height_variances(layout: Placement, id: int) -> tuple[float, float]:
     Only a body that hangs over its support can lack some of its underside, and only a sensor knows distances better
     than undersides are known.
     """
-    position = PICTURE_SIGMA**2 / max(float(layout.loss(id)[2, 2]), LEAST_LOSS)
+    position = PICTURE_SIGMA**2 / max(float(layout.picture(id)[2, 2]), LEAST_LOSS)
     return position, (UNDERSIDE_SIGMA * layout.scene[id].size) ** 2 if layout.scene.has_measured_depth else 0.0
 
 
