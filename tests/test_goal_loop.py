@@ -76,6 +76,8 @@ MET = {
     "throw the ball at the cereal box": "throw",
     "throw the sponge off the block": "throw",
     "bounce the ball into the cereal box": "bounce",
+    "bounce the can into the cereal box": "bounce",
+    "tip the can over and let it roll": "topple",
     "throw the can 20 cm up and let it fall back": "launch_and_return",
 }
 REFUSED = {
