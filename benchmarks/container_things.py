@@ -13,7 +13,7 @@ from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import Array, rotation_about
 from f3sr.io.mesh_files import load_mesh
 from f3sr.proxies import decompose
-from stress_things import DENSITY, Item, Stage, X, Z, frame, item, turned
+from stress_things import DENSITY, Item, Stage, X, Z, crate, item, turned
 from tabletop.shapes import Shape
 
 OBJECTS = Path(__file__).resolve().parents[2] / "shared" / "data" / "objects"
@@ -95,13 +95,10 @@ def on_plate(rng: np.random.Generator) -> Stage:
 
 
 def in_crate(rng: np.random.Generator) -> Stage:
-    wall, w, h = 0.008, 0.26, 0.09
-    crate = frame(
-        ((w, w, wall), (0, 0, wall / 2)),
-        *(((wall, w, h), (i * (w - wall) / 2, 0, h / 2)) for i in (-1, 1)),
-        *(((w, wall, h), (0, j * (w - wall) / 2, h / 2)) for j in (-1, 1)),
-    )
-    items = [item("crate", crate, (0, 0, 0.001), rng), *contents(GROSS, 3 + int(rng.integers(4)), 0.07, 0.03, rng)]
+    items = [
+        item("crate", crate(0.26, 0.09, wall=0.008), (0, 0, 0.001), rng),
+        *contents(GROSS, 3 + int(rng.integers(4)), 0.07, 0.03, rng),
+    ]
     return Stage(items=items, distance=0.9, height=0.7, seconds=6.0)
 
 

@@ -23,6 +23,7 @@ from f3sr.core.transforms import Array, transform, vector_from_rotation
 from f3sr.io.mesh_files import load_mesh
 from f3sr.scene import SceneObject
 from f3sr.scene_package.package import Package, read_package
+from poses import similarity
 from truth import global_scale
 
 COVERED = (0.85, 0.95)
@@ -116,13 +117,9 @@ def _against_meshes(
     scale = global_scale([p for _, p, _ in pairs], [q for _, _, q in pairs])
     for o, points, _ in pairs:
         true, ours = transform(camera.T_world_camera, points / scale), o.vertices_world
-        a, b = true - true.mean(0), ours - ours.mean(0)
-        U, S, Vt = np.linalg.svd(b.T @ a)
-        signs = np.array([1, 1, np.sign(np.linalg.det(U @ Vt))])
-        # ours ~ growth R true (Umeyama 1991).
-        growth = (S * signs).sum() / (a**2).sum()
-        turn = vector_from_rotation(U * signs @ Vt)
-        yield o, {"middle": ours.mean(0) - true.mean(0), "turn": turn, "size": np.log(growth)}
+        R, growth = similarity(true, ours)
+        off = {"middle": ours.mean(0) - true.mean(0), "turn": vector_from_rotation(R), "size": np.log(growth)}
+        yield o, off
 
 
 def _against_points(

@@ -22,12 +22,12 @@ import process
 import tables
 from f3sr.core.camera import Camera
 from f3sr.core.surface_samples import sample_surface
-from f3sr.core.transforms import UP, Array, transform
+from f3sr.core.transforms import Array
 from f3sr.io.mesh_files import load_mesh
 from f3sr.scene import SceneObject
-from f3sr.vision import rasterizer
+from poses import similarity
 from run import REPO
-from stress_scenes import background, face_normals, object_of
+from stress_scenes import object_of, surfaces
 
 FLIP = np.diag([-1.0, -1.0, 1.0])
 """PyTorch3D camera axes from OpenCV's, and back."""
@@ -85,16 +85,7 @@ def write(folder: Path, made: Path, objects: Path) -> dict[str, float]:
 
 def geometry(objects: list[SceneObject], camera: Camera) -> dict[str, Any]:
     """Points, normals and validity (h, w) of objects and ground at the photo's size."""
-    fragments = rasterizer.render(objects, camera)
-    depth, on_ground = background(camera, FAR)
-    normals = np.broadcast_to(UP, (*depth.shape, 3)).copy()
-    hit = fragments.face >= 0
-    depth[hit], normals[hit] = fragments.depth[hit], face_normals(objects)[fragments.face[hit]]
-    valid = hit | on_ground
-    v, u = np.mgrid[0 : camera.height, 0 : camera.width] + 0.5
-    rays = np.stack([u, v, np.ones_like(u)], -1) @ np.linalg.inv(camera.K).T
-    points = rays * np.where(valid, depth, 1.0)[..., None]
-    normals = normals @ camera.T_camera_world[:3, :3].T
+    points, normals, valid = surfaces(objects, camera, FAR)
     return {"points": points.astype(np.float32), "normal": normals.astype(np.float32), "mask": valid}
 
 
@@ -108,7 +99,7 @@ def _bring_over(entry: dict[str, Any], estimated: Array, K: Array, unit: float) 
 
 def _fitted_to_the_visible(o: SceneObject, asset: Any, camera: Camera) -> float:
     """Distance of the mean surface points of an object and of its asset, as a share of the object's size, when the
-    asset's vertices are fitted to the object's that face the camera (Umeyama 1991)."""
+    asset's vertices are fitted to the object's that face the camera."""
     P, Q = o.vertices_world, np.asarray(asset.vertices, float)
     corners = P[o.mesh.faces]
     outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -116,13 +107,8 @@ def _fitted_to_the_visible(o: SceneObject, asset: Any, camera: Camera) -> float:
     for k in range(3):
         np.add.at(normals, o.mesh.faces[:, k], outward)
     seen = ((P - camera.center) * normals).sum(1) < 0
-    a, b = P[seen].mean(0), Q[seen].mean(0)
-    U, S, Vt = np.linalg.svd((P[seen] - a).T @ (Q[seen] - b))
-    sign = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
-    scale = np.trace(sign @ np.diag(S)) / ((Q[seen] - b) ** 2).sum()
-    T = np.eye(4)
-    T[:3, :3] = U @ sign @ Vt
-    fitted = transform(T, scale * (Q - b)) + a
+    R, scale = similarity(Q[seen], P[seen])
+    fitted = scale * (Q - Q[seen].mean(0)) @ R.T + P[seen].mean(0)
     off = sample_surface(fitted, asset.faces, 1500).mean(0) - sample_surface(P, o.mesh.faces, 1500).mean(0)
     return float(np.linalg.norm(off)) / o.size
 

@@ -34,7 +34,7 @@ def yaw_errors(scene: Scene, folder: Path, objects: Path) -> dict[int, float]:
     for id, model, R_camera_object in _true_turns(folder):
         if model in LABELLED:
             o = scene[id]
-            R_object_asset = _turn(o.mesh.vertices, _mesh(objects / f"{model}.glb").vertices)
+            R_object_asset, _ = similarity(o.mesh.vertices, _mesh(objects / f"{model}.glb").vertices)
             R = scene.camera.T_camera_world[:3, :3] @ o.T_world_object[:3, :3]
             errors[id] = _twist(R @ (R_camera_object @ R_object_asset).T, up)
     return errors
@@ -84,11 +84,13 @@ def _true_turns(folder: Path) -> Iterator[tuple[int, str, Array]]:
             yield int(r["mask"][:2]), r["model"], np.array(r["T_camera_object"])[:3, :3]
 
 
-def _turn(asset: Array, true: Array) -> Array:
-    """The rotation (3, 3) from an asset's axes to its object's, which share their vertices (Kabsch 1976)."""
-    a, b = asset - asset.mean(0), true - true.mean(0)
-    U, _, Vt = np.linalg.svd(b.T @ a)
-    return U @ np.diag([1, 1, np.linalg.det(U @ Vt)]) @ Vt
+def similarity(points: Array, onto: Array) -> tuple[Array, float]:
+    """The rotation R (3, 3) and the scale s for which ``onto`` (n, 3) is nearest to s R ``points`` (n, 3), both about
+    their means (Umeyama 1991)."""
+    a, b = points - points.mean(0), onto - onto.mean(0)
+    U, S, Vt = np.linalg.svd(b.T @ a)
+    signs = np.array([1, 1, np.sign(np.linalg.det(U @ Vt))])
+    return U * signs @ Vt, float((S * signs).sum() / (a**2).sum())
 
 
 def _twist(R: Array, axis: Array) -> float:

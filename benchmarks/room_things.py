@@ -11,7 +11,7 @@ import numpy as np
 
 from container_things import scan, scanned
 from f3sr.core.transforms import Array
-from stress_things import Item, Stage, ball, brick, chair, frame, item, turned
+from stress_things import Item, Stage, ball, brick, chair, crate, frame, item, turned
 from tabletop import shapes
 from tabletop.shapes import Shape
 
@@ -127,7 +127,7 @@ def storeroom(rng: np.random.Generator) -> Stage:
     stuff.put_scan("canister", "ycb_bleach_cleanser", (-0.85, -0.6), factor=1.7, yaw=stuff.any_yaw())
     stuff.put("carton", brick((0.42, 0.36, 0.3)), (0.98, -0.1), yaw=rng.uniform(-20, 20))
     stuff.put("small_carton", brick((0.32, 0.3, 0.22)), (0.98, -0.1), 0.304, yaw=rng.uniform(-30, 30), jitter=0.02)
-    stuff.put("crate", crate(0.4, 0.22), (0.3, -0.75), yaw=rng.uniform(-25, 25), jitter=0)
+    stuff.put("crate", crate(0.4, 0.22, wall=0.02), (0.3, -0.75), yaw=rng.uniform(-25, 25), jitter=0)
     stuff.put("ball", ball(0.1), (0.3, -0.75), 0.025, is_round=True, jitter=0.01)
     stuff.put("bucket", trash_bin(0.14, 0.26), (-0.35, -0.7))
     stuff.put_scan("hammer", "ycb_hammer", (0.85, -0.7), factor=1.2, yaw=stuff.any_yaw())
@@ -202,15 +202,6 @@ def bed() -> Shape:
 def stool() -> Shape:
     legs = [((0.04, 0.04, 0.45), (i * 0.13, j * 0.13, 0.225)) for i in (-1, 1) for j in (-1, 1)]
     return frame(((0.34, 0.34, 0.035), (0, 0, 0.4675)), *legs)
-
-
-def crate(width: float, height: float) -> Shape:
-    wall = 0.02
-    return frame(
-        ((width, width, wall), (0, 0, wall / 2)),
-        *(((wall, width, height), (i * (width - wall) / 2, 0, height / 2)) for i in (-1, 1)),
-        *(((width, wall, height), (0, j * (width - wall) / 2, height / 2)) for j in (-1, 1)),
-    )
 
 
 def microwave() -> Shape:

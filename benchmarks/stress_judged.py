@@ -89,7 +89,8 @@ def fallen(scene: Scene, true: Mapping[str, Any], objects: Path) -> list[int]:
         mesh = load_mesh(objects / f"{record['model']}.glb")
         R_true = T_camera_world[:3, :3] @ np.array(record["T_world_object"])[:3, :3]
         R_ours = scene.camera.T_camera_world[:3, :3] @ o.T_world_object[:3, :3]
-        R = R_ours @ poses._turn(o.mesh.vertices, mesh.vertices).T @ R_true.T
+        R_object_asset, _ = poses.similarity(o.mesh.vertices, mesh.vertices)
+        R = R_ours @ R_object_asset.T @ R_true.T
         up = scene.camera.T_camera_world[:3, 2]
         if np.degrees(np.arccos(np.clip(up @ R @ up, -1, 1))) > FALLEN:
             found.append(o.id)

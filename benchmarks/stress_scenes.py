@@ -183,17 +183,21 @@ def write_geometry(
 ) -> None:
     """A point map with normals at half size, as wrong as a network's."""
     small = camera.resized(WIDTH // 2, HEIGHT // 2)
-    fragments = rasterizer.render(objects, small)
-    depth, on_floor = background(small, wall_behind(objects))
+    points, normals, _ = surfaces(objects, small, wall_behind(objects))
+    np.savez_compressed(folder / "geometry.npz", **degrade.geometry(points, normals, small, damage, rng))
+
+
+def surfaces(objects: Sequence[SceneObject], camera: Camera, wall: float) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Points and normals (h, w, 3) in camera axes of objects, floor and wall, and what is not the wall."""
+    fragments = rasterizer.render(objects, camera)
+    depth, on_floor = background(camera, wall)
     normals = np.where(on_floor[..., None], UP, [0.0, -1, 0])
     hit = fragments.face >= 0
     depth[hit] = fragments.depth[hit]
     normals[hit] = face_normals(objects)[fragments.face[hit]]
-    v, u = np.mgrid[0 : small.height, 0 : small.width] + 0.5
-    rays = np.stack([u, v, np.ones_like(u)], -1) @ np.linalg.inv(small.K).T
-    normals = normals @ small.T_camera_world[:3, :3].T
-    arrays = degrade.geometry(rays * depth[..., None], normals, small, damage, rng)
-    np.savez_compressed(folder / "geometry.npz", **arrays)
+    v, u = np.mgrid[0 : camera.height, 0 : camera.width] + 0.5
+    rays = np.stack([u, v, np.ones_like(u)], -1) @ np.linalg.inv(camera.K).T
+    return rays * depth[..., None], normals @ camera.T_camera_world[:3, :3].T, hit | on_floor
 
 
 def face_normals(objects: Sequence[SceneObject]) -> Array:

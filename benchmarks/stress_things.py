@@ -79,6 +79,16 @@ def frame(*boxes: tuple[Sequence[float], Sequence[float]]) -> Shape:
     return Shape(solid=joined, parts=tuple(shapes.vertices(s) for s in solids))
 
 
+def crate(width: float, height: float, *, wall: float) -> Shape:
+    """A square open box, its floor and walls a convex part each."""
+    w, h = width, height
+    return frame(
+        ((w, w, wall), (0, 0, wall / 2)),
+        *(((wall, w, h), (i * (w - wall) / 2, 0, h / 2)) for i in (-1, 1)),
+        *(((w, wall, h), (0, j * (w - wall) / 2, h / 2)) for j in (-1, 1)),
+    )
+
+
 def ball(radius: float) -> Shape:
     return shapes.convex(mf.Manifold.sphere(radius, 48).translate([0, 0, radius]))
 
@@ -249,14 +259,8 @@ def shelf(rng: np.random.Generator) -> Stage:
         for x in (-0.28, 0.18):
             size = (rng.uniform(0.2, 0.3), 0.24, rng.uniform(0.12, 0.25))
             items.append(item("box", brick(size), (x + rng.uniform(-0.03, 0.03), -0.03, z), rng))
-    wall, w = 0.02, 0.4
-    crate = frame(
-        ((w, w, wall), (0, 0, wall / 2)),
-        *(((wall, w, 0.25), (i * (w - wall) / 2, 0, 0.125)) for i in (-1, 1)),
-        *(((w, wall, 0.25), (0, j * (w - wall) / 2, 0.125)) for j in (-1, 1)),
-    )
     items += [
-        item("crate", crate, (0.95, -0.2, 0.001), rng, R=turned(15)),
+        item("crate", crate(0.4, 0.25, wall=0.02), (0.95, -0.2, 0.001), rng, R=turned(15)),
         item("ball", ball(0.11), (0.95, -0.2, 0.023), rng, round=True),
         item("carton", brick((0.4, 0.35, 0.3)), (-0.95, -0.25, 0.001), rng, R=turned(-10)),
         item("carton", brick((0.35, 0.3, 0.25)), (-0.93, -0.24, 0.303), rng, R=turned(12)),

@@ -340,6 +340,15 @@ def test_moving_along_viewing_rays_changes_no_silhouette():
         assert o.scale == pytest.approx(0.96 * before[o.id].scale)
 
 
+def test_what_sinks_into_its_support_comes_out_along_viewing_rays():
+    low, up = box(0, size=(0.2, 0.2, 0.1), at=(0, 0, 0.045)), box(1, size=(0.08, 0.08, 0.08), at=(0.01, 0, 0.125))
+    before = matched(scene_of(low, replace(up, supported_by=0, supports=(Support(id=0),))))
+    after, _ = separate(before)
+    for o in after:
+        assert np.mean(full_silhouette(o, after.camera) != before[o.id].mask) < 2e-3
+    assert after[1].scale != 1
+
+
 @pytest.mark.parametrize("missing", [0, 1])
 def test_what_misses_its_mask_moves_rather_than_what_matches_it(missing: int):
     scene = matched(scene_of(box(0, at=(-0.04, 0, 0.0503)), box(1, at=(0.04, 0, 0.0503))))

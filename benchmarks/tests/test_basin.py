@@ -73,4 +73,4 @@ def test_the_turn_of_a_bent_copy_is_found() -> None:
     true = rng.normal(size=(200, 3)) * [1, 2, 3]
     R = rotation_about([1, 2, 3], 2.0)
     asset = 0.3 * (true + 0.02 * rng.normal(size=true.shape)) @ R + 5
-    assert rotation_angle(poses._turn(asset, true) @ R.T) < 0.02
+    assert rotation_angle(poses.similarity(asset, true)[0] @ R.T) < 0.02
