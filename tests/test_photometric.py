@@ -28,4 +28,4 @@ def test_the_flow_is_the_projection_s_derivative() -> None:
     for v, flow in zip(velocities, found, strict=True):
         step = h * (points @ v[:, :3].T + v[:, 3])
         expected = (projected(points + step) - projected(points - step)) / (2 * h)
-        assert np.allclose(flow, expected, atol=1e-3 * np.abs(expected).max())
+        assert np.allclose(flow.T, expected, atol=1e-3 * np.abs(expected).max())

@@ -45,7 +45,7 @@ class Appearance:
         rendered, both, _ = self._rendered(o)
         if np.count_nonzero(both) < ENOUGH:
             return 0.0
-        return float((_unit(self.detail[both]) * _unit(rendered[both])).sum())
+        return float((_unit(self.detail, both)[0] * _unit(rendered, both)[0]).sum())
 
     def mismatch(self, o: SceneObject, velocities: Array) -> Local:
         """1 - correlation, with derivatives by parameters that move the surface by ``velocities`` (p, 3, 4).
@@ -58,17 +58,17 @@ class Appearance:
         p = len(velocities)
         if np.count_nonzero(both) < ENOUGH:
             return Local(value=1.0, gradient=np.zeros(p), curvature=np.zeros((p, p)))
-        a, norm = _unit(self.detail[both]), _length(rendered[both])
-        b = _unit(rendered[both])
+        a, _ = _unit(self.detail, both)
+        b, norm = _unit(rendered, both)
         flow = _flow(np.argwhere(both), depth[both], self.camera.K, velocities)
         # At the border of the compared region central differences would read what is not compared: there the change is
         # 0.
         inside = _inner(both)[both]
-        dy, dx = (np.gradient(rendered, axis=k)[both] * inside[:, None] for k in (0, 1))
-        # Brightness constancy: (p, n, 3), how each pixel's colour changes per parameter, over the render's length.
-        change = -(flow[:, :, 0, None] * dx + flow[:, :, 1, None] * dy) / norm
+        dy, dx = (np.gradient(rendered, axis=k)[both].T * inside for k in (0, 1))
+        # Brightness constancy: (p, 3, n), how each pixel's colour changes per parameter, over the render's length.
+        change = -(flow[:, :1] * dx + flow[:, 1:] * dy) / norm
         # b keeps mean 0 and length 1 whatever moves: what a change has along either is taken off.
-        change -= change.mean(1, keepdims=True)
+        change -= change.mean(2, keepdims=True)
         change = change.reshape(p, -1)
         flat = b.reshape(-1)
         change -= np.outer(change @ flat, flat)
@@ -87,7 +87,7 @@ class Appearance:
 
 
 def _flow(pixels: NDArray[np.int64], depth: Array, K: Array, velocities: Array) -> Array:
-    """(p, n, 2) [px]: how the surface seen at pixels (n, 2), row and column, at some depths (n,) moves in the image."""
+    """(p, 2, n) [px]: how the surface seen at pixels (n, 2), row and column, at some depths (n,) moves in the image."""
     y, x = pixels.T + 0.5
     Y = (y - K[1, 2]) / K[1, 1]
     X = (x - K[0, 2] - K[0, 1] * Y) / K[0, 0]
@@ -96,16 +96,15 @@ def _flow(pixels: NDArray[np.int64], depth: Array, K: Array, velocities: Array) 
     d = velocities @ points
     # Quotient rule of X / z and Y / z; then K, whose third column has no part in a difference.
     u, v = (d[:, 0] - X * d[:, 2]) / depth, (d[:, 1] - Y * d[:, 2]) / depth
-    return np.stack([K[0, 0] * u + K[0, 1] * v, K[1, 1] * v], axis=-1)
+    return np.stack([K[0, 0] * u + K[0, 1] * v, K[1, 1] * v], axis=1)
 
 
-def _unit(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Pixels' colours (n, 3) without their mean, together of length 1."""
-    return (values - values.mean(0)) / _length(values)
-
-
-def _length(values: NDArray[np.float32]) -> float:
-    return max(float(np.linalg.norm(values - values.mean(0))), 1e-9)
+def _unit(detail: NDArray[np.float32], where: Mask) -> tuple[NDArray[np.float32], float]:
+    """Colours (3, n) of some pixels without their mean, together of length 1; and the length that they had."""
+    colours = np.ascontiguousarray(detail[where].T)
+    colours -= colours.mean(1, keepdims=True)
+    length = max(float(np.linalg.norm(colours)), 1e-9)
+    return colours / length, length
 
 
 def _inner(where: Mask) -> Mask:
@@ -116,8 +115,13 @@ def _inner(where: Mask) -> Mask:
 
 
 def _detail(rgb: NDArray[np.float32], where: Mask) -> NDArray[np.float32]:
-    """Colours between two blurs, each over the given pixels only."""
-    return _blurred(rgb, where, FINE) - _blurred(rgb, where, COARSE)
+    """Colours between two blurs, each over the given pixels only; 0 elsewhere."""
+    from scipy.ndimage import find_objects
+
+    detail = np.zeros_like(rgb)
+    for box in find_objects(where.astype(np.uint8)):
+        detail[box] = _blurred(rgb[box], where[box], FINE) - _blurred(rgb[box], where[box], COARSE)
+    return detail
 
 
 def _blurred(rgb: NDArray[np.float32], where: Mask, sigma: float) -> NDArray[np.float32]:

@@ -132,6 +132,10 @@ class Surface:
         points = camera.to_camera(self.vertices)
         return rasterizer.silhouette(points, self.faces, camera.K, camera.width, camera.height)
 
+    def sums(self, camera: Camera, fields: silhouette_integrals.Fields) -> Array:
+        """(5,) ``silhouette_integrals.of_pixels`` over the silhouette."""
+        return silhouette_integrals.of_pixels(self.silhouette(camera), fields)
+
     def integrals(self, camera: Camera, fields: silhouette_integrals.Fields, velocities: Array) -> Integrals:
         """``silhouette_integrals.integrate`` over the silhouette; ``velocities`` (p, 3, 4) in camera axes."""
         points = camera.to_camera(self.vertices)
@@ -146,23 +150,35 @@ def loss(integrals: Integrals, target: Target) -> Local:
 
     With zero weights of centroid and area it is equation 7. These two terms have Gauss-Newton curvatures."""
     F, G, weights = integrals.value, integrals.gradient, target.weights
+    area, offset, ratio = _area_offset_ratio(F, target)
     # Centroid and area of the visible silhouette are ratios of its integrals; derivatives follow the quotient rule.
-    area = max(float(F[VALID]), 1.0)
     middle = F[[MOMENT_X, MOMENT_Y]] / area
-    side = max(target.mask.shape)
-    offset = (middle - target.centroid) / side
-    d_offset = (G[[MOMENT_X, MOMENT_Y]] - np.outer(middle, G[VALID])) / (area * side)
-    # The logarithm treats twice and half the area alike.
-    ratio, d_ratio = np.log(area / target.area), G[VALID] / area
+    d_offset = (G[[MOMENT_X, MOMENT_Y]] - np.outer(middle, G[VALID])) / (area * max(target.mask.shape))
+    d_ratio = G[VALID] / area
     lambda_c, lambda_a = weights.centroid, weights.area
     return Local(
-        # |S xor mask| = area + the sum over S of (1 - 2 mask): divided by the mask's area, its constant part is 1.
-        value=1 + float(F[MISMATCH]) / target.area + lambda_c * float(offset @ offset) + lambda_a * float(ratio**2),
+        value=loss_value(F, target),
         gradient=G[MISMATCH] / target.area + 2 * lambda_c * offset @ d_offset + 2 * lambda_a * ratio * d_ratio,
         curvature=integrals.curvature / target.area
         + 2 * lambda_c * d_offset.T @ d_offset
         + 2 * lambda_a * np.outer(d_ratio, d_ratio),
     )
+
+
+def loss_value(F: Array, target: Target) -> float:
+    """Equation 9 without its priors, of integrals (5,) over a silhouette."""
+    _, offset, ratio = _area_offset_ratio(F, target)
+    lambda_c, lambda_a = target.weights.centroid, target.weights.area
+    # |S xor mask| = area + the sum over S of (1 - 2 mask): divided by the mask's area, its constant part is 1.
+    return 1 + float(F[MISMATCH]) / target.area + lambda_c * float(offset @ offset) + lambda_a * float(ratio**2)
+
+
+def _area_offset_ratio(F: Array, target: Target) -> tuple[float, Array, float]:
+    """Of a silhouette with integrals (5,): its visible area [px], the offset (2,) of its centroid over the window's
+    longer side, and the logarithm of the ratio of areas, which treats twice and half the area alike."""
+    area = max(float(F[VALID]), 1.0)
+    offset = (F[[MOMENT_X, MOMENT_Y]] / area - target.centroid) / max(target.mask.shape)
+    return area, offset, float(np.log(area / target.area))
 
 
 def centroid(mask: Mask) -> Array:

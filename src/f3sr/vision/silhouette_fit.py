@@ -13,7 +13,7 @@ from f3sr.core.transforms import Array
 from f3sr.scene import SceneObject
 from f3sr.vision.crop import sampled, window_around
 from f3sr.vision.motion_params import CameraFreedom, ObjectFreedom
-from f3sr.vision.silhouette import LossWeights, Mask, Surface, Target, iou, loss
+from f3sr.vision.silhouette import LossWeights, Mask, Surface, Target, iou, loss, loss_value
 from f3sr.vision.silhouette_integrals import MOMENT_X, MOMENT_Y, VALID, Integrals
 
 EQUATION_8 = np.array([1, 1, 1, 0, 0, 1.0])
@@ -60,10 +60,18 @@ class ObjectFit:
         """Equation 9 at parameters u (6,), with derivatives by u: the prior is the sum of ``prior`` u^2."""
         return loss(self.integrals(u), self.target).plus_squares(self.prior, u)
 
+    def value(self, u: Array) -> float:
+        """Equation 9 at parameters u (6,) to whole pixels, in a third of the time of ``objective``."""
+        return loss_value(self._sums(u), self.target) + float(self.prior @ u**2)
+
+    def _sums(self, u: Array) -> Array:
+        """(5,) over the pixels of the silhouette."""
+        return self.shown(u).sums(self.camera, self.target.fields)
+
     def best(self, yaws: Iterable[float], *, kept: int, iterations: int) -> Minimum:
         """The best of the seeds with these yaws [rad] and of where the object is, the first ``kept`` refined."""
         starts = [np.zeros(6), *(self.seed(yaw) for yaw in yaws)]
-        values = [self.objective(u).value for u in starts]
+        values = [self.value(u) for u in starts]
         ranked = [starts[k] for k in np.argsort(values, kind="stable")]
         refined = [self.refined(u, iterations=iterations // 2) for u in ranked[:kept]]
         return self.refined(min(refined, key=lambda m: m.value).x, iterations=iterations)
@@ -78,7 +86,7 @@ class ObjectFit:
         # ``basis``.
         pixels_per_shift = self.camera.K[:2, :2] @ (self.camera.T_camera_world[:3, :3] @ self.freedom.basis)[:2] / depth
         for _ in range(SEED_STEPS):
-            found = self.integrals(u).value
+            found = self._sums(u)
             area = found[VALID]
             if area < SMALLEST_AREA:
                 break

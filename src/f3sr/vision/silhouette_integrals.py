@@ -64,6 +64,13 @@ def unique_edges(faces: NDArray[np.int32]) -> NDArray[np.int32]:
     return np.column_stack(np.divmod(np.unique(pairs[:, 0] * base + pairs[:, 1]), base)).astype(np.int32)
 
 
+def of_pixels(mask: NDArray[np.bool_], fields: Fields) -> Array:
+    """The integrals (5,) over the pixels of a mask (h, w), without what its outline covers of other pixels."""
+    value = np.zeros(5)
+    _sum_inside(np.ascontiguousarray(mask), *map(np.ascontiguousarray, (fields.valid, fields.mismatch)), value)
+    return value
+
+
 def integrate(
     points_camera: Array,
     edges: NDArray[np.int32],
@@ -87,8 +94,11 @@ def integrate(
     pixels, inverse_depth = np.empty((len(points_camera), 2)), np.empty(len(points_camera))
     _project(points_camera, matrix, near, pixels, inverse_depth)
     edges = _at_outline(pixels, inverse_depth, edges, mask)
-    value, gradient, curvature = np.zeros(5), np.zeros((5, len(velocities))), np.zeros((len(velocities),) * 2)
-    _sum_inside(mask, valid, mismatch, value)
+    value, gradient, curvature = (
+        of_pixels(mask, fields),
+        np.zeros((5, len(velocities))),
+        np.zeros((len(velocities),) * 2),
+    )
     # Rows of pixel centres see the part |n_x| ds of the outline, columns the part |n_y| ds.
     for upright in (False, True):
         outline = _outline(pixels, inverse_depth, edges, mask, upright=upright)

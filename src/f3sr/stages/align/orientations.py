@@ -76,7 +76,7 @@ def _tried(o: SceneObject, fit: ObjectFit, R: Array) -> Orientation:
     T = turn_about(o.bounds_world.mean(0), R)
     turned = _turned(fit, T)
     u = turned.seed(0.0)
-    return Orientation(T=T, u=u, value=turned.objective(u).value)
+    return Orientation(T=T, u=u, value=turned.value(u))
 
 
 def _refined(fit: ObjectFit, found: Orientation, config: OrientationConfig) -> Orientation:
