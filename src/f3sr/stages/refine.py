@@ -104,15 +104,25 @@ def refine(
         tried = stood_up(state.scene, toppled, start=upright, moving=moving)
         state, decision, _ = _better(state, tried, toppled, step, config)
         decisions.append(decision)
-    for k in range(RETURNS):
-        if not (lost := _lost(state, aligned, config.contact)):
-            break
-        step = f"placed again {'near' if k else 'from'} where the photo shows object {_named(sorted(lost))}"
-        start = _as_seen(state.scene, aligned, lost, attempt=k)
-        tried = replaced(state.scene, sorted(lost), start=start, moving=lost)
-        state, decision, _ = _better(state, tried, sorted(lost), step, config)
-        decisions.append(decision)
-    open = [o.id for o in state.scene]
+    came = state
+    state, told = _rounds(came, [o.id for o in came.scene], realigned, config)
+    decisions += told
+    lost = sorted(_lost(state, aligned, config.contact))
+    placed, told = _placed_again(came, lost, aligned, replaced, config)
+    decisions += told
+    if placed is not came:
+        placed, told = _rounds(placed, lost, realigned, config)
+        step = f"placed again and then re-aligned object {_named(lost)}"
+        state, decision, _ = _better(state, placed, lost, step, config)
+        decisions += [*told, decision]
+    return state.scene, Refined(seen=(before, state.seen), decisions=tuple(decisions))
+
+
+def _rounds(
+    state: SettledScene, ids: Sequence[int], realigned: Retried, config: RefineConfig
+) -> tuple[SettledScene, list[Decision]]:
+    """Some objects re-aligned, then those that gained again, until none does."""
+    open, decisions = list(ids), list[Decision]()
     for _ in range(config.rounds):
         if not open:
             break
@@ -126,7 +136,23 @@ def refine(
             for id in g
         }
         open = [id for id in open if id in gained and state.scores[id] > was[id] + AGAIN]
-    return state.scene, Refined(seen=(before, state.seen), decisions=tuple(decisions))
+    return state, decisions
+
+
+def _placed_again(
+    state: SettledScene, ids: Sequence[int], aligned: Scene, replaced: Restarted, config: RefineConfig
+) -> tuple[SettledScene, list[Decision]]:
+    """Some objects where contact leads them from other starts near their masks: the best of all."""
+    decisions: list[Decision] = []
+    for k in range(RETURNS):
+        if not (ids := sorted(_lost(state, aligned, config.contact).intersection(ids))):
+            break
+        step = f"placed again {'near' if k else 'from'} where the photo shows object {_named(ids)}"
+        start = _as_seen(state.scene, aligned, ids, attempt=k)
+        tried = replaced(state.scene, ids, start=start, moving=frozenset(ids))
+        state, decision, _ = _better(state, tried, ids, step, config)
+        decisions.append(decision)
+    return state, decisions
 
 
 def _lost(state: SettledScene, aligned: Scene, contact: ContactMargin) -> frozenset[int]:
