@@ -140,6 +140,26 @@ def test_a_group_that_contact_moved_off_its_masks_is_placed_again_until_it_meets
             assert o.bounds_world.mean(0) - eye == pytest.approx(o.scale * (there.bounds_world.mean(0) - eye))
 
 
+@pytest.mark.parametrize("leads", ["from where it rests", "from where it is placed again"])
+def test_re_alignment_starts_from_both_places_and_the_better_end_is_kept(touching: Scene, leads: str):
+    """Placing again halves the loss; one of the two starts leads on to the masks, the other nowhere."""
+    start, halved = (shifted(touching, {0: x, 1: x}) for x in (0.06, 0.03))
+    far = leads == "from where it rests"
+
+    def replaced(_: Scene, __: Collection[int], **_others: object) -> SettledScene:
+        return SettledScene(scene=halved, restless=frozenset())
+
+    def realigned(scene: Scene, _: Collection[int]) -> SettledScene:
+        is_far = np.array_equal(scene[0].T_world_object, start[0].T_world_object)
+        return SettledScene(scene=touching if is_far == far else scene, restless=frozenset())
+
+    after, outcome = refine(
+        start, ONCE, aligned=touching, parted=start, stood_up=replaced, replaced=replaced, realigned=realigned
+    )
+    assert all(np.array_equal(after[k].T_world_object, touching[k].T_world_object) for k in (0, 1))
+    assert any("placed again" in d.choice for d in outcome.decisions) != far
+
+
 def test_what_stands_alone_or_loses_little_by_contact_is_not_placed_again(seen: Scene, touching: Scene):
     def never(*_: object, **_others: object) -> SettledScene:
         raise AssertionError
