@@ -82,7 +82,21 @@ UNDERSTOOD = {
     "move the object on the far right to the left": asked("slide", "object on right", None, "left"),
     "slide the plate 1½ m left": asked("slide", "plate", None, "left", amount=cm(150)),
     "push the plate 1 1/2 ft left": asked("slide", "plate", None, "left", amount=cm(45.72)),
-    "push the can until it falls over": asked("slide", "can", outcome=WantedOutcome(what="topple", whose="active")),
+    "push the can until it falls over": asked("topple", "can"),
+    "hit the can so it winds up on its side": asked("topple", "can"),
+    "push the can hard enough that it no longer stands": asked("topple", "can", manner="hard"),
+    "tip the can over so that it ends up lying on the table": asked(
+        "topple", "can", outcome=WantedOutcome(what="grounded", whose="active")
+    ),
+    "push the can to the left without it falling over": asked(
+        "slide", "can", None, "left", outcome=WantedOutcome(what="upright", whose="active")
+    ),
+    "push the can to the left and let it come to a stop": asked(
+        "slide", "can", None, "left", outcome=WantedOutcome(what="rest", whose="active")
+    ),
+    "push the mug until it leaves the book": asked("slide", "mug", ("off", "book")),
+    "toss the ball so that it ends up in the bowl": asked("throw", "ball", ("into", "bowl")),
+    "drop the ball so that it comes to rest on the box": asked("drop", "ball", ("onto", "box")),
     "drag the bowl closer to me": asked("slide", "bowl", None, "towards"),
     "push me the mug": asked("slide", "mug", None, "towards"),
     "push the bottle towards the back of the table": asked("slide", "bottle", None, "away"),

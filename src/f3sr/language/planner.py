@@ -18,7 +18,7 @@ from f3sr.language.grammar.lexicon import Direction
 from f3sr.language.grammar.normaliser import spoken
 from f3sr.language.grammar.parser import understand
 from f3sr.language.grammar.quantities import Amount
-from f3sr.language.grammar.request import Request
+from f3sr.language.grammar.request import Request, What
 from f3sr.language.object_queries import world_vector
 from f3sr.language.reference_resolution import names, resolve_request
 from f3sr.language.success_conditions import Meant
@@ -35,10 +35,10 @@ FAR_ENOUGH: dict[Kind, float] = {
     "launch_and_return": 1.5,
 }
 """How far or how high something goes where no words say so, in its own sizes: to be seen, and to stay in the photo."""
-VAGUE = {"slightly": 0.25, "far": 2.5}
+VAGUE = {"slightly": 0.3, "far": 2.5}
 MANNER = {"gently": 0.7, "hard": 1.4}
 """What such words make of that."""
-LEAST = 0.25
+LEAST = 0.3
 """Least way in the object's sizes, where the photo or a neighbour leaves less."""
 FARTHEST = 3.0
 """Diagonals of the scene that anything is to go at most."""
@@ -52,6 +52,8 @@ SIDES: tuple[tuple[Direction, ...], ...] = (
     ("towards", "right"),
     ("towards", "left"),
 )
+ENDS: dict[What, str] = {"upright": "stays upright", "grounded": "ends on the ground"}
+"""How outcomes are said that are no verbs."""
 SAID: dict[Direction, str] = {
     "left": "to the left",
     "right": "to the right",
@@ -112,7 +114,8 @@ def _interpretation(meant: Meant, called: dict[int, str]) -> str:
     if meant.asked:
         words.append(f"by {meant.amount:.3g} m")
     if r.outcome:
-        words.append(f"so that {'it' if r.outcome.whose == 'active' else 'the other'} {r.outcome.what}s")
+        whose = "it" if r.outcome.whose == "active" else "the other"
+        words.append(f"so that {whose} {ENDS.get(r.outcome.what, f'{r.outcome.what}s')}")
     return " ".join(words)
 
 

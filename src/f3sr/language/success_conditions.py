@@ -253,6 +253,7 @@ CONDITION_OF: Mapping[What, type[p.Condition]] = {
     "roll": p.Rolled,
     "bounce": p.Bounced,
     "return": p.Returned,
+    "rest": p.AtRest,
 }
 """The condition that an outcome in words asks for; one of its kind is enough."""
 
@@ -280,6 +281,12 @@ def _outcome(m: Meant, layout: SceneLayout, before: Sequence[p.Condition], moves
             return (p.Bounced(a=id, b=GROUND if m.target is None else m.target, at_least=0.1 * layout.size(id)),)
         case "return":
             return (p.Returned(a=id, to_within=layout.size(id)),)
+        case "upright":
+            return (p.Upright(a=id),)
+        case "grounded":
+            return (p.On(a=id, b=GROUND),)
+        case "rest":
+            return (p.AtRest(a=id),)
 
 
 def _target(m: Meant) -> int:

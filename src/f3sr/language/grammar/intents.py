@@ -142,6 +142,8 @@ def _of_family(c: Clause, *, let: bool) -> Request:
             return _request("bounce", c)
         case "fall":
             return _fallen(c, let=let, off=preposition == "off")
+        case "stay" | "rest":
+            refuse("verb", f"{quoted(c.verb)} asks for no motion; accepted: 'push the cup left and let it rest'")
         case "return":
             refuse("verb", f"{quoted(c.verb)} alone is no goal; accepted: 'throw the ball up and let it fall back'")
 

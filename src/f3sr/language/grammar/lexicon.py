@@ -28,8 +28,9 @@ EDGE = r"(?!(?<=\w)\w)"
 """Not inside a word."""
 
 Family = Literal[
-    "tip", "push", "pull", "hit", "collide", "roll", "drop", "put", "lift", "throw", "jump", "bounce", "fall", "return"
-]
+    "tip", "push", "pull", "hit", "collide", "roll", "drop", "put", "lift", "throw", "jump", "bounce", "fall", "return",
+    "stay", "rest",
+]  # fmt: skip
 """What a verb does to its object; the grammar reads all verbs of a family alike."""
 Axis = Literal["left", "right", "front", "back", "upper", "lower", "middle", "big", "small", "tall", "short", "long"]
 """What objects may be ordered by."""
@@ -134,6 +135,7 @@ class Lexicon(BaseModel):
     nobody: WordSet
     fillers: WordSet
     joints: WordSet
+    results: Rules
     idioms: Rules
     spellings: Rules
     # refused.toml

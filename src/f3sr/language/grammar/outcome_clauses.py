@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from f3sr.goals.plan import Kind
 from f3sr.language.grammar.clauses import Clause, refuse_several
-from f3sr.language.grammar.lexicon import Family
+from f3sr.language.grammar.lexicon import Family, lexicon
 from f3sr.language.grammar.request import Preposition, Request, WantedOutcome, What
 
 IT = {"", "it", "itself", "them"}
@@ -19,6 +19,8 @@ OUTCOMES: dict[Family, What] = {
     "roll": "roll",
     "bounce": "bounce",
     "return": "return",
+    "stay": "upright",
+    "rest": "rest",
 }
 """What a further clause's verb says of how it ends."""
 
@@ -28,6 +30,10 @@ def continued(r: Request, c: Clause) -> Request:
     NotUnderstoodError where the clause is a goal of its own."""
     if (struck := _struck(c)) and r.target is None and _whose(c.subject, r) == "active":
         return _with_target(r, "onto" if r.kind in ("drop", "lift_and_drop") else "into", struck)
+    if c.family == "stay" and c.object == "upright":
+        c = replace(c, object="")
+    if _whose(c.subject, r) in ("active", "either") and _lands_on_ground(c, r):
+        return replace(r, outcome=WantedOutcome(what="grounded", whose="active"))
     whose = _whose(c.subject or c.object, r)
     if set(c.directions) - {"up", "down", *r.direction}:
         refuse_several()
@@ -42,7 +48,17 @@ def continued(r: Request, c: Clause) -> Request:
         refuse_several()
     if whose == "either":
         whose = "target" if what in ("topple", "move") and r.kind != "topple" else "active"
+    if what == "topple" and whose == "active" and r.kind == "slide" and r.target is None:
+        # Pushed until it falls over: it is tipped, and need not slide.
+        return replace(r, kind="topple")
     return replace(r, outcome=WantedOutcome(what=what, whose="target" if whose == "target" else "active"))
+
+
+def _lands_on_ground(c: Clause, r: Request) -> bool:
+    """``knock it off the book so that it ends up on the table``: where it ends, of what is not thrown there."""
+    targets = c.targets or [("onto", c.object.removeprefix("on "))]
+    landing = c.verb == "land" and not c.over and r.kind in ("topple", "slide", "push_into", "roll")
+    return landing and targets[0][0] == "onto" and targets[0][1] in lexicon().ground
 
 
 def _fallen_back(r: Request, c: Clause) -> Request:

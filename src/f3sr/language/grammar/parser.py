@@ -37,7 +37,7 @@ def understand(text: str) -> Request | Refusal:
 
 
 def _understood(text: str) -> Request:
-    words = plain(text)
+    words = rewritten(plain(text), lexicon().results)
     _screen(words.split())
     words, amount = amount_in(rewritten(_bare(words), lexicon().idioms))
     words, manner = manner_in(words)

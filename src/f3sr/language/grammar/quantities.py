@@ -75,7 +75,10 @@ def _taken(words: str, meanings: Mapping[Meaning, Sequence[str]]) -> tuple[str, 
     found: list[Meaning] = []
     for meaning, patterns in meanings.items():
         said = rf"\b(?:{'|'.join(patterns)})\b"
-        for pattern in (rf"\b(?=\w+ly\b){said}", rf"(?<!\bthe )(?<!\bon )(?<!\bat ){said}{after}"):
+        for pattern in (
+            rf"\b(?=(?:as |very |really )?\w+ly\b){said}",
+            rf"(?<!\bthe )(?<!\bon )(?<!\bat ){said}{after}",
+        ):
             words, times = re.subn(pattern, GONE, words)
             found += [meaning] * times
     return words, found

@@ -10,7 +10,7 @@ from f3sr.goals.plan import Way as Preposition
 from f3sr.language.grammar.lexicon import Direction, Vague
 from f3sr.language.grammar.quantities import Amount
 
-What = Literal["topple", "move", "roll", "bounce", "return"]
+What = Literal["topple", "move", "roll", "bounce", "return", "upright", "grounded", "rest"]
 
 
 OPPOSITE: dict[Direction, Direction] = {
