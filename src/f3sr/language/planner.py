@@ -35,11 +35,11 @@ FAR_ENOUGH: dict[Kind, float] = {
     "launch_and_return": 1.5,
 }
 """How far or how high something goes where no words say so, in its own sizes: to be seen, and to stay in the photo."""
-VAGUE = {"slightly": 0.3, "far": 2.5}
+VAGUE = {"slightly": 0.25, "far": 2.5}
 MANNER = {"gently": 0.7, "hard": 1.4}
 """What such words make of that."""
 LEAST = 0.3
-"""Least way in the object's sizes, where the photo or a neighbour leaves less."""
+"""Least way in the object's sizes, where the photo or a neighbour leaves less: smaller ones are hard to see."""
 FARTHEST = 3.0
 """Diagonals of the scene that anything is to go at most."""
 SIDES: tuple[tuple[Direction, ...], ...] = (
@@ -203,7 +203,7 @@ def _fitted(meant: Meant, layout: SceneLayout) -> Meant:
     """An amount that nobody said kept inside the photo and before what is in the way."""
     if meant.asked or meant.request.kind == "topple":
         return meant
-    a, least = meant.active, LEAST * layout.size(meant.active)
+    a, least = meant.active, min(meant.amount, LEAST * layout.size(meant.active))
     up = meant.request.kind in ("drop", "lift_and_drop", "launch_and_return", "bounce")
     direction = UP if up else meant.direction
     if direction is None:

@@ -67,7 +67,8 @@ def unique_edges(faces: NDArray[np.int32]) -> NDArray[np.int32]:
 def of_pixels(mask: NDArray[np.bool_], fields: Fields) -> Array:
     """The integrals (5,) over the pixels of a mask (h, w), without what its outline covers of other pixels."""
     value = np.zeros(5)
-    _sum_inside(np.ascontiguousarray(mask), *map(np.ascontiguousarray, (fields.valid, fields.mismatch)), value)
+    valid, mismatch = map(np.ascontiguousarray, (fields.valid, fields.mismatch))
+    _sum_inside(np.ascontiguousarray(mask), valid, mismatch, value)
     return value
 
 
