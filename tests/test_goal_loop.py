@@ -78,6 +78,7 @@ MET = {
     "bounce the ball into the cereal box": "bounce",
     "bounce the can into the cereal box": "bounce",
     "tip the can over and let it roll": "topple",
+    "push the can until it falls over": "topple",
     "throw the can 20 cm up and let it fall back": "launch_and_return",
 }
 REFUSED = {

@@ -82,9 +82,13 @@ UNDERSTOOD = {
     "move the object on the far right to the left": asked("slide", "object on right", None, "left"),
     "slide the plate 1½ m left": asked("slide", "plate", None, "left", amount=cm(150)),
     "push the plate 1 1/2 ft left": asked("slide", "plate", None, "left", amount=cm(45.72)),
-    "push the can until it falls over": asked("topple", "can"),
-    "hit the can so it winds up on its side": asked("topple", "can"),
-    "push the can hard enough that it no longer stands": asked("topple", "can", manner="hard"),
+    "push the can until it falls over": asked("slide", "can", outcome=WantedOutcome(what="topple", whose="active")),
+    "hit the can so it winds up on its side": asked(
+        "slide", "can", outcome=WantedOutcome(what="topple", whose="active")
+    ),
+    "push the can hard enough that it no longer stands": asked(
+        "slide", "can", outcome=WantedOutcome(what="topple", whose="active"), manner="hard"
+    ),
     "tip the can over so that it ends up lying on the table": asked(
         "topple", "can", outcome=WantedOutcome(what="grounded", whose="active")
     ),

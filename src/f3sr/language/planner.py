@@ -18,7 +18,7 @@ from f3sr.language.grammar.lexicon import Direction
 from f3sr.language.grammar.normaliser import spoken
 from f3sr.language.grammar.parser import understand
 from f3sr.language.grammar.quantities import Amount
-from f3sr.language.grammar.request import Request, What
+from f3sr.language.grammar.request import Request, WantedOutcome, What
 from f3sr.language.object_queries import world_vector
 from f3sr.language.reference_resolution import names, resolve_request
 from f3sr.language.success_conditions import Meant
@@ -69,6 +69,7 @@ def tasks_of(goal: str, scene: Scene) -> Sequence[TaskSpec] | Refusal:
     request = understand(goal)
     if isinstance(request, Refusal):
         return request
+    request = _tipped(request)
     named = resolve_request(request, scene)
     if isinstance(named, Refusal):
         return named
@@ -79,6 +80,13 @@ def tasks_of(goal: str, scene: Scene) -> Sequence[TaskSpec] | Refusal:
     except NotUnderstoodError as error:
         return error.refusal
     return [_task(meant, conditions, left, scene) for conditions, left in success_conditions.readings(meant, layout)]
+
+
+def _tipped(r: Request) -> Request:
+    """Pushed until it falls over: it is tipped, and need not slide, where no words say how far."""
+    falls = r.outcome == WantedOutcome(what="topple", whose="active")
+    is_tipped = falls and r.kind == "slide" and r.target is None and r.amount is None
+    return replace(r, kind="topple", outcome=None) if is_tipped else r
 
 
 def _task(meant: Meant, conditions: success_conditions.Conditions, left: str, scene: Scene) -> TaskSpec:

@@ -93,6 +93,8 @@ def refine(
 ) -> tuple[Scene, Refined]:
     """Stand up what toppled since ``parted`` (before physics), then align again what rests, until nothing gains.
 
+    What is off its masks then is also placed again from where ``aligned`` has it, and aligned from there.
+
     ``restless`` are the ids of objects that do not rest as they are.
     """
     state = SettledScene(scene=scene, restless=frozenset(restless))

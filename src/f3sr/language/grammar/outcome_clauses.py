@@ -48,17 +48,13 @@ def continued(r: Request, c: Clause) -> Request:
         refuse_several()
     if whose == "either":
         whose = "target" if what in ("topple", "move") and r.kind != "topple" else "active"
-    if what == "topple" and whose == "active" and r.kind == "slide" and r.target is None:
-        # Pushed until it falls over: it is tipped, and need not slide.
-        return replace(r, kind="topple")
     return replace(r, outcome=WantedOutcome(what=what, whose="target" if whose == "target" else "active"))
 
 
 def _lands_on_ground(c: Clause, r: Request) -> bool:
     """``knock it off the book so that it ends up on the table``: where it ends, of what is not thrown there."""
-    targets = c.targets or [("onto", c.object.removeprefix("on "))]
     landing = c.verb == "land" and not c.over and r.kind in ("topple", "slide", "push_into", "roll")
-    return landing and targets[0][0] == "onto" and targets[0][1] in lexicon().ground
+    return landing and any(way == "onto" and target in lexicon().ground for way, target in c.targets)
 
 
 def _fallen_back(r: Request, c: Clause) -> Request:
