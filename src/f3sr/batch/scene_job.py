@@ -131,15 +131,15 @@ class _Goals:
 
 
 def _told(played: Played) -> dict[str, Any]:
-    task = played.plan.task
+    phases = played.plan.phases
     return {
         "state": "met" if played.verdict.met else "missed",
         "goal_reason": "" if played.verdict.met else played.verdict.said,
         "margin": played.verdict.margin,
         "rollouts": played.plan.rollouts,
-        "task": task.kind,
-        "interpretation": task.interpretation,
-        "simulated_s": played.plan.simulation.duration,
+        "task": ", ".join(phase.task.kind for phase in phases),
+        "interpretation": ", then ".join(phase.task.interpretation for phase in phases),
+        "simulated_s": sum(phase.simulation.duration for phase in phases),
     }
 
 

@@ -29,7 +29,7 @@ from f3sr.runtime.progress import silent
 if TYPE_CHECKING:
     from f3sr.film.studio import Studio
     from f3sr.goals.language_protocol import Language
-    from f3sr.goals.plan import Plan
+    from f3sr.goals.plan import Phase, Plan
     from f3sr.goals.refusal import Refusal
     from f3sr.play.goal_loop import Played
     from f3sr.runtime.kernels import Compilers
@@ -344,20 +344,28 @@ def _telling(
     if isinstance(played, Refusal):
         why = {"reason": played.reason, "message": played.message, "candidates": list(played.candidates)}
         return told | {"state": "refused", **why}
-    task = played.plan.task
     return told | {
         "state": "met" if played.verdict.met else "missed",
         "folder": str(place),
-        "interpretation": task.interpretation,
-        "assumptions": list(task.assumptions),
-        "launch": _launch(played),
-        "rollouts": 1 if replayed else played.plan.rollouts,
-        "simulated_seconds": played.plan.simulation.duration,
-        "margin": played.verdict.margin,
-        "conditions": [
-            {"met": c.met, "margin": c.margin, "unit": c.unit, "said": c.said} for c in played.verdict.conditions
+        "phases": [
+            {
+                "interpretation": phase.task.interpretation,
+                "assumptions": list(phase.task.assumptions),
+                "launch": _launch(phase),
+                "conditions": [
+                    {"met": c.met, "margin": c.margin, "unit": c.unit, "said": c.said}
+                    for c in played.verdict.conditions
+                    if c.phase == k
+                ],
+                "simulated_seconds": phase.simulation.duration,
+            }
+            for k, phase in enumerate(played.plan.phases)
         ],
+        "stopped": played.stopped,
+        "rollouts": 1 if replayed else played.plan.rollouts,
+        "margin": played.verdict.margin,
         "broken_rules": list(played.verdict.broken),
+        "side_effects": list(played.verdict.side_effects),
         "nearest": played.nearest,
     }
 
@@ -367,11 +375,17 @@ def _lines(told: dict[str, Any]) -> Iterator[str]:
     if told["state"] == "refused":
         yield f"refused:   {told['message']}"
         return
-    yield f"meaning:   {told['interpretation']}"
-    yield from (f"assumed:   {assumed}" for assumed in told["assumptions"])
-    yield f"launch:    {told['launch']}"
-    for c in told["conditions"]:
-        yield f"{'met:   ' if c['met'] else 'missed:'}    {c['said']}"
+    for k, phase in enumerate(told["phases"], 1):
+        if len(told["phases"]) > 1:
+            yield f"phase {k}:"
+        yield f"meaning:   {phase['interpretation']}"
+        yield from (f"assumed:   {assumed}" for assumed in phase["assumptions"])
+        yield f"launch:    {phase['launch']}"
+        for c in phase["conditions"]:
+            yield f"{'met:   ' if c['met'] else 'missed:'}    {c['said']}"
+    if told["stopped"]:
+        yield "not played: the phases after it, as this one is missed"
+    yield from (f"also:      {effect}" for effect in told["side_effects"])
     yield from (f"broken:    {rule}" for rule in told["broken_rules"])
     yield from [f"nearest:   {told['nearest']}"] if told["nearest"] else []
     yield f"verdict:   {told['state']}, {_counted(told['rollouts'])}, {told['seconds']:.1f} s"
@@ -382,9 +396,9 @@ def _counted(rollouts: int) -> str:
     return "1 rollout" if rollouts == 1 else f"{rollouts} rollouts"
 
 
-def _launch(played: Played) -> str:
+def _launch(phase: Phase) -> str:
     """How the active object is set off, in words."""
-    initial = played.plan.initial
+    initial = phase.initial
     said = [
         f"let go {np.linalg.norm(o.translation[:2]):.2f} m aside and {o.translation[2]:.2f} m above its place"
         for o in initial.offsets
@@ -394,7 +408,7 @@ def _launch(played: Played) -> str:
         said.append(
             f"off at {np.linalg.norm(v.linear):.2f} m/s" + (f", turning at {spin:.1f} rad/s" if spin > 0.01 else "")
         )
-    masses = {s.id: s.mass for s in played.plan.semantics}
+    masses = {s.id: s.mass for s in phase.semantics}
     blows = [i for i in initial.impulses if not i.duration]
     said += [f"{np.linalg.norm(i.linear) / masses[i.id]:.2f} m/s at {i.time:.2f} s" for i in blows]
     if pushes := [i for i in initial.impulses if i.duration]:
@@ -410,7 +424,7 @@ def _end(tellings: Sequence[dict[str, Any]]) -> None:
         if some := [t for t in tellings if t["state"] == state]:
             missed = [
                 *some[0].get("broken_rules", []),
-                *(c["said"] for c in some[0].get("conditions", []) if not c["met"]),
+                *(c["said"] for p in some[0].get("phases", ()) for c in p["conditions"] if not c["met"]),
             ]
             said = some[0].get("message") or "; ".join([*missed, *filter(None, [some[0]["nearest"]])])
             more = f" (and {len(some) - 1} more)" if len(some) > 1 else ""

@@ -51,6 +51,12 @@ class Camera:
         with np.errstate(divide="ignore", invalid="ignore"):
             return homogeneous[:, :2] / homogeneous[:, 2:], z
 
+    def share_in_frame(self, points_world: Array) -> float:
+        """Share of world points (n, 3) that lie before the camera and within its frame."""
+        pixels, depth = self.project(points_world)
+        inside = (pixels >= 0).all(1) & (pixels[:, 0] <= self.width) & (pixels[:, 1] <= self.height) & (depth > 0)
+        return float(inside.mean())
+
     def homothety(self, k: float) -> Array:
         """The rigid T (4, 4) for which x -> T (k x) equals X -> C + k (X - C), with C the camera centre.
 

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Set
-from dataclasses import replace
 from fractions import Fraction
 
 from f3sr.core.transforms import Array
 from f3sr.film.captions import slowed
-from f3sr.film.moments import Moment, frame_at, key_moments
+from f3sr.film.footage import footage
+from f3sr.film.moments import Moment, key_moments, moments_of
 from f3sr.film.payload import Shown
 from f3sr.film.player import player
-from f3sr.film.slow_motion import factor, finer, rate_of
+from f3sr.film.slow_motion import factor, rate_of
 from f3sr.film.strip import Title, strip
 from f3sr.film.video import Picture, Video, encode
 from f3sr.goals.file_names import FILM, FILMS, PLAYER, STRIP
@@ -37,13 +37,14 @@ def make_film(
     InputError if that gives another motion or a frame cannot be filmed, OutputError if the encoder fails.
     """
     slow = factor(slow)
-    drawn = finer(scene, plan, rollout, slow)
-    moments = tuple(replace(m, frame=frame_at(drawn, m.time)) for m in key_moments(scene, plan, rollout, verdict))
+    film = footage(scene, plan, rollout, verdict, slow)
+    drawn = film.rollout
+    moments = moments_of(film.scenarios)
     kept: dict[int, Picture] = {}
     frames = _noted(ahead(map(draw, drawn.T_world_object)), {m.frame for m in moments}, kept)
     video = encode(slowed(frames, slow), rate_of(drawn) / slow)
     pictures = [kept[m.frame] for m in moments]
-    shown = Shown(scene=scene, plan=plan, rollout=drawn, verdict=verdict, video=video, moments=moments, slow=slow)
+    shown = Shown(scene=scene, plan=plan, verdict=verdict, footage=film, video=video, moments=moments, slow=slow)
     return {
         FILM: video.data,
         STRIP: strip(moments, pictures, Title(goal=plan.goal, met=verdict.met)),

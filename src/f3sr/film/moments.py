@@ -10,14 +10,17 @@ import numpy as np
 
 from f3sr.core.transforms import Array
 from f3sr.film.event_text import clock, happened, metres, named
-from f3sr.goals.plan import Contact, Displaced, Height, Plan, Rolled
+from f3sr.film.footage import Scenario
+from f3sr.goals.plan import Contact, Displaced, Height, Phase, Rolled
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.rollout_queries import Seen
 from f3sr.goals.verify import Verdict
 from f3sr.scene import GRAVITY, GROUND, Scene
 
 FEWEST, MOST = 4, 6
-"""Least and largest number of pictures of a strip."""
+"""Least and largest number of pictures of a strip of one phase,"""
+MOST_OF_ALL = 9
+"""and largest of several phases, but for three of each."""
 CLOSE = 0.05
 """Moments nearer to each other [s] are one: their pictures would look the same."""
 FLIES = 0.02
@@ -48,16 +51,32 @@ class Moment:
     """0 for what is always shown; of too many the highest go."""
 
 
-def key_moments(scene: Scene, plan: Plan, rollout: Rollout, verdict: Verdict) -> tuple[Moment, ...]:
-    """At most ``MOST`` moments, ordered by time; at least ``FEWEST`` if the rollout has as many different frames.
+def moments_of(scenarios: Sequence[Scenario]) -> tuple[Moment, ...]:
+    """The key moments of a film's phases, by its own times and frames; each phase but the last ends where the next
+    begins."""
+    each = MOST if len(scenarios) == 1 else max(3, MOST_OF_ALL // len(scenarios))
+    found = list[Moment]()
+    for k, s in enumerate(scenarios):
+        moments = key_moments(s.scene, s.phase, s.rollout, s.verdict, most=each)
+        shown = moments if k + 1 == len(scenarios) else [m for m in moments if m.what != ("end",)]
+        for m in shown:
+            what = tuple(f"phase {k + 1}" if said == "start" and k else said for said in m.what)
+            found.append(replace(m, frame=frame_at(s.drawn, m.time) + s.frame, time=m.time + s.start, what=what))
+    return tuple(found)
+
+
+def key_moments(
+    scene: Scene, phase: Phase, rollout: Rollout, verdict: Verdict, *, most: int = MOST
+) -> tuple[Moment, ...]:
+    """At most so many moments of a phase by time; at least ``FEWEST`` if the rollout has as many different frames.
 
     They are the start, the launch of the active object, its first contact with the target and the top of its flight.
     The event of every met condition and the end follow."""
     seen = Seen(rollout, scene)
-    found = _merged(sorted(_events(seen, plan, verdict), key=lambda m: (m.frame, m.rank)))
-    while len(found) > MOST:
+    found = _merged(sorted(_events(seen, phase, verdict), key=lambda m: (m.frame, m.rank)))
+    while len(found) > most:
         found.remove(_least(found))
-    while len(found) < FEWEST and (more := _between(found, seen, plan.task.active)):
+    while len(found) < min(FEWEST, most) and (more := _between(found, seen, phase.task.active)):
         found = sorted([*found, more], key=lambda m: m.frame)
     return tuple(found)
 
@@ -67,13 +86,13 @@ def frame_at(rollout: Rollout, time: float) -> int:
     return min(int(np.searchsorted(rollout.time, time - 1e-6)), len(rollout.time) - 1)
 
 
-def _events(seen: Seen, plan: Plan, verdict: Verdict) -> Iterator[Moment]:
+def _events(seen: Seen, phase: Phase, verdict: Verdict) -> Iterator[Moment]:
     end = float(seen.time[-1])
     yield _moment(seen, 0.0, "start", 0)
-    yield from _controls(seen, plan)
-    yield from _meeting(seen, plan)
-    yield from _apex(seen, plan.task.active)
-    yield from _impact(seen, plan, verdict)
+    yield from _controls(seen, phase)
+    yield from _meeting(seen, phase)
+    yield from _apex(seen, phase.task.active)
+    yield from _impact(seen, phase, verdict)
     for judged in verdict.conditions:
         if judged.met:
             rank = 3 if isinstance(judged.condition, Displaced | Rolled | Height) else 2
@@ -89,29 +108,29 @@ def _moment(seen: Seen, time: float, what: str, rank: int) -> Moment:
     return Moment(frame=frame_at(seen.rollout, time), time=time, what=(what,), rank=rank)
 
 
-def _meeting(seen: Seen, plan: Plan) -> Iterator[Moment]:
+def _meeting(seen: Seen, phase: Phase) -> Iterator[Moment]:
     """The first contact with the target; where they are to part, when they have."""
-    active, target = plan.task.active, plan.task.target
+    active, target = phase.task.active, phase.task.target
     if target is None or not len(touches := seen.rollout.touches(active, target)):
         return
     name, other = named(seen.scene, active), named(seen.scene, target)
     first, last = float(touches["time"][0]), frame_at(seen.rollout, float(touches["time"][-1])) + 1
-    if plan.task.way not in ("off", "away-from"):
+    if phase.task.way not in ("off", "away-from"):
         yield _moment(seen, first, f"{name} touches {other}", 1)
     elif last < len(seen.time):
         yield _moment(seen, float(seen.time[last]), f"{name} parts from {other}", 1)
 
 
-def _controls(seen: Seen, plan: Plan) -> Iterator[Moment]:
+def _controls(seen: Seen, phase: Phase) -> Iterator[Moment]:
     """What sets objects off. A push that goes on in parts is one."""
-    for offset in plan.initial.offsets:
+    for offset in phase.initial.offsets:
         up = f" {metres(offset.translation[2])} higher" if offset.translation[2] > 0.0005 else ""
         yield _moment(seen, 0.0, f"{named(seen.scene, offset.id)} is let go{up}", 1)
-    for velocity in plan.initial.velocities:
+    for velocity in phase.initial.velocities:
         speed = float(np.linalg.norm(velocity.linear))
         yield _moment(seen, 0.0, f"{named(seen.scene, velocity.id)} is set off at {speed:.2g} m/s", 1)
     ends: dict[int, float] = {}
-    for impulse in sorted(plan.initial.impulses, key=lambda i: i.time):
+    for impulse in sorted(phase.initial.impulses, key=lambda i: i.time):
         if impulse.time > ends.get(impulse.id, -1.0) + 1e-6:
             how = ("pushed" if impulse.duration > 0 else "struck") + (" again" if impulse.id in ends else "")
             yield _moment(seen, impulse.time, f"{named(seen.scene, impulse.id)} is {how}", 1)
@@ -131,22 +150,22 @@ def _apex(seen: Seen, active: int) -> Iterator[Moment]:
         yield _moment(seen, float(seen.time[top]), words, 2)
 
 
-def _impact(seen: Seen, plan: Plan, verdict: Verdict) -> Iterator[Moment]:
+def _impact(seen: Seen, phase: Phase, verdict: Verdict) -> Iterator[Moment]:
     """The hardest blow that the active object takes or gives after it was set off, unless that contact is told anyway.
     What slides is shaken by the ground, but hits it only where it comes down."""
-    active, rows = plan.task.active, seen.rollout.contacts
+    active, rows = phase.task.active, seen.rollout.contacts
     own = rows[((rows["a"] == active) | (rows["b"] == active)) & (rows["time"] > CLOSE)]
     before = [frame_at(seen.rollout, time) - 1 for time in own["time"]]
     # Vertical speed of each sample to the next; the last one's is anything over infinity, 0.
     climb = np.diff(seen.way(active)[:, 2], append=0.0) / np.diff(seen.time, append=np.inf)
     own = own[(climb[before] < -FALLS) | (own["a"] != GROUND)]
-    weight = GRAVITY * next(s.mass for s in plan.semantics if s.id == active)
+    weight = GRAVITY * next(s.mass for s in phase.semantics if s.id == active)
     if not len(own) or own["force"].max() < HARD * weight:
         return
     hardest = own[int(np.argmax(own["force"]))]
     other = int(hardest["a"] if hardest["b"] == active else hardest["b"])
     contacts = (c.condition for c in verdict.conditions if isinstance(c.condition, Contact))
-    if other != plan.task.target and {active, other} not in [{c.a, c.b} for c in contacts]:
+    if other != phase.task.target and {active, other} not in [{c.a, c.b} for c in contacts]:
         words = f"{named(seen.scene, active)} hits {named(seen.scene, other)}"
         yield _moment(seen, float(hardest["time"]), words, 3)
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from f3sr.core.transforms import Array, quaternion_from_rotation
+from f3sr.film.footage import Footage, paths
 from f3sr.film.moments import Moment
 from f3sr.film.timeline import pairs_of
 from f3sr.film.video import Video
@@ -31,12 +32,12 @@ FAR = 2.0
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Shown:
-    """What a player shows: a played goal, its film (a frame per sample of ``rollout``) and its moments."""
+    """What a player shows: a played goal, its film (a frame per sample of ``footage``) and its moments."""
 
     scene: Scene
     plan: Plan
-    rollout: Rollout
     verdict: Verdict
+    footage: Footage
     video: Video
     moments: tuple[Moment, ...]
     slow: Fraction = Fraction(1)
@@ -44,7 +45,7 @@ class Shown:
 
 def payload(shown: Shown, *, faces: int, texture: int) -> dict[str, Any]:
     """All that ``player.js`` reads, as plain values."""
-    scene, rollout = shown.scene, shown.rollout
+    scene, rollout = shown.scene, shown.footage.rollout
     textures = TextureIndex(texture)
     each = max(FEWEST_FACES, faces // len(scene.objects))
     return {
@@ -55,7 +56,8 @@ def payload(shown: Shown, *, faces: int, texture: int) -> dict[str, Any]:
             "camera": packed_camera(scene.camera),
             "bounds": _bounds(scene, rollout),
             "objects": [{"mesh": packed_mesh(lightened(o.mesh, each), textures.index)} for o in scene],
-            "path": np.round(Seen(rollout, scene).way(shown.plan.task.active), 5).ravel().tolist(),
+            "path": np.round(_path(shown), 5).ravel().tolist(),
+            "strips": [first for _, first, _ in paths(shown.footage.scenarios, len(rollout.time))],
             "textures": textures.uris,  # after the meshes, which name them
         },
         "names": [clean(f"{o.id} {o.label}".strip()) for o in scene],
@@ -67,6 +69,14 @@ def payload(shown: Shown, *, faces: int, texture: int) -> dict[str, Any]:
             if not p.rests
         ],
     }
+
+
+def _path(shown: Shown) -> Array:
+    """(T, 3): the centre of what is launched, in every frame that of its phase."""
+    rollout = shown.footage.rollout
+    seen = Seen(rollout, shown.scene)
+    parts = paths(shown.footage.scenarios, len(rollout.time))
+    return np.concatenate([seen.way(id)[first:end] for id, first, end in parts])
 
 
 def _poses(rollout: Rollout) -> Array:

@@ -10,6 +10,7 @@ from f3sr.film.captions import speed_words
 from f3sr.film.event_text import clock, named, told
 from f3sr.film.payload import Shown, payload
 from f3sr.film.timeline import timeline
+from f3sr.goals.refusal import listed
 from f3sr.web.data_uri import data_uri
 from f3sr.web.document import WEB, document
 
@@ -38,6 +39,11 @@ def player(shown: Shown) -> bytes:
     raise OutputError(f"player.html: would have more than {most:,} bytes with the smallest meshes and textures")
 
 
+def _launched(shown: Shown) -> tuple[str, ...]:
+    """The objects that are launched, each once."""
+    return tuple(dict.fromkeys(named(shown.scene, phase.task.active) for phase in shown.plan.phases))
+
+
 def _values(shown: Shown) -> dict[str, Any]:
     """What the templates may name but ``data``, whose size varies."""
     return {
@@ -47,10 +53,10 @@ def _values(shown: Shown) -> dict[str, Any]:
         "film": data_uri(shown.video.data, "video/mp4"),
         "camera": shown.scene.camera,
         "moments": shown.moments,
-        "active": named(shown.scene, shown.plan.task.active),
+        "active": listed(_launched(shown), "and"),
         "pace": "in real time" if shown.slow == 1 else f"at {speed_words(shown.slow)}",
         "rate": f"{float(shown.video.fps):g}",
-        "timeline": timeline(shown.scene, shown.plan, shown.rollout, shown.verdict),
+        "timeline": timeline(shown.scene, shown.footage),
         "clock": clock,
         "told": told,
     }

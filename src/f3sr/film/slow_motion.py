@@ -8,9 +8,9 @@ from fractions import Fraction
 import numpy as np
 
 from f3sr.errors import InputError
-from f3sr.goals.plan import Plan
+from f3sr.goals.plan import Phase
 from f3sr.goals.rollout import Rollout
-from f3sr.goals.simulate import simulate
+from f3sr.goals.simulate import simulate_phase
 from f3sr.scene import Scene
 
 EVEN = 1e-6
@@ -42,19 +42,19 @@ def factor(slow: Fraction | float) -> Fraction:
     return Fraction(slow).limit_denominator(100)
 
 
-def finer(scene: Scene, plan: Plan, rollout: Rollout, slow: Fraction | float) -> Rollout:
+def finer(scene: Scene, phase: Phase, rollout: Rollout, slow: Fraction | float) -> Rollout:
     """The same motion with so many times more samples that slow motion shows as many frames a second.
 
-    The plan is played again: what happens between two samples is not made up. Raises InputError where it gives another
+    The phase is played again: what happens between two samples is not made up. Raises InputError where it gives another
     motion, as on another machine it may.
     """
-    steps = plan.simulation.steps_per_sample
-    # The largest divisor of the plan's steps that is short enough: every old sample is then a new one too.
+    steps = phase.simulation.steps_per_sample
+    # The largest divisor of the phase's steps that is short enough: every old sample is then a new one too.
     fine = next((n for n in range(max(1, math.floor(steps / factor(slow))), 0, -1) if steps % n == 0), 1)
     if fine >= steps:
         return rollout
-    simulation = plan.simulation.model_copy(update={"steps_per_sample": fine})
-    found = simulate(scene, plan.model_copy(update={"simulation": simulation}))
+    simulation = phase.simulation.model_copy(update={"steps_per_sample": fine})
+    found = simulate_phase(scene, phase.model_copy(update={"simulation": simulation}))
     every = found.T_world_object[:: steps // fine]
     if every.shape != rollout.T_world_object.shape or np.abs(every - rollout.T_world_object).max() > SAME:
         raise InputError(

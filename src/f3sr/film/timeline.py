@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.film.event_text import named
+from f3sr.film.footage import Footage, Scenario
 from f3sr.goals.conditions import Judged
-from f3sr.goals.plan import Impulse, Plan
+from f3sr.goals.plan import Impulse
 from f3sr.goals.rollout import Rollout
-from f3sr.goals.verify import Verdict
 from f3sr.scene import Scene
 
 STEADY = 3.0
@@ -91,8 +91,9 @@ def _rests(forces: NDArray[np.float64], tallest: float) -> bool:
     return steady and len(touching) >= ALWAYS * (len(forces) - 1)
 
 
-def timeline(scene: Scene, plan: Plan, rollout: Rollout, verdict: Verdict) -> Timeline:
-    """All rows of a rollout: conditions as judged, actions of controlled objects, contacts by their largest force."""
+def timeline(scene: Scene, film: Footage) -> Timeline:
+    """All rows of a film: conditions as judged, actions of controlled objects, contacts by their largest force."""
+    rollout = film.rollout
     end = float(rollout.time[-1]) or 1.0
     pairs = pairs_of(rollout)
     tallest = max((float(p.forces.max()) for p in pairs), default=0.0)
@@ -101,8 +102,12 @@ def timeline(scene: Scene, plan: Plan, rollout: Rollout, verdict: Verdict) -> Ti
         last=len(rollout.time) - 1,
         tallest=tallest,
         ticks=_ticks(end),
-        conditions=verdict.conditions,
-        actions=[_action(scene, plan, id, end) for id in sorted(plan.initial.controlled)],
+        conditions=[
+            replace(c, time=(s.rollout.time[-1] if c.time is None else c.time) + s.start)
+            for s in film.scenarios
+            for c in s.verdict.conditions
+        ],
+        actions=[_action(scene, s, id, end) for s in film.scenarios for id in sorted(s.phase.initial.controlled)],
         contacts=[_contact(scene, p, tallest) for p in pairs if not p.rests],
         resting=[_contact(scene, p, tallest) for p in pairs if p.rests],
     )
@@ -114,13 +119,13 @@ def _ticks(end: float) -> list[float]:
     return np.arange(0, end + 1e-9, step).tolist()
 
 
-def _action(scene: Scene, plan: Plan, id: int, end: float) -> BarRow:
+def _action(scene: Scene, shown: Scenario, id: int, end: float) -> BarRow:
     """What moves an object: lines for what comes at once, bars for pushes."""
-    initial = plan.initial
+    initial = shown.phase.initial
     spans = [(0.0, 0.0, "starts at another place") for o in initial.offsets if o.id == id]
     spans += [(0.0, 0.0, f"starts at {np.linalg.norm(v.linear):.2g} m/s") for v in initial.velocities if v.id == id]
     spans += [(i.time, i.duration, _impulse(i)) for i in initial.impulses if i.id == id]
-    bars = [_span(time, duration, end) for time, duration, _ in spans]
+    bars = [_span(shown.start + time, duration, end) for time, duration, _ in spans]
     return BarRow(name=named(scene, id), words="; ".join(words for _, _, words in spans), bars=bars)
 
 

@@ -10,7 +10,7 @@ from f3sr.errors import F3srError
 from f3sr.files.bounds import MIN_MOMENT
 from f3sr.goals.language_protocol import Launch
 from f3sr.goals.launch_limits import beyond, limits_of
-from f3sr.goals.plan import InitialConditions, Plan, Semantics, SimulationPlan, TaskSpec
+from f3sr.goals.plan import InitialConditions, Phase, Plan, Semantics, SimulationPlan, TaskSpec
 from f3sr.goals.rollout import MAX_SAMPLES, Rollout
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import GROUND, Scene
@@ -33,11 +33,12 @@ def require(faults: Iterator[str], *, of: str) -> None:
         raise PlanError(f"the {of} cannot be played: {fault}")
 
 
-def faults_of(plan: Plan, scene: Scene) -> Iterator[str]:
-    """Of a whole plan."""
-    yield from task_faults(plan.task, scene)
-    yield from semantics_faults(plan.semantics, scene)
-    yield from launch_faults(Launch(initial=plan.initial, simulation=plan.simulation), plan.task, plan.semantics, scene)
+def faults_of(phase: Phase, scene: Scene) -> Iterator[str]:
+    """Of a phase of a plan in the scene that it starts in."""
+    yield from task_faults(phase.task, scene)
+    yield from semantics_faults(phase.semantics, scene)
+    launch = Launch(initial=phase.initial, simulation=phase.simulation)
+    yield from launch_faults(launch, phase.task, phase.semantics, scene)
 
 
 def task_faults(task: TaskSpec, scene: Scene) -> Iterator[str]:
@@ -97,12 +98,15 @@ def _in_time(initial: InitialConditions, simulation: SimulationPlan) -> Iterator
 
 
 def rollout_faults(rollout: Rollout, plan: Plan) -> Iterator[str]:
-    """Of a rollout that was read: samples that its plan does not give."""
-    simulation = plan.simulation
-    every = simulation.timestep * simulation.steps_per_sample
-    due = every * np.arange(simulation.samples)
-    if len(rollout.time) != len(due) or np.abs(rollout.time - due).max() > every / 100:
-        yield (
-            f"{len(rollout.time)} samples until {rollout.time[-1]:.3f} s; "
-            f"accepted: {len(due)} as its plan has them, one every {every:.3g} s"
-        )
+    """Of a rollout that was read: phases and samples that its plan does not give."""
+    if len(rollout.starts) != len(plan.phases):
+        yield f"{len(rollout.starts)} phases; accepted: {len(plan.phases)} as its plan has them"
+        return
+    for phase, part in zip(plan.phases, rollout.phases, strict=True):
+        every = phase.simulation.timestep * phase.simulation.steps_per_sample
+        due = every * np.arange(phase.simulation.samples)
+        if len(part.time) != len(due) or np.abs(part.time - due).max() > every / 100:
+            yield (
+                f"{len(part.time)} samples until {part.time[-1]:.3f} s; "
+                f"accepted: {len(due)} as its plan has them, one every {every:.3g} s"
+            )

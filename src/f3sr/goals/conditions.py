@@ -40,6 +40,8 @@ class Judged:
     """The margin over what it is measured by: what is asked for, or the object's size."""
     reached: float | None = None
     """The most that was found, where so much is asked for; in ``unit``."""
+    phase: int = 0
+    """Index of the plan's phase that it belongs to."""
 
     @property
     def met(self) -> bool:

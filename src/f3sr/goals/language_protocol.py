@@ -33,12 +33,22 @@ class Tried:
     verdict: Verdict
 
 
+@dataclass(frozen=True, kw_only=True)
+class Planned:
+    """The next phase of a goal (the Planner's answer)."""
+
+    readings: Sequence[TaskSpec]
+    """What its words may mean, strictest first. A reading that cannot be met gives way to the next."""
+    last: bool = True
+    """Whether no other phase follows."""
+
+
 class Language(Protocol):
     """Words to tasks, tasks to physical properties, tasks to launches; implement it to add a language model."""
 
-    def plan(self, goal: str, scene: Scene) -> Sequence[TaskSpec] | Refusal:
-        """The Planner: the typed readings of the words, strictest first. A reading that cannot be met gives way to the
-        next. A Refusal explains words that cannot be read."""
+    def plan(self, goal: str, scene: Scene, phases: Sequence[Scene] = ()) -> Planned | Refusal:
+        """The Planner: the next phase of a goal. ``scene`` is what the photo shows and words refer to. ``phases`` are
+        the scenes at the ends of all phases before, at rest. A Refusal explains words that cannot be read."""
         ...
 
     def reason(self, task: TaskSpec, scene: Scene) -> Sequence[Semantics]:

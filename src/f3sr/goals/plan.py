@@ -1,4 +1,4 @@
-"""plan.json: task, materials, initial conditions, simulation settings and success conditions of a goal.
+"""plan.json: phases of a goal, each with task, materials, initial conditions, simulation and success conditions.
 
 Every number has a limit that holds for any scene. ``checks`` tests whether a plan fits one scene.
 """
@@ -6,7 +6,7 @@ Every number has a limit that holds for any scene. ``checks`` tests whether a pl
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -14,9 +14,11 @@ from f3sr.files import strict_json
 from f3sr.files.bounds import Damping, Density, Direction3, Friction, Id, IdOrGround, Mass, RollingFriction, Share
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.scene import MaterialSource, Mobility, Structure
-from f3sr.scene_package.scene_json import Version, dump_json
+from f3sr.scene_package.scene_json import WHOLE, dump_json
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+MOST_PHASES = 4
+"""Most phases of a plan: more are hard to follow in one film."""
 MIN_TIMESTEP = 1e-4
 """Shortest time step of a plan [s]: a tenth of what contacts need."""
 MAX_STEPS = 40_000
@@ -330,20 +332,46 @@ class SimulationPlan(_Record):
         return self.steps // self.steps_per_sample + 1
 
 
-class Plan(_Record):
-    """Everything that determines a rollout of one scene, to the byte (docs: goals)."""
+class Phase(_Record):
+    """One launch and what must come of it. It starts where everything rests after the phase before."""
 
-    schema_version: Version = SCHEMA_VERSION
-    goal: Words
-    scene: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
-    """SHA-256 of the package's scene.json: a plan belongs to one scene."""
     task: TaskSpec
     semantics: tuple[Semantics, ...]
     """Of every object, in the order of the scene."""
     initial: InitialConditions
     simulation: SimulationPlan
+    """Times count from the start of the phase."""
+
+
+class Plan(_Record):
+    """Everything that determines a rollout of one scene, to the byte (docs: goals)."""
+
+    schema_version: Annotated[Literal[2], WHOLE] = SCHEMA_VERSION
+    goal: Words
+    scene: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    """SHA-256 of the package's scene.json: a plan belongs to one scene."""
+    phases: Annotated[tuple[Phase, ...], Field(min_length=1, max_length=MOST_PHASES)]
+    """One after another."""
     rollouts: Annotated[int, Field(ge=0)] = 0
     """Number of rollouts of the search that found it."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_one_launch(cls, values: Any) -> Any:
+        """A plan of version 1 is one phase, whose parts it has itself."""
+        version = values.get("schema_version") if isinstance(values, dict) else None
+        if type(version) is not int or version != 1:
+            return values
+        phase = {name: values[name] for name in Phase.model_fields if name in values}
+        rest = {name: value for name, value in values.items() if name not in phase}
+        return rest | {"schema_version": SCHEMA_VERSION, "phases": [phase]}
+
+    @model_validator(mode="after")
+    def _same_things(self) -> Plan:
+        weights = {tuple((s.id, s.density) for s in phase.semantics) for phase in self.phases}
+        if len(weights) > 1:
+            raise ValueError("phases with other densities; accepted: the same ones in every phase")
+        return self
 
 
 def to_json(plan: Plan) -> bytes:

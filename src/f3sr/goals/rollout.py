@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from f3sr.core.transforms import Array, frozen
 from f3sr.errors import InputError
 from f3sr.files import npz
 from f3sr.files.bounds import FARTHEST, MAX_OBJECTS
+from f3sr.goals.plan import MOST_PHASES
 from f3sr.scene import GROUND
 
 CONTACT = np.dtype([("time", np.float64), ("a", np.int64), ("b", np.int64), ("force", np.float64)])
@@ -21,7 +22,7 @@ CONTACT = np.dtype([("time", np.float64), ("a", np.int64), ("b", np.int64), ("fo
 
 ``a`` is the lower id; the ground is GROUND, -1."""
 MAX_SAMPLES = 1001
-"""Samples of a rollout: a hundred in each of ten seconds, and the first."""
+"""Samples of a phase: a hundred in each of ten seconds, and the first."""
 MAX_CONTACTS = 10_000_000
 """Rows of contacts of a rollout: ten thousand pairs at every sample."""
 
@@ -30,19 +31,22 @@ MAX_CONTACTS = 10_000_000
 class Rollout:
     """Samples of a simulation: ``time`` (T,) [s], ``ids`` (N,), poses ``T_world_object`` (T, N, 4, 4) [m].
 
-    ``contacts`` (C,) are rows of CONTACT, ordered by time. Raises ValueError if shapes disagree.
+    ``contacts`` (C,) are rows of CONTACT, ordered by time. ``starts`` (P,) are the first samples of the phases; each is
+    at the time of the sample before it. Raises ValueError if shapes disagree.
     """
 
     time: Array
     ids: NDArray[np.int64]
     T_world_object: Array
     contacts: NDArray[Any]
+    starts: NDArray[np.int64] = field(default_factory=lambda: np.zeros(1, np.int64))
 
     def __post_init__(self) -> None:
         T, N = len(self.time), len(self.ids)
         if self.T_world_object.shape != (T, N, 4, 4) or self.contacts.dtype != CONTACT:
             raise ValueError(f"poses {self.T_world_object.shape} of {T} times and {N} ids")
-        for name, dtype in (("time", float), ("ids", np.int64), ("T_world_object", float), ("contacts", CONTACT)):
+        types = {"time": float, "ids": np.int64, "T_world_object": float, "contacts": CONTACT, "starts": np.int64}
+        for name, dtype in types.items():
             object.__setattr__(self, name, frozen(getattr(self, name), dtype))
 
     def poses(self, id: int) -> Array:
@@ -56,10 +60,41 @@ class Rollout:
             raise KeyError(f"no object {id}; the rollout has {self.ids.tolist()}")
         return int(found[0])
 
+    @property
+    def phases(self) -> tuple[Rollout, ...]:
+        """Every phase as a rollout of its own, with times from 0 on."""
+        ends = [*self.starts[1:].tolist(), len(self.time)]
+        return tuple(self._part(start, end) for start, end in zip(self.starts.tolist(), ends, strict=True))
+
+    def _part(self, start: int, end: int) -> Rollout:
+        at, last = float(self.time[start]), end == len(self.time)
+        since = self.contacts["time"] >= at if start else np.ones(len(self.contacts), bool)
+        contacts = self.contacts[since & (True if last else self.contacts["time"] < self.time[end])].copy()
+        contacts["time"] -= at
+        time, T = self.time[start:end] - at, self.T_world_object[start:end]
+        return Rollout(time=time, ids=self.ids, T_world_object=T, contacts=contacts)
+
     def touches(self, a: int, b: int) -> NDArray[Any]:
         """Rows of ``contacts`` between two ids, by time."""
         low, high = sorted((a, b))
         return self.contacts[(self.contacts["a"] == low) & (self.contacts["b"] == high)]
+
+
+def joined(phases: Sequence[Rollout]) -> Rollout:
+    """One rollout of phases that follow each other, each with times from 0 on."""
+    if len(phases) == 1:
+        return phases[0]
+    at = np.cumsum([0.0, *(float(p.time[-1]) for p in phases[:-1])])
+    contacts = [p.contacts.copy() for p in phases]
+    for rows, start in zip(contacts, at, strict=True):
+        rows["time"] += start
+    return Rollout(
+        time=np.concatenate([p.time + start for p, start in zip(phases, at, strict=True)]),
+        ids=phases[0].ids,
+        T_world_object=np.concatenate([p.T_world_object for p in phases]),
+        contacts=np.concatenate(contacts),
+        starts=np.cumsum([0, *(len(p.time) for p in phases[:-1])]),
+    )
 
 
 def to_npz(rollout: Rollout) -> bytes:
@@ -70,7 +105,7 @@ def to_npz(rollout: Rollout) -> bytes:
 def from_npz(file: Path) -> Rollout:
     """Read and validate a written rollout. Raises InputError with the file and its fault."""
     accepted = "a rollout that f3sr wrote: time, ids, T_world_object, contacts"
-    rollout = Rollout(**npz.read(file, _ARRAYS, accepted=accepted))
+    rollout = Rollout(**npz.read(file, _ARRAYS, accepted=accepted))  # starts are missing in older files
     if fault := next(_faults(rollout), None):
         raise InputError(file, found=fault, accepted=accepted)
     return rollout
@@ -79,8 +114,15 @@ def from_npz(file: Path) -> Rollout:
 def _faults(rollout: Rollout) -> Iterator[str]:
     """Faults of values that no simulation produces."""
     time, poses, contacts = rollout.time, rollout.T_world_object, rollout.contacts
-    if not len(time) or not np.isfinite(time).all() or time[0] < 0 or (np.diff(time) <= 0).any():
+    starts = rollout.starts
+    if not len(starts) or starts[0] != 0 or (np.diff(starts) <= 0).any() or starts[-1] >= max(len(time), 1):
+        yield "starts of phases that do not rise from 0 on"
+        return
+    new = np.isin(np.arange(1, len(time)), starts)
+    if not len(time) or not np.isfinite(time).all() or time[0] < 0 or (np.diff(time)[~new] <= 0).any():
         yield "times that do not rise from 0 on"
+    if (np.diff(time)[new] != 0).any():
+        yield "a phase that does not start when the one before it ends"
     if len(set(rollout.ids.tolist())) < len(rollout.ids):
         yield "an id twice"
     R, t = poses[..., :3, :3], poses[..., :3, 3]
@@ -102,8 +144,9 @@ def _faults(rollout: Rollout) -> Iterator[str]:
 TURN = 1e-5
 """By which R R^T may differ from 1."""
 _ARRAYS = {
-    "time": npz.Wanted(kinds="f", shape=("T",), most=MAX_SAMPLES),
+    "time": npz.Wanted(kinds="f", shape=("T",), most=MOST_PHASES * MAX_SAMPLES),
     "ids": npz.Wanted(kinds="i", shape=("N",), most=MAX_OBJECTS),
     "T_world_object": npz.Wanted(kinds="f", shape=("T", "N", 4, 4)),
     "contacts": npz.Wanted(dtype=CONTACT, shape=("C",), most=MAX_CONTACTS),
+    "starts": npz.Wanted(kinds="i", shape=("P",), most=MOST_PHASES, optional=True),
 }

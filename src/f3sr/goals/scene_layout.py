@@ -209,13 +209,7 @@ class SceneLayout:
 
     def in_frame(self, id: int, shift: Array) -> float:
         """Share of an object's corners that the photo's frame holds when it is shifted (3,)."""
-        return self.share_in_frame(self.corners(id) + shift)
-
-    def share_in_frame(self, points: Array) -> float:
-        camera = self.scene.camera
-        pixels, depth = camera.project(points)
-        inside = (pixels >= 0).all(1) & (pixels[:, 0] <= camera.width) & (pixels[:, 1] <= camera.height) & (depth > 0)
-        return float(inside.mean())
+        return self.scene.camera.share_in_frame(self.corners(id) + shift)
 
     def room(self, id: int, direction: Array, farthest: float) -> float:
         """How far [m] an object can go along a direction and stay mostly in the photo's frame, up to a limit."""

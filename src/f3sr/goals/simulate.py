@@ -1,4 +1,4 @@
-"""simulate: a plan played as physics, deterministic to the last bit (docs: physics).
+"""simulate_phase: a phase of a plan played as physics, deterministic to the last bit (docs: physics).
 
 One MuJoCo model holds the package's proxies, masses and inertias with the changes of the plan's semantics. Offsets and
 velocities act at the start. Impulses act at their times, as a force and torque on the body's centre of mass. Everything
@@ -17,7 +17,7 @@ import numpy as np
 
 from f3sr.core.transforms import Array, rotation_from_quaternion, rotation_from_vector, turn_about
 from f3sr.files.bounds import Vector3
-from f3sr.goals.plan import Impulse, InitialConditions, Offset, Plan, Semantics, SimulationPlan, Velocity
+from f3sr.goals.plan import Impulse, InitialConditions, Offset, Phase, Semantics, SimulationPlan, Velocity
 from f3sr.goals.rollout import CONTACT, Rollout
 from f3sr.physics import mujoco_model
 from f3sr.physics.contact_margin import ContactMargin
@@ -31,17 +31,18 @@ Watch = Callable[[float, Any], bool]
 """Called with the time [s] and MuJoCo's data at every sample; True ends the rollout there."""
 
 
-def simulate(scene: Scene, plan: Plan, *, until: Watch | None = None, model: Any = None) -> Rollout:
-    """The rollout of a plan: samples at 0 and after every ``steps_per_sample`` steps, ``duration`` [s] long.
+def simulate_phase(scene: Scene, phase: Phase, *, until: Watch | None = None, model: Any = None) -> Rollout:
+    """The rollout of a phase in a scene at rest: samples at 0 and after every ``steps_per_sample`` steps, ``duration``
+    [s] long.
 
     Two calls give the same numbers. ``until`` may end it early. ``model`` reuses a result of ``model_of``. Raises
-    ValueError if the plan names unknown objects or launches a fixed one. Raises FloatingPointError if the state stops
+    ValueError if the phase names unknown objects or launches a fixed one. Raises FloatingPointError if the state stops
     being finite.
     """
-    _require_playable(scene, plan.semantics, plan.initial)
+    _require_playable(scene, phase.semantics, phase.initial)
     if model is None:
-        model = model_of(scene, plan.semantics, plan.simulation)
-    return _Run.of(model, [o.id for o in scene], plan.initial.offsets).rollout(plan, until)
+        model = model_of(scene, phase.semantics, phase.simulation)
+    return _Run.of(model, [o.id for o in scene], phase.initial.offsets).rollout(phase, until)
 
 
 def model_of(scene: Scene, semantics: Sequence[Semantics], simulation: SimulationPlan) -> Any:
@@ -136,14 +137,14 @@ class _Run:
     def of(cls, model: Any, ids: list[int], offsets: Sequence[Offset]) -> _Run:
         return cls(model, start_state(model, ids, offsets), ids)
 
-    def rollout(self, plan: Plan, until: Watch | None) -> Rollout:
-        mujoco, simulation = engine(), plan.simulation
+    def rollout(self, phase: Phase, until: Watch | None) -> Rollout:
+        mujoco, simulation = engine(), phase.simulation
         steps = round(simulation.duration / simulation.timestep)
-        for velocity in plan.initial.velocities:
+        for velocity in phase.initial.velocities:
             self._set_off(velocity)
-        pushes = [_Push.of(i, self._body(i.id), simulation.timestep) for i in plan.initial.impulses]
+        pushes = [_Push.of(i, self._body(i.id), simulation.timestep) for i in phase.initial.impulses]
         pushes.sort(key=lambda p: p.first)
-        kept = self._kept(plan)
+        kept = self._kept(phase)
         times, poses, contacts = [0.0], [self._poses()], list[tuple[float, int, int, float]]()
         peaks = _Peaks(self.model, self.ids)
         for step in range(steps):
@@ -177,13 +178,13 @@ class _Run:
         self.data.qvel[at : at + 3] = velocity.linear + np.cross(velocity.angular, arm)
         self.data.qvel[at + 3 : at + 6] = self.data.xmat[b].reshape(3, 3).T @ velocity.angular
 
-    def _kept(self, plan: Plan) -> Array:
+    def _kept(self, phase: Phase) -> Array:
         """The share of every free joint's speeds that a step of damping leaves."""
         kept = np.ones(self.model.nv)
-        for s in plan.semantics:
+        for s in phase.semantics:
             b = self._body(s.id)
             at = int(self.model.body_dofadr[b])
-            kept[at : at + int(self.model.body_dofnum[b])] = 1 - s.damping * plan.simulation.timestep
+            kept[at : at + int(self.model.body_dofnum[b])] = 1 - s.damping * phase.simulation.timestep
         return kept
 
     def _body(self, id: int) -> int:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from f3sr.core.transforms import UP, Array
+from f3sr.goals.language_protocol import Planned
 from f3sr.goals.launch_limits import limits_of
 from f3sr.goals.plan import Kind, TaskSpec
 from f3sr.goals.refusal import NotUnderstoodError, Refusal, refuse
@@ -20,7 +21,7 @@ from f3sr.language.grammar.parser import understand
 from f3sr.language.grammar.quantities import Amount
 from f3sr.language.grammar.request import Request, WantedOutcome, What
 from f3sr.language.object_queries import world_vector
-from f3sr.language.reference_resolution import names, resolve_request
+from f3sr.language.reference_resolution import Named, names, resolve_request
 from f3sr.language.success_conditions import Meant
 from f3sr.scene import GROUND, Scene
 
@@ -64,33 +65,41 @@ SAID: dict[Direction, str] = {
 }
 
 
-def tasks_of(goal: str, scene: Scene) -> Sequence[TaskSpec] | Refusal:
-    """The tasks that a goal may mean, the strictest first: later ones drop conditions that nobody stated."""
-    request = understand(goal)
-    if isinstance(request, Refusal):
-        return request
-    request = _tipped(request)
-    named = resolve_request(request, scene)
-    if isinstance(named, Refusal):
-        return named
-    layout = SceneLayout(scene)
+def planned(goal: str, scene: Scene, phases: Sequence[Scene] = ()) -> Planned | Refusal:
+    """The next phase of a goal, as the tasks that it may mean: later ones drop conditions that nobody stated.
+
+    Words refer to ``scene``, the photo's. ``phases`` are the scenes at the ends of the phases before."""
+    requests = understand(goal)
+    if isinstance(requests, Refusal):
+        return requests
+    found = list[Named]()
+    for r in requests:
+        named = resolve_request(r, scene, before=found[-1] if found else None)
+        if isinstance(named, Refusal):
+            return named
+        found.append(named)
+    request, named, layout = _tipped(requests[len(phases)]), found[len(phases)], SceneLayout([scene, *phases][-1])
     try:
         check_possible(request, named.active, named.target, layout)
         meant = _meant(request, named.active, named.target, layout)
     except NotUnderstoodError as error:
         return error.refusal
-    return [_task(meant, conditions, left, scene) for conditions, left in success_conditions.readings(meant, layout)]
+    readings, called = success_conditions.readings(meant, layout), names(scene)
+    tasks = [_task(meant, conditions, left, layout.scene, called) for conditions, left in readings]
+    return Planned(readings=tasks, last=len(phases) + 1 == len(requests))
 
 
 def _tipped(r: Request) -> Request:
     """Pushed until it falls over: it is tipped, and need not slide, where no words say how far."""
-    falls = r.outcome == WantedOutcome(what="topple", whose="active")
-    is_tipped = falls and r.kind == "slide" and r.target is None and r.amount is None
-    return replace(r, kind="topple", outcome=None) if is_tipped else r
+    falls = WantedOutcome(what="topple", whose="active")
+    is_tipped = falls in r.outcomes and r.kind == "slide" and r.target is None and r.amount is None
+    return replace(r, kind="topple", outcomes=tuple(o for o in r.outcomes if o != falls)) if is_tipped else r
 
 
-def _task(meant: Meant, conditions: success_conditions.Conditions, left: str, scene: Scene) -> TaskSpec:
-    d, called = meant.direction, names(scene)
+def _task(
+    meant: Meant, conditions: success_conditions.Conditions, left: str, scene: Scene, called: dict[int, str]
+) -> TaskSpec:
+    d = meant.direction
     return TaskSpec(
         kind=meant.request.kind,
         active=meant.active,
@@ -121,9 +130,9 @@ def _interpretation(meant: Meant, called: dict[int, str]) -> str:
     words += [SAID[d] for d in r.direction]
     if meant.asked:
         words.append(f"by {meant.amount:.3g} m")
-    if r.outcome:
-        whose = "it" if r.outcome.whose == "active" else "the other"
-        words.append(f"so that {whose} {ENDS.get(r.outcome.what, f'{r.outcome.what}s')}")
+    for outcome in r.outcomes:
+        whose = "it" if outcome.whose == "active" else "the other"
+        words.append(f"so that {whose} {ENDS.get(outcome.what, f'{outcome.what}s')}")
     return " ".join(words)
 
 

@@ -31,10 +31,11 @@ class Named:
     target: int | None = None
 
 
-def resolve_request(request: Request, scene: Scene) -> Named | Refusal:
-    """The objects of a request. Refused where not one object fits, or the active one is fixed or its own target."""
+def resolve_request(request: Request, scene: Scene, *, before: Named | None = None) -> Named | Refusal:
+    """The objects of a request; ``it`` is the active object of the request ``before``. Refused where not one object
+    fits, or the active one is fixed or its own target."""
     try:
-        return _named(request, Sight(scene))
+        return _named(request, Sight(scene), before)
     except NotUnderstoodError as error:
         return error.refusal
 
@@ -57,23 +58,26 @@ def names(scene: Scene) -> dict[int, str]:
     return {o.id: _distinct(o.id, sight) for o in scene}
 
 
-def _named(request: Request, sight: Sight) -> Named:
+def _named(request: Request, sight: Sight, before: Named | None) -> Named:
     scene, called = sight.scene, quoted(spoken(request.active))
-    active = _resolved(request.active, sight, None)
+    earlier = None if before is None else before.active
+    again = earlier is not None and canonical(plain(request.active)) in PRONOUNS
+    active = _resolved(request.active, sight, earlier if again else None)
     if active == GROUND or scene[active].mobility == "fixed":
         free = [o.id for o in scene if o.mobility == "dynamic"]
         refuse("fixed", f"{called} is fixed; accepted: an object that can move", _told_apart(free, sight))
-    target = None if request.target is None else _resolved(request.target, sight, active)
+    it = active if earlier is None else earlier
+    target = None if request.target is None else _resolved(request.target, sight, active, it=it)
     if target == active:
         others = [o.id for o in scene if o.id != active]
         refuse("same", f"{called} is also its own target; accepted: another target", _told_apart(others, sight))
     return Named(active=active, target=target)
 
 
-def _resolved(phrase: str, sight: Sight, active: int | None) -> int:
+def _resolved(phrase: str, sight: Sight, active: int | None, *, it: int | None = None) -> int:
     words = canonical(plain(phrase))
     if words in PRONOUNS and active is not None:
-        return active
+        return active if it is None else it
     if words in PRONOUNS - {"back"}:
         refuse("ambiguous", f"{quoted(words)} refers to no object; accepted: an object's name")
     other = active is not None and words.startswith(OTHER)

@@ -11,7 +11,7 @@ import numpy as np
 from f3sr.core.transforms import Array
 from f3sr.goals import plan as p
 from f3sr.goals.scene_layout import SceneLayout, way_between
-from f3sr.language.grammar.request import Request, What
+from f3sr.language.grammar.request import Request, WantedOutcome, What
 from f3sr.scene import GROUND
 
 Conditions = tuple[p.Condition, ...]
@@ -62,14 +62,21 @@ class Meant:
 def readings(meant: Meant, layout: SceneLayout) -> list[Reading]:
     """The success conditions of a settled request, the strictest first, each with what it leaves to chance."""
     made = _BY_KIND[meant.request.kind](meant, layout)
-    outcome = meant.request.outcome
-    if outcome is None:
+    outcomes = meant.request.outcomes
+    if not outcomes:
         return made
-    found = [((*before, *_outcome(meant, layout, before, MOVES)), left) for before, left in made]
-    if outcome.what == "move":
+    found = [(_with_outcomes(meant, layout, before, MOVES), left) for before, left in made]
+    if any(outcome.what == "move" for outcome in outcomes):
         before, _ = made[-1]
-        found.append(((*before, *_outcome(meant, layout, before, MOVES_A_LITTLE)), "by how much it moves the other"))
+        found.append((_with_outcomes(meant, layout, before, MOVES_A_LITTLE), "by how much it moves the other"))
     return found
+
+
+def _with_outcomes(meant: Meant, layout: SceneLayout, before: Conditions, moves: float) -> Conditions:
+    """With what the words say comes of it, in their order."""
+    for outcome in meant.request.outcomes:
+        before = (*before, *_outcome(meant, outcome, layout, before, moves))
+    return before
 
 
 def phases(conditions: Sequence[p.Condition], called: Mapping[int, str]) -> Iterator[str]:
@@ -125,7 +132,7 @@ def _push_into(m: Meant, layout: SceneLayout) -> list[Reading]:
 def _bumped(conditions: Conditions, m: Meant, layout: SceneLayout) -> list[Reading]:
     """What something runs into is seen to move, where it can be moved."""
     target = _target(m)
-    if m.request.outcome is not None or target == GROUND or layout.scene[target].mobility == "fixed":
+    if m.request.outcomes or target == GROUND or layout.scene[target].mobility == "fixed":
         return [(conditions, "")]
     touches = next(k for k, c in enumerate(conditions) if c.type == "contact")
     moves = p.Displaced(a=target, at_least=max(STIRS * layout.size(target), STIRS_BY), after=touches)
@@ -258,14 +265,14 @@ CONDITION_OF: Mapping[What, type[p.Condition]] = {
 """The condition that an outcome in words asks for; one of its kind is enough."""
 
 
-def _outcome(m: Meant, layout: SceneLayout, before: Sequence[p.Condition], moves: float) -> Sequence[p.Condition]:
+def _outcome(
+    m: Meant, outcome: WantedOutcome, layout: SceneLayout, before: Sequence[p.Condition], moves: float
+) -> Sequence[p.Condition]:
     """What the words say comes of it, after the last contact of the goal itself."""
-    if m.request.outcome is None:
-        return ()
-    what, id = m.request.outcome.what, m.active if m.request.outcome.whose == "active" else _target(m)
+    what, id = outcome.what, m.active if outcome.whose == "active" else _target(m)
     touches = [k for k, c in enumerate(before) if c.type == "contact"]
     after = touches[-1] if touches else None
-    if (same := CONDITION_OF.get(what)) and any(isinstance(c, same) for c in before):
+    if (same := CONDITION_OF.get(what)) and any(isinstance(c, same) and c.a == id for c in before):
         return ()
     seen = moves * layout.size(id)
     match what:

@@ -8,6 +8,7 @@ from itertools import product
 import numpy as np
 
 from f3sr.core.transforms import UP, Array
+from f3sr.goals.language_protocol import Tried
 from f3sr.launches import ballistics
 from f3sr.launches.flights import striking, throwing_far
 from f3sr.launches.launch_context import Aim, LaunchContext, Launches
@@ -139,7 +140,13 @@ def _rolling_far(s: LaunchContext, direction: Array) -> Launches:
     for _ in range(9):
         v = min(math.sqrt(2 * slow * aim.far), s.limits.speed) * direction
         (tried,) = yield [s.thrown(v, angular=s.rolling(v), seconds=LONG)]
-        aim.ended(s.moved(tried))
+        aim.ended(min(s.moved(tried), goal * _turned(tried)))
+
+
+def _turned(tried: Tried) -> float:
+    """How much of the turning asked for was reached, as a share; infinite where it was enough."""
+    rolled = [c for c in tried.verdict.conditions if c.condition.type == "rolled"]
+    return min((1 + c.relative for c in rolled if not c.met), default=math.inf)
 
 
 def _hopping(s: LaunchContext, direction: Array, speed: float) -> Launches:

@@ -1,23 +1,24 @@
-"""A goal from words to verdict: plan, reason, build, try, correct, until it is met or the search is exhausted."""
+"""A goal from words to verdict: for every phase plan, reason, build, try, correct, until it is met or none is left."""
 
 from __future__ import annotations
 
 import hashlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from f3sr.errors import require_kind
 from f3sr.goals import checks
 from f3sr.goals.language_protocol import Language, Launch, Tried
-from f3sr.goals.plan import Displaced, Height, Plan, Semantics, TaskSpec
+from f3sr.goals.plan import MOST_PHASES, Displaced, Height, Phase, Plan, Semantics, TaskSpec
 from f3sr.goals.refusal import Refusal
-from f3sr.goals.rollout import Rollout
+from f3sr.goals.rollout import Rollout, joined
 from f3sr.goals.scene_layout import SceneLayout
-from f3sr.goals.simulate import simulate
+from f3sr.goals.sequence import scene_after
+from f3sr.goals.simulate import simulate_phase
 from f3sr.goals.verify import Verdict, verify
 from f3sr.play.rule_based_language import Rules
-from f3sr.play.trials import IN_FRAME, OverlapError, Trials, in_frame, rating, sure
+from f3sr.play.trials import IN_FRAME, OverlapError, Trials, in_frame, phase_of, rating, sure
 from f3sr.scene import Scene
 from f3sr.scene_package.package import Package
 
@@ -34,6 +35,8 @@ class Played:
     plan: Plan
     rollout: Rollout
     verdict: Verdict
+    stopped: bool = False
+    """Whether the goal has more phases, which were not played because the last one here was missed."""
 
     @property
     def nearest(self) -> str:
@@ -49,18 +52,40 @@ class Played:
 def simulate_goal(package: Package, goal: str, *, language: Language | None = None) -> Played | Refusal:
     """Play a goal in words in the scene of a package (docs: goals). Deterministic.
 
-    Returns a Refusal if the words are not understood or geometry rules the goal out. Otherwise returns the best trial;
-    its verdict says whether it meets the goal. ``language`` answers the three steps (default: rules). Raises PlanError
-    if an answer of it cannot be played, InputError for anything but a package.
+    Returns a Refusal if the words are not understood or geometry rules the goal out. Otherwise returns the best trial
+    of every phase; its verdict says whether it meets the goal. ``language`` answers the three steps (default: rules).
+    Raises PlanError if an answer of it cannot be played, InputError for anything but a package.
     """
     _require_package(package)
     language, scene = language or Rules(), package.scene
-    tasks = language.plan(goal, scene)
-    if isinstance(tasks, Refusal):
-        return tasks
-    if not tasks:
-        raise checks.PlanError("the Planner gave no task; accepted: at least one, or a refusal")
-    return _Playing(language, Trials(scene, goal[:2000], scene_sha(package))).played(tasks[:READINGS])
+    found, ends, rollouts = list[Tried](), list[Scene](), 0
+    phases = list[Phase]()
+    while True:
+        planned = language.plan(goal, scene, ends)
+        if isinstance(planned, Refusal):
+            return _of_phase(planned, len(phases))
+        if not planned.readings:
+            raise checks.PlanError("the Planner gave no task; accepted: at least one, or a refusal")
+        search = _Search(language, Trials(ends[-1] if ends else scene))
+        best = search.best_of(planned.readings[:READINGS], rests=not planned.last)
+        rollouts += search.trials.rollouts
+        if isinstance(best, Refusal):
+            return _of_phase(best, len(phases))
+        phases.append(best[0])
+        found.append(best[1])
+        if planned.last or not found[-1].verdict.met:
+            break
+        if len(phases) == MOST_PHASES:
+            raise checks.PlanError(f"more than {MOST_PHASES} phases; accepted: at most {MOST_PHASES}")
+        ends.append(scene_after(ends[-1] if ends else scene, phases[-1], found[-1].rollout))
+    plan = Plan(goal=goal[:2000], scene=scene_sha(package), phases=tuple(phases), rollouts=rollouts)
+    rollout = joined([tried.rollout for tried in found])
+    return Played(plan=plan, rollout=rollout, verdict=verify(scene, plan, rollout), stopped=not planned.last)
+
+
+def _of_phase(refusal: Refusal, played: int) -> Refusal:
+    """A refusal that says which phase it is of, where others come before."""
+    return replace(refusal, message=f"phase {played + 1}: {refusal.message}") if played else refusal
 
 
 def replay_plan(package: Package, plan: Plan) -> Played:
@@ -70,11 +95,15 @@ def replay_plan(package: Package, plan: Plan) -> Played:
         raise checks.PlanError(
             f"the plan belongs to another scene ({plan.scene[:12]}); this one is {scene_sha(package)[:12]}"
         )
-    checks.require(checks.faults_of(plan, package.scene), of="plan")
-    try:
-        rollout = simulate(package.scene, plan)
-    except FloatingPointError as error:
-        raise checks.PlanError(f"the plan cannot be played: {error}") from None
+    scene, rollouts = package.scene, list[Rollout]()
+    for k, phase in enumerate(plan.phases):
+        scene = scene_after(scene, plan.phases[k - 1], rollouts[-1]) if rollouts else scene
+        checks.require(checks.faults_of(phase, scene), of="plan")
+        try:
+            rollouts.append(simulate_phase(scene, phase))
+        except FloatingPointError as error:
+            raise checks.PlanError(f"the plan cannot be played: {error}") from None
+    rollout = joined(rollouts)
     return Played(plan=plan, rollout=rollout, verdict=verify(package.scene, plan, rollout))
 
 
@@ -83,8 +112,8 @@ def _require_package(package: Package) -> None:
 
 
 @dataclass(eq=False)
-class _Playing:
-    """The search for one goal, over all its readings."""
+class _Search:
+    """The search for one phase, over all its readings."""
 
     language: Language
     trials: Trials
@@ -95,7 +124,8 @@ class _Playing:
     def scene(self) -> Scene:
         return self.trials.scene
 
-    def played(self, tasks: Sequence[TaskSpec]) -> Played | Refusal:
+    def best_of(self, tasks: Sequence[TaskSpec], *, rests: bool) -> tuple[Phase, Tried] | Refusal:
+        """The best trial; where another phase follows, played on until everything ``rests``."""
         for task in tasks:
             checks.require(checks.task_faults(task, self.scene), of="task")
             self._try(task)
@@ -104,8 +134,9 @@ class _Playing:
         if self.best is None:
             return self.refused or Refusal(reason="impossible", message="no way was found to set this off")
         task, semantics, tried = self.best
-        plan = self.trials.plan(task, semantics, tried.launch, self.trials.rollouts)
-        return Played(plan=plan, rollout=tried.rollout, verdict=tried.verdict)
+        if rests and tried.verdict.met:
+            tried = self.trials.rested(task, semantics, tried)
+        return phase_of(task, semantics, tried.launch), tried
 
     def _try(self, task: TaskSpec) -> None:
         """One reading: launches until one meets the goal with margin in the frame, or none is left."""
@@ -127,7 +158,7 @@ class _Playing:
                     return
                 tried.append(one)
                 self._keep(task, semantics, one, layout)
-                if sure(one) and in_frame(one, layout, task.active) >= IN_FRAME:
+                if _is_best(one, layout, task):
                     return
                 if one.verdict.met and met is None:
                     met = self.trials.rollouts
@@ -146,6 +177,11 @@ class _Playing:
         rated = rating(one, layout, task.active)
         if self.best is None or rated > rating(self.best[2], layout, self.best[0].active):
             self.best = (task, semantics, one)
+
+
+def _is_best(one: Tried, layout: SceneLayout, task: TaskSpec) -> bool:
+    """Whether no better launch is sought: met with margin, in the frame, without side effects."""
+    return sure(one) and not one.verdict.side_effects and in_frame(one, layout, task.active) >= IN_FRAME
 
 
 def scene_sha(package: Package) -> str:

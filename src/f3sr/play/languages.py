@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 from f3sr.backends.registry import Backend, Kind
 from f3sr.files.strict_json import problem
 from f3sr.goals.checks import PlanError
-from f3sr.goals.language_protocol import Language, Launch, Tried
+from f3sr.goals.language_protocol import Language, Launch, Planned, Tried
 from f3sr.goals.plan import InitialConditions, Semantics, SimulationPlan, TaskSpec
 from f3sr.goals.refusal import Refusal
 from f3sr.scene import Scene
@@ -31,9 +31,13 @@ class CheckedLanguage:
 
     backend: Backend[Language]
 
-    def plan(self, goal: str, scene: Scene) -> Sequence[TaskSpec] | Refusal:
-        answer = self.backend.asked(lambda b: b.plan(goal, scene))
-        return answer if isinstance(answer, Refusal) else [self._record(t, TaskSpec) for t in self._listed(answer)]
+    def plan(self, goal: str, scene: Scene, phases: Sequence[Scene] = ()) -> Planned | Refusal:
+        answer = self.backend.asked(lambda b: b.plan(goal, scene, phases))
+        if isinstance(answer, Refusal):
+            return answer
+        answer = self._typed(answer, Planned)
+        readings = [self._record(t, TaskSpec) for t in self._listed(answer.readings)]
+        return Planned(readings=readings, last=answer.last is not False)
 
     def reason(self, task: TaskSpec, scene: Scene) -> Sequence[Semantics]:
         answer = self.backend.asked(lambda b: b.reason(task, scene))

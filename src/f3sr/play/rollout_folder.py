@@ -16,6 +16,7 @@ from f3sr.goals import rollout as rollouts
 from f3sr.goals.file_names import FILMS, PLAN, ROLLOUT, VERDICT
 from f3sr.goals.plan import Plan
 from f3sr.goals.rollout import Rollout
+from f3sr.goals.sequence import played_phases
 from f3sr.play.goal_loop import Played, scene_sha
 from f3sr.runtime.atomic_folder import BusyError, being_written, check, claimed, recover, recover_all
 from f3sr.scene_package.package import Package, read_package
@@ -143,14 +144,15 @@ def read_played(folder: Path, package: Path | None = None) -> StoredRollout:
     content = read_package(package)
     if plan.scene != scene_sha(content):
         raise InputError(folder, found=f"a rollout of another scene than {package}", accepted="one of this package")
-    if fault := next(checks.faults_of(plan, content.scene), None):
-        raise InputError(folder / PLAN, found=fault, accepted="a plan that this package can be played by")
     if rollout.ids.tolist() != [o.id for o in content.scene]:
         accepted = f"objects {[o.id for o in content.scene]}, as the scene has them"
         raise InputError(folder / ROLLOUT, found=f"objects {rollout.ids.tolist()[:20]}", accepted=accepted)
     if fault := next(checks.rollout_faults(rollout, plan), None):
         found, _, accepted = fault.partition("; accepted: ")
         raise InputError(folder / ROLLOUT, found=found, accepted=accepted)
+    for played in played_phases(content.scene, plan, rollout):
+        if fault := next(checks.faults_of(played.phase, played.scene), None):
+            raise InputError(folder / PLAN, found=fault, accepted="a plan that this package can be played by")
     return StoredRollout(plan=plan, rollout=rollout, package=content)
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from f3sr.goals.language_protocol import Launch, Tried
+from f3sr.goals.language_protocol import Launch, Planned, Tried
 from f3sr.goals.plan import InitialConditions, Semantics, TaskSpec
 from f3sr.goals.refusal import Refusal
 from f3sr.goals.scene_layout import SceneLayout
 from f3sr.goals.simulate import as_planned
-from f3sr.language.planner import tasks_of
+from f3sr.language.planner import planned
 from f3sr.language.reasoner import semantics_of
 from f3sr.launches.builder import Builder
 from f3sr.scene import Scene
@@ -21,8 +21,8 @@ class Rules:
     def __init__(self) -> None:
         self._last: tuple[TaskSpec, Sequence[Semantics], Scene, Builder] | None = None
 
-    def plan(self, goal: str, scene: Scene) -> Sequence[TaskSpec] | Refusal:
-        return tasks_of(goal, scene)
+    def plan(self, goal: str, scene: Scene, phases: Sequence[Scene] = ()) -> Planned | Refusal:
+        return planned(goal, scene, phases)
 
     def reason(self, task: TaskSpec, scene: Scene) -> Sequence[Semantics]:
         return semantics_of(task, scene)

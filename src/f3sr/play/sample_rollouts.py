@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from f3sr.goals.plan import Plan
-from f3sr.goals.simulate import simulate
+from f3sr.goals.plan import Phase, Plan, Semantics
+from f3sr.goals.sequence import simulate
 from f3sr.goals.verify import Verdict, verify
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import Scene
@@ -53,12 +53,17 @@ def success_rate(plan: Plan, scenes: Iterable[Scene]) -> SuccessRate:
 
 def _verdict(plan: Plan, scene: Scene) -> Verdict | str:
     """What came of a plan in another scene: its densities stay, so masses go with the sizes."""
-    semantics = tuple(
-        s.model_copy(update={"mass": body_of(scene[s.id]).mass * s.density / scene[s.id].density})
-        for s in plan.semantics
-    )
-    plan = plan.model_copy(update={"semantics": semantics})
+    phases = tuple(phase.model_copy(update={"semantics": _as_heavy(phase, scene)}) for phase in plan.phases)
+    plan = plan.model_copy(update={"phases": phases})
     try:
         return verify(scene, plan, simulate(scene, plan))
     except FloatingPointError as error:
         return f"cannot be played: {error}"
+
+
+def _as_heavy(phase: Phase, scene: Scene) -> tuple[Semantics, ...]:
+    """A phase's semantics with the masses that its densities give in another scene."""
+    return tuple(
+        s.model_copy(update={"mass": body_of(scene[s.id]).mass * s.density / scene[s.id].density})
+        for s in phase.semantics
+    )

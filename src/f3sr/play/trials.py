@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from f3sr.core.transforms import transform
+from f3sr.goals.checks import LONGEST
 from f3sr.goals.language_protocol import Launch, Tried
-from f3sr.goals.plan import Plan, Semantics, SimulationPlan, TaskSpec
+from f3sr.goals.plan import Phase, Semantics, SimulationPlan, TaskSpec
 from f3sr.goals.rollout import Rollout
 from f3sr.goals.rollout_queries import LAST
 from f3sr.goals.scene_layout import SceneLayout
-from f3sr.goals.simulate import model_of, simulate, start_state
-from f3sr.goals.verify import verify
+from f3sr.goals.simulate import model_of, simulate_phase, start_state
+from f3sr.goals.verify import verify_phase
 from f3sr.language.reasoner import at_rest
 from f3sr.physics.mujoco_model import engine
 from f3sr.scene import GROUND, Scene
@@ -48,11 +49,9 @@ class OverlapError(Exception):
 
 @dataclass(eq=False)
 class Trials:
-    """Rollouts of one goal in one scene."""
+    """Rollouts of one phase of a goal, from the scene that it starts in."""
 
     scene: Scene
-    goal: str
-    scene_sha: str
     rollouts: int = 0
     seconds: float = 0.0
     _models: dict[Any, Any] = field(default_factory=dict[Any, Any])
@@ -62,50 +61,50 @@ class Trials:
     def spent(self) -> bool:
         return self.rollouts >= ROLLOUTS or self.seconds * len(self.scene.objects) >= WORK
 
-    def plan(self, task: TaskSpec, semantics: Sequence[Semantics], launch: Launch, rollouts: int = 0) -> Plan:
-        return Plan(
-            goal=self.goal,
-            scene=self.scene_sha,
-            task=task,
-            semantics=tuple(semantics),
-            initial=launch.initial,
-            simulation=launch.simulation,
-            rollouts=rollouts,
-        )
-
     def run(self, task: TaskSpec, semantics: Sequence[Semantics], launch: Launch) -> Tried:
         """The launch with the duration that it took, its rollout and verdict.
 
         Raises OverlapError or FloatingPointError."""
-        plan = self.plan(task, semantics, launch)
-        key = (plan.semantics, launch)
+        phase = phase_of(task, semantics, launch)
+        key = (phase.semantics, launch)
         if key not in self._rollouts:
-            self._rollouts[key] = self._rollout(plan)
-        rollout = self._rollouts[key]
-        ended = launch.simulation.model_copy(update={"duration": float(rollout.time[-1])})
-        launch = Launch(initial=launch.initial, simulation=ended)
-        return Tried(
-            launch=launch, rollout=rollout, verdict=verify(self.scene, self.plan(task, semantics, launch), rollout)
-        )
+            self._rollouts[key] = self._rollout(phase)
+        return self._judged(phase, self._rollouts[key])
 
-    def _rollout(self, plan: Plan) -> Rollout:
+    def rested(self, task: TaskSpec, semantics: Sequence[Semantics], tried: Tried) -> Tried:
+        """The same launch, played on until every object rests, or as long as a phase may last."""
+        simulation = tried.launch.simulation.model_copy(update={"duration": LONGEST})
+        launch = Launch(initial=tried.launch.initial, simulation=simulation)
+        phase, ends = phase_of(task, semantics, launch), float(tried.rollout.time[-1])
+        self.rollouts += 1
+        watch = Still(ends - 2 * LAST, range(sum(o.mobility == "dynamic" for o in self.scene)), fastest=np.inf)
+        model = self._model_of(phase.semantics, phase.simulation)
+        return self._judged(phase, simulate_phase(self.scene, phase, until=watch, model=model))
+
+    def _judged(self, phase: Phase, rollout: Rollout) -> Tried:
+        ended = phase.simulation.model_copy(update={"duration": float(rollout.time[-1])})
+        phase = phase.model_copy(update={"simulation": ended})
+        launch = Launch(initial=phase.initial, simulation=ended)
+        return Tried(launch=launch, rollout=rollout, verdict=verify_phase(self.scene, phase, rollout))
+
+    def _rollout(self, phase: Phase) -> Rollout:
         """Another reading of the same words may ask for the same launch: that is no new rollout."""
-        model, task = self._model_of(plan.semantics, plan.simulation), plan.task
-        if plan.initial.offsets:
-            self._require_clear(model, plan)
-        last = max((i.time + i.duration for i in plan.initial.impulses), default=0.0)
+        model, task = self._model_of(phase.semantics, phase.simulation), phase.task
+        if phase.initial.offsets:
+            self._require_clear(model, phase)
+        last = max((i.time + i.duration for i in phase.initial.impulses), default=0.0)
         watched = {task.active, *(c.a for c in task.conditions), *({task.target} - {None, GROUND})}
         rows = [k for k, o in enumerate(o for o in self.scene if o.mobility == "dynamic") if o.id in watched]
         self.rollouts += 1
-        limits = plan.simulation.limits
+        limits = phase.simulation.limits
         watch = Still(last, rows, fastest=RUNAWAY * limits.speed if limits else np.inf)
         try:
-            rollout = simulate(self.scene, plan, until=watch, model=model)
+            rollout = simulate_phase(self.scene, phase, until=watch, model=model)
         except FloatingPointError:
-            end = watch.last - 2 * plan.simulation.timestep * plan.simulation.steps_per_sample
+            end = watch.last - 2 * phase.simulation.timestep * phase.simulation.steps_per_sample
             if end <= 0:
                 raise
-            rollout = simulate(self.scene, plan, until=lambda time, _: time >= end, model=model)
+            rollout = simulate_phase(self.scene, phase, until=lambda time, _: time >= end, model=model)
         self.seconds += float(rollout.time[-1])
         return rollout
 
@@ -138,13 +137,17 @@ class Trials:
             self._models[key] = model_of(self.scene, semantics, simulation)
         return self._models[key]
 
-    def _require_clear(self, model: Any, plan: Plan) -> None:
+    def _require_clear(self, model: Any, phase: Phase) -> None:
         """Raise OverlapError if the active object starts elsewhere and inside something."""
         ids = [o.id for o in self.scene]
-        data, body = start_state(model, ids, plan.initial.offsets), ids.index(plan.task.active) + 1
+        data, body = start_state(model, ids, phase.initial.offsets), ids.index(phase.task.active) + 1
         mine = (model.geom_bodyid[data.contact.geom] == body).any(1) if data.ncon else np.zeros(0, bool)
         if (data.contact.dist[mine] < -OVERLAP).any():
             raise OverlapError("the active object would start inside something else")
+
+
+def phase_of(task: TaskSpec, semantics: Sequence[Semantics], launch: Launch) -> Phase:
+    return Phase(task=task, semantics=tuple(semantics), initial=launch.initial, simulation=launch.simulation)
 
 
 class Still:
@@ -180,13 +183,14 @@ def in_frame(tried: Tried, layout: SceneLayout, active: int) -> float:
     sample = int(np.argmin(np.abs(tried.rollout.time - time)))
     start = layout.scene[active].T_world_object
     moved = tried.rollout.poses(active)[sample] @ np.linalg.inv(start)
-    return layout.share_in_frame(transform(moved, layout.corners(active)))
+    return layout.scene.camera.share_in_frame(transform(moved, layout.corners(active)))
 
 
-def rating(tried: Tried, layout: SceneLayout, active: int) -> tuple[bool, bool, bool, float]:
-    """Better is more: met, in the frame, sure, with more margin."""
+def rating(tried: Tried, layout: SceneLayout, active: int) -> tuple[bool, int, bool, bool, float]:
+    """Better is more: met, fewer side effects, in the frame, sure, with more margin."""
     return (
         tried.verdict.met,
+        -len(tried.verdict.side_effects),
         in_frame(tried, layout, active) >= IN_FRAME,
         sure(tried),
         min(tried.verdict.margin, 10 * SURE),

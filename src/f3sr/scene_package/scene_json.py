@@ -92,7 +92,8 @@ def _whole(version: object) -> object:
     return version
 
 
-Version = Annotated[Literal[1], BeforeValidator(_whole)]
+WHOLE = BeforeValidator(_whole)
+Version = Annotated[Literal[1], WHOLE]
 Path = Annotated[str, AfterValidator(_safe_path)]
 FileName = Annotated[str, AfterValidator(_file_name)]
 

@@ -3,7 +3,8 @@
 
 /** The view on a canvas, or null where WebGL 2 is not there.
  *
- *  `data`: bounds [low, high] that presets frame, objects [{mesh, parts}], textures, path [x, y, z, ...].
+ *  `data`: bounds [low, high] that presets frame, objects [{mesh, parts}], textures, path [x, y, z, ...],
+ *  strips (first points of its lines).
  *  `look(fromPhoto)` says what is to be seen now: camera {width, height, K, T}, poses (4x4 each), shade, colors {grid,
  *  path, glow}, and, where wanted, parts (instead of meshes), grid, lights and passed (points of the path that are behind).
  *  `turns`: what keys turn by, [right, down]. `painted()` is called after every picture. */
@@ -135,7 +136,7 @@ function view3d(canvas, data, { look, turns, painted = () => {} }) {
     }
     return linesOf(points);
   })();
-  const path = linesOf(data.path || []);
+  const path = linesOf(data.path || []), strips = data.strips || [0];
 
   // --- the camera ---------------------------------------------------------------------------------------------
 
@@ -254,9 +255,15 @@ function view3d(canvas, data, { look, turns, painted = () => {} }) {
     set({ textured: 0, shade: 0, glow: 0, fade: CELLS * cell, alpha: 0.55 });
     if (gridShown) paintLines(grid, gl.LINES, colors.grid);
     set({ fade: 0, alpha: 1 });
-    paintLines(path, gl.LINE_STRIP, colors.path, 0, passed + 1);
+    const paintPath = (from, to) => { // points from..to-1, a line per strip
+      for (const [k, start] of strips.entries()) {
+        const first = Math.max(from, start), end = Math.min(to, strips[k + 1] ?? path.count);
+        if (end > first) paintLines(path, gl.LINE_STRIP, colors.path, first, end - first);
+      }
+    };
+    paintPath(0, passed + 1);
     set({ alpha: 0.35 });
-    paintLines(path, gl.LINE_STRIP, colors.path, passed, path.count - passed);
+    paintPath(passed, path.count);
     gl.bindVertexArray(null);
     painted();
   };

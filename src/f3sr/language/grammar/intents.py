@@ -153,7 +153,10 @@ def _dropped(c: Clause) -> Request:
         refuse("grammar", "nothing can hold a lifted object; accepted: 'lift ... and drop it on ...'")
     if c.family == "put" and not _is_lifted(c) and not c.targets:
         refuse("grammar", f"the goal does not say where to {c.verb} it; accepted: on or into an object")
-    return _request("lift_and_drop", c) if c.family != "drop" else _from_above(c)
+    if c.family == "drop":
+        return _from_above(c)
+    off = [t for t in c.targets if t[0] == "off"]
+    return _request("lift_and_drop", replace(c, targets=[("onto", "ground")]) if off else c)
 
 
 def _from_above(c: Clause) -> Request:
@@ -168,7 +171,7 @@ def _pushed(c: Clause, preposition: str | None) -> Request:
         refuse("direction", ALONG)
     over = c.over or c.family == "tip"
     if c.family == "hit" and c.targets and over:
-        return replace(_request("push_into", c), outcome=WantedOutcome(what="topple", whose="target"))
+        return replace(_request("push_into", c), outcomes=(WantedOutcome(what="topple", whose="target"),))
     if preposition in ("off", "away-from"):
         return _request("slide", c)
     if over:

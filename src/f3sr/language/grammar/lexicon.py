@@ -135,6 +135,7 @@ class Lexicon(BaseModel):
     nobody: WordSet
     fillers: WordSet
     joints: WordSet
+    sequel: Patterns
     results: Rules
     idioms: Rules
     spellings: Rules
@@ -150,6 +151,11 @@ class Lexicon(BaseModel):
     strikes: WordSet
     families: ByWord[Family]
     irregular: dict[Word, Words]
+
+    @cached_property
+    def sequels(self) -> re.Pattern[str]:
+        """What stands between two phases."""
+        return _rule("|".join(self.sequel))
 
     @cached_property
     def colours_of(self) -> dict[str, tuple[Colour, ...]]:

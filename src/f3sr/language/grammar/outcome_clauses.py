@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from f3sr.goals.plan import Kind
+from f3sr.goals.refusal import refuse
 from f3sr.language.grammar.clauses import Clause, refuse_several
 from f3sr.language.grammar.lexicon import Family, lexicon
 from f3sr.language.grammar.request import Preposition, Request, WantedOutcome, What
@@ -33,7 +34,7 @@ def continued(r: Request, c: Clause) -> Request:
     if c.family == "stay" and c.object == "upright":
         c = replace(c, object="")
     if _whose(c.subject, r) in ("active", "either") and _lands_on_ground(c, r):
-        return replace(r, outcome=WantedOutcome(what="grounded", whose="active"))
+        return _with_outcome(r, WantedOutcome(what="grounded", whose="active"))
     whose = _whose(c.subject or c.object, r)
     if set(c.directions) - {"up", "down", *r.direction}:
         refuse_several()
@@ -46,9 +47,18 @@ def continued(r: Request, c: Clause) -> Request:
     what = _outcome(c)
     if what is None or c.targets or c.tool:
         refuse_several()
-    if whose == "either":
+    if whose == "either" and r.outcomes:
+        whose = r.outcomes[-1].whose
+    elif whose == "either":
         whose = "target" if what in ("topple", "move") and r.kind != "topple" else "active"
-    return replace(r, outcome=WantedOutcome(what=what, whose="target" if whose == "target" else "active"))
+    return _with_outcome(r, WantedOutcome(what=what, whose="target" if whose == "target" else "active"))
+
+
+def _with_outcome(r: Request, wanted: WantedOutcome) -> Request:
+    """Outcomes add up, but nothing falls over and stays upright."""
+    if any(o.whose == wanted.whose and {o.what, wanted.what} == {"topple", "upright"} for o in r.outcomes):
+        refuse("contradiction", "the goal says both falls over and stays upright; accepted: one of them")
+    return r if wanted in r.outcomes else replace(r, outcomes=(*r.outcomes, wanted))
 
 
 def _lands_on_ground(c: Clause, r: Request) -> bool:
@@ -61,7 +71,7 @@ def _fallen_back(r: Request, c: Clause) -> Request:
     """``throw it up and let it fall``; what is thrown aside falls anyway, and can at most be asked to return."""
     if not set(r.direction) - {"up"}:
         return replace(r, kind="launch_and_return")
-    return replace(r, outcome=WantedOutcome(what="return", whose="active")) if c.family == "return" else r
+    return _with_outcome(r, WantedOutcome(what="return", whose="active")) if c.family == "return" else r
 
 
 def _struck(c: Clause) -> str:

@@ -1,6 +1,8 @@
 """Goals in plain English to requests: a small grammar, no model, the same answer every time.
 
-    goal    = {padding} [frame] clause {joint clause} {thanks}
+    goal    = phase {sequel phase}
+    phase   = {padding} [frame] clause {joint clause} {thanks}
+    sequel  = "then" | "after that" | "once it rests" | ...
     padding = "please" | "can you" | "i want you to" | ...
     frame   = "make" | "let" | "i want" | ...
     joint   = "and" | "then" | "so that" | "until"
@@ -13,9 +15,10 @@ into ``clauses``, which ``intents`` and ``outcome_clauses`` make a request of.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+from f3sr.goals.plan import MOST_PHASES
 from f3sr.goals.refusal import NotUnderstoodError, Refusal, quoted, refuse
 from f3sr.language.grammar.clauses import clause, refuse_other, refuse_several, starts_clause
 from f3sr.language.grammar.intents import request
@@ -25,24 +28,93 @@ from f3sr.language.grammar.quantities import amount_in, manner_in
 from f3sr.language.grammar.request import Request
 
 CLAUSES = 3
-"""Clauses of one goal: ``lift it, drop it on the box and let it roll``."""
+"""Clauses of one launch: ``lift it, drop it on the box and let it roll``."""
+BEFORE_AND_AFTER = (
+    (r"before (.+?), *(?:please |first )?(.+)", (2, 1)),
+    (r"after (.*?ing\b.+?), *(?:please |then )?(.+)", (1, 2)),
+    (r"(.+?),? before (\w+ing\b.+)", (1, 2)),
+    (r"(.+?),? after (\w+ing\b.+)", (2, 1)),
+)
+"""Words that tell an order, and which of their parts comes first and second."""
 
 
-def understand(text: str) -> Request | Refusal:
-    """What a goal asks for, or why its words are refused. Deterministic; work grows linearly with the text."""
+def understand(text: str) -> tuple[Request, ...] | Refusal:
+    """What a goal asks for, a request for each of its phases, or why its words are refused.
+
+    Deterministic; work grows linearly with the text. Words that one launch may mean are one phase."""
     try:
-        return _understood(text)
+        words = plain(_in_order(text))
+        one = _request_or_refusal(words)
+        whole = isinstance(one, Request) and not _runs_on(one)
+        phases = () if whole else _phases(words)
+        if not phases and isinstance(one, Refusal):
+            return one
+        return tuple(replace(r, text=text.strip()) for r in phases or [one] if isinstance(r, Request))
     except NotUnderstoodError as error:
         return error.refusal
 
 
-def _understood(text: str) -> Request:
-    words = rewritten(plain(text), lexicon().results)
+def _in_order(text: str) -> str:
+    """``before A, do B`` and ``after A, do B`` in the order in which things happen."""
+    for pattern, order in BEFORE_AND_AFTER:
+        if found := re.fullmatch(pattern, text.strip(), re.IGNORECASE | re.DOTALL):
+            return f"{found[order[0]]}; {found[order[1]]}"
+    return text
+
+
+def _request_or_refusal(words: str) -> Request | Refusal:
+    """One launch in plain words."""
+    try:
+        return _understood(words)
+    except NotUnderstoodError as error:
+        return error.refusal
+
+
+def _runs_on(r: Request) -> bool:
+    """Whether the words of a phrase go on into another phase."""
+    return any(lexicon().sequels.search(phrase) for phrase in (r.active, r.target or ""))
+
+
+def _phases(words: str) -> list[Request]:
+    """The requests of words that ask for several launches in order, each as many clauses as one launch may mean; none
+    where any of it is not understood."""
+    parts = [part for part in _bare_parts(lexicon().sequels.split(words)) if part]
+    found, at, verb = list[Request](), 0, ""
+    while at < len(parts):
+        ends = range(min(len(parts), at + CLAUSES), at, -1)
+        tried = ((_with_verb(" and then ".join(parts[at:end]), verb), end) for end in ends)
+        request, at = next(((r, end) for r, end in tried if r is not None), (None, at))
+        if request is None:
+            return []
+        found.append(request)
+        verb = next((w for w in parts[at - 1].split() if w in lexicon().forms), verb)
+    if len(found) > MOST_PHASES:
+        refuse("several", f"the goal asks for {len(found)} motions; accepted: at most {MOST_PHASES}, as 'A, then B'")
+    return found if len(found) > 1 else []
+
+
+def _bare_parts(parts: Sequence[str]) -> Iterator[str]:
+    for part in parts:
+        yield re.sub(r"^(?:(?:and|then|but)(?: |$))+|(?:(?:^| )(?:and|then))+$", "", part.strip())
+
+
+def _with_verb(words: str, verb: str) -> Request | None:
+    """The request of words that may have no verb, as that of the phase before is meant: ``push A left, then B``."""
+    found = _request_or_refusal(words)
+    if isinstance(found, Refusal) and found.reason == "verb" and verb:
+        found = _request_or_refusal(f"{verb} {words}")
+        if isinstance(found, Refusal):
+            found = _request_or_refusal(f"{verb} it {words}")
+    return None if isinstance(found, Refusal) or _runs_on(found) else found
+
+
+def _understood(words: str) -> Request:
+    words = rewritten(words, lexicon().results)
     _screen(words.split())
     words, amount = amount_in(rewritten(_bare(words), lexicon().idioms))
     words, manner = manner_in(words)
     found = _request(_bare(" ".join(words.split())))
-    return replace(found, amount=amount, manner=manner, text=text.strip())
+    return replace(found, amount=amount, manner=manner)
 
 
 def _screen(words: Sequence[str]) -> None:

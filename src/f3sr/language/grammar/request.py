@@ -46,6 +46,6 @@ class Request:
     amount: Amount | Vague | None = None
     """How far it goes, or how high it is lifted."""
     manner: Manner | None = None
-    outcome: WantedOutcome | None = None
+    outcomes: tuple[WantedOutcome, ...] = ()
     text: str = field(default="", compare=False)
     """The goal as it was typed."""
