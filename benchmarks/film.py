@@ -95,7 +95,7 @@ def row(goal: Mapping[str, Any], package: Path, out: Path) -> dict[str, Any]:
 def of_three_seconds(played: Path, package: Path) -> float:
     """Seconds that a film of the same plan takes when it is played for 3 s."""
     plan = json.loads((played / "plan.json").read_text())
-    plan["simulation"]["duration"] = 3.0
+    plan["phases"][0]["simulation"]["duration"] = 3.0
     edited, out = played.with_name(played.name + ".plan.json"), played.with_name(played.name + "-3s")
     edited.write_text(json.dumps(plan))
     again = asked.ask(["simulate", package, "--plan", edited, "-o", out, "--json", "--overwrite"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from f3sr.core.transforms import Array
-from f3sr.goals.plan import Displaced, InitialConditions, Plan, Semantics, SimulationPlan, TaskSpec
+from f3sr.goals.plan import Displaced, InitialConditions, Phase, Plan, Semantics, SimulationPlan, TaskSpec
 from f3sr.goals.rollout import Rollout
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import Scene, SceneObject
@@ -38,13 +38,26 @@ def plan_of(
     return Plan(
         goal="test",
         scene="0" * 64,
-        task=TaskSpec(
-            kind="slide", active=active, conditions=(Displaced(a=active, at_least=0.1),), interpretation="a test"
+        phases=(
+            Phase(
+                task=TaskSpec(
+                    kind="slide",
+                    active=active,
+                    conditions=(Displaced(a=active, at_least=0.1),),
+                    interpretation="a test",
+                ),
+                semantics=tuple(made(o) for o in scene) if semantics is None else semantics,
+                initial=InitialConditions.model_validate(initial),
+                simulation=SimulationPlan(duration=duration),
+            ),
         ),
-        semantics=tuple(made(o) for o in scene) if semantics is None else semantics,
-        initial=InitialConditions.model_validate(initial),
-        simulation=SimulationPlan(duration=duration),
     )
+
+
+def changed(plan: Plan, **values: object) -> Plan:
+    """A plan of one phase with other values in it."""
+    (phase,) = plan.phases
+    return plan.model_copy(update={"phases": (phase.model_copy(update=values),)})
 
 
 def centers(rollout: Rollout, o: SceneObject) -> Array:

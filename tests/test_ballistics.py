@@ -9,7 +9,7 @@ import pytest
 
 from f3sr.core.transforms import Array
 from f3sr.goals.plan import Velocity
-from f3sr.goals.simulate import simulate
+from f3sr.goals.sequence import simulate
 from f3sr.launches import ballistics
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.physics.mujoco_model import body_of

@@ -23,7 +23,7 @@ from f3sr.goals.plan import (
     Off,
     On,
     Over,
-    Plan,
+    Phase,
     Returned,
     Rolled,
     SimulationPlan,
@@ -32,7 +32,7 @@ from f3sr.goals.plan import (
     Upright,
 )
 from f3sr.goals.rollout import CONTACT, Rollout
-from f3sr.goals.verify import to_json, verify
+from f3sr.goals.verify import to_json, verify_phase
 from f3sr.scene import GROUND, Scene
 from scenes import box, scene_of
 
@@ -197,12 +197,11 @@ def test_what_is_flung_away_breaks_a_rule(scene: Scene) -> None:
     limits = Limits(speed=3.0, impulse=10.0, force=100.0, lift=1.0)
     task = TaskSpec(kind="slide", active=0, conditions=(Displaced(a=0, at_least=0.1),), interpretation="a test")
     simulation = SimulationPlan(duration=1.0, limits=limits)
-    plan = Plan(goal="t", scene="0" * 64, task=task, semantics=(), initial=InitialConditions(), simulation=simulation)
-    assert any(
-        "flung" in rule for rule in verify(scene, plan, rollout_of(scene, {1: along(scene, 1, sideways(9))})).broken
-    )
+    phase = Phase(task=task, semantics=(), initial=InitialConditions(), simulation=simulation)
+    fast = rollout_of(scene, {1: along(scene, 1, sideways(9))})
+    assert any("flung" in rule for rule in verify_phase(scene, phase, fast).broken)
     assert not any(
-        "flung" in r for r in verify(scene, plan, rollout_of(scene, {1: along(scene, 1, sideways(2))})).broken
+        "flung" in r for r in verify_phase(scene, phase, rollout_of(scene, {1: along(scene, 1, sideways(2))})).broken
     )
 
 
@@ -261,10 +260,8 @@ def test_on_and_inside() -> None:
     assert one(On(a=1, b=GROUND), ends((0.5, 0, 0.05), (0.9, -1, 1, 2.0)), scene).met
 
 
-def plan_of(*conditions: Condition, target: int | None = None, active: int = 0, **initial: object) -> Plan:
-    return Plan(
-        goal="test",
-        scene="0" * 64,
+def plan_of(*conditions: Condition, target: int | None = None, active: int = 0, **initial: object) -> Phase:
+    return Phase(
         task=TaskSpec(kind="slide", active=active, target=target, conditions=conditions, interpretation=""),
         semantics=(),
         initial=InitialConditions.model_validate(initial),
@@ -274,15 +271,15 @@ def plan_of(*conditions: Condition, target: int | None = None, active: int = 0, 
 
 def test_the_verdict_names_broken_rules(scene: Scene) -> None:
     rollout = rollout_of(scene, {0: along(scene, 0, sideways(0.3))}, [(0.2, 0, 1, 1.0)])
-    fine = verify(scene, plan_of(Displaced(a=0, at_least=0.1), impulses=[Impulse(id=0, time=0.0)]), rollout)
+    fine = verify_phase(scene, plan_of(Displaced(a=0, at_least=0.1), impulses=[Impulse(id=0, time=0.0)]), rollout)
     assert fine.met and fine.margin == pytest.approx(2.0) and b'"met": true' in to_json(fine)
     late = plan_of(Displaced(a=0, at_least=0.1), target=1, impulses=[Impulse(id=0, time=0.5)])
-    assert not verify(scene, late, rollout).met
-    assert [rule.split(" by ")[0] for rule in verify(scene, late, rollout).broken] == [
+    assert not verify_phase(scene, late, rollout).met
+    assert [rule.split(" by ")[0] for rule in verify_phase(scene, late, rollout).broken] == [
         "an impulse comes 0.30 s after the active object touched its target",
         "object 0 moves",
     ]
-    other = verify(scene, plan_of(Displaced(a=0, at_least=0.1), impulses=[Impulse(id=1, time=0.0)]), rollout)
+    other = verify_phase(scene, plan_of(Displaced(a=0, at_least=0.1), impulses=[Impulse(id=1, time=0.0)]), rollout)
     assert "object 1 is set off" in other.broken[0]
     elsewhere = rollout_of(scene, {1: along(scene, 1, np.full((31, 3), 0.01))})
-    assert "does not start where" in verify(scene, plan_of(Displaced(a=0, at_least=0.1)), elsewhere).broken[0]
+    assert "does not start where" in verify_phase(scene, plan_of(Displaced(a=0, at_least=0.1)), elsewhere).broken[0]

@@ -34,6 +34,7 @@ from f3sr.goals.verify import verify
 from f3sr.scene import GROUND
 from film_scene import film_files, given, unlit
 from goal_scene import BLOCK, LID
+from plans import changed
 
 av = pytest.importorskip("av")
 HOSTILE = "</script><img src=x onerror=alert(1)>\"' \u2028\u202e\0" + "9" * 10_000
@@ -215,13 +216,13 @@ def test_film_time_is_simulated_time():
 
 def test_slow_motion_shows_more_of_the_same_motion():
     g = given()
-    fine = finer(g.scene, g.played.plan, g.played.rollout, 4)
+    fine = finer(g.scene, g.played.plan.phases[0], g.played.rollout, 4)
     assert rate_of(fine) == 120
     assert (fine.T_world_object[::4] == g.played.rollout.T_world_object).all()
     other = replace(g.played.rollout, T_world_object=g.played.rollout.T_world_object + 1e-3)
     with pytest.raises(InputError, match="another motion"):
-        finer(g.scene, g.played.plan, other, 4)
-    assert finer(g.scene, g.played.plan, g.played.rollout, 1) is g.played.rollout
+        finer(g.scene, g.played.plan.phases[0], other, 4)
+    assert finer(g.scene, g.played.plan.phases[0], g.played.rollout, 1) is g.played.rollout
 
 
 @pytest.mark.parametrize(("slow", "said"), [(4, "1/4 speed"), (2.5, "0.4x speed"), (0.5, "2x speed"), (3, "1/3 speed")])
@@ -284,7 +285,7 @@ GOALS = [
 def test_moments_are_few_in_order_and_hold_every_met_condition(goal: str):
     g = given(goal)
     played = g.played
-    moments = key_moments(g.scene, played.plan, played.rollout, played.verdict)
+    moments = key_moments(g.scene, played.plan.phases[0], played.rollout, played.verdict)
     frames = [m.frame for m in moments]
     assert FEWEST <= len(moments) <= MOST and frames == sorted(set(frames))
     assert frames[0] == 0 and frames[-1] == len(played.rollout.time) - 1
@@ -302,22 +303,22 @@ def test_moments_are_few_in_order_and_hold_every_met_condition(goal: str):
 
 def test_the_first_contact_is_the_rollouts():
     g = given()
-    task = g.played.plan.task
+    task = g.played.plan.phases[0].task
     assert task.target is not None
     first = float(g.played.rollout.touches(task.active, task.target)["time"][0])
-    moments = key_moments(g.scene, g.played.plan, g.played.rollout, g.played.verdict)
+    moments = key_moments(g.scene, g.played.plan.phases[0], g.played.rollout, g.played.verdict)
     said = [m for m in moments if "tennis ball touches soup can" in m.what]
     assert len(said) == 1 and said[0].time == first
 
 
 def test_what_was_missed_is_said_at_the_end():
     g = given()
-    task = g.played.plan.task
+    task = g.played.plan.phases[0].task
     wrong = task.model_copy(update={"conditions": (Contact(a=task.active, b=0),)})
-    plan = g.played.plan.model_copy(update={"task": wrong})
+    plan = changed(g.played.plan, task=wrong)
     verdict = verify(g.scene, plan, g.played.rollout)
     assert not verdict.met
-    end = key_moments(g.scene, plan, g.played.rollout, verdict)[-1]
+    end = key_moments(g.scene, plan.phases[0], g.played.rollout, verdict)[-1]
     assert f"missed: {verdict.conditions[0].said}" in end.what
 
 
@@ -333,7 +334,7 @@ def test_a_strip_holds_every_picture_in_order(count: int):
 
 
 def _of(played: Any) -> tuple[Any, Any, Any]:
-    return played.plan, played.rollout, played.verdict
+    return played.plan.phases[0], played.rollout, played.verdict
 
 
 # --- all of it ------------------------------------------------------------------------------------------------------
@@ -343,7 +344,7 @@ def test_a_film_is_its_three_files_and_the_same_again():
     g = given()
     files = film_files()
     assert list(files) == [FILM, STRIP, PLAYER]
-    again = make_film(g.scene, *_of(g.played), unlit(g.scene))
+    again = make_film(g.scene, g.played.plan, *_of(g.played)[1:], unlit(g.scene))
     assert {k: v == again[k] for k, v in files.items()} == dict.fromkeys(files, True)
     with opened(files[FILM]) as file:
         assert file.streams.video[0].frames == len(g.played.rollout.time)
@@ -370,7 +371,7 @@ def test_the_shortest_rollouts_are_films_too(samples: int):
         contacts=whole.contacts[whole.contacts["time"] <= whole.time[samples - 1] + 1e-9],
     )
     verdict = verify(g.scene, g.played.plan, rollout)
-    moments = key_moments(g.scene, g.played.plan, rollout, verdict)
+    moments = key_moments(g.scene, g.played.plan.phases[0], rollout, verdict)
     assert [moments[0].frame, moments[-1].frame] == [0, samples - 1] and "end" in moments[-1].what
     files = make_film(g.scene, g.played.plan, rollout, verdict, unlit(g.scene))
     with opened(files[FILM]) as file:
@@ -385,7 +386,7 @@ def test_every_frame_is_drawn_once_and_in_order():
         asked.append(poses)
         return np.full((64, 96, 3), 99, np.uint8)
 
-    make_film(g.scene, *_of(g.played), draw)
+    make_film(g.scene, g.played.plan, *_of(g.played)[1:], draw)
     assert (np.array(asked) == g.played.rollout.T_world_object).all()
 
 
@@ -405,8 +406,10 @@ def test_pairs_are_those_of_the_rollout():
 def test_hostile_words_stay_words():
     g = given()
     scene = g.scene.with_objects(*(replace(o, label=HOSTILE) for o in g.scene))
-    task = g.played.plan.task.model_copy(update={"interpretation": HOSTILE[:1900], "assumptions": (HOSTILE[:1900],)})
-    plan = g.played.plan.model_copy(update={"goal": HOSTILE[:1900], "task": task})
+    task = g.played.plan.phases[0].task.model_copy(
+        update={"interpretation": HOSTILE[:1900], "assumptions": (HOSTILE[:1900],)}
+    )
+    plan = changed(g.played.plan, task=task).model_copy(update={"goal": HOSTILE[:1900]})
     verdict = verify(scene, plan, g.played.rollout)
     text = make_film(scene, plan, g.played.rollout, verdict, unlit(scene))[PLAYER].decode()
     assert text.count("</script>") == 2 and "<img src=x" not in text

@@ -165,33 +165,36 @@ def test_a_plan_of_another_package_is_bad_input(
 
 
 def in_steps(duration: float, timestep: float, **more: int) -> Callable[[dict[str, Any]], None]:
-    return lambda plan: plan["simulation"].update(duration=duration, timestep=timestep, **more)
+    return lambda plan: plan["phases"][0]["simulation"].update(duration=duration, timestep=timestep, **more)
 
 
 def made_of(**values: float) -> Callable[[dict[str, Any]], None]:
-    return lambda plan: plan["semantics"][0].update(values)
+    return lambda plan: plan["phases"][0]["semantics"][0].update(values)
 
 
 def aimed(x: float) -> Callable[[dict[str, Any]], None]:
-    return lambda plan: plan["task"].update(direction=[x, 0, 0])
+    return lambda plan: plan["phases"][0]["task"].update(direction=[x, 0, 0])
 
 
 @pytest.mark.parametrize(
     ("change", "found"),
     [
-        (in_steps(10, 1e-5), "simulation.timestep"),
-        (in_steps(10, 1e-300), "simulation.timestep"),
+        (in_steps(10, 1e-5), "phases.0.simulation.timestep"),
+        (in_steps(10, 1e-300), "phases.0.simulation.timestep"),
         (in_steps(10, 1e-4, steps_per_sample=1000), "100,000 steps; accepted: at most 40,000"),
         (in_steps(10, 1 / 960, steps_per_sample=1), "9601 samples; accepted: 3 to 1001"),
         (in_steps(1e-300, 1 / 960), "1 samples"),
-        (in_steps(1e300, 1 / 960), "simulation.duration"),
-        (aimed(1e308), "task.direction.0"),
+        (in_steps(1e300, 1 / 960), "phases.0.simulation.duration"),
+        (aimed(1e308), "phases.0.task.direction.0"),
         (aimed(1e-300), "no length"),
-        (lambda plan: plan["task"]["conditions"][0].update(direction=[1e308, 0, 0], type="displaced"), "direction"),
-        (lambda plan: plan["task"].update(active=2**63), "task.active"),
-        (made_of(mass=1e300), "semantics.0.mass"),
+        (
+            lambda plan: plan["phases"][0]["task"]["conditions"][0].update(direction=[1e308, 0, 0], type="displaced"),
+            "direction",
+        ),
+        (lambda plan: plan["phases"][0]["task"].update(active=2**63), "phases.0.task.active"),
+        (made_of(mass=1e300), "phases.0.semantics.0.mass"),
         (made_of(density=1.0, mass=1.0), "by its volume"),
-        (lambda plan: plan["initial"]["velocities"][0].update(angular=[1e308, 0, 0]), "angular"),
+        (lambda plan: plan["phases"][0]["initial"]["velocities"][0].update(angular=[1e308, 0, 0]), "angular"),
     ],
 )
 def test_a_plan_beyond_all_bounds_is_one_line(

@@ -18,7 +18,7 @@ import pytest
 from f3sr.core.transforms import Array, pose
 from f3sr.errors import InputError, OutputError
 from f3sr.goals.checks import PlanError, faults_of
-from f3sr.goals.language_protocol import Launch, Tried
+from f3sr.goals.language_protocol import Launch, Planned, Tried
 from f3sr.goals.launch_limits import limits_of
 from f3sr.goals.plan import (
     Contact,
@@ -36,7 +36,8 @@ from f3sr.goals.plan import (
 from f3sr.goals.refusal import Refusal
 from f3sr.goals.rollout import to_npz
 from f3sr.goals.scene_layout import SceneLayout
-from f3sr.goals.simulate import simulate
+from f3sr.goals.sequence import simulate
+from f3sr.goals.simulate import simulate_phase
 from f3sr.goals.verify import VerdictDocument, verify
 from f3sr.goals.verify import to_json as verdict_json
 from f3sr.language.capabilities import menu
@@ -47,12 +48,13 @@ from f3sr.physics.mujoco_model import body_of
 from f3sr.play import rollout_folder
 from f3sr.play.goal_loop import Played, replay_plan, simulate_goal
 from f3sr.play.rule_based_language import Rules
-from f3sr.play.trials import LINGERS, ROLLOUTS, SHORTEST, Still, Trials
+from f3sr.play.trials import LINGERS, ROLLOUTS, SHORTEST, Still, Trials, phase_of
 from f3sr.runtime import atomic_folder
 from f3sr.scene import GROUND, Scene, Support
 from f3sr.scene_package.package import Package
 from f3sr.scene_package.scene_json import dump_json
 from goal_scene import BALL, BLOCK, CAN, CARTON, CRATE, GAP, LID, goal_package, goal_scene
+from plans import changed
 from scenes import box
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -123,10 +125,10 @@ def way(found: Played, id: int, scene: Scene) -> Array:
 @pytest.mark.parametrize(("goal", "kind"), MET.items())
 def test_every_kind_is_met(package: Package, goal: str, kind: str) -> None:
     found = played(package, goal)
-    assert found.plan.task.kind == kind and found.verdict.met, found.verdict.said
-    assert 1 <= found.plan.rollouts <= ROLLOUTS and not list(faults_of(found.plan, package.scene))
-    assert found.plan.initial.controlled == {found.plan.task.active}
-    assert found.rollout.time[-1] == pytest.approx(found.plan.simulation.duration)
+    assert found.plan.phases[0].task.kind == kind and found.verdict.met, found.verdict.said
+    assert 1 <= found.plan.rollouts <= ROLLOUTS and not list(faults_of(found.plan.phases[0], package.scene))
+    assert found.plan.phases[0].initial.controlled == {found.plan.phases[0].task.active}
+    assert found.rollout.time[-1] == pytest.approx(found.plan.phases[0].simulation.duration)
 
 
 @pytest.mark.parametrize("goal", [*MET][2:9:3])
@@ -152,8 +154,9 @@ def test_a_slide_goes_as_far_as_asked_and_stands(package: Package) -> None:
 def test_a_push_ends_before_the_target_is_touched(package: Package) -> None:
     found = played(package, "push the can into the block")
     touched = float(found.rollout.touches(CAN, BLOCK)["time"][0])
-    assert found.plan.initial.impulses and all(i.time + i.duration < touched for i in found.plan.initial.impulses)
-    assert not found.plan.initial.velocities and not found.verdict.broken
+    initial = found.plan.phases[0].initial
+    assert initial.impulses and all(i.time + i.duration < touched for i in initial.impulses)
+    assert not initial.velocities and not found.verdict.broken
 
 
 def test_what_is_thrown_in_ends_inside(package: Package) -> None:
@@ -183,7 +186,7 @@ def test_a_bounce_touches_the_ground_before_its_target(package: Package) -> None
     found = played(package, "bounce the ball into the cereal box")
     ground = [t for t in found.rollout.touches(BALL, GROUND)["time"] if t > 0.1]
     assert ground[0] < found.rollout.touches(BALL, CARTON)["time"][0]
-    assert next(s for s in found.plan.semantics if s.id == BALL).restitution == pytest.approx(0.74)
+    assert next(s for s in found.plan.phases[0].semantics if s.id == BALL).restitution == pytest.approx(0.74)
 
 
 def test_what_lies_in_something_is_thrown_from_where_it_lies(tmp_path: Path) -> None:
@@ -193,9 +196,9 @@ def test_what_lies_in_something_is_thrown_from_where_it_lies(tmp_path: Path) -> 
     ball = replace(ball, supports=(Support(id=CRATE),), supported_by=CRATE)
     package = goal_package(tmp_path / "package", scene.with_objects(ball))
     found = played(package, "throw the ball at the cereal box")
-    assert found.verdict.met and not found.plan.initial.offsets
+    assert found.verdict.met and not found.plan.phases[0].initial.offsets
     assert np.allclose(found.rollout.poses(BALL)[0], package.scene[BALL].T_world_object, atol=1e-6)
-    rise, off = found.plan.initial.impulses
+    rise, off = found.plan.phases[0].initial.impulses
     assert rise.linear[2] > 0 and rise.linear[:2] == (0.0, 0.0) and off.time > rise.time == 0.0
 
 
@@ -212,16 +215,16 @@ def test_what_lies_in_something_is_pushed_out_over_the_rim(tmp_path: Path) -> No
 def test_what_is_struck_is_not_lifted_by_that(tmp_path: Path, speed: float) -> None:
     """A speed from one step to the next lifts it: the engine's cone of friction is convex."""
     package = goal_package(tmp_path / "package", replace(goal_scene(), objects=(goal_scene()[BLOCK],)))
-    task = played(package, "push the block 5 cm to the left").plan.task
+    task = played(package, "push the block 5 cm to the left").plan.phases[0].task
     setting = LaunchContext(task, SceneLayout(package.scene), limits_of(package.scene))
     rise = {}
     for launch in (
         setting.struck(setting.direction, speed, 0.5, seconds=0.1),
         setting.thrown(speed * setting.direction, seconds=0.1),
     ):
-        plan = Trials(package.scene, "", "0" * 64).plan(task, [at_rest(o) for o in package.scene], launch)
+        phase = phase_of(task, [at_rest(o) for o in package.scene], launch)
         simulation = SimulationPlan(steps_per_sample=2, duration=0.025)
-        rollout = simulate(package.scene, plan.model_copy(update={"simulation": simulation}))
+        rollout = simulate_phase(package.scene, phase.model_copy(update={"simulation": simulation}))
         T = rollout.poses(BLOCK)
         low = (T[:, :3, :3] @ package.scene[BLOCK].mesh.vertices.T)[:, 2].min(1) + T[:, 2, 3]
         rise[bool(launch.initial.impulses)] = float(low.max() - low[0])
@@ -231,17 +234,17 @@ def test_what_is_struck_is_not_lifted_by_that(tmp_path: Path, speed: float) -> N
 
 
 def test_turning_has_a_limit(package: Package) -> None:
-    plan, scene = played(package, "roll the ball to the left").plan, package.scene
+    phase, scene = played(package, "roll the ball to the left").plan.phases[0], package.scene
     most = 2 * limits_of(scene).speed / 0.032
     for spin, blow, ok in ((0.9 * most, False, True), (1.2 * most, False, False), (1.2 * most, True, False)):
         turning = (0.0, 0.0, spin)
-        inertia = body_of(scene[BALL]).inertia[2, 2] * plan.semantics[BALL].mass / body_of(scene[BALL]).mass
+        inertia = body_of(scene[BALL]).inertia[2, 2] * phase.semantics[BALL].mass / body_of(scene[BALL]).mass
         initial = (
             InitialConditions(impulses=(Impulse(id=BALL, time=0.0, angular=(0.0, 0.0, spin * inertia)),))
             if blow
             else InitialConditions(velocities=(Velocity(id=BALL, angular=turning),))
         )
-        faults = list(faults_of(plan.model_copy(update={"initial": initial}), scene))
+        faults = list(faults_of(phase.model_copy(update={"initial": initial}), scene))
         assert (not faults) == ok and all("turn" in f for f in faults), (spin, faults)
 
 
@@ -256,7 +259,7 @@ def test_a_way_too_far_is_no_advice(package: Package) -> None:
 
 
 def test_what_is_taken_along_is_named(package: Package) -> None:
-    assert played(package, "push the block 5 cm to the right").plan.task.passives == (LID,)
+    assert played(package, "push the block 5 cm to the right").plan.phases[0].task.passives == (LID,)
 
 
 def test_others_that_still_move_are_waited_for() -> None:
@@ -280,7 +283,7 @@ def test_others_that_still_move_are_waited_for() -> None:
 def test_only_what_is_dropped_may_start_elsewhere(package: Package) -> None:
     found = played(package, "throw the ball at the cereal box")
     offset = Offset(id=BALL, translation=(0.0, 0.0, 0.1))
-    plan = found.plan.model_copy(update={"initial": InitialConditions(offsets=(offset,))})
+    plan = changed(found.plan, initial=InitialConditions(offsets=(offset,)))
     broken = verify(package.scene, plan, simulate(package.scene, plan)).broken
     assert any("starts elsewhere" in rule for rule in broken)
 
@@ -318,7 +321,10 @@ def test_long_pushes_are_played_or_refused(package: Package, far: float) -> None
     """Into whatever stands there: the push ends with the rollout, and nothing is flung away."""
     found = simulate_goal(package, f"push the soup can {far} m to the left")
     if isinstance(found, Played):
-        assert all(i.time + i.duration < found.plan.simulation.duration + 1e-6 for i in found.plan.initial.impulses)
+        assert all(
+            i.time + i.duration < found.plan.phases[0].simulation.duration + 1e-6
+            for i in found.plan.phases[0].initial.impulses
+        )
         assert not any("flung" in rule for rule in found.verdict.broken)
     else:
         assert found.reason in ("impossible", "amount")
@@ -346,7 +352,7 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
 
 def test_what_is_closed_can_only_be_touched(package: Package) -> None:
     found = simulate_goal(package, "throw the cereal box into the can")
-    assert isinstance(found, Played) and any("nothing can lie" in a for a in found.plan.task.assumptions)
+    assert isinstance(found, Played) and any("nothing can lie" in a for a in found.plan.phases[0].task.assumptions)
 
 
 def test_what_is_not_met_is_said_with_the_best_that_was_found(package: Package) -> None:
@@ -356,8 +362,8 @@ def test_what_is_not_met_is_said_with_the_best_that_was_found(package: Package) 
 
 
 def test_assumptions_are_said_and_only_then(package: Package) -> None:
-    assert any("direction" in a for a in played(package, "knock over the cereal box").plan.task.assumptions)
-    assert not played(package, "push the cereal box 10 cm to the left").plan.task.assumptions
+    assert any("direction" in a for a in played(package, "knock over the cereal box").plan.phases[0].task.assumptions)
+    assert not played(package, "push the cereal box 10 cm to the left").plan.phases[0].task.assumptions
 
 
 def test_the_menu_names_every_object_and_what_it_can_do(package: Package) -> None:
@@ -385,11 +391,11 @@ def test_goals_have_the_materials_of_the_package() -> None:
 
 def test_what_would_not_rest_keeps_what_the_package_says(package: Package) -> None:
     semantics = semantics_of(_task(active=BALL), package.scene)
-    trials = Trials(package.scene, "", "0" * 64)
+    trials = Trials(package.scene)
     assert trials.steady(semantics) == semantics
     told = tuple(s.model_copy(update={"source": "words"}) for s in semantics)
     tilted = replace(package.scene[LID], T_world_object=package.scene[LID].T_world_object + _up(0.05))
-    falling = Trials(package.scene.with_objects(tilted), "", "0" * 64)
+    falling = Trials(package.scene.with_objects(tilted))
     made = {s.id: s.source for s in falling.steady(told)}
     assert made[LID] == made[BLOCK] == "label" and made[CARTON] == "words"
 
@@ -420,8 +426,9 @@ class Other(Rules):
         super().__init__()
         self.answers = answers
 
-    def plan(self, goal: str, scene: Scene) -> Sequence[TaskSpec] | Refusal:
-        return self.answers.get("plan", [_task()])
+    def plan(self, goal: str, scene: Scene, phases: Sequence[Scene] = ()) -> Planned | Refusal:
+        answer = self.answers.get("plan", [_task()])
+        return answer if isinstance(answer, Refusal) else Planned(readings=answer)
 
     def reason(self, task: TaskSpec, scene: Scene) -> Sequence[Semantics]:
         change = self.answers.get("reason", lambda made: made)
@@ -508,8 +515,8 @@ def test_a_plan_belongs_to_one_scene(package: Package) -> None:
         (lambda text: text[:-40], "line"),
         (lambda text: text.replace(b'"duration": ', b'"duration": NaN, "x": ', 1), "NaN"),
         (lambda text: text.replace(b'"timestep": ', b'"timestep": 1e9, "x": ', 1), "simulation"),
-        (lambda text: text.replace(b'"schema_version": 1', b'"schema_version": 9'), "schema_version"),
-        (lambda text: text.replace(b'"schema_version": 1', b'"schema_version": true'), "schema_version"),
+        (lambda text: text.replace(b'"schema_version": 2', b'"schema_version": 9'), "schema_version"),
+        (lambda text: text.replace(b'"schema_version": 2', b'"schema_version": true'), "schema_version"),
         (lambda text: b"[" * 100_000, "nested"),
         (lambda text: b" " * 10_000_001, "bytes"),
         (lambda text: b"\xff\xfe", "UTF-8"),
@@ -532,7 +539,7 @@ def test_files_match_their_schemas(package: Package) -> None:
     found = played(package, "push the can into the block")
     jsonschema.validate(json.loads(to_json(found.plan)), SCHEMAS["plan"])
     jsonschema.validate(json.loads(verdict_json(found.verdict)), SCHEMAS["verdict"])
-    jsonschema.validate(json.loads(to_json(found.plan))["task"], SCHEMAS["task"])
+    jsonschema.validate(json.loads(to_json(found.plan))["phases"][0]["task"], SCHEMAS["task"])
 
 
 @pytest.mark.parametrize("name", SCHEMAS)

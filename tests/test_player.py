@@ -20,6 +20,7 @@ from f3sr.film.timeline import pairs_of
 from f3sr.goals.verify import verify
 from f3sr.vision import rasterizer
 from film_scene import film_files, given, unlit
+from plans import changed
 
 PATIENCE = 20_000
 """How long anything may take [ms]."""
@@ -316,8 +317,8 @@ def test_hostile_words_are_only_shown(browser: Any, tmp_path: Path):
     hostile = "</script></title><img src=x onerror=alert(1)>\"'\u2028" + "y" * 10_000
     g = given()
     scene = g.scene.with_objects(*(replace(o, label=hostile) for o in g.scene))
-    task = g.played.plan.task.model_copy(update={"interpretation": hostile[:1900]})
-    plan = g.played.plan.model_copy(update={"goal": hostile[:1900], "task": task})
+    task = g.played.plan.phases[0].task.model_copy(update={"interpretation": hostile[:1900]})
+    plan = changed(g.played.plan, task=task).model_copy(update={"goal": hostile[:1900]})
     verdict = verify(scene, plan, g.played.rollout)
     page = make_film(scene, plan, g.played.rollout, verdict, unlit(scene))[PLAYER]
     player = Opened(browser, page, tmp_path)

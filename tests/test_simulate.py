@@ -19,11 +19,11 @@ from f3sr.goals.plan import (
     to_json,
 )
 from f3sr.goals.rollout import from_npz, to_npz
-from f3sr.goals.simulate import simulate
+from f3sr.goals.sequence import simulate
 from f3sr.physics.mujoco_model import body_of
 from f3sr.physics.restitution import LEAST, damping_ratio_of, restitution_of, solref
 from f3sr.scene import GROUND, SceneObject
-from plans import centers, made, plan_of
+from plans import centers, changed, made, plan_of
 from scenes import ball_mesh, box, box_stack_scene, scene_of
 
 G = 9.81
@@ -71,7 +71,7 @@ def test_an_impulse_gives_its_momentum_at_its_time() -> None:
     scene, body = scene_of(o), body_of(o)
     J, L = np.array([0.3, 0.1, 0.2]), np.array([2e-4, -1e-4, 3e-4])
     plan = plan_of(scene, duration=0.3, impulses=[Impulse(id=0, time=0.1, linear=tuple(J), angular=tuple(L))])
-    plan = plan.model_copy(update={"simulation": SimulationPlan(duration=0.3, steps_per_sample=1)})
+    plan = changed(plan, simulation=SimulationPlan(duration=0.3, steps_per_sample=1))
     rollout = simulate(scene, plan)
     way, dt = centers(rollout, o), float(rollout.time[1])
     at = round(0.1 / dt)
@@ -120,7 +120,7 @@ def test_a_ball_bounces_to_its_restitution(e: float, off: float) -> None:
         scene = scene_of(o)
         plan = plan_of(scene, duration=1.0, semantics=(made(o, restitution=e),))
         simulation = SimulationPlan(duration=1.0, steps_per_sample=4)
-        rollout = simulate(scene, plan.model_copy(update={"simulation": simulation}))
+        rollout = simulate(scene, changed(plan, simulation=simulation))
         height = centers(rollout, o)[:, 2] - 0.04
         low = int(np.argmin(height[: round(0.5 / rollout.time[1])]))
         found.append(float(np.sqrt(height[low:].max() / height[0])))

@@ -93,7 +93,7 @@ def _other_scene(rollout: Path) -> None:
 
 def _condition_of_nobody(rollout: Path) -> None:
     plan = json.loads((rollout / PLAN).read_text())
-    plan["task"]["conditions"][0]["a"] = 77
+    plan["phases"][0]["task"]["conditions"][0]["a"] = 77
     (rollout / PLAN).write_text(json.dumps(plan))
 
 
@@ -181,7 +181,7 @@ def _not_finite(rollout: Path) -> None:
         (_with(contacts=lambda contacts: _of_nobody(contacts)), "contacts"),
         (_cut_rollout, "rollout.npz"),
         (_not_finite, "finite"),
-        (_many_samples, "more than 1,001 values"),
+        (_many_samples, "more than 4,004 values"),
         (_more_samples, "1000 samples"),
         (_with(time=lambda time: 2 * time), "as its plan has them"),
         (_with(time=lambda time: time + 0j), "time of complex numbers"),
@@ -365,7 +365,7 @@ def test_what_is_behind_the_camera_is_never_held() -> None:
 
 def test_a_large_photo_is_filmed_smaller_and_that_is_told(package: Package) -> None:
     found = simulate_goal(package, "push the can 5 cm to the left")
-    assert isinstance(found, Played) and found.plan.task.active == CAN
+    assert isinstance(found, Played) and found.plan.phases[0].task.active == CAN
     made = film_played(package, found, FilmConfig(longest=32))
     assert made.size == (32, 24) and any("larger than 32" in d for d in made.decisions)
     with av.open(io.BytesIO(made.files[FILM])) as container:

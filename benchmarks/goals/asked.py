@@ -77,7 +77,7 @@ def goal_row(goal: Mapping[str, Any], package: Path, out: Path, command: Sequenc
         return row | {"missed": [f"exit code {asked.code}: {last_words(asked.printed)}"]}
     try:
         plan, verdict = (json.loads((out / name).read_text()) for name in ("plan.json", "verdict.json"))
-        task, met = plan["task"], bool(verdict["met"])
+        task, met = plan["phases"][0]["task"], bool(verdict["met"])
         off, own = 1000 * replay.difference(package, out), plan["scene"] == digest(package / "scene.json")
     except Exception as error:  # whatever a file that is not right brings about is a finding of this goal
         return row | {"missed": [f"not readable: {type(error).__name__}: {error}"]}
@@ -106,7 +106,7 @@ def paraphrase_row(goal: Mapping[str, Any], words: str, package: Path, out: Path
     if asked.code not in (MET, MISSED):
         return row | {"planned": last_words(asked.printed)}
     try:
-        task = json.loads((out / "plan.json").read_text())["task"]
+        task = json.loads((out / "plan.json").read_text())["phases"][0]["task"]
         planned = f"{task['kind']} {task['active']} -> {task['target']}"
         right = task["kind"] in goal["kinds"] and task["active"] == goal["active"]
         return row | {"planned": planned, "right": right and task["target"] == goal.get("target", task["target"])}

@@ -33,12 +33,21 @@ def difference(package: Path, folder: Path) -> float:
     plan = json.loads((folder / "plan.json").read_text())
     with np.load(folder / "rollout.npz") as rollout:
         origins, ids = rollout["T_world_object"][:, :, :3, 3], rollout["ids"].tolist()
-    mine = replayed(package, plan, ids)
+    mine = replayed(package, plan["phases"], ids)
     return float(np.linalg.norm(mine[: len(origins)] - origins, axis=2).max())
 
 
-def replayed(package: Path, plan: dict[str, Any], ids: list[int]) -> Any:
-    """Origins (T, N, 3) [m] of all bodies under a plan."""
+def replayed(package: Path, phases: list[dict[str, Any]], ids: list[int]) -> Any:
+    """Origins (T, N, 3) [m] of all bodies under a plan's phases, each from the places of the one before, at rest."""
+    found, ends = [], None
+    for phase in phases:
+        origins, ends = replayed_phase(package, phase, ids, ends)
+        found.append(origins)
+    return np.concatenate(found)
+
+
+def replayed_phase(package: Path, plan: dict[str, Any], ids: list[int], start: Any) -> tuple[Any, Any]:
+    """Origins (T, N, 3) [m] of all bodies in a phase, and the coordinates at its end."""
     spec = mujoco.MjSpec.from_file(str(package / "scene.xml"))
     spec.option.timestep = plan["simulation"]["timestep"]
     records = {o["id"]: o for o in json.loads((package / "scene.json").read_text())["objects"]}
@@ -54,6 +63,8 @@ def replayed(package: Path, plan: dict[str, Any], ids: list[int]) -> Any:
         geom.margin = plan["simulation"]["margin"]
     model = spec.compile()
     package_state, data = mujoco.MjData(model), mujoco.MjData(model)
+    if start is not None:
+        package_state.qpos[:] = start
     mujoco.mj_forward(model, package_state)
     for offset in plan["initial"]["offsets"]:
         displace(model, package_state, offset)
@@ -81,7 +92,7 @@ def replayed(package: Path, plan: dict[str, Any], ids: list[int]) -> Any:
             now.qpos[:] = data.qpos
             mujoco.mj_kinematics(model, now)
             found.append(now.xpos[bodies].copy())
-    return np.array(found)
+    return np.array(found), data.qpos
 
 
 def set_off(model: Any, data: Any, velocity: dict[str, Any]) -> None:

@@ -115,18 +115,19 @@ class Film:
 
 
 def read(package: Path, rollout: Path) -> Film:
-    """The film of a rollout.npz in a package."""
+    """The film of a rollout.npz in a package; a later phase's first sample is left out."""
     scene = json.loads((package / "scene.json").read_text())
     with np.load(rollout, allow_pickle=False) as arrays:
         time, ids, T = arrays["time"], arrays["ids"].tolist(), arrays["T_world_object"]
+        kept = ~np.isin(np.arange(len(time)), arrays["starts"][1:])
         contacts = [(float(c[0]), int(c[1]), int(c[2]), float(c[3])) for c in arrays["contacts"].tolist()]
     return Film(
         bodies=bodies_of(package, scene),
         K=np.array(scene["camera"]["K"], float),
         T_world_camera=np.array(scene["camera"]["T_world_camera"], float),
         size=(scene["camera"]["width"], scene["camera"]["height"]),
-        time=np.asarray(time, float),
-        T={id: np.asarray(T[:, n], float) for n, id in enumerate(ids)},
+        time=np.asarray(time[kept], float),
+        T={id: np.asarray(T[kept, n], float) for n, id in enumerate(ids)},
         contacts=contacts,
     )
 

@@ -15,7 +15,7 @@ import results
 
 from f3sr.goals.plan import Velocity, to_json
 from f3sr.goals.rollout import to_npz
-from f3sr.goals.simulate import simulate
+from f3sr.goals.sequence import simulate
 from f3sr.goals.verify import to_json as verdict_json
 from f3sr.goals.verify import verify
 from f3sr.scene_package.package import read_package, write_package

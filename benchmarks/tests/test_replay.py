@@ -10,7 +10,7 @@ import replay
 
 from f3sr.goals.plan import Impulse, Offset, Velocity, to_json
 from f3sr.goals.rollout import to_npz
-from f3sr.goals.simulate import simulate
+from f3sr.goals.sequence import simulate
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene_package.package import read_package, write_package
 from plans import made, plan_of

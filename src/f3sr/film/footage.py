@@ -52,8 +52,8 @@ def footage(scene: Scene, plan: Plan, rollout: Rollout, verdict: Verdict, slow: 
     shown, found, time, frame = list[Rollout](), list[Scenario](), 0.0, 0
     for k, played in enumerate(played_phases(scene, plan, rollout)):
         part, began = finer(played.scene, played.phase, played.rollout, slow), float(rollout.time[rollout.starts[k]])
-        lift = _lifted(shown[-1], part) if shown else None
-        if lift is not None:
+        if shown and played.phase.initial.offsets:
+            lift = _lifted(shown[-1], part)
             shown.append(lift)
             time, frame = time + float(lift.time[-1]), frame + len(lift.time) - 1
         conditions = tuple(
@@ -76,11 +76,9 @@ def footage(scene: Scene, plan: Plan, rollout: Rollout, verdict: Verdict, slow: 
     return Footage(rollout=_without_cuts(joined(shown)), scenarios=tuple(found))
 
 
-def _lifted(before: Rollout, after: Rollout) -> Rollout | None:
-    """The way of what starts elsewhere than it rests: up first, then aside; None where nothing does."""
+def _lifted(before: Rollout, after: Rollout) -> Rollout:
+    """The way of what starts elsewhere than it rests: up first, then aside."""
     start, end = before.T_world_object[-1], after.T_world_object[0]
-    if np.array_equal(start, end):
-        return None
     steps = max(2, round(LIFTING * float(rate_of(after))))
     poses = np.array([[_between(a, b, k / steps) for a, b in zip(start, end, strict=True)] for k in range(steps + 1)])
     time = np.arange(steps + 1) / float(rate_of(after))

@@ -43,10 +43,11 @@ def understand(text: str) -> tuple[Request, ...] | Refusal:
 
     Deterministic; work grows linearly with the text. Words that one launch may mean are one phase."""
     try:
-        words = plain(_in_order(text))
+        ordered = _in_order(text)
+        words = plain(ordered)
         one = _request_or_refusal(words)
         whole = isinstance(one, Request) and not _runs_on(one)
-        phases = () if whole else _phases(words)
+        phases = () if whole else _phases(plain(_with_joints(ordered)))
         if not phases and isinstance(one, Refusal):
             return one
         return tuple(replace(r, text=text.strip()) for r in phases or [one] if isinstance(r, Request))
@@ -62,6 +63,12 @@ def _in_order(text: str) -> str:
     return text
 
 
+def _with_joints(text: str) -> str:
+    """``do A, do B`` as ``do A then do B``."""
+    verb = re.compile(r",\s+(?=([a-z]+)\b)", re.IGNORECASE)
+    return verb.sub(lambda m: " then " if m[1].lower() in lexicon().forms else m[0], text)
+
+
 def _request_or_refusal(words: str) -> Request | Refusal:
     """One launch in plain words."""
     try:
@@ -72,7 +79,9 @@ def _request_or_refusal(words: str) -> Request | Refusal:
 
 def _runs_on(r: Request) -> bool:
     """Whether the words of a phrase go on into another phase."""
-    return any(lexicon().sequels.search(phrase) for phrase in (r.active, r.target or ""))
+    phrases = (r.active, r.target or "")
+    verbs = (word in lexicon().forms for phrase in phrases for word in phrase.split()[1:-1])
+    return any(lexicon().sequels.search(phrase) for phrase in phrases) or any(verbs)
 
 
 def _phases(words: str) -> list[Request]:
