@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import re
 import time
+from dataclasses import replace
 from typing import Any, get_args
 
 import pytest
@@ -14,7 +15,7 @@ from f3sr.goals.refusal import Refusal
 from f3sr.language.grammar.parser import understand
 from f3sr.language.grammar.quantities import Amount
 from f3sr.language.grammar.request import Request, WantedOutcome
-from f3sr.language.reference_resolution import Named, resolve_request
+from f3sr.language.reference_resolution import Named, resolve, resolve_request
 from laid_table import table
 
 
@@ -345,6 +346,13 @@ def test_results_add_up():
     assert found == asked("push_into", "ball", ("into", "can"), outcomes=outcomes)
     refused = understood("push the can so that it falls over and stays upright")
     assert isinstance(refused, Refusal) and refused.reason == "contradiction"
+
+
+def test_what_is_to_stay_upright_may_be_another_object():
+    found = understood("push the red mug left while the bottle stays standing")
+    assert found == replace(MUG_LEFT, spared=("bottle",))
+    named = resolve_request(found, table())
+    assert isinstance(named, Named) and named.spared == (resolve("bottle", table()),)
 
 
 def test_it_in_a_later_phase_is_what_was_launched_before():

@@ -10,7 +10,7 @@ import numpy as np
 from f3sr.core.transforms import UP, Array
 from f3sr.goals.language_protocol import Planned
 from f3sr.goals.launch_limits import limits_of
-from f3sr.goals.plan import Kind, TaskSpec
+from f3sr.goals.plan import Kind, TaskSpec, Upright
 from f3sr.goals.refusal import NotUnderstoodError, Refusal, refuse
 from f3sr.goals.scene_layout import SceneLayout
 from f3sr.language import success_conditions
@@ -79,13 +79,15 @@ def planned(goal: str, scene: Scene, phases: Sequence[Scene] = ()) -> Planned | 
             return named
         found.append(named)
     request, named, layout = _tipped(requests[len(phases)]), found[len(phases)], SceneLayout([scene, *phases][-1])
+    request = _cleared(request, named, layout)
     try:
         check_possible(request, named.active, named.target, layout)
         meant = _meant(request, named.active, named.target, layout)
     except NotUnderstoodError as error:
         return error.refusal
     readings, called = success_conditions.readings(meant, layout), names(scene)
-    tasks = [_task(meant, conditions, left, layout.scene, called) for conditions, left in readings]
+    stay = tuple(Upright(a=id) for id in named.spared)
+    tasks = [_task(meant, (*conditions, *stay), left, layout.scene, called) for conditions, left in readings]
     return Planned(readings=tasks, last=len(phases) + 1 == len(requests))
 
 
@@ -94,6 +96,13 @@ def _tipped(r: Request) -> Request:
     falls = WantedOutcome(what="topple", whose="active")
     is_tipped = falls in r.outcomes and r.kind == "slide" and r.target is None and r.amount is None
     return replace(r, kind="topple", outcomes=tuple(o for o in r.outcomes if o != falls)) if is_tipped else r
+
+
+def _cleared(r: Request, named: Named, layout: SceneLayout) -> Request:
+    """Thrown over what it lies in or on: it leaves it."""
+    below = {layout.support(named.active), *(s.id for s in layout.scene[named.active].supports)}
+    leaves = r.kind == "throw" and r.preposition == "over" and named.target in below
+    return replace(r, preposition="off") if leaves else r
 
 
 def _task(

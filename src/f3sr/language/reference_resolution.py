@@ -29,6 +29,7 @@ class Named:
 
     active: int
     target: int | None = None
+    spared: tuple[int, ...] = ()
 
 
 def resolve_request(request: Request, scene: Scene, *, before: Named | None = None) -> Named | Refusal:
@@ -71,7 +72,10 @@ def _named(request: Request, sight: Sight, before: Named | None) -> Named:
     if target == active:
         others = [o.id for o in scene if o.id != active]
         refuse("same", f"{called} is also its own target; accepted: another target", _told_apart(others, sight))
-    return Named(active=active, target=target)
+    spared = tuple(_resolved(phrase, sight, active) for phrase in request.spared)
+    if GROUND in spared:
+        refuse("grammar", "the ground cannot fall over; accepted: an object that is to stay upright")
+    return Named(active=active, target=target, spared=spared)
 
 
 def _resolved(phrase: str, sight: Sight, active: int | None, *, it: int | None = None) -> int:

@@ -39,6 +39,10 @@ STANDS = 0.9
 """Share of the angle of tipping by friction up to which something is pushed at any pace."""
 CALM = 0.75
 """Share of the speed that tips something over at which it is pushed otherwise."""
+LOADED = 1.05
+"""Ratio of mass with what lies on it to its own from which on something is pushed with its load, not struck,"""
+CARRIES = 0.8
+"""and share of friction that bringing it to its pace takes at most, so that the load does not slip."""
 AT_ONCE = 0.12
 """Before this [s] something that is thrown is not yet gone."""
 CLEARANCE = 0.006
@@ -234,6 +238,8 @@ class LaunchContext:
         pace = max(pace, far / LONGEST_PUSH)
         a, mass, seconds = self.drag, self.layout.loaded_mass(self.active), far / max(pace, 0.05) + 2.5
         pace = min(pace, math.sqrt(2 * a * far), self.limits.force * RAMP / (2 * mass))
+        if mass > LOADED * self.layout.mass(self.active):
+            pace = min(pace, CARRIES * a * RAMP, a * (math.sqrt((RAMP / 2) ** 2 + 2 * far / a) - RAMP / 2))
         # The way at even pace: without what it slides after the push, and without the ramp's.
         rest = far - pace**2 / (2 * a) - pace * RAMP / 2
         rest = min(rest, until - pace * RAMP / 2, pace * LONGEST_PUSH)

@@ -33,6 +33,8 @@ def continued(r: Request, c: Clause) -> Request:
         return _with_target(r, "onto" if r.kind in ("drop", "lift_and_drop") else "into", struck)
     if c.family == "stay" and c.object == "upright":
         c = replace(c, object="")
+    if c.family == "stay" and c.subject and not c.object and _whose(c.subject, r) is None:
+        return replace(r, spared=(*r.spared, c.subject))
     if _whose(c.subject, r) in ("active", "either") and _lands_on_ground(c, r):
         return _with_outcome(r, WantedOutcome(what="grounded", whose="active"))
     whose = _whose(c.subject or c.object, r)

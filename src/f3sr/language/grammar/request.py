@@ -47,5 +47,7 @@ class Request:
     """How far it goes, or how high it is lifted."""
     manner: Manner | None = None
     outcomes: tuple[WantedOutcome, ...] = ()
+    spared: tuple[str, ...] = ()
+    """Other things that are to stay upright."""
     text: str = field(default="", compare=False)
     """The goal as it was typed."""
