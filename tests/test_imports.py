@@ -56,7 +56,7 @@ FLOORS = (
     ("pipeline",),
     ("language", "report_page"),
     ("play", "delivery", "scene_samples"),
-    ("film", "dataset"),
+    ("film", "dataset", "agents"),
     ("batch",),
     ("cli",),
     ("__main__",),

@@ -46,8 +46,12 @@ Component = Annotated[float, Field(ge=-1e4, le=1e4, allow_inf_nan=False)]
 Push3 = tuple[Component, Component, Component]
 """Of a push, a speed or a shift: beyond its range no limit of any scene lies."""
 Words = Annotated[str, Field(max_length=2000)]
-Source = MaterialSource | Literal["words"]
-"""Where the properties come from: as the package says, or from the goal's words."""
+Source = MaterialSource | Literal["words", "model"]
+"""Where the properties come from: as the package says, from the goal's words, or from a model."""
+
+
+Digest = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+Count = Annotated[int, Field(ge=0, le=10**12)]
 
 
 class _Record(BaseModel):
@@ -343,17 +347,39 @@ class Phase(_Record):
     """Times count from the start of the phase."""
 
 
+class ModelCall(_Record):
+    """A call of a language model: what it cost, and digests of what it was shown and what it said."""
+
+    role: Annotated[str, Field(max_length=40)]
+    model: Annotated[str, Field(max_length=200)]
+    """Provider and name."""
+    host: Annotated[str, Field(max_length=300)]
+    mode: Annotated[str, Field(max_length=40)]
+    """How the form of the answer was asked for: json_schema, tool or json_object."""
+    prompt_sha256: Digest
+    """Of texts and pictures."""
+    reply_sha256: Digest
+    input_tokens: Count
+    output_tokens: Count
+    cost: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None
+    """[USD]; null where the price is not known."""
+    seconds: Annotated[float, Field(ge=0, allow_inf_nan=False)]
+    attempts: Count
+
+
 class Plan(_Record):
     """Everything that determines a rollout of one scene, to the byte (docs: goals)."""
 
     schema_version: Annotated[Literal[2], WHOLE] = SCHEMA_VERSION
     goal: Words
-    scene: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    scene: Digest
     """SHA-256 of the package's scene.json: a plan belongs to one scene."""
     phases: Annotated[tuple[Phase, ...], Field(min_length=1, max_length=MOST_PHASES)]
     """One after another."""
     rollouts: Annotated[int, Field(ge=0)] = 0
     """Number of rollouts of the search that found it."""
+    calls: Annotated[tuple[ModelCall, ...], Field(max_length=1000)] = ()
+    """Of language models that made it, in order; the rules make none."""
 
     @model_validator(mode="before")
     @classmethod

@@ -26,6 +26,7 @@ Reason = Literal[
     "fixed",
     "same",
     "impossible",
+    "model",
 ]
 SHOWN = 60
 """Most characters of a user's words that a message repeats."""

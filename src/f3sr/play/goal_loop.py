@@ -66,7 +66,7 @@ def simulate_goal(package: Package, goal: str, *, language: Language | None = No
             return _of_phase(planned, len(phases))
         if not planned.readings:
             raise checks.PlanError("the Planner gave no task; accepted: at least one, or a refusal")
-        search = _Search(language, Trials(ends[-1] if ends else scene))
+        search = _Search(language, Trials(ends[-1] if ends else scene), phases[0].semantics if phases else ())
         best = search.best_of(planned.readings[:READINGS], rests=not planned.last)
         rollouts += search.trials.rollouts
         if isinstance(best, Refusal):
@@ -117,6 +117,8 @@ class _Search:
 
     language: Language
     trials: Trials
+    materials: Sequence[Semantics]
+    """Of the phases before, which stay; empty in the first phase."""
     best: tuple[TaskSpec, Sequence[Semantics], Tried] | None = None
     refused: Refusal | None = None
 
@@ -142,7 +144,7 @@ class _Search:
         """One reading: launches until one meets the goal with margin in the frame, or none is left."""
         semantics = tuple(self.language.reason(task, self.scene))
         checks.require(checks.semantics_faults(semantics, self.scene), of="semantics")
-        semantics, layout = self.trials.steady(semantics), SceneLayout(self.scene)
+        semantics, layout = self._lasting(semantics), SceneLayout(self.scene)
         tried: list[Tried] = []
         met: int | None = None
         while not self.trials.spent and (met is None or self.trials.rollouts < met + MORE):
@@ -162,6 +164,13 @@ class _Search:
                     return
                 if one.verdict.met and met is None:
                     met = self.trials.rollouts
+
+    def _lasting(self, semantics: Sequence[Semantics]) -> tuple[Semantics, ...]:
+        """With which the scene rests; only restitution may differ from phase to phase, as it counts for what flies."""
+        if not self.materials:
+            return self.trials.steady(semantics)
+        made = zip(self.materials, semantics, strict=True)
+        return tuple(before.model_copy(update={"restitution": s.restitution}) for before, s in made)
 
     def _one(self, task: TaskSpec, semantics: Sequence[Semantics], launch: Launch) -> Tried | None:
         checks.require(checks.launch_faults(launch, task, semantics, self.scene), of="launch")

@@ -36,9 +36,9 @@ def marked(rgb: Picture, objects: Sequence[Marked], longest: int = LONGEST) -> P
         if not mask.any():
             continue
         color = COLORS[k % len(COLORS)]
-        edge = mask & ~ndimage.binary_erosion(mask, iterations=2)
+        edge = mask & ~np.asarray(ndimage.binary_erosion(mask, iterations=2), bool)
         draw.bitmap((0, 0), Image.fromarray(edge), fill=color)
-        depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
+        depth = np.asarray(ndimage.distance_transform_edt(np.pad(mask, 1)))[1:-1, 1:-1]
         y, x = np.unravel_index(int(np.argmax(depth)), mask.shape)
         box = draw.textbbox((int(x), int(y)), str(o.id), font=letters, anchor="mm")
         draw.rectangle((box[0] - 3, box[1] - 3, box[2] + 3, box[3] + 3), fill=color)
