@@ -15,7 +15,7 @@ from annotated_types import Interval
 from f3sr.agents import answer_checks, prompts
 from f3sr.agents.asks import Asks
 from f3sr.agents.role_answers import BuilderAnswer, DirectAnswer, Estimate, PlannerAnswer, ReasonerAnswer
-from f3sr.agents.scene_evidence import Evidence, digest
+from f3sr.agents.scene_evidence import SceneEvidence, digest
 from f3sr.goals import checks
 from f3sr.goals.language_protocol import Launch, Planned, Tried
 from f3sr.goals.plan import Semantics, TaskSpec
@@ -44,7 +44,7 @@ class _Conversation:
 
     goal: str
     scene: Scene
-    evidence: Evidence
+    evidence: SceneEvidence
     tasks: Sequence[TaskSpec] = ()
     estimates: Sequence[Estimate] = ()
     phase: int = 0
@@ -69,7 +69,7 @@ class _ModelLanguage:
 
     def plan(self, goal: str, scene: Scene, phases: Sequence[Scene] = ()) -> Planned | Refusal:
         if not phases or self._now is None:
-            evidence = Evidence.of(scene, crops=self.config.crops)
+            evidence = SceneEvidence.of(scene, crops=self.config.crops)
             self._now, self.notes = _Conversation(goal=goal[:2000], scene=scene, evidence=evidence), ()
             if refused := self._begun(self._now):
                 return Refusal(reason="model", message=refused)

@@ -23,7 +23,7 @@ LARGEST_CROP = 384
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Evidence:
+class SceneEvidence:
     """The same for every role and agent: pictures as PNG, and the digest as JSON."""
 
     photo: bytes
