@@ -58,6 +58,7 @@ FLOORS = (
     ("play", "delivery", "scene_samples"),
     ("film", "dataset", "agents"),
     ("batch",),
+    ("mcp_server",),
     ("cli",),
     ("__main__",),
 )

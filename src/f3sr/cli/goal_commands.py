@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from f3sr.cli.arguments import (
     Goals,
     MaybeFile,
@@ -29,7 +27,7 @@ from f3sr.runtime.progress import silent
 if TYPE_CHECKING:
     from f3sr.film.studio import Studio
     from f3sr.goals.language_protocol import Language
-    from f3sr.goals.plan import Phase, Plan
+    from f3sr.goals.plan import Plan
     from f3sr.goals.refusal import Refusal
     from f3sr.play.goal_loop import Played
     from f3sr.runtime.kernels import Compilers
@@ -71,6 +69,7 @@ def simulate(
     from f3sr.goals.refusal import Refusal
     from f3sr.play import rollout_folder
     from f3sr.play.languages import LANGUAGES, CheckedLanguage
+    from f3sr.play.telling import telling
     from f3sr.runtime import kernels
     from f3sr.runtime.atomic_folder import recover
     from f3sr.scene_package.package import read_package
@@ -89,7 +88,7 @@ def simulate(
             _read_pictures(content)
         studio = begun(_studio_once, content, slow, compilers) if film else None  # beside the search for the first goal
         for played, place, goal, seconds in _played(content, goals, plan, spoken, places, overwrite):
-            tellings.append(_telling(goal, played, place, seconds, replayed=plan is not None))
+            tellings.append(telling(goal, played, place, seconds, replayed=plan is not None))
             if not json and (tellings[-1]["state"] != "refused" or len(goals) > 1):  # one refusal is the error's line
                 _show(_lines(tellings[-1]))
             if samples and not isinstance(played, Refusal):
@@ -334,42 +333,6 @@ def _played(
         yield played, place, goal, time.perf_counter() - start
 
 
-def _telling(
-    goal: str, played: Played | Refusal, place: Path | None, seconds: float, *, replayed: bool
-) -> dict[str, Any]:
-    """What came of a goal, as plain values."""
-    from f3sr.goals.refusal import Refusal
-
-    told: dict[str, Any] = {"goal": goal[:2000], "seconds": round(seconds, 3)}
-    if isinstance(played, Refusal):
-        why = {"reason": played.reason, "message": played.message, "candidates": list(played.candidates)}
-        return told | {"state": "refused", **why}
-    return told | {
-        "state": "met" if played.verdict.met else "missed",
-        "folder": str(place),
-        "phases": [
-            {
-                "interpretation": phase.task.interpretation,
-                "assumptions": list(phase.task.assumptions),
-                "launch": _launch(phase),
-                "conditions": [
-                    {"met": c.met, "margin": c.margin, "unit": c.unit, "said": c.said}
-                    for c in played.verdict.conditions
-                    if c.phase == k
-                ],
-                "simulated_seconds": phase.simulation.duration,
-            }
-            for k, phase in enumerate(played.plan.phases)
-        ],
-        "stopped": played.stopped,
-        "rollouts": 1 if replayed else played.plan.rollouts,
-        "margin": played.verdict.margin,
-        "broken_rules": list(played.verdict.broken),
-        "side_effects": list(played.verdict.side_effects),
-        "nearest": played.nearest,
-    }
-
-
 def _lines(told: dict[str, Any]) -> Iterator[str]:
     yield f"goal:      {told['goal']}"
     if told["state"] == "refused":
@@ -394,28 +357,6 @@ def _lines(told: dict[str, Any]) -> Iterator[str]:
 
 def _counted(rollouts: int) -> str:
     return "1 rollout" if rollouts == 1 else f"{rollouts} rollouts"
-
-
-def _launch(phase: Phase) -> str:
-    """How the active object is set off, in words."""
-    initial = phase.initial
-    said = [
-        f"let go {np.linalg.norm(o.translation[:2]):.2f} m aside and {o.translation[2]:.2f} m above its place"
-        for o in initial.offsets
-    ]
-    for v in initial.velocities:
-        spin = float(np.linalg.norm(v.angular))
-        said.append(
-            f"off at {np.linalg.norm(v.linear):.2f} m/s" + (f", turning at {spin:.1f} rad/s" if spin > 0.01 else "")
-        )
-    masses = {s.id: s.mass for s in phase.semantics}
-    blows = [i for i in initial.impulses if not i.duration]
-    said += [f"{np.linalg.norm(i.linear) / masses[i.id]:.2f} m/s at {i.time:.2f} s" for i in blows]
-    if pushes := [i for i in initial.impulses if i.duration]:
-        seconds = max(i.time + i.duration for i in pushes)
-        force = max(np.linalg.norm(i.linear) / i.duration for i in pushes)
-        said.append(f"pushed for {seconds:.2f} s with up to {force:.1f} N")
-    return "; ".join(said) or "let go"
 
 
 def _end(tellings: Sequence[dict[str, Any]]) -> None:

@@ -15,7 +15,7 @@ import tyro
 
 import f3sr
 from f3sr import options
-from f3sr.cli import batch_commands, goal_commands, sample_command
+from f3sr.cli import agent_commands, batch_commands, goal_commands, sample_command
 from f3sr.cli.arguments import Axes, Folder, Ignore, MaybeFile, MaybeShare, Name, Out, Skip
 from f3sr.errors import (
     F3srError,
@@ -48,6 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "film": goal_commands.film,
         "goals": goal_commands.goals,
         "sample": sample_command.sample,
+        "mcp": agent_commands.mcp,
         "batch": batch_commands.batch,
         "dataset": batch_commands.dataset,
         "demo": demo,

@@ -162,13 +162,18 @@ class VerdictDocument(BaseModel):
 
 def to_json(verdict: Verdict) -> bytes:
     """verdict.json."""
+    return dump_json(as_document(verdict).model_dump(mode="json"))
+
+
+def as_document(verdict: Verdict) -> VerdictDocument:
+    """What verdict.json holds."""
     judged = [
         JudgedRecord(
             condition=c.condition, met=c.met, margin=c.margin, unit=c.unit, time=c.time, said=c.said, phase=c.phase
         )
         for c in verdict.conditions
     ]
-    document = VerdictDocument(
+    return VerdictDocument(
         met=verdict.met,
         margin=verdict.margin,
         said=verdict.said,
@@ -176,7 +181,6 @@ def to_json(verdict: Verdict) -> bytes:
         broken_rules=verdict.broken,
         side_effects=verdict.side_effects,
     )
-    return dump_json(document.model_dump(mode="json"))
 
 
 def _broken(scene: Scene, planned: Scene, phase: Phase, rollout: Rollout) -> Iterator[str]:

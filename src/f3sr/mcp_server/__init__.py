@@ -1,0 +1,1 @@
+"""Scenes as tools of the Model Context Protocol: any agent may reconstruct, list, simulate, judge and film."""
