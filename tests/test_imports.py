@@ -46,6 +46,7 @@ FLOORS = (
     ("scene",),
     ("files",),
     ("settings", "runtime", "backends"),
+    ("models",),
     ("physics", "io"),
     ("vision",),
     ("contact", "background", "exporters", "web"),

@@ -1,0 +1,52 @@
+"""HTTP for models: replies end at a limit of bytes, are not compressed, and nobody is redirected."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from typing import Any
+
+import httpx2
+
+
+class ReplyTooLongError(Exception):
+    """A reply beyond its limit of bytes, or one that would grow when it is unpacked."""
+
+
+class _Counted(httpx2.AsyncByteStream):
+    """A reply that ends with an error after so many bytes."""
+
+    def __init__(self, stream: Any, most: int) -> None:
+        self.stream, self.most = stream, most
+
+    async def __aiter__(self) -> AsyncIterator[bytes]:
+        count = 0
+        async for chunk in self.stream:
+            count += len(chunk)
+            if count > self.most:
+                raise ReplyTooLongError(f"a reply of more than {self.most:,} bytes")
+            yield chunk
+
+    async def aclose(self) -> None:
+        await self.stream.aclose()
+
+
+class LimitedTransport(httpx2.AsyncHTTPTransport):
+    """Replies of at most so many bytes."""
+
+    def __init__(self, most: int) -> None:
+        super().__init__(retries=0)
+        self.most = most
+
+    async def handle_async_request(self, request: httpx2.Request) -> httpx2.Response:
+        request.headers["accept-encoding"] = "identity"
+        response = await super().handle_async_request(request)
+        if response.headers.get("content-encoding", "identity").lower() != "identity":
+            await response.aclose()
+            raise ReplyTooLongError("a compressed reply, which was not asked for")
+        response.stream = _Counted(response.stream, self.most)
+        return response
+
+
+def limited_client(most: int) -> httpx2.AsyncClient:
+    """A client for one call."""
+    return httpx2.AsyncClient(transport=LimitedTransport(most), follow_redirects=False, trust_env=False)
