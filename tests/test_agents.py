@@ -5,8 +5,11 @@ from __future__ import annotations
 import copy
 import io
 import json
-from collections.abc import Mapping
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +20,7 @@ from f3sr.agents.model_language import AgentConfig, Direct, Roles
 from f3sr.agents.played_by_model import simulate_with_models
 from f3sr.agents.role_answers import PlannerAnswer
 from f3sr.agents.scene_evidence import SceneEvidence
+from f3sr.cli.main import main
 from f3sr.goals.plan import ModelCall
 from f3sr.goals.refusal import Refusal
 from f3sr.goals.rollout import to_npz
@@ -24,6 +28,7 @@ from f3sr.play.goal_loop import Played, replay_plan, simulate_goal
 from f3sr.scene_package.package import Package
 from f3sr.vision.set_of_marks import crop, marked
 from goal_scene import BALL, CAN, goal_package, goal_scene
+from model_servers import Asked, Reply, model_server
 from scripted_models import Scripted, answers_of, competent
 
 GOAL = "knock over the soup can"
@@ -243,3 +248,104 @@ def test_answers_of_a_plan_are_that_plan(package: Package) -> None:
     assert isinstance(found, Played)
     answers = answers_of(found.plan)
     assert PlannerAnswer.model_validate(answers["planner"]).phases == tuple(p.task for p in found.plan.phases)
+
+
+# --- over a server ------------------------------------------------------------------------------------------------
+
+
+ROLES = {"You are the Planner": "planner", "You are the Reasoner": "reasoner", "You are the Builder": "builder"}
+
+
+def role_of(asked: Asked) -> str:
+    return next((role for words, role in ROLES.items() if words in asked.instructions), "direct")
+
+
+def scripted(answers: Mapping[str, Any]) -> Callable[[Asked], str]:
+    def script(asked: Asked) -> str:
+        given = answers[role_of(asked)]
+        return json.dumps(given(asked) if callable(given) else given)
+
+    return script
+
+
+@pytest.fixture
+def keys(monkeypatch: pytest.MonkeyPatch) -> str:
+    pytest.importorskip("pydantic_ai", reason="the extra llm is not installed")
+    for name in ("OPENAI_API_KEY", "ANTHROPIC_API_KEY"):
+        monkeypatch.setenv(name, KEY)
+    return KEY
+
+
+KEY = "sk-never-to-be-seen"
+
+
+@pytest.mark.parametrize("provider", ["openai", "anthropic"])
+@pytest.mark.parametrize("agent", AGENTS)
+def test_the_command_line_plays_by_a_model(
+    package: Package, tmp_path: Path, keys: str, capsys: pytest.CaptureFixture[str], agent: str, provider: str
+) -> None:
+    with model_server(scripted(competent(package, TWO))) as server:
+        spec = f"{provider}:scripted@{server.url}{'/v1' if provider == 'openai' else ''}"
+        call = ["simulate", str(package.folder), TWO, "--model", spec, "--agent", agent, "--no-film", "--json"]
+        assert main([*call, "-o", str(tmp_path / "out")]) == 0
+    told = json.loads(capsys.readouterr().out)["goals"][0]
+    assert told["state"] == "met" and [c["role"] for c in told["calls"]] == (
+        ["planner", "reasoner", "builder", "builder"] if agent == "roles" else ["direct"]
+    )
+    assert all(len(asked.images) >= 2 and asked.images[0].size[0] > 20 for asked in server.asked)
+    plan = (tmp_path / "out/plan.json").read_text()
+    assert f'"model": "{provider}:scripted"' in plan
+    for file in tmp_path.rglob("*"):
+        assert not file.is_file() or keys.encode() not in file.read_bytes()
+    assert main(["simulate", str(package.folder), "--plan", str(tmp_path / "out"), "-o", str(tmp_path / "re")]) == 0
+    assert (tmp_path / "re/rollout.npz").read_bytes() == (tmp_path / "out/rollout.npz").read_bytes()
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+@pytest.mark.parametrize("bad", ["no JSON", '{"schema_version": 1}', "HTTP 401"])
+def test_a_model_that_fails_is_one_line(
+    package: Package, tmp_path: Path, keys: str, capsys: pytest.CaptureFixture[str], agent: str, bad: str
+) -> None:
+    reply = Reply(status=401, text=f"wrong key {keys}") if bad == "HTTP 401" else Reply(text=bad)
+    before = sorted((p, p.stat().st_mtime_ns) for p in package.folder.rglob("*"))
+    with model_server([reply]) as server:
+        call = ["simulate", str(package.folder), GOAL, "--model", f"openai:x@{server.url}/v1", "--agent", agent]
+        assert main([*call, "-o", str(tmp_path / "out")]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith("f3sr: openai:x: ") and error.count("\n") == 1 and keys not in error
+    assert not (tmp_path / "out").exists()
+    assert sorted((p, p.stat().st_mtime_ns) for p in package.folder.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("options", "found"),
+    [
+        (["--model", "gpt"], "openai:NAME"),
+        (["--agent", "direct"], "with --model"),
+        (["--reasoner-model", "openai:x"], "with --model"),
+        (["--model", "openai:x", "--language", "rules"], "one of them"),
+        (["--model", "openai:x"], "OPENAI_API_KEY"),
+    ],
+)
+def test_bad_options_are_one_line(
+    package: Package,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    options: list[str],
+    found: str,
+) -> None:
+    pytest.importorskip("pydantic_ai", reason="the extra llm is not installed")
+    monkeypatch.delenv("OPENAI_API_KEY", raising=False)
+    monkeypatch.delenv("OPENAI_BASE_URL", raising=False)
+    assert main(["simulate", str(package.folder), GOAL, *options]) == 2
+    error = capsys.readouterr().err
+    assert found in error and error.count("\n") == 1
+
+
+def test_without_the_extra_a_model_is_one_line_and_rules_work(package: Package, tmp_path: Path) -> None:
+    gone = "import sys; sys.modules.update(dict.fromkeys(['pydantic_ai', 'openai', 'anthropic', 'mcp', 'httpx2']))"
+    code = f"{gone}; import f3sr.__main__ as m; m.run()"
+    base = [sys.executable, "-c", code, "simulate", str(package.folder), GOAL, "--no-film", "-o", str(tmp_path / "out")]
+    found = subprocess.run([*base, "--model", "openai:x"], capture_output=True, text=True, check=False)
+    assert found.returncode == 2 and "pip install 'f3sr[llm]'" in found.stderr and found.stderr.count("\n") == 1
+    assert subprocess.run(base, capture_output=True, text=True, check=False).returncode == 0

@@ -1,11 +1,21 @@
-"""The commands for agents: mcp."""
+"""The commands for agents and talks: mcp and chat."""
 
 from __future__ import annotations
 
+import sys
+import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
+
+from f3sr.cli.arguments import AgentChoice, Model, PackageFolder
+from f3sr.errors import F3srError, printable
+
+if TYPE_CHECKING:
+    from f3sr.film.studio import Studio
+    from f3sr.play.conversation import Conversation, Wish
+    from f3sr.scene_package.package import Package
 
 RootFolder = Annotated[Path, arg(metavar="FOLDER")]
 
@@ -21,3 +31,77 @@ def mcp(root: RootFolder) -> None:
     from f3sr.mcp_server.server import make_server
 
     make_server(SceneTools(AllowedRoot.of(root))).run("stdio")
+
+
+def chat(
+    package: PackageFolder,
+    /,
+    model: Model = None,
+    agent: AgentChoice = "roles",
+    reasoner_model: Model = None,
+    film: bool = True,
+) -> None:
+    """Talk to a scene: a goal a line from standard input, then again, slower, or the other mug. Lines end with quit.
+
+    Args:
+        package: What ``f3sr reconstruct`` wrote.
+        model: Language model that plans, as of ``f3sr simulate``. Without it: rules.
+        agent: With a model: roles asks Planner, Reasoner and Builder; direct asks for the whole plan at once.
+        reasoner_model: Another model for the Reasoner.
+        film: Film every goal.
+    """
+    from f3sr.cli.goal_commands import agent_of
+    from f3sr.play.conversation import HELP, Conversation
+    from f3sr.scene_package.package import read_package
+
+    by_models = agent_of(model, agent, reasoner_model, None)
+    content = read_package(package)
+    talk, player = Conversation(content.scene), _Player(content, by_models, film)
+    print(HELP, flush=True)
+    while not talk.ended:
+        print("> ", end="", flush=True)
+        line = sys.stdin.readline(MOST_CHARACTERS)
+        if not line:
+            return
+        heard = talk.heard(line.rstrip("\n"))
+        try:
+            for said in heard.split("\n") if isinstance(heard, str) else player.played(heard, talk):
+                print(printable(said), flush=True)
+        except F3srError as error:  # the talk goes on
+            print(printable(f"failed:    {error}"), flush=True)
+
+
+MOST_CHARACTERS = 4000
+"""Longest line that is read."""
+
+
+class _Player:
+    """Plays wishes into a package's rollouts, one studio for all films of a pace."""
+
+    def __init__(self, content: Package, by_models: object, film: bool) -> None:
+        self.content, self.by_models, self.film = content, by_models, film
+        self.studios: dict[float, Studio] = {}
+
+    def played(self, wish: Wish, talk: Conversation) -> list[str]:
+        """What is to be told of a goal."""
+        from f3sr.agents.played_by_model import Agent
+        from f3sr.cli.goal_commands import film_lines, filmed, told_lines
+        from f3sr.film.studio import FilmConfig, Studio
+        from f3sr.goals.refusal import Refusal
+        from f3sr.play.goal_loop import simulate_goal
+        from f3sr.play.rollout_folder import write_next
+        from f3sr.play.telling import telling
+
+        start, ask = time.perf_counter(), self.by_models
+        played = (
+            ask.simulate(self.content, wish.goal) if isinstance(ask, Agent) else simulate_goal(self.content, wish.goal)
+        )
+        place = None if isinstance(played, Refusal) else write_next(played, self.content.folder)
+        told = list(told_lines(telling(wish.goal, played, place, time.perf_counter() - start, replayed=False)))
+        if isinstance(played, Refusal):
+            talk.refused()
+        if isinstance(played, Refusal) or place is None or not self.film:
+            return told
+        if wish.slow not in self.studios:
+            self.studios[wish.slow] = Studio.of(self.content, FilmConfig(slow=wish.slow))
+        return [*told, *film_lines(filmed(lambda: self.studios[wish.slow], played, place), ())]

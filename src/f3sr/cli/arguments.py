@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -25,6 +25,8 @@ MaybePackage = Annotated[Path | None, arg(metavar="PACKAGE", help_behavior_hint=
 MaybeFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=default_shown)]
 MaybeShare = Annotated[float | None, arg(metavar="SHARE", help_behavior_hint=default_shown)]
 Name = Annotated[str | None, arg(metavar="NAME", help_behavior_hint=default_shown)]
+Model = Annotated[str | None, arg(metavar="MODEL", help_behavior_hint=default_shown)]
+AgentChoice = Literal["roles", "direct"]
 Skip = Annotated[
     str,
     arg(

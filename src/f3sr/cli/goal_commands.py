@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from f3sr.cli.arguments import (
+    AgentChoice,
     Goals,
     MaybeFile,
     MaybeOut,
     MaybePackage,
+    Model,
     Name,
     PackageFolder,
     RolloutFolder,
@@ -25,6 +27,7 @@ from f3sr.runtime.daemon_thread import begun
 from f3sr.runtime.progress import silent
 
 if TYPE_CHECKING:
+    from f3sr.agents.played_by_model import Agent
     from f3sr.film.studio import Studio
     from f3sr.goals.language_protocol import Language
     from f3sr.goals.plan import Plan
@@ -45,6 +48,9 @@ def simulate(
     out: MaybeOut = None,
     plan: MaybeFile = None,
     language: Name = None,
+    model: Model = None,
+    agent: AgentChoice = "roles",
+    reasoner_model: Model = None,
     film: bool = True,
     slow: Slow = 1.0,
     samples: Samples = 0,
@@ -60,6 +66,10 @@ def simulate(
             Without it, to the next numbers in PACKAGE/rollouts.
         plan: A plan.json, or a rollout's folder, to play again instead of goals.
         language: Back end that understands goals; ``f3sr doctor`` lists its names. Without it: rules.
+        model: Language model that plans instead: openai:NAME, anthropic:NAME, or openai:NAME@URL for any server that
+            speaks OpenAI's API. Its key comes from OPENAI_API_KEY or ANTHROPIC_API_KEY.
+        agent: With a model: roles asks Planner, Reasoner and Builder; direct asks for the whole plan at once.
+        reasoner_model: Another model for the Reasoner.
         film: Make film.mp4, its key frames film.png and player.html too.
         slow: How many times slower than life the film is, 0.125 to 100.
         samples: Also play each plan in so many scenes that the photo may show as well, and tell the rate of success.
@@ -77,6 +87,7 @@ def simulate(
     recover(*(place for place in (package, out, plan) if place))
     _require_goals(goals, plan)
     spoken = CheckedLanguage(LANGUAGES.find(language)) if language else None
+    ask = agent_of(model, agent, reasoner_model, language)
     _require_slow(slow)
     plan = plan and rollout_folder.plan_file(plan)
     content = read_package(package)
@@ -87,10 +98,10 @@ def simulate(
         if film:
             _read_pictures(content)
         studio = begun(_studio_once, content, slow, compilers) if film else None  # beside the search for the first goal
-        for played, place, goal, seconds in _played(content, goals, plan, spoken, places, overwrite):
+        for played, place, goal, seconds in _played(content, goals, plan, ask or spoken, places, overwrite):
             tellings.append(telling(goal, played, place, seconds, replayed=plan is not None))
             if not json and (tellings[-1]["state"] != "refused" or len(goals) > 1):  # one refusal is the error's line
-                _show(_lines(tellings[-1]))
+                _show(told_lines(tellings[-1]))
             if samples and not isinstance(played, Refusal):
                 _finish(compilers, quiet=json)
                 tellings[-1]["samples"] = rate = drawn.rate(played.plan, quiet=json)
@@ -99,12 +110,12 @@ def simulate(
                 continue
             try:
                 _finish(compilers, quiet=json)
-                tellings[-1]["film"] = told = _film(studio.result, played, place)
+                tellings[-1]["film"] = told = filmed(studio.result, played, place)
             except F3srError as error:  # the rollout stands, and so do the other goals
                 failed = failed or error
                 tellings[-1]["film_error"] = str(error)
             else:
-                _show(() if json else _film_lines(told, decided))
+                _show(() if json else film_lines(told, decided))
                 decided.update(told["decisions"])
     if json:
         print(json_.dumps({"goals": tellings}, allow_nan=False))
@@ -135,11 +146,11 @@ def film(rollout: RolloutFolder, /, package: MaybePackage = None, slow: Slow = 1
     played = Played(plan=found.plan, rollout=found.rollout, verdict=verdict)
     with kernels.compiling(film=True) as compilers:
         _finish(compilers, quiet=json)
-        told = _film(lambda: _studio(found.package, slow), played, place)
+        told = filmed(lambda: _studio(found.package, slow), played, place)
     if json:
         print(json_.dumps(told, allow_nan=False))
     else:
-        _show(_film_lines(told, ()))
+        _show(film_lines(told, ()))
 
 
 @dataclass(eq=False)
@@ -228,7 +239,7 @@ def _studio(content: Package, slow: float) -> Studio:
     return Studio.of(content, FilmConfig(slow=slow))
 
 
-def _film(studio: Callable[[], Studio], played: Played, place: Path) -> dict[str, Any]:
+def filmed(studio: Callable[[], Studio], played: Played, place: Path) -> dict[str, Any]:
     """Film what was played, write it, and tell of it as plain values."""
     from f3sr.goals.file_names import FILM
     from f3sr.play.rollout_folder import write_film
@@ -245,7 +256,7 @@ def _film(studio: Callable[[], Studio], played: Played, place: Path) -> dict[str
     }
 
 
-def _film_lines(told: dict[str, Any], known: Container[str]) -> Iterator[str]:
+def film_lines(told: dict[str, Any], known: Container[str]) -> Iterator[str]:
     """What was decided for a film, but for what is ``known``, and where it is."""
     from f3sr.goals.file_names import PLAYER
 
@@ -279,6 +290,19 @@ def goals(package: PackageFolder, /, json: bool = False) -> None:
     console.print_table(rows, header=("id", "say", "verbs", ""))
 
 
+def agent_of(model: str | None, agent: AgentChoice, reasoner: str | None, language: str | None) -> Agent | None:
+    """The models that play goals; raises InputError where options contradict each other."""
+    if model is None:
+        if reasoner is not None or agent != "roles":
+            raise InputError("simulate", found="--agent or --reasoner-model alone", accepted="with --model")
+        return None
+    if language is not None:
+        raise InputError("simulate", found="--model and --language", accepted="one of them")
+    from f3sr.agents.played_by_model import Agent
+
+    return Agent.of(model, agent, reasoner)
+
+
 def _require_goals(goals: Sequence[str], plan: Path | None) -> None:
     if bool(goals) == (plan is not None):
         found = "both goals and --plan" if goals else "no goal"
@@ -305,11 +329,12 @@ def _played(
     content: Package,
     goals: Sequence[str],
     plan: Path | None,
-    language: Language | None,
+    language: Agent | Language | None,
     places: Sequence[Path | None],
     overwrite: bool,
 ) -> Iterator[tuple[Played | Refusal, Path | None, str, float]]:
     """Every goal played and written as soon as it is, with its place, words and seconds."""
+    from f3sr.agents.played_by_model import Agent
     from f3sr.goals.refusal import Refusal
     from f3sr.play.goal_loop import replay_plan, simulate_goal
     from f3sr.play.rollout_folder import read_plan, write_next, write_played
@@ -323,7 +348,8 @@ def _played(
             except F3srError as error:
                 raise InputError(plan, found=str(error), accepted="a plan of this package's scene") from None
         else:
-            played = simulate_goal(content, goal, language=language)
+            by_models = isinstance(language, Agent)
+            played = language.simulate(content, goal) if by_models else simulate_goal(content, goal, language=language)
         if not isinstance(played, Refusal):
             place = (
                 write_next(played, content.folder)
@@ -333,7 +359,7 @@ def _played(
         yield played, place, goal, time.perf_counter() - start
 
 
-def _lines(told: dict[str, Any]) -> Iterator[str]:
+def told_lines(told: dict[str, Any]) -> Iterator[str]:
     yield f"goal:      {told['goal']}"
     if told["state"] == "refused":
         yield f"refused:   {told['message']}"
@@ -351,8 +377,19 @@ def _lines(told: dict[str, Any]) -> Iterator[str]:
     yield from (f"also:      {effect}" for effect in told["side_effects"])
     yield from (f"broken:    {rule}" for rule in told["broken_rules"])
     yield from [f"nearest:   {told['nearest']}"] if told["nearest"] else []
+    if told["calls"]:
+        yield f"models:    {_asked(told['calls'])}"
     yield f"verdict:   {told['state']}, {_counted(told['rollouts'])}, {told['seconds']:.1f} s"
     yield f"written:   {told['folder']}"
+
+
+def _asked(calls: Sequence[dict[str, Any]]) -> str:
+    """What a goal cost."""
+    tokens = sum(c["input_tokens"] + c["output_tokens"] for c in calls)
+    costs = [c["cost"] for c in calls if c["cost"] is not None]
+    cost = f", {sum(costs):.4f} USD" if len(costs) == len(calls) else ""
+    names = ", ".join(dict.fromkeys(c["model"] for c in calls))
+    return f"{names}: {len(calls)} calls, {tokens:,} tokens{cost}, {sum(c['seconds'] for c in calls):.1f} s"
 
 
 def _counted(rollouts: int) -> str:

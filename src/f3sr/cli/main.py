@@ -48,6 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "film": goal_commands.film,
         "goals": goal_commands.goals,
         "sample": sample_command.sample,
+        "chat": agent_commands.chat,
         "mcp": agent_commands.mcp,
         "batch": batch_commands.batch,
         "dataset": batch_commands.dataset,

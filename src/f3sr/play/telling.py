@@ -43,6 +43,7 @@ def telling(
         "broken_rules": list(played.verdict.broken),
         "side_effects": list(played.verdict.side_effects),
         "nearest": played.nearest,
+        "calls": [call.model_dump(mode="json") for call in played.plan.calls],
     }
 
 
