@@ -4,7 +4,7 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= out
 
-.PHONY: demo test durations check bench docs clean
+.PHONY: demo test durations check bench bench-agents docs clean
 
 demo: $(VENV)/.core
 	$(BIN)/f3sr demo -o $(OUT)/demo --overwrite
@@ -28,6 +28,10 @@ bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/goals/run.py
 	$(BIN)/python benchmarks/film.py
 	$(BIN)/python benchmarks/rendering.py --packages out/bench
+
+# Models through roles and one direct call; MODEL=openai:NAME asks a real one.
+bench-agents: $(VENV)/.dev
+	$(BIN)/python benchmarks/goals/agents.py $(addprefix --model ,$(MODEL))
 
 docs: $(VENV)/.docs
 	$(BIN)/mkdocs build --strict

@@ -38,6 +38,10 @@ class OutputError(F3srError):
     """The output path cannot be used; nothing was written there. The command line ends with exit code 1."""
 
 
+class NoAnswerError(F3srError):
+    """A service gave no answer. What can be done without it is done without, and the report says so."""
+
+
 class F3srWarning(UserWarning):
     """A request was carried out in another way than asked; the message is one line."""
 

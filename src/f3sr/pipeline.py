@@ -14,7 +14,7 @@ from f3sr.backends.registry import Backend
 from f3sr.background import BackgroundConfig
 from f3sr.background.inpainting import Inpainting
 from f3sr.core.pose_uncertainty import PoseUncertainty
-from f3sr.errors import require_kind, require_names
+from f3sr.errors import NoAnswerError, require_kind, require_names
 from f3sr.io.inputs import Inputs
 from f3sr.metrics.contact_groups import SettledScene
 from f3sr.options import SKIPPABLE
@@ -187,7 +187,10 @@ def reconstruct(
         PlainForm(Evaluation),
         config.evaluate,
     )
-    inpainting, completed = inpainted() or (None, None)
+    try:
+        inpainting, completed = inpainted() or (None, None)
+    except NoAnswerError as error:  # not stored: the next run asks again
+        inpainting, completed = inpaint(direct, config.inpaint, unanswered=str(error))
 
     return Reconstruction(
         scene=scene,

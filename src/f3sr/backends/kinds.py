@@ -6,10 +6,11 @@ Other kinds are declared next to their implementations: BACKGROUND_COMPLETERS in
 
 from __future__ import annotations
 
-from f3sr.backends.protocols import AssetGenerator, GeometryEstimator, SceneGrapher, Segmenter
+from f3sr.backends.protocols import AssetGenerator, GeometryEstimator, Labeler, SceneGrapher, Segmenter
 from f3sr.backends.registry import Kind
 
 SEGMENTERS = Kind(name="segmentation", protocol=Segmenter)
 GEOMETRY_ESTIMATORS = Kind(name="geometry", protocol=GeometryEstimator)
 ASSET_GENERATORS = Kind(name="assets", protocol=AssetGenerator)
+LABELERS = Kind(name="labels", protocol=Labeler)
 SCENE_GRAPHERS = Kind(name="scene_graph", protocol=SceneGrapher)

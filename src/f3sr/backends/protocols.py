@@ -95,6 +95,14 @@ class BackgroundCompleter(Protocol):
         ...
 
 
+class Labeler(Protocol):
+    """Names of things, for masks whose files do not tell one."""
+
+    def labels(self, image: PromptedImage, unnamed: Sequence[Instance]) -> Mapping[int, str]:
+        """A label for every one of some instances, by its id: one to four plain words."""
+        ...
+
+
 class SceneGrapher(Protocol):
     """Relations between objects, from what the photo shows. They count as a folder's ``scene_graph.json`` does:
     geometry is asked before they move anything."""

@@ -9,7 +9,7 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import tyro
 
@@ -29,6 +29,11 @@ from f3sr.errors import (
     unforeseen,
 )
 from f3sr.runtime import signals
+
+if TYPE_CHECKING:
+    from f3sr.backends.registry import Backend, Kind
+
+P = TypeVar("P")
 
 DESCRIPTION = """From one photo with object masks to a 3-D scene that a physics engine can run, and goals played in it.
 `f3sr COMMAND --help` explains a command, `f3sr --version` prints the version.
@@ -105,6 +110,7 @@ def reconstruct(
     geometry: Name = None,
     assets: Name = None,
     scene_graph: Name = None,
+    labels: Name = None,
     background: Name = None,
     config: MaybeFile = None,
     overwrite: bool = False,
@@ -120,15 +126,17 @@ def reconstruct(
             it: measured for a sensor's depth, 0.01 for an estimate.
         geometry: Back end that estimates geometry where the folder has none; ``f3sr doctor`` lists its names.
         assets: Back end that generates meshes where the folder has none; ``f3sr doctor`` lists its names.
-        scene_graph: Back end that proposes relations where the folder has none; ``f3sr doctor`` lists its names.
-        background: Back end that completes the photo behind the objects; ``f3sr doctor`` lists its names. Without it:
-            background.png if there, else patchmatch.
+        scene_graph: Back end that proposes relations where the folder has none; ``f3sr doctor`` lists its names. Or a
+            vision model, as openai:NAME.
+        labels: Back end that names objects whose masks have no label, or a vision model, as openai:NAME.
+        background: Back end that completes the photo behind the objects; ``f3sr doctor`` lists its names. Or a model
+            that edits pictures, as openai:NAME. Without it: background.png if there, else patchmatch.
         config: TOML file of settings; those it does not name stay as ``f3sr config`` prints them.
         overwrite: Also replace a package that holds rollouts.
         json: Print one JSON object instead of text.
     """
     from f3sr import pipeline, settings
-    from f3sr.backends.kinds import ASSET_GENERATORS, GEOMETRY_ESTIMATORS, SCENE_GRAPHERS
+    from f3sr.backends.kinds import ASSET_GENERATORS, GEOMETRY_ESTIMATORS, LABELERS, SCENE_GRAPHERS
     from f3sr.background.completers import BACKGROUND_COMPLETERS, DEFAULT_COMPLETER
     from f3sr.cli import console
     from f3sr.delivery import deliver
@@ -145,11 +153,12 @@ def reconstruct(
         raise InputError(folder, found=package_folder.PACKAGE, accepted=INPUT_FOLDER)
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
     fillers = inputs.Fillers(
-        geometry=GEOMETRY_ESTIMATORS.find(geometry) if geometry else None,
-        assets=ASSET_GENERATORS.find(assets) if assets else None,
-        scene_graph=SCENE_GRAPHERS.find(scene_graph) if scene_graph else None,
+        geometry=_backend(GEOMETRY_ESTIMATORS, geometry),
+        assets=_backend(ASSET_GENERATORS, assets),
+        scene_graph=_backend(SCENE_GRAPHERS, scene_graph),
+        labels=_backend(LABELERS, labels),
     )
-    completer = BACKGROUND_COMPLETERS.find(background) if background not in (None, DEFAULT_COMPLETER) else None
+    completer = _backend(BACKGROUND_COMPLETERS, background) if background != DEFAULT_COMPLETER else None
     with console.steps_shown(quiet=json) as progress, kernels.compiling() as compilers:
         with timed("read", progress):
             given = inputs.read(
@@ -171,6 +180,24 @@ def reconstruct(
     console.print_measures(_columns(result.evaluation))
     console.say(f"package:  {written}")
     console.say(f"report:   {written / package.PAGE}")
+
+
+def _backend(kind: Kind[P], name: str | None) -> Backend[P] | None:
+    """The back end of a name, or of a model's spec as ``openai:NAME``, where a model can do that."""
+    if name is None:
+        return None
+    if name.partition(":")[0] not in ("openai", "anthropic"):
+        return kind.find(name)
+    from f3sr.agents import image_edit, photo_reader
+
+    makers: dict[str, Callable[[str], Any]] = {
+        "scene_graph": photo_reader.scene_grapher,
+        "labels": photo_reader.labeler,
+        "background": image_edit.image_edit,
+    }
+    if kind.name not in makers:
+        raise InputError(f"--{kind.name}", found=name, accepted=f"a back end: {', '.join(kind.names()) or 'none yet'}")
+    return makers[kind.name](name)
 
 
 def evaluate(

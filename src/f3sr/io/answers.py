@@ -6,6 +6,7 @@ Every error is an InputError that names the back end, what it answered and what 
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from f3sr.backends.protocols import (
     EstimatedGeometry,
     GeneratedAsset,
     GeometryEstimator,
+    Labeler,
     PromptedImage,
     SceneGrapher,
 )
@@ -31,7 +33,7 @@ from f3sr.io.geometry import checked_K, estimated, tell_stretch
 from f3sr.io.images import MAX_PIXELS
 from f3sr.io.input_folder import InputFolder
 from f3sr.io.mesh_files import MAX_COORDINATE, MAX_FACES, MAX_TEXTURE_PIXELS
-from f3sr.scene import GROUND, Geometry, Photo, Predicate, Relation, SceneGraph
+from f3sr.scene import GROUND, Geometry, Instance, Photo, Predicate, Relation, SceneGraph
 
 T = TypeVar("T")
 
@@ -41,6 +43,8 @@ MAX_REASON = 1000
 """Most characters of a relation's reason, which goes into the package and its report."""
 RIGID = 1e-4
 """Largest entry of R'R - 1 that a rotation may have: single precision and rounding in files leave less."""
+LABEL = re.compile(r"[a-z][a-z0-9' -]{0,38}[a-z0-9]")
+"""What a label of a back end may be."""
 ABSENT = "the folder has none"
 Shape = tuple[int | str, ...]
 """Lengths of an array's axes; a letter stands for any."""
@@ -93,6 +97,23 @@ def graph_of(
     folder.digests[f"scene_graph by {backend.key}"] = _digest(repr(relations))
     folder.decide(f"scene graph: {len(relations)} relations by {where}", ABSENT)
     return SceneGraph(relations=relations, source=where)
+
+
+def labels_of(
+    folder: InputFolder, backend: Backend[Labeler], image: PromptedImage, unnamed: Sequence[Instance]
+) -> Mapping[int, str]:
+    """The labels that a back end gives to masks without one."""
+    where = str(backend)
+    answer = _typed(where, backend.asked(lambda b: b.labels(image, unnamed)), Mapping)
+    ids = [i.id for i in unnamed]
+    if set(answer) != set(ids):
+        _refuse(where, f"labels for {list(answer)[:12]}", f"one for each of {ids}")
+    labels = {id: _typed(where, answer[id], str) for id in ids}
+    if bad := [label for label in labels.values() if not LABEL.fullmatch(label)]:
+        _refuse(where, f"the label {bad[0][:60]!r}", "one to four plain words in small letters")
+    folder.digests[f"labels by {backend.key}"] = _digest(repr(sorted(labels.items())))
+    folder.decide(f"labels: {', '.join(f'{id} {label}' for id, label in labels.items())}", f"given by {where}")
+    return labels
 
 
 def require_relation(where: Path | str, subject: int, predicate: str, object: int, ids: set[int]) -> None:

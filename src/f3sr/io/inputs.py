@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from f3sr.backends.protocols import AssetGenerator, GeometryEstimator, PromptedImage, SceneGrapher
+from f3sr.backends.protocols import AssetGenerator, GeometryEstimator, Labeler, PromptedImage, SceneGrapher
 from f3sr.backends.registry import Backend
 from f3sr.core.transforms import Array, transform
-from f3sr.errors import InputError, require_known, require_names
-from f3sr.io.answers import MAX_REASON, MAX_RELATIONS, assets_of, geometry_of, graph_of, require_relation
+from f3sr.errors import InputError, NoAnswerError, require_known, require_names
+from f3sr.io.answers import MAX_REASON, MAX_RELATIONS, assets_of, geometry_of, graph_of, labels_of, require_relation
 from f3sr.io.assets import ASSETS_ACCEPTED, PosedAsset, read_assets, require_size
 from f3sr.io.geometry import GEOMETRY_ACCEPTED, GEOMETRY_FILES, read_geometry
 from f3sr.io.given_properties import MATERIALS, GivenProperties, read_properties
@@ -86,6 +86,7 @@ class Fillers:
     geometry: Backend[GeometryEstimator] | None = None
     assets: Backend[AssetGenerator] | None = None
     scene_graph: Backend[SceneGrapher] | None = None
+    labels: Backend[Labeler] | None = None
 
 
 def read(
@@ -110,6 +111,7 @@ def read(
     photo = _photo(source)
     instances = read_instances(source, photo)
     parts = _Parts(folder=source, ignore=ignore, fillers=fillers or Fillers())
+    instances = parts.labelled(photo, instances)
     ground_mask = parts.ground_mask(photo, instances)
     image = PromptedImage(photo=photo, instances=instances, ground_mask=ground_mask)
     geometry, K = parts.geometry(image)
@@ -160,6 +162,20 @@ class _Parts:
     def has(self, part: str, *names: str) -> bool:
         return part not in self.ignore and any(map(self.folder.has, names))
 
+    def labelled(self, photo: Photo, instances: tuple[Instance, ...]) -> tuple[Instance, ...]:
+        """With labels for masks whose file names tell none, where a back end gives them."""
+        unnamed = [i for i in instances if not i.label]
+        if (backend := self.fillers.labels) is None or not unnamed:
+            return instances
+        try:
+            image = PromptedImage(photo=photo, instances=instances)
+            labels = labels_of(self.folder, backend, image, unnamed)
+        except NoAnswerError as error:
+            self.folder.decide(f"labels: {len(unnamed)} objects have none", str(error), fallback=True)
+            return instances
+        self.used[backend.kind] = f"{backend.name} {backend.version}"
+        return tuple(replace(i, label=labels.get(i.id, i.label)) for i in instances)
+
     def ground_mask(self, photo: Photo, instances: Sequence[Instance]) -> NDArray[np.bool_] | None:
         if self.has("ground", "ground.png"):
             return _ground_mask(self.folder, photo, instances)
@@ -185,7 +201,11 @@ class _Parts:
     def graph(self, image: PromptedImage, geometry: Geometry) -> SceneGraph | None:
         given = self.has("scene_graph", "scene_graph.json")
         if backend := self._filler(self.fillers.scene_graph, given):
-            return graph_of(self.folder, backend, image, geometry)
+            try:
+                return graph_of(self.folder, backend, image, geometry)
+            except NoAnswerError as error:
+                self.folder.decide("scene graph: by the rules alone", str(error), fallback=True)
+                return None
         return _scene_graph(self.folder, image.instances) if given else None
 
     def properties(self, instances: Sequence[Instance]) -> Mapping[int, GivenProperties]:

@@ -8,14 +8,14 @@ import json
 import re
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from annotated_types import Interval
 from pydantic import BaseModel, ValidationError
 
-from f3sr.errors import F3srError, InputError
+from f3sr.errors import F3srError, InputError, NoAnswerError
 from f3sr.files import strict_json
 from f3sr.models.model_endpoint import NO_KEY, ModelEndpoint, model_endpoint
 from f3sr.settings import settings
@@ -39,7 +39,7 @@ AGAIN = (408, 409, 425, 429, 500, 502, 503, 504, 529)
 FENCE = re.compile(r"```(?:json)?\s*(.*?)```", re.S)
 
 
-class ModelError(F3srError):
+class ModelError(NoAnswerError):
     """A model gave no answer that suits, or a limit was reached; one line says which model and why."""
 
 
@@ -146,6 +146,25 @@ def require_extra() -> None:
     except ImportError as error:
         found = f"no package {error.name or 'pydantic_ai'}"
         raise InputError("--model", found=found, accepted="the extra llm: pip install 'f3sr[llm]'") from None
+
+
+def answered(endpoint: ModelEndpoint, config: ModelConfig, work: Callable[[Any], Coroutine[Any, Any, T]]) -> T:
+    """The result of one piece of work with a limited HTTP client, within the deadline. Raises ModelError."""
+
+    async def asked() -> T:
+        from f3sr.models.limited_transport import limited_client
+
+        async with limited_client(config.reply_bytes) as http, asyncio.timeout(config.timeout):
+            return await work(http)
+
+    try:
+        return _in_own_thread(asked)
+    except F3srError:
+        raise
+    except TimeoutError:
+        raise ModelError(f"{endpoint}: no reply within {config.timeout:g} s") from None
+    except Exception as error:  # SDKs raise anything for what servers send
+        raise ModelError(f"{endpoint}: {endpoint.redacted(_said(error))}") from None
 
 
 class _ModeRefusedError(Exception):

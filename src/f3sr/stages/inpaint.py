@@ -42,11 +42,12 @@ def inpaint(
     *,
     given: NDArray[np.uint8] | None = None,
     completer: Backend[BackgroundCompleter] | None = None,
+    unanswered: str = "",
 ) -> tuple[Inpainting, Inpainted]:
     """The photo behind the objects of a levelled scene, or a ``given`` one (H, W, 3) of its size, pixel for pixel.
 
-    A ``completer`` that is named fills the hole in place of ours, where none is given. Raises InputError for an answer
-    that is no photo of this size."""
+    A ``completer`` that is named fills the hole in place of ours, where none is given. ``unanswered``: why one that was
+    asked gave no answer. Raises InputError for an answer that is no photo of this size, NoAnswerError without one."""
     masks = [o.mask for o in scene]
     support = support_of(scene, widened(masks, config.margin))
     filled = partial(_filled, completer) if completer and given is None else None
@@ -55,6 +56,8 @@ def inpaint(
     if given is not None:
         unasked = f"; {completer} is not asked" if completer else ""
         decisions = (Decision(choice=f"background: as given{unasked}", reason="background.png"),)
+    elif unanswered:
+        decisions += (Decision(choice="background: completed by patchmatch", reason=unanswered, fallback=True),)
     elif completer:
         decisions += (Decision(choice=f"background: completed by {completer}", reason="asked for"),)
     if scene.geometry is None and scene.ground_mask is None:
