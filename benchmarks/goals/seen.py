@@ -119,7 +119,7 @@ def read(package: Path, rollout: Path) -> Film:
     scene = json.loads((package / "scene.json").read_text())
     with np.load(rollout, allow_pickle=False) as arrays:
         time, ids, T = arrays["time"], arrays["ids"].tolist(), arrays["T_world_object"]
-        kept = ~np.isin(np.arange(len(time)), arrays["starts"][1:])
+        kept = ~np.isin(np.arange(len(time)), arrays["starts"][1:] if "starts" in arrays else [])
         contacts = [(float(c[0]), int(c[1]), int(c[2]), float(c[3])) for c in arrays["contacts"].tolist()]
     return Film(
         bodies=bodies_of(package, scene),

@@ -27,7 +27,7 @@ def make_server(tools: SceneTools) -> MCPServer[Any]:
         accepted = "the extra llm: pip install 'f3sr[llm]'"
         raise InputError("f3sr mcp", found="no package mcp", accepted=accepted) from None
 
-    def told(tool: Callable[..., Any]) -> Callable[..., Any]:
+    def as_tool(tool: Callable[..., Any]) -> Callable[..., Any]:
         """The tool with f3sr's errors as the protocol's, a line each."""
 
         @functools.wraps(tool)
@@ -45,7 +45,7 @@ def make_server(tools: SceneTools) -> MCPServer[Any]:
         "f3sr", version=f3sr.__version__, instructions=INSTRUCTIONS, log_level="CRITICAL"
     )
     for tool in (tools.reconstruct, tools.list_objects, tools.simulate, tools.verdict, tools.film):
-        server.add_tool(told(tool))
+        server.add_tool(as_tool(tool))
 
     def key_frames(package: str, rollout: int) -> Any:
         """The key frames of a filmed rollout as one picture, each with its time and what happens.
@@ -56,5 +56,5 @@ def make_server(tools: SceneTools) -> MCPServer[Any]:
         """
         return Image(data=tools.key_frames(package, rollout), format="png")
 
-    server.add_tool(told(key_frames), structured_output=False)
+    server.add_tool(as_tool(key_frames), structured_output=False)
     return server
