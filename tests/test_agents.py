@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import io
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -12,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import numpy as np
 import pytest
 from PIL import Image
@@ -24,8 +26,10 @@ from f3sr.cli.main import main
 from f3sr.goals.plan import ModelCall
 from f3sr.goals.refusal import Refusal
 from f3sr.goals.rollout import to_npz
+from f3sr.physics.mujoco_model import body_of
 from f3sr.play.goal_loop import Played, replay_plan, simulate_goal
-from f3sr.scene_package.package import Package
+from f3sr.scene_package.package import Package, read_package
+from f3sr.scene_package.scene_json import scene_schema
 from f3sr.vision.set_of_marks import crop, marked
 from goal_scene import BALL, CAN, goal_package, goal_scene
 from model_servers import Asked, Reply, model_server
@@ -349,3 +353,76 @@ def test_without_the_extra_a_model_is_one_line_and_rules_work(package: Package, 
     found = subprocess.run([*base, "--model", "openai:x"], capture_output=True, text=True, check=False)
     assert found.returncode == 2 and "pip install 'f3sr[llm]'" in found.stderr and found.stderr.count("\n") == 1
     assert subprocess.run(base, capture_output=True, text=True, check=False).returncode == 0
+
+
+# --- materials of a package ---------------------------------------------------------------------------------------
+
+
+def answer_of(package: Package, **changed: object) -> dict[str, Any]:
+    """A Reasoner's answer: as the package has it, but for the soup can."""
+    objects = [
+        {
+            "id": o.id,
+            "material": "tin",
+            "structure": o.structure,
+            "density": o.density,
+            "friction": o.friction,
+            "rolling_friction": o.rolling_friction,
+            "restitution": 0.25,
+            **(changed if o.id == CAN else {}),
+        }
+        for o in package.scene
+    ]
+    return {"schema_version": 1, "objects": objects}
+
+
+def mass_in_xml(package: Package) -> float:
+    """Of the soup can, as MuJoCo reads it."""
+    found = re.search(rf'name="object_{CAN:02d}".*?mass="([\d.e-]+)"', (package.folder / "scene.xml").read_text(), re.S)
+    assert found
+    return float(found[1])
+
+
+def test_estimates_go_into_the_package_and_its_exports(
+    tmp_path: Path, keys: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    package = goal_package(tmp_path / "package", goal_scene())
+    before = package.scene[CAN]
+    answer = json.dumps(answer_of(package, density=2 * before.density, friction=0.7))
+    mass = mass_in_xml(package)
+    with model_server([answer]) as server:
+        call = ["materials", str(package.folder), "--model", f"openai:eye@{server.url}/v1", "--json"]
+        assert main(call) == 0
+    told = json.loads(capsys.readouterr().out)
+    after = read_package(package.folder)
+    o = after.scene[CAN]
+    assert (o.material, o.material_source, o.friction) == ("tin", "model", 0.7) and not told["kept"]
+    assert body_of(o).mass == pytest.approx(2 * body_of(before).mass)
+    assert mass_in_xml(package) == pytest.approx(2 * mass, rel=1e-4)
+    assert [o.T_world_object.tolist() for o in after.scene] == [o.T_world_object.tolist() for o in package.scene]
+    assert "openai:eye" in json.dumps(after.document.provenance["materials"])
+    assert isinstance(simulate_goal(after, GOAL), Played)
+    jsonschema.validate(json.loads((package.folder / "scene.json").read_text()), scene_schema())
+
+
+def test_a_package_with_rollouts_keeps_its_materials(
+    tmp_path: Path, keys: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    package = goal_package(tmp_path / "package", goal_scene())
+    assert main(["simulate", str(package.folder), GOAL, "--no-film"]) == 0
+    kept = (package.folder / "scene.json").read_bytes()
+    with model_server([json.dumps(answer_of(package, density=900.0))]) as server:
+        call = ["materials", str(package.folder), "--model", f"openai:eye@{server.url}/v1"]
+        assert main(call) == 1 and "--overwrite" in capsys.readouterr().err
+        assert (package.folder / "scene.json").read_bytes() == kept
+        assert main([*call, "--overwrite"]) == 0
+    assert (package.folder / "scene.json").read_bytes() != kept
+
+
+@pytest.mark.parametrize("reply", ["{}", '{"schema_version": 1, "objects": []}', "HTTP 500"])
+def test_without_properties_a_package_stays_as_it_is(tmp_path: Path, keys: str, reply: str) -> None:
+    package = goal_package(tmp_path / "package", goal_scene())
+    before = {p: p.read_bytes() for p in package.folder.rglob("*") if p.is_file()}
+    with model_server([Reply(status=401, text="no") if reply == "HTTP 500" else reply]) as server:
+        assert main(["materials", str(package.folder), "--model", f"openai:eye@{server.url}/v1"]) == 1
+    assert {p: p.read_bytes() for p in package.folder.rglob("*") if p.is_file()} == before

@@ -29,8 +29,8 @@ SENSOR_NOISE = 0.005
 """Most noise of a depth sensor [share of the distance], half of what networks are off by."""
 
 Structure = Literal["solid", "hollow"]
-MaterialSource = Literal["given", "label", "default"]
-"""Where the density comes from: materials.json, the label, or the default."""
+MaterialSource = Literal["given", "label", "default", "model"]
+"""Where the density comes from: materials.json, the label, the default, or a model."""
 Mobility = Literal["dynamic", "fixed"]
 GeometrySource = Literal["estimate", "sensor"]
 

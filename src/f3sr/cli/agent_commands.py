@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json as json_
 import sys
 import time
 from pathlib import Path
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from f3sr.play.conversation import Conversation, Wish
     from f3sr.scene_package.package import Package
 
+RequiredModel = Annotated[str, arg(metavar="MODEL")]
 RootFolder = Annotated[Path, arg(metavar="FOLDER")]
 
 
@@ -69,6 +71,40 @@ def chat(
                 print(printable(said), flush=True)
         except F3srError as error:  # the talk goes on
             print(printable(f"failed:    {error}"), flush=True)
+
+
+def materials(package: PackageFolder, /, model: RequiredModel, overwrite: bool = False, json: bool = False) -> None:
+    """Let a vision model estimate what every object is made of, and write that into the package.
+
+    Args:
+        package: What ``f3sr reconstruct`` wrote. scene.json and the exporters' files change.
+        model: The model, as of ``f3sr simulate``.
+        overwrite: Also where rollouts are, which belong to the scene as it was.
+        json: Print one JSON object instead of text.
+    """
+    from f3sr.agents.package_materials import estimated, write_materials
+    from f3sr.cli import console
+    from f3sr.models.model_client import ModelClient
+    from f3sr.scene_package.package import read_package
+
+    client, content = ModelClient.of(model), read_package(package)
+    found = estimated(content.scene, client, str(client.endpoint))
+    write_materials(content, found, client.calls, overwrite=overwrite)
+    rows = [(o.id, o.label, o.material, o.density, o.friction, o.restitution, o.material_source) for o in found.scene]
+    if json:
+        names = ("id", "label", "material", "density", "friction", "restitution", "source")
+        told = {"objects": [dict(zip(names, row, strict=True)) for row in rows], "kept": list(found.kept)}
+        print(json_.dumps(told | {"disagreements": list(found.disagreements)}, allow_nan=False))
+        return
+    console.print_table(
+        [(str(id), printable(label), printable(made), *(f"{v:.4g}" for v in values), source)
+         for id, label, made, *values, source in rows],
+        header=("id", "object", "material", "kg/m3", "friction", "restitution", "from"),
+    )  # fmt: skip
+    for said in found.disagreements:
+        console.say(f"differs: {said}")
+    for id in found.kept:
+        console.say(f"fallback: object {id} would not rest with the model's properties and keeps its own")
 
 
 MOST_CHARACTERS = 4000

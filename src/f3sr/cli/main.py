@@ -54,6 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "goals": goal_commands.goals,
         "sample": sample_command.sample,
         "chat": agent_commands.chat,
+        "materials": agent_commands.materials,
         "mcp": agent_commands.mcp,
         "batch": batch_commands.batch,
         "dataset": batch_commands.dataset,

@@ -46,7 +46,7 @@ Component = Annotated[float, Field(ge=-1e4, le=1e4, allow_inf_nan=False)]
 Push3 = tuple[Component, Component, Component]
 """Of a push, a speed or a shift: beyond its range no limit of any scene lies."""
 Words = Annotated[str, Field(max_length=2000)]
-Source = MaterialSource | Literal["words", "model"]
+Source = MaterialSource | Literal["words"]
 """Where the properties come from: as the package says, from the goal's words, or from a model."""
 
 
