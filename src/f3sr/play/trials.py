@@ -72,14 +72,21 @@ class Trials:
         return self._judged(phase, self._rollouts[key])
 
     def rested(self, task: TaskSpec, semantics: Sequence[Semantics], tried: Tried) -> Tried:
-        """The same launch, played on until every object rests, or as long as a phase may last."""
+        """The same launch, played until every object rests, or as long as a phase may last: as soon as that meets the
+        task, else after the trial's own end."""
         simulation = tried.launch.simulation.model_copy(update={"duration": LONGEST})
         launch = Launch(initial=tried.launch.initial, simulation=simulation)
-        phase, ends = phase_of(task, semantics, launch), float(tried.rollout.time[-1])
-        self.rollouts += 1
-        watch = Still(ends - 2 * LAST, range(sum(o.mobility == "dynamic" for o in self.scene)), fastest=np.inf)
+        phase, everything = phase_of(task, semantics, launch), range(sum(o.mobility == "dynamic" for o in self.scene))
         model = self._model_of(phase.semantics, phase.simulation)
-        return self._judged(phase, simulate_phase(self.scene, phase, until=watch, model=model))
+        launched = max((i.time + i.duration for i in phase.initial.impulses), default=0.0)
+        found = tried
+        for after in (launched, float(tried.rollout.time[-1]) - 2 * LAST):
+            self.rollouts += 1
+            watch = Still(after, everything, fastest=np.inf)
+            found = self._judged(phase, simulate_phase(self.scene, phase, until=watch, model=model))
+            if found.verdict.met:
+                break
+        return found
 
     def _judged(self, phase: Phase, rollout: Rollout) -> Tried:
         ended = phase.simulation.model_copy(update={"duration": float(rollout.time[-1])})
