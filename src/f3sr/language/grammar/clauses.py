@@ -80,7 +80,7 @@ def refuse_other(word: str) -> NoReturn:
 
 def refuse_several() -> NoReturn:
     """Refuses a goal that asks for two motions."""
-    refuse("several", "the goal asks for more than one motion; accepted: one, as 'push the cup left'")
+    refuse("several", "the goal asks for more than one motion; accepted: one, or 'then' between motions")
 
 
 def _verb_at(tokens: Sequence[str]) -> int:

@@ -23,7 +23,7 @@ from f3sr.goals.refusal import NotUnderstoodError, Refusal, quoted, refuse
 from f3sr.language.grammar.clauses import clause, refuse_other, refuse_several, starts_clause
 from f3sr.language.grammar.intents import request
 from f3sr.language.grammar.lexicon import lexicon
-from f3sr.language.grammar.normaliser import canonical, plain, rewritten
+from f3sr.language.grammar.normaliser import LONGEST, canonical, plain, rewritten
 from f3sr.language.grammar.quantities import amount_in, manner_in
 from f3sr.language.grammar.request import Request
 
@@ -43,7 +43,7 @@ def understand(text: str) -> tuple[Request, ...] | Refusal:
 
     Deterministic; work grows linearly with the text. Words that one launch may mean are one phase."""
     try:
-        ordered = _in_order(text)
+        ordered = _in_order(text) if len(text) <= LONGEST else text  # which is refused
         words = plain(ordered)
         one = _request_or_refusal(words)
         whole = isinstance(one, Request) and not _runs_on(one)
