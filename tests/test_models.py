@@ -14,7 +14,7 @@ from PIL import Image
 from pydantic import BaseModel, ConfigDict, Field
 
 from f3sr.errors import InputError
-from model_servers import ModelServer, Reply, Script, model_server
+from model_servers import Asked, ModelServer, Reply, Script, model_server
 
 pytest.importorskip("pydantic_ai", reason="the extra llm is not installed")
 
@@ -292,6 +292,21 @@ def test_temperature_seed_and_key_are_sent_where_they_exist() -> None:
     assert server.asked[0].body["temperature"] == 0 and "seed" not in server.asked[0].body
     sent = server.asked[0].headers.get("x-api-key"), server.asked[0].headers.get("authorization")
     assert KEY in str(sent) and not server.asked[0].body.get("stream")
+
+
+@pytest.mark.parametrize("provider", PROVIDERS)
+def test_settings_that_a_model_does_not_know_are_left_out(provider: str) -> None:
+    def script(asked: Asked) -> Reply | str:
+        if "temperature" in asked.body:
+            return Reply(status=400, text="Unsupported value: 'temperature' does not support 0 with this model")
+        return Reply(status=400, text="unknown field seed") if "seed" in asked.body else bare()
+
+    with model_server(script) as server:
+        made = client(server, provider)
+        for _ in range(2):
+            assert made.ask("planner", "x", ["y"], Answer).id == 3
+        assert len(server.asked) == (4 if provider == "openai" else 3), "it is remembered"
+        assert made.mode == "json_schema"
 
 
 SPECS = {

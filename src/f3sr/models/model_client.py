@@ -100,6 +100,8 @@ class ModelClient:
     mode: Mode
     calls: list[Call] = field(default_factory=list[Call])
     requests: int = 0
+    without: set[str] = field(default_factory=set[str])
+    """Settings that the endpoint does not know: reasoning models take no temperature."""
 
     @classmethod
     def of(cls, spec: str, config: ModelConfig | None = None) -> ModelClient:
@@ -125,6 +127,10 @@ class ModelClient:
             raise
         except Exception as error:  # SDKs raise anything for what servers send
             raise ModelError(f"{self.endpoint}: {self.endpoint.redacted(_said(error))}") from None
+
+    def unknown_settings(self, text: str) -> set[str]:
+        """Settings that an endpoint's error names and that were sent."""
+        return {name for name in ("temperature", "seed") if name in text.lower()} - self.without
 
     def require_budget(self) -> None:
         """Raises ModelError where a limit is reached."""
@@ -272,6 +278,9 @@ class _Question:
                 failure = f"no reply within {client.config.timeout:g} s"
             except ModelHTTPError as error:
                 text = f"HTTP {error.status_code}: {_body(error.body)}"
+                if error.status_code in NOT_ASKED and (unknown := client.unknown_settings(text)):
+                    client.without |= unknown
+                    return await self._requested(messages)
                 if error.status_code in NOT_ASKED and UNSUPPORTED.search(text):
                     raise _ModeRefusedError(text) from None
                 if error.status_code not in AGAIN:
@@ -314,9 +323,10 @@ class _Question:
             "json_object": ModelRequestParameters(output_mode="text"),
         }
         chosen = ModelSettings(max_tokens=config.max_tokens, timeout=config.timeout)
-        if config.temperature is not None:
+        if config.temperature is not None and "temperature" not in self.client.without:
             chosen["temperature"] = config.temperature
-        if config.seed is not None and self.client.endpoint.provider == "openai":
+        has_seed = self.client.endpoint.provider == "openai" and "seed" not in self.client.without
+        if config.seed is not None and has_seed:
             chosen["seed"] = config.seed
         async with limited_client(config.reply_bytes) as http:
             model = _model(self.client.endpoint, http)
