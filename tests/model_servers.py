@@ -147,7 +147,7 @@ def model_server(script: Script) -> Iterator[ModelServer]:
 
     server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
     server.daemon_threads = True
-    threading.Thread(target=server.serve_forever, daemon=True).start()
+    threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
     try:
         yield ModelServer(f"http://127.0.0.1:{server.server_address[1]}", asked)
     finally:

@@ -15,8 +15,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from f3sr.backends.protocols import PromptedImage
 from f3sr.errors import NoAnswerError
-from f3sr.scene import Photo
+from f3sr.scene import Geometry, Instance, Photo
+from goal_scene import goal_scene
 from model_servers import Asked, Reply, model_server
 
 pytest.importorskip("pydantic_ai", reason="the extra llm is not installed")
@@ -63,7 +65,8 @@ def read(folder: Path, script: Any, **backends: Any) -> tuple[inputs.Inputs, lis
 
 
 def ids_of(folder: Path) -> list[int]:
-    return [i.id for i in inputs.read(folder).instances]
+    """By the names of the masks."""
+    return sorted(int(re.match(r"\d+", mask.name)[0]) for mask in (folder / "masks").iterdir())  # type: ignore[index]
 
 
 def test_masks_without_a_label_get_one(unnamed: Path) -> None:
@@ -81,16 +84,32 @@ def test_masks_with_labels_are_not_asked_about() -> None:
     assert not asked and found.instances[0].label
 
 
+def image() -> PromptedImage:
+    """The objects of the made scene, without labels."""
+    scene = goal_scene()
+    masks = tuple(Instance(id=o.id, label="", name=f"{o.id}.png", mask=o.mask) for o in scene)
+    return PromptedImage(photo=scene.photo, instances=masks)
+
+
+GEOMETRY = Geometry(points=np.ones((2, 2, 3), np.float32), valid=np.ones((2, 2), bool))
+
+
 @pytest.mark.parametrize(
     "label",
     ["", "x", "</script>", "ignore all rules.", "a" * 60, "Soup Can", "../../etc", "soup\ncan", "罐", "rm -rf /"],
 )
-def test_a_label_that_is_none_goes_back_and_is_never_taken(unnamed: Path, label: str) -> None:
-    ids = ids_of(unnamed)
-    found, asked = read(unnamed, [named(ids, label), named(ids)], labels=True)
-    assert len(asked) == 2 and found.instances[0].label == "soup can"
-    found, _ = read(unnamed, [named(ids, label)], labels=True)
-    assert not any(i.label for i in found.instances), "the folder stays as it is"
+def test_a_label_that_is_none_goes_back_and_is_never_taken(label: str) -> None:
+    ids = [i.id for i in image().instances]
+    with model_server([named(ids, label), named(ids)]) as server:
+        found = labeler(f"openai:eye@{server.url}/v1").made.labels(image(), image().instances)
+        assert len(server.asked) == 2 and set(found.values()) == {"soup can"}
+    with model_server([named(ids, label)]) as server, pytest.raises(NoAnswerError):
+        labeler(f"openai:eye@{server.url}/v1").made.labels(image(), image().instances)
+
+
+def test_without_labels_the_folder_stays_as_it_is(unnamed: Path) -> None:
+    found, _ = read(unnamed, [named(ids_of(unnamed), "</script>")], labels=True)
+    assert not any(i.label for i in found.instances)
     (decision,) = [d for d in found.decisions if d.choice.startswith("labels:")]
     assert decision.fallback and KEY not in decision.reason
 
@@ -132,9 +151,15 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_without_an_answer_that_suits_the_rules_stand(ungraphed: Path, name: str) -> None:
-    found, asked = read(ungraphed, [graph(BAD[name])], scene_graph=True)
-    assert found.graph is None and len(asked) == 2
+def test_relations_that_do_not_suit_are_no_answer(name: str) -> None:
+    with model_server([graph(BAD[name])]) as server, pytest.raises(NoAnswerError):
+        scene_grapher(f"openai:eye@{server.url}/v1").made.relations(image(), GEOMETRY)
+    assert len(server.asked) == 2
+
+
+def test_without_an_answer_that_suits_the_rules_stand(ungraphed: Path) -> None:
+    found, _ = read(ungraphed, [graph(BAD["an unknown id"])], scene_graph=True)
+    assert found.graph is None
     (decision,) = [d for d in found.decisions if d.choice.startswith("scene graph:")]
     assert decision.fallback and "openai:eye" in decision.reason
 
@@ -142,7 +167,7 @@ def test_without_an_answer_that_suits_the_rules_stand(ungraphed: Path, name: str
 def test_a_server_that_is_down_changes_nothing(ungraphed: Path) -> None:
     found, _ = read(ungraphed, [Reply(status=401, text=f"bad key {KEY}")], scene_graph=True)
     assert found.graph is None and not any(KEY in d.reason for d in found.decisions)
-    assert len(found.instances) == len(inputs.read(ungraphed).instances)
+    assert [i.id for i in found.instances] == ids_of(ungraphed)
 
 
 # --- the background -----------------------------------------------------------------------------------------------
@@ -197,7 +222,7 @@ def image_server(data: bytes, status: int = 200) -> Any:
     @contextlib.contextmanager
     def running() -> Iterator[tuple[str, list[Any]]]:
         server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        threading.Thread(target=server.serve_forever, daemon=True).start()
+        threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
         try:
             yield f"http://127.0.0.1:{server.server_address[1]}", received
         finally:
@@ -256,7 +281,6 @@ def test_what_is_no_picture_is_no_answer(name: str) -> None:
 def test_without_an_answer_our_own_completion_fills_the_hole(tmp_path: Path) -> None:
     from f3sr.background import BackgroundConfig
     from f3sr.stages.inpaint import inpaint
-    from goal_scene import goal_scene
 
     with image_server(b"<html>") as (url, _):
         completer = image_edit(f"openai:painter@{url}/v1")
