@@ -339,6 +339,12 @@ def test_keys_come_from_the_environment_only(monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(InputError, match="OPENAI_API_KEY"):
         model_endpoint("openai:gpt")
     assert model_endpoint("openai:llama@http://localhost:11434/v1").host == "localhost:11434"
+    monkeypatch.setenv("OPENAI_API_KEY", KEY)
+    assert model_endpoint("openai:llama@http://localhost:11434/v1").key == KEY
+    assert model_endpoint("openai:llama@http://192.168.1.7:8000/v1").key != KEY, "in clear to another machine"
+    assert model_endpoint("openai:llama@https://example.org/v1").key == KEY
+    told = model_endpoint("openai:gpt").redacted(f"key {KEY[:14]}... is wrong, so is ...{KEY[-13:]}")
+    assert KEY[:12] not in told and KEY[-12:] not in told
     monkeypatch.setenv("OPENAI_API_KEY", "sk-\u00fc\n")
     with pytest.raises(InputError, match="no key has"):
         model_endpoint("openai:gpt")

@@ -19,6 +19,8 @@ HOSTS: dict[Provider, str] = {"openai": "api.openai.com", "anthropic": "api.anth
 HERE = ("localhost", "127.0.0.1", "::1")
 """Hosts of this machine, whose servers may need no key."""
 NO_KEY = "none"
+PART = 12
+"""Characters of a key's beginning or end that are cut out too: servers show some of them."""
 
 
 @dataclass(frozen=True)
@@ -40,13 +42,19 @@ class ModelEndpoint:
 
     def redacted(self, text: str) -> str:
         """A text without the key: servers echo it in errors."""
-        for secret in {self.key, quote(self.key, safe="")} - {"", NO_KEY}:
+        if self.key in ("", NO_KEY):
+            return text
+        for secret in (self.key, quote(self.key, safe="")):
             text = text.replace(secret, "[key]")
+        for part in (self.key[:PART], self.key[-PART:]):
+            text = text.replace(part, "[key]") if len(self.key) > PART else text
         return text
 
 
 def model_endpoint(spec: str) -> ModelEndpoint:
-    """The endpoint of a spec. Raises InputError for anything else, for a key in it, and where no key is set."""
+    """The endpoint of a spec. Over plain http no key goes to another machine.
+
+    Raises InputError for anything else, for a key in it, and where no key is set."""
     provider, _, rest = spec.partition(":")
     name, _, url = rest.partition("@")
     if provider not in KEYS or not re.fullmatch(r"[\w./:+-]{1,120}", name, re.ASCII):
@@ -56,9 +64,10 @@ def model_endpoint(spec: str) -> ModelEndpoint:
     url = url or os.environ.get(URLS[known], "").strip()
     if url:
         _require_url(url, where)
-    key = os.environ.get(KEYS[known], "").strip()
     here = bool(url) and (urlsplit(url).hostname or "") in HERE
-    if not key and not here:
+    in_clear = bool(url) and urlsplit(url).scheme == "http" and not here
+    key = "" if in_clear else os.environ.get(KEYS[known], "").strip()
+    if not key and not here and not in_clear:
         raise InputError(f"--model {provider}:{name}", found="no key", accepted=f"the key in ${KEYS[known]}")
     if not key.isascii() or not key.isprintable():
         raise InputError(f"${KEYS[known]}", found="characters that no key has", accepted="a key of plain ASCII")
