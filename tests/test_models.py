@@ -331,6 +331,14 @@ def test_a_spec_that_is_none_is_told_in_one_line(spec: str) -> None:
     assert SPECS[spec] in str(error.value) and "secret" not in str(error.value)
 
 
+def test_the_doctor_tells_of_keys_but_not_which() -> None:
+    from f3sr.cli import doctor
+
+    found = {check.name: check for check in doctor.examine() if check.group == "models"}
+    assert found["openai"].state == "ok" and "OPENAI_API_KEY" in found["openai"].found
+    assert not any(KEY in check.found for check in found.values())
+
+
 def test_keys_come_from_the_environment_only(monkeypatch: pytest.MonkeyPatch) -> None:
     assert KEY not in repr(model_endpoint("openai:gpt")) and model_endpoint("openai:gpt").host == "api.openai.com"
     monkeypatch.setenv("OPENAI_BASE_URL", "https://example.org/v1")

@@ -23,6 +23,7 @@ from f3sr.background.completers import BACKGROUND_COMPLETERS
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.errors import printable
 from f3sr.exporters.protocol import EXPORTERS
+from f3sr.models.model_endpoint import KEYS
 from f3sr.play.languages import LANGUAGES
 from f3sr.runtime import kernels
 from f3sr.runtime.cache_folder import cache_folder
@@ -56,7 +57,7 @@ class Check:
 
 def examine() -> list[Check]:
     """Everything there is to know of this installation and machine."""
-    return [*_installed(), *_extras(), *_parts(), *_backends(), *_machine(), *_caches()]
+    return [*_installed(), *_extras(), *_models(), *_parts(), *_backends(), *_machine(), *_caches()]
 
 
 # --- what is installed --------------------------------------------------------------------------------------------
@@ -77,6 +78,14 @@ def _extras() -> Iterator[Check]:
         absent = [name for name in _requirements(extra) if not _version(name)]
         found = f'without {", ".join(absent)}: pip install "f3sr[{extra}]"' if absent else "complete"
         yield Check(group="extras", name=extra, state="optional" if absent else "ok", found=found)
+
+
+def _models() -> Iterator[Check]:
+    """Whether keys of model providers are set; never which."""
+    for provider, variable in KEYS.items():
+        there = bool(os.environ.get(variable, "").strip())
+        found = f"a key in {variable}" if there else f"no key in {variable}; rules need none"
+        yield Check(group="models", name=provider, state="ok" if there else "optional", found=found)
 
 
 def _requirements(extra: str | None) -> list[str]:
