@@ -171,6 +171,12 @@ def test_an_answer_that_does_not_suit_goes_back_once(name: str) -> None:
     assert str(error.value).isprintable() and KEY not in str(error.value)
 
 
+@pytest.mark.parametrize("mode", ["json_schema", "tool"])
+def test_a_key_in_an_answer_is_cut_out(mode: str) -> None:
+    found, _, made = ask([bare(words=[f"the key is {KEY}", "a"])], config=with_mode(mode))
+    assert found.words[0] == "the key is [key]" and KEY not in repr(made.calls)
+
+
 TOOLS: dict[str, Reply] = {
     "an unknown tool": Reply(text=bare(), tool="run_shell"),
     "two calls": Reply(text=bare(), calls=2),

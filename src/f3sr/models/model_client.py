@@ -351,7 +351,7 @@ class _Question:
             raise ValueError(f"it is cut off after {self.client.config.max_tokens:,} tokens; accepted: a shorter one")
         if response.finish_reason == "content_filter":
             raise ModelError(f"{self.client.endpoint}: the provider's filter refused to answer as {self.role}")
-        text = _text_of(response)
+        text = self.client.endpoint.redacted(_text_of(response))  # answers go into files
         self.reply = text.encode("utf-8", "replace")
         values = _one_object(text)
         try:
