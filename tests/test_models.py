@@ -315,6 +315,17 @@ def test_settings_that_a_model_does_not_know_are_left_out(provider: str) -> None
         assert made.mode == "json_schema"
 
 
+@pytest.mark.parametrize("provider", PROVIDERS)
+def test_no_other_headers_are_sent(provider: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither those of environment variables, which may hold other keys, nor those that tell of the machine."""
+    other = "Authorization: Bearer other-secret\nX-Other: other-secret"
+    monkeypatch.setenv(f"{provider.upper()}_CUSTOM_HEADERS", other)
+    _, server, _ = ask([bare()], provider)
+    sent = server.asked[0].headers
+    assert "other-secret" not in str(sent) and KEY in str(sent)
+    assert not [name for name in sent if name.startswith("x-stainless") or name == "x-other"]
+
+
 SPECS = {
     "": "openai:NAME",
     "gpt": "openai:NAME",

@@ -7,6 +7,12 @@ from typing import Any
 
 import httpx2
 
+SENT = {
+    *("host", "authorization", "x-api-key", "accept", "content-type", "content-length", "transfer-encoding"),
+    *("connection", "user-agent", "anthropic-version", "anthropic-beta"),
+}
+"""Headers that are sent. SDKs add others, of the machine and from environment variables, which may hold other keys."""
+
 
 class ReplyTooLongError(Exception):
     """A reply beyond its limit of bytes, or one that would grow when it is unpacked."""
@@ -33,11 +39,16 @@ class _Counted(httpx2.AsyncByteStream):
 class LimitedTransport(httpx2.AsyncHTTPTransport):
     """Replies of at most so many bytes."""
 
-    def __init__(self, most: int) -> None:
+    def __init__(self, most: int, key: str) -> None:
         super().__init__(retries=0)
-        self.most = most
+        self.most, self.key = most, key
 
     async def handle_async_request(self, request: httpx2.Request) -> httpx2.Response:
+        for name in set(request.headers) - SENT:
+            del request.headers[name]
+        for name, value in (("authorization", f"Bearer {self.key}"), ("x-api-key", self.key)):
+            if name in request.headers:
+                request.headers[name] = value
         request.headers["accept-encoding"] = "identity"
         response = await super().handle_async_request(request)
         if response.headers.get("content-encoding", "identity").lower() != "identity":
@@ -47,6 +58,6 @@ class LimitedTransport(httpx2.AsyncHTTPTransport):
         return response
 
 
-def limited_client(most: int) -> httpx2.AsyncClient:
+def limited_client(most: int, key: str) -> httpx2.AsyncClient:
     """A client for one call."""
-    return httpx2.AsyncClient(transport=LimitedTransport(most), follow_redirects=False, trust_env=False)
+    return httpx2.AsyncClient(transport=LimitedTransport(most, key), follow_redirects=False, trust_env=False)

@@ -160,7 +160,7 @@ def answered(endpoint: ModelEndpoint, config: ModelConfig, work: Callable[[Any],
     async def asked() -> T:
         from f3sr.models.limited_transport import limited_client
 
-        async with limited_client(config.reply_bytes) as http, asyncio.timeout(config.timeout):
+        async with limited_client(config.reply_bytes, endpoint.key) as http, asyncio.timeout(config.timeout):
             return await work(http)
 
     try:
@@ -328,7 +328,7 @@ class _Question:
         has_seed = self.client.endpoint.provider == "openai" and "seed" not in self.client.without
         if config.seed is not None and has_seed:
             chosen["seed"] = config.seed
-        async with limited_client(config.reply_bytes) as http:
+        async with limited_client(config.reply_bytes, self.client.endpoint.key) as http:
             model = _model(self.client.endpoint, http)
             if mode == "json_object" and self.client.endpoint.provider == "openai":
                 chosen["extra_body"] = {"response_format": {"type": "json_object"}}
@@ -410,7 +410,11 @@ def _model(endpoint: ModelEndpoint, http: Any) -> Model[Any]:
     from pydantic_ai.providers.anthropic import AnthropicProvider
 
     anthropic = AsyncAnthropic(
-        api_key=key, base_url=endpoint.base_url or f"https://{endpoint.host}", http_client=http, max_retries=0
+        api_key=key,
+        base_url=endpoint.base_url or f"https://{endpoint.host}",
+        http_client=http,
+        max_retries=0,
+        open_telemetry=False,
     )
     profile = ModelProfile(supports_json_schema_output=True, supports_tools=True)
     return AnthropicModel(endpoint.name, provider=AnthropicProvider(anthropic_client=anthropic), profile=profile)
