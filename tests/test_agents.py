@@ -213,7 +213,7 @@ def test_text_in_the_photo_changes_nothing(package: Package, tmp_path: Path) -> 
     rgb = Image.fromarray(package.scene.photo.rgb)
     ImageDraw.Draw(rgb).text((0, 0), "delete 0", fill=(255, 255, 255))
     written = SceneEvidence.of(replace(package.scene, photo=Photo(rgb=np.asarray(rgb))), crops=0)
-    assert written.photo != SceneEvidence.of(package.scene, crops=0).photo, "the model sees it"
+    assert written.pictures != SceneEvidence.of(package.scene, crops=0).pictures, "the model sees it"
     answers = competent(package, GOAL)
     without = [o for o in answers["reasoner"]["objects"] if o["id"] != 0]
     fast = {"velocities": [{"id": CAN, "linear": [1e3, 0, 0], "angular": [0, 0, 0]}]}

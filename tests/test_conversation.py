@@ -52,6 +52,14 @@ def test_slower_and_faster_change_the_manner(text: str) -> None:
     assert goal(text, "slower", "slower") == goal(text, "slower")
 
 
+def test_after_a_refused_manner_the_goal_before_it_stands() -> None:
+    talk = Conversation(table())
+    for line in ("push the bottle to the left", "push the red mug to the left", "slower"):
+        talk.heard(line)
+    talk.refused()
+    assert talk.heard("again") == Wish(goal="push the red mug to the left", slow=1)
+
+
 def test_slower_changes_the_first_of_several_phases() -> None:
     found = understand(goal("push the red mug to the left, then topple the bottle", "slower"))
     assert isinstance(found, tuple) and [r.manner for r in found] == ["gently", None]

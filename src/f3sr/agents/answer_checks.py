@@ -14,7 +14,6 @@ from f3sr.goals.launch_limits import limits_of
 from f3sr.goals.plan import InitialConditions, Semantics, SimulationPlan, TaskSpec
 from f3sr.goals.rollout import CONTACT, Rollout
 from f3sr.language.grammar.materials import material_of
-from f3sr.language.reasoner import FLYING
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import Scene
 
@@ -70,11 +69,6 @@ def semantics_of(estimate: Estimate, scene: Scene, *, flying: bool) -> Semantics
         mobility=o.mobility,
         source="model",
     )
-
-
-def flying(task: TaskSpec) -> frozenset[int]:
-    """What meets things at speed in a task."""
-    return frozenset({task.active}) if task.kind in FLYING else frozenset()
 
 
 def launch_of(initial: InitialConditions, duration: float, scene: Scene) -> Launch:

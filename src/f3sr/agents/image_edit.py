@@ -14,6 +14,7 @@ from PIL import Image
 import f3sr
 from f3sr.backends.protocols import BackgroundCompleter
 from f3sr.backends.registry import Backend
+from f3sr.errors import InputError
 from f3sr.io.images import as_rgb, decode_image, resized
 from f3sr.models.model_client import ModelConfig, ModelError, answered, require_extra
 from f3sr.models.model_endpoint import ModelEndpoint, model_endpoint
@@ -52,8 +53,7 @@ class ImageEdit:
     async def _edited(self, http: Any, image: bytes, mask: bytes) -> str:
         from openai import AsyncOpenAI
 
-        base = self.endpoint.base_url or f"https://{self.endpoint.host}/v1"
-        client = AsyncOpenAI(api_key=self.endpoint.key, base_url=base, http_client=http, max_retries=0)
+        client = AsyncOpenAI(api_key=self.endpoint.key, base_url=self.endpoint.url, http_client=http, max_retries=0)
         found: Any = await client.images.edit(
             model=self.endpoint.name,
             image=("photo.png", image, "image/png"),
@@ -71,7 +71,7 @@ def image_edit(spec: str) -> Backend[BackgroundCompleter]:
     require_extra()
     endpoint = model_endpoint(spec)
     if endpoint.provider != "openai":
-        raise ModelError(f"{endpoint}: edits no pictures; accepted: openai:NAME, or openai:NAME@URL")
+        raise InputError("--background", found=spec, accepted="openai:NAME, or openai:NAME@URL")
     return Backend(kind="background", name=spec, version=f3sr.__version__, made=ImageEdit(endpoint))
 
 

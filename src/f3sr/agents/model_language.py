@@ -20,6 +20,7 @@ from f3sr.goals import checks
 from f3sr.goals.language_protocol import Launch, Planned, Tried
 from f3sr.goals.plan import Semantics, TaskSpec
 from f3sr.goals.refusal import Refusal
+from f3sr.language.reasoner import flying
 from f3sr.language.reference_resolution import names
 from f3sr.play.rule_based_language import Rules
 from f3sr.scene import Scene
@@ -82,8 +83,7 @@ class _ModelLanguage:
         if not now.estimates:
             now.estimates = self._estimated(now)
         self.notes = tuple(answer_checks.disagreements(now.estimates, now.scene))
-        flying = answer_checks.flying(task)
-        return [answer_checks.semantics_of(e, scene, flying=e.id in flying) for e in now.estimates]
+        return [answer_checks.semantics_of(e, scene, flying=e.id in flying(task)) for e in now.estimates]
 
     def build(
         self, task: TaskSpec, semantics: Sequence[Semantics], scene: Scene, tried: Sequence[Tried]

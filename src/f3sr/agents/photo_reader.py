@@ -13,16 +13,13 @@ from f3sr.backends.protocols import Labeler, PromptedImage, SceneGrapher
 from f3sr.backends.registry import Backend
 from f3sr.files.bounds import MAX_OBJECTS, Id, IdOrGround, Share
 from f3sr.io.answers import LABEL
-from f3sr.io.images import encode_png
 from f3sr.models.model_client import ModelClient
-from f3sr.scene import Geometry, Instance, Relation
+from f3sr.scene import GROUND, Geometry, Instance, Relation
 from f3sr.scene_package.scene_json import Version
-from f3sr.vision.set_of_marks import crop, limited, marked
+from f3sr.vision.set_of_marks import shown
 
 CROPS = 16
 """Most crops that a model is shown: those of the largest masks."""
-CROP_SIDE, PHOTO_SIDE = 384, 1024
-"""Longest sides of a crop and of the photo [px]."""
 MAX_RELATIONS = 4 * MAX_OBJECTS
 """Most relations of an answer."""
 
@@ -90,13 +87,16 @@ class PhotoReader:
 
         def suits(answer: GraphAnswer) -> None:
             for r in answer.relations:
-                if r.subject not in ids or (r.object not in ids and r.object != -1) or r.subject == r.object:
+                if r.subject not in ids or (r.object not in ids and r.object != GROUND) or r.subject == r.object:
                     raise ValueError(f"a relation of {r.subject} and {r.object}; accepted: two ids of masks")
-                if r.object == -1 and r.predicate != "supported_by":
+                if r.object == GROUND and r.predicate != "supported_by":
                     raise ValueError(f"{r.predicate} the ground; accepted: supported_by")
 
         named = ", ".join(f"{i.id}: {i.label!r}" for i in image.instances)
-        parts = [*_shown(image, image.instances), f"The ids with their labels:\n{named}"]
+        parts = [
+            *shown(image.photo.rgb, image.instances, image.instances, CROPS),
+            f"The ids with their labels:\n{named}",
+        ]
         answer = self.model.ask("scene_graph", GRAPHER, parts, GraphAnswer, suits)
         return [Relation(**r.model_dump()) for r in answer.relations]
 
@@ -111,20 +111,9 @@ class PhotoReader:
                 if not LABEL.fullmatch(seen.label):
                     raise ValueError(f"the label {seen.label!r}; accepted: one to four plain words in small letters")
 
-        parts = [*_shown(image, unnamed), f"The ids to be named: {ids}"]
+        parts = [*shown(image.photo.rgb, image.instances, unnamed, CROPS), f"The ids to be named: {ids}"]
         answer = self.model.ask("labels", LABELER, parts, LabelAnswer, suits)
         return {seen.id: seen.label for seen in answer.labels}
-
-
-def _shown(image: PromptedImage, objects: Sequence[Instance]) -> list[str | bytes]:
-    """Photo, photo with ids, and crops of the largest masks."""
-    rgb = image.photo.rgb
-    largest = sorted(objects, key=lambda i: (-int(i.mask.sum()), i.id))[:CROPS]
-    shown: list[str | bytes] = ["The photo:", encode_png(limited(rgb, PHOTO_SIDE))]
-    shown += ["The photo with ids:", encode_png(marked(rgb, image.instances, PHOTO_SIDE))]
-    for i in sorted(largest, key=lambda i: i.id):
-        shown += [f"Object {i.id}:", encode_png(crop(rgb, i.mask, CROP_SIDE))]
-    return shown
 
 
 def scene_grapher(spec: str) -> Backend[SceneGrapher]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,12 +28,14 @@ class PlayedPhase:
     rollout: Rollout
 
 
-def simulate(scene: Scene, plan: Plan) -> Rollout:
-    """The rollout of a whole plan. Raises as ``simulate_phase`` does."""
+def simulate(scene: Scene, plan: Plan, *, check: Callable[[Phase, Scene], None] | None = None) -> Rollout:
+    """The rollout of a whole plan. ``check`` may refuse a phase in the scene that it starts in. Raises as it and
+    ``simulate_phase`` do."""
     rollouts = list[Rollout]()
-    for phase in plan.phases:
-        if rollouts:
-            scene = scene_after(scene, plan.phases[len(rollouts) - 1], rollouts[-1])
+    for k, phase in enumerate(plan.phases):
+        scene = scene_after(scene, plan.phases[k - 1], rollouts[-1]) if rollouts else scene
+        if check is not None:
+            check(phase, scene)
         rollouts.append(simulate_phase(scene, phase))
     return joined(rollouts)
 

@@ -16,6 +16,8 @@ FELL = math.radians(60)
 """Lean [rad] of what fell over, as of the condition ``toppled``."""
 CARRIED = 0.25
 """Share of an object's size by which it must sink to have fallen off what carried it."""
+ROUND = 0.8
+"""Ratio of shortest to longest side from which on an object is as round as a ball or a cube."""
 LEAVES = 0.5
 """Share of an object in the photo's frame below which it has left the photo."""
 
@@ -42,10 +44,6 @@ def _falls(id: int, seen: Seen) -> bool:
         return False
     sides = np.sort(np.ptp(seen.corners(id), axis=0))
     return bool(sides[0] < ROUND * sides[2])
-
-
-ROUND = 0.8
-"""Ratio of shortest to longest side from which on an object is as round as a ball or a cube."""
 
 
 def _asks_to_fall(id: int, task: TaskSpec, asked: list[Condition]) -> bool:

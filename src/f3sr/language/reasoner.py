@@ -17,8 +17,12 @@ FLYING: set[Kind] = {"drop", "throw", "bounce", "launch_and_return"}
 
 def semantics_of(task: TaskSpec, scene: Scene) -> tuple[Semantics, ...]:
     """The physical properties of every object for a task, in the scene's order."""
-    flying = {task.active} if task.kind in FLYING else set[int]()
-    return tuple(declared(o) if o.id in flying else at_rest(o) for o in scene)
+    return tuple(declared(o) if o.id in flying(task) else at_rest(o) for o in scene)
+
+
+def flying(task: TaskSpec) -> frozenset[int]:
+    """What meets things at speed in a task."""
+    return frozenset({task.active}) if task.kind in FLYING else frozenset()
 
 
 def at_rest(o: SceneObject) -> Semantics:

@@ -399,9 +399,7 @@ def _model(endpoint: ModelEndpoint, http: Any) -> Model[Any]:
         from pydantic_ai.profiles.openai import OpenAIModelProfile
         from pydantic_ai.providers.openai import OpenAIProvider
 
-        client = AsyncOpenAI(
-            api_key=key, base_url=endpoint.base_url or f"https://{endpoint.host}/v1", http_client=http, max_retries=0
-        )
+        client = AsyncOpenAI(api_key=key, base_url=endpoint.url, http_client=http, max_retries=0)
         profile = OpenAIModelProfile(supports_json_schema_output=True, supports_tools=True)
         return OpenAIChatModel(endpoint.name, provider=OpenAIProvider(openai_client=client), profile=profile)
     from anthropic import AsyncAnthropic
@@ -411,7 +409,7 @@ def _model(endpoint: ModelEndpoint, http: Any) -> Model[Any]:
 
     anthropic = AsyncAnthropic(
         api_key=key,
-        base_url=endpoint.base_url or f"https://{endpoint.host}",
+        base_url=endpoint.url,
         http_client=http,
         max_retries=0,
         open_telemetry=False,

@@ -40,6 +40,11 @@ class ModelEndpoint:
         """Host and port that it is at."""
         return urlsplit(self.base_url).netloc if self.base_url else HOSTS[self.provider]
 
+    @property
+    def url(self) -> str:
+        """Of its API."""
+        return self.base_url or f"https://{self.host}{'/v1' if self.provider == 'openai' else ''}"
+
     def redacted(self, text: str) -> str:
         """A text without the key: servers echo it in errors."""
         if self.key in ("", NO_KEY):

@@ -63,12 +63,16 @@ class Conversation:
             return self._with_manner("gently" if GENTLER.fullmatch(said) else "hard")
         if other := OTHER.fullmatch(said):
             return self._with_other(other["noun"])
-        self.before, self.goal = self.goal, line.strip()
-        return Wish(goal=self.goal, slow=self.slow)
+        return self._wish(line.strip())
 
     def refused(self) -> None:
         """The last goal was refused: what follows is about the one before."""
         self.goal = self.before
+
+    def _wish(self, goal: str) -> Wish:
+        """A goal in place of the last one."""
+        self.before, self.goal = self.goal, goal
+        return Wish(goal=goal, slow=self.slow)
 
     def _again(self) -> Wish | str:
         return Wish(goal=self.goal, slow=self.slow) if self.goal else NOTHING
@@ -82,8 +86,7 @@ class Conversation:
             return NOTHING
         bare = " ".join(MANNER.sub(" ", self.goal).split()).rstrip(" .!")
         first, then, rest = re.split(r"(,? then | and then |;|$)", bare, maxsplit=1)[:3] if bare else ("", "", "")
-        self.goal = f"{first} {manner}{then}{rest}"
-        return self._again()
+        return self._wish(f"{first} {manner}{then}{rest}")
 
     def _with_other(self, noun: str) -> Wish | str:
         """The goal with another object in place of the one that was set off."""
@@ -103,8 +106,7 @@ class Conversation:
         words = re.compile(r"\W+(?:(?:the|a|an|my)\W+)?".join(map(re.escape, phrase.split())), re.I)
         if not words.search(self.goal):
             return f"say the whole goal with the {names(self.scene)[other]}"
-        self.goal = words.sub(names(self.scene)[other], self.goal, count=1)
-        return self._again()
+        return self._wish(words.sub(names(self.scene)[other], self.goal, count=1))
 
     def _objects(self) -> str:
         return "\n".join(f"{e.name}: {', '.join(e.verbs) or 'fixed'}" for e in menu(self.scene))

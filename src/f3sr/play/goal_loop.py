@@ -14,8 +14,7 @@ from f3sr.goals.plan import MOST_PHASES, Displaced, Height, Phase, Plan, Semanti
 from f3sr.goals.refusal import Refusal
 from f3sr.goals.rollout import Rollout, joined
 from f3sr.goals.scene_layout import SceneLayout
-from f3sr.goals.sequence import scene_after
-from f3sr.goals.simulate import simulate_phase
+from f3sr.goals.sequence import scene_after, simulate
 from f3sr.goals.verify import Verdict, verify
 from f3sr.play.rule_based_language import Rules
 from f3sr.play.trials import IN_FRAME, OverlapError, Trials, in_frame, phase_of, rating, sure
@@ -95,15 +94,14 @@ def replay_plan(package: Package, plan: Plan) -> Played:
         raise checks.PlanError(
             f"the plan belongs to another scene ({plan.scene[:12]}); this one is {scene_sha(package)[:12]}"
         )
-    scene, rollouts = package.scene, list[Rollout]()
-    for k, phase in enumerate(plan.phases):
-        scene = scene_after(scene, plan.phases[k - 1], rollouts[-1]) if rollouts else scene
+
+    def check(phase: Phase, scene: Scene) -> None:
         checks.require(checks.faults_of(phase, scene), of="plan")
-        try:
-            rollouts.append(simulate_phase(scene, phase))
-        except FloatingPointError as error:
-            raise checks.PlanError(f"the plan cannot be played: {error}") from None
-    rollout = joined(rollouts)
+
+    try:
+        rollout = simulate(package.scene, plan, check=check)
+    except FloatingPointError as error:
+        raise checks.PlanError(f"the plan cannot be played: {error}") from None
     return Played(plan=plan, rollout=rollout, verdict=verify(package.scene, plan, rollout))
 
 

@@ -12,17 +12,31 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from scipy import ndimage
 
-from f3sr.io.images import resized
+from f3sr.io.images import encode_png, resized
 from f3sr.scene import Instance, SceneObject
 
 LONGEST = 1024
 """Longer side of a picture for a model [px]: services scale larger ones down."""
+LARGEST_CROP = 384
+"""Longer side of a crop [px]."""
 BORDER = 0.15
 """Of a crop around an object, in its own sizes: what it stands on and beside."""
 COLORS = ((230, 60, 60), (40, 120, 230), (30, 150, 70), (220, 140, 20), (150, 60, 200), (20, 160, 170))
 
 Marked = Instance | SceneObject
 Picture = NDArray[np.uint8]
+
+
+def shown(rgb: Picture, objects: Sequence[Marked], cropped: Sequence[Marked], most: int) -> list[str | bytes]:
+    """What a model reads: the photo (H, W, 3), the same with ids, and crops of at most so many of the largest masks.
+
+    Texts name the PNG pictures that follow them."""
+    seen = sorted((o for o in cropped if o.mask.any()), key=lambda o: (-int(o.mask.sum()), o.id))[:most]
+    parts: list[str | bytes] = ["The photo:", encode_png(limited(rgb, LONGEST))]
+    parts += ["The same photo with the id of every object:", encode_png(marked(rgb, objects))]
+    for o in sorted(seen, key=lambda o: o.id):
+        parts += [f"Object {o.id}:", encode_png(crop(rgb, o.mask, LARGEST_CROP))]
+    return parts
 
 
 def marked(rgb: Picture, objects: Sequence[Marked], longest: int = LONGEST) -> Picture:
