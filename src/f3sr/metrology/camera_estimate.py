@@ -1,0 +1,328 @@
+"""Focal length and gravity of one photo: evidence of edges, rims and EXIF weighed against what photos usually have."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Interval
+from numpy.typing import NDArray
+from PIL import Image
+
+from f3sr.core.transforms import Array, rotation_about
+from f3sr.metrology.directions import DirectionModel, GroupedSegments, grouped, log_likelihoods
+from f3sr.metrology.edges import edge_points, line_segments
+from f3sr.metrology.ellipses import Ellipse, rims
+from f3sr.settings import constants, settings
+
+LONGEST = 1600
+"""Longer side of the photo in which edges are sought [px]: more adds noise, not directions."""
+FOCALS = (0.5, 2.0)
+"""Focal lengths searched [longer image sides]: from a wide phone lens to a portrait lens."""
+PITCHES = (math.radians(-6), math.radians(74))
+"""Pitches searched [rad]: steeper photos show no ground plane's direction."""
+ROLLS = (math.radians(-4), 0.0, math.radians(4))
+COARSE_FOCAL, COARSE_PITCH = 0.11, math.radians(4)
+"""Steps of the first search, of the logarithm of the focal length and of the pitch [rad]."""
+COARSE_BLUR, COARSE_TURN, FINE_TURN = math.radians(2), math.radians(2), math.radians(0.5)
+MODES = 8
+"""Starts of the second search, the best of the first apart from each other."""
+BLURS = (math.radians(1), math.radians(0.3), 0.0)
+"""Widths of directions in the second search, one after the other."""
+STEP = np.array([0.03, math.radians(1), math.radians(0.8)])
+"""Steps of the numeric curvature: logarithm of the focal length, pitch and roll [rad]."""
+SAMPLES, OF_NINE = np.linspace(0.1, 0.9, 9), 5
+"""Places along a segment where the masks beside it are read, and how many must lie in one."""
+HIGHEST = 0.01
+"""Share of the ground's pixels above the row that counts as its upper end: masks have strays."""
+MOST_SEGMENTS = 400
+"""Most segments that are weighed, the longest first."""
+BESIDE = 2.5
+"""Distance of these places from the segment [px]."""
+
+
+@settings
+class CameraPriors:
+    """What a photo's camera is before its picture tells."""
+
+    focal: Annotated[float, Interval(ge=0.1, le=10)] = 0.9
+    """Focal length [longer image sides]: main cameras of phones have .7 to .8, webcams and depth cameras .95."""
+    focal_sigma: Annotated[float, Interval(gt=0, le=1)] = 0.25
+    """One standard deviation of its logarithm."""
+    exif_sigma: Annotated[float, Interval(gt=0, le=1)] = 0.04
+    """The same of a focal length by EXIF: whole millimetres, lens corrections."""
+    pitch: Annotated[float, Interval(ge=-0.5, le=1.5)] = math.radians(32)
+    """Angle of the optical axis below the horizon [rad]."""
+    pitch_sigma: Annotated[float, Interval(gt=0, le=1)] = math.radians(15)
+    roll_sigma: Annotated[float, Interval(gt=0, le=1)] = math.radians(2.5)
+    """Standard deviation of the horizon's slope [rad]."""
+
+
+@constants
+class RimModel:
+    """How an object's ellipse scatters about the image of a horizontal circle."""
+
+    strange: float = 0.4
+    """Share of ellipses that are no horizontal circle."""
+    shape: float = 0.03
+    """Standard deviation of a rim from a circle, of the logarithm of its axes' ratio."""
+    edge: float = 1.0
+    """Error of the minor axis [px]."""
+
+
+@constants
+class HorizonModel:
+    """Where the horizon may lie: above the ground, and rarely far below the tops of what stands on it."""
+
+    ratio: float = 2.5
+    """Camera's height over an object's, the median: 1.4 m over .8 m in rooms, .5 m over .1 m at tables."""
+    spread: float = 0.9
+    """Standard deviation of its logarithm, of lower cameras only: of higher ones the pitch tells."""
+    margin: float = 0.01
+    """Width of the bound that ground lies below the horizon [longer image sides]."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CameraEstimate:
+    """A camera's focal length [px] with the principal point in the middle, and its attitude [rad].
+
+    ``errors`` are standard errors of the logarithm of the focal length, of pitch and of roll [rad].
+    """
+
+    focal: float
+    pitch: float
+    roll: float
+    errors: tuple[float, float, float]
+    segments: int
+    """Line segments that were weighed, as the next."""
+    rims: int
+
+    @property
+    def up(self) -> Array:
+        """(3,), against gravity, in camera axes."""
+        return attitude(self.pitch, self.roll)[:, 2]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Evidence:
+    """What a photo shows, in pixels of ``side`` on its longer side, about its middle ``centre`` (2,)."""
+
+    side: float
+    centre: Array
+    segments: GroupedSegments
+    rims: Sequence[Ellipse]
+    means: Array
+    """Of the priors, (3,), as the next: logarithm of the focal length over ``side``, pitch, roll."""
+    sigmas: Array
+    standing: Array
+    """Objects (n, 3): x of their middles, y of their tops and bottoms, about ``centre``, over ``side``."""
+    farthest: Array
+    """x and y (2,) of the ground farthest up in the picture, likewise."""
+    directions: DirectionModel
+    circles: RimModel
+    horizon: HorizonModel
+
+    def log_posterior(self, x: Array, *, turn: float, blur: float = 0.0) -> Array:
+        """(t,) up to a constant, for cameras x (t, 3)."""
+        focals = np.exp(x[:, 0]) * self.side
+        rotations = np.array([attitude(pitch, roll) for pitch, roll in x[:, 1:]])
+        lines = log_likelihoods(self.segments, focals, rotations, self.directions, step=turn, blur=blur).sum(1)
+        prior = -0.5 * (((x - self.means) / self.sigmas) ** 2).sum(1)
+        return lines + self._circular(focals, rotations) + self._below(x) + prior
+
+    def _circular(self, focals: Array, rotations: Array) -> Array:
+        """Log-likelihood (t,) of all rims as horizontal circles, over that of ellipses of any shape.
+
+        The cone of rays Q through a conic cuts horizontal planes in circles where Q, restricted to horizontal
+        directions, is a multiple of the identity."""
+        total = np.zeros(len(focals))
+        for rim in self.rims:
+            K = np.zeros((len(focals), 3, 3))
+            K[:, 0, 0] = K[:, 1, 1] = focals
+            K[:, :2, 2], K[:, 2, 2] = self.centre, 1
+            level = rotations[:, :, :2]
+            B = level.swapaxes(1, 2) @ (K.swapaxes(1, 2) @ rim.conic @ K) @ level
+            trace = B[:, 0, 0] + B[:, 1, 1]
+            unequal = np.hypot(B[:, 0, 0] - B[:, 1, 1], 2 * B[:, 0, 1]) / trace
+            sigma = math.hypot(self.circles.shape, self.circles.edge / rim.minor)
+            strange = self.circles.strange
+            inlier = (1 - strange) / (2 * sigma**2) * np.exp(-0.5 * (unequal / sigma) ** 2)
+            total += np.log1p(inlier / strange)  # other ellipses are even over the unit disk
+        return total
+
+
+    def _below(self, x: Array) -> Array:
+        """Log-likelihood (t,) of the horizon's place: ground lies below it, and the camera above much of what stands."""
+        middle = -np.exp(x[:, 0]) * np.tan(x[:, 1]) / np.cos(x[:, 2])
+        slope = np.tan(x[:, 2])
+        over = middle + slope * self.farthest[0] - self.farthest[1]
+        total = -0.5 * np.maximum(0, over / self.horizon.margin + 3) ** 2
+        if len(self.standing):
+            at, top, bottom = self.standing.T
+            heights = (bottom - (middle[:, None] + slope[:, None] * at)) / (bottom - top)
+            ratios = np.log(np.maximum(np.median(heights, axis=1), 1e-3) / self.horizon.ratio)
+            total -= 0.5 * (np.minimum(0, ratios) / self.horizon.spread) ** 2
+        return total
+
+
+def attitude(pitch: float, roll: float) -> Array:
+    """The world's right, forward and up (3, 3) in camera axes, as columns, for a camera that looks ``pitch`` [rad] below
+    the horizon, the picture turned by ``roll`` [rad] clockwise."""
+    c, s = math.cos(pitch), math.sin(pitch)
+    level = np.array([[1.0, 0, 0], [0, -s, -c], [0, c, -s]])
+    return rotation_about([0, 0, 1], roll) @ level
+
+
+def estimate_camera(
+    rgb: NDArray[np.uint8],
+    masks: Sequence[NDArray[np.bool_]],
+    ground: NDArray[np.bool_] | None,
+    *,
+    focal: tuple[float, float] | None = None,
+    priors: CameraPriors | None = None,
+) -> CameraEstimate:
+    """The most probable camera of a photo (H, W, 3) with masks (H, W) of objects and of the ground.
+
+    ``focal`` is a known focal length [px] with the standard error of its logarithm. The posterior is searched on a grid,
+    its best places are refined, its curvature at the best gives the errors."""
+    evidence, scale = _evidence(rgb, masks, ground, focal, priors or CameraPriors())
+    grid = _grid(evidence)
+    values = evidence.log_posterior(grid, turn=COARSE_TURN, blur=COARSE_BLUR)
+    starts = list[Array]()
+    for k in np.argsort(-values):
+        apart = [np.abs((grid[k] - x) / [2 * COARSE_FOCAL, 2 * COARSE_PITCH, ROLLS[2]]).max() for x in starts]
+        if min(apart, default=np.inf) > 0.9:
+            starts.append(grid[k])
+        if len(starts) == MODES:
+            break
+    best = max((_refined(evidence, start) for start in starts), key=lambda found: found[1])[0]
+    return CameraEstimate(
+        focal=float(np.exp(best[0]) * evidence.side * scale),
+        pitch=float(best[1]),
+        roll=float(best[2]),
+        errors=_errors(evidence, best),
+        segments=len(evidence.segments.sigmas),
+        rims=len(evidence.rims),
+    )
+
+
+def _evidence(
+    rgb: NDArray[np.uint8],
+    masks: Sequence[NDArray[np.bool_]],
+    ground: NDArray[np.bool_] | None,
+    focal: tuple[float, float] | None,
+    priors: CameraPriors,
+) -> tuple[_Evidence, float]:
+    """What the photo shows, and its pixels per pixel of that."""
+    scale = max(1.0, max(rgb.shape[:2]) / LONGEST)
+    h, w = (round(n / scale) for n in rgb.shape[:2])
+    if scale > 1:
+        rgb = np.asarray(Image.fromarray(rgb).resize((w, h), Image.Resampling.BOX))
+    rows, columns = (((np.arange(n) + 0.5) * scale).astype(int) for n in (h, w))
+    small = [mask[rows][:, columns] for mask in masks]
+    floor = None if ground is None else ground[rows][:, columns]
+    edges = edge_points(rgb)
+    segments = line_segments(edges)[:MOST_SEGMENTS]
+    side, centre = float(max(w, h)), np.array([w / 2, h / 2])
+    model = DirectionModel()
+    means, sigmas = (math.log(priors.focal), priors.focal_sigma), (priors.pitch_sigma, priors.roll_sigma)
+    mean, sigma = (math.log(focal[0] / scale / side), focal[1]) if focal else means
+    return _Evidence(
+        side=side,
+        centre=centre,
+        segments=grouped(
+            segments, _groups(segments, small, floor), objects=len(small), centre=centre, model=model
+        ),
+        rims=rims(small, edges),
+        standing=np.array([_extent(mask, side, centre) for mask in small if mask.any()]).reshape(-1, 3),
+        farthest=_farthest(floor, side, centre),
+        means=np.array([mean, priors.pitch, 0.0]),
+        sigmas=np.array([sigma, *sigmas]),
+        directions=model,
+        circles=RimModel(),
+        horizon=HorizonModel(),
+    ), scale
+
+
+def _extent(mask: NDArray[np.bool_], side: float, centre: Array) -> tuple[float, float, float]:
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    x = (columns[0] + columns[-1] + 1) / 2
+    return (x - centre[0]) / side, (rows[0] - centre[1]) / side, (rows[-1] + 1 - centre[1]) / side
+
+
+def _farthest(ground: NDArray[np.bool_] | None, side: float, centre: Array) -> Array:
+    """Where the ground reaches up in the picture, all but a hundredth of it; the bottom edge where none is outlined."""
+    if ground is None or not ground.any():
+        return np.array([0.0, centre[1] / side])
+    rows, columns = np.nonzero(ground)
+    top = np.quantile(rows, HIGHEST)
+    return np.array([float(np.median(columns[rows <= top])) - centre[0], top - centre[1]]) / side
+
+
+def _groups(
+    segments: Array, masks: Sequence[NDArray[np.bool_]], ground: NDArray[np.bool_] | None
+) -> NDArray[np.int64]:
+    """The group (n,) of each segment (n, 4): the object on one side of it, else the ground, else the rest."""
+    n = len(segments)
+    if not n:
+        return np.zeros(0, np.int64)
+    along = segments[:, 2:] - segments[:, :2]
+    across = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
+    places = segments[:, None, :2] + SAMPLES[:, None] * along[:, None]
+    votes = np.zeros((n, len(masks) + 2))
+    votes[:, -1] = 0.5  # the rest: where no other has a vote
+    regions = [*masks, *([] if ground is None else [ground])]
+    for side in (-BESIDE, BESIDE):
+        x, y = np.moveaxis((places + side * across[:, None]).astype(int), 2, 0)
+        for k, region in enumerate(regions):
+            h, w = region.shape
+            hits = region[np.clip(y, 0, h - 1), np.clip(x, 0, w - 1)].sum(1)
+            votes[:, k] += np.where(hits >= OF_NINE, hits * (1 if k < len(masks) else 0.01), 0)
+    return np.argmax(votes, axis=1)
+
+
+def _grid(evidence: _Evidence) -> Array:
+    """Cameras (t, 3) of the first search: within three standard deviations of the focal length, and of the rest all."""
+    mean, sigma = evidence.means[0], evidence.sigmas[0]
+    low, high = max(math.log(FOCALS[0]), mean - 3 * sigma), min(math.log(FOCALS[1]), mean + 3 * sigma)
+    focals = np.linspace(low, high, max(1, round((high - low) / COARSE_FOCAL)) + 1) if low < high else [mean]
+    return np.array(list(itertools.product(focals, np.arange(*PITCHES, COARSE_PITCH), ROLLS)))
+
+
+def _refined(evidence: _Evidence, start: Array) -> tuple[Array, float]:
+    """A place of the posterior nearby that no step improves, and its logarithm there."""
+    from scipy.optimize import minimize
+
+    x, value = start, -np.inf
+    for blur in BLURS:
+        found = minimize(
+            lambda x, blur=blur: -evidence.log_posterior(x[None], turn=FINE_TURN, blur=blur)[0],
+            x,
+            method="Nelder-Mead",
+            options={"maxfev": 60, "initial_simplex": x + np.vstack([np.zeros(3), np.diag(1.6 * STEP)])},
+        )
+        x, value = found.x, -float(found.fun)
+    return x, value
+
+
+def _errors(evidence: _Evidence, x: Array) -> tuple[float, float, float]:
+    """Standard errors (3,) by the curvature of the log posterior at its top; no larger than before the photo."""
+    pairs = [(i, j) for i in range(3) for j in range(i + 1)]
+    offsets = [np.zeros(3)]
+    for i, j in pairs:
+        e, d = np.eye(3)[i] * STEP, np.eye(3)[j] * STEP
+        offsets += [e + d, e - d, d - e, -e - d]
+    values = evidence.log_posterior(x + np.array(offsets), turn=FINE_TURN)
+    curvature = np.zeros((3, 3))
+    for k, (i, j) in enumerate(pairs):
+        a, b, c, d = values[1 + 4 * k : 5 + 4 * k]
+        curvature[i, j] = curvature[j, i] = -(a - b - c + d) / (4 * STEP[i] * STEP[j])
+    prior = np.diag(evidence.sigmas**-2)
+    weights, vectors = np.linalg.eigh(np.linalg.cholesky(np.linalg.inv(prior)).T @ curvature @ np.sqrt(np.linalg.inv(prior)))
+    covariance = np.sqrt(np.linalg.inv(prior)) @ (vectors / np.maximum(weights, 1.0)) @ vectors.T @ np.sqrt(np.linalg.inv(prior))
+    f, pitch, roll = np.sqrt(np.diag(covariance))
+    return float(f), float(pitch), float(roll)
