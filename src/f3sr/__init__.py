@@ -11,13 +11,13 @@ from typing import Any
 __version__ = "0.1.0"
 
 _PUBLIC = {
-    "ASSET_GENERATORS": "f3sr.backends.kinds",
+    "ASSET_GENERATORS": "f3sr.lifting.generators",
     "BACKGROUND_COMPLETERS": "f3sr.background.completers",
     "Backend": "f3sr.backends.registry",
     "EXPORTERS": "f3sr.exporters.protocol",
     "Exporter": "f3sr.exporters.protocol",
     "Fillers": "f3sr.io.inputs",
-    "GEOMETRY_ESTIMATORS": "f3sr.backends.kinds",
+    "GEOMETRY_ESTIMATORS": "f3sr.metrology.estimators",
     "GROUND": "f3sr.scene",
     "LANGUAGES": "f3sr.play.languages",
     "SCENE_GRAPHERS": "f3sr.backends.kinds",
@@ -43,7 +43,7 @@ _PUBLIC = {
     "evaluate": "f3sr.stages.evaluate",
     "example": "f3sr.example",
     "film_played": "f3sr.film.studio",
-    "read_inputs": "f3sr.io.inputs",
+    "read_inputs": "f3sr.photo_inputs",
     "read_package": "f3sr.scene_package.package",
     "reconstruct": "f3sr.pipeline",
     "replay_plan": "f3sr.play.goal_loop",

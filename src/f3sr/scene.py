@@ -32,7 +32,7 @@ Structure = Literal["solid", "hollow"]
 MaterialSource = Literal["given", "label", "default", "model"]
 """Where the density comes from: materials.json, the label, the default, or a model."""
 Mobility = Literal["dynamic", "fixed"]
-GeometrySource = Literal["estimate", "sensor"]
+GeometrySource = Literal["estimate", "sensor", "ground"]
 
 
 def name_of(id: int) -> str:
@@ -78,7 +78,7 @@ class Geometry:
 
     ``points`` (h, w, 3) [m], meaningful where ``valid`` (h, w); ``normals`` (h, w, 3) unit or None.
     ``source``: a depth sensor measured it, or a network estimated it. An estimate has errors of focal length, scale
-    and shift that show in no residual.
+    and shift that show in no residual. "ground": only the ground plane is known, and objects have no points.
     """
 
     points: NDArray[np.float32]

@@ -58,6 +58,10 @@ class EstimatedGeometry:
     valid: NDArray[np.bool_]
     K: Array
     normals: NDArray[np.floating] | None = None
+    ground_only: bool = False
+    """Only points of the ground are known, none of objects."""
+    told: str = ""
+    """What it rests on, for the report."""
 
 
 class GeometryEstimator(Protocol):
@@ -76,6 +80,8 @@ class GeneratedAsset:
     mesh: Mesh
     T_camera_object: Array
     scale: float = 1.0
+    told: str = ""
+    """What it is, and what it might be, for the report."""
 
 
 class AssetGenerator(Protocol):

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from f3sr import pipeline, settings
-from f3sr.backends.kinds import ASSET_GENERATORS, GEOMETRY_ESTIMATORS, SCENE_GRAPHERS
+from f3sr.backends.kinds import SCENE_GRAPHERS
+from f3sr.lifting.generators import ASSET_GENERATORS
+from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS
 from f3sr.background.completers import BACKGROUND_COMPLETERS, DEFAULT_COMPLETER
 from f3sr.batch.job import Job
 from f3sr.dataset.layout import PACKAGE_FOLDER
@@ -18,12 +20,13 @@ from f3sr.errors import F3srError, InputError
 from f3sr.film.studio import FilmConfig, Studio
 from f3sr.goals.file_names import FILM
 from f3sr.goals.refusal import Refusal
-from f3sr.io import inputs
 from f3sr.io.input_folder import INPUT_FOLDER
+from f3sr.io.inputs import Fillers
 from f3sr.pipeline import Reconstruction
 from f3sr.play.goal_loop import Played, simulate_goal
 from f3sr.play.rollout_folder import write_film, write_played
 from f3sr.runtime import kernels
+from f3sr.photo_inputs import read_inputs
 from f3sr.runtime.progress import Progress, timed
 from f3sr.runtime.result_store import Store
 from f3sr.scene_package.package import Package, read_package
@@ -55,7 +58,7 @@ def work(
     if is_package(source):
         raise InputError(source, found=PACKAGE, accepted=INPUT_FOLDER)
     names = job.backends
-    fillers = inputs.Fillers(
+    fillers = Fillers(
         geometry=GEOMETRY_ESTIMATORS.find(names["geometry"]) if "geometry" in names else None,
         assets=ASSET_GENERATORS.find(names["assets"]) if "assets" in names else None,
         scene_graph=SCENE_GRAPHERS.find(names["scene_graph"]) if "scene_graph" in names else None,
@@ -63,7 +66,7 @@ def work(
     background = names.get("background", DEFAULT_COMPLETER)
     config = settings.with_values(job.name, job.settings, pipeline.Config())
     with timed("read", progress):
-        given = inputs.read(source, ignore=job.ignore, asset_frame=job.asset_frame, fillers=fillers)
+        given = read_inputs(source, ignore=job.ignore, asset_frame=job.asset_frame, fillers=fillers)
     result = pipeline.reconstruct(
         given,
         config,

@@ -297,7 +297,9 @@ def _backend_keys(named: Mapping[str, str]) -> tuple[str, ...]:
     """Versions and sources of back ends: another one makes other packages."""
     if not named:
         return ()
-    from f3sr.backends.kinds import ASSET_GENERATORS, GEOMETRY_ESTIMATORS, SCENE_GRAPHERS
+    from f3sr.backends.kinds import SCENE_GRAPHERS
+    from f3sr.lifting.generators import ASSET_GENERATORS
+    from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS
     from f3sr.background.completers import BACKGROUND_COMPLETERS
 
     kinds: dict[str, Any] = {

@@ -17,7 +17,9 @@ from typing import Any, Literal
 import numpy as np
 
 import f3sr
-from f3sr.backends.kinds import ASSET_GENERATORS, GEOMETRY_ESTIMATORS, SCENE_GRAPHERS, SEGMENTERS
+from f3sr.backends.kinds import SCENE_GRAPHERS, SEGMENTERS
+from f3sr.lifting.generators import ASSET_GENERATORS
+from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS
 from f3sr.backends.registry import Kind
 from f3sr.background.completers import BACKGROUND_COMPLETERS
 from f3sr.core.mesh import ConvexPart, Mesh

@@ -137,12 +137,15 @@ def reconstruct(
         json: Print one JSON object instead of text.
     """
     from f3sr import pipeline, settings
-    from f3sr.backends.kinds import ASSET_GENERATORS, GEOMETRY_ESTIMATORS, LABELERS, SCENE_GRAPHERS
+    from f3sr.backends.kinds import LABELERS, SCENE_GRAPHERS
     from f3sr.background.completers import BACKGROUND_COMPLETERS, DEFAULT_COMPLETER
     from f3sr.cli import console
     from f3sr.delivery import deliver
-    from f3sr.io import inputs
     from f3sr.io.input_folder import INPUT_FOLDER
+    from f3sr.io.inputs import Fillers
+    from f3sr.lifting.generators import ASSET_GENERATORS
+    from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS
+    from f3sr.photo_inputs import read_inputs
     from f3sr.runtime import atomic_folder, kernels
     from f3sr.runtime.progress import timed
     from f3sr.runtime.result_store import Store
@@ -153,7 +156,7 @@ def reconstruct(
     if package_folder.is_package(folder):
         raise InputError(folder, found=package_folder.PACKAGE, accepted=INPUT_FOLDER)
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
-    fillers = inputs.Fillers(
+    fillers = Fillers(
         geometry=_backend(GEOMETRY_ESTIMATORS, geometry),
         assets=_backend(ASSET_GENERATORS, assets),
         scene_graph=_backend(SCENE_GRAPHERS, scene_graph),
@@ -162,7 +165,7 @@ def reconstruct(
     completer = _backend(BACKGROUND_COMPLETERS, background) if background != DEFAULT_COMPLETER else None
     with console.steps_shown(quiet=json) as progress, kernels.compiling() as compilers:
         with timed("read", progress):
-            given = inputs.read(
+            given = read_inputs(
                 folder, ignore=_names(ignore), asset_frame=asset_frame, geometry_noise=geometry_noise, fillers=fillers
             )
         package.prepare_output(out, inputs=folder, overwrite=overwrite)
@@ -222,8 +225,8 @@ def evaluate(
     """
     from f3sr import pipeline, settings
     from f3sr.cli import console
-    from f3sr.io import inputs
     from f3sr.io.input_folder import INPUT_FOLDER
+    from f3sr.photo_inputs import read_inputs
     from f3sr.runtime import atomic_folder, kernels
     from f3sr.runtime.progress import timed
     from f3sr.runtime.result_store import Store
@@ -237,7 +240,7 @@ def evaluate(
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
     with console.steps_shown(quiet=json) as progress, kernels.compiling() as compilers:
         if _is_input(folder):
-            given = inputs.read(folder, ignore=_names(ignore), asset_frame=asset_frame)
+            given = read_inputs(folder, ignore=_names(ignore), asset_frame=asset_frame)
             compilers.begin(progress)
             scene = pipeline.composed_directly(given, chosen, store=Store.default(), progress=progress)
             direct, foreign, name = None, True, stage.DIRECT

@@ -96,12 +96,14 @@ def read(
     asset_frame: str = "auto",
     geometry_noise: float | None = None,
     fillers: Fillers | None = None,
+    stand_ins: Fillers | None = None,
 ) -> Inputs:
     """Read and validate a prompted-image folder (docs: conventions).
 
     ``ignore`` treats parts of PARTS as absent. ``asset_frame`` names the axes of GLBs without ``poses.json``: one of
     ASSET_FRAMES. ``geometry_noise``: standard deviation of the depths [share of the distance], else measured.
-    ``fillers`` make parts that are absent; their answers are validated as files are. Raises InputError
+    ``fillers`` make parts that are absent, ``stand_ins`` those for which nobody named a filler: a fallback. Answers
+    are validated as files are. Raises InputError
     for the first invalid file or value, BackendError where a filler raises.
     """
     require_names("ignore", ignore)
@@ -110,7 +112,7 @@ def read(
     source = InputFolder(Path(folder))
     photo = _photo(source)
     instances = read_instances(source, photo)
-    parts = _Parts(folder=source, ignore=ignore, fillers=fillers or Fillers())
+    parts = _Parts(folder=source, ignore=ignore, fillers=fillers or Fillers(), stand_ins=stand_ins or Fillers())
     instances = parts.labelled(photo, instances)
     ground_mask = parts.ground_mask(photo, instances)
     image = PromptedImage(photo=photo, instances=instances, ground_mask=ground_mask)
@@ -137,9 +139,6 @@ def read(
     )
 
 
-read_inputs = read
-
-
 def _with_noise(folder: InputFolder, geometry: Geometry, noise: float) -> Geometry:
     """The geometry, of which a user knows the noise. Raises InputError for a noise that no geometry has."""
     low, high = NOISES
@@ -157,6 +156,7 @@ class _Parts:
     folder: InputFolder
     ignore: Collection[str]
     fillers: Fillers
+    stand_ins: Fillers
     used: dict[str, str] = field(default_factory=dict[str, str])
 
     def has(self, part: str, *names: str) -> bool:
@@ -186,6 +186,8 @@ class _Parts:
         given = self.has("geometry", *GEOMETRY_FILES)
         if backend := self._filler(self.fillers.geometry, given):
             return geometry_of(self.folder, backend, image)
+        if not given and self.stand_ins.geometry:
+            return geometry_of(self.folder, self._standing_in(self.stand_ins.geometry), image, fallback=True)
         if not given:
             raise InputError(self.folder.root, found="no geometry", accepted=GEOMETRY_ACCEPTED)
         return read_geometry(self.folder, image.photo)
@@ -194,6 +196,9 @@ class _Parts:
         given = self.has("assets", "assets")
         if backend := self._filler(self.fillers.assets, given):
             return assets_of(self.folder, backend, image, geometry, K)
+        if not given and self.stand_ins.assets:
+            standing_in = self._standing_in(self.stand_ins.assets)
+            return assets_of(self.folder, standing_in, image, geometry, K, fallback=True)
         if not given:
             raise InputError(self.folder.path("assets"), found="no assets", accepted=ASSETS_ACCEPTED)
         return read_assets(self.folder, {i.id: i.name for i in image.instances}, frame)
@@ -216,8 +221,11 @@ class _Parts:
         if backend is not None and given:
             self.folder.decide(f"{backend.kind}: as given; {backend} is not asked", "the folder has it")
             return None
-        if backend is not None:
-            self.used[backend.kind] = f"{backend.name} {backend.version}"
+        return None if backend is None else self._standing_in(backend)
+
+    def _standing_in(self, backend: Backend[P]) -> Backend[P]:
+        """The back end, named among those that were used."""
+        self.used[backend.kind] = f"{backend.name} {backend.version}"
         return backend
 
 
@@ -239,6 +247,9 @@ def _background(folder: InputFolder, photo: Photo) -> NDArray[np.uint8]:
 
 
 def _require_inside(folder: InputFolder, geometry: Geometry, instances: Sequence[Instance]) -> None:
+    """Every object at a known distance, where the geometry knows more than the ground."""
+    if geometry.source == "ground":
+        return
     for instance in instances:
         if not geometry.inside(instance.mask).any():
             raise InputError(
@@ -268,6 +279,9 @@ def _require_agreement(
                 found=f"the mesh for {i.name} {sizes:.3g} times its own size away from the camera",
                 accepted=f"at most {MAX_DISTANCE:,.0f} times",
             )
+        if geometry.source == "ground":
+            require_size(asset.source, i.name, asset)
+            continue
         measured = float(np.median(geometry.points[geometry.inside(i.mask)][:, 2]))
         if not 1 / MAX_DISAGREEMENT <= depth / measured <= MAX_DISAGREEMENT:
             raise InputError(

@@ -35,14 +35,14 @@ class SceneTools:
             out: Where the package goes, relative to the root. An older package there is replaced.
         """
         from f3sr.delivery import deliver
-        from f3sr.io import inputs
+        from f3sr.photo_inputs import read_inputs
         from f3sr.pipeline import reconstruct
         from f3sr.runtime.atomic_folder import recover
         from f3sr.scene_package.package import prepare_output
 
         source, target = self.root.inside(folder), self.root.inside(out)
         recover(target)
-        given = inputs.read(source)
+        given = read_inputs(source)
         prepare_output(target, inputs=source, overwrite=False)
         result = reconstruct(given)
         written = deliver(result, target)

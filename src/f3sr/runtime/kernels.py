@@ -200,7 +200,7 @@ class Compilers:
 
 FIRST = "vision"
 """Where the kernels lie that a reconstruction calls first."""
-ORDER = (FIRST, "contact", "proxies", "metrics", "background", "rendering")
+ORDER = (FIRST, "contact", "proxies", "metrics", "background", "metrology", "rendering")
 """Folders with kernels, in the order in which a reconstruction, and then a film, comes to need them."""
 FILM = "rendering"
 """The folder whose kernels films alone need: half of all."""

@@ -1,0 +1,88 @@
+"""The built-in AssetGenerator: for every mask the family of shapes that explains it best, on its support."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.backends.protocols import GeneratedAsset, PromptedImage
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose, rotation_between
+from f3sr.lifting.choice import Choice, choose
+from f3sr.lifting.image_supports import below
+from f3sr.lifting.outlined import Outlined
+from f3sr.lifting.texture import textured
+from f3sr.scene import GROUND, Geometry, Instance
+from f3sr.vision.ground_plane import fit_plane
+
+LEAST_PIXELS = 12
+"""Least pixels of a mask that a shape is fitted to."""
+TOLERANCE = 0.01
+"""Largest distance of a ground point from the ground plane [share of its median depth]."""
+LOWER = 0.4
+"""Share of the geometry from below that is searched for ground where none is outlined."""
+SEED = 0
+
+
+@dataclass(frozen=True, eq=False)
+class LiftedAssets:
+    """Meshes from masks, the photo and the ground alone; no network."""
+
+    choices: dict[int, Choice] = field(default_factory=dict[int, Choice])
+    """What was chosen for every object of the last photo, by id."""
+
+    def generate(self, image: PromptedImage, geometry: Geometry, K: Array) -> Mapping[int, GeneratedAsset]:
+        """One closed, textured mesh per instance, upright on the ground or on the object below it. ``K`` (3, 3) [px]."""
+        camera = camera_over_ground(image, geometry, K)
+        self.choices.clear()
+        masks = {i.id: i.mask for i in image.instances}
+        under = below(masks)
+        made = dict[int, GeneratedAsset]()
+        for instance in _from_below(image.instances, under):
+            carrier = self.choices.get(under[instance.id])
+            hidden = np.any([m for id, m in masks.items() if id != instance.id] or [np.zeros_like(instance.mask)], axis=0)
+            found = choose(instance, Outlined.of(instance.mask, hidden, camera), carrier)
+            self.choices[instance.id] = found
+            solid = found.best.solid
+            origin = np.array([*solid.vertices[:, :2].mean(0), solid.vertices[:, 2].min()])
+            mesh = textured(solid, origin, image.photo, instance.mask, camera)
+            T_camera_object = camera.T_camera_world @ pose(t=origin)
+            made[instance.id] = GeneratedAsset(mesh=mesh, T_camera_object=T_camera_object, told=found.told)
+        return {i.id: made[i.id] for i in image.instances}
+
+
+def camera_over_ground(image: PromptedImage, geometry: Geometry, K: Array) -> Camera:
+    """The photo's camera in a world whose z = 0 is the ground, below the camera's centre [m]."""
+    region = image.ground_mask
+    if region is None or not geometry.inside(region).any():
+        region = np.zeros((image.photo.height, image.photo.width), bool)
+        region[round((1 - LOWER) * image.photo.height) :] = True
+        region &= ~np.any([i.mask for i in image.instances], axis=0)
+    points = geometry.points[geometry.inside(region)].astype(float)
+    tolerance = TOLERANCE * float(np.median(points[:, 2]))
+    plane = fit_plane(points, np.random.default_rng(SEED), tolerance)
+    R = rotation_between(T_UP_FROM_CAMERA[:3, :3] @ plane.normal, [0, 0, 1]) @ T_UP_FROM_CAMERA[:3, :3]
+    T_world_camera = pose(R, [0, 0, -plane.offset])
+    return Camera(width=image.photo.width, height=image.photo.height, K=K, T_world_camera=T_world_camera)
+
+
+def _from_below(instances: tuple[Instance, ...], under: Mapping[int, int]) -> list[Instance]:
+    """Instances so that what is below one comes before it; in a ring the lowest in the picture first."""
+    left, order = list(instances), list[Instance]()
+    done = {GROUND}
+    while left:
+        ready = [i for i in left if under[i.id] in done] or [max(left, key=_bottom)]
+        for i in ready:
+            left.remove(i)
+            done.add(i.id)
+        order += ready
+    return order
+
+
+def _bottom(instance: Instance) -> int:
+    return int(np.flatnonzero(instance.mask.any(1))[-1])
+
+

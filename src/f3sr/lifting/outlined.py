@@ -1,0 +1,99 @@
+"""One mask as the fits see it: a small window about it, where it is not hidden, and the camera above its support."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import Array
+from f3sr.vision import rasterizer
+from f3sr.vision.silhouette import iou
+
+RESOLUTION = 160
+"""Longer side of the window [px]: finer outlines than that are no shape of a family's."""
+MARGIN = 0.15
+"""Of the window about the mask's box, as a share of its longer side."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Outlined:
+    """A mask (h, w) in its window. ``valid`` (h, w) is where the object would be seen; ``camera`` looks at the window,
+    in a world whose z = 0 is the support."""
+
+    mask: NDArray[np.bool_]
+    valid: NDArray[np.bool_]
+    camera: Camera
+
+    @classmethod
+    def of(cls, mask: NDArray[np.bool_], hidden: NDArray[np.bool_], camera: Camera) -> Outlined:
+        """A mask (H, W) of the photo; ``hidden`` (H, W) is what may stand before it. The mask has a pixel."""
+        rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+        top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
+        margin = math.ceil(MARGIN * max(bottom - top, right - left)) + 2
+        window = camera.cropped(
+            left - margin, top - margin, right - left + 2 * margin, bottom - top + 2 * margin
+        ).limited(RESOLUTION)
+        x = ((np.arange(window.width) + 0.5) * (right - left + 2 * margin) / window.width).astype(int) + left - margin
+        y = ((np.arange(window.height) + 0.5) * (bottom - top + 2 * margin) / window.height).astype(int) + top - margin
+        inside = ((y >= 0) & (y < mask.shape[0]))[:, None] & ((x >= 0) & (x < mask.shape[1]))
+        rows, columns = np.clip(y, 0, mask.shape[0] - 1), np.clip(x, 0, mask.shape[1] - 1)
+        return cls(
+            mask=mask[rows][:, columns] & inside, valid=inside & ~hidden[rows][:, columns], camera=window
+        )
+
+    def overlap(self, vertices: Array, faces: NDArray[np.int32]) -> float:
+        """IoU of a mesh, vertices (n, 3) in the world, with the mask, where it is valid."""
+        return iou(self.silhouette(vertices, faces), self.mask, self.valid)
+
+    def silhouette(self, vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """(h, w) in the window."""
+        camera = self.camera
+        return rasterizer.silhouette(camera.to_camera(vertices), faces, camera.K, camera.width, camera.height)
+
+    @cached_property
+    def depth_inside(self) -> Array:
+        """Distance of every pixel (h, w) to the mask's outline [px], negative outside; hidden pixels count as inside."""
+        shown = self.mask | ~self.valid
+        return np.asarray(
+            np.where(shown, ndimage.distance_transform_edt(shown) - 0.5, 0.5 - ndimage.distance_transform_edt(~shown))
+        )
+
+    @cached_property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Left, top, right, bottom of the mask [px of the window]."""
+        rows, columns = np.flatnonzero(self.mask.any(1)), np.flatnonzero(self.mask.any(0))
+        return float(columns[0]), float(rows[0]), float(columns[-1] + 1), float(rows[-1] + 1)
+
+    @cached_property
+    def foot(self) -> Array:
+        """(2,) [px]: the middle of the mask's lowest rows."""
+        left, top, right, bottom = self.bounds
+        low = self.mask[int(max(top, bottom - max(1.0, 0.04 * (bottom - top)))) : int(bottom)]
+        return np.array([float(np.median(np.nonzero(low)[1])) + 0.5, bottom])
+
+    def rays(self, pixels: Array) -> Array:
+        """Directions (n, 3) in the world through pixels (n, 2), of depth 1."""
+        K = self.camera.K
+        xy = np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(K).T
+        return xy @ self.camera.T_world_camera[:3, :3].T
+
+    def on_plane(self, pixels: Array, normal: Array, offset: float) -> Array:
+        """Points (n, 3) where rays through pixels (n, 2) meet ``normal . x = offset``; not finite where they do not."""
+        rays, centre = self.rays(pixels), self.camera.center
+        along = rays @ normal
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = (offset - normal @ centre) / along
+        return centre + np.where(t > 0, t, np.nan)[:, None] * rays
+
+    def metres_per_pixel(self, point: Array) -> float:
+        """At a point (3,) of the world, across the ray."""
+        return float(self.camera.to_camera(point[None])[0, 2] / self.camera.K[0, 0])
+
+

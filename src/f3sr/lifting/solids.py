@@ -1,0 +1,107 @@
+"""The families of shapes: closed triangle meshes over z = 0, posed upright in the world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.core.transforms import Array
+
+SECTORS = 40
+"""Sides of a solid of revolution."""
+CELLS = 8
+"""Cells along each edge of a box's faces: textures are projected at their corners."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Solid:
+    """A closed surface in the world: ``vertices`` (n, 3) [m], outward ``faces`` (m, 3)."""
+
+    vertices: Array
+    faces: NDArray[np.int32]
+
+
+CORNERS = np.array([[x, y, z] for z in (0, 1) for y in (-0.5, 0.5) for x in (-0.5, 0.5)])
+BOX_FACES = np.array(
+    [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4], [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6],
+     [1, 3, 5], [3, 7, 5]], np.int32
+)  # fmt: skip
+
+
+def box(centre: Array, size: Array, yaw: float) -> Solid:
+    """A box on z = ``centre[2]``: its middle there (3,), width, depth and height (3,), turned by ``yaw`` [rad]."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    turned = CORNERS * size @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+    return Solid(vertices=turned + centre, faces=BOX_FACES)
+
+
+def subdivided(solid: Solid, cells: int = CELLS) -> Solid:
+    """Every triangle in ``cells`` squared ones; flat as before."""
+    barycentric = np.array([(i, j) for i in range(cells + 1) for j in range(cells + 1 - i)], float) / cells
+    index = {(i, j): k for k, (i, j) in enumerate((i, j) for i in range(cells + 1) for j in range(cells + 1 - i))}
+    small = [(index[i, j], index[i + 1, j], index[i, j + 1]) for i in range(cells) for j in range(cells - i)]
+    small += [(index[i + 1, j], index[i + 1, j + 1], index[i, j + 1]) for i in range(cells) for j in range(cells - 1 - i)]
+    a, b, c = (solid.vertices[solid.faces[:, k]][:, None] for k in range(3))
+    u, v = barycentric[:, 0, None], barycentric[:, 1, None]
+    points = (a + u * (b - a) + v * (c - a)).reshape(-1, 3)
+    faces = (np.array(small) + len(barycentric) * np.arange(len(solid.faces))[:, None, None]).reshape(-1, 3)
+    _, first, inverse = np.unique(np.round(points, 9), axis=0, return_index=True, return_inverse=True)
+    return Solid(vertices=points[first], faces=inverse.reshape(-1)[faces].astype(np.int32))
+
+
+def revolved(centre: Array, profile: Array, sectors: int = SECTORS) -> Solid:
+    """The closed surface of a profile (n, 2), radius and height, turned about the vertical through ``centre`` (3,).
+
+    The profile runs from the axis below to the axis above, on the right of its way; its ends have radius 0."""
+    angles = 2 * np.pi * np.arange(sectors) / sectors
+    ring = np.column_stack([np.cos(angles), np.sin(angles)])
+    inner = profile[1:-1]
+    rings = np.concatenate(
+        [inner[:, None, :1] * ring, np.broadcast_to(inner[:, None, 1:], (len(inner), sectors, 1))], axis=2
+    ).reshape(-1, 3)
+    ends = np.array([[0, 0, profile[0, 1]], [0, 0, profile[-1, 1]]])
+    k, nxt = np.arange(sectors), (np.arange(sectors) + 1) % sectors
+    faces = [np.column_stack([np.full(sectors, len(rings)), nxt, k])]
+    for row in range(len(inner) - 1):
+        low, high = row * sectors, (row + 1) * sectors
+        faces += [np.column_stack([low + k, low + nxt, high + k]), np.column_stack([low + nxt, high + nxt, high + k])]
+    last = (len(inner) - 1) * sectors
+    faces.append(np.column_stack([last + k, last + nxt, np.full(sectors, len(rings) + 1)]))
+    return Solid(
+        vertices=np.concatenate([rings, ends]) + centre, faces=np.concatenate(faces).astype(np.int32)
+    )
+
+
+def inflated(front: Array, back: Array, inside: NDArray[np.bool_]) -> Solid:
+    """Two sheets over a grid, ``front`` and ``back`` (h, w, 3), with a wall along the border of ``inside`` (h, w).
+
+    Cells all of whose corners are inside become surface. Rows go down and columns to the right as the front is seen."""
+    cells = _without_pinches(inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:])
+    padded = np.pad(cells, 1)
+    used = padded[:-1, :-1] | padded[:-1, 1:] | padded[1:, :-1] | padded[1:, 1:]
+    n = int(used.sum())
+    index = np.cumsum(used.ravel()).reshape(used.shape) - 1
+    r, c = np.nonzero(cells)
+    a, b, d, e = index[r, c], index[r, c + 1], index[r + 1, c], index[r + 1, c + 1]
+    sheet = np.concatenate([np.column_stack([a, d, b]), np.column_stack([b, d, e])])
+    # The border's edges, with the surface on their left: no cell has them the other way.
+    edges = np.concatenate([np.column_stack(pair) for pair in ((a, d), (d, e), (e, b), (b, a))])
+    forward, reverse = edges @ [n, 1], edges @ [1, n]
+    start, end = edges[~np.isin(forward, reverse)].T
+    walls = [np.column_stack([start, start + n, end]), np.column_stack([end, start + n, end + n])]
+    faces = np.concatenate([sheet, sheet[:, ::-1] + n, *walls])
+    return Solid(vertices=np.concatenate([front[used], back[used]]), faces=faces.astype(np.int32))
+
+
+def _without_pinches(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Cells (h, w) where no two touch at a corner only: surfaces through such a point are not manifold."""
+    while True:
+        a, b, c, d = cells[:-1, :-1], cells[:-1, 1:], cells[1:, :-1], cells[1:, 1:]
+        falling, rising = a & d & ~b & ~c, b & c & ~a & ~d
+        if not (falling.any() or rising.any()):
+            return cells
+        cells = cells.copy()
+        cells[1:, 1:] &= ~falling
+        cells[1:, :-1] &= ~rising

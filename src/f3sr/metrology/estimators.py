@@ -1,0 +1,14 @@
+"""Estimators of geometry by name: ours, and what other packages add in the entry point group ``f3sr.geometry``."""
+
+from __future__ import annotations
+
+from f3sr.backends.protocols import GeometryEstimator
+from f3sr.backends.registry import Kind
+
+DEFAULT_ESTIMATOR = "metrology"
+"""Where a folder has no geometry and nobody names another."""
+GEOMETRY_ESTIMATORS = Kind(
+    name="geometry",
+    protocol=GeometryEstimator,
+    built_in={DEFAULT_ESTIMATOR: "f3sr.metrology.ground_metrology:GroundMetrology"},
+)

@@ -1,0 +1,62 @@
+"""The built-in GeometryEstimator: the camera from the photo's edges and rims, and the ground plane below it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from f3sr.backends.protocols import EstimatedGeometry, PromptedImage
+from f3sr.core.transforms import Array
+from f3sr.metrology.camera_estimate import CameraEstimate, CameraPriors, estimate_camera
+
+LONGEST = 512
+"""Longer side of the point map: a plane needs no more."""
+ROOM, TABLE = 1.4, 0.7
+"""Height of the camera over the ground where nothing tells it [m]: a person's in a room, where the horizon is in the
+photo, and over a table, which is seen from above."""
+FARTHEST = 60.0
+"""Farthest ground point, in camera heights: beyond it a pixel is metres of ground."""
+
+
+@dataclass(frozen=True, eq=False)
+class GroundMetrology:
+    """Focal length, gravity and ground of one photo (Criminisi, Reid and Zisserman 2000); no network."""
+
+    priors: CameraPriors = field(default_factory=CameraPriors)
+
+    def estimate(self, image: PromptedImage) -> EstimatedGeometry:
+        """The ground's points where the photo shows it; objects get none. K has its principal point in the middle."""
+        photo = image.photo
+        camera = estimate_camera(photo.rgb, [i.mask for i in image.instances], image.ground_mask, priors=self.priors)
+        K = np.array([[camera.focal, 0, photo.width / 2], [0, camera.focal, photo.height / 2], [0, 0, 1]])
+        height = ROOM if _shows_horizon(camera, K) else TABLE
+        h, w = (max(1, round(n * min(1, LONGEST / max(photo.rgb.shape[:2])))) for n in photo.rgb.shape[:2])
+        points, valid = _plane(K, camera.up, height, (photo.width, photo.height), (w, h))
+        return EstimatedGeometry(points=points, valid=valid, K=K, ground_only=True, told=_told(camera, height))
+
+
+def _shows_horizon(camera: CameraEstimate, K: Array) -> bool:
+    return abs(math.tan(camera.pitch)) * camera.focal < K[1, 2]
+
+
+def _plane(K: Array, up: Array, height: float, photo: tuple[int, int], size: tuple[int, int]) -> tuple[Array, Array]:
+    """Points (h, w, 3) where rays meet the plane ``height`` [m] below the camera, and where they do (h, w)."""
+    (width, rows), (w, h) = photo, size
+    x, y = np.meshgrid((np.arange(w) + 0.5) * width / w, (np.arange(h) + 0.5) * rows / h)
+    rays = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], -1)
+    with np.errstate(divide="ignore"):
+        depth = -height / (rays @ up)
+    valid = (depth > 0) & (depth < FARTHEST * height)
+    return rays * np.where(valid, depth, 0)[..., None], valid
+
+
+def _told(camera: CameraEstimate, height: float) -> str:
+    degrees = math.degrees
+    f, pitch, roll = camera.errors
+    return (
+        f"focal length {camera.focal:.0f} px +- {100 * f:.0f} %, pitch {degrees(camera.pitch):.1f} +- "
+        f"{degrees(pitch):.1f} and roll {degrees(camera.roll):.1f} +- {degrees(roll):.1f} degrees by {camera.segments} "
+        f"line segments and {camera.rims} rims; the camera is taken to be {height:g} m above the ground"
+    )
