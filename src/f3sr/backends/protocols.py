@@ -82,6 +82,8 @@ class GeneratedAsset:
     scale: float = 1.0
     told: str = ""
     """What it is, and what it might be, for the report."""
+    fixed: str = ""
+    """Why physics must not move it; empty where it may."""
 
 
 class AssetGenerator(Protocol):

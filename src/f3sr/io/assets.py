@@ -47,6 +47,8 @@ class PosedAsset:
     """Metres per unit of the mesh."""
     source: Path | str
     """The file, or the back end, that says where the mesh stands."""
+    fixed: str = ""
+    """Why physics must not move it, by the back end; empty where it may."""
 
 
 def read_assets(folder: InputFolder, masks: Mapping[int, str], frame: str) -> dict[int, PosedAsset]:

@@ -13,13 +13,22 @@ from f3sr.lifting.fits import Fit
 from f3sr.lifting.outlined import Outlined
 from f3sr.scene import Instance
 
-PRIOR = {"box": 0.03, "solid of revolution": 0.015, "bowl or cup": 0.02, "standing silhouette": -0.01,
-         "lying silhouette": -0.01}  # fmt: skip
+PRIOR = {"box": 0.03, "carved box": -0.05, "solid of revolution": 0.02, "bowl or cup": 0.02,
+         "standing silhouette": -0.01, "lying silhouette": -0.01}  # fmt: skip
 """Gain of 1 - IoU that a family is worth beside others: rigid families fit by chance less."""
-LABELLED = 0.06
+LABELLED = 0.12
 """The same for a family that the label names."""
 ELONGATED = 1.8
 """Ratio of a mask's axes from which on its long axis tells how it lies."""
+
+COMPACT = 0.75
+"""Share of its hull that a mask covers from which on nothing is gained by carving: legs and gaps cover less."""
+BEHIND = 0.1
+"""Share of a carrier's depth at its back where a foot counts as behind it: things stand rarely on an edge."""
+CUT = 0.1
+"""Share of the mask's outline on the photo's border from which an object counts as cut."""
+FIXED = ("person", "man", "woman", "child", "people", "tree", "chandelier", "curtain", "window", "door", "wall")
+"""Words of labels whose things are no rigid bodies, or hold to what is not in the scene."""
 
 WORDS = {
     "box": ("box", "brick", "book", "cube", "crate", "carton", "speaker", "cabinet", "drawer", "block"),
@@ -28,7 +37,8 @@ WORDS = {
                             "lemon", "peach", "plum", "pear", "strawberry", "tomato"),
     "lying silhouette": ("spoon", "fork", "knife", "wrench", "hammer", "screwdriver", "pen", "pencil", "scissors",
                          "banana", "spatula", "remote", "key"),
-    "standing silhouette": ("chair", "person", "plant", "toy", "doll", "bear"),
+    "standing silhouette": ("person", "plant", "toy", "doll", "bear", "tree", "lamp"),
+    "carved box": ("chair", "table", "desk", "bench", "stool", "sofa", "couch", "shelf", "armchair", "airplane", "car"),
 }  # fmt: skip
 
 
@@ -41,26 +51,37 @@ class Choice:
     floor: float
     top: float
     """Height of its upper side, or of the inside's floor, on which others may rest [m]."""
+    fixed: str = ""
+    """Why it is no body that physics moves; empty where it is one."""
+
+    def distance(self, centre: Array) -> float:
+        """Of the shape's middle from a point (3,) [m]."""
+        return float(np.linalg.norm(self.best.solid.vertices.mean(0) - centre))
 
     @property
     def told(self) -> str:
         """For the report."""
-        first = f"{self.best.family}, IoU {self.best.overlap:.2f}"
-        return f"{first}; next best {self.runner_up.family}, {self.runner_up.overlap:.2f}" if self.runner_up else first
+        text = f"{self.best.family}, IoU {self.best.overlap:.2f}"
+        text += f"; next best {self.runner_up.family}, {self.runner_up.overlap:.2f}" if self.runner_up else ""
+        return text + (f"; fixed: {self.fixed}" if self.fixed else "")
 
 
-def choose(instance: Instance, seen: Outlined, carrier: Choice | None) -> Choice:
-    """The shape of a mask: on the carrier where the ray to its foot meets the carrier's top, else on the ground."""
-    floor = 0.0
-    if carrier is not None and _carries(seen, carrier):
-        floor = carrier.top
+def choose(instance: Instance, seen: Outlined, carrier: Choice | None, *, distance: float) -> Choice:
+    """The shape of a mask: on the carrier where the ray to its foot meets the carrier's top, else on the ground, or
+    hanging at a ``distance`` [m] where the ground is not below it."""
+    floor = carrier.top if carrier is not None and _carries(seen, carrier) else 0.0
     fitted = candidates(instance.label, seen, floor) or candidates(instance.label, seen, 0.0)
+    fixed = _why_fixed(instance.label, seen, on_floor=bool(fitted))
     if not fitted:
-        raise ValueError(f"no shape stands where object {instance.id} is seen")
+        fitted = [fits.fit_hanging(seen, distance)]
     ranked = sorted(fitted, key=lambda fit: -_score(fit, instance.label, seen))
     best = ranked[0]
     return Choice(
-        best=best, runner_up=ranked[1] if len(ranked) > 1 else None, floor=floor, top=_top(best, floor)
+        best=best,
+        runner_up=ranked[1] if len(ranked) > 1 else None,
+        floor=floor,
+        top=_top(best, floor),
+        fixed=fixed,
     )
 
 
@@ -69,6 +90,7 @@ def candidates(label: str, seen: Outlined, floor: float) -> list[Fit]:
     hollow = "bowl or cup" in named(label)
     found = [
         fits.fit_box(seen, floor),
+        fits.fit_carved(seen, floor),
         fits.fit_revolution(seen, floor, hollow=hollow),
         fits.fit_standing(seen, floor),
         fits.fit_lying(seen, floor),
@@ -83,9 +105,11 @@ def named(label: str) -> list[str]:
 
 
 def _score(fit: Fit, label: str, seen: Outlined) -> float:
-    score = fit.overlap + PRIOR[fit.family]
+    score = fit.overlap + PRIOR.get(fit.family, 0.0)
     if fit.family in named(label):
         score += LABELLED
+    if fit.family == "carved box" and seen.solidity > COMPACT:
+        score -= 0.08
     ratio, slant = _elongation(seen)
     if ratio > ELONGATED and fit.family == "standing silhouette" and slant > math.radians(35):
         score -= 0.1
@@ -103,16 +127,32 @@ def _elongation(seen: Outlined) -> tuple[float, float]:
 
 
 def _carries(seen: Outlined, carrier: Choice) -> bool:
-    """Whether the ray to the mask's foot meets the carrier's top within its outline."""
+    """Whether the mask's foot is on the carrier: seen at the height of its top, it is not behind the carrier's back, nor
+    beside it. A foot before the carrier's front hangs over it."""
     point = seen.on_plane(seen.foot[None], np.array([0, 0, 1.0]), carrier.top)[0]
-    return bool(np.isfinite(point).all()) and _within(point[:2], carrier.best.solid.vertices[:, :2])
+    if not np.isfinite(point).all():
+        return False
+    outline, centre = carrier.best.solid.vertices[:, :2], seen.camera.center[:2]
+    away = outline.mean(0) - centre
+    away /= max(float(np.linalg.norm(away)), 1e-12)
+    depths, sides = (outline - centre) @ away, (outline - centre) @ [-away[1], away[0]]
+    depth, side = (point[:2] - centre) @ away, (point[:2] - centre) @ np.array([-away[1], away[0]])
+    return bool(
+        depth < depths.max() - BEHIND * np.ptp(depths) and depth > depths.min() - np.ptp(depths)
+        and sides.min() < side < sides.max()
+    )
 
 
-def _within(point: Array, outline: Array) -> bool:
-    from scipy.spatial import ConvexHull
-
-    hull = ConvexHull(outline)
-    return bool((hull.equations[:, :2] @ point + hull.equations[:, 2] <= 0).all())
+def _why_fixed(label: str, seen: Outlined, *, on_floor: bool) -> str:
+    """Why physics must not move an object: its foot is not seen, or nobody can say what holds it."""
+    if not on_floor:
+        return "it hangs, or stands beyond the horizon"
+    words = label.lower().replace("-", " ").replace("_", " ").split()
+    if alive := [word for word in words if word in FIXED]:
+        return f"the label says {alive[0]}"
+    if seen.cut > CUT:
+        return "the photo's border cuts it"
+    return ""
 
 
 def _top(fit: Fit, floor: float) -> float:

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.optimize import minimize
 
 from f3sr.core.transforms import Array
 from f3sr.lifting.outlined import Outlined
-from f3sr.lifting.solids import Solid, box, inflated, revolved, subdivided
+from f3sr.lifting.solids import Solid, box, carved, clipped, inflated, joined, revolved, subdivided
 
-YAWS = 6
+YAWS = 9
 """Turns of a box at which its fit starts, over a quarter turn."""
-STARTS = 2
+DEPTHS = (0.4, 1.0, 2.2)
+"""Its depths there, over its width."""
+EQUAL = 3e-3
+"""Weight of unequal edges, of squares of logarithms: of boxes that look alike the most compact."""
+STARTS = 9
 """Starts that are refined, the best first."""
 LEVELS = 48
 """Heights of a solid of revolution."""
@@ -24,6 +29,10 @@ RADII = 28
 """Radii tried at each height, up to the largest; then refined between two."""
 GRID = 72
 """Cells of the longer side of an inflated silhouette."""
+FLAT = 0.08
+"""Share of a lying body's height that is cut off below: real things lie on more than a line."""
+HANDLE = 0.03
+"""Least share of the mask that a solid of revolution leaves uncovered for it to have a handle."""
 WALL = 0.06
 """Thickness of a hollow thing's wall, as a share of its largest radius."""
 
@@ -43,23 +52,46 @@ def fit_box(seen: Outlined, floor: float) -> Fit | None:
     if anchor is None:
         return None
     centre, size = anchor
+    away = _horizontal(seen, centre)
+    side = np.array([-away[1], away[0], 0])
 
     def solid(x: Array) -> Solid:
-        return box(centre + [x[0] * size, x[1] * size, 0], size * np.exp(x[2:5]), float(x[5]))
+        return box(centre + size * (x[0] * side + x[1] * away), size * np.exp(x[2:5]), float(x[5]))
 
     def loss(x: Array) -> float:
         made = solid(x)
-        return 1 - seen.overlap(made.vertices, made.faces) + 1e-3 * float((x[2:5] ** 2).sum())
+        unequal = x[2:5] - x[2:5].mean()
+        return 1 - seen.overlap(made.vertices, made.faces) + EQUAL * float((unequal**2).sum())
 
-    starts = list[Array]()
-    for k in range(YAWS):
-        for height in (0.3, 1.0):
-            x = np.array([0, 0.35, math.log(0.7), math.log(0.7), math.log(height), k * np.pi / (2 * YAWS)])
-            starts.append(_refined(loss, x, step=0.25, evaluations=60))
+    starts = [
+        _onto_bounds(seen, np.array([0, 0.3, math.log(0.7), math.log(0.7 * depth), math.log(0.5), yaw]), solid, size)
+        for yaw in np.pi / 2 * np.arange(YAWS) / YAWS
+        for depth in DEPTHS
+    ]
     starts.sort(key=loss)
-    best = min((_refined(loss, x, step=0.08, evaluations=260) for x in starts[:STARTS]), key=loss)
+    near = sorted((_refined(loss, x, step=0.12, evaluations=90) for x in starts[:STARTS]), key=loss)
+    best = min((_refined(loss, x, step=0.06, evaluations=200) for x in near[:2]), key=loss)
+    best = _refined(loss, best, step=0.03, evaluations=120)
     made = solid(best)
     return Fit(family="box", solid=subdivided(made), overlap=seen.overlap(made.vertices, made.faces))
+
+
+def _onto_bounds(seen: Outlined, x: Array, solid: Callable[[Array], Solid], size: float) -> Array:
+    """A box of given proportions and yaw, moved and scaled so that its picture has the bounds of the mask."""
+    left, top, right, bottom = seen.bounds
+    for _ in range(3):
+        pixels, depth = seen.camera.project(solid(x).vertices)
+        if not (depth > 0).all():
+            break
+        (l, t), (r, b) = pixels.min(0), pixels.max(0)
+        metres = seen.metres_per_pixel(solid(x).vertices.mean(0)) / size
+        steep = abs(seen.camera.T_world_camera[2, 2]) + 0.05  # sine of the pitch: pixels up are metres away over it
+        x = x.copy()
+        x[0] -= ((left + right) - (l + r)) / 2 * metres
+        x[1] += (b - bottom) * metres / steep
+        x[2:4] += math.log((right - left) / max(r - l, 1e-6))
+        x[4] = np.clip(x[4] + 0.7 * math.log((bottom - top) / max(b - t, 1e-6)), -3, 3)
+    return x
 
 
 def fit_revolution(seen: Outlined, floor: float, *, hollow: bool) -> Fit | None:
@@ -68,7 +100,10 @@ def fit_revolution(seen: Outlined, floor: float, *, hollow: bool) -> Fit | None:
     anchor = _anchor(seen, floor)
     if anchor is None:
         return None
-    centre, size = anchor
+    _, size = anchor
+    centre = seen.on_plane(seen.widest[None], np.array([0, 0, 1.0]), floor)[0]
+    if not np.isfinite(centre).all():
+        return None
     away = _horizontal(seen, centre)
     side = np.array([-away[1], away[0], 0])
 
@@ -82,12 +117,14 @@ def fit_revolution(seen: Outlined, floor: float, *, hollow: bool) -> Fit | None:
         made = revolved(axis(x), profile, sectors=20)
         return 1 - seen.overlap(made.vertices, made.faces)
 
-    first = min((np.array([0, y]) for y in (0.0, 0.15, 0.3, 0.45, 0.6)), key=loss)
+    first = min((np.array([0.0, y]) for y in np.linspace(-0.9, 0.3, 13)), key=loss)
     x = _refined(loss, first, step=0.08, evaluations=50)
     profile = _profile(seen, axis(x), size)
     if profile is None:
         return None
-    solid = revolved(axis(x), _hollowed(profile) if hollow else profile)
+    foot = axis(x)
+    solid = revolved(foot, _hollowed(profile) if hollow else profile)
+    solid = _with_handles(seen, solid, foot, profile) if hollow else solid
     return Fit(
         family="bowl or cup" if hollow else "solid of revolution",
         solid=solid,
@@ -95,14 +132,31 @@ def fit_revolution(seen: Outlined, floor: float, *, hollow: bool) -> Fit | None:
     )
 
 
+def fit_carved(seen: Outlined, floor: float) -> Fit | None:
+    """The box of the mask's convex hull, cut by the cone of the mask: a chair, a table, a bench."""
+    hull = fit_box(replace(seen, mask=_convex(seen.mask)), floor)
+    if hull is None:
+        return None
+    cell = float(np.ptp(hull.solid.vertices, axis=0).max()) / 12
+    solid = carved(hull.solid, seen.mask | ~seen.valid, seen.camera, cell=cell)
+    return solid and Fit(family="carved box", solid=solid, overlap=seen.overlap(solid.vertices, solid.faces))
+
+
 def fit_standing(seen: Outlined, floor: float) -> Fit | None:
-    """The silhouette inflated about the vertical sheet that faces the camera."""
+    """The silhouette inflated about the vertical sheet that faces the camera, every row by half its width, cut at the
+    floor. The sheet stands behind the mask's foot by half the foot's width."""
     anchor = _anchor(seen, floor)
     if anchor is None:
         return None
-    centre, size = anchor
-    normal = -_horizontal(seen, centre)
-    return _inflated(seen, "standing silhouette", normal, centre, floor)
+    centre, _ = anchor
+    away = _horizontal(seen, centre)
+    radius = 0.5 * seen.foot_width * seen.metres_per_pixel(centre)
+    through = centre + radius * away
+    solid = _inflated(seen, -away, through, by_rows=True)
+    solid = solid and clipped(solid, floor)
+    return solid and Fit(
+        family="standing silhouette", solid=solid, overlap=seen.overlap(solid.vertices, solid.faces)
+    )
 
 
 def fit_lying(seen: Outlined, floor: float) -> Fit | None:
@@ -110,18 +164,26 @@ def fit_lying(seen: Outlined, floor: float) -> Fit | None:
     anchor = _anchor(seen, floor)
     if anchor is None:
         return None
-    rows, columns = np.nonzero(seen.mask)
-    pixels = np.column_stack([columns, rows]) + 0.5
-    middle = pixels.mean(0)
-    long = np.linalg.svd(np.cov((pixels - middle).T))[2][0]
-    reach = 0.25 * math.sqrt(len(pixels))
-    ends = seen.on_plane(np.array([middle - reach * long, middle + reach * long]), np.array([0, 0, 1.0]), floor)
-    if not np.isfinite(ends).all():
+    axis = _long_axis(seen, floor)
+    if axis is None:
         return None
-    axis = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
-    towards = seen.camera.center - ends.mean(0)
-    normal = towards - (towards @ axis) * axis
-    return _inflated(seen, "lying silhouette", normal / np.linalg.norm(normal), ends.mean(0), floor)
+    ends, normal = axis
+    solid = _inflated(seen, normal, ends.mean(0))
+    solid = solid and _set_down(seen, solid, floor)
+    return solid and Fit(family="lying silhouette", solid=solid, overlap=seen.overlap(solid.vertices, solid.faces))
+
+
+def fit_hanging(seen: Outlined, distance: float) -> Fit:
+    """The silhouette inflated about the vertical sheet that faces the camera, ``distance`` [m] away.
+
+    Raises ValueError for a mask in which no shape of any size is left."""
+    left, top, right, bottom = seen.bounds
+    ray = seen.rays(np.array([[(left + right) / 2, (top + bottom) / 2]]))[0]
+    through = seen.camera.center + ray * distance
+    solid = _inflated(seen, -_horizontal(seen, through), through)
+    if solid is None:
+        raise ValueError("a mask too thin for a shape")
+    return Fit(family="hanging silhouette", solid=solid, overlap=seen.overlap(solid.vertices, solid.faces))
 
 
 def _anchor(seen: Outlined, floor: float) -> tuple[Array, float] | None:
@@ -132,6 +194,23 @@ def _anchor(seen: Outlined, floor: float) -> tuple[Array, float] | None:
         return None
     left, top, right, bottom = seen.bounds
     return point, seen.metres_per_pixel(point) * max(right - left, bottom - top)
+
+
+def _long_axis(seen: Outlined, height: float) -> tuple[Array, Array] | None:
+    """Two points (2, 3) of the mask's long axis laid down at a height [m], and the unit normal of the sheet through it
+    that faces the camera most. None beyond the horizon."""
+    rows, columns = np.nonzero(seen.mask)
+    pixels = np.column_stack([columns, rows]) + 0.5
+    middle = pixels.mean(0)
+    long = np.linalg.svd(np.cov((pixels - middle).T))[2][0]
+    reach = 0.25 * math.sqrt(len(pixels))
+    ends = seen.on_plane(np.array([middle - reach * long, middle + reach * long]), np.array([0, 0, 1.0]), height)
+    if not np.isfinite(ends).all():
+        return None
+    axis = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    towards = seen.camera.center - ends.mean(0)
+    normal = towards - (towards @ axis) * axis
+    return ends, normal / np.linalg.norm(normal)
 
 
 def _horizontal(seen: Outlined, point: Array) -> Array:
@@ -194,8 +273,40 @@ def _hollowed(profile: Array) -> Array:
     return np.concatenate([outer, inner, [[inner[-1, 0], wall], [0, wall]]])
 
 
-def _inflated(seen: Outlined, family: str, normal: Array, through: Array, floor: float) -> Fit | None:
-    """The mask on the sheet of ``normal`` (3,), inflated by half its local width to both sides, and set on ``floor``."""
+def _with_handles(seen: Outlined, body: Solid, foot: Array, profile: Array) -> Solid:
+    """A solid of revolution with what the mask shows beside it: at the height of the rim where it is flat, else about
+    the vertical sheet through its axis."""
+    beside = seen.mask & seen.valid & ~ndimage.binary_dilation(seen.silhouette(body.vertices, body.faces))
+    labels, count = ndimage.label(ndimage.binary_opening(beside))
+    flat = profile[:, 1].max() < profile[:, 0].max()
+    for k in range(1, count + 1):
+        part = labels == k
+        if part.sum() < HANDLE * seen.mask.sum():
+            continue
+        grown = ndimage.binary_dilation(part, iterations=3) & seen.mask
+        handle = replace(seen, mask=grown)
+        if flat:
+            rim = foot + [0, 0, float(profile[np.argmax(profile[:, 0]), 1])]
+            made = _lying_at(handle, rim)
+        else:
+            made = _inflated(handle, -_horizontal(seen, foot), foot)
+        both = made and joined(body, made)
+        whole = both and clipped(both, float(foot[2]))
+        body = whole or body
+    return body
+
+
+def _lying_at(seen: Outlined, point: Array) -> Solid | None:
+    """The mask inflated about the sheet through its long axis, which is level with ``point`` (3,)."""
+    axis = _long_axis(seen, float(point[2]))
+    if axis is None:
+        return None
+    ends, normal = axis
+    return _inflated(seen, normal, ends.mean(0))
+
+
+def _inflated(seen: Outlined, normal: Array, through: Array, *, by_rows: bool = False) -> Solid | None:
+    """The mask on the sheet of ``normal`` (3,), inflated by half its local width to both sides."""
     left, top, right, bottom = seen.bounds
     step = max(right - left, bottom - top) / GRID
     columns, rows = (np.arange(a - 2 * step, b + 2 * step, step) for a, b in ((left, right), (top, bottom)))
@@ -218,23 +329,56 @@ def _inflated(seen: Outlined, family: str, normal: Array, through: Array, floor:
     sheet = seen.on_plane(grid.reshape(-1, 2), normal, float(normal @ through)).reshape(*grid.shape[:2], 3)
     if not np.isfinite(sheet[inside]).all():
         return None
-    widest = _local_maximum(np.where(inside, np.maximum(depth, 0), 0), step)
-    half = np.sqrt(np.maximum(0, depth * (2 * widest - depth))) * inside
+    half = _half_widths(inside) * step if by_rows else _half_thickness(np.where(inside, np.maximum(depth, 0), 0), step)
     half = np.maximum(half, 0.1 * step) * seen.metres_per_pixel(through)
     offset = half[..., None] * normal
     solid = inflated(sheet + offset, sheet - offset, inside)
-    if len(solid.faces) < 8:
+    return solid if len(solid.faces) >= 8 else None
+
+
+def _set_down(seen: Outlined, solid: Solid, floor: float) -> Solid | None:
+    """A solid with a flat underside on ``floor``: a homothety about the camera, which keeps its silhouette."""
+    low, high = float(solid.vertices[:, 2].min()), float(solid.vertices[:, 2].max())
+    cut = low + FLAT * (high - low)
+    flat = clipped(solid, cut)
+    height = seen.camera.center[2]
+    if flat is None or cut >= height:
         return None
-    # The silhouette stays: a homothety about the camera sets the lowest point on the floor.
-    centre = seen.camera.center
-    lowest = float(solid.vertices[:, 2].min())
-    k = (floor - centre[2]) / (lowest - centre[2]) if lowest < centre[2] else 1.0
-    vertices = centre + k * (solid.vertices - centre)
-    return Fit(
-        family=family,
-        solid=Solid(vertices=vertices, faces=solid.faces),
-        overlap=seen.overlap(vertices, solid.faces),
-    )
+    k = (floor - height) / (cut - height)
+    return Solid(vertices=seen.camera.center + k * (flat.vertices - seen.camera.center), faces=flat.faces)
+
+
+def _half_widths(inside: NDArray[np.bool_]) -> Array:
+    """Half the thickness (h, w) of a body whose every row of a grid is round, in cells."""
+    half = np.zeros(inside.shape)
+    for row, out in zip(inside, half, strict=True):
+        ends = np.flatnonzero(np.diff(np.pad(row, 1).astype(np.int8)))
+        for a, b in zip(ends[::2], ends[1::2], strict=True):
+            x = np.arange(a, b)
+            out[a:b] = np.sqrt((x - a + 0.5) * (b - 0.5 - x))
+    return np.where(inside, ndimage.gaussian_filter(half, (1.5, 0.5)), 0)
+
+
+def _half_thickness(depth: Array, step: float) -> Array:
+    """Half the thickness (h, w) of a body with round cross-sections, for distances ``depth`` to its outline."""
+    widest = _local_maximum(depth, step)
+    return np.sqrt(np.maximum(0, depth * (2 * widest - depth)))
+
+
+def _convex(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The convex hull of a mask (h, w)."""
+    from scipy.spatial import ConvexHull
+
+    rows, columns = np.nonzero(mask)
+    try:
+        hull = ConvexHull(np.column_stack([columns, rows]))
+    except ValueError:  # no area
+        return mask
+    x, y = np.meshgrid(np.arange(mask.shape[1]), np.arange(mask.shape[0]))
+    inside = np.ones(mask.shape, bool)
+    for a, b, c in hull.equations:
+        inside &= a * x + b * y + c <= 1e-9
+    return inside
 
 
 def _local_maximum(depth: Array, step: float) -> Array:

@@ -24,6 +24,8 @@ TOLERANCE = 0.01
 """Largest distance of a ground point from the ground plane [share of its median depth]."""
 LOWER = 0.4
 """Share of the geometry from below that is searched for ground where none is outlined."""
+FAR = 2.5
+"""Distance of a hanging thing [camera heights] where nothing else is seen."""
 SEED = 0
 
 
@@ -44,13 +46,15 @@ class LiftedAssets:
         for instance in _from_below(image.instances, under):
             carrier = self.choices.get(under[instance.id])
             hidden = np.any([m for id, m in masks.items() if id != instance.id] or [np.zeros_like(instance.mask)], axis=0)
-            found = choose(instance, Outlined.of(instance.mask, hidden, camera), carrier)
+            far = [self.choices[id].distance(camera.center) for id in self.choices] or [camera.center[2] * FAR]
+            seen = Outlined.of(instance.mask, hidden, camera)
+            found = choose(instance, seen, carrier, distance=float(np.median(far)))
             self.choices[instance.id] = found
             solid = found.best.solid
             origin = np.array([*solid.vertices[:, :2].mean(0), solid.vertices[:, 2].min()])
             mesh = textured(solid, origin, image.photo, instance.mask, camera)
             T_camera_object = camera.T_camera_world @ pose(t=origin)
-            made[instance.id] = GeneratedAsset(mesh=mesh, T_camera_object=T_camera_object, told=found.told)
+            made[instance.id] = GeneratedAsset(mesh=mesh, T_camera_object=T_camera_object, told=found.told, fixed=found.fixed)
         return {i.id: made[i.id] for i in image.instances}
 
 

@@ -30,6 +30,8 @@ class Outlined:
     mask: NDArray[np.bool_]
     valid: NDArray[np.bool_]
     camera: Camera
+    inside: NDArray[np.bool_]
+    """(h, w): the window's pixels that lie in the photo."""
 
     @classmethod
     def of(cls, mask: NDArray[np.bool_], hidden: NDArray[np.bool_], camera: Camera) -> Outlined:
@@ -45,7 +47,10 @@ class Outlined:
         inside = ((y >= 0) & (y < mask.shape[0]))[:, None] & ((x >= 0) & (x < mask.shape[1]))
         rows, columns = np.clip(y, 0, mask.shape[0] - 1), np.clip(x, 0, mask.shape[1] - 1)
         return cls(
-            mask=mask[rows][:, columns] & inside, valid=inside & ~hidden[rows][:, columns], camera=window
+            mask=mask[rows][:, columns] & inside,
+            valid=inside & ~hidden[rows][:, columns],
+            camera=window,
+            inside=inside,
         )
 
     def overlap(self, vertices: Array, faces: NDArray[np.int32]) -> float:
@@ -77,6 +82,36 @@ class Outlined:
         left, top, right, bottom = self.bounds
         low = self.mask[int(max(top, bottom - max(1.0, 0.04 * (bottom - top)))) : int(bottom)]
         return np.array([float(np.median(np.nonzero(low)[1])) + 0.5, bottom])
+
+    @cached_property
+    def cut(self) -> float:
+        """Share of the mask's outline that lies on the photo's border."""
+        beyond = ndimage.binary_dilation(~self.inside)
+        outline = self.mask & ~ndimage.binary_erosion(self.mask)
+        return float((outline & beyond).sum() / max(1, outline.sum()))
+
+    @cached_property
+    def foot_width(self) -> float:
+        """The largest width of the mask in its lowest fifth [px]."""
+        left, top, right, bottom = self.bounds
+        low = self.mask[int(bottom - 0.2 * (bottom - top)) : int(bottom)]
+        return float(low.sum(1).max(initial=1))
+
+    @cached_property
+    def widest(self) -> Array:
+        """(2,) [px]: the middle of the largest disk in the mask, hidden pixels counted as its own."""
+        depth = np.where(self.mask, self.depth_inside, -1)
+        row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
+        return np.array([column, row]) + 0.5
+
+    @cached_property
+    def solidity(self) -> float:
+        """Share of its convex hull that the mask covers."""
+        from scipy.spatial import ConvexHull
+
+        rows, columns = np.nonzero(self.mask)
+        corners = np.concatenate([np.column_stack([columns + i, rows + j]) for i in (0, 1) for j in (0, 1)])
+        return float(self.mask.sum() / ConvexHull(corners).volume)
 
     def rays(self, pixels: Array) -> Array:
         """Directions (n, 3) in the world through pixels (n, 2), of depth 1."""

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array
+
+if TYPE_CHECKING:
+    from manifold3d import Manifold
 
 SECTORS = 40
 """Sides of a solid of revolution."""
@@ -105,3 +110,57 @@ def _without_pinches(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
         cells = cells.copy()
         cells[1:, 1:] &= ~falling
         cells[1:, :-1] &= ~rising
+
+
+def clipped(solid: Solid, height: float) -> Solid | None:
+    """The part above ``height`` [m]; None where that is nothing."""
+    return _solid(_manifold(solid).trim_by_plane((0.0, 0.0, 1.0), height))
+
+
+def joined(a: Solid, b: Solid) -> Solid | None:
+    """The union of two solids."""
+    return _solid(_manifold(a) + _manifold(b))
+
+
+def carved(solid: Solid, mask: NDArray[np.bool_], camera: Camera, *, cell: float) -> Solid | None:
+    """The part of a solid that ``camera`` sees inside a mask (h, w) of its picture, whatever is behind: a solid cut by
+    the cone of the mask. Faces get edges of at most ``cell`` [m]. None where nothing is left."""
+    import manifold3d as mf
+
+    depth = camera.to_camera(solid.vertices)[:, 2]
+    near, far = 0.9 * float(depth.min()), 1.1 * float(depth.max())
+    if near <= 0:
+        return None
+    runs = [run for row in range(len(mask)) for run in _runs(mask[row], row)]
+    outline = mf.CrossSection(runs, mf.FillRule.NonZero).offset(0.01, mf.JoinType.Miter).simplify(SMOOTH)
+    (fx, _, cx), (_, fy, cy), _ = camera.K
+    rays = outline.translate((-cx, -cy)).scale((near / fx, near / fy))
+    cone = mf.Manifold.extrude(rays, far - near, scale_top=(far / near, far / near)).translate((0, 0, near))
+    cone = cone.transform(camera.T_world_camera[:3])
+    return _solid((_manifold(solid) ^ cone).refine_to_length(cell))
+
+
+SMOOTH = 0.6
+"""Largest distance of a cone's outline from the mask's [px]: it rounds the steps of pixels."""
+
+
+def _runs(row: NDArray[np.bool_], y: int) -> list[Array]:
+    """Rectangles (4, 2) of the pixels of one row of a mask."""
+    ends = np.flatnonzero(np.diff(np.pad(row, 1).astype(np.int8)))
+    return [
+        np.array([[a, y], [b, y], [b, y + 1], [a, y + 1]], float) for a, b in zip(ends[::2], ends[1::2], strict=True)
+    ]
+
+
+def _manifold(solid: Solid) -> Manifold:
+    import manifold3d as mf
+
+    return mf.Manifold(mf.Mesh(solid.vertices.astype(np.float32), solid.faces.astype(np.uint32)))
+
+
+def _solid(made: Manifold) -> Solid | None:
+    if made.is_empty():
+        return None
+    mesh = made.to_mesh()
+    faces = np.asarray(mesh.tri_verts, np.int32)
+    return Solid(vertices=np.asarray(mesh.vert_properties[:, :3], float), faces=faces)

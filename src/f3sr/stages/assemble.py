@@ -111,6 +111,8 @@ def _given_object(instance: Instance, asset: PosedAsset, camera: Camera, given: 
     )
     if known := material_of(o.label):
         o = replace(o, **known.properties, material_source="label", material_reason=f"the label {o.label!r}")
+    if asset.fixed:
+        o = replace(o, mobility="fixed")
     if not given:
         return o
     named = material_of(given.material) if given.material else None
@@ -138,7 +140,7 @@ def _told_of_materials(objects: Sequence[SceneObject]) -> Decision:
 
 def _told_of_fixed(o: SceneObject) -> Decision:
     choice = "fixed as given: kept where alignment puts it, never moved onto a support"
-    return Decision(choice=choice, reason=f"{MATERIALS} gives mobility", about=o.id, fallback=True)
+    return Decision(choice=choice, reason=f"by {MATERIALS}, or by what made its mesh", about=o.id, fallback=True)
 
 
 def _depth_ratio(o: SceneObject, camera: Camera, geometry: Geometry) -> float | None:
