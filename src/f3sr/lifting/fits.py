@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.optimize import minimize
+from scipy.optimize import least_squares, minimize
 
-from f3sr.core.transforms import Array
+from f3sr.core.transforms import Array, rotation_from_vector
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.solids import Solid, box, carved, clipped, inflated, joined, revolved, subdivided
 
@@ -19,9 +19,11 @@ YAWS = 9
 """Turns of a box at which its fit starts, over a quarter turn."""
 DEPTHS = (0.4, 1.0, 2.2)
 """Its depths there, over its width."""
-EQUAL = 3e-3
-"""Weight of unequal edges, of squares of logarithms: of boxes that look alike the most compact."""
-STARTS = 9
+EQUAL = 0.3
+"""Inverse standard deviation of the logarithms of a box's edges: of boxes that look alike, the most compact."""
+LEAN = math.radians(1.5)
+"""Standard deviation of a box's lean about each horizontal axis [rad]."""
+STARTS = 4
 """Starts that are refined, the best first."""
 LEVELS = 48
 """Heights of a solid of revolution."""
@@ -47,7 +49,7 @@ class Fit:
 
 
 def fit_box(seen: Outlined, floor: float) -> Fit | None:
-    """A box on the height ``floor`` [m] of least 1 - IoU: six parameters, from several yaws (Nelder and Mead 1965)."""
+    """A box on the height ``floor`` [m]: its outline touches the lines that the mask's touches, in all directions."""
     anchor = _anchor(seen, floor)
     if anchor is None:
         return None
@@ -56,23 +58,30 @@ def fit_box(seen: Outlined, floor: float) -> Fit | None:
     side = np.array([-away[1], away[0], 0])
 
     def solid(x: Array) -> Solid:
-        return box(centre + size * (x[0] * side + x[1] * away), size * np.exp(x[2:5]), float(x[5]))
+        made = box(size * (x[0] * side + x[1] * away), size * np.exp(x[2:5]), float(x[5]))
+        leaning = made.vertices @ rotation_from_vector([LEAN * x[6], LEAN * x[7], 0]).T
+        lifted = leaning - [0, 0, float(leaning[:, 2].min())]
+        return Solid(vertices=lifted + centre, faces=made.faces)
 
-    def loss(x: Array) -> float:
-        made = solid(x)
+    directions, wanted, scatter = seen.support
+
+    def residuals(x: Array) -> Array:
+        pixels, depth = seen.camera.project(solid(x).vertices)
+        if not (depth > 0.05 * size).all():
+            return np.full(len(wanted) + 5, 1e3)
+        reached = (pixels @ directions.T).max(0)
         unequal = x[2:5] - x[2:5].mean()
-        return 1 - seen.overlap(made.vertices, made.faces) + EQUAL * float((unequal**2).sum())
+        return np.concatenate([(reached - wanted) / scatter, EQUAL * unequal, x[6:8]])
 
     starts = [
-        _onto_bounds(seen, np.array([0, 0.3, math.log(0.7), math.log(0.7 * depth), math.log(0.5), yaw]), solid, size)
+        _onto_bounds(seen, np.array([0, 0.3, math.log(0.7), math.log(0.7 * depth), math.log(0.5), yaw, 0, 0]), solid, size)
         for yaw in np.pi / 2 * np.arange(YAWS) / YAWS
         for depth in DEPTHS
     ]
-    starts.sort(key=loss)
-    near = sorted((_refined(loss, x, step=0.12, evaluations=90) for x in starts[:STARTS]), key=loss)
-    best = min((_refined(loss, x, step=0.06, evaluations=200) for x in near[:2]), key=loss)
-    best = _refined(loss, best, step=0.03, evaluations=120)
-    made = solid(best)
+    for kept, evaluations in ((STARTS, 8), (1, 60)):
+        found = [least_squares(residuals, x, loss="soft_l1", max_nfev=evaluations) for x in starts]
+        starts = [result.x for result in sorted(found, key=lambda result: result.cost)[:kept]]
+    made = solid(starts[0])
     return Fit(family="box", solid=subdivided(made), overlap=seen.overlap(made.vertices, made.faces))
 
 

@@ -18,6 +18,10 @@ from f3sr.vision.silhouette import iou
 
 RESOLUTION = 160
 """Longer side of the window [px]: finer outlines than that are no shape of a family's."""
+DIRECTIONS = 48
+"""Directions of a support function."""
+PIXEL, ROUNDED = 0.5, 0.01
+"""Standard error of an outline [px], and of a real box's corner [size of its mask]: corners are round."""
 MARGIN = 0.15
 """Of the window about the mask's box, as a share of its longer side."""
 
@@ -112,6 +116,25 @@ class Outlined:
         rows, columns = np.nonzero(self.mask)
         corners = np.concatenate([np.column_stack([columns + i, rows + j]) for i in (0, 1) for j in (0, 1)])
         return float(self.mask.sum() / ConvexHull(corners).volume)
+
+    @cached_property
+    def support(self) -> tuple[Array, Array, Array]:
+        """The mask's support function: unit directions (n, 2), the farthest that the mask reaches along each (n,) [px],
+        and the standard error of that [px]. Where the farthest pixel may be cut off by what stands before, none."""
+        rows, columns = np.nonzero(self.mask & ~ndimage.binary_erosion(self.mask))
+        corners = np.concatenate([np.column_stack([columns + i, rows + j]) for i in (0, 1) for j in (0, 1)])
+        angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+        directions = np.column_stack([np.cos(angles), np.sin(angles)])
+        reached = corners @ directions.T
+        last = np.argmax(reached, axis=0)
+        cut = ndimage.binary_dilation(~self.valid, iterations=2)
+        x, y = np.clip(corners[last], 0, [self.mask.shape[1] - 1, self.mask.shape[0] - 1]).T
+        shown = ~cut[y, x]
+        size = math.sqrt(float(self.mask.sum()))
+        scatter = np.full(len(angles), math.hypot(PIXEL, ROUNDED * size))
+        # Corners of pixels reach beyond the outline through their centres.
+        excess = 0.5 * np.abs(directions).sum(1) - 0.5
+        return directions[shown], (reached.max(0) - excess)[shown], scatter[shown]
 
     def rays(self, pixels: Array) -> Array:
         """Directions (n, 3) in the world through pixels (n, 2), of depth 1."""
