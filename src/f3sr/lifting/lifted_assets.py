@@ -45,7 +45,7 @@ class LiftedAssets:
         made = dict[int, GeneratedAsset]()
         for instance in _from_below(image.instances, under):
             carrier = self.choices.get(under[instance.id])
-            hidden = np.any([m for id, m in masks.items() if id != instance.id] or [np.zeros_like(instance.mask)], axis=0)
+            hidden = _may_hide(instance, image.instances, under)
             far = [self.choices[id].distance(camera.center) for id in self.choices] or [camera.center[2] * FAR]
             seen = Outlined.of(instance.mask, hidden, camera)
             found = choose(instance, seen, carrier, distance=float(np.median(far)))
@@ -84,6 +84,26 @@ def _from_below(instances: tuple[Instance, ...], under: Mapping[int, int]) -> li
             done.add(i.id)
         order += ready
     return order
+
+
+def _may_hide(instance: Instance, instances: tuple[Instance, ...], under: Mapping[int, int]) -> NDArray[np.bool_]:
+    """Pixels (H, W) of what may stand before an object: its mask reaches farther down, or it is above the object; what
+    is below the object is not."""
+    hidden = np.zeros_like(instance.mask)
+    for other in instances:
+        above = instance.id in _beneath(other.id, under)
+        lower = _bottom(other) > _bottom(instance) and other.id not in _beneath(instance.id, under)
+        if other.id != instance.id and (above or lower):
+            hidden |= other.mask
+    return hidden
+
+
+def _beneath(id: int, under: Mapping[int, int]) -> list[int]:
+    """What is below an object in the picture, and below that."""
+    found = list[int]()
+    while (id := under.get(id, GROUND)) not in (GROUND, *found):
+        found.append(id)
+    return found
 
 
 def _bottom(instance: Instance) -> int:

@@ -10,6 +10,7 @@ import numpy as np
 from f3sr.backends.protocols import EstimatedGeometry, PromptedImage
 from f3sr.core.transforms import Array
 from f3sr.metrology.camera_estimate import CameraEstimate, CameraPriors, estimate_camera
+from f3sr.vision.silhouette import resample, union_of
 
 LONGEST = 512
 """Longer side of the point map: a plane needs no more."""
@@ -33,7 +34,8 @@ class GroundMetrology:
         K = np.array([[camera.focal, 0, photo.width / 2], [0, camera.focal, photo.height / 2], [0, 0, 1]])
         height = ROOM if _shows_horizon(camera, K) else TABLE
         h, w = (max(1, round(n * min(1, LONGEST / max(photo.rgb.shape[:2])))) for n in photo.rgb.shape[:2])
-        points, valid = _plane(K, camera.up, height, (photo.width, photo.height), (w, h))
+        points, seen = _plane(K, camera.up, height, (photo.width, photo.height), (w, h))
+        valid = seen & ~resample(union_of((i.mask for i in image.instances), photo.rgb.shape[:2]), w, h)
         return EstimatedGeometry(points=points, valid=valid, K=K, ground_only=True, told=_told(camera, height))
 
 
