@@ -48,7 +48,7 @@ FLOORS = (
     ("settings", "runtime", "backends"),
     ("physics", "io", "models"),
     ("vision",),
-    ("contact", "background", "exporters", "web", "metrology", "lifting"),
+    ("contact", "background", "exporters", "web", "metrology", "lifting", "segmentation"),
     ("metrics", "proxies", "rendering", "scene_package"),
     ("goals", "uncertainty"),
     ("language.grammar",),

@@ -11,7 +11,6 @@ import pytest
 from numba import njit
 from numpy.typing import NDArray
 
-from f3sr.background.regions import grown
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Material, Mesh
 from f3sr.core.transforms import UP, Array, pose, rotation_from_vector
@@ -26,6 +25,7 @@ from f3sr.rendering.surface_kernels import texture_at
 from f3sr.rendering.textures import linear, srgb, textures_of
 from f3sr.scene import Photo, Scene, SceneObject
 from f3sr.vision import rasterizer
+from f3sr.vision.regions import grown
 
 NO_LIGHT = LightConfig(enabled=False)
 PLAIN = RenderConfig(light=NO_LIGHT, shadows=ShadowConfig(enabled=False))

@@ -29,6 +29,10 @@ class PromptedImage:
     """(H, W): the visible support surface, where somebody has outlined it."""
 
 
+Stroke = tuple[tuple[float, float], ...]
+"""A polyline through pixels (x, y); a click is a stroke of one point."""
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Prompt:
     """What points at one object of a photo; all places in pixels (x, y)."""
@@ -36,8 +40,10 @@ class Prompt:
     label: str = ""
     box: tuple[float, float, float, float] | None = None
     """Left, top, right, bottom."""
-    inside: tuple[tuple[float, float], ...] = ()
-    outside: tuple[tuple[float, float], ...] = ()
+    inside: tuple[Stroke, ...] = ()
+    """Strokes on the object."""
+    outside: tuple[Stroke, ...] = ()
+    """Strokes on what is not the object."""
 
 
 class Segmenter(Protocol):

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from f3sr.background.completion import CompletionConfig, complete
 from f3sr.background.membrane import membrane
 from f3sr.background.patchmatch import Picture
-from f3sr.background.regions import Mask, closed, distance_to, grown, parts_of
 from f3sr.background.shadows import PhotoShadowConfig, find_shadows
 from f3sr.report import Decision
 from f3sr.scene import Photo
 from f3sr.settings import settings
+from f3sr.vision.regions import Mask, closed, distance_to, grown, parts_of
 from f3sr.vision.silhouette import union_of
 
 DARK = 0.03

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from f3sr.background import patchmatch
 from f3sr.background.membrane import doubled, membrane, quads
 from f3sr.background.patchmatch import RADIUS, SIDE, Picture
-from f3sr.background.regions import Mask, distance_to, grown, squared
 from f3sr.settings import settings
+from f3sr.vision.regions import Mask, distance_to, grown, squared
 
 T = TypeVar("T", bound=np.generic)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.background.regions import Mask
+from f3sr.vision.regions import Mask
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

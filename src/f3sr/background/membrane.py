@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.background.patchmatch import Picture, relax
-from f3sr.background.regions import Mask
+from f3sr.vision.regions import Mask
 
 SWEEPS = 12
 """Sweeps per level: what is left after them the next finer level corrects; below a grey level at the end."""

@@ -17,9 +17,9 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 
 from f3sr.background.patchmatch import Picture
-from f3sr.background.regions import Mask, closed, distance_to, grown, opened, parts_of, without_holes
 from f3sr.core.transforms import Array
 from f3sr.settings import settings
+from f3sr.vision.regions import Mask, closed, distance_to, grown, opened, parts_of, without_holes
 
 LOOKED_AT = 400
 """Pixels of the longer side that shadows are looked for at, at most twice this: they are soft."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.background.regions import Mask, closed, grown, opened, parts_of
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, transform
 from f3sr.scene import Scene
+from f3sr.vision.regions import Mask, closed, grown, opened, parts_of
 
 NEAR = 0.02
 """Height over the ground up to which geometry is the support's, in diagonals of the scene."""

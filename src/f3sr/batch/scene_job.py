@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from f3sr import pipeline, settings
 from f3sr.backends.kinds import SCENE_GRAPHERS
-from f3sr.lifting.generators import ASSET_GENERATORS
-from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS
 from f3sr.background.completers import BACKGROUND_COMPLETERS, DEFAULT_COMPLETER
 from f3sr.batch.job import Job
 from f3sr.dataset.layout import PACKAGE_FOLDER
@@ -22,11 +20,13 @@ from f3sr.goals.file_names import FILM
 from f3sr.goals.refusal import Refusal
 from f3sr.io.input_folder import INPUT_FOLDER
 from f3sr.io.inputs import Fillers
+from f3sr.lifting.generators import ASSET_GENERATORS
+from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS
+from f3sr.photo_inputs import read_inputs
 from f3sr.pipeline import Reconstruction
 from f3sr.play.goal_loop import Played, simulate_goal
 from f3sr.play.rollout_folder import write_film, write_played
 from f3sr.runtime import kernels
-from f3sr.photo_inputs import read_inputs
 from f3sr.runtime.progress import Progress, timed
 from f3sr.runtime.result_store import Store
 from f3sr.scene_package.package import Package, read_package

@@ -298,9 +298,9 @@ def _backend_keys(named: Mapping[str, str]) -> tuple[str, ...]:
     if not named:
         return ()
     from f3sr.backends.kinds import SCENE_GRAPHERS
+    from f3sr.background.completers import BACKGROUND_COMPLETERS
     from f3sr.lifting.generators import ASSET_GENERATORS
     from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS
-    from f3sr.background.completers import BACKGROUND_COMPLETERS
 
     kinds: dict[str, Any] = {
         "geometry": GEOMETRY_ESTIMATORS,

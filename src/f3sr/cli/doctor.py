@@ -18,13 +18,13 @@ import numpy as np
 
 import f3sr
 from f3sr.backends.kinds import SCENE_GRAPHERS, SEGMENTERS
-from f3sr.lifting.generators import ASSET_GENERATORS
-from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS
 from f3sr.backends.registry import Kind
 from f3sr.background.completers import BACKGROUND_COMPLETERS
 from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.errors import printable
 from f3sr.exporters.protocol import EXPORTERS
+from f3sr.lifting.generators import ASSET_GENERATORS
+from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS
 from f3sr.models.model_endpoint import KEYS
 from f3sr.play.languages import LANGUAGES
 from f3sr.runtime import kernels

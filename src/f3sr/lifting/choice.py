@@ -16,8 +16,12 @@ from f3sr.scene import Instance
 PRIOR = {"box": 0.03, "carved box": -0.05, "solid of revolution": 0.02, "bowl or cup": 0.02,
          "standing silhouette": -0.01, "lying silhouette": -0.01}  # fmt: skip
 """Gain of 1 - IoU that a family is worth beside others: rigid families fit by chance less."""
-LABELLED = 0.12
-"""The same for a family that the label names."""
+LABELLED = 0.05
+"""The same for a family that the label names: a can may be a box."""
+HOLLOW = 0.12
+"""The same for a bowl or cup, which no silhouette tells from a lens."""
+FLAT_TOP = 0.3
+"""Least share of a carrier's outline that its top fills: nothing stays on a ball."""
 ELONGATED = 1.8
 """Ratio of a mask's axes from which on its long axis tells how it lies."""
 
@@ -107,7 +111,7 @@ def named(label: str) -> list[str]:
 def _score(fit: Fit, label: str, seen: Outlined) -> float:
     score = fit.overlap + PRIOR.get(fit.family, 0.0)
     if fit.family in named(label):
-        score += LABELLED
+        score += HOLLOW if fit.family == "bowl or cup" else LABELLED
     if fit.family == "carved box" and seen.solidity > COMPACT:
         score -= 0.08
     ratio, slant = _elongation(seen)
@@ -127,10 +131,10 @@ def _elongation(seen: Outlined) -> tuple[float, float]:
 
 
 def _carries(seen: Outlined, carrier: Choice) -> bool:
-    """Whether the mask's foot is on the carrier: seen at the height of its top, it is not behind the carrier's back, nor
+    """Whether the mask's foot is on the carrier: at the height of its top, it is not behind the carrier's back, nor
     beside it. A foot before the carrier's front hangs over it."""
     point = seen.on_plane(seen.foot[None], np.array([0, 0, 1.0]), carrier.top)[0]
-    if not np.isfinite(point).all():
+    if not np.isfinite(point).all() or not _has_top(carrier):
         return False
     outline, centre = carrier.best.solid.vertices[:, :2], seen.camera.center[:2]
     away = outline.mean(0) - centre
@@ -138,9 +142,24 @@ def _carries(seen: Outlined, carrier: Choice) -> bool:
     depths, sides = (outline - centre) @ away, (outline - centre) @ [-away[1], away[0]]
     depth, side = (point[:2] - centre) @ away, (point[:2] - centre) @ np.array([-away[1], away[0]])
     return bool(
-        depth < depths.max() - BEHIND * np.ptp(depths) and depth > depths.min() - np.ptp(depths)
+        depth < depths.max() - BEHIND * np.ptp(depths)
+        and depth > depths.min() - np.ptp(depths)
         and sides.min() < side < sides.max()
     )
+
+
+def _has_top(carrier: Choice) -> bool:
+    """Whether something may stand on it: it is hollow, or its uppermost tenth fills much of its outline."""
+    from scipy.spatial import ConvexHull
+
+    if carrier.best.family == "bowl or cup":
+        return True
+    vertices = carrier.best.solid.vertices
+    low, high = float(vertices[:, 2].min()), float(vertices[:, 2].max())
+    upper = vertices[vertices[:, 2] > high - 0.1 * (high - low)]
+    if len(upper) < 3 or np.linalg.matrix_rank(upper[:, :2] - upper[0, :2], tol=1e-6) < 2:
+        return False
+    return float(ConvexHull(upper[:, :2]).volume) > FLAT_TOP * float(ConvexHull(vertices[:, :2]).volume)
 
 
 def _why_fixed(label: str, seen: Outlined, *, on_floor: bool) -> str:

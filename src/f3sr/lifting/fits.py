@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.optimize import least_squares, minimize
 
-from f3sr.core.transforms import Array, rotation_from_vector
+from f3sr.core.transforms import UP, Array, rotation_from_vector
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.solids import Solid, box, carved, clipped, inflated, joined, revolved, subdivided
+from f3sr.vision.regions import depth_inside, grown, interpolated, opened, parts_of, smoothed, without_holes
 
 YAWS = 9
 """Turns of a box at which its fit starts, over a quarter turn."""
@@ -74,13 +76,15 @@ def fit_box(seen: Outlined, floor: float) -> Fit | None:
         return np.concatenate([(reached - wanted) / scatter, EQUAL * unequal, x[6:8]])
 
     starts = [
-        _onto_bounds(seen, np.array([0, 0.3, math.log(0.7), math.log(0.7 * depth), math.log(0.5), yaw, 0, 0]), solid, size)
+        _onto_bounds(
+            seen, np.array([0, 0.3, math.log(0.7), math.log(0.7 * depth), math.log(0.5), yaw, 0, 0]), solid, size
+        )
         for yaw in np.pi / 2 * np.arange(YAWS) / YAWS
         for depth in DEPTHS
     ]
     for kept, evaluations in ((STARTS, 8), (1, 60)):
-        found = [least_squares(residuals, x, loss="soft_l1", max_nfev=evaluations) for x in starts]
-        starts = [result.x for result in sorted(found, key=lambda result: result.cost)[:kept]]
+        found: list[Any] = [least_squares(residuals, x, loss="soft_l1", max_nfev=evaluations) for x in starts]
+        starts = [found[k].x for k in np.argsort([result.cost for result in found])[:kept]]
     made = solid(starts[0])
     return Fit(family="box", solid=subdivided(made), overlap=seen.overlap(made.vertices, made.faces))
 
@@ -92,14 +96,14 @@ def _onto_bounds(seen: Outlined, x: Array, solid: Callable[[Array], Solid], size
         pixels, depth = seen.camera.project(solid(x).vertices)
         if not (depth > 0).all():
             break
-        (l, t), (r, b) = pixels.min(0), pixels.max(0)
+        (west, north), (east, south) = pixels.min(0), pixels.max(0)
         metres = seen.metres_per_pixel(solid(x).vertices.mean(0)) / size
         steep = abs(seen.camera.T_world_camera[2, 2]) + 0.05  # sine of the pitch: pixels up are metres away over it
         x = x.copy()
-        x[0] -= ((left + right) - (l + r)) / 2 * metres
-        x[1] += (b - bottom) * metres / steep
-        x[2:4] += math.log((right - left) / max(r - l, 1e-6))
-        x[4] = np.clip(x[4] + 0.7 * math.log((bottom - top) / max(b - t, 1e-6)), -3, 3)
+        x[0] -= ((left + right) - (west + east)) / 2 * metres
+        x[1] += (south - bottom) * metres / steep
+        x[2:4] += math.log((right - left) / max(east - west, 1e-6))
+        x[4] = np.clip(x[4] + 0.7 * math.log((bottom - top) / max(south - north, 1e-6)), -3, 3)
     return x
 
 
@@ -143,11 +147,11 @@ def fit_revolution(seen: Outlined, floor: float, *, hollow: bool) -> Fit | None:
 
 def fit_carved(seen: Outlined, floor: float) -> Fit | None:
     """The box of the mask's convex hull, cut by the cone of the mask: a chair, a table, a bench."""
-    hull = fit_box(replace(seen, mask=_convex(seen.mask)), floor)
+    hull = fit_box(replace(seen, mask=seen.convex), floor)
     if hull is None:
         return None
     cell = float(np.ptp(hull.solid.vertices, axis=0).max()) / 12
-    solid = carved(hull.solid, seen.mask | ~seen.valid, seen.camera, cell=cell)
+    solid = carved(hull.solid, seen.possible, seen.camera, cell=cell)
     return solid and Fit(family="carved box", solid=solid, overlap=seen.overlap(solid.vertices, solid.faces))
 
 
@@ -163,9 +167,7 @@ def fit_standing(seen: Outlined, floor: float) -> Fit | None:
     through = centre + radius * away
     solid = _inflated(seen, -away, through, by_rows=True)
     solid = solid and clipped(solid, floor)
-    return solid and Fit(
-        family="standing silhouette", solid=solid, overlap=seen.overlap(solid.vertices, solid.faces)
-    )
+    return solid and Fit(family="standing silhouette", solid=solid, overlap=seen.overlap(solid.vertices, solid.faces))
 
 
 def fit_lying(seen: Outlined, floor: float) -> Fit | None:
@@ -237,7 +239,7 @@ def _refined(loss: Callable[[Array], float], x: Array, *, step: float, evaluatio
 def _profile(seen: Outlined, foot: Array, size: float) -> Array | None:
     """Radii and heights (n, 2) of the largest circles about the vertical through ``foot`` whose images lie in the mask,
     from the axis below to the axis above. None where there are none."""
-    pixels, _ = seen.camera.project(np.array([foot, foot + [0, 0, size]]))
+    pixels, _ = seen.camera.project(np.array([foot, foot + size * UP]))
     rise = pixels[0, 1] - pixels[1, 1]
     if not np.isfinite(rise) or rise <= 0:
         return None
@@ -248,7 +250,7 @@ def _profile(seen: Outlined, foot: Array, size: float) -> Array | None:
     ring = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(24)])
     points = foot + radii[None, :, None, None] * ring + heights[:, None, None, None] * np.array([0, 0, 1.0])
     uv, depth = seen.camera.project(points.reshape(-1, 3))
-    inside = np.where(depth > 0, _read(seen.depth_inside, uv), -1e3).reshape(LEVELS, RADII, 24).min(2)
+    inside = np.where(depth > 0, interpolated(seen.depth_inside, uv), -1e3).reshape(LEVELS, RADII, 24).min(2)
     inside = np.concatenate([np.full((LEVELS, 1), 1e-3), inside], axis=1)
     first_out = np.argmax(np.concatenate([inside, np.full((LEVELS, 1), -1.0)], axis=1) < 0, axis=1)
     last = first_out - 1
@@ -265,9 +267,7 @@ def _profile(seen: Outlined, foot: Array, size: float) -> Array | None:
         return None
     shown, levels = radius[low:high], heights[low:high] - heights[low]
     shown = ndimage.median_filter(shown, 3, mode="nearest")
-    return np.concatenate(
-        [[[0, levels[0]]], np.column_stack([shown, levels]), [[0, levels[-1]]]]
-    )
+    return np.concatenate([[[0, levels[0]]], np.column_stack([shown, levels]), [[0, levels[-1]]]])
 
 
 def _hollowed(profile: Array) -> Array:
@@ -285,17 +285,16 @@ def _hollowed(profile: Array) -> Array:
 def _with_handles(seen: Outlined, body: Solid, foot: Array, profile: Array) -> Solid:
     """A solid of revolution with what the mask shows beside it: at the height of the rim where it is flat, else about
     the vertical sheet through its axis."""
-    beside = seen.mask & seen.valid & ~ndimage.binary_dilation(seen.silhouette(body.vertices, body.faces))
-    labels, count = ndimage.label(ndimage.binary_opening(beside))
+    beside = seen.mask & seen.valid & ~grown(seen.silhouette(body.vertices, body.faces), 1)
+    labels = parts_of(opened(beside, 1))
     flat = profile[:, 1].max() < profile[:, 0].max()
-    for k in range(1, count + 1):
+    for k in range(1, int(labels.max()) + 1):
         part = labels == k
         if part.sum() < HANDLE * seen.mask.sum():
             continue
-        grown = ndimage.binary_dilation(part, iterations=3) & seen.mask
-        handle = replace(seen, mask=grown)
+        handle = replace(seen, mask=grown(part, 3) & seen.mask)
         if flat:
-            rim = foot + [0, 0, float(profile[np.argmax(profile[:, 0]), 1])]
+            rim = foot + float(profile[np.argmax(profile[:, 0]), 1]) * UP
             made = _lying_at(handle, rim)
         else:
             made = _inflated(handle, -_horizontal(seen, foot), foot)
@@ -321,17 +320,15 @@ def _inflated(seen: Outlined, normal: Array, through: Array, *, by_rows: bool = 
     columns, rows = (np.arange(a - 2 * step, b + 2 * step, step) for a, b in ((left, right), (top, bottom)))
     x, y = np.meshgrid(columns, rows)
     grid = np.stack([x, y], -1)
-    shown = ndimage.binary_fill_holes(seen.mask)
-    signed = np.where(
-        shown, ndimage.distance_transform_edt(shown) - 0.5, 0.5 - ndimage.distance_transform_edt(~shown)
-    )
-    depth = _read(signed, grid.reshape(-1, 2)).reshape(x.shape)
+    signed = depth_inside(without_holes(seen.mask))
+    depth = interpolated(signed, grid.reshape(-1, 2)).reshape(x.shape)
     inside = depth > -0.5 * step
-    labels, count = ndimage.label(inside)
-    if not count:
+    labels = parts_of(inside)
+    if not labels.any():
         return None
     inside = labels == 1 + int(np.argmax(np.bincount(labels.ravel())[1:]))
-    slope = np.stack(np.gradient(ndimage.gaussian_filter(depth, 1.0), step)[::-1], -1)
+    down, right = (np.asarray(g) for g in np.gradient(smoothed(depth, 1.0), step))
+    slope = np.stack([right, down], -1)
     steep = np.maximum(np.linalg.norm(slope, axis=2, keepdims=True), 0.3)
     rim = inside & (depth < 0.9 * step)
     grid = np.where(rim[..., None], grid - np.clip(depth, -step, step)[..., None] * slope / steep**2, grid)
@@ -365,7 +362,7 @@ def _half_widths(inside: NDArray[np.bool_]) -> Array:
         for a, b in zip(ends[::2], ends[1::2], strict=True):
             x = np.arange(a, b)
             out[a:b] = np.sqrt((x - a + 0.5) * (b - 0.5 - x))
-    return np.where(inside, ndimage.gaussian_filter(half, (1.5, 0.5)), 0)
+    return np.where(inside, smoothed(half, (1.5, 0.5)), 0)
 
 
 def _half_thickness(depth: Array, step: float) -> Array:
@@ -374,35 +371,12 @@ def _half_thickness(depth: Array, step: float) -> Array:
     return np.sqrt(np.maximum(0, depth * (2 * widest - depth)))
 
 
-def _convex(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The convex hull of a mask (h, w)."""
-    from scipy.spatial import ConvexHull
-
-    rows, columns = np.nonzero(mask)
-    try:
-        hull = ConvexHull(np.column_stack([columns, rows]))
-    except ValueError:  # no area
-        return mask
-    x, y = np.meshgrid(np.arange(mask.shape[1]), np.arange(mask.shape[0]))
-    inside = np.ones(mask.shape, bool)
-    for a, b, c in hull.equations:
-        inside &= a * x + b * y + c <= 1e-9
-    return inside
-
-
 def _local_maximum(depth: Array, step: float) -> Array:
-    """The radius of the largest disk in the mask that covers each cell (h, w), for distances ``depth`` to the outline."""
+    """The radius of the largest disk in the mask over each cell (h, w), for distances ``depth`` to the outline."""
     radius = np.zeros_like(depth)
     rows, columns = np.indices(depth.shape)
     ridge = depth >= ndimage.maximum_filter(depth, 3) - 1e-9
     for r, c in zip(*np.nonzero(ridge & (depth > 0)), strict=True):
         near = (rows - r) ** 2 + (columns - c) ** 2 <= (depth[r, c] / step) ** 2
         np.maximum(radius, np.where(near, depth[r, c], 0), out=radius)
-    return np.maximum(ndimage.gaussian_filter(radius, 1.0), depth)
-
-
-def _read(image: Array, pixels: Array) -> Array:
-    """Values at pixels (n, 2), bilinear, of the nearest border beyond."""
-    return np.asarray(
-        ndimage.map_coordinates(image, [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5], order=1, mode="nearest")
-    )
+    return np.maximum(smoothed(radius, 1.0), depth)

@@ -37,7 +37,7 @@ class LiftedAssets:
     """What was chosen for every object of the last photo, by id."""
 
     def generate(self, image: PromptedImage, geometry: Geometry, K: Array) -> Mapping[int, GeneratedAsset]:
-        """One closed, textured mesh per instance, upright on the ground or on the object below it. ``K`` (3, 3) [px]."""
+        """A closed, textured mesh per instance, upright on the ground or on the object below it. ``K`` (3, 3) [px]."""
         camera = camera_over_ground(image, geometry, K)
         self.choices.clear()
         masks = {i.id: i.mask for i in image.instances}
@@ -54,7 +54,9 @@ class LiftedAssets:
             origin = np.array([*solid.vertices[:, :2].mean(0), solid.vertices[:, 2].min()])
             mesh = textured(solid, origin, image.photo, instance.mask, camera)
             T_camera_object = camera.T_camera_world @ pose(t=origin)
-            made[instance.id] = GeneratedAsset(mesh=mesh, T_camera_object=T_camera_object, told=found.told, fixed=found.fixed)
+            made[instance.id] = GeneratedAsset(
+                mesh=mesh, T_camera_object=T_camera_object, told=found.told, fixed=found.fixed
+            )
         return {i.id: made[i.id] for i in image.instances}
 
 
@@ -108,5 +110,3 @@ def _beneath(id: int, under: Mapping[int, int]) -> list[int]:
 
 def _bottom(instance: Instance) -> int:
     return int(np.flatnonzero(instance.mask.any(1))[-1])
-
-

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array
 from f3sr.vision import rasterizer
+from f3sr.vision.regions import depth_inside, grown, shrunk
 from f3sr.vision.silhouette import iou
 
 RESOLUTION = 160
@@ -67,12 +66,27 @@ class Outlined:
         return rasterizer.silhouette(camera.to_camera(vertices), faces, camera.K, camera.width, camera.height)
 
     @cached_property
+    def convex(self) -> NDArray[np.bool_]:
+        """The convex hull (h, w) of the mask."""
+        from scipy.spatial import ConvexHull
+
+        rows, columns = np.nonzero(self.mask)
+        corners = np.concatenate([np.column_stack([columns + i, rows + j]) for i in (0, 1) for j in (0, 1)])
+        x, y = np.meshgrid(np.arange(self.mask.shape[1]) + 0.5, np.arange(self.mask.shape[0]) + 0.5)
+        inside = np.ones(self.mask.shape, bool)
+        for a, b, c in ConvexHull(corners).equations:
+            inside &= a * x + b * y + c <= 1e-9
+        return inside
+
+    @cached_property
+    def possible(self) -> NDArray[np.bool_]:
+        """(h, w): the mask, and what is hidden within its hull."""
+        return self.mask | (~self.valid & self.convex)
+
+    @cached_property
     def depth_inside(self) -> Array:
-        """Distance of every pixel (h, w) to the mask's outline [px], negative outside; hidden pixels count as inside."""
-        shown = self.mask | ~self.valid
-        return np.asarray(
-            np.where(shown, ndimage.distance_transform_edt(shown) - 0.5, 0.5 - ndimage.distance_transform_edt(~shown))
-        )
+        """Distance of pixels (h, w) to the mask's outline [px], negative outside; hidden pixels count as inside."""
+        return depth_inside(self.possible)
 
     @cached_property
     def bounds(self) -> tuple[float, float, float, float]:
@@ -83,21 +97,21 @@ class Outlined:
     @cached_property
     def foot(self) -> Array:
         """(2,) [px]: the middle of the mask's lowest rows."""
-        left, top, right, bottom = self.bounds
+        _, top, _, bottom = self.bounds
         low = self.mask[int(max(top, bottom - max(1.0, 0.04 * (bottom - top)))) : int(bottom)]
         return np.array([float(np.median(np.nonzero(low)[1])) + 0.5, bottom])
 
     @cached_property
     def cut(self) -> float:
         """Share of the mask's outline that lies on the photo's border."""
-        beyond = ndimage.binary_dilation(~self.inside)
-        outline = self.mask & ~ndimage.binary_erosion(self.mask)
+        beyond = grown(~self.inside, 1)
+        outline = self.mask & ~shrunk(self.mask, 1)
         return float((outline & beyond).sum() / max(1, outline.sum()))
 
     @cached_property
     def foot_width(self) -> float:
         """The largest width of the mask in its lowest fifth [px]."""
-        left, top, right, bottom = self.bounds
+        _, top, _, bottom = self.bounds
         low = self.mask[int(bottom - 0.2 * (bottom - top)) : int(bottom)]
         return float(low.sum(1).max(initial=1))
 
@@ -106,28 +120,24 @@ class Outlined:
         """(2,) [px]: the middle of the largest disk in the mask, hidden pixels counted as its own."""
         depth = np.where(self.mask, self.depth_inside, -1)
         row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
-        return np.array([column, row]) + 0.5
+        return np.array([column + 0.5, row + 0.5])
 
     @cached_property
     def solidity(self) -> float:
         """Share of its convex hull that the mask covers."""
-        from scipy.spatial import ConvexHull
-
-        rows, columns = np.nonzero(self.mask)
-        corners = np.concatenate([np.column_stack([columns + i, rows + j]) for i in (0, 1) for j in (0, 1)])
-        return float(self.mask.sum() / ConvexHull(corners).volume)
+        return float(self.mask.sum() / max(1, self.convex.sum()))
 
     @cached_property
     def support(self) -> tuple[Array, Array, Array]:
         """The mask's support function: unit directions (n, 2), the farthest that the mask reaches along each (n,) [px],
         and the standard error of that [px]. Where the farthest pixel may be cut off by what stands before, none."""
-        rows, columns = np.nonzero(self.mask & ~ndimage.binary_erosion(self.mask))
+        rows, columns = np.nonzero(self.mask & ~shrunk(self.mask, 1))
         corners = np.concatenate([np.column_stack([columns + i, rows + j]) for i in (0, 1) for j in (0, 1)])
         angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
         directions = np.column_stack([np.cos(angles), np.sin(angles)])
         reached = corners @ directions.T
         last = np.argmax(reached, axis=0)
-        cut = ndimage.binary_dilation(~self.valid, iterations=2)
+        cut = grown(~self.valid, 2)
         x, y = np.clip(corners[last], 0, [self.mask.shape[1] - 1, self.mask.shape[0] - 1]).T
         shown = ~cut[y, x]
         size = math.sqrt(float(self.mask.sum()))
@@ -153,5 +163,3 @@ class Outlined:
     def metres_per_pixel(self, point: Array) -> float:
         """At a point (3,) of the world, across the ray."""
         return float(self.camera.to_camera(point[None])[0, 2] / self.camera.K[0, 0])
-
-

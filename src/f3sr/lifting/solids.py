@@ -47,7 +47,9 @@ def subdivided(solid: Solid, cells: int = CELLS) -> Solid:
     barycentric = np.array([(i, j) for i in range(cells + 1) for j in range(cells + 1 - i)], float) / cells
     index = {(i, j): k for k, (i, j) in enumerate((i, j) for i in range(cells + 1) for j in range(cells + 1 - i))}
     small = [(index[i, j], index[i + 1, j], index[i, j + 1]) for i in range(cells) for j in range(cells - i)]
-    small += [(index[i + 1, j], index[i + 1, j + 1], index[i, j + 1]) for i in range(cells) for j in range(cells - 1 - i)]
+    small += [
+        (index[i + 1, j], index[i + 1, j + 1], index[i, j + 1]) for i in range(cells) for j in range(cells - 1 - i)
+    ]
     a, b, c = (solid.vertices[solid.faces[:, k]][:, None] for k in range(3))
     u, v = barycentric[:, 0, None], barycentric[:, 1, None]
     points = (a + u * (b - a) + v * (c - a)).reshape(-1, 3)
@@ -74,9 +76,7 @@ def revolved(centre: Array, profile: Array, sectors: int = SECTORS) -> Solid:
         faces += [np.column_stack([low + k, low + nxt, high + k]), np.column_stack([low + nxt, high + nxt, high + k])]
     last = (len(inner) - 1) * sectors
     faces.append(np.column_stack([last + k, last + nxt, np.full(sectors, len(rings) + 1)]))
-    return Solid(
-        vertices=np.concatenate([rings, ends]) + centre, faces=np.concatenate(faces).astype(np.int32)
-    )
+    return Solid(vertices=np.concatenate([rings, ends]) + centre, faces=np.concatenate(faces).astype(np.int32))
 
 
 def inflated(front: Array, back: Array, inside: NDArray[np.bool_]) -> Solid:

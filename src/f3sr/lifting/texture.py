@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from scipy import ndimage
+from scipy.ndimage import distance_transform_edt
 
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Material, Mesh
 from f3sr.core.transforms import Array
 from f3sr.lifting.solids import Solid
 from f3sr.scene import Photo
+from f3sr.vision.regions import shrunk
 
 LONGEST = 1024
 """Longer side of a texture [px]."""
@@ -31,9 +33,9 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
     top, bottom = max(0, rows[0] - pad), min(photo.height, rows[-1] + 1 + pad)
     left, right = max(0, columns[0] - pad), min(photo.width, columns[-1] + 1 + pad)
     crop, shown = photo.rgb[top:bottom, left:right], mask[top:bottom, left:right]
-    inner = ndimage.binary_erosion(shown, iterations=ERODED)
+    inner = shrunk(shown, ERODED)
     shown = inner if inner.sum() > 0.5 * shown.sum() else shown
-    nearest = ndimage.distance_transform_edt(~shown, return_distances=False, return_indices=True)
+    nearest = np.asarray(cast(Any, distance_transform_edt)(~shown, return_distances=False, return_indices=True))
     image = Image.fromarray(np.ascontiguousarray(crop[nearest[0], nearest[1]]))
     if (scale := LONGEST / max(image.size)) < 1:
         image = image.resize((round(image.width * scale), round(image.height * scale)), Image.Resampling.BOX)

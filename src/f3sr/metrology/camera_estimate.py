@@ -154,9 +154,8 @@ class _Evidence:
             total += np.log1p(inlier / strange)  # other ellipses are even over the unit disk
         return total
 
-
     def _below(self, x: Array) -> Array:
-        """Log-likelihood (t,) of the horizon's place: ground lies below it, and the camera above much of what stands."""
+        """Log-likelihood (t,) of the horizon's place: ground is below it, and the camera above much of what stands."""
         middle = -np.exp(x[:, 0]) * np.tan(x[:, 1]) / np.cos(x[:, 2])
         slope = np.tan(x[:, 2])
         over = middle + slope * self.farthest[0] - self.farthest[1]
@@ -170,8 +169,8 @@ class _Evidence:
 
 
 def attitude(pitch: float, roll: float) -> Array:
-    """The world's right, forward and up (3, 3) in camera axes, as columns, for a camera that looks ``pitch`` [rad] below
-    the horizon, the picture turned by ``roll`` [rad] clockwise."""
+    """The world's right, forward and up (3, 3) in camera axes, as columns, for a camera that looks ``pitch`` [rad]
+    below the horizon, the picture turned by ``roll`` [rad] clockwise."""
     c, s = math.cos(pitch), math.sin(pitch)
     level = np.array([[1.0, 0, 0], [0, -s, -c], [0, c, -s]])
     return rotation_about([0, 0, 1], roll) @ level
@@ -187,8 +186,8 @@ def estimate_camera(
 ) -> CameraEstimate:
     """The most probable camera of a photo (H, W, 3) with masks (H, W) of objects and of the ground.
 
-    ``focal`` is a known focal length [px] with the standard error of its logarithm. The posterior is searched on a grid,
-    its best places are refined, its curvature at the best gives the errors."""
+    ``focal`` is a known focal length [px] with the standard error of its logarithm. The posterior is searched on a
+    grid, its best places are refined, its curvature at the best gives the errors."""
     evidence, scale = _evidence(rgb, masks, ground, focal, priors or CameraPriors())
     grid = _grid(evidence)
     values = evidence.log_posterior(grid, turn=COARSE_TURN, blur=COARSE_BLUR)
@@ -234,9 +233,7 @@ def _evidence(
     return _Evidence(
         side=side,
         centre=centre,
-        segments=grouped(
-            segments, _groups(segments, small, floor), objects=len(small), centre=centre, model=model
-        ),
+        segments=grouped(segments, _groups(segments, small, floor), objects=len(small), centre=centre, model=model),
         rims=rims(small, edges),
         standing=np.array([_extent(mask, side, centre) for mask in small if mask.any()]).reshape(-1, 3),
         farthest=_farthest(floor, side, centre),
@@ -263,9 +260,7 @@ def _farthest(ground: NDArray[np.bool_] | None, side: float, centre: Array) -> A
     return np.array([float(np.median(columns[rows <= top])) - centre[0], top - centre[1]]) / side
 
 
-def _groups(
-    segments: Array, masks: Sequence[NDArray[np.bool_]], ground: NDArray[np.bool_] | None
-) -> NDArray[np.int64]:
+def _groups(segments: Array, masks: Sequence[NDArray[np.bool_]], ground: NDArray[np.bool_] | None) -> NDArray[np.int64]:
     """The group (n,) of each segment (n, 4): the object on one side of it, else the ground, else the rest."""
     n = len(segments)
     if not n:
@@ -299,8 +294,12 @@ def _refined(evidence: _Evidence, start: Array) -> tuple[Array, float]:
 
     x, value = start, -np.inf
     for blur in BLURS:
+
+        def loss(x: Array, blur: float = blur) -> float:
+            return -float(evidence.log_posterior(x[None], turn=FINE_TURN, blur=blur)[0])
+
         found = minimize(
-            lambda x, blur=blur: -evidence.log_posterior(x[None], turn=FINE_TURN, blur=blur)[0],
+            loss,
             x,
             method="Nelder-Mead",
             options={"maxfev": 60, "initial_simplex": x + np.vstack([np.zeros(3), np.diag(1.6 * STEP)])},
@@ -322,7 +321,11 @@ def _errors(evidence: _Evidence, x: Array) -> tuple[float, float, float]:
         a, b, c, d = values[1 + 4 * k : 5 + 4 * k]
         curvature[i, j] = curvature[j, i] = -(a - b - c + d) / (4 * STEP[i] * STEP[j])
     prior = np.diag(evidence.sigmas**-2)
-    weights, vectors = np.linalg.eigh(np.linalg.cholesky(np.linalg.inv(prior)).T @ curvature @ np.sqrt(np.linalg.inv(prior)))
-    covariance = np.sqrt(np.linalg.inv(prior)) @ (vectors / np.maximum(weights, 1.0)) @ vectors.T @ np.sqrt(np.linalg.inv(prior))
+    weights, vectors = np.linalg.eigh(
+        np.linalg.cholesky(np.linalg.inv(prior)).T @ curvature @ np.sqrt(np.linalg.inv(prior))
+    )
+    covariance = (
+        np.sqrt(np.linalg.inv(prior)) @ (vectors / np.maximum(weights, 1.0)) @ vectors.T @ np.sqrt(np.linalg.inv(prior))
+    )
     f, pitch, roll = np.sqrt(np.diag(covariance))
     return float(f), float(pitch), float(roll)

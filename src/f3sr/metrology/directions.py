@@ -1,5 +1,5 @@
 """Which cameras explain the directions of line segments: edges of things are vertical, or in two horizontal directions
-at right angles, one pair for each object, for the ground and for the room (Coughlan and Yuille 1999, a world per object).
+at right angles, a pair for each object, the ground and the room (Coughlan and Yuille 1999, a world per object).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class DirectionModel:
     end: float = 0.7
     """Standard deviation of a segment's end across it [px]."""
     shape: float = math.radians(1.0)
-    """Standard deviation of an object's edge from its direction [rad]: real boxes bulge and do not quite stand upright."""
+    """Standard deviation of an object's edge from its direction [rad]: real boxes bulge and lean a little."""
     flat: float = math.radians(0.3)
     """The same of the ground and of what is no object: tables and walls are straight."""
     strange: float = 0.35
@@ -67,8 +67,8 @@ def log_likelihoods(
 ) -> Array:
     """The log-likelihood (t, groups) of every group's segments under cameras, over that of segments of any direction.
 
-    ``focals`` (t,) [px]; ``rotations`` (t, 3, 3) hold the world's right, forward and up in camera axes, as columns. Each
-    group has its best horizontal direction of those ``step`` [rad] apart. ``blur`` [rad] widens every direction, so that
+    ``focals`` (t,) [px]; ``rotations`` (t, 3, 3) hold the world's right, forward and up in camera axes, as columns.
+    Each group has its best horizontal direction of those ``step`` [rad] apart. ``blur`` [rad] widens each: then
     a coarse search misses none."""
     turns = np.arange(0, np.pi / 2, step)
     out = np.zeros((len(focals), found.groups))

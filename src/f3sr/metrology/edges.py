@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from f3sr.core.transforms import Array
+from f3sr.vision.regions import parts_of
 
 BLUR = 1.0
 """Standard deviation of the Gaussian whose derivatives are the gradient [px]: smaller doubles edges by noise."""
@@ -55,18 +57,16 @@ def edge_points(rgb: NDArray[np.uint8]) -> EdgePoints:
         ndimage.map_coordinates(size, [rows + s * ny, columns + s * nx], order=1, mode="nearest") for s in (-1, 1)
     )
     kept = (here >= before) & (here > after)
-    rows, columns, nx, ny, here, before, after = (
-        a[kept] for a in (rows, columns, nx, ny, here, before, after)
-    )
+    rows, columns, nx, ny, here, before, after = (a[kept] for a in (rows, columns, nx, ny, here, before, after))
     bend = before - 2 * here + after
     offset = np.divide(0.5 * (before - after), bend, out=np.zeros_like(bend), where=bend < -1e-6)
     offset = np.clip(offset, -FARTHEST, FARTHEST)
     normals = np.column_stack([nx, ny]).astype(float)
     centres = np.column_stack([columns, rows]) + 0.5
     return EdgePoints(
-        points=centres + offset[:, None] * normals,
+        points=(centres + offset[:, None] * normals).astype(float),
         normals=normals,
-        pixels=np.column_stack([columns, rows]),
+        pixels=np.column_stack([columns, rows]).astype(np.int64),
         shape=size.shape,
     )
 
@@ -102,10 +102,10 @@ class _Chain:
 
 def _gradient(rgb: NDArray[np.uint8]) -> tuple[NDArray[np.float32], ...]:
     """Of the channel where it is largest: along x, along y and its size, each (h, w)."""
-    best: tuple[NDArray[np.float32], ...] | None = None
+    best: tuple[NDArray[Any], ...] | None = None
     for channel in range(3):
         values = rgb[..., channel].astype(np.float32)
-        gx, gy = (ndimage.gaussian_filter(values, BLUR, order=order) for order in ((0, 1), (1, 0)))
+        gx, gy = (np.asarray(cast(Any, ndimage).gaussian_filter(values, BLUR, order=o)) for o in ((0, 1), (1, 0)))
         size = np.hypot(gx, gy)
         if best is None:
             best = gx, gy, size
@@ -123,7 +123,7 @@ def _connected(edges: EdgePoints, chosen: NDArray[np.int64]) -> list[NDArray[np.
     image = np.zeros(edges.shape, bool)
     columns, rows = edges.pixels[chosen].T
     image[rows, columns] = True
-    labels = ndimage.label(image, np.ones((3, 3)))[0][rows, columns]
+    labels = parts_of(image, diagonal=True)[rows, columns]
     order = np.argsort(labels, kind="stable")
     return np.split(chosen[order], np.flatnonzero(np.diff(labels[order])) + 1)
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from f3sr.core.transforms import Array
 from f3sr.metrology.edges import EdgePoints
+from f3sr.vision.regions import grown
 
 SEED = 0
 """Of the random choice of arcs."""
@@ -55,7 +55,7 @@ class Ellipse:
 
 
 def rims(masks: Sequence[NDArray[np.bool_]], edges: EdgePoints) -> list[Ellipse]:
-    """For every mask the ellipse that edges cover most, where they cover ``COVERED`` of it and it is not nearly round."""
+    """For every mask the ellipse that edges cover most, if they cover ``COVERED`` of it and it is not nearly round."""
     rng = np.random.default_rng(SEED)
     occupied = np.sum(masks, axis=0, dtype=np.int64) if len(masks) else np.zeros(edges.shape, np.int64)
     found = [_rim(mask, (occupied - mask) > 0, edges, rng) for mask in masks]
@@ -95,14 +95,16 @@ def _ellipse(Q: Array) -> Ellipse | None:
     if not (curvatures > 0).all():
         return None
     major, minor = 1 / np.sqrt(curvatures)
-    return Ellipse(conic=Q, centre=centre, axes=axes[:, ::-1], minor=float(minor), major=float(major))
+    return Ellipse(
+        conic=Q, centre=np.asarray(centre, float), axes=axes[:, ::-1], minor=float(minor), major=float(major)
+    )
 
 
 def _rim(
     mask: NDArray[np.bool_], others: NDArray[np.bool_], edges: EdgePoints, rng: np.random.Generator
 ) -> Ellipse | None:
     columns, rows = edges.pixels.T
-    near = ndimage.binary_dilation(mask, iterations=BORDER)[rows, columns]
+    near = grown(mask, BORDER)[rows, columns]
     points, normals = edges.points[near], edges.normals[near]
     outline = _own_outline(mask, others)
     if len(points) < 2 * ARC_POINTS or len(outline) < 2 * ARC_POINTS:
@@ -133,8 +135,8 @@ def _own_outline(mask: NDArray[np.bool_], others: NDArray[np.bool_]) -> Array:
     rows, columns = np.nonzero(padded[:, 1:] != padded[:, :-1])
     upright = np.column_stack([columns, rows - 0.5])
     rows, columns = np.nonzero(padded[1:] != padded[:-1])
-    points = np.concatenate([upright, np.column_stack([columns - 0.5, rows])])
-    hidden = ndimage.binary_dilation(others, iterations=BORDER)
+    points = np.concatenate([upright, np.column_stack([columns - 0.5, rows])]).astype(float)
+    hidden = grown(others, BORDER)
     x, y = np.clip(points.astype(int), 0, [w - 1, h - 1]).T
     inside = (points > BORDER - 1).all(1) & (points < np.array([w, h]) - BORDER + 1).all(1)
     points = points[inside & ~hidden[y, x]]

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from f3sr.backends.protocols import EstimatedGeometry, PromptedImage
 from f3sr.core.transforms import Array
@@ -43,7 +44,9 @@ def _shows_horizon(camera: CameraEstimate, K: Array) -> bool:
     return abs(math.tan(camera.pitch)) * camera.focal < K[1, 2]
 
 
-def _plane(K: Array, up: Array, height: float, photo: tuple[int, int], size: tuple[int, int]) -> tuple[Array, Array]:
+def _plane(
+    K: Array, up: Array, height: float, photo: tuple[int, int], size: tuple[int, int]
+) -> tuple[Array, NDArray[np.bool_]]:
     """Points (h, w, 3) where rays meet the plane ``height`` [m] below the camera, and where they do (h, w)."""
     (width, rows), (w, h) = photo, size
     x, y = np.meshgrid((np.arange(w) + 0.5) * width / w, (np.arange(h) + 0.5) * rows / h)

@@ -10,13 +10,13 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.background.regions import grown
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import UP, Array
 from f3sr.rendering.surface_kernels import FrameGeometry, Shapes, Textures, seen_at
 from f3sr.rendering.textures import LINEAR
 from f3sr.scene import Scene
 from f3sr.vision import rasterizer
+from f3sr.vision.regions import grown
 from f3sr.vision.silhouette import union_of
 
 Mask = NDArray[np.bool_]

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.background.membrane import membrane
-from f3sr.background.regions import Mask, grown
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array
 from f3sr.rendering.textures import LINEAR
+from f3sr.vision.regions import Mask, grown
 
 NEAR, FAR = 1.5, 3.0
 """Radii of the scene's ball within which the ground shows all of its shadows, and beyond which it shows none: a table

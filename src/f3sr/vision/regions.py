@@ -58,6 +58,34 @@ def distance_to(mask: Mask) -> NDArray[np.float32]:
     return np.asarray(distance_transform_edt(~mask), np.float32)
 
 
+def shrunk(mask: Mask, steps: int) -> Mask:
+    """The region (h, w) without what is within some steps [px] of its outside; the border is as if the rest were."""
+    from scipy.ndimage import binary_erosion
+
+    return np.asarray(binary_erosion(mask, iterations=steps), np.bool_)
+
+
+def depth_inside(mask: Mask) -> NDArray[np.float64]:
+    """Distance (h, w) [px] of every pixel's centre to the mask's outline, negative outside the mask."""
+    inner, outer = distance_to(~mask).astype(float), distance_to(mask).astype(float)
+    return np.where(mask, np.minimum(inner, sum(mask.shape)) - 0.5, 0.5 - outer)
+
+
+def interpolated(image: NDArray[Any], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values of an image (h, w) at pixels (n, 2), bilinear, of the nearest border beyond."""
+    from scipy.ndimage import map_coordinates
+
+    at = [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5]
+    return np.asarray(map_coordinates(image, at, order=1, mode="nearest"), np.float64)
+
+
+def smoothed(image: NDArray[Any], sigma: float | tuple[float, float]) -> NDArray[np.float64]:
+    """An image (h, w) under a Gaussian [px]."""
+    from scipy.ndimage import gaussian_filter
+
+    return np.asarray(gaussian_filter(np.asarray(image, float), sigma), np.float64)
+
+
 def parts_of(mask: Mask, *, diagonal: bool = False) -> NDArray[np.int32]:
     """(h, w) numbers from 1 of the connected parts, 0 outside; ``diagonal``: pixels that share a corner are
     connected."""
