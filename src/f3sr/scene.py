@@ -187,6 +187,8 @@ class SceneObject:
     supports: tuple[Support, ...] = ()
     supported_by: int | None = None
     """Id of the main support in the forest; GROUND for the ground, None if unknown."""
+    lifted: bool = False
+    """Whether its mesh was made from its own mask, upright on its support: the mask tells nothing of tilt and camera."""
     motion: tuple[Motion, ...] = ()
     """What the stages did to it, in order."""
 

@@ -90,6 +90,8 @@ class GeneratedAsset:
     """What it is, and what it might be, for the report."""
     fixed: str = ""
     """Why physics must not move it; empty where it may."""
+    lifted: bool = False
+    """Whether it was made from its own mask, upright on its support: the mask then tells nothing of its tilt."""
 
 
 class AssetGenerator(Protocol):

@@ -165,7 +165,14 @@ def _asset(folder: InputFolder, where: str, id: int, answer: object) -> PosedAss
         _refuse(where, f"scale {scale:g} of {id}", "a positive number")
     _require_mesh(f"{where}, mesh of {id}", mesh)
     used = usable_mesh(folder, where, id, mesh)
-    return PosedAsset(mesh=used, T_camera_object=T, scale=scale, source=where, fixed=_told(where, asset.fixed))
+    return PosedAsset(
+        mesh=used,
+        T_camera_object=T,
+        scale=scale,
+        source=where,
+        fixed=_told(where, asset.fixed),
+        lifted=_typed(where, asset.lifted, bool),
+    )
 
 
 def _is_rigid(T: Array) -> bool:

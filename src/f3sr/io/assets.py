@@ -49,6 +49,8 @@ class PosedAsset:
     """The file, or the back end, that says where the mesh stands."""
     fixed: str = ""
     """Why physics must not move it, by the back end; empty where it may."""
+    lifted: bool = False
+    """Whether a back end made it from its own mask, upright."""
 
 
 def read_assets(folder: InputFolder, masks: Mapping[int, str], frame: str) -> dict[int, PosedAsset]:

@@ -34,9 +34,17 @@ CUT = 0.1
 FIXED = ("person", "man", "woman", "child", "people", "tree", "chandelier", "curtain", "window", "door", "wall")
 """Words of labels whose things are no rigid bodies, or hold to what is not in the scene."""
 
+HOLLOWS = {
+    **dict.fromkeys(("plate", "saucer", "tray"), 0.2),
+    **dict.fromkeys(("pan", "frypan", "skillet"), 0.4),
+    **dict.fromkeys(("bowl", "dish", "basket"), 0.8),
+    **dict.fromkeys(("pot", "wok", "basin"), 1.0),
+    **dict.fromkeys(("cup", "mug", "bucket", "bin", "glass", "teacup", "planter"), 2.0),
+}  # fmt: skip
+"""Words of labels that name hollow things, and the usual ratio of their height to the radius of their rim."""
 WORDS = {
     "box": ("box", "brick", "book", "cube", "crate", "carton", "speaker", "cabinet", "drawer", "block"),
-    "bowl or cup": ("bowl", "cup", "mug", "plate", "pan", "frypan", "pot", "dish", "basket", "bucket", "glass", "bin"),
+    "bowl or cup": tuple(HOLLOWS),
     "solid of revolution": ("can", "bottle", "jar", "vase", "lamp", "cylinder", "candle", "ball", "apple", "orange",
                             "lemon", "peach", "plum", "pear", "strawberry", "tomato"),
     "lying silhouette": ("spoon", "fork", "knife", "wrench", "hammer", "screwdriver", "pen", "pencil", "scissors",
@@ -91,11 +99,12 @@ def choose(instance: Instance, seen: Outlined, carrier: Choice | None, *, distan
 
 def candidates(label: str, seen: Outlined, floor: float) -> list[Fit]:
     """The fit of every family on the height ``floor`` [m]."""
-    hollow = "bowl or cup" in named(label)
+    aspects = [HOLLOWS[word] for word in words_of(label) if word in HOLLOWS]
     found = [
         fits.fit_box(seen, floor),
         fits.fit_carved(seen, floor),
-        fits.fit_revolution(seen, floor, hollow=hollow),
+        fits.fit_hollow(seen, floor, aspect=aspects[-1]) if aspects else None,
+        fits.fit_revolution(seen, floor),
         fits.fit_standing(seen, floor),
         fits.fit_lying(seen, floor),
     ]
@@ -104,8 +113,13 @@ def candidates(label: str, seen: Outlined, floor: float) -> list[Fit]:
 
 def named(label: str) -> list[str]:
     """Families that a label names by one of its words."""
-    words = label.lower().replace("-", " ").replace("_", " ").split()
+    words = words_of(label)
     return [family for family, names in WORDS.items() if any(word in names for word in words)]
+
+
+def words_of(label: str) -> list[str]:
+    """The words of a label, in lower case."""
+    return label.lower().replace("-", " ").replace("_", " ").split()
 
 
 def _score(fit: Fit, label: str, seen: Outlined) -> float:
@@ -166,7 +180,7 @@ def _why_fixed(label: str, seen: Outlined, *, on_floor: bool) -> str:
     """Why physics must not move an object: its foot is not seen, or nobody can say what holds it."""
     if not on_floor:
         return "it hangs, or stands beyond the horizon"
-    words = label.lower().replace("-", " ").replace("_", " ").split()
+    words = words_of(label)
     if alive := [word for word in words if word in FIXED]:
         return f"the label says {alive[0]}"
     if seen.cut > CUT:

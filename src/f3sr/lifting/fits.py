@@ -15,7 +15,7 @@ from scipy.optimize import least_squares, minimize
 from f3sr.core.transforms import UP, Array, rotation_from_vector
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.solids import Solid, box, carved, clipped, inflated, joined, revolved, subdivided
-from f3sr.vision.regions import depth_inside, grown, interpolated, opened, parts_of, smoothed, without_holes
+from f3sr.vision.regions import depth_inside, grown, interpolated, parts_of, smoothed, without_holes
 
 YAWS = 9
 """Turns of a box at which its fit starts, over a quarter turn."""
@@ -37,6 +37,15 @@ FLAT = 0.08
 """Share of a lying body's height that is cut off below: real things lie on more than a line."""
 HANDLE = 0.03
 """Least share of the mask that a solid of revolution leaves uncovered for it to have a handle."""
+ROOT = 6
+"""Length of a handle's root within the body [px of the window]."""
+SLACK = 0.3
+"""Step of how far circles may lie outside of the mask, in steps of the search for the axis."""
+RINGS = 8
+"""Rings of a bowl's outside."""
+BOWL, BOWL_SPREAD = (0.2, 0.4), (0.6, 0.8, 0.4)
+"""Shape of a bowl before its picture tells: the logit of its base's radius over the rim's and the logarithm of the power
+by which it widens; and standard deviations, that of the logarithm of height over radius first."""
 WALL = 0.06
 """Thickness of a hollow thing's wall, as a share of its largest radius."""
 
@@ -107,14 +116,14 @@ def _onto_bounds(seen: Outlined, x: Array, solid: Callable[[Array], Solid], size
     return x
 
 
-def fit_revolution(seen: Outlined, floor: float, *, hollow: bool) -> Fit | None:
+def fit_revolution(seen: Outlined, floor: float) -> Fit | None:
     """The symmetric hull of the mask about a vertical axis on the height ``floor`` [m]: at each height the largest
-    circle whose image lies in the mask. The axis is where that covers most. ``hollow`` gives it an inside."""
+    circle whose image lies in the mask. The axis is where that covers most."""
     anchor = _anchor(seen, floor)
     if anchor is None:
         return None
     _, size = anchor
-    centre = seen.on_plane(seen.widest[None], np.array([0, 0, 1.0]), floor)[0]
+    centre = seen.on_plane(seen.widest[None], UP, floor)[0]
     if not np.isfinite(centre).all():
         return None
     away = _horizontal(seen, centre)
@@ -124,25 +133,67 @@ def fit_revolution(seen: Outlined, floor: float, *, hollow: bool) -> Fit | None:
         return centre + size * (x[0] * side + x[1] * away)
 
     def loss(x: Array) -> float:
-        profile = _profile(seen, axis(x), size)
+        profile = _profile(seen, axis(x), size, beyond=SLACK * x[2])
         if profile is None:
             return 1.0
         made = revolved(axis(x), profile, sectors=20)
         return 1 - seen.overlap(made.vertices, made.faces)
 
-    first = min((np.array([0.0, y]) for y in np.linspace(-0.9, 0.3, 13)), key=loss)
-    x = _refined(loss, first, step=0.08, evaluations=50)
-    profile = _profile(seen, axis(x), size)
+    first = min((np.array([0.0, y, 0.0]) for y in np.linspace(-0.9, 0.3, 13)), key=loss)
+    x = _refined(loss, first, step=0.08, evaluations=60)
+    profile = _profile(seen, axis(x), size, beyond=SLACK * x[2])
     if profile is None:
         return None
-    foot = axis(x)
-    solid = revolved(foot, _hollowed(profile) if hollow else profile)
-    solid = _with_handles(seen, solid, foot, profile) if hollow else solid
-    return Fit(
-        family="bowl or cup" if hollow else "solid of revolution",
-        solid=solid,
-        overlap=seen.overlap(solid.vertices, solid.faces),
-    )
+    solid = revolved(axis(x), profile)
+    return Fit(family="solid of revolution", solid=solid, overlap=seen.overlap(solid.vertices, solid.faces))
+
+
+def fit_hollow(seen: Outlined, floor: float, *, aspect: float) -> Fit | None:
+    """A bowl, plate, pan or cup on the height ``floor`` [m], with handles: its outline touches the lines that the mask's
+    touches, in all directions. ``aspect`` is the usual ratio of its height to the radius of its rim."""
+    anchor = _anchor(seen, floor)
+    if anchor is None:
+        return None
+    handles = seen.handles
+    body = replace(seen, mask=seen.mask & ~handles, valid=seen.valid & ~grown(handles, 1))
+    _, size = anchor
+    centre = seen.on_plane(body.widest[None], UP, floor)[0]
+    if not np.isfinite(centre).all():
+        return None
+    away = _horizontal(seen, centre)
+    side = np.array([-away[1], away[0], 0])
+    directions, wanted, scatter = body.support
+    middle, spread = np.array([math.log(aspect), *BOWL]), np.array(BOWL_SPREAD)
+
+    def foot(x: Array) -> Array:
+        return centre + size * (x[0] * side + x[1] * away)
+
+    def profile(x: Array) -> Array:
+        rim = size * math.exp(x[2])
+        return _bowl(rim, rim * math.exp(x[3]), float(1 / (1 + math.exp(-x[4]))), math.exp(x[5]))
+
+    def residuals(x: Array) -> Array:
+        made = revolved(foot(x), profile(x), sectors=24)
+        pixels, depth = seen.camera.project(made.vertices)
+        if not (depth > 0.05 * size).all():
+            return np.full(len(wanted) + 3, 1e3)
+        return np.concatenate([((pixels @ directions.T).max(0) - wanted) / scatter, (x[3:] - middle) / spread])
+
+    start = np.array([0.0, -0.3, math.log(0.5), *middle])
+    found: Any = least_squares(residuals, start, loss="soft_l1", max_nfev=60)
+    x = np.asarray(found.x)
+    outer = profile(x)
+    solid = revolved(foot(x), _hollowed(outer))
+    solid = _with_handles(seen, handles, solid, foot(x), outer)
+    return Fit(family="bowl or cup", solid=solid, overlap=seen.overlap(solid.vertices, solid.faces))
+
+
+def _bowl(rim: float, height: float, base: float, power: float) -> Array:
+    """Radii and heights (n, 2) of a bowl's outside, from the axis below to the axis above [m]: from a flat ``base``
+    [radius of the ``rim``] it widens as a power of the height."""
+    t = np.linspace(0, 1, RINGS)
+    radii = rim * (base + (1 - base) * t ** (1 / power))
+    return np.concatenate([[[0, 0]], np.column_stack([radii, height * t]), [[0, height]]])
 
 
 def fit_carved(seen: Outlined, floor: float) -> Fit | None:
@@ -236,9 +287,11 @@ def _refined(loss: Callable[[Array], float], x: Array, *, step: float, evaluatio
     return np.asarray(found.x)
 
 
-def _profile(seen: Outlined, foot: Array, size: float) -> Array | None:
+def _profile(seen: Outlined, foot: Array, size: float, *, beyond: float) -> Array | None:
     """Radii and heights (n, 2) of the largest circles about the vertical through ``foot`` whose images lie in the mask,
-    from the axis below to the axis above. None where there are none."""
+    or at most ``beyond`` [size of the mask] outside, from the axis below to the axis above. None where there are none.
+
+    Where the camera's pitch is a little off, no circle has the mask's rim as its image: it is too narrow or too wide."""
     pixels, _ = seen.camera.project(np.array([foot, foot + size * UP]))
     rise = pixels[0, 1] - pixels[1, 1]
     if not np.isfinite(rise) or rise <= 0:
@@ -250,7 +303,8 @@ def _profile(seen: Outlined, foot: Array, size: float) -> Array | None:
     ring = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(24)])
     points = foot + radii[None, :, None, None] * ring + heights[:, None, None, None] * np.array([0, 0, 1.0])
     uv, depth = seen.camera.project(points.reshape(-1, 3))
-    inside = np.where(depth > 0, interpolated(seen.depth_inside, uv), -1e3).reshape(LEVELS, RADII, 24).min(2)
+    depths = interpolated(seen.depth_inside, uv) + max(0.0, beyond) * math.sqrt(float(seen.mask.sum()))
+    inside = np.where(depth > 0, depths, -1e3).reshape(LEVELS, RADII, 24).min(2)
     inside = np.concatenate([np.full((LEVELS, 1), 1e-3), inside], axis=1)
     first_out = np.argmax(np.concatenate([inside, np.full((LEVELS, 1), -1.0)], axis=1) < 0, axis=1)
     last = first_out - 1
@@ -282,17 +336,16 @@ def _hollowed(profile: Array) -> Array:
     return np.concatenate([outer, inner, [[inner[-1, 0], wall], [0, wall]]])
 
 
-def _with_handles(seen: Outlined, body: Solid, foot: Array, profile: Array) -> Solid:
-    """A solid of revolution with what the mask shows beside it: at the height of the rim where it is flat, else about
+def _with_handles(seen: Outlined, handles: NDArray[np.bool_], body: Solid, foot: Array, profile: Array) -> Solid:
+    """A solid of revolution with the ``handles`` (h, w) beside it: at the height of the rim where it is flat, else about
     the vertical sheet through its axis."""
-    beside = seen.mask & seen.valid & ~grown(seen.silhouette(body.vertices, body.faces), 1)
-    labels = parts_of(opened(beside, 1))
+    labels = parts_of(handles)
     flat = profile[:, 1].max() < profile[:, 0].max()
     for k in range(1, int(labels.max()) + 1):
         part = labels == k
         if part.sum() < HANDLE * seen.mask.sum():
             continue
-        handle = replace(seen, mask=grown(part, 3) & seen.mask)
+        handle = replace(seen, mask=grown(part, ROOT) & seen.mask)
         if flat:
             rim = foot + float(profile[np.argmax(profile[:, 0]), 1]) * UP
             made = _lying_at(handle, rim)

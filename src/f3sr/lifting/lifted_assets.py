@@ -55,7 +55,7 @@ class LiftedAssets:
             mesh = textured(solid, origin, image.photo, instance.mask, camera)
             T_camera_object = camera.T_camera_world @ pose(t=origin)
             made[instance.id] = GeneratedAsset(
-                mesh=mesh, T_camera_object=T_camera_object, told=found.told, fixed=found.fixed
+                mesh=mesh, T_camera_object=T_camera_object, told=found.told, fixed=found.fixed, lifted=True
             )
         return {i.id: made[i.id] for i in image.instances}
 

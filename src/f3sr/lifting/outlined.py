@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array
 from f3sr.vision import rasterizer
-from f3sr.vision.regions import depth_inside, grown, shrunk
+from f3sr.vision.regions import depth_inside, distance_to, grown, opened, shrunk, without_holes
 from f3sr.vision.silhouette import iou
 
 RESOLUTION = 160
@@ -21,6 +21,8 @@ DIRECTIONS = 48
 """Directions of a support function."""
 PIXEL, ROUNDED = 0.5, 0.01
 """Standard error of an outline [px], and of a real box's corner [size of its mask]: corners are round."""
+NARROW = 0.5
+"""Width of a handle at most, as a share of its body's."""
 MARGIN = 0.15
 """Of the window about the mask's box, as a share of its longer side."""
 
@@ -121,6 +123,18 @@ class Outlined:
         depth = np.where(self.mask, self.depth_inside, -1)
         row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
         return np.array([column + 0.5, row + 0.5])
+
+    @cached_property
+    def handles(self) -> NDArray[np.bool_]:
+        """(h, w): what is much narrower than the mask's body, where circles on the ground are circles."""
+        tall = max(1.0, 1 / max(0.05, abs(float(self.camera.T_world_camera[2, 2]))))
+        rows = np.minimum((np.arange(round(tall * len(self.mask))) / tall).astype(int), len(self.mask) - 1)
+        stretched = without_holes(self.possible[rows])
+        inner = distance_to(~stretched)
+        reach = NARROW * float(inner.max())
+        body = distance_to(inner >= reach) <= reach
+        back = np.minimum(((np.arange(len(self.mask)) + 0.5) * tall).astype(int), len(rows) - 1)
+        return opened(self.mask & self.valid & ~body[back], 1)
 
     @cached_property
     def solidity(self) -> float:

@@ -108,6 +108,7 @@ def _given_object(instance: Instance, asset: PosedAsset, camera: Camera, given: 
         mesh=asset.mesh,
         T_world_object=camera.T_world_camera @ asset.T_camera_object,
         scale=asset.scale,
+        lifted=asset.lifted,
     )
     if known := material_of(o.label):
         o = replace(o, **known.properties, material_source="label", material_reason=f"the label {o.label!r}")

@@ -72,6 +72,6 @@ def _residual(o: SceneObject, geometry: Geometry, camera: Camera) -> DepthResidu
 
 def sigma(geometry: Geometry | None) -> float:
     """Standard deviation of an object's distance by a geometry that no sensor measured."""
-    if geometry is None:
+    if geometry is None or geometry.source == "ground":
         return ASSET_SIGMA
     return GEOMETRY_SIGMA if geometry.noise is None else geometry.noise

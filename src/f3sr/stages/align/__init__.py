@@ -54,7 +54,7 @@ def align(
     full, scene = scene, scene.with_objects(*(outlined(o, config.search.max_faces) for o in scene))
     decisions: list[Decision] = []
     before = _ious(scene, config)
-    if config.camera:
+    if config.camera and not all(o.lifted for o in scene):
         scene, decisions = align_camera(scene, config, score=lambda s: _mean(_ious(s, config)))
     if config.objects:
         nearer = nearer_objects(scene)

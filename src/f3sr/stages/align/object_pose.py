@@ -104,11 +104,12 @@ def align_object(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> t
 
 
 def _phases(o: SceneObject, evidence: _Evidence, config: AlignConfig) -> list[_Phase]:
+    turns = not o.lifted
     wanted: list[tuple[_Phase, bool]] = [
         (_fitted, True),
-        (_polished, config.tilt.enabled or evidence.appearance is not None),
-        (partial(_reoriented, o), config.orientations.enabled),
-        (_standing, config.facets.enabled),
+        (_polished, turns and (config.tilt.enabled or evidence.appearance is not None)),
+        (partial(_reoriented, o), turns and config.orientations.enabled),
+        (_standing, turns and config.facets.enabled),
         (_at_its_depth, evidence.depth is not None and config.depth.enabled),
     ]
     return [phase for phase, is_on in wanted if is_on]
@@ -138,7 +139,7 @@ def _freedom(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> Objec
     low, high = o.bounds_world
     middle = (low + high) / 2
     shift = config.max_shift * o.size
-    tilt = config.tilt.most if config.tilt.enabled else 0.0
+    tilt = config.tilt.most if config.tilt.enabled and not o.lifted else 0.0
     in_image = config.freedom == "image"
     return ObjectFreedom(
         anchor=middle if in_image else np.array([middle[0], middle[1], low[2]]),
@@ -149,10 +150,11 @@ def _freedom(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> Objec
 
 def _evidence(o: SceneObject, view: ObjectEvidence, config: AlignConfig) -> _Evidence:
     scene, camera = view.scene, view.scene.camera
+    geometry = scene.geometry if scene.geometry and scene.geometry.source != "ground" else None
     window = window_around(o, camera, config.appearance.resolution)
     shown = sampled(o.mask & view.valid, camera, window, fill=False)
     return _Evidence(
-        depth=DepthEvidence.of(scene.geometry, camera, window, shown) if scene.geometry else None,
+        depth=DepthEvidence.of(geometry, camera, window, shown) if geometry else None,
         appearance=(
             Appearance.of(scene.photo, camera, window, shown)
             if config.appearance.enabled and view.textured.has_detail
