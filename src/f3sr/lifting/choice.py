@@ -7,28 +7,36 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from f3sr.core.transforms import Array
+from f3sr.core.transforms import UP, Array
 from f3sr.lifting import fits
 from f3sr.lifting.fits import Fit
 from f3sr.lifting.outlined import Outlined
+from f3sr.lifting.solids import is_stable
 from f3sr.scene import Instance
 
 PRIOR = {"box": 0.03, "carved box": -0.05, "solid of revolution": 0.02, "bowl or cup": 0.02,
          "standing silhouette": -0.01, "lying silhouette": -0.01}  # fmt: skip
 """Gain of 1 - IoU that a family is worth beside others: rigid families fit by chance less."""
-LABELLED = 0.05
+LABELLED = 0.03
 """The same for a family that the label names: a can may be a box."""
 HOLLOW = 0.12
 """The same for a bowl or cup, which no silhouette tells from a lens."""
-FLAT_TOP = 0.3
-"""Least share of a carrier's outline that its top fills: nothing stays on a ball."""
+FLAT_TOP = 0.15
+"""Least share of a carrier's outline that its top fills: nothing stays on a peak."""
 ELONGATED = 1.8
 """Ratio of a mask's axes from which on its long axis tells how it lies."""
 
 COMPACT = 0.75
 """Share of its hull that a mask covers from which on nothing is gained by carving: legs and gaps cover less."""
-BEHIND = 0.1
-"""Share of a carrier's depth at its back where a foot counts as behind it: things stand rarely on an edge."""
+BEHIND = 0.15
+"""Share of a carrier's depth at its back where an underside counts as behind it: things stand rarely on an edge."""
+HANGS, ASIDE = 0.4, 0.05
+"""Shares of a carrier's depth by which an underside may be before its front less ``BEHIND``, and beside it: things hang
+over."""
+MOST = 0.5
+"""Share of an underside that is on the carrier at least."""
+TIPPY = 0.1
+"""Loss of score of a shape that would tip over where it is."""
 CUT = 0.1
 """Share of the mask's outline on the photo's border from which an object counts as cut."""
 FIXED = ("person", "man", "woman", "child", "people", "tree", "chandelier", "curtain", "window", "door", "wall")
@@ -79,9 +87,9 @@ class Choice:
 
 
 def choose(instance: Instance, seen: Outlined, carrier: Choice | None, *, distance: float) -> Choice:
-    """The shape of a mask: on the carrier where the ray to its foot meets the carrier's top, else on the ground, or
-    hanging at a ``distance`` [m] where the ground is not below it."""
-    floor = carrier.top if carrier is not None and _carries(seen, carrier) else 0.0
+    """The shape of a mask: on top of the ``carrier``, else on the ground, or hanging at a ``distance`` [m] where the
+    ground is not below it."""
+    floor = carrier.top if carrier is not None else 0.0
     fitted = candidates(instance.label, seen, floor) or candidates(instance.label, seen, 0.0)
     fixed = _why_fixed(instance.label, seen, on_floor=bool(fitted))
     if not fitted:
@@ -95,6 +103,42 @@ def choose(instance: Instance, seen: Outlined, carrier: Choice | None, *, distan
         top=_top(best, floor),
         fixed=fixed,
     )
+
+
+def carries(seen: Outlined, carrier: Choice) -> bool:
+    """Whether most of the mask's underside is on the carrier: seen at the height of its top it lies over that, and not at
+    its back, where the outline of what only stands behind it ends."""
+    from scipy.spatial import ConvexHull
+
+    top = _top_outline(carrier)
+    if top is None:
+        return False
+    points = seen.on_plane(seen.underside, UP, carrier.top)[:, :2]
+    away = top.mean(0) - seen.camera.center[:2]
+    away /= max(float(np.linalg.norm(away)), 1e-12)
+    depth = float(np.ptp(top @ away))
+    sides = ConvexHull(top).equations
+    over = np.zeros(len(points), np.bool_)
+    for share in np.linspace(BEHIND, HANGS, 4):  # a point as much farther away is over the top
+        farther = points + share * depth * away
+        over |= (farther @ sides[:, :2].T + sides[:, 2] < ASIDE * depth).all(1)  # not where beyond the horizon
+    return float(over.mean()) >= MOST
+
+
+def _top_outline(carrier: Choice) -> Array | None:
+    """Corners (n, 2) of what something may stand on: the inside of what is hollow, else its uppermost tenth, where that
+    fills much of its outline; else None."""
+    from scipy.spatial import ConvexHull
+
+    vertices = carrier.best.solid.vertices
+    low, high = float(vertices[:, 2].min()), float(vertices[:, 2].max())
+    upper = vertices[vertices[:, 2] > high - 0.1 * (high - low), :2]
+    if carrier.best.family == "bowl or cup":
+        return upper
+    if len(upper) < 3 or np.linalg.matrix_rank(upper - upper[0], tol=1e-6) < 2:
+        return None
+    fills = float(ConvexHull(upper).volume) / float(ConvexHull(vertices[:, :2]).volume)
+    return upper if fills > FLAT_TOP else None
 
 
 def candidates(label: str, seen: Outlined, floor: float) -> list[Fit]:
@@ -126,13 +170,15 @@ def _score(fit: Fit, label: str, seen: Outlined) -> float:
     score = fit.overlap + PRIOR.get(fit.family, 0.0)
     if fit.family in named(label):
         score += HOLLOW if fit.family == "bowl or cup" else LABELLED
+    if fit.family not in ("solid of revolution", "bowl or cup", "box") and not is_stable(fit.solid):
+        score -= TIPPY
     if fit.family == "carved box" and seen.solidity > COMPACT:
         score -= 0.08
     ratio, slant = _elongation(seen)
     if ratio > ELONGATED and fit.family == "standing silhouette" and slant > math.radians(35):
         score -= 0.1
     if fit.family == "lying silhouette" and (ratio < ELONGATED or slant < math.radians(35)):
-        score -= 0.03
+        score -= 0.05
     return score
 
 
@@ -142,38 +188,6 @@ def _elongation(seen: Outlined) -> tuple[float, float]:
     values, vectors = np.linalg.eigh(np.cov(np.column_stack([columns, rows]).T))
     x, y = vectors[:, 1]
     return math.sqrt(values[1] / max(values[0], 1e-9)), math.atan2(abs(x), abs(y))
-
-
-def _carries(seen: Outlined, carrier: Choice) -> bool:
-    """Whether the mask's foot is on the carrier: at the height of its top, it is not behind the carrier's back, nor
-    beside it. A foot before the carrier's front hangs over it."""
-    point = seen.on_plane(seen.foot[None], np.array([0, 0, 1.0]), carrier.top)[0]
-    if not np.isfinite(point).all() or not _has_top(carrier):
-        return False
-    outline, centre = carrier.best.solid.vertices[:, :2], seen.camera.center[:2]
-    away = outline.mean(0) - centre
-    away /= max(float(np.linalg.norm(away)), 1e-12)
-    depths, sides = (outline - centre) @ away, (outline - centre) @ [-away[1], away[0]]
-    depth, side = (point[:2] - centre) @ away, (point[:2] - centre) @ np.array([-away[1], away[0]])
-    return bool(
-        depth < depths.max() - BEHIND * np.ptp(depths)
-        and depth > depths.min() - np.ptp(depths)
-        and sides.min() < side < sides.max()
-    )
-
-
-def _has_top(carrier: Choice) -> bool:
-    """Whether something may stand on it: it is hollow, or its uppermost tenth fills much of its outline."""
-    from scipy.spatial import ConvexHull
-
-    if carrier.best.family == "bowl or cup":
-        return True
-    vertices = carrier.best.solid.vertices
-    low, high = float(vertices[:, 2].min()), float(vertices[:, 2].max())
-    upper = vertices[vertices[:, 2] > high - 0.1 * (high - low)]
-    if len(upper) < 3 or np.linalg.matrix_rank(upper[:, :2] - upper[0, :2], tol=1e-6) < 2:
-        return False
-    return float(ConvexHull(upper[:, :2]).volume) > FLAT_TOP * float(ConvexHull(vertices[:, :2]).volume)
 
 
 def _why_fixed(label: str, seen: Outlined, *, on_floor: bool) -> str:

@@ -5,16 +5,27 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.optimize import least_squares, minimize
+from scipy.optimize import minimize
 
-from f3sr.core.transforms import UP, Array, rotation_from_vector
+from f3sr.core.transforms import UP, Array
+from f3sr.lifting.many_starts import refined
 from f3sr.lifting.outlined import Outlined
-from f3sr.lifting.solids import Solid, box, carved, clipped, inflated, joined, revolved, subdivided
+from f3sr.lifting.solids import (
+    BOX_FACES,
+    CORNERS,
+    Solid,
+    carved,
+    clipped,
+    inflated,
+    is_stable,
+    joined,
+    revolved,
+    subdivided,
+)
 from f3sr.vision.regions import depth_inside, grown, interpolated, parts_of, smoothed, without_holes
 
 YAWS = 9
@@ -23,8 +34,8 @@ DEPTHS = (0.4, 1.0, 2.2)
 """Its depths there, over its width."""
 EQUAL = 0.3
 """Inverse standard deviation of the logarithms of a box's edges: of boxes that look alike, the most compact."""
-LEAN = math.radians(1.5)
-"""Standard deviation of a box's lean about each horizontal axis [rad]."""
+BEHIND_CAMERA = 1e3
+"""Residual of a shape that reaches behind the camera."""
 STARTS = 4
 """Starts that are refined, the best first."""
 LEVELS = 48
@@ -33,8 +44,8 @@ RADII = 28
 """Radii tried at each height, up to the largest; then refined between two."""
 GRID = 72
 """Cells of the longer side of an inflated silhouette."""
-FLAT = 0.08
-"""Share of a lying body's height that is cut off below: real things lie on more than a line."""
+FLAT = (0.08, 0.16, 0.24, 0.32, 0.4)
+"""Shares of a lying body's height that are cut off below until it rests: real things lie on more than a line."""
 HANDLE = 0.03
 """Least share of the mask that a solid of revolution leaves uncovered for it to have a handle."""
 ROOT = 6
@@ -67,52 +78,53 @@ def fit_box(seen: Outlined, floor: float) -> Fit | None:
     centre, size = anchor
     away = _horizontal(seen, centre)
     side = np.array([-away[1], away[0], 0])
-
-    def solid(x: Array) -> Solid:
-        made = box(size * (x[0] * side + x[1] * away), size * np.exp(x[2:5]), float(x[5]))
-        leaning = made.vertices @ rotation_from_vector([LEAN * x[6], LEAN * x[7], 0]).T
-        lifted = leaning - [0, 0, float(leaning[:, 2].min())]
-        return Solid(vertices=lifted + centre, faces=made.faces)
-
     directions, wanted, scatter = seen.support
 
+    def corners(x: Array) -> Array:
+        """(s, 8, 3) of boxes x (s, 6): shifts, logarithms of the edges, both in sizes, and yaw."""
+        c, n = np.cos(x[:, 5, None]), np.sin(x[:, 5, None])
+        u, v, w = np.moveaxis(CORNERS * np.exp(x[:, None, 2:5]), 2, 0)
+        local = np.stack([c * u - n * v, n * u + c * v, w], 2)
+        return centre + size * (local + (x[:, :1] * side + x[:, 1:2] * away)[:, None])
+
     def residuals(x: Array) -> Array:
-        pixels, depth = seen.camera.project(solid(x).vertices)
-        if not (depth > 0.05 * size).all():
-            return np.full(len(wanted) + 5, 1e3)
-        reached = (pixels @ directions.T).max(0)
-        unequal = x[2:5] - x[2:5].mean()
-        return np.concatenate([(reached - wanted) / scatter, EQUAL * unequal, x[6:8]])
+        points = corners(x)
+        pixels, depth = seen.camera.project(points.reshape(-1, 3))
+        reached = (pixels.reshape(*points.shape[:2], 2) @ directions.T).max(1)
+        unequal = x[:, 2:5] - x[:, 2:5].mean(1, keepdims=True)
+        all_of_them = np.concatenate([(reached - wanted) / scatter, EQUAL * unequal], axis=1)
+        before = depth.reshape(points.shape[:2]).min(1) > 0.05 * size
+        return np.where(before[:, None], all_of_them, BEHIND_CAMERA)
 
-    starts = [
-        _onto_bounds(
-            seen, np.array([0, 0.3, math.log(0.7), math.log(0.7 * depth), math.log(0.5), yaw, 0, 0]), solid, size
-        )
-        for yaw in np.pi / 2 * np.arange(YAWS) / YAWS
-        for depth in DEPTHS
-    ]
-    for kept, evaluations in ((STARTS, 8), (1, 60)):
-        found: list[Any] = [least_squares(residuals, x, loss="soft_l1", max_nfev=evaluations) for x in starts]
-        starts = [found[k].x for k in np.argsort([result.cost for result in found])[:kept]]
-    made = solid(starts[0])
-    return Fit(family="box", solid=subdivided(made), overlap=seen.overlap(made.vertices, made.faces))
+    yaws = np.pi / 2 * np.arange(YAWS) / YAWS
+    x = np.array([[0, 0.3, math.log(0.7), math.log(0.7 * d), math.log(0.5), yaw] for yaw in yaws for d in DEPTHS])
+    x = _onto_bounds(seen, x, corners, size)
+    for kept, iterations in ((STARTS, 8), (STARTS, 40)):
+        x, costs = refined(residuals, x, iterations=iterations)
+        x = x[np.argsort(costs, kind="stable")[:kept]]
+    fitted = [Solid(vertices=points, faces=BOX_FACES) for points in corners(x)]
+    overlaps = [seen.overlap(made.vertices, made.faces) for made in fitted]
+    best = int(np.argmax(overlaps))
+    return Fit(family="box", solid=subdivided(fitted[best]), overlap=overlaps[best])
 
 
-def _onto_bounds(seen: Outlined, x: Array, solid: Callable[[Array], Solid], size: float) -> Array:
-    """A box of given proportions and yaw, moved and scaled so that its picture has the bounds of the mask."""
+def _onto_bounds(seen: Outlined, x: Array, corners: Callable[[Array], Array], size: float) -> Array:
+    """Boxes x (s, 6) of given proportions and yaw, moved and scaled so that their pictures have the bounds of the mask."""
     left, top, right, bottom = seen.bounds
+    steep = abs(seen.camera.T_world_camera[2, 2]) + 0.05  # sine of the pitch: pixels up are metres away over it
     for _ in range(3):
-        pixels, depth = seen.camera.project(solid(x).vertices)
-        if not (depth > 0).all():
-            break
-        (west, north), (east, south) = pixels.min(0), pixels.max(0)
-        metres = seen.metres_per_pixel(solid(x).vertices.mean(0)) / size
-        steep = abs(seen.camera.T_world_camera[2, 2]) + 0.05  # sine of the pitch: pixels up are metres away over it
-        x = x.copy()
-        x[0] -= ((left + right) - (west + east)) / 2 * metres
-        x[1] += (south - bottom) * metres / steep
-        x[2:4] += math.log((right - left) / max(east - west, 1e-6))
-        x[4] = np.clip(x[4] + 0.7 * math.log((bottom - top) / max(south - north, 1e-6)), -3, 3)
+        points = corners(x)
+        pixels, depth = (a.reshape(*points.shape[:2], -1) for a in seen.camera.project(points.reshape(-1, 3)))
+        west, north = np.moveaxis(pixels.min(1), 1, 0)
+        east, south = np.moveaxis(pixels.max(1), 1, 0)
+        metres = depth.mean((1, 2)) / seen.camera.K[0, 0] / size
+        moved = x.copy()
+        moved[:, 0] -= ((left + right) - (west + east)) / 2 * metres
+        moved[:, 1] += (south - bottom) * metres / steep
+        moved[:, 2:4] += np.log((right - left) / np.maximum(east - west, 1e-6))[:, None]
+        higher = np.log((bottom - top) / np.maximum(south - north, 1e-6))
+        moved[:, 4] = np.clip(x[:, 4] + 0.7 * higher, -3, 3)
+        x = np.where((depth > 0).all((1, 2))[:, None], moved, x)
     return x
 
 
@@ -172,16 +184,15 @@ def fit_hollow(seen: Outlined, floor: float, *, aspect: float) -> Fit | None:
         rim = size * math.exp(x[2])
         return _bowl(rim, rim * math.exp(x[3]), float(1 / (1 + math.exp(-x[4]))), math.exp(x[5]))
 
-    def residuals(x: Array) -> Array:
+    def residual(x: Array) -> Array:
         made = revolved(foot(x), profile(x), sectors=24)
         pixels, depth = seen.camera.project(made.vertices)
         if not (depth > 0.05 * size).all():
-            return np.full(len(wanted) + 3, 1e3)
+            return np.full(len(wanted) + 3, BEHIND_CAMERA)
         return np.concatenate([((pixels @ directions.T).max(0) - wanted) / scatter, (x[3:] - middle) / spread])
 
-    start = np.array([0.0, -0.3, math.log(0.5), *middle])
-    found: Any = least_squares(residuals, start, loss="soft_l1", max_nfev=60)
-    x = np.asarray(found.x)
+    start = np.array([[0.0, -0.3, math.log(0.5), *middle]])
+    x = refined(lambda x: np.array([residual(one) for one in x]), start, iterations=40)[0][0]
     outer = profile(x)
     solid = revolved(foot(x), _hollowed(outer))
     solid = _with_handles(seen, handles, solid, foot(x), outer)
@@ -396,13 +407,19 @@ def _inflated(seen: Outlined, normal: Array, through: Array, *, by_rows: bool = 
 
 
 def _set_down(seen: Outlined, solid: Solid, floor: float) -> Solid | None:
-    """A solid with a flat underside on ``floor``: a homothety about the camera, which keeps its silhouette."""
+    """A solid with a flat underside on ``floor``, large enough to rest on: a homothety about the camera, which keeps its
+    silhouette."""
     low, high = float(solid.vertices[:, 2].min()), float(solid.vertices[:, 2].max())
-    cut = low + FLAT * (high - low)
-    flat = clipped(solid, cut)
     height = seen.camera.center[2]
-    if flat is None or cut >= height:
-        return None
+    flat, cut = None, low
+    for share in FLAT:
+        cut = low + share * (high - low)
+        flat = clipped(solid, cut)
+        if flat is None or cut >= height:
+            return None
+        if is_stable(flat):
+            break
+    assert flat is not None
     k = (floor - height) / (cut - height)
     return Solid(vertices=seen.camera.center + k * (flat.vertices - seen.camera.center), faces=flat.faces)
 

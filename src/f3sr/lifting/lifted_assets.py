@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from f3sr.backends.protocols import GeneratedAsset, PromptedImage
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose, rotation_between
-from f3sr.lifting.choice import Choice, choose
+from f3sr.lifting.choice import Choice, carries, choose
 from f3sr.lifting.image_supports import below
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.texture import textured
@@ -44,10 +44,12 @@ class LiftedAssets:
         under = below(masks)
         made = dict[int, GeneratedAsset]()
         for instance in _from_below(image.instances, under):
+            seen = Outlined.of(instance.mask, camera)
             carrier = self.choices.get(under[instance.id])
-            hidden = _may_hide(instance, image.instances, under)
+            if carrier is not None and not carries(seen, carrier):
+                carrier, under = None, {**under, instance.id: GROUND}
+            seen = seen.behind(_may_hide(instance, image.instances, under))
             far = [self.choices[id].distance(camera.center) for id in self.choices] or [camera.center[2] * FAR]
-            seen = Outlined.of(instance.mask, hidden, camera)
             found = choose(instance, seen, carrier, distance=float(np.median(far)))
             self.choices[instance.id] = found
             solid = found.best.solid

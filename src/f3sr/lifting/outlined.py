@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -37,10 +37,12 @@ class Outlined:
     camera: Camera
     inside: NDArray[np.bool_]
     """(h, w): the window's pixels that lie in the photo."""
+    places: tuple[NDArray[np.int64], NDArray[np.int64]]
+    """Rows (h,) and columns (w,) of the photo that the window shows."""
 
     @classmethod
-    def of(cls, mask: NDArray[np.bool_], hidden: NDArray[np.bool_], camera: Camera) -> Outlined:
-        """A mask (H, W) of the photo; ``hidden`` (H, W) is what may stand before it. The mask has a pixel."""
+    def of(cls, mask: NDArray[np.bool_], camera: Camera) -> Outlined:
+        """A mask (H, W) of the photo, which nothing hides. It has a pixel."""
         rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
         top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
         margin = math.ceil(MARGIN * max(bottom - top, right - left)) + 2
@@ -50,13 +52,14 @@ class Outlined:
         x = ((np.arange(window.width) + 0.5) * (right - left + 2 * margin) / window.width).astype(int) + left - margin
         y = ((np.arange(window.height) + 0.5) * (bottom - top + 2 * margin) / window.height).astype(int) + top - margin
         inside = ((y >= 0) & (y < mask.shape[0]))[:, None] & ((x >= 0) & (x < mask.shape[1]))
-        rows, columns = np.clip(y, 0, mask.shape[0] - 1), np.clip(x, 0, mask.shape[1] - 1)
-        return cls(
-            mask=mask[rows][:, columns] & inside,
-            valid=inside & ~hidden[rows][:, columns],
-            camera=window,
-            inside=inside,
-        )
+        places = np.clip(y, 0, mask.shape[0] - 1), np.clip(x, 0, mask.shape[1] - 1)
+        shown = mask[places[0]][:, places[1]] & inside
+        return cls(mask=shown, valid=inside, camera=window, inside=inside, places=places)
+
+    def behind(self, hidden: NDArray[np.bool_]) -> Outlined:
+        """The same mask, where pixels (H, W) of the photo may be ``hidden`` by what stands before it."""
+        rows, columns = self.places
+        return replace(self, valid=self.inside & ~hidden[rows][:, columns])
 
     def overlap(self, vertices: Array, faces: NDArray[np.int32]) -> float:
         """IoU of a mesh, vertices (n, 3) in the world, with the mask, where it is valid."""
@@ -102,6 +105,14 @@ class Outlined:
         _, top, _, bottom = self.bounds
         low = self.mask[int(max(top, bottom - max(1.0, 0.04 * (bottom - top)))) : int(bottom)]
         return np.array([float(np.median(np.nonzero(low)[1])) + 0.5, bottom])
+
+    @cached_property
+    def underside(self) -> Array:
+        """(n, 2) [px]: the lower ends of the columns in the middle four fifths of the mask."""
+        columns = np.flatnonzero(self.mask.any(0))
+        columns = columns[len(columns) // 10 : max(1, len(columns) - len(columns) // 10)]
+        lowest = self.mask.shape[0] - np.argmax(self.mask[::-1, columns], axis=0)
+        return np.column_stack([columns + 0.5, lowest])
 
     @cached_property
     def cut(self) -> float:
