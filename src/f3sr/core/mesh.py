@@ -38,6 +38,8 @@ class Mesh:
     vertex_colors: NDArray[np.uint8] | None = None
     materials: tuple[Material, ...] = (Material(),)
     face_material: NDArray[np.int32] | None = None
+    pieces: tuple[ConvexPart, ...] = ()
+    """Convex pieces that hold it, in its frame and unit, where its maker knows them; else it is cut into some."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "vertices", frozen(self.vertices))
@@ -53,7 +55,7 @@ class Mesh:
         """The same triangles and appearance with other vertices (n, 3), in any frame and unit."""
         from dataclasses import replace
 
-        return replace(self, vertices=vertices)
+        return replace(self, vertices=vertices, pieces=())
 
     def without_unused(self) -> Self:
         """The same triangles without unused vertices: a stray one would enlarge the bounds."""

@@ -8,9 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from f3sr.core.transforms import UP, Array
-from f3sr.lifting import fits
+from f3sr.lifting.boxes import fit_box, fit_carved
 from f3sr.lifting.fits import Fit
+from f3sr.lifting.hollows import fit_hollow
 from f3sr.lifting.outlined import Outlined
+from f3sr.lifting.revolutions import fit_revolution
+from f3sr.lifting.silhouettes import fit_hanging, fit_lying, fit_standing
 from f3sr.lifting.solids import is_stable
 from f3sr.scene import Instance
 
@@ -93,20 +96,20 @@ def choose(instance: Instance, seen: Outlined, carrier: Choice | None, *, distan
     fitted = candidates(instance.label, seen, floor) or candidates(instance.label, seen, 0.0)
     fixed = _why_fixed(instance.label, seen, on_floor=bool(fitted))
     if not fitted:
-        fitted = [fits.fit_hanging(seen, distance)]
+        fitted = [fit_hanging(seen, distance)]
     ranked = sorted(fitted, key=lambda fit: -_score(fit, instance.label, seen))
     best = ranked[0]
     return Choice(
         best=best,
         runner_up=ranked[1] if len(ranked) > 1 else None,
         floor=floor,
-        top=_top(best, floor),
+        top=_top(best),
         fixed=fixed,
     )
 
 
 def carries(seen: Outlined, carrier: Choice) -> bool:
-    """Whether most of the mask's underside is on the carrier: seen at the height of its top it lies over that, and not at
+    """Whether most of the mask's underside is on the carrier: at the height of its top it lies over that, and not at
     its back, where the outline of what only stands behind it ends."""
     from scipy.spatial import ConvexHull
 
@@ -130,11 +133,12 @@ def _top_outline(carrier: Choice) -> Array | None:
     fills much of its outline; else None."""
     from scipy.spatial import ConvexHull
 
-    vertices = carrier.best.solid.vertices
+    solid = carrier.best.solid
+    if solid.rim is not None:
+        return solid.rim[:, :2]
+    vertices = solid.vertices
     low, high = float(vertices[:, 2].min()), float(vertices[:, 2].max())
     upper = vertices[vertices[:, 2] > high - 0.1 * (high - low), :2]
-    if carrier.best.family == "bowl or cup":
-        return upper
     if len(upper) < 3 or np.linalg.matrix_rank(upper - upper[0], tol=1e-6) < 2:
         return None
     fills = float(ConvexHull(upper).volume) / float(ConvexHull(vertices[:, :2]).volume)
@@ -145,12 +149,12 @@ def candidates(label: str, seen: Outlined, floor: float) -> list[Fit]:
     """The fit of every family on the height ``floor`` [m]."""
     aspects = [HOLLOWS[word] for word in words_of(label) if word in HOLLOWS]
     found = [
-        fits.fit_box(seen, floor),
-        fits.fit_carved(seen, floor),
-        fits.fit_hollow(seen, floor, aspect=aspects[-1]) if aspects else None,
-        fits.fit_revolution(seen, floor),
-        fits.fit_standing(seen, floor),
-        fits.fit_lying(seen, floor),
+        fit_box(seen, floor),
+        fit_carved(seen, floor),
+        fit_hollow(seen, floor, aspect=aspects[-1]) if aspects else None,
+        fit_revolution(seen, floor),
+        fit_standing(seen, floor),
+        fit_lying(seen, floor),
     ]
     return [fit for fit in found if fit is not None]
 
@@ -202,8 +206,7 @@ def _why_fixed(label: str, seen: Outlined, *, on_floor: bool) -> str:
     return ""
 
 
-def _top(fit: Fit, floor: float) -> float:
-    heights = fit.solid.vertices[:, 2]
-    if fit.family == "bowl or cup":
-        return float(floor + 0.15 * (heights.max() - floor))
-    return float(heights.max())
+def _top(fit: Fit) -> float:
+    """Height on which others may rest [m]: the floor of what is hollow is its first piece."""
+    corners = fit.solid.pieces[0] if fit.solid.pieces else fit.solid.vertices
+    return float(corners[:, 2].max())

@@ -11,14 +11,14 @@ from f3sr.scene import GROUND
 
 REACH = 4
 """Rows below the mask's underside that are read [px per 1000 of the photo's longer side, at least 3]."""
+LOWEST = 0.12
+"""Share of a mask's height whose lower edge may touch what it stands on."""
 UNDER = 0.5
 """Share of the columns below which another object must lie to be a carrier or an occluder."""
 
 
 def below(masks: Mapping[int, NDArray[np.bool_]]) -> dict[int, int]:
-    """For every mask (H, W) by id, the id of the mask along most of its underside, or GROUND.
-
-    The underside is the lower edge of every column in the middle four fifths of the mask."""
+    """For every mask (H, W) by id, the id of the mask along most of its underside, or GROUND."""
     shape = next(iter(masks.values())).shape
     ids = np.full(shape, GROUND, np.int64)
     for id, mask in masks.items():
@@ -27,11 +27,17 @@ def below(masks: Mapping[int, NDArray[np.bool_]]) -> dict[int, int]:
     return {id: _under(mask, ids, id, reach) for id, mask in masks.items()}
 
 
+def underside(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Columns (n,) of a mask (H, W) that end in its lowest eighth, and the first rows (n,) below them."""
+    columns, rows = np.flatnonzero(mask.any(0)), np.flatnonzero(mask.any(1))
+    ends = mask.shape[0] - np.argmax(mask[::-1, columns], axis=0)
+    low = ends >= rows[-1] + 1 - LOWEST * (rows[-1] + 1 - rows[0])
+    return columns[low], ends[low]
+
+
 def _under(mask: NDArray[np.bool_], ids: NDArray[np.int64], id: int, reach: int) -> int:
-    columns = np.flatnonzero(mask.any(0))
-    columns = columns[len(columns) // 10 : max(1, len(columns) - len(columns) // 10)]
-    lowest = mask.shape[0] - 1 - np.argmax(mask[::-1, columns], axis=0)
-    rows = np.minimum(lowest + reach, mask.shape[0] - 1)
+    columns, ends = underside(mask)
+    rows = np.minimum(ends + reach - 1, mask.shape[0] - 1)
     found = ids[rows, columns]
     names, counts = np.unique(found[found != id], return_counts=True)
     if not len(names):

@@ -11,6 +11,8 @@ from f3sr.core.transforms import Array
 Residuals = Callable[[Array], Array]
 """Residuals (s, m) in standard errors, for parameters (s, p)."""
 
+BEHIND_CAMERA = 1e3
+"""Residual of a shape that reaches behind the camera."""
 STEP = 1e-4
 """Step of the numeric derivatives: parameters are of the order of one."""
 DAMPING = (1e-4, 1e-2, 1e4)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array
+from f3sr.lifting.image_supports import underside
 from f3sr.vision import rasterizer
 from f3sr.vision.regions import depth_inside, distance_to, grown, opened, shrunk, without_holes
 from f3sr.vision.silhouette import iou
@@ -108,11 +109,9 @@ class Outlined:
 
     @cached_property
     def underside(self) -> Array:
-        """(n, 2) [px]: the lower ends of the columns in the middle four fifths of the mask."""
-        columns = np.flatnonzero(self.mask.any(0))
-        columns = columns[len(columns) // 10 : max(1, len(columns) - len(columns) // 10)]
-        lowest = self.mask.shape[0] - np.argmax(self.mask[::-1, columns], axis=0)
-        return np.column_stack([columns + 0.5, lowest])
+        """(n, 2) [px]: the lower edge where the mask may touch what it stands on."""
+        columns, ends = underside(self.mask)
+        return np.column_stack([columns + 0.5, ends])
 
     @cached_property
     def cut(self) -> float:

@@ -26,6 +26,10 @@ class Solid:
 
     vertices: Array
     faces: NDArray[np.int32]
+    pieces: tuple[Array, ...] = ()
+    """Corners (n, 3) of convex pieces that hold it, where they are known."""
+    rim: Array | None = None
+    """Corners (n, 3) of the opening of what is hollow."""
 
 
 TIPS = 0.2

@@ -11,7 +11,7 @@ from PIL import Image
 from scipy.ndimage import distance_transform_edt
 
 from f3sr.core.camera import Camera
-from f3sr.core.mesh import Material, Mesh
+from f3sr.core.mesh import ConvexPart, Material, Mesh
 from f3sr.core.transforms import Array
 from f3sr.lifting.solids import Solid
 from f3sr.scene import Photo
@@ -47,4 +47,5 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
         faces=solid.faces,
         uv=uv,
         materials=(Material(texture=np.asarray(image)),),
+        pieces=tuple(ConvexPart.hull_of(corners - origin) for corners in solid.pieces),
     )

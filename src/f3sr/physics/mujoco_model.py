@@ -28,6 +28,9 @@ MjSpec = MjModel = MjData = MjsMesh = Any
 
 IMPRATIO = 10.0
 """Ratio of friction to normal impedance: the higher, the less contacts slip in the elliptic cone."""
+MEMORY = 2**28
+"""Memory of a simulation's contacts and constraints [B]; only what is used is taken. MuJoCo's own guess is too small
+where many parts lie in each other before they are parted."""
 SOLIMP = (0.95, 0.99, 0.0005, 0.5, 2.0)
 """Contact impedance: least, most, width [m], midpoint and power; stiff within half a millimetre."""
 CONDIM = 6
@@ -208,6 +211,7 @@ def empty_spec(
     spec.option.impratio = IMPRATIO
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.noslip_iterations = 0
+    spec.memory = MEMORY
     spec.worldbody.add_geom(
         name=GROUND_NAME,
         type=mujoco.mjtGeom.mjGEOM_PLANE,

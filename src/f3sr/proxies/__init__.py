@@ -25,7 +25,7 @@ from f3sr.errors import InputError
 from f3sr.proxies.config import ProxyConfig
 from f3sr.proxies.fit import Excess
 from f3sr.proxies.joins import Join
-from f3sr.proxies.parts import FittedParts, nearly_convex, one_hull
+from f3sr.proxies.parts import FittedParts, as_given, nearly_convex, one_hull
 from f3sr.proxies.store import key_of, packed, unpacked
 from f3sr.proxies.surface import Faces
 from f3sr.proxies.worker import ProxyWorker
@@ -42,7 +42,9 @@ INFLATION_LIMIT = 1.4
 GRID = 2.0**-26
 """Normalised vertices are rounded to this step, so that the asset's unit and place change no byte."""
 
-Method = Literal["hull", "cuts", "hull-fallback"]
+Method = Literal["hull", "cuts", "hull-fallback", "given"]
+STICKS_OUT = 1e-6
+"""How far a mesh may stick out of given pieces [size]: rounding."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,6 +155,8 @@ def check(mesh: Mesh, name: str) -> None:
 def _decomposed(mesh: Mesh, worker: ProxyWorker, cache_dir: Path | None, about: int | None) -> Proxy:
     """The parts of a mesh in its frame and unit, from the cache or made anew."""
     vertices, faces, T_mesh_unit = _normalised(mesh)
+    if mesh.pieces and (proxy := _given(mesh, vertices, faces, T_mesh_unit)).outside <= STICKS_OUT:
+        return _in_frame(proxy, T_mesh_unit, about)
     store, key = Store(cache_dir or within("proxies"), share=0.1), key_of(vertices, faces, worker.config)
     if found := store.load(key):
         proxy = _restored(*found)
@@ -160,6 +164,19 @@ def _decomposed(mesh: Mesh, worker: ProxyWorker, cache_dir: Path | None, about: 
         proxy = _decompose_unit(vertices, faces, worker)
         if not proxy.cut_short:
             store.save(key, *_stored(proxy))
+    return _in_frame(proxy, T_mesh_unit, about)
+
+
+def _given(mesh: Mesh, vertices: Array, faces: Faces, T_mesh_unit: Array) -> Proxy:
+    """The pieces that a mesh's maker knows, normalised."""
+    T_unit_mesh = np.linalg.inv(T_mesh_unit)
+    parts = [ConvexPart.hull_of(transform(T_unit_mesh, piece.vertices)) for piece in mesh.pieces]
+    told = Decision(choice=f"{len(parts)} convex pieces as given", reason="what made the mesh knows them")
+    return _proxy(as_given(parts, vertices, faces), "given", (told,))
+
+
+def _in_frame(proxy: Proxy, T_mesh_unit: Array, about: int | None) -> Proxy:
+    """A normalised proxy in the mesh's frame and unit."""
     x, y, z = map(float, transform(T_mesh_unit, np.array([proxy.excess.at]))[0])
     return replace(
         proxy,

@@ -81,6 +81,11 @@ def one_hull(vertices: Array, faces: Faces, config: ProxyConfig) -> FittedParts:
     return _fitted([part], vertices, faces, fit.excess([part], NearestTriangles.on(vertices, faces), None, PROBE))
 
 
+def as_given(parts: Sequence[ConvexPart], vertices: Array, faces: Faces) -> FittedParts:
+    """Parts that are known already."""
+    return _fitted(parts, vertices, faces, fit.excess(parts, NearestTriangles.on(vertices, faces), None, PROBE))
+
+
 def several(vertices: Array, faces: Faces, config: ProxyConfig) -> FittedParts:
     """Parts that hold all of the surface, and those of the solid below it that cuts lay bare."""
     whole = ConvexPart.hull_of(vertices)

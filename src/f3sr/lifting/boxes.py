@@ -1,0 +1,92 @@
+"""Boxes whose outline touches the lines that a mask touches, and boxes cut by the cone of a mask."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from f3sr.core.transforms import Array
+from f3sr.lifting.fits import Fit, anchored, horizontal
+from f3sr.lifting.many_starts import BEHIND_CAMERA, refined
+from f3sr.lifting.outlined import Outlined
+from f3sr.lifting.solids import BOX_FACES, CORNERS, Solid, carved, subdivided
+
+YAWS = 9
+"""Turns of a box at which its fit starts, over a quarter turn."""
+DEPTHS = (0.4, 1.0, 2.2)
+"""Its depths there, over its width."""
+EQUAL = 0.3
+"""Inverse standard deviation of the logarithms of a box's edges: of boxes that look alike, the most compact."""
+STARTS = 4
+"""Starts that are refined, the best first."""
+
+
+def fit_box(seen: Outlined, floor: float) -> Fit | None:
+    """A box on the height ``floor`` [m]: its outline touches the lines that the mask's touches, in all directions."""
+    anchor = anchored(seen, floor)
+    if anchor is None:
+        return None
+    centre, size = anchor
+    away = horizontal(seen, centre)
+    side = np.array([-away[1], away[0], 0])
+    directions, wanted, scatter = seen.support
+
+    def corners(x: Array) -> Array:
+        """(s, 8, 3) of boxes x (s, 6): shifts, logarithms of the edges, both in sizes, and yaw."""
+        c, n = np.cos(x[:, 5, None]), np.sin(x[:, 5, None])
+        u, v, w = np.moveaxis(CORNERS * np.exp(x[:, None, 2:5]), 2, 0)
+        local = np.stack([c * u - n * v, n * u + c * v, w], 2)
+        return centre + size * (local + (x[:, :1] * side + x[:, 1:2] * away)[:, None])
+
+    def residuals(x: Array) -> Array:
+        points = corners(x)
+        pixels, depth = seen.camera.project(points.reshape(-1, 3))
+        reached = (pixels.reshape(*points.shape[:2], 2) @ directions.T).max(1)
+        unequal = x[:, 2:5] - x[:, 2:5].mean(1, keepdims=True)
+        all_of_them = np.concatenate([(reached - wanted) / scatter, EQUAL * unequal], axis=1)
+        before = depth.reshape(points.shape[:2]).min(1) > 0.05 * size
+        return np.where(before[:, None], all_of_them, BEHIND_CAMERA)
+
+    yaws = np.pi / 2 * np.arange(YAWS) / YAWS
+    x = np.array([[0, 0.3, math.log(0.7), math.log(0.7 * d), math.log(0.5), yaw] for yaw in yaws for d in DEPTHS])
+    x = _onto_bounds(seen, x, corners, size)
+    for kept, iterations in ((STARTS, 8), (STARTS, 40)):
+        x, costs = refined(residuals, x, iterations=iterations)
+        x = x[np.argsort(costs, kind="stable")[:kept]]
+    fitted = [Solid(vertices=points, faces=BOX_FACES) for points in corners(x)]
+    overlaps = [seen.overlap(made.vertices, made.faces) for made in fitted]
+    best = int(np.argmax(overlaps))
+    return Fit(family="box", solid=subdivided(fitted[best]), overlap=overlaps[best])
+
+
+def _onto_bounds(seen: Outlined, x: Array, corners: Callable[[Array], Array], size: float) -> Array:
+    """Boxes x (s, 6) of given proportions and yaw, moved and scaled so that their pictures have the mask's bounds."""
+    left, top, right, bottom = seen.bounds
+    steep = abs(seen.camera.T_world_camera[2, 2]) + 0.05  # sine of the pitch: pixels up are metres away over it
+    for _ in range(3):
+        points = corners(x)
+        pixels, depth = (a.reshape(*points.shape[:2], -1) for a in seen.camera.project(points.reshape(-1, 3)))
+        west, north = np.moveaxis(pixels.min(1), 1, 0)
+        east, south = np.moveaxis(pixels.max(1), 1, 0)
+        metres = depth.mean((1, 2)) / seen.camera.K[0, 0] / size
+        moved = x.copy()
+        moved[:, 0] -= ((left + right) - (west + east)) / 2 * metres
+        moved[:, 1] += (south - bottom) * metres / steep
+        moved[:, 2:4] += np.log((right - left) / np.maximum(east - west, 1e-6))[:, None]
+        higher = np.log((bottom - top) / np.maximum(south - north, 1e-6))
+        moved[:, 4] = np.clip(x[:, 4] + 0.7 * higher, -3, 3)
+        x = np.where((depth > 0).all((1, 2))[:, None], moved, x)
+    return x
+
+
+def fit_carved(seen: Outlined, floor: float) -> Fit | None:
+    """The box of the mask's convex hull, cut by the cone of the mask: a chair, a table, a bench."""
+    hull = fit_box(replace(seen, mask=seen.convex), floor)
+    if hull is None:
+        return None
+    cell = float(np.ptp(hull.solid.vertices, axis=0).max()) / 12
+    solid = carved(hull.solid, seen.possible, seen.camera, cell=cell)
+    return solid and Fit(family="carved box", solid=solid, overlap=seen.overlap(solid.vertices, solid.faces))
