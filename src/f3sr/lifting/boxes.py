@@ -78,7 +78,7 @@ def _onto_bounds(seen: Outlined, x: Array, corners: Callable[[Array], Array], si
         moved[:, 2:4] += np.log((right - left) / np.maximum(east - west, 1e-6))[:, None]
         higher = np.log((bottom - top) / np.maximum(south - north, 1e-6))
         moved[:, 4] = np.clip(x[:, 4] + 0.7 * higher, -3, 3)
-        x = np.where((depth > 0).all((1, 2))[:, None], moved, x)
+        x = np.where(depth.min((1, 2))[:, None] > 0, moved, x)
     return x
 
 

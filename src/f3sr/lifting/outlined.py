@@ -111,7 +111,7 @@ class Outlined:
     def underside(self) -> Array:
         """(n, 2) [px]: the lower edge where the mask may touch what it stands on."""
         columns, ends = underside(self.mask)
-        return np.column_stack([columns + 0.5, ends])
+        return np.column_stack([columns + 0.5, ends]).astype(float)
 
     @cached_property
     def cut(self) -> float:

@@ -169,7 +169,7 @@ def _decomposed(mesh: Mesh, worker: ProxyWorker, cache_dir: Path | None, about: 
 
 def _given(mesh: Mesh, vertices: Array, faces: Faces, T_mesh_unit: Array) -> Proxy:
     """The pieces that a mesh's maker knows, normalised."""
-    T_unit_mesh = np.linalg.inv(T_mesh_unit)
+    T_unit_mesh = np.linalg.inv(T_mesh_unit).astype(float)
     parts = [ConvexPart.hull_of(transform(T_unit_mesh, piece.vertices)) for piece in mesh.pieces]
     told = Decision(choice=f"{len(parts)} convex pieces as given", reason="what made the mesh knows them")
     return _proxy(as_given(parts, vertices, faces), "given", (told,))
