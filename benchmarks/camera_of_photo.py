@@ -112,12 +112,16 @@ def judge(rows: Sequence[Row]) -> bool:
     z = np.array([r["z"] for r in rows])
     for k, name in enumerate(("focal length", "pitch", "roll")):
         print(f"z of {name}: rms {np.sqrt(np.mean(z[:, k] ** 2)):.2f}, largest {np.abs(z[:, k]).max():.1f}")
+    sure = [r for r in rows if r["camera"].errors[0] <= TOLD]
+    bounds = [("median tilt [deg]", _median(rows, "tilt"), MOST_TILT)]
+    bounds.append(("median focal error where told [%]", _median(sure, "focal"), MOST_FOCAL))
     for group in dict.fromkeys(r["group"] for r in rows):
         own = [r for r in rows if r["group"] == group]
-        sure = [r for r in own if r["camera"].errors[0] <= TOLD]
-        bounds = ((_median(own, "tilt"), min(MOST_TILT, _median(own, "prior_tilt"))), (_median(sure, "focal"), MOST_FOCAL))
-        wrong |= any(value > bound for value, bound in bounds)
-    print("a bound DOES NOT HOLD" if wrong else "all bounds hold")
+        for key in ("tilt", "focal"):
+            bounds.append((f"{group}: rms {key} below the prior's", _rms(own, key), _rms(own, f"prior_{key}")))
+    for name, value, bound in bounds:
+        wrong |= value > bound
+        print(f"{name}: {value:.2f} (at most {bound:.2f}){'' if value <= bound else '  DOES NOT HOLD'}")
     return wrong
 
 
@@ -156,6 +160,10 @@ def _angle(a: Array, b: Array) -> float:
 
 def _median(rows: Sequence[Row], key: str) -> float:
     return median(abs(r[key]) for r in rows) if rows else 0.0
+
+
+def _rms(rows: Sequence[Row], key: str) -> float:
+    return math.sqrt(sum(r[key] ** 2 for r in rows) / len(rows))
 
 
 def _line(row: Mapping[str, Any]) -> str:
