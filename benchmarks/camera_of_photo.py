@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
-from run import REPO
 
 from f3sr.core.transforms import Array
 from f3sr.io.images import as_rgb, open_image
 from f3sr.metrology.camera_estimate import CameraEstimate, attitude, estimate_camera
 from f3sr.vision.ground_plane import fit_plane
+from run import REPO
 
 GROUPS = {"rendered": "scenes/*", "frames": "real/*", "photos": "photos/*"}
 PRIOR_FOCAL, PRIOR_PITCH = 0.9, math.radians(32)

@@ -13,6 +13,7 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 from PIL import Image
 
+from f3sr.backends.protocols import KnownFocal
 from f3sr.core.transforms import Array, rotation_about
 from f3sr.metrology.directions import DirectionModel, GroupedSegments, grouped, log_likelihoods
 from f3sr.metrology.edges import edge_points, line_segments
@@ -34,6 +35,8 @@ BLURS = (math.radians(1), math.radians(0.3), 0.0, 0.0)
 """Widths of directions in the rounds of the second search [rad]."""
 LEAST = np.array([0.0045, math.radians(0.15), math.radians(0.12)])
 """Least spread of its draws: logarithm of the focal length, pitch and roll [rad]."""
+EXACT = 1e-3
+"""Standard error of the logarithm of a focal length that is told as exact: draws need some spread."""
 WINDOW = np.array([0.2, math.radians(4), math.radians(4)])
 """Size of a cluster of cameras, likewise: farther ones are another reading of the photo."""
 SAMPLES, OF_NINE = np.linspace(0.1, 0.9, 9), 5
@@ -54,8 +57,6 @@ class CameraPriors:
     """Focal length [longer image sides]: main cameras of phones have .7 to .8, webcams and depth cameras .95."""
     focal_sigma: Annotated[float, Interval(gt=0, le=1)] = 0.25
     """One standard deviation of its logarithm."""
-    exif_sigma: Annotated[float, Interval(gt=0, le=1)] = 0.04
-    """The same of a focal length by EXIF: whole millimetres, lens corrections."""
     pitch: Annotated[float, Interval(ge=-0.5, le=1.5)] = math.radians(25)
     """Angle of the optical axis below the horizon [rad]: rooms have 0 to 15 degrees, tables 20 to 60."""
     pitch_sigma: Annotated[float, Interval(gt=0, le=1)] = math.radians(20)
@@ -89,9 +90,10 @@ class HorizonModel:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CameraEstimate:
-    """A camera's focal length [px] with the principal point in the middle, and its attitude [rad].
+    """A camera's focal length [px] and attitude [rad]; its principal point is in the middle unless told.
 
-    All are means over the likeliest cameras: the single likeliest is less sure. ``errors`` are standard errors of the logarithm of the focal length, of pitch and of roll [rad].
+    All are means over the likeliest cameras: the single likeliest is less sure. ``errors`` are standard errors of the
+    logarithm of the focal length, of pitch and of roll [rad].
     """
 
     focal: float
@@ -182,19 +184,19 @@ def estimate_camera(
     masks: Sequence[NDArray[np.bool_]],
     ground: NDArray[np.bool_] | None,
     *,
-    focal: tuple[float, float] | None = None,
+    focal: KnownFocal | None = None,
     priors: CameraPriors | None = None,
 ) -> CameraEstimate:
     """The camera of a photo (H, W, 3) with masks (H, W) of objects and of the ground.
 
-    ``focal`` is a known focal length [px] with the standard error of its logarithm. The posterior is searched on a
+    ``focal`` is what somebody tells of the focal length, and of the principal point. The posterior is searched on a
     grid and then sampled; the samples' spread gives the errors."""
     evidence, scale = _evidence(rgb, masks, ground, focal, priors or CameraPriors())
     found = _posterior(evidence)
     best = found.centre(WINDOW)
     f, pitch, roll = map(float, np.sqrt(np.diag(found.covariance(best))))
     return CameraEstimate(
-        focal=float(np.exp(best[0]) * evidence.side * scale),
+        focal=focal.pixels if focal and focal.sigma == 0 else float(np.exp(best[0]) * evidence.side * scale),
         pitch=float(best[1]),
         roll=float(best[2]),
         errors=(f, pitch, roll),
@@ -207,7 +209,7 @@ def _evidence(
     rgb: NDArray[np.uint8],
     masks: Sequence[NDArray[np.bool_]],
     ground: NDArray[np.bool_] | None,
-    focal: tuple[float, float] | None,
+    focal: KnownFocal | None,
     priors: CameraPriors,
 ) -> tuple[_Evidence, float]:
     """What the photo shows, and its pixels per pixel of that."""
@@ -220,10 +222,13 @@ def _evidence(
     floor = None if ground is None else ground[rows][:, columns]
     edges = edge_points(rgb)
     segments = line_segments(edges)[:MOST_SEGMENTS]
-    side, centre = float(max(w, h)), np.array([w / 2, h / 2])
+    side = float(max(w, h))
+    centre = np.array([w / 2, h / 2]) if focal is None or focal.centre is None else np.array(focal.centre) / scale
     model = DirectionModel()
     means, sigmas = (math.log(priors.focal), priors.focal_sigma), (priors.pitch_sigma, priors.roll_sigma)
-    mean, sigma = (math.log(focal[0] / scale / side), focal[1]) if focal else means
+    if focal:
+        means = math.log(focal.pixels / scale / side), max(focal.sigma, EXACT)
+    mean, sigma = means
     return _Evidence(
         side=side,
         centre=centre,

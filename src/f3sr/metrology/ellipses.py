@@ -130,7 +130,8 @@ def _rim(
     if not fits:
         return None
     covered = _coverages(fits, points, normals, near_px)
-    best, members = _covered(fits[int(np.argmax(covered))], points, normals, near_px, size) or (None, points[:0])
+    first = _covered(fits[int(np.argmax(covered))], points, normals, near_px, size)
+    best, members = first or (None, np.zeros(0, np.int64))
     for _ in range(3):
         if best is None or len(members) < ARC_POINTS:
             break
