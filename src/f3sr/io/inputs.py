@@ -60,6 +60,8 @@ NOISES = (1e-4, 0.5)
 PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 """No conversions between types, no NaN: what a document says is what it means."""
+TAKEN = 1e-3
+"""Largest difference, as a share, of a focal length from the one that was asked for."""
 MAX_DISTANCE = 100_000.0
 """Largest distance of an object from the camera, in its own sizes: rounding leaves it no shape from far beyond, and no
 pixel shows it."""
@@ -149,6 +151,7 @@ def read(
     ground_mask = parts.ground_mask(photo, instances)
     image = PromptedImage(photo=photo, instances=instances, ground_mask=ground_mask)
     geometry, K = parts.geometry(parts.hinted(image, told))
+    parts.require_taken(photo, geometry, K)
     if geometry_noise is not None:
         geometry = _with_noise(source, geometry, geometry_noise)
     _require_inside(source, geometry, instances)
@@ -238,6 +241,16 @@ class _Parts:
         elif not focal:
             focal = by_exif
         return replace(image, focal=focal, camera_height=self.hints.camera_height)
+
+    def require_taken(self, photo: Photo, geometry: Geometry, K: Array) -> None:
+        """Raises InputError for a hint that the back end does without."""
+        focal = self.hints.known_focal(photo)
+        if focal and abs(K[0, 0] / focal.pixels - 1) > TAKEN:
+            found = f"{K[0, 0]:.0f} px by the geometry's back end, which takes no hint"
+            raise InputError(focal.source, found=found, accepted="only with the built-in geometry")
+        if self.hints.camera_height is not None and geometry.source != "ground":
+            found = "a back end for geometry that takes no hint"
+            raise InputError("--camera-height", found=found, accepted="only with the built-in geometry")
 
     def _require_use(self, given: bool) -> None:
         """Hints are for what is made from the photo; depths alone lack a focal length, and know their unit."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from f3sr.core.transforms import Array
 from f3sr.settings import constants
 
 REACH, STEPS = 7.0, 2801
@@ -37,7 +38,8 @@ class ScaleModel:
 
 @dataclass(frozen=True, kw_only=True)
 class LengthClue:
-    """An object's longest side: found in the scene [its unit] and true [m], with its standard error of the logarithm."""
+    """An object's longest side, found in the scene [its unit] and true [m]; ``sigma`` is its logarithm's standard
+    error."""
 
     id: int
     name: str
@@ -83,7 +85,7 @@ def scene_scale(
     return SceneScale(factor=math.exp(mean), error=math.sqrt(float(weights @ (x - mean) ** 2)))
 
 
-def _usual(off: np.ndarray, sigma: float, model: ScaleModel) -> np.ndarray:
+def _usual(off: Array, sigma: float, model: ScaleModel) -> Array:
     """Density of a usual size off by a logarithm: of its kind, or of the strange ones."""
     wide = math.hypot(sigma, model.odd)
     kind = (1 - model.strange) / sigma * np.exp(-0.5 * (off / sigma) ** 2)
