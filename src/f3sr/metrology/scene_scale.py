@@ -30,6 +30,8 @@ class ScaleModel:
     """Of a length that the user measured, with the error of the object's shape."""
     shape: float = 0.12
     """Of an object's longest side as lifted from one photo: its far side is not seen."""
+    common: float = 0.08
+    """The same of all of them together: one way of lifting makes them all too deep, or too flat."""
     strange: float = 0.15
     """Share of labelled things that have another size: toys, models, pictures, wrong labels."""
     odd: float = 1.2
@@ -82,7 +84,8 @@ def scene_scale(
     weights = np.exp(log_density - log_density.max())
     weights /= weights.sum()
     mean = float(weights @ x)
-    return SceneScale(factor=math.exp(mean), error=math.sqrt(float(weights @ (x - mean) ** 2)))
+    common = 0.0 if given or height_given or not clues else model.common
+    return SceneScale(factor=math.exp(mean), error=math.hypot(math.sqrt(float(weights @ (x - mean) ** 2)), common))
 
 
 def _usual(off: Array, sigma: float, model: ScaleModel) -> Array:

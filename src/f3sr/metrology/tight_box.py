@@ -31,7 +31,7 @@ def box_sides(points: Array) -> Array:
 
 def _plane_axes(normal: Array) -> Array:
     """Two unit vectors (3, 2) at right angles to a normal and to each other."""
-    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    first: Array = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))]).astype(float)
     first /= np.linalg.norm(first)
     return np.column_stack([first, np.cross(normal, first)])
 
@@ -44,5 +44,6 @@ def _rectangle(points: Array) -> Array:
     edges = np.roll(outline, -1, axis=0) - outline
     edges = edges / np.linalg.norm(edges, axis=1, keepdims=True)
     across = np.column_stack([-edges[:, 1], edges[:, 0]])
-    sides = np.stack([np.ptp(outline @ edges.T, axis=0), np.ptp(outline @ across.T, axis=0)])
-    return np.asarray(sides[:, np.argmin(sides.prod(0))], float)
+    along, beside = np.ptp(outline @ edges.T, axis=0), np.ptp(outline @ across.T, axis=0)
+    k = int(np.argmin(along * beside))
+    return np.array([along[k], beside[k]])
