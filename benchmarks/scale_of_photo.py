@@ -17,16 +17,16 @@ from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
-from run import REPO
 
-from f3sr import pipeline
 from f3sr.core.transforms import Array
 from f3sr.io.images import open_image
 from f3sr.io.inputs import Inputs
 from f3sr.metrology.tight_box import box_sides
 from f3sr.photo_inputs import read_inputs
-from f3sr.vision import rasterizer
 from f3sr.scene import Scene
+from f3sr.stages.assemble import as_given
+from f3sr.vision import rasterizer
+from run import REPO
 
 MOST = 0.05
 """Largest error of a scale by one known length, the largest object in the picture, median over frames."""
@@ -49,7 +49,9 @@ def main() -> int:
         given = read_inputs(folder, ignore=("geometry", "assets"))
         (unit,) = [d for d in given.decisions if "unit" in d.choice]
         if (folder / "truth.json").exists():
-            print(f"{folder.name}: distances {100 * _rendered(folder, given):+.1f} % by labels; {unit.choice}", flush=True)
+            print(
+                f"{folder.name}: distances {100 * _rendered(folder, given):+.1f} % by labels; {unit.choice}", flush=True
+            )
         else:
             largest.append(_frame(folder, given))
     if not largest:
@@ -74,7 +76,7 @@ def _rendered(folder: Path, given: Inputs) -> float:
 
 def _frame(folder: Path, given: Inputs) -> float:
     """The error of the scale if the largest object's length is known; prints that of every object."""
-    scene = pipeline.composed_directly(given)
+    scene = as_given(given)
     meta = json.loads((folder / "intrinsics.json").read_text())
     depth = np.asarray(open_image(folder / "depth.png")).astype(float) * meta["depth_scale"]
     ratios = {o.id: _ratio(scene, o.id, depth) for o in scene}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import math
@@ -11,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from folders import HEIGHT, WIDTH, camera, to_depth, write_folder
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, TiffImagePlugin
 from PIL.ExifTags import IFD, Base
@@ -20,6 +20,7 @@ from f3sr.backends.protocols import KnownFocal, PromptedImage
 from f3sr.core.transforms import Array, rotation_about
 from f3sr.errors import InputError
 from f3sr.io.exif import FILM_DIAGONAL, ExifError, focal_by_exif
+from f3sr.io.images import open_image
 from f3sr.io.inputs import Inputs
 from f3sr.io.photo_hints import PhotoHints, known_of
 from f3sr.metrology.camera_estimate import CameraEstimate, attitude, estimate_camera
@@ -33,6 +34,7 @@ from f3sr.metrology.scene_scale import LengthClue, ScaleModel, scene_scale
 from f3sr.metrology.tight_box import box_sides
 from f3sr.photo_inputs import read_inputs
 from f3sr.scene import Photo
+from folders import HEIGHT, WIDTH, camera, to_depth, write_folder
 
 SMOOTH = 4
 """Subpixels of a drawn picture, along each axis."""
@@ -67,7 +69,11 @@ def faces(at: tuple[float, float], size: tuple[float, float, float], yaw: float)
 
 def boxes_seen() -> tuple[NDArray[np.uint8], list[NDArray[np.bool_]]]:
     """A picture of three boxes of different turns, and their masks."""
-    things = [((-0.16, 0.85), (0.2, 0.1, 0.25), 0.5), ((0.2, 0.95), (0.15, 0.2, 0.15), -0.35), ((0.03, 0.6), (0.14, 0.1, 0.1), 0.2)]
+    things = [
+        ((-0.16, 0.85), (0.2, 0.1, 0.25), 0.5),
+        ((0.2, 0.95), (0.15, 0.2, 0.15), -0.35),
+        ((0.03, 0.6), (0.14, 0.1, 0.1), 0.2),
+    ]
     shapes, masks = list[tuple[Array, int]](), list[NDArray[np.bool_]]()
     for k, thing in enumerate(things):
         own = [projected(face) for face in faces(*thing)]
@@ -93,7 +99,7 @@ def tilt_of(found: CameraEstimate) -> float:
 
 @pytest.mark.parametrize("angle", [0.0, 0.31, 1.1, 2.4])
 def test_a_drawn_edge_is_found_to_a_fraction_of_a_pixel(angle: float):
-    along, across = np.array([math.cos(angle), math.sin(angle)]), np.array([-math.sin(angle), math.cos(angle)])
+    across = np.array([-math.sin(angle), math.cos(angle)])
     middle = np.array([W / 2 + 0.3, H / 2 - 0.2])
     x, y = np.meshgrid(np.arange(W) + 0.5, np.arange(H) + 0.5)
     covered = np.clip((np.stack([x, y], -1) - middle) @ across + 0.5, 0, 1)
@@ -286,6 +292,36 @@ def test_hostile_exif_is_refused_with_its_reason(tags: dict[int, Any], why: str)
         focal_by_exif(image)
 
 
+@pytest.mark.parametrize(
+    "blob",
+    [
+        b"II*\0\xff\xff\xff\x7f",
+        b"MM\0*\0\0\0\x08\xff\xff" + bytes(range(256)),
+        b"II*\0\x08\0\0\0\x01\0\x69\x87\x04\0\x01\0\0\0\x08\0\0\0",  # a directory inside itself
+        bytes(range(200)),
+    ],
+)
+def test_broken_exif_spoils_no_photo(tmp_path: Path, blob: bytes):
+    file = tmp_path / "image.jpg"
+    Image.new("RGB", (64, 48)).save(file, exif=b"Exif\0\0" + blob)
+    image = open_image(file)
+    assert image.size == (64, 48)
+    with contextlib.suppress(ExifError):
+        assert focal_by_exif(image) is None
+
+
+def test_a_turned_photo_has_the_same_focal_length(tmp_path: Path):
+    file = tmp_path / "image.jpg"
+    exif = Image.Exif()
+    exif[Base.Orientation] = 6
+    exif.get_ifd(IFD.Exif).update({F35: 26, WIDE: 400, HIGH: 300})
+    Image.new("RGB", (400, 300)).save(file, exif=exif)
+    image = open_image(file)
+    found = focal_by_exif(image)
+    assert image.size == (300, 400)
+    assert found is not None and found.pixels == pytest.approx(26 * 500 / FILM_DIAGONAL)
+
+
 # --- the unit ---------------------------------------------------------------------------------------------------
 
 
@@ -415,7 +451,7 @@ def test_intrinsics_alone_give_the_camera(folder: Path):
     given = read(folder)
     np.testing.assert_allclose(given.K, camera().K)
     assert given.geometry.source == "ground" and said(given, "told by intrinsics.json")
-    with pytest.raises(InputError, match="--focal: found intrinsics.json"):
+    with pytest.raises(InputError, match="--focal: found intrinsics"):
         read(folder, focal=230.0)
 
 
@@ -441,7 +477,9 @@ def test_depths_of_floats_alone_are_metres(folder: Path):
     assert np.median(given.geometry.points[given.geometry.valid][:, 2]) == pytest.approx(np.median(depth[depth > 0]))
 
 
-@pytest.mark.parametrize("hints", [{"focal": 200.0}, {"focal_35mm": 30.0}, {"camera_height": 1.0}, {"known": {"7": 1.0}}])
+@pytest.mark.parametrize(
+    "hints", [{"focal": 200.0}, {"focal_35mm": 30.0}, {"camera_height": 1.0}, {"known": {"7": 1.0}}]
+)
 def test_hints_beside_a_given_geometry_are_refused(folder: Path, hints: dict[str, Any]):
     with pytest.raises(InputError, match="only where geometry is made from the photo"):
         read(folder, **hints)

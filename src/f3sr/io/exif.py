@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -33,10 +34,12 @@ def focal_by_exif(image: Image.Image) -> KnownFocal | None:
 
     FocalLengthIn35mmFilm compares diagonals of pictures, so it needs no size of the sensor. Without it: FocalLength
     over the width of a sensor's pixel, which FocalPlaneXResolution gives."""
-    try:
-        tags = dict(image.getexif().get_ifd(IFD.Exif))
-    except Exception as error:  # PIL raises many kinds for broken tags
-        raise ExifError("its tags cannot be read") from error
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            tags = dict(image.getexif().get_ifd(IFD.Exif))
+        except Exception as error:  # PIL raises many kinds for broken tags
+            raise ExifError("its tags cannot be read") from error
     relative = tags.get(Base.FocalLengthIn35mmFilm)
     names = (Base.FocalLength, Base.FocalPlaneXResolution)
     if not relative and not all(name in tags for name in names):  # 0 means unknown
