@@ -22,7 +22,7 @@ from f3sr.core.transforms import Array
 from f3sr.io.images import open_image
 from f3sr.io.inputs import Inputs
 from f3sr.metrology.tight_box import box_sides
-from f3sr.photo_inputs import read_inputs
+from f3sr.photo_inputs import length_of, read_inputs
 from f3sr.scene import Scene
 from f3sr.stages.assemble import as_given
 from f3sr.vision import rasterizer
@@ -80,11 +80,12 @@ def _frame(folder: Path, given: Inputs) -> float:
     meta = json.loads((folder / "intrinsics.json").read_text())
     depth = np.asarray(open_image(folder / "depth.png")).astype(float) * meta["depth_scale"]
     ratios = {o.id: _ratio(scene, o.id, depth) for o in scene}
+    instances = {i.id: i for i in given.instances}
     texts, found = list[str](), dict[int, float]()
     for o in scene:
         others = [r for id, r in ratios.items() if id != o.id and math.isfinite(r)]
         points = _points(depth, o.mask, np.array(meta["K"]))
-        ours = float(box_sides(o.vertices_world)[0])
+        ours = length_of(given, instances[o.id])
         if len(points) < 50 or not others or _is_cut(o.mask):
             continue
         found[o.id] = math.log(float(box_sides(points)[0]) / ours) + median(others)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from f3sr.core.transforms import Array, transform
+from f3sr.core.transforms import transform
 from f3sr.io import inputs
 from f3sr.io.assets import PosedAsset, require_size
 from f3sr.io.inputs import Fillers, Inputs
@@ -17,9 +18,10 @@ from f3sr.lifting.generators import ASSET_GENERATORS, DEFAULT_GENERATOR
 from f3sr.metrology.estimators import DEFAULT_ESTIMATOR, GEOMETRY_ESTIMATORS
 from f3sr.metrology.known_sizes import usual_size
 from f3sr.metrology.scene_scale import LengthClue, ScaleModel, SceneScale, scene_scale
-from f3sr.metrology.tight_box import box_sides
+from f3sr.metrology.tight_box import box_sides, seen_length
 from f3sr.report import Decision
 from f3sr.runtime.result_store import digest
+from f3sr.scene import Instance
 
 NAMED = 8
 """Most clues that a decision names."""
@@ -75,8 +77,7 @@ def _in_metres(given: Inputs, hints: PhotoHints) -> Inputs:
 def _given_clues(given: Inputs, lengths: dict[int, float]) -> Iterator[LengthClue]:
     for i in given.instances:
         if i.id in lengths:
-            found = float(box_sides(_vertices(given.assets[i.id]))[0])
-            name = i.label or f"object {i.id}"
+            name, found = i.label or f"object {i.id}", length_of(given, i)
             yield LengthClue(id=i.id, name=name, found=found, true=lengths[i.id], sigma=ScaleModel().known, given=True)
 
 
@@ -86,13 +87,17 @@ def _usual_clues(given: Inputs) -> Iterator[LengthClue]:
         inner = i.mask[CUT:-CUT, CUT:-CUT]
         size = usual_size(i.label)
         if size and np.count_nonzero(inner) == np.count_nonzero(i.mask):
-            found = float(box_sides(_vertices(given.assets[i.id]))[0])
-            yield LengthClue(id=i.id, name=i.label, found=found, true=size.metres, sigma=size.spread)
+            yield LengthClue(id=i.id, name=i.label, found=length_of(given, i), true=size.metres, sigma=size.spread)
 
 
-def _vertices(asset: PosedAsset) -> Array:
-    """(n, 3) in camera axes."""
-    return transform(asset.T_camera_object, asset.scale * asset.mesh.vertices)
+def length_of(given: Inputs, instance: Instance) -> float:
+    """An object's longest side, as its mesh and as its outline have it, the geometric mean of both.
+
+    A lifted mesh may be too deep, an outline is foreshortened: both together are off least (docs: metrology)."""
+    asset = given.assets[instance.id]
+    vertices = transform(asset.T_camera_object, asset.scale * asset.mesh.vertices)
+    depth = float(vertices[:, 2].min() + vertices[:, 2].max()) / 2
+    return math.sqrt(float(box_sides(vertices)[0]) * seen_length(instance.mask, given.K, depth))
 
 
 def _scaled(given: Inputs, factor: float) -> Inputs:

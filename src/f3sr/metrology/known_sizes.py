@@ -12,6 +12,9 @@ from typing import Any
 
 TABLE = Path(__file__).with_name("known_sizes.toml")
 
+NOT_REAL = frozenset(("toy", "model", "mini", "miniature", "plush", "stuffed", "foam", "picture", "statue", "figurine"))
+"""Words of labels whose thing is not as large as its name says."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class UsualSize:
@@ -28,6 +31,8 @@ def usual_size(label: str) -> UsualSize | None:
 
     The name with most words wins, then the one nearest to the label's end: English puts the thing last."""
     words = _words(label)
+    if NOT_REAL.intersection(words):
+        return None
     found = [(len(name), end, size) for name, size in table().items() for end in _ends(words, name)]
     return max(found, key=lambda f: f[:2])[2] if found else None
 

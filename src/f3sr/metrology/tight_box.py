@@ -1,14 +1,20 @@
-"""The sides of the tightest box around points, turned in any way."""
+"""How long a thing is: the sides of the tightest box around it, and what its outline alone tells of them."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from f3sr.core.mesh import ConvexPart, area_vectors
 from f3sr.core.transforms import Array
 
 MOST_FACES = 200
 """Most faces of the hull that the box may lie on, the largest first: the rest are slivers of round shapes."""
+TURNS = 60
+"""Directions in which an outline is measured."""
+CORNERS = 0.92
+"""A thing's longest side over its outline's greatest width: 1 of rods and balls, .71 of squares; .92 is the median of
+79 rendered things."""
 
 
 def box_sides(points: Array) -> Array:
@@ -47,3 +53,16 @@ def _rectangle(points: Array) -> Array:
     along, beside = np.ptp(outline @ edges.T, axis=0), np.ptp(outline @ across.T, axis=0)
     k = int(np.argmin(along * beside))
     return np.array([along[k], beside[k]])
+
+
+def seen_length(mask: NDArray[np.bool_], K: Array, depth: float) -> float:
+    """The longest side of what a mask (H, W) outlines, if it lies across the view at a depth [its unit].
+
+    The largest distance of two of its pixels, less what the corners of an outline add."""
+    rows = np.flatnonzero(mask.any(1))
+    first, last = mask[rows].argmax(1), mask.shape[1] - mask[rows][:, ::-1].argmax(1)
+    x = np.concatenate([first, first, last, last]) / K[0, 0]
+    y = np.concatenate([rows, rows + 1, rows, rows + 1]) / K[1, 1]
+    turns = np.linspace(0, np.pi, TURNS, endpoint=False)
+    widths = np.ptp(np.outer(x, np.cos(turns)) + np.outer(y, np.sin(turns)), axis=0)
+    return CORNERS * depth * float(widths.max())
