@@ -58,7 +58,7 @@ class Ellipse:
 
 
 def rims(masks: Sequence[NDArray[np.bool_]], edges: EdgePoints) -> list[Ellipse]:
-    """For every mask the ellipse that edges cover most, if they cover ``COVERED`` of it and it is not nearly round."""
+    """For every mask the ellipse that edges cover most. They cover ``COVERED`` of it, and it is not nearly round."""
     rng = np.random.default_rng(SEED)
     occupied = np.sum(masks, axis=0, dtype=np.int64) if len(masks) else np.zeros(edges.shape, np.int64)
     found = [_rim(mask, (occupied - mask) > 0, edges, rng) for mask in masks]

@@ -67,10 +67,10 @@ class SceneScale:
 def scene_scale(
     clues: Sequence[LengthClue], *, height_given: bool = False, model: ScaleModel | None = None
 ) -> SceneScale:
-    """The factor on all lengths of a scene whose camera stands at its usual height, or at one that the user gave.
+    """The factor on all lengths of a scene, whose camera stands at its usual height or at a given one.
 
-    The posterior's mean. Each usual size is right, or one of few things of quite another size; a given one is right,
-    and then usual ones have no say."""
+    The posterior's mean. A usual size is right, or its thing is one of few of quite another size. A given length is
+    right, and then usual ones have no say."""
     model = model or ScaleModel()
     x = np.linspace(-REACH, REACH, STEPS)
     log_density = -0.5 * (x / (model.given_height if height_given else model.height)) ** 2

@@ -20,8 +20,8 @@ CORNERS = 0.92
 def box_sides(points: Array) -> Array:
     """The sides (3,) of the box of least volume around points (n, 3), longest first, of those on a face of their hull.
 
-    One of its faces holds a hull's face or nearly so; in that face's plane a side of the least rectangle holds an edge
-    of the outline (Freeman and Shapira 1975). Raises ValueError where the points span no volume."""
+    One of its faces holds a hull's face, or nearly so. In that plane a side of the least rectangle holds an edge of
+    the outline (Freeman and Shapira 1975). Raises ValueError where the points span no volume."""
     hull = ConvexPart.hull_of(points)
     areas = area_vectors(hull.vertices[hull.faces])
     sizes = np.linalg.norm(areas, axis=1)
