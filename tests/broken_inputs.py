@@ -476,7 +476,11 @@ WRONG: dict[str, tuple[Spoil, str, str]] = {
     ),
     "intrinsics with NaN": (geometry(intrinsics=lambda K: K * np.nan), "geometry.npz", "K ="),
     # depth maps
-    "depth without intrinsics": (in_order(to_depth, remove("intrinsics.json")), "intrinsics.json", "no such file"),
+    "intrinsics alone, pixels not square": (
+        in_order(intrinsics(K=[[200, 0, 96], [0, 150, 72], [0, 0, 1]]), remove("depth.png")),
+        "intrinsics.json",
+        "fx",
+    ),
     "two depth maps": (in_order(to_depth, write("depth.npy", b"")), "input", "depth.png and depth.npy"),
     "a depth map of 8 bits": (depth_map(np.full((72, 96), 200, np.uint8)), "depth.png", "kind L"),
     "a depth map in colour": (depth_map(np.full((72, 96, 3), 200, np.uint8)), "depth.png", "kind RGB"),

@@ -18,6 +18,20 @@ from f3sr.core.transforms import Array
 from f3sr.scene import Geometry, Instance, Photo, Relation
 
 
+@dataclass(frozen=True, kw_only=True)
+class KnownFocal:
+    """A focal length of the photo that somebody tells."""
+
+    pixels: float
+    """[px] of the upright photo."""
+    sigma: float
+    """One standard error of its logarithm; 0 is exact."""
+    source: str
+    """Who tells it, for the report."""
+    centre: tuple[float, float] | None = None
+    """Principal point (x, y) [px], where known."""
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PromptedImage:
     """A photo and what is outlined in it."""
@@ -27,6 +41,10 @@ class PromptedImage:
     """By id, masks (H, W) disjoint."""
     ground_mask: NDArray[np.bool_] | None = None
     """(H, W): the visible support surface, where somebody has outlined it."""
+    focal: KnownFocal | None = None
+    """By the user, by intrinsics.json or by EXIF; estimators may do without it."""
+    camera_height: float | None = None
+    """Of the camera above the ground [m], where the user gives it; likewise."""
 
 
 Stroke = tuple[tuple[float, float], ...]

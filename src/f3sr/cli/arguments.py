@@ -54,5 +54,9 @@ Axes = Annotated[
         f"{', '.join(options.ASSET_FRAMES)}.",
     ),
 ]
+MaybePixels = Annotated[float | None, arg(metavar="PX", help_behavior_hint=default_shown)]
+MaybeMillimetres = Annotated[float | None, arg(metavar="MM", help_behavior_hint=default_shown)]
+MaybeMetres = Annotated[float | None, arg(metavar="M", help_behavior_hint=default_shown)]
+Known = Annotated[str, arg(metavar="NAME=METRES", help_behavior_hint=default_shown)]
 Slow = Annotated[float, arg(metavar="FACTOR")]
 Samples = Annotated[int, arg(metavar="N", help_behavior_hint=lambda v: "" if v == "0" else f"(default: {v})")]

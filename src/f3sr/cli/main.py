@@ -16,7 +16,20 @@ import tyro
 import f3sr
 from f3sr import options
 from f3sr.cli import agent_commands, batch_commands, goal_commands, sample_command
-from f3sr.cli.arguments import Axes, Folder, Ignore, MaybeFile, MaybeShare, Name, Out, Skip
+from f3sr.cli.arguments import (
+    Axes,
+    Folder,
+    Ignore,
+    Known,
+    MaybeFile,
+    MaybeMetres,
+    MaybeMillimetres,
+    MaybePixels,
+    MaybeShare,
+    Name,
+    Out,
+    Skip,
+)
 from f3sr.errors import (
     F3srError,
     F3srWarning,
@@ -113,6 +126,10 @@ def reconstruct(
     scene_graph: Name = None,
     labels: Name = None,
     background: Name = None,
+    focal: MaybePixels = None,
+    focal_35mm: MaybeMillimetres = None,
+    camera_height: MaybeMetres = None,
+    known: Known = "",
     config: MaybeFile = None,
     overwrite: bool = False,
     json: bool = False,
@@ -120,8 +137,9 @@ def reconstruct(
     """Turn a prompted-image folder into a scene package.
 
     Args:
-        folder: Must hold image.png|jpg, masks/*.png, assets/, geometry.npz (or depth.png|npy and intrinsics.json).
-            May hold ground.png, scene_graph.json, background.png, materials.json.
+        folder: Must hold image.png|jpg and masks/*.png. May hold assets/, geometry.npz (or depth.png|npy, best with
+            intrinsics.json), ground.png, scene_graph.json, background.png, materials.json. What it lacks is made from
+            the photo.
         out: Where the package goes; an older f3sr package there is replaced.
         geometry_noise: Standard deviation of the geometry's depths, as a share of the distance, 0.0001 to 0.5. Without
             it: measured for a sensor's depth, 0.01 for an estimate.
@@ -132,6 +150,11 @@ def reconstruct(
         labels: Back end that names objects whose masks have no label, or a vision model, as openai:NAME.
         background: Back end that completes the photo behind the objects; ``f3sr doctor`` lists its names. Or a model
             that edits pictures, as openai:NAME. Without it: background.png if there, else patchmatch.
+        focal: Focal length [px] of the upright photo, where geometry is made from the photo, as for the next three.
+        focal_35mm: The same in 35 mm equivalent [mm], by the photo's diagonal.
+        camera_height: Height of the camera above what the objects stand on [m].
+        known: Known lengths [m] of objects by id or label, as "mug=0.12,3=0.3": the longest side of the tightest box
+            around the object.
         config: TOML file of settings; those it does not name stay as ``f3sr config`` prints them.
         overwrite: Also replace a package that holds rollouts.
         json: Print one JSON object instead of text.
@@ -143,6 +166,7 @@ def reconstruct(
     from f3sr.delivery import deliver
     from f3sr.io.input_folder import INPUT_FOLDER
     from f3sr.io.inputs import Fillers
+    from f3sr.io.photo_hints import PhotoHints, known_of
     from f3sr.lifting.generators import ASSET_GENERATORS
     from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS
     from f3sr.photo_inputs import read_inputs
@@ -162,11 +186,17 @@ def reconstruct(
         scene_graph=_backend(SCENE_GRAPHERS, scene_graph),
         labels=_backend(LABELERS, labels),
     )
+    hints = PhotoHints(focal=focal, focal_35mm=focal_35mm, camera_height=camera_height, known=known_of(known))
     completer = _backend(BACKGROUND_COMPLETERS, background) if background != DEFAULT_COMPLETER else None
     with console.steps_shown(quiet=json) as progress, kernels.compiling() as compilers:
         with timed("read", progress):
             given = read_inputs(
-                folder, ignore=_names(ignore), asset_frame=asset_frame, geometry_noise=geometry_noise, fillers=fillers
+                folder,
+                ignore=_names(ignore),
+                asset_frame=asset_frame,
+                geometry_noise=geometry_noise,
+                fillers=fillers,
+                hints=hints,
             )
         package.prepare_output(out, inputs=folder, overwrite=overwrite)
         compilers.begin(progress)

@@ -70,6 +70,18 @@ def geometry_of(
     return geometry, checked_K(where, K, image.photo)
 
 
+def camera_of(folder: InputFolder, backend: Backend[GeometryEstimator], image: PromptedImage) -> Array:
+    """K (3, 3) in the photo's pixels, by a back end: for depths whose camera nobody tells."""
+    where = str(backend)
+    answer = _typed(where, backend.asked(lambda b: b.estimate(image)), EstimatedGeometry)
+    K = checked_K(where, _array(where, "K", answer.K, "fiu", (3, 3)).astype(float), image.photo)
+    folder.digests[f"intrinsics by {backend.key}"] = _digest(K)
+    told = _told(where, answer.told)
+    choice = f"camera: focal length {K[0, 0]:.0f} px by {where}{told and ': '}{told}"
+    folder.decide(choice, "depths without intrinsics.json", fallback=True)
+    return K
+
+
 def assets_of(
     folder: InputFolder,
     backend: Backend[AssetGenerator],

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from f3sr.backends.protocols import KnownFocal
 from f3sr.core.transforms import Array
 from f3sr.errors import InputError
 from f3sr.files import npz
@@ -33,7 +34,11 @@ MIN_FOCAL, MAX_FOCAL = 0.1, 30.0
 DEPTH_FILES = ("depth.png", "depth.npy")
 GEOMETRY_FILES = ("geometry.npz", *DEPTH_FILES)
 """Each by itself claims to be the geometry."""
-GEOMETRY_ACCEPTED = "geometry.npz, or depth.png|npy with intrinsics.json, or a back end's name after --geometry"
+INTRINSICS = "intrinsics.json"
+"""K of depth.png|npy; without depths, of the photo."""
+SKEWED = 0.02
+"""Largest difference of fx and fy, as a share, that a camera found from the photo may leave out."""
+GEOMETRY_ACCEPTED = "geometry.npz, or depth.png|npy, best with intrinsics.json, or a back end's name after --geometry"
 
 WANTED = {
     "points": npz.Wanted(kinds="f", shape=("h", "w", 3), most=3 * MAX_PIXELS, also=("pointmap", "pcd")),
@@ -57,15 +62,16 @@ CAMERA_FRAMES = {
 """Rotations (3, 3) from named camera frames to OpenCV axes."""
 
 
-def read_geometry(folder: InputFolder, photo: Photo) -> tuple[Geometry, Array]:
+def read_geometry(folder: InputFolder, photo: Photo, found: Array | None = None) -> tuple[Geometry, Array]:
     """Geometry and K (3, 3) in the photo's pixels, from geometry.npz or from depth.png|npy with intrinsics.json,
-    one of which is there. Raises InputError, which names the file, for what is invalid."""
+    one of which is there. ``found`` (3, 3) is K for depths without intrinsics.json. Raises InputError, which names the
+    file, for what is invalid."""
     depths = [name for name in DEPTH_FILES if folder.has(name)]
     if folder.has("geometry.npz") and depths:
         raise InputError(folder.root, found=f"geometry.npz and {depths[0]}", accepted="one of the two")
     if len(depths) > 1:
         raise InputError(folder.root, found="depth.png and depth.npy", accepted="one of the two")
-    geometry, K = _depth_map(folder, depths[0], photo) if depths else _point_map(folder, photo)
+    geometry, K = _depth_map(folder, depths[0], photo, found) if depths else _point_map(folder, photo)
     tell_stretch(folder, geometry, photo)
     return geometry, K
 
@@ -117,17 +123,39 @@ def estimated(
     return Geometry(points=np.where(valid[..., None], points, 0), valid=valid, normals=normals)
 
 
-def _depth_map(folder: InputFolder, name: str, photo: Photo) -> tuple[Geometry, Array]:
-    meta = folder.document("intrinsics.json", _Intrinsics)
+def read_intrinsics(folder: InputFolder, photo: Photo) -> KnownFocal:
+    """What intrinsics.json alone tells of the photo's camera. Raises InputError, also where pixels are not square."""
+    meta = folder.document(INTRINSICS, _Intrinsics)
+    width, height = meta.width or photo.width, meta.height or photo.height
+    path = folder.path(INTRINSICS)
+    K = checked_K(path, _scaled(np.asarray(meta.K, float), photo.width / width, photo.height / height), photo)
+    if abs(K[0, 0] / K[1, 1] - 1) > SKEWED:
+        raise InputError(
+            path, found=f"fx {K[0, 0]:.4g} and fy {K[1, 1]:.4g} px", accepted="equal ones where there is no depth"
+        )
+    return KnownFocal(
+        pixels=float(np.sqrt(K[0, 0] * K[1, 1])), sigma=0, source=INTRINSICS, centre=(float(K[0, 2]), float(K[1, 2]))
+    )
+
+
+def _depth_map(folder: InputFolder, name: str, photo: Photo, found: Array | None) -> tuple[Geometry, Array]:
+    meta = None if found is not None else folder.document(INTRINSICS, _Intrinsics)
     path = folder.file(name)
     values = npz.read_npy(path, "depth", DEPTH) if path.suffix == ".npy" else _load_png(path)
+    if meta is None:
+        metres = values.dtype.kind == "f"
+        folder.decide(
+            f"{name}: depths in {'metres' if metres else 'millimetres'}", "no intrinsics.json with depth_scale"
+        )
+        rows = np.asarray(found).tolist()
+        meta = _Intrinsics(K=rows, width=photo.width, height=photo.height, depth_scale=1.0 if metres else 0.001)
     h, w = values.shape
     if meta.width and meta.height and abs(w * meta.height - h * meta.width) > max(meta.width, meta.height):
         raise InputError(path, found=f"{w}x{h} pixels", accepted=f"the aspect of {meta.width}x{meta.height}")
     width, height = meta.width or w, meta.height or h
     K_depth = np.asarray(meta.K, float)
     K_photo = _scaled(K_depth, photo.width / width, photo.height / height)
-    K = checked_K(folder.path("intrinsics.json"), K_photo, photo)
+    K = checked_K(folder.path(INTRINSICS), K_photo, photo)
     with np.errstate(over="ignore"):  # what overflows is infinite, so invalid
         depth = values.astype(float) * meta.depth_scale
     depth = np.where(np.isfinite(depth), depth, 0)

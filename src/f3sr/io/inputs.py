@@ -12,17 +12,42 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from f3sr.backends.protocols import AssetGenerator, GeometryEstimator, Labeler, PromptedImage, SceneGrapher
+from f3sr.backends.protocols import (
+    AssetGenerator,
+    GeometryEstimator,
+    KnownFocal,
+    Labeler,
+    PromptedImage,
+    SceneGrapher,
+)
 from f3sr.backends.registry import Backend
 from f3sr.core.transforms import Array, transform
 from f3sr.errors import InputError, NoAnswerError, require_known, require_names
-from f3sr.io.answers import MAX_REASON, MAX_RELATIONS, assets_of, geometry_of, graph_of, labels_of, require_relation
+from f3sr.io.answers import (
+    MAX_REASON,
+    MAX_RELATIONS,
+    assets_of,
+    camera_of,
+    geometry_of,
+    graph_of,
+    labels_of,
+    require_relation,
+)
 from f3sr.io.assets import ASSETS_ACCEPTED, PosedAsset, read_assets, require_size
-from f3sr.io.geometry import GEOMETRY_ACCEPTED, GEOMETRY_FILES, read_geometry
+from f3sr.io.exif import ExifError, focal_by_exif
+from f3sr.io.geometry import (
+    DEPTH_FILES,
+    GEOMETRY_ACCEPTED,
+    GEOMETRY_FILES,
+    INTRINSICS,
+    read_geometry,
+    read_intrinsics,
+)
 from f3sr.io.given_properties import MATERIALS, GivenProperties, read_properties
 from f3sr.io.images import as_rgb, open_image
 from f3sr.io.input_folder import InputFolder
 from f3sr.io.masks import read_instances, read_mask
+from f3sr.io.photo_hints import PhotoHints
 from f3sr.options import ASSET_FRAMES, PARTS
 from f3sr.report import Decision
 from f3sr.runtime.result_store import digest
@@ -35,6 +60,8 @@ NOISES = (1e-4, 0.5)
 PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 """No conversions between types, no NaN: what a document says is what it means."""
+TAKEN = 1e-3
+"""Largest difference, as a share, of a focal length from the one that was asked for."""
 MAX_DISTANCE = 100_000.0
 """Largest distance of an object from the camera, in its own sizes: rounding leaves it no shape from far beyond, and no
 pixel shows it."""
@@ -97,26 +124,34 @@ def read(
     geometry_noise: float | None = None,
     fillers: Fillers | None = None,
     stand_ins: Fillers | None = None,
+    hints: PhotoHints | None = None,
 ) -> Inputs:
     """Read and validate a prompted-image folder (docs: conventions).
 
     ``ignore`` treats parts of PARTS as absent. ``asset_frame`` names the axes of GLBs without ``poses.json``: one of
     ASSET_FRAMES. ``geometry_noise``: standard deviation of the depths [share of the distance], else measured.
     ``fillers`` make parts that are absent, ``stand_ins`` those for which nobody named a filler: a fallback. Answers
-    are validated as files are. Raises InputError
-    for the first invalid file or value, BackendError where a filler raises.
+    are validated as files are. ``hints`` are what a user knows of the camera, where geometry is made from the photo.
+    Raises InputError for the first invalid file or value, BackendError where a filler raises.
     """
     require_names("ignore", ignore)
     require_known("--ignore", ignore, PARTS)
     require_known("--asset-frame", [asset_frame], ASSET_FRAMES)
     source = InputFolder(Path(folder))
-    photo = _photo(source)
+    photo, told = _photo(source)
     instances = read_instances(source, photo)
-    parts = _Parts(folder=source, ignore=ignore, fillers=fillers or Fillers(), stand_ins=stand_ins or Fillers())
+    parts = _Parts(
+        folder=source,
+        ignore=ignore,
+        fillers=fillers or Fillers(),
+        stand_ins=stand_ins or Fillers(),
+        hints=hints or PhotoHints(),
+    )
     instances = parts.labelled(photo, instances)
     ground_mask = parts.ground_mask(photo, instances)
     image = PromptedImage(photo=photo, instances=instances, ground_mask=ground_mask)
-    geometry, K = parts.geometry(image)
+    geometry, K = parts.geometry(parts.hinted(image, told))
+    parts.require_taken(photo, geometry, K)
     if geometry_noise is not None:
         geometry = _with_noise(source, geometry, geometry_noise)
     _require_inside(source, geometry, instances)
@@ -157,6 +192,7 @@ class _Parts:
     ignore: Collection[str]
     fillers: Fillers
     stand_ins: Fillers
+    hints: PhotoHints = field(default_factory=PhotoHints)
     used: dict[str, str] = field(default_factory=dict[str, str])
 
     def has(self, part: str, *names: str) -> bool:
@@ -182,8 +218,52 @@ class _Parts:
         self.folder.decide("ground: the lower image region outside all masks", "no ground.png", fallback=True)
         return None
 
+    @property
+    def lacks_intrinsics(self) -> bool:
+        """Whether depths are there, and nothing that tells their camera."""
+        return self.has("geometry", *DEPTH_FILES) and not any(map(self.folder.has, ("geometry.npz", INTRINSICS)))
+
+    def hinted(self, image: PromptedImage, by_exif: KnownFocal | str | None) -> PromptedImage:
+        """With what is known of the camera, where it has to be found: by the user, intrinsics.json, or EXIF.
+
+        Raises InputError for hints that nothing asks for."""
+        given = self.has("geometry", *GEOMETRY_FILES)
+        self._require_use(given)
+        if given and not self.lacks_intrinsics:
+            return image
+        focal = self.hints.known_focal(image.photo)
+        if not given and self.has("geometry", INTRINSICS):
+            if focal:
+                raise InputError(focal.source, found=INTRINSICS, accepted="one of the two")
+            focal = read_intrinsics(self.folder, image.photo)
+        if not focal and isinstance(by_exif, str):
+            self.folder.decide("EXIF ignored", by_exif, fallback=True)
+        elif not focal:
+            focal = by_exif
+        return replace(image, focal=focal, camera_height=self.hints.camera_height)
+
+    def require_taken(self, photo: Photo, geometry: Geometry, K: Array) -> None:
+        """Raises InputError for a hint that the back end does without."""
+        focal = self.hints.known_focal(photo)
+        if focal and abs(K[0, 0] / focal.pixels - 1) > TAKEN:
+            found = f"{K[0, 0]:.0f} px by the geometry's back end, which takes no hint"
+            raise InputError(focal.source, found=found, accepted="only with the built-in geometry")
+        if self.hints.camera_height is not None and geometry.source != "ground":
+            found = "a back end for geometry that takes no hint"
+            raise InputError("--camera-height", found=found, accepted="only with the built-in geometry")
+
+    def _require_use(self, given: bool) -> None:
+        """Hints are for what is made from the photo; depths alone lack a focal length, and know their unit."""
+        usable = ["--focal", "--focal-35mm"] if self.lacks_intrinsics else [] if given else self.hints.options
+        if unused := [option for option in self.hints.options if option not in usable]:
+            accepted = "only where geometry is made from the photo: without geometry files, or with --ignore geometry"
+            raise InputError(unused[0], found=f"geometry in {self.folder.root.name or 'the folder'}", accepted=accepted)
+
     def geometry(self, image: PromptedImage) -> tuple[Geometry, Array]:
         given = self.has("geometry", *GEOMETRY_FILES)
+        maker = self.fillers.geometry or self.stand_ins.geometry
+        if self.lacks_intrinsics and maker:
+            return read_geometry(self.folder, image.photo, camera_of(self.folder, self._standing_in(maker), image))
         if backend := self._filler(self.fillers.geometry, given):
             return geometry_of(self.folder, backend, image)
         if not given and self.stand_ins.geometry:
@@ -229,12 +309,18 @@ class _Parts:
         return backend
 
 
-def _photo(folder: InputFolder) -> Photo:
+def _photo(folder: InputFolder) -> tuple[Photo, KnownFocal | str | None]:
+    """The photo, and the focal length in its EXIF, or why that cannot be used."""
     names = sorted(p.name for p in folder.root.iterdir() if p.stem == "image" and p.suffix.lower() in PHOTO_SUFFIXES)
     if len(names) != 1:
         found = ", ".join(names) or "no image"
         raise InputError(folder.root, found=found, accepted="one image.png, image.jpg or image.jpeg")
-    return Photo(rgb=as_rgb(open_image(folder.file(names[0]))))
+    image = open_image(folder.file(names[0]))
+    try:
+        told = focal_by_exif(image)
+    except ExifError as error:
+        told = str(error)
+    return Photo(rgb=as_rgb(image)), told
 
 
 def _background(folder: InputFolder, photo: Photo) -> NDArray[np.uint8]:

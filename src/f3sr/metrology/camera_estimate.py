@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -13,10 +13,12 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 from PIL import Image
 
+from f3sr.backends.protocols import KnownFocal
 from f3sr.core.transforms import Array, rotation_about
 from f3sr.metrology.directions import DirectionModel, GroupedSegments, grouped, log_likelihoods
 from f3sr.metrology.edges import edge_points, line_segments
 from f3sr.metrology.ellipses import Ellipse, rims
+from f3sr.metrology.posterior import PosteriorSample, sampled, weighted
 from f3sr.settings import constants, settings
 
 LONGEST = 1600
@@ -29,12 +31,14 @@ ROLLS = (math.radians(-4), 0.0, math.radians(4))
 COARSE_FOCAL, COARSE_PITCH = 0.11, math.radians(4)
 """Steps of the first search, of the logarithm of the focal length and of the pitch [rad]."""
 COARSE_BLUR, COARSE_TURN, FINE_TURN = math.radians(2), math.radians(2), math.radians(0.5)
-MODES = 8
-"""Starts of the second search, the best of the first apart from each other."""
-BLURS = (math.radians(1), math.radians(0.3), 0.0)
-"""Widths of directions in the second search, one after the other."""
-STEP = np.array([0.03, math.radians(1), math.radians(0.8)])
-"""Steps of the numeric curvature: logarithm of the focal length, pitch and roll [rad]."""
+BLURS = (math.radians(1), math.radians(0.3), 0.0, 0.0)
+"""Widths of directions in the rounds of the second search [rad]."""
+LEAST = np.array([0.0045, math.radians(0.15), math.radians(0.12)])
+"""Least spread of its draws: logarithm of the focal length, pitch and roll [rad]."""
+EXACT = 1e-3
+"""Standard error of the logarithm of a focal length that is told as exact: draws need some spread."""
+WINDOW = np.array([0.2, math.radians(4), math.radians(4)])
+"""Size of a cluster of cameras, likewise: farther ones are another reading of the photo."""
 SAMPLES, OF_NINE = np.linspace(0.1, 0.9, 9), 5
 """Places along a segment where the masks beside it are read, and how many must lie in one."""
 HIGHEST = 0.01
@@ -53,11 +57,9 @@ class CameraPriors:
     """Focal length [longer image sides]: main cameras of phones have .7 to .8, webcams and depth cameras .95."""
     focal_sigma: Annotated[float, Interval(gt=0, le=1)] = 0.25
     """One standard deviation of its logarithm."""
-    exif_sigma: Annotated[float, Interval(gt=0, le=1)] = 0.04
-    """The same of a focal length by EXIF: whole millimetres, lens corrections."""
-    pitch: Annotated[float, Interval(ge=-0.5, le=1.5)] = math.radians(32)
-    """Angle of the optical axis below the horizon [rad]."""
-    pitch_sigma: Annotated[float, Interval(gt=0, le=1)] = math.radians(15)
+    pitch: Annotated[float, Interval(ge=-0.5, le=1.5)] = math.radians(25)
+    """Angle of the optical axis below the horizon [rad]: rooms have 0 to 15 degrees, tables 20 to 60."""
+    pitch_sigma: Annotated[float, Interval(gt=0, le=1)] = math.radians(20)
     roll_sigma: Annotated[float, Interval(gt=0, le=1)] = math.radians(2.5)
     """Standard deviation of the horizon's slope [rad]."""
 
@@ -88,9 +90,10 @@ class HorizonModel:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CameraEstimate:
-    """A camera's focal length [px] with the principal point in the middle, and its attitude [rad].
+    """A camera's focal length [px] and attitude [rad]; its principal point is in the middle unless told.
 
-    ``errors`` are standard errors of the logarithm of the focal length, of pitch and of roll [rad].
+    All are means over the likeliest cameras: the single likeliest is less sure. ``errors`` are standard errors of the
+    logarithm of the focal length, of pitch and of roll [rad].
     """
 
     focal: float
@@ -181,29 +184,22 @@ def estimate_camera(
     masks: Sequence[NDArray[np.bool_]],
     ground: NDArray[np.bool_] | None,
     *,
-    focal: tuple[float, float] | None = None,
+    focal: KnownFocal | None = None,
     priors: CameraPriors | None = None,
 ) -> CameraEstimate:
-    """The most probable camera of a photo (H, W, 3) with masks (H, W) of objects and of the ground.
+    """The camera of a photo (H, W, 3) with masks (H, W) of objects and of the ground.
 
-    ``focal`` is a known focal length [px] with the standard error of its logarithm. The posterior is searched on a
-    grid, its best places are refined, its curvature at the best gives the errors."""
+    ``focal`` is what somebody tells of the focal length, and of the principal point. The posterior is searched on a
+    grid and then sampled; the samples' spread gives the errors."""
     evidence, scale = _evidence(rgb, masks, ground, focal, priors or CameraPriors())
-    grid = _grid(evidence)
-    values = evidence.log_posterior(grid, turn=COARSE_TURN, blur=COARSE_BLUR)
-    starts = list[Array]()
-    for k in np.argsort(-values):
-        apart = [np.abs((grid[k] - x) / [2 * COARSE_FOCAL, 2 * COARSE_PITCH, ROLLS[2]]).max() for x in starts]
-        if min(apart, default=np.inf) > 0.9:
-            starts.append(grid[k])
-        if len(starts) == MODES:
-            break
-    best = max((_refined(evidence, start) for start in starts), key=lambda found: found[1])[0]
+    found = _posterior(evidence)
+    best = found.centre(WINDOW)
+    f, pitch, roll = map(float, np.sqrt(np.diag(found.covariance(best))))
     return CameraEstimate(
-        focal=float(np.exp(best[0]) * evidence.side * scale),
+        focal=focal.pixels if focal and focal.sigma == 0 else float(np.exp(best[0]) * evidence.side * scale),
         pitch=float(best[1]),
         roll=float(best[2]),
-        errors=_errors(evidence, best),
+        errors=(f, pitch, roll),
         segments=len(evidence.segments.sigmas),
         rims=len(evidence.rims),
     )
@@ -213,7 +209,7 @@ def _evidence(
     rgb: NDArray[np.uint8],
     masks: Sequence[NDArray[np.bool_]],
     ground: NDArray[np.bool_] | None,
-    focal: tuple[float, float] | None,
+    focal: KnownFocal | None,
     priors: CameraPriors,
 ) -> tuple[_Evidence, float]:
     """What the photo shows, and its pixels per pixel of that."""
@@ -226,10 +222,13 @@ def _evidence(
     floor = None if ground is None else ground[rows][:, columns]
     edges = edge_points(rgb)
     segments = line_segments(edges)[:MOST_SEGMENTS]
-    side, centre = float(max(w, h)), np.array([w / 2, h / 2])
+    side = float(max(w, h))
+    centre = np.array([w / 2, h / 2]) if focal is None or focal.centre is None else np.array(focal.centre) / scale
     model = DirectionModel()
     means, sigmas = (math.log(priors.focal), priors.focal_sigma), (priors.pitch_sigma, priors.roll_sigma)
-    mean, sigma = (math.log(focal[0] / scale / side), focal[1]) if focal else means
+    if focal:
+        means = math.log(focal.pixels / scale / side), max(focal.sigma, EXACT)
+    mean, sigma = means
     return _Evidence(
         side=side,
         centre=centre,
@@ -280,52 +279,24 @@ def _groups(segments: Array, masks: Sequence[NDArray[np.bool_]], ground: NDArray
     return np.argmax(votes, axis=1)
 
 
+def _posterior(evidence: _Evidence) -> PosteriorSample:
+    """Cameras (n, 3): of a grid with widened directions, then drawn with ever sharper ones."""
+
+    def sharpened(blur: float) -> Callable[[Array], Array]:
+        return lambda x: evidence.log_posterior(x, turn=FINE_TURN, blur=blur)
+
+    grid = _grid(evidence)
+    start = weighted(grid, evidence.log_posterior(grid, turn=COARSE_TURN, blur=COARSE_BLUR))
+    spacing = np.array([COARSE_FOCAL, COARSE_PITCH, ROLLS[2]]) / 2
+    narrow = np.array([evidence.sigmas[0], np.inf, np.inf])
+    return sampled(
+        start, [sharpened(b) for b in BLURS], spacing=np.minimum(spacing, narrow), least=np.minimum(LEAST, narrow / 4)
+    )
+
+
 def _grid(evidence: _Evidence) -> Array:
     """Cameras (t, 3) of the first search: within three standard deviations of the focal length, and of the rest all."""
     mean, sigma = evidence.means[0], evidence.sigmas[0]
     low, high = max(math.log(FOCALS[0]), mean - 3 * sigma), min(math.log(FOCALS[1]), mean + 3 * sigma)
     focals = np.linspace(low, high, max(1, round((high - low) / COARSE_FOCAL)) + 1) if low < high else [mean]
     return np.array(list(itertools.product(focals, np.arange(*PITCHES, COARSE_PITCH), ROLLS)))
-
-
-def _refined(evidence: _Evidence, start: Array) -> tuple[Array, float]:
-    """A place of the posterior nearby that no step improves, and its logarithm there."""
-    from scipy.optimize import minimize
-
-    x, value = start, -np.inf
-    for blur in BLURS:
-
-        def loss(x: Array, blur: float = blur) -> float:
-            return -float(evidence.log_posterior(x[None], turn=FINE_TURN, blur=blur)[0])
-
-        found = minimize(
-            loss,
-            x,
-            method="Nelder-Mead",
-            options={"maxfev": 60, "initial_simplex": x + np.vstack([np.zeros(3), np.diag(1.6 * STEP)])},
-        )
-        x, value = found.x, -float(found.fun)
-    return x, value
-
-
-def _errors(evidence: _Evidence, x: Array) -> tuple[float, float, float]:
-    """Standard errors (3,) by the curvature of the log posterior at its top; no larger than before the photo."""
-    pairs = [(i, j) for i in range(3) for j in range(i + 1)]
-    offsets = [np.zeros(3)]
-    for i, j in pairs:
-        e, d = np.eye(3)[i] * STEP, np.eye(3)[j] * STEP
-        offsets += [e + d, e - d, d - e, -e - d]
-    values = evidence.log_posterior(x + np.array(offsets), turn=FINE_TURN)
-    curvature = np.zeros((3, 3))
-    for k, (i, j) in enumerate(pairs):
-        a, b, c, d = values[1 + 4 * k : 5 + 4 * k]
-        curvature[i, j] = curvature[j, i] = -(a - b - c + d) / (4 * STEP[i] * STEP[j])
-    prior = np.diag(evidence.sigmas**-2)
-    weights, vectors = np.linalg.eigh(
-        np.linalg.cholesky(np.linalg.inv(prior)).T @ curvature @ np.sqrt(np.linalg.inv(prior))
-    )
-    covariance = (
-        np.sqrt(np.linalg.inv(prior)) @ (vectors / np.maximum(weights, 1.0)) @ vectors.T @ np.sqrt(np.linalg.inv(prior))
-    )
-    f, pitch, roll = np.sqrt(np.diag(covariance))
-    return float(f), float(pitch), float(roll)

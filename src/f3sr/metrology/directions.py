@@ -14,6 +14,9 @@ from f3sr.core.transforms import Array
 from f3sr.runtime.kernels import inner_kernel, kernel
 from f3sr.settings import constants
 
+FARTHEST = 15.0
+"""Half the squared standard errors from which on a segment does not follow a direction: exp(-15) is 3e-7."""
+
 
 @constants
 class DirectionModel:
@@ -123,11 +126,12 @@ def _sum_groups(
             height = math.sqrt(2 / np.pi) / sigmas[s]
             curve = 0.5 / sigmas[s] ** 2
             base = strange + shares[1] * height * _bell(off[2], along[2], curve)
+            neither = math.log(base / strange)
             for j in range(len(turns)):
                 c, n = turns[j]
-                one = _bell(off[0] * c + off[1] * n, along[0] * c + along[1] * n, curve)
-                other = _bell(off[1] * c - off[0] * n, along[1] * c - along[0] * n, curve)
-                total[group[s], j] += math.log((base + each * height * (one + other)) / strange)
+                both = _bell(off[0] * c + off[1] * n, along[0] * c + along[1] * n, curve)
+                both += _bell(off[1] * c - off[0] * n, along[1] * c - along[0] * n, curve)
+                total[group[s], j] += math.log((base + each * height * both) / strange) if both > 0 else neither
         for g in range(groups):
             best = -np.inf
             for j in range(len(turns)):
@@ -138,5 +142,5 @@ def _sum_groups(
 @inner_kernel
 def _bell(off: float, along: float, curve: float) -> float:
     """exp(-curve x^2) for the sine x of the angle whose tangent is off / along."""
-    x = off * off / (off * off + along * along + 1e-30) * curve
-    return math.exp(-x) if x < 30 else 0.0
+    far, all = off * off * curve, off * off + along * along + 1e-30
+    return math.exp(-far / all) if far < FARTHEST * all else 0.0

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array
 from f3sr.metrology.edges import EdgePoints
+from f3sr.runtime.kernels import kernel
 from f3sr.vision.regions import grown
 
 SEED = 0
@@ -36,6 +37,8 @@ EXTENT = (0.25, 3.0)
 """Least and largest semi-major axis, in sizes of the mask (the square root of its area)."""
 ROUND = 0.93
 """Ratio of the axes from which on an ellipse may be a ball's outline, which tells nothing of gravity."""
+FLAT = 1e-9
+"""Least determinant of the points' moments, of unit size: points on a line have no ellipse."""
 BORDER = 3
 """Distance to other masks and to the photo's border within which an outline is not the object's own [px]."""
 
@@ -55,7 +58,7 @@ class Ellipse:
 
 
 def rims(masks: Sequence[NDArray[np.bool_]], edges: EdgePoints) -> list[Ellipse]:
-    """For every mask the ellipse that edges cover most, if they cover ``COVERED`` of it and it is not nearly round."""
+    """For every mask the ellipse that edges cover most. They cover ``COVERED`` of it, and it is not nearly round."""
     rng = np.random.default_rng(SEED)
     occupied = np.sum(masks, axis=0, dtype=np.int64) if len(masks) else np.zeros(edges.shape, np.int64)
     found = [_rim(mask, (occupied - mask) > 0, edges, rng) for mask in masks]
@@ -64,23 +67,33 @@ def rims(masks: Sequence[NDArray[np.bool_]], edges: EdgePoints) -> list[Ellipse]
 
 def fit_ellipse(points: Array) -> Ellipse | None:
     """The least squares ellipse of points (n, 2) (Halir and Flusser 1998); None where they have none."""
-    centre = points.mean(0)
-    size = float(np.abs(points - centre).mean()) + 1e-9
-    x, y = ((points - centre) / size).T
-    quadratic, linear = np.column_stack([x * x, x * y, y * y]), np.column_stack([x, y, np.ones_like(x)])
-    try:
-        T = -np.linalg.solve(linear.T @ linear, linear.T @ quadratic)
-    except np.linalg.LinAlgError:
-        return None
-    M = quadratic.T @ quadratic + (quadratic.T @ linear) @ T
-    vectors = np.real(np.linalg.eig(np.stack([M[2] / 2, -M[1], M[0] / 2]))[1])
-    elliptic = np.flatnonzero(4 * vectors[0] * vectors[2] - vectors[1] ** 2 > 0)
-    if not len(elliptic):
-        return None
-    a, b, c = vectors[:, elliptic[0]]
-    d, e, f = T @ [a, b, c]
-    N = np.array([[1 / size, 0, -centre[0] / size], [0, 1 / size, -centre[1] / size], [0, 0, 1]])
-    return _ellipse(N.T @ np.array([[a, b / 2, d / 2], [b / 2, c, e / 2], [d / 2, e / 2, f]]) @ N)
+    return fit_ellipses(points[None])[0]
+
+
+def fit_ellipses(points: Array) -> list[Ellipse | None]:
+    """The least squares ellipse of each of many sets of points (t, n, 2)."""
+    centre = points.mean(1, keepdims=True)
+    size = np.abs(points - centre).mean((1, 2)) + 1e-9
+    x, y = np.moveaxis((points - centre) / size[:, None, None], 2, 0)
+    quadratic, linear = np.stack([x * x, x * y, y * y], -1), np.stack([x, y, np.ones_like(x)], -1)
+    across = linear.swapaxes(1, 2)
+    square = across @ linear
+    flat = np.abs(np.linalg.det(square)) < FLAT * points.shape[1] ** 3
+    square[flat] = np.eye(3)
+    T = -np.linalg.solve(square, across @ quadratic)
+    M = quadratic.swapaxes(1, 2) @ (quadratic + linear @ T)
+    vectors = np.real(np.linalg.eig(np.stack([M[:, 2] / 2, -M[:, 1], M[:, 0] / 2], 1))[1])
+    elliptic = 4 * vectors[:, 0] * vectors[:, 2] - vectors[:, 1] ** 2 > 0
+    which = np.argmax(elliptic, axis=1)
+    one = np.take_along_axis(vectors, which[:, None, None], axis=2)[..., 0]
+    a, b, c = one.T
+    d, e, f = (T @ one[..., None])[..., 0].T
+    Q = np.stack([a, b / 2, d / 2, b / 2, c, e / 2, d / 2, e / 2, f], -1).reshape(-1, 3, 3)
+    N = np.zeros_like(Q)
+    N[:, 0, 0] = N[:, 1, 1] = 1 / size
+    N[:, :2, 2], N[:, 2, 2] = -centre[:, 0] / size[:, None], 1
+    usable = elliptic.any(1) & ~flat
+    return [_ellipse(q) if ok else None for q, ok in zip(N.swapaxes(1, 2) @ Q @ N, usable, strict=True)]
 
 
 def _ellipse(Q: Array) -> Ellipse | None:
@@ -111,13 +124,14 @@ def _rim(
         return None
     size = math.sqrt(float(mask.sum()))
     near_px = max(NEAR, NEAR_SHARE * size)
-    best, members = None, np.zeros(0, np.int64)
-    for _ in range(ARCS):
-        start, length = int(rng.integers(len(outline))), int(len(outline) * rng.uniform(*ARC))
-        arc = (start + np.sort(rng.integers(0, max(2, length), ARC_POINTS))) % len(outline)
-        found = _covered(fit_ellipse(outline[arc]), points, normals, near_px, size)
-        if found and (best is None or found[0].coverage > best.coverage):
-            best, members = found
+    starts, lengths = rng.integers(len(outline), size=ARCS), (len(outline) * rng.uniform(*ARC, size=ARCS)).astype(int)
+    along = np.sort((rng.random((ARCS, ARC_POINTS)) * np.maximum(2, lengths)[:, None]).astype(int), axis=1)
+    fits = [e for e in fit_ellipses(outline[(starts[:, None] + along) % len(outline)]) if e and _plausible(e, size)]
+    if not fits:
+        return None
+    covered = _coverages(fits, points, normals, near_px)
+    first = _covered(fits[int(np.argmax(covered))], points, normals, near_px, size)
+    best, members = first or (None, np.zeros(0, np.int64))
     for _ in range(3):
         if best is None or len(members) < ARC_POINTS:
             break
@@ -150,7 +164,7 @@ def _covered(
     ellipse: Ellipse | None, points: Array, normals: Array, near: float, size: float
 ) -> tuple[Ellipse, NDArray[np.int64]] | None:
     """The ellipse with its coverage, and the edge points on it by index; None where it is no rim of this object."""
-    if ellipse is None or ellipse.minor < SMALLEST or not EXTENT[0] * size < ellipse.major < EXTENT[1] * size:
+    if ellipse is None or not _plausible(ellipse, size):
         return None
     homogeneous = np.column_stack([points, np.ones(len(points))])
     image = homogeneous @ ellipse.conic
@@ -165,3 +179,44 @@ def _covered(
     sectors = ((np.arctan2(v, u) / (2 * np.pi) + 0.5) * SECTORS).astype(int)
     coverage = len(np.unique(np.clip(sectors, 0, SECTORS - 1))) / SECTORS
     return replace(ellipse, coverage=coverage), members
+
+
+def _plausible(ellipse: Ellipse, size: float) -> bool:
+    return ellipse.minor >= SMALLEST and EXTENT[0] * size < ellipse.major < EXTENT[1] * size
+
+
+def _coverages(ellipses: Sequence[Ellipse], points: Array, normals: Array, near: float) -> NDArray[np.int64]:
+    """The number (t,) of sectors of each ellipse with an edge point on it, as ``_covered`` counts."""
+    out = np.zeros(len(ellipses), np.int64)
+    axes = np.array([e.axes / [e.minor, e.major] for e in ellipses])
+    centres = np.array([e.centre for e in ellipses])
+    _count_sectors(np.array([e.conic for e in ellipses]), centres, axes, points, normals, near, out)
+    return out
+
+
+def warm_up() -> None:
+    """Call every kernel once, with the types that the product uses."""
+    circle = Ellipse(conic=np.diag([1.0, 1, -1]), centre=np.zeros(2), axes=np.eye(2), minor=1.0, major=1.0)
+    _coverages([circle], np.ones((1, 2)), np.ones((1, 2)), 1.0)
+
+
+@kernel
+def _count_sectors(
+    conics: Array, centres: Array, axes: Array, points: Array, normals: Array, near: float, out: NDArray[np.int64]
+) -> None:
+    hit = np.zeros(SECTORS, np.bool_)
+    for t in range(len(conics)):
+        Q, A = conics[t], axes[t]
+        hit[:] = False
+        for k in range(len(points)):
+            x, y = points[k]
+            u = Q[0, 0] * x + Q[0, 1] * y + Q[0, 2]
+            v = Q[1, 0] * x + Q[1, 1] * y + Q[1, 2]
+            value = u * x + v * y + Q[2, 0] * x + Q[2, 1] * y + Q[2, 2]
+            steep = 2 * math.sqrt(u * u + v * v) + 1e-12
+            aligned = abs(2 * (u * normals[k, 0] + v * normals[k, 1])) > ALONG * steep
+            if aligned and abs(value) < near * steep:
+                x, y = x - centres[t, 0], y - centres[t, 1]
+                angle = math.atan2(x * A[0, 1] + y * A[1, 1], x * A[0, 0] + y * A[1, 0])
+                hit[min(SECTORS - 1, int((angle / (2 * np.pi) + 0.5) * SECTORS))] = True
+        out[t] = hit.sum()

@@ -29,15 +29,17 @@ class GroundMetrology:
     priors: CameraPriors = field(default_factory=CameraPriors)
 
     def estimate(self, image: PromptedImage) -> EstimatedGeometry:
-        """The ground's points where the photo shows it; objects get none. K has its principal point in the middle."""
-        photo = image.photo
-        camera = estimate_camera(photo.rgb, [i.mask for i in image.instances], image.ground_mask, priors=self.priors)
-        K = np.array([[camera.focal, 0, photo.width / 2], [0, camera.focal, photo.height / 2], [0, 0, 1]])
-        height = ROOM if _shows_horizon(camera, K) else TABLE
+        """The ground's points where the photo shows it; objects get none. K has its principal point in the middle,
+        unless somebody tells it."""
+        photo, masks = image.photo, [i.mask for i in image.instances]
+        camera = estimate_camera(photo.rgb, masks, image.ground_mask, focal=image.focal, priors=self.priors)
+        x, y = (image.focal and image.focal.centre) or (photo.width / 2, photo.height / 2)
+        K = np.array([[camera.focal, 0, x], [0, camera.focal, y], [0, 0, 1]])
+        height = image.camera_height or (ROOM if _shows_horizon(camera, K) else TABLE)
         h, w = (max(1, round(n * min(1, LONGEST / max(photo.rgb.shape[:2])))) for n in photo.rgb.shape[:2])
         points, seen = _plane(K, camera.up, height, (photo.width, photo.height), (w, h))
         valid = seen & ~resample(union_of((i.mask for i in image.instances), photo.rgb.shape[:2]), w, h)
-        return EstimatedGeometry(points=points, valid=valid, K=K, ground_only=True, told=_told(camera, height))
+        return EstimatedGeometry(points=points, valid=valid, K=K, ground_only=True, told=_told(camera, image, height))
 
 
 def _shows_horizon(camera: CameraEstimate, K: Array) -> bool:
@@ -57,11 +59,13 @@ def _plane(
     return rays * np.where(valid, depth, 0)[..., None], valid
 
 
-def _told(camera: CameraEstimate, height: float) -> str:
+def _told(camera: CameraEstimate, image: PromptedImage, height: float) -> str:
     degrees = math.degrees
     f, pitch, roll = camera.errors
+    known = f" (told by {image.focal.source})" if image.focal else ""
+    over = "is, as given," if image.camera_height else "is taken to be"
     return (
-        f"focal length {camera.focal:.0f} px +- {100 * f:.0f} %, pitch {degrees(camera.pitch):.1f} +- "
+        f"focal length {camera.focal:.0f} px +- {100 * f:.0f} %{known}, pitch {degrees(camera.pitch):.1f} +- "
         f"{degrees(pitch):.1f} and roll {degrees(camera.roll):.1f} +- {degrees(roll):.1f} degrees by {camera.segments} "
-        f"line segments and {camera.rims} rims; the camera is taken to be {height:g} m above the ground"
+        f"line segments and {camera.rims} rims; the camera {over} {height:g} m above the ground"
     )
