@@ -1,0 +1,175 @@
+"""What one page is about: the photo, what has been drawn on it so far, and the masks that come of it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from http import HTTPStatus
+from pathlib import Path
+from typing import Any
+
+from f3sr.errors import F3srError, one_line, unforeseen
+from f3sr.files import strict_json
+from f3sr.mask_page.loopback_server import Reply, json_reply
+from f3sr.mask_page.mask_pictures import mask_picture, shown_photo, shown_size
+from f3sr.scene import Photo
+from f3sr.segmentation.selection import Outlines, Selection
+
+MAX_REVISION = 2**53 - 1
+"""Largest whole number that a script counts to."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Drawing:
+    """What the page needs of the rest of f3sr."""
+
+    photo: Photo
+    name: str
+    """Of the photo's file."""
+    folder: Path
+    """Where the masks go."""
+    outline: Callable[[Selection], Outlines]
+    write: Callable[[Selection, Outlines], Path]
+    """Writes the folder and returns its full path."""
+    read: Callable[[Any], Selection]
+    """From JSON that a page sent. Raises InputError."""
+    form: Callable[[Selection], Any]
+    """To JSON."""
+    after: str = ""
+    """What follows once it is saved: one sentence for the page."""
+    command: str = ""
+    """The command that goes on from the folder, for the page; it may be empty."""
+
+
+class PageRefusedError(F3srError):
+    """A page that may not change anything: it is behind another one, or sent what no page sends."""
+
+
+class DrawingSession:
+    """Answers the page. Of several pages only the one that was opened last may change something."""
+
+    def __init__(self, drawing: Drawing, given: Selection) -> None:
+        self.drawing = drawing
+        self.saved: Path | None = None
+        self.ended = threading.Event()
+        """Set once the page has saved or has been cancelled, and knows it."""
+        self._state, self._working = threading.Lock(), threading.Lock()
+        self._selection, self._revision, self._page = given, 0, 0
+        self._known: tuple[Selection, Outlines] | None = None
+        self._photo = shown_photo(drawing.photo)
+
+    def photo(self, body: bytes) -> Reply:
+        return Reply(body=self._photo, kind="image/jpeg")
+
+    def open(self, body: bytes) -> Reply:
+        """A page begins, with what has been drawn until now."""
+        return self._answer(body, set(), self._opened)
+
+    def outline(self, body: bytes) -> Reply:
+        """The masks of what is drawn on the page."""
+        return self._answer(body, {"page", "revision", "selection"}, self._outlined)
+
+    def save(self, body: bytes) -> Reply:
+        """The folder is written; the session ends."""
+        return self._answer(body, {"page", "revision", "selection"}, self._written)
+
+    def cancel(self, body: bytes) -> Reply:
+        """The session ends, with nothing written."""
+        return self._answer(body, {"page"}, self._cancelled)
+
+    def result(self) -> Path | None:
+        """What was saved, once the work in hand is done."""
+        with self._working:
+            return self.saved
+
+    def _answer(self, body: bytes, keys: set[str], work: Callable[[dict[str, Any]], Reply]) -> Reply:
+        """The answer, or one line that says what is wrong."""
+        try:
+            value = strict_json.loads(body)
+            if not isinstance(value, dict) or set(value) != keys:
+                raise PageRefusedError(f"an object with {', '.join(sorted(keys)) or 'nothing'} is accepted")
+            if self.ended.is_set():
+                raise PageRefusedError("this page is done")
+            return work(value)
+        except ValueError as error:
+            return _problem(HTTPStatus.BAD_REQUEST, f"no valid JSON ({error})")
+        except PageRefusedError as error:
+            return _problem(HTTPStatus.CONFLICT, str(error))
+        except F3srError as error:
+            return _problem(HTTPStatus.UNPROCESSABLE_ENTITY, str(error))
+        except Exception as error:  # a segmenter of others may raise anything; the page goes on
+            return _problem(HTTPStatus.INTERNAL_SERVER_ERROR, unforeseen(error, "nothing was saved"))
+
+    def _opened(self, value: Mapping[str, Any]) -> Reply:
+        with self._state:
+            self._page += 1
+            page, revision, selection = self._page, self._revision, self._selection
+        d = self.drawing
+        width, height = shown_size(d.photo)
+        return json_reply(
+            {
+                "page": page,
+                "revision": revision,
+                "selection": d.form(selection),
+                "photo": {"width": d.photo.width, "height": d.photo.height, "shown": [width, height]},
+                "name": d.name,
+                "folder": str(d.folder),
+            }
+        )
+
+    def _outlined(self, value: Mapping[str, Any]) -> Reply:
+        selection, revision = self._taken(value)
+        with self._working:
+            if revision != self._revision:
+                return json_reply({"revision": revision, "stale": True})
+            outlines = self._masks(selection)
+        size = shown_size(self.drawing.photo)
+        masks = [mask_picture(mask, size) for mask in outlines.masks] if outlines else []
+        ground = mask_picture(outlines.ground, size) if outlines else None
+        return json_reply({"revision": revision, "masks": masks, "ground": ground})
+
+    def _written(self, value: Mapping[str, Any]) -> Reply:
+        selection, _ = self._taken(value)
+        if not selection.prompts:
+            raise PageRefusedError("there is nothing to save yet: draw a box around an object")
+        with self._working:
+            outlines = self._masks(selection)
+            assert outlines is not None
+            self.saved = self.drawing.write(selection, outlines)
+        told = {"folder": str(self.saved), "after": self.drawing.after, "command": self.drawing.command}
+        return json_reply(told, sent=self.ended.set)
+
+    def _cancelled(self, value: Mapping[str, Any]) -> Reply:
+        with self._state:
+            self._require_page(value["page"])
+        return json_reply({}, sent=self.ended.set)
+
+    def _taken(self, value: Mapping[str, Any]) -> tuple[Selection, int]:
+        """The selection that a page sent, kept for the next page, and its revision."""
+        selection, revision = self.drawing.read(value["selection"]), value["revision"]
+        if type(revision) is not int or not 0 <= revision <= MAX_REVISION:
+            raise PageRefusedError(f"a revision from 0 to {MAX_REVISION} is accepted")
+        with self._state:
+            self._require_page(value["page"])
+            if revision < self._revision:
+                raise PageRefusedError("this is older than what is here")
+            if revision > self._revision:
+                self._selection, self._revision = selection, revision
+            return self._selection, revision
+
+    def _require_page(self, page: object) -> None:
+        if type(page) is not int or page != self._page:
+            raise PageRefusedError("The photo was opened again in another window. Reload this page to go on here.")
+
+    def _masks(self, selection: Selection) -> Outlines | None:
+        """Of a selection, the last one's again without asking; None where nothing is drawn."""
+        if not selection.prompts:
+            return None
+        if self._known is None or self._known[0] is not selection:
+            self._known = selection, self.drawing.outline(selection)
+        return self._known[1]
+
+
+def _problem(status: HTTPStatus, line: str) -> Reply:
+    return json_reply({"problem": one_line(line)}, status=int(status))
