@@ -34,7 +34,7 @@
     return;
   }
   const marks = marksOf(given.selection);
-  $("stage").style.aspectRatio = `${given.photo.width} / ${given.photo.height}`; // where its height is not given: on phones
+  $("stage").style.setProperty("--shape", `${given.photo.width} / ${given.photo.height}`);
   const canvas = $("canvas"), paper = canvas.getContext("2d");
   const shrink = given.photo.shown[0] / given.photo.width; // shown pixels of a pixel of the photo
   const masks = new Map(); // by key: what the server found, as pictures
@@ -504,7 +504,7 @@
       } catch { /* asked again below */ }
       missed += 1;
       if (!done && missed > 2) line(NO_SERVER);
-      await new Promise((next) => setTimeout(next, 1000));
+      await new Promise((next) => setTimeout(next, 500));
     }
   };
 
