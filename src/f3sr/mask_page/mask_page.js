@@ -508,6 +508,7 @@
     }
   };
 
+  $("where").textContent = `Goes to ${given.folder}`;
   stay();
   show();
   if (marks.objects.length || marks.ground.inside.length) ask();

@@ -1,0 +1,79 @@
+"""The command from a photo to a scene and its report."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from f3sr.cli.arguments import MaybeFile, MaybeOut, Name, default_shown
+from f3sr.cli.reconstruct_command import reconstruct
+
+PhotoOrFolder = Annotated[Positional[Path], arg(metavar="PHOTO")]
+Boxes = Annotated[tuple[str, ...], arg(metavar="[BOX ...]", help_behavior_hint=default_shown)]
+SCENE, INPUT = "_scene", "_input"
+"""Ends of the names of the folders beside a photo: the package, and the masks it is made from."""
+
+
+def photo(
+    photo: PhotoOrFolder,
+    /,
+    out: MaybeOut = None,
+    box: Boxes = (),
+    segmentation: Name = None,
+    geometry: Name = None,
+    assets: Name = None,
+    background: Name = None,
+    config: MaybeFile = None,
+    overwrite: bool = False,
+    open: bool = True,
+    json: bool = False,
+) -> None:
+    """Outline the objects of a photo in a page, reconstruct them, and open the report.
+
+    Args:
+        photo: A PNG or JPEG file, or a prompted-image folder, which needs no page.
+        out: Where the package goes. Without it, PHOTO_scene beside the photo. The masks go to PHOTO_input beside the
+            package. A second run begins with what was drawn.
+        box: Boxes of objects instead of the page, as "red mug=40,50,100,120": left, top, right, bottom in pixels.
+        segmentation: Back end that makes masks; ``f3sr doctor`` lists its names.
+        geometry: Back end that estimates geometry; ``f3sr doctor`` lists its names.
+        assets: Back end that generates meshes; ``f3sr doctor`` lists its names.
+        background: Back end that completes the photo behind the objects; ``f3sr doctor`` lists its names.
+        config: TOML file of settings; those it does not name stay as ``f3sr config`` prints them.
+        overwrite: Also replace a package that holds rollouts.
+        open: Open page and report in a browser.
+        json: Print one JSON object instead of text.
+    """
+    from f3sr.cli import console
+    from f3sr.scene_package.package import PAGE
+    from f3sr.scene_package.package_folder import prepare_output
+    from f3sr.web.browser import shown_in_browser
+
+    given = photo.is_dir()
+    package = out or _beside(photo, SCENE)
+    folder = photo if given else _beside(package, INPUT)
+    package = prepare_output(package, inputs=folder, overwrite=overwrite)
+    if not given:
+        _outlined(photo, folder, box, segmentation, open_browser=open, quiet=json)
+    reconstruct(
+        folder,
+        out=package,
+        geometry=geometry,
+        assets=assets,
+        background=background,
+        config=config,
+        overwrite=overwrite,
+        json=json,
+    )
+    if open and not shown_in_browser((package / PAGE).as_uri()) and not json:
+        console.say("no browser was found; open the report yourself")
+
+
+def _beside(place: Path, ending: str) -> Path:
+    """A folder beside a photo or a folder, named after it."""
+    whole = Path(place).absolute()
+    name = whole.name if whole.is_dir() or ending == INPUT else whole.stem
+    return whole.with_name(name.removesuffix(INPUT).removesuffix(SCENE) + ending)
