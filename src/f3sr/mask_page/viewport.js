@@ -42,6 +42,9 @@ const viewportOf = (canvas, photo, hands) => {
     Math.max(0, Math.min(photo.width, (cx - x) / scale)), Math.max(0, Math.min(photo.height, (cy - y) / scale)),
   ];
 
+  scale = fitScale();
+  bounded();
+
   // --- gestures ----------------------------------------------------------------------------------------------------
 
   const pointers = new Map();
