@@ -1,0 +1,72 @@
+"""Pixels that several masks claim, given to one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.segmentation.box_fill import fills, share_within
+from f3sr.segmentation.colour_mixture import colour_mixture, lab
+from f3sr.segmentation.grid_cut import Mask
+from f3sr.segmentation.object_window import Box, object_window
+from f3sr.vision.regions import grown
+
+OWN = 0.1
+"""Least share of a mask that no other claims, if its colours are to be learnt there."""
+NESTED = 0.7
+"""Share of a box within another box from which on its object counts as standing in, or before, the other's."""
+PIXELS = 10_000
+"""Most pixels at which a contest is held."""
+AROUND = 6
+"""Pixels of the photo around the contested ones, whose owners are known."""
+
+
+def disjoint(rgb: NDArray[np.uint8], masks: Sequence[Mask], boxes: Sequence[Box]) -> tuple[Mask, ...]:
+    """The masks (h, w) without shared pixels, in their order, which does not matter.
+
+    Of two masks, a contested pixel goes to the one whose colours, learnt where nobody else claims them, and whose
+    border explain it better: a minimum cut. A mask that lies all in another is kept if its box does too. Otherwise it
+    is a leak. ``boxes`` are what each mask should fill.
+    """
+    given = [mask.copy() for mask in masks]
+    for i, first in enumerate(masks):
+        for j in range(i + 1, len(masks)):
+            shared = first & masks[j]
+            if shared.any():
+                kept = _first_keeps(rgb, (first, masks[j]), (boxes[i], boxes[j]))
+                given[i] &= ~shared | kept
+                given[j] &= ~(shared & kept)
+    return tuple(given)
+
+
+def _first_keeps(rgb: NDArray[np.uint8], masks: tuple[Mask, Mask], boxes: tuple[Box, Box]) -> Mask:
+    """Which of the shared pixels (h, w) the first of two masks keeps."""
+    if _order(masks[1], boxes[1]) < _order(masks[0], boxes[0]):
+        return masks[0] & masks[1] & ~_first_keeps(rgb, masks[::-1], boxes[::-1])
+    shared = masks[0] & masks[1]
+    own = [mask & ~shared for mask in masks]
+    shares = [o.sum() / mask.sum() for o, mask in zip(own, masks, strict=True)]
+    if min(shares) >= OWN:
+        return shared & _contest(rgb, shared, own[0], own[1])
+    inner = int(np.argmin(shares))
+    stands = share_within(boxes[inner], boxes[1 - inner]) >= NESTED or fills(masks[inner], boxes[inner])
+    return shared if stands == (inner == 0) else np.zeros_like(shared)
+
+
+def _order(mask: Mask, box: Box) -> tuple[int, Box, int]:
+    """Decides who comes first, so that the order in which masks are given decides nothing."""
+    return int(mask.sum()), box, int(np.argmax(mask))
+
+
+def _contest(rgb: NDArray[np.uint8], shared: Mask, first: Mask, second: Mask) -> Mask:
+    """Pixels (h, w) of the first, of those that it shares with the second: each has others of its own."""
+    rows, columns = np.flatnonzero(shared.any(1)), np.flatnonzero(shared.any(0))
+    place = (columns[0] - AROUND, rows[0] - AROUND, columns[-1] + 1 + AROUND, rows[-1] + 1 + AROUND)
+    window = object_window(rgb, place, pixels=PIXELS, margin=0.0)
+    cost = colour_mixture(lab(rgb[first])).cost(window.colours) - colour_mixture(lab(rgb[second])).cost(window.colours)
+    mine, theirs = window.lowered(first), window.lowered(second)
+    cost[~(grown(window.lowered(shared), 1) | mine | theirs)] = 0.0
+    cost[mine], cost[theirs] = -np.inf, np.inf
+    return window.raised(window.grid.cut(cost))
