@@ -465,7 +465,7 @@ def test_cancel_ends_with_nothing(served: Served):
 
 
 def test_a_page_that_closes_ends_it_unless_it_comes_back(tmp_path: Path):
-    served = Served(tmp_path / "masks", reload_s=0.6)
+    served = Served(tmp_path / "masks", reload_s=0.3)
 
     def stay() -> socket.socket:
         raw = socket.create_connection((HOST, served.server.port), 5)
@@ -473,13 +473,13 @@ def test_a_page_that_closes_ends_it_unless_it_comes_back(tmp_path: Path):
         assert raw.recv(10)
         return raw
 
-    time.sleep(0.9)  # nobody has opened the page yet
+    time.sleep(0.5)  # nobody has opened the page yet
     assert served.thread.is_alive()
     first = stay()
-    time.sleep(0.9)
+    time.sleep(0.5)
     first.close()
     second = stay()  # a reload
-    time.sleep(0.9)
+    time.sleep(0.5)
     assert served.thread.is_alive()
     second.close()
     assert served.ended() is None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any
@@ -56,7 +56,7 @@ class DrawingSession:
         """Set once the page has saved or has been cancelled, and knows it."""
         self._state, self._working = threading.Lock(), threading.Lock()
         self._selection, self._revision, self._page = given, 0, 0
-        self._known: tuple[Selection, Outlines] | None = None
+        self._known: tuple[Any, Outlines] | None = None
         self._photo = shown_photo(drawing.photo)
 
     def photo(self, body: bytes) -> Reply:
@@ -163,11 +163,13 @@ class DrawingSession:
             raise PageRefusedError("The photo was opened again in another window. Reload this page to go on here.")
 
     def _masks(self, selection: Selection) -> Outlines | None:
-        """Of a selection, the last one's again without asking; None where nothing is drawn."""
+        """Of a selection; None where nothing is drawn. Another name changes no mask, so nothing is asked again."""
         if not selection.prompts:
             return None
-        if self._known is None or self._known[0] is not selection:
-            self._known = selection, self.drawing.outline(selection)
+        nameless = replace(selection, prompts=tuple(replace(p, label="") for p in selection.prompts))
+        key = self.drawing.form(nameless)
+        if self._known is None or self._known[0] != key:
+            self._known = key, self.drawing.outline(nameless)
         return self._known[1]
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import io
 import json
 import secrets
-import select
 import socket
 import threading
 import time
@@ -257,13 +256,14 @@ class PageRequest(BaseHTTPRequestHandler):
 
     def _stay(self) -> None:
         """Keep the connection of an open page until either end goes."""
-        self.connection.settimeout(SEND_S)
+        self.connection.settimeout(BEAT_S)
         self.server.presence.enter()
         try:
             self._head(200, "text/plain", None)
             while not self.server.ended.is_set():
                 self.wfile.write(b".")
-                if select.select([self.connection], [], [], BEAT_S)[0]:
+                with suppress(TimeoutError):
+                    self.connection.recv(1)
                     return
         finally:
             self.server.presence.leave()

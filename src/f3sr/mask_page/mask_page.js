@@ -2,7 +2,7 @@
 (async () => {
   "use strict";
   const $ = (id) => document.getElementById(id);
-  const COLOURS = ["#ff7a1a", "#2f8dff", "#ffd21a", "#e250d8", "#14c4c9", "#ff4b55", "#a77bff", "#b8e038", "#ff9ec4", "#8b5e2b"];
+  const COLOURS = ["#ff7a1a", "#2f8dff", "#ffd21a", "#e250d8", "#14c4c9", "#ff4b55", "#a77bff", "#b8e038", "#ff9ec4", "#f2efe6"];
   const LEAST = 4; // CSS pixels that a drag must have to be a box
   const NEAR = { mouse: 9, pen: 14, touch: 24 }; // CSS pixels from a corner that still take it
   const MOST_POINTS = 1000; // of a stroke
@@ -132,7 +132,7 @@
     const [x, y] = view.toCanvas([(mask.x - rim) / shrink, (mask.y - rim) / shrink]);
     const by = view.scale / shrink;
     const chosen = key === selected, quiet = key === "ground" && !chosen && mode !== "ground";
-    paper.globalAlpha = quiet ? 0 : chosen ? 0.5 : 0.34;
+    paper.globalAlpha = quiet ? 0 : chosen ? 0.42 : 0.28;
     paper.drawImage(tint, x, y, tint.width * by, tint.height * by);
     paper.globalAlpha = quiet ? 0.5 : 1;
     paper.drawImage(edge, x, y, edge.width * by, edge.height * by);
@@ -153,6 +153,7 @@
   const drawBox = (box, colour, { dashed = false, corners = false } = {}) => {
     const [l, t] = view.toCanvas(box), [r, b] = view.toCanvas(box.slice(2));
     paper.setLineDash(dashed ? [6, 4] : []);
+    paper.lineDashOffset = asking && !still.matches ? (performance.now() / 40) % 10 : 0;
     for (const [width, paint] of [[3.5, "rgb(0 0 0 / .6)"], [1.75, colour]]) {
       paper.lineWidth = width;
       paper.strokeStyle = paint;
@@ -181,6 +182,7 @@
     paper.fillStyle = "#fff";
     paper.fillText(text, left + 6, top + 14);
   };
+  const still = matchMedia("(prefers-reduced-motion: reduce)");
   let drawing = 0;
   const draw = () => {
     cancelAnimationFrame(drawing);
@@ -199,8 +201,10 @@
     for (const o of marks.objects) {
       const dragged = drawn && drawn.kind === "corner" && o.key === drawn.key;
       if (dragged) continue;
-      if (o.key === selected) drawBox(o.box, colourOf(o.key), { corners: mode === "box" });
-      else if (!masks.get(o.key)?.image) drawBox(o.box, colourOf(o.key), { dashed: true });
+      const waits = asking && masks.get(o.key)?.prompt !== promptOf(o.key);
+      if (o.key === selected || waits || !masks.get(o.key)?.image) {
+        drawBox(o.box, colourOf(o.key), { dashed: waits, corners: o.key === selected && mode === "box" });
+      }
     }
     const target = selected !== null && marks.of(selected);
     if (target) {
@@ -210,6 +214,7 @@
     marks.objects.forEach(drawTag);
     if (drawn && drawn.box) drawBox(drawn.box, drawn.key ? colourOf(drawn.key) : "#fff", { dashed: true });
     if (drawn && drawn.stroke) drawStroke(drawn.stroke, drawn.side === "inside" ? "#12823a" : "#c81e1e");
+    if (asking && !still.matches) draw(); // dashes move while the server works
   };
 
   // --- drawing ------------------------------------------------------------------------------------------------------------
@@ -508,7 +513,7 @@
     }
   };
 
-  $("where").textContent = `Goes to ${given.folder}`;
+  $("where").textContent = `Will be saved in ${given.folder}`;
   stay();
   show();
   if (marks.objects.length || marks.ground.inside.length) ask();
