@@ -21,7 +21,7 @@ from PIL import Image
 from f3sr import mask_page
 from f3sr.backends.protocols import Prompt
 from f3sr.errors import F3srWarning, InputError
-from f3sr.mask_page import interim_form, loopback_server
+from f3sr.mask_page import interim, loopback_server
 from f3sr.mask_page.drawing_session import Drawing, DrawingSession
 from f3sr.mask_page.loopback_server import HOST, MAX_BODY, MAX_CONNECTIONS
 from f3sr.mask_page.mask_pictures import LONGEST_SIDE, mask_picture, shown_photo, shown_size
@@ -72,8 +72,8 @@ class Served:
             folder=folder,
             outline=outline,
             write=self._write,
-            read=interim_form.read,
-            form=interim_form.form,
+            read=interim.read,
+            form=interim.form,
             after="The terminal goes on.",
             command=f"f3sr reconstruct {folder} -o OUT",
         )
@@ -333,7 +333,7 @@ def test_masks_come_as_pictures_of_what_was_drawn(served: Served):
     sent = selection(RED, BLUE)
     status, told = served.post("outline", {"page": page, "revision": 1, "selection": sent})
     assert status == 200 and told["revision"] == 1
-    wanted = outline(interim_form.read(sent))
+    wanted = outline(interim.read(sent))
     for got, mask in zip(told["masks"], wanted.masks, strict=True):
         assert (pixels(served, got) == mask).all()
     assert (pixels(served, told["ground"]) == wanted.ground).all()
@@ -486,7 +486,7 @@ def test_a_page_that_closes_ends_it_unless_it_comes_back(tmp_path: Path):
 
 
 def test_what_was_drawn_before_is_there_again(tmp_path: Path):
-    given = interim_form.read(selection(RED, label="mug"))
+    given = interim.read(selection(RED, label="mug"))
     served = Served(tmp_path / "masks", given=given)
     status, told = served.post("open", {})
     assert status == 200 and told["selection"] == selection(RED, label="mug")
