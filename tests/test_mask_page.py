@@ -45,8 +45,7 @@ def outline(selection: Selection) -> Outlines:
     """Everything in a box that has another colour than the box's corner, with strokes' points added or taken."""
     rgb, masks = photo().rgb.astype(int), list[np.ndarray[Any, Any]]()
     for prompt in selection.prompts:
-        assert prompt.box
-        left, top, right, bottom = (int(v) for v in prompt.box)
+        left, top, right, bottom = (int(v) for v in prompt.box or (0, 0, 1, 1))
         mask = np.zeros((HEIGHT, WIDTH), bool)
         cut = rgb[top:bottom, left:right]
         mask[top:bottom, left:right] = np.abs(cut - cut[0, 0]).sum(2) > 60
@@ -707,6 +706,21 @@ def test_a_reload_shows_what_was_drawn(desk: Hands):
     desk.until("window.page && page.marks.objects.length === 1")
     desk.settled(1)
     assert desk.objects()[0]["label"] == "mug" and desk.tab.input_value("#objects input") == "mug"
+
+
+def test_an_object_of_strokes_only_is_shown_and_chosen(browser: Any, tmp_path: Path):
+    """``f3sr segment --inside`` makes such ones; the page goes on from them."""
+    clicked = Prompt(label="dot", inside=(((70.0, 80.0),),))
+    served = Served(tmp_path / "masks", given=Selection(prompts=(clicked,)))
+    hands = Hands(browser, served, viewport={"width": 1000, "height": 700})
+    hands.settled(1)
+    hands.drag((70, 80))
+    assert hands.tab.evaluate("page.selected") == hands.objects()[0]["key"]
+    hands.drag(BLUE[:2], BLUE[2:])
+    hands.settled(2)
+    hands.close()
+    served.session.ended.set()
+    assert served.ended() is None
 
 
 def test_an_empty_box_is_told_and_can_be_undone(desk: Hands):

@@ -45,6 +45,7 @@ const marksOf = (selection) => {
       now = future.pop();
     },
     selection: () => ({
+      ...selection,
       prompts: now.objects.map(({ label, box, inside, outside }) => ({ label, box, inside, outside })),
       ground: { label: "", box: null, ...now.ground },
     }),

@@ -3,7 +3,7 @@
   "use strict";
   const $ = (id) => document.getElementById(id);
   const COLOURS = ["#ff7a1a", "#2f8dff", "#ffd21a", "#e250d8", "#14c4c9", "#ff4b55", "#a77bff", "#b8e038", "#ff9ec4", "#f2efe6"];
-  const LEAST = 4; // CSS pixels that a drag must have to be a box
+  const LEAST = 4; // CSS pixels that a drag must have to be a box, and pixels of its sides
   const NEAR = { mouse: 9, pen: 14, touch: 24 }; // CSS pixels from a corner that still take it
   const MOST_POINTS = 1000; // of a stroke
   const NO_SERVER = "The program in the terminal does not answer. If it has ended, nothing more can be saved here.";
@@ -138,6 +138,13 @@
     paper.drawImage(edge, x, y, edge.width * by, edge.height * by);
     paper.globalAlpha = 1;
   };
+  const around = (o) => { // its box; where nobody drew one, what encloses its mask or its strokes
+    if (o.box) return o.box;
+    const mask = masks.get(o.key);
+    if (mask?.image) return [mask.x, mask.y, mask.x + mask.image.width, mask.y + mask.image.height].map((v) => v / shrink);
+    const points = o.inside.flat(), xs = points.map((p) => p[0]), ys = points.map((p) => p[1]);
+    return [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
+  };
   const drawStroke = (stroke, colour) => {
     const way = new Path2D();
     const points = stroke.map(view.toCanvas);
@@ -170,7 +177,7 @@
     }
   };
   const drawTag = (o, k) => {
-    const [x, y] = view.toCanvas(o.box), [r] = view.toCanvas(o.box.slice(2));
+    const box = around(o), [x, y] = view.toCanvas(box), [r] = view.toCanvas(box.slice(2));
     paper.font = "600 13px system-ui, sans-serif";
     let text = o.label && (o.key === selected || r - x > 60) ? `${k + 1} ${o.label}` : `${k + 1}`;
     while (text.length > 6 && paper.measureText(text).width > Math.max(90, r - x)) text = `${text.slice(0, -2).trimEnd()}…`;
@@ -200,7 +207,7 @@
     for (const o of marks.objects) drawMask(o.key);
     for (const o of marks.objects) {
       const dragged = drawn && drawn.kind === "corner" && o.key === drawn.key;
-      if (dragged) continue;
+      if (dragged || !o.box) continue;
       const waits = asking && masks.get(o.key)?.prompt !== promptOf(o.key);
       if (o.key === selected || waits || !masks.get(o.key)?.image) {
         drawBox(o.box, colourOf(o.key), { dashed: waits, corners: o.key === selected && mode === "box" });
@@ -222,7 +229,7 @@
   const boxOf = ([a, b], [c, d]) => [Math.min(a, c), Math.min(b, d), Math.max(a, c), Math.max(b, d)];
   const cornerAt = (at, kind) => { // the opposite corner, of the selected box, where one is near
     const o = selected !== "ground" && selected !== null && marks.of(selected);
-    if (!o) return null;
+    if (!o || !o.box) return null;
     const [l, t, r, b] = o.box;
     for (const [x, y, fx, fy] of [[l, t, r, b], [r, t, l, b], [r, b, l, t], [l, b, r, t]]) {
       const [cx, cy] = view.toCanvas([x, y]);
@@ -237,9 +244,10 @@
     return probe.getImageData(0, 0, 1, 1).data[3] > 0;
   };
   const objectAt = (p) => { // the one whose mask is there; else the smallest box around the point
-    const area = (o) => (o.box[2] - o.box[0]) * (o.box[3] - o.box[1]);
-    const around = marks.objects.filter(({ box: [l, t, r, b] }) => p[0] >= l && p[0] <= r && p[1] >= t && p[1] <= b).sort((a, b) => area(a) - area(b));
-    return marks.objects.find((o) => masks.get(o.key)?.image && covers(masks.get(o.key), p)) || around[0];
+    const area = ([l, t, r, b]) => (r - l) * (b - t);
+    const inside = marks.objects.map((o) => [o, around(o)]).filter(([, [l, t, r, b]]) => p[0] >= l && p[0] <= r && p[1] >= t && p[1] <= b);
+    const smallest = inside.sort(([, a], [, b]) => area(a) - area(b)).map(([o]) => o)[0];
+    return marks.objects.find((o) => masks.get(o.key)?.image && covers(masks.get(o.key), p)) || smallest;
   };
   const onStart = (at, kind) => {
     if (sleeping) return;
@@ -281,8 +289,8 @@
     const moved = Math.hypot(done.at[0] - done.start[0], done.at[1] - done.start[1]);
     if (moved < LEAST) {
       select(objectAt(view.toPhoto(...done.start))?.key ?? null);
-    } else if (done.box[2] - done.box[0] < 2 || done.box[3] - done.box[1] < 2) {
-      line("This box has no area. Drag from one corner of the object to the opposite one.");
+    } else if (done.box[2] - done.box[0] < LEAST || done.box[3] - done.box[1] < LEAST) {
+      line("This box is too thin. Drag from one corner of the object to the opposite one.");
       draw();
     } else if (done.kind === "corner") {
       marks.move(done.key, rounded([done.box])[0]);
