@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from f3sr.backends.protocols import Prompt
 from f3sr.scene import Photo
 from f3sr.segmentation.box_cut import Evidence, cut_out, refined
+from f3sr.segmentation.box_fill import inner
 from f3sr.segmentation.grid_cut import Mask
 from f3sr.segmentation.object_window import Box, ObjectWindow, object_window
 from f3sr.segmentation.ownership import disjoint
@@ -108,7 +109,7 @@ class _Views:
         window = object_window(self.rgb, box, pixels=COARSE)
         evidence = _evidence(window, prompt, box, window.lowered(rivals))
         if mask is not None:
-            if not (evidence.rivals is not None and (evidence.rivals & window.within(box)).any()):
+            if not (evidence.rivals is not None and (evidence.rivals & inner(window.shape, window.inner(box))).any()):
                 return mask
             evidence = replace(evidence, starts=(window.lowered(mask),))
         return window.raised(self._once("cut", prompt, evidence, lambda: cut_out(evidence)))
@@ -142,7 +143,7 @@ def _evidence(window: ObjectWindow, prompt: Prompt, box: Box, rivals: Mask) -> E
     inside = window.drawn(prompt.inside) & ~outside
     return Evidence(
         window=window,
-        allowed=(window.within(box) & ~rivals & ~outside) | inside,
+        allowed=(inner(window.shape, window.inner(box)) & ~rivals & ~outside) | inside,
         inside=inside,
         outside=outside,
         box=window.inner(box) if prompt.box is not None else None,
