@@ -15,7 +15,7 @@ import tyro
 
 import f3sr
 from f3sr import options
-from f3sr.cli import agent_commands, batch_commands, goal_commands, sample_command
+from f3sr.cli import agent_commands, batch_commands, goal_commands, sample_command, segment_command
 from f3sr.cli.arguments import Axes, Folder, Ignore, MaybeFile, MaybeShare, Name, Out, Skip
 from f3sr.errors import (
     F3srError,
@@ -47,6 +47,7 @@ F3SR_TRACEBACK=1 shows where an unforeseen error arose."""
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     commands: dict[str, Callable[..., Any]] = {
+        "segment": segment_command.segment,
         "reconstruct": reconstruct,
         "evaluate": evaluate,
         "simulate": goal_commands.simulate,

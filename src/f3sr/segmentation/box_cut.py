@@ -52,7 +52,7 @@ class Evidence:
 
 def cut_out(evidence: Evidence) -> Mask:
     """The object (h, w); its box where nothing in it looks like one."""
-    found = [cut for start in _starts(evidence) if (cut := _settled(evidence, start)).any()]
+    found = [cut for start in _starts(evidence) if (cut := settled(evidence, start)).any()]
     if not found:
         return evidence.allowed | evidence.inside
     best = min(found, key=lambda mask: _rank(evidence, mask))
@@ -109,7 +109,7 @@ def _starts(evidence: Evidence) -> Iterator[Mask]:
     yield from (allowed & start for start in evidence.starts)
 
 
-def _settled(evidence: Evidence, start: Mask) -> Mask:
+def settled(evidence: Evidence, start: Mask) -> Mask:
     """Colours and cut in turn until neither changes."""
     mask = start | evidence.inside
     for _ in range(ROUNDS):
@@ -189,7 +189,7 @@ def _filling(evidence: Evidence, mask: Mask) -> Mask:
             return mask
         way = _way(evidence, mask, goal)
         evidence = replace(evidence, inside=evidence.inside | way)
-        mask = _settled(evidence, mask)
+        mask = settled(evidence, mask)
     return mask
 
 

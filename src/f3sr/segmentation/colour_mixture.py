@@ -99,6 +99,8 @@ def lab(rgb: NDArray[np.uint8]) -> Array:
     return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], -1)
 
 
-TO_XYZ = np.array([[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]])
-TO_XYZ = TO_XYZ / TO_XYZ.sum(1, keepdims=True)
+_PRIMARIES = np.array(
+    [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
+)
+TO_XYZ = _PRIMARIES / _PRIMARIES.sum(1, keepdims=True)
 """Linear sRGB to XYZ of which white is (1, 1, 1)."""
