@@ -13,7 +13,7 @@ from typing import Any
 import tyro
 
 import f3sr
-from f3sr.cli import agent_commands, batch_commands, goal_commands, photo_command, sample_command
+from f3sr.cli import agent_commands, batch_commands, goal_commands, photo_command, sample_command, segment_command
 from f3sr.cli.arguments import Axes, Folder, Ignore, MaybeFile, Out
 from f3sr.cli.reconstruct_command import as_json, columns_of, names_in, reconstruct
 from f3sr.errors import (
@@ -40,6 +40,7 @@ F3SR_TRACEBACK=1 shows where an unforeseen error arose."""
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     commands: dict[str, Callable[..., Any]] = {
+        "segment": segment_command.segment,
         "photo": photo_command.photo,
         "reconstruct": reconstruct,
         "evaluate": evaluate,

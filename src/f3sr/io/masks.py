@@ -39,7 +39,7 @@ def read_instances(folder: InputFolder, photo: Photo) -> tuple[Instance, ...]:
     most = min(MAX_OBJECTS, MAX_MASK_PIXELS // (photo.width * photo.height))
     if len(names) > most:
         raise InputError(place, found=f"{len(names)} masks", accepted=f"at most {most} for a photo of this size")
-    ids = _ids(place, [Path(name).stem for name in names])
+    ids = ids_of_stems(place, [Path(name).stem for name in names])
     instances = [
         Instance(id=id, label=label, name=name, mask=read_mask(folder, f"masks/{name}", photo))
         for name, (id, label) in zip(names, ids, strict=True)
@@ -133,8 +133,8 @@ def _meet(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> bool:
     return a[0] <= b[1] and b[0] <= a[1] and a[2] <= b[3] and b[2] <= a[3]
 
 
-def _ids(folder: Path, stems: Sequence[str]) -> list[tuple[int, str]]:
-    """Ids and labels from file stems: leading digits are the id, the rest the label."""
+def ids_of_stems(folder: Path, stems: Sequence[str]) -> list[tuple[int, str]]:
+    """Ids and labels from file stems: leading digits are the id, the rest the label. Raises InputError."""
     matches = [re.match(r"([0-9]+)(.*)", s, re.DOTALL) for s in stems]
     if not any(matches):
         return [(k, _label(s)) for k, s in enumerate(stems)]

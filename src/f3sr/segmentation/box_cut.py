@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from f3sr.core.transforms import Array
-from f3sr.segmentation.box_fill import LOOSE, fills, gaps, strip
+from f3sr.segmentation.box_fill import LOOSE, fills, gaps, inner, strip
 from f3sr.segmentation.colour_mixture import ColourMixture, colour_mixture
 from f3sr.segmentation.grid_cut import Mask
-from f3sr.segmentation.object_window import Box, ObjectWindow
+from f3sr.segmentation.object_window import EDGE, Box, ObjectWindow
 from f3sr.vision.regions import distance_to, grown, parts_of, without_holes
 
 ROUNDS = 4
@@ -23,6 +23,8 @@ ODD = 0.9
 """Quantile of the surroundings' costs beyond which a colour is odd there."""
 CENTRE = 0.5
 """Squared radius of the ellipse in the middle of a box that is one start; the box is 1 wide."""
+OPEN = 0.05
+"""Most of a box's outline at which a mask may end without contrast: where the box is tight and the contrast low."""
 TOLD = 0.1
 """Least share of strokes among the colours that a mixture is learnt from: a few pixels stand for a part."""
 SURE = 1e4
@@ -50,14 +52,34 @@ class Evidence:
 
 def cut_out(evidence: Evidence) -> Mask:
     """The object (h, w); its box where nothing in it looks like one."""
-    found = [cut for start in _starts(evidence) if (cut := _settled(evidence, start)).any()]
+    found = [cut for start in _starts(evidence) if (cut := settled(evidence, start)).any()]
     if not found:
         return evidence.allowed | evidence.inside
-    best = min(found, key=lambda mask: _energy(evidence, mask))
-    if _is_full(evidence, best):
-        return best
-    filled = [wider for mask in found if _is_full(evidence, wider := _filling(evidence, mask))]
-    return min(filled, key=lambda mask: _energy(evidence, mask)) if filled else best
+    best = min(found, key=lambda mask: _rank(evidence, mask))
+    if not _is_full(evidence, best):
+        filled = [_filling(evidence, mask) for mask in found]
+        best = min([best, *filled], key=lambda mask: _rank(evidence, mask))
+    return best
+
+
+def _rank(evidence: Evidence, mask: Mask) -> tuple[bool, bool, float]:
+    """Less is better: a mask that ends inside its box, then one that fills it, then the likelier one."""
+    return _openness(evidence, mask) > OPEN, not _is_full(evidence, mask), _energy(evidence, mask)
+
+
+def _openness(evidence: Evidence, mask: Mask) -> float:
+    """Length of a mask's border that is cut off by its box where no contrast ends it, as a share of the box's outline.
+
+    There the object would go on beyond its box: it is a part of the surroundings."""
+    if evidence.box is None:
+        return 0.0
+    grid, flat, beyond = evidence.window.grid, mask.ravel(), ~inner(mask.shape, evidence.box).ravel()
+    first, second = grid.pairs.T
+    wall = (flat[first] & beyond[second]) | (flat[second] & beyond[first])
+    straight = grid.pairs[:, 1] - grid.pairs[:, 0]
+    beside = (straight == 1) | (straight == mask.shape[1])
+    left, top, right, bottom = evidence.box
+    return float((wall & beside & (grid.prices > EDGE / 2)).sum() / (2 * (right - left + bottom - top)))
 
 
 def refined(evidence: Evidence, mask: Mask, width: float) -> Mask:
@@ -87,7 +109,7 @@ def _starts(evidence: Evidence) -> Iterator[Mask]:
     yield from (allowed & start for start in evidence.starts)
 
 
-def _settled(evidence: Evidence, start: Mask) -> Mask:
+def settled(evidence: Evidence, start: Mask) -> Mask:
     """Colours and cut in turn until neither changes."""
     mask = start | evidence.inside
     for _ in range(ROUNDS):
@@ -167,7 +189,7 @@ def _filling(evidence: Evidence, mask: Mask) -> Mask:
             return mask
         way = _way(evidence, mask, goal)
         evidence = replace(evidence, inside=evidence.inside | way)
-        mask = _settled(evidence, mask)
+        mask = settled(evidence, mask)
     return mask
 
 

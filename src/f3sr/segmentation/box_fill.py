@@ -31,7 +31,14 @@ def strip(shape: tuple[int, int], box: Box, side: int) -> Mask:
     x, y = np.arange(shape[1])[None] + 0.5, np.arange(shape[0])[:, None] + 0.5
     wide, high = LOOSE * (right - left), LOOSE * (bottom - top)
     near = (x < left + wide, y < top + high, x > right - wide, y > bottom - high)[side]
-    return near & (x > left) & (x < right) & (y > top) & (y < bottom)
+    return near & inner(shape, box)
+
+
+def inner(shape: tuple[int, int], box: Box) -> Mask:
+    """Pixels (h, w) whose centres lie in a box."""
+    left, top, right, bottom = box
+    x, y = np.arange(shape[1])[None] + 0.5, np.arange(shape[0])[:, None] + 0.5
+    return (x > left) & (x < right) & (y > top) & (y < bottom)
 
 
 def share_within(inner: Box, outer: Box) -> float:

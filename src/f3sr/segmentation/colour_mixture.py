@@ -15,73 +15,78 @@ NOISE = 2.0
 """Least standard deviation of a Gaussian [Lab]: a difference that is just seen."""
 STRANGE = 1e-6
 """Density [1/Lab^3] of colours that no Gaussian explains, about one in all that sRGB shows: no pixel is certain."""
-SAMPLES = 4000
+SAMPLES = 3000
 """Most colours that a mixture is fitted to."""
-ROUNDS = 4
+ROUNDS = 2
 """Times that colours choose their Gaussian again."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ColourMixture:
-    """Gaussians with ``shares`` (k,), ``means`` (k, 3) and ``inverses`` (k, 3, 3) of their covariances."""
+    """``forms`` (10, k): twice the -log density of each Gaussian with its share, as a quadratic in a colour."""
 
-    shares: Array
-    means: Array
-    inverses: Array
+    forms: Array
 
     def cost(self, colours: Array) -> Array:
         """-log density (...) of colours (..., 3)."""
-        flat = colours.reshape(-1, 3)
-        density = np.full(len(flat), STRANGE)
-        for share, mean, inverse in zip(self.shares, self.means, self.inverses, strict=True):
-            whitened = (flat - mean) @ np.linalg.cholesky(inverse)
-            peak = share * np.sqrt(np.linalg.det(inverse) / (2 * np.pi) ** 3)
-            density += peak * np.exp(-0.5 * np.einsum("ij,ij->i", whitened, whitened))
-        return -np.log(density).reshape(colours.shape[:-1])
+        each = np.exp(-0.5 * (_monomials(colours.reshape(-1, 3)) @ self.forms))
+        return -np.log(each.sum(1) + STRANGE).reshape(colours.shape[:-1])
 
 
 def colour_mixture(colours: Array, components: int = COMPONENTS) -> ColourMixture:
     """The mixture of some colours (n, 3), n > 0; the same for the same colours."""
     colours = colours[:: max(1, len(colours) // SAMPLES)]
-    of = _split(colours, components)
+    monomials, of = _monomials(colours), _split(colours, components)
+    forms = _forms(monomials, of)
     for _ in range(ROUNDS):
-        groups = [colours[of == k] for k in range(of.max() + 1)]
-        mixture = _fitted([g for g in groups if len(g)], len(colours))
-        of = _nearest(mixture, colours)
-    return mixture
+        of = np.argmin(monomials @ forms, axis=1)
+        forms = _forms(monomials, of)
+    return ColourMixture(forms=forms)
 
 
-def _fitted(groups: list[Array], count: int) -> ColourMixture:
-    means = np.array([g.mean(0) for g in groups])
-    spread = [(g - m).T @ (g - m) / len(g) + NOISE**2 * np.eye(3) for g, m in zip(groups, means, strict=True)]
-    shares = np.array([len(g) for g in groups]) / count
-    return ColourMixture(shares=shares, means=means, inverses=np.linalg.inv(np.array(spread)))
+def _monomials(colours: Array) -> Array:
+    """(n, 10) of colours (n, 3): squares, products, the colours and 1."""
+    x, y, z = colours.T
+    return np.stack([x * x, y * y, z * z, x * y, x * z, y * z, x, y, z, np.ones(len(colours))], 1)
 
 
-def _nearest(mixture: ColourMixture, colours: Array) -> NDArray[np.int64]:
-    """The Gaussian (n,) that explains each colour best."""
-    costs = list[Array]()
-    for share, mean, inverse in zip(mixture.shares, mixture.means, mixture.inverses, strict=True):
-        whitened = (colours - mean) @ np.linalg.cholesky(inverse)
-        costs.append(np.einsum("ij,ij->i", whitened, whitened) - np.log(np.linalg.det(inverse)) - 2 * np.log(share))
-    return np.argmin(costs, axis=0)
+def _forms(monomials: Array, of: NDArray[np.int64]) -> Array:
+    """(10, k) of the Gaussians of groups of colours, from the sums of their monomials."""
+    member = of == np.arange(of.max() + 1)[:, None]
+    sums = member.astype(float) @ monomials
+    sums = sums[sums[:, 9] > 0]
+    shares = sums[:, 9] / len(of)
+    moments = sums / sums[:, 9:]
+    mean, square = moments[:, 6:9], moments[:, [[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
+    a = np.linalg.inv(square - mean[:, :, None] * mean[:, None] + NOISE**2 * np.eye(3))
+    b = np.einsum("kij,kj->ki", a, mean)
+    rest = np.einsum("ki,ki->k", mean, b) - np.log(np.linalg.det(a)) + 3 * np.log(2 * np.pi) - 2 * np.log(shares)
+    squares, products = a[:, [0, 1, 2], [0, 1, 2]], 2 * a[:, [0, 0, 1], [1, 2, 2]]
+    return np.concatenate([squares, products, -2 * b, rest[:, None]], 1).T
 
 
 def _split(colours: Array, parts: int) -> NDArray[np.int64]:
     """A first group (n,) of each colour: the widest group is split along its longest axis (Orchard and Bouman 1991)."""
     of = np.zeros(len(colours), np.int64)
+    axes = [_longest(colours)]
     for new in range(1, parts):
-        spread = [np.linalg.eigh(_scatter(colours[of == k])) for k in range(new)]
-        widest = int(np.argmax([values[-1] for values, _ in spread]))
-        members = of == widest
-        along = colours @ spread[widest][1][:, -1]
-        of[members & (along > along[members].mean())] = new
+        widest = int(np.argmax([spread for spread, _ in axes]))
+        members = np.flatnonzero(of == widest)
+        along = colours[members] @ axes[widest][1]
+        beyond = along > along.sum() / len(along)
+        if not beyond.any():
+            break
+        of[members[beyond]] = new
+        axes[widest] = _longest(colours[members[~beyond]])
+        axes.append(_longest(colours[members[beyond]]))
     return of
 
 
-def _scatter(colours: Array) -> Array:
-    apart = colours - colours.mean(0)
-    return apart.T @ apart
+def _longest(colours: Array) -> tuple[float, Array]:
+    """The summed square of deviations along the axis where it is largest, and that axis (3,)."""
+    apart = colours - colours.sum(0) / len(colours)
+    values, vectors = np.linalg.eigh(apart.T @ apart)
+    return float(values[-1]), vectors[:, -1]
 
 
 def lab(rgb: NDArray[np.uint8]) -> Array:
@@ -94,6 +99,8 @@ def lab(rgb: NDArray[np.uint8]) -> Array:
     return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], -1)
 
 
-TO_XYZ = np.array([[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]])
-TO_XYZ = TO_XYZ / TO_XYZ.sum(1, keepdims=True)
+_PRIMARIES = np.array(
+    [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
+)
+TO_XYZ = _PRIMARIES / _PRIMARIES.sum(1, keepdims=True)
 """Linear sRGB to XYZ of which white is (1, 1, 1)."""

@@ -11,12 +11,13 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.backends.protocols import Prompt
+from f3sr.backends.protocols import Prompt, Stroke
 from f3sr.scene import Photo
 from f3sr.segmentation.box_cut import Evidence, cut_out, refined
+from f3sr.segmentation.box_fill import inner
 from f3sr.segmentation.grid_cut import Mask
 from f3sr.segmentation.object_window import Box, ObjectWindow, object_window
-from f3sr.segmentation.ownership import disjoint
+from f3sr.segmentation.ownership import bounds, disjoint, none_vanished
 from f3sr.vision.regions import shrunk
 
 COARSE = 10_000
@@ -43,26 +44,41 @@ class GrabCut:
         """Masks (H, W) of the prompts, disjoint, in their order, which changes none of them."""
         views = _Views(photo.rgb, hashlib.sha256(photo.rgb.tobytes()).hexdigest(), self.kept)
         boxes = [views.box(prompt) for prompt in prompts]
+        prompts = [_with_others(prompt, box, prompts) for prompt, box in zip(prompts, boxes, strict=True)]
         none = np.zeros(photo.rgb.shape[:2], np.bool_)
         masks = [views.cut(prompt, box, none, None) for prompt, box in zip(prompts, boxes, strict=True)]
         for _ in range(TIMES):
             masks = disjoint(photo.rgb, masks, boxes)
             masks = [
-                views.cut(prompt, box, _others(masks, prompts, k), masks[k])
+                views.cut(prompt, box, _others(masks, k), masks[k])
                 for k, (prompt, box) in enumerate(zip(prompts, boxes, strict=True))
             ]
         masks = disjoint(photo.rgb, masks, boxes)
         masks = [
-            views.refine(prompt, box, _others(masks, prompts, k), masks[k])
+            views.refine(prompt, box, _others(masks, k), masks[k])
             for k, (prompt, box) in enumerate(zip(prompts, boxes, strict=True))
         ]
-        masks = disjoint(photo.rgb, masks, boxes)
+        masks = none_vanished(disjoint(photo.rgb, masks, boxes), masks)
         while len(self.kept) > KEPT:
             del self.kept[next(iter(self.kept))]
         return masks
 
 
-def _others(masks: Sequence[Mask], prompts: Sequence[Prompt], own: int) -> Mask:
+def _with_others(prompt: Prompt, box: Box, prompts: Sequence[Prompt]) -> Prompt:
+    """A prompt that strokes inside of other objects, where they meet its box, are outside of."""
+    theirs = sorted(
+        stroke for other in prompts if other is not prompt for stroke in other.inside if _meets(stroke, box)
+    )
+    return replace(prompt, outside=(*prompt.outside, *theirs)) if theirs else prompt
+
+
+def _meets(stroke: Stroke, box: Box) -> bool:
+    """Whether a stroke's own box meets another."""
+    (left, top), (right, bottom) = np.min(stroke, axis=0), np.max(stroke, axis=0)
+    return bool(left <= box[2] and right >= box[0] and top <= box[3] and bottom >= box[1])
+
+
+def _others(masks: Sequence[Mask], own: int) -> Mask:
     """Pixels (H, W) of all objects but one."""
     others = np.zeros_like(masks[own])
     for k, mask in enumerate(masks):
@@ -91,7 +107,7 @@ class _Views:
             box = (left - reach, top - reach, right + reach, bottom + reach)
             box = (max(0.0, box[0]), max(0.0, box[1]), min(float(columns), box[2]), min(float(rows), box[3]))
             mask = self.cut(prompt, box, np.zeros((rows, columns), np.bool_), None)
-            around = _bounds(mask)
+            around = bounds(mask)
             free = [abs(a - b) > 1 or b in (0, columns, rows) for a, b in zip(around, box, strict=True)]
             if all(free):
                 slack = 0.05 * max(around[2] - around[0], around[3] - around[1])
@@ -108,7 +124,7 @@ class _Views:
         window = object_window(self.rgb, box, pixels=COARSE)
         evidence = _evidence(window, prompt, box, window.lowered(rivals))
         if mask is not None:
-            if not (evidence.rivals is not None and (evidence.rivals & window.within(box)).any()):
+            if not (evidence.rivals is not None and (evidence.rivals & inner(window.shape, window.inner(box))).any()):
                 return mask
             evidence = replace(evidence, starts=(window.lowered(mask),))
         return window.raised(self._once("cut", prompt, evidence, lambda: cut_out(evidence)))
@@ -116,7 +132,7 @@ class _Views:
     def refine(self, prompt: Prompt, box: Box, rivals: Mask, mask: Mask) -> Mask:
         """The object (H, W) with its border cut again at the photo's resolution."""
         window = object_window(self.rgb, box, pixels=FINE)
-        width = BAND * window.scale / object_window_scale(window, COARSE) + 1
+        width = BAND * window.scale / _coarse_scale(window) + 1
         others = window.lowered(rivals)
         evidence = _evidence(window, prompt, box, shrunk(others, max(1, round(width))))
         evidence = replace(evidence, starts=(window.lowered(mask),))
@@ -132,9 +148,10 @@ class _Views:
         return found
 
 
-def object_window_scale(window: ObjectWindow, pixels: int) -> float:
+def _coarse_scale(window: ObjectWindow) -> float:
+    """Pixels of the coarse window a pixel of the photo."""
     left, top, right, bottom = window.place
-    return min(1.0, math.sqrt(pixels / ((right - left) * (bottom - top))))
+    return min(1.0, math.sqrt(COARSE / ((right - left) * (bottom - top))))
 
 
 def _evidence(window: ObjectWindow, prompt: Prompt, box: Box, rivals: Mask) -> Evidence:
@@ -142,14 +159,9 @@ def _evidence(window: ObjectWindow, prompt: Prompt, box: Box, rivals: Mask) -> E
     inside = window.drawn(prompt.inside) & ~outside
     return Evidence(
         window=window,
-        allowed=(window.within(box) & ~rivals & ~outside) | inside,
+        allowed=(inner(window.shape, window.inner(box)) & ~rivals & ~outside) | inside,
         inside=inside,
         outside=outside,
         box=window.inner(box) if prompt.box is not None else None,
         rivals=rivals if rivals.any() else None,
     )
-
-
-def _bounds(mask: Mask) -> Box:
-    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    return float(columns[0]), float(rows[0]), float(columns[-1] + 1), float(rows[-1] + 1)

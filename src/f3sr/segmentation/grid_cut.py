@@ -54,7 +54,7 @@ class PixelGrid:
         inner = np.where(free[first], first, second)[one]
         decided = np.where(free[first], second, first)[one]
         toll = np.where(cost[decided] < 0, -self.prices[one], self.prices[one])
-        total = np.where(free, cost, 0.0) + np.bincount(inner, weights=toll, minlength=len(cost))
+        total = np.where(free, cost, 0.0) + np.bincount(inner, weights=toll, minlength=len(cost)).astype(float)
         number = (np.cumsum(free) - 1).astype(np.int32)
         return total[free], number[self.pairs[both]], self.prices[both]
 

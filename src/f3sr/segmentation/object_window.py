@@ -51,12 +51,6 @@ class ObjectWindow:
     def grid(self) -> PixelGrid:
         return pixel_grid(self.colours, weight=EDGE, floor=CONTRAST)
 
-    def within(self, box: Box) -> Mask:
-        """(h, w) of pixels whose centres lie in a box of the photo."""
-        left, top, right, bottom = self.inner(box)
-        x, y = np.arange(self.shape[1]) + 0.5, np.arange(self.shape[0]) + 0.5
-        return ((y > top) & (y < bottom))[:, None] & ((x > left) & (x < right))[None]
-
     def inner(self, box: Box) -> Box:
         """A box of the photo in pixels of the window."""
         (h, w), (left, top, right, bottom) = self.shape, self.place

@@ -44,7 +44,7 @@ def disjoint(rgb: NDArray[np.uint8], masks: Sequence[Mask], boxes: Sequence[Box]
 def _first_keeps(rgb: NDArray[np.uint8], masks: tuple[Mask, Mask], boxes: tuple[Box, Box]) -> Mask:
     """Which of the shared pixels (h, w) the first of two masks keeps."""
     if _order(masks[1], boxes[1]) < _order(masks[0], boxes[0]):
-        return masks[0] & masks[1] & ~_first_keeps(rgb, masks[::-1], boxes[::-1])
+        return masks[0] & masks[1] & ~_first_keeps(rgb, (masks[1], masks[0]), (boxes[1], boxes[0]))
     shared = masks[0] & masks[1]
     own = [mask & ~shared for mask in masks]
     shares = [o.sum() / mask.sum() for o, mask in zip(own, masks, strict=True)]
@@ -70,3 +70,19 @@ def _contest(rgb: NDArray[np.uint8], shared: Mask, first: Mask, second: Mask) ->
     cost[~(grown(window.lowered(shared), 1) | mine | theirs)] = 0.0
     cost[mine], cost[theirs] = -np.inf, np.inf
     return window.raised(window.grid.cut(cost))
+
+
+def none_vanished(apart: Sequence[Mask], claimed: Sequence[Mask]) -> tuple[Mask, ...]:
+    """Disjoint masks (h, w), of which those that lost every pixel have all that they claimed, the smallest first."""
+    masks = [mask.copy() for mask in apart]
+    for lost in sorted((k for k, mask in enumerate(apart) if not mask.any()), key=lambda k: -int(claimed[k].sum())):
+        for other in masks:
+            other &= ~claimed[lost]
+        masks[lost] = claimed[lost].copy()
+    return tuple(masks)
+
+
+def bounds(mask: Mask) -> Box:
+    """The box of a mask (h, w), not empty."""
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    return float(columns[0]), float(rows[0]), float(columns[-1] + 1), float(rows[-1] + 1)
