@@ -9,7 +9,8 @@ import re
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from http.client import HTTPConnection, HTTPResponse
 from pathlib import Path
 from typing import Any
@@ -19,14 +20,16 @@ import pytest
 from PIL import Image
 
 from f3sr import mask_page
-from f3sr.backends.protocols import Prompt
+from f3sr.backends.protocols import Prompt, Segmenter
+from f3sr.backends.registry import Backend
 from f3sr.errors import F3srWarning, InputError
-from f3sr.mask_page import interim, loopback_server
+from f3sr.mask_page import loopback_server
 from f3sr.mask_page.drawing_session import Drawing, DrawingSession
 from f3sr.mask_page.loopback_server import HOST, MAX_BODY, MAX_CONNECTIONS
 from f3sr.mask_page.mask_pictures import LONGEST_SIDE, mask_picture, shown_photo, shown_size
 from f3sr.scene import Photo
-from f3sr.segmentation.selection import Outlines, Selection
+from f3sr.segmentation.selection import Selection, outlined
+from f3sr.segmentation.selection_json import FORMAT, PROMPTS, read_selection, selection_of
 
 pytestmark = [pytest.mark.timeout(60), pytest.mark.filterwarnings("ignore::f3sr.errors.F3srWarning")]
 WIDTH, HEIGHT = 320, 200
@@ -41,38 +44,41 @@ def photo() -> Photo:
     return Photo(rgb=rgb)
 
 
-def outline(selection: Selection) -> Outlines:
-    """Everything in a box that has another colour than the box's corner, with strokes' points added or taken."""
-    rgb, masks = photo().rgb.astype(int), list[np.ndarray[Any, Any]]()
-    for prompt in selection.prompts:
-        left, top, right, bottom = (int(v) for v in prompt.box or (0, 0, 1, 1))
-        mask = np.zeros((HEIGHT, WIDTH), bool)
-        cut = rgb[top:bottom, left:right]
-        mask[top:bottom, left:right] = np.abs(cut - cut[0, 0]).sum(2) > 60
-        for strokes, value in ((prompt.inside, True), (prompt.outside, False)):
-            for x, y in (p for stroke in strokes for p in stroke):
-                mask[int(y) - 3 : int(y) + 3, int(x) - 3 : int(x) + 3] = value
-        if not mask.any():
-            raise InputError(f"object {len(masks) + 1}", found="an empty box", accepted="a box around an object")
-        masks.append(mask)
-    ground = ~np.any(masks, axis=0) if masks else np.ones((HEIGHT, WIDTH), bool)
-    return Outlines(masks=tuple(masks), ground=ground)
+class ByColour:
+    """A Segmenter: everything in a box of another colour than the box's corner, and what strokes go over."""
+
+    def segment(self, photo: Photo, prompts: Sequence[Prompt]) -> Sequence[np.ndarray[Any, Any]]:
+        masks = list[np.ndarray[Any, Any]]()
+        for number, prompt in enumerate(prompts):
+            left, top, right, bottom = (int(v) for v in prompt.box or (0, 0, 1, 1))
+            mask = np.zeros((HEIGHT, WIDTH), bool)
+            cut = photo.rgb[top:bottom, left:right].astype(int)
+            mask[top:bottom, left:right] = np.abs(cut - cut[0, 0]).sum(2) > 60
+            for strokes, value in ((prompt.inside, True), (prompt.outside, False)):
+                for x, y in (p for stroke in strokes for p in stroke):
+                    mask[int(y) - 3 : int(y) + 3, int(x) - 3 : int(x) + 3] = value
+            if not mask.any():
+                raise InputError(f"object {number + 1}", found="an empty box", accepted="a box around an object")
+            masks.append(mask)
+        return masks
+
+
+def backend(made: Segmenter | None = None) -> Backend[Segmenter]:
+    return Backend(kind="segmentation", name="by colour", version="1", made=made or ByColour())
 
 
 class Served:
     """A page's server that runs in a thread, as ``f3sr segment`` runs it."""
 
     def __init__(self, folder: Path, *, given: Selection | None = None, reload_s: float = 60.0) -> None:
-        self.written: list[tuple[Selection, Outlines]] = []
         self.told: list[str] = []
+        file = folder.with_name("<b>table<.png")
+        Image.fromarray(photo().rgb).save(file)
         drawing = Drawing(
             photo=photo(),
-            name="<b>table</b>.png",
+            file=file,
             folder=folder,
-            outline=outline,
-            write=self._write,
-            read=interim.read,
-            form=interim.form,
+            segmenter=backend(),
             after="The terminal goes on.",
             command=f"f3sr reconstruct {folder} -o OUT",
         )
@@ -90,10 +96,9 @@ class Served:
             )
         )
 
-    def _write(self, selection: Selection, outlines: Outlines) -> Path:
-        self.written.append((selection, outlines))
-        self.folder.mkdir()
-        return self.folder
+    def saved(self) -> Selection:
+        """What was written."""
+        return read_selection(self.folder / PROMPTS)
 
     def ended(self) -> Path | None:
         self.thread.join(10)
@@ -142,7 +147,8 @@ def served(tmp_path: Path) -> Iterator[Served]:
 
 def selection(*boxes: tuple[float, ...], label: str = "") -> dict[str, Any]:
     prompts = [{"label": label, "box": list(box), "inside": [], "outside": []} for box in boxes]
-    return {"prompts": prompts, "ground": {"label": "", "box": None, "inside": [], "outside": []}}
+    ground = {"label": "", "box": None, "inside": [], "outside": []}
+    return {"format": FORMAT, "version": 1, "prompts": prompts, "ground": ground}
 
 
 RED, BLUE = (30, 40, 110, 130), (170, 50, 270, 160)
@@ -216,7 +222,7 @@ def test_answers_may_be_stored_framed_and_guessed_by_nobody(served: Served):
     _, page, _ = served.ask("GET", f"/{served.server.token}/")
     policy = re.search(rb'Content-Security-Policy" content="([^"]*)"', page)
     assert policy and b"default-src &#39;none&#39;" in policy.group(1) and b"unsafe" not in policy.group(1)
-    assert b"http:" not in page.replace(b"http://www.w3.org", b"") and b"&lt;b&gt;table&lt;/b&gt;.png" in page
+    assert b"http:" not in page.replace(b"http://www.w3.org", b"") and b"&lt;b&gt;table&lt;.png" in page
     assert len(served.server.token) > 40 and served.server.token.encode() not in page
 
 
@@ -332,7 +338,7 @@ def test_masks_come_as_pictures_of_what_was_drawn(served: Served):
     sent = selection(RED, BLUE)
     status, told = served.post("outline", {"page": page, "revision": 1, "selection": sent})
     assert status == 200 and told["revision"] == 1
-    wanted = outline(interim.read(sent))
+    wanted = outlined(photo(), selection_of(sent, "a test"), backend())
     for got, mask in zip(told["masks"], wanted.masks, strict=True):
         assert (pixels(served, got) == mask).all()
     assert (pixels(served, told["ground"]) == wanted.ground).all()
@@ -349,7 +355,7 @@ def test_a_reload_goes_on_and_the_older_page_stands_back(served: Served):
     assert served.post("cancel", {"page": first})[0] == 409
     status, old = served.post("outline", {"page": told["page"], "revision": 3, "selection": selection(BLUE)})
     assert status == 409 and "older" in old["problem"]
-    assert not served.written
+    assert not served.folder.exists()
 
 
 def test_two_pages_at_once_lose_nothing(served: Served):
@@ -409,7 +415,7 @@ def test_a_selection_is_checked(served: Served, change: dict[str, Any]):
         asked = {"page": page, "revision": 1, "selection": selection() | change}
         status, told = served.post(name, asked)
         assert status == 422 and "\n" not in told["problem"]
-    assert not served.written
+    assert not served.folder.exists()
     served.lives()
 
 
@@ -429,14 +435,15 @@ def test_a_box_without_an_object_is_one_line_and_the_page_goes_on(served: Served
 
 
 def test_a_segmenter_that_breaks_is_one_line(served: Served, monkeypatch: pytest.MonkeyPatch):
-    def broken(selection: Selection) -> Outlines:
-        raise ZeroDivisionError("of others")
+    class Broken:
+        def segment(self, photo: Photo, prompts: Sequence[Prompt]) -> Sequence[np.ndarray[Any, Any]]:
+            raise ZeroDivisionError("of others")
 
     page = served.opened()
     monkeypatch.delenv("F3SR_TRACEBACK", raising=False)
-    object.__setattr__(served.session.drawing, "outline", broken)
+    served.session.drawing = replace(served.session.drawing, segmenter=backend(Broken()))
     status, told = served.post("outline", {"page": page, "revision": 1, "selection": selection(RED)})
-    assert status == 500 and "unforeseen ZeroDivisionError" in told["problem"] and "\n" not in told["problem"]
+    assert status == 422 and "unforeseen ZeroDivisionError" in told["problem"] and "\n" not in told["problem"]
     served.lives()
 
 
@@ -450,9 +457,8 @@ def test_save_writes_tells_and_ends(served: Served, tmp_path: Path):
     assert status == 200 and told["folder"] == str(tmp_path / "masks")
     assert told["after"] == "The terminal goes on." and told["command"].startswith("f3sr reconstruct")
     assert served.ended() == tmp_path / "masks"
-    saved, outlines = served.written[0]
-    assert saved.prompts[0] == Prompt(label="mug", box=RED, inside=(), outside=()) or saved.prompts[0].label == "mug"
-    assert len(outlines.masks) == 1
+    assert [(p.label, p.box) for p in served.saved().prompts] == [("mug", RED)]
+    assert [p.name for p in (tmp_path / "masks" / "masks").iterdir()] == ["00_mug.png"]
     with pytest.raises(OSError):
         served.ask("GET", f"/{served.server.token}/")
 
@@ -460,7 +466,7 @@ def test_save_writes_tells_and_ends(served: Served, tmp_path: Path):
 def test_cancel_ends_with_nothing(served: Served):
     page = served.opened()
     assert served.post("cancel", {"page": page})[0] == 200
-    assert served.ended() is None and not served.written
+    assert served.ended() is None and not served.folder.exists()
 
 
 def test_a_page_that_closes_ends_it_unless_it_comes_back(tmp_path: Path):
@@ -485,7 +491,7 @@ def test_a_page_that_closes_ends_it_unless_it_comes_back(tmp_path: Path):
 
 
 def test_what_was_drawn_before_is_there_again(tmp_path: Path):
-    given = interim.read(selection(RED, label="mug"))
+    given = selection_of(selection(RED, label="mug"), "a test")
     served = Served(tmp_path / "masks", given=given)
     status, told = served.post("open", {})
     assert status == 200 and told["selection"] == selection(RED, label="mug")
@@ -656,13 +662,13 @@ def test_with_a_mouse_from_boxes_to_saved(desk: Hands, served: Served, tmp_path:
 
     desk.tab.focus("#canvas")
     keys.press("Enter")
-    assert not served.written  # the first one only goes to the button
+    assert not served.folder.exists()  # the first one only goes to the button
     keys.press("Enter")
     desk.until("page.done")
     assert str(tmp_path / "masks") in desk.tab.inner_text("#done") and "2 objects" in desk.tab.inner_text("#done")
     assert "f3sr reconstruct" in desk.tab.inner_text("#done-command")
     assert served.ended() == tmp_path / "masks"
-    saved = served.written[0][0]
+    saved = served.saved()
     assert [p.label for p in saved.prompts] == ["red mug", "bag"] and len(saved.prompts[1].inside) == 1
 
 
@@ -765,7 +771,7 @@ def test_with_a_finger_on_a_phone(phone: Hands, served: Served, tmp_path: Path):
     phone.tab.tap("#save")
     phone.until("page.done")
     assert served.ended() == tmp_path / "masks"
-    assert [p.label for p in served.written[0][0].prompts] == ["mug", ""]
+    assert [p.label for p in served.saved().prompts] == ["mug", ""]
 
 
 def test_the_page_says_when_the_program_has_ended(desk: Hands, served: Served):

@@ -13,14 +13,13 @@ from PIL import Image
 from f3sr import mask_page
 from f3sr.cli import photo_command
 from f3sr.cli.main import main
-from f3sr.errors import InputError
 from f3sr.io.input_folder import InputFolder
 from f3sr.io.masks import read_instances
 from f3sr.runtime import atomic_folder
-from f3sr.scene import Photo
+from f3sr.segmentation.input_folder_writer import read_photo
 from f3sr.web import browser
 
-BOXES = ["red thing=30,40,110,130", "170,50,270,160"]
+BOXES = ["--box", "30,40,110,130:red thing", "--box", "170,50,270,160"]
 
 
 @pytest.fixture
@@ -57,13 +56,12 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Calls:
 
 def instances(folder: Path) -> dict[str, int]:
     """Labels and pixels of a written folder."""
-    rgb = np.asarray(Image.open(folder / "image.png").convert("RGB"))
-    found = read_instances(InputFolder(folder), Photo(rgb=rgb))
+    found = read_instances(InputFolder(folder), read_photo(folder / "image.png"))
     return {i.label: int(i.mask.sum()) for i in found}
 
 
 def test_boxes_need_no_page(photo: Path, calls: Calls, tmp_path: Path):
-    assert main(["photo", str(photo), "--box", *BOXES]) == 0
+    assert main(["photo", str(photo), *BOXES]) == 0
     assert calls.reconstructed[0][0] == tmp_path / "my table_input"
     assert calls.reconstructed[0][1]["out"] == tmp_path / "my table_scene"
     found = instances(tmp_path / "my table_input")
@@ -93,7 +91,7 @@ def test_a_page_without_a_result_ends_it(photo: Path, calls: Calls, capsys: pyte
 
 
 def test_masks_that_are_there_need_no_page(photo: Path, calls: Calls, tmp_path: Path):
-    assert main(["photo", str(photo), "--box", *BOXES]) == 0
+    assert main(["photo", str(photo), *BOXES]) == 0
     assert main(["photo", str(tmp_path / "my table_input"), "--no-open", "--background", "patchmatch"]) == 0
     folder, more = calls.reconstructed[1]
     assert folder == tmp_path / "my table_input" and more["out"] == tmp_path / "my table_scene"
@@ -103,10 +101,9 @@ def test_masks_that_are_there_need_no_page(photo: Path, calls: Calls, tmp_path: 
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
-        (["--box", "mug=1,2,3"], 2, "--box: found mug=1,2,3; accepted: NAME=left,top,right,bottom"),
-        (["--box", "mug=9,2,3,4"], 2, "left < right, top < bottom"),
-        (["--box", "mug=0,0,nan,4"], 2, "--box"),
-        (["--box", "1,1,5,5", "--segmentation", "magic"], 2, "segmentation back end: found 'magic'"),
+        (["--box", "1,2,3:mug"], 2, "--box: found 1,2,3:mug; accepted: X0,Y0,X1,Y1"),
+        (["--box", "9,2,3,4:mug"], 2, "left, top, right, bottom"),
+        (["--box", "1,1,5,5", "--segmenter", "magic"], 2, "segmentation back end: found 'magic'"),
         (["-o", "{photo}"], 1, "my table.png"),
         (["-o", "{folder}"], 1, "accepted: a new or empty folder, or an f3sr package"),
     ],
@@ -134,9 +131,25 @@ def test_a_folder_of_somebody_else_is_left_alone(photo: Path, calls: Calls, caps
     theirs = photo.with_name("my table_input")
     theirs.mkdir()
     (theirs / "letter.txt").write_text("mine")
-    assert main(["photo", str(photo), "--box", *BOXES]) == 1
+    assert main(["photo", str(photo), *BOXES]) == 1
     assert "my table_input" in capsys.readouterr().err and (theirs / "letter.txt").read_text() == "mine"
     assert not atomic_folder.being_written(photo.parent)
+
+
+def test_boxes_and_json_print_no_table(photo: Path, calls: Calls, capsys: pytest.CaptureFixture[str]):
+    assert main(["photo", str(photo), *BOXES, "--json", "--no-open"]) == 0
+    assert capsys.readouterr().out == "" and calls.reconstructed[0][1]["json"] is True
+
+
+def test_segment_without_boxes_opens_the_page_too(
+    photo: Path, calls: Calls, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    calls.page = lambda shown, out, **more: out
+    assert main(["segment", str(photo), "-o", str(tmp_path / "masks")]) == 0
+    assert calls.pages == 1 and "folder:" in capsys.readouterr().out
+    calls.page = lambda *args, **more: None
+    assert main(["segment", str(photo), "-o", str(tmp_path / "masks")]) == 1
+    assert capsys.readouterr().err == f"f3sr: {mask_page.NOTHING_SAVED}\n"
 
 
 def test_json_leaves_the_output_to_the_package(photo: Path, calls: Calls, capsys: pytest.CaptureFixture[str]):
@@ -149,21 +162,6 @@ def test_json_leaves_the_output_to_the_package(photo: Path, calls: Calls, capsys
     told = capsys.readouterr()
     assert told.out == "" and told.err == "the page is open at somewhere\n" and not calls.opened
     assert calls.reconstructed[0][1]["json"] is True
-
-
-@pytest.mark.parametrize(
-    ("text", "label", "box"),
-    [
-        ("mug=1,2,3,4", "mug", (1, 2, 3, 4)),
-        ("1.5,2,3e2,4", "", (1.5, 2, 300, 4)),
-        (" a=b = 1, 2, 3, 4", "a=b", (1, 2, 3, 4)),
-    ],
-)
-def test_a_box_has_four_numbers_and_maybe_a_name(text: str, label: str, box: tuple[float, ...]):
-    prompt = photo_command.box_of(text)
-    assert (prompt.label, prompt.box) == (label, box)
-    with pytest.raises(InputError):
-        photo_command.box_of(text + ",5")
 
 
 def test_a_browser_of_the_terminal_is_not_opened(monkeypatch: pytest.MonkeyPatch):

@@ -40,8 +40,8 @@ F3SR_TRACEBACK=1 shows where an unforeseen error arose."""
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     commands: dict[str, Callable[..., Any]] = {
-        "segment": segment_command.segment,
         "photo": photo_command.photo,
+        "segment": segment_command.segment,
         "reconstruct": reconstruct,
         "evaluate": evaluate,
         "simulate": goal_commands.simulate,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, UseAppendAction, arg
 
 from f3sr.cli.arguments import MaybeFile, Name, default_shown
-from f3sr.errors import InputError, require_known
+from f3sr.errors import F3srError, InputError, require_known
 
 if TYPE_CHECKING:
     from f3sr.backends.protocols import Prompt, Stroke
@@ -75,7 +75,10 @@ def segment(
     if not given and not ground_stroke:
         from f3sr import mask_page
 
-        mask_page.serve(photo, out, backend)
+        tell = console.say_aside if json else console.say
+        if (saved := mask_page.serve(photo, out, backend, tell=tell)) is None:
+            raise F3srError(mask_page.NOTHING_SAVED)
+        print(json_.dumps({"folder": str(saved)}) if json else f"folder:   {saved}")
         return
     picture, folder = read_photo(photo), placed(out)
     selection = _selection(prompts, box, inside, outside, ground_stroke)

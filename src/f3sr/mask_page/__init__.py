@@ -5,20 +5,18 @@ from __future__ import annotations
 import shlex
 import threading
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from f3sr.backends.protocols import Prompt, Segmenter
+from f3sr.backends.protocols import Segmenter
 from f3sr.backends.registry import Backend
 from f3sr.errors import F3srWarning
-from f3sr.io.images import as_rgb, open_image
 from f3sr.mask_page.drawing_session import Drawing, DrawingSession
-from f3sr.mask_page.interim import earlier, form, outlined, read, require_ours, write
 from f3sr.mask_page.loopback_server import LoopbackServer, Reply, Route
-from f3sr.runtime.atomic_folder import check
 from f3sr.runtime.progress import Progress, silent, timed
-from f3sr.scene import Photo
+from f3sr.segmentation.input_folder_writer import read_photo, require_writable
 from f3sr.segmentation.selection import Selection
+from f3sr.segmentation.selection_json import PROMPTS, read_selection
 from f3sr.web.browser import shown_in_browser
 from f3sr.web.document import WEB, document
 
@@ -26,6 +24,7 @@ HERE = Path(__file__).parent
 SCRIPTS = ("marks.js", "viewport.js", "mask_page.js")
 RELOAD_S = 15.0
 """How long the last page may be gone before the session ends [s]: a reload takes less."""
+NOTHING_SAVED = "nothing was saved in the page; nothing was written"
 WAKE_S = 0.25
 """How soon the end of a session is noticed [s]."""
 
@@ -46,27 +45,19 @@ def serve(
     the page names the command that goes on. ``tell`` gets the page's address. Returns the folder's full path, or None
     where nothing was saved. Raises InputError for the photo, OutputError where ``out`` may not be written.
     """
-    picture = Photo(rgb=as_rgb(open_image(photo)))
-    folder = check(Path(out).absolute(), require_ours)
+    folder = require_writable(out)
     drawing = Drawing(
-        photo=picture,
-        name=photo.name,
+        photo=read_photo(photo),
+        file=photo,
         folder=folder,
-        outline=lambda selection: outlined(picture, selection, segmenter),
-        write=lambda selection, outlines: write(folder, picture, selection, outlines),
-        read=read,
-        form=form,
+        segmenter=segmenter,
         after=after,
         command="" if after else f"f3sr reconstruct {shlex.quote(str(folder))} -o OUT",
     )
+    file = folder / PROMPTS
+    given = read_selection(file) if file.exists() else Selection(prompts=())
     with timed("outline", progress):
-        return run(DrawingSession(drawing, earlier(folder)), open_browser=open_browser, tell=tell)
-
-
-def outline_boxes(photo: Path, out: Path, segmenter: Backend[Segmenter], prompts: Sequence[Prompt]) -> Path:
-    """The same without a page: write the prompted-image folder ``out`` of a photo's file and given prompts."""
-    picture, selection = Photo(rgb=as_rgb(open_image(photo))), Selection(prompts=tuple(prompts))
-    return write(Path(out).absolute(), picture, selection, outlined(picture, selection, segmenter))
+        return run(DrawingSession(drawing, given), open_browser=open_browser, tell=tell)
 
 
 def page_server(session: DrawingSession) -> LoopbackServer:
@@ -106,7 +97,7 @@ def page(drawing: Drawing) -> bytes:
     """The document of the page, the same for every photo of a name."""
     return document(
         HERE / "templates" / "mask_page.html",
-        {"name": drawing.name, "after": drawing.after},
+        {"name": drawing.file.name},
         styles=(WEB / "page.css", HERE / "mask_page.css"),
         scripts=tuple(HERE / name for name in SCRIPTS),
         served=True,

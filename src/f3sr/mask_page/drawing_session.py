@@ -9,12 +9,16 @@ from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
+from f3sr.backends.protocols import Segmenter
+from f3sr.backends.registry import Backend
 from f3sr.errors import F3srError, one_line, unforeseen
 from f3sr.files import strict_json
 from f3sr.mask_page.loopback_server import Reply, json_reply
 from f3sr.mask_page.mask_pictures import mask_picture, shown_photo, shown_size
 from f3sr.scene import Photo
-from f3sr.segmentation.selection import Outlines, Selection
+from f3sr.segmentation.input_folder_writer import OutlinedObject, write_input_folder
+from f3sr.segmentation.selection import Outlines, Selection, outlined, require_prompts
+from f3sr.segmentation.selection_json import selection_bytes, selection_form, selection_of
 
 MAX_REVISION = 2**53 - 1
 """Largest whole number that a script counts to."""
@@ -25,17 +29,11 @@ class Drawing:
     """What the page needs of the rest of f3sr."""
 
     photo: Photo
-    name: str
-    """Of the photo's file."""
+    file: Path
+    """Of the photo."""
     folder: Path
-    """Where the masks go."""
-    outline: Callable[[Selection], Outlines]
-    write: Callable[[Selection, Outlines], Path]
-    """Writes the folder and returns its full path."""
-    read: Callable[[Any], Selection]
-    """From JSON that a page sent. Raises InputError."""
-    form: Callable[[Selection], Any]
-    """To JSON."""
+    """Where the masks go; a full path."""
+    segmenter: Backend[Segmenter]
     after: str = ""
     """What follows once it is saved: one sentence for the page."""
     command: str = ""
@@ -56,7 +54,7 @@ class DrawingSession:
         """Set once the page has saved or has been cancelled, and knows it."""
         self._state, self._working = threading.Lock(), threading.Lock()
         self._selection, self._revision, self._page = given, 0, 0
-        self._known: tuple[Any, Outlines] | None = None
+        self._known: tuple[bytes, Outlines] | None = None
         self._photo = shown_photo(drawing.photo)
 
     def photo(self, body: bytes) -> Reply:
@@ -111,9 +109,9 @@ class DrawingSession:
             {
                 "page": page,
                 "revision": revision,
-                "selection": d.form(selection),
+                "selection": selection_form(selection),
                 "photo": {"width": d.photo.width, "height": d.photo.height, "shown": [width, height]},
-                "name": d.name,
+                "name": d.file.name,
                 "folder": str(d.folder),
             }
         )
@@ -130,14 +128,20 @@ class DrawingSession:
         return json_reply({"revision": revision, "masks": masks, "ground": ground})
 
     def _written(self, value: Mapping[str, Any]) -> Reply:
-        selection, _ = self._taken(value)
+        (selection, _), d = self._taken(value), self.drawing
         if not selection.prompts:
             raise PageRefusedError("there is nothing to save yet: draw a box around an object")
         with self._working:
             outlines = self._masks(selection)
             assert outlines is not None
-            self.saved = self.drawing.write(selection, outlines)
-        told = {"folder": str(self.saved), "after": self.drawing.after, "command": self.drawing.command}
+            objects = {
+                k: OutlinedObject(label=prompt.label, mask=outlines.masks[k])
+                for k, prompt in enumerate(selection.prompts)
+            }
+            self.saved = write_input_folder(
+                d.folder, photo=d.file, objects=objects, ground=outlines.ground, selection=selection
+            )
+        told = {"folder": str(self.saved), "after": d.after, "command": d.command}
         return json_reply(told, sent=self.ended.set)
 
     def _cancelled(self, value: Mapping[str, Any]) -> Reply:
@@ -147,7 +151,8 @@ class DrawingSession:
 
     def _taken(self, value: Mapping[str, Any]) -> tuple[Selection, int]:
         """The selection that a page sent, kept for the next page, and its revision."""
-        selection, revision = self.drawing.read(value["selection"]), value["revision"]
+        selection, revision = selection_of(value["selection"], "the page"), value["revision"]
+        require_prompts(self.drawing.photo, selection)
         if type(revision) is not int or not 0 <= revision <= MAX_REVISION:
             raise PageRefusedError(f"a revision from 0 to {MAX_REVISION} is accepted")
         with self._state:
@@ -167,9 +172,9 @@ class DrawingSession:
         if not selection.prompts:
             return None
         nameless = replace(selection, prompts=tuple(replace(p, label="") for p in selection.prompts))
-        key = self.drawing.form(nameless)
+        key = selection_bytes(nameless)
         if self._known is None or self._known[0] != key:
-            self._known = key, self.drawing.outline(nameless)
+            self._known = key, outlined(self.drawing.photo, nameless, self.drawing.segmenter)
         return self._known[1]
 
 

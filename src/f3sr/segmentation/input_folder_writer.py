@@ -18,7 +18,7 @@ from f3sr.files import limited_file
 from f3sr.files.bounds import MAX_OBJECTS
 from f3sr.io.images import as_rgb, encode_png, open_image
 from f3sr.io.masks import MAX_ID_DIGITS, MIN_PIXELS
-from f3sr.runtime.atomic_folder import claimed
+from f3sr.runtime.atomic_folder import check, claimed
 from f3sr.scene import Photo
 from f3sr.segmentation.selection import Selection
 from f3sr.segmentation.selection_json import PROMPTS, read_selection, selection_bytes
@@ -75,6 +75,11 @@ def write_input_folder(
         claim.write(PROMPTS, selection_bytes(selection or Selection(prompts=())))
         claim.replace()
     return full
+
+
+def require_writable(out: Path) -> Path:
+    """The full path of a folder that ``write_input_folder`` may write, or the OutputError that it would raise."""
+    return check(Path(out).absolute().resolve(), _require_own)
 
 
 def mask_name(id: int, label: str) -> str:

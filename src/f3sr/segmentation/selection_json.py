@@ -46,18 +46,26 @@ class _SelectionForm(BaseModel):
     ground: _PromptForm = _PromptForm()
 
 
+def selection_form(selection: Selection) -> dict[str, Any]:
+    """The selection as values that JSON holds."""
+    return {"format": FORMAT, "version": 1, **asdict(selection)}
+
+
 def selection_bytes(selection: Selection) -> bytes:
     """The selection as a document; the same bytes for the same prompts."""
-    tree: dict[str, Any] = {"format": FORMAT, "version": 1, **asdict(selection)}
-    return (json.dumps(tree, allow_nan=False, ensure_ascii=False) + "\n").encode()
+    return (json.dumps(selection_form(selection), allow_nan=False, ensure_ascii=False) + "\n").encode()
 
 
 def read_selection(file: Path) -> Selection:
     """The selection of such a file. Raises InputError for anything else; ``require_prompts`` checks it for a photo."""
-    value = strict_json.read(file, accepted=f"{PROMPTS} as f3sr segment writes it")
+    return selection_of(strict_json.read(file, accepted=f"{PROMPTS} as f3sr segment writes it"), file)
+
+
+def selection_of(value: Any, where: str | Path) -> Selection:
+    """The same of a value read from JSON."""
     try:
         form = _SelectionForm.model_validate(value)
     except ValidationError as error:
         found, accepted = strict_json.problem(error, ", ".join(_SelectionForm.model_fields))
-        raise InputError(file, found=found, accepted=accepted) from error
+        raise InputError(where, found=found, accepted=accepted) from error
     return Selection(prompts=tuple(p.prompt() for p in form.prompts), ground=form.ground.prompt())
