@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -242,7 +243,7 @@ def test_a_selection_survives_its_file(tmp_path: Path):
     )
     (tmp_path / "prompts.json").write_bytes(selection_bytes(selection))
     again = read_selection(tmp_path / "prompts.json")
-    assert (again.prompts, again.ground) == (selection.prompts, selection.ground)
+    assert asdict(again) == asdict(selection)
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,8 @@ CENTRE = 0.5
 """Squared radius of the ellipse in the middle of a box that is one start; the box is 1 wide."""
 OPEN = 0.05
 """Most of a box's outline at which a mask may end without contrast: where the box is tight and the contrast low."""
+LIKE = 0.95
+"""Quantile of the costs of known pixels, up to which a colour is like theirs."""
 TOLD = 0.1
 """Least share of strokes among the colours that a mixture is learnt from: a few pixels stand for a part."""
 SURE = 1e4
@@ -52,7 +54,7 @@ class Evidence:
 
 def cut_out(evidence: Evidence) -> Mask:
     """The object (h, w); its box where nothing in it looks like one."""
-    found = [cut for start in _starts(evidence) if (cut := settled(evidence, start)).any()]
+    found = [cut for start in _told_starts(evidence) if (cut := settled(evidence, start)).any()]
     if not found:
         return evidence.allowed | evidence.inside
     best = min(found, key=lambda mask: _rank(evidence, mask))
@@ -87,9 +89,27 @@ def refined(evidence: Evidence, mask: Mask, width: float) -> Mask:
     near = np.where(mask, distance_to(~mask), distance_to(mask)) <= width
     fixed = replace(evidence, allowed=evidence.allowed & (near | mask), inside=evidence.inside | (mask & ~near))
     if mask.sum() < LEAST or not (~mask).any():
-        return mask
+        return mask | evidence.inside
     cut = evidence.window.grid.cut(_cost(fixed, mask))
     return _whole(evidence, cut) if cut.any() else mask
+
+
+def alike(window: ObjectWindow, seeds: Mask, allowed: Mask) -> Mask:
+    """Allowed pixels (h, w) with the colours of some seeds, not empty, that hang together with them."""
+    cost = colour_mixture(window.colours[seeds]).cost(window.colours)
+    parts = parts_of(seeds | (allowed & (cost <= np.quantile(cost[seeds], LIKE))), diagonal=True)
+    return np.isin(parts, np.unique(parts[seeds])) & allowed
+
+
+def _told_starts(evidence: Evidence) -> Iterator[Mask]:
+    """First guesses with what looks like strokes inside, without what looks like strokes outside."""
+    more, less = (
+        alike(evidence.window, strokes, evidence.allowed) if strokes.any() else strokes
+        for strokes in (evidence.inside, evidence.outside)
+    )
+    for start in _starts(evidence):
+        told = (start & ~less) | (more & ~less) | evidence.inside
+        yield told if told.sum() >= LEAST else start
 
 
 def _starts(evidence: Evidence) -> Iterator[Mask]:
@@ -175,8 +195,8 @@ def _whole(evidence: Evidence, mask: Mask) -> Mask:
 
 
 def _is_full(evidence: Evidence, mask: Mask) -> bool:
-    """Whether a mask reaches all sides of its box, where somebody drew one."""
-    return evidence.box is None or fills(mask, evidence.box)
+    """Whether a mask reaches all sides of its box, where somebody drew one and nothing takes parts of it away."""
+    return evidence.box is None or bool(evidence.outside.any()) or fills(mask, evidence.box)
 
 
 def _filling(evidence: Evidence, mask: Mask) -> Mask:

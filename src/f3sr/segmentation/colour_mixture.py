@@ -69,12 +69,12 @@ def _split(colours: Array, parts: int) -> NDArray[np.int64]:
     """A first group (n,) of each colour: the widest group is split along its longest axis (Orchard and Bouman 1991)."""
     of = np.zeros(len(colours), np.int64)
     axes = [_longest(colours)]
-    for new in range(1, parts):
+    for new in range(1, min(parts, len(colours))):
         widest = int(np.argmax([spread for spread, _ in axes]))
         members = np.flatnonzero(of == widest)
         along = colours[members] @ axes[widest][1]
         beyond = along > along.sum() / len(along)
-        if not beyond.any():
+        if not beyond.any() or beyond.all():
             break
         of[members[beyond]] = new
         axes[widest] = _longest(colours[members[~beyond]])

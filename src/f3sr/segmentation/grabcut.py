@@ -53,7 +53,7 @@ class GrabCut:
                 views.cut(prompt, box, _others(masks, k), masks[k])
                 for k, (prompt, box) in enumerate(zip(prompts, boxes, strict=True))
             ]
-        masks = disjoint(photo.rgb, masks, boxes)
+        masks = none_vanished(disjoint(photo.rgb, masks, boxes), masks)
         masks = [
             views.refine(prompt, box, _others(masks, k), masks[k])
             for k, (prompt, box) in enumerate(zip(prompts, boxes, strict=True))

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.backends.protocols import Prompt
-from f3sr.segmentation.box_cut import Evidence, refined, settled
-from f3sr.segmentation.colour_mixture import colour_mixture
+from f3sr.segmentation.box_cut import Evidence, alike, refined, settled
 from f3sr.segmentation.grid_cut import Mask
 from f3sr.segmentation.object_window import ObjectWindow, object_window
-from f3sr.vision.regions import grown, parts_of
+from f3sr.vision.regions import grown
 
 COARSE = 40_000
 """Pixels at which the surface is found: its border is long and plain."""
@@ -20,8 +19,6 @@ FINE = 400_000
 """Most pixels at which its border is cut again."""
 FOOT = 0.03
 """Of the photo's longer side: how far around an object's lower half the ground is looked for."""
-LIKE = 0.95
-"""Quantile of the costs of known ground, up to which a colour is like it."""
 
 
 def ground_mask(rgb: NDArray[np.uint8], prompt: Prompt, objects: Sequence[Mask]) -> Mask:
@@ -39,7 +36,7 @@ def ground_mask(rgb: NDArray[np.uint8], prompt: Prompt, objects: Sequence[Mask])
     seeds = evidence.inside if prompt.inside else _feet(coarse, objects) & evidence.allowed
     if not seeds.any():
         return np.zeros_like(things)
-    mask = coarse.raised(settled(evidence, _alike(coarse, seeds, evidence.allowed)))
+    mask = coarse.raised(settled(evidence, alike(coarse, seeds, evidence.allowed)))
     near = 1.5 * fine.scale / coarse.scale + 1
     return fine.raised(refined(_evidence(fine, prompt, things), fine.lowered(mask), near)) & ~things
 
@@ -69,10 +66,3 @@ def _feet(window: ObjectWindow, objects: Sequence[Mask]) -> Mask:
             around[: (rows[0] + rows[-1]) // 2] = False
             feet |= around
     return feet
-
-
-def _alike(window: ObjectWindow, seeds: Mask, allowed: Mask) -> Mask:
-    """Allowed pixels with the seeds' colours that hang together with them."""
-    cost = colour_mixture(window.colours[seeds]).cost(window.colours)
-    parts = parts_of(seeds | (allowed & (cost <= np.quantile(cost[seeds], LIKE))))
-    return np.isin(parts, np.unique(parts[seeds])) & allowed
