@@ -341,7 +341,9 @@ def test_masks_come_as_pictures_of_what_was_drawn(served: Served):
     wanted = outlined(photo(), selection_of(sent, "a test"), backend())
     for got, mask in zip(told["masks"], wanted.masks, strict=True):
         assert (pixels(served, got) == mask).all()
-    assert (pixels(served, told["ground"]) == wanted.ground).all()
+    status, told = served.post("ground", {"page": page, "revision": 1})
+    assert status == 200 and (pixels(served, told["ground"]) == wanted.ground).all()
+    assert served.post("ground", {"page": page, "revision": 0})[1]["stale"]
 
 
 def test_a_reload_goes_on_and_the_older_page_stands_back(served: Served):
@@ -642,6 +644,7 @@ def test_with_a_mouse_from_boxes_to_saved(desk: Hands, served: Served, tmp_path:
 
     keys.press("g")
     desk.drag((20, 180), (60, 185))
+    desk.until("page.grounded && page.masks.get('ground').image")
     assert desk.tab.evaluate("page.marks.ground.inside.length") == 1
     for _ in range(3):
         keys.press("Control+z")
@@ -748,6 +751,7 @@ def test_with_a_finger_on_a_phone(phone: Hands, served: Served, tmp_path: Path):
     phone.settled(2)
     phone.tab.tap("#mode-add")
     phone.swipe((150, 100), (160, 100), (165, 100))
+    phone.until("page.marks.objects[1].inside.length > 0")
     phone.settled(2)
     assert len(phone.objects()[1]["inside"]) == 1
     phone.tab.tap("#undo")

@@ -111,6 +111,7 @@ def _routes(session: DrawingSession) -> Mapping[tuple[str, str], Route]:
         ("GET", "photo.jpg"): session.photo,
         ("POST", "open"): session.open,
         ("POST", "outline"): session.outline,
+        ("POST", "ground"): session.ground,
         ("POST", "save"): session.save,
         ("POST", "cancel"): session.cancel,
     }

@@ -9,19 +9,25 @@ from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
-from f3sr.backends.protocols import Segmenter
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.backends.protocols import Prompt, Segmenter
 from f3sr.backends.registry import Backend
 from f3sr.errors import F3srError, one_line, unforeseen
 from f3sr.files import strict_json
 from f3sr.mask_page.loopback_server import Reply, json_reply
 from f3sr.mask_page.mask_pictures import mask_picture, shown_photo, shown_size
 from f3sr.scene import Photo
+from f3sr.segmentation.ground import ground_mask
 from f3sr.segmentation.input_folder_writer import OutlinedObject, write_input_folder
-from f3sr.segmentation.selection import Outlines, Selection, outlined, require_prompts
+from f3sr.segmentation.selection import Selection, object_masks, require_prompts
 from f3sr.segmentation.selection_json import selection_bytes, selection_form, selection_of
 
 MAX_REVISION = 2**53 - 1
 """Largest whole number that a script counts to."""
+
+Masks = tuple[NDArray[np.bool_], ...]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -54,7 +60,9 @@ class DrawingSession:
         """Set once the page has saved or has been cancelled, and knows it."""
         self._state, self._working = threading.Lock(), threading.Lock()
         self._selection, self._revision, self._page = given, 0, 0
-        self._known: tuple[bytes, Outlines] | None = None
+        self._grounding = threading.Lock()
+        self._masks_known: tuple[bytes, Masks] | None = None
+        self._ground_known: tuple[bytes, NDArray[np.bool_]] | None = None
         self._photo = shown_photo(drawing.photo)
 
     def photo(self, body: bytes) -> Reply:
@@ -67,6 +75,10 @@ class DrawingSession:
     def outline(self, body: bytes) -> Reply:
         """The masks of what is drawn on the page."""
         return self._answer(body, {"page", "revision", "selection"}, self._outlined)
+
+    def ground(self, body: bytes) -> Reply:
+        """The ground beside those masks: it takes longer, so the page asks once the user pauses."""
+        return self._answer(body, {"page", "revision"}, self._grounded)
 
     def save(self, body: bytes) -> Reply:
         """The folder is written; the session ends."""
@@ -120,27 +132,37 @@ class DrawingSession:
         selection, revision = self._taken(value)
         with self._working:
             if revision != self._revision:
-                return json_reply({"revision": revision, "stale": True})
-            outlines = self._masks(selection)
+                return _stale(revision)
+            masks = self._masks(selection)
         size = shown_size(self.drawing.photo)
-        masks = [mask_picture(mask, size) for mask in outlines.masks] if outlines else []
-        ground = mask_picture(outlines.ground, size) if outlines else None
-        return json_reply({"revision": revision, "masks": masks, "ground": ground})
+        return json_reply({"revision": revision, "masks": [mask_picture(mask, size) for mask in masks]})
+
+    def _grounded(self, value: Mapping[str, Any]) -> Reply:
+        with self._state:
+            self._require_page(value["page"])
+            selection, revision = self._selection, self._revision
+        if value["revision"] != revision:
+            return _stale(revision)
+        with self._working:
+            masks = self._masks(selection)
+        with self._grounding:
+            if revision != self._revision:
+                return _stale(revision)
+            ground = self._ground(selection, masks)
+        return json_reply({"revision": revision, "ground": mask_picture(ground, shown_size(self.drawing.photo))})
 
     def _written(self, value: Mapping[str, Any]) -> Reply:
         (selection, _), d = self._taken(value), self.drawing
         if not selection.prompts:
             raise PageRefusedError("there is nothing to save yet: draw a box around an object")
         with self._working:
-            outlines = self._masks(selection)
-            assert outlines is not None
+            masks = self._masks(selection)
+            with self._grounding:
+                ground = self._ground(selection, masks)
             objects = {
-                k: OutlinedObject(label=prompt.label, mask=outlines.masks[k])
-                for k, prompt in enumerate(selection.prompts)
+                k: OutlinedObject(label=prompt.label, mask=masks[k]) for k, prompt in enumerate(selection.prompts)
             }
-            self.saved = write_input_folder(
-                d.folder, photo=d.file, objects=objects, ground=outlines.ground, selection=selection
-            )
+            self.saved = write_input_folder(d.folder, photo=d.file, objects=objects, ground=ground, selection=selection)
         told = {"folder": str(self.saved), "after": d.after, "command": d.command}
         return json_reply(told, sent=self.ended.set)
 
@@ -167,15 +189,28 @@ class DrawingSession:
         if type(page) is not int or page != self._page:
             raise PageRefusedError("The photo was opened again in another window. Reload this page to go on here.")
 
-    def _masks(self, selection: Selection) -> Outlines | None:
-        """Of a selection; None where nothing is drawn. Another name changes no mask, so nothing is asked again."""
-        if not selection.prompts:
-            return None
-        nameless = replace(selection, prompts=tuple(replace(p, label="") for p in selection.prompts))
-        key = selection_bytes(nameless)
-        if self._known is None or self._known[0] != key:
-            self._known = key, outlined(self.drawing.photo, nameless, self.drawing.segmenter)
-        return self._known[1]
+    def _masks(self, selection: Selection) -> Masks:
+        """Of the objects. Other names and strokes on the ground change none, so nothing is asked again for them."""
+        bare = Selection(prompts=_nameless(selection.prompts))
+        key = selection_bytes(bare)
+        if self._masks_known is None or self._masks_known[0] != key:
+            self._masks_known = key, object_masks(self.drawing.photo, bare, self.drawing.segmenter)
+        return self._masks_known[1]
+
+    def _ground(self, selection: Selection, masks: Masks) -> NDArray[np.bool_]:
+        key = selection_bytes(replace(selection, prompts=_nameless(selection.prompts)))
+        if self._ground_known is None or self._ground_known[0] != key:
+            self._ground_known = key, ground_mask(self.drawing.photo.rgb, selection.ground, masks)
+        return self._ground_known[1]
+
+
+def _nameless(prompts: tuple[Prompt, ...]) -> tuple[Prompt, ...]:
+    return tuple(replace(prompt, label="") for prompt in prompts)
+
+
+def _stale(revision: int) -> Reply:
+    """Something newer is being asked."""
+    return json_reply({"revision": revision, "stale": True})
 
 
 def _problem(status: HTTPStatus, line: str) -> Reply:

@@ -42,7 +42,8 @@
 
   // --- masks from the server: one question at a time, the last answer counts -------------------------------------------
 
-  let revision = given.revision, answered = -1, asking = false;
+  const PAUSE = 400; // milliseconds without a change, after which the ground is asked for too
+  let revision = given.revision, answered = -1, grounded = -1, asking = false, pause = 0;
   const promptOf = (key) => JSON.stringify([marks.of(key).box, marks.of(key).inside, marks.of(key).outside]);
   const colourOf = (key) => (key === "ground" ? getComputedStyle(document.documentElement).getPropertyValue("--ground-mark").trim() : COLOURS[(key - 1) % COLOURS.length]);
   const changed = () => {
@@ -66,8 +67,22 @@
       if (asked === revision) refused(error);
     }
     asking = false;
-    if (asked !== revision) ask();
-    else show();
+    if (asked !== revision) return ask();
+    clearTimeout(pause);
+    pause = setTimeout(askGround, PAUSE);
+    show();
+  };
+  const askGround = async () => {
+    const asked = revision;
+    try {
+      const told = await post("ground", { page: given.page, revision: asked });
+      if (asked !== revision || told.stale) return;
+      await keep("ground", told.ground);
+      grounded = asked;
+    } catch (error) {
+      if (asked === revision) refused(error);
+    }
+    show();
   };
   const refused = (error) => {
     if (error.status === 409) sleep();
@@ -78,14 +93,15 @@
     sleeping = true;
     for (const b of document.querySelectorAll("#work button, #work input")) b.disabled = true;
   };
+  const keep = async (key, mask, prompt) => {
+    const old = masks.get(key), png = mask && `${mask.x} ${mask.y} ${mask.png}`;
+    if (old && old.png === png) return void (old.prompt = prompt);
+    const image = mask && (await loaded(`data:image/png;base64,${mask.png}`));
+    masks.set(key, { png, image, prompt, x: mask ? mask.x : 0, y: mask ? mask.y : 0 });
+  };
   const taken = async (told, prompts) => {
-    const found = [...[...prompts.keys()].map((key, k) => [key, told.masks[k]]), ["ground", told.ground]];
-    for (const key of masks.keys()) if (!found.some(([k]) => k === key)) masks.delete(key);
-    await Promise.all(found.map(async ([key, mask]) => {
-      const old = masks.get(key), png = mask && `${mask.x} ${mask.y} ${mask.png}`;
-      const image = old && old.png === png ? old.image : mask && (await loaded(`data:image/png;base64,${mask.png}`));
-      masks.set(key, { png, image, x: mask ? mask.x : 0, y: mask ? mask.y : 0, prompt: prompts.get(key), ...(old && old.png === png ? { layer: old.layer } : {}) });
-    }));
+    for (const key of masks.keys()) if (key !== "ground" && !prompts.has(key)) masks.delete(key);
+    await Promise.all([...prompts].map(([key, prompt], k) => keep(key, told.masks[k], prompt)));
     const last = marks.objects.at(-1);
     if (last && masks.get(last.key)?.image) say(`Object ${marks.objects.length} is outlined.`);
   };
@@ -365,7 +381,8 @@
       rows.delete(key);
     }
     const strokes = marks.ground.inside.length + marks.ground.outside.length;
-    $("ground-state").textContent = strokes ? `${strokes} ${strokes === 1 ? "stroke" : "strokes"}` : "found by itself";
+    const looking = grounded !== revision && revision > given.revision;
+    $("ground-state").textContent = looking ? "…" : strokes ? `${strokes} ${strokes === 1 ? "stroke" : "strokes"}` : "found by itself";
     $("clear-ground").hidden = !strokes;
     chosen($("ground-row"), $("pick-ground"), "ground");
     $("none").hidden = marks.objects.length > 0;
@@ -386,13 +403,13 @@
     if (selected === "ground" && mode !== "box") {
       return mode === "remove"
         ? "Draw on what is wrongly taken for the ground."
-        : "Draw on the surface that the objects stand on, such as the table top. Without strokes it is found by itself.";
+        : "Is the surface that the objects stand on covered? Else draw on what is missing. Remove takes away.";
     }
     if (mode === "add") return it ? `Draw on parts of ${it} that the colour does not cover.` : "Select an object, then draw on the parts of it that are missing.";
     if (mode === "remove") return it ? `Draw on what the colour covers and is not ${it}.` : "Select an object, then draw on what does not belong to it.";
     if (!marks.objects.length) return "Drag a box around one object, close to its edges. Do so for every object that can move.";
     return it
-      ? `Is ${it} covered well? Else drag a corner of its box, or draw with Add and Remove. Then box the next object.`
+      ? `Is ${it} covered? Else drag a corner of its box, or use Add and Remove. Then box the next one.`
       : "Drag a box around the next object, or click one to correct it. Save when all are covered.";
   };
   const select = (key) => {
@@ -528,6 +545,7 @@
   window.page = { // for tests
     marks, masks, view,
     get settled() { return !asking && answered === revision; },
+    get grounded() { return grounded === revision; },
     get selected() { return selected; },
     get mode() { return mode; },
     get done() { return done; },

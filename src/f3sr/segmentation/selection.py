@@ -48,18 +48,27 @@ def outlined(photo: Photo, selection: Selection, segmenter: Backend[Segmenter]) 
     keeps what it found: the same ``segmenter``, asked again, cuts only what changed. Raises InputError for prompts
     that the photo cannot have and for answers that are no masks, BackendError where the segmenter raises.
     """
+    masks = object_masks(photo, selection, segmenter)
+    return Outlines(masks=masks, ground=ground_mask(photo.rgb, selection.ground, masks))
+
+
+def object_masks(photo: Photo, selection: Selection, segmenter: Backend[Segmenter]) -> tuple[NDArray[np.bool_], ...]:
+    """The masks (H, W) of ``outlined`` alone: who waits for them need not wait for the ground too."""
     require_prompts(photo, selection)
     prompts = selection.prompts
     answer = segmenter.asked(lambda s: s.segment(photo, prompts)) if prompts else ()
-    masks = checked_masks(str(segmenter), answer, photo, len(prompts))
-    return told_apart(photo, masks, selection)
+    return _apart(photo, checked_masks(str(segmenter), answer, photo, len(prompts)), selection)
 
 
 def told_apart(photo: Photo, masks: Sequence[NDArray[np.bool_]], selection: Selection) -> Outlines:
     """Masks (H, W) made disjoint, and the ground beside them. Boxes and strokes that are known help."""
-    boxes = [_box(selection, k) or bounds(mask) for k, mask in enumerate(masks)]
-    apart = none_vanished(disjoint(photo.rgb, masks, boxes), masks)
+    apart = _apart(photo, masks, selection)
     return Outlines(masks=apart, ground=ground_mask(photo.rgb, selection.ground, apart))
+
+
+def _apart(photo: Photo, masks: Sequence[NDArray[np.bool_]], selection: Selection) -> tuple[NDArray[np.bool_], ...]:
+    boxes = [_box(selection, k) or bounds(mask) for k, mask in enumerate(masks)]
+    return none_vanished(disjoint(photo.rgb, masks, boxes), masks)
 
 
 def _box(selection: Selection, number: int) -> Box | None:
