@@ -52,7 +52,7 @@ def serve(
         folder=folder,
         segmenter=segmenter,
         after=after,
-        command="" if after else f"f3sr reconstruct {shlex.quote(str(folder))} -o OUT",
+        command="" if after else _next_command(folder),
     )
     file = folder / PROMPTS
     given = read_selection(file) if file.exists() else Selection(prompts=())
@@ -102,6 +102,11 @@ def page(drawing: Drawing) -> bytes:
         scripts=tuple(HERE / name for name in SCRIPTS),
         served=True,
     )
+
+
+def _next_command(folder: Path) -> str:
+    scene = folder.with_name(f"{folder.name.removesuffix('_input')}_scene")
+    return f"f3sr reconstruct {shlex.quote(str(folder))} -o {shlex.quote(str(scene))}"
 
 
 def _routes(session: DrawingSession) -> Mapping[tuple[str, str], Route]:

@@ -148,9 +148,9 @@
     const [x, y] = view.toCanvas([(mask.x - rim) / shrink, (mask.y - rim) / shrink]);
     const by = view.scale / shrink;
     const chosen = key === selected, quiet = key === "ground" && !chosen && mode !== "ground";
-    paper.globalAlpha = quiet ? 0 : chosen ? 0.42 : 0.28;
+    paper.globalAlpha = quiet ? 0.14 : chosen ? 0.42 : 0.28;
     paper.drawImage(tint, x, y, tint.width * by, tint.height * by);
-    paper.globalAlpha = quiet ? 0.5 : 1;
+    paper.globalAlpha = quiet ? 0 : 1;
     paper.drawImage(edge, x, y, edge.width * by, edge.height * by);
     paper.globalAlpha = 1;
   };
@@ -546,6 +546,7 @@
     marks, masks, view,
     get settled() { return !asking && answered === revision; },
     get grounded() { return grounded === revision; },
+    get revision() { return revision; },
     get selected() { return selected; },
     get mode() { return mode; },
     get done() { return done; },
