@@ -102,12 +102,15 @@ def alike(window: ObjectWindow, seeds: Mask, allowed: Mask) -> Mask:
 
 
 def _told_starts(evidence: Evidence) -> Iterator[Mask]:
-    """First guesses with what looks like strokes inside, without what looks like strokes outside."""
+    """First guesses with what looks like strokes inside, without what looks like strokes outside.
+
+    Strokes correct what was found without them: other guesses are not made."""
     more, less = (
         alike(evidence.window, strokes, evidence.allowed) if strokes.any() else strokes
         for strokes in (evidence.inside, evidence.outside)
     )
-    for start in _starts(evidence):
+    corrected = bool(evidence.starts) and bool(evidence.inside.any() or evidence.outside.any())
+    for start in evidence.starts if corrected else _starts(evidence):
         told = (start & ~less) | (more & ~less) | evidence.inside
         yield told if told.sum() >= LEAST else start
 
@@ -180,9 +183,9 @@ def _whole(evidence: Evidence, mask: Mask) -> Mask:
         return mask
     rivals = np.zeros_like(mask) if evidence.rivals is None else evidence.rivals
     numbers = parts_of(mask)
-    kept = {1 + int(np.argmax(np.bincount(numbers.ravel())[1:]))}
-    if evidence.inside.any():
-        kept = set(np.unique(numbers[evidence.inside]).tolist()) - {0}
+    kept = set(np.unique(numbers[evidence.inside]).tolist()) - {0}
+    if evidence.box or not kept:
+        kept.add(1 + int(np.argmax(np.bincount(numbers.ravel())[1:])))
     joined = parts_of(mask | rivals)
     reached = np.unique(joined[np.isin(numbers, list(kept))])
     whole = mask & np.isin(joined, reached)

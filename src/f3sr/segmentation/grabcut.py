@@ -26,11 +26,11 @@ FINE = 400_000
 """Most pixels of the window in which the border is cut again: any object of a 1 MP photo at its full resolution."""
 BAND = 1.5
 """Half width of the border that is cut again, in pixels of the coarse window: what it cannot resolve."""
-TIMES = 2
+TIMES = 1
 """Times that objects which share pixels are cut again, each with the others' pixels as its surroundings."""
 REACH = 0.125
 """Of the photo's shorter side: how far an object without a box is looked for beyond its strokes at first."""
-KEPT = 512
+KEPT = 256
 """Most results that are kept, of the latest photos and prompts: a mask of a window each."""
 
 
@@ -127,6 +127,9 @@ class _Views:
             if not (evidence.rivals is not None and (evidence.rivals & inner(window.shape, window.inner(box))).any()):
                 return mask
             evidence = replace(evidence, starts=(window.lowered(mask),))
+        elif prompt.box is not None and (prompt.inside or prompt.outside):
+            bare = self.cut(replace(prompt, inside=(), outside=()), box, rivals, None)
+            evidence = replace(evidence, starts=(window.lowered(bare),))
         return window.raised(self._once("cut", prompt, evidence, lambda: cut_out(evidence)))
 
     def refine(self, prompt: Prompt, box: Box, rivals: Mask, mask: Mask) -> Mask:

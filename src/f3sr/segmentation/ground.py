@@ -13,9 +13,9 @@ from f3sr.segmentation.grid_cut import Mask
 from f3sr.segmentation.object_window import ObjectWindow, object_window
 from f3sr.vision.regions import grown
 
-COARSE = 40_000
+COARSE = 10_000
 """Pixels at which the surface is found: its border is long and plain."""
-FINE = 400_000
+FINE = 100_000
 """Most pixels at which its border is cut again."""
 FOOT = 0.03
 """Of the photo's longer side: how far around an object's lower half the ground is looked for."""

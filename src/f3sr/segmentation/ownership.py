@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.segmentation.box_fill import fills, share_within
-from f3sr.segmentation.colour_mixture import colour_mixture, lab
+from f3sr.segmentation.colour_mixture import SAMPLES, ColourMixture, colour_mixture, lab
 from f3sr.segmentation.grid_cut import Mask
 from f3sr.segmentation.object_window import Box, object_window
 from f3sr.vision.regions import grown
@@ -65,11 +65,17 @@ def _contest(rgb: NDArray[np.uint8], shared: Mask, first: Mask, second: Mask) ->
     rows, columns = np.flatnonzero(shared.any(1)), np.flatnonzero(shared.any(0))
     place = (columns[0] - AROUND, rows[0] - AROUND, columns[-1] + 1 + AROUND, rows[-1] + 1 + AROUND)
     window = object_window(rgb, place, pixels=PIXELS, margin=0.0)
-    cost = colour_mixture(lab(rgb[first])).cost(window.colours) - colour_mixture(lab(rgb[second])).cost(window.colours)
+    cost = _colours_of(rgb, first).cost(window.colours) - _colours_of(rgb, second).cost(window.colours)
     mine, theirs = window.lowered(first), window.lowered(second)
     cost[~(grown(window.lowered(shared), 1) | mine | theirs)] = 0.0
     cost[mine], cost[theirs] = -np.inf, np.inf
     return window.raised(window.grid.cut(cost))
+
+
+def _colours_of(rgb: NDArray[np.uint8], mask: Mask) -> ColourMixture:
+    """Of at most about ``SAMPLES`` pixels of a mask, spread evenly."""
+    pixels = rgb[mask]
+    return colour_mixture(lab(pixels[:: max(1, len(pixels) // SAMPLES)]))
 
 
 def none_vanished(apart: Sequence[Mask], claimed: Sequence[Mask]) -> tuple[Mask, ...]:
