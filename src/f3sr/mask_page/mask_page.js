@@ -195,9 +195,11 @@
   const drawTag = (o, k) => {
     const box = around(o), [x, y] = view.toCanvas(box), [r] = view.toCanvas(box.slice(2));
     paper.font = "600 13px system-ui, sans-serif";
-    let text = o.label && (o.key === selected || r - x > 60) ? `${k + 1} ${o.label}` : `${k + 1}`;
-    while (text.length > 6 && paper.measureText(text).width > Math.max(90, r - x)) text = `${text.slice(0, -2).trimEnd()}…`;
-    const width = paper.measureText(text).width + 10, left = Math.max(0, Math.min(x, canvas.clientWidth - width)), top = Math.max(0, y - 20);
+    const wide = (text) => paper.measureText(text).width;
+    let text = `${k + 1} ${o.label}`.trim();
+    if (o.key !== selected && wide(text) > r - x) text = `${k + 1}`;
+    while (text.length > 6 && wide(text) > Math.max(90, r - x)) text = `${text.slice(0, -2).trimEnd()}…`;
+    const width = wide(text) + 10, left = Math.max(0, Math.min(x, canvas.clientWidth - width)), top = Math.max(0, y - 20);
     paper.fillStyle = "rgb(12 14 18 / .82)";
     paper.fillRect(left, top, width, 19);
     paper.fillStyle = colourOf(o.key);
