@@ -38,7 +38,7 @@
   const canvas = $("canvas"), paper = canvas.getContext("2d");
   const shrink = given.photo.shown[0] / given.photo.width; // shown pixels of a pixel of the photo
   const masks = new Map(); // by key: what the server found, as pictures
-  let mode = "box", selected = null, drawn = null, sleeping = false;
+  let mode = "box", selected = null, drawn = null, sleeping = false, done = false;
 
   // --- masks from the server: one question at a time, the last answer counts -------------------------------------------
 
@@ -53,7 +53,7 @@
     ask();
   };
   const ask = async () => {
-    if (asking || sleeping) return;
+    if (asking || sleeping || done) return;
     asking = true;
     const asked = revision, prompts = new Map(marks.objects.map((o) => [o.key, promptOf(o.key)]));
     try {
@@ -73,6 +73,7 @@
     show();
   };
   const askGround = async () => {
+    if (done || sleeping) return;
     const asked = revision;
     try {
       const told = await post("ground", { page: given.page, revision: asked });
@@ -297,26 +298,26 @@
     draw();
   };
   const onEnd = () => {
-    const done = drawn;
+    const drew = drawn;
     drawn = null;
-    if (!done) return;
-    if (done.stroke) {
-      marks.draw(done.key, done.side, rounded(done.stroke));
+    if (!drew) return;
+    if (drew.stroke) {
+      marks.draw(drew.key, drew.side, rounded(drew.stroke));
       return changed();
     }
-    const moved = Math.hypot(done.at[0] - done.start[0], done.at[1] - done.start[1]);
+    const moved = Math.hypot(drew.at[0] - drew.start[0], drew.at[1] - drew.start[1]);
     if (moved < LEAST) {
-      select(objectAt(view.toPhoto(...done.start))?.key ?? null);
-    } else if (done.box[2] - done.box[0] < LEAST || done.box[3] - done.box[1] < LEAST) {
+      select(objectAt(view.toPhoto(...drew.start))?.key ?? null);
+    } else if (drew.box[2] - drew.box[0] < LEAST || drew.box[3] - drew.box[1] < LEAST) {
       line("This box is too thin. Drag from one corner of the object to the opposite one.");
       draw();
-    } else if (done.kind === "corner") {
-      marks.move(done.key, rounded([done.box])[0]);
+    } else if (drew.kind === "corner") {
+      marks.move(drew.key, rounded([drew.box])[0]);
       changed();
     } else {
-      selected = marks.add(rounded([done.box])[0]);
+      selected = marks.add(rounded([drew.box])[0]);
       changed();
-      if (done.pointer === "mouse") rows.get(selected).input.focus();
+      if (drew.pointer === "mouse") rows.get(selected).input.focus();
     }
   };
   const onDrop = () => {
@@ -483,7 +484,6 @@
 
   // --- the end ------------------------------------------------------------------------------------------------------------------
 
-  let done = false;
   const finished = (title, { folder = "", after = "", command = "" }) => {
     done = true;
     $("work").hidden = true;
