@@ -16,7 +16,7 @@ from f3sr.vision.regions import grown
 OWN = 0.1
 """Least share of a mask that no other claims, if its colours are to be learnt there."""
 NESTED = 0.7
-"""Share of a box within another box from which on its object counts as standing in, or before, the other's."""
+"""Share of a box within another box from which on its object stands in, or before, the other's."""
 PIXELS = 10_000
 """Most pixels at which a contest is held."""
 AROUND = 6
@@ -26,9 +26,10 @@ AROUND = 6
 def disjoint(rgb: NDArray[np.uint8], masks: Sequence[Mask], boxes: Sequence[Box]) -> tuple[Mask, ...]:
     """The masks (h, w) without shared pixels, in their order, which does not matter.
 
-    Of two masks, a contested pixel goes to the one whose colours, learnt where nobody else claims them, and whose
-    border explain it better: a minimum cut. A mask that lies all in another is kept if its box does too. Otherwise it
-    is a leak. ``boxes`` are what each mask should fill.
+    A contested pixel goes to the mask whose colours and border explain it better: a minimum cut. Colours are learnt
+    where the other mask claims nothing, those of an object whose box lies within the other's box in all of its mask. A
+    mask without colours of its own stands if its box is such an inner one, or if it fills its box: else it is a leak.
+    ``boxes`` are what each mask should fill.
     """
     given = [mask.copy() for mask in masks]
     for i, first in enumerate(masks):
@@ -48,11 +49,17 @@ def _first_keeps(rgb: NDArray[np.uint8], masks: tuple[Mask, Mask], boxes: tuple[
     shared = masks[0] & masks[1]
     own = [mask & ~shared for mask in masks]
     shares = [o.sum() / mask.sum() for o, mask in zip(own, masks, strict=True)]
+    within = [share_within(boxes[k], boxes[1 - k]) for k in (0, 1)]
+    inner = int(np.argmax(within))
+    if within[inner] >= NESTED:
+        if shares[1 - inner] < OWN:
+            return shared if inner == 0 else np.zeros_like(shared)
+        learnt = [masks[k] if k == inner else own[k] for k in (0, 1)]
+        return shared & _contest(rgb, shared, own, learnt)
     if min(shares) >= OWN:
-        return shared & _contest(rgb, shared, own[0], own[1])
-    inner = int(np.argmin(shares))
-    stands = share_within(boxes[inner], boxes[1 - inner]) >= NESTED or fills(masks[inner], boxes[inner])
-    return shared if stands == (inner == 0) else np.zeros_like(shared)
+        return shared & _contest(rgb, shared, own, own)
+    least = int(np.argmin(shares))
+    return shared if fills(masks[least], boxes[least]) == (least == 0) else np.zeros_like(shared)
 
 
 def _order(mask: Mask, box: Box) -> tuple[int, Box, int]:
@@ -60,13 +67,15 @@ def _order(mask: Mask, box: Box) -> tuple[int, Box, int]:
     return int(mask.sum()), box, int(np.argmax(mask))
 
 
-def _contest(rgb: NDArray[np.uint8], shared: Mask, first: Mask, second: Mask) -> Mask:
-    """Pixels (h, w) of the first, of those that it shares with the second: each has others of its own."""
+def _contest(rgb: NDArray[np.uint8], shared: Mask, own: Sequence[Mask], learnt: Sequence[Mask]) -> Mask:
+    """Pixels (h, w) of the first of two masks, of those that they share.
+
+    ``own`` are the pixels that each has alone, ``learnt`` those that tell its colours."""
     rows, columns = np.flatnonzero(shared.any(1)), np.flatnonzero(shared.any(0))
     place = (columns[0] - AROUND, rows[0] - AROUND, columns[-1] + 1 + AROUND, rows[-1] + 1 + AROUND)
     window = object_window(rgb, place, pixels=PIXELS, margin=0.0)
-    cost = _colours_of(rgb, first).cost(window.colours) - _colours_of(rgb, second).cost(window.colours)
-    mine, theirs = window.lowered(first), window.lowered(second)
+    cost = _colours_of(rgb, learnt[0]).cost(window.colours) - _colours_of(rgb, learnt[1]).cost(window.colours)
+    mine, theirs = window.lowered(own[0]), window.lowered(own[1])
     cost[~(grown(window.lowered(shared), 1) | mine | theirs)] = 0.0
     cost[mine], cost[theirs] = -np.inf, np.inf
     return window.raised(window.grid.cut(cost))

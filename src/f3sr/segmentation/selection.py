@@ -15,7 +15,7 @@ from f3sr.errors import InputError
 from f3sr.files.bounds import MAX_LABEL, MAX_OBJECTS
 from f3sr.io.answers import checked_masks
 from f3sr.scene import Photo
-from f3sr.segmentation.ground import ground_mask
+from f3sr.segmentation.ground_region import ground_mask
 from f3sr.segmentation.object_window import Box
 from f3sr.segmentation.ownership import bounds, disjoint, none_vanished
 
