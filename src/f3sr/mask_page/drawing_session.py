@@ -19,7 +19,7 @@ from f3sr.files import strict_json
 from f3sr.mask_page.loopback_server import Reply, json_reply
 from f3sr.mask_page.mask_pictures import mask_picture, shown_photo, shown_size
 from f3sr.scene import Photo
-from f3sr.segmentation.ground import ground_mask
+from f3sr.segmentation.ground_region import ground_mask
 from f3sr.segmentation.input_folder_writer import OutlinedObject, write_input_folder
 from f3sr.segmentation.selection import Selection, object_masks, require_prompts
 from f3sr.segmentation.selection_json import selection_bytes, selection_form, selection_of
