@@ -268,7 +268,7 @@ def compared(calm: Path, other: Path) -> list[str]:
 def index_faults(place: Path, count: int) -> list[str]:
     """Jobs that the index holds twice or not at all, or that ended as they should not."""
     from f3sr.dataset.layout import Dataset
-    from f3sr.dataset.selection import selected
+    from f3sr.dataset.row_selection import selected
 
     rows = selected(Dataset.read(place), []).to_pylist()
     names = Counter(row["name"] for row in rows)

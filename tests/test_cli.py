@@ -220,7 +220,20 @@ def help_of(command: str, capsys: pytest.CaptureFixture[str]) -> str:
     return " ".join(re.sub("[─-╿]", " ", capsys.readouterr().out).split())
 
 
-COMMANDS = ("reconstruct", "evaluate", "simulate", "film", "goals", "batch", "dataset", "demo", "config", "doctor")
+COMMANDS = (
+    "photo",
+    "segment",
+    "reconstruct",
+    "evaluate",
+    "simulate",
+    "film",
+    "goals",
+    "batch",
+    "dataset",
+    "demo",
+    "config",
+    "doctor",
+)
 DATASET_COMMANDS = ("dataset stats", "dataset filter", "dataset sheet", "dataset export", "dataset prune")
 
 

@@ -21,7 +21,7 @@ from f3sr.dataset.index import read_index, write_index
 from f3sr.dataset.layout import INDEX, STALE, UNFINISHED, Dataset, failure_of, scene_of
 from f3sr.dataset.prune import prune
 from f3sr.dataset.record import Record, contents_of, to_bytes
-from f3sr.dataset.selection import refer, scenes_with, selected
+from f3sr.dataset.row_selection import refer, scenes_with, selected
 from f3sr.dataset.shards import export
 from f3sr.dataset.storage import RECORD
 from f3sr.dataset.summary import grouped, summary, told

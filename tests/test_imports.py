@@ -49,7 +49,7 @@ FLOORS = (
     ("physics", "io", "models"),
     ("vision",),
     ("contact", "background", "exporters", "web", "metrology", "lifting", "segmentation"),
-    ("metrics", "proxies", "rendering", "scene_package"),
+    ("metrics", "proxies", "rendering", "scene_package", "mask_page"),
     ("goals", "uncertainty"),
     ("language.grammar",),
     ("stages", "launches"),

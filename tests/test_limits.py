@@ -31,6 +31,11 @@ LIMITS = {
         ("overlap of two masks, below", "io.masks.MAX_OVERLAP"),
         ("digits of an id", "io.masks.MAX_ID_DIGITS"),
     ],
+    "Page of masks": [
+        ("body of a request [bytes]", "mask_page.loopback_server.MAX_BODY"),
+        ("request before its body [bytes]", "mask_page.loopback_server.MAX_HEAD"),
+        ("connections at once", "mask_page.loopback_server.MAX_CONNECTIONS"),
+    ],
     "Geometry": [
         ("bytes of the arrays read from an npz file", "files.npz.MAX_ARRAY_BYTES"),
         ("arrays in an npz file", "files.npz.MAX_ENTRIES"),

@@ -21,7 +21,7 @@ _PUBLIC = {
     "GROUND": "f3sr.scene",
     "LANGUAGES": "f3sr.play.languages",
     "SCENE_GRAPHERS": "f3sr.backends.kinds",
-    "SEGMENTERS": "f3sr.backends.kinds",
+    "SEGMENTERS": "f3sr.segmentation.segmenters",
     "Camera": "f3sr.core.camera",
     "Config": "f3sr.pipeline",
     "F3srError": "f3sr.errors",

@@ -35,6 +35,7 @@ def read_inputs(
     ignore: Collection[str] = (),
     asset_frame: str = "auto",
     geometry_noise: float | None = None,
+    mask_overlap: float | None = None,
     fillers: Fillers | None = None,
     hints: PhotoHints | None = None,
 ) -> Inputs:
@@ -49,6 +50,7 @@ def read_inputs(
         ignore=ignore,
         asset_frame=asset_frame,
         geometry_noise=geometry_noise,
+        mask_overlap=mask_overlap,
         fillers=fillers,
         stand_ins=Fillers(
             geometry=GEOMETRY_ESTIMATORS.find(DEFAULT_ESTIMATOR), assets=ASSET_GENERATORS.find(DEFAULT_GENERATOR)

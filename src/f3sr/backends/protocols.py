@@ -65,8 +65,7 @@ class Prompt:
 
 
 class Segmenter(Protocol):
-    """Prompts to masks. Its consumer comes with ``f3sr photo`` (step 11); today it is found by name
-    and its answers have their check, ``io.answers.checked_masks``."""
+    """Prompts to masks, for ``f3sr segment``. Masks may share pixels: ``segmentation/ownership.py`` parts them."""
 
     def segment(self, photo: Photo, prompts: Sequence[Prompt]) -> Sequence[NDArray[np.bool_]]:
         """One mask (H, W) per prompt, in their order, with at least one pixel each."""

@@ -182,7 +182,7 @@ def filter_(
 
     from f3sr.cli import console
     from f3sr.dataset.layout import Dataset
-    from f3sr.dataset.selection import refer, scenes_with
+    from f3sr.dataset.row_selection import refer, scenes_with
 
     if not where:
         raise InputError("--where", found="no condition", accepted='at least one, as "mIoU_visible > .9"')
@@ -239,7 +239,7 @@ def export(
     """
     from f3sr.cli import console
     from f3sr.dataset.layout import Dataset
-    from f3sr.dataset.selection import scenes_with
+    from f3sr.dataset.row_selection import scenes_with
     from f3sr.dataset.shards import CONTENTS, DEFAULT_FILES
     from f3sr.dataset.shards import export as write_shards
 

@@ -22,6 +22,11 @@ def say(text: str) -> None:
     print(text, flush=True)
 
 
+def say_aside(text: str) -> None:
+    """The same where the output is for another program."""
+    print(text, file=sys.stderr, flush=True)
+
+
 @contextmanager
 def steps_shown(*, quiet: bool = False) -> Generator[Progress]:
     """Prints one line per finished step of a run; on a terminal also the running step, with a clock."""

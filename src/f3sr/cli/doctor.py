@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 import f3sr
-from f3sr.backends.kinds import SCENE_GRAPHERS, SEGMENTERS
+from f3sr.backends.kinds import SCENE_GRAPHERS
 from f3sr.backends.registry import Kind
 from f3sr.background.completers import BACKGROUND_COMPLETERS
 from f3sr.core.mesh import ConvexPart, Mesh
@@ -30,6 +30,7 @@ from f3sr.play.languages import LANGUAGES
 from f3sr.runtime import kernels
 from f3sr.runtime.cache_folder import cache_folder
 from f3sr.runtime.machine import usable_cores, usable_memory
+from f3sr.segmentation.segmenters import SEGMENTERS
 
 State = Literal["ok", "optional", "limited", "broken", "failed"]
 

@@ -3,33 +3,19 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any
 
 import tyro
 
 import f3sr
-from f3sr import options
-from f3sr.cli import agent_commands, batch_commands, goal_commands, sample_command
-from f3sr.cli.arguments import (
-    Axes,
-    Folder,
-    Ignore,
-    Known,
-    MaybeFile,
-    MaybeMetres,
-    MaybeMillimetres,
-    MaybePixels,
-    MaybeShare,
-    Name,
-    Out,
-    Skip,
-)
+from f3sr.cli import agent_commands, batch_commands, goal_commands, photo_command, sample_command, segment_command
+from f3sr.cli.arguments import Axes, Folder, Ignore, MaybeFile, Out
+from f3sr.cli.reconstruct_command import as_json, columns_of, names_in, reconstruct
 from f3sr.errors import (
     F3srError,
     F3srWarning,
@@ -38,15 +24,9 @@ from f3sr.errors import (
     RefusedError,
     one_line,
     printable,
-    require_known,
     unforeseen,
 )
 from f3sr.runtime import signals
-
-if TYPE_CHECKING:
-    from f3sr.backends.registry import Backend, Kind
-
-P = TypeVar("P")
 
 DESCRIPTION = """From one photo with object masks to a 3-D scene that a physics engine can run, and goals played in it.
 `f3sr COMMAND --help` explains a command, `f3sr --version` prints the version.
@@ -60,6 +40,8 @@ F3SR_TRACEBACK=1 shows where an unforeseen error arose."""
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     commands: dict[str, Callable[..., Any]] = {
+        "photo": photo_command.photo,
+        "segment": segment_command.segment,
         "reconstruct": reconstruct,
         "evaluate": evaluate,
         "simulate": goal_commands.simulate,
@@ -113,127 +95,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def reconstruct(
-    folder: Folder,
-    /,
-    out: Out,
-    skip: Skip = "",
-    ignore: Ignore = "",
-    asset_frame: Axes = "auto",
-    geometry_noise: MaybeShare = None,
-    geometry: Name = None,
-    assets: Name = None,
-    scene_graph: Name = None,
-    labels: Name = None,
-    background: Name = None,
-    focal: MaybePixels = None,
-    focal_35mm: MaybeMillimetres = None,
-    camera_height: MaybeMetres = None,
-    known: Known = "",
-    config: MaybeFile = None,
-    overwrite: bool = False,
-    json: bool = False,
-) -> None:
-    """Turn a prompted-image folder into a scene package.
-
-    Args:
-        folder: Must hold image.png|jpg and masks/*.png. May hold assets/, geometry.npz (or depth.png|npy, best with
-            intrinsics.json), ground.png, scene_graph.json, background.png, materials.json. What it lacks is made from
-            the photo.
-        out: Where the package goes; an older f3sr package there is replaced.
-        geometry_noise: Standard deviation of the geometry's depths, as a share of the distance, 0.0001 to 0.5. Without
-            it: measured for a sensor's depth, 0.01 for an estimate.
-        geometry: Back end that estimates geometry where the folder has none; ``f3sr doctor`` lists its names.
-        assets: Back end that generates meshes where the folder has none; ``f3sr doctor`` lists its names.
-        scene_graph: Back end that proposes relations where the folder has none; ``f3sr doctor`` lists its names. Or a
-            vision model, as openai:NAME.
-        labels: Back end that names objects whose masks have no label, or a vision model, as openai:NAME.
-        background: Back end that completes the photo behind the objects; ``f3sr doctor`` lists its names. Or a model
-            that edits pictures, as openai:NAME. Without it: background.png if there, else patchmatch.
-        focal: Focal length [px] of the upright photo, where geometry is made from the photo, as for the next three.
-        focal_35mm: The same in 35 mm equivalent [mm], by the photo's diagonal.
-        camera_height: Height of the camera above what the objects stand on [m].
-        known: Known lengths [m] of objects by id or label, as "mug=0.12,3=0.3": the longest side of the tightest box
-            around the object.
-        config: TOML file of settings; those it does not name stay as ``f3sr config`` prints them.
-        overwrite: Also replace a package that holds rollouts.
-        json: Print one JSON object instead of text.
-    """
-    from f3sr import pipeline, settings
-    from f3sr.backends.kinds import LABELERS, SCENE_GRAPHERS
-    from f3sr.background.completers import BACKGROUND_COMPLETERS, DEFAULT_COMPLETER
-    from f3sr.cli import console
-    from f3sr.delivery import deliver
-    from f3sr.io.input_folder import INPUT_FOLDER
-    from f3sr.io.inputs import Fillers
-    from f3sr.io.photo_hints import PhotoHints, known_of
-    from f3sr.lifting.generators import ASSET_GENERATORS
-    from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS
-    from f3sr.photo_inputs import read_inputs
-    from f3sr.runtime import atomic_folder, kernels
-    from f3sr.runtime.progress import timed
-    from f3sr.runtime.result_store import Store
-    from f3sr.scene_package import package, package_folder
-
-    require_known("--skip", _names(skip), options.SKIPPABLE)
-    atomic_folder.recover(out)
-    if package_folder.is_package(folder):
-        raise InputError(folder, found=package_folder.PACKAGE, accepted=INPUT_FOLDER)
-    chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
-    fillers = Fillers(
-        geometry=_backend(GEOMETRY_ESTIMATORS, geometry),
-        assets=_backend(ASSET_GENERATORS, assets),
-        scene_graph=_backend(SCENE_GRAPHERS, scene_graph),
-        labels=_backend(LABELERS, labels),
-    )
-    hints = PhotoHints(focal=focal, focal_35mm=focal_35mm, camera_height=camera_height, known=known_of(known))
-    completer = _backend(BACKGROUND_COMPLETERS, background) if background != DEFAULT_COMPLETER else None
-    with console.steps_shown(quiet=json) as progress, kernels.compiling() as compilers:
-        with timed("read", progress):
-            given = read_inputs(
-                folder,
-                ignore=_names(ignore),
-                asset_frame=asset_frame,
-                geometry_noise=geometry_noise,
-                fillers=fillers,
-                hints=hints,
-            )
-        package.prepare_output(out, inputs=folder, overwrite=overwrite)
-        compilers.begin(progress)
-        result = pipeline.reconstruct(
-            given, chosen, skip=_names(skip), background=completer, store=Store.default(), progress=progress
-        )
-        written = deliver(result, out, overwrite=overwrite, progress=progress)
-    if json:
-        print(_json({"package": str(written), "seconds": result.seconds, **_columns(result.evaluation)}))
-        return
-    for report in result.reports:
-        for decision in report.fallbacks:
-            about = f" (object {decision.about})" if decision.about is not None else ""
-            console.say(f"fallback in {report.stage}{about}: {decision.choice}; {decision.reason}")
-    console.print_measures(_columns(result.evaluation))
-    console.say(f"package:  {written}")
-    console.say(f"report:   {written / package.PAGE}")
-
-
-def _backend(kind: Kind[P], name: str | None) -> Backend[P] | None:
-    """The back end of a name, or of a model's spec as ``openai:NAME``, where a model can do that."""
-    if name is None:
-        return None
-    if name.partition(":")[0] not in ("openai", "anthropic"):
-        return kind.find(name)
-    from f3sr.agents import image_edit, photo_reader
-
-    makers: dict[str, Callable[[str], Any]] = {
-        "scene_graph": photo_reader.scene_grapher,
-        "labels": photo_reader.labeler,
-        "background": image_edit.image_edit,
-    }
-    if kind.name not in makers:
-        raise InputError(f"--{kind.name}", found=name, accepted=f"a back end: {', '.join(kind.names()) or 'none yet'}")
-    return makers[kind.name](name)
-
-
 def evaluate(
     folder: Folder,
     /,
@@ -270,7 +131,7 @@ def evaluate(
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
     with console.steps_shown(quiet=json) as progress, kernels.compiling() as compilers:
         if _is_input(folder):
-            given = read_inputs(folder, ignore=_names(ignore), asset_frame=asset_frame)
+            given = read_inputs(folder, ignore=names_in(ignore), asset_frame=asset_frame)
             compilers.begin(progress)
             scene = pipeline.composed_directly(given, chosen, store=Store.default(), progress=progress)
             direct, foreign, name = None, True, stage.DIRECT
@@ -282,9 +143,9 @@ def evaluate(
             scene, direct, foreign, name = content.scene, content.direct, not content.camera_aligned, "f3sr"
         with timed("evaluate", progress):
             measured = stage.evaluate(scene, direct, chosen.evaluate, foreign=foreign, true_scale=true_scale)
-    columns = _columns(measured, name)
+    columns = columns_of(measured, name)
     if json:
-        print(_json(columns))
+        print(as_json(columns))
     else:
         console.print_measures(columns)
 
@@ -324,7 +185,7 @@ def doctor(json: bool = False) -> None:
 
     checks = examine()
     if json:
-        print(_json({"checks": [asdict(check) for check in checks]}))
+        print(as_json({"checks": [asdict(check) for check in checks]}))
     else:
         console.print_table(
             [(c.state, c.group, c.name, c.found) for c in checks], header=("state", "group", "name", "found")
@@ -336,10 +197,6 @@ def doctor(json: bool = False) -> None:
 # --- words and tables ---------------------------------------------------------------------------------------------
 
 
-def _names(text: str) -> list[str]:
-    return [name.strip() for name in text.split(",") if name.strip()]
-
-
 def _is_input(folder: Path) -> bool:
     """Whether this is meant to be a prompted-image folder; packages have masks too."""
     return (folder / "masks").is_dir() and not (folder / "scene.json").exists()
@@ -349,15 +206,6 @@ def _refuse_for_packages(ignore: str, asset_frame: str) -> None:
     for option, given in (("--ignore", ignore), ("--asset-frame", "" if asset_frame == "auto" else asset_frame)):
         if given:
             raise InputError(option, found=given, accepted="only with a prompted-image folder, not with a package")
-
-
-def _columns(evaluation: Any, name: str = "f3sr") -> dict[str, dict[str, float]]:
-    """The measures of direct composition, where known, and of the result, by title."""
-    return {title: measures.as_dict() for title, measures in evaluation.rows(name).items()} if evaluation else {}
-
-
-def _json(value: object) -> str:
-    return json.dumps(value, allow_nan=False)
 
 
 def _fail(code: int, message: str) -> int:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from f3sr.dataset.layout import PACKAGE_FOLDER, Dataset, scene_of
-from f3sr.dataset.selection import selected
+from f3sr.dataset.row_selection import selected
 from f3sr.dataset.storage import LocalStorage
 from f3sr.dataset.summary import grouped, told
 from f3sr.errors import OutputError

@@ -11,7 +11,7 @@ import numpy as np
 
 from f3sr.dataset.columns import MEASURES
 from f3sr.dataset.layout import Dataset
-from f3sr.dataset.selection import scenes_with, selected
+from f3sr.dataset.row_selection import scenes_with, selected
 
 QUANTILES = {"least": 0.0, "5 %": 0.05, "median": 0.5, "95 %": 0.95, "most": 1.0}
 COSTS = ("wall_s", "cpu_s", "peak_mb", "package_bytes")

@@ -122,6 +122,7 @@ def read(
     ignore: Collection[str] = (),
     asset_frame: str = "auto",
     geometry_noise: float | None = None,
+    mask_overlap: float | None = None,
     fillers: Fillers | None = None,
     stand_ins: Fillers | None = None,
     hints: PhotoHints | None = None,
@@ -130,6 +131,7 @@ def read(
 
     ``ignore`` treats parts of PARTS as absent. ``asset_frame`` names the axes of GLBs without ``poses.json``: one of
     ASSET_FRAMES. ``geometry_noise``: standard deviation of the depths [share of the distance], else measured.
+    ``mask_overlap``: share of the smaller of two masks that may lie in both, .05 without it.
     ``fillers`` make parts that are absent, ``stand_ins`` those for which nobody named a filler: a fallback. Answers
     are validated as files are. ``hints`` are what a user knows of the camera, where geometry is made from the photo.
     Raises InputError for the first invalid file or value, BackendError where a filler raises.
@@ -139,7 +141,7 @@ def read(
     require_known("--asset-frame", [asset_frame], ASSET_FRAMES)
     source = InputFolder(Path(folder))
     photo, told = _photo(source)
-    instances = read_instances(source, photo)
+    instances = read_instances(source, photo, overlap=mask_overlap)
     parts = _Parts(
         folder=source,
         ignore=ignore,

@@ -18,6 +18,8 @@ from f3sr.scene import Instance, Photo
 MAX_OVERLAP = 0.05
 """Share of the smaller mask that two masks may overlap by: more than the uncertain pixels of a border are two
 opinions on an object. Shared pixels go to the smaller mask."""
+MOST_OVERLAP = 0.5
+"""Largest share that a user may allow: then it is one object twice."""
 MAX_ID_DIGITS = 8
 """Longer numbers are hashes or dates, not ids."""
 MIN_PIXELS = 16
@@ -28,8 +30,12 @@ MAX_MASK_PIXELS = 2_000_000_000
 """Pixels of all masks together, a byte each: 166 masks of a 12 megapixel photo."""
 
 
-def read_instances(folder: InputFolder, photo: Photo) -> tuple[Instance, ...]:
-    """The objects by id, their masks (H, W) disjoint. Raises InputError, which names the file, for what is invalid."""
+def read_instances(folder: InputFolder, photo: Photo, *, overlap: float | None = None) -> tuple[Instance, ...]:
+    """The objects by id, their masks (H, W) disjoint. ``overlap``: largest share of a mask that another may also have.
+
+    Raises InputError, which names the file, for what is invalid."""
+    if overlap is not None and not 0 <= overlap <= MOST_OVERLAP:
+        raise InputError("--mask-overlap", found=f"{overlap:g}", accepted=f"a share from 0 to {MOST_OVERLAP:g}")
     place = folder.path("masks")
     names = folder.names("masks")
     if strange := [name for name in names if not name.endswith(".png")]:
@@ -39,12 +45,12 @@ def read_instances(folder: InputFolder, photo: Photo) -> tuple[Instance, ...]:
     most = min(MAX_OBJECTS, MAX_MASK_PIXELS // (photo.width * photo.height))
     if len(names) > most:
         raise InputError(place, found=f"{len(names)} masks", accepted=f"at most {most} for a photo of this size")
-    ids = _ids(place, [Path(name).stem for name in names])
+    ids = ids_of_stems(place, [Path(name).stem for name in names])
     instances = [
         Instance(id=id, label=label, name=name, mask=read_mask(folder, f"masks/{name}", photo))
         for name, (id, label) in zip(names, ids, strict=True)
     ]
-    return _disjoint(folder, sorted(instances, key=lambda i: i.id))
+    return _disjoint(folder, sorted(instances, key=lambda i: i.id), MAX_OVERLAP if overlap is None else overlap)
 
 
 def read_mask(folder: InputFolder, relative: str, photo: Photo) -> NDArray[np.bool_]:
@@ -81,7 +87,7 @@ def _levels(folder: InputFolder, path: Path) -> NDArray[Any]:
     return np.asarray(image) if image.mode.startswith("I") else np.asarray(image.convert("L"))  # I: 16 bits
 
 
-def _disjoint(folder: InputFolder, instances: list[Instance]) -> tuple[Instance, ...]:
+def _disjoint(folder: InputFolder, instances: list[Instance], most: float) -> tuple[Instance, ...]:
     """Overlapping pixels go to the smaller mask where the overlap is small; a larger one is an error."""
     if not _overlap(instances):
         return tuple(instances)
@@ -94,11 +100,11 @@ def _disjoint(folder: InputFolder, instances: list[Instance]) -> tuple[Instance,
                 continue
             small, large = sorted((a, b), key=lambda i: (area[i.id], i.id))
             share = shared.sum() / area[small.id]
-            if share >= MAX_OVERLAP:
+            if share >= most:
                 raise InputError(
                     folder.root / "masks" / small.name,
                     found=f"{100 * share:.0f}% of it also in {large.name}",
-                    accepted=f"masks that overlap by less than {100 * MAX_OVERLAP:.0f}% of the smaller",
+                    accepted=f"masks that overlap by less than {100 * most:.0f}% of the smaller (--mask-overlap)",
                 )
             masks[large.id] &= ~shared
             folder.decide(
@@ -133,8 +139,8 @@ def _meet(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> bool:
     return a[0] <= b[1] and b[0] <= a[1] and a[2] <= b[3] and b[2] <= a[3]
 
 
-def _ids(folder: Path, stems: Sequence[str]) -> list[tuple[int, str]]:
-    """Ids and labels from file stems: leading digits are the id, the rest the label."""
+def ids_of_stems(folder: Path, stems: Sequence[str]) -> list[tuple[int, str]]:
+    """Ids and labels from file stems: leading digits are the id, the rest the label. Raises InputError."""
     matches = [re.match(r"([0-9]+)(.*)", s, re.DOTALL) for s in stems]
     if not any(matches):
         return [(k, _label(s)) for k, s in enumerate(stems)]

@@ -34,16 +34,19 @@ def document(
     scripts: tuple[Path, ...],
     films: bool = False,
     pictures: bool = False,
+    served: bool = False,
 ) -> bytes:
     """The bytes of the document that ``template`` makes of ``values``, with its files of style and script.
 
     Other templates are found beside it. ``films``: whether it may show films, from data of its own. ``pictures``:
-    whether it may show pictures from files beside it.
+    whether it may show pictures from files beside it. ``served``: whether it may show pictures of the server that it
+    comes from, and ask that server.
     """
     style, script = _joined(styles), _joined(scripts)
-    beside = " 'self' file:" if pictures else ""
+    beside = " 'self'" if served else " 'self' file:" if pictures else ""
+    asked = "connect-src 'self'; " if served else ""
     policy = (
-        f"default-src 'none'; img-src data:{beside}; {'media-src data:; ' if films else ''}"
+        f"default-src 'none'; img-src data:{beside}; {'media-src data:; ' if films else ''}{asked}"
         f"style-src {_hash(style)}; script-src {_hash(script)}; base-uri 'none'; form-action 'none'"
     )
     page = environment(template.parent).get_template(template.name)

@@ -1,0 +1,169 @@
+"""The command from a prompted-image folder to a scene package."""
+
+from __future__ import annotations
+
+import json as json_
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from f3sr import options
+from f3sr.cli.arguments import (
+    Axes,
+    Folder,
+    Ignore,
+    Known,
+    MaybeFile,
+    MaybeMetres,
+    MaybeMillimetres,
+    MaybePixels,
+    MaybeShare,
+    Name,
+    Out,
+    Skip,
+)
+from f3sr.errors import InputError, require_known
+
+if TYPE_CHECKING:
+    from f3sr.backends.registry import Backend, Kind
+
+P = TypeVar("P")
+
+
+def reconstruct(
+    folder: Folder,
+    /,
+    out: Out,
+    skip: Skip = "",
+    ignore: Ignore = "",
+    asset_frame: Axes = "auto",
+    geometry_noise: MaybeShare = None,
+    geometry: Name = None,
+    assets: Name = None,
+    scene_graph: Name = None,
+    labels: Name = None,
+    background: Name = None,
+    focal: MaybePixels = None,
+    focal_35mm: MaybeMillimetres = None,
+    camera_height: MaybeMetres = None,
+    known: Known = "",
+    mask_overlap: MaybeShare = None,
+    config: MaybeFile = None,
+    overwrite: bool = False,
+    json: bool = False,
+) -> None:
+    """Turn a prompted-image folder into a scene package.
+
+    Args:
+        folder: Must hold image.png|jpg and masks/*.png. May hold assets/, geometry.npz (or depth.png|npy, best with
+            intrinsics.json), ground.png, scene_graph.json, background.png, materials.json. What it lacks is made from
+            the photo.
+        out: Where the package goes; an older f3sr package there is replaced.
+        geometry_noise: Standard deviation of the geometry's depths, as a share of the distance, 0.0001 to 0.5. Without
+            it: measured for a sensor's depth, 0.01 for an estimate.
+        geometry: Back end that estimates geometry where the folder has none; ``f3sr doctor`` lists its names.
+        assets: Back end that generates meshes where the folder has none; ``f3sr doctor`` lists its names.
+        scene_graph: Back end that proposes relations where the folder has none; ``f3sr doctor`` lists its names. Or a
+            vision model, as openai:NAME.
+        labels: Back end that names objects whose masks have no label, or a vision model, as openai:NAME.
+        background: Back end that completes the photo behind the objects; ``f3sr doctor`` lists its names. Or a model
+            that edits pictures, as openai:NAME. Without it: background.png if there, else patchmatch.
+        focal: Focal length [px] of the upright photo, where geometry is made from the photo, as for the next three.
+        focal_35mm: The same in 35 mm equivalent [mm], by the photo's diagonal.
+        camera_height: Height of the camera above what the objects stand on [m].
+        known: Known lengths [m] of objects by id or label, as "mug=0.12,3=0.3": the longest side of the tightest box
+            around the object.
+        mask_overlap: Share of the smaller of two masks that may lie in both, up to 0.5; the smaller one keeps it.
+            Without it: 0.05.
+        config: TOML file of settings; those it does not name stay as ``f3sr config`` prints them.
+        overwrite: Also replace a package that holds rollouts.
+        json: Print one JSON object instead of text.
+    """
+    from f3sr import pipeline, settings
+    from f3sr.backends.kinds import LABELERS, SCENE_GRAPHERS
+    from f3sr.background.completers import BACKGROUND_COMPLETERS, DEFAULT_COMPLETER
+    from f3sr.cli import console
+    from f3sr.delivery import deliver
+    from f3sr.io.input_folder import INPUT_FOLDER
+    from f3sr.io.inputs import Fillers
+    from f3sr.io.photo_hints import PhotoHints, known_of
+    from f3sr.lifting.generators import ASSET_GENERATORS
+    from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS
+    from f3sr.photo_inputs import read_inputs
+    from f3sr.runtime import atomic_folder, kernels
+    from f3sr.runtime.progress import timed
+    from f3sr.runtime.result_store import Store
+    from f3sr.scene_package import package, package_folder
+
+    require_known("--skip", names_in(skip), options.SKIPPABLE)
+    atomic_folder.recover(out)
+    if package_folder.is_package(folder):
+        raise InputError(folder, found=package_folder.PACKAGE, accepted=INPUT_FOLDER)
+    chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
+    fillers = Fillers(
+        geometry=_backend(GEOMETRY_ESTIMATORS, geometry),
+        assets=_backend(ASSET_GENERATORS, assets),
+        scene_graph=_backend(SCENE_GRAPHERS, scene_graph),
+        labels=_backend(LABELERS, labels),
+    )
+    hints = PhotoHints(focal=focal, focal_35mm=focal_35mm, camera_height=camera_height, known=known_of(known))
+    completer = _backend(BACKGROUND_COMPLETERS, background) if background != DEFAULT_COMPLETER else None
+    with console.steps_shown(quiet=json) as progress, kernels.compiling() as compilers:
+        with timed("read", progress):
+            given = read_inputs(
+                folder,
+                ignore=names_in(ignore),
+                asset_frame=asset_frame,
+                geometry_noise=geometry_noise,
+                mask_overlap=mask_overlap,
+                fillers=fillers,
+                hints=hints,
+            )
+        package.prepare_output(out, inputs=folder, overwrite=overwrite)
+        compilers.begin(progress)
+        result = pipeline.reconstruct(
+            given, chosen, skip=names_in(skip), background=completer, store=Store.default(), progress=progress
+        )
+        written = deliver(result, out, overwrite=overwrite, progress=progress)
+    if json:
+        print(as_json({"package": str(written), "seconds": result.seconds, **columns_of(result.evaluation)}))
+        return
+    for report in result.reports:
+        for decision in report.fallbacks:
+            about = f" (object {decision.about})" if decision.about is not None else ""
+            console.say(f"fallback in {report.stage}{about}: {decision.choice}; {decision.reason}")
+    console.print_measures(columns_of(result.evaluation))
+    console.say(f"package:  {written}")
+    console.say(f"report:   {written / package.PAGE}")
+
+
+def _backend(kind: Kind[P], name: str | None) -> Backend[P] | None:
+    """The back end of a name, or of a model's spec as ``openai:NAME``, where a model can do that."""
+    if name is None:
+        return None
+    if name.partition(":")[0] not in ("openai", "anthropic"):
+        return kind.find(name)
+    from f3sr.agents import image_edit, photo_reader
+
+    makers: dict[str, Callable[[str], Any]] = {
+        "scene_graph": photo_reader.scene_grapher,
+        "labels": photo_reader.labeler,
+        "background": image_edit.image_edit,
+    }
+    if kind.name not in makers:
+        raise InputError(f"--{kind.name}", found=name, accepted=f"a back end: {', '.join(kind.names()) or 'none yet'}")
+    return makers[kind.name](name)
+
+
+def names_in(text: str) -> list[str]:
+    """The names in a text, comma separated."""
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def columns_of(evaluation: Any, name: str = "f3sr") -> dict[str, dict[str, float]]:
+    """The measures of direct composition, where known, and of the result, by title."""
+    return {title: measures.as_dict() for title, measures in evaluation.rows(name).items()} if evaluation else {}
+
+
+def as_json(value: object) -> str:
+    """One line of JSON, for ``--json``."""
+    return json_.dumps(value, allow_nan=False)
