@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from f3sr.backends.protocols import Prompt, Stroke
 from f3sr.scene import Photo
-from f3sr.segmentation.box_cut import ObjectEvidence, cut_out, refined
+from f3sr.segmentation.box_cut import WindowEvidence, cut_out, refined
 from f3sr.segmentation.box_fill import inner
 from f3sr.segmentation.grid_cut import Mask
 from f3sr.segmentation.object_window import Box, ObjectWindow, object_window
@@ -150,7 +150,7 @@ class _Views:
         fine = self._once("refine", prompt, evidence, lambda: refined(evidence, evidence.starts[0], width))
         return window.raised(fine)
 
-    def _once(self, what: str, prompt: Prompt, evidence: ObjectEvidence, make: Callable[[], Mask]) -> Mask:
+    def _once(self, what: str, prompt: Prompt, evidence: WindowEvidence, make: Callable[[], Mask]) -> Mask:
         hashed = hashlib.sha256(f"{self.digest} {what} {prompt} {evidence.window.place}".encode())
         for mask in (evidence.allowed, *evidence.starts):
             hashed.update(np.packbits(mask).tobytes())
@@ -165,10 +165,10 @@ def _coarse_scale(window: ObjectWindow) -> float:
     return min(1.0, math.sqrt(COARSE / ((right - left) * (bottom - top))))
 
 
-def _evidence(window: ObjectWindow, prompt: Prompt, box: Box, rivals: Mask) -> ObjectEvidence:
+def _evidence(window: ObjectWindow, prompt: Prompt, box: Box, rivals: Mask) -> WindowEvidence:
     outside = window.drawn(prompt.outside)
     inside = window.drawn(prompt.inside) & ~outside
-    return ObjectEvidence(
+    return WindowEvidence(
         window=window,
         allowed=(inner(window.shape, window.inner(box)) & ~rivals & ~outside) | inside,
         inside=inside,
