@@ -34,7 +34,7 @@ SURE = 1e4
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Evidence:
+class WindowEvidence:
     """What is known of one object in its window (h, w) before any colour is looked at."""
 
     window: ObjectWindow
@@ -52,7 +52,7 @@ class Evidence:
     """Further first guesses."""
 
 
-def cut_out(evidence: Evidence) -> Mask:
+def cut_out(evidence: WindowEvidence) -> Mask:
     """The object (h, w); its box where nothing in it looks like one."""
     found = [cut for start in _told_starts(evidence) if (cut := settled(evidence, start)).any()]
     if not found:
@@ -64,12 +64,12 @@ def cut_out(evidence: Evidence) -> Mask:
     return best
 
 
-def _rank(evidence: Evidence, mask: Mask) -> tuple[bool, bool, float]:
+def _rank(evidence: WindowEvidence, mask: Mask) -> tuple[bool, bool, float]:
     """Less is better: a mask that ends inside its box, then one that fills it, then the likelier one."""
     return _openness(evidence, mask) > OPEN, not _is_full(evidence, mask), _energy(evidence, mask)
 
 
-def _openness(evidence: Evidence, mask: Mask) -> float:
+def _openness(evidence: WindowEvidence, mask: Mask) -> float:
     """Length of a mask's border that is cut off by its box where no contrast ends it, as a share of the box's outline.
 
     There the object would go on beyond its box: it is a part of the surroundings."""
@@ -84,7 +84,7 @@ def _openness(evidence: Evidence, mask: Mask) -> float:
     return float((wall & beside & (grid.prices > EDGE / 2)).sum() / (2 * (right - left + bottom - top)))
 
 
-def refined(evidence: Evidence, mask: Mask, width: float) -> Mask:
+def refined(evidence: WindowEvidence, mask: Mask, width: float) -> Mask:
     """The mask (h, w) with its border cut again within some distance [px] of where it is."""
     near = np.where(mask, distance_to(~mask), distance_to(mask)) <= width
     fixed = replace(evidence, allowed=evidence.allowed & (near | mask), inside=evidence.inside | (mask & ~near))
@@ -101,7 +101,7 @@ def alike(window: ObjectWindow, seeds: Mask, allowed: Mask) -> Mask:
     return np.isin(parts, np.unique(parts[seeds])) & allowed
 
 
-def _told_starts(evidence: Evidence) -> Iterator[Mask]:
+def _told_starts(evidence: WindowEvidence) -> Iterator[Mask]:
     """First guesses with what looks like strokes inside, without what looks like strokes outside.
 
     Strokes correct what was found without them: other guesses are not made."""
@@ -115,7 +115,7 @@ def _told_starts(evidence: Evidence) -> Iterator[Mask]:
         yield told if told.sum() >= LEAST else start
 
 
-def _starts(evidence: Evidence) -> Iterator[Mask]:
+def _starts(evidence: WindowEvidence) -> Iterator[Mask]:
     """First guesses: all of the box, its middle, colours that are odd in the surroundings, and given ones."""
     allowed = evidence.allowed
     yield allowed
@@ -132,7 +132,7 @@ def _starts(evidence: Evidence) -> Iterator[Mask]:
     yield from (allowed & start for start in evidence.starts)
 
 
-def settled(evidence: Evidence, start: Mask) -> Mask:
+def settled(evidence: WindowEvidence, start: Mask) -> Mask:
     """Colours and cut in turn until neither changes."""
     mask = start | evidence.inside
     for _ in range(ROUNDS):
@@ -145,7 +145,7 @@ def settled(evidence: Evidence, start: Mask) -> Mask:
     return _whole(evidence, mask)
 
 
-def _mixtures(evidence: Evidence, mask: Mask) -> tuple[ColourMixture, ColourMixture]:
+def _mixtures(evidence: WindowEvidence, mask: Mask) -> tuple[ColourMixture, ColourMixture]:
     """Colours of the object and of its surroundings, strokes with a share of their own."""
     colours = evidence.window.colours
     own, other = _told(colours, mask, evidence.inside), _told(colours, ~mask, evidence.outside)
@@ -159,7 +159,7 @@ def _told(colours: Array, mask: Mask, strokes: Mask) -> Array:
     return np.concatenate([colours[mask & ~strokes], *[colours[strokes]] * max(1, times)])
 
 
-def _cost(evidence: Evidence, mask: Mask) -> Array:
+def _cost(evidence: WindowEvidence, mask: Mask) -> Array:
     """What every pixel costs as object beyond its cost as surroundings, infinite where it is decided."""
     own, other = _mixtures(evidence, mask)
     colours, free = evidence.window.colours, evidence.allowed & ~evidence.inside
@@ -168,7 +168,7 @@ def _cost(evidence: Evidence, mask: Mask) -> Array:
     return cost
 
 
-def _energy(evidence: Evidence, mask: Mask) -> float:
+def _energy(evidence: WindowEvidence, mask: Mask) -> float:
     """-log likelihood of the window's colours under both mixtures, and the price of the border."""
     if mask.sum() < LEAST or (~mask).sum() < LEAST:
         return np.inf
@@ -177,7 +177,7 @@ def _energy(evidence: Evidence, mask: Mask) -> float:
     return float(own.cost(colours[mask]).sum() + other.cost(colours[~mask]).sum() + evidence.window.grid.price(mask))
 
 
-def _whole(evidence: Evidence, mask: Mask) -> Mask:
+def _whole(evidence: WindowEvidence, mask: Mask) -> Mask:
     """The largest part, and those that strokes or other objects join to it, without holes."""
     if not mask.any():
         return mask
@@ -197,12 +197,12 @@ def _whole(evidence: Evidence, mask: Mask) -> Mask:
 # --- a mask that fills its box --------------------------------------------------------------------------------------
 
 
-def _is_full(evidence: Evidence, mask: Mask) -> bool:
+def _is_full(evidence: WindowEvidence, mask: Mask) -> bool:
     """Whether a mask reaches all sides of its box, where somebody drew one and nothing takes parts of it away."""
     return evidence.box is None or bool(evidence.outside.any()) or fills(mask, evidence.box)
 
 
-def _filling(evidence: Evidence, mask: Mask) -> Mask:
+def _filling(evidence: WindowEvidence, mask: Mask) -> Mask:
     """The mask led to each side of its box that it does not reach, along the way that looks most like it."""
     for side in range(4):
         if evidence.box is None or mask.sum() < LEAST or gaps(mask, evidence.box)[side] <= LOOSE:
@@ -216,7 +216,7 @@ def _filling(evidence: Evidence, mask: Mask) -> Mask:
     return mask
 
 
-def _way(evidence: Evidence, mask: Mask, goal: Mask) -> Mask:
+def _way(evidence: WindowEvidence, mask: Mask, goal: Mask) -> Mask:
     """The cheapest path (h, w) of object pixels from a mask to a goal, three pixels wide."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import dijkstra

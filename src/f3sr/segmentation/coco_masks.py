@@ -66,7 +66,7 @@ class _Category(BaseModel):
     name: Annotated[str, Field(max_length=MAX_LABEL)]
 
 
-class _Document(BaseModel):
+class _CocoDocument(BaseModel):
     model_config = ConfigDict(extra="ignore")
 
     images: list[_Picture] = []
@@ -82,7 +82,7 @@ def read_coco(file: Path, photo: Photo, *, name: str = "") -> dict[int, Outlined
     """
     value = strict_json.read(file, accepted=ACCEPTED)
     try:
-        document = _Document.model_validate({"annotations": value} if isinstance(value, list) else value)
+        document = _CocoDocument.model_validate({"annotations": value} if isinstance(value, list) else value)
         chosen = _of_image(file, document, name)
         if not 1 <= len(chosen) <= MAX_OBJECTS:
             raise InputError(file, found=f"{len(chosen)} annotations", accepted=f"1 to {MAX_OBJECTS} of the photo")
@@ -124,7 +124,7 @@ def _numbers(text: str) -> NDArray[np.int64]:
     return np.array(runs, np.int64)
 
 
-def _of_image(file: Path, document: _Document, name: str) -> list[dict[str, Any]]:
+def _of_image(file: Path, document: _CocoDocument, name: str) -> list[dict[str, Any]]:
     """The annotations of the photo."""
     if len(document.images) < 2:
         return document.annotations

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from f3sr.backends.protocols import Prompt, Stroke
 from f3sr.scene import Photo
-from f3sr.segmentation.box_cut import Evidence, cut_out, refined
+from f3sr.segmentation.box_cut import WindowEvidence, cut_out, refined
 from f3sr.segmentation.box_fill import inner
 from f3sr.segmentation.grid_cut import Mask
 from f3sr.segmentation.object_window import Box, ObjectWindow, object_window
@@ -26,8 +26,8 @@ FINE = 400_000
 """Most pixels of the window in which the border is cut again: any object of a 1 MP photo at its full resolution."""
 BAND = 1.5
 """Half width of the border that is cut again, in pixels of the coarse window: what it cannot resolve."""
-TIMES = 1
-"""Times that objects which share pixels are cut again, each with the others' pixels as its surroundings."""
+LEFT = 0.1
+"""Least share of its pixels that an object keeps against others. With less, it is sought elsewhere in its box."""
 REACH = 0.125
 """Of the photo's shorter side: how far an object without a box is looked for beyond its strokes at first."""
 KEPT = 256
@@ -47,13 +47,7 @@ class GrabCut:
         prompts = [_with_others(prompt, box, prompts) for prompt, box in zip(prompts, boxes, strict=True)]
         none = np.zeros(photo.rgb.shape[:2], np.bool_)
         masks = [views.cut(prompt, box, none, None) for prompt, box in zip(prompts, boxes, strict=True)]
-        for _ in range(TIMES):
-            masks = disjoint(photo.rgb, masks, boxes)
-            masks = [
-                views.cut(prompt, box, _others(masks, k), masks[k])
-                for k, (prompt, box) in enumerate(zip(prompts, boxes, strict=True))
-            ]
-        masks = none_vanished(disjoint(photo.rgb, masks, boxes), masks)
+        masks = _sought_again(views, photo.rgb, prompts, boxes, masks)
         masks = [
             views.refine(prompt, box, _others(masks, k), masks[k])
             for k, (prompt, box) in enumerate(zip(prompts, boxes, strict=True))
@@ -62,6 +56,20 @@ class GrabCut:
         while len(self.kept) > KEPT:
             del self.kept[next(iter(self.kept))]
         return masks
+
+
+def _sought_again(
+    views: _Views, rgb: NDArray[np.uint8], prompts: Sequence[Prompt], boxes: Sequence[Box], masks: Sequence[Mask]
+) -> tuple[Mask, ...]:
+    """Masks (H, W) made disjoint; an object that lost nearly all to others is cut again where they are not."""
+    apart = disjoint(rgb, masks, boxes)
+    lost = [k for k, mask in enumerate(apart) if mask.sum() < LEFT * masks[k].sum()]
+    if not lost:
+        return apart
+    again = list(apart)
+    for k in lost:
+        again[k] = views.cut(prompts[k], boxes[k], _others(apart, k), apart[k])
+    return none_vanished(disjoint(rgb, again, boxes), again)
 
 
 def _with_others(prompt: Prompt, box: Box, prompts: Sequence[Prompt]) -> Prompt:
@@ -142,7 +150,7 @@ class _Views:
         fine = self._once("refine", prompt, evidence, lambda: refined(evidence, evidence.starts[0], width))
         return window.raised(fine)
 
-    def _once(self, what: str, prompt: Prompt, evidence: Evidence, make: Callable[[], Mask]) -> Mask:
+    def _once(self, what: str, prompt: Prompt, evidence: WindowEvidence, make: Callable[[], Mask]) -> Mask:
         hashed = hashlib.sha256(f"{self.digest} {what} {prompt} {evidence.window.place}".encode())
         for mask in (evidence.allowed, *evidence.starts):
             hashed.update(np.packbits(mask).tobytes())
@@ -157,10 +165,10 @@ def _coarse_scale(window: ObjectWindow) -> float:
     return min(1.0, math.sqrt(COARSE / ((right - left) * (bottom - top))))
 
 
-def _evidence(window: ObjectWindow, prompt: Prompt, box: Box, rivals: Mask) -> Evidence:
+def _evidence(window: ObjectWindow, prompt: Prompt, box: Box, rivals: Mask) -> WindowEvidence:
     outside = window.drawn(prompt.outside)
     inside = window.drawn(prompt.inside) & ~outside
-    return Evidence(
+    return WindowEvidence(
         window=window,
         allowed=(inner(window.shape, window.inner(box)) & ~rivals & ~outside) | inside,
         inside=inside,

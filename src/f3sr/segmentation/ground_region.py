@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.backends.protocols import Prompt
-from f3sr.segmentation.box_cut import Evidence, alike, refined, settled
+from f3sr.segmentation.box_cut import WindowEvidence, alike, refined, settled
 from f3sr.segmentation.grid_cut import Mask
 from f3sr.segmentation.object_window import ObjectWindow, object_window
 from f3sr.vision.regions import grown
@@ -41,10 +41,10 @@ def ground_mask(rgb: NDArray[np.uint8], prompt: Prompt, objects: Sequence[Mask])
     return fine.raised(refined(_evidence(fine, prompt, things), fine.lowered(mask), near)) & ~things
 
 
-def _evidence(window: ObjectWindow, prompt: Prompt, things: Mask) -> Evidence:
+def _evidence(window: ObjectWindow, prompt: Prompt, things: Mask) -> WindowEvidence:
     rivals, outside = window.lowered(things), window.drawn(prompt.outside)
     inside = window.drawn(prompt.inside) & ~outside & ~rivals
-    return Evidence(
+    return WindowEvidence(
         window=window,
         allowed=~rivals & ~outside,
         inside=inside,

@@ -27,9 +27,9 @@ def disjoint(rgb: NDArray[np.uint8], masks: Sequence[Mask], boxes: Sequence[Box]
     """The masks (h, w) without shared pixels, in their order, which does not matter.
 
     A contested pixel goes to the mask whose colours and border explain it better: a minimum cut. Colours are learnt
-    where the other mask claims nothing, those of an object whose box lies within the other's box in all of its mask. A
-    mask without colours of its own stands if its box is such an inner one, or if it fills its box: else it is a leak.
-    ``boxes`` are what each mask should fill.
+    where the other mask claims nothing. An object whose box lies within the other's shows them in all of its mask. A
+    mask with too few pixels of its own is a leak, unless its box is such an inner one or it fills its box. ``boxes``
+    are what each mask should fill.
     """
     given = [mask.copy() for mask in masks]
     for i, first in enumerate(masks):
