@@ -18,8 +18,9 @@ YAWS = 9
 """Turns of a box at which its fit starts, over a quarter turn."""
 DEPTHS = (0.4, 1.0, 2.2)
 """Its depths there, over its width."""
-EQUAL = 0.3
-"""Inverse standard deviation of the logarithms of a box's edges: of boxes that look alike, the most compact."""
+EQUAL = 1.25
+"""Inverse standard deviation of the logarithms of a box's edges: a factor of 2.2. Of boxes that look alike, the most
+compact; seen from its height, a box hides its own depth."""
 STARTS = 4
 """Starts that are refined, the best first."""
 

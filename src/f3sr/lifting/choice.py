@@ -18,6 +18,7 @@ from f3sr.lifting.solids import is_stable
 from f3sr.scene import Instance
 
 PRIOR = {"box": 0.03, "carved box": -0.05, "solid of revolution": 0.02, "bowl or cup": 0.02,
+         "bowl or cup upside down": -0.02,
          "standing silhouette": -0.01, "lying silhouette": -0.01}  # fmt: skip
 """Gain of 1 - IoU that a family is worth beside others: rigid families fit by chance less."""
 LABELLED = 0.03
@@ -38,6 +39,8 @@ HANGS, ASIDE = 0.4, 0.05
 over."""
 MOST = 0.5
 """Share of an underside that is on the carrier at least."""
+RIGID = ("solid of revolution", "bowl or cup", "bowl or cup upside down", "box")
+"""Families that rest upright by their form, though a ball may roll."""
 TIPPY = 0.1
 """Loss of score of a shape that would tip over where it is."""
 CUT = 0.1
@@ -89,15 +92,15 @@ class Choice:
         return text + (f"; fixed: {self.fixed}" if self.fixed else "")
 
 
-def choose(instance: Instance, seen: Outlined, carrier: Choice | None, *, distance: float) -> Choice:
+def choose(instance: Instance, seen: Outlined, carrier: Choice | None, *, distance: float, loaded: bool) -> Choice:
     """The shape of a mask: on top of the ``carrier``, else on the ground, or hanging at a ``distance`` [m] where the
-    ground is not below it."""
+    ground is not below it. ``loaded``: something may stand on it."""
     floor = carrier.top if carrier is not None else 0.0
     fitted = candidates(instance.label, seen, floor) or candidates(instance.label, seen, 0.0)
     fixed = _why_fixed(instance.label, seen, on_floor=bool(fitted))
     if not fitted:
         fitted = [fit_hanging(seen, distance)]
-    ranked = sorted(fitted, key=lambda fit: -_score(fit, instance.label, seen))
+    ranked = sorted(fitted, key=lambda fit: -_score(fit, instance.label, seen, loaded=loaded))
     best = ranked[0]
     return Choice(
         best=best,
@@ -151,7 +154,7 @@ def candidates(label: str, seen: Outlined, floor: float) -> list[Fit]:
     found = [
         fit_box(seen, floor),
         fit_carved(seen, floor),
-        fit_hollow(seen, floor, aspect=aspects[-1]) if aspects else None,
+        *(fit_hollow(seen, floor, aspect=aspects[-1], upside_down=over) for over in (False, True) if aspects),
         fit_revolution(seen, floor),
         fit_standing(seen, floor),
         fit_lying(seen, floor),
@@ -170,11 +173,12 @@ def words_of(label: str) -> list[str]:
     return label.lower().replace("-", " ").replace("_", " ").split()
 
 
-def _score(fit: Fit, label: str, seen: Outlined) -> float:
+def _score(fit: Fit, label: str, seen: Outlined, *, loaded: bool) -> float:
     score = fit.overlap + PRIOR.get(fit.family, 0.0)
-    if fit.family in named(label):
-        score += HOLLOW if fit.family == "bowl or cup" else LABELLED
-    if fit.family not in ("solid of revolution", "bowl or cup", "box") and not is_stable(fit.solid):
+    family = fit.family.removesuffix(" upside down")
+    if family in named(label):
+        score += HOLLOW if family == "bowl or cup" else LABELLED
+    if (loaded or fit.family not in RIGID) and not is_stable(fit.solid):
         score -= TIPPY
     if fit.family == "carved box" and seen.solidity > COMPACT:
         score -= 0.08

@@ -34,7 +34,7 @@ BULGE = 0.05
 """Largest distance that a wall's inside bends from its chord in one piece [radius of the rim]."""
 
 
-def fit_hollow(seen: Outlined, floor: float, *, aspect: float) -> Fit | None:
+def fit_hollow(seen: Outlined, floor: float, *, aspect: float, upside_down: bool = False) -> Fit | None:
     """A bowl, plate, pan or cup on the height ``floor`` [m], with handles: its outline touches the lines that the
     mask's touches, in all directions. ``aspect`` is the usual ratio of its height to the radius of its rim."""
     anchor = anchored(seen, floor)
@@ -59,8 +59,8 @@ def fit_hollow(seen: Outlined, floor: float, *, aspect: float) -> Fit | None:
         return _bowl(rim, rim * math.exp(x[3]), float(1 / (1 + math.exp(-x[4]))), math.exp(x[5]))
 
     def residual(x: Array) -> Array:
-        made = revolved(foot(x), profile(x), sectors=24)
-        pixels, depth = seen.camera.project(made.vertices)
+        made = revolved(foot(x), profile(x), sectors=24).vertices
+        pixels, depth = seen.camera.project(_turned_over(made, foot(x), profile(x)) if upside_down else made)
         if not (depth > 0.05 * size).all():
             return np.full(len(wanted) + 3, BEHIND_CAMERA)
         return np.concatenate([((pixels @ directions.T).max(0) - wanted) / scatter, (x[3:] - middle) / spread])
@@ -74,7 +74,19 @@ def fit_hollow(seen: Outlined, floor: float, *, aspect: float) -> Fit | None:
         pieces=_pieces(foot(x), outer, hollowed),
         rim=_sector(foot(x), outer[-2:-1], 0, SECTORS),
     )
+    if upside_down:
+        solid = Solid(
+            vertices=_turned_over(solid.vertices, foot(x), outer),
+            faces=solid.faces[:, ::-1],
+            pieces=tuple(_turned_over(corners, foot(x), outer) for corners in solid.pieces),
+        )
+        return Fit.of("bowl or cup upside down", solid, seen)
     return Fit.of("bowl or cup", _with_handles(seen, handles, solid, foot(x), outer), seen)
+
+
+def _turned_over(points: Array, foot: Array, profile: Array) -> Array:
+    """Points (n, 3) of a bowl mirrored at half its height: its rim is below."""
+    return points * [1, 1, -1] + (2 * foot[2] + float(profile[-1, 1])) * UP
 
 
 def _bowl(rim: float, height: float, base: float, power: float) -> Array:

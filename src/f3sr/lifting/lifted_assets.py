@@ -50,7 +50,8 @@ class LiftedAssets:
                 carrier, under = None, {**under, instance.id: GROUND}
             seen = seen.behind(_may_hide(instance, image.instances, under))
             far = [self.choices[id].distance(camera.center) for id in self.choices] or [camera.center[2] * FAR]
-            found = choose(instance, seen, carrier, distance=float(np.median(far)))
+            loaded = instance.id in under.values()
+            found = choose(instance, seen, carrier, distance=float(np.median(far)), loaded=loaded)
             self.choices[instance.id] = found
             solid = found.best.solid
             origin = np.array([*solid.vertices[:, :2].mean(0), solid.vertices[:, 2].min()])
