@@ -45,19 +45,21 @@ def fit_revolution(seen: Outlined, floor: float) -> Fit | None:
     def axis(x: Array) -> Array:
         return centre + size * (x[0] * side + x[1] * away)
 
+    def profile(x: Array) -> Array | None:
+        widest = _profile(seen, axis(x), size, beyond=SLACK * x[2])
+        return None if widest is None else _closed(seen, axis(x), widest)
+
     def loss(x: Array) -> float:
-        profile = _profile(seen, axis(x), size, beyond=SLACK * x[2])
-        if profile is None:
+        around = profile(x)
+        if around is None:
             return 1.0
-        made = revolved(axis(x), profile, sectors=20)
+        made = revolved(axis(x), around, sectors=20)
         return 1 - seen.overlap(made.vertices, made.faces)
 
     first = min((np.array([0.0, y, 0.0]) for y in np.linspace(-0.9, 0.3, 13)), key=loss)
     x = _lowered(loss, first, step=0.08, evaluations=60)
-    profile = _profile(seen, axis(x), size, beyond=SLACK * x[2])
-    if profile is None:
-        return None
-    return Fit.of("solid of revolution", revolved(axis(x), _closed(seen, axis(x), profile)), seen)
+    around = profile(x)
+    return None if around is None else Fit.of("solid of revolution", revolved(axis(x), around), seen)
 
 
 def _closed(seen: Outlined, foot: Array, profile: Array) -> Array:

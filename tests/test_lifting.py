@@ -1,0 +1,242 @@
+"""Shapes from masks: known solids are found again, rest on their support, and are closed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from f3sr import example, proxies
+from f3sr.core.camera import Camera
+from f3sr.core.mesh import Mesh, signed_volume
+from f3sr.core.transforms import UP, Array, pose
+from f3sr.lifting.boxes import fit_box, fit_carved
+from f3sr.lifting.choice import Choice, carries, choose
+from f3sr.lifting.fits import Fit
+from f3sr.lifting.hollows import fit_hollow
+from f3sr.lifting.image_supports import below
+from f3sr.lifting.many_starts import cost, refined
+from f3sr.lifting.outlined import Outlined
+from f3sr.lifting.revolutions import fit_revolution
+from f3sr.lifting.silhouettes import fit_lying, fit_standing
+from f3sr.lifting.solids import BOX_FACES, CORNERS, Solid, is_stable, joined, revolved
+from f3sr.lifting.texture import textured
+from f3sr.metrology.camera_estimate import attitude
+from f3sr.photo_inputs import read_inputs
+from f3sr.pipeline import as_given
+from f3sr.scene import GROUND, Instance, Photo
+from f3sr.stages.align import align
+from f3sr.stages.assemble import assemble
+from f3sr.stages.level import level
+from f3sr.vision import rasterizer
+
+PITCH = math.radians(35)
+R = attitude(PITCH, 0.0).T
+CAMERA = Camera(
+    width=640,
+    height=480,
+    K=np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]]),
+    T_world_camera=pose(R, [0, 0, 0.6]),
+)
+FOOT = np.array([0.02, 0.85, 0.0])
+
+
+def block(foot: Array, size: Sequence[float], yaw: float) -> Solid:
+    c, s = math.cos(yaw), math.sin(yaw)
+    turned = CORNERS * np.array(size) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+    return Solid(vertices=turned + foot, faces=BOX_FACES)
+
+
+def can(foot: Array, radius: float, height: float) -> Solid:
+    return revolved(foot, np.array([[0, 0], [radius, 0], [radius, height], [0, height]]), sectors=64)
+
+
+def ball(foot: Array, radius: float) -> Solid:
+    t = np.linspace(0, np.pi, 33)
+    return revolved(foot, np.column_stack([radius * np.sin(t), radius * (1 - np.cos(t))]), sectors=64)
+
+
+def bowl(foot: Array, rim: float, height: float, *, upside_down: bool = False) -> Solid:
+    t = np.linspace(0, 1, 12)
+    outer = np.column_stack([rim * (0.5 + 0.5 * t**0.6), height * t])
+    made = revolved(foot, np.concatenate([[[0, 0]], outer, [[0, height]]]), sectors=64)
+    if not upside_down:
+        return made
+    return Solid(vertices=made.vertices * [1, 1, -1] + height * UP, faces=made.faces[:, ::-1])
+
+
+def mask_of(solid: Solid) -> np.ndarray:
+    K, w, h = CAMERA.K, CAMERA.width, CAMERA.height
+    return rasterizer.silhouette(CAMERA.to_camera(solid.vertices), solid.faces, K, w, h)
+
+
+def seen(solid: Solid) -> Outlined:
+    return Outlined.of(mask_of(solid), CAMERA)
+
+
+def found(fit: Fit | None) -> Fit:
+    assert fit is not None
+    return fit
+
+
+@pytest.mark.parametrize("yaw", [0.1, 0.5, 1.0])
+@pytest.mark.parametrize("size", [(0.2, 0.12, 0.07), (0.1, 0.07, 0.2), (0.08, 0.08, 0.08)])
+def test_a_box_is_found_by_its_outline(size: tuple[float, ...], yaw: float):
+    true = block(FOOT, size, yaw)
+    fit = found(fit_box(seen(true), 0.0))
+    assert fit.overlap > 0.98
+    assert np.allclose(np.ptp(fit.solid.vertices, axis=0), np.ptp(true.vertices, axis=0), rtol=0.12)
+    assert np.linalg.norm(fit.solid.vertices.mean(0) - true.vertices.mean(0)) < 0.01
+
+
+def test_a_can_has_a_flat_top_of_its_own_width():
+    fit = found(fit_revolution(seen(can(FOOT, 0.04, 0.12)), 0.0))
+    vertices = fit.solid.vertices
+    assert fit.overlap > 0.96
+    assert np.allclose(np.ptp(vertices, axis=0), [0.08, 0.08, 0.12], rtol=0.08)
+    top = vertices[vertices[:, 2] > vertices[:, 2].max() - 1e-6]
+    assert np.ptp(top[:, 0]) > 0.06
+
+
+def test_a_ball_is_round_at_both_ends():
+    fit = found(fit_revolution(seen(ball(FOOT, 0.05)), 0.0))
+    heights = fit.solid.vertices[:, 2]
+    assert fit.overlap > 0.95
+    assert np.allclose(np.ptp(fit.solid.vertices, axis=0), 0.1, rtol=0.12)
+    for end in (heights.min(), heights.max()):
+        rest = fit.solid.vertices[np.abs(heights - end) < 1e-6]
+        assert np.ptp(rest[:, 0]) < 0.04
+
+
+@pytest.mark.parametrize(("rim", "height"), [(0.08, 0.06), (0.12, 0.03), (0.05, 0.09)])
+def test_a_bowl_is_hollow_and_its_pieces_hold_it(rim: float, height: float):
+    fit = found(fit_hollow(seen(bowl(FOOT, rim, height)), 0.0, aspect=height / rim))
+    assert fit.overlap > 0.95
+    assert np.allclose(np.ptp(fit.solid.vertices, axis=0)[:2], 2 * rim, rtol=0.08)
+    mesh = mesh_of(fit.solid)
+    made = proxies.decompose(mesh)
+    assert made.method == "given" and len(made.parts) <= 45
+    assert made.outside < 1e-6
+    assert signed_volume(mesh.vertices, mesh.faces) < 0.6 * mesh.hull.volume
+    middle = np.array([*FOOT[:2], height / 2])
+    assert not any(is_inside(piece, middle) for piece in fit.solid.pieces)
+
+
+def mesh_of(solid: Solid) -> Mesh:
+    photo = Photo(rgb=np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8))
+    return textured(solid, np.zeros(3), photo, mask_of(solid), CAMERA)
+
+
+def is_inside(corners: Array, point: Array) -> bool:
+    from scipy.spatial import ConvexHull
+
+    planes = ConvexHull(corners).equations
+    return bool((planes[:, :3] @ point + planes[:, 3] < 0).all())
+
+
+def test_a_bowl_upside_down_is_known_from_its_outline():
+    for over, family in ((False, "bowl or cup"), (True, "bowl or cup upside down")):
+        true = bowl(FOOT, 0.09, 0.08, upside_down=over)
+        chosen = chosen_for(true, "red bowl")
+        assert chosen.best.family == family
+        assert chosen.best.overlap > 0.95
+
+
+def chosen_for(true: Solid, label: str, carrier: Choice | None = None) -> Choice:
+    instance = Instance(id=0, label=label, name="00.png", mask=mask_of(true))
+    return choose(instance, seen(true), carrier, distance=1.0, loaded=False)
+
+
+def test_a_pan_keeps_its_handle():
+    handle = block(FOOT + np.array([0.17, 0, 0.03]), (0.2, 0.03, 0.015), 0.0)
+    pan = joined(bowl(FOOT, 0.1, 0.04), handle)
+    assert pan is not None
+    fit = found(fit_hollow(seen(pan), 0.0, aspect=0.4))
+    assert fit.overlap > 0.93
+    assert np.ptp(fit.solid.vertices[:, 0]) > 0.34
+
+
+FITS = {
+    "box": fit_box,
+    "carved": fit_carved,
+    "revolution": fit_revolution,
+    "standing": fit_standing,
+    "lying": fit_lying,
+    "hollow": lambda seen, floor: fit_hollow(seen, floor, aspect=1.0),
+    "upside down": lambda seen, floor: fit_hollow(seen, floor, aspect=1.0, upside_down=True),
+}
+
+
+@pytest.mark.parametrize("floor", [0.0, 0.1])
+@pytest.mark.parametrize("family", FITS)
+def test_every_shape_is_a_closed_solid_on_its_support(family: str, floor: float):
+    true = can(FOOT + floor * UP, 0.05, 0.1)
+    fit = found(FITS[family](seen(true), floor))
+    mesh = mesh_of(fit.solid)
+    assert mesh.is_solid
+    assert abs(float(fit.solid.vertices[:, 2].min()) - floor) < 2e-3
+    assert fit.overlap > 0.8
+
+
+def test_what_lies_is_stable():
+    fit = found(fit_lying(seen(block(FOOT, (0.25, 0.03, 0.02), 0.4)), 0.0))
+    assert is_stable(fit.solid)
+    assert not is_stable(ball(FOOT, 0.05))
+    assert is_stable(block(FOOT, (0.1, 0.1, 0.1), 0.0))
+    assert not is_stable(block(FOOT, (0.02, 0.02, 0.4), 0.0))
+
+
+def test_what_stands_on_another_is_told_from_what_stands_behind_it():
+    under = can(FOOT, 0.08, 0.08)
+    on_top = block(FOOT + 0.08 * UP, (0.06, 0.05, 0.06), 0.3)
+    behind = block(FOOT + np.array([0, 0.19, 0]), (0.12, 0.06, 0.09), 0.0)
+    carrier = chosen_for(under, "can")
+    for thing, stands in ((on_top, True), (behind, False)):
+        shown = mask_of(thing) & (~mask_of(under) if not stands else True)
+        masks = {0: mask_of(under) & ~(mask_of(thing) if stands else False), 1: shown}
+        assert (below(masks)[1] == 0 and carries(Outlined.of(shown, CAMERA), carrier)) is stands
+    assert (
+        below({0: mask_of(under), 1: mask_of(block(FOOT + np.array([0.3, 0, 0]), (0.05, 0.05, 0.05), 0))})[1] == GROUND
+    )
+
+
+def test_many_starts_reach_the_same_minimum():
+    target = np.array([0.3, -0.2, 0.1])
+
+    def residuals(x: Array) -> Array:
+        return np.concatenate([x - target, (x**2 - target**2)], axis=1)
+
+    starts = np.random.default_rng(0).uniform(-0.5, 0.5, (6, 3))
+    x, costs = refined(residuals, starts, iterations=40)
+    assert np.allclose(costs, cost(residuals(x)))
+    assert np.abs(x[np.argmin(costs)] - target).max() < 1e-3
+
+
+@pytest.fixture(scope="module")
+def lifted():
+    return read_inputs(example.folder(), ignore=("assets", "geometry"))
+
+
+def test_a_photo_and_masks_are_enough_and_the_report_says_so(lifted):
+    told = [d for d in lifted.decisions if d.fallback]
+    assert any("geometry" in d.choice for d in told) and any("assets" in d.choice for d in told)
+    assert {d.about for d in lifted.decisions if d.choice.startswith("mesh: ")} == {i.id for i in lifted.instances}
+    assert lifted.geometry.source == "ground"
+
+
+def test_alignment_neither_tilts_lifted_things_nor_moves_the_camera(lifted):
+    scene, _ = level(assemble(as_given(lifted))[0])
+    aligned, told = align(scene)
+    assert np.array_equal(aligned.camera.T_world_camera, scene.camera.T_world_camera)
+    assert np.mean(list(told.after.values())) >= np.mean(list(told.before.values()))
+    for o in aligned:
+        turn = o.T_world_object[:3, :3] @ scene[o.id].T_world_object[:3, :3].T
+        assert np.allclose(turn @ UP, UP, atol=1e-9)
+
+
+def test_the_same_photo_gives_the_same_meshes(lifted, tmp_path: Path):
+    again = read_inputs(example.folder(), ignore=("assets", "geometry"))
+    assert again.digests == lifted.digests
