@@ -21,7 +21,8 @@ from run import REPO
 
 GROUPS = {"rendered": "scenes/*", "frames": "real/[lu]*", "photos": "photos/*"}
 """Rendered scenes with truth, RGB-D frames without assets, and photos."""
-IGNORED = "assets,geometry"
+OPTIONS = ("--ignore", "assets,geometry", "--mask-overlap", "0.1")
+"""Two masks of one photo overlap by 7 % of the smaller."""
 COLUMNS = ("n", "fixed", "mIoU", "mIoU_visible", "N_cross", "K_max_J", "D_max_cm", "gap_pct", "below_pct", "inside",
            "tilt_deg", "focal_pct", "centre_pct", "chamfer_pct", "support_recall", "wall_s")  # fmt: skip
 PRIOR_FOCAL, PRIOR_PITCH = 0.9, 32.0
@@ -60,7 +61,7 @@ def measured(folder: Path, out: Path, data: Path, kept: tuple[Path, ...], *, aga
     if not again:
         with caches.fresh(*kept) as cache:
             environment = {"F3SR_CACHE_DIR": str(cache)}
-            finished = process.reconstruct(folder, out, environment=environment, options=["--ignore", IGNORED])
+            finished = process.reconstruct(folder, out, environment=environment, options=OPTIONS)
         row = {"wall_s": finished.wall, "cpu_s": finished.cpu, "seconds": finished.answer["seconds"]}
     referee = process.run([data.parent / "referee" / "evaluate.py", folder, out], out.with_suffix(".referee.log"))
     return {**row, **referee.answer, **camera_errors(folder, out)}
