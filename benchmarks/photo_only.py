@@ -64,7 +64,10 @@ def measured(folder: Path, out: Path, data: Path, kept: tuple[Path, ...], *, aga
             finished = process.reconstruct(folder, out, environment=environment, options=OPTIONS)
         row = {"wall_s": finished.wall, "cpu_s": finished.cpu, "seconds": finished.answer["seconds"]}
     referee = process.run([data.parent / "referee" / "evaluate.py", folder, out], out.with_suffix(".referee.log"))
-    return {**row, **referee.answer, **camera_errors(folder, out)}
+    sheets = dict[str, float]()
+    if (folder / "truth.json").exists():
+        sheets = process.run(["billboards.py", folder, out, data / "objects"], out.with_suffix(".sheets.log")).answer
+    return {**row, **referee.answer, **sheets, **camera_errors(folder, out)}
 
 
 def camera_errors(folder: Path, package: Path) -> dict[str, float]:
@@ -107,8 +110,13 @@ def judge(rows: Mapping[str, Row]) -> bool:
         bounds += [
             ("tilt_deg, median", median(r["tilt_deg"] for r in rendered), 3.0),
             ("focal_pct, median", median(abs(r["focal_pct"]) for r in rendered), 7.0),
+            (
+                "chamfer over that of billboards",
+                median(r["chamfer_pct"] / r["billboard_chamfer_pct"] for r in rendered),
+                0.5,
+            ),
         ]
-        for measure in ("centre_pct", "chamfer_pct", "prior_tilt_deg", "prior_focal_pct"):
+        for measure in ("centre_pct", "chamfer_pct", "billboard_chamfer_pct", "prior_tilt_deg", "prior_focal_pct"):
             print(f"{measure}: median {median(abs(r[measure]) for r in rendered):.2f}")
     for name, value, bound in bounds:
         print(f"{name}: {value:.4g} (at most {bound:g}){'' if value <= bound else '  DOES NOT HOLD'}")

@@ -42,7 +42,7 @@ def against_truth(scene: Scene, folder: Path, objects: Path) -> dict[str, float]
     T_world_camera = np.array(truth["T_world_camera"])
     index = {file.name: k for k, file in enumerate(sorted((folder / "masks").glob("*.png")))}
 
-    true = [_true_points(truth["objects"][index[o.mask_name]], T_world_camera, objects) for o in scene]
+    true = [true_points(truth["objects"][index[o.mask_name]], T_world_camera, objects) for o in scene]
     ours = [scene.camera.to_camera(sample_surface(o.vertices_world, o.mesh.faces, SAMPLES)) for o in scene]
     scale = global_scale(true, ours)
     K, D = release(scene.objects, true_scale=scale)
@@ -90,7 +90,7 @@ def support_scores(scene: Scene, truth: dict[str, Any], index: dict[str, int]) -
     return {"support_precision": hits / len(found), "support_recall": hits / len(true)}
 
 
-def _true_points(record: dict[str, Any], T_world_camera: Array, objects: Path) -> Array:
+def true_points(record: dict[str, Any], T_world_camera: Array, objects: Path) -> Array:
     """Points (SAMPLES, 3) on a true object's surface, in the camera frame [m]."""
     mesh = load_mesh(objects / f"{record['model']}.glb")
     T_camera_object = invert_pose(T_world_camera) @ np.array(record["T_world_object"])
