@@ -40,7 +40,7 @@ def main() -> None:
 
 
 def billboard(o: SceneObject, camera: Camera) -> Array:
-    """Points (n, 3) of the mask on the upright plane that faces the camera, through the nearest of its lowest points."""
+    """Points (n, 3) of the mask on the upright plane that faces the camera, through its nearest low point."""
     vertices = o.vertices_world
     low = vertices[vertices[:, 2] < vertices[:, 2].min() + 0.02 * np.ptp(vertices[:, 2])]
     away = (vertices.mean(0) - camera.center) * [1, 1, 0]

@@ -10,10 +10,12 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import fmean, median
 from typing import Any
+
+from PIL import Image, ImageDraw, ImageOps
 
 import caches
 import process
@@ -28,6 +30,7 @@ COLUMNS = ("n", "fixed", "mIoU", "mIoU_visible", "N_cross", "K_max_J", "D_max_cm
 PRIOR_FOCAL, PRIOR_PITCH = 0.9, 32.0
 """The constant prior: focal length [image widths] and angle below the horizon [deg]."""
 
+PICTURES = ("photo.png", "pictures/render_after.png", "pictures/overlay_after.png", "pictures/side_after.png")
 Row = dict[str, Any]
 
 
@@ -51,6 +54,8 @@ def main() -> int:
         except process.RunError as error:
             failed = True
             print(f"{name}: FAILED: {error}", flush=True)
+    if rows:
+        print(f"pictures: {sheet(list(rows), args.out)}")
     (args.out / "results.json").write_text(json.dumps(rows, indent=1) + "\n")
     return int(failed | judge(rows))
 
@@ -90,6 +95,24 @@ def camera_errors(folder: Path, package: Path) -> dict[str, float]:
         s, c = math.sin(math.radians(PRIOR_PITCH)), math.cos(math.radians(PRIOR_PITCH))
         errors["prior_tilt_deg"] = math.degrees(math.acos(min(1.0, -c * up[1] - s * up[2])))
     return errors
+
+
+def sheet(names: Sequence[str], out: Path, width: int = 420) -> Path:
+    """One picture: the photo, the scene's masks over it and the scene from the side, a row for every package."""
+    rows = list[Image.Image]()
+    for name in names:
+        shown = [Image.open(out / name / file).convert("RGB") for file in PICTURES]
+        tiles = [ImageOps.pad(picture, (width, round(0.75 * width)), color="white") for picture in shown]
+        row = Image.new("RGB", (width * len(tiles), tiles[0].height + 16), "white")
+        for k, tile in enumerate(tiles):
+            row.paste(tile, (k * width, 16))
+        ImageDraw.Draw(row).text((4, 2), name, fill="black")
+        rows.append(row)
+    whole = Image.new("RGB", (rows[0].width, sum(row.height for row in rows)), "white")
+    for k, row in enumerate(rows):
+        whole.paste(row, (0, k * row.height))
+    whole.save(out / "sheet.jpg", quality=85)
+    return out / "sheet.jpg"
 
 
 def judge(rows: Mapping[str, Row]) -> bool:

@@ -433,7 +433,6 @@ WRONG: dict[str, tuple[Spoil, str, str]] = {
     ),
     "ground only where objects are": (copied(f"masks/{BIG}", "ground.png"), "ground.png", "outside the object masks"),
     # geometry.npz
-    "no geometry": (remove("geometry.npz"), "input", "no geometry"),
     "two kinds of geometry": (write("depth.png", b""), "input", "geometry.npz and depth.png"),
     "an empty npz": (write("geometry.npz", b""), "geometry.npz", "no readable npz"),
     "a broken npz": (write("geometry.npz", b"PK\x03\x04junk"), "geometry.npz", "no readable npz"),
@@ -504,7 +503,6 @@ WRONG: dict[str, tuple[Spoil, str, str]] = {
     "K of two rows": (intrinsics(K=[[200, 0, 50], [0, 200, 40]]), "intrinsics.json", "K = [["),
     "K of a width of -1": (intrinsics(width=-1), "intrinsics.json", "width"),
     # poses.json
-    "no assets": (lambda f: (f / "assets").rename(f / "other"), "assets", "no assets"),
     "a file where assets/ is meant": (
         in_order(moved("assets", "other"), write("assets", b"")), "assets", "not a directory",
     ),

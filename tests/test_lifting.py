@@ -15,7 +15,7 @@ from f3sr.core.mesh import Mesh, signed_volume
 from f3sr.core.transforms import UP, Array, pose
 from f3sr.lifting.boxes import fit_box, fit_carved
 from f3sr.lifting.choice import Choice, carries, choose
-from f3sr.lifting.fits import Fit
+from f3sr.lifting.fits import FittedShape
 from f3sr.lifting.hollows import fit_hollow
 from f3sr.lifting.image_supports import below
 from f3sr.lifting.many_starts import cost, refined
@@ -77,7 +77,7 @@ def seen(solid: Solid) -> Outlined:
     return Outlined.of(mask_of(solid), CAMERA)
 
 
-def found(fit: Fit | None) -> Fit:
+def found(fit: FittedShape | None) -> FittedShape:
     assert fit is not None
     return fit
 

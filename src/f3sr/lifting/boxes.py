@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from f3sr.core.transforms import Array
-from f3sr.lifting.fits import Fit, anchored, horizontal
+from f3sr.lifting.fits import FittedShape, anchored, horizontal
 from f3sr.lifting.many_starts import BEHIND_CAMERA, refined
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.solids import BOX_FACES, CORNERS, Solid, carved, subdivided
@@ -25,7 +25,7 @@ STARTS = 4
 """Starts that are refined, the best first."""
 
 
-def fit_box(seen: Outlined, floor: float) -> Fit | None:
+def fit_box(seen: Outlined, floor: float) -> FittedShape | None:
     """A box on the height ``floor`` [m]: its outline touches the lines that the mask's touches, in all directions."""
     anchor = anchored(seen, floor)
     if anchor is None:
@@ -60,7 +60,7 @@ def fit_box(seen: Outlined, floor: float) -> Fit | None:
     fitted = [Solid(vertices=points, faces=BOX_FACES) for points in corners(x)]
     overlaps = [seen.overlap(made.vertices, made.faces) for made in fitted]
     best = int(np.argmax(overlaps))
-    return Fit(family="box", solid=subdivided(fitted[best]), overlap=overlaps[best])
+    return FittedShape(family="box", solid=subdivided(fitted[best]), overlap=overlaps[best])
 
 
 def _onto_bounds(seen: Outlined, x: Array, corners: Callable[[Array], Array], size: float) -> Array:
@@ -83,11 +83,11 @@ def _onto_bounds(seen: Outlined, x: Array, corners: Callable[[Array], Array], si
     return x
 
 
-def fit_carved(seen: Outlined, floor: float) -> Fit | None:
+def fit_carved(seen: Outlined, floor: float) -> FittedShape | None:
     """The box of the mask's convex hull, cut by the cone of the mask: a chair, a table, a bench."""
     hull = fit_box(replace(seen, mask=seen.convex), floor)
     if hull is None:
         return None
     cell = float(np.ptp(hull.solid.vertices, axis=0).max()) / 12
     solid = carved(hull.solid, seen.possible, seen.camera, cell=cell)
-    return solid and Fit(family="carved box", solid=solid, overlap=seen.overlap(solid.vertices, solid.faces))
+    return solid and FittedShape(family="carved box", solid=solid, overlap=seen.overlap(solid.vertices, solid.faces))

@@ -9,7 +9,7 @@ import numpy as np
 
 from f3sr.core.transforms import UP, Array
 from f3sr.lifting.boxes import fit_box, fit_carved
-from f3sr.lifting.fits import Fit
+from f3sr.lifting.fits import FittedShape
 from f3sr.lifting.hollows import fit_hollow
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.revolutions import fit_revolution
@@ -72,8 +72,8 @@ WORDS = {
 class Choice:
     """The shape of an object, what else was close, and the height [m] it stands on."""
 
-    best: Fit
-    runner_up: Fit | None
+    best: FittedShape
+    runner_up: FittedShape | None
     floor: float
     top: float
     """Height of its upper side, or of the inside's floor, on which others may rest [m]."""
@@ -148,7 +148,7 @@ def _top_outline(carrier: Choice) -> Array | None:
     return upper if fills > FLAT_TOP else None
 
 
-def candidates(label: str, seen: Outlined, floor: float) -> list[Fit]:
+def candidates(label: str, seen: Outlined, floor: float) -> list[FittedShape]:
     """The fit of every family on the height ``floor`` [m]."""
     aspects = [HOLLOWS[word] for word in words_of(label) if word in HOLLOWS]
     found = [
@@ -173,7 +173,7 @@ def words_of(label: str) -> list[str]:
     return label.lower().replace("-", " ").replace("_", " ").split()
 
 
-def _score(fit: Fit, label: str, seen: Outlined, *, loaded: bool) -> float:
+def _score(fit: FittedShape, label: str, seen: Outlined, *, loaded: bool) -> float:
     score = fit.overlap + PRIOR.get(fit.family, 0.0)
     family = fit.family.removesuffix(" upside down")
     if family in named(label):
@@ -210,7 +210,7 @@ def _why_fixed(label: str, seen: Outlined, *, on_floor: bool) -> str:
     return ""
 
 
-def _top(fit: Fit) -> float:
+def _top(fit: FittedShape) -> float:
     """Height on which others may rest [m]: the floor of what is hollow is its first piece."""
     corners = fit.solid.pieces[0] if fit.solid.pieces else fit.solid.vertices
     return float(corners[:, 2].max())

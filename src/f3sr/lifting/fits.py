@@ -13,7 +13,7 @@ from f3sr.lifting.solids import Solid
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Fit:
+class FittedShape:
     """A shape of one family, and its overlap with the mask where that is valid (IoU)."""
 
     family: str

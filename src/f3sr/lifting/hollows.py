@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.transforms import UP, Array
-from f3sr.lifting.fits import Fit, anchored, horizontal
+from f3sr.lifting.fits import FittedShape, anchored, horizontal
 from f3sr.lifting.many_starts import BEHIND_CAMERA, refined
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.silhouettes import inflated_mask, lying_at
@@ -34,7 +34,7 @@ BULGE = 0.05
 """Largest distance that a wall's inside bends from its chord in one piece [radius of the rim]."""
 
 
-def fit_hollow(seen: Outlined, floor: float, *, aspect: float, upside_down: bool = False) -> Fit | None:
+def fit_hollow(seen: Outlined, floor: float, *, aspect: float, upside_down: bool = False) -> FittedShape | None:
     """A bowl, plate, pan or cup on the height ``floor`` [m], with handles: its outline touches the lines that the
     mask's touches, in all directions. ``aspect`` is the usual ratio of its height to the radius of its rim."""
     anchor = anchored(seen, floor)
@@ -80,8 +80,8 @@ def fit_hollow(seen: Outlined, floor: float, *, aspect: float, upside_down: bool
             faces=solid.faces[:, ::-1],
             pieces=tuple(_turned_over(corners, foot(x), outer) for corners in solid.pieces),
         )
-        return Fit.of("bowl or cup upside down", solid, seen)
-    return Fit.of("bowl or cup", _with_handles(seen, handles, solid, foot(x), outer), seen)
+        return FittedShape.of("bowl or cup upside down", solid, seen)
+    return FittedShape.of("bowl or cup", _with_handles(seen, handles, solid, foot(x), outer), seen)
 
 
 def _turned_over(points: Array, foot: Array, profile: Array) -> Array:

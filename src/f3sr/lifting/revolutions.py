@@ -10,7 +10,7 @@ from scipy import ndimage
 from scipy.optimize import minimize
 
 from f3sr.core.transforms import UP, Array
-from f3sr.lifting.fits import Fit, anchored, horizontal
+from f3sr.lifting.fits import FittedShape, anchored, horizontal
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.solids import revolved
 from f3sr.vision.regions import interpolated
@@ -29,7 +29,7 @@ CAP = 5
 """Rings of a round end."""
 
 
-def fit_revolution(seen: Outlined, floor: float) -> Fit | None:
+def fit_revolution(seen: Outlined, floor: float) -> FittedShape | None:
     """The symmetric hull of the mask about a vertical axis on the height ``floor`` [m]: at each height the largest
     circle whose image lies in the mask. The axis is where that covers most."""
     anchor = anchored(seen, floor)
@@ -59,7 +59,7 @@ def fit_revolution(seen: Outlined, floor: float) -> Fit | None:
     first = min((np.array([0.0, y, 0.0]) for y in np.linspace(-0.9, 0.3, 13)), key=loss)
     x = _lowered(loss, first, step=0.08, evaluations=60)
     around = profile(x)
-    return None if around is None else Fit.of("solid of revolution", revolved(axis(x), around), seen)
+    return None if around is None else FittedShape.of("solid of revolution", revolved(axis(x), around), seen)
 
 
 def _closed(seen: Outlined, foot: Array, profile: Array) -> Array:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from f3sr.core.transforms import UP, Array
-from f3sr.lifting.fits import Fit, anchored, horizontal
+from f3sr.lifting.fits import FittedShape, anchored, horizontal
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.solids import Solid, clipped, inflated, is_stable
 from f3sr.vision.regions import depth_inside, interpolated, parts_of, smoothed, without_holes
@@ -20,7 +20,7 @@ FLAT = (0.08, 0.16, 0.24, 0.32, 0.4)
 """Shares of a lying body's height that are cut off below until it rests: real things lie on more than a line."""
 
 
-def fit_standing(seen: Outlined, floor: float) -> Fit | None:
+def fit_standing(seen: Outlined, floor: float) -> FittedShape | None:
     """The silhouette inflated about the vertical sheet that faces the camera, every row by half its width, cut at the
     floor. The sheet stands behind the mask's foot by half the foot's width."""
     anchor = anchored(seen, floor)
@@ -32,10 +32,10 @@ def fit_standing(seen: Outlined, floor: float) -> Fit | None:
     through = centre + radius * away
     solid = inflated_mask(seen, -away, through, by_rows=True)
     solid = solid and clipped(solid, floor)
-    return solid and Fit.of("standing silhouette", solid, seen)
+    return solid and FittedShape.of("standing silhouette", solid, seen)
 
 
-def fit_lying(seen: Outlined, floor: float) -> Fit | None:
+def fit_lying(seen: Outlined, floor: float) -> FittedShape | None:
     """The silhouette inflated about the sheet through its long axis, which lies on the support."""
     anchor = anchored(seen, floor)
     if anchor is None:
@@ -46,10 +46,10 @@ def fit_lying(seen: Outlined, floor: float) -> Fit | None:
     ends, normal = axis
     solid = inflated_mask(seen, normal, ends.mean(0))
     solid = solid and _set_down(seen, solid, floor)
-    return solid and Fit.of("lying silhouette", solid, seen)
+    return solid and FittedShape.of("lying silhouette", solid, seen)
 
 
-def fit_hanging(seen: Outlined, distance: float) -> Fit:
+def fit_hanging(seen: Outlined, distance: float) -> FittedShape:
     """The silhouette inflated about the vertical sheet that faces the camera, ``distance`` [m] away.
 
     Raises ValueError for a mask in which no shape of any size is left."""
@@ -59,7 +59,7 @@ def fit_hanging(seen: Outlined, distance: float) -> Fit:
     solid = inflated_mask(seen, -horizontal(seen, through), through)
     if solid is None:
         raise ValueError("a mask too thin for a shape")
-    return Fit.of("hanging silhouette", solid, seen)
+    return FittedShape.of("hanging silhouette", solid, seen)
 
 
 def _long_axis(seen: Outlined, height: float) -> tuple[Array, Array] | None:

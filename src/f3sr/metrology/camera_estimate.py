@@ -111,7 +111,7 @@ class CameraEstimate:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Evidence:
+class _CameraEvidence:
     """What a photo shows, in pixels of ``side`` on its longer side, about its middle ``centre`` (2,)."""
 
     side: float
@@ -211,7 +211,7 @@ def _evidence(
     ground: NDArray[np.bool_] | None,
     focal: KnownFocal | None,
     priors: CameraPriors,
-) -> tuple[_Evidence, float]:
+) -> tuple[_CameraEvidence, float]:
     """What the photo shows, and its pixels per pixel of that."""
     scale = max(1.0, max(rgb.shape[:2]) / LONGEST)
     h, w = (round(n / scale) for n in rgb.shape[:2])
@@ -229,7 +229,7 @@ def _evidence(
     if focal:
         means = math.log(focal.pixels / scale / side), max(focal.sigma, EXACT)
     mean, sigma = means
-    return _Evidence(
+    return _CameraEvidence(
         side=side,
         centre=centre,
         segments=grouped(segments, _groups(segments, small, floor), objects=len(small), centre=centre, model=model),
@@ -279,7 +279,7 @@ def _groups(segments: Array, masks: Sequence[NDArray[np.bool_]], ground: NDArray
     return np.argmax(votes, axis=1)
 
 
-def _posterior(evidence: _Evidence) -> PosteriorSample:
+def _posterior(evidence: _CameraEvidence) -> PosteriorSample:
     """Cameras (n, 3): of a grid with widened directions, then drawn with ever sharper ones."""
 
     def sharpened(blur: float) -> Callable[[Array], Array]:
@@ -294,7 +294,7 @@ def _posterior(evidence: _Evidence) -> PosteriorSample:
     )
 
 
-def _grid(evidence: _Evidence) -> Array:
+def _grid(evidence: _CameraEvidence) -> Array:
     """Cameras (t, 3) of the first search: within three standard deviations of the focal length, and of the rest all."""
     mean, sigma = evidence.means[0], evidence.sigmas[0]
     low, high = max(math.log(FOCALS[0]), mean - 3 * sigma), min(math.log(FOCALS[1]), mean + 3 * sigma)
