@@ -13,11 +13,13 @@ from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array
 from f3sr.lifting.image_supports import underside
 from f3sr.vision import rasterizer
-from f3sr.vision.regions import depth_inside, distance_to, grown, opened, shrunk, without_holes
+from f3sr.vision.regions import depth_inside, distance_to, grown, opened, shrunk
 from f3sr.vision.silhouette import iou
 
-RESOLUTION = 160
-"""Longer side of the window [px]: finer outlines than that are no shape of a family's."""
+RESOLUTION, FINEST = 160, 400
+"""Longer side of the window [px], and the most of it for thin masks: finer outlines are no shape of a family's."""
+FULL = 0.3
+"""Share of the square around a mask that it fills, below which it counts as thin."""
 DIRECTIONS = 48
 """Directions of a support function."""
 PIXEL, ROUNDED = 0.5, 0.01
@@ -49,7 +51,7 @@ class Outlined:
         margin = math.ceil(MARGIN * max(bottom - top, right - left)) + 2
         window = camera.cropped(
             left - margin, top - margin, right - left + 2 * margin, bottom - top + 2 * margin
-        ).limited(RESOLUTION)
+        ).limited(_resolution(mask[top:bottom, left:right]))
         x = ((np.arange(window.width) + 0.5) * (right - left + 2 * margin) / window.width).astype(int) + left - margin
         y = ((np.arange(window.height) + 0.5) * (bottom - top + 2 * margin) / window.height).astype(int) + top - margin
         inside = ((y >= 0) & (y < mask.shape[0]))[:, None] & ((x >= 0) & (x < mask.shape[1]))
@@ -139,7 +141,7 @@ class Outlined:
         """(h, w): what is much narrower than the mask's body, where circles on the ground are circles."""
         tall = max(1.0, 1 / max(0.05, abs(float(self.camera.T_world_camera[2, 2]))))
         rows = np.minimum((np.arange(round(tall * len(self.mask))) / tall).astype(int), len(self.mask) - 1)
-        stretched = without_holes(self.possible[rows])
+        stretched = self.possible[rows]
         inner = distance_to(~stretched)
         reach = NARROW * float(inner.max())
         body = distance_to(inner >= reach) <= reach
@@ -187,3 +189,9 @@ class Outlined:
     def metres_per_pixel(self, point: Array) -> float:
         """At a point (3,) of the world, across the ray."""
         return float(self.camera.to_camera(point[None])[0, 2] / self.camera.K[0, 0])
+
+
+def _resolution(box: NDArray[np.bool_]) -> int:
+    """Longer side of the window [px] of a mask in its box (h, w)."""
+    fills = float(box.sum()) / max(box.shape) ** 2
+    return round(min(FINEST, RESOLUTION * math.sqrt(max(1.0, FULL / fills))))

@@ -12,10 +12,12 @@ from f3sr.core.transforms import UP, Array
 from f3sr.lifting.fits import FittedShape, anchored, horizontal
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.solids import Solid, clipped, inflated, is_stable
-from f3sr.vision.regions import depth_inside, interpolated, parts_of, smoothed, without_holes
+from f3sr.vision.regions import depth_inside, interpolated, parts_of, smoothed, without_small_holes
 
 GRID = 72
 """Cells of the longer side of an inflated silhouette."""
+HOLE = 0.02
+"""Share of a mask below which a hole in it is a flaw of the mask: the ring of a handle is larger."""
 FLAT = (0.08, 0.16, 0.24, 0.32, 0.4)
 """Shares of a lying body's height that are cut off below until it rests: real things lie on more than a line."""
 
@@ -91,11 +93,12 @@ def lying_at(seen: Outlined, point: Array) -> Solid | None:
 def inflated_mask(seen: Outlined, normal: Array, through: Array, *, by_rows: bool = False) -> Solid | None:
     """The mask on the sheet of ``normal`` (3,), inflated by half its local width to both sides."""
     left, top, right, bottom = seen.bounds
-    step = max(right - left, bottom - top) / GRID
+    shape = without_small_holes(seen.mask, HOLE)
+    signed = depth_inside(shape)
+    step = float(np.clip(signed[shape].mean(), 1.0, max(right - left, bottom - top) / GRID))
     columns, rows = (np.arange(a - 2 * step, b + 2 * step, step) for a, b in ((left, right), (top, bottom)))
     x, y = np.meshgrid(columns, rows)
     grid = np.stack([x, y], -1)
-    signed = depth_inside(without_holes(seen.mask))
     depth = interpolated(signed, grid.reshape(-1, 2)).reshape(x.shape)
     inside = depth > -0.5 * step
     labels = parts_of(inside)

@@ -49,6 +49,15 @@ def without_holes(mask: Mask) -> Mask:
     return np.asarray(binary_fill_holes(mask), np.bool_)
 
 
+def without_small_holes(mask: Mask, share: float) -> Mask:
+    """The mask (h, w) with what it surrounds, but for holes larger than a share of it."""
+    holes = parts_of(without_holes(mask) & ~mask)
+    sizes = np.bincount(holes.ravel())
+    small = sizes <= share * float(mask.sum())
+    small[0] = False
+    return mask | small[holes]
+
+
 def distance_to(mask: Mask) -> NDArray[np.float32]:
     """Distance (h, w) [px] of every pixel to the nearest one of a mask; infinite for an empty mask."""
     from scipy.ndimage import distance_transform_edt
