@@ -12,7 +12,7 @@ from f3sr.core.transforms import UP, Array
 from f3sr.lifting.fits import FittedShape, anchored, horizontal
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.solids import Solid, clipped, inflated, is_stable
-from f3sr.vision.regions import depth_inside, interpolated, parts_of, smoothed, without_small_holes
+from f3sr.vision.regions import depth_inside, grown, interpolated, parts_of, smoothed, without_small_holes
 
 GRID = 72
 """Cells of the longer side of an inflated silhouette."""
@@ -105,10 +105,10 @@ def inflated_mask(seen: Outlined, normal: Array, through: Array, *, by_rows: boo
     if not labels.any():
         return None
     inside = labels == 1 + int(np.argmax(np.bincount(labels.ravel())[1:]))
-    down, right = (np.asarray(g) for g in np.gradient(smoothed(depth, 1.0), step))
-    slope = np.stack([right, down], -1)
+    down, right = (np.asarray(g) for g in np.gradient(smoothed(signed, 1.0)))
+    slope = np.stack([interpolated(g, grid.reshape(-1, 2)).reshape(x.shape) for g in (right, down)], -1)
     steep = np.maximum(np.linalg.norm(slope, axis=2, keepdims=True), 0.3)
-    rim = inside & (depth < 0.9 * step)
+    rim = inside & grown(~inside, 1)
     grid = np.where(rim[..., None], grid - np.clip(depth, -step, step)[..., None] * slope / steep**2, grid)
     sheet = seen.on_plane(grid.reshape(-1, 2), normal, float(normal @ through)).reshape(*grid.shape[:2], 3)
     if not np.isfinite(sheet[inside]).all():
