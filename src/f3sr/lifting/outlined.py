@@ -186,6 +186,11 @@ class Outlined:
             t = (offset - normal @ centre) / along
         return centre + np.where(t > 0, t, np.nan)[:, None] * rays
 
+    def apparent_size(self, point: Array) -> float:
+        """Longer side of the mask's box [m], at the distance of a point (3,) of the world."""
+        left, top, right, bottom = self.bounds
+        return self.metres_per_pixel(point) * max(right - left, bottom - top)
+
     def metres_per_pixel(self, point: Array) -> float:
         """At a point (3,) of the world, across the ray."""
         return float(self.camera.to_camera(point[None])[0, 2] / self.camera.K[0, 0])

@@ -1,51 +1,93 @@
-"""Colours of lifted meshes: the photo where it shows the object, and the same colours on the side behind."""
+"""Colours of lifted meshes: the photo where it shows the object, and its soft colours on what it does not show."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from scipy.ndimage import distance_transform_edt
 
 from f3sr.core.camera import Camera
-from f3sr.core.mesh import ConvexPart, Material, Mesh
+from f3sr.core.mesh import ConvexPart, Material, Mesh, area_vectors
 from f3sr.core.transforms import Array
 from f3sr.lifting.solids import Solid
 from f3sr.scene import Photo
-from f3sr.vision.regions import shrunk
+from f3sr.vision.regions import shrunk, smoothed
 
 LONGEST = 1024
-"""Longer side of a texture [px]."""
+"""Longer side of the photo's part of a texture [px]."""
 ERODED = 2
 """Width of the mask's border whose colours are mixed with what is behind [px]."""
+GRAZING = math.cos(math.radians(78))
+"""Least cosine between a face's normal and the ray to the camera for the photo to show it: else print smears."""
+SOFT = 0.12
+"""Standard deviation of the blur where the photo shows nothing [longer side of the mask]: no print is seen there."""
+INSET = 0.004
+"""Distance of texture coordinates from the border of their half: filters do not mix the two."""
+EMPTY = 1e-3
+"""Least weight of known colours around a pixel from which its colour is made."""
 
 
 def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_], camera: Camera) -> Mesh:
     """A solid about ``origin`` (3,), in world axes, its texture the photo inside the mask (H, W).
 
-    A ray meets front and back at one colour: the object's mirror image about the sheet that faces the camera. Outside
-    the mask the nearest colour inside it goes on, so nothing of other objects is seen."""
+    The texture has two halves, both seen from the camera: the photo for faces that it shows, and a blurred copy for
+    faces along its rays and behind. Outside the mask its colours go on softly, so nothing of other objects is seen."""
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    pad = 2 + math.ceil(0.1 * max(len(rows), len(columns)))
+    longest = max(len(rows), len(columns))
+    pad = 2 + math.ceil(0.1 * longest)
     top, bottom = max(0, rows[0] - pad), min(photo.height, rows[-1] + 1 + pad)
     left, right = max(0, columns[0] - pad), min(photo.width, columns[-1] + 1 + pad)
-    crop, shown = photo.rgb[top:bottom, left:right], mask[top:bottom, left:right]
-    inner = shrunk(shown, ERODED)
-    shown = inner if inner.sum() > 0.5 * shown.sum() else shown
-    nearest = np.asarray(cast(Any, distance_transform_edt)(~shown, return_distances=False, return_indices=True))
-    image = Image.fromarray(np.ascontiguousarray(crop[nearest[0], nearest[1]]))
-    if (scale := LONGEST / max(image.size)) < 1:
+    crop, known = photo.rgb[top:bottom, left:right], _own(mask[top:bottom, left:right])
+    sharp = np.where(known[..., None], crop, _filled(crop, known))
+    soft = _blurred(crop, known, SOFT * longest)[0]
+    image = Image.fromarray(np.concatenate([sharp, soft], axis=1).astype(np.uint8))
+    if (scale := LONGEST / max(right - left, bottom - top)) < 1:
         image = image.resize((round(image.width * scale), round(image.height * scale)), Image.Resampling.BOX)
-    pixels, _ = camera.project(solid.vertices)
-    uv = (pixels - [left, top]) / [right - left, bottom - top]
-    uv = np.clip(np.column_stack([uv[:, 0], 1 - uv[:, 1]]), 0, 1)
+    vertices, faces, is_soft = _split(solid, camera)
+    pixels, _ = camera.project(vertices)
+    uv = np.clip((pixels - [left, top]) / [right - left, bottom - top], INSET, 1 - INSET)
     return Mesh(
-        vertices=solid.vertices - origin,
-        faces=solid.faces,
-        uv=uv,
+        vertices=vertices - origin,
+        faces=faces,
+        uv=np.column_stack([(uv[:, 0] + is_soft) / 2, 1 - uv[:, 1]]),
         materials=(Material(texture=np.asarray(image)),),
         pieces=tuple(ConvexPart.hull_of(corners - origin) for corners in solid.pieces),
     )
+
+
+def _own(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The mask (h, w) without its border; all of one that is hardly more than a border."""
+    inner = shrunk(mask, ERODED)
+    return inner if inner.sum() > 0.5 * mask.sum() else mask
+
+
+def _filled(image: NDArray[np.uint8], known: NDArray[np.bool_]) -> Array:
+    """Colours (h, w, 3) around the ``known`` ones (h, w): blurred ever more with the distance from them."""
+    sigma, filled, left = 1.0, image.astype(float), ~known
+    while left.any():
+        colours, weight = _blurred(image, known, sigma)
+        now = left & (weight > EMPTY)
+        filled[now] = colours[now]
+        left, sigma = left & ~now, 2 * sigma
+    return filled
+
+
+def _blurred(image: NDArray[np.uint8], known: NDArray[np.bool_], sigma: float) -> tuple[Array, Array]:
+    """Mean of the ``known`` colours (h, w, 3) under a Gaussian [px], and their weight (h, w)."""
+    weight = smoothed(known, sigma)
+    colours = np.stack([smoothed(image[..., k] * known, sigma) for k in range(3)], axis=2)
+    mean = image[known].mean(0)
+    return np.where(weight[..., None] > 1e-9, colours / np.maximum(weight, 1e-9)[..., None], mean), weight
+
+
+def _split(solid: Solid, camera: Camera) -> tuple[Array, NDArray[np.int32], NDArray[np.bool_]]:
+    """Vertices (n, 3), faces (m, 3) and whether each vertex (n,) is soft: those between faces that the photo shows and
+    faces that it does not are there twice."""
+    normals = area_vectors(solid.vertices[solid.faces])
+    towards = camera.center - solid.vertices[solid.faces].mean(1)
+    lengths = np.linalg.norm(normals, axis=1) * np.linalg.norm(towards, axis=1)
+    hidden = (normals * towards).sum(1) < GRAZING * lengths
+    places, faces = np.unique(2 * solid.faces.astype(np.int64) + hidden[:, None], return_inverse=True)
+    return solid.vertices[places // 2], faces.reshape(-1, 3).astype(np.int32), places % 2 == 1
