@@ -21,12 +21,17 @@ DEPTHS = (0.4, 1.0, 2.2)
 EQUAL = 1.25
 """Inverse standard deviation of the logarithms of a box's edges: a factor of 2.2. Of boxes that look alike, the most
 compact; seen from its height, a box hides its own depth."""
+COMPACT = 4.0
+"""The same for a box that is carved: the hull of legs and backs is no outline of a box, and a low camera reads metres
+of depth from a few rows."""
 STARTS = 4
 """Starts that are refined, the best first."""
 
 
-def fit_box(seen: Outlined, floor: float) -> FittedShape | None:
-    """A box on the height ``floor`` [m]: its outline touches the lines that the mask's touches, in all directions."""
+def fit_box(seen: Outlined, floor: float, *, equal: float = EQUAL) -> FittedShape | None:
+    """A box on the height ``floor`` [m]: its outline touches the lines that the mask's touches, in all directions.
+
+    ``equal`` is how alike its edges are before the outline tells: an inverse standard deviation, as EQUAL."""
     anchor = anchored(seen, floor)
     if anchor is None:
         return None
@@ -47,7 +52,7 @@ def fit_box(seen: Outlined, floor: float) -> FittedShape | None:
         pixels, depth = seen.camera.project(points.reshape(-1, 3))
         reached = (pixels.reshape(*points.shape[:2], 2) @ directions.T).max(1)
         unequal = x[:, 2:5] - x[:, 2:5].mean(1, keepdims=True)
-        all_of_them = np.concatenate([(reached - wanted) / scatter, EQUAL * unequal], axis=1)
+        all_of_them = np.concatenate([(reached - wanted) / scatter, equal * unequal], axis=1)
         before = depth.reshape(points.shape[:2]).min(1) > 0.05 * size
         return np.where(before[:, None], all_of_them, BEHIND_CAMERA)
 
@@ -85,7 +90,7 @@ def _onto_bounds(seen: Outlined, x: Array, corners: Callable[[Array], Array], si
 
 def fit_carved(seen: Outlined, floor: float) -> FittedShape | None:
     """The box of the mask's convex hull, cut by the cone of the mask: a chair, a table, a bench."""
-    hull = fit_box(replace(seen, mask=seen.convex), floor)
+    hull = fit_box(replace(seen, mask=seen.convex), floor, equal=COMPACT)
     if hull is None:
         return None
     cell = float(np.ptp(hull.solid.vertices, axis=0).max()) / 12

@@ -42,8 +42,8 @@ MOST = 0.5
 RIGID = ("solid of revolution", "bowl or cup", "bowl or cup upside down", "box")
 """Families that rest upright by their form, though a ball may roll."""
 SPREAD_OUT, FLUNG = 2.5, 0.2
-"""What lies and is so many times longer than it looks from the camera is a thing that stands, laid out by a low camera;
-the loss of its score."""
+"""What is so many times longer than it looks is laid out by a low camera, which reads metres from a few rows; the loss of
+its score."""
 TIPPY = 0.1
 """Loss of score of a shape that would tip over where it is."""
 CUT = 0.1
@@ -188,9 +188,7 @@ def _score(fit: FittedShape, label: str, seen: Outlined, *, loaded: bool) -> flo
     ratio, slant = _elongation(seen)
     if ratio > ELONGATED and fit.family == "standing silhouette" and slant > math.radians(35):
         score -= 0.1
-    if fit.family == "lying silhouette" and _footprint(fit) > SPREAD_OUT * seen.apparent_size(
-        fit.solid.vertices.mean(0)
-    ):
+    if _footprint(fit) > SPREAD_OUT * seen.apparent_size(fit.solid.vertices.mean(0)):
         score -= FLUNG
     if fit.family == "lying silhouette" and (ratio < ELONGATED or slant < math.radians(35)):
         score -= 0.05
