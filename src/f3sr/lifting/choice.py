@@ -42,7 +42,7 @@ MOST = 0.5
 RIGID = ("solid of revolution", "bowl or cup", "bowl or cup upside down", "box")
 """Families that rest upright by their form, though a ball may roll."""
 SPREAD_OUT, FLUNG = 2.5, 0.2
-"""What is so many times longer than it looks is laid out by a low camera, which reads metres from a few rows; the loss of
+"""What is so many times longer than it looks is laid out by a low camera, which reads metres from few rows; the loss of
 its score."""
 TIPPY = 0.1
 """Loss of score of a shape that would tip over where it is."""
