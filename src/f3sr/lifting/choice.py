@@ -73,11 +73,10 @@ WORDS = {
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Choice:
-    """The shape of an object, what else was close, and the height [m] it stands on."""
+    """The shape of an object, and what else was close."""
 
     best: FittedShape
     runner_up: FittedShape | None
-    floor: float
     top: float
     """Height of its upper side, or of the inside's floor, on which others may rest [m]."""
     fixed: str = ""
@@ -108,7 +107,6 @@ def choose(instance: Instance, seen: Outlined, carrier: Choice | None, *, distan
     return Choice(
         best=best,
         runner_up=ranked[1] if len(ranked) > 1 else None,
-        floor=floor,
         top=_top(best),
         fixed=fixed,
     )

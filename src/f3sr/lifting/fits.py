@@ -32,8 +32,7 @@ def anchored(seen: Outlined, floor: float) -> tuple[Array, float] | None:
     point = seen.on_plane(seen.foot[None], UP, floor)[0]
     if not np.isfinite(point).all():
         return None
-    left, top, right, bottom = seen.bounds
-    return point, seen.metres_per_pixel(point) * max(right - left, bottom - top)
+    return point, seen.apparent_size(point)
 
 
 def horizontal(seen: Outlined, point: Array) -> Array:

@@ -18,8 +18,6 @@ from f3sr.lifting.texture import textured
 from f3sr.scene import GROUND, Geometry, Instance
 from f3sr.vision.ground_plane import fit_plane
 
-LEAST_PIXELS = 12
-"""Least pixels of a mask that a shape is fitted to."""
 TOLERANCE = 0.01
 """Largest distance of a ground point from the ground plane [share of its median depth]."""
 LOWER = 0.4
