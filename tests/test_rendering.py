@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -414,6 +415,101 @@ def test_a_background_in_another_light_says_nothing_of_the_photos_shadows() -> N
     assert any("not lit as the photo" in d for d in renderer.decisions)
     tint = renderer.frame(at_rest(scene))[dark].astype(float)
     assert np.all(tint[:, 1] > 2 * tint[:, 0])
+
+
+# --- the photo beside what moves ----------------------------------------------------------------------------------
+
+BALL_ONLY = np.array([False, True, False])
+
+
+def photographed(ball_at: Array | None = None) -> tuple[Scene, Renderer, Callable[[Array], NDArray[np.uint8]]]:
+    """``big_table``, its renderer, and photos of it at any poses: greener than its meshes and darker to the left."""
+    scene = big_table()
+    if ball_at is not None:
+        poses = at_rest(scene)
+        poses[1, :3, 3] = ball_at
+        scene = scene_of([o.mesh for o in scene.objects], list(poses), scene.camera)
+    light = Light(direction=np.array([0.5, 0, 0.87]), angle=0.2, direct=np.full(3, 0.6), sky=np.full(3, 0.4))
+    darker = np.linspace(0.15, 1, scene.camera.width)[:, None] * [0.5, 0.9, 0.5]
+    canvas = lit(scene, light)
+
+    def photo(poses: Array) -> NDArray[np.uint8]:
+        seen = rasterizer.visible_ids(
+            [replace(o, T_world_object=T) for o, T in zip(scene.objects, poses, strict=True)], scene.camera
+        )
+        rgb = canvas.drawn(poses)
+        tinted = np.rint(255 * srgb(linear(rgb / 255) * darker))
+        return np.where((seen >= 0)[..., None], tinted, rgb).astype(np.uint8)
+
+    scene = replace(scene, photo=Photo(rgb=photo(at_rest(scene))))
+    return scene, Renderer.of(scene, plain(scene.camera)), photo
+
+
+def test_beside_what_moves_a_film_shows_the_photo_itself() -> None:
+    scene, renderer, _ = photographed()
+    nothing = renderer.beside_photo(scene, np.zeros(3, np.bool_))
+    assert nothing is not None
+    assert np.array_equal(nothing.frame(at_rest(scene)), scene.photo.rgb)
+    still = renderer.beside_photo(scene, BALL_ONLY)
+    assert still is not None
+    away = at_rest(scene)
+    away[1, :3, 3] += [0, -40.0, 0]
+    shown, ids = still.frame(away), rasterizer.visible_ids(scene.objects, scene.camera)
+    far = (ids >= 0) & ~grown(ids == 1, 30)
+    assert far.sum() > 500
+    assert np.abs(shown[far].astype(int) - scene.photo.rgb[far]).mean() < 1
+    assert np.abs(shown[ids == 1].astype(int) - scene.photo.rgb[ids == 1]).mean() > 20, "the ball has left"
+
+
+def test_what_a_moving_object_uncovers_has_the_photos_colours_of_what_rests() -> None:
+    scene, renderer, photo = photographed(np.array([-0.05, -0.25, 0.1]))  # the ball stands before the box
+    ids = rasterizer.visible_ids(scene.objects, scene.camera)
+    without = rasterizer.visible_ids((scene.objects[0], scene.objects[2]), scene.camera)
+    hidden = (ids == 1) & (without == 0) & ~grown(ids != 1, 2)
+    assert hidden.sum() > 200
+    still = renderer.beside_photo(scene, BALL_ONLY)
+    assert still is not None
+    away = at_rest(scene)
+    away[1, :3, 3] += [0, -40.0, 0]
+    truth = photo(away)[hidden].astype(int)
+    shown, drawn = (np.abs(picture[hidden] - truth).mean() for picture in (still.frame(away), renderer.frame(away)))
+    assert shown < 0.5 * drawn, (shown, drawn)
+
+
+def test_a_shadow_that_comes_darkens_the_photo_as_it_darkens_the_drawn_object() -> None:
+    scene, renderer, _ = photographed()
+    still = renderer.beside_photo(scene, BALL_ONLY)
+    assert still is not None
+    rest, over = at_rest(scene), at_rest(scene)
+    over[1, :3, 3] = [0.15, 0.0, 0.5]
+    ids = rasterizer.visible_ids(scene.objects, scene.camera)
+    moved = rasterizer.visible_ids(
+        [replace(o, T_world_object=T) for o, T in zip(scene.objects, over, strict=True)], scene.camera
+    )
+    box_seen = (ids == 0) & (moved == 0) & ~grown((ids == 1) | (moved == 1), 6)
+    drawn = [linear(renderer.frame(T)[box_seen] / 255).mean() for T in (rest, over)]
+    shown = [linear(still.frame(T)[box_seen] / 255).mean() for T in (rest, over)]
+    assert drawn[1] < 0.97 * drawn[0], "the shadow falls there"
+    assert shown[1] / shown[0] == pytest.approx(drawn[1] / drawn[0], abs=0.02)
+
+
+def test_a_frame_beside_the_photo_does_not_depend_on_those_before() -> None:
+    scene, renderer, _ = photographed()
+    still = renderer.beside_photo(scene, BALL_ONLY)
+    fresh = Renderer.of(scene, plain(scene.camera)).beside_photo(scene, BALL_ONLY)
+    assert still is not None and fresh is not None
+    T = at_rest(scene)
+    for k in range(5):
+        T = T.copy()
+        T[1, :3, 3] += [0.03, -0.02 * k, 0.02]
+        last = still.frame(T)
+    assert np.array_equal(last, fresh.frame(T))
+
+
+def test_a_background_in_another_light_is_not_mixed_with_the_photo() -> None:
+    scene, _, _ = photographed()
+    other = np.full_like(scene.photo.rgb, [30, 200, 60])
+    assert Renderer.of(scene, other).beside_photo(scene, BALL_ONLY) is None
 
 
 def test_what_flies_past_the_camera_is_cut_at_the_near_plane() -> None:

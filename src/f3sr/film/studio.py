@@ -85,17 +85,24 @@ class Studio:
         """Film a goal. Equal package, rollout and settings give equal bytes, whichever films came before."""
         slow = Fraction(self.config.slow).limit_denominator(1000)
         held = Held(self.scene, self.config.still)
+        still = self.renderer.beside_photo(self.scene, self._moving(played))
+        frame = self.renderer.frame if still is None else still.frame
         frames = 0
 
         def draw(poses: NDArray[np.float64]) -> NDArray[np.uint8]:
             nonlocal frames
             frames += 1
-            return self.renderer.frame(held(poses))
+            return frame(held(poses))
 
         files = make_film(self.scene, played.plan, played.rollout, played.verdict, draw, slow=slow)
         width, height = self.scene.camera.width, self.scene.camera.height
         size = width + width % 2, height + height % 2  # films have even sides
         return Filmed(files=files, frames=frames, size=size, decisions=(*self.told, *self._beyond(played)))
+
+    def _moving(self, played: Played) -> NDArray[np.bool_]:
+        """(N,) which objects are drawn at more than their pose at rest, in any frame."""
+        held, rest = Held(self.scene, self.config.still), np.array([o.T_world_object for o in self.scene])
+        return np.any([(held(T) != rest).any((1, 2)) for T in played.rollout.T_world_object], axis=0)
 
     def _beyond(self, played: Played) -> Iterator[str]:
         """Decisions on objects that end outside the visible support: the ground has no edge in physics."""

@@ -145,6 +145,31 @@ class Canvas:
         light_left(self._blurred, CELL, self._weight, rasterizer.fixed(self.setting.receives, np.float32), left)
         return left
 
+    def cover(self, chosen: Sequence[int]) -> NDArray[np.uint8]:
+        """(h, w) how many samples of each pixel show one of the objects ``chosen`` (indices) in the last frame."""
+        s, side = self.setting, self.setting.config.samples
+        found = np.zeros(self._cover.shape, np.uint8)
+        if self._view is None or not len(chosen):
+            return found
+        mine = np.zeros(int(s.things.first_face[-1]) + 1, np.uint8)  # the last one is for no face, -1
+        for k in chosen:
+            mine[s.things.first_face[k] : s.things.first_face[k + 1]] = 1
+        for k in chosen:
+            window = self.window(k)
+            rows, columns = (slice(side * part.start, side * part.stop) for part in window)
+            samples = mine[self._drawn.face[rows, columns]]
+            height, width = found[window].shape
+            found[window] = samples.reshape(height, side, width, side).sum((1, 3))
+        return found
+
+    def window(self, k: int) -> tuple[slice, slice]:
+        """Rows and columns of pixels in which an object may be seen in the last frame."""
+        if self._view is None:
+            return slice(0, 0), slice(0, 0)
+        top, bottom, left, right = (TILE * side for side in self._square(self._view, k))
+        height, width = self._cover.shape
+        return slice(min(top, height), min(bottom, height)), slice(min(left, width), min(right, width))
+
     def _buffers(self) -> Buffers:
         s = self.setting
         maps = light_maps(s.light, s.ball, s.config.shadows.map_size)

@@ -16,7 +16,9 @@ from f3sr.rendering.ground import ground_seen, light_shown
 from f3sr.rendering.layers import Things
 from f3sr.rendering.lighting import lit_as_photo
 from f3sr.rendering.shadow_maps import MARGIN
+from f3sr.rendering.still_photo import StillPhoto
 from f3sr.scene import Scene
+from f3sr.vision.regions import Mask
 from f3sr.vision.silhouette import union_of
 
 OTHER_LIGHT = (
@@ -28,9 +30,15 @@ class Renderer:
     """Draws frames; made by ``Renderer.of``. It keeps what it drew last, so one thread at a time may use it."""
 
     def __init__(
-        self, canvas: Canvas, decisions: tuple[str, ...], rest_light: NDArray[np.float32] | None = None
+        self,
+        canvas: Canvas,
+        decisions: tuple[str, ...],
+        rest_light: NDArray[np.float32] | None = None,
+        *,
+        photo_lit: bool = False,
     ) -> None:
         self._canvas = canvas
+        self._photo_lit = photo_lit
         self.decisions = decisions
         self.rest_light = rest_light
         """(h, w, 3): the share of its light that the ground keeps with the scene at rest, in the photo's camera.
@@ -77,7 +85,14 @@ class Renderer:
         objects = union_of([o.mask for o in scene.objects], background.shape[:2])
         shown, told = light_shown(light, scene.photo.rgb, background, objects)
         canvas.rests(light, shown)
-        return cls(canvas, decisions if told else (*decisions, OTHER_LIGHT), light)
+        return cls(canvas, decisions if told else (*decisions, OTHER_LIGHT), light, photo_lit=told)
+
+    def beside_photo(self, scene: Scene, moving: Mask) -> StillPhoto | None:
+        """Frames that keep the pixels of the ``scene``'s photo beside the objects that move, ``moving`` (N,).
+
+        None where the photo says nothing of the drawn light: for another camera, without shadows, and for a background
+        in another light. It draws on this renderer's canvas."""
+        return StillPhoto.of(self._canvas, scene, moving) if self._photo_lit else None
 
     @property
     def setting(self) -> StillScene:

@@ -1,0 +1,105 @@
+"""Frames that keep the photo's own pixels wherever nothing that moves is or was seen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.background.membrane import membrane
+from f3sr.core.transforms import Array
+from f3sr.rendering.canvas import Canvas
+from f3sr.rendering.ground import APART, DARK
+from f3sr.rendering.textures import LINEAR, srgb
+from f3sr.scene import Scene
+from f3sr.vision.regions import Mask, distance_to, grown
+from f3sr.vision.silhouette import union_of
+
+RATIOS = 0.05, 4.0
+"""What drawn light may change of the photo's, and what drawn colours may be off: beyond, two surfaces are compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class Continued:
+    """How far the photo's colours are from those drawn of a resting object, spread over where the photo hides it."""
+
+    index: int
+    window: tuple[slice, slice]
+    ratio: NDArray[np.float32]
+    """(h, w, 3) of its window, in linear light."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StillPhoto:
+    """The photo beside what moves, as in differential rendering (Debevec 1998), for one film.
+
+    A pixel keeps the photo's colour if no moving object is seen there, now or in the photo. It is multiplied by the
+    drawn light now over that at rest: shadows still come and go. What was hidden by a moving object is drawn, in the
+    photo's colours of the same object around it."""
+
+    canvas: Canvas
+    photo: NDArray[np.uint8]
+    at_rest: NDArray[np.uint8]
+    """(h, w, 3) the drawn picture at rest."""
+    moving: tuple[int, ...]
+    uncovered: Mask
+    """(h, w) where the photo, or the picture at rest, shows what moves, and the mixed pixels around; ground that was
+    completed nearer to what moves than to what rests, for the colour of what moves reaches past its mask."""
+    continued: tuple[Continued, ...]
+
+    @classmethod
+    def of(cls, canvas: Canvas, scene: Scene, moving: Mask) -> Self:
+        """``moving`` (N,): which of the scene's objects move in the film."""
+        poses = np.array([o.T_world_object for o in scene.objects]).reshape(-1, 4, 4)
+        at_rest = canvas.drawn(poses)
+        shape = at_rest.shape[:2]
+        chosen = tuple(np.flatnonzero(moving).tolist())
+        theirs = union_of([scene.objects[k].mask for k in chosen], shape)
+        others = union_of([o.mask for k, o in enumerate(scene.objects) if k not in chosen], shape)
+        completed = (canvas.setting.background != scene.photo.rgb).any(2) & ~others
+        shed = completed & (distance_to(theirs) <= distance_to(others))
+        uncovered = shed | grown(theirs | (canvas.cover(chosen) > 0), APART)
+        still = cls(
+            canvas=canvas, photo=scene.photo.rgb, at_rest=at_rest, moving=chosen, uncovered=uncovered, continued=()
+        )
+        return replace(still, continued=tuple(still._continued(scene)))
+
+    def frame(self, poses: Array) -> NDArray[np.uint8]:
+        """The picture (h, w, 3) with the objects at ``poses`` (N, 4, 4)."""
+        drawn = self.canvas.drawn(poses)
+        kept = ~(self.uncovered | (self.canvas.cover(self.moving) > 0))
+        relit = kept & (drawn != self.at_rest).any(2)
+        picture = np.where(kept[..., None], self.photo, drawn)
+        picture[relit] = _times(self.photo[relit], _ratio(drawn[relit], self.at_rest[relit]))
+        for part in self.continued:
+            whole = self.canvas.setting.config.samples**2
+            share = (self.canvas.cover((part.index,))[part.window] * ~kept[part.window])[..., None] / whole
+            seen = share[..., 0] > 0
+            picture[part.window][seen] = _times(picture[part.window][seen], part.ratio[seen] ** share[seen])
+        return picture
+
+    def _continued(self, scene: Scene) -> Iterator[Continued]:
+        whole = self.canvas.setting.config.samples**2
+        for k, thing in enumerate(scene.objects):
+            if k in self.moving:
+                continue
+            known = (self.canvas.cover((k,)) == whole) & thing.mask & ~self.uncovered
+            window = self.canvas.window(k)
+            if not known.any() or not (grown(known, 2 * APART) & self.uncovered).any():
+                continue
+            logs = np.log(_ratio(self.photo[window], self.at_rest[window])).astype(np.float32)
+            yield Continued(k, window, np.exp(membrane(logs * known[window][..., None], known[window])))
+
+
+def _ratio(now: NDArray[np.uint8], before: NDArray[np.uint8]) -> Array:
+    """Linear light (..., 3) of one picture over that of another."""
+    lit = LINEAR.clip(DARK)
+    return (lit[now] / lit[before]).clip(*RATIOS)
+
+
+def _times(picture: NDArray[np.uint8], ratio: Array) -> NDArray[np.uint8]:
+    """A picture (..., 3) in sRGB under so many times its light."""
+    return np.rint(255 * srgb((LINEAR[picture] * ratio).clip(0, 1))).astype(np.uint8)
