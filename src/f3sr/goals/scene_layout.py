@@ -13,7 +13,7 @@ from f3sr.goals.cavity import Cavity, cavity_of
 from f3sr.physics import mujoco_model
 from f3sr.physics.mujoco_model import Body, engine
 from f3sr.physics.restitution import solref
-from f3sr.scene import GROUND, Scene
+from f3sr.scene import GRAVITY, GROUND, Scene
 
 ROUND = 0.24
 """Share by which the radii of what rolls differ at most: an octagon's differ by .08, a square's by .3."""
@@ -125,6 +125,10 @@ class SceneLayout:
             return o.friction
         other = self.scene.ground.friction if below == GROUND else self.scene[below].friction
         return max(o.friction, other)
+
+    def sliding_force(self, id: int) -> float:
+        """Force [N] that moves an object, with all that rests on it, along what carries it."""
+        return self.friction(id) * self.loaded_mass(id) * GRAVITY
 
     def is_ball(self, id: int) -> bool:
         """Whether it rolls whichever way."""

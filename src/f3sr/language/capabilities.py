@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from f3sr.goals.scene_layout import SceneLayout
+from f3sr.language.feasibility import can_be_pushed
 from f3sr.language.reference_resolution import names
 from f3sr.physics.restitution import LEAST
 from f3sr.scene import Scene
@@ -43,7 +44,7 @@ def _verbs(id: int, layout: SceneLayout) -> tuple[str, ...]:
         return ()
     around = [np.array([np.cos(a), np.sin(a), 0.0]) for a in np.linspace(0, np.pi, 8, endpoint=False)]
     possible = {
-        "push": True,
+        "push": can_be_pushed(id, layout),
         "knock over": not layout.is_ball(id) and float(sides[2]) > FLAT * float(sides[:2].min()),
         "roll": any(layout.rolls(id, u) for u in around),
         "push off": scene[id].supported_by not in (None, -1),

@@ -6,6 +6,7 @@ from typing import NoReturn
 
 import numpy as np
 
+from f3sr.goals.launch_limits import limits_of
 from f3sr.goals.refusal import refuse
 from f3sr.goals.scene_layout import SceneLayout
 from f3sr.language.grammar.normaliser import spoken
@@ -16,18 +17,30 @@ from f3sr.scene import GROUND, Scene
 FITS = 1.15
 """How much wider than an opening something may seem: openings are measured on a grid."""
 
+HARDEST = 0.95
+"""Share of the largest force that may go into friction: the rest brings the object to its pace."""
+
 
 def check_possible(r: Request, active: int, target: int | None, layout: SceneLayout) -> None:
     """Raises NotUnderstoodError where no launch can do what a request asks. Physics decides the rest."""
     scene = layout.scene
     if r.kind == "topple" and layout.is_ball(active):
         _refuse(f"{_name(active, scene)} is round and cannot topple; accepted: 'roll ...'")
+    if r.kind in ("slide", "push_into") and not can_be_pushed(active, layout):
+        weighs = f"{_name(active, scene)} weighs {layout.loaded_mass(active):.0f} kg"
+        most = HARDEST * limits_of(scene).force
+        _refuse(f"{weighs} and takes {layout.sliding_force(active):.0f} N to push; accepted: at most {most:.0f} N")
     if target is not None:
         _check_target(r, active, target, layout)
     if r.kind in ("drop", "lift_and_drop") and (load := scene.children(active)):
         first = _name(load[0], scene)
         message = f"{_name(active, scene)} carries {first} and cannot be lifted alone; accepted: to lift {first}"
         _refuse(message, names(scene)[load[0]])
+
+
+def can_be_pushed(active: int, layout: SceneLayout) -> bool:
+    """Whether a person's force moves an object along what carries it; what is round rolls."""
+    return layout.is_ball(active) or layout.sliding_force(active) <= HARDEST * limits_of(layout.scene).force
 
 
 def _check_target(r: Request, active: int, target: int, layout: SceneLayout) -> None:

@@ -217,7 +217,7 @@ class LaunchContext:
         duration = min(duration, 1.6 * max(until, 0.0) / max(speed, 1e-9))
         if duration < 1e-3:
             return self.thrown(speed * direction, seconds=seconds)
-        friction = mass * self.drag * duration
+        friction = min(mass * self.drag, self.limits.force) * duration
         J = min(friction + mass * speed, self.limits.force * duration) * direction
         turn = np.cross([0.0, 0.0, -self.height], friction * direction)
         blow = Impulse(id=self.active, time=0.0, duration=duration, linear=_three(J), angular=_three(turn))
@@ -237,7 +237,8 @@ class LaunchContext:
         far = max(far, 1e-3)
         pace = max(pace, far / LONGEST_PUSH)
         a, mass, seconds = self.drag, self.layout.loaded_mass(self.active), far / max(pace, 0.05) + 2.5
-        pace = min(pace, math.sqrt(2 * a * far), self.limits.force * RAMP / (2 * mass))
+        spare = max(self.limits.force - mass * a, 0.02 * self.limits.force)
+        pace = min(pace, math.sqrt(2 * a * far), min(self.limits.force / 2, spare) * RAMP / mass)
         if mass > LOADED * self.layout.mass(self.active):
             pace = min(pace, CARRIES * a * RAMP, a * (math.sqrt((RAMP / 2) ** 2 + 2 * far / a) - RAMP / 2))
         # The way at even pace: without what it slides after the push, and without the ramp's.
@@ -246,8 +247,9 @@ class LaunchContext:
         if rest < 0:
             start = math.sqrt(2 * a * far) if until > far else math.sqrt(pace**2 + 2 * a * until)
             return self.struck(direction, start, until, seconds=seconds)
+        seconds = max(seconds, RAMP + rest / pace + RESTS)
         low = np.array([0.0, 0.0, -self.height])
-        friction = mass * a * direction
+        friction = min(mass * a, self.limits.force - spare) * direction
         ramp = Impulse(
             id=self.active,
             time=0.0,
@@ -303,8 +305,8 @@ class LaunchContext:
         return np.asarray(np.cross(UP, linear) / max(self.height, 1e-6), float)
 
 
-LONGEST, LONGEST_PUSH = 5.0, 3.5
-"""Longest rollout, and longest push in it [s]."""
+LONGEST, LONGEST_PUSH, RESTS = 5.0, 3.5, 1.0
+"""Longest rollout, longest push in it, and least time after a push [s]."""
 
 
 def _three(v: Array) -> tuple[float, float, float]:

@@ -16,7 +16,8 @@ from f3sr.files.bounds import MAX_FRICTION
 from f3sr.io import sam3d
 from f3sr.io.given_properties import MATERIALS, GivenProperties
 from f3sr.io.inputs import Inputs, PosedAsset
-from f3sr.language.grammar.materials import material_of
+from f3sr.language.grammar.materials import COMPACT, material_of, unknown_density
+from f3sr.physics.mujoco_model import solid_of
 from f3sr.report import Decision, Measure, Outcome
 from f3sr.scene import Geometry, Ground, Instance, Scene, SceneGraph, SceneObject
 from f3sr.settings import settings
@@ -112,6 +113,11 @@ def _given_object(instance: Instance, asset: PosedAsset, camera: Camera, given: 
     )
     if known := material_of(o.label):
         o = replace(o, **known.properties, material_source="label", material_reason=f"the label {o.label!r}")
+    else:
+        volume = solid_of(o)[0].volume * o.scale**3
+        o = replace(
+            o, density=unknown_density(volume), material_reason=f"nothing but its volume, {1000 * volume:.2g} l"
+        )
     if asset.fixed:
         o = replace(o, mobility="fixed")
     if not given:
@@ -132,9 +138,10 @@ def _told_of_materials(objects: Sequence[SceneObject]) -> Decision:
     more = f" and {len(unknown) - NAMED} more" if len(unknown) > NAMED else ""
     named = f"; none is known of {', '.join(unknown[:NAMED])}{more}" if unknown else ""
     default = SceneObject.density, SceneObject.friction
+    heaviest = f"{default[0]:g} kg/m3, less above {1000 * COMPACT:g} l,"
     return Decision(
         choice=f"materials: {counts['given']} given, {counts['label']} by label, {len(unknown)} by default{named}",
-        reason=f"the default is {default[0]:g} kg/m3 with friction {default[1]:g}",
+        reason=f"the default is {heaviest} with friction {default[1]:g}",
         fallback=bool(unknown),
     )
 
