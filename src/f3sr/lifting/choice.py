@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from f3sr.core.transforms import UP, Array
-from f3sr.lifting.boxes import fit_box, fit_carved
+from f3sr.lifting.boxes import COMPACT_MASK, fit_box, fit_carved
 from f3sr.lifting.fits import FittedShape
 from f3sr.lifting.hollows import fit_hollow
 from f3sr.lifting.outlined import Outlined
@@ -30,8 +30,6 @@ FLAT_TOP = 0.15
 ELONGATED = 1.8
 """Ratio of a mask's axes from which on its long axis tells how it lies."""
 
-COMPACT = 0.75
-"""Share of its hull that a mask covers from which on nothing is gained by carving: legs and gaps cover less."""
 BEHIND = 0.15
 """Share of a carrier's depth at its back where an underside counts as behind it: things stand rarely on an edge."""
 HANGS, ASIDE = 0.4, 0.05
@@ -181,7 +179,7 @@ def _score(fit: FittedShape, label: str, seen: Outlined, *, loaded: bool) -> flo
         score += HOLLOW if family == "bowl or cup" else LABELLED
     if (loaded or fit.family not in RIGID) and not is_stable(fit.solid):
         score -= TIPPY
-    if fit.family == "carved box" and seen.solidity > COMPACT:
+    if fit.family == "carved box" and seen.solidity > COMPACT_MASK:
         score -= 0.08
     ratio, slant = _elongation(seen)
     if ratio > ELONGATED and fit.family == "standing silhouette" and slant > math.radians(35):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from scipy import ndimage
@@ -59,7 +60,9 @@ def fit_revolution(seen: Outlined, floor: float) -> FittedShape | None:
     first = min((np.array([0.0, y, 0.0]) for y in np.linspace(-0.9, 0.3, 13)), key=loss)
     x = _lowered(loss, first, step=0.08, evaluations=60)
     around = profile(x)
-    return None if around is None else FittedShape.of("solid of revolution", revolved(axis(x), around), seen)
+    if around is None:
+        return None
+    return FittedShape.of("solid of revolution", replace(revolved(axis(x), around), symmetry="round"), seen)
 
 
 def _closed(seen: Outlined, foot: Array, profile: Array) -> Array:

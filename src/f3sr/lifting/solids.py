@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from f3sr.core.transforms import Array
 if TYPE_CHECKING:
     from manifold3d import Manifold
 
+Symmetry = Literal["", "box", "round"]
 SECTORS = 40
 """Sides of a solid of revolution."""
 CELLS = 8
@@ -30,6 +31,8 @@ class Solid:
     """Corners (n, 3) of convex pieces that hold it, where they are known."""
     rim: Array | None = None
     """Corners (n, 3) of the opening of what is hollow."""
+    symmetry: Symmetry = ""
+    """That of a box about its middle, or of a solid of revolution: the back looks as the front."""
 
 
 TIPS = 0.2
@@ -137,9 +140,27 @@ def joined(a: Solid, b: Solid) -> Solid | None:
     return _solid(_manifold(a) + _manifold(b))
 
 
-def carved(solid: Solid, mask: NDArray[np.bool_], camera: Camera, *, cell: float) -> Solid | None:
+def common(a: Solid, b: Solid) -> Solid | None:
+    """What is in both of two solids; None where that is nothing."""
+    return _solid(_manifold(a) ^ _manifold(b))
+
+
+def mirrored(solid: Solid, normal: Array, offset: float) -> Solid:
+    """Its mirror image in the plane ``normal . x = offset``, ``normal`` (3,) of length 1."""
+    beyond = solid.vertices @ normal - offset
+    return replace(solid, vertices=solid.vertices - 2 * beyond[:, None] * normal, faces=solid.faces[:, ::-1])
+
+
+def finer(solid: Solid, cell: float) -> Solid:
+    """With edges of at most ``cell`` [m]; flat as before. It is not empty."""
+    made = _solid(_manifold(solid).refine_to_length(cell))
+    assert made is not None
+    return made
+
+
+def carved(solid: Solid, mask: NDArray[np.bool_], camera: Camera) -> Solid | None:
     """The part of a solid that ``camera`` sees inside a mask (h, w) of its picture, whatever is behind: a solid cut by
-    the cone of the mask. Faces get edges of at most ``cell`` [m]. None where nothing is left."""
+    the cone of the mask. None where nothing is left."""
     import manifold3d as mf
 
     depth = camera.to_camera(solid.vertices)[:, 2]
@@ -152,7 +173,7 @@ def carved(solid: Solid, mask: NDArray[np.bool_], camera: Camera, *, cell: float
     rays = outline.translate((-cx, -cy)).scale((near / fx, near / fy))
     cone = mf.Manifold.extrude(rays, far - near, scale_top=(far / near, far / near)).translate((0, 0, near))
     cone = cone.transform(camera.T_world_camera[:3])
-    return _solid((_manifold(solid) ^ cone).refine_to_length(cell))
+    return _solid(_manifold(solid) ^ cone)
 
 
 SMOOTH = 0.6

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +12,7 @@ from PIL import Image
 
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, Material, Mesh, area_vectors
-from f3sr.core.transforms import Array
+from f3sr.core.transforms import UP, Array
 from f3sr.lifting.solids import Solid
 from f3sr.scene import Photo
 from f3sr.vision.regions import shrunk, smoothed
@@ -25,6 +27,8 @@ SOFT = 0.12
 """Standard deviation of the blur where the photo shows nothing [longer side of the mask]: no print is seen there."""
 INSET = 0.004
 """Distance of texture coordinates from the border of their half: filters do not mix the two."""
+MARGIN = math.radians(3)
+"""Angle by which less of a round side is spread over its back than the photo shows: whole faces are in it."""
 EMPTY = 1e-3
 """Least weight of known colours around a pixel from which its colour is made."""
 
@@ -32,8 +36,9 @@ EMPTY = 1e-3
 def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_], camera: Camera) -> Mesh:
     """A solid about ``origin`` (3,), in world axes, its texture the photo inside the mask (H, W).
 
-    The texture has two halves, both seen from the camera: the photo for faces that it shows, and a blurred copy for
-    faces along its rays and behind. Outside the mask its colours go on softly, so nothing of other objects is seen."""
+    The texture has two halves, both seen from the camera: the photo, and a blurred copy. Faces that the photo does not
+    show look as those that it shows and that are the same by the solid's symmetry; else as the blurred copy. Outside
+    the mask its colours go on softly, so nothing of other objects is seen."""
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     longest = max(len(rows), len(columns))
     pad = 2 + math.ceil(0.1 * longest)
@@ -45,8 +50,8 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
     image = Image.fromarray(np.concatenate([sharp, soft], axis=1).astype(np.uint8))
     if (scale := LONGEST / max(right - left, bottom - top)) < 1:
         image = image.resize((round(image.width * scale), round(image.height * scale)), Image.Resampling.BOX)
-    vertices, faces, is_soft = _split(solid, camera)
-    pixels, _ = camera.project(vertices)
+    vertices, faces, looks, is_soft = _split(solid, camera)
+    pixels, _ = camera.project(looks)
     uv = np.clip((pixels - [left, top]) / [right - left, bottom - top], INSET, 1 - INSET)
     return Mesh(
         vertices=vertices - origin,
@@ -82,12 +87,60 @@ def _blurred(image: NDArray[np.uint8], known: NDArray[np.bool_], sigma: float) -
     return np.where(weight[..., None] > 1e-9, colours / np.maximum(weight, 1e-9)[..., None], mean), weight
 
 
-def _split(solid: Solid, camera: Camera) -> tuple[Array, NDArray[np.int32], NDArray[np.bool_]]:
-    """Vertices (n, 3), faces (m, 3) and whether each vertex (n,) is soft: those between faces that the photo shows and
-    faces that it does not are there twice."""
-    normals = area_vectors(solid.vertices[solid.faces])
-    towards = camera.center - solid.vertices[solid.faces].mean(1)
-    lengths = np.linalg.norm(normals, axis=1) * np.linalg.norm(towards, axis=1)
-    hidden = (normals * towards).sum(1) < GRAZING * lengths
-    places, faces = np.unique(2 * solid.faces.astype(np.int64) + hidden[:, None], return_inverse=True)
-    return solid.vertices[places // 2], faces.reshape(-1, 3).astype(np.int32), places % 2 == 1
+@dataclass(frozen=True, eq=False)
+class _Likeness:
+    """Points (n, 3) of a surface that look as its vertices do; ``flips``: its faces are turned over there."""
+
+    points: Array
+    flips: bool = False
+
+    def facing(self, faces: NDArray[np.int32], camera: Camera) -> Array:
+        """Cosine (m,) between the normals of the faces there and the rays to the camera."""
+        corners = self.points[faces]
+        normals, towards = area_vectors(corners), camera.center - corners.mean(1)
+        lengths = np.linalg.norm(normals, axis=1) * np.linalg.norm(towards, axis=1)
+        return (-1 if self.flips else 1) * (normals * towards).sum(1) / np.maximum(lengths, 1e-30)
+
+
+def _split(solid: Solid, camera: Camera) -> tuple[Array, NDArray[np.int32], Array, NDArray[np.bool_]]:
+    """Vertices (n, 3), faces (m, 3), the points (n, 3) as which they look, and whether each (n,) is blurred: vertices
+    between faces of different looks are there twice."""
+    likenesses = [_Likeness(solid.vertices), *_by_symmetry(solid, camera)]
+    chosen = np.full(len(solid.faces), len(likenesses))
+    for k in reversed(range(len(likenesses))):
+        chosen[likenesses[k].facing(solid.faces, camera) >= GRAZING] = k
+    kinds = len(likenesses) + 1
+    places, faces = np.unique(kinds * solid.faces.astype(np.int64) + chosen[:, None], return_inverse=True)
+    vertex, kind = places // kinds, places % kinds
+    looks = np.stack([*(likeness.points for likeness in likenesses), solid.vertices])[kind, vertex]
+    return solid.vertices[vertex], faces.reshape(-1, 3).astype(np.int32), looks, kind == kinds - 1
+
+
+def _by_symmetry(solid: Solid, camera: Camera) -> Iterator[_Likeness]:
+    """Other places of a solid that look as its vertices: the back of a box as its front turned about the vertical, the
+    back of a solid of revolution as its front in a mirror, the underside as the top."""
+    if not solid.symmetry:
+        return
+    vertices = solid.vertices
+    middle = (vertices.min(0) + vertices.max(0)) / 2
+    if solid.symmetry == "box":
+        yield _Likeness(vertices + 2 * (middle - vertices) * [1, 1, 0])
+    else:
+        yield from _wrapped(vertices, middle, camera)
+    yield _Likeness(vertices + 2 * (middle - vertices) * UP, flips=True)
+
+
+def _wrapped(vertices: Array, middle: Array, camera: Camera) -> Iterator[_Likeness]:
+    """The half about the vertical through ``middle`` (3,) that the photo shows, spread in a mirror over the rest."""
+    towards = camera.center - middle
+    level = float(np.hypot(*towards[:2]))
+    if level * 2 < abs(towards[2]):
+        return  # seen from above: the side is hardly shown
+    seen = math.acos(min(0.9, GRAZING * float(np.linalg.norm(towards)) / level)) - MARGIN
+    off = vertices - middle
+    radius, front = np.hypot(off[:, 0], off[:, 1]), math.atan2(towards[1], towards[0])
+    angle = (np.arctan2(off[:, 1], off[:, 0]) - front + np.pi) % (2 * np.pi) - np.pi
+    rest = np.sign(angle) * seen * (np.pi - np.abs(angle)) / (np.pi - seen)
+    angle = front + np.where(np.abs(angle) > seen, rest, angle)
+    around = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), off[:, 2]])
+    yield _Likeness(middle + around, flips=True)

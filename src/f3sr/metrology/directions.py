@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.core.transforms import Array
+from f3sr.core.transforms import Array, rotation_from_vector
 from f3sr.runtime.kernels import inner_kernel, kernel
 from f3sr.settings import constants
+from f3sr.vision.rasterizer import THREADS, in_bands
 
 FARTHEST = 15.0
 """Half the squared standard errors from which on a segment does not follow a direction: exp(-15) is 3e-7."""
@@ -24,8 +25,11 @@ class DirectionModel:
 
     end: float = 0.7
     """Standard deviation of a segment's end across it [px]."""
-    shape: float = math.radians(1.0)
-    """Standard deviation of an object's edge from its direction [rad]: real boxes bulge and lean a little."""
+    shape: float = math.radians(0.6)
+    """Standard deviation of an object's edge from its direction [rad]: real boxes bulge a little."""
+    lean: float = math.radians(2.0)
+    """Standard deviation of the tilt of an object as a whole, about each horizontal axis [rad]: of 0 to 3 degrees, the
+    photos of shared data are likeliest with 2."""
     flat: float = math.radians(0.3)
     """The same of the ground and of what is no object: tables and walls are straight."""
     strange: float = 0.35
@@ -39,13 +43,14 @@ class DirectionModel:
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GroupedSegments:
     """Line segments about the principal point: ``middles`` (n, 2), unit ``directions`` (n, 2), ``sigmas`` (n,) [rad] of
-    their directions, and the group (n,) of each, from 0 to ``groups`` - 1."""
+    their directions, and the group (n,) of each, from 0 to ``groups`` - 1. The first ``objects`` groups may lean."""
 
     middles: Array
     directions: Array
     sigmas: Array
     group: NDArray[np.int64]
     groups: int
+    objects: int
 
 
 def grouped(
@@ -62,6 +67,7 @@ def grouped(
         sigmas=np.hypot(np.arctan(2 * model.end / length), spread),
         group=group,
         groups=int(group.max(initial=-1)) + 1,
+        objects=objects,
     )
 
 
@@ -71,23 +77,45 @@ def log_likelihoods(
     """The log-likelihood (t, groups) of every group's segments under cameras, over that of segments of any direction.
 
     ``focals`` (t,) [px]; ``rotations`` (t, 3, 3) hold the world's right, forward and up in camera axes, as columns.
-    Each group has its best horizontal direction of those ``step`` [rad] apart. ``blur`` [rad] widens each: then
-    a coarse search misses none."""
+    Each group has its best horizontal direction of those ``step`` [rad] apart, and each object its own tilt, which is
+    summed over. ``blur`` [rad] widens each direction: then a coarse search misses none. It stands for tilts too."""
     turns = np.arange(0, np.pi / 2, step)
+    leans, shares = _leans(0.0 if blur else model.lean)
     out = np.zeros((len(focals), found.groups))
-    if len(found.sigmas):
+
+    def sum_groups(band: tuple[int, int]) -> None:
         _sum_groups(
             found.directions,
             found.middles,
-            np.hypot(found.sigmas, blur),
+            sigmas,
             found.group,
+            found.objects,
             np.ascontiguousarray(rotations),
             focals,
             np.column_stack([np.cos(turns), np.sin(turns)]),
-            np.array([model.strange, model.vertical]),
+            leans,
+            shares,
+            np.array([model.strange, model.vertical, model.weight]),
+            *band,
             out,
         )
-    return model.weight * out
+
+    if len(found.sigmas):
+        sigmas = np.hypot(found.sigmas, blur)
+        in_bands(sum_groups, (0, len(focals)), THREADS)
+    return out
+
+
+LEANS = np.array([[0.0, 0.0], [1.5, 0], [-1.5, 0], [0, 1.5], [0, -1.5]])
+"""Tilts of an object that are weighed, about the two horizontal axes [standard deviations]."""
+
+
+def _leans(sigma: float) -> tuple[Array, Array]:
+    """Rotations (k, 3, 3) of leaning objects, that of upright ones first, and their shares (k,)."""
+    if sigma == 0:
+        return np.eye(3)[None], np.ones(1)
+    shares = np.exp(-0.5 * (LEANS**2).sum(1))
+    return np.array([rotation_from_vector([a, b, 0.0]) for a, b in sigma * LEANS]), shares / shares.sum()
 
 
 def warm_up() -> None:
@@ -103,40 +131,57 @@ def _sum_groups(
     middles: Array,
     sigmas: Array,
     group: NDArray[np.int64],
+    objects: int,
     rotations: Array,
     focals: Array,
     turns: Array,
+    leans: Array,
+    lean_shares: Array,
     shares: Array,
+    first: int,
+    stop: int,
     out: Array,
 ) -> None:
     groups = out.shape[1]
-    total = np.zeros((groups, len(turns)))
+    total, best = np.zeros((groups, len(turns))), np.zeros((len(leans), groups))
     strange = shares[0] * 2 / np.pi
     each = (1 - shares[0] - shares[1]) / 2
     off, along = np.zeros(3), np.zeros(3)
-    for t in range(len(focals)):
-        f, R = focals[t], rotations[t]
-        total[:] = 0
-        for s in range(len(sigmas)):
-            ux, uy = directions[s]
-            mx, my = middles[s]
-            for k in range(3):  # of each axis' image at the segment's middle: its parts across and along the segment
-                x, y = f * R[0, k] - mx * R[2, k], f * R[1, k] - my * R[2, k]
-                off[k], along[k] = ux * y - uy * x, ux * x + uy * y
-            height = math.sqrt(2 / np.pi) / sigmas[s]
-            curve = 0.5 / sigmas[s] ** 2
-            base = strange + shares[1] * height * _bell(off[2], along[2], curve)
-            neither = math.log(base / strange)
-            for j in range(len(turns)):
-                c, n = turns[j]
-                both = _bell(off[0] * c + off[1] * n, along[0] * c + along[1] * n, curve)
-                both += _bell(off[1] * c - off[0] * n, along[1] * c - along[0] * n, curve)
-                total[group[s], j] += math.log((base + each * height * both) / strange) if both > 0 else neither
+    for t in range(first, stop):
+        f = focals[t]
+        for lean in range(len(leans)):
+            R = rotations[t] @ leans[lean]
+            total[:] = 0
+            for s in range(len(sigmas)):
+                if lean > 0 and group[s] >= objects:
+                    continue
+                ux, uy = directions[s]
+                mx, my = middles[s]
+                for k in range(3):  # of each axis' image at the segment's middle: its parts across and along it
+                    x, y = f * R[0, k] - mx * R[2, k], f * R[1, k] - my * R[2, k]
+                    off[k], along[k] = ux * y - uy * x, ux * x + uy * y
+                height = math.sqrt(2 / np.pi) / sigmas[s]
+                curve = 0.5 / sigmas[s] ** 2
+                base = strange + shares[1] * height * _bell(off[2], along[2], curve)
+                neither = math.log(base / strange)
+                for j in range(len(turns)):
+                    c, n = turns[j]
+                    both = _bell(off[0] * c + off[1] * n, along[0] * c + along[1] * n, curve)
+                    both += _bell(off[1] * c - off[0] * n, along[1] * c - along[0] * n, curve)
+                    total[group[s], j] += math.log((base + each * height * both) / strange) if both > 0 else neither
+            for g in range(groups):
+                best[lean, g] = -np.inf
+                for j in range(len(turns)):
+                    best[lean, g] = max(best[lean, g], shares[2] * total[g, j])
         for g in range(groups):
-            best = -np.inf
-            for j in range(len(turns)):
-                best = max(best, total[g, j])
-            out[t, g] = best
+            out[t, g] = best[0, g]
+            if g < objects:
+                highest, sum = -np.inf, 0.0
+                for lean in range(len(leans)):
+                    highest = max(highest, best[lean, g])
+                for lean in range(len(leans)):
+                    sum += lean_shares[lean] * math.exp(best[lean, g] - highest)
+                out[t, g] = highest + math.log(sum)
 
 
 @inner_kernel
