@@ -350,6 +350,31 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
     assert isinstance(found, Refusal) and found.reason == "impossible" and "does not fit" in found.message
 
 
+@pytest.mark.parametrize(("mass", "possible"), [(20, True), (55, True), (90, False), (400, False)])
+def test_what_is_too_heavy_to_push_is_refused_and_all_else_is_played(
+    tmp_path: Path, mass: float, possible: bool
+) -> None:
+    crate = goal_scene()[CARTON]
+    chest = box(0, size=(0.8, 0.5, 0.5)).mesh
+    heavy = replace(
+        crate,
+        mesh=chest,
+        parts=(chest.hull,),
+        label="chest",
+        T_world_object=pose(t=np.array([-1.2, 0, 0.25 + GAP])),
+        density=mass / 0.2,
+        friction=0.6,
+    )
+    package = goal_package(tmp_path / "p", goal_scene().with_objects(heavy))
+    assert ("push" in {e.id: e for e in menu(package.scene)}[CARTON].verbs) is possible
+    for goal in ("push the chest 40 cm to the left", "push the chest into the soup can"):
+        found = simulate_goal(package, goal)
+        if possible:
+            assert isinstance(found, Played)
+        else:
+            assert isinstance(found, Refusal) and found.reason == "impossible" and f"{mass} kg" in found.message
+
+
 def test_what_is_closed_can_only_be_touched(package: Package) -> None:
     found = simulate_goal(package, "throw the cereal box into the can")
     assert isinstance(found, Played) and any("nothing can lie" in a for a in found.plan.phases[0].task.assumptions)

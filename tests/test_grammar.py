@@ -161,6 +161,8 @@ UNDERSTOOD = {
     "let the lemon fall onto the plate": asked("drop", "lemon", ("onto", "plate")),
     "let the lemon fall": asked("drop", "lemon"),
     # lift and drop
+    "lift and drop the can": asked("lift_and_drop", "can"),
+    "lift and drop the can on the box": asked("lift_and_drop", "can", ("onto", "box")),
     "lift the can and drop it on the box": asked("lift_and_drop", "can", ("onto", "box")),
     "pick the apple up and put it in the bowl": asked("lift_and_drop", "apple", ("into", "bowl")),
     "pick up the ball in the bowl and drop it on the box": asked("lift_and_drop", "ball in bowl", ("onto", "box")),

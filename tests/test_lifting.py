@@ -236,6 +236,84 @@ def test_alignment_neither_tilts_lifted_things_nor_moves_the_camera(lifted):
         assert np.allclose(turn @ UP, UP, atol=1e-9)
 
 
+def table(foot: Array, size: Sequence[float], yaw: float, leg: float = 0.05) -> Solid:
+    """A board on four legs."""
+    (w, d, h), c, n = size, math.cos(yaw), math.sin(yaw)
+    made = block(foot + (h - leg) * UP, (w, d, leg), yaw)
+    for x in (-0.5, 0.5):
+        for y in (-0.5, 0.5):
+            u, v = x * (w - leg), y * (d - leg)
+            both = joined(made, block(foot + np.array([c * u - n * v, n * u + c * v, 0]), (leg, leg, h - leg / 2), yaw))
+            assert both is not None
+            made = both
+    return made
+
+
+LOW = Camera(
+    width=640,
+    height=480,
+    K=np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]]),
+    T_world_camera=pose(attitude(math.radians(6), 0.0).T, [0, 0, 1.1]),
+)
+"""A camera in a room: the ground's metres are few rows."""
+
+
+@pytest.mark.parametrize("yaw", [0.3, 0.9])
+def test_what_is_carved_is_as_deep_as_wide_has_legs_and_covers_the_mask(yaw: float):
+    true = table(np.array([0.1, 3.2, 0]), (0.8, 0.6, 0.5), yaw)
+    mask = rasterizer.silhouette(LOW.to_camera(true.vertices), true.faces, LOW.K, LOW.width, LOW.height)
+    fit = found(fit_carved(Outlined.of(mask, LOW), 0.0))
+    assert fit.overlap > 0.94
+    wide, deep, high = np.ptp(fit.solid.vertices, axis=0)
+    assert deep < 2 * wide and abs(high - 0.5) < 0.15
+    assert is_stable(fit.solid)
+    volume = signed_volume(fit.solid.vertices, fit.solid.faces)
+    assert volume < 0.5 * wide * deep * high, "there is air between the legs"
+
+
+def painted(solid: Solid, colours: Sequence[tuple[float, tuple[int, int, int]]]) -> Photo:
+    """A photo in which the columns from a share of the solid's width on have a colour."""
+    mask = mask_of(solid)
+    columns = np.flatnonzero(mask.any(0))
+    rgb = np.full((*mask.shape, 3), 128, np.uint8)
+    for share, colour in colours:
+        rgb[:, round(columns[0] + share * (columns[-1] + 1 - columns[0])) :] = colour
+    return Photo(rgb=rgb)
+
+
+def colour_at(mesh: Mesh, point: Array) -> Array:
+    """The texture's colour (3,) at the vertex that is nearest to a point (3,)."""
+    assert mesh.uv is not None and mesh.materials[0].texture is not None
+    texture = mesh.materials[0].texture
+    u, v = mesh.uv[np.argmin(np.linalg.norm(mesh.vertices - point, axis=1))]
+    return texture[int((1 - v) * (texture.shape[0] - 1)), int(u * (texture.shape[1] - 1))].astype(float)
+
+
+def test_the_back_of_a_box_looks_as_its_front_turned_round():
+    true = block(FOOT, (0.2, 0.06, 0.15), 0.0)
+    fit = found(fit_box(seen(true), 0.0))
+    red, blue = (220, 30, 30), (30, 30, 220)
+    mesh = textured(fit.solid, np.zeros(3), painted(true, [(0, red), (0.5, blue)]), mask_of(true), CAMERA)
+    low, high = mesh.bounds
+    middle, z = (low + high) / 2, 0.6 * high[2]
+    for share, colour in ((-0.3, red), (0.3, blue)):
+        u = share * (high[0] - low[0])
+        assert np.abs(colour_at(mesh, np.array([middle[0] + u, low[1], z])) - colour).max() < 40
+        assert np.abs(colour_at(mesh, np.array([middle[0] - u, high[1], z])) - colour).max() < 40
+
+
+def test_the_back_of_a_can_goes_on_from_its_sides_without_a_step():
+    true = can(FOOT, 0.06, 0.15)
+    fit = found(fit_revolution(seen(true), 0.0))
+    red, blue = (220, 30, 30), (30, 30, 220)
+    mesh = textured(fit.solid, np.zeros(3), painted(true, [(0, red), (0.5, blue)]), mask_of(true), CAMERA)
+    low, high = mesh.bounds
+    middle, radius = (low + high) / 2, (high[0] - low[0]) / 2
+    for angle, colour in ((200, red), (160, red), (120, red), (60, blue), (20, blue), (-20, blue)):
+        at = [middle[0] + radius * math.cos(math.radians(angle)), middle[1] + radius * math.sin(math.radians(angle))]
+        assert np.abs(colour_at(mesh, np.array([*at, 0.5 * high[2]])) - colour).max() < 40, angle
+
+
 def test_the_same_mask_gives_the_same_mesh():
     first, again = (mesh_of(chosen_for(bowl(FOOT, 0.09, 0.05), "bowl").best.solid) for _ in range(2))
     assert first.vertices.tobytes() == again.vertices.tobytes() and first.faces.tobytes() == again.faces.tobytes()

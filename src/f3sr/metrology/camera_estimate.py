@@ -74,6 +74,8 @@ class RimModel:
     """Standard deviation of a rim from a circle, of the logarithm of its axes' ratio."""
     edge: float = 1.0
     """Error of the minor axis [px]."""
+    lean: float = math.radians(0.5)
+    """Standard deviation of its plane's tilt [rad]: what is round is stiff, and leans less than boxes."""
 
 
 @constants
@@ -151,7 +153,11 @@ class _CameraEvidence:
             B = level.swapaxes(1, 2) @ (K.swapaxes(1, 2) @ rim.conic @ K) @ level
             trace = B[:, 0, 0] + B[:, 1, 1]
             unequal = np.hypot(B[:, 0, 0] - B[:, 1, 1], 2 * B[:, 0, 1]) / trace
-            sigma = math.hypot(self.circles.shape, self.circles.edge / rim.minor)
+            rays = np.column_stack([(rim.centre - self.centre) / focals[:, None], np.ones(len(focals))])
+            sine = np.abs((rays * rotations[:, :, 2]).sum(1)) / np.linalg.norm(rays, axis=1)
+            # A plane seen at the angle e is foreshortened by sin e; a lean changes the logarithm of that by cot e.
+            lean = self.circles.lean * np.sqrt(1 - sine**2) / np.maximum(sine, 1e-6)
+            sigma = np.hypot(math.hypot(self.circles.shape, self.circles.edge / rim.minor), lean)
             strange = self.circles.strange
             inlier = (1 - strange) / (2 * sigma**2) * np.exp(-0.5 * (unequal / sigma) ** 2)
             total += np.log1p(inlier / strange)  # other ellipses are even over the unit disk
