@@ -70,15 +70,17 @@ class StillPhoto:
     def frame(self, poses: Array) -> NDArray[np.uint8]:
         """The picture (h, w, 3) with the objects at ``poses`` (N, 4, 4)."""
         drawn = self.canvas.drawn(poses)
-        kept = ~(self.uncovered | (self.canvas.cover(self.moving) > 0))
-        relit = kept & (drawn != self.at_rest).any(2)
-        picture = np.where(kept[..., None], self.photo, drawn)
+        covered = self.uncovered | (self.canvas.cover(self.moving) > 0)
+        changed = drawn ^ self.at_rest
+        relit = (changed[..., 0] | changed[..., 1] | changed[..., 2]).astype(np.bool_) & ~covered
+        picture = self.photo.copy()
+        picture[covered] = drawn[covered]
         picture[relit] = _times(self.photo[relit], _ratio(drawn[relit], self.at_rest[relit]))
         for part in self.continued:
-            whole = self.canvas.setting.config.samples**2
-            share = (self.canvas.cover((part.index,))[part.window] * ~kept[part.window])[..., None] / whole
-            seen = share[..., 0] > 0
-            picture[part.window][seen] = _times(picture[part.window][seen], part.ratio[seen] ** share[seen])
+            share = self.canvas.cover((part.index,))[part.window] / self.canvas.setting.config.samples**2
+            seen = (share > 0) & covered[part.window]
+            shown = picture[part.window]
+            shown[seen] = _times(shown[seen], part.ratio[seen] ** share[seen][:, None])
         return picture
 
     def _continued(self, scene: Scene) -> Iterator[Continued]:
