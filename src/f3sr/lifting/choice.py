@@ -14,7 +14,7 @@ from f3sr.lifting.hollows import fit_hollow
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.revolutions import fit_revolution
 from f3sr.lifting.silhouettes import fit_hanging, fit_lying, fit_standing
-from f3sr.lifting.solids import is_stable
+from f3sr.lifting.solids import Solid, is_stable
 from f3sr.scene import Instance
 
 PRIOR = {"box": 0.03, "carved box": -0.05, "solid of revolution": 0.02, "bowl or cup": 0.02,
@@ -44,6 +44,8 @@ SPREAD_OUT, FLUNG = 2.5, 0.2
 its score."""
 TIPPY = 0.1
 """Loss of score of a shape that would tip over where it is."""
+PEAKED = 0.1
+"""Loss of score of a shape without a top on which something may stay, where something is over it in the photo."""
 CUT = 0.1
 """Share of the mask's outline on the photo's border from which an object counts as cut."""
 FIXED = ("person", "man", "woman", "child", "people", "tree", "chandelier", "curtain", "window", "door", "wall")
@@ -115,7 +117,7 @@ def carries(seen: Outlined, carrier: Choice) -> bool:
     its back, where the outline of what only stands behind it ends."""
     from scipy.spatial import ConvexHull
 
-    top = _top_outline(carrier)
+    top = _top_outline(carrier.best.solid)
     if top is None:
         return False
     points = seen.on_plane(seen.underside, UP, carrier.top)[:, :2]
@@ -130,12 +132,11 @@ def carries(seen: Outlined, carrier: Choice) -> bool:
     return float(over.mean()) >= MOST
 
 
-def _top_outline(carrier: Choice) -> Array | None:
+def _top_outline(solid: Solid) -> Array | None:
     """Corners (n, 2) of what something may stand on: the inside of what is hollow, else its uppermost tenth, where that
     fills much of its outline; else None."""
     from scipy.spatial import ConvexHull
 
-    solid = carrier.best.solid
     if solid.rim is not None:
         return solid.rim[:, :2]
     vertices = solid.vertices
@@ -179,6 +180,8 @@ def _score(fit: FittedShape, label: str, seen: Outlined, *, loaded: bool) -> flo
         score += HOLLOW if family == "bowl or cup" else LABELLED
     if (loaded or fit.family not in RIGID) and not is_stable(fit.solid):
         score -= TIPPY
+    if loaded and _top_outline(fit.solid) is None:
+        score -= PEAKED
     if fit.family == "carved box" and seen.solidity > COMPACT_MASK:
         score -= 0.08
     ratio, slant = _elongation(seen)
