@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from f3sr.language.grammar.materials import COMPACT, material_of, unknown_density
+from f3sr.language.grammar.materials import COMPACT, LIGHTEST, material_of, unknown_density
 from f3sr.scene import SceneObject
 
 
@@ -46,6 +46,7 @@ def test_what_is_large_and_unknown_is_mostly_air() -> None:
     assert unknown_density(COMPACT / 10) == unknown_density(COMPACT) == SceneObject.density
     microwave, refrigerator, wardrobe = map(unknown_density, (0.05, 0.9, 1.8))
     assert 180 < microwave < 320 and 60 < refrigerator < 120 and 40 < wardrobe < 90
-    for volume in (0.01, 0.3, 4.0):
+    assert unknown_density(3e7) == LIGHTEST, "what is far away may be as large as a mountain"
+    for volume in (0.01, 0.3, 2.0):
         assert unknown_density(8 * volume) == pytest.approx(unknown_density(volume) / 2)
     assert unknown_density(0.0) == SceneObject.density

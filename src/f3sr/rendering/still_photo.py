@@ -46,8 +46,8 @@ class StillPhoto:
     """(h, w, 3) the drawn picture at rest."""
     moving: tuple[int, ...]
     uncovered: Mask
-    """(h, w) where the photo, or the picture at rest, shows what moves, and the mixed pixels around. Completed ground
-    that is nearer to what moves than to what rests: its colour reaches past its mask."""
+    """(h, w) where the photo, or the picture at rest, shows what moves, and the mixed pixels around. Also completed
+    ground that is nearer to what moves than to what rests."""
     continued: tuple[Continued, ...]
 
     @classmethod

@@ -20,6 +20,9 @@ COMPACT = 0.003
 """Volume up to which an unknown thing weighs as a compact one [m3]. Larger things are mostly walls around air: a
 microwave of 50 l has 260 kg/m3, a refrigerator of .9 m3 has 90, a wardrobe of 1.8 m3 has 55."""
 
+LIGHTEST = 30.0
+"""Least density of an unknown thing [kg/m3]: foam and mattresses have it, and a hut of 24 m3."""
+
 
 def _listed(labels: object) -> object:
     return [tuple(label.split()) for label in labels.split(",")] if isinstance(labels, str) else labels
@@ -103,4 +106,6 @@ def unknown_density(volume: float) -> float:
     """Density of a thing of unknown material [kg/m3], of the volume that its mesh shows [m3].
 
     Walls of one thickness weigh as the surface, so the density falls with the cube root of the volume."""
-    return SceneObject.density * min(1.0, (COMPACT / volume) ** (1 / 3)) if volume > 0 else SceneObject.density
+    if volume <= COMPACT:
+        return SceneObject.density
+    return max(LIGHTEST, SceneObject.density * (COMPACT / volume) ** (1 / 3))
