@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -18,6 +17,7 @@ from PIL import Image
 from f3sr.errors import InputError
 from f3sr.mcp_server.allowed_root import AllowedRoot
 from f3sr.mcp_server.scene_tools import SceneTools
+from folders import write_folder
 from goal_scene import CAN, goal_package, goal_scene
 
 pytest.importorskip("mcp", reason="the extra llm is not installed")
@@ -28,7 +28,6 @@ from mcp.client.stdio import StdioServerParameters
 
 from f3sr.mcp_server.server import make_server
 
-EXAMPLE = Path(__file__).parents[1] / "src/f3sr/example/tabletop"
 TOOLS = {"reconstruct", "list_objects", "simulate", "verdict", "film", "key_frames"}
 
 
@@ -93,8 +92,8 @@ def test_the_server_lists_its_tools_over_standard_input_and_output(root: Path) -
 
 
 @pytest.mark.slow
-def test_a_client_reconstructs_the_example(root: Path) -> None:
-    shutil.copytree(EXAMPLE, root / "photo")
+def test_a_client_reconstructs_a_folder(root: Path) -> None:
+    write_folder(root / "photo")
     (found,) = asked(root, ("reconstruct", {"folder": "photo", "out": "made"}))
     assert not found.is_error and found.structured_content["package"] == "made"
     assert (root / "made/scene.json").is_file()

@@ -38,7 +38,7 @@
   const canvas = $("canvas"), paper = canvas.getContext("2d");
   const shrink = given.photo.shown[0] / given.photo.width; // shown pixels of a pixel of the photo
   const masks = new Map(); // by key: what the server found, as pictures
-  let mode = "box", selected = null, drawn = null, sleeping = false, done = false;
+  let mode = "box", selected = null, drawn = null, sleeping = false, closing = false, done = false; // closing: the server ends with its answer, or goes on
 
   // --- masks from the server: one question at a time, the last answer counts -------------------------------------------
 
@@ -53,7 +53,7 @@
     ask();
   };
   const ask = async () => {
-    if (asking || sleeping || done) return;
+    if (asking || sleeping || closing || done) return;
     asking = true;
     const asked = revision, prompts = new Map(marks.objects.map((o) => [o.key, promptOf(o.key)]));
     try {
@@ -73,7 +73,7 @@
     show();
   };
   const askGround = async () => {
-    if (done || sleeping) return;
+    if (done || closing || sleeping) return;
     const asked = revision;
     try {
       const told = await post("ground", { page: given.page, revision: asked });
@@ -500,11 +500,14 @@
     $("save").disabled = true;
     $("save").textContent = "Saving …";
     const count = marks.objects.length;
+    closing = true;
     try {
       const told = await post("save", { page: given.page, revision, selection: marks.selection() });
       return finished(`Saved ${count} ${count === 1 ? "object" : "objects"} and the ground`, told);
     } catch (error) {
       $("save").textContent = "Save";
+      closing = false;
+      ask();
       show();
       refused(error);
     }
@@ -517,10 +520,12 @@
       setTimeout(() => { $("cancel").textContent = "Cancel"; }, 5000);
       return;
     }
+    closing = true;
     try {
       await post("cancel", { page: given.page });
       finished("Cancelled. Nothing was saved.", {});
     } catch (error) {
+      closing = false;
       refused(error);
     }
   });
@@ -535,8 +540,8 @@
         while (!(await reader.read()).done);
       } catch { /* asked again below */ }
       missed += 1;
-      if (!done && missed > 2) line(NO_SERVER);
-      await new Promise((next) => setTimeout(next, 500));
+      if (!done && !closing && missed > 2) line(NO_SERVER);
+      do await new Promise((next) => setTimeout(next, 500)); while (closing && !done);
     }
   };
 
