@@ -12,6 +12,7 @@ from f3sr import example, proxies
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh, signed_volume
 from f3sr.core.transforms import UP, Array, pose
+from f3sr.lifting.balls import fit_ball
 from f3sr.lifting.boxes import fit_box, fit_carved
 from f3sr.lifting.choice import Choice, carries, choose
 from f3sr.lifting.fits import FittedShape
@@ -110,6 +111,36 @@ def test_a_ball_is_round_at_both_ends():
         assert np.ptp(rest[:, 0]) < 0.04
 
 
+@pytest.mark.parametrize(("at", "radius"), [((0.02, 0.85), 0.05), ((-0.3, 1.2), 0.12), ((0.2, 0.6), 0.03)])
+@pytest.mark.parametrize("floor", [0.0, 0.1])
+def test_a_ball_is_where_its_outline_and_its_floor_put_it(at: tuple[float, float], radius: float, floor: float):
+    foot = np.array([*at, floor])
+    fit = found(fit_ball(seen(ball(foot, radius)), floor))
+    middle = (fit.solid.vertices.min(0) + fit.solid.vertices.max(0)) / 2
+    assert fit.overlap > 0.97
+    assert np.linalg.norm(middle - foot - radius * UP) < 0.05 * radius
+    assert np.allclose(np.ptp(fit.solid.vertices, axis=0), 2 * radius, rtol=0.03)
+    assert abs(fit.solid.vertices[:, 2].min() - floor) < 1e-9
+
+
+def test_a_ball_half_hidden_is_as_large():
+    foot, radius = np.array([0.0, 0.8, 0]), 0.06
+    mask = mask_of(ball(foot, radius))
+    columns = np.flatnonzero(mask.any(0))
+    hidden = np.zeros_like(mask)
+    hidden[:, (columns[0] + columns[-1]) // 2 :] = True
+    half = Outlined.of(mask & ~hidden, CAMERA).behind(hidden)
+    fit = found(fit_ball(half, 0.0))
+    assert np.allclose(np.ptp(fit.solid.vertices, axis=0), 2 * radius, rtol=0.06)
+    assert fit_ball(seen(ball(foot, radius)), 0.7) is None, "a floor above the camera"
+
+
+def test_a_label_makes_a_ball_of_what_a_silhouette_leaves_open():
+    true = ball(FOOT, 0.05)
+    assert chosen_for(true, "tennis ball").best.family == chosen_for(true, "").best.family == "ball"
+    assert chosen_for(can(FOOT, 0.04, 0.12), "can").best.family == "solid of revolution"
+
+
 @pytest.mark.parametrize(("rim", "height"), [(0.08, 0.06), (0.12, 0.03), (0.05, 0.09)])
 def test_a_bowl_is_hollow_and_its_pieces_hold_it(rim: float, height: float):
     fit = found(fit_hollow(seen(bowl(FOOT, rim, height)), 0.0, aspect=height / rim))
@@ -159,6 +190,7 @@ def test_a_pan_keeps_its_handle():
 
 
 FITS = {
+    "ball": fit_ball,
     "box": fit_box,
     "carved": fit_carved,
     "revolution": fit_revolution,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from f3sr.core.transforms import UP, Array
+from f3sr.lifting.balls import fit_ball
 from f3sr.lifting.boxes import COMPACT_MASK, fit_box, fit_carved
 from f3sr.lifting.fits import FittedShape
 from f3sr.lifting.hollows import fit_hollow
@@ -17,14 +18,14 @@ from f3sr.lifting.silhouettes import fit_hanging, fit_lying, fit_standing
 from f3sr.lifting.solids import Solid, is_stable
 from f3sr.scene import Instance
 
-PRIOR = {"box": 0.03, "carved box": -0.05, "solid of revolution": 0.02, "bowl or cup": 0.02,
+PRIOR = {"ball": 0.05, "box": 0.03, "carved box": -0.05, "solid of revolution": 0.02, "bowl or cup": 0.02,
          "bowl or cup upside down": -0.02,
          "standing silhouette": -0.01, "lying silhouette": -0.01}  # fmt: skip
 """Gain of 1 - IoU that a family is worth beside others: rigid families fit by chance less."""
 LABELLED = 0.03
 """The same for a family that the label names: a can may be a box."""
-HOLLOW = 0.12
-"""The same for a bowl or cup, which no silhouette tells from a lens."""
+SURE = 0.12
+"""The same for a bowl or cup, which no silhouette tells from a lens, and for a ball: what is round there is known."""
 FLAT_TOP = 0.15
 """Least share of a carrier's outline that its top fills: nothing stays on a peak."""
 ELONGATED = 1.8
@@ -37,7 +38,7 @@ HANGS, ASIDE = 0.4, 0.05
 over."""
 MOST = 0.5
 """Share of an underside that is on the carrier at least."""
-RIGID = ("solid of revolution", "bowl or cup", "bowl or cup upside down", "box")
+RIGID = ("ball", "solid of revolution", "bowl or cup", "bowl or cup upside down", "box")
 """Families that rest upright by their form, though a ball may roll."""
 SPREAD_OUT, FLUNG = 2.5, 0.2
 """What is so many times longer than it looks is laid out by a low camera, which reads metres from few rows; the loss of
@@ -62,8 +63,10 @@ HOLLOWS = {
 WORDS = {
     "box": ("box", "brick", "book", "cube", "crate", "carton", "speaker", "cabinet", "drawer", "block"),
     "bowl or cup": tuple(HOLLOWS),
-    "solid of revolution": ("can", "bottle", "jar", "vase", "lamp", "cylinder", "candle", "ball", "apple", "orange",
-                            "lemon", "peach", "plum", "pear", "strawberry", "tomato"),
+    "ball": ("ball", "baseball", "softball", "basketball", "football", "globe", "marble", "apple", "orange",
+             "tangerine", "grapefruit", "peach", "plum", "nectarine", "onion", "melon"),
+    "solid of revolution": ("can", "bottle", "jar", "vase", "lamp", "cylinder", "candle", "lemon", "pear", "strawberry",
+                            "tomato"),
     "lying silhouette": ("spoon", "fork", "knife", "wrench", "hammer", "screwdriver", "pen", "pencil", "scissors",
                          "banana", "spatula", "remote", "key"),
     "standing silhouette": ("person", "plant", "toy", "doll", "bear", "tree", "lamp"),
@@ -152,6 +155,7 @@ def candidates(label: str, seen: Outlined, floor: float) -> list[FittedShape]:
     """The fit of every family on the height ``floor`` [m]."""
     aspects = [HOLLOWS[word] for word in words_of(label) if word in HOLLOWS]
     found = [
+        fit_ball(seen, floor),
         fit_box(seen, floor),
         fit_carved(seen, floor),
         *(fit_hollow(seen, floor, aspect=aspects[-1], upside_down=over) for over in (False, True) if aspects),
@@ -177,7 +181,7 @@ def _score(fit: FittedShape, label: str, seen: Outlined, *, loaded: bool) -> flo
     score = fit.overlap + PRIOR.get(fit.family, 0.0)
     family = fit.family.removesuffix(" upside down")
     if family in named(label):
-        score += HOLLOW if family == "bowl or cup" else LABELLED
+        score += SURE if family in ("bowl or cup", "ball") else LABELLED
     if (loaded or fit.family not in RIGID) and not is_stable(fit.solid):
         score -= TIPPY
     if loaded and _top_outline(fit.solid) is None:
