@@ -350,6 +350,23 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
     assert isinstance(found, Refusal) and found.reason == "impossible" and "does not fit" in found.message
 
 
+@pytest.mark.parametrize("side", [-1, 1])
+def test_without_a_direction_things_stay_on_the_support_that_the_photo_shows(package: Package, side: int) -> None:
+    camera = package.scene.camera
+    h, w = camera.height, camera.width
+    pixels = np.stack(np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5), -1).reshape(-1, 2)
+    rays = np.column_stack([pixels, np.ones(h * w)]) @ np.linalg.inv(camera.K).T @ camera.T_world_camera[:3, :3].T
+    x = camera.center[0] - camera.center[2] / rays[:, 2] * rays[:, 0]
+    layout = SceneLayout(package.scene)
+    edge = layout.center(CARTON)[0] + side * 0.08
+    mask = ((side * x < side * edge) & (rays[:, 2] < 0)).reshape(h, w)
+    layout = SceneLayout(replace(package.scene, ground_mask=mask))
+    over, back = np.array([side * 1.0, 0, 0]), np.array([-side * 1.0, 0, 0])
+    assert layout.room(CARTON, over, 0.3) < 0.1 and layout.room(CARTON, back, 0.3) > 0.1
+    assert SceneLayout(package.scene).room(CARTON, over, 0.3) > 0.1
+    assert layout.on_support(LID, 5 * over), "what stands on an object is not on the support"
+
+
 @pytest.mark.parametrize(("mass", "possible"), [(20, True), (55, True), (90, False), (400, False)])
 def test_what_is_too_heavy_to_push_is_refused_and_all_else_is_played(
     tmp_path: Path, mass: float, possible: bool

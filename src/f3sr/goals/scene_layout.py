@@ -215,9 +215,25 @@ class SceneLayout:
         """Share of an object's corners that the photo's frame holds when it is shifted (3,)."""
         return self.scene.camera.share_in_frame(self.corners(id) + shift)
 
+    def on_support(self, id: int, shift: Array) -> bool:
+        """Whether an object that stands on the support would stand on what the photo shows of it, shifted by (3,).
+
+        True where that says nothing: without a mask, outside the frame, and for what is not on the mask now."""
+        mask = self.scene.ground_mask
+        if mask is None or self.support(id) != GROUND:
+            return True
+        corners = self.corners(id)
+        foot = corners[corners[:, 2] <= corners[:, 2].min() + 0.02 * np.ptp(corners[:, 2])].mean(0)
+        (now, then), depth = self.scene.camera.project(np.array([foot, foot + shift]))
+        h, w = mask.shape
+        if not ((depth > 0).all() and all(0 <= u < w and 0 <= v < h for u, v in (now, then))):
+            return True
+        return bool(mask[int(then[1]), int(then[0])] or not mask[int(now[1]), int(now[0])])
+
     def room(self, id: int, direction: Array, farthest: float) -> float:
-        """How far [m] an object can go along a direction and stay mostly in the photo's frame, up to a limit."""
+        """How far [m] an object can go along a direction, up to a limit, and stay on what the photo shows of its
+        support, mostly in the frame."""
         steps = np.linspace(0, farthest, 25)
-        seen = [self.in_frame(id, s * direction) >= 0.7 for s in steps]
+        seen = [self.in_frame(id, s * direction) >= 0.7 and self.on_support(id, s * direction) for s in steps]
         first = next((k for k, ok in enumerate(seen) if not ok), len(steps))
         return float(steps[max(first - 1, 0)])

@@ -210,7 +210,8 @@ def _room(meant: Meant, direction: Array, layout: SceneLayout) -> float:
 
 
 def _toppling_side(id: int, layout: SceneLayout) -> Array:
-    """Of 16 directions that over the nearest edge of its base, unless something is there or the photo ends."""
+    """Of 16 directions that over the nearest edge of its base, unless something is there, or the photo or the support
+    ends."""
     height, center = float(np.ptp(layout.span(id)[:, 2])), layout.center(id)
 
     def cost(u: Array) -> float:
@@ -219,7 +220,8 @@ def _toppling_side(id: int, layout: SceneLayout) -> Array:
         edge = float(((base - center) @ u).max())
         free = next((way for way, _ in layout.meets(id, u)), np.inf)
         blocked = max(0.0, 1 - free / max(height, 1e-9))
-        return edge / height + 2 * blocked + (1 - layout.in_frame(id, 0.6 * height * u))
+        fallen = 0.6 * height * u
+        return edge / height + 2 * blocked + (1 - layout.in_frame(id, fallen)) + (not layout.on_support(id, fallen))
 
     angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     return min((np.array([np.cos(a), np.sin(a), 0.0]) for a in angles), key=cost)

@@ -53,10 +53,10 @@ def simulate_goal(package: Package, goal: str, *, language: Language | None = No
 
     Returns a Refusal if the words are not understood or geometry rules the goal out. Otherwise returns the best trial
     of every phase; its verdict says whether it meets the goal. ``language`` answers the three steps (default: rules).
-    Raises PlanError if an answer of it cannot be played, InputError for anything but a package.
+    Raises PlanError if an answer of it cannot be played, InputError for anything but a package or a damaged one.
     """
     _require_package(package)
-    language, scene = language or Rules(), package.scene
+    language, scene = language or Rules(), replace(package.scene, ground_mask=package.support())
     found, ends, rollouts = list[Tried](), list[Scene](), 0
     phases = list[Phase]()
     while True:
