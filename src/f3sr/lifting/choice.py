@@ -18,7 +18,7 @@ from f3sr.lifting.silhouettes import fit_hanging, fit_lying, fit_standing
 from f3sr.lifting.solids import Solid, is_stable
 from f3sr.scene import Instance
 
-PRIOR = {"ball": 0.05, "box": 0.03, "carved box": -0.05, "solid of revolution": 0.02, "bowl or cup": 0.02,
+PRIOR = {"ball": 0.03, "box": 0.03, "carved box": -0.05, "solid of revolution": 0.02, "bowl or cup": 0.02,
          "bowl or cup upside down": -0.02,
          "standing silhouette": -0.01, "lying silhouette": -0.01}  # fmt: skip
 """Gain of 1 - IoU that a family is worth beside others: rigid families fit by chance less."""
@@ -155,7 +155,7 @@ def candidates(label: str, seen: Outlined, floor: float) -> list[FittedShape]:
     """The fit of every family on the height ``floor`` [m]."""
     aspects = [HOLLOWS[word] for word in words_of(label) if word in HOLLOWS]
     found = [
-        fit_ball(seen, floor),
+        fit_ball(seen, floor) if "ball" in named(label) else None,
         fit_box(seen, floor),
         fit_carved(seen, floor),
         *(fit_hollow(seen, floor, aspect=aspects[-1], upside_down=over) for over in (False, True) if aspects),
