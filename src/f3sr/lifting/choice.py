@@ -45,8 +45,6 @@ SPREAD_OUT, FLUNG = 2.5, 0.2
 its score."""
 TIPPY = 0.1
 """Loss of score of a shape that would tip over where it is."""
-PEAKED = 0.1
-"""Loss of score of a shape without a top on which something may stay, where something is over it in the photo."""
 CUT = 0.1
 """Share of the mask's outline on the photo's border from which an object counts as cut."""
 FIXED = ("person", "man", "woman", "child", "people", "tree", "chandelier", "curtain", "window", "door", "wall")
@@ -184,8 +182,6 @@ def _score(fit: FittedShape, label: str, seen: Outlined, *, loaded: bool) -> flo
         score += SURE if family in ("bowl or cup", "ball") else LABELLED
     if (loaded or fit.family not in RIGID) and not is_stable(fit.solid):
         score -= TIPPY
-    if loaded and _top_outline(fit.solid) is None:
-        score -= PEAKED
     if fit.family == "carved box" and seen.solidity > COMPACT_MASK:
         score -= 0.08
     ratio, slant = _elongation(seen)
