@@ -6,6 +6,7 @@ import itertools
 import os
 import shutil
 import signal
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -56,18 +57,33 @@ def names(folder: Path) -> list[str]:
     return sorted(p.name for p in folder.iterdir())
 
 
+PATIENCE = 60
+"""How long a child may take [s]."""
+
+
 def in_child(work: Callable[[], object]) -> int:
-    """Run in a process of its own; its exit code, or the negative number of the signal that ended it."""
-    child = os.fork()
-    if not child:
-        try:
-            work()
-            os._exit(0)
-        except OutputError as error:
-            os._exit(3 if "\n" not in str(error) else 4)
-        finally:
-            os._exit(5)
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    """Run in a process of its own; its exit code, or the negative number of the signal that ended it.
+
+    A fork of a process with threads may inherit a lock that nobody will release: then it is ended and made again."""
+    for _ in range(3):
+        child = os.fork()
+        if not child:
+            try:
+                work()
+                os._exit(0)
+            except OutputError as error:
+                os._exit(3 if "\n" not in str(error) else 4)
+            finally:
+                os._exit(5)
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end:
+            done, status = os.waitpid(child, os.WNOHANG)
+            if done:
+                return os.waitstatus_to_exitcode(status)
+            time.sleep(0.005)
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+    pytest.fail(f"three children took over {PATIENCE} s each")
 
 
 def killed_before(number: int, work: Callable[[], object], calls: tuple[str, ...] = CALLS) -> bool:
