@@ -760,6 +760,23 @@ def test_an_empty_box_is_told_and_can_be_undone(desk: Hands):
     desk.said = [s for s in desk.said if "422" not in s]  # the browser's own note of the refusal
 
 
+def test_a_save_that_fails_is_told_until_something_is_done(desk: Hands, served: Served):
+    desk.drag(RED[:2], RED[2:])
+    desk.settled(1)
+    served.folder.write_text("mine")
+    desk.tab.click("#save")
+    desk.until("document.querySelector('#line').textContent && !document.querySelector('#save').disabled")
+    said = desk.tab.inner_text("#line")
+    desk.tab.wait_for_timeout(1000)
+    assert desk.tab.inner_text("#line") == said and not desk.tab.evaluate("page.done")
+    assert served.folder.read_text() == "mine"
+    served.folder.unlink()
+    desk.tab.click("#save")
+    desk.until("page.done")
+    assert served.ended() == served.folder
+    desk.said = [s for s in desk.said if "Failed to load resource" not in s]  # the browser's own note of the refusal
+
+
 def test_with_a_finger_on_a_phone(phone: Hands, served: Served, tmp_path: Path):
     assert phone.overlaps() == []
     phone.swipe(RED[:2], (70, 90), RED[2:])

@@ -26,6 +26,11 @@ def outline(points: Array) -> Array:
     return np.asarray(ConvexHull(points).equations)
 
 
+def base_of(corners: Array) -> Array:
+    """The lowest of an object's corners (n, 3), within 2 % of its height: generated undersides are not quite level."""
+    return corners[corners[:, 2] <= corners[:, 2].min() + 0.02 * np.ptp(corners[:, 2])]
+
+
 def way_between(a: Array, b: Array, u: Array) -> tuple[float, float]:
     """The interval of shifts along ``u`` (2,) at which the hull of ``a`` (n, 2) overlaps that of ``b`` (m, 2).
 
@@ -222,8 +227,7 @@ class SceneLayout:
         mask = self.scene.ground_mask
         if mask is None or self.support(id) != GROUND:
             return True
-        corners = self.corners(id)
-        foot = corners[corners[:, 2] <= corners[:, 2].min() + 0.02 * np.ptp(corners[:, 2])].mean(0)
+        foot = base_of(self.corners(id)).mean(0)
         (now, then), depth = self.scene.camera.project(np.array([foot, foot + shift]))
         h, w = mask.shape
         if not ((depth > 0).all() and all(0 <= u < w and 0 <= v < h for u, v in (now, then))):

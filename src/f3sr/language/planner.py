@@ -12,7 +12,7 @@ from f3sr.goals.language_protocol import Planned
 from f3sr.goals.launch_limits import limits_of
 from f3sr.goals.plan import Kind, TaskSpec, Upright
 from f3sr.goals.refusal import NotUnderstoodError, Refusal, refuse
-from f3sr.goals.scene_layout import SceneLayout
+from f3sr.goals.scene_layout import SceneLayout, base_of
 from f3sr.language import success_conditions
 from f3sr.language.feasibility import check_possible
 from f3sr.language.grammar.lexicon import Direction
@@ -213,10 +213,9 @@ def _toppling_side(id: int, layout: SceneLayout) -> Array:
     """Of 16 directions that over the nearest edge of its base, unless something is there, or the photo or the support
     ends."""
     height, center = float(np.ptp(layout.span(id)[:, 2])), layout.center(id)
+    base = base_of(layout.corners(id))
 
     def cost(u: Array) -> float:
-        corners = layout.corners(id)
-        base = corners[corners[:, 2] <= corners[:, 2].min() + 0.02 * height]
         edge = float(((base - center) @ u).max())
         free = next((way for way, _ in layout.meets(id, u)), np.inf)
         blocked = max(0.0, 1 - free / max(height, 1e-9))

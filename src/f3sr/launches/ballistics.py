@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from f3sr.core.transforms import Array
+from f3sr.goals.scene_layout import base_of
 from f3sr.scene import GRAVITY
 
 
@@ -39,8 +40,7 @@ def topple(
     horizontal unit vector. The energy is I w^2 / 2 = m g (|r| - r_z). I is the inertia about the edge, and r the arm
     from the edge to the centre, normal to the edge.
     """
-    # The lowest 2 % of its height are its base: generated undersides are not quite level.
-    base = corners[corners[:, 2] <= corners[:, 2].min() + 0.02 * np.ptp(corners[:, 2])]
+    base = base_of(corners)
     axis = np.cross([0.0, 0.0, 1.0], toward)
     edge = base[int(np.argmax(base @ toward))]
     arm = center - edge

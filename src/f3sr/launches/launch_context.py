@@ -39,6 +39,8 @@ STANDS = 0.9
 """Share of the angle of tipping by friction up to which something is pushed at any pace."""
 CALM = 0.75
 """Share of the speed that tips something over at which it is pushed otherwise."""
+SPARE = 0.02
+"""Share of the largest force that is left to bring something to its pace, however much its friction takes."""
 LOADED = 1.05
 """Ratio of mass with what lies on it to its own from which on something is pushed with its load, not struck,"""
 CARRIES = 0.8
@@ -237,7 +239,7 @@ class LaunchContext:
         far = max(far, 1e-3)
         pace = max(pace, far / LONGEST_PUSH)
         a, mass, seconds = self.drag, self.layout.loaded_mass(self.active), far / max(pace, 0.05) + 2.5
-        spare = max(self.limits.force - mass * a, 0.02 * self.limits.force)
+        spare = max(self.limits.force - mass * a, SPARE * self.limits.force)
         pace = min(pace, math.sqrt(2 * a * far), min(self.limits.force / 2, spare) * RAMP / mass)
         if mass > LOADED * self.layout.mass(self.active):
             pace = min(pace, CARRIES * a * RAMP, a * (math.sqrt((RAMP / 2) ** 2 + 2 * far / a) - RAMP / 2))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -69,5 +70,4 @@ def _sphere(centre: Array, radius: float) -> Solid:
     polar = np.linspace(0, np.pi, RINGS + 1)
     profile = radius * np.column_stack([np.sin(polar), 1 - np.cos(polar)])
     profile[[0, -1], 0] = 0.0
-    made = revolved(centre - [0, 0, radius], profile)
-    return Solid(vertices=made.vertices, faces=made.faces, symmetry="round")
+    return replace(revolved(centre - [0, 0, radius], profile), symmetry="round")

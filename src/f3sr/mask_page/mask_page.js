@@ -507,9 +507,10 @@
     } catch (error) {
       $("save").textContent = "Save";
       closing = false;
-      ask();
+      const behind = answered !== revision; // drawn while it was saved
       show();
       refused(error);
+      if (behind) ask();
     }
   });
   let sure = 0;

@@ -18,6 +18,9 @@ from f3sr.vision.rasterizer import THREADS, in_bands
 FARTHEST = 15.0
 """Half the squared standard errors from which on a segment does not follow a direction: exp(-15) is 3e-7."""
 
+LEANS = np.array([[0.0, 0.0], [1.5, 0], [-1.5, 0], [0, 1.5], [0, -1.5]])
+"""Tilts of an object that are weighed, about the two horizontal axes [standard deviations]."""
+
 
 @constants
 class DirectionModel:
@@ -79,35 +82,21 @@ def log_likelihoods(
     ``focals`` (t,) [px]; ``rotations`` (t, 3, 3) hold the world's right, forward and up in camera axes, as columns.
     Each group has its best horizontal direction of those ``step`` [rad] apart, and each object its own tilt, which is
     summed over. ``blur`` [rad] widens each direction: then a coarse search misses none. It stands for tilts too."""
-    turns = np.arange(0, np.pi / 2, step)
-    leans, shares = _leans(0.0 if blur else model.lean)
     out = np.zeros((len(focals), found.groups))
+    if not len(found.sigmas):
+        return out
+    angles = np.arange(0, np.pi / 2, step)
+    turns = np.column_stack([np.cos(angles), np.sin(angles)])
+    segments = found.directions, found.middles, np.hypot(found.sigmas, blur), found.group, found.objects
+    cameras = np.ascontiguousarray(rotations), focals
+    leans, lean_shares = _leans(0.0 if blur else model.lean)
+    shares = np.array([model.strange, model.vertical])
 
     def sum_groups(band: tuple[int, int]) -> None:
-        _sum_groups(
-            found.directions,
-            found.middles,
-            sigmas,
-            found.group,
-            found.objects,
-            np.ascontiguousarray(rotations),
-            focals,
-            np.column_stack([np.cos(turns), np.sin(turns)]),
-            leans,
-            shares,
-            np.array([model.strange, model.vertical, model.weight]),
-            *band,
-            out,
-        )
+        _sum_groups(*segments, *cameras, turns, leans, lean_shares, shares, model.weight, *band, out)
 
-    if len(found.sigmas):
-        sigmas = np.hypot(found.sigmas, blur)
-        in_bands(sum_groups, (0, len(focals)), THREADS)
+    in_bands(sum_groups, (0, len(focals)), THREADS)
     return out
-
-
-LEANS = np.array([[0.0, 0.0], [1.5, 0], [-1.5, 0], [0, 1.5], [0, -1.5]])
-"""Tilts of an object that are weighed, about the two horizontal axes [standard deviations]."""
 
 
 def _leans(sigma: float) -> tuple[Array, Array]:
@@ -138,6 +127,7 @@ def _sum_groups(
     leans: Array,
     lean_shares: Array,
     shares: Array,
+    weight: float,
     first: int,
     stop: int,
     out: Array,
@@ -170,18 +160,12 @@ def _sum_groups(
                     both += _bell(off[1] * c - off[0] * n, along[1] * c - along[0] * n, curve)
                     total[group[s], j] += math.log((base + each * height * both) / strange) if both > 0 else neither
             for g in range(groups):
-                best[lean, g] = -np.inf
-                for j in range(len(turns)):
-                    best[lean, g] = max(best[lean, g], shares[2] * total[g, j])
+                best[lean, g] = weight * total[g].max()
         for g in range(groups):
             out[t, g] = best[0, g]
             if g < objects:
-                highest, sum = -np.inf, 0.0
-                for lean in range(len(leans)):
-                    highest = max(highest, best[lean, g])
-                for lean in range(len(leans)):
-                    sum += lean_shares[lean] * math.exp(best[lean, g] - highest)
-                out[t, g] = highest + math.log(sum)
+                highest = best[:, g].max()
+                out[t, g] = highest + math.log((lean_shares * np.exp(best[:, g] - highest)).sum())
 
 
 @inner_kernel
