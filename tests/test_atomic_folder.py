@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import faulthandler
 import itertools
 import os
 import shutil
 import signal
+import tempfile
 import time
+import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -64,25 +67,30 @@ PATIENCE = 60
 def in_child(work: Callable[[], object]) -> int:
     """Run in a process of its own; its exit code, or the negative number of the signal that ended it.
 
-    A fork of a process with threads may inherit a lock that nobody will release: then it is ended and made again."""
+    A fork of a process with threads may inherit a lock that nobody will release. Such a child is ended and made again,
+    with a warning that shows where it stood."""
     for _ in range(3):
-        child = os.fork()
-        if not child:
-            try:
-                work()
-                os._exit(0)
-            except OutputError as error:
-                os._exit(3 if "\n" not in str(error) else 4)
-            finally:
-                os._exit(5)
-        end = time.monotonic() + PATIENCE
-        while time.monotonic() < end:
-            done, status = os.waitpid(child, os.WNOHANG)
-            if done:
-                return os.waitstatus_to_exitcode(status)
-            time.sleep(0.005)
-        os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
+        with tempfile.TemporaryFile("w+") as stood:
+            child = os.fork()
+            if not child:
+                faulthandler.dump_traceback_later(PATIENCE - 5, file=stood)
+                try:
+                    work()
+                    os._exit(0)
+                except OutputError as error:
+                    os._exit(3 if "\n" not in str(error) else 4)
+                finally:
+                    os._exit(5)
+            end = time.monotonic() + PATIENCE
+            while time.monotonic() < end:
+                done, status = os.waitpid(child, os.WNOHANG)
+                if done:
+                    return os.waitstatus_to_exitcode(status)
+                time.sleep(0.005)
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+            stood.seek(0)
+            warnings.warn(f"a child took over {PATIENCE} s:\n{stood.read()}", stacklevel=2)
     pytest.fail(f"three children took over {PATIENCE} s each")
 
 
