@@ -10,12 +10,13 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 import f3sr
+from f3sr.backends.model_choice import ModelChoice, Need
 from f3sr.backends.protocols import EstimatedGeometry, GeneratedAsset
 from f3sr.backends.registry import Backend, BackendError, Kind
 from f3sr.cli.main import main
@@ -115,6 +116,43 @@ def voices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     place = tmp_path / "site"
     install(place, monkeypatch, module="foreign_voices", source=SOURCE, points={"f3sr.test": points}, version="2.5")
     return place
+
+
+class Modelled(Own):
+    """An implementation that runs weights, on which it lacks something."""
+
+    takes_model = True
+
+    def __init__(self, choice: ModelChoice) -> None:
+        self.choice = choice
+        self.provenance = {"weights": choice.model, "licence": "", "device": choice.device}
+
+    def say(self, word: str) -> str:
+        return word
+
+    def needs(self) -> tuple[Need, ...]:
+        return (Need(what="weights", met=False, found="none", remedy="put them there"),)
+
+
+MODELLED = replace(KIND, built_in={"own": "test_backends:Own", "modelled": "test_backends:Modelled"})
+
+
+def test_a_model_is_named_after_a_colon_and_told_with_its_back_end():
+    backend = MODELLED.find("modelled:hub/name:latest", ModelChoice(device="cpu", allow_downloads=True))
+    assert isinstance(made := cast(object, backend.made), Modelled)
+    assert made.choice == ModelChoice(model="hub/name:latest", device="cpu", allow_downloads=True)
+    assert backend.told == f"modelled {f3sr.__version__} (weights hub/name:latest, device cpu)"
+    assert MODELLED.find("own").told == f"own {f3sr.__version__}"
+
+
+def test_a_back_end_without_a_model_takes_none():
+    with pytest.raises(InputError, match="own:hub/name; accepted: own without a model"):
+        MODELLED.find("own:hub/name")
+
+
+def test_examining_tells_what_a_back_end_needs():
+    (need,) = next(found for found in MODELLED.examined() if found.name == "modelled").needs
+    assert (need.met, need.remedy) == (False, "put them there")
 
 
 def test_built_in_and_foreign_names_are_found(voices: Path):

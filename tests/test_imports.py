@@ -48,6 +48,8 @@ FLOORS = (
     ("settings", "runtime", "backends"),
     ("physics", "io", "models"),
     ("vision",),
+    ("neural", "hosted", "mesh_poses"),
+    ("generators",),
     ("contact", "background", "exporters", "web", "metrology", "lifting", "segmentation"),
     ("metrics", "proxies", "rendering", "scene_package", "mask_page"),
     ("goals", "uncertainty"),

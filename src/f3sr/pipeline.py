@@ -244,7 +244,7 @@ def _named(inputs: Inputs, background: Backend[BackgroundCompleter] | None) -> d
     """For the provenance: the back ends that answered, where there are any."""
     names = dict[str, JsonValue](inputs.fillers)
     if background and inputs.background is None:
-        names[background.kind] = f"{background.name} {background.version}"
+        names[background.kind] = background.told
     return {"backends": names} if names else {}
 
 

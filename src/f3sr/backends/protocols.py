@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,6 +73,36 @@ class Segmenter(Protocol):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class Detection:
+    """An object of a photo that words name."""
+
+    label: str
+    """The phrase that was asked for."""
+    score: float
+    """Confidence from 0 to 1."""
+    box: tuple[float, float, float, float]
+    """Left, top, right, bottom [px]."""
+    mask: NDArray[np.bool_] | None = None
+    """(H, W), where the model gives masks too."""
+
+
+class Detector(Protocol):
+    """Words to objects, for ``--segment``."""
+
+    def detect(self, photo: Photo, phrases: Sequence[str]) -> Sequence[Detection]:
+        """What the phrases name, in any order and number; none where nothing is found."""
+        ...
+
+
+class GroundSegmenter(Protocol):
+    """The visible support surface of a photo."""
+
+    def ground(self, photo: Photo) -> NDArray[np.bool_]:
+        """(H, W); objects may be in it."""
+        ...
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class EstimatedGeometry:
     """``points`` (h, w, 3) float [m] in the camera frame, meaningful where ``valid`` (h, w) bool; h, w need not be the
     photo's. ``K`` (3, 3) in pixels of the photo; ``normals`` (h, w, 3) unit vectors or None."""
@@ -109,6 +139,40 @@ class GeneratedAsset:
     """Why physics must not move it; empty where it may."""
     lifted: bool = False
     """Whether it was made from its own mask, upright on its support: the mask then tells nothing of its tilt."""
+
+
+Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ReadPose:
+    """One reading of the pose that a producer gives: ``x_camera = T_camera_mesh (scale x)``, T (4, 4) rigid [m]."""
+
+    reading: str
+    """The convention that was assumed, as "quaternion wxyz, PyTorch3D camera"."""
+    T_camera_mesh: Array
+    scale: float
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ProducedMesh:
+    """A mesh as a generator leaves it, in the axes of its file, with what is told of its place."""
+
+    mesh: Mesh
+    up: Axis | None = None
+    """The axis of the file that points up; None where nobody tells."""
+    poses: tuple[ReadPose, ...] = ()
+    """Readings of its pose, the likeliest first; none where it has no pose. Masks decide between them."""
+    told: str = ""
+    """Model, revision and licence, for the report."""
+
+
+class MeshProducer(Protocol):
+    """A mesh for every mask, without an agreed frame: ``mesh_poses/`` finds where each stands in the photo."""
+
+    def produce(self, image: PromptedImage, geometry: Geometry, K: Array) -> Mapping[int, ProducedMesh]:
+        """One mesh per instance, by its id. ``K`` (3, 3) in pixels of the photo."""
+        ...
 
 
 class AssetGenerator(Protocol):

@@ -1,20 +1,23 @@
 """Implementations by kind and name: built-in ones from a table, third parties' from entry points, imported on use.
 
 A third party's package declares ``[project.entry-points."f3sr.KIND"] NAME = "module:attribute"``. The attribute is
-called without arguments and returns the implementation. What one package does wrong breaks no other name.
+called without arguments and returns the implementation. Where it has a true ``takes_model``, it is called with a
+ModelChoice: such an implementation is asked for as ``NAME`` or ``NAME:MODEL``. What one package does wrong breaks no
+other name.
 """
 
 from __future__ import annotations
 
 import hashlib
 import inspect
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
 import f3sr
+from f3sr.backends.model_choice import ModelChoice, Need
 from f3sr.errors import F3srError, InputError, one_line, unforeseen
 
 P = TypeVar("P")
@@ -39,6 +42,14 @@ class Backend(Generic[P]):
         return f"{self.kind} back end {self.name} {self.version}"
 
     @property
+    def told(self) -> str:
+        """Name and version, and what the implementation tells of its model: weights, revision, licence, device."""
+        provenance: object = getattr(self.made, "provenance", None)
+        facts = provenance if isinstance(provenance, Mapping) else dict[str, str]()
+        more = ", ".join(f"{name} {value}" for name, value in facts.items() if value)
+        return one_line(f"{self.name} {self.version}{more and f' ({more})'}")
+
+    @property
     def key(self) -> str:
         """For stored results: another version, or another source file of the implementation, is another key."""
         try:
@@ -59,11 +70,14 @@ class Backend(Generic[P]):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Found:
-    """One offered implementation: its name, its source and its problem. An empty ``problem`` means that it loads."""
+    """One offered implementation: its name, its source and its problem. An empty ``problem`` means that it loads.
+
+    ``needs`` are what it cannot answer without: packages, weights, a device, a key."""
 
     name: str
     source: str
     problem: str = ""
+    needs: tuple[Need, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -80,11 +94,14 @@ class Kind(Generic[P]):
     def group(self) -> str:
         return f"f3sr.{self.name}"
 
-    def find(self, name: str) -> Backend[P]:
-        """The implementation of that name.
+    def find(self, spec: str, choice: ModelChoice | None = None) -> Backend[P]:
+        """The implementation of ``NAME`` or ``NAME:MODEL``; the choice tells device, precision and downloads.
 
         Raises InputError where the name has none or several, BackendError where it cannot be imported or
         constructed, or lacks a method of the Protocol."""
+        known = self.names()
+        name, _, model = (spec, "", "") if spec in known else spec.partition(":")
+        choice = replace(choice or ModelChoice(), model=model)
         offers = [offer for offer in self._offers() if offer.name == name]
         if not offers:
             raise self._unknown(name)
@@ -94,7 +111,7 @@ class Kind(Generic[P]):
                 found=f"{name} from {' and from '.join(offer.source for offer in offers)}",
                 accepted="one of a name: uninstall the other, or ask its authors for another name",
             )
-        return self._loaded(offers[0])
+        return self._loaded(offers[0], choice)
 
     def examined(self) -> Iterator[Found]:
         """Every name, each tried out."""
@@ -103,11 +120,15 @@ class Kind(Generic[P]):
             try:
                 if offer.problem:
                     raise BackendError(offer.problem)
-                self.find(offer.name)
+                made = self.find(offer.name).made
+                ask: Callable[[], Sequence[Need]] = getattr(made, "needs", tuple)
+                needs = tuple(ask())
             except F3srError as error:
                 yield Found(name=offer.name, source=offer.source, problem=str(error))
+            except Exception as error:  # others' code may raise anything
+                yield Found(name=offer.name, source=offer.source, problem=unforeseen(error, "its needs are unknown"))
             else:
-                yield Found(name=offer.name, source=offer.source)
+                yield Found(name=offer.name, source=offer.source, needs=needs)
 
     def names(self) -> list[str]:
         """All names, sorted, whether they can be loaded or not."""
@@ -127,10 +148,15 @@ class Kind(Generic[P]):
             accepted=f"{known}; a package with an entry point in the group {self.group} adds one (docs: contributing)",
         )
 
-    def _loaded(self, offer: _Offer) -> Backend[P]:
+    def _loaded(self, offer: _Offer, choice: ModelChoice) -> Backend[P]:
         what = f"{self.name} back end {offer.name} from {offer.source}"
         try:
-            made = offer.load()()
+            maker = offer.load()
+            takes_model = getattr(maker, "takes_model", False) is True
+            if choice.model and not takes_model:
+                accepted = f"{offer.name} without a model"
+                raise InputError(f"{self.name} back end", found=f"{offer.name}:{choice.model}", accepted=accepted)
+            made = maker(choice) if takes_model else maker()
             missing = self._missing(made)
         except F3srError:
             raise

@@ -18,6 +18,7 @@ import numpy as np
 
 import f3sr
 from f3sr.backends.kinds import SCENE_GRAPHERS
+from f3sr.backends.model_choice import Need
 from f3sr.backends.registry import Kind
 from f3sr.background.completers import BACKGROUND_COMPLETERS
 from f3sr.core.mesh import ConvexPart, Mesh
@@ -127,9 +128,15 @@ def _backends() -> Iterator[Check]:
         if not offers:
             yield Check(group=kind.group, name="none", state="optional", found="no package that adds one is installed")
         for offer in offers:
-            state: State = "broken" if offer.problem else "ok"
-            found = offer.problem or f"from {offer.source}"
+            missing = [need for need in offer.needs if not need.met]
+            state: State = "broken" if offer.problem else "optional" if missing else "ok"
+            found = offer.problem or f"from {offer.source}{''.join(map(_told, missing or offer.needs))}"
             yield Check(group=kind.group, name=printable(offer.name) or "unreadable", state=state, found=found)
+
+
+def _told(need: Need) -> str:
+    """One need, and the command that helps where it is not met."""
+    return f"; {need.what}: {need.found}{'' if need.met or not need.remedy else f', {need.remedy}'}"
 
 
 def _tried(group: str, name: str, probe: Callable[[], str]) -> Check:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Self, TypeVar
+from typing import Annotated, Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,7 +94,7 @@ class Inputs:
     """Physical properties that materials.json gives, by object id."""
     asset_frame: str = "auto"
     fillers: Mapping[str, str] = field(default_factory=dict[str, str])
-    """Back ends that made what the folder lacks, by kind: name and version."""
+    """Back ends that made what the folder lacks, by kind: name, version and model."""
 
     def __repr__(self) -> str:
         count = len(self.instances)
@@ -172,7 +172,7 @@ def read(
         decisions=tuple(source.decisions),
         digests=dict(sorted(source.digests.items())),
         asset_frame=asset_frame,
-        fillers=parts.used,
+        fillers={kind: backend.told for kind, backend in parts.used.items()},
     )
 
 
@@ -195,7 +195,7 @@ class _Parts:
     fillers: Fillers
     stand_ins: Fillers
     hints: PhotoHints = field(default_factory=PhotoHints)
-    used: dict[str, str] = field(default_factory=dict[str, str])
+    used: dict[str, Backend[Any]] = field(default_factory=dict[str, Backend[Any]])
 
     def has(self, part: str, *names: str) -> bool:
         return part not in self.ignore and any(map(self.folder.has, names))
@@ -211,7 +211,7 @@ class _Parts:
         except NoAnswerError as error:
             self.folder.decide(f"labels: {len(unnamed)} objects have none", str(error), fallback=True)
             return instances
-        self.used[backend.kind] = f"{backend.name} {backend.version}"
+        self.used[backend.kind] = backend
         return tuple(replace(i, label=labels.get(i.id, i.label)) for i in instances)
 
     def ground_mask(self, photo: Photo, instances: Sequence[Instance]) -> NDArray[np.bool_] | None:
@@ -307,7 +307,7 @@ class _Parts:
 
     def _standing_in(self, backend: Backend[P]) -> Backend[P]:
         """The back end, named among those that were used."""
-        self.used[backend.kind] = f"{backend.name} {backend.version}"
+        self.used[backend.kind] = backend
         return backend
 
 
