@@ -9,22 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.backends.protocols import GeneratedAsset, PromptedImage
-from f3sr.core.camera import Camera
-from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose, rotation_between
+from f3sr.core.transforms import Array, pose
 from f3sr.lifting.choice import Choice, carries, choose
 from f3sr.lifting.image_supports import below
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.texture import textured
 from f3sr.scene import GROUND, Geometry, Instance
-from f3sr.vision.ground_plane import fit_plane
+from f3sr.vision.ground_camera import camera_over_ground
 
-TOLERANCE = 0.01
-"""Largest distance of a ground point from the ground plane [share of its median depth]."""
-LOWER = 0.4
-"""Share of the geometry from below that is searched for ground where none is outlined."""
 FAR = 2.5
 """Distance of a hanging thing [camera heights] where nothing else is seen."""
-SEED = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,21 +53,6 @@ class LiftedAssets:
                 mesh=mesh, T_camera_object=T_camera_object, told=found.told, fixed=found.fixed, lifted=True
             )
         return {i.id: made[i.id] for i in image.instances}
-
-
-def camera_over_ground(image: PromptedImage, geometry: Geometry, K: Array) -> Camera:
-    """The photo's camera in a world whose z = 0 is the ground, below the camera's centre [m]."""
-    region = image.ground_mask
-    if region is None or not geometry.inside(region).any():
-        region = np.zeros((image.photo.height, image.photo.width), bool)
-        region[round((1 - LOWER) * image.photo.height) :] = True
-        region &= ~np.any([i.mask for i in image.instances], axis=0)
-    points = geometry.points[geometry.inside(region)].astype(float)
-    tolerance = TOLERANCE * float(np.median(points[:, 2]))
-    plane = fit_plane(points, np.random.default_rng(SEED), tolerance)
-    R = rotation_between(T_UP_FROM_CAMERA[:3, :3] @ plane.normal, [0, 0, 1]) @ T_UP_FROM_CAMERA[:3, :3]
-    T_world_camera = pose(R, [0, 0, -plane.offset])
-    return Camera(width=image.photo.width, height=image.photo.height, K=K, T_world_camera=T_world_camera)
 
 
 def _from_below(instances: tuple[Instance, ...], under: Mapping[int, int]) -> list[Instance]:

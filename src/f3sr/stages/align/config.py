@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Interval
 
+from f3sr.mesh_poses.orientations import OrientationConfig
 from f3sr.settings import constants, settings
 
 
@@ -73,39 +74,6 @@ class AppearanceConfig:
     """Least gain of correlation for a turn to be tried."""
     loss: float = 0.005
     """Largest loss of IoU for a better correlation."""
-
-
-@constants
-class OrientationConfig:
-    """The global search of an object that misses its mask: all yaws, as it came and upside down."""
-
-    enabled: bool = True
-    """Search."""
-    enough: float = 0.965
-    """IoU with the valid mask from which on no other orientation is sought."""
-    share: float = 0.9
-    """Of what an object misses (of its mask, the photo's detail and the geometry's depths), the most that it may still
-    miss in another orientation. Meshes are wrong themselves, and most come right to ten degrees."""
-    detail: float = 0.3
-    """Weight of the photo's detail, 1 - correlation, in what it misses; the mask's, 1 - IoU, weighs 1."""
-    depth: float = 2.0
-    """Weight of the spread of depth [share of the distance] in that."""
-    step: float = math.radians(15)
-    """Step between yaws [rad]; the refinement corrects half of it."""
-    facet: float = math.radians(45)
-    """Largest turn from an end of a principal axis onto a stable facet [rad]."""
-    iterations: int = 6
-    """Most steps in which the silhouette of one that fits better than its neighbours is refined."""
-    compared: int = 6
-    """Orientations that are then compared at full resolution, the best first."""
-    detailed: int = 3
-    """Of these, the most that are refined by the photo's detail too."""
-    slack: float = 0.02
-    """How much more of mask and depth than before these may miss."""
-    max_faces: int = 1_000
-    """Most faces of a mesh in the search."""
-    resolution: int = 128
-    """Longer side [px] of the window in the search."""
 
 
 @constants

@@ -14,10 +14,10 @@ import numpy as np
 from f3sr.core.levenberg_marquardt import Local
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import UP, Array, pose, rotation_about, turn_about
+from f3sr.mesh_poses.orientations import Orientation, best_orientations, facet_turn
 from f3sr.report import Decision, keep_better
 from f3sr.scene import Scene, SceneObject
 from f3sr.stages.align.config import AlignConfig
-from f3sr.stages.align.orientations import Orientation, best_orientations, facet_turn
 from f3sr.vision import rasterizer
 from f3sr.vision.crop import sampled, window_around
 from f3sr.vision.decimated import outlined
@@ -306,12 +306,13 @@ class _Scores:
     @property
     def shape(self) -> float:
         """How far mask and depth are from those of a perfect mesh."""
-        return 1 - self.iou + self.config.orientations.depth * self.spread
+        return self.config.orientations.missed(self.iou, self.spread)
 
     @property
     def miss(self) -> float:
         """How far all three are from a perfect mesh's."""
-        return self.shape + (self.config.orientations.detail * (1 - self.correlation) if self.has_detail else 0)
+        correlation = self.correlation if self.has_detail else None
+        return self.config.orientations.missed(self.iou, self.spread, correlation)
 
     def agrees(self, before: _Scores) -> bool:
         """Whether depths spread about the geometry's no more than ``before``, or no more than its noise may."""

@@ -15,19 +15,59 @@ from f3sr.contact.stable_facets import resting_turn
 from f3sr.core.mesh import mass_properties
 from f3sr.core.transforms import UP, Array, rotation_about, rotation_between, turn_about
 from f3sr.scene import SceneObject
-from f3sr.stages.align.config import OrientationConfig
+from f3sr.settings import constants
 from f3sr.vision.photometric import principal_axes
 from f3sr.vision.silhouette_fit import EVERYTHING, ObjectFit
+
+
+@constants
+class OrientationConfig:
+    """The global search of an object that misses its mask: all yaws, as it came and upside down."""
+
+    enabled: bool = True
+    """Search."""
+    enough: float = 0.965
+    """IoU with the valid mask from which on no other orientation is sought."""
+    share: float = 0.9
+    """Of what an object misses (of its mask, the photo's detail and the geometry's depths), the most that it may still
+    miss in another orientation. Meshes are wrong themselves, and most come right to ten degrees."""
+    detail: float = 0.3
+    """Weight of the photo's detail, 1 - correlation, in what it misses; the mask's, 1 - IoU, weighs 1."""
+    depth: float = 2.0
+    """Weight of the spread of depth [share of the distance] in that."""
+    step: float = math.radians(15)
+    """Step between yaws [rad]; the refinement corrects half of it."""
+    facet: float = math.radians(45)
+    """Largest turn from an end of a principal axis onto a stable facet [rad]."""
+    iterations: int = 6
+    """Most steps in which the silhouette of one that fits better than its neighbours is refined."""
+    compared: int = 6
+    """Orientations that are then compared at full resolution, the best first."""
+    detailed: int = 3
+    """Of these, the most that are refined by the photo's detail too."""
+    slack: float = 0.02
+    """How much more of mask and depth than before these may miss."""
+    max_faces: int = 1_000
+    """Most faces of a mesh in the search."""
+    resolution: int = 128
+    """Longer side [px] of the window in the search."""
+
+    def missed(self, iou: float, spread: float, correlation: float | None = None) -> float:
+        """How far mask, depth and detail are from those of a perfect mesh in its place: 0 is perfect.
+
+        ``spread`` of the depths is a share of the distance; ``correlation`` is None where there is no detail."""
+        return 1 - iou + self.depth * spread + (0.0 if correlation is None else self.detail * (1 - correlation))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Orientation:
     """An object turned by ``T`` (4, 4) about its middle in the world; ``u`` (6,) is where its silhouette then fits,
-    with the loss ``value``."""
+    with the loss ``value``. ``side`` counts what faces down; 0 is as it came."""
 
     T: Array
     u: Array
     value: float
+    side: int = 0
 
 
 def best_orientations(o: SceneObject, fit: ObjectFit, config: OrientationConfig) -> list[Orientation]:
@@ -35,16 +75,22 @@ def best_orientations(o: SceneObject, fit: ObjectFit, config: OrientationConfig)
 
     ``fit`` is the object's, and should be a light one: some hundred silhouettes are compared.
     """
-    count = max(1, round(2 * math.pi / config.step))
-    yaws = [rotation_about(UP, 2 * math.pi * k / count) for k in range(count)]
-    rings = [[_tried(o, fit, yaw @ side) for yaw in yaws] for side in _sides(o, config)]
     lowest = [
         found
-        for ring in rings
+        for ring in tried_orientations(o, fit, config)
         for k, found in enumerate(ring)
-        if found.value <= min(ring[k - 1].value, ring[(k + 1) % count].value)
+        if found.value <= min(ring[k - 1].value, ring[(k + 1) % len(ring)].value)
     ]
     return sorted((_refined(fit, f, config) for f in lowest), key=lambda f: f.value)[: config.compared]
+
+
+def tried_orientations(o: SceneObject, fit: ObjectFit, config: OrientationConfig) -> list[list[Orientation]]:
+    """All yaws of an object, a ring for each side that may face down, the first as it came.
+
+    Each has the shift and scale that fit its mask in closed form."""
+    count = max(1, round(2 * math.pi / config.step))
+    yaws = [rotation_about(UP, 2 * math.pi * k / count) for k in range(count)]
+    return [[_tried(o, fit, yaw @ R, side) for yaw in yaws] for side, R in enumerate(_sides(o, config))]
 
 
 def facet_turn(o: SceneObject, most: float) -> Array | None:
@@ -72,11 +118,11 @@ def _sides(o: SceneObject, config: OrientationConfig) -> list[Array]:
     return found
 
 
-def _tried(o: SceneObject, fit: ObjectFit, R: Array) -> Orientation:
+def _tried(o: SceneObject, fit: ObjectFit, R: Array, side: int) -> Orientation:
     T = turn_about(o.bounds_world.mean(0), R)
     turned = _turned(fit, T)
     u = turned.seed(0.0)
-    return Orientation(T=T, u=u, value=turned.value(u))
+    return Orientation(T=T, u=u, value=turned.value(u), side=side)
 
 
 def _refined(fit: ObjectFit, found: Orientation, config: OrientationConfig) -> Orientation:

@@ -1,0 +1,33 @@
+"""A producer of meshes as an asset generator: what it makes stands where the masks put it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from f3sr.backends.model_choice import Need
+from f3sr.backends.protocols import GeneratedAsset, MeshProducer, PromptedImage
+from f3sr.core.transforms import Array
+from f3sr.mesh_poses.posed_meshes import posed_meshes
+from f3sr.scene import Geometry
+
+
+@dataclass(frozen=True, eq=False)
+class PosedAssets:
+    """The AssetGenerator of a MeshProducer."""
+
+    producer: MeshProducer
+
+    def generate(self, image: PromptedImage, geometry: Geometry, K: Array) -> Mapping[int, GeneratedAsset]:
+        """Assets by id, each with what its producer tells. ``K`` (3, 3) in pixels of the photo."""
+        return posed_meshes(image, geometry, K, self.producer.produce(image, geometry, K))
+
+    @property
+    def provenance(self) -> Mapping[str, str]:
+        """What the producer tells of its model."""
+        return getattr(self.producer, "provenance", {})
+
+    def needs(self) -> tuple[Need, ...]:
+        """What the producer cannot answer without."""
+        ask = getattr(self.producer, "needs", tuple)
+        return tuple(ask())
