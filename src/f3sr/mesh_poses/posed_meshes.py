@@ -83,7 +83,9 @@ def asset_of(view: MaskedPhoto, o: SceneObject, told: str) -> GeneratedAsset:
     return GeneratedAsset(mesh=o.mesh, T_camera_object=T, scale=o.scale, told=told)
 
 
-def _by_masks(view: MaskedPhoto, meshes: Mapping[int, ProducedMesh], search: PoseSearchConfig) -> Mapping[int, _Placed]:
+def _by_masks(
+    view: MaskedPhoto, meshes: Mapping[int, ProducedMesh], search: PoseSearchConfig
+) -> Mapping[int, _RankedPoses]:
     """Poses by masks, in two rounds: the second knows which objects hide which."""
     placed = {
         id: _placed(PoseSearch(mesh=meshes[id].mesh, instance=i, view=view, config=search), meshes[id])
@@ -105,7 +107,7 @@ def _by_masks(view: MaskedPhoto, meshes: Mapping[int, ProducedMesh], search: Pos
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class _Placed:
+class _RankedPoses:
     """Poses of one object, best first; ``up`` is the axis of its file that they have upright."""
 
     poses: tuple[FoundPose, ...]
@@ -129,10 +131,10 @@ class _Placed:
         return told
 
 
-def _placed(search: PoseSearch, produced: ProducedMesh) -> _Placed:
+def _placed(search: PoseSearch, produced: ProducedMesh) -> _RankedPoses:
     """The best poses over the axes that may point up."""
     ups = (produced.up,) if produced.up else USUAL_UPS
-    tried = [_Placed(poses=tuple(replace(search, mesh=upright(produced.mesh, up)).found()), up=up) for up in ups]
+    tried = [_RankedPoses(poses=tuple(replace(search, mesh=upright(produced.mesh, up)).found()), up=up) for up in ups]
     return min(tried, key=lambda p: p.best.missed)
 
 
