@@ -8,17 +8,54 @@ so in column form the rotation is R(q)^T. Hence ``p_opencv = s F R(q)^T A v_glb 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from itertools import product
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator
 
-from f3sr.core.transforms import Array, rotation_from_quaternion
+from f3sr.backends.protocols import ReadPose
+from f3sr.core.transforms import Array, pose, rotation_from_quaternion
 
 LOCAL_FROM_GLB = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 """A: vertices of the exported GLB back to the model's Z-up frame."""
 OPENCV_FROM_PYTORCH3D = np.diag([-1.0, -1, 1])
 """F: PyTorch3D camera axes to OpenCV axes."""
+
+
+UNIT = 0.01
+"""How far from 1 the length of a quaternion may be."""
+EQUAL = 1e-4
+"""Share by which the three scales of a pose may differ."""
+CAMERAS = {"PyTorch3D": OPENCV_FROM_PYTORCH3D, "OpenCV": np.eye(3), "OpenGL": np.diag([1.0, -1, -1])}
+"""Axes of cameras that producers use, each as the rotation to OpenCV axes."""
+LOCALS = {"Z-up": LOCAL_FROM_GLB, "file's": np.eye(3)}
+"""What a pose turns: the model's Z-up axes, or the mesh file's own."""
+
+
+def readings(rotation: Sequence[float], translation: Sequence[float], scale: Sequence[float]) -> tuple[ReadPose, ...]:
+    """What rotation (4,), translation (3,) and scale (3,) may mean for a GLB, SAM 3D Objects' convention first.
+
+    Producers that pass its poses on change the quaternion's order, its direction or the camera's axes.
+    Raises ValueError where the quaternion is no rotation or the scale no size."""
+    length = math.hypot(*rotation)
+    if abs(length - 1) > UNIT:
+        raise ValueError(f"a quaternion of length {length:.3g}")
+    size = sum(scale) / 3
+    if min(scale) <= 0 or max(scale) - min(scale) > EQUAL * max(scale):
+        raise ValueError(f"the scale {[float(f'{v:.3g}') for v in scale]}")
+    found = list[ReadPose]()
+    for (camera, F), (local, A), order, is_row in product(
+        CAMERAS.items(), LOCALS.items(), ("wxyz", "xyzw"), (True, False)
+    ):
+        wxyz = list(rotation) if order == "wxyz" else [rotation[3], *rotation[:3]]
+        R = rotation_from_quaternion(wxyz)
+        T = pose(F @ (R.T if is_row else R) @ A, F @ np.asarray(translation, float))
+        vectors = "row" if is_row else "column"
+        reading = f"quaternion {order}, {vectors} vectors, {local} axes, {camera} camera"
+        found.append(ReadPose(reading=reading, T_camera_mesh=T, scale=size))
+    return tuple(found)
 
 
 def _unwrapped(value: Any) -> Any:
@@ -57,14 +94,14 @@ class AssetPose(BaseModel):
     @field_validator("rotation")
     @classmethod
     def _unit(cls, value: list[float]) -> list[float]:
-        if abs(math.hypot(*value) - 1) > 0.01:
+        if abs(math.hypot(*value) - 1) > UNIT:
             raise ValueError(f"a quaternion of length {math.hypot(*value):.3g}; accepted: wxyz of length 1")
         return value
 
     @field_validator("scale")
     @classmethod
     def _uniform(cls, value: list[float]) -> list[float]:
-        if min(value) <= 0 or max(value) - min(value) > 1e-4 * max(value):
+        if min(value) <= 0 or max(value) - min(value) > EQUAL * max(value):
             raise ValueError(
                 f"{[float(f'{v:.3g}') for v in value]}; accepted: one positive number, or three that are equal"
             )
