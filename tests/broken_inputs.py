@@ -322,6 +322,18 @@ def numbers(key: str, kind: str, value: Any) -> Spoil:
     return apply
 
 
+def packed(**changes: Any) -> Spoil:
+    """The first view of a GLB claims that meshoptimizer packed it."""
+
+    def change(tree: Any) -> None:
+        view = tree["bufferViews"][0]
+        claim = {"buffer": 0, "byteOffset": view.get("byteOffset", 0), "byteLength": view["byteLength"]}
+        view["extensions"] = {"EXT_meshopt_compression": {**claim, "mode": "ATTRIBUTES", **changes}}
+        tree["extensionsRequired"] = ["EXT_meshopt_compression"]
+
+    return gltf(change)
+
+
 def textured(image: bytes | None, **info: Any) -> Spoil:
     """The big box with a picture on it."""
 
@@ -576,14 +588,15 @@ WRONG: dict[str, tuple[Spoil, str, str]] = {
     "an accessor of a billion vertices": (accessor(0, count=10**9), "02.glb", "1,000,000,000 vertices"),
     "an accessor below zero": (accessor(0, count=-1), "02.glb", "accessors.0.count"),
     "a sparse accessor": (accessor(0, sparse={"count": 1}), "02.glb", "sparse"),
-    "positions that are no floats": (accessor(0, componentType=5123), "02.glb", "component type 5123"),
+    "positions of an unknown type": (accessor(0, componentType=5130), "02.glb", "component type 5130"),
     "vertices without colours": (accessor(0, count=3), "02.glb", "colours for 3 vertices"),
     "faces of vertices that do not exist": (numbers("indices", "<u4", 99), "02.glb", "vertices that do not exist"),
     "an index that does not exist": (gltf(lambda t: t["nodes"][0].update(mesh=7)), "02.glb", "mesh 7 of 1"),
     "draco compression": (gltf(lambda t: t.update(extensionsRequired=["KHR_draco_mesh_compression"])), "02.glb", "KHR_draco"),
-    "meshopt compression": (
-        gltf(lambda t: t.update(extensionsRequired=["EXT_meshopt_compression"])), "02.glb", "EXT_meshopt",
-    ),
+    "bytes that meshoptimizer did not pack": (packed(count=8, byteStride=12), "02.glb", "do not unpack"),
+    "packed bytes that claim 2 GB": (packed(count=10**8, byteStride=24), "02.glb", "once unpacked"),
+    "packed bytes in no known mode": (packed(count=8, byteStride=12, mode="ZIP"), "02.glb", "a compression that"),
+    "packed bytes beyond the file": (packed(count=8, byteStride=12, byteLength=10**9), "02.glb", "beyond the"),
     "lines instead of triangles": (
         gltf(lambda t: t["meshes"][0]["primitives"][0].update(mode=1)), "02.glb", "mode 1",
     ),
@@ -609,7 +622,9 @@ WRONG: dict[str, tuple[Spoil, str, str]] = {
     "a texture that claims 10,000 x 10,000 pixels": (textured(png_header(10_000, 10_000)), "02.glb", "100,000,000 pixels"),
     "a damaged texture": (textured(encoded("PNG")[:-100]), "02.glb", "damaged"),
     "a texture in another format": (textured(encoded("TIFF")), "02.glb", "another format"),
-    "a texture with a transform": (textured(None, extensions={"KHR_texture_transform": {}}), "02.glb", "transform"),
+    "a texture with a bad transform": (
+        textured(None, extensions={"KHR_texture_transform": {"scale": [1]}}), "02.glb", "KHR_texture_transform",
+    ),
     "a texture that does not exist": (textured(None, index=3), "02.glb", "texture 3 of 1"),
     # posed GLBs
     "posed GLBs, one missing": (in_order(to_posed, remove("assets/05.glb")), "assets", "no GLB for mask 05_small_box"),

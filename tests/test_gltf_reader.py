@@ -30,7 +30,7 @@ class Builder:
         return len(self.tree["bufferViews"]) - 1
 
     def accessor(self, values: np.ndarray, kind: str, **more: Any) -> int:
-        component = {"f4": 5126, "u4": 5125, "u2": 5123, "u1": 5121}[values.dtype.str[1:]]
+        component = {"f4": 5126, "u4": 5125, "u2": 5123, "u1": 5121, "i2": 5122, "i1": 5120}[values.dtype.str[1:]]
         given = {"bufferView": self.view(values.tobytes()), "componentType": component, "type": kind} | more
         self.tree["accessors"].append({"count": len(values), **given})
         return len(self.tree["accessors"]) - 1
@@ -119,6 +119,85 @@ def test_textures_and_factors_of_every_kind(kind: str, tmp_path: Path):
     read = agree(path).materials[0]
     expected = np.asarray(Image.open(io.BytesIO(stream.getvalue())).convert("RGB"))
     assert np.array_equal(read.texture, expected) and read.base_color == pytest.approx((1, 0.5, 0.25), abs=0.003)
+
+
+@pytest.mark.parametrize("dtype", ["i1", "u1", "i2", "u2"])
+@pytest.mark.parametrize("normalized", [False, True])
+def test_quantised_positions_come_back_by_the_scale_of_their_node(dtype: str, normalized: bool, tmp_path: Path):
+    build = Builder()
+    most = np.iinfo(dtype).max
+    box = box_mesh((1.0, 2.0, 3.0))
+    low = 0.0 if dtype[0] == "u" else -1.0
+    share = (box.vertices - box.bounds[0]) / 3.0 * (1 - low) + low
+    position = build.accessor((share * most).round().astype(dtype), "VEC3", normalized=normalized)
+    indices = build.accessor(box.faces.ravel().astype("u2"), "SCALAR")
+    grow = 3.0 / (1 - low) / (1.0 if normalized else most)
+    moved = box.bounds[0] - 3.0 * low / (1 - low)
+    file = build.write(
+        tmp_path / "q.glb",
+        extensionsRequired=["KHR_mesh_quantization"],
+        meshes=[{"primitives": [{"attributes": {"POSITION": position}, "indices": indices}]}],
+        nodes=[{"mesh": 0, "scale": [grow] * 3, "translation": moved.tolist()}],
+        scenes=[{"nodes": [0]}],
+    )
+    assert np.abs(load_mesh(file).vertices - box.vertices).max() <= 3.0 / (most * (1 - low)) * 0.51
+
+
+@pytest.mark.parametrize("index", ["u2", "u4"])
+@pytest.mark.parametrize("name", ["EXT_meshopt_compression", "KHR_meshopt_compression"])
+def test_views_packed_by_meshoptimizer(index: str, name: str, tmp_path: Path):
+    meshopt = pytest.importorskip("meshopt", reason="packing needs meshopt")
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    vertices, faces = ball.vertices.astype("f4"), ball.faces.astype(index)
+    packs = [(meshopt.encode_gltf_buffer(vertices, "ATTRIBUTES"), "ATTRIBUTES", 12, len(vertices)),
+             (meshopt.encode_gltf_buffer(faces.ravel().astype("u4"), "TRIANGLES"), "TRIANGLES", faces.itemsize,
+              faces.size)]  # fmt: skip
+    binary, views = b"", list[dict[str, Any]]()
+    for data, mode, stride, count in packs:
+        packed = {"buffer": 0, "byteOffset": len(binary), "byteLength": len(data), "byteStride": stride}
+        views.append({"buffer": 1, "byteOffset": 0, "byteLength": stride * count,
+                      "extensions": {name: {**packed, "mode": mode, "count": count}}})  # fmt: skip
+        binary += data + b"\0" * (-len(data) % 4)
+    tree = {
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "extensionsRequired": [name],
+        "buffers": [{"byteLength": len(binary)}, {"byteLength": 10**6, "extensions": {name: {"fallback": True}}}],
+        "bufferViews": views,
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": len(vertices), "type": "VEC3"},
+            {"bufferView": 1, "componentType": {"u2": 5123, "u4": 5125}[index], "count": faces.size, "type": "SCALAR"},
+        ],
+    }  # fmt: skip
+    (tmp_path / "p.glb").write_bytes(glb(tree, binary))
+    mesh = load_mesh(tmp_path / "p.glb")
+    assert np.array_equal(mesh.vertices, vertices.astype(float))
+    assert {tuple(np.roll(f, -int(np.argmin(f)))) for f in mesh.faces.tolist()} == {
+        tuple(np.roll(f, -int(np.argmin(f)))) for f in faces.tolist()
+    }
+
+
+def test_a_texture_transform_moves_the_coordinates(tmp_path: Path):
+    build = Builder()
+    uv = build.accessor(np.array([[0, 0], [1, 0], [1, 1], [0, 1]] * 2, "f4"), "VEC2")
+    pixels = io.BytesIO()
+    Image.new("RGB", (2, 2), (9, 8, 7)).save(pixels, "PNG")
+    image = {"bufferView": build.view(pixels.getvalue()), "mimeType": "image/png"}
+    transform = {"offset": [0.25, 0.5], "rotation": np.pi / 2, "scale": [0.5, 2.0]}
+    info = {"index": 0, "extensions": {"KHR_texture_transform": transform}}
+    file = build.write(
+        tmp_path / "t.glb",
+        meshes=[{"primitives": [primitive(build, 1.0, attributes={"TEXCOORD_0": uv}, material=0)]}],
+        materials=[{"pbrMetallicRoughness": {"baseColorTexture": info}}],
+        textures=[{"source": 0}],
+        images=[image],
+        nodes=[{"mesh": 0}],
+        scenes=[{"nodes": [0]}],
+    )
+    found = load_mesh(file).uv
+    # By the extension: scale, then a turn that takes u to -v, then the offset; our v counts from the bottom.
+    wanted = np.array([[0.25 + 2 * v, 0.5 - 0.5 * u] for u, v in [(0, 0), (1, 0), (1, 1), (0, 1)] * 2])
+    assert np.allclose(found, np.column_stack([wanted[:, 0], 1 - wanted[:, 1]]), atol=1e-6)
 
 
 def test_ten_thousand_parts_take_seconds(tmp_path: Path):

@@ -10,7 +10,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from f3sr.core.transforms import Array
 from f3sr.errors import InputError
 from f3sr.files import strict_json
 from f3sr.io.images import decode_image
+from f3sr.runtime.extras import library
 
 MAX_PARTS = 10_000
 """Most nodes, and most primitives shown: a generated mesh has one of each; assembled scenes have hundreds."""
@@ -28,10 +29,15 @@ MAX_TREE_BYTES = 32_000_000
 """Longest JSON part of a file, far more than MAX_PARTS nodes, primitives and their accessors need."""
 TEXTURE_FORMATS = ("PNG", "JPEG", "WEBP")
 
-READABLE_EXTENSIONS = re.compile(r"KHR_materials_\w+|EXT_texture_webp")
+READABLE_EXTENSIONS = re.compile(
+    r"KHR_materials_\w+|EXT_texture_webp|KHR_mesh_quantization|KHR_texture_transform|(EXT|KHR)_meshopt_compression"
+)
 """glTF extensions that a file may require: the others change geometry or texture in ways we do not read."""
 SPECULAR_GLOSSINESS = "KHR_materials_pbrSpecularGlossiness"
 MOVED_TEXTURE = "KHR_texture_transform"
+COMPRESSIONS = ("EXT_meshopt_compression", "KHR_meshopt_compression")
+MAX_UNPACKED_BYTES = 2_000_000_000
+"""Most bytes of all compressed views together, once unpacked: as much as the largest file."""
 TRIANGLES = 4
 """glTF's mode of a primitive of separate triangles."""
 DTYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -95,6 +101,12 @@ class _Asset(_GltfRecord):
 class _Buffer(_GltfRecord):
     byteLength: Index
     uri: str | None = None
+    extensions: dict[str, Any] = {}
+
+    @property
+    def is_fallback(self) -> bool:
+        """Whether it only says how large unpacked views are, and has no bytes."""
+        return self.uri is None and any(name in self.extensions for name in COMPRESSIONS)
 
 
 class _BufferView(_GltfRecord):
@@ -102,6 +114,19 @@ class _BufferView(_GltfRecord):
     byteLength: Index
     byteOffset: Index = 0
     byteStride: Annotated[int, Field(ge=4, le=252)] | None = None
+    extensions: dict[str, Any] = {}
+
+
+class _Compressed(_GltfRecord):
+    """A buffer view packed by meshoptimizer (the extension EXT_meshopt_compression)."""
+
+    buffer: Index
+    byteLength: Index
+    byteStride: Annotated[int, Field(ge=1, le=256)]
+    count: Index
+    mode: Literal["ATTRIBUTES", "TRIANGLES", "INDICES"]
+    byteOffset: Index = 0
+    filter: Literal["NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR"] = "NONE"
 
 
 class _Accessor(_GltfRecord):
@@ -128,6 +153,21 @@ class _TextureInfo(_GltfRecord):
     index: Index
     texCoord: Index = 0
     extensions: dict[str, Any] = {}
+
+
+class _TextureTransform(_GltfRecord):
+    """KHR_texture_transform: coordinates scaled, turned, then moved."""
+
+    offset: Annotated[list[float], Field(min_length=2, max_length=2)] = [0.0, 0.0]
+    rotation: float = 0.0
+    scale: Annotated[list[float], Field(min_length=2, max_length=2)] = [1.0, 1.0]
+    texCoord: Index = 0
+
+    def moved(self, uv: Array) -> Array:
+        """Coordinates (n, 2) as the file has them, origin at the top left."""
+        c, s = np.cos(self.rotation), np.sin(self.rotation)
+        u, v = (uv * self.scale).T
+        return np.column_stack([c * u + s * v, -s * u + c * v]) + self.offset
 
 
 class _Surface(_GltfRecord):
@@ -235,7 +275,7 @@ def _require_plain(path: Path, document: _Document) -> None:
         raise InputError(path, found=f"a reference to {outside[0][:80]!r}", accepted="glTF with all data embedded")
     if unknown := [name for name in document.extensionsRequired if not READABLE_EXTENSIONS.fullmatch(name)]:
         found = f"required glTF extension {unknown[0][:80]!r}"
-        raise InputError(path, found=found, accepted="plain glTF 2 without compression")
+        raise InputError(path, found=found, accepted="glTF 2, plain or packed by meshoptimizer")
     if len(document.nodes) > MAX_PARTS:
         raise InputError(path, found=f"{len(document.nodes):,} nodes", accepted=f"at most {MAX_PARTS:,}")
 
@@ -265,6 +305,7 @@ class _Reader:
         self._buffers = [self._buffer(k, b, binary) for k, b in enumerate(document.buffers)]
         self._materials: dict[int | None, Material] = {None: Material()}
         self._textures: dict[int, NDArray[np.uint8]] = {}
+        self._unpacked: dict[int, memoryview] = {}
 
     def shown(self) -> Iterator[tuple[_Primitive, Array]]:
         """Every primitive of the default scene and the transform of its node, at most MAX_PARTS + 1."""
@@ -305,7 +346,7 @@ class _Reader:
             raise _BrokenError(f"a primitive of mode {primitive.mode}, no triangles")
         if "POSITION" not in primitive.attributes:
             raise _BrokenError("a primitive without positions")
-        vertices = self._values(primitive.attributes["POSITION"], ("VEC3",), "f").astype(float)
+        vertices = self._numbers(primitive.attributes["POSITION"], ("VEC3",))
         faces = self._faces(primitive, len(vertices))
         if not np.array_equal(T_file_node, np.eye(4)):
             vertices = np.dot(T_file_node, np.column_stack([vertices, np.ones(len(vertices))]).T).T[:, :3]
@@ -332,9 +373,11 @@ class _Reader:
         """(n, 2), origin at the bottom left; None for a primitive without material or coordinates."""
         if primitive.material is None or "TEXCOORD_0" not in primitive.attributes:
             return None
-        uv = self._values(primitive.attributes["TEXCOORD_0"], ("VEC2",), "f")
+        uv = self._numbers(primitive.attributes["TEXCOORD_0"], ("VEC2",))
         self._require_length("texture coordinates", uv, n)
-        return np.stack([uv[:, 0], np.float32(1) - uv[:, 1]], axis=1).astype(float)
+        if transform := self._transform_of(primitive.material):
+            uv = transform.moved(uv)
+        return np.stack([uv[:, 0], np.float32(1) - uv[:, 1].astype(np.float32)], axis=1).astype(float)
 
     def _colors(self, primitive: _Primitive, n: int) -> NDArray[np.uint8] | None:
         """(n, 3) sRGB from the vertex colours."""
@@ -370,14 +413,54 @@ class _Reader:
             return np.zeros((0, columns), dtype)
         return np.ndarray((a.count, columns), dtype, block, a.byteOffset, (stride, dtype.itemsize))
 
+    def _numbers(self, index: int, types: tuple[str, ...]) -> Array:
+        """The (count, columns) floats of an accessor, quantised or not (KHR_mesh_quantization)."""
+        values = self._values(index, types, "fiu")
+        if values.dtype.kind != "f" and self.document.accessors[index].normalized:
+            return np.maximum(values / np.iinfo(values.dtype).max, -1.0)
+        return values.astype(float)
+
     def _bytes(self, view_index: int) -> memoryview:
         view = _at(self.document.bufferViews, view_index, "bufferView")
+        packed = next((view.extensions[name] for name in COMPRESSIONS if name in view.extensions), None)
+        if packed is not None:
+            if view_index not in self._unpacked:
+                self._unpacked[view_index] = self._unpack(view_index, packed)
+            return self._unpacked[view_index]
+        return self._stored(view_index, view)
+
+    def _unpack(self, view_index: int, extension: Any) -> memoryview:
+        """The bytes of a view that meshoptimizer packed. F3srError where its decoder is not installed."""
+        try:
+            packed = _Compressed.model_validate(extension)
+        except ValidationError:
+            raise _BrokenError(f"bufferView {view_index}: a compression that cannot be read") from None
+        if packed.mode != "ATTRIBUTES" and packed.byteStride not in (2, 4):
+            raise _BrokenError(f"bufferView {view_index}: indices of {packed.byteStride} bytes")
+        size = packed.count * packed.byteStride
+        if size + sum(map(len, self._unpacked.values())) > MAX_UNPACKED_BYTES:
+            raise _BrokenError(f"more than {MAX_UNPACKED_BYTES:,} bytes once unpacked")
+        stored = self._stored(view_index, packed)
+        decoder = library("meshopt", extra="meshopt", why="a GLB packed by meshoptimizer")
+        try:
+            unpacked = decoder.decode_gltf_buffer(
+                bytes(stored), packed.count, packed.byteStride, packed.mode, packed.filter
+            )
+        except (ValueError, RuntimeError):
+            raise _BrokenError(f"bufferView {view_index}: bytes that do not unpack") from None
+        if packed.mode != "ATTRIBUTES":
+            unpacked = unpacked.astype(f"<u{packed.byteStride}")
+        return memoryview(np.ascontiguousarray(unpacked).tobytes())
+
+    def _stored(self, view_index: int, view: _BufferView | _Compressed) -> memoryview:
         buffer = _at(self._buffers, view.buffer, "buffer")
         if view.byteOffset + view.byteLength > len(buffer):
             raise _BrokenError(f"bufferView {view_index} beyond the {len(buffer)} bytes of its buffer")
         return buffer[view.byteOffset : view.byteOffset + view.byteLength]
 
     def _buffer(self, index: int, buffer: _Buffer, binary: bytes) -> memoryview:
+        if buffer.is_fallback:
+            return memoryview(b"")
         embedded = binary if index == 0 else b""
         data = embedded if buffer.uri is None else _decoded(buffer.uri)
         if buffer.byteLength > len(data):
@@ -412,14 +495,25 @@ class _Reader:
         info = None if material is None else self._surface(material)[1]
         if info is None:
             return None
-        if info.texCoord or MOVED_TEXTURE in info.extensions:
-            raise _BrokenError("a texture with its own coordinates or transform")
+        moved = self._transform_of(material)
+        if info.texCoord or (moved is not None and moved.texCoord):
+            raise _BrokenError("a texture with coordinates of its own")
         texture = _at(self.document.textures, info.index, "texture")
         webp = texture.extensions.get("EXT_texture_webp")
         source = webp.get("source") if isinstance(webp, dict) else texture.source
         if not isinstance(source, int) or isinstance(source, bool) or source < 0:
             raise _BrokenError(f"texture {info.index} without an image that can be read")
         return source
+
+    def _transform_of(self, material: int | None) -> _TextureTransform | None:
+        """How a material's texture moves its coordinates, if it does."""
+        info = None if material is None else self._surface(material)[1]
+        if info is None or MOVED_TEXTURE not in info.extensions:
+            return None
+        try:
+            return _TextureTransform.model_validate(info.extensions[MOVED_TEXTURE])
+        except ValidationError:
+            raise _BrokenError(f"material {material}: {MOVED_TEXTURE}") from None
 
     def _texture(self, image: int) -> NDArray[np.uint8]:
         if image not in self._textures:
