@@ -52,7 +52,7 @@ FLOORS = (
     ("contact", "background", "exporters", "web", "metrology", "segmentation"),
     ("mesh_poses",),
     ("lifting", "generators"),
-    ("metrics", "proxies", "rendering", "scene_package", "mask_page"),
+    ("metrics", "proxies", "rendering", "scene_package", "mask_page", "importing"),
     ("goals", "uncertainty"),
     ("language.grammar",),
     ("stages", "launches"),

@@ -1,0 +1,103 @@
+"""A scene as another program left it: photo, camera, meshes with poses. Absent masks are drawn from the poses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.core.camera import Camera
+from f3sr.core.mesh import Mesh
+from f3sr.core.transforms import Array
+from f3sr.errors import InputError
+from f3sr.io.masks import MIN_PIXELS
+from f3sr.scene import GROUND, SceneObject
+from f3sr.vision import rasterizer
+
+GROUND_REACH = 30.0
+"""Half side of the ground that is drawn, in distances of the camera from the scene's middle."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ComposedObject:
+    """A mesh in its own axes and where it stands: ``x_world = T_world_mesh (scale x)``, T (4, 4) rigid [m]."""
+
+    id: int
+    label: str
+    mesh: Mesh
+    T_world_mesh: Array
+    scale: float = 1.0
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Composition:
+    """Objects in a world with +Z up, seen by a camera. ``ground`` is the height of the plane they stand on [m]."""
+
+    source: str
+    """The program, and its file."""
+    photo: bytes
+    """A PNG or JPEG file."""
+    camera: Camera
+    objects: tuple[ComposedObject, ...]
+    ground: float | None = 0.0
+    supports: tuple[tuple[int, int], ...] = ()
+    """Pairs (upper, lower) of ids that the program says rest on each other."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DrawnView:
+    """What the camera sees of a composition, at the photo's pixels."""
+
+    masks: Mapping[int, NDArray[np.bool_]]
+    """(H, W) by id, where nothing nearer hides it."""
+    ground: NDArray[np.bool_]
+    """(H, W)"""
+    points: NDArray[np.float32]
+    """(H, W, 3) [m] in OpenCV camera axes."""
+    valid: NDArray[np.bool_]
+    """(H, W) where points are known."""
+
+
+def drawn(composition: Composition) -> DrawnView:
+    """The view that the poses give: it is the picture to keep where there are no masks.
+
+    Raises InputError where an object cannot be seen."""
+    camera = composition.camera
+    objects = [
+        SceneObject(
+            id=o.id, label=o.label, mask_name="", mask=np.ones((1, 1), np.bool_), mesh=o.mesh,
+            T_world_object=o.T_world_mesh, scale=o.scale,
+        )
+        for o in composition.objects
+    ]  # fmt: skip
+    fragments = rasterizer.render([*objects, *_ground(composition, objects)], camera)
+    masks = {o.id: fragments.ids == o.id for o in objects}
+    for o in objects:
+        if (count := int(masks[o.id].sum())) < MIN_PIXELS:
+            raise InputError(
+                composition.source,
+                found=f"object {o.id} ({o.label}) with {count} visible pixels",
+                accepted=f"objects of which the camera sees at least {MIN_PIXELS}",
+            )
+    seen = fragments.ids != rasterizer.EMPTY
+    rows, columns = np.indices(seen.shape) + 0.5
+    rays = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(camera.K).T
+    points = np.where(seen[..., None], rays * np.where(seen, fragments.depth, 1.0)[..., None], 0.0)
+    return DrawnView(masks=masks, ground=fragments.ids == GROUND, points=points.astype(np.float32), valid=seen)
+
+
+def _ground(composition: Composition, objects: list[SceneObject]) -> list[SceneObject]:
+    """The ground as a large square under the scene."""
+    if composition.ground is None:
+        return []
+    middle = np.mean([o.bounds_world.mean(0) for o in objects], axis=0)
+    side = GROUND_REACH * float(np.linalg.norm(middle - composition.camera.center))
+    corners = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * side
+    corners += [middle[0], middle[1], composition.ground]
+    square = Mesh(vertices=corners, faces=np.array([[0, 1, 2], [0, 2, 3]], np.int32))
+    return [
+        SceneObject(id=GROUND, label="ground", mask_name="", mask=np.ones((1, 1), np.bool_), mesh=square,
+                    T_world_object=np.eye(4))
+    ]  # fmt: skip
