@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Annotated, Self
@@ -37,6 +37,8 @@ class FilmConfig:
     """Slow-motion factor; where it is not 1 the picture says it."""
     still: Annotated[float, Interval(ge=0, le=1)] = 0.1
     """Least motion in the picture for which an object is drawn anew [px]. Engines creep and tremble at rest."""
+    nudged: Annotated[float, Interval(ge=0, le=10)] = 1.5
+    """Largest motion in the picture, over a whole film, of what keeps the photo's own pixels [px]."""
     render: RenderConfig = field(default_factory=RenderConfig)
 
 
@@ -84,24 +86,17 @@ class Studio:
     def film(self, played: Played) -> Filmed:
         """Film a goal. Equal package, rollout and settings give equal bytes, whichever films came before."""
         slow = Fraction(self.config.slow).limit_denominator(1000)
-        held = Held(self.scene, self.config.still)
-        still = self.renderer.beside_photo(self.scene, self._moving(played))
-        frame = self.renderer.frame if still is None else still.frame
-        frames = 0
+        frames = _Frames(self, self._moving(played))
 
-        def draw(poses: NDArray[np.float64]) -> NDArray[np.uint8]:
-            nonlocal frames
-            frames += 1
-            return frame(held(poses))
-
-        files = make_film(self.scene, played.plan, played.rollout, played.verdict, draw, slow=slow)
+        files = make_film(self.scene, played.plan, played.rollout, played.verdict, frames.draw, slow=slow)
         width, height = self.scene.camera.width, self.scene.camera.height
         size = width + width % 2, height + height % 2  # films have even sides
-        return Filmed(files=files, frames=frames, size=size, decisions=(*self.told, *self._beyond(played)))
+        return Filmed(files=files, frames=frames.count, size=size, decisions=(*self.told, *self._beyond(played)))
 
     def _moving(self, played: Played) -> NDArray[np.bool_]:
-        """(N,) which objects are drawn at more than their pose at rest, in any frame."""
-        held, rest = Held(self.scene, self.config.still), np.array([o.T_world_object for o in self.scene])
+        """(N,) which objects leave their pose at rest in any frame, by more than a nudge."""
+        rest = np.array([o.T_world_object for o in self.scene])
+        held = Held(self.scene, max(self.config.nudged, self.config.still))
         return np.any([(held(T) != rest).any((1, 2)) for T in played.rollout.T_world_object], axis=0)
 
     def _beyond(self, played: Played) -> Iterator[str]:
@@ -119,6 +114,31 @@ class Studio:
             if inside and not support[int(v), int(u)]:
                 name = o.label or f"object {o.id}"
                 yield f"{name} ends beyond the edge of its support in the photo: in physics the ground has no edge"
+
+
+class _Frames:
+    """The frames of one film, drawn in their order: an object keeps the photo's pixels until it first moves."""
+
+    def __init__(self, studio: Studio, moving: NDArray[np.bool_]) -> None:
+        self.count = 0
+        self._studio, self._moving = studio, moving
+        self._rest = np.array([o.T_world_object for o in studio.scene])
+        self._held = Held(studio.scene, studio.config.still)
+        self._departed = np.zeros(len(moving), np.bool_)
+        self._drawn = self._beside(self._departed)
+
+    def draw(self, poses: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """The next frame, with the objects at ``poses`` (N, 4, 4)."""
+        self.count += 1
+        now = np.where(self._moving[:, None, None], self._held(poses), self._rest)
+        departed = self._departed | (now != self._rest).any((1, 2))
+        if (departed != self._departed).any():
+            self._departed, self._drawn = departed, self._beside(departed)
+        return self._drawn(now)
+
+    def _beside(self, departed: NDArray[np.bool_]) -> Callable[[NDArray[np.float64]], NDArray[np.uint8]]:
+        still = self._studio.renderer.beside_photo(self._studio.scene, departed)
+        return self._studio.renderer.frame if still is None else still.frame
 
 
 def film_played(package: Package, played: Played, config: FilmConfig | None = None) -> Filmed:

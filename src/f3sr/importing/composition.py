@@ -51,7 +51,7 @@ class DrawnView:
     """What the camera sees of a composition, at the photo's pixels."""
 
     masks: Mapping[int, NDArray[np.bool_]]
-    """(H, W) by id, where nothing nearer hides it."""
+    """(H, W) by id, where nothing nearer hides it; without objects that the camera hardly sees."""
     ground: NDArray[np.bool_]
     """(H, W)"""
     points: NDArray[np.float32]
@@ -63,7 +63,7 @@ class DrawnView:
 def drawn(composition: Composition) -> DrawnView:
     """The view that the poses give: it is the picture to keep where there are no masks.
 
-    Raises InputError where an object cannot be seen."""
+    Raises InputError where no object can be seen."""
     camera = composition.camera
     objects = [
         SceneObject(
@@ -73,14 +73,9 @@ def drawn(composition: Composition) -> DrawnView:
         for o in composition.objects
     ]  # fmt: skip
     fragments = rasterizer.render([*objects, *_ground(composition, objects)], camera)
-    masks = {o.id: fragments.ids == o.id for o in objects}
-    for o in objects:
-        if (count := int(masks[o.id].sum())) < MIN_PIXELS:
-            raise InputError(
-                composition.source,
-                found=f"object {o.id} ({o.label}) with {count} visible pixels",
-                accepted=f"objects of which the camera sees at least {MIN_PIXELS}",
-            )
+    masks = {o.id: mask for o in objects if (mask := fragments.ids == o.id).sum() >= MIN_PIXELS}
+    if not masks:
+        raise InputError(composition.source, found="no object that its camera sees", accepted="at least one")
     seen = fragments.ids != rasterizer.EMPTY
     rows, columns = np.indices(seen.shape) + 0.5
     rays = np.stack([columns, rows, np.ones_like(rows)], axis=-1) @ np.linalg.inv(camera.K).T

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from f3sr.core.camera import Camera
-from f3sr.core.transforms import pose, rotation_from_quaternion
+from f3sr.core.transforms import Array, pose, rotation_from_quaternion
 from f3sr.errors import InputError
 from f3sr.files.bounds import MAX_OBJECTS
 from f3sr.importing.composition import ComposedObject, Composition
@@ -56,7 +56,8 @@ class _SessionCamera(BaseModel):
     model_config = LENIENT
     position: Annotated[list[float], Field(min_length=3, max_length=3)]
     quaternion_xyzw: Annotated[list[float], Field(min_length=4, max_length=4)]
-    intrinsics_pixels: Annotated[list[list[float]], Field(min_length=3, max_length=3)]
+    intrinsics_pixels: Annotated[list[list[float]], Field(min_length=3, max_length=3)] | None = None
+    intrinsics_normalized: Annotated[list[list[float]], Field(min_length=3, max_length=3)] | None = None
     image_size: Annotated[list[int], Field(min_length=2, max_length=2)]
 
 
@@ -113,9 +114,16 @@ def _camera(place: InputFolder, photo: Path) -> Camera:
     if given.image_size != [width, height]:
         found = f"a camera of {given.image_size[0]}x{given.image_size[1]} pixels"
         raise InputError(place.path(CAMERA), found=found, accepted=f"the photo's {width}x{height}")
-    K = np.array(given.intrinsics_pixels, float)
+    K = _intrinsics(given)
     if K.shape != (3, 3) or not (K[0, 0] > 0 and K[1, 1] > 0):
         raise InputError(place.path(CAMERA), found="intrinsics that are no camera's", accepted="K (3, 3) in pixels")
     x, y, z, w = given.quaternion_xyzw
     R = rotation_from_quaternion([w, x, y, z]) @ CAMERAS["OpenGL"]
     return Camera(width=width, height=height, K=K, T_world_camera=pose(R, given.position))
+
+
+def _intrinsics(camera: _SessionCamera) -> Array:
+    """K (3, 3) in pixels; some sessions have it by width and height only."""
+    if camera.intrinsics_pixels is not None:
+        return np.array(camera.intrinsics_pixels, float)
+    return np.diag([*camera.image_size, 1.0]) @ np.array(camera.intrinsics_normalized or np.zeros((3, 3)), float)

@@ -28,22 +28,26 @@ def write_imported(out: Path, composition: Composition, view: DrawnView) -> Path
     full = Path(out).absolute().resolve()
     with claimed(full, _require_own) as claim:
         claim.write("image.png" if composition.photo.startswith(PNG) else "image.jpg", composition.photo)
-        names = {o.id: mask_name(o.id, o.label) for o in composition.objects}
+        seen = [o for o in composition.objects if o.id in view.masks]
+        hidden = [o for o in composition.objects if o.id not in view.masks]
+        names = {o.id: mask_name(o.id, o.label) for o in seen}
         for id, mask in view.masks.items():
             claim.write(f"masks/{names[id]}", encode_png(mask.astype(np.uint8) * 255))
         if view.ground.sum() >= MIN_PIXELS:
             claim.write("ground.png", encode_png(view.ground.astype(np.uint8) * 255))
         claim.write("geometry.npz", _geometry(composition, view))
-        poses = [_posed(o, composition, names[o.id]) for o in composition.objects]
-        for o in composition.objects:
+        poses = [_posed(o, composition, names[o.id]) for o in seen]
+        for o in seen:
             claim.write(f"assets/{o.id:02d}.glb", mesh_to_glb(o.mesh, name=f"{o.id:02d}"))
         claim.write("assets/poses.json", _json({"convention": "sam-3d-objects", "objects": poses}))
-        if composition.supports:
-            claim.write("scene_graph.json", _json({"support_relations": [
-                {"upper": upper, "lower": lower, "reason": f"by {composition.source}"}
-                for upper, lower in composition.supports
-            ]}))  # fmt: skip
-        claim.write(NOTE, _json({"source": composition.source, "masks": "drawn from the poses"}))
+        reason = f"by {composition.source}"
+        pairs = [pair for pair in composition.supports if names.keys() >= set(pair)]
+        relations = [{"upper": upper, "lower": lower, "reason": reason} for upper, lower in pairs]
+        if relations:
+            claim.write("scene_graph.json", _json({"support_relations": relations}))
+        left_out = [{"id": o.id, "label": o.label, "reason": "the camera does not see it"} for o in hidden]
+        note = {"source": composition.source, "masks": "drawn from the poses", "left_out": left_out}
+        claim.write(NOTE, _json(note))
         claim.replace()
     return full
 

@@ -15,7 +15,7 @@ from f3sr.core.mesh import ConvexPart, Material, Mesh, area_vectors
 from f3sr.core.transforms import UP, Array
 from f3sr.lifting.solids import Solid
 from f3sr.scene import Photo
-from f3sr.vision.regions import shrunk, smoothed
+from f3sr.vision.regions import depth_inside, shrunk, smoothed
 
 LONGEST = 1024
 """Longer side of the photo's part of a texture [px]."""
@@ -25,6 +25,8 @@ GRAZING = math.cos(math.radians(78))
 """Least cosine between a face's normal and the ray to the camera for the photo to show it: else print smears."""
 SOFT = 0.12
 """Standard deviation of the blur where the photo shows nothing [longer side of the mask]: no print is seen there."""
+FADED = 0.06
+"""Width of the border in which the photo goes over into its blurred copy [longer side of the mask]."""
 INSET = 0.004
 """Distance of texture coordinates from the border of their half: filters do not mix the two."""
 MARGIN = math.radians(3)
@@ -47,6 +49,9 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
     crop, known = photo.rgb[top:bottom, left:right], _own(mask[top:bottom, left:right])
     sharp = np.where(known[..., None], crop, _filled(crop, known))
     soft = _blurred(crop, known, SOFT * longest)[0]
+    if solid.symmetry != "box":  # round sides graze the rays at the mask's border: no edge where the photo ends
+        share = _smooth(depth_inside(mask[top:bottom, left:right]) / (FADED * longest))[..., None]
+        sharp = soft + share * (sharp - soft)
     image = Image.fromarray(np.concatenate([sharp, soft], axis=1).astype(np.uint8))
     if (scale := LONGEST / max(right - left, bottom - top)) < 1:
         image = image.resize((round(image.width * scale), round(image.height * scale)), Image.Resampling.BOX)
@@ -60,6 +65,12 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
         materials=(Material(texture=np.asarray(image)),),
         pieces=tuple(ConvexPart.hull_of(corners - origin) for corners in solid.pieces),
     )
+
+
+def _smooth(share: Array) -> Array:
+    """A step from 0 to 1 without a kink."""
+    t = np.clip(share, 0, 1)
+    return t * t * (3 - 2 * t)
 
 
 def _own(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -118,15 +129,15 @@ def _split(solid: Solid, camera: Camera) -> tuple[Array, NDArray[np.int32], Arra
 
 def _by_symmetry(solid: Solid, camera: Camera) -> Iterator[_Likeness]:
     """Other places of a solid that look as its vertices: the back of a box as its front turned about the vertical, the
-    back of a solid of revolution as its front in a mirror, the underside as the top."""
+    back of a solid of revolution as its front in a mirror, its underside as its top. A box has no print below."""
     if not solid.symmetry:
         return
     vertices = solid.vertices
     middle = (vertices.min(0) + vertices.max(0)) / 2
     if solid.symmetry == "box":
         yield _Likeness(vertices + 2 * (middle - vertices) * [1, 1, 0])
-    else:
-        yield from _wrapped(vertices, middle, camera)
+        return
+    yield from _wrapped(vertices, middle, camera)
     yield _Likeness(vertices + 2 * (middle - vertices) * UP, flips=True)
 
 

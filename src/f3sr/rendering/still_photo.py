@@ -22,6 +22,10 @@ RATIOS = 0.05, 4.0
 """What drawn light may change of the photo's, and what drawn colours may be off: beyond, two surfaces are compared."""
 
 
+BLENDED = 0.3, 0.7
+"""Between what moves and what rests, as a share of the way, where the photo's ground goes over into the completed."""
+
+
 @dataclass(frozen=True, eq=False)
 class Continued:
     """How far the photo's colours are from those drawn of a resting object, spread over where the photo hides it."""
@@ -46,8 +50,10 @@ class StillPhoto:
     """(h, w, 3) the drawn picture at rest."""
     moving: tuple[int, ...]
     uncovered: Mask
-    """(h, w) where the photo, or the picture at rest, shows what moves, and the mixed pixels around. Also completed
-    ground that is nearer to what moves than to what rests."""
+    """(h, w) where the photo, or the picture at rest, shows what moves, and the mixed pixels around."""
+    shed: NDArray[np.float32]
+    """(h, w) share of the completed ground in what is shown: 1 beside what moves, 0 beside what rests, where the photo
+    has shadows that may be of either."""
     continued: tuple[Continued, ...]
 
     @classmethod
@@ -60,10 +66,16 @@ class StillPhoto:
         theirs = union_of([scene.objects[k].mask for k in chosen], shape)
         others = union_of([o.mask for k, o in enumerate(scene.objects) if k not in chosen], shape)
         completed = (canvas.setting.background != scene.photo.rgb).any(2) & ~others
-        shed = completed & (distance_to(theirs) <= distance_to(others))
-        uncovered = shed | grown(theirs | (canvas.cover(chosen) > 0), APART)
+        uncovered = grown(theirs | (canvas.cover(chosen) > 0), APART)
+        shed = np.where(completed & ~uncovered, _nearness(theirs, others), np.float32(0))
         still = cls(
-            canvas=canvas, photo=scene.photo.rgb, at_rest=at_rest, moving=chosen, uncovered=uncovered, continued=()
+            canvas=canvas,
+            photo=scene.photo.rgb,
+            at_rest=at_rest,
+            moving=chosen,
+            uncovered=uncovered,
+            shed=shed,
+            continued=(),
         )
         return replace(still, continued=tuple(still._continued(scene)))
 
@@ -76,6 +88,9 @@ class StillPhoto:
         picture = self.photo.copy()
         picture[covered] = drawn[covered]
         picture[relit] = _times(self.photo[relit], _ratio(drawn[relit], self.at_rest[relit]))
+        shed = (self.shed > 0) & ~covered
+        share = self.shed[shed][:, None]
+        picture[shed] = np.rint(picture[shed] + share * (drawn[shed].astype(np.float32) - picture[shed]))
         for part in self.continued:
             share = self.canvas.cover((part.index,))[part.window] / self.canvas.setting.config.samples**2
             seen = (share > 0) & covered[part.window]
@@ -94,6 +109,18 @@ class StillPhoto:
                 continue
             logs = np.log(_ratio(self.photo[window], self.at_rest[window])).astype(np.float32)
             yield Continued(k, window, np.exp(membrane(logs * known[window][..., None], known[window])))
+
+
+def _nearness(theirs: Mask, others: Mask) -> NDArray[np.float32]:
+    """(h, w) 1 near the first mask, 0 near the second, and smooth between; 0 where the first is empty."""
+    if not theirs.any():
+        return np.zeros(theirs.shape, np.float32)
+    if not others.any():
+        return np.ones(theirs.shape, np.float32)
+    to_theirs, to_others = distance_to(theirs), distance_to(others)
+    share = (to_others / np.maximum(to_theirs + to_others, 1)).astype(np.float32)
+    t = np.clip((share - BLENDED[0]) / (BLENDED[1] - BLENDED[0]), 0, 1)
+    return (t * t * (3 - 2 * t)).astype(np.float32)
 
 
 def _ratio(now: NDArray[np.uint8], before: NDArray[np.uint8]) -> Array:
