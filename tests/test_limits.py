@@ -57,6 +57,7 @@ LIMITS = {
         ("size of an OBJ or glTF file [bytes]", "io.mesh_files.MAX_TEXT_BYTES"),
         ("nodes, and primitives shown, of a file", "io.gltf_reader.MAX_PARTS"),
         ("bytes of a glTF file's JSON", "io.gltf_reader.MAX_TREE_BYTES"),
+        ("bytes of packed views, once unpacked", "io.gltf_reader.MAX_UNPACKED_BYTES"),
         ("faces of all meshes together", "io.assets.MAX_SCENE_FACES"),
         ("texture pixels of all meshes together", "io.assets.MAX_SCENE_TEXTURE_PIXELS"),
         ("size of an object [m], at least", "io.assets.MIN_SIZE"),

@@ -22,13 +22,17 @@ from f3sr.core.transforms import pose, transform
 from f3sr.errors import OutputError
 from f3sr.film.captions import captioned, slowed
 from f3sr.film.deadband import Held
-from f3sr.film.studio import FilmConfig, Studio, film_played
+from f3sr.film.studio import FilmConfig, FilmFrames, Studio, film_played
 from f3sr.goals.file_names import FILM, FILMS, PLAN, ROLLOUT, STRIP, VERDICT
 from f3sr.play.goal_loop import Played, simulate_goal
 from f3sr.scene import Scene
 from f3sr.scene_package.package import Package
+from f3sr.vision.regions import shrunk
 from goal_scene import BALL, CAN, CRATE, goal_package, goal_scene
 from hostile_npz import HOSTILE
+
+FPS = 30
+"""Of rollouts and films."""
 
 av = pytest.importorskip("av")
 GOAL = "knock over the cereal box"
@@ -53,8 +57,9 @@ def test_a_goal_is_filmed_to_the_frame(package: Package, tmp_path: Path, capsys:
     time = np.load(tmp_path / "out" / ROLLOUT)["time"]
     with av.open(str(tmp_path / "out" / FILM)) as container:
         frames = [frame.time for frame in container.decode(video=0)]
-    assert told["film"]["frames"] == len(frames) == len(time)
-    assert np.allclose(frames, time, atol=1e-6), "film time is simulated time"
+    opening = round(FilmConfig().opening * FPS)
+    assert told["film"]["frames"] == len(frames) == opening + len(time)
+    assert np.allclose(frames[opening:], opening / FPS + time, atol=1e-6), "film time is simulated time"
 
 
 def test_without_a_film_there_is_none_and_it_can_be_made_later(
@@ -78,8 +83,9 @@ def test_slow_motion_has_more_frames_of_the_same_time(package: Package, rollout:
     time = np.load(copy / ROLLOUT)["time"]
     with av.open(str(copy / FILM)) as container:
         frames = [frame.time for frame in container.decode(video=0)]
-    assert len(frames) == 4 * (len(time) - 1) + 1
-    assert frames[-1] == pytest.approx(4 * time[-1], abs=1e-3)
+    opening = FilmConfig().opening
+    assert len(frames) == 4 * (round(opening * FPS) + len(time) - 1) + 1
+    assert frames[-1] == pytest.approx(4 * (opening + time[-1]), abs=0.05)
 
 
 def _no_plan(rollout: Path) -> None:
@@ -326,6 +332,26 @@ def test_a_package_without_background_is_filmed_and_that_is_told(package: Packag
     assert isinstance(found, Played)
     made = film_played(package, found)
     assert any("background.png" in d for d in made.decisions) and made.files[FILM][4:8] == b"ftyp"
+
+
+def test_a_film_opens_with_the_photo_and_keeps_its_pixels_where_nothing_moves(package: Package) -> None:
+    found = simulate_goal(package, GOAL)
+    assert isinstance(found, Played)
+    studio = Studio.of(package)
+    frames = FilmFrames(studio, studio.moving(found))
+    rest = np.array([o.T_world_object for o in studio.scene])
+    photo = studio.scene.photo.rgb
+    assert np.array_equal(frames.draw(rest), photo)
+    nudged = rest.copy()
+    nudged[:, 2, 3] += 1e-5
+    assert np.array_equal(frames.draw(nudged), photo), "a creep is no motion"
+    last = frames.draw(found.rollout.T_world_object[-1])
+    moved = studio.moving(found)
+    assert moved.any() and not moved.all()
+    for o, moves in zip(studio.scene, moved, strict=True):
+        inner = shrunk(o.mask, 2)
+        changed = (last[inner] != photo[inner]).any(1).mean() if inner.any() else 0.0
+        assert moves or changed < 0.5, o.label
 
 
 def seen_from_there(scene: Scene, k: int, T: np.ndarray) -> np.ndarray:

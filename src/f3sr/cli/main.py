@@ -13,7 +13,15 @@ from typing import Any
 import tyro
 
 import f3sr
-from f3sr.cli import agent_commands, batch_commands, goal_commands, photo_command, sample_command, segment_command
+from f3sr.cli import (
+    agent_commands,
+    batch_commands,
+    goal_commands,
+    import_command,
+    photo_command,
+    sample_command,
+    segment_command,
+)
 from f3sr.cli.arguments import Axes, Folder, Ignore, MaybeFile, Out
 from f3sr.cli.reconstruct_command import as_json, columns_of, names_in, reconstruct
 from f3sr.errors import (
@@ -42,6 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     commands: dict[str, Callable[..., Any]] = {
         "photo": photo_command.photo,
         "segment": segment_command.segment,
+        "import": import_command.import_scene,
         "reconstruct": reconstruct,
         "evaluate": evaluate,
         "simulate": goal_commands.simulate,

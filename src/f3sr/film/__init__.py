@@ -28,16 +28,24 @@ Draw = Callable[[Array], Picture]
 
 
 def make_film(
-    scene: Scene, plan: Plan, rollout: Rollout, verdict: Verdict, draw: Draw, *, slow: Fraction | float = 1
+    scene: Scene,
+    plan: Plan,
+    rollout: Rollout,
+    verdict: Verdict,
+    draw: Draw,
+    *,
+    slow: Fraction | float = 1,
+    opening: float = 0.0,
 ) -> Mapping[str, bytes]:
     """The bytes of film.mp4, film.png and player.html, by name; the same for the same rollout and pictures.
 
     ``scene`` is a package's. ``draw`` is called for every frame once, in order, with poses (N, 4, 4). ``slow`` is the
-    factor of slow motion: the plan is played again with more samples, and every frame shows the speed. Raises
+    factor of slow motion: the plan is played again with more samples, and every frame shows the speed. ``opening``
+    is how long the scene is first shown at rest [s]; after it, what starts elsewhere is lifted there. Raises
     InputError if that gives another motion or a frame cannot be filmed, OutputError if the encoder fails.
     """
     slow = factor(slow)
-    film = footage(scene, plan, rollout, verdict, slow)
+    film = footage(scene, plan, rollout, verdict, slow, opening=opening)
     drawn = film.rollout
     moments = moments_of(film.scenarios)
     kept: dict[int, Picture] = {}

@@ -45,17 +45,22 @@ class Footage:
     scenarios: tuple[Scenario, ...]
 
 
-def footage(scene: Scene, plan: Plan, rollout: Rollout, verdict: Verdict, slow: Fraction) -> Footage:
-    """The film of a rollout: phases follow each other without a cut. An object that starts elsewhere is lifted there.
+def footage(
+    scene: Scene, plan: Plan, rollout: Rollout, verdict: Verdict, slow: Fraction, *, opening: float = 0.0
+) -> Footage:
+    """The film of a rollout: phases follow each other without a cut. What starts elsewhere is lifted there; in the
+    first phase only after an ``opening`` [s] that shows the scene of the photo at rest.
 
     Raises InputError where phases have other sample rates, or slow motion gives another motion."""
     shown, found, time, frame = list[Rollout](), list[Scenario](), 0.0, 0
     for k, played in enumerate(played_phases(scene, plan, rollout)):
         part, began = finer(played.scene, played.phase, played.rollout, slow), float(rollout.time[rollout.starts[k]])
-        if shown and played.phase.initial.offsets:
-            lift = _lifted(shown[-1], part)
-            shown.append(lift)
-            time, frame = time + float(lift.time[-1]), frame + len(lift.time) - 1
+        before = [_resting(played.scene, part, opening)] if opening and not shown else []
+        if played.phase.initial.offsets and (shown or before):
+            before.append(_lifted((shown + before)[-1], part))
+        for still in before:
+            time, frame = time + float(still.time[-1]), frame + len(still.time) - 1
+        shown += before
         conditions = tuple(
             replace(c, time=None if c.time is None else c.time - began) for c in verdict.conditions if c.phase == k
         )
@@ -74,6 +79,14 @@ def footage(scene: Scene, plan: Plan, rollout: Rollout, verdict: Verdict, slow: 
         shown.append(part)
         time, frame = time + float(part.time[-1]), frame + len(part.time) - 1
     return Footage(rollout=_without_cuts(joined(shown)), scenarios=tuple(found))
+
+
+def _resting(scene: Scene, after: Rollout, seconds: float) -> Rollout:
+    """The scene as it rests in the photo."""
+    steps = max(1, round(seconds * float(rate_of(after))))
+    rest = np.array([scene[int(id)].T_world_object for id in after.ids])
+    time = np.arange(steps + 1) / float(rate_of(after))
+    return replace(after, time=time, T_world_object=np.tile(rest, (steps + 1, 1, 1, 1)), contacts=after.contacts[:0])
 
 
 def _lifted(before: Rollout, after: Rollout) -> Rollout:

@@ -37,6 +37,8 @@ class FilmConfig:
     """Slow-motion factor; where it is not 1 the picture says it."""
     still: Annotated[float, Interval(ge=0, le=1)] = 0.1
     """Least motion in the picture for which an object is drawn anew [px]. Engines creep and tremble at rest."""
+    opening: Annotated[float, Interval(ge=0, le=10)] = 0.4
+    """How long the film shows the scene of the photo before anything moves [s]."""
     nudged: Annotated[float, Interval(ge=0, le=10)] = 1.5
     """Largest motion in the picture, over a whole film, of what keeps the photo's own pixels [px]."""
     render: RenderConfig = field(default_factory=RenderConfig)
@@ -86,14 +88,15 @@ class Studio:
     def film(self, played: Played) -> Filmed:
         """Film a goal. Equal package, rollout and settings give equal bytes, whichever films came before."""
         slow = Fraction(self.config.slow).limit_denominator(1000)
-        frames = _Frames(self, self._moving(played))
+        frames = FilmFrames(self, self.moving(played))
 
-        files = make_film(self.scene, played.plan, played.rollout, played.verdict, frames.draw, slow=slow)
+        files = make_film(self.scene, played.plan, played.rollout, played.verdict, frames.draw,
+            slow=slow, opening=self.config.opening)  # fmt: skip
         width, height = self.scene.camera.width, self.scene.camera.height
         size = width + width % 2, height + height % 2  # films have even sides
         return Filmed(files=files, frames=frames.count, size=size, decisions=(*self.told, *self._beyond(played)))
 
-    def _moving(self, played: Played) -> NDArray[np.bool_]:
+    def moving(self, played: Played) -> NDArray[np.bool_]:
         """(N,) which objects leave their pose at rest in any frame, by more than a nudge."""
         rest = np.array([o.T_world_object for o in self.scene])
         held = Held(self.scene, max(self.config.nudged, self.config.still))
@@ -116,7 +119,7 @@ class Studio:
                 yield f"{name} ends beyond the edge of its support in the photo: in physics the ground has no edge"
 
 
-class _Frames:
+class FilmFrames:
     """The frames of one film, drawn in their order: an object keeps the photo's pixels until it first moves."""
 
     def __init__(self, studio: Studio, moving: NDArray[np.bool_]) -> None:
