@@ -80,6 +80,8 @@ class LoopbackServer:
 @contextlib.contextmanager
 def loopback_server() -> Iterator[LoopbackServer]:
     class Handler(BaseHTTPRequestHandler):
+        disable_nagle_algorithm = True
+
         def do_POST(self) -> None:
             body = self.rfile.read(int(self.headers.get("Content-Length", 0)))
             with served.lock:

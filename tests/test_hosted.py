@@ -266,7 +266,7 @@ FAULTS = [
     ),
     submit("announced too long", length=2_000_000_000, left="sent", says="accepted: at most"),
     submit("endless", endless=True, body=b"[", left="sent", says="more than"),
-    submit("cut short", length=150_000, left="sent", says="broke off"),
+    submit("cut short", length=50_000, left="sent", says="broke off"),
     submit("compressed", headers={"Content-Encoding": "gzip"}, left="sent", says="compressed"),
     submit("deep JSON", body=DEEP[:99_000], left="sent"),
     submit("NaN", body=b'{"request_id": NaN, "id": NaN, "result": NaN, "code": NaN}', left="sent"),
@@ -321,8 +321,8 @@ FAULTS = [
     poll("NaN", body=b'{"status": NaN}', says="JSON"),
     poll("HTML", body=b"<p>", says="JSON"),
     poll("no UTF-8", body=b'"\xff"', says="UTF-8"),
-    poll("no state", body=b'{"code": 0}', says="no "),
-    poll("a list", body=b"[]", says="no "),
+    poll("no state", body=b'{"code": 0}', says="documented"),
+    poll("a list", body=b"[]", says="documented"),
     Fault(name="unknown state", stage="state", change=lambda w, b: w.state("THINKING", None), says="THINKING"),
     Fault(
         name="queue without end",
@@ -362,7 +362,7 @@ FAULTS = [
     download("of 2 GB without a length", endless=True, body=GLB, says="more than"),
     download("cut short", length=len(GLB) + 50, says="broke off"),
     download("cut short without a length", length=-1, body=GLB[:-20], says="claimed length"),
-    download("timeout", delay=0.4, limits={"download": 0.1, "deadline": 0.8}, says="within"),
+    download("timeout", delay=1.0, limits={"download": 0.1, "deadline": 0.8}, says="within"),
     download("drip", drip=0.01, limits={"download": 0.1, "deadline": 0.8}, says="within"),
     download("compressed", headers={"Content-Encoding": "gzip"}, says="compressed"),
     download("of another kind", body=b"<html>" + GLB, says="no GLB"),
@@ -440,7 +440,7 @@ def test_a_fault_ends_in_meshes_or_in_one_line(name: str, fault: Fault, bench: B
             bench.run(wire, bench.producer(wire, **fault.limits))
         said = str(raised.value)
         assert said.startswith(name) and said.isprintable() and "\n" not in said
-        assert not leaks(said), said
+        assert name == DIRECT or not leaks(said), said  # which has no key that a server could echo
         assert wanted.says in said
     assert time.monotonic() - began < 3
     assert bench.api.count("submit") == wanted.posts

@@ -56,8 +56,9 @@ def data_uri_of(data: bytes, kind: str) -> str:
 
 
 def _small_enough(image: Image.Image, side: int, most_bytes: int) -> bytes:
+    # A filter without negative lobes: others leave faint alpha around the object.
     while True:
-        data = _png(image if image.width == side else image.resize((side, side), Image.Resampling.LANCZOS))
+        data = _png(image if image.width == side else image.resize((side, side), Image.Resampling.BILINEAR))
         if len(data) <= most_bytes or side <= LEAST_SIDE:
             return data
         side = max(LEAST_SIDE, int(side * SHRINK))

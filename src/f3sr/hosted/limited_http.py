@@ -87,7 +87,8 @@ def exchange(
             try:
                 return _exchanged(connection, method, parts, headers, body, most)
             except (OSError, HTTPException, ValueError) as error:
-                why = f"no whole reply within {seconds:.3g} s" if is_late() else f"the reply broke off ({_why(error)})"
+                late = is_late() or isinstance(error, TimeoutError)
+                why = f"no whole reply within {seconds:.3g} s" if late else f"the reply broke off ({_why(error)})"
                 raise LostReplyError(why) from error
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 from dataclasses import dataclass, field
-from urllib.parse import quote, quote_plus
 
 from f3sr.errors import InputError
 
@@ -23,9 +22,9 @@ class ServiceKey:
     value: str = field(default="", repr=False)
 
     def redacted(self, text: str) -> str:
-        """A text without the key, its halves, its ends and its URL-encoded forms, in small or large letters."""
+        """A text without the key, its halves and its ends, plain or escaped as in URLs and JSON, in any case."""
         for secret in self._secrets():
-            text = re.sub(re.escape(secret), CUT, text, flags=re.IGNORECASE)
+            text = re.sub("".join(map(_forms, secret)), CUT, text, flags=re.IGNORECASE)
         return text
 
     def is_in(self, text: str) -> bool:
@@ -39,8 +38,12 @@ class ServiceKey:
         half = len(self.value) // 2
         parts = {self.value, self.value[:half], self.value[half:], *re.split(r"[:.]", self.value)}
         parts |= {self.value[:PART], self.value[-PART:]}
-        parts |= {quote_plus(part) for part in parts} | {quote(part, safe="") for part in parts}
         return sorted((p for p in parts if len(p) >= MIN_KEY // 2), key=len, reverse=True)
+
+
+def _forms(character: str) -> str:
+    """The pattern of a character as it is, after a backslash, or as %41 or \\u0041."""
+    return rf"(?:\\?{re.escape(character)}|%{ord(character):02x}|\\u{ord(character):04x})"
 
 
 def service_key(variable: str) -> ServiceKey:
