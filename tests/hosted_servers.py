@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
+import ssl
 import struct
 import threading
 import time
@@ -78,7 +79,9 @@ class LoopbackServer:
 
 
 @contextlib.contextmanager
-def loopback_server() -> Iterator[LoopbackServer]:
+def loopback_server(tls: ssl.SSLContext | None = None) -> Iterator[LoopbackServer]:
+    """A server on a free port, with the certificate of ``tls`` where it is given."""
+
     class Handler(BaseHTTPRequestHandler):
         disable_nagle_algorithm = True
 
@@ -127,6 +130,9 @@ def loopback_server() -> Iterator[LoopbackServer]:
     server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
     server.daemon_threads = True
     server.block_on_close = False
+    server.handle_error = lambda request, client_address: None  # clients that go away are a part of the tests
+    if tls:
+        server.socket = tls.wrap_socket(server.socket, server_side=True)
     served = LoopbackServer(server.server_address[1])
     threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
     try:

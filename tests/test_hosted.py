@@ -5,7 +5,10 @@ from __future__ import annotations
 import base64
 import io
 import json
+import shutil
+import ssl
 import struct
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -26,6 +29,7 @@ from f3sr.hosted import job_files
 from f3sr.hosted.cut_outs import cut_out_png, mask_png, photo_jpeg
 from f3sr.hosted.hosted_client import HostedLimits
 from f3sr.hosted.hosted_service import HostedService
+from f3sr.hosted.limited_http import LostReplyError, NotSentError, exchange
 from f3sr.hosted.mesh_producers import MESH_PRODUCERS, HostedProducer
 from f3sr.hosted.service_key import ServiceKey, service_key
 from f3sr.hosted.services import SERVICES
@@ -856,11 +860,12 @@ def test_every_service_is_found_by_its_name(name: str, monkeypatch: pytest.Monke
         assert not need[0].met and variable in need[0].remedy
 
 
-@pytest.mark.parametrize("model", ["../x", "a b", "a/../b", "https://evil/x", "a?b", "-", "a" * 300, "x\n"])
+@pytest.mark.parametrize(
+    "model", ["../x", "a b", "a/../b", "https://evil/x", "a?b", "-x", "a:b", "a@b", "//evil", "a" * 300, "x\n"]
+)
 def test_a_model_that_cannot_be_one_is_refused(model: str) -> None:
-    if model != "-":
-        with pytest.raises(InputError, match="model of fal-trellis2"):
-            MESH_PRODUCERS.find(f"fal-trellis2:{model}")
+    with pytest.raises(InputError, match="model of fal-trellis2"):
+        MESH_PRODUCERS.find(f"fal-trellis2:{model}")
 
 
 @pytest.mark.parametrize(
@@ -932,6 +937,67 @@ def test_a_key_is_cut_out_in_every_form(monkeypatch: pytest.MonkeyPatch) -> None
         assert key.is_in(form)
     assert key.redacted("plain words") == "plain words" and KEY not in repr(key)
     assert ServiceKey().redacted(KEY) == KEY
+
+
+# --- TLS ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def certificate(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A certificate of this machine that nobody has signed, and its key, in one file."""
+    folder = tmp_path_factory.mktemp("tls")
+    openssl = shutil.which("openssl")
+    if not openssl:
+        pytest.skip("no openssl")
+    key, chain = folder / "key.pem", folder / "chain.pem"
+    made = [openssl, "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
+    made += ["-keyout", str(key), "-out", str(chain), "-days", "2", "-subj", "/CN=localhost"]
+    made += ["-addext", "subjectAltName=DNS:localhost"]
+    subprocess.run(made, check=True, capture_output=True)
+    both = folder / "both.pem"
+    both.write_bytes(key.read_bytes() + chain.read_bytes())
+    return both
+
+
+@pytest.fixture
+def tls(certificate: Path) -> Iterator[LoopbackServer]:
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate)
+    with loopback_server(context) as server:
+        server.replies = {"any": lambda n: ("text/plain", b"hello")}
+        yield server
+
+
+def asked(url: str, seconds: float = 2.0) -> bytes:
+    return exchange("GET", url, headers={}, body=None, seconds=seconds, most=1000).body
+
+
+def test_a_certificate_that_nobody_signed_gets_no_request(tls: LoopbackServer) -> None:
+    with pytest.raises(NotSentError, match="certificate"):
+        asked(f"https://localhost:{tls.port}/")
+    assert tls.heard == []
+
+
+def test_replies_by_tls_have_the_same_limits(
+    tls: LoopbackServer, certificate: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    context = ssl.create_default_context(cafile=str(certificate))
+    monkeypatch.setattr(ssl, "create_default_context", lambda: context)
+    assert asked(f"https://localhost:{tls.port}/") == b"hello"
+    with pytest.raises(NotSentError):  # a certificate of another name
+        asked(f"https://127.0.0.1:{tls.port}/")
+    began = time.monotonic()
+    for fault in (Answer(drip=0.05), Answer(delay=0.4)):
+        tls.faults["any"] = fault
+        with pytest.raises(LostReplyError, match=r"within 0\.1 s"):
+            asked(f"https://localhost:{tls.port}/", seconds=0.1)
+    assert time.monotonic() - began < 1
+    tls.faults["any"] = Answer(drop=True)
+    with pytest.raises(LostReplyError, match="broke off"):
+        asked(f"https://localhost:{tls.port}/")
+    tls.faults["any"] = Answer(length=9)
+    with pytest.raises(LostReplyError, match="broke off"):
+        asked(f"https://localhost:{tls.port}/")
 
 
 # --- pictures -------------------------------------------------------------------------------------------------------

@@ -11,8 +11,10 @@ from f3sr.backends.protocols import Axis
 
 ID = re.compile(r"[A-Za-z0-9][\w.-]{0,199}", re.ASCII)
 """What an id of a job may be: it becomes a part of URLs and messages."""
-MODEL = re.compile(r"[\w-][\w.-]*(/[\w-][\w.-]*){0,6}(:\w+)?(@\w+)?", re.ASCII)
+MODEL = re.compile(r"\w[\w.-]*(/\w[\w.-]*){0,6}", re.ASCII)
 """What a model's name may be: it becomes a part of URLs."""
+VERSIONED_MODEL = re.compile(MODEL.pattern + r"(:\w+)?(@\w+)?", re.ASCII)
+"""The same with a version, and with the name of the input that takes the picture."""
 
 
 class UnexpectedReplyError(Exception):
@@ -77,6 +79,8 @@ class HostedService:
     """Of the Authorization header."""
     model: str
     """What is run unless the user names another."""
+    model_form: re.Pattern[str] = MODEL
+    """Of the name that the user may give instead."""
     licence: str
     """Of what comes back, for the report."""
     up: Axis | None = "+y"

@@ -18,7 +18,7 @@ from f3sr.hosted import services
 from f3sr.hosted.cut_outs import cut_out_png, data_uri_of, mask_png, photo_jpeg
 from f3sr.hosted.hosted_client import HostedClient, HostedLimits, require_address
 from f3sr.hosted.hosted_job import HostedJob, JobMesh
-from f3sr.hosted.hosted_service import MODEL, HostedRequest, HostedService
+from f3sr.hosted.hosted_service import HostedRequest, HostedService
 from f3sr.hosted.job_files import FORMAT, JobFiles
 from f3sr.hosted.mesh_replies import readings
 from f3sr.hosted.service_key import ServiceKey, service_key
@@ -158,7 +158,7 @@ class ProducerMaker:
             service = replace(service, base_url=said.rstrip("/"))
             require_address(service, ServiceKey())
             return HostedProducer(service=service)
-        if len(said) > 200 or not MODEL.fullmatch(said):
+        if len(said) > 200 or not service.model_form.fullmatch(said):
             accepted = "letters, digits and - _ . /, as owner/name; owner/name:VERSION@FIELD for replicate"
             raise InputError(f"model of {service.name}", found=cut(repr(said)), accepted=accepted)
         return HostedProducer(service=replace(service, model=said))

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from f3sr.hosted.hosted_service import (
+    VERSIONED_MODEL,
     HostedRequest,
     HostedService,
     JobFailedError,
@@ -186,6 +187,7 @@ REPLICATE = HostedService(
     base_url="https://api.replicate.com",
     key_variable="REPLICATE_API_TOKEN",
     model="tencent/hunyuan-3d-3.1",
+    model_form=VERSIONED_MODEL,
     licence="the terms of Replicate and of the model",
     most_picture_bytes=256_000,
     submit=_replicate_submit,
