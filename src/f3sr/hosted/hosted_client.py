@@ -265,7 +265,7 @@ class HostedClient:
         try:
             return read()
         except UnexpectedReplyError as error:
-            self.fail(f"a reply of another form than documented ({str(error)[:MAX_TEXT]})")
+            self.fail(f"a reply of another form than documented ({self.key.redacted(str(error))[:MAX_TEXT]})")
 
 
 def require_address(service: HostedService, key: ServiceKey) -> None:

@@ -137,4 +137,4 @@ def job_state(word: str, *, waiting: Sequence[str], done: Sequence[str], failed:
         raise JobFailedError(f"{word}: {why}" if why else word)
     if word in waiting or word in done:
         return JobState(stage="waiting" if word in waiting else "done", words=word)
-    raise UnexpectedReplyError(f"an unknown state {word[:40]!r}")
+    raise UnexpectedReplyError(f"an unknown state {word!r}")

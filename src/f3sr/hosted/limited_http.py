@@ -18,7 +18,7 @@ from urllib.parse import SplitResult, urlsplit
 
 from f3sr.errors import reason
 
-MAX_ERROR_BYTES = 65_536
+MAX_ERROR_BYTES = 8_192
 """Of an error's reply: more is not read."""
 CHUNK = 65_536
 """Bytes read at a time."""
@@ -117,8 +117,8 @@ def _exchanged(
 
 
 def _read(response: HTTPResponse, most: int) -> HttpReply:
-    if (encoding := response.getheader("Content-Encoding", "identity")).lower() != "identity":
-        raise RefusedReplyError(f"a compressed reply ({encoding[:20]}), which was not asked for")
+    if response.getheader("Content-Encoding", "identity").lower() != "identity":
+        raise RefusedReplyError("a compressed reply, which was not asked for")
     is_error = response.status >= 300
     announced = response.length
     if announced is not None and announced > most and not is_error:

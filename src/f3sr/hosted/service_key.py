@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from f3sr.errors import InputError
@@ -11,7 +12,7 @@ from f3sr.errors import InputError
 MIN_KEY = 8
 """Fewest characters of a key: services give at least thirty, and a short one would be cut out of plain words."""
 PART = 12
-"""Characters of a key's beginning or end that are cut out too: servers show some of them."""
+"""Characters of a key in a row, anywhere in it, that are cut out: servers show some, and messages are shortened."""
 CUT = "[key]"
 
 
@@ -22,23 +23,37 @@ class ServiceKey:
     value: str = field(default="", repr=False)
 
     def redacted(self, text: str) -> str:
-        """A text without the key, its halves and its ends, plain or escaped as in URLs and JSON, in any case."""
-        for secret in self._secrets():
-            text = re.sub("".join(map(_forms, secret)), CUT, text, flags=re.IGNORECASE)
-        return text
+        """A text without the key and without its parts, plain or escaped as in URLs and JSON, in any case."""
+        end, kept = 0, list[str]()
+        for start, stop in _merged(span for part in self._parts() for span in _spans(part, text)):
+            kept += [text[end:start], CUT]
+            end = stop
+        return "".join(kept) + text[end:]
 
     def is_in(self, text: str) -> bool:
         """Whether a text holds the key or a part of it."""
         return self.redacted(text) != text
 
-    def _secrets(self) -> list[str]:
-        """The longest first."""
-        if not self.value:
-            return []
-        half = len(self.value) // 2
-        parts = {self.value, self.value[:half], self.value[half:], *re.split(r"[:.]", self.value)}
-        parts |= {self.value[:PART], self.value[-PART:]}
-        return sorted((p for p in parts if len(p) >= MIN_KEY // 2), key=len, reverse=True)
+    def _parts(self) -> set[str]:
+        """All that are long enough to tell."""
+        size = min(PART, len(self.value) // 2)
+        return {self.value[k : k + size] for k in range(len(self.value) - size + 1)} if self.value else set()
+
+
+def _spans(part: str, text: str) -> Iterator[tuple[int, int]]:
+    """Where a part of a key is in a text."""
+    return (found.span() for found in re.finditer("".join(map(_forms, part)), text, flags=re.IGNORECASE))
+
+
+def _merged(spans: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The same places, those that touch as one."""
+    merged = list[tuple[int, int]]()
+    for start, stop in sorted(spans):
+        if merged and start <= merged[-1][1]:
+            merged[-1] = merged[-1][0], max(stop, merged[-1][1])
+        else:
+            merged.append((start, stop))
+    return merged
 
 
 def _forms(character: str) -> str:

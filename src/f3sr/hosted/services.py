@@ -264,7 +264,7 @@ def _tripo_ticket(reply: Any) -> JobTicket:
 
 def _tripo_accepted(reply: Any) -> Any:
     if (code := value_at(reply, "code")) != 0:
-        raise UnexpectedReplyError(f"code {str(code)[:20]}: {value_at(reply, 'message')}")
+        raise UnexpectedReplyError(f"code {code}: {value_at(reply, 'message')}")
     return reply
 
 
