@@ -38,8 +38,15 @@ def load_mesh(path: Path, *, max_faces: int = MAX_FACES, max_texture_pixels: int
     """
     path = Path(path)
     data = _read_bytes(path, MESHES, MAX_FILE_BYTES if path.suffix.lower() == ".glb" else MAX_TEXT_BYTES)
-    pieces = read_gltf(path, data, max_faces=max_faces, max_texture_pixels=max_texture_pixels)
-    return _joined(_checked(path, pieces))
+    return mesh_of_glb(data, path, max_faces=max_faces, max_texture_pixels=max_texture_pixels)
+
+
+def mesh_of_glb(
+    data: bytes, where: Path, *, max_faces: int = MAX_FACES, max_texture_pixels: int = MAX_TEXTURE_PIXELS
+) -> Mesh:
+    """The same of bytes that are no file yet; ``where`` names them in errors."""
+    pieces = read_gltf(where, data, max_faces=max_faces, max_texture_pixels=max_texture_pixels)
+    return _joined(_checked(where, pieces))
 
 
 def load_part(path: Path, *, max_faces: int = MAX_FACES, max_bytes: int = MAX_TEXT_BYTES) -> Mesh:
