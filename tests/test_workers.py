@@ -17,9 +17,9 @@ import pytest
 from f3sr.backends.model_choice import ModelChoice
 from f3sr.backends.protocols import PromptedImage
 from f3sr.errors import F3srError, InputError
+from f3sr.generators import workers
 from f3sr.generators.mesh_worker import MeshWorker, WorkerModel
 from f3sr.generators.worker_process import WorkerError, WorkerLimits
-from f3sr.generators.workers import WorkerAssets
 from f3sr.io import inputs
 from f3sr.io.inputs import Inputs
 from f3sr.lifting.generators import ASSET_GENERATORS
@@ -87,7 +87,7 @@ def asked(jobs: Path) -> Counter[int]:
 def test_poses_come_out_as_the_folder_has_them(
     source: Path, jobs: Path, given: Inputs, image: PromptedImage, convention: str
 ):
-    assets = WorkerAssets(ModelChoice(model=command(source, convention=convention)))
+    assets = workers.worker(ModelChoice(model=command(source, convention=convention)))
     made = assets.generate(image, given.geometry, given.K)
     for id, asset in given.assets.items():
         wanted = asset.T_camera_object @ np.append(asset.scale * asset.mesh.vertices[0], 1)
@@ -98,7 +98,7 @@ def test_poses_come_out_as_the_folder_has_them(
 
 
 def test_meshes_without_a_pose_stand_on_their_masks(source: Path, jobs: Path, given: Inputs, image: PromptedImage):
-    assets = WorkerAssets(ModelChoice(model=command(source, convention="none")))
+    assets = workers.worker(ModelChoice(model=command(source, convention="none")))
     made = assets.generate(image, given.geometry, given.K)
     for id, asset in given.assets.items():
         middle = [m.T_camera_object @ np.append(m.scale * m.mesh.bounds.mean(0), 1) for m in (asset, made[id])]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from f3sr.backends.model_choice import Need
+from f3sr.backends.model_choice import ModelChoice, Need
 from f3sr.backends.protocols import GeneratedAsset, MeshProducer, PromptedImage
 from f3sr.core.transforms import Array
 from f3sr.mesh_poses.posed_meshes import posed_meshes
@@ -31,3 +31,15 @@ class PosedAssets:
         """What the producer cannot answer without."""
         ask = getattr(self.producer, "needs", tuple)
         return tuple(ask())
+
+
+@dataclass(frozen=True, eq=False)
+class PosedMaker:
+    """Makes the AssetGenerator of a producer, for what follows its name: a model, an address, a command."""
+
+    maker: Callable[[ModelChoice], MeshProducer]
+    takes_model = True
+
+    def __call__(self, choice: ModelChoice) -> PosedAssets:
+        """Raises InputError for what the producer does not take."""
+        return PosedAssets(self.maker(choice))

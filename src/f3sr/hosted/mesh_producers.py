@@ -20,7 +20,6 @@ from f3sr.hosted.hosted_client import HostedClient, HostedLimits, require_addres
 from f3sr.hosted.hosted_job import HostedJob, JobMesh
 from f3sr.hosted.hosted_service import HostedRequest, HostedService
 from f3sr.hosted.job_files import FORMAT, JobFiles
-from f3sr.hosted.mesh_replies import readings
 from f3sr.hosted.service_key import ServiceKey, service_key
 from f3sr.runtime import signals
 from f3sr.runtime.progress import Progress, Step, silent
@@ -134,7 +133,7 @@ class HostedProducer:
         return ProducedMesh(
             mesh=made.mesh,
             up=self.service.up,
-            poses=() if made.pose is None else readings(made.pose),
+            poses=() if made.pose is None else made.pose.readings,
             told=facts + (f", request {made.job}" if made.job else ""),
         )
 

@@ -8,15 +8,13 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from f3sr.backends.protocols import ReadPose
 from f3sr.core.mesh import Mesh
-from f3sr.core.transforms import pose
 from f3sr.errors import InputError
 from f3sr.files import strict_json
 from f3sr.hosted.hosted_service import UnexpectedReplyError
 from f3sr.io.assets import require_solidity
 from f3sr.io.mesh_files import mesh_of_glb
-from f3sr.io.sam3d import LOCAL_FROM_GLB, AssetPose
+from f3sr.io.sam3d import AssetPose
 
 
 def checked_mesh(data: bytes, name: str) -> Mesh:
@@ -36,19 +34,3 @@ def checked_pose(given: Mapping[str, Any], name: str) -> AssetPose:
     except ValidationError as error:
         found, accepted = strict_json.problem(error, "rotation, translation and scale")
         raise UnexpectedReplyError(f"a pose with {found}; accepted: {accepted}") from None
-
-
-def readings(given: AssetPose) -> tuple[ReadPose, ...]:
-    """Poses of the GLB in OpenCV camera axes, for both orders of the quaternion.
-
-    The model gives wxyz; fal's page says xyzw. ``x_camera = s R A v_glb + t`` as in ``io/sam3d.py``.
-    """
-    x, y, z, w = given.rotation
-    orders = {"wxyz": given.rotation, "xyzw": [w, x, y, z]}
-    found = list[ReadPose]()
-    for order, rotation in orders.items():
-        R, t = given.model_copy(update={"rotation": rotation}).camera_pose()
-        T = pose(R @ LOCAL_FROM_GLB, t)
-        reading = f"quaternion {order}, PyTorch3D camera"
-        found.append(ReadPose(reading=reading, T_camera_mesh=T, scale=given.uniform_scale))
-    return tuple(found)

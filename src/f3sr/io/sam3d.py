@@ -112,6 +112,11 @@ class AssetPose(BaseModel):
         """Metres per unit of the local frame."""
         return sum(self.scale) / 3
 
+    @property
+    def readings(self) -> tuple[ReadPose, ...]:
+        """What the pose may mean for its GLB, the documented convention first."""
+        return readings(self.rotation, self.translation, self.scale)
+
     def camera_pose(self) -> tuple[Array, Array]:
         """Rotation (3, 3) and translation (3,) [m] of the local frame in OpenCV camera axes: F R(q)^T and F t."""
         R = OPENCV_FROM_PYTORCH3D @ rotation_from_quaternion(self.rotation).T
