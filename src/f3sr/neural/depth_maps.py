@@ -53,6 +53,4 @@ class DepthAnythingNetwork(DepthNetwork):
 class DptNetwork(DepthNetwork):
     """DPT, as MiDaS: relative."""
 
-    family: ClassVar[ModelFamily] = ModelFamily(
-        title="DPT", types=("dpt",), default="Intel/dpt-large", gigabytes=2.0
-    )
+    family: ClassVar[ModelFamily] = ModelFamily(title="DPT", types=("dpt",), default="Intel/dpt-large", gigabytes=2.0)

@@ -8,10 +8,10 @@ from typing import ClassVar
 import numpy as np
 
 from f3sr.backends.protocols import EstimatedGeometry, PromptedImage
-from f3sr.core.transforms import Array
 from f3sr.errors import InputError
 from f3sr.neural.model_loading import LocalModel, ModelFamily, torch_library
 from f3sr.neural.photo_tensors import HALF, at_photo, stretched
+from f3sr.neural.pixel_rays import camera_matrix, rays
 
 NEAREST, FARTHEST = 1e-4, 1e4
 """Range of depths [m] of the processor. What lies at an end of it is no depth."""
@@ -47,17 +47,6 @@ class DepthProGeometry(LocalModel):
             K=K,
             told=f"metric depths of {self.name}; focal length {focal:.0f} px, {source}",
         )
-
-
-def camera_matrix(focal: float, centre: tuple[float, float]) -> Array:
-    """K (3, 3) of square pixels [px]."""
-    return np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1.0]])
-
-
-def rays(K: Array, width: int, height: int) -> Array:
-    """Directions (height, width, 3) of depth 1 through the centres of the photo's pixels."""
-    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    return np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], -1)
 
 
 def _focal(degrees: float, width: int) -> float:

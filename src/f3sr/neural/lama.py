@@ -38,7 +38,7 @@ class LamaCompleter(LocalModel):
         torch = torch_library(self.family.title)
         model = self.loaded(self._read)
         device, _ = self.place()
-        pixels, mask = _padded(photo.rgb.astype(np.float32) / 255), _padded(hole.astype(np.float32))
+        pixels, mask = _padded(photo.rgb.astype(np.float32) / np.float32(255)), _padded(hole.astype(np.float32))
         with torch.inference_mode():
             seen = torch.from_numpy(pixels).permute(2, 0, 1)[None].to(device)
             out = model(seen, torch.from_numpy(mask)[None, None].to(device))

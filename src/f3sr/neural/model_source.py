@@ -112,7 +112,9 @@ def _snapshot(name: str, *, allow_downloads: bool, patterns: Sequence[str] = FET
         folder = hub.snapshot_download(name, allow_patterns=list(patterns), local_files_only=not allow_downloads)
     except (errors.LocalEntryNotFoundError, errors.OfflineModeIsEnabled) as error:
         if allow_downloads:
-            raise F3srError(f"{name}: cannot be downloaded ({type(error).__name__}); is this machine online?") from error
+            raise F3srError(
+                f"{name}: cannot be downloaded ({type(error).__name__}); is this machine online?"
+            ) from error
         raise InputError(
             "model",
             found=f"no weights of {name} on this machine",

@@ -52,6 +52,6 @@ class Owlv2Detector(LocalModel):
         scores = best.values.sigmoid()
         kept = scores > SCORE
         side = float(max(photo.width, photo.height))
-        labels = [phrases[k] for k in best.indices[kept].tolist()]
+        labels: list[str] = [phrases[int(k)] for k in best.indices[kept].tolist()]
         boxes = out.pred_boxes[0][kept].float().cpu().numpy()
         return list(detections(photo, labels, scores[kept].cpu().numpy(), boxes, (side, side)))

@@ -16,9 +16,7 @@ HALF = ((0.5, 0.5, 0.5), (0.5, 0.5, 0.5))
 """The same of models that were trained on -1 to 1."""
 
 
-def stretched(
-    photo: Photo, size: int, spread: tuple[tuple[float, ...], tuple[float, ...]], *, antialias: bool
-) -> Any:
+def stretched(photo: Photo, size: int, spread: tuple[tuple[float, ...], tuple[float, ...]], *, antialias: bool) -> Any:
     """The photo as (1, 3, size, size) float32, its aspect not kept, less the mean, by the standard deviation.
 
     With ``antialias`` grey levels are rounded after resizing, as the processors of SAM do.
