@@ -111,12 +111,11 @@ def segment(
         return
     picture, folder = read_photo(photo), placed(out)
     selection, told = _selection(prompts, box, inside, outside, ground_stroke), ()
-    if segment:
-        named = _named(picture, segment, selection, choice)
-        selection, outlines, told = named.selection, named.outlines, named.told
-    elif drawn:
-        outlines = outlined(picture, selection, backend)
-    if segment or drawn:
+    named = _named(picture, segment, selection, choice) if segment else None
+    if named:
+        selection, told = named.selection, named.told
+    if named or drawn:
+        outlines = named.outlines if named else outlined(picture, selection, backend)
         found = {k: OutlinedObject(label=p.label, mask=outlines.masks[k]) for k, p in enumerate(selection.prompts)}
     else:
         imported = _imported(picture, photo, label_map, cutouts, coco)

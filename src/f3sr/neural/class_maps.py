@@ -15,23 +15,10 @@ from f3sr.neural.model_loading import LocalModel, ModelFamily, torch_library, tr
 from f3sr.scene import Photo
 
 SURFACES = frozenset(
-    [
-        "floor",
-        "table",
-        "desk",
-        "countertop",
-        "counter",
-        "ground",
-        "earth",
-        "rug",
-        "carpet",
-        "road",
-        "sidewalk",
-        "pavement",
-        "grass",
-        "sand",
-        "dirt",
-    ]
+    (
+        *("floor", "table", "desk", "countertop", "counter", "ground", "earth", "rug", "carpet"),
+        *("road", "sidewalk", "pavement", "grass", "sand", "dirt"),
+    )
 )
 """Words that name what objects stand on, in classes of ADE20K and COCO."""
 

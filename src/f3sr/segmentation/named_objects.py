@@ -69,7 +69,8 @@ def named_objects(
     """The objects of a photo that phrases name, several for a phrase that names several.
 
     Masks are those of ``segmenter`` for the detector's boxes. Without it they are the detector's own, where it gives
-    one for all, else those of the ``default``. ``ground`` points at what they stand on. Raises InputError where nothing is found, and for wrong answers.
+    one for all, else those of the ``default``. ``ground`` points at what they stand on. Raises InputError where nothing
+    is found, and for wrong answers.
     """
     answer = detector.asked(lambda d: d.detect(photo, phrases))
     every = _large(checked_detections(str(detector), answer, photo, phrases))
