@@ -169,6 +169,38 @@ def sam3_tracker(folder: Path) -> Path:
     return saved(t.Sam3TrackerModel(t.Sam3TrackerConfig(**_tracker_parts())), folder)
 
 
+def _memory() -> dict[str, Any]:
+    return dict(
+        memory_attention_hidden_size=32,
+        memory_attention_feed_forward_hidden_size=64,
+        memory_attention_num_layers=1,
+        memory_encoder_hidden_size=32,
+        memory_encoder_output_channels=16,
+        mask_downsampler_embed_dim=32,
+        memory_fuser_embed_dim=32,
+        memory_fuser_intermediate_dim=64,
+    )
+
+
+def sam3_video(folder: Path) -> Path:
+    """Detector and tracker in one file, as on the hub. transformers 5.24 saves the tracker's prefix twice: mended."""
+    from safetensors.torch import load_file, save_file
+
+    torch.manual_seed(0)
+    tracker = dict(_tracker_parts(), **_memory(), image_size=SAM3_SIDE, model_type="sam3_tracker_video")
+    config = t.Sam3VideoConfig(detector_config=sam3_config().to_dict(), tracker_config=tracker)
+    saved(t.Sam3VideoModel(config), folder, clip_tokenizer())
+    tensors = load_file(folder / "model.safetensors")
+    mended = {name.replace("tracker_model.tracker_model.", "tracker_model."): x for name, x in tensors.items()}
+    save_file(mended, folder / "model.safetensors", metadata={"format": "pt"})
+    return folder
+
+
+def sam2_video(folder: Path) -> Path:
+    torch.manual_seed(0)
+    return saved(t.Sam2VideoModel(t.Sam2VideoConfig(**sam2_parts(), **_memory(), image_size=SAM2_SIDE)), folder)
+
+
 def grounding_dino(folder: Path) -> Path:
     torch.manual_seed(0)
     config = t.GroundingDinoConfig(

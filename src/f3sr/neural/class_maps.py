@@ -39,12 +39,10 @@ class ClassMapGround(LocalModel):
             raise InputError(weights.path, found=found, accepted=f"a class named after {', '.join(sorted(SURFACES))}")
         pictures = transformers_part("AutoImageProcessor", weights, backend="pil")
         inputs = pictures(images=Image.fromarray(photo.rgb), return_tensors="pt")
-        offsets = inputs.get("patch_offsets")
+        parts = {"patch_offsets": offsets} if (offsets := inputs.get("patch_offsets")) is not None else {}
         with torch.inference_mode():
-            out = model(pixel_values=inputs["pixel_values"].to(model.device, model.dtype))
-        size = [(photo.height, photo.width)]
-        more = {"patch_offsets": offsets} if offsets is not None else {}
-        (found,) = pictures.post_process_semantic_segmentation(out, target_sizes=size, **more)
+            out = model(pixel_values=inputs["pixel_values"].to(model.device, model.dtype), **parts)
+        (found,) = pictures.post_process_semantic_segmentation(out, target_sizes=[(photo.height, photo.width)])
         classes = np.asarray(found.cpu().numpy())
         return classes == max(surfaces, key=lambda k: int(np.count_nonzero(classes == k)))
 
