@@ -461,9 +461,7 @@ def test_moge_gives_points_intrinsics_and_mask(folder: Path):
         moge_points.MogeGeometry(choice(folder / "bad.pt")).estimate(image())
 
 
-def test_moge_points_project_to_their_pixels_and_normals_face_the_camera(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_moge_points_project_to_their_pixels_and_normals_face_the_camera(folder: Path, monkeypatch: pytest.MonkeyPatch):
     """Planted as upstream answers: K by the photo's size, infinity where masked."""
     f = 1.1
     y, x = np.mgrid[:H, :W] + 0.5

@@ -115,9 +115,7 @@ def _sam3_vision() -> dict[str, Any]:
         global_attn_indexes=[1],
         pretrain_image_size=56,
     )
-    return dict(
-        backbone_config=backbone, fpn_hidden_size=32, backbone_feature_sizes=[[32, 32], [16, 16], [8, 8]]
-    )
+    return dict(backbone_config=backbone, fpn_hidden_size=32, backbone_feature_sizes=[[32, 32], [16, 16], [8, 8]])
 
 
 def sam3_config() -> Any:

@@ -25,8 +25,9 @@ SIGMA_OF_MEDIAN = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 LEAST_PIXELS = 64
 """Least number of ground pixels."""
-LEAST_INLIERS = 0.4
-"""Least share of the ground's pixels on the line: with fewer the surface is another."""
+MOST_LEFT = 0.5
+"""Most that a line may leave of the median deviation of the ground's inverse depths: values that have nothing to do
+with them leave more."""
 LEAST_SPREAD = 0.03
 """Least range of the ground's inverse depths, as a share of their median, that tells a scale from a shift."""
 EXACT = 1e-9
@@ -70,7 +71,7 @@ def fit_affine_depth(
     number of the region of the photo that each lies in (n,), for the jackknife.
 
     Raises InputError, which names ``where`` the values come from, for too few pixels, too small a range of depths,
-    no line that most of them follow, or one on which larger values are farther."""
+    values that have nothing to do with them, or a line on which larger values are farther."""
     finite = np.isfinite(values) & np.isfinite(inverse)
     d, q, groups = values[finite].astype(float), inverse[finite].astype(float), groups[finite]
     if len(d) < LEAST_PIXELS:
@@ -84,9 +85,10 @@ def fit_affine_depth(
         raise _unfit(where, "one value for all of the ground", "values that follow its depth")
     kept, line = _inliers(d, q, EXACT * middle)
     share = float(kept.mean())
-    if share < LEAST_INLIERS:
-        found = f"values of which {100 * share:.0f} % follow the ground's plane"
-        raise _unfit(where, found, f"at least {100 * LEAST_INLIERS:.0f} %")
+    left = float(np.median(np.abs(line[0] * d + line[1] - q)) / np.median(np.abs(q - middle)))
+    if left > MOST_LEFT:
+        found = f"values that leave {100 * left:.0f} % of the deviations of the ground's inverse depths"
+        raise _unfit(where, found, f"at most {100 * MOST_LEFT:.0f} %")
     if line[0] <= 0:
         raise _unfit(where, "values that grow with the ground's distance", "inverse depths, larger where nearer")
     off = line[0] * d[kept] + line[1] - q[kept]
