@@ -173,12 +173,12 @@ def worded(folder: Path) -> sam3.Sam3Detector:
 def instances(boxes: Sequence[Sequence[float]], scores: Sequence[float], masks: Sequence[NDArray[np.bool_]]) -> Any:
     """An output of SAM 3 with some instances."""
     odds = torch.logit(torch.tensor([list(scores)], dtype=torch.float32))
-    return dict(
-        pred_logits=odds,
-        presence_logits=torch.full((1, 1), 50.0),
-        pred_boxes=torch.tensor([[list(box) for box in boxes]], dtype=torch.float32),
-        pred_masks=torch.stack([logits(m) for m in masks])[None],
-    )
+    return {
+        "pred_logits": odds,
+        "presence_logits": torch.full((1, 1), 50.0),
+        "pred_boxes": torch.tensor([[list(box) for box in boxes]], dtype=torch.float32),
+        "pred_masks": torch.stack([logits(m) for m in masks])[None],
+    }
 
 
 def test_sam3_gives_planted_instances_with_box_and_mask(worded: sam3.Sam3Detector):

@@ -75,8 +75,8 @@ SAM3_SIDE = 112
 
 def sam2_parts() -> dict[str, Any]:
     S = SAM2_SIDE
-    return dict(
-        vision_config=t.Sam2VisionConfig(
+    return {
+        "vision_config": t.Sam2VisionConfig(
             backbone_config=t.Sam2HieraDetConfig(
                 hidden_size=16,
                 image_size=[S, S],
@@ -90,11 +90,11 @@ def sam2_parts() -> dict[str, Any]:
             backbone_feature_sizes=[[S // 4] * 2, [S // 8] * 2, [S // 16] * 2],
             fpn_hidden_size=32,
         ),
-        prompt_encoder_config=t.Sam2PromptEncoderConfig(hidden_size=32, image_size=S),
-        mask_decoder_config=t.Sam2MaskDecoderConfig(
+        "prompt_encoder_config": t.Sam2PromptEncoderConfig(hidden_size=32, image_size=S),
+        "mask_decoder_config": t.Sam2MaskDecoderConfig(
             hidden_size=32, mlp_dim=64, num_attention_heads=4, iou_head_hidden_dim=32
         ),
-    )
+    }
 
 
 def sam2(folder: Path) -> Path:
@@ -103,40 +103,40 @@ def sam2(folder: Path) -> Path:
 
 
 def _sam3_vision() -> dict[str, Any]:
-    backbone = dict(
-        model_type="sam3_vit_model",
-        hidden_size=32,
-        intermediate_size=64,
-        num_hidden_layers=2,
-        num_attention_heads=4,
-        image_size=SAM3_SIDE,
-        patch_size=14,
-        window_size=4,
-        global_attn_indexes=[1],
-        pretrain_image_size=56,
-    )
-    return dict(backbone_config=backbone, fpn_hidden_size=32, backbone_feature_sizes=[[32, 32], [16, 16], [8, 8]])
+    backbone = {
+        "model_type": "sam3_vit_model",
+        "hidden_size": 32,
+        "intermediate_size": 64,
+        "num_hidden_layers": 2,
+        "num_attention_heads": 4,
+        "image_size": SAM3_SIDE,
+        "patch_size": 14,
+        "window_size": 4,
+        "global_attn_indexes": [1],
+        "pretrain_image_size": 56,
+    }
+    return {"backbone_config": backbone, "fpn_hidden_size": 32, "backbone_feature_sizes": [[32, 32], [16, 16], [8, 8]]}
 
 
 def sam3_config() -> Any:
-    small = dict(hidden_size=32, num_layers=1, num_attention_heads=4, intermediate_size=64)
+    small = {"hidden_size": 32, "num_layers": 1, "num_attention_heads": 4, "intermediate_size": 64}
     return t.Sam3Config(
         vision_config=_sam3_vision(),
-        text_config=dict(
-            model_type="clip_text_model",
-            vocab_size=600,
-            hidden_size=32,
-            intermediate_size=64,
-            projection_dim=32,
-            num_hidden_layers=2,
-            num_attention_heads=4,
-            max_position_embeddings=32,
-            hidden_act="gelu",
-        ),
+        text_config={
+            "model_type": "clip_text_model",
+            "vocab_size": 600,
+            "hidden_size": 32,
+            "intermediate_size": 64,
+            "projection_dim": 32,
+            "num_hidden_layers": 2,
+            "num_attention_heads": 4,
+            "max_position_embeddings": 32,
+            "hidden_act": "gelu",
+        },
         geometry_encoder_config=dict(small),
         detr_encoder_config=dict(small),
         detr_decoder_config=dict(small, num_queries=10),
-        mask_decoder_config=dict(hidden_size=32, num_attention_heads=4),
+        mask_decoder_config={"hidden_size": 32, "num_attention_heads": 4},
     )
 
 
@@ -155,11 +155,11 @@ def sam3(folder: Path) -> Path:
 
 
 def _tracker_parts() -> dict[str, Any]:
-    return dict(
-        vision_config=_sam3_vision(),
-        prompt_encoder_config=dict(hidden_size=32, image_size=SAM3_SIDE, patch_size=14),
-        mask_decoder_config=dict(hidden_size=32, mlp_dim=64, num_attention_heads=4, iou_head_hidden_dim=32),
-    )
+    return {
+        "vision_config": _sam3_vision(),
+        "prompt_encoder_config": {"hidden_size": 32, "image_size": SAM3_SIDE, "patch_size": 14},
+        "mask_decoder_config": {"hidden_size": 32, "mlp_dim": 64, "num_attention_heads": 4, "iou_head_hidden_dim": 32},
+    }
 
 
 def sam3_tracker(folder: Path) -> Path:
@@ -168,16 +168,16 @@ def sam3_tracker(folder: Path) -> Path:
 
 
 def _memory() -> dict[str, Any]:
-    return dict(
-        memory_attention_hidden_size=32,
-        memory_attention_feed_forward_hidden_size=64,
-        memory_attention_num_layers=1,
-        memory_encoder_hidden_size=32,
-        memory_encoder_output_channels=16,
-        mask_downsampler_embed_dim=32,
-        memory_fuser_embed_dim=32,
-        memory_fuser_intermediate_dim=64,
-    )
+    return {
+        "memory_attention_hidden_size": 32,
+        "memory_attention_feed_forward_hidden_size": 64,
+        "memory_attention_num_layers": 1,
+        "memory_encoder_hidden_size": 32,
+        "memory_encoder_output_channels": 16,
+        "mask_downsampler_embed_dim": 32,
+        "memory_fuser_embed_dim": 32,
+        "memory_fuser_intermediate_dim": 64,
+    }
 
 
 def sam3_video(folder: Path) -> Path:
@@ -233,24 +233,24 @@ def grounding_dino(folder: Path) -> Path:
 def owlv2(folder: Path) -> Path:
     torch.manual_seed(0)
     config = t.Owlv2Config(
-        text_config=dict(
-            vocab_size=514,
-            hidden_size=32,
-            intermediate_size=64,
-            num_hidden_layers=1,
-            num_attention_heads=2,
-            max_position_embeddings=40,
-            bos_token_id=512,
-            eos_token_id=513,
-        ),
-        vision_config=dict(
-            hidden_size=32,
-            intermediate_size=64,
-            num_hidden_layers=1,
-            num_attention_heads=2,
-            image_size=192,
-            patch_size=16,
-        ),
+        text_config={
+            "vocab_size": 514,
+            "hidden_size": 32,
+            "intermediate_size": 64,
+            "num_hidden_layers": 1,
+            "num_attention_heads": 2,
+            "max_position_embeddings": 40,
+            "bos_token_id": 512,
+            "eos_token_id": 513,
+        },
+        vision_config={
+            "hidden_size": 32,
+            "intermediate_size": 64,
+            "num_hidden_layers": 1,
+            "num_attention_heads": 2,
+            "image_size": 192,
+            "patch_size": 16,
+        },
         projection_dim=32,
     )
     pictures = t.Owlv2ImageProcessorPil(size={"height": 192, "width": 192})
@@ -357,15 +357,15 @@ DEPTH_PRO_SIDE = 128
 
 def depth_pro(folder: Path) -> Path:
     torch.manual_seed(0)
-    part = dict(
-        model_type="dinov2",
-        image_size=32,
-        patch_size=16,
-        hidden_size=16,
-        num_hidden_layers=2,
-        num_attention_heads=2,
-        mlp_ratio=2,
-    )
+    part = {
+        "model_type": "dinov2",
+        "image_size": 32,
+        "patch_size": 16,
+        "hidden_size": 16,
+        "num_hidden_layers": 2,
+        "num_attention_heads": 2,
+        "mlp_ratio": 2,
+    }
     config = t.DepthProConfig(
         patch_size=32,
         fusion_hidden_size=16,
@@ -398,29 +398,29 @@ def moge(file: Path) -> Path:
     channels = [32, 16, 16, 8, 8]
 
     def stack(dim_in: Any, out: Any, blocks: list[int]) -> dict[str, Any]:
-        return dict(
-            dim_in=dim_in,
-            dim_out=out,
-            dim_res_blocks=channels,
-            num_res_blocks=blocks,
-            res_block_in_norm="none",
-            res_block_hidden_norm="none",
-            resamplers=["conv_transpose"] * 3 + ["bilinear"],
-        )
+        return {
+            "dim_in": dim_in,
+            "dim_out": out,
+            "dim_res_blocks": channels,
+            "num_res_blocks": blocks,
+            "res_block_in_norm": "none",
+            "res_block_hidden_norm": "none",
+            "resamplers": ["conv_transpose"] * 3 + ["bilinear"],
+        }
 
     def head(out: int) -> dict[str, Any]:
         return stack(channels, [None] * 4 + [out], [0, 1, 1, 1, 0])
 
-    config = dict(
-        encoder=dict(backbone="tiny", intermediate_layers=[0, 1, 2, 3], dim_out=32),
-        neck=stack([34, 2, 2, 2, 2], None, [0, 1, 1, 1, 0]),
-        points_head=head(3),
-        normal_head=head(3),
-        mask_head=head(1),
-        scale_head=dict(dims=[32, 32, 1]),
-        remap_output="exp",
-        num_tokens_range=[100, 300],
-    )
+    config = {
+        "encoder": {"backbone": "tiny", "intermediate_layers": [0, 1, 2, 3], "dim_out": 32},
+        "neck": stack([34, 2, 2, 2, 2], None, [0, 1, 1, 1, 0]),
+        "points_head": head(3),
+        "normal_head": head(3),
+        "mask_head": head(1),
+        "scale_head": {"dims": [32, 32, 1]},
+        "remap_output": "exp",
+        "num_tokens_range": [100, 300],
+    }
     torch.manual_seed(0)
     model = network(**config)
     torch.save({"model_config": config, "model": model.state_dict()}, file)
