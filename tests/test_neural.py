@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -15,12 +16,18 @@ from PIL import Image
 
 import tiny_models as tiny
 from f3sr.backends.model_choice import ModelChoice
-from f3sr.backends.protocols import KnownFocal, Prompt, PromptedImage
+from f3sr.backends.protocols import GeneratedAsset, KnownFocal, Prompt, PromptedImage
+from f3sr.cli.main import main
 from f3sr.errors import F3srError, InputError
+from f3sr.io import inputs
+from f3sr.lifting.generators import ASSET_GENERATORS
 from f3sr.neural import class_maps, depth_maps, depth_pro, grounding_dino, lama, moge_points, owlv2, sam2, sam3
 from f3sr.neural.photo_tensors import HALF, IMAGENET, at_photo, stretched
 from f3sr.neural.relative_boxes import detections
 from f3sr.scene import Photo
+from f3sr.segmentation.ownership import bounds
+from f3sr.segmentation.selection_json import read_selection
+from folders import write_folder
 from tiny_models import changed, logits, planted, torch
 
 W, H = 80, 60
@@ -536,3 +543,71 @@ def test_pixels_are_spread_as_the_networks_expect():
     grey = Photo(rgb=np.full((20, 30, 3), 255, np.uint8))
     x = stretched(grey, 8, IMAGENET, antialias=True)
     np.testing.assert_allclose(x[0, :, 0, 0], [(1 - m) / s for m, s in zip(*IMAGENET, strict=True)], rtol=1e-5)
+
+
+# --- a whole run --------------------------------------------------------------------------------------------------
+
+
+class GivenAssets:
+    """An AssetGenerator with the meshes of a folder, by label."""
+
+    folder = Path()
+
+    def generate(self, image: PromptedImage, geometry: Any, K: Any) -> dict[int, GeneratedAsset]:
+        given = inputs.read(self.folder)
+        posed = {i.label: given.assets[i.id] for i in given.instances}
+        return {
+            i.id: GeneratedAsset(mesh=a.mesh, T_camera_object=a.T_camera_object, scale=a.scale)
+            for i in image.instances
+            for a in [posed[i.label]]
+        }
+
+
+@pytest.mark.slow
+def test_planted_masks_geometry_and_meshes_give_the_package_of_the_folder(
+    tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    """The folder's own parts as the models' answers: the two packages agree in image and in what is known of them."""
+    write_folder(tmp_path / "given", perturb=0.06, seed=3)
+    given = inputs.read(tmp_path / "given")
+    assert main(["reconstruct", str(tmp_path / "given"), "-o", str(tmp_path / "A"), "--json"]) == 0
+    first = json.loads(capsys.readouterr().out)["f3sr"]
+    monkeypatch.setattr(GivenAssets, "folder", tmp_path / "given")
+    monkeypatch.setitem(cast(dict[str, str], ASSET_GENERATORS.built_in), "given", f"{__name__}:GivenAssets")
+    masks = {i.label: i.mask for i in given.instances}
+    ground = np.asarray(Image.open(tmp_path / "given" / "ground.png")) > 127
+    place = tiny.sam3(folder / "sam3_run")
+    detector = sam3.Sam3Detector(choice(place))
+    size = np.array([given.photo.width, given.photo.height] * 2)
+    words = {tuple(tiny.clip_tokenizer()(label)["input_ids"]): label for label in masks}
+
+    def answer(asked: Any, out: Any) -> Any:
+        tokens = asked["input_ids"][0][asked["attention_mask"][0].bool()].tolist()
+        label = words.get(tuple(tokens))
+        if label is None:
+            return changed(out, semantic_seg=logits(ground)[None, None])
+        box = np.array(bounds(masks[label])) / size
+        return changed(out, **instances([box], [0.9], [masks[label]]))
+
+    def infer(pixels: Any, **more: Any) -> dict[str, Any]:
+        points, valid = given.geometry.points, given.geometry.valid
+        normalised = given.K / [[given.photo.width], [given.photo.height], [1]]
+        values = {"points": points, "mask": valid, "intrinsics": normalised}
+        return {k: torch.from_numpy(np.array(v)) for k, v in values.items()}
+
+    monkeypatch.setattr(moge_points.MogeGeometry, "loaded", lambda self, make: SimpleNamespace(infer=infer))
+    shown = tmp_path / "photo.png"
+    shown.write_bytes((tmp_path / "given" / "image.png").read_bytes())
+    arguments = ["photo", str(shown), "-o", str(tmp_path / "B"), "--no-open", "--json", "--geometry", "moge"]
+    arguments += ["--assets", "given", "--ground-segmenter", f"sam3:{place}"]
+    with planted(detector, "Sam3Model", answer):
+        assert main([*arguments, "--segment", f"sam3:{place}", ", ".join(masks)]) == 0
+    second = json.loads(capsys.readouterr().out)["f3sr"]
+    assert abs(first["mIoU_visible"] - second["mIoU_visible"]) < 0.01
+    written = tmp_path / "B_input"
+    for i in inputs.read_instances(inputs.InputFolder(written), given.photo):
+        np.testing.assert_array_equal(i.mask, masks[i.label])
+    kept = read_selection(written / "prompts.json").made_by
+    assert f"sam3:{place}" not in kept and str(place) in kept and "licence unknown" in kept
+    report = (tmp_path / "B" / "report.json").read_text()
+    assert "metric points of Ruicheng/moge-2-vitl-normal" in report
