@@ -70,8 +70,8 @@ def fit_affine_depth(
     """The line through n pixels of the ground: the network's ``values`` (n,), 1/z of the plane (n,) [1/m], and the
     number of the region of the photo that each lies in (n,), for the jackknife.
 
-    Raises InputError, which names ``where`` the values come from, for too few pixels, too small a range of depths,
-    values that have nothing to do with them, or a line on which larger values are farther."""
+    Raises InputError, which names ``where`` the values come from. Reasons are too few pixels, too small a range of
+    depths, values that have nothing to do with them, and a line on which larger values are farther."""
     finite = np.isfinite(values) & np.isfinite(inverse)
     d, q, groups = values[finite].astype(float), inverse[finite].astype(float), groups[finite]
     if len(d) < LEAST_PIXELS:

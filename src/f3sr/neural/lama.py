@@ -33,8 +33,8 @@ class LamaCompleter(LocalModel):
         return find_file(self.name, file="", title=self.family.title, allow_downloads=False)
 
     def complete(self, photo: Photo, hole: NDArray[np.bool_], support: NDArray[np.bool_] | None) -> NDArray[np.uint8]:
-        """The photo (H, W, 3) with the hole (H, W) by the network, and nothing else of it; it sees the photo mirrored
-        at its right and lower border up to the next multiple of 8."""
+        """The photo (H, W, 3) with the hole (H, W) by the network, and nothing else of it. The network sees the
+        photo mirrored at its right and lower border, up to the next multiple of 8."""
         torch = torch_library(self.family.title)
         model = self.loaded(self._read)
         device, _ = self.place()
