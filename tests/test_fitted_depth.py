@@ -10,15 +10,18 @@ import pytest
 
 import tiny_models as tiny
 from f3sr.backends.model_choice import ModelChoice
-from f3sr.backends.protocols import EstimatedGeometry, KnownFocal, PromptedImage
+from f3sr.backends.protocols import EstimatedGeometry, GeometryEstimator, KnownFocal, PromptedImage
 from f3sr.backends.registry import Backend
 from f3sr.core.transforms import rotation_about
 from f3sr.errors import InputError
 from f3sr.io.answers import geometry_of
 from f3sr.io.input_folder import InputFolder
+from f3sr.io.inputs import Fillers, Inputs
+from f3sr.io.photo_hints import PhotoHints
 from f3sr.metrology.fitted_depth import DepthAnythingGeometry, FittedDepth, fitted
 from f3sr.neural.depth_maps import DepthMap
 from f3sr.neural.pixel_rays import rays
+from f3sr.photo_inputs import read_inputs
 from f3sr.scene import Instance, Photo
 from folders import write_folder
 
@@ -137,3 +140,42 @@ def test_a_real_network_of_random_weights_ends_in_an_answer_or_one_error(tmp_pat
     found = DepthAnythingGeometry(ModelChoice(model=str(place))).estimate(given)
     assert found.K[0, 0] == pytest.approx(F) and found.points.shape == (H, W, 3)
     np.testing.assert_allclose(found.points[..., 2], 10, rtol=0.2)  # half of max_depth: a sigmoid of about 0
+
+
+def test_the_unit_of_relative_depths_is_the_camera_height_that_is_given(tmp_path: Path):
+    """Without one it is a guess, which the report tells; metric depths take no height."""
+    truth = write_folder(tmp_path / "in")
+    eye = truth.camera
+    n, below = eye.T_world_camera[2, :3], float(eye.center[2])
+    w, h = eye.width, eye.height
+    toward = rays(eye.K, w, h)
+    depth = -below / (toward @ n)
+
+    def backend(*, metric: bool) -> Backend[GeometryEstimator]:
+        values = depth if metric else 7 / depth + 3
+        made = DepthAnythingGeometry(ModelChoice(model="planted"))
+        made.network.predict = lambda photo: DepthMap(  # type: ignore[method-assign]
+            values=values.astype(np.float32), metric=metric
+        )
+        return Backend(kind="geometry", name="planted", version="1", made=made)
+
+    def read(hints: PhotoHints, *, metric: bool = False) -> Inputs:
+        return read_inputs(
+            tmp_path / "in",
+            ignore=["geometry", "assets"],
+            fillers=Fillers(geometry=backend(metric=metric)),
+            hints=hints,
+        )
+
+    focal = float(eye.K[0, 0])
+    low, high = (read(PhotoHints(focal=focal, camera_height=height)) for height in (below, 2 * below))
+    assert low.geometry.source == "estimate" and low.K[0, 0] == pytest.approx(focal)
+    middle = low.geometry.valid & high.geometry.valid
+    assert middle.mean() > 0.5
+    np.testing.assert_allclose(high.geometry.points[middle], 2 * low.geometry.points[middle], rtol=1e-3)
+    assert any("unit: metres" in d.choice and "--camera-height" in d.reason for d in low.decisions)
+    guessed = read(PhotoHints(focal=focal))
+    assert any("unknown unit" in d.choice and d.fallback for d in guessed.decisions)
+    with pytest.raises(InputError, match="--camera-height: found a back end for geometry that takes no hint"):
+        read(PhotoHints(focal=focal, camera_height=below), metric=True)
+    assert not any("unit" in d.choice for d in read(PhotoHints(focal=focal), metric=True).decisions)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.errors import InputError, one_line
-from f3sr.neural.model_loading import LocalModel, ModelFamily, torch_library
+from f3sr.neural.model_loading import REMEDY, LocalModel, ModelFamily, torch_library
 from f3sr.neural.model_source import Weights, find_file
 from f3sr.scene import Photo
 
@@ -23,7 +23,7 @@ MULTIPLE = 8
 class LamaCompleter(LocalModel):
     """The BackgroundCompleter ``lama:FILE``."""
 
-    family: ClassVar[ModelFamily] = ModelFamily(title="LaMa", gigabytes=4.0, packages=("torch",))
+    family: ClassVar[ModelFamily] = ModelFamily(title="LaMa", gigabytes=4.0, packages={"torch": REMEDY})
 
     def weights(self) -> Weights:
         """The file. Raises InputError unless it is a local one."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from importlib import metadata
 from typing import Any, ClassVar
 
@@ -17,6 +17,7 @@ from f3sr.runtime.machine import usable_memory
 
 EXTRA = "models"
 REMEDY = "pip install 'f3sr[models]'"
+PACKAGES = {"torch": REMEDY, "transformers": REMEDY}
 KEPT = 4
 """Most models that stay in memory: a detector, a segmenter, a geometry and one more."""
 
@@ -38,7 +39,8 @@ class ModelFamily:
     """Memory that the default model needs at float32, with a photo [GB]; measured on none, by its parameters."""
     usual: Precision = "float32"
     """Precision of ``auto`` on a GPU."""
-    packages: tuple[str, ...] = ("torch", "transformers")
+    packages: Mapping[str, str] = field(default_factory=lambda: dict(PACKAGES))
+    """Packages that it imports, and the commands that install them."""
 
 
 class LocalModel:
@@ -113,7 +115,7 @@ class LocalModel:
 
     def needs(self) -> tuple[Need, ...]:
         """Packages, weights and memory."""
-        packages = tuple(map(_package, self.family.packages))
+        packages = tuple(_package(name, remedy) for name, remedy in self.family.packages.items())
         if not all(need.met for need in packages):
             return packages
         return (*packages, self._weights_need(), self._memory_need())
@@ -197,15 +199,13 @@ def transformers_part(name: str, weights: Weights, **more: Any) -> Any:
 
 
 def _without_downloads(model: LocalModel) -> LocalModel:
-    from dataclasses import replace
-
     return type(model)(replace(model.choice, allow_downloads=False))
 
 
-def _package(name: str) -> Need:
+def _package(name: str, remedy: str) -> Need:
     there = importlib.util.find_spec(name) is not None
     try:
         found = metadata.version(name) if there else "not installed"
     except metadata.PackageNotFoundError:
         found = "installed"
-    return Need(what=f"package {name}", met=there, found=found, remedy="" if there else REMEDY)
+    return Need(what=f"package {name}", met=there, found=found, remedy="" if there else remedy)

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 from typing import Any, ClassVar
 
 import numpy as np
 
 from f3sr.backends.protocols import EstimatedGeometry, PromptedImage
-from f3sr.errors import InputError, one_line
-from f3sr.neural.model_loading import LocalModel, ModelFamily, torch_library
+from f3sr.errors import F3srError, InputError, one_line
+from f3sr.neural.model_loading import REMEDY, LocalModel, ModelFamily, torch_library
 from f3sr.neural.model_source import Weights, find_file
 from f3sr.runtime.extras import library
 
 CHECKPOINT = "model.pt"
+INSTALL = "pip install --no-deps dlr-moge dlr-utils3d opencv-python-headless"
 
 
 class MogeGeometry(LocalModel):
@@ -24,7 +26,7 @@ class MogeGeometry(LocalModel):
         default="Ruicheng/moge-2-vitl-normal",
         gigabytes=3.0,
         usual="float16",
-        packages=("torch", "moge"),
+        packages={"torch": REMEDY, "moge": INSTALL},
     )
 
     def weights(self) -> Weights:
@@ -58,7 +60,9 @@ class MogeGeometry(LocalModel):
 
     def _read(self, weights: Weights) -> Any:
         torch = torch_library(self.family.title)
-        moge = library("moge.model.v2", extra="models", why=f"{self.family.title} (a package of its own)")
+        if not importlib.util.find_spec("moge"):
+            raise F3srError(f"{self.family.title} needs moge, which is not installed: {INSTALL}")
+        moge = library("moge.model.v2", extra="models", why=self.family.title)
         try:
             held = torch.load(weights.path, map_location="cpu", weights_only=True)
             model = moge.MoGeModel(**held["model_config"])
