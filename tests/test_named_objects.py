@@ -20,7 +20,6 @@ from f3sr.io.input_folder import InputFolder
 from f3sr.io.masks import read_instances
 from f3sr.scene import Photo
 from f3sr.segmentation import named_objects as words
-from f3sr.segmentation import segmenters
 from f3sr.segmentation.input_folder_writer import read_photo
 from f3sr.segmentation.segmenters import DETECTORS, GROUND_SEGMENTERS, SEGMENTERS
 from f3sr.segmentation.selection import Outlines
@@ -220,9 +219,6 @@ def photo(tmp_path: Path) -> Path:
 @pytest.fixture
 def scripted(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     def script(detector: object, ground: object = None) -> None:
-        def find(kind: Any, answer: object) -> Any:
-            return lambda self, spec, choice=None: backend(Scripted(answer), kind)
-
         for kind, answer in ((DETECTORS, detector), (GROUND_SEGMENTERS, ground)):
             real = type(kind).find
             monkeypatch.setattr(
@@ -233,7 +229,6 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
                 ),
             )
 
-    assert segmenters.DETECTORS is DETECTORS
     return script
 
 

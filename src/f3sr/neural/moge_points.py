@@ -55,7 +55,8 @@ class MogeGeometry(LocalModel):
             K=K,
             normals=None if normals is None else _facing(normals, points, valid),
             told=f"metric points of {self.name}; focal length {K[0, 0]:.0f} px"
-            + (f", told by {image.focal.source}" if image.focal else ""),
+            + (f", told by {image.focal.source}" if image.focal else "")
+            + ("; its principal point is not taken" if image.focal and image.focal.centre else ""),
         )
 
     def _read(self, weights: Weights) -> Any:
