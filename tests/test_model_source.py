@@ -10,7 +10,7 @@ import pytest
 
 import tiny_models as tiny
 from f3sr.backends.model_choice import ModelChoice
-from f3sr.errors import InputError
+from f3sr.errors import F3srError, InputError
 from f3sr.neural import model_loading
 from f3sr.neural.depth_maps import DepthAnythingNetwork
 from f3sr.neural.lama import LamaCompleter
@@ -164,3 +164,15 @@ def test_a_torchscript_file_is_taken_only_where_the_user_names_it(tmp_path: Path
         LamaCompleter(ModelChoice(model=str(tmp_path / "no.pt"))).complete(photo(), none, None)
     (need,) = [n for n in LamaCompleter().needs() if n.what == "weights"]
     assert not need.met and "NAME:FILE" in need.found
+
+
+def test_a_torchvision_that_does_not_fit_is_named(weights: Path, monkeypatch: pytest.MonkeyPatch):
+    """As its wheels for CUDA beside a torch for CPUs: every import of a model fails."""
+
+    class Broken:
+        def __getattr__(self, name: str) -> object:
+            raise RuntimeError("operator torchvision::nms does not exist")
+
+    monkeypatch.setattr(model_loading, "transformers_library", lambda title: Broken())
+    with pytest.raises(F3srError, match=r"torchvision::nms does not exist.*pip uninstall torchvision"):
+        network(weights).predict(photo())

@@ -162,11 +162,10 @@ def transformers_model(name: str, weights: Weights, dtype: Any) -> Any:
     """A model class of transformers with all its weights, from safetensors; never code of a repository.
 
     Raises InputError for files that cannot be read or lack tensors of the model."""
-    transformers = transformers_library(name)
-    torch = torch_library(name)
+    made, torch = _class(name), torch_library(name)
     damaged = library("safetensors", extra=EXTRA, why=name).SafetensorError
     try:
-        model, info = getattr(transformers, name).from_pretrained(
+        model, info = made.from_pretrained(
             str(weights.path),
             dtype=dtype,
             local_files_only=True,
@@ -188,14 +187,24 @@ def transformers_model(name: str, weights: Weights, dtype: Any) -> Any:
 
 def transformers_part(name: str, weights: Weights, **more: Any) -> Any:
     """A tokenizer or an image processor of the weights' folder. Raises InputError where its files are absent."""
-    transformers = transformers_library(name)
+    made = _class(name)
     try:
-        return getattr(transformers, name).from_pretrained(
-            str(weights.path), local_files_only=True, trust_remote_code=False, **more
-        )
+        return made.from_pretrained(str(weights.path), local_files_only=True, trust_remote_code=False, **more)
     except (OSError, ValueError, KeyError, TypeError, ImportError) as error:
         found = one_line(f"{type(error).__name__}: {error}")
         raise InputError(weights.path, found=found, accepted=f"files that {name} reads") from error
+
+
+def _class(name: str) -> Any:
+    """A class of transformers. Raises F3srError where a package that it imports does not fit torch."""
+    try:
+        return getattr(transformers_library(name), name)
+    except (ImportError, RuntimeError, AttributeError) as error:
+        why = f"{type(error).__name__}: {error}"
+        raise F3srError(
+            f"transformers' {name} cannot be imported ({one_line(why)}): f3sr needs transformers 5.20 or later and no "
+            "torchvision; pip uninstall torchvision helps where it was built for another torch"
+        ) from error
 
 
 def _without_downloads(model: LocalModel) -> LocalModel:
