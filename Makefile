@@ -4,13 +4,17 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= out
 
-.PHONY: demo test durations check bench bench-agents docs clean
+.PHONY: demo test test-models durations check bench bench-agents docs clean
 
 demo: $(VENV)/.core
 	$(BIN)/f3sr demo -o $(OUT)/demo --overwrite
 
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+# Networks with random weights: torch is large, and only these tests need it. This version is the build for CPUs.
+test-models: $(VENV)/.models
+	$(BIN)/python -m pytest tests/test_neural.py tests/test_model_source.py tests/test_fitted_depth.py
 
 durations: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist worksteal --junitxml=$(OUT)/tests.xml
@@ -46,6 +50,11 @@ $(VENV)/.core: pyproject.toml | $(VENV)/bin/python
 $(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/python -m pip install -q -e ".[dev]"
 	@touch $@ $(VENV)/.core
+
+$(VENV)/.models: pyproject.toml | $(VENV)/.dev
+	$(BIN)/python -m pip install -q torch==2.13.0
+	$(BIN)/python -m pip install -q -e ".[dev,models]"
+	@touch $@
 
 $(VENV)/.docs: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/python -m pip install -q -e ".[docs]"

@@ -145,6 +145,11 @@ def test_a_model_is_named_after_a_colon_and_told_with_its_back_end():
     assert MODELLED.find("own").told == f"own {f3sr.__version__}"
 
 
+def test_another_model_is_another_key_of_stored_results():
+    first, same, other = (MODELLED.find(f"modelled:{name}").key for name in ("a", "a", "b"))
+    assert first == same != other and MODELLED.find("own").key == MODELLED.find("own").key
+
+
 def test_a_back_end_without_a_model_takes_none():
     with pytest.raises(InputError, match="own:hub/name; accepted: own without a model"):
         MODELLED.find("own:hub/name")

@@ -58,7 +58,7 @@ def read_inputs(
         hints=hints,
     )
     hints = hints or PhotoHints()
-    if given.geometry.source != "ground" and not hints.known:
+    if not given.geometry.guessed_unit and not hints.known:
         return given
     return _in_metres(given, hints)
 
@@ -68,7 +68,7 @@ def _in_metres(given: Inputs, hints: PhotoHints) -> Inputs:
     lengths = hints.known_lengths(given.instances)
     clues = [*_given_clues(given, lengths), *(() if lengths else _usual_clues(given))]
     height_given = hints.camera_height is not None
-    if given.geometry.source != "ground":  # an estimate that claims metres: the user's word alone changes its unit
+    if not given.geometry.guessed_unit:  # an estimate that claims metres: the user's word alone changes its unit
         clues = [c for c in clues if c.given]
     scale = scene_scale(clues, height_given=height_given)
     scaled = _scaled(given, scale.factor) if clues else given

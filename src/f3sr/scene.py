@@ -87,6 +87,8 @@ class Geometry:
     source: GeometrySource = "estimate"
     noise: float | None = None
     """Standard deviation of its depths [share of the distance], where a user gives it."""
+    guessed_unit: bool = False
+    """Whether it claims no metres: known lengths and usual sizes may change its unit."""
     zooms: tuple[float, ...] = ()
     """Factors by which ``zoomed`` has changed it, in order."""
 

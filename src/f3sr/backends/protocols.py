@@ -113,6 +113,9 @@ class EstimatedGeometry:
     normals: NDArray[np.floating] | None = None
     ground_only: bool = False
     """Only points of the ground are known, none of objects."""
+    guessed_unit: bool = False
+    """Whether its unit rests on a guess, as that of the camera's height: known lengths and usual sizes then change it.
+    That of points of the ground only always does."""
     told: str = ""
     """What it rests on, for the report."""
 

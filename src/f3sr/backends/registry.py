@@ -51,12 +51,14 @@ class Backend(Generic[P]):
 
     @property
     def key(self) -> str:
-        """For stored results: another version, or another source file of the implementation, is another key."""
+        """For stored results: another version, another source file of the implementation, or another model is another
+        key."""
         try:
             source = Path(inspect.getfile(type(self.made))).read_bytes()
         except (OSError, TypeError):  # made in a console
             source = b""
-        return f"{self.kind} {self.name} {self.version} {hashlib.sha256(source).hexdigest()}"
+        model = self.told.removeprefix(f"{self.name} {self.version}")
+        return f"{self.kind} {self.name} {self.version} {hashlib.sha256(source).hexdigest()}{model}"
 
     def asked(self, question: Callable[[P], T]) -> T:
         """What it answers, unchecked. BackendError for whatever it raises; f3sr's own errors pass."""

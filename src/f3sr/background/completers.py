@@ -9,5 +9,7 @@ from f3sr.backends.registry import Kind
 DEFAULT_COMPLETER = "patchmatch"
 """Where nobody names another, with the settings of ``inpaint.completion``."""
 BACKGROUND_COMPLETERS = Kind(
-    name="background", protocol=BackgroundCompleter, built_in={DEFAULT_COMPLETER: "f3sr.background:PatchMatch"}
+    name="background",
+    protocol=BackgroundCompleter,
+    built_in={DEFAULT_COMPLETER: "f3sr.background:PatchMatch", "lama": "f3sr.neural.lama:LamaCompleter"},
 )

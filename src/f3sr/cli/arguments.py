@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from f3sr import options
+from f3sr.backends.model_choice import Device, Precision
 
 
 def default_shown(value: str) -> str:
@@ -26,6 +27,8 @@ MaybeFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=defaul
 MaybeShare = Annotated[float | None, arg(metavar="SHARE", help_behavior_hint=default_shown)]
 Name = Annotated[str | None, arg(metavar="NAME", help_behavior_hint=default_shown)]
 Model = Annotated[str | None, arg(metavar="MODEL", help_behavior_hint=default_shown)]
+DeviceName = Annotated[Device, arg(help_behavior_hint=default_shown)]
+PrecisionName = Annotated[Precision, arg(help_behavior_hint=default_shown)]
 AgentChoice = Literal["roles", "direct"]
 Skip = Annotated[
     str,

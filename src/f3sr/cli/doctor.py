@@ -31,13 +31,13 @@ from f3sr.play.languages import LANGUAGES
 from f3sr.runtime import kernels
 from f3sr.runtime.cache_folder import cache_folder
 from f3sr.runtime.machine import usable_cores, usable_memory
-from f3sr.segmentation.segmenters import SEGMENTERS
+from f3sr.segmentation.segmenters import DETECTORS, GROUND_SEGMENTERS, SEGMENTERS
 
 State = Literal["ok", "optional", "limited", "broken", "failed"]
 
 KINDS: tuple[Kind[Any], ...] = (
-    *(SEGMENTERS, GEOMETRY_ESTIMATORS, ASSET_GENERATORS, SCENE_GRAPHERS, BACKGROUND_COMPLETERS, LANGUAGES),
-    EXPORTERS,
+    *(SEGMENTERS, DETECTORS, GROUND_SEGMENTERS, GEOMETRY_ESTIMATORS, ASSET_GENERATORS),
+    *(SCENE_GRAPHERS, BACKGROUND_COMPLETERS, LANGUAGES, EXPORTERS),
 )
 LITTLE_MEMORY = 4.0
 """Memory [GB] that the largest stated scene, twenty objects of 200,000 triangles, needs."""

@@ -5,14 +5,28 @@ from __future__ import annotations
 import sys
 from contextlib import nullcontext, redirect_stdout
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from f3sr.cli.arguments import Known, MaybeFile, MaybeMetres, MaybeMillimetres, MaybeOut, MaybePixels, Name
+from f3sr.cli.arguments import (
+    DeviceName,
+    Known,
+    MaybeFile,
+    MaybeMetres,
+    MaybeMillimetres,
+    MaybeOut,
+    MaybePixels,
+    Name,
+    PrecisionName,
+)
 from f3sr.cli.reconstruct_command import reconstruct
-from f3sr.cli.segment_command import Boxes, segment
-from f3sr.errors import F3srError
+from f3sr.cli.segment_command import Boxes, MaybeWords
+from f3sr.cli.segment_command import segment as segment_photo
+from f3sr.errors import F3srError, InputError
+
+if TYPE_CHECKING:
+    from f3sr.backends.model_choice import ModelChoice
 
 PhotoOrFolder = Annotated[Positional[Path], arg(metavar="PHOTO")]
 AFTER = "The scene is being made now; the terminal shows the steps. Its report opens when it is ready."
@@ -25,7 +39,9 @@ def photo(
     /,
     out: MaybeOut = None,
     box: Boxes = (),
+    segment: MaybeWords = None,
     segmenter: Name = None,
+    ground_segmenter: Name = None,
     geometry: Name = None,
     assets: Name = None,
     background: Name = None,
@@ -33,6 +49,9 @@ def photo(
     focal_35mm: MaybeMillimetres = None,
     camera_height: MaybeMetres = None,
     known: Known = "",
+    device: DeviceName = "auto",
+    precision: PrecisionName = "auto",
+    allow_downloads: bool = False,
     config: MaybeFile = None,
     overwrite: bool = False,
     open: bool = True,
@@ -45,7 +64,10 @@ def photo(
         out: Where the package goes. Without it, PHOTO_scene beside the photo. The masks go to PHOTO_input beside the
             package. A second run begins with what was drawn.
         box: A box around what is seen of an object, and its label, instead of the page. Repeatable.
+        segment: A detector and what it shall find, as sam3 "red mug, plate", instead of the page. Every instance is an
+            object. A detector of boxes only needs a segmenter, as grounding-dino+sam2; without it: grabcut.
         segmenter: Back end that cuts objects out; ``f3sr doctor`` lists its names. Without it: grabcut.
+        ground_segmenter: Back end that outlines what the objects stand on. Without it, colours around them tell.
         geometry: Back end that estimates geometry; ``f3sr doctor`` lists its names.
         assets: Back end that generates meshes; ``f3sr doctor`` lists its names.
         background: Back end that completes the photo behind the objects; ``f3sr doctor`` lists its names.
@@ -54,11 +76,15 @@ def photo(
         camera_height: Height of the camera above what the objects stand on [m].
         known: Known lengths [m] of objects by id or label, as "mug=0.12,3=0.3": the longest side of the tightest box
             around the object.
+        device: Where models of back ends run; auto is the first of cuda, mps and cpu that is there.
+        precision: Their numbers; auto is float32 on a CPU, what a model usually runs in elsewhere.
+        allow_downloads: Fetch weights of such models from the hub where they are not on this machine.
         config: TOML file of settings; those it does not name stay as ``f3sr config`` prints them.
         overwrite: Also replace a package that holds rollouts.
         open: Open page and report in a browser.
         json: Print one JSON object instead of text.
     """
+    from f3sr.backends.model_choice import ModelChoice
     from f3sr.cli import console
     from f3sr.scene_package.package import PAGE
     from f3sr.scene_package.package_folder import prepare_output
@@ -67,9 +93,13 @@ def photo(
     given = photo.is_dir()
     package = out or _beside(photo, SCENE)
     folder = photo if given else _beside(package, INPUT)
+    if given and (segment or ground_segmenter):
+        option = "--segment" if segment else "--ground-segmenter"
+        raise InputError(option, found=f"the folder {photo.name}, which has masks", accepted="a photo")
     package = prepare_output(package, inputs=folder, overwrite=overwrite)
     if not given:
-        _outlined(photo, folder, box, segmenter, open=open, json=json)
+        choice = ModelChoice(device=device, precision=precision, allow_downloads=allow_downloads)
+        _outlined(photo, folder, box, segment, segmenter, ground_segmenter, choice, open=open, json=json)
     reconstruct(
         folder,
         out=package,
@@ -80,6 +110,9 @@ def photo(
         focal_35mm=focal_35mm,
         camera_height=camera_height,
         known=known,
+        device=device,
+        precision=precision,
+        allow_downloads=allow_downloads,
         config=config,
         overwrite=overwrite,
         json=json,
@@ -96,17 +129,36 @@ def _beside(place: Path, ending: str) -> Path:
 
 
 def _outlined(
-    photo: Path, folder: Path, boxes: tuple[str, ...], segmenter: str | None, *, open: bool, json: bool
+    photo: Path,
+    folder: Path,
+    boxes: tuple[str, ...],
+    words: tuple[str, str] | None,
+    segmenter: str | None,
+    ground_segmenter: str | None,
+    choice: ModelChoice,
+    *,
+    open: bool,
+    json: bool,
 ) -> None:
-    """Write the prompted-image folder of a photo, from boxes that are given or by hand in the page."""
+    """Write the prompted-image folder of a photo, from boxes or words that are given or by hand in the page."""
     from f3sr import mask_page
     from f3sr.cli import console
     from f3sr.segmentation.segmenters import DEFAULT_SEGMENTER, SEGMENTERS
 
-    if boxes:
+    if boxes or words or ground_segmenter:
         with redirect_stdout(sys.stderr) if json else nullcontext():
-            return segment(photo, folder, box=boxes, segmenter=segmenter)
-    backend = SEGMENTERS.find(segmenter or DEFAULT_SEGMENTER)
+            return segment_photo(
+                photo,
+                folder,
+                box=boxes,
+                segment=words,
+                segmenter=segmenter,
+                ground_segmenter=ground_segmenter,
+                device=choice.device,
+                precision=choice.precision,
+                allow_downloads=choice.allow_downloads,
+            )
+    backend = SEGMENTERS.find(segmenter or DEFAULT_SEGMENTER, choice)
     tell = console.say_aside if json else console.say
     if mask_page.serve(photo, folder, backend, open_browser=open, after=AFTER, tell=tell) is None:
         raise F3srError(mask_page.NOTHING_SAVED)

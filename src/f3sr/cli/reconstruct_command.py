@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from f3sr import options
 from f3sr.cli.arguments import (
     Axes,
+    DeviceName,
     Folder,
     Ignore,
     Known,
@@ -19,11 +20,13 @@ from f3sr.cli.arguments import (
     MaybeShare,
     Name,
     Out,
+    PrecisionName,
     Skip,
 )
 from f3sr.errors import InputError, require_known
 
 if TYPE_CHECKING:
+    from f3sr.backends.model_choice import ModelChoice
     from f3sr.backends.registry import Backend, Kind
 
 P = TypeVar("P")
@@ -47,6 +50,9 @@ def reconstruct(
     camera_height: MaybeMetres = None,
     known: Known = "",
     mask_overlap: MaybeShare = None,
+    device: DeviceName = "auto",
+    precision: PrecisionName = "auto",
+    allow_downloads: bool = False,
     config: MaybeFile = None,
     overwrite: bool = False,
     json: bool = False,
@@ -60,7 +66,8 @@ def reconstruct(
         out: Where the package goes; an older f3sr package there is replaced.
         geometry_noise: Standard deviation of the geometry's depths, as a share of the distance, 0.0001 to 0.5. Without
             it: measured for a sensor's depth, 0.01 for an estimate.
-        geometry: Back end that estimates geometry where the folder has none; ``f3sr doctor`` lists its names.
+        geometry: Back end that estimates geometry where the folder has none; ``f3sr doctor`` lists its names. One with
+            a model takes NAME:MODEL, a local file or folder, or a name on the hub.
         assets: Back end that generates meshes where the folder has none; ``f3sr doctor`` lists its names.
         scene_graph: Back end that proposes relations where the folder has none; ``f3sr doctor`` lists its names. Or a
             vision model, as openai:NAME.
@@ -74,12 +81,16 @@ def reconstruct(
             around the object.
         mask_overlap: Share of the smaller of two masks that may lie in both, up to 0.5; the smaller one keeps it.
             Without it: 0.05.
+        device: Where models of back ends run; auto is the first of cuda, mps and cpu that is there.
+        precision: Their numbers; auto is float32 on a CPU, what a model usually runs in elsewhere.
+        allow_downloads: Fetch weights of such models from the hub where they are not on this machine.
         config: TOML file of settings; those it does not name stay as ``f3sr config`` prints them.
         overwrite: Also replace a package that holds rollouts.
         json: Print one JSON object instead of text.
     """
     from f3sr import pipeline, settings
     from f3sr.backends.kinds import LABELERS, SCENE_GRAPHERS
+    from f3sr.backends.model_choice import ModelChoice
     from f3sr.background.completers import BACKGROUND_COMPLETERS, DEFAULT_COMPLETER
     from f3sr.cli import console
     from f3sr.delivery import deliver
@@ -99,14 +110,15 @@ def reconstruct(
     if package_folder.is_package(folder):
         raise InputError(folder, found=package_folder.PACKAGE, accepted=INPUT_FOLDER)
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
+    choice = ModelChoice(device=device, precision=precision, allow_downloads=allow_downloads)
     fillers = Fillers(
-        geometry=_backend(GEOMETRY_ESTIMATORS, geometry),
-        assets=_backend(ASSET_GENERATORS, assets),
-        scene_graph=_backend(SCENE_GRAPHERS, scene_graph),
-        labels=_backend(LABELERS, labels),
+        geometry=_backend(GEOMETRY_ESTIMATORS, geometry, choice),
+        assets=_backend(ASSET_GENERATORS, assets, choice),
+        scene_graph=_backend(SCENE_GRAPHERS, scene_graph, choice),
+        labels=_backend(LABELERS, labels, choice),
     )
     hints = PhotoHints(focal=focal, focal_35mm=focal_35mm, camera_height=camera_height, known=known_of(known))
-    completer = _backend(BACKGROUND_COMPLETERS, background) if background != DEFAULT_COMPLETER else None
+    completer = _backend(BACKGROUND_COMPLETERS, background, choice) if background != DEFAULT_COMPLETER else None
     with console.steps_shown(quiet=json) as progress, kernels.compiling() as compilers:
         with timed("read", progress):
             given = read_inputs(
@@ -136,12 +148,12 @@ def reconstruct(
     console.say(f"report:   {written / package.PAGE}")
 
 
-def _backend(kind: Kind[P], name: str | None) -> Backend[P] | None:
+def _backend(kind: Kind[P], name: str | None, choice: ModelChoice) -> Backend[P] | None:
     """The back end of a name, or of a model's spec as ``openai:NAME``, where a model can do that."""
     if name is None:
         return None
     if name.partition(":")[0] not in ("openai", "anthropic"):
-        return kind.find(name)
+        return kind.find(name, choice)
     from f3sr.agents import image_edit, photo_reader
 
     makers: dict[str, Callable[[str], Any]] = {

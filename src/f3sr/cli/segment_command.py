@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import json as json_
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, UseAppendAction, arg
 
-from f3sr.cli.arguments import MaybeFile, Name, default_shown
+from f3sr.cli.arguments import DeviceName, MaybeFile, Name, PrecisionName, default_shown
 from f3sr.errors import F3srError, InputError, require_known
 
 if TYPE_CHECKING:
+    from f3sr.backends.model_choice import ModelChoice
     from f3sr.backends.protocols import Prompt, Stroke
     from f3sr.scene import Photo
     from f3sr.segmentation.input_folder_writer import OutlinedObject
+    from f3sr.segmentation.named_objects import NamedObjects
     from f3sr.segmentation.selection import Selection
 
 PhotoFile = Annotated[Positional[Path], arg(metavar="PHOTO")]
@@ -25,6 +28,10 @@ Boxes = Annotated[
 ]
 Strokes = Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="K:X,Y;X,Y...", help_behavior_hint=default_shown)]
 GroundStrokes = Annotated[UseAppendAction[tuple[str, ...]], arg(metavar="X,Y;X,Y...", help_behavior_hint=default_shown)]
+
+MaybeWords = Annotated[
+    tuple[str, str] | None, arg(metavar="DETECTOR[+SEGMENTER] WORDS", help_behavior_hint=default_shown)
+]
 
 BOX = "X0,Y0,X1,Y1 or X0,Y0,X1,Y1:LABEL in pixels"
 STROKE = "X,Y or X,Y;X,Y and so on, in pixels"
@@ -42,7 +49,12 @@ def segment(
     label_map: MaybeFile = None,
     cutouts: MaybeFolder = None,
     coco: MaybeFile = None,
+    segment: MaybeWords = None,
     segmenter: Name = None,
+    ground_segmenter: Name = None,
+    device: DeviceName = "auto",
+    precision: PrecisionName = "auto",
+    allow_downloads: bool = False,
     json: bool = False,
 ) -> None:
     """Outline objects in a photo and write a prompted-image folder for ``f3sr reconstruct``.
@@ -58,20 +70,37 @@ def segment(
         label_map: A PNG whose grey values or palette numbers are the objects; 0 is none.
         cutouts: A folder of photo-sized PNGs, each with one object that is not transparent.
         coco: A JSON file of COCO's format with run-length codes or polygons.
+        segment: A detector and what it shall find, as sam3 "red mug, plate". Every instance is an object. A detector
+            of boxes only needs a segmenter, as grounding-dino+sam2; without it: grabcut.
         segmenter: Back end that cuts objects out; ``f3sr doctor`` lists its names. Without it: grabcut.
+        ground_segmenter: Back end that outlines what the objects stand on. Without it, colours around them tell.
+        device: Where models of back ends run; auto is the first of cuda, mps and cpu that is there.
+        precision: Their numbers; auto is float32 on a CPU, what a model usually runs in elsewhere.
+        allow_downloads: Fetch weights of such models from the hub where they are not on this machine.
         json: Print one JSON object instead of text.
     """
+    from f3sr.backends.model_choice import ModelChoice
     from f3sr.cli import console
     from f3sr.scene_package.package_folder import placed
     from f3sr.segmentation.input_folder_writer import OutlinedObject, read_photo, write_input_folder
-    from f3sr.segmentation.segmenters import DEFAULT_SEGMENTER, SEGMENTERS
+    from f3sr.segmentation.named_objects import with_ground
+    from f3sr.segmentation.segmenters import DEFAULT_SEGMENTER, GROUND_SEGMENTERS, SEGMENTERS
     from f3sr.segmentation.selection import outlined, told_apart
 
     drawn = bool(box or inside or outside or prompts)
-    ways = {"--label-map": label_map, "--cutouts": cutouts, "--coco": coco, "boxes and strokes": drawn or None}
+    ways = {
+        "--label-map": label_map,
+        "--cutouts": cutouts,
+        "--coco": coco,
+        "--segment": segment,
+        "boxes and strokes": drawn or None,
+    }
     if len(given := [name for name, value in ways.items() if value is not None]) > 1:
         raise InputError("segment", found=" and ".join(given), accepted="one way to tell the objects")
-    backend = SEGMENTERS.find(segmenter or DEFAULT_SEGMENTER)
+    _require_use(segment, segmenter, ground_segmenter, ground_stroke, page=not given and not ground_stroke)
+    choice = ModelChoice(device=device, precision=precision, allow_downloads=allow_downloads)
+    backend = SEGMENTERS.find(segmenter or DEFAULT_SEGMENTER, choice)
+    surface = GROUND_SEGMENTERS.find(ground_segmenter, choice) if ground_segmenter else None
     if not given and not ground_stroke:
         from f3sr import mask_page
 
@@ -81,22 +110,67 @@ def segment(
         print(json_.dumps({"folder": str(saved)}) if json else f"folder:   {saved}")
         return
     picture, folder = read_photo(photo), placed(out)
-    selection = _selection(prompts, box, inside, outside, ground_stroke)
-    if drawn:
-        outlines = outlined(picture, selection, backend)
+    selection, told = _selection(prompts, box, inside, outside, ground_stroke), ()
+    named = _named(picture, segment, selection, choice) if segment else None
+    if named:
+        selection, told = named.selection, named.told
+    if named or drawn:
+        outlines = named.outlines if named else outlined(picture, selection, backend)
         found = {k: OutlinedObject(label=p.label, mask=outlines.masks[k]) for k, p in enumerate(selection.prompts)}
     else:
         imported = _imported(picture, photo, label_map, cutouts, coco)
         outlines = told_apart(picture, [o.mask for o in imported.values()], selection)
         apart = zip(imported.items(), outlines.masks, strict=True)
         found = {id: OutlinedObject(label=o.label, mask=mask) for (id, o), mask in apart}
+    if surface:
+        outlines = with_ground(picture, outlines, surface)
+        by = f"ground by {surface.told}"
+        selection, told = replace(selection, made_by="; ".join(filter(None, (selection.made_by, by)))), (*told, by)
     written = write_input_folder(folder, photo=photo, objects=found, ground=outlines.ground, selection=selection)
     if json:
-        print(json_.dumps({"folder": str(written), "pixels": {id: int(o.mask.sum()) for id, o in found.items()}}))
+        pixels = {id: int(o.mask.sum()) for id, o in found.items()}
+        print(json_.dumps({"folder": str(written), "pixels": pixels} | ({"told": told} if told else {})))
         return
+    for line in told:
+        console.say(line)
     rows = [(str(id), o.label, f"{int(o.mask.sum()):,}") for id, o in found.items()]
     console.print_table([*rows, ("", "ground", f"{int(outlines.ground.sum()):,}")], header=("id", "label", "pixels"))
     console.say(f"folder:   {written}")
+
+
+def _require_use(
+    words: tuple[str, str] | None,
+    segmenter: str | None,
+    ground_segmenter: str | None,
+    ground_stroke: tuple[str, ...],
+    *,
+    page: bool,
+) -> None:
+    """Raises InputError for options that exclude each other."""
+    if words and segmenter:
+        raise InputError("--segmenter", found="also --segment", accepted="--segment DETECTOR+SEGMENTER WORDS")
+    if ground_segmenter and ground_stroke:
+        raise InputError("--ground-segmenter", found="also --ground-stroke", accepted="one of the two")
+    if ground_segmenter and page:
+        raise InputError("--ground-segmenter", found="no object", accepted="boxes, strokes, masks or words beside it")
+
+
+def _named(photo: Photo, words: tuple[str, str], given: Selection, choice: ModelChoice) -> NamedObjects:
+    """The objects that words name; strokes on the ground stay."""
+    from f3sr.segmentation.named_objects import back_ends_of, named_objects, phrases_of
+    from f3sr.segmentation.segmenters import DEFAULT_SEGMENTER, DETECTORS, SEGMENTERS
+
+    spec, text = words
+    phrases = phrases_of(text)
+    detector, segmenter = back_ends_of(spec, SEGMENTERS)
+    return named_objects(
+        photo,
+        phrases,
+        DETECTORS.find(detector, choice),
+        SEGMENTERS.find(segmenter, choice) if segmenter else None,
+        SEGMENTERS.find(DEFAULT_SEGMENTER),
+        ground=given.ground,
+    )
 
 
 def _imported(
@@ -123,8 +197,6 @@ def _selection(
     ground: tuple[str, ...],
 ) -> Selection:
     """What the options of the command point at, beside the prompts of an earlier run."""
-    from dataclasses import replace
-
     from f3sr.backends.protocols import Prompt
     from f3sr.segmentation.selection import Selection
     from f3sr.segmentation.selection_json import read_selection

@@ -6,6 +6,7 @@ Every error is an InputError that names the back end, what it answered and what 
 from __future__ import annotations
 
 import hashlib
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from f3sr.backends.protocols import (
     AssetGenerator,
+    Detection,
     EstimatedGeometry,
     GeneratedAsset,
     GeometryEstimator,
@@ -59,15 +61,17 @@ def geometry_of(
     valid = _array(where, "valid", answer.valid, "b", ("h", "w"))
     points = _array(where, "points", answer.points, "f", (*valid.shape, 3))
     normals = None if answer.normals is None else _array(where, "normals", answer.normals, "f", (*valid.shape, 3))
-    K = _array(where, "K", answer.K, "fiu", (3, 3)).astype(float)
+    K = checked_K(where, _array(where, "K", answer.K, "fiu", (3, 3)).astype(float), image.photo)
     geometry = estimated(folder, where, points, valid, normals, np.eye(3))
     folder.digests[f"geometry by {backend.key}"] = _digest(points, valid, normals, K)
     if _typed(where, answer.ground_only, bool):
-        geometry = replace(geometry, source="ground")
+        geometry = replace(geometry, source="ground", guessed_unit=True)
+    elif _typed(where, answer.guessed_unit, bool):
+        geometry = replace(geometry, guessed_unit=True)
     told = _told(where, answer.told)
     folder.decide(f"geometry: estimated by {where}{told and ': '}{told}", ABSENT, fallback=fallback)
     tell_stretch(folder, geometry, image.photo)
-    return geometry, checked_K(where, K, image.photo)
+    return geometry, K
 
 
 def camera_of(folder: InputFolder, backend: Backend[GeometryEstimator], image: PromptedImage) -> Array:
@@ -159,6 +163,31 @@ def checked_masks(where: str, answer: object, photo: Photo, count: int) -> tuple
     if empty := [k for k, mask in enumerate(checked) if not mask.any()]:
         _refuse(where, f"mask {empty[0]} without a pixel", "masks with at least one")
     return checked
+
+
+def checked_detections(where: str, answer: object, photo: Photo, phrases: Sequence[str]) -> tuple[Detection, ...]:
+    """A Detector's answer: labels that were asked for, scores from 0 to 1, boxes with an area within the photo, masks
+    (H, W) with at least one pixel."""
+    found = tuple(_typed(where, d, Detection) for d in _typed(where, answer, Sequence))
+    for d in found:
+        if d.label not in phrases:
+            _refuse(where, f"the label {d.label!r:.60}", f"one of {', '.join(phrases)}")
+        if not 0 <= _number(where, d.score) <= 1:  # NaN is not
+            _refuse(where, f"score {d.score:g} of {d.label}", "a number from 0 to 1")
+        box = _typed(where, d.box, tuple)
+        left, top, right, bottom = map(float, box) if len(box) == 4 else (math.nan,) * 4
+        if not (0 <= left < right <= photo.width and 0 <= top < bottom <= photo.height):
+            told = ", ".join(f"{_number(where, x):g}" for x in box[:4])
+            accepted = f"left, top, right, bottom within the photo's {photo.width}x{photo.height} pixels"
+            _refuse(where, f"the box {told} of {d.label}", accepted)
+    masked = [d for d in found if d.mask is not None]
+    checked_masks(where, [d.mask for d in masked], photo, len(masked))
+    return found
+
+
+def checked_ground(where: str, answer: object, photo: Photo) -> NDArray[np.bool_]:
+    """A GroundSegmenter's answer: (H, W) bool of the photo's size."""
+    return _array(where, "ground", answer, "b", (photo.height, photo.width))
 
 
 def checked_photo(where: str, answer: object, photo: Photo) -> NDArray[np.uint8]:

@@ -250,9 +250,10 @@ class _Parts:
         if focal and abs(K[0, 0] / focal.pixels - 1) > TAKEN:
             found = f"{K[0, 0]:.0f} px by the geometry's back end, which takes no hint"
             raise InputError(focal.source, found=found, accepted="only with the built-in geometry")
-        if self.hints.camera_height is not None and geometry.source != "ground":
+        if self.hints.camera_height is not None and not geometry.guessed_unit:
             found = "a back end for geometry that takes no hint"
-            raise InputError("--camera-height", found=found, accepted="only with the built-in geometry")
+            accepted = "only with the built-in geometry, or with relative depths, which it gives a unit"
+            raise InputError("--camera-height", found=found, accepted=accepted)
 
     def _require_use(self, given: bool) -> None:
         """Hints are for what is made from the photo; depths alone lack a focal length, and know their unit."""

@@ -10,5 +10,11 @@ DEFAULT_ESTIMATOR = "metrology"
 GEOMETRY_ESTIMATORS = Kind(
     name="geometry",
     protocol=GeometryEstimator,
-    built_in={DEFAULT_ESTIMATOR: "f3sr.metrology.ground_metrology:GroundMetrology"},
+    built_in={
+        DEFAULT_ESTIMATOR: "f3sr.metrology.ground_metrology:GroundMetrology",
+        "moge": "f3sr.neural.moge_points:MogeGeometry",
+        "depth-pro": "f3sr.neural.depth_pro:DepthProGeometry",
+        "depth-anything": "f3sr.metrology.fitted_depth:DepthAnythingGeometry",
+        "dpt": "f3sr.metrology.fitted_depth:DptGeometry",
+    },
 )

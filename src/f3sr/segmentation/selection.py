@@ -31,6 +31,8 @@ class Selection:
 
     prompts: tuple[Prompt, ...]
     ground: Prompt = field(default_factory=Prompt)
+    made_by: str = ""
+    """Who found the boxes and cut the masks, where models did."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from f3sr.backends.protocols import Prompt
-from f3sr.errors import InputError
+from f3sr.errors import LONGEST_LINE, InputError, cut
 from f3sr.files import strict_json
 from f3sr.files.bounds import MAX_LABEL, MAX_OBJECTS
 from f3sr.segmentation.selection import MAX_POINTS, Selection
@@ -44,11 +44,14 @@ class _SelectionForm(BaseModel):
     version: Literal[1]
     prompts: Annotated[list[_PromptForm], Field(max_length=MAX_OBJECTS)]
     ground: _PromptForm = _PromptForm()
+    made_by: Annotated[str, Field(max_length=LONGEST_LINE)] = ""
 
 
 def selection_form(selection: Selection) -> dict[str, Any]:
     """The selection as values that JSON holds."""
-    return {"format": FORMAT, "version": 1, **asdict(selection)}
+    values = asdict(selection)
+    made_by = values.pop("made_by")
+    return {"format": FORMAT, "version": 1, **values, **({"made_by": cut(made_by, LONGEST_LINE)} if made_by else {})}
 
 
 def selection_bytes(selection: Selection) -> bytes:
@@ -68,4 +71,5 @@ def selection_of(value: Any, where: str | Path) -> Selection:
     except ValidationError as error:
         found, accepted = strict_json.problem(error, ", ".join(_SelectionForm.model_fields))
         raise InputError(where, found=found, accepted=accepted) from error
-    return Selection(prompts=tuple(p.prompt() for p in form.prompts), ground=form.ground.prompt())
+    prompts = tuple(p.prompt() for p in form.prompts)
+    return Selection(prompts=prompts, ground=form.ground.prompt(), made_by=form.made_by)
