@@ -72,6 +72,29 @@ def test_a_ground_mask_counts_and_nothing_above_the_horizon_does() -> None:
     assert support[scene[0].mask & ground].all() and not support[scene[0].mask & ~ground].any()
 
 
+def ground_only(scene: Scene) -> Scene:
+    """With no other geometry than the plane of the ground, drawn over all of the photo that it may be seen in."""
+    assert scene.geometry is not None
+    y, x = np.mgrid[: scene.camera.height, : scene.camera.width] + 0.5
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(scene.camera.K).T
+    valid = faces_ground(scene.camera)
+    depth = -scene.camera.center[2] / np.where(valid, rays @ scene.camera.T_world_camera[2, :3], -1)
+    points = np.where(valid[..., None], rays * depth[..., None], 0)
+    return replace(scene, geometry=Geometry(points=points, valid=valid, source="ground"))
+
+
+def test_a_plane_drawn_over_the_photo_shows_no_edge_of_the_support_and_hides_nothing() -> None:
+    scene, bare = ground_only(seen_scene()), seen_scene(geometry=False)
+    hole = scene[0].mask
+    ground = np.zeros_like(hole)
+    ground[:, : ground.shape[1] // 2] = True
+    masked = [replace(s, ground_mask=ground) for s in (scene, bare)]
+    assert np.array_equal(support_of(masked[0], hole), support_of(masked[1], hole))
+    assert np.isinf(hiding(scene, support_of(masked[0], hole), hole)).all()
+    decisions = inpaint(scene, BackgroundConfig())[1].decisions
+    assert any(d.fallback and "horizon" in d.choice for d in decisions)
+
+
 def test_where_nothing_tells_the_support_that_is_told() -> None:
     scene = seen_scene(geometry=False)
     decisions = inpaint(scene, BackgroundConfig())[1].decisions

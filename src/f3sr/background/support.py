@@ -36,9 +36,9 @@ def support_of(scene: Scene, hole: Mask) -> Mask:
 def hiding(scene: Scene, support: Mask, hole: Mask) -> NDArray[np.float32]:
     """z-depths (H, W) [m] of pixels that are neither object nor support and may hide objects: a chair's back.
 
-    Infinite elsewhere, and everywhere without geometry."""
+    Infinite elsewhere, and everywhere without geometry of more than the ground."""
     shape = (scene.photo.height, scene.photo.width)
-    if scene.geometry is None:
+    if scene.geometry is None or scene.geometry.source == "ground":
         return np.full(shape, np.inf, np.float32)
     depth = np.where(scene.geometry.valid & (scene.geometry.points[..., 2] > 0), scene.geometry.points[..., 2], np.inf)
     # Nearest geometry pixel of every photo pixel.
@@ -60,7 +60,8 @@ def _seen(scene: Scene) -> tuple[Mask, Mask]:
     """Pixels (H, W) of which something tells what they show, and those that show the support."""
     shape = (scene.photo.height, scene.photo.width)
     known, seen = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
-    if scene.geometry is not None:
+    # A ground plane alone is drawn over the whole photo: it shows no table's edge.
+    if scene.geometry is not None and scene.geometry.source != "ground":
         height = _heights(scene.geometry.points.astype(float), scene.camera)
         far = np.linalg.norm(scene.geometry.points, axis=-1)
         close = scene.geometry.valid & (np.abs(height) <= NEAR * scene.diagonal + NOISE * far)

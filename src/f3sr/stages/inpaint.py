@@ -60,8 +60,8 @@ def inpaint(
         decisions += (Decision(choice="background: completed by patchmatch", reason=unanswered, fallback=True),)
     elif completer:
         decisions += (Decision(choice=f"background: completed by {completer}", reason="asked for"),)
-    if scene.geometry is None and scene.ground_mask is None:
-        reason = "neither geometry nor a ground mask"
+    if (scene.geometry is None or scene.geometry.source == "ground") and scene.ground_mask is None:
+        reason = "neither geometry of objects nor a ground mask"
         decisions += (Decision(choice="support: all below the horizon", reason=reason, fallback=True),)
     outcome = Inpainted(
         replaced=float(background.replaced.mean()), shadows=float(background.shadows.mean()), decisions=decisions
