@@ -58,6 +58,8 @@ HOLLOWS = {
     **dict.fromkeys(("cup", "mug", "bucket", "bin", "glass", "teacup", "planter"), 2.0),
 }  # fmt: skip
 """Words of labels that name hollow things, and the usual ratio of their height to the radius of their rim."""
+FRUIT = {"lemon", "lime", "pear", "strawberry", "tomato", "potato", "avocado", "mango", "kiwi", "egg"}
+"""Words of labels that name things without a flat underside."""
 WORDS = {
     "box": ("box", "brick", "book", "cube", "crate", "carton", "speaker", "cabinet", "drawer", "block"),
     "bowl or cup": tuple(HOLLOWS),
@@ -157,7 +159,7 @@ def candidates(label: str, seen: Outlined, floor: float) -> list[FittedShape]:
         fit_box(seen, floor),
         fit_carved(seen, floor),
         *(fit_hollow(seen, floor, aspect=aspects[-1], upside_down=over) for over in (False, True) if aspects),
-        fit_revolution(seen, floor),
+        fit_revolution(seen, floor, is_round=not FRUIT.isdisjoint(words_of(label))),
         fit_standing(seen, floor),
         fit_lying(seen, floor),
     ]

@@ -30,9 +30,9 @@ CAP = 5
 """Rings of a round end."""
 
 
-def fit_revolution(seen: Outlined, floor: float) -> FittedShape | None:
+def fit_revolution(seen: Outlined, floor: float, *, is_round: bool = False) -> FittedShape | None:
     """The symmetric hull of the mask about a vertical axis on the height ``floor`` [m]: at each height the largest
-    circle whose image lies in the mask. The axis is where that covers most."""
+    circle whose image lies in the mask. The axis is where that covers most. ``is_round``: it has no flat underside."""
     anchor = anchored(seen, floor)
     if anchor is None:
         return None
@@ -48,7 +48,7 @@ def fit_revolution(seen: Outlined, floor: float) -> FittedShape | None:
 
     def profile(x: Array) -> Array | None:
         widest = _profile(seen, axis(x), size, beyond=SLACK * x[2])
-        return None if widest is None else _closed(seen, axis(x), widest)
+        return None if widest is None else _closed(seen, axis(x), widest, is_round=is_round)
 
     def loss(x: Array) -> float:
         around = profile(x)
@@ -65,7 +65,7 @@ def fit_revolution(seen: Outlined, floor: float) -> FittedShape | None:
     return FittedShape.of("solid of revolution", replace(revolved(axis(x), around), symmetry="round"), seen)
 
 
-def _closed(seen: Outlined, foot: Array, profile: Array) -> Array:
+def _closed(seen: Outlined, foot: Array, profile: Array, *, is_round: bool) -> Array:
     """A profile whose ends are what things have, not all that the outline allows.
 
     Above the circle that is highest in the picture, and below the lowest, the mask bounds only a cone of rays. Where
@@ -85,8 +85,8 @@ def _closed(seen: Outlined, foot: Array, profile: Array) -> Array:
     middle = np.column_stack([radii, heights])[bottom : top + 1]
     over = heights[top] + radii[top] * (math.sqrt(1 + upper**2) - upper)  # the top of the sphere that goes on
     head = _cap(middle[-1], upper, float(over)) if upper > ROUND else np.array([[0, heights[top]]])
-    if lower > ROUND:
-        foot_of = _cap(middle[0], lower, 0.0)[::-1]
+    if lower > ROUND or is_round:
+        foot_of = _cap(middle[0], max(lower, ROUND), 0.0)[::-1]
     else:
         foot_of = np.array([[0, 0], [radii[bottom], 0]])[: 2 if heights[bottom] > 0 else 1]
     return np.concatenate([foot_of, middle, head])
