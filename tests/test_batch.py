@@ -35,6 +35,7 @@ from f3sr.dataset.prune import prune
 from f3sr.dataset.record import from_bytes, to_bytes
 from f3sr.dataset.storage import RECORD
 from f3sr.errors import F3srError, InputError, OutputError
+from f3sr.film.studio import FilmConfig
 from f3sr.goals.file_names import ROLLOUT
 from f3sr.pipeline import Config
 from f3sr.runtime import signals
@@ -508,7 +509,8 @@ def test_a_goal_of_a_batch_is_filmed_and_a_film_that_fails_leaves_the_goal(
     with av.open(str(package.folder / filmed["film"])) as container:
         frames = [frame.time for frame in container.decode(video=0)]
     time = np.load(package.folder / filmed["folder"] / ROLLOUT)["time"]
-    assert len(frames) == len(time) and abs(frames[-1] - time[-1]) < 1e-6
+    opening = len(frames) - len(time)
+    assert abs(opening / 30 - FilmConfig().opening) < 1e-6 and abs(frames[-1] - opening / 30 - time[-1]) < 1e-6
     assert refused["state"] == "refused" and "film" not in refused
 
     def no_film(*_: Any) -> None:
