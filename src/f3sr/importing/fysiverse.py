@@ -6,6 +6,7 @@ ground at z = 0. The camera looks along its own -Z (Blender). Masks are not publ
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -20,12 +21,14 @@ from f3sr.importing.composition import ComposedObject, Composition
 from f3sr.io.images import open_image
 from f3sr.io.input_folder import InputFolder
 from f3sr.io.mesh_files import load_mesh
-from f3sr.io.sam3d import CAMERAS, LOCAL_FROM_GLB
+from f3sr.io.sam3d import CAMERAS, LOCAL_FROM_GLB, UNIT
 
 MANIFEST = "results/final_scene_manifest.json"
 CAMERA = "results/3dgs_bg/manifest.json"
 LENIENT = ConfigDict(extra="ignore", allow_inf_nan=False)
 Text = Annotated[str, Field(max_length=300)]
+Rows = Annotated[list[Annotated[list[float], Field(min_length=3, max_length=3)]], Field(min_length=3, max_length=3)]
+"""A matrix (3, 3)."""
 
 
 class _SessionObject(BaseModel):
@@ -56,8 +59,8 @@ class _SessionCamera(BaseModel):
     model_config = LENIENT
     position: Annotated[list[float], Field(min_length=3, max_length=3)]
     quaternion_xyzw: Annotated[list[float], Field(min_length=4, max_length=4)]
-    intrinsics_pixels: Annotated[list[list[float]], Field(min_length=3, max_length=3)] | None = None
-    intrinsics_normalized: Annotated[list[list[float]], Field(min_length=3, max_length=3)] | None = None
+    intrinsics_pixels: Rows | None = None
+    intrinsics_normalized: Rows | None = None
     image_size: Annotated[list[int], Field(min_length=2, max_length=2)]
 
 
@@ -115,9 +118,11 @@ def _camera(place: InputFolder, photo: Path) -> Camera:
         found = f"a camera of {given.image_size[0]}x{given.image_size[1]} pixels"
         raise InputError(place.path(CAMERA), found=found, accepted=f"the photo's {width}x{height}")
     K = _intrinsics(given)
-    if K.shape != (3, 3) or not (K[0, 0] > 0 and K[1, 1] > 0):
+    if not (K[0, 0] > 0 and K[1, 1] > 0 and K[2].tolist() == [0, 0, 1]):
         raise InputError(place.path(CAMERA), found="intrinsics that are no camera's", accepted="K (3, 3) in pixels")
     x, y, z, w = given.quaternion_xyzw
+    if abs(math.hypot(x, y, z, w) - 1) > UNIT:
+        raise InputError(place.path(CAMERA), found="a quaternion that is no rotation", accepted="xyzw of length 1")
     R = rotation_from_quaternion([w, x, y, z]) @ CAMERAS["OpenGL"]
     return Camera(width=width, height=height, K=K, T_world_camera=pose(R, given.position))
 
