@@ -33,6 +33,8 @@ from f3sr.vision.silhouette import LossWeights, Mask, union_of
 from f3sr.vision.silhouette_fit import EVERYTHING, ObjectFit, object_fit
 
 STAGE = "assemble"
+NEIGHBOUR = math.radians(15)
+"""Turn up to which one refinement covers two starts."""
 
 
 @constants
@@ -138,14 +140,27 @@ class PoseSearch:
         """Poses, best first; the first is the one to take."""
         wide = self._fit(outlined(self.start, self.config.orientations.max_faces), self.config.wide, coarse=True)
         rings = tried_orientations(self.start, wide, self.config.orientations)
-        tried = sorted((f for ring in rings for f in ring), key=lambda f: f.value)
-        near = [f for f in tried if f.value <= tried[0].value + self.config.slack][: self.config.compared]
-        upright = [f for f in tried if f.side == 0][: self.config.refined]
-        first = [self.judged(self._moved(wide, f), f.side) for f in {id(f): f for f in (*near, *upright)}.values()]
-        best = sorted(first, key=lambda f: f.missed)[: self.config.refined]
-        best += [f for f in sorted(first, key=lambda f: f.missed) if f.side == 0 and f not in best][:1]
+        near = self._promising(rings)
+        first = sorted((self.judged(self._moved(wide, f), f.side) for f in near), key=lambda f: f.missed)
+        best = _distinct(first)[: self.config.refined]
+        best += [f for f in first if f.side == 0 and f not in best][:1]
         refined = sorted((self._refined(f) for f in best), key=lambda f: f.missed)
         return self._ranked(refined)
+
+    def _promising(self, rings: list[list[Orientation]]) -> list[Orientation]:
+        """What is worth a look at detail and depth: on every side the silhouettes that fit better than their
+        neighbours, then the best of the rest, for round things look alike from everywhere."""
+        lowest = [
+            found
+            for ring in rings
+            for k, found in enumerate(ring)
+            if found.value <= min(ring[k - 1].value, ring[(k + 1) % len(ring)].value)
+        ]
+        everything = sorted((f for ring in rings for f in ring), key=lambda f: f.value)
+        rest = [f for f in everything if f.value <= everything[0].value + self.config.slack]
+        ordered = [*sorted(lowest, key=lambda f: f.value), *rest]
+        distinct = list({id(f): f for f in ordered}.values())
+        return distinct[: max(self.config.compared, len(lowest))]
 
     @cached_property
     def start(self) -> SceneObject:
@@ -245,6 +260,15 @@ class PoseSearch:
         if upright is None or found[0].missed <= self.config.upright * upright.missed:
             return found
         return [upright, *(f for f in found if f is not upright)]
+
+
+def _distinct(found: list[FoundPose]) -> list[FoundPose]:
+    """Those that are turned from all before them."""
+    kept = list[FoundPose]()
+    for f in found:
+        if all(turn_between(f, other) > NEIGHBOUR for other in kept):
+            kept.append(f)
+    return kept
 
 
 def turn_between(one: FoundPose, other: FoundPose) -> float:
