@@ -70,7 +70,8 @@ def ask(
 
 
 def with_mode(mode: Any) -> ModelConfig:
-    return ModelConfig(timeout=0.6, deadline=2.0, wait=0.01, mode=mode)
+    """Patient: the first question of a process imports the API's library, seconds on a busy machine."""
+    return ModelConfig(timeout=60, deadline=120, wait=0.01, mode=mode)
 
 
 @pytest.mark.parametrize("provider", PROVIDERS)
