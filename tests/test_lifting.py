@@ -17,7 +17,6 @@ from f3sr.lifting.boxes import fit_box, fit_carved
 from f3sr.lifting.choice import Choice, carries, choose
 from f3sr.lifting.fits import FittedShape
 from f3sr.lifting.hollows import fit_hollow
-from f3sr.lifting.image_supports import below
 from f3sr.lifting.many_starts import cost, refined
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.revolutions import fit_revolution
@@ -32,6 +31,7 @@ from f3sr.stages.align import align
 from f3sr.stages.assemble import assemble
 from f3sr.stages.level import level
 from f3sr.vision import rasterizer
+from f3sr.vision.image_supports import below
 
 PITCH = math.radians(35)
 R = attitude(PITCH, 0.0).T

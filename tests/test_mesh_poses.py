@@ -16,7 +16,7 @@ from f3sr.mesh_poses.posed_meshes import AXES, posed_meshes, upright
 from f3sr.mesh_poses.read_poses import is_clear, judged_readings
 from f3sr.scene import Geometry, Instance, Photo
 from f3sr.vision import rasterizer
-from folders import camera
+from folders import boxes, camera
 from scenes import box, box_mesh
 
 RANDOM = np.random.default_rng(4)
@@ -130,3 +130,25 @@ def test_poses_that_show_nothing_of_the_masks_are_not_believed():
     assert "pose by its mask" in made.told
     found = transform(made.T_camera_object, made.scale * made.mesh.vertices)
     assert np.linalg.norm(found - transform(T_true, 0.3 * chair().vertices), axis=1).max() < 0.02
+
+
+def test_without_depth_things_stand_on_what_is_below_them_in_the_picture():
+    eye, things = camera(), boxes()
+    ids = rasterizer.visible_ids(things, eye)
+    rows, columns = np.indices(ids.shape) + 0.5
+    rays = np.stack([columns, rows, np.ones_like(rows)], -1) @ np.linalg.inv(eye.K).T
+    down = (rays @ eye.T_world_camera[:3, :3].T)[..., 2]
+    points = rays * (-eye.center[2] / np.minimum(down, -1e-3))[..., None]
+    geometry = Geometry(points=points, valid=down < -0.05, source="ground")
+    image = PromptedImage(
+        photo=Photo(rgb=np.full((*ids.shape, 3), 120, np.uint8)),
+        instances=tuple(Instance(id=o.id, label="", name=f"{o.id}.png", mask=ids == o.id) for o in things),
+        ground_mask=ids == rasterizer.EMPTY,
+    )
+    made = posed_meshes(image, geometry, eye.K, {o.id: ProducedMesh(mesh=o.mesh, up="+z") for o in things})
+    for o in things:
+        world = eye.T_world_camera @ made[o.id].T_camera_object
+        found = transform(world, made[o.id].scale * made[o.id].mesh.vertices)
+        low, true = found.min(0)[2], o.bounds_world[0, 2]
+        assert abs(low - true) < 0.006, f"{o.label} stands at {low:.3f} m instead of {true:.3f}"
+        assert np.linalg.norm((found.min(0) + found.max(0)) / 2 - o.bounds_world.mean(0)) < 0.02

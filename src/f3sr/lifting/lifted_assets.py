@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from f3sr.backends.protocols import GeneratedAsset, PromptedImage
 from f3sr.core.transforms import Array, pose
 from f3sr.lifting.choice import Choice, carries, choose
-from f3sr.lifting.image_supports import below
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.texture import textured
 from f3sr.scene import GROUND, Geometry, Instance
 from f3sr.vision.ground_camera import camera_over_ground
+from f3sr.vision.image_supports import below
 
 FAR = 2.5
 """Distance of a hanging thing [camera heights] where nothing else is seen."""

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array
-from f3sr.lifting.image_supports import underside
 from f3sr.vision import rasterizer
+from f3sr.vision.image_supports import underside
 from f3sr.vision.regions import depth_inside, distance_to, grown, opened, shrunk
 from f3sr.vision.silhouette import iou
 

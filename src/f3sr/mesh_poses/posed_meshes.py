@@ -13,6 +13,7 @@ from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import Array, rotation_between
 from f3sr.mesh_poses.pose_by_mask import (
     DEFAULT_SEARCH,
+    STAGE,
     FoundPose,
     MaskedPhoto,
     PoseSearch,
@@ -20,7 +21,8 @@ from f3sr.mesh_poses.pose_by_mask import (
     turn_between,
 )
 from f3sr.mesh_poses.read_poses import CLEAR, USABLE, JudgedReading, judged_readings
-from f3sr.scene import Geometry, Scene, SceneObject
+from f3sr.scene import GROUND, Geometry, Scene, SceneObject
+from f3sr.vision.image_supports import below
 from f3sr.vision.occlusion import comparable_region, nearer_objects
 
 AXES: Mapping[Axis, tuple[int, int, int]] = {
@@ -28,6 +30,10 @@ AXES: Mapping[Axis, tuple[int, int, int]] = {
 }  # fmt: skip
 USUAL_UPS: tuple[Axis, ...] = ("+y", "+z")
 """Tried where nobody tells which axis points up: glTF's, and that of most simulators."""
+ROUNDS = 3
+"""Steps in which an object and the place under its foot find each other."""
+FOOT = 0.2
+"""Share of an object's height that is its foot, and of its width that is looked at below the foot."""
 ENOUGH = 0.965
 """IoU from which on an object is not sought again with what hides it known."""
 DOUBT = 0.02
@@ -103,7 +109,44 @@ def _by_masks(
             valid = comparable_region(scene[id], nearer[id], scene)
             again = PoseSearch(mesh=meshes[id].mesh, instance=instance, view=view, valid=valid, config=search)
             placed[id] = _placed(again, meshes[id])
-    return placed
+    return placed if view.geometry is not None else _on_supports(view, placed)
+
+
+def _on_supports(view: MaskedPhoto, placed: Mapping[int, _RankedPoses]) -> Mapping[int, _RankedPoses]:
+    """Objects along their viewing rays onto what is below them in the picture: where nothing else tells a distance.
+
+    Under a homothety about the camera's centre C a height z becomes C + k (z - C): k follows in closed form."""
+    under = below({id: i.mask for id, i in view.instances.items()})
+    standing = dict[int, _RankedPoses]()
+
+    def stand(id: int, above: frozenset[int]) -> None:
+        carrier = under[id]
+        if carrier in above or carrier == id:  # masks that lie below each other
+            carrier = GROUND
+        if carrier != GROUND and carrier not in standing:
+            stand(carrier, above | {id})
+        o, eye = placed[id].best.object, view.camera
+        for _ in range(ROUNDS):
+            top = 0.0 if carrier == GROUND else _top_under(o, standing[carrier].best.object)
+            low, height = float(o.bounds_world[0, 2]), float(eye.center[2])
+            k = (height - top) / (height - low) if low < height and top < height else 1.0
+            o = o.moved(eye.homothety(k), scale=k, stage=STAGE, reason="")
+        best = replace(placed[id].best, object=o)
+        standing[id] = replace(placed[id], poses=(best, *placed[id].poses[1:]))
+
+    for id in placed:
+        if id not in standing:
+            stand(id, frozenset())
+    return standing
+
+
+def _top_under(o: SceneObject, carrier: SceneObject) -> float:
+    """Height [m] of a carrier's surface under an object's foot; its highest place where nothing is under that."""
+    own, theirs = o.vertices_world, carrier.vertices_world
+    low, high = own.min(0), own.max(0)
+    foot = own[own[:, 2] <= low[2] + FOOT * (high[2] - low[2])].mean(0)
+    near = np.linalg.norm(theirs[:, :2] - foot[:2], axis=1) <= FOOT * float(np.hypot(*(high - low)[:2]))
+    return float((theirs[near] if near.any() else theirs)[:, 2].max())
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
