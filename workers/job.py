@@ -88,22 +88,6 @@ class Job:
         })  # fmt: skip
         self.say(item["id"], "done")
 
-    def answer_geometry(self, *, points, valid, K, normals=None, model, licence="", weights="", metric=True):
-        """Write geometry.npz and its JSON: points (h, w, 3) [m] in OpenCV axes, valid (h, w), K (3, 3) of the photo."""
-        import numpy as np
-
-        arrays = {"points": np.asarray(points, np.float32), "valid": np.asarray(valid, bool), "K": np.asarray(K, float)}
-        if normals is not None:
-            arrays["normals"] = np.asarray(normals, np.float32)
-        part = self.folder / "part_geometry.npz"
-        np.savez_compressed(part, **arrays)
-        part.replace(self.folder / "geometry.npz")
-        self._write("geometry.json", {
-            "geometry": "geometry.npz", "metric": bool(metric), "model": model, "weights": weights, "licence": licence,
-            "seconds": time.monotonic() - self.began,
-        })  # fmt: skip
-        self.say(None, "done")
-
     def say(self, id, state):
         """One line of progress on stdout; whatever else libraries print belongs on stderr."""
         print(json.dumps({"id": id, "state": state}), flush=True)
