@@ -31,8 +31,6 @@ class WorkerModel:
     up: Axis | None = None
     """The axis of its meshes that points up, where an answer does not tell."""
     licence: str = ""
-    memory_gb: float = 0.0
-    """Memory of the GPU that its authors ask for [GB]."""
     script: str = ""
     """The script of f3sr's ``workers/`` folder that runs it."""
 

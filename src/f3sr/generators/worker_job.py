@@ -69,9 +69,7 @@ class WorkerAnswer(BaseModel):
         return printable(", ".join(filter(None, parts)))
 
 
-def write_job(
-    job: Path, image: PromptedImage, geometry: Geometry | None, K: Array | None, *, seed: int, task: str = "meshes"
-) -> None:
+def write_job(job: Path, image: PromptedImage, geometry: Geometry, K: Array, *, seed: int) -> None:
     """Write what is asked into a job folder, ``request.json`` last. A folder that has one is left as it is."""
     if (job / REQUEST).exists():
         return
@@ -82,18 +80,17 @@ def write_job(
         _write(job / "masks" / f"{i.id:02d}.png", _png(i.mask.astype(np.uint8) * 255))
         rgba = np.dstack([image.photo.rgb, i.mask.astype(np.uint8) * 255])
         _write(job / "cutouts" / f"{i.id:02d}.png", _png(rgba))
-    known = geometry is not None and geometry.source != "ground"
-    if geometry is not None and known:
+    known = geometry.source != "ground"
+    if known:
         points = np.where(geometry.valid[..., None], geometry.points * PYTORCH3D_FROM_OPENCV, np.float32(np.nan))
         buffer = io.BytesIO()
         np.save(buffer, points.astype(np.float32), allow_pickle=False)
         _write(job / POINTMAP, buffer.getvalue())
     request: dict[str, Any] = {
         "protocol": PROTOCOL,
-        "task": task,
         "seed": seed,
         "image": IMAGE,
-        "K": None if K is None else K.tolist(),
+        "K": K.tolist(),
         "pointmap": POINTMAP if known else None,
         "objects": [_asked(i) for i in image.instances],
     }

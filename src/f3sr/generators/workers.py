@@ -14,17 +14,14 @@ def _assets(model: WorkerModel) -> PosedMaker:
 
 worker = _assets(WorkerModel(name="worker", script="YOUR_WORKER.py"))
 """Any program that keeps to the job folder; its answers say which axis points up."""
-sam3d = _assets(
-    WorkerModel(name="sam3d", up="+y", licence="SAM Licence", memory_gb=32, script="workers/sam3d_objects.py")
-)
+sam3d = _assets(WorkerModel(name="sam3d", up="+y", licence="SAM Licence", script="workers/sam3d_objects.py"))
 """Meshes with poses in one point map's camera."""
-trellis2 = _assets(WorkerModel(name="trellis2", up="+y", licence="MIT", memory_gb=24, script="workers/trellis2.py"))
+trellis2 = _assets(WorkerModel(name="trellis2", up="+y", licence="MIT", script="workers/trellis2.py"))
 hunyuan3d = _assets(
     WorkerModel(
         name="hunyuan3d",
         up="+y",
         licence="Tencent Hunyuan 3D 2.1 Community License, not for the EU, the UK and South Korea",
-        memory_gb=31,
         script="workers/hunyuan3d.py",
     )
 )

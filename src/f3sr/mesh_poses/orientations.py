@@ -75,13 +75,18 @@ def best_orientations(o: SceneObject, fit: ObjectFit, config: OrientationConfig)
 
     ``fit`` is the object's, and should be a light one: some hundred silhouettes are compared.
     """
-    lowest = [
+    lowest = local_minima(tried_orientations(o, fit, config))
+    return sorted((_refined(fit, f, config) for f in lowest), key=lambda f: f.value)[: config.compared]
+
+
+def local_minima(rings: list[list[Orientation]]) -> list[Orientation]:
+    """Orientations of rings of yaws that fit no worse than both neighbours do."""
+    return [
         found
-        for ring in tried_orientations(o, fit, config)
+        for ring in rings
         for k, found in enumerate(ring)
         if found.value <= min(ring[k - 1].value, ring[(k + 1) % len(ring)].value)
     ]
-    return sorted((_refined(fit, f, config) for f in lowest), key=lambda f: f.value)[: config.compared]
 
 
 def tried_orientations(o: SceneObject, fit: ObjectFit, config: OrientationConfig) -> list[list[Orientation]]:

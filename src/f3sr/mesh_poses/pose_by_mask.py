@@ -18,7 +18,7 @@ from f3sr.backends.protocols import PromptedImage
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import Array, pose, rotation_angle
-from f3sr.mesh_poses.orientations import Orientation, OrientationConfig, tried_orientations
+from f3sr.mesh_poses.orientations import Orientation, OrientationConfig, local_minima, tried_orientations
 from f3sr.scene import Geometry, Instance, Photo, SceneObject
 from f3sr.settings import constants
 from f3sr.vision.crop import sampled, window_around
@@ -150,12 +150,7 @@ class PoseSearch:
     def _promising(self, rings: list[list[Orientation]]) -> list[Orientation]:
         """What is worth a look at detail and depth: on every side the silhouettes that fit better than their
         neighbours, then the best of the rest, for round things look alike from everywhere."""
-        lowest = [
-            found
-            for ring in rings
-            for k, found in enumerate(ring)
-            if found.value <= min(ring[k - 1].value, ring[(k + 1) % len(ring)].value)
-        ]
+        lowest = local_minima(rings)
         everything = sorted((f for ring in rings for f in ring), key=lambda f: f.value)
         rest = [f for f in everything if f.value <= everything[0].value + self.config.slack]
         ordered = [*sorted(lowest, key=lambda f: f.value), *rest]
