@@ -14,9 +14,13 @@ from f3sr.physics import mujoco_model
 from f3sr.physics.mujoco_model import Body, engine
 from f3sr.physics.restitution import solref
 from f3sr.scene import GRAVITY, GROUND, Scene
+from f3sr.vision.rasterizer import render
 
 ROUND = 0.24
 """Share by which the radii of what rolls differ at most: an octagon's differ by .08, a square's by .3."""
+
+VIEW = 256
+"""Longer side of the picture in which objects hide others [px]: places of things that fall are no nearer."""
 
 
 def outline(points: Array) -> Array:
@@ -53,6 +57,7 @@ class SceneLayout:
         self._corners: dict[int, Array] = {}
         self._polytopes: dict[int, Compound] = {}
         self._pools: dict[int, Cavity | None] = {}
+        self._others: dict[int, Array] = {}
 
     @cached_property
     def model(self) -> Any:
@@ -219,6 +224,17 @@ class SceneLayout:
     def in_frame(self, id: int, shift: Array) -> float:
         """Share of an object's corners that the photo's frame holds when it is shifted (3,)."""
         return self.scene.camera.share_in_frame(self.corners(id) + shift)
+
+    def in_view(self, id: int, corners: Array) -> float:
+        """Share of corners (n, 3) of an object that the photo would show, moved there: in its frame, and behind no other
+        object."""
+        camera = self.scene.camera.limited(VIEW)
+        if id not in self._others:
+            self._others[id] = render([o for o in self.scene if o.id != id], camera).depth
+        pixels, depth = camera.project(corners)
+        inside = (depth > 0) & (pixels >= 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
+        x, y = pixels[inside].astype(int).T
+        return float(np.count_nonzero(depth[inside] < self._others[id][y, x])) / len(corners)
 
     def on_support(self, id: int, shift: Array) -> bool:
         """Whether an object that stands on the support would stand on what the photo shows of it, shifted by (3,).

@@ -43,6 +43,8 @@ LEAST = 0.3
 """Least way in the object's sizes, where the photo or a neighbour leaves less: smaller ones are hard to see."""
 FARTHEST = 3.0
 """Diagonals of the scene that anything is to go at most."""
+ALONG_VIEW = 0.3
+"""Cost of a fall along the view, in heights by which the edge to fall over may be farther: films show it least."""
 SIDES: tuple[tuple[Direction, ...], ...] = (
     ("right",),
     ("left",),
@@ -204,26 +206,37 @@ def _room(meant: Meant, direction: Array, layout: SceneLayout) -> float:
     if r.preposition == "off" and meant.target is not None and meant.target != GROUND:
         edge = layout.over_the_edge(a, meant.target, direction)
         fall = direction * (edge + 1.5 * layout.size(a)) - UP * (layout.span(a)[0, 2])
-        return -edge - (3 * layout.size(a) if layout.in_frame(a, fall) < 0.7 else 0.0)
+        return -edge - 3 * layout.size(a) * (1 - layout.in_view(a, layout.corners(a) + fall))
     free = next((way for way, _ in layout.meets(a, direction)), np.inf)
     return min(meant.amount, free) + min(meant.amount, layout.room(a, direction, meant.amount))
 
 
 def _toppling_side(id: int, layout: SceneLayout) -> Array:
-    """Of 16 directions that over the nearest edge of its base, unless something is there, or the photo or the support
-    ends."""
+    """Of 16 directions that over the nearest edge of its base and across the view, unless something is there, the photo
+    or the support ends, or other things hide where it falls."""
     height, center = float(np.ptp(layout.span(id)[:, 2])), layout.center(id)
-    base = base_of(layout.corners(id))
+    corners = layout.corners(id)
+    base = base_of(corners)
+    view = (center - layout.scene.camera.center) * [1, 1, 0]
+    view /= max(float(np.linalg.norm(view)), 1e-9)
 
     def cost(u: Array) -> float:
         edge = float(((base - center) @ u).max())
         free = next((way for way, _ in layout.meets(id, u)), np.inf)
         blocked = max(0.0, 1 - free / max(height, 1e-9))
-        fallen = 0.6 * height * u
-        return edge / height + 2 * blocked + (1 - layout.in_frame(id, fallen)) + (not layout.on_support(id, fallen))
+        fallen = _fallen(corners, center + edge * u, u)
+        unseen = 1 - layout.in_view(id, fallen)
+        off = not layout.on_support(id, 0.6 * height * u)
+        return edge / height + 2 * blocked + unseen + off + ALONG_VIEW * abs(float(view @ u))
 
     angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     return min((np.array([np.cos(a), np.sin(a), 0.0]) for a in angles), key=cost)
+
+
+def _fallen(corners: Array, edge: Array, u: Array) -> Array:
+    """Corners (n, 3) turned by 90 degrees over an ``edge`` of the underside, a point (3,), in the direction ``u``."""
+    along, up = (corners - edge) @ u, corners[:, 2] - corners[:, 2].min()
+    return corners + np.outer(up - along, u) + np.outer(-along - up, UP)
 
 
 def _fitted(meant: Meant, layout: SceneLayout) -> Meant:
