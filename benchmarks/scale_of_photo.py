@@ -26,12 +26,17 @@ from f3sr.photo_inputs import length_of, read_inputs
 from f3sr.scene import Scene
 from f3sr.stages.assemble import as_given
 from f3sr.vision import rasterizer
+from f3sr.vision.regions import without_strays
 from run import REPO
 
 MOST = 0.05
 """Largest error of a scale by one known length, the largest object in the picture, median over frames."""
 STRAYS = 3.0
 """Distance from the median depth, in robust standard deviations, of mixed pixels at a mask's border."""
+
+GAP, STRAY = 6, 0.1
+"""Pieces of a mask that lie apart [px] and hold at most this share of it are no part of the object: nobody measures
+them."""
 
 
 def main() -> int:
@@ -83,12 +88,13 @@ def _frame(folder: Path, given: Inputs) -> float:
     instances = {i.id: i for i in given.instances}
     texts, found = list[str](), dict[int, float]()
     for o in scene:
-        others = [r for id, r in ratios.items() if id != o.id and math.isfinite(r)]
-        points = _points(depth, o.mask, np.array(meta["K"]))
+        rest = [r for id, r in ratios.items() if id != o.id and math.isfinite(r)]
+        others = np.any([other.mask for other in scene if other.id != o.id], axis=0)
+        points = _points(depth, without_strays(o.mask, others, gap=GAP, share=STRAY), np.array(meta["K"]))
         ours = length_of(given, instances[o.id])
-        if len(points) < 50 or not others or _is_cut(o.mask):
+        if len(points) < 50 or not rest or _is_cut(o.mask):
             continue
-        found[o.id] = math.log(float(box_sides(points)[0]) / ours) + median(others)
+        found[o.id] = math.log(float(box_sides(points)[0]) / ours) + median(rest)
         texts.append(f"{o.label or o.id} {100 * found[o.id]:+.1f}")
     best = max(found, key=lambda id: int(np.count_nonzero(scene[id].mask)))
     print(f"{folder.name}: error of the others' depths [%] by the length of: {', '.join(texts)}; largest: {best}")

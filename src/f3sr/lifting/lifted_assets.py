@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -16,9 +17,16 @@ from f3sr.lifting.texture import textured
 from f3sr.scene import GROUND, Geometry, Instance
 from f3sr.vision.ground_camera import camera_over_ground
 from f3sr.vision.image_supports import below
+from f3sr.vision.regions import without_strays
 
 FAR = 2.5
 """Distance of a hanging thing [camera heights] where nothing else is seen."""
+
+GAP = 0.02
+"""Width of a gap in a mask, as a share of its diagonal, that thin parts leave where a threshold breaks them."""
+STRAY = 0.1
+"""Most of a mask that a piece apart from the rest holds if it is a flaw: larger ones are seen behind something that has
+no mask."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +44,8 @@ class LiftedAssets:
         under = below(masks)
         made = dict[int, GeneratedAsset]()
         for instance in _from_below(image.instances, under):
-            seen = Outlined.of(instance.mask, camera)
+            whole = _without_strays(instance, image.instances)
+            seen = Outlined.of(whole, camera)
             carrier = self.choices.get(under[instance.id])
             if carrier is not None and not carries(seen, carrier):
                 carrier, under = None, {**under, instance.id: GROUND}
@@ -47,12 +56,32 @@ class LiftedAssets:
             self.choices[instance.id] = found
             solid = found.best.solid
             origin = np.array([*solid.vertices[:, :2].mean(0), solid.vertices[:, 2].min()])
-            mesh = textured(solid, origin, image.photo, instance.mask, camera)
+            mesh = textured(solid, origin, image.photo, whole, camera)
             T_camera_object = camera.T_camera_world @ pose(t=origin)
             made[instance.id] = GeneratedAsset(
-                mesh=mesh, T_camera_object=T_camera_object, told=found.told, fixed=found.fixed, lifted=True
+                mesh=mesh,
+                T_camera_object=T_camera_object,
+                told=found.told + _strays_told(instance.mask, whole),
+                fixed=found.fixed,
+                lifted=True,
             )
         return {i.id: made[i.id] for i in image.instances}
+
+
+def _without_strays(instance: Instance, instances: tuple[Instance, ...]) -> NDArray[np.bool_]:
+    """An object's mask without small pieces that belong to no body with the rest."""
+    others = np.zeros_like(instance.mask)
+    for other in instances:
+        if other.id != instance.id:
+            others |= other.mask
+    rows, columns = np.flatnonzero(instance.mask.any(1)), np.flatnonzero(instance.mask.any(0))
+    gap = max(2, round(GAP * math.hypot(np.ptp(rows), np.ptp(columns))))
+    return without_strays(instance.mask, others, gap=gap, share=STRAY)
+
+
+def _strays_told(mask: NDArray[np.bool_], whole: NDArray[np.bool_]) -> str:
+    left = float(1 - whole.sum() / mask.sum())
+    return f"; {100 * left:.1f} % of its mask lies apart and is left out" if left > 0 else ""
 
 
 def _from_below(instances: tuple[Instance, ...], under: Mapping[int, int]) -> list[Instance]:

@@ -58,6 +58,19 @@ def without_small_holes(mask: Mask, share: float) -> Mask:
     return mask | small[holes]
 
 
+def without_strays(mask: Mask, others: Mask, *, gap: int, share: float) -> Mask:
+    """The mask (h, w) without pieces of at most a ``share`` of it that lie apart from its largest piece: farther than
+    ``gap`` [px], with nothing of ``others`` (h, w) between that might hide what joins them."""
+    pieces = parts_of(mask)
+    sizes = np.bincount(pieces.ravel())[1:]
+    if len(sizes) < 2:
+        return mask
+    joined = parts_of(grown(mask | others, gap // 2))
+    largest = joined[pieces == 1 + int(np.argmax(sizes))][0]
+    small = np.concatenate([[False], sizes <= share * float(sizes.sum())])
+    return mask & ~(small[pieces] & (joined != largest))
+
+
 def distance_to(mask: Mask) -> NDArray[np.float32]:
     """Distance (h, w) [px] of every pixel to the nearest one of a mask; infinite for an empty mask."""
     from scipy.ndimage import distance_transform_edt
