@@ -32,6 +32,7 @@ from f3sr.stages.assemble import assemble
 from f3sr.stages.level import level
 from f3sr.vision import rasterizer
 from f3sr.vision.image_supports import below
+from f3sr.vision.regions import without_strays
 
 PITCH = math.radians(35)
 R = attitude(PITCH, 0.0).T
@@ -350,3 +351,25 @@ def test_the_back_of_a_can_goes_on_from_its_sides_without_a_step():
 def test_the_same_mask_gives_the_same_mesh():
     first, again = (mesh_of(chosen_for(bowl(FOOT, 0.09, 0.05), "bowl").best.solid) for _ in range(2))
     assert first.vertices.tobytes() == again.vertices.tobytes() and first.faces.tobytes() == again.faces.tobytes()
+
+
+def test_what_stands_along_the_view_is_not_read_as_lying_away_from_it():
+    """Its image is that of a body that lies and is far longer than it looks: that one is rare."""
+    neck = np.array([[0, 0], [0.035, 0], [0.035, 0.13], [0.013, 0.17], [0.013, 0.21], [0, 0.21]])
+    choice = chosen_for(revolved(FOOT, neck, sectors=64), "")
+    assert choice.best.family != "lying silhouette"
+    assert np.ptp(choice.best.solid.vertices, axis=0) == pytest.approx([0.07, 0.07, 0.21], rel=0.25)
+
+
+def test_small_pieces_apart_are_no_part_of_a_mask_unless_something_hides_what_joins_them():
+    mask = np.zeros((40, 60), np.bool_)
+    mask[10:30, 5:25], mask[10:14, 40:44] = True, True
+    between = np.zeros_like(mask)
+    between[8:16, 24:41] = True
+    nothing = np.zeros_like(mask)
+    whole = mask.copy()
+    whole[10:14, 40:44] = False
+    assert np.array_equal(without_strays(mask, nothing, gap=4, share=0.1), whole)
+    assert np.array_equal(without_strays(mask, between, gap=4, share=0.1), mask)
+    assert np.array_equal(without_strays(mask, nothing, gap=20, share=0.1), mask), "a gap that a threshold may leave"
+    assert np.array_equal(without_strays(mask, nothing, gap=4, share=0.02), mask), "as large as a part of the object"
