@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +12,7 @@ import pytest
 
 from f3sr import example
 from f3sr.io import inputs
+from folders import part_of_example
 
 ROOT = Path(__file__).parents[1]
 
@@ -25,22 +24,6 @@ f3sr.Store.default = lambda: f3sr.Store(pathlib.Path({folder!r}))
 f3sr.reconstruct = functools.partial(f3sr.reconstruct, store=f3sr.Store.default())
 """
 """Before the examples: a part of the bundled scene, and what one document reconstructs, the next takes from a store."""
-PART = ("01_tomato_tin", "06_dotted_mug", "09_lemon")
-"""Objects of that part: a third of the time. ``make demo`` and ``benchmarks/film.py`` run all ten."""
-
-
-def part_of_example(folder: Path) -> Path:
-    """The bundled folder with the masks and assets of ``PART`` alone."""
-    shutil.copytree(example.folder(), folder)
-    for mask in (folder / "masks").iterdir():
-        if mask.stem not in PART:
-            mask.unlink()
-    poses = json.loads((folder / "assets/poses.json").read_text())
-    poses["objects"] = [o for o in poses["objects"] if Path(o["mask"]).stem in PART]
-    (folder / "assets/poses.json").write_text(json.dumps(poses))
-    for mesh in {p.name for p in (folder / "assets").glob("*.glb")} - {o["mesh"] for o in poses["objects"]}:
-        (folder / "assets" / mesh).unlink()
-    return folder
 
 
 def test_the_bundled_example_is_whole() -> None:
