@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib
 import json
 import os
 import resource
@@ -207,9 +208,9 @@ def _load() -> None:
     from f3sr.runtime import kernels
 
     kernels.warm_up()
-    for name in ("trimesh", "mujoco", "manifold3d", "rich.table", "tyro", "scipy.optimize", "scipy.spatial"):
-        with contextlib.suppress(ImportError):
-            __import__(name)
+    own = ("f3sr.cli.main", "f3sr.pipeline", "f3sr.delivery", "f3sr.scene_package.package")
+    for name in (*own, "trimesh", "mujoco", "manifold3d", "rich.table", "scipy.optimize", "scipy.spatial"):
+        importlib.import_module(name)
 
 
 def _forget_cache_folder() -> None:

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
-import pytest
+# Where no bytecode is written, every process that a test starts compiles all of f3sr: a third of its start. Asserts of
+# tests would be rewritten in every run too.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
-from f3sr.runtime import kernels
+import hypothesis  # noqa: E402
+import pytest  # noqa: E402
+
+from f3sr.runtime import kernels  # noqa: E402
 
 sys.path.insert(0, str(Path(__file__).parent))
+# No example has a deadline in wall time: other programs run on the machine. pytest-timeout ends what hangs.
+hypothesis.settings.register_profile("no_deadline", deadline=None)
+hypothesis.settings.load_profile("no_deadline")
 
-from fixtures import browser, compiled, folder, given, shared_data, shared_folder, stages, whole  # noqa: F401
+from fixtures import browser, compiled, folder, given, shared_data, shared_folder, stages, whole  # noqa: E402, F401
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import shutil
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
+from f3sr import example
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, pose, quaternion_from_rotation, rotation_about
 from f3sr.io import sam3d
@@ -166,3 +169,21 @@ def add_graph(folder: Path) -> None:
         ],
     }
     (folder / "scene_graph.json").write_text(json.dumps(graph))
+
+
+PART = ("01_tomato_tin", "06_dotted_mug", "09_lemon")
+"""Three objects of the example: a third of the time. ``make demo`` and ``benchmarks/film.py`` run all ten."""
+
+
+def part_of_example(folder: Path, part: Collection[str] = PART) -> Path:
+    """The bundled folder with the masks and assets of some objects alone."""
+    shutil.copytree(example.folder(), folder)
+    for mask in (folder / "masks").iterdir():
+        if mask.stem not in part:
+            mask.unlink()
+    poses = json.loads((folder / "assets/poses.json").read_text())
+    poses["objects"] = [o for o in poses["objects"] if Path(o["mask"]).stem in part]
+    (folder / "assets/poses.json").write_text(json.dumps(poses))
+    for mesh in {p.name for p in (folder / "assets").glob("*.glb")} - {o["mesh"] for o in poses["objects"]}:
+        (folder / "assets" / mesh).unlink()
+    return folder

@@ -200,7 +200,7 @@ def test_what_loses_too_much_is_not_joined_unless_there_are_too_many():
 
 def test_what_is_known_of_parts_changes_nothing_under_other_limits_or_beside_other_bodies():
     o, known = trough(), dict[int, KnownParts]()
-    ball = ConvexPart.hull_of(on_a_ball(1000) / 3)
+    ball = ConvexPart.hull_of(on_a_ball(300) / 3)
     o = replace(o, mesh=mesh_of(*o.parts, ball), parts=(*o.parts, ball))
     for beside in ((), (box(1, at=(0, 0, 0.2)),)):
         for limits in (LIMITS, replace(LIMITS, parts=1), replace(LIMITS, vertices=32), LIMITS):

@@ -10,20 +10,29 @@ from pathlib import Path
 
 import pytest
 
+from f3sr import example
+from f3sr.io import inputs
+from folders import part_of_example
+
 ROOT = Path(__file__).parents[1]
 
 
 STORED = """
-import functools, pathlib, f3sr
+import functools, pathlib, f3sr, f3sr.example
+f3sr.example.folder = lambda: pathlib.Path({example!r})
 f3sr.Store.default = lambda: f3sr.Store(pathlib.Path({folder!r}))
 f3sr.reconstruct = functools.partial(f3sr.reconstruct, store=f3sr.Store.default())
 """
-"""Before the examples: what one document reconstructs, the next takes from a store."""
+"""Before the examples: a part of the bundled scene, and what one document reconstructs, the next takes from a store."""
 
 
-@pytest.mark.timeout(900)
+def test_the_bundled_example_is_whole() -> None:
+    given = inputs.read(example.folder())
+    assert len(given.instances) == len(given.assets) == 10 and not [d for d in given.decisions if d.fallback]
+
+
 def test_the_examples_run(tmp_path: Path) -> None:
-    stored = STORED.format(folder=str(tmp_path / "stages"))
+    stored = STORED.format(folder=str(tmp_path / "stages"), example=str(part_of_example(tmp_path / "part")))
     for name in ("README.md", "docs/python.md"):
         blocks = re.findall(r"^```python\n(.*?)^```", (ROOT / name).read_text(), flags=re.DOTALL | re.MULTILINE)
         assert blocks

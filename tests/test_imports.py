@@ -7,6 +7,7 @@ import importlib
 import re
 from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,9 +26,21 @@ def name_of(file: Path) -> str:
 MODULES = {name_of(file): file for file in sorted((SOURCES / "f3sr").rglob("*.py"))}
 
 
-def imported(file: Path) -> Iterator[str]:
+@cache
+def nodes_of(file: Path) -> tuple[ast.AST, ...]:
+    """The nodes of a file that the laws are about."""
+    kinds = (ast.Import, ast.ImportFrom, ast.Call, ast.ClassDef)
+    return tuple(node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, kinds))
+
+
+@cache
+def imported(file: Path) -> tuple[str, ...]:
     """Modules of f3sr that a file names in any import: at its top, in a function, for types only."""
-    for node in ast.walk(ast.parse(file.read_text())):
+    return tuple(_imported(file))
+
+
+def _imported(file: Path) -> Iterator[str]:
+    for node in nodes_of(file):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -113,10 +126,7 @@ def test_names_of_modules_and_classes_are_used_once():
     modules = Counter(file.name for file in MODULES.values())
     shared = {"__init__.py", "__main__.py", "config.py"}
     classes = Counter(
-        node.name
-        for file in MODULES.values()
-        for node in ast.walk(ast.parse(file.read_text()))
-        if isinstance(node, ast.ClassDef)
+        node.name for file in MODULES.values() for node in nodes_of(file) if isinstance(node, ast.ClassDef)
     )
     assert [name for name, count in modules.items() if count > 1 and name not in shared] == []
     assert [name for name, count in classes.items() if count > 1] == []
@@ -147,7 +157,7 @@ TOPICS = {"docs", "prose", "durability", "imports", "limits", "memory", "referee
 
 def named(file: Path) -> Iterator[str]:
     """The first part of every module that a file imports, also by name in a call of ``import_module``."""
-    for node in ast.walk(ast.parse(file.read_text())):
+    for node in nodes_of(file):
         if isinstance(node, ast.Import):
             yield from (alias.name.partition(".")[0] for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:

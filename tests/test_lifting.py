@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from f3sr import example, proxies
+from f3sr import proxies
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh, signed_volume
 from f3sr.core.transforms import UP, Array, pose
@@ -33,6 +33,7 @@ from f3sr.stages.level import level
 from f3sr.vision import rasterizer
 from f3sr.vision.image_supports import below
 from f3sr.vision.regions import without_strays
+from folders import part_of_example
 
 PITCH = math.radians(35)
 R = attitude(PITCH, 0.0).T
@@ -248,9 +249,14 @@ def test_many_starts_reach_the_same_minimum():
     assert np.abs(x[np.argmin(costs)] - target).max() < 1e-3
 
 
+LIFTED = ("02_letter_block", "03_bowl", "04_orange", "05_book", "06_dotted_mug")
+"""Half of the example: things of every kind of fit, one of them in another."""
+
+
 @pytest.fixture(scope="module")
-def lifted():
-    return read_inputs(example.folder(), ignore=("assets", "geometry"))
+def lifted(tmp_path_factory: pytest.TempPathFactory):
+    folder = part_of_example(tmp_path_factory.mktemp("lifted") / "part", LIFTED)
+    return read_inputs(folder, ignore=("assets", "geometry"))
 
 
 def test_a_photo_and_masks_are_enough_and_the_report_says_so(lifted):

@@ -20,6 +20,7 @@ from pydantic.dataclasses import dataclass, is_pydantic_dataclass
 
 from f3sr.errors import InputError
 from f3sr.files import limited_file
+from f3sr.files.meanings import meanings
 
 T = TypeVar("T")
 
@@ -43,7 +44,6 @@ def settings(cls: type[T]) -> type[T]:
         strict=True,
         allow_inf_nan=False,
         validate_default=True,
-        use_attribute_docstrings=True,
     )
     return cast(type[T], dataclass(cls, frozen=True, kw_only=True, config=checks))
 
@@ -172,7 +172,7 @@ def _tables(config: object, path: str) -> Iterator[list[str]]:
 def _lines(config: object, name: str) -> tuple[str, str]:
     """One setting: its meaning and range, then its value."""
     node = _property(config, name)
-    meaning = " ".join(str(node.get("description", "")).split())
+    meaning = " ".join(meanings(type(config)).get(name, "").split())
     return f"# {meaning} ({_range(node)})", f"{name} = {json.dumps(getattr(config, name))}"
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from f3sr.files.bounds import MAX_OBJECTS, Density, Friction, Id, RollingFriction, Share
+from f3sr.files.meanings import Documented
 from f3sr.goals.plan import MOST_PHASES, InitialConditions, TaskSpec
 from f3sr.scene import Structure
 from f3sr.scene_package.scene_json import Version
@@ -15,8 +16,8 @@ Seconds = Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)]
 Reason = Annotated[str, Field(min_length=1, max_length=300)]
 
 
-class _Answer(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+class _Answer(Documented):
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
     schema_version: Version
     """1"""
@@ -42,10 +43,10 @@ class PlannerAnswer(_OrRefusal):
         return self
 
 
-class Estimate(BaseModel):
+class Estimate(Documented):
     """The physical properties of an object."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
     id: Id
     material: Annotated[str, Field(min_length=1, max_length=80)]
@@ -74,10 +75,10 @@ class BuilderAnswer(_Answer):
     """Of the simulation [s]."""
 
 
-class DirectPhase(BaseModel):
+class DirectPhase(Documented):
     """A phase of a final plan."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
     task: TaskSpec
     initial: InitialConditions

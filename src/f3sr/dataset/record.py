@@ -9,19 +9,20 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
+from pydantic import ConfigDict, Field, JsonValue, ValidationError
 
 from f3sr.dataset.storage import files_of
 from f3sr.errors import InputError
 from f3sr.files import strict_json
+from f3sr.files.meanings import Documented
 
 Failure = Literal["", "bad input", "error", "crash", "time", "memory", "storage", "lost"]
 """Kinds of failures. Bad input fails again however often it is tried; all others may not."""
 Row = dict[str, JsonValue]
 
 
-class _DatasetRecord(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+class _DatasetRecord(Documented):
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Costs(_DatasetRecord):

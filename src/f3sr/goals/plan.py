@@ -8,10 +8,11 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from f3sr.files import strict_json
 from f3sr.files.bounds import Damping, Density, Direction3, Friction, Id, IdOrGround, Mass, RollingFriction, Share
+from f3sr.files.meanings import Documented
 from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.scene import MaterialSource, Mobility, Structure
 from f3sr.scene_package.scene_json import WHOLE, dump_json
@@ -54,8 +55,8 @@ Digest = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 Count = Annotated[int, Field(ge=0, le=10**12)]
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+class _Record(Documented):
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 # --- what must come of it -----------------------------------------------------------------------------------------

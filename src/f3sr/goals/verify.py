@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
+from pydantic import ConfigDict
 
 from f3sr.core.transforms import rotation_angle
+from f3sr.files.meanings import Documented
 from f3sr.goals.conditions import Judged, Unit, judge
 from f3sr.goals.plan import Condition, Inside, Kind, Off, On, Phase, Plan
 from f3sr.goals.rollout import Rollout
@@ -124,10 +125,10 @@ def _restless(played: PlayedPhase) -> Iterator[str]:
             yield f"object {id} still moves at {1000 * speed:.0f} mm/s when the next phase starts"
 
 
-class JudgedRecord(BaseModel):
+class JudgedRecord(Documented):
     """A condition of the plan on its rollout."""
 
-    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid")
 
     condition: Condition
     met: bool
@@ -141,10 +142,10 @@ class JudgedRecord(BaseModel):
     """Index of the plan's phase that it belongs to."""
 
 
-class VerdictDocument(BaseModel):
+class VerdictDocument(Documented):
     """verdict.json: the measured success conditions of a plan."""
 
-    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True, title="f3sr verdict")
+    model_config = ConfigDict(extra="forbid", title="f3sr verdict")
 
     met: bool
     """Every condition is met and no rule broken."""
