@@ -48,6 +48,8 @@ COARSE = math.radians(5)
 """Between angles of the first search [rad]."""
 KEPT = 8
 """Angles that are refined."""
+FINE = math.radians(0.25)
+"""How well they are [rad]."""
 WEIGHTS = {"silhouette": 1.0, "edges": 0.5, "appearance": 0.12}
 STEPS = 2
 """Corrections of place and size in the crop: the second finds what perspective made of the first."""
@@ -118,7 +120,10 @@ def best_angle(o: SceneObject, crop: Crop) -> float:
 
     angles = np.arange(0, 2 * np.pi, COARSE)
     seeds = sorted((loss(a), a) for a in angles)[:KEPT]
-    refined = [minimize_scalar(loss, bounds=(a - COARSE, a + COARSE), method="bounded") for _, a in seeds]
+    refined = [
+        minimize_scalar(loss, bounds=(a - COARSE, a + COARSE), method="bounded", options={"xatol": FINE})
+        for _, a in seeds
+    ]
     return min([*seeds, *((float(r.fun), float(r.x)) for r in refined)])[1]
 
 

@@ -98,7 +98,9 @@ def test_pat3d_rests_where_the_layout_says_and_nothing_is_random() -> None:
     parent = box(0, size=(0.3, 0.3, 0.05), at=(0, 0, 0.025))
     scene = scene_of(parent, on(box(1, at=(0.12, 0, 0.1)), 0), box(2, at=(-0.4, 0, 0.08)))
     (rested, rounds), (again, _) = (pat3d.reconstruct(scene, rounds=3) for _ in range(2))
-    assert [np.array_equal(a.T_world_object, b.T_world_object) for a, b in zip(rested, again, strict=True)] == [True] * 3
+    assert [np.array_equal(a.T_world_object, b.T_world_object) for a, b in zip(rested, again, strict=True)] == [
+        True
+    ] * 3
     assert rounds[-1].loss <= rounds[0].loss
     assert min(r.loss for r in rounds) < 0.1 * rounds[0].loss
     assert overlapping(rested) == []
