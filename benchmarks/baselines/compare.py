@@ -31,6 +31,7 @@ from f3sr.runtime import kernels
 from f3sr.scene import Scene
 from f3sr.scene_package.package import read_package, write_package
 from f3sr.stages.evaluate import direct_composition
+from poses import true_scene
 from run import REPO
 
 REPORTED = ("PSNR", "mIoU", "R_pen", "K_max_J", "D_max_cm")
@@ -111,14 +112,28 @@ def main() -> int:
     results = {"means": means, "scenes": dict(zip(folders, scenes, strict=True))}
     (args.out / "results.json").write_text(json.dumps(results, indent=1) + "\n")
     if args.figure:
-        figure.save([block(scene, args.out, kept.rows) for scene in figure.SCENES], args.figure)
+        figure.save([block(scene, args, kept.rows) for scene in figure.SCENES], args.figure)
     return 0
 
 
-def block(scene: str, out: Path, rows: Mapping[str, bench.Row]) -> figure.Block:
-    """One scene of the figure: by method its package and its measures."""
-    packages = {method: read_package(package_of(out, scene, method)).scene for method in figure.METHODS}
-    return figure.Block(scenes=packages, rows={method: rows[f"{scene} | {method}"] for method in figure.METHODS})
+def block(scene: str, args: argparse.Namespace, rows: Mapping[str, bench.Row]) -> figure.Block:
+    """One scene of the figure: by method its package and its measures, and the truth."""
+    packages = {method: read_package(package_of(args.out, scene, method)).scene for method in figure.METHODS}
+    measured = {method: rows[f"{scene} | {method}"] for method in figure.METHODS}
+    last = figure.METHODS[-1]
+    true = true_scene(packages[last], args.data / "scenes" / scene, args.data / "objects")
+    assert true is not None
+    return figure.Block(
+        scenes=packages, rows=measured, true=as_seen(true, packages[last], measured[last]["true_scale"])
+    )
+
+
+def as_seen(true: Scene, scene: Scene, scale: float) -> Scene:
+    """A true scene in the world of another, whose camera sees it as its own does; ``scale`` is from the other's
+    lengths to metres."""
+    T = scene.camera.T_world_camera @ true.camera.T_camera_world
+    shrunk = (o.moved(true.camera.homothety(1 / scale), scale=1 / scale, stage="truth", reason="unit") for o in true)
+    return replace(true.with_objects(*(o.moved(T, stage="truth", reason="world") for o in shrunk)), camera=scene.camera)
 
 
 def timed(make: Callable[[Path], Scene], folder: Path) -> Made:

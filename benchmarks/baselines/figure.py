@@ -28,6 +28,8 @@ METHODS = ("direct composition", "TabletopGen", "PAT3D", "f3sr")
 REIMPLEMENTED = ("TabletopGen", "PAT3D")
 WIDTH, GAP, LINE = 1600, 8, 24
 """Of the figure, between its panels, and of a line of text [px]."""
+SIDE = 0.5
+"""Height of a side view over its width."""
 MARGIN = 0.04
 """Around what a panel shows [share of its longer side]."""
 OUTLINE = (220, 0, 130)
@@ -41,6 +43,8 @@ class Block:
 
     scenes: Mapping[str, Scene]
     rows: Mapping[str, Mapping[str, float]]
+    true: Scene
+    """The true objects, where the last method's camera sees them."""
 
 
 def save(blocks: Sequence[Block], file: Path) -> None:
@@ -49,21 +53,21 @@ def save(blocks: Sequence[Block], file: Path) -> None:
 
 
 def drawn(block: Block, *, with_names: bool) -> Image:
-    """The photo and the methods in its view; below the same methods from the side."""
+    """The photo and the methods in its view; below the true scene and the methods from the side."""
     each = (WIDTH - GAP * len(METHODS)) // (len(METHODS) + 1)
     some = block.scenes[METHODS[-1]]
     crop = common_crop(block)
     front = [cropped_photo(some, crop, each), *(front_view(block.scenes[m], crop, each) for m in METHODS)]
-    side = common_side(block, each, round(0.62 * each))
-    sides = [np.full((side.height, each, 3), 255, np.uint8), *(side_view(block.scenes[m], side) for m in METHODS)]
+    side = common_side(block, 2 * each, round(SIDE * 2 * each))
+    scenes = [block.true, *(block.scenes[m] for m in METHODS)]
+    sides = [resized(side_view(scene, side), each, round(SIDE * each)) for scene in scenes]
     names = ["photo", *(f"{m} (re-implemented)" if m in REIMPLEMENTED else m for m in METHODS)]
-    told = ["from the side", *(physics(block.rows[m]) for m in METHODS)]
     return np.concatenate([
-        *([texts(names, each)] if with_names else []),
+        *([texts(names, each)] if with_names else [np.full((2 * GAP, WIDTH, 3), 255, np.uint8)]),
         panels(front),
-        texts(["masks outlined", *(likeness(block.rows[m]) for m in METHODS)], each),
+        texts(["outlines: given masks", *(likeness(block.rows[m]) for m in METHODS)], each),
         panels(sides),
-        texts(told, each),
+        texts(["truth, from the side", *(physics(block.rows[m]) for m in METHODS)], each),
     ])  # fmt: skip
 
 
@@ -124,7 +128,7 @@ def outline(mask: Mask) -> Mask:
 def common_side(block: Block, width: int, height: int) -> Camera:
     """One camera to the side that holds the scene of every method."""
     first, *others = (block.scenes[m] for m in reversed(METHODS))
-    return side_camera(first, *others, width=width, height=height)
+    return side_camera(first, *others, block.true, width=width, height=height)
 
 
 def panels(pictures: Sequence[Image]) -> Image:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from baselines import figure, pat3d, simulator, tabletopgen
-from baselines.compare import spread
+from baselines.compare import as_seen, spread
 from contact import overlapping
 from f3sr.core.transforms import UP, Array, pose, rotation_about
 from f3sr.metrics.measures import full_silhouette
@@ -140,7 +140,7 @@ def test_all_panels_of_the_figure_show_the_same_part() -> None:
     scene = seen(box(0, size=SIZE), box(1, at=(0.25, 0.2, 0.05)))
     scenes = {m: moved_by(scene, [0.02 * k, 0, 0]) for k, m in enumerate(figure.METHODS)}
     row = dict.fromkeys(("mIoU", "PSNR", "R_pen", "K_max_J", "D_max_cm"), 1.0)
-    block = figure.Block(scenes=scenes, rows=dict.fromkeys(figure.METHODS, row))
+    block = figure.Block(scenes=scenes, rows=dict.fromkeys(figure.METHODS, row), true=scene)
     left, right, top, bottom = figure.common_crop(block)
     for s in scenes.values():
         rows, columns = np.nonzero(rasterizer.visible_ids(s.objects, s.camera) != rasterizer.EMPTY)
@@ -150,3 +150,13 @@ def test_all_panels_of_the_figure_show_the_same_part() -> None:
 
 def moved_by(scene: Scene, shift: Array | list[float]) -> Scene:
     return pat3d.moved(scene, {o.id: np.array(shift, float) for o in scene})
+
+
+def test_the_truth_is_seen_by_another_camera_as_by_its_own() -> None:
+    true = seen(box(0, size=SIZE), box(1, at=(0.25, 0.2, 0.05)))
+    other = replace(true, camera=true.camera.moved(pose(rotation_about([1, 2, 3], 0.4), [0.3, -0.2, 0.5])))
+    found = as_seen(true, other, 2.0)
+    for o in found:
+        assert np.allclose(
+            other.camera.to_camera(o.vertices_world), true.camera.to_camera(true[o.id].vertices_world) / 2
+        )
