@@ -27,7 +27,7 @@ from f3sr.pipeline import Reconstruction
 from f3sr.play.goal_loop import Played, simulate_goal
 from f3sr.play.rollout_folder import write_film, write_played
 from f3sr.runtime import kernels
-from f3sr.runtime.progress import Progress, timed
+from f3sr.runtime.progress import Progress, timed, words_to
 from f3sr.runtime.result_store import Store
 from f3sr.scene_package.package import Package, read_package
 from f3sr.scene_package.package_folder import PACKAGE, ROLLOUTS, is_package
@@ -66,7 +66,7 @@ def work(
     background = names.get("background", DEFAULT_COMPLETER)
     config = settings.with_values(job.name, job.settings, pipeline.Config())
     with timed("read", progress):
-        given = read_inputs(source, ignore=job.ignore, asset_frame=job.asset_frame, fillers=fillers)
+        given = read_inputs(source, ignore=job.ignore, asset_frame=job.asset_frame, fillers=fillers.telling(words_to(progress)))
     result = pipeline.reconstruct(
         given,
         config,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
@@ -114,6 +114,12 @@ class Fillers:
     assets: Backend[AssetGenerator] | None = None
     scene_graph: Backend[SceneGrapher] | None = None
     labels: Backend[Labeler] | None = None
+
+    def telling(self, tell: Callable[[str], None]) -> Fillers:
+        """The same, which tell what they are at while a user waits."""
+        given = (self.geometry, self.assets, self.scene_graph, self.labels)
+        geometry, assets, scene_graph, labels = (backend and backend.telling(tell) for backend in given)
+        return Fillers(geometry=geometry, assets=assets, scene_graph=scene_graph, labels=labels)
 
 
 def read(
