@@ -66,7 +66,9 @@ def work(
     background = names.get("background", DEFAULT_COMPLETER)
     config = settings.with_values(job.name, job.settings, pipeline.Config())
     with timed("read", progress):
-        given = read_inputs(source, ignore=job.ignore, asset_frame=job.asset_frame, fillers=fillers.telling(words_to(progress)))
+        given = read_inputs(
+            source, ignore=job.ignore, asset_frame=job.asset_frame, fillers=fillers.telling(words_to(progress))
+        )
     result = pipeline.reconstruct(
         given,
         config,

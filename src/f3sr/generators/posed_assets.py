@@ -29,8 +29,8 @@ class PosedAssets:
 
     def telling(self, tell: Callable[[str], None]) -> PosedAssets:
         """The same, whose producer tells what it is at."""
-        ask = getattr(self.producer, "telling", None)
-        return PosedAssets(ask(tell)) if callable(ask) else self
+        ask: Callable[[Callable[[str], None]], MeshProducer] | None = getattr(self.producer, "telling", None)
+        return PosedAssets(ask(tell)) if ask else self
 
     def needs(self) -> tuple[Need, ...]:
         """What the producer cannot answer without."""

@@ -133,7 +133,7 @@ class JobFiles:
 
 
 def tidy_jobs() -> None:
-    """Bound the folders of jobs that are done. What was sent and is not done stays: it may be of a job that was paid."""
+    """Bound the folders of jobs that are done. What was sent and is not done stays: it may have been paid."""
     if jobs := within(FOLDER):
         cached_jobs.tidy(jobs, depth=2, share=SHARE, may_go=_is_done)
 

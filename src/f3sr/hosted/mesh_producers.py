@@ -145,6 +145,7 @@ class HostedProducer:
             told=facts + (f", request {made.job}" if made.job else ""),
         )
 
+
 @dataclass(frozen=True, eq=False)
 class ProducerMaker:
     """Makes the producer of a service for what the user says after the colon: a model, or an address."""

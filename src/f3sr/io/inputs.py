@@ -117,9 +117,12 @@ class Fillers:
 
     def telling(self, tell: Callable[[str], None]) -> Fillers:
         """The same, which tell what they are at while a user waits."""
-        given = (self.geometry, self.assets, self.scene_graph, self.labels)
-        geometry, assets, scene_graph, labels = (backend and backend.telling(tell) for backend in given)
-        return Fillers(geometry=geometry, assets=assets, scene_graph=scene_graph, labels=labels)
+        return Fillers(
+            geometry=self.geometry and self.geometry.telling(tell),
+            assets=self.assets and self.assets.telling(tell),
+            scene_graph=self.scene_graph and self.scene_graph.telling(tell),
+            labels=self.labels and self.labels.telling(tell),
+        )
 
 
 def read(

@@ -9,7 +9,7 @@ import shutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 from numpy.typing import NDArray
 
@@ -85,7 +85,7 @@ class JobWorker:
             raise InputError(f"{self.kind} back end {self.model.name}", found="no command", accepted=accepted)
         return parsed_command(self.command_text, where=self.variable)
 
-    def job(self, asked: object, arrays: Iterable[NDArray[object]]) -> Path:
+    def job(self, asked: object, arrays: Iterable[NDArray[Any]]) -> Path:
         """A folder of the cache for what is asked and this command: the same again goes on where it ended."""
         if (jobs := within(FOLDER)) is None:
             raise F3srError("a worker needs a cache folder: F3SR_CACHE_DIR names one")

@@ -19,8 +19,8 @@ from typing import IO
 
 from f3sr.errors import F3srError, cut, printable
 from f3sr.files import strict_json
-from f3sr.workers import worker_launcher
 from f3sr.runtime import signals
+from f3sr.workers import worker_launcher
 
 POLL_S = 0.2
 """How often deadline and size of the job folder are looked at [s]."""
