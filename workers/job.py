@@ -109,9 +109,9 @@ class Job:
     def answer_geometry(self, depth, *, meaning, model, K=None, valid=None, licence="", weights=""):
         """Write geometry.npz, then geometry.json.
 
-        ``depth`` (h, w) covers the whole photo at any resolution. ``meaning`` is "metric" [m], "scaled" (depths times an
-        unknown factor) or "relative" (inverse depths of unknown scale and shift). ``K`` (3, 3) in pixels of the map, whose
-        corner is (0, 0); ``valid`` (h, w) bool."""
+        ``depth`` (h, w) covers the whole photo at any resolution. ``meaning`` is "metric" [m], "scaled" (depths times
+        an unknown factor) or "relative" (inverse depths of unknown scale and shift). ``K`` (3, 3) in pixels of the
+        map, whose corner is (0, 0); ``valid`` (h, w) bool."""
         import numpy as np
 
         arrays = {"depth": np.asarray(depth, np.float32)}

@@ -2,7 +2,8 @@
 
 Run it in the environment of facebookresearch/vggt:
 
-    export F3SR_WORKER_VGGT="conda run --no-capture-output -n vggt python -u /path/to/workers/vggt.py --code /path/to/vggt"
+    export F3SR_WORKER_VGGT="conda run --no-capture-output -n vggt python -u \
+        /path/to/workers/vggt.py --code /path/to/vggt"
 
 f3sr gives the depths a scale, by the height of the camera above the ground.
 """
