@@ -59,9 +59,9 @@ def work(
         raise InputError(source, found=PACKAGE, accepted=INPUT_FOLDER)
     names = job.backends
     fillers = Fillers(
-        geometry=GEOMETRY_ESTIMATORS.find(names["geometry"]) if "geometry" in names else None,
-        assets=ASSET_GENERATORS.find(names["assets"]) if "assets" in names else None,
-        scene_graph=SCENE_GRAPHERS.find(names["scene_graph"]) if "scene_graph" in names else None,
+        geometry=GEOMETRY_ESTIMATORS.find(names["geometry"], job.choice) if "geometry" in names else None,
+        assets=ASSET_GENERATORS.find(names["assets"], job.choice) if "assets" in names else None,
+        scene_graph=SCENE_GRAPHERS.find(names["scene_graph"], job.choice) if "scene_graph" in names else None,
     )
     background = names.get("background", DEFAULT_COMPLETER)
     config = settings.with_values(job.name, job.settings, pipeline.Config())
@@ -73,7 +73,7 @@ def work(
         given,
         config,
         skip=job.skip,
-        background=BACKGROUND_COMPLETERS.find(background) if background != DEFAULT_COMPLETER else None,
+        background=BACKGROUND_COMPLETERS.find(background, job.choice) if background != DEFAULT_COMPLETER else None,
         store=Store(stages),
         progress=progress,
     )
