@@ -53,6 +53,7 @@ $(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
 
 $(VENV)/.models: pyproject.toml | $(VENV)/.dev
 	$(BIN)/python -m pip install -q torch==2.13.0
+	$(BIN)/python -m pip install -q --no-deps torchvision==0.28.0  # the oracle of three processors; beside another torch it needs CUDA
 	$(BIN)/python -m pip install -q -e ".[dev,models]"
 	@touch $@
 

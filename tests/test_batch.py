@@ -21,6 +21,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from f3sr.backends.model_choice import ModelChoice
+from f3sr.backends.registry import Kind
 from f3sr.batch import ray_address, runs, scene_job
 from f3sr.batch.attempt import attempt
 from f3sr.batch.driver import LOST, Driver, Event, keyed
@@ -39,6 +41,7 @@ from f3sr.film.studio import FilmConfig
 from f3sr.goals.file_names import ROLLOUT
 from f3sr.pipeline import Config
 from f3sr.runtime import signals
+from f3sr.runtime.progress import silent
 from goal_scene import goal_package
 from stub_batches import LIMITS, batch, packages, write_stub, write_stubs
 
@@ -113,11 +116,38 @@ def test_a_key_depends_on_content_options_and_code_and_on_nothing_else(tmp_path:
     others = [
         replace(job, goals=("a",)), replace(job, skip=("refine",)), replace(job, settings={"refine.rounds": 0}),
         replace(job, film=True), replace(job, code="other"), replace(job, backends={"geometry": "x"}),
+        replace(job, device="cuda"), replace(job, precision="float16"),
     ]  # fmt: skip
     (b / "more").write_text("")
     others.append(keyed(replace(job, source=str(b))))
     assert len({job.key, *(o.key for o in others)}) == len(others) + 1
     assert Job.from_plain(json.loads(json.dumps(asdict(job)))).key == job.key
+
+
+def test_a_job_hands_the_choice_of_models_to_its_back_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Device, precision and downloads go through JSON to every back end; downloads change no key."""
+    asked = list[tuple[str, ModelChoice]]()
+
+    def find(kind: Kind[Any], spec: str, choice: ModelChoice | None = None) -> None:
+        assert choice is not None
+        asked.append((f"{kind.name} {spec}", choice))
+
+    def refused(*_: Any, **__: Any) -> None:
+        raise InputError("here", found="enough", accepted="no work")
+
+    monkeypatch.setattr(Kind, "find", find)
+    monkeypatch.setattr(scene_job, "read_inputs", refused)
+    (tmp_path / "in").mkdir()
+    named = {"geometry": "moge:a", "assets": "b", "scene_graph": "c"}
+    job = Job(name="x", source="", backends=named, device="cuda", precision="float16", allow_downloads=True)
+    told = Job.from_plain(json.loads(json.dumps(asdict(job))))
+    with pytest.raises(InputError, match="enough"):
+        scene_job.work(
+            told, tmp_path / "in", tmp_path / "out", tmp_path / "stages", progress=silent, patiently=lambda a: a()
+        )
+    assert [name for name, _ in asked] == ["geometry moge:a", "assets b", "scene_graph c"]
+    assert {choice for _, choice in asked} == {ModelChoice(device="cuda", precision="float16", allow_downloads=True)}
+    assert replace(job, allow_downloads=False).key == job.key
 
 
 def test_what_cannot_be_read_has_a_digest_that_changes_where_it_is_mended(tmp_path: Path) -> None:

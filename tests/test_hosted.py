@@ -107,7 +107,7 @@ class Bench:
         return HostedProducer(
             service=self.service(wire),
             limits=replace(LIMITS, **limits),
-            progress=lambda step: self.told.append(str(step)),
+            tell=self.told.append,
         )
 
     def serve(self, wire: Wire) -> None:
@@ -504,7 +504,7 @@ def test_a_run_that_is_killed_is_taken_up_without_paying_again(name: str, bench:
         raise KeyboardInterrupt
 
     producer = bench.producer(wire)
-    stopping = replace(producer, progress=lambda step: killed(0) if "accepted" in str(step) else None)
+    stopping = replace(producer, tell=lambda words: killed(0) if "accepted" in words else None)
     with pytest.raises(KeyboardInterrupt, match="the same command takes them up without paying again"):
         bench.run(wire, stopping)
     assert [r["state"] for r in bench.records()] == ["accepted"]

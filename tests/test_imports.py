@@ -61,7 +61,7 @@ FLOORS = (
     ("settings", "runtime", "backends"),
     ("physics", "io", "models"),
     ("vision",),
-    ("neural", "hosted"),
+    ("neural", "hosted", "workers"),
     ("contact", "background", "exporters", "web", "metrology", "segmentation"),
     ("mesh_poses",),
     ("lifting", "generators"),

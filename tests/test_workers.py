@@ -17,13 +17,13 @@ import pytest
 from f3sr.backends.model_choice import ModelChoice
 from f3sr.backends.protocols import PromptedImage
 from f3sr.errors import F3srError, InputError
-from f3sr.generators import workers
-from f3sr.generators.mesh_worker import MeshWorker, WorkerModel
-from f3sr.generators.worker_process import WorkerError, WorkerLimits
+from f3sr.generators import worker_assets
 from f3sr.io import inputs
 from f3sr.io.inputs import Inputs
 from f3sr.lifting.generators import ASSET_GENERATORS
 from f3sr.runtime import cache_folder
+from f3sr.workers.mesh_worker import MeshModel, MeshWorker
+from f3sr.workers.worker_process import WorkerError, WorkerLimits
 from folders import write_folder
 
 SCRIPT = Path(__file__).parent / "scripted_worker.py"
@@ -71,7 +71,7 @@ def command(source: Path, **options: object) -> str:
 
 def scripted(source: Path, *, limits: WorkerLimits = LIMITS, **options: object) -> MeshWorker:
     choice = ModelChoice(model=command(source, **options))
-    return MeshWorker(WorkerModel(name="scripted"), choice, limits=limits)
+    return MeshWorker(MeshModel(name="scripted"), choice, limits=limits)
 
 
 def asked(jobs: Path) -> Counter[int]:
@@ -87,7 +87,7 @@ def asked(jobs: Path) -> Counter[int]:
 def test_poses_come_out_as_the_folder_has_them(
     source: Path, jobs: Path, given: Inputs, image: PromptedImage, convention: str
 ):
-    assets = workers.worker(ModelChoice(model=command(source, convention=convention)))
+    assets = worker_assets.worker(ModelChoice(model=command(source, convention=convention)))
     made = assets.generate(image, given.geometry, given.K)
     for id, asset in given.assets.items():
         wanted = asset.T_camera_object @ np.append(asset.scale * asset.mesh.vertices[0], 1)
@@ -98,7 +98,7 @@ def test_poses_come_out_as_the_folder_has_them(
 
 
 def test_meshes_without_a_pose_stand_on_their_masks(source: Path, jobs: Path, given: Inputs, image: PromptedImage):
-    assets = workers.worker(ModelChoice(model=command(source, convention="none")))
+    assets = worker_assets.worker(ModelChoice(model=command(source, convention="none")))
     made = assets.generate(image, given.geometry, given.K)
     for id, asset in given.assets.items():
         middle = [m.T_camera_object @ np.append(m.scale * m.mesh.bounds.mean(0), 1) for m in (asset, made[id])]
@@ -125,7 +125,7 @@ def test_a_worker_that_dies_is_resumed(
     script = tmp_path / "worker.sh"
     script.write_text(f'#!/bin/sh\nexec {command(source, fault=fault, at=at)} "$@"\n')
     script.chmod(0o700)
-    worker = MeshWorker(WorkerModel(name="scripted"), ModelChoice(model=str(script)), limits=LIMITS)
+    worker = MeshWorker(MeshModel(name="scripted"), ModelChoice(model=str(script)), limits=LIMITS)
     with pytest.raises(WorkerError, match="the next run goes on in") as error:
         worker.produce(image, given.geometry, given.K)
     if fault == "crash":
@@ -202,7 +202,7 @@ def test_an_object_without_an_answer_is_told(worker: Worker, given: Inputs, imag
 
 @pytest.mark.parametrize("text", ["", "no-such-program --x", "'open"])
 def test_a_command_that_cannot_run_is_told(jobs: Path, given: Inputs, image: PromptedImage, text: str):
-    worker = MeshWorker(WorkerModel(name="scripted"), ModelChoice(model=text), limits=LIMITS)
+    worker = MeshWorker(MeshModel(name="scripted"), ModelChoice(model=text), limits=LIMITS)
     with pytest.raises(F3srError, match=r"command|no-such-program|quotation"):
         worker.produce(image, given.geometry, given.K)
 

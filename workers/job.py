@@ -1,6 +1,6 @@
 """The job folder of f3sr, seen from the worker: read the request, write each answer, tell progress.
 
-It needs numpy and Pillow only, and runs in the environment of the generator (docs: workers). A worker is
+It needs numpy and Pillow only, and runs in the environment of the model (docs: workers). A generator is
 
     from job import Job
     job = Job.from_arguments(__doc__)
@@ -8,16 +8,24 @@ It needs numpy and Pillow only, and runs in the environment of the generator (do
     for item in job.open_items():     # what is answered already is left out
         ...
         job.answer(item, write_glb, model="NAME", licence="LICENCE", up="+y")
+
+and a geometry model
+
+    job.answer_geometry(depth, meaning="metric", K=K, model="NAME", licence="LICENCE")
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from pathlib import Path
 
 PROTOCOL = 1
+
+# Scripts here have names of packages that they import: their own folder must not hide these.
+sys.path[:] = [place for place in sys.path if Path(place or ".").resolve() != Path(__file__).resolve().parent]
 
 
 class Job:
@@ -68,6 +76,16 @@ class Job:
         """K (3, 3) in pixels of the photo, or None."""
         return self.request.get("K")
 
+    def camera(self):
+        """K (3, 3) float32 in pixels of the photo: the one that somebody tells, else f3sr's estimate."""
+        import numpy as np
+
+        return np.array(self.request["K"], np.float32)
+
+    def told_camera(self):
+        """K (3, 3) float32 in pixels of the photo where somebody tells it, else None."""
+        return self.camera() if self.request.get("K_told_by") else None
+
     def open_items(self):
         """The objects that have no answer yet, each with a line of progress."""
         for item in self.request["objects"]:
@@ -87,6 +105,28 @@ class Job:
             "weights": weights, "licence": licence, "seconds": time.monotonic() - self.began,
         })  # fmt: skip
         self.say(item["id"], "done")
+
+    def answer_geometry(self, depth, *, meaning, model, K=None, valid=None, licence="", weights=""):
+        """Write geometry.npz, then geometry.json.
+
+        ``depth`` (h, w) covers the whole photo at any resolution. ``meaning`` is "metric" [m], "scaled" (depths times
+        an unknown factor) or "relative" (inverse depths of unknown scale and shift). ``K`` (3, 3) in pixels of the
+        map, whose corner is (0, 0); ``valid`` (h, w) bool."""
+        import numpy as np
+
+        arrays = {"depth": np.asarray(depth, np.float32)}
+        if K is not None:
+            arrays["K"] = np.asarray(K, np.float64)
+        if valid is not None:
+            arrays["valid"] = np.asarray(valid, bool)
+        part = self.folder / "part_geometry.npz"
+        np.savez_compressed(part, **arrays)
+        part.replace(self.folder / "geometry.npz")
+        self._write("geometry.json", {
+            "arrays": "geometry.npz", "meaning": meaning, "model": model, "weights": weights, "licence": licence,
+            "seconds": time.monotonic() - self.began,
+        })  # fmt: skip
+        self.say(None, "done")
 
     def say(self, id, state):
         """One line of progress on stdout; whatever else libraries print belongs on stderr."""

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Generic, TypeVar, cast
+from typing import Any, Generic, Self, TypeVar, cast
 
 import f3sr
 from f3sr.backends.model_choice import ModelChoice, Need
@@ -59,6 +59,11 @@ class Backend(Generic[P]):
             source = b""
         model = self.told.removeprefix(f"{self.name} {self.version}")
         return f"{self.kind} {self.name} {self.version} {hashlib.sha256(source).hexdigest()}{model}"
+
+    def telling(self, tell: Callable[[str], None]) -> Self:
+        """The same, which tells what it is at, as a place in a queue, where the implementation has ``telling``."""
+        ask = getattr(self.made, "telling", None)
+        return replace(self, made=ask(tell)) if callable(ask) else self
 
     def asked(self, question: Callable[[P], T]) -> T:
         """What it answers, unchecked. BackendError for whatever it raises; f3sr's own errors pass."""

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Self, cast
 
 import f3sr
+from f3sr.backends.model_choice import Device, ModelChoice, Precision
 from f3sr.errors import F3srError, reason
 from f3sr.files.limited_file import MAX_FILE_BYTES
 from f3sr.runtime.extras import library
@@ -23,6 +24,8 @@ MOST_FILES = 10_000
 """Files of one input folder."""
 DEEPEST = 3
 """Folders inside each other: an input folder has two."""
+UNKEYED = ("name", "source", "allow_downloads")
+"""What a job says that its result does not depend on."""
 NUMERIC = (
     *("numpy", "scipy", "numba", "mujoco-core", "manifold3d", "trimesh", "fast-simplification", "pillow", "av"),
     "jinja2",
@@ -46,6 +49,10 @@ class Job:
     """Settings that differ from the defaults, by dotted name."""
     backends: Mapping[str, str] = field(default_factory=dict[str, str])
     """Names of back ends by option: geometry, assets, scene_graph, background."""
+    device: Device = "auto"
+    precision: Precision = "auto"
+    allow_downloads: bool = False
+    """Where and how models of these back ends run, and whether their weights may be fetched."""
     backend_keys: tuple[str, ...] = ()
     """Versions and sources of these back ends."""
     film: bool = False
@@ -57,10 +64,16 @@ class Job:
     """Digest of f3sr and of the versions of its libraries."""
 
     @property
+    def choice(self) -> ModelChoice:
+        """Of the back ends' models, without their names."""
+        return ModelChoice(device=self.device, precision=self.precision, allow_downloads=self.allow_downloads)
+
+    @property
     def key(self) -> str:
-        """Digest of all that the result depends on; neither name nor place of the input is part of it."""
+        """Digest of all that the result depends on; neither name nor place of the input is part of it, nor how weights
+        come to this machine."""
         values = asdict(self)
-        return digest("job 1", {name: value for name, value in values.items() if name not in ("name", "source")})
+        return digest("job 1", {name: value for name, value in values.items() if name not in UNKEYED})
 
     @property
     def remote(self) -> bool:

@@ -27,7 +27,7 @@ from f3sr.pipeline import Reconstruction
 from f3sr.play.goal_loop import Played, simulate_goal
 from f3sr.play.rollout_folder import write_film, write_played
 from f3sr.runtime import kernels
-from f3sr.runtime.progress import Progress, timed
+from f3sr.runtime.progress import Progress, timed, words_to
 from f3sr.runtime.result_store import Store
 from f3sr.scene_package.package import Package, read_package
 from f3sr.scene_package.package_folder import PACKAGE, ROLLOUTS, is_package
@@ -59,19 +59,21 @@ def work(
         raise InputError(source, found=PACKAGE, accepted=INPUT_FOLDER)
     names = job.backends
     fillers = Fillers(
-        geometry=GEOMETRY_ESTIMATORS.find(names["geometry"]) if "geometry" in names else None,
-        assets=ASSET_GENERATORS.find(names["assets"]) if "assets" in names else None,
-        scene_graph=SCENE_GRAPHERS.find(names["scene_graph"]) if "scene_graph" in names else None,
+        geometry=GEOMETRY_ESTIMATORS.find(names["geometry"], job.choice) if "geometry" in names else None,
+        assets=ASSET_GENERATORS.find(names["assets"], job.choice) if "assets" in names else None,
+        scene_graph=SCENE_GRAPHERS.find(names["scene_graph"], job.choice) if "scene_graph" in names else None,
     )
     background = names.get("background", DEFAULT_COMPLETER)
     config = settings.with_values(job.name, job.settings, pipeline.Config())
     with timed("read", progress):
-        given = read_inputs(source, ignore=job.ignore, asset_frame=job.asset_frame, fillers=fillers)
+        given = read_inputs(
+            source, ignore=job.ignore, asset_frame=job.asset_frame, fillers=fillers.telling(words_to(progress))
+        )
     result = pipeline.reconstruct(
         given,
         config,
         skip=job.skip,
-        background=BACKGROUND_COMPLETERS.find(background) if background != DEFAULT_COMPLETER else None,
+        background=BACKGROUND_COMPLETERS.find(background, job.choice) if background != DEFAULT_COMPLETER else None,
         store=Store(stages),
         progress=progress,
     )

@@ -5,13 +5,16 @@ from __future__ import annotations
 import json as json_
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tyro.conf import Positional, UseAppendAction, arg
 
 from f3sr import options
-from f3sr.cli.arguments import Axes, Ignore, MaybeFile, MaybeOut, Name, Skip, default_shown
+from f3sr.cli.arguments import Axes, DeviceName, Ignore, MaybeFile, MaybeOut, Name, PrecisionName, Skip, default_shown
 from f3sr.errors import F3srError, InputError, printable, require_known
+
+if TYPE_CHECKING:
+    from f3sr.backends.model_choice import ModelChoice
 
 Sources = Annotated[Positional[Path], arg(metavar="INPUTS")]
 DatasetPlace = Annotated[Positional[str], arg(metavar="DATASET")]
@@ -52,6 +55,9 @@ def batch(
     assets: Name = None,
     scene_graph: Name = None,
     background: Name = None,
+    device: DeviceName = "auto",
+    precision: PrecisionName = "auto",
+    allow_downloads: bool = False,
     config: MaybeFile = None,
     json: bool = False,
 ) -> None:
@@ -74,10 +80,14 @@ def batch(
         assets: Back end that generates meshes where a folder has none.
         scene_graph: Back end that proposes relations where a folder has none.
         background: Back end that completes photos behind the objects.
+        device: Where models of back ends run; auto is the first of cuda, mps and cpu that is there.
+        precision: Their numbers; auto is float32 on a CPU, what a model usually runs in elsewhere.
+        allow_downloads: Fetch weights of such models from the hub where they are not on this machine.
         config: TOML file of settings, as for ``reconstruct``.
         json: Print one JSON object a line for every event instead of text.
     """
     from f3sr import pipeline, settings
+    from f3sr.backends.model_choice import ModelChoice
     from f3sr.batch.job import Job
     from f3sr.batch.manifest import read_goals
     from f3sr.batch.runs import RunPlan, run_batch
@@ -117,7 +127,10 @@ def batch(
         asset_frame=asset_frame,
         settings=settings.changed(chosen, pipeline.Config()),
         backends=named,
-        backend_keys=_backend_keys(named),
+        device=device,
+        precision=precision,
+        allow_downloads=allow_downloads,
+        backend_keys=_backend_keys(named, ModelChoice(device=device, precision=precision)),
         film=film,
         work=plan.work,
     )
@@ -293,7 +306,7 @@ def dataset() -> None:
 # --- words -------------------------------------------------------------------------------------------------------
 
 
-def _backend_keys(named: Mapping[str, str]) -> tuple[str, ...]:
+def _backend_keys(named: Mapping[str, str], choice: ModelChoice) -> tuple[str, ...]:
     """Versions and sources of back ends: another one makes other packages."""
     if not named:
         return ()
@@ -308,7 +321,7 @@ def _backend_keys(named: Mapping[str, str]) -> tuple[str, ...]:
         "scene_graph": SCENE_GRAPHERS,
         "background": BACKGROUND_COMPLETERS,
     }
-    return tuple(kinds[kind].find(name).key for kind, name in sorted(named.items()))
+    return tuple(kinds[kind].find(name, choice).key for kind, name in sorted(named.items()))
 
 
 def _names(text: str) -> list[str]:

@@ -29,7 +29,9 @@ def say_aside(text: str) -> None:
 
 @contextmanager
 def steps_shown(*, quiet: bool = False) -> Generator[Progress]:
-    """Prints one line per finished step of a run; on a terminal also the running step, with a clock."""
+    """Prints one line per finished step of a run and per word within one.
+
+    On a terminal words and the running step are shown with a clock."""
     if quiet:
         yield silent
     elif sys.stdout.isatty():
@@ -55,6 +57,8 @@ def _with_a_clock() -> Generator[Progress]:
         def tell(step: Step) -> None:
             if step.state == "started":
                 bar.reset(task, description=step.name)
+            elif step.state == "told":
+                bar.update(task, description=step.name)
             else:
                 bar.console.print(Text(str(step)))
 

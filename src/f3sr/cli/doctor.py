@@ -236,7 +236,7 @@ def _caches() -> Iterator[Check]:
         "compiled" if kernels.is_warm() else "not all compiled yet: the first run and film take some ten seconds longer"
     )
     yield _check("cache", "kernels", compiled)
-    for name in ("stages", "proxies"):
+    for name in ("stages", "proxies", "workers", "hosted"):
         files = [f for f in (root / name).rglob("*") if f.is_file()]
         yield _check("cache", name, f"{len(files)} files, {sum(f.stat().st_size for f in files) / 1e6:.0f} MB")
 

@@ -101,7 +101,7 @@ def reconstruct(
     from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS
     from f3sr.photo_inputs import read_inputs
     from f3sr.runtime import atomic_folder, kernels
-    from f3sr.runtime.progress import timed
+    from f3sr.runtime.progress import timed, words_to
     from f3sr.runtime.result_store import Store
     from f3sr.scene_package import package, package_folder
 
@@ -127,7 +127,7 @@ def reconstruct(
                 asset_frame=asset_frame,
                 geometry_noise=geometry_noise,
                 mask_overlap=mask_overlap,
-                fillers=fillers,
+                fillers=fillers.telling(words_to(progress)),
                 hints=hints,
             )
         package.prepare_output(out, inputs=folder, overwrite=overwrite)

@@ -27,6 +27,11 @@ class PosedAssets:
         """What the producer tells of its model."""
         return getattr(self.producer, "provenance", {})
 
+    def telling(self, tell: Callable[[str], None]) -> PosedAssets:
+        """The same, whose producer tells what it is at."""
+        ask: Callable[[Callable[[str], None]], MeshProducer] | None = getattr(self.producer, "telling", None)
+        return PosedAssets(ask(tell)) if ask else self
+
     def needs(self) -> tuple[Need, ...]:
         """What the producer cannot answer without."""
         ask = getattr(self.producer, "needs", tuple)

@@ -53,7 +53,11 @@ class JobState:
 
     stage: Literal["waiting", "done"]
     words: str
-    """The service's word for it."""
+    """The service's word for it, and its place in the queue."""
+
+
+MOST_AHEAD = 1_000_000
+"""Longest queue that is believed."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -131,10 +135,17 @@ def value_at(reply: Any, *path: str) -> Any:
     return reply
 
 
-def job_state(word: str, *, waiting: Sequence[str], done: Sequence[str], failed: Sequence[str], why: Any) -> JobState:
-    """The state that a service's word means. Raises JobFailedError with ``why``, UnexpectedReplyError otherwise."""
+def job_state(
+    word: str, *, waiting: Sequence[str], done: Sequence[str], failed: Sequence[str], why: Any, ahead: Any = None
+) -> JobState:
+    """The state that a service's word means; ``ahead`` is the number of jobs that it does before, where it tells one.
+
+    Raises JobFailedError with ``why``, UnexpectedReplyError otherwise."""
     if word in failed:
         raise JobFailedError(f"{word}: {why}" if why else word)
-    if word in waiting or word in done:
-        return JobState(stage="waiting" if word in waiting else "done", words=word)
+    if word in done:
+        return JobState(stage="done", words=word)
+    if word in waiting:
+        queue = f", {ahead} ahead of it" if type(ahead) is int and 0 <= ahead <= MOST_AHEAD else ""
+        return JobState(stage="waiting", words=f"{word}{queue}")
     raise UnexpectedReplyError(f"an unknown state {word!r}")

@@ -7,12 +7,10 @@ killed in between leaves "sent": nobody knows whether it was paid, so no later r
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import hashlib
 import os
 import shutil
-from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Literal
@@ -22,11 +20,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from f3sr.errors import NoAnswerError, reason
 from f3sr.files import strict_json
 from f3sr.io.sam3d import AssetPose
+from f3sr.runtime import cached_jobs
 from f3sr.runtime.cache_files import write_whole
-from f3sr.runtime.cache_folder import PRIVATE, is_ours, within
+from f3sr.runtime.cache_folder import is_ours, within
 
 FOLDER = "hosted"
-RECORD, LOCK = "job.json", "lock"
+RECORD = "job.json"
+SHARE = 1.0
+"""Most that jobs take together that are done [share of the cache's size limit]."""
 MAX_RECORD_BYTES = 1_000_000
 MAX_MESH_BYTES = 256_000_000
 """Largest GLB that is downloaded and kept."""
@@ -120,30 +121,29 @@ class JobFiles:
             return data if hashlib.sha256(data).hexdigest() == mesh.sha256 else None
         return None
 
-    @contextmanager
-    def locked(self) -> Generator[None]:
+    def locked(self) -> AbstractContextManager[None]:
         """One process at a time asks for this job."""
-        if not self.folder:
-            yield
-            return
-        try:
-            self.folder.mkdir(mode=PRIVATE, parents=True, exist_ok=True)
-            lock = os.open(self.folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
-        except OSError:  # a file system that takes no files: ``save`` tells
-            yield
-            return
-        try:
-            with contextlib.suppress(OSError):  # a file system without locks
-                fcntl.flock(lock, fcntl.LOCK_EX)
-            yield
-        finally:
-            os.close(lock)
+        return cached_jobs.locked(self.folder) if self.folder else nullcontext()
 
     def _bytes(self, file: Path, most: int) -> bytes:
         with os.fdopen(os.open(file, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as stream:
             if not is_ours(stream.fileno()):
                 raise PermissionError(1, "other users may write to it")
             return stream.read(most + 1)[:most]
+
+
+def tidy_jobs() -> None:
+    """Bound the folders of jobs that are done. What was sent and is not done stays: it may have been paid."""
+    if jobs := within(FOLDER):
+        cached_jobs.tidy(jobs, depth=2, share=SHARE, may_go=_is_done)
+
+
+def _is_done(job: Path) -> bool:
+    try:
+        record = JobFiles(job).record()
+    except NoAnswerError:
+        return False
+    return record is not None and record.state == "done"
 
 
 def now() -> str:

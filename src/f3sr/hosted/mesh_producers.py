@@ -13,20 +13,23 @@ from f3sr.backends.model_choice import ModelChoice, Need
 from f3sr.backends.protocols import MeshProducer, ProducedMesh, PromptedImage
 from f3sr.backends.registry import Kind
 from f3sr.core.transforms import Array
-from f3sr.errors import InputError, cut
+from f3sr.errors import InputError, cut, printable
 from f3sr.hosted import services
 from f3sr.hosted.cut_outs import cut_out_png, data_uri_of, mask_png, photo_jpeg
-from f3sr.hosted.hosted_client import HostedClient, HostedLimits, require_address
+from f3sr.hosted.hosted_client import HostedClient, HostedLimits, Telling, require_address
 from f3sr.hosted.hosted_job import HostedJob, JobMesh
 from f3sr.hosted.hosted_service import HostedRequest, HostedService
-from f3sr.hosted.job_files import FORMAT, JobFiles
+from f3sr.hosted.job_files import FORMAT, JobFiles, tidy_jobs
 from f3sr.hosted.service_key import ServiceKey, service_key
 from f3sr.runtime import signals
-from f3sr.runtime.progress import Progress, Step, silent
 from f3sr.runtime.result_store import digest
 from f3sr.scene import Geometry, Instance, Photo
 
 GO_ON = "jobs that were accepted are kept; the same command takes them up without paying again"
+
+
+def _silent(words: str) -> None:
+    del words
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -35,13 +38,17 @@ class HostedProducer:
 
     service: HostedService
     limits: HostedLimits = field(default_factory=HostedLimits)
-    progress: Progress = silent
-    """Told one step per change of a job's state."""
+    tell: Telling = _silent
+    """Told a line per change of a job's state."""
 
     @property
     def provenance(self) -> Mapping[str, str]:
         """Service, model and licence, for the report."""
         return {"service": self.service.name, "model": self.service.model, "licence": self.service.licence}
+
+    def telling(self, tell: Telling) -> HostedProducer:
+        """The producer that tells what it is at."""
+        return replace(self, tell=tell)
 
     def needs(self) -> tuple[Need, ...]:
         """The key, or the address; nothing is sent to find out."""
@@ -71,6 +78,7 @@ class HostedProducer:
             made = [(them, job.ended(record)) for (them, job), record in zip(jobs, records, strict=True)]
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"{self.service.name}: interrupted; {GO_ON}") from None
+        tidy_jobs()
         return {
             instance.id: self._produced(mesh)
             for them, meshes in made
@@ -92,7 +100,7 @@ class HostedProducer:
                 upload = self._cut_out(image.photo, them[0])
                 pictures = [data_uri_of(upload, "image/png")]
             request = HostedRequest(model=service.model, pictures=pictures)
-            who = f"{len(them)} objects" if service.whole_photo else f"object {number} of {len(groups)}"
+            who = f"{len(them)} objects" if service.whole_photo else f"{number} of {len(groups)}, {_name(them[0])}"
             yield (
                 them,
                 HostedJob(
@@ -101,7 +109,7 @@ class HostedProducer:
                     request=request,
                     upload=upload if service.upload_path else None,
                     count=len(them),
-                    tell=lambda words, who=who: self._tell(f"{who}: {words}"),
+                    tell=lambda words, who=who: self.tell(f"{service.name}: {who}: {words}"),
                 ),
             )
 
@@ -137,9 +145,6 @@ class HostedProducer:
             told=facts + (f", request {made.job}" if made.job else ""),
         )
 
-    def _tell(self, words: str) -> None:
-        self.progress(Step(name=f"{self.service.name}, {words}", state="started"))
-
 
 @dataclass(frozen=True, eq=False)
 class ProducerMaker:
@@ -161,6 +166,10 @@ class ProducerMaker:
             accepted = "letters, digits and - _ . /, as owner/name; owner/name:VERSION@FIELD for replicate"
             raise InputError(f"model of {service.name}", found=cut(repr(said)), accepted=accepted)
         return HostedProducer(service=replace(service, model=said))
+
+
+def _name(instance: Instance) -> str:
+    return printable(instance.label or instance.name)
 
 
 def _photo_digest(photo: Photo) -> str:

@@ -40,7 +40,8 @@ def _fal_state(reply: Any) -> JobState:
     if error := value_at(reply, "error"):
         raise JobFailedError(str(error))
     word = text_at(reply, "status")
-    return job_state(word, waiting=("IN_QUEUE", "IN_PROGRESS"), done=("COMPLETED",), failed=(), why="")
+    ahead = value_at(reply, "queue_position") if word == "IN_QUEUE" else None
+    return job_state(word, waiting=("IN_QUEUE", "IN_PROGRESS"), done=("COMPLETED",), failed=(), why="", ahead=ahead)
 
 
 def _fal_trellis_submit(request: HostedRequest) -> tuple[str, Mapping[str, Any]]:
@@ -220,6 +221,7 @@ def _meshy_state(reply: Any) -> JobState:
         done=("SUCCEEDED",),
         failed=("FAILED", "CANCELED", "EXPIRED"),
         why=value_at(reply, "task_error", "message"),
+        ahead=value_at(reply, "preceding_tasks"),
     )
 
 

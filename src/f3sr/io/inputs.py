@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
@@ -114,6 +114,15 @@ class Fillers:
     assets: Backend[AssetGenerator] | None = None
     scene_graph: Backend[SceneGrapher] | None = None
     labels: Backend[Labeler] | None = None
+
+    def telling(self, tell: Callable[[str], None]) -> Fillers:
+        """The same, which tell what they are at while a user waits."""
+        return Fillers(
+            geometry=self.geometry and self.geometry.telling(tell),
+            assets=self.assets and self.assets.telling(tell),
+            scene_graph=self.scene_graph and self.scene_graph.telling(tell),
+            labels=self.labels and self.labels.telling(tell),
+        )
 
 
 def read(

@@ -16,5 +16,10 @@ GEOMETRY_ESTIMATORS = Kind(
         "depth-pro": "f3sr.neural.depth_pro:DepthProGeometry",
         "depth-anything": "f3sr.metrology.fitted_depth:DepthAnythingGeometry",
         "dpt": "f3sr.metrology.fitted_depth:DptGeometry",
+        "depth-anything-3": "f3sr.metrology.worker_geometry:depth_anything3",
+        "unidepth": "f3sr.metrology.worker_geometry:unidepth",
+        "metric3d": "f3sr.metrology.worker_geometry:metric3d",
+        "vggt": "f3sr.metrology.worker_geometry:vggt",
+        "worker": "f3sr.metrology.worker_geometry:worker",
     },
 )

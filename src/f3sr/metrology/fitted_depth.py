@@ -56,13 +56,8 @@ class FittedDepth:
         depth, known = self.network.predict(image.photo), self.reference.estimate(image)
         if depth.metric:
             told = f"metric depths of {self.network.name}; {known.told}"
-            return _geometry(image.photo, known.K, depth.values, told, guessed_unit=False)
-        fit = fitted(depth.values, known, image.ground_mask, self.network.family.title)
-        inverse = fit.inverse(depth.values)
-        nearest = float(_ground_depths(known).min())
-        z = np.where(inverse > 1 / (FARTHEST * nearest), 1 / np.where(inverse > 0, inverse, 1), np.nan)
-        told = f"{_told(self.network.name, fit, depth.values, [i.mask for i in image.instances])}; {known.told}"
-        return _geometry(image.photo, known.K, z, told, guessed_unit=True)
+            return geometry_of_depths(image.photo, known.K, depth.values, told, guessed_unit=False)
+        return relative_geometry(image, depth.values, known, self.network.name, self.network.family.title)
 
 
 class DepthAnythingGeometry(FittedDepth):
@@ -77,15 +72,31 @@ class DptGeometry(FittedDepth):
     network_class: ClassVar[type[DepthNetwork]] = DptNetwork
 
 
+def relative_geometry(
+    image: PromptedImage, values: NDArray[np.floating], known: EstimatedGeometry, name: str, where: str
+) -> EstimatedGeometry:
+    """Points of relative inverse depths (h, w) of the whole photo, fitted to the plane of ``known``, in its unit.
+
+    Raises InputError, which names ``where`` they come from, where they cannot be fitted."""
+    fit = fitted(values, known, image.ground_mask, where)
+    inverse = fit.inverse(values)
+    nearest = float(_ground_depths(known).min())
+    z = np.where(inverse > 1 / (FARTHEST * nearest), 1 / np.where(inverse > 0, inverse, 1), np.nan)
+    h, w = values.shape
+    told = f"{_told(name, fit, values, [resample(i.mask, w, h) for i in image.instances])}; {known.told}"
+    return geometry_of_depths(image.photo, known.K, z, told, guessed_unit=True)
+
+
 def fitted(
     values: NDArray[np.floating], known: EstimatedGeometry, ground: NDArray[np.bool_] | None, where: str
 ) -> AffineDepth:
-    """The fit of relative inverse depths (H, W) to the plane of ``known``, whose points are those of the ground.
+    """The fit of relative inverse depths (h, w) of the whole photo to the plane of ``known``, whose points are those of
+    the ground.
 
     Of these the ``ground`` mask (H, W) counts where somebody gives it. Raises InputError likewise."""
     height, width = values.shape
     usable = resample(known.valid, width, height)
-    usable = usable & ground if ground is not None else usable
+    usable = usable & resample(ground, width, height) if ground is not None else usable
     step = max(1, int(np.sqrt(usable.sum() / PIXELS)))
     rows, columns = (part * step for part in np.nonzero(usable[::step, ::step]))
     groups = (rows * STRIPS // height) * STRIPS + columns * STRIPS // width
@@ -106,14 +117,20 @@ def _ground_depths(known: EstimatedGeometry) -> Array:
     return known.points[known.valid][:, 2].astype(float)
 
 
-def _geometry(photo: Photo, K: Array, z: NDArray[np.floating], told: str, *, guessed_unit: bool) -> EstimatedGeometry:
+def geometry_of_depths(
+    photo: Photo, K: Array, z: NDArray[np.floating], told: str, *, guessed_unit: bool
+) -> EstimatedGeometry:
+    """Points at the pixel centres of a depth map (h, w) of the whole photo, NaN where unknown; ``K`` (3, 3) in pixels
+    of the photo."""
+    h, w = z.shape
     valid = np.isfinite(z) & (z > 0)
-    points = rays(K, photo.width, photo.height) * np.where(valid, z, 0)[..., None]
+    of_map = K * [[w / photo.width], [h / photo.height], [1]]
+    points = rays(of_map, w, h) * np.where(valid, z, 0)[..., None]
     return EstimatedGeometry(points=points.astype(np.float32), valid=valid, K=K, guessed_unit=guessed_unit, told=told)
 
 
 def _told(name: str, fit: AffineDepth, values: NDArray[np.floating], masks: Sequence[NDArray[np.bool_]]) -> str:
-    errors = [fit.error(float(np.median(values[mask]))) for mask in masks]
+    errors = [fit.error(float(np.nanmedian(values[mask]))) for mask in masks if np.isfinite(values[mask]).any()]
     objects = f", distances of objects +- {100 * float(np.median(errors)):.1f} %" if errors else ""
     return (
         f"relative depths of {name}, their scale {fit.scale:.3g} and shift {fit.shift:.3g} 1/m fitted to the ground "

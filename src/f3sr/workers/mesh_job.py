@@ -1,42 +1,45 @@
-"""The job folder that f3sr shares with a worker (docs: workers): what is asked, what is answered, what is done already.
+"""Jobs of generators: masks and cut-outs are asked, a mesh per object is answered, with or without a pose.
 
-f3sr writes ``image.png``, ``masks/NN.png``, ``cutouts/NN.png``, ``pointmap.npy`` where the geometry is known, and
-``request.json`` last. For every object the worker writes ``NN.glb`` and then ``NN.json``. An object with both is done.
-Nothing of an answer is trusted: names are bare, sizes limited, numbers checked.
+Beside the photo f3sr writes ``masks/NN.png``, ``cutouts/NN.png`` and ``pointmap.npy`` where the geometry is known. For
+every object the worker writes ``NN.glb`` and then ``NN.json``.
 """
 
 from __future__ import annotations
 
 import io
-import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
-from PIL import Image
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel
 
 from f3sr.backends.protocols import Axis, ProducedMesh, PromptedImage, ReadPose
 from f3sr.core.transforms import Array
-from f3sr.errors import InputError, printable
-from f3sr.files import limited_file, strict_json
+from f3sr.errors import InputError
 from f3sr.io import sam3d
 from f3sr.io.mesh_files import load_mesh
-from f3sr.runtime.cache_files import write_whole
-from f3sr.runtime.cache_folder import PRIVATE
 from f3sr.scene import Geometry, Instance
+from f3sr.workers.job_folder import (
+    IMAGE,
+    REQUEST,
+    STRICT,
+    ModelAnswer,
+    Text,
+    document,
+    is_asked,
+    large_file,
+    made_folder,
+    png,
+    write,
+    write_request,
+)
 
-PROTOCOL = 1
-REQUEST, IMAGE, POINTMAP = "request.json", "image.png", "pointmap.npy"
+POINTMAP = "pointmap.npy"
 MAX_MESH_BYTES = 500_000_000
 """Largest mesh of a worker: forty times what generators write."""
-MAX_ANSWER_BYTES = 100_000
-"""Largest NN.json."""
 PYTORCH3D_FROM_OPENCV = np.array([-1.0, -1.0, 1.0], np.float32)
 """Points in OpenCV axes times this are in PyTorch3D axes."""
-STRICT = ConfigDict(strict=True, allow_inf_nan=False, extra="ignore", frozen=True)
-Text = Annotated[str, Field(max_length=200)]
 
 
 class WorkerPose(BaseModel):
@@ -49,52 +52,38 @@ class WorkerPose(BaseModel):
     scale: sam3d.Scale | None = None
 
 
-class WorkerAnswer(BaseModel):
+class MeshAnswer(ModelAnswer):
     """``NN.json``."""
 
-    model_config = STRICT
     id: int | None = None
     mesh: Text
     pose: WorkerPose = WorkerPose()
     up: Axis | None = None
-    model: Text = ""
-    weights: Text = ""
-    licence: Text = ""
-    seconds: float = Field(default=0.0, ge=0)
-
-    @property
-    def told(self) -> str:
-        """Model, revision and licence, for the report."""
-        parts = (self.model, self.weights and f"weights {self.weights}", self.licence and f"licence {self.licence}")
-        return printable(", ".join(filter(None, parts)))
 
 
 def write_job(job: Path, image: PromptedImage, geometry: Geometry, K: Array, *, seed: int) -> None:
     """Write what is asked into a job folder, ``request.json`` last. A folder that has one is left as it is."""
-    if (job / REQUEST).exists():
+    if is_asked(job):
         return
     for folder in (job, job / "masks", job / "cutouts"):
-        folder.mkdir(mode=PRIVATE, parents=True, exist_ok=True)
-    _write(job / IMAGE, _png(image.photo.rgb))
+        made_folder(folder)
+    write(job / IMAGE, png(image.photo.rgb))
     for i in image.instances:
-        _write(job / "masks" / f"{i.id:02d}.png", _png(i.mask.astype(np.uint8) * 255))
+        write(job / "masks" / f"{i.id:02d}.png", png(i.mask.astype(np.uint8) * 255))
         rgba = np.dstack([image.photo.rgb, i.mask.astype(np.uint8) * 255])
-        _write(job / "cutouts" / f"{i.id:02d}.png", _png(rgba))
+        write(job / "cutouts" / f"{i.id:02d}.png", png(rgba))
     known = geometry.source != "ground"
     if known:
         points = np.where(geometry.valid[..., None], geometry.points * PYTORCH3D_FROM_OPENCV, np.float32(np.nan))
         buffer = io.BytesIO()
         np.save(buffer, points.astype(np.float32), allow_pickle=False)
-        _write(job / POINTMAP, buffer.getvalue())
+        write(job / POINTMAP, buffer.getvalue())
     request: dict[str, Any] = {
-        "protocol": PROTOCOL,
-        "seed": seed,
-        "image": IMAGE,
         "K": K.tolist(),
         "pointmap": POINTMAP if known else None,
         "objects": [_asked(i) for i in image.instances],
     }
-    _write(job / REQUEST, json.dumps(request, indent=1).encode())
+    write_request(job, request, seed=seed)
 
 
 def is_done(job: Path, id: int) -> bool:
@@ -105,14 +94,10 @@ def is_done(job: Path, id: int) -> bool:
 def read_answer(job: Path, id: int) -> ProducedMesh:
     """The mesh of an object, checked. Raises InputError, naming the file."""
     file = job / f"{id:02d}.json"
-    answer = _document(file)
+    answer = document(file, MeshAnswer)
     if answer.id is not None and answer.id != id:
         raise InputError(file, found=f"an answer for object {answer.id}", accepted=f"one for object {id}")
-    mesh = job / answer.mesh
-    if Path(answer.mesh).name != answer.mesh or not answer.mesh.lower().endswith(".glb") or mesh.is_symlink():
-        raise InputError(file, found=f"the mesh {answer.mesh!r}", accepted="the bare name of a GLB in the job folder")
-    with limited_file.opened(mesh, most=MAX_MESH_BYTES):
-        pass
+    mesh = large_file(file, answer.mesh, ".glb", "a GLB", most=MAX_MESH_BYTES)
     return ProducedMesh(mesh=load_mesh(mesh), up=answer.up, poses=_poses(file, answer.pose), told=answer.told)
 
 
@@ -132,15 +117,6 @@ def _asked(i: Instance) -> Mapping[str, Any]:
     return {"id": i.id, "label": i.label, "mask": f"masks/{i.id:02d}.png", "cutout": f"cutouts/{i.id:02d}.png"}
 
 
-def _document(file: Path) -> WorkerAnswer:
-    value = strict_json.read(file, most=MAX_ANSWER_BYTES)
-    try:
-        return WorkerAnswer.model_validate(value)
-    except ValidationError as error:
-        found, accepted = strict_json.problem(error, ", ".join(WorkerAnswer.model_fields))
-        raise InputError(file, found=found, accepted=accepted) from error
-
-
 def _poses(file: Path, pose: WorkerPose) -> tuple[ReadPose, ...]:
     if pose.convention == "none":
         return ()
@@ -151,15 +127,3 @@ def _poses(file: Path, pose: WorkerPose) -> tuple[ReadPose, ...]:
         return sam3d.readings(pose.rotation, pose.translation, pose.scale)
     except ValueError as error:
         raise InputError(file, found=str(error), accepted="the pose of SAM 3D Objects") from error
-
-
-def _write(file: Path, data: bytes) -> None:
-    write_whole(file, data)
-    if not file.exists():
-        raise InputError(file, found="a place that cannot be written", accepted="a cache folder with room")
-
-
-def _png(pixels: Any) -> bytes:
-    buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, "PNG")
-    return buffer.getvalue()

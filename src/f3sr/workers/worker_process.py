@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import os
 import select
-import shlex
 import signal
 import subprocess
 import sys
@@ -20,8 +19,8 @@ from typing import IO
 
 from f3sr.errors import F3srError, cut, printable
 from f3sr.files import strict_json
-from f3sr.generators import worker_launcher
 from f3sr.runtime import signals
+from f3sr.workers import worker_launcher
 
 POLL_S = 0.2
 """How often deadline and size of the job folder are looked at [s]."""
@@ -57,17 +56,6 @@ class Progressed:
 
     id: int | None
     state: str
-
-
-def parsed_command(text: str, *, where: str) -> tuple[str, ...]:
-    """The words of a command line, as a shell splits them; no shell runs it. Raises F3srError for an open quote."""
-    try:
-        words = tuple(shlex.split(text))
-    except ValueError as error:
-        raise F3srError(f"{where}: {error}") from None
-    if not words:
-        raise F3srError(f"{where}: an empty command")
-    return words
 
 
 def run_worker(command: Sequence[str], job: Path, limits: WorkerLimits, told: Callable[[Progressed], None]) -> None:
