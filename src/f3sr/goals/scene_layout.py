@@ -226,8 +226,8 @@ class SceneLayout:
         return self.scene.camera.share_in_frame(self.corners(id) + shift)
 
     def in_view(self, id: int, corners: Array) -> float:
-        """Share of corners (n, 3) of an object that the photo would show, moved there: in its frame, and behind no other
-        object."""
+        """Share of corners (n, 3) of an object that the photo would show, moved there: in its frame, behind no other
+        one."""
         camera = self.scene.camera.limited(VIEW)
         if id not in self._others:
             self._others[id] = render([o for o in self.scene if o.id != id], camera).depth
