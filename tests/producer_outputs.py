@@ -237,7 +237,8 @@ def composed_tree(meshes: Sequence[Mesh]) -> tuple[dict[str, Any], bytes]:
     """Meshes without nodes: positions and indices only."""
     binary, views, accessors, shapes = b"", list[Any](), list[Any](), list[Any]()
     for mesh in meshes:
-        for array, kind, component in ((mesh.vertices.astype("<f4"), "VEC3", 5126), (mesh.faces.astype("<u4"), "SCALAR", 5125)):  # fmt: skip
+        vertices, faces = mesh.vertices.astype("<f4"), mesh.faces.astype("<u4")
+        for array, kind, component in ((vertices, "VEC3", 5126), (faces, "SCALAR", 5125)):
             data = array.tobytes()
             views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(data)})
             count = len(array) if kind == "VEC3" else array.size

@@ -321,7 +321,8 @@ BROKEN: dict[str, tuple[str, Callable[[Path], object], str]] = {
     "comfyui: an object without a mesh": ("comfyui", lambda p: [f.unlink() for f in (p / "object_1").glob("*.glb")],
                                           "no mesh"),
     "comfyui: no mask": ("comfyui", lambda p: (p / "object_1" / "mask.npy").unlink(), "no such file"),
-    "comfyui: a mask of objects": ("comfyui", lambda p: np.save(p / "object_1" / "mask.npy", np.array([{}])), "objects"),
+    "comfyui: a mask of objects": ("comfyui", lambda p: np.save(p / "object_1" / "mask.npy", np.array([{}])),
+                                   "objects"),
     "comfyui: a mask of NaN": ("comfyui", lambda p: np.save(p / "object_1" / "mask.npy", np.full((144, 192), np.nan)),
                                "0 set pixels"),
     "comfyui: no photo": ("comfyui", lambda p: (p / "image.png").unlink(), "no image.png"),
@@ -354,7 +355,8 @@ BROKEN: dict[str, tuple[str, Callable[[Path], object], str]] = {
     "urdf: numbers of text": ("layout", lambda p: (f := next(p.rglob("small_box.urdf"))).write_text(
         f.read_text().replace("1.5708 0.0 0.0", "1 nan 0")), "three finite numbers"),
     "glb: cut off": ("glb", lambda p: (p / "scene.glb").write_bytes((p / "scene.glb").read_bytes()[:2000]), "GLB"),
-    "trellis: a sample that is none": ("trellis", lambda p: next(p.rglob("sample.glb")).write_bytes(b"x"), "broken glTF"),
+    "trellis: a sample that is none": ("trellis", lambda p: next(p.rglob("sample.glb")).write_bytes(b"x"),
+                                       "broken glTF"),
     "trellis: two in a folder": ("trellis", lambda p: (p / "small_box" / "a.glb").write_bytes(b"x"), "more than one"),
 }  # fmt: skip
 
@@ -388,13 +390,13 @@ def test_what_is_missing_is_asked_for(laid: Laid, tmp_path: Path):
     with pytest.raises(InputError, match="neither masks nor a pose of big_box; accepted: --masks"):
         imported(trellis, tmp_path / "in", photo=tmp_path / "photo.png")
     masks = outputs.write_masks(laid, tmp_path / "masks")
-    with pytest.raises(InputError, match="no image.png or image.jpg or image.jpeg; accepted: --photo FILE"):
+    with pytest.raises(InputError, match=r"no image.png or image.jpg or image.jpeg; accepted: --photo FILE"):
         imported(trellis, tmp_path / "in", masks=masks)
     glb = outputs.write_composed(laid, tmp_path / "scene.glb", camera=False)
     with pytest.raises(InputError, match="a photo, and no camera in the file; accepted: --masks"):
         imported(glb, tmp_path / "in", photo=tmp_path / "photo.png")
     other = outputs.write_masks(replace(laid, objects=laid.objects[:2]), tmp_path / "two")
-    with pytest.raises(InputError, match="3 meshes .* for 2 masks"):
+    with pytest.raises(InputError, match=r"3 meshes .* for 2 masks"):
         imported(trellis, tmp_path / "in", masks=other, photo=tmp_path / "photo.png")
     save_glb(laid.objects[0].mesh, tmp_path / "trellis" / "big_box" / "sample.glb")
     numbered = outputs.write_masks(laid, tmp_path / "numbers", labels=False)

@@ -36,7 +36,7 @@ Pose7 = Annotated[list[float], Field(min_length=7, max_length=7)]
 """x, y, z [m] and a quaternion xyzw."""
 
 
-class _Layout(BaseModel):
+class _SceneLayout(BaseModel):
     model_config = LENIENT
     assets: Annotated[dict[Text, Text], Field(min_length=1, max_length=MAX_OBJECTS)]
     position: Annotated[dict[Text, Pose7], Field(max_length=2 * MAX_OBJECTS)]
@@ -58,7 +58,7 @@ def read(source: ImportSource) -> Composition | FoundMeshes:
 
 def _layout(source: ImportSource) -> Composition:
     place = source.place
-    layout = place.document(LAYOUT, _Layout)
+    layout = place.document(LAYOUT, _SceneLayout)
     names = [n for n in layout.assets if layout.objs_mapping.get(n) not in NOT_OBJECTS]
     if not names:
         raise InputError(place.path(LAYOUT), found="no object", accepted="assets other than background and robot")
@@ -78,7 +78,7 @@ def _layout(source: ImportSource) -> Composition:
     )
 
 
-def _placed(place: InputFolder, layout: _Layout, name: str, id: int) -> ComposedObject:
+def _placed(place: InputFolder, layout: _SceneLayout, name: str, id: int) -> ComposedObject:
     """A link's mesh at its place in the world."""
     if name not in layout.position:
         raise InputError(place.path(LAYOUT), found=f"no position of {name}", accepted="one of every asset")
@@ -92,7 +92,7 @@ def _placed(place: InputFolder, layout: _Layout, name: str, id: int) -> Composed
     return ComposedObject(id=id, label=name.replace("_", " "), mesh=mesh, T_world_mesh=T @ T_link_mesh)
 
 
-def _pairs(layout: _Layout) -> list[tuple[str, str]]:
+def _pairs(layout: _SceneLayout) -> list[tuple[str, str]]:
     """Parents and children of the scene's tree: a node's list has children, alone or with a relation each."""
     children = [(parent, c[0] if isinstance(c, list) and c else c) for parent, row in layout.tree.items() for c in row]
     return [(parent, child) for parent, child in children if isinstance(child, str)]
