@@ -119,11 +119,23 @@ def test_given_poses_are_read_as_the_masks_show(name: str, laid: Laid, tmp_path:
     written = imported(place, tmp_path / "in", masks=masks)
     assert (written.masks, written.poses) == ("given", "given, read as the masks show")
     if masks:  # fal keeps no point map
+        (written.folder / "intrinsics.json").unlink()
         np.savez(written.folder / "geometry.npz", points=outputs.point_map(laid), coordinate_system="pytorch3d")
     given = f3sr.read_inputs(written.folder)
     require_equal(given, laid)
     require_masks(given, laid, 1.0)
     assert any("placed by assets back end saved" in d.choice for d in given.decisions)
+
+
+def test_masks_and_poses_tell_the_focal_length(laid: Laid, tmp_path: Path):
+    masks = outputs.write_masks(laid, tmp_path / "masks", labels=False)
+    place = outputs.write_fal(laid, tmp_path / "made", order="xyzw")
+    written = imported(place, tmp_path / "in", masks=masks)
+    K = np.array(json.loads((written.folder / "intrinsics.json").read_text())["K"])
+    assert K[0, 0] == pytest.approx(laid.camera.K[0, 0], rel=0.01)
+    assert any("fitted to masks and poses" in remark for remark in written.remarks)
+    imported(place, tmp_path / "in", masks=masks, focal=200.0)
+    assert json.loads((tmp_path / "in" / "intrinsics.json").read_text())["K"][0][0] == 200.0
 
 
 def test_without_masks_sam3d_poses_are_the_picture(laid: Laid, tmp_path: Path):

@@ -17,6 +17,7 @@ from f3sr.generators.worker_job import WorkerAnswer, WorkerPose
 from f3sr.importing.found_meshes import FoundMesh, FoundMeshes
 from f3sr.importing.import_source import ImportSource, Masks
 from f3sr.importing.imported_folder import NOTE, as_json, grey, photo_name, require_own
+from f3sr.importing.lens_by_poses import fitted_focal
 from f3sr.importing.mesh_matching import matched
 from f3sr.io.gltf_writer import mesh_to_glb
 from f3sr.io.masks import MIN_PIXELS
@@ -38,6 +39,9 @@ class MaskedMeshes:
     ground: NDArray[np.bool_]
     """(H, W): what is seen of their support, by its colours."""
     meshes: Mapping[int, FoundMesh]
+    focal: float | None = None
+    """[px], where the user tells it, or masks and poses do; K of a point map is its own."""
+    remarks: tuple[str, ...] = ()
 
     @property
     def has_poses(self) -> bool:
@@ -55,6 +59,7 @@ def with_masks(found: FoundMeshes, masks: Masks, source: ImportSource) -> Masked
     names = matched(source.path, {id: o.label for id, o in masks.items()}, list(by_name), in_order=source.in_order)
     meshes = {id: by_name[name] for id, name in sorted(names.items())}
     apart, ground = _apart(found.photo.photo, masks)
+    focal, how = _focal(found, meshes, apart, source)
     return MaskedMeshes(
         found=found,
         photo=found.photo.data,
@@ -62,7 +67,25 @@ def with_masks(found: FoundMeshes, masks: Masks, source: ImportSource) -> Masked
         masks=apart,
         ground=ground,
         meshes=meshes,
+        focal=focal,
+        remarks=(*found.remarks, *how),
     )
+
+
+def _focal(
+    found: FoundMeshes, meshes: Mapping[int, FoundMesh], masks: Mapping[int, NDArray[np.bool_]], source: ImportSource
+) -> tuple[float | None, tuple[str, ...]]:
+    """The focal length [px] to write, if any, and how it is known. EXIF stays in the photo, where it is read later."""
+    assert found.photo is not None
+    if known := source.hints.known_focal(found.photo.photo):
+        if found.points is not None:
+            raise InputError(known.source, found="a point map, which has its own", accepted="only without a point map")
+        return known.pixels, ()
+    poses = {id: m.pose for id, m in meshes.items() if m.pose is not None}
+    if found.points is not None or found.photo.focal or len(poses) < len(meshes):
+        return None, ()
+    focal = fitted_focal({id: m.mesh for id, m in meshes.items()}, poses, masks)
+    return focal, () if focal is None else (f"focal length {focal:.0f} px: fitted to masks and poses",)
 
 
 def _apart(photo: Photo, masks: Masks) -> tuple[dict[int, NDArray[np.bool_]], NDArray[np.bool_]]:
@@ -82,6 +105,8 @@ def write_masked_meshes(out: Path, given: MaskedMeshes) -> Path:
             claim.write("ground.png", grey(given.ground))
         if given.found.points is not None:
             claim.write("geometry.npz", _geometry(given.found.points))
+        if given.focal is not None:
+            claim.write("intrinsics.json", as_json(_intrinsics(given)))
         for id, found in given.meshes.items():
             claim.write(f"assets/{id:02d}.glb", mesh_to_glb(found.mesh, name=f"{id:02d}"))
             claim.write(f"assets/{id:02d}.json", _answer(id, found, given))
@@ -89,7 +114,7 @@ def write_masked_meshes(out: Path, given: MaskedMeshes) -> Path:
             "source": given.found.source,
             "masks": "given",
             "poses": "given, to be read by the masks" if given.has_poses else "none: found by the masks",
-            "remarks": list(given.found.remarks),
+            "remarks": list(given.remarks),
         }
         claim.write(NOTE, as_json(note))
         claim.replace()
@@ -106,6 +131,15 @@ def _answer(id: int, found: FoundMesh, given: MaskedMeshes) -> bytes:
         id=id, mesh=f"{id:02d}.glb", pose=pose, up=found.up, model=given.found.source[:200], licence=given.found.licence
     )
     return as_json(answer.model_dump(exclude={"seconds"}))
+
+
+def _intrinsics(given: MaskedMeshes) -> dict[str, object]:
+    height, width = given.ground.shape
+    return {
+        "width": width,
+        "height": height,
+        "K": [[given.focal, 0, width / 2], [0, given.focal, height / 2], [0, 0, 1]],
+    }
 
 
 def _geometry(points: NDArray[np.floating[Any]]) -> bytes:

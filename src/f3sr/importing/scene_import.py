@@ -40,7 +40,7 @@ def import_output(source: ImportSource, out: Path, producer: str | None = None) 
             objects=len(ready.masks),
             masks="given",
             poses="given, read as the masks show" if ready.has_poses else "none, found by the masks",
-            remarks=ready.found.remarks,
+            remarks=ready.remarks,
         )
     view = drawn(ready)
     return Imported(
