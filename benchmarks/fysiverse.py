@@ -23,6 +23,7 @@ from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, transform
 from f3sr.importing import fysiverse
 from f3sr.importing.composition import drawn
+from f3sr.importing.import_source import ImportSource
 from f3sr.importing.imported_folder import write_imported
 from f3sr.io.mesh_files import load_part
 from f3sr.scene_package.package import read_package
@@ -122,13 +123,13 @@ def main() -> int:
     parser.add_argument("--again", action="store_true", help="measure the packages that are there")
     args = parser.parse_args()
     rows = dict[str, dict[str, Released]]()
-    for session in sorted(p for p in args.sessions.iterdir() if fysiverse.matches(p)):
+    for session in sorted(p for p in args.sessions.iterdir() if fysiverse.matches(ImportSource(path=p))):
         bodies = published(session, args.sessions.parent)
         if not all(bodies):
             continue  # no parts are published
         package = args.out / "packages" / session.name
         if not args.again:
-            composition = fysiverse.read(session)
+            composition = fysiverse.read(ImportSource(path=session))
             folder = write_imported(args.out / "inputs" / session.name, composition, drawn(composition))
             reconstruct(folder, package)
         if not package.is_dir():

@@ -17,6 +17,7 @@ from f3sr.core.transforms import quaternion_from_rotation, transform
 from f3sr.errors import InputError, OutputError
 from f3sr.importing import fysiverse
 from f3sr.importing.composition import drawn
+from f3sr.importing.import_source import ImportSource
 from f3sr.importing.imported_folder import NOTE, write_imported
 from f3sr.io import inputs
 from f3sr.io.mesh_files import save_glb
@@ -64,7 +65,7 @@ def write_session(place: Path, objects: list[SceneObject], seen: Camera) -> Path
 
 
 def test_what_is_imported_is_the_scene_that_was_there(session: Path, tmp_path: Path):
-    composition = fysiverse.read(session)
+    composition = fysiverse.read(ImportSource(path=session))
     folder = write_imported(tmp_path / "in", composition, drawn(composition))
     given = inputs.read(folder)
     scene = as_given(given)
@@ -141,7 +142,7 @@ def test_a_broken_session_is_one_clear_error_and_nothing_is_written(name: str, s
     spoil, told = BROKEN[name]
     spoil(session)
     with pytest.raises(InputError, match=told):
-        composition = fysiverse.read(session)
+        composition = fysiverse.read(ImportSource(path=session))
         write_imported(tmp_path / "in", composition, drawn(composition))
     assert not (tmp_path / "in").exists()
 
@@ -150,7 +151,7 @@ def test_other_folders_are_named_and_never_replaced(session: Path, tmp_path: Pat
     assert main(["import", str(tmp_path), "-o", str(tmp_path / "in")]) == 2
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("x")
-    composition = fysiverse.read(session)
+    composition = fysiverse.read(ImportSource(path=session))
     with pytest.raises(OutputError, match="found something else"):
         write_imported(tmp_path / "mine", composition, drawn(composition))
     assert (tmp_path / "mine" / "thesis.tex").read_text() == "x"

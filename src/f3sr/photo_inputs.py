@@ -14,7 +14,7 @@ from f3sr.io import inputs
 from f3sr.io.assets import PosedAsset, require_size
 from f3sr.io.inputs import Fillers, Inputs
 from f3sr.io.photo_hints import PhotoHints
-from f3sr.lifting.generators import ASSET_GENERATORS, DEFAULT_GENERATOR
+from f3sr.lifting.generators import ASSET_GENERATORS, DEFAULT_GENERATOR, SAVED
 from f3sr.metrology.estimators import DEFAULT_ESTIMATOR, GEOMETRY_ESTIMATORS
 from f3sr.metrology.known_sizes import usual_size
 from f3sr.metrology.scene_scale import LengthClue, ScaleModel, SceneScale, scene_scale
@@ -53,7 +53,9 @@ def read_inputs(
         mask_overlap=mask_overlap,
         fillers=fillers,
         stand_ins=Fillers(
-            geometry=GEOMETRY_ESTIMATORS.find(DEFAULT_ESTIMATOR), assets=ASSET_GENERATORS.find(DEFAULT_GENERATOR)
+            geometry=GEOMETRY_ESTIMATORS.find(DEFAULT_ESTIMATOR),
+            assets=ASSET_GENERATORS.find(DEFAULT_GENERATOR),
+            places=lambda folder: ASSET_GENERATORS.find(f"{SAVED}:{folder}"),
         ),
         hints=hints,
     )

@@ -18,6 +18,7 @@ from f3sr.core.transforms import Array, pose, rotation_from_quaternion
 from f3sr.errors import InputError
 from f3sr.files.bounds import MAX_OBJECTS
 from f3sr.importing.composition import ComposedObject, Composition
+from f3sr.importing.import_source import ImportSource
 from f3sr.io.images import open_image
 from f3sr.io.input_folder import InputFolder
 from f3sr.io.mesh_files import load_mesh
@@ -69,14 +70,18 @@ class _SessionBackground(BaseModel):
     camera: _SessionCamera
 
 
-def matches(folder: Path) -> bool:
+def matches(source: ImportSource) -> bool:
     """Whether a folder is a session."""
-    return (folder / MANIFEST).is_file()
+    return (source.path / MANIFEST).is_file()
 
 
-def read(folder: Path) -> Composition:
+def read(source: ImportSource) -> Composition:
     """The settled scene of a session. Raises InputError, naming the file, for what is missing or invalid."""
-    place = InputFolder(folder)
+    place, folder = source.place, source.path
+    if source.photo_file is not None or source.mask_reader is not None:
+        raise InputError(
+            folder, found="a photo or masks", accepted="none: a session has its photo, and masks are drawn"
+        )
     session = place.document(MANIFEST, _Session)
     ids = [o.mask_id for o in session.objects]
     if len(set(ids)) != len(ids):

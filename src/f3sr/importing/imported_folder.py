@@ -5,13 +5,15 @@ from __future__ import annotations
 import io
 import json
 import os
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array, quaternion_from_rotation
 from f3sr.errors import OutputError
-from f3sr.importing.composition import ComposedObject, Composition, DrawnView
+from f3sr.importing.composition import ComposedObject, Composition, DrawnView, LeftOut
 from f3sr.io.gltf_writer import mesh_to_glb
 from f3sr.io.images import encode_png
 from f3sr.io.masks import MIN_PIXELS
@@ -24,32 +26,62 @@ NOTE = "import.json"
 
 
 def write_imported(out: Path, composition: Composition, view: DrawnView) -> Path:
-    """Write photo, masks, geometry, meshes and poses; returns the full path. Raises OutputError."""
+    """Write photo, masks, geometry, meshes and poses; returns the full path. Raises OutputError.
+
+    Geometry only of an upright world: elsewhere the photo must tell gravity and the ground, and K alone is written."""
     full = Path(out).absolute().resolve()
-    with claimed(full, _require_own) as claim:
-        claim.write("image.png" if composition.photo.startswith(PNG) else "image.jpg", composition.photo)
+    with claimed(full, require_own) as claim:
+        claim.write(photo_name(view.photo), view.photo)
         seen = [o for o in composition.objects if o.id in view.masks]
         hidden = [o for o in composition.objects if o.id not in view.masks]
         names = {o.id: mask_name(o.id, o.label) for o in seen}
         for id, mask in view.masks.items():
-            claim.write(f"masks/{names[id]}", encode_png(mask.astype(np.uint8) * 255))
+            claim.write(f"masks/{names[id]}", grey(mask))
         if view.ground.sum() >= MIN_PIXELS:
-            claim.write("ground.png", encode_png(view.ground.astype(np.uint8) * 255))
-        claim.write("geometry.npz", _geometry(composition, view))
+            claim.write("ground.png", grey(view.ground))
+        if composition.upright:
+            claim.write("geometry.npz", _geometry(composition, view))
+        else:
+            claim.write("intrinsics.json", as_json(_intrinsics(composition)))
         poses = [_posed(o, composition, names[o.id]) for o in seen]
         for o in seen:
             claim.write(f"assets/{o.id:02d}.glb", mesh_to_glb(o.mesh, name=f"{o.id:02d}"))
-        claim.write("assets/poses.json", _json({"convention": "sam-3d-objects", "objects": poses}))
+        claim.write("assets/poses.json", as_json({"convention": "sam-3d-objects", "objects": poses}))
         reason = f"by {composition.source}"
         pairs = [pair for pair in composition.supports if names.keys() >= set(pair)]
         relations = [{"upper": upper, "lower": lower, "reason": reason} for upper, lower in pairs]
         if relations:
-            claim.write("scene_graph.json", _json({"support_relations": relations}))
-        left_out = [{"id": o.id, "label": o.label, "reason": "the camera does not see it"} for o in hidden]
-        note = {"source": composition.source, "masks": "drawn from the poses", "left_out": left_out}
-        claim.write(NOTE, _json(note))
+            claim.write("scene_graph.json", as_json({"support_relations": relations}))
+        claim.write(NOTE, as_json(_note(composition, hidden)))
         claim.replace()
     return full
+
+
+def left_out(composition: Composition, view: DrawnView) -> tuple[LeftOut, ...]:
+    """What is not imported: what the program's reader left out, and what the camera does not see."""
+    unseen = [o for o in composition.objects if o.id not in view.masks]
+    return (*composition.left_out, *map(_unseen, unseen))
+
+
+def _unseen(o: ComposedObject) -> LeftOut:
+    return LeftOut(label=o.label, reason="the camera does not see it", id=o.id)
+
+
+def _note(composition: Composition, hidden: list[ComposedObject]) -> dict[str, object]:
+    missing = [*composition.left_out, *map(_unseen, hidden)]
+    return {
+        "source": composition.source,
+        "masks": "given" if composition.masks else "drawn from the poses",
+        "photo": "given" if composition.photo else "drawn from the meshes",
+        "poses": "given",
+        "left_out": [asdict(item) for item in missing],
+        "remarks": list(composition.remarks),
+    }
+
+
+def _intrinsics(composition: Composition) -> dict[str, object]:
+    camera = composition.camera
+    return {"width": camera.width, "height": camera.height, "K": camera.K.tolist()}
 
 
 def _posed(o: ComposedObject, composition: Composition, mask: str) -> dict[str, object]:
@@ -76,11 +108,22 @@ def _geometry(composition: Composition, view: DrawnView) -> bytes:
     return buffer.getvalue()
 
 
-def _json(value: object) -> bytes:
+def photo_name(photo: bytes) -> str:
+    """What the bytes of a photo are called in an input folder."""
+    return "image.png" if photo.startswith(PNG) else "image.jpg"
+
+
+def grey(mask: NDArray[np.bool_]) -> bytes:
+    """A mask (H, W) as a PNG."""
+    return encode_png(mask.astype(np.uint8) * 255)
+
+
+def as_json(value: object) -> bytes:
+    """A value as a JSON file."""
     return json.dumps(value, indent=1, allow_nan=False).encode()
 
 
-def _require_own(out: Path) -> None:
+def require_own(out: Path) -> None:
     """Raises OutputError unless there is nothing, or what f3sr imported."""
     if not os.path.lexists(out) or (out.is_dir() and ((out / NOTE).is_file() or not any(out.iterdir()))):
         return

@@ -34,6 +34,8 @@ MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".ply", ".stl", ".fbx")
 """Files in assets/ that look like an object's mesh: each must belong to a mask."""
 ONE_PER_MASK = "one mesh per mask"
 ASSETS_ACCEPTED = "assets/poses.json with GLBs, or one posed GLB per mask, or a back end's name after --assets"
+UNPLACED = re.compile(r"[0-9]+\.json")
+"""Files that tell of one mesh each, as workers' answers do, where there is no poses.json."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -65,6 +67,11 @@ def read_assets(folder: InputFolder, masks: Mapping[int, str], frame: str) -> di
         raise InputError(folder.path(f"assets/{extra[0]}"), found="a mesh of no mask", accepted=ONE_PER_MASK)
     require_assets(folder, place, assets, masks)
     return assets
+
+
+def has_unplaced_meshes(folder: InputFolder) -> bool:
+    """Whether the folder's meshes come with a file each, NN.json, that may tell no pose or one to be read."""
+    return not folder.has("assets/poses.json") and any(map(UNPLACED.fullmatch, folder.names("assets")))
 
 
 def require_assets(

@@ -33,7 +33,7 @@ from f3sr.io.answers import (
     labels_of,
     require_relation,
 )
-from f3sr.io.assets import ASSETS_ACCEPTED, PosedAsset, read_assets, require_size
+from f3sr.io.assets import ASSETS_ACCEPTED, PosedAsset, has_unplaced_meshes, read_assets, require_size
 from f3sr.io.exif import ExifError, focal_by_exif
 from f3sr.io.geometry import (
     DEPTH_FILES,
@@ -114,6 +114,8 @@ class Fillers:
     assets: Backend[AssetGenerator] | None = None
     scene_graph: Backend[SceneGrapher] | None = None
     labels: Backend[Labeler] | None = None
+    places: Callable[[Path], Backend[AssetGenerator]] | None = None
+    """For the folder's own meshes that tell no agreed pose: of their folder, the back end that places them."""
 
     def telling(self, tell: Callable[[str], None]) -> Fillers:
         """The same, which tell what they are at while a user waits."""
@@ -293,6 +295,9 @@ class _Parts:
             return assets_of(self.folder, standing_in, image, geometry, K, fallback=True)
         if not given:
             raise InputError(self.folder.path("assets"), found="no assets", accepted=ASSETS_ACCEPTED)
+        if self.stand_ins.places and has_unplaced_meshes(self.folder):
+            places = self._standing_in(self.stand_ins.places(self.folder.path("assets")))
+            return assets_of(self.folder, places, image, geometry, K, saved=True)
         return read_assets(self.folder, {i.id: i.name for i in image.instances}, frame)
 
     def graph(self, image: PromptedImage, geometry: Geometry) -> SceneGraph | None:

@@ -7,6 +7,8 @@ from f3sr.backends.registry import Kind
 
 DEFAULT_GENERATOR = "lifted"
 """Where a folder has no assets and nobody names another."""
+SAVED = "saved"
+"""Meshes that a generator left in a folder, with or without poses."""
 ASSET_GENERATORS = Kind(
     name="assets",
     protocol=AssetGenerator,
@@ -17,6 +19,7 @@ ASSET_GENERATORS = Kind(
         "hunyuan3d": "f3sr.generators.worker_assets:hunyuan3d",
         "triposr": "f3sr.generators.worker_assets:triposr",
         "worker": "f3sr.generators.worker_assets:worker",
+        SAVED: "f3sr.generators.saved_meshes:saved",
         "fal-sam3d": "f3sr.generators.hosted_assets:fal_sam3d",
         "fal-trellis2": "f3sr.generators.hosted_assets:fal_trellis2",
         "fal-hunyuan": "f3sr.generators.hosted_assets:fal_hunyuan",
