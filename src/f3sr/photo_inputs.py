@@ -15,6 +15,7 @@ from f3sr.io.assets import PosedAsset, require_size
 from f3sr.io.inputs import Fillers, Inputs
 from f3sr.io.photo_hints import PhotoHints
 from f3sr.lifting.generators import ASSET_GENERATORS, DEFAULT_GENERATOR
+from f3sr.mesh_poses.given_frames import MaskPlacer
 from f3sr.metrology.estimators import DEFAULT_ESTIMATOR, GEOMETRY_ESTIMATORS
 from f3sr.metrology.known_sizes import usual_size
 from f3sr.metrology.scene_scale import LengthClue, ScaleModel, SceneScale, scene_scale
@@ -56,6 +57,7 @@ def read_inputs(
             geometry=GEOMETRY_ESTIMATORS.find(DEFAULT_ESTIMATOR), assets=ASSET_GENERATORS.find(DEFAULT_GENERATOR)
         ),
         hints=hints,
+        placer=MaskPlacer(),
     )
     hints = hints or PhotoHints()
     if not given.geometry.guessed_unit and not hints.known:

@@ -12,6 +12,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 from f3sr import options
 from f3sr.cli.arguments import Axes, Ignore, MaybeFile, MaybeOut, Name, Skip, default_shown
 from f3sr.errors import F3srError, InputError, printable, require_known
+from f3sr.io.pose_conventions import require_asset_frame
 
 Sources = Annotated[Positional[Path], arg(metavar="INPUTS")]
 DatasetPlace = Annotated[Positional[str], arg(metavar="DATASET")]
@@ -90,7 +91,7 @@ def batch(
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
     require_known("--skip", _names(skip), options.SKIPPABLE)
     require_known("--ignore", _names(ignore), options.PARTS)
-    require_known("--asset-frame", [asset_frame], options.ASSET_FRAMES)
+    require_asset_frame("--asset-frame", asset_frame)
     _require("--jobs", jobs, 0, 10_000)
     _require("--timeout", timeout, 1, 604_800)
     _require("--retries", retries, 0, 100)

@@ -1,9 +1,9 @@
 """How a producer may have written down where a mesh stands: the choices that conventions are made of, and their names.
 
-A pose of rotation Q, translation t and scale s puts a vertex v of the file at ``x_camera = s F Q A v + F t``. A turns the
-file's axes into those that the pose turns, F the producer's camera axes into OpenCV's. Both are signed permutations,
-and may mirror: a file or a camera may be left-handed. Q is read from four numbers in one of two orders, and acts on
-columns or on rows. So conventions are enumerated from these choices, not listed.
+A pose of rotation Q, translation t and scale s puts a vertex v of the file at ``x_camera = s F Q A v + F t``. A turns
+the file's axes into those that the pose turns, F the producer's camera axes into OpenCV's. Both are signed
+permutations, and may mirror: a file or a camera may be left-handed. Q is read from four numbers in one of two orders,
+and acts on columns or on rows. So conventions are enumerated from these choices, not listed.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from f3sr.core.transforms import Array, rotation_from_quaternion
+from f3sr.errors import InputError
+from f3sr.options import ASSET_FRAMES
 
 Order = Literal["wxyz", "xyzw"]
 Vectors = Literal["row", "column"]
@@ -106,7 +108,16 @@ def parsed(name: str) -> PoseConvention | None:
     camera = camera_axes(parts[3])
     if mesh is None or camera is None:
         return None
-    return PoseConvention("wxyz" if parts[0] == "wxyz" else "xyzw", "row" if parts[1] == "row" else "column", mesh, camera)
+    return PoseConvention(
+        "wxyz" if parts[0] == "wxyz" else "xyzw", "row" if parts[1] == "row" else "column", mesh, camera
+    )
+
+
+def require_asset_frame(where: str, name: str) -> None:
+    """Raises InputError for a text that ``--asset-frame`` does not take."""
+    if name not in ASSET_FRAMES and camera_axes(name) is None and parsed(name) is None:
+        example = f"axes such as {CAMERAS['opengl'].name}, or a convention such as {SAM3D.name}"
+        raise InputError(where, found=name, accepted=f"{', '.join(ASSET_FRAMES)}, {example}")
 
 
 def all_conventions() -> list[PoseConvention]:

@@ -29,6 +29,8 @@ class CandidatePlaces:
     """(k, n, 3), in the unit that the producer gives places in."""
     scale: Array
     """(k, n), of that unit per unit of the file."""
+    own: Array
+    """(k, 3, 3): the axes in which an object is kept, from those of its file; they may mirror."""
 
     def __len__(self) -> int:
         return len(self.names)
@@ -37,7 +39,7 @@ class CandidatePlaces:
     def of_poses(cls, poses: Mapping[int, AssetPose], conventions: Sequence[PoseConvention]) -> Self:
         """Poses by each of some conventions."""
         ids = tuple(poses)
-        kinds = [(order, vectors) for order in ("wxyz", "xyzw") for vectors in ("row", "column")]
+        kinds = {(c.order, c.vectors) for c in conventions}
         turned = {
             kind: np.stack([rotation_as_read(poses[id].rotation, *kind) for id in ids]) for kind in kinds
         }  # each (n, 3, 3)
@@ -50,6 +52,7 @@ class CandidatePlaces:
             R=np.einsum("kij,knjl,klm->knim", F, Q, A),
             t=np.einsum("kij,nj->kni", F, np.array([poses[id].translation for id in ids])),
             scale=np.tile([poses[id].uniform_scale for id in ids], (len(conventions), 1)),
+            own=A,
         )
 
     @classmethod
@@ -63,6 +66,7 @@ class CandidatePlaces:
             R=np.repeat(F[:, None], n, axis=1),
             t=np.zeros((k, n, 3)),
             scale=np.ones((k, n)),
+            own=F,
         )
 
     def chosen(self, which: Sequence[int], *, scale: Array | None = None) -> Self:
@@ -74,4 +78,5 @@ class CandidatePlaces:
             R=self.R[index],
             t=self.t[index],
             scale=self.scale[index] if scale is None else scale,
+            own=self.own[index],
         )

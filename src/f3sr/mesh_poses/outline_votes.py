@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from statistics import fmean
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ class OutlineConfig:
     away: float = 1.0
     """Largest median distance of a middle from its mask's [diagonals of the mask's box]. A pose is off by less."""
     larger: float = 3.0
-    """Largest median ratio of an object's size in the picture to its mask's, either way. Half hidden masks are small."""
+    """Largest median ratio of an object's size in the picture to its mask's, either way: parts may be hidden."""
     voters: int = 6
     """Objects that vote in the sieve, those with the largest masks first."""
     max_faces: int = 600
@@ -112,12 +113,10 @@ def sieved(
         return places.chosen([]), np.zeros(0)
     voters = np.argsort([-o.area for o in outlines], kind="stable")[: config.voters]
     kept = places.chosen(near.tolist(), scale=scale[near])
-    missed = np.array(
-        [
-            np.mean([outlines[v].missed(kept.R[k, v], kept.t[k, v], float(kept.scale[k, v])) for v in voters])
-            for k in range(len(kept))
-        ]
-    )
+    missed = np.zeros(len(kept))
+    for k in range(len(kept)):
+        own = (outlines[v].missed(kept.R[k, v], kept.t[k, v], float(kept.scale[k, v])) for v in voters)
+        missed[k] = fmean(own)
     order = np.argsort(missed, kind="stable")
     return kept.chosen(order.tolist()), missed[order]
 

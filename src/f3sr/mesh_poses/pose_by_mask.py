@@ -234,7 +234,7 @@ class PoseSearch:
         return better if better.missed <= found.missed else found
 
     def corrected(self, o: SceneObject) -> SceneObject:
-        """The object where its light silhouette fits best near a pose that it was given, to the errors of such poses."""
+        """The object where its light silhouette fits best near a pose that it was given."""
         config = self.config.orientations
         fit = self._fit(outlined(o, config.max_faces), self.config.near, coarse=True)
         least = fit.refined(np.zeros(6), iterations=config.iterations, free=EVERYTHING)

@@ -13,10 +13,10 @@ from functools import cached_property
 import numpy as np
 
 from f3sr.backends.protocols import ProducedMesh
+from f3sr.core.handedness import mirrored, rotation_of
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import pose
 from f3sr.mesh_poses.candidate_places import CandidatePlaces
-from f3sr.mesh_poses.handedness import mirrored, rotation_of
 from f3sr.mesh_poses.pose_by_mask import DEFAULT_SEARCH, FoundPose, MaskedPhoto, PoseSearch, PoseSearchConfig, unplaced
 from f3sr.vision.rasterizer import NEAR
 
@@ -59,6 +59,7 @@ def judged_readings(
         R=np.array([[p.T_camera_mesh[:3, :3] for p in row] for row in read]),
         t=np.array([[p.T_camera_mesh[:3, 3] for p in row] for row in read]),
         scale=np.array([[p.scale for p in row] for row in read]),
+        own=np.tile(np.eye(3), (len(read), 1, 1)),
     )
     return judged(view, {id: m.mesh for id, m in meshes.items()}, places, search)
 

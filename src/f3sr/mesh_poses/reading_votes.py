@@ -1,14 +1,14 @@
 """The vote on readings: which one is meant, or which of them nothing in the picture tells apart.
 
-All objects vote, as a producer has one convention. A reading's cost is the mean over objects of what each misses of mask,
-detail and depth once it is corrected nearby: poses are off by degrees themselves. Readings race: whoever falls behind by
-more than chance after some objects is not asked about the others.
+All objects vote, as a producer has one convention. A reading's cost is the mean over objects of what each misses of
+mask, detail and depth once it is corrected nearby: poses are off by degrees themselves. Readings race: one that falls
+behind by more than chance after some objects is not asked about the others.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -84,17 +84,15 @@ class Votes:
 
     def differ(self, one: int, other: int) -> bool:
         """Whether two readings put any object's surface visibly elsewhere."""
-        return any(
-            self.apart(v, one, other) > self.config.alike for v in range(len(self.places.ids))
-        )
+        return any(self.apart(v, one, other) > self.config.alike for v in range(len(self.places.ids)))
 
     def apart(self, v: int, one: int, other: int) -> float:
         """Mean distance of the surfaces of the ``v``-th object by two readings [share of its diagonal]."""
-        from scipy.spatial import cKDTree
+        from scipy.spatial import KDTree
 
         a, b = (self._placed(v, k) for k in (one, other))
         size = float(self.places.scale[one, v]) * self.meshes[self.places.ids[v]].diagonal
-        return float(cKDTree(a).query(b)[0].mean() + cKDTree(b).query(a)[0].mean()) / 2 / size
+        return float(KDTree(a).query(b)[0].mean() + KDTree(b).query(a)[0].mean()) / 2 / size
 
     def _placed(self, v: int, k: int) -> Array:
         """Points (p, 3) of a surface where a reading puts it, in the camera."""
@@ -141,7 +139,7 @@ def _raced(
 ) -> tuple[Array, Array]:
     """Costs (k,) of readings, inf where one fell behind, and their mean IoUs (k,)."""
     total, ious = np.zeros(len(places)), np.zeros(len(places))
-    running = list(range(len(places)))
+    running, done = list(range(len(places))), 0
     order = sorted(range(len(places.ids)), key=lambda v: -int(view.instances[places.ids[v]].mask.sum()))
     for done, v in enumerate(order, start=1):
         id = places.ids[v]
@@ -152,11 +150,7 @@ def _raced(
             ious[k] += found.iou
         best = min((total[k] / done for k in running), default=0.0)
         running = [k for k in running if total[k] / done <= best + config.dropped * config.noise / math.sqrt(done)]
+        if len(running) <= 1:
+            break
     finished = np.isin(np.arange(len(places)), running)
-    n = max(1, len(order))
-    return np.where(finished, total / n, np.inf), ious / n
-
-
-def index_of(places: CandidatePlaces, names: Sequence[str]) -> int | None:
-    """The first reading with one of some names."""
-    return next((k for k, name in enumerate(places.names) if name in names), None)
+    return np.where(finished, total / max(done, 1), np.inf), ious / max(done, 1)
