@@ -9,7 +9,14 @@ from typing import Self
 import numpy as np
 
 from f3sr.core.transforms import Array
-from f3sr.io.pose_conventions import PoseConvention, SignedAxes, camera_name, rotation_as_read
+from f3sr.io.pose_conventions import (
+    Order,
+    PoseConvention,
+    SignedAxes,
+    Vectors,
+    camera_name,
+    rotation_as_read,
+)
 from f3sr.io.sam3d import AssetPose
 
 
@@ -39,7 +46,7 @@ class CandidatePlaces:
     def of_poses(cls, poses: Mapping[int, AssetPose], conventions: Sequence[PoseConvention]) -> Self:
         """Poses by each of some conventions."""
         ids = tuple(poses)
-        kinds = {(c.order, c.vectors) for c in conventions}
+        kinds: set[tuple[Order, Vectors]] = {(c.order, c.vectors) for c in conventions}
         turned = {
             kind: np.stack([rotation_as_read(poses[id].rotation, *kind) for id in ids]) for kind in kinds
         }  # each (n, 3, 3)
