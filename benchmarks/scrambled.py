@@ -4,7 +4,7 @@ usage: python benchmarks/scrambled.py [--count N] [--first K] [--data PATH] [--o
 Masks, photo and depth are drawn from the true places. The files then have random mesh axes (48, half of them mirrored),
 order and direction of the quaternion, camera axes, units, nested nodes and packing; most poses are off as a generator's
 are. The product reads the folder. An import is *right* where every surface lies within BOUND of where the written pose
-means it (without a pose: of where it truly is), *asked* where the product stops and names ``--asset-frame``, else *wrong*.
+means it (without a pose: of the truth), *asked* where the product stops and names ``--asset-frame``, else *wrong*.
 Exit codes: 0 the bounds hold, 1 they do not.
 """
 
@@ -104,9 +104,13 @@ def true_scene(meshes: Mapping[str, Mesh], rng: np.random.Generator) -> TrueScen
             place = [rng.uniform(-0.22, 0.22), rng.uniform(-0.2, 0.2), -low]
             objects.append(
                 SceneObject(
-                    id=id, label=str(name), mask_name=f"{id:02d}.png", mask=np.zeros((1, 1), bool),
-                    mesh=meshes[name], T_world_object=pose(turn, place),
-                )  # fmt: skip
+                    id=id,
+                    label=str(name),
+                    mask_name=f"{id:02d}.png",
+                    mask=np.zeros((1, 1), bool),
+                    mesh=meshes[name],
+                    T_world_object=pose(turn, place),
+                )
             )
         fragments = rasterizer.render(objects, eye)
         alone = [np.count_nonzero(rasterizer.visible_ids([o], eye) == o.id) for o in objects]
