@@ -13,9 +13,12 @@ import pytest
 from f3sr.core.handedness import MIRROR
 from f3sr.core.transforms import pose, quaternion_from_rotation, rotation_about, transform
 from f3sr.errors import InputError
+from f3sr.io import inputs
 from f3sr.io.inputs import Inputs
 from f3sr.io.mesh_files import save_glb
 from f3sr.io.pose_conventions import ALL_AXES, CAMERAS, SAM3D, PoseConvention, SignedAxes, all_conventions, parsed
+from f3sr.mesh_poses.given_frames import MaskPlacer
+from f3sr.mesh_poses.reading_votes import VoteConfig
 from f3sr.photo_inputs import read_inputs
 from f3sr.scene import SceneObject
 from folders import camera, write_folder
@@ -150,6 +153,14 @@ def test_meshes_in_their_own_frame_stand_where_the_masks_put_them(tmp_path: Path
         found = transform(asset.T_camera_object, asset.scale * asset.mesh.vertices)
         assert np.linalg.norm(found - camera().to_camera(o.vertices_world), axis=1).max() < 0.03
     assert any("meshes without a pose" in d.choice and d.fallback for d in given.decisions)
+
+
+def test_what_the_masks_do_not_decide_is_asked_for(tmp_path: Path):
+    written(tmp_path / "in", SAM3D)
+    doubtful = MaskPlacer(votes=VoteConfig(noise=1.0))  # no difference in cost is evidence
+    with pytest.raises(InputError, match=f"the masks show alike as {re.escape(SAM3D.name)}.*accepted: --asset-frame "):
+        inputs.read(tmp_path / "in", placer=doubtful)
+    require_true(read_inputs(tmp_path / "in", asset_frame=SAM3D.name))
 
 
 def test_names_of_conventions_are_read_back():
