@@ -35,7 +35,7 @@ class VoteConfig:
     """Most readings in the race. A box has 8 that show the same, with mirrors 16."""
     noise: float = 0.03
     """Standard deviation, for one object, of the difference in cost between two readings that is no evidence: errors of
-    meshes and of corrections. ``benchmarks/scrambled.py`` measures it."""
+    meshes and of corrections. Chosen, not fitted; ``benchmarks/scrambled.py`` counts what it lets through."""
     sigmas: float = 2.0
     """Standard deviations of the mean over objects from which on one reading is better than another."""
     dropped: float = 5.0
