@@ -44,7 +44,7 @@ DEFAULT_OUTLINES = OutlineConfig()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Outline:
+class MaskOutline:
     """What one object's readings are compared with: its light mesh, and its mask in a window of the photo."""
 
     vertices: Array
@@ -64,7 +64,7 @@ class Outline:
     """Of the mask [px of the photo]."""
 
     @classmethod
-    def of(cls, view: MaskedPhoto, id: int, mesh: Mesh, config: OutlineConfig) -> Outline:
+    def of(cls, view: MaskedPhoto, id: int, mesh: Mesh, config: OutlineConfig) -> MaskOutline:
         instance = view.instances[id]
         light = outlined(unplaced(instance, mesh), config.max_faces).mesh
         rows, columns = np.nonzero(instance.mask)
@@ -105,7 +105,7 @@ def sieved(
 ) -> tuple[CandidatePlaces, Array]:
     """The readings that show something near the masks, best first, and what each misses of them (k,), the mean of
     1 - IoU. Every reading has the unit of its files that fits the masks' sizes best, unless ``units`` are known."""
-    outlines = [Outline.of(view, id, meshes[id], config) for id in places.ids]
+    outlines = [MaskOutline.of(view, id, meshes[id], config) for id in places.ids]
     factors = np.array(config.units if units else config.units[:1])
     scale, off = _in_units(view.camera.K, outlines, places, factors, config)
     near = np.flatnonzero(off <= 1)
@@ -122,7 +122,7 @@ def sieved(
 
 
 def _in_units(
-    K: Array, outlines: list[Outline], places: CandidatePlaces, units: Array, config: OutlineConfig
+    K: Array, outlines: list[MaskOutline], places: CandidatePlaces, units: Array, config: OutlineConfig
 ) -> tuple[Array, Array]:
     """Scales (k, n) of all readings in their likeliest unit, and how far each is off (k,): 1 is the most allowed.
 
