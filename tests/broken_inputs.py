@@ -383,16 +383,6 @@ def far_pose(z: float) -> Spoil:
     return poses(lambda d: d["objects"][0]["translation"].__setitem__(2, z))
 
 
-def turned_posed(folder: Path) -> None:
-    """Posed GLBs in axes that are not told from their bounds."""
-    from f3sr.io.mesh_files import load_mesh, save_glb
-
-    to_posed(folder)
-    for path in (folder / "assets").glob("*.glb"):
-        mesh = load_mesh(path)
-        save_glb(mesh.with_vertices(mesh.vertices * [1, 1, -1]), path)
-
-
 # --- all of it --------------------------------------------------------------------------------------------------------
 
 WRONG: dict[str, tuple[Spoil, str, str]] = {
@@ -634,8 +624,6 @@ WRONG: dict[str, tuple[Spoil, str, str]] = {
     "posed GLBs, two for a mask": (
         in_order(to_posed, copied("assets/02.glb", "assets/2.glb")), "assets", "02.glb, 2.glb for mask",
     ),
-    "GLBs that are not posed": (remove("assets/poses.json"), "02.glb", "in its own frame"),
-    "posed GLBs in unknown axes": (turned_posed, ".glb", "unknown axes"),
     # scene_graph.json
     "a graph of a stranger": (relation(object=44), "scene_graph.json", "2 next_to 44"),
     "a graph of an object with itself": (relation(object=2), "scene_graph.json", "2 next_to 2"),

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from f3sr.core.camera import Camera
-from f3sr.core.mesh import ConvexPart, Material, Mesh
+from f3sr.core.mesh import ConvexPart, Material, Mesh, union
 from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose
 from f3sr.metrics.measures import mean_over_masks, visible_ious
 from f3sr.scene import (
@@ -26,6 +26,17 @@ from f3sr.scene import (
 from f3sr.vision import rasterizer
 
 WIDTH, HEIGHT = 64, 48
+
+
+def chair() -> Mesh:
+    """Nothing of it is symmetric: a seat with a back, and an arm on one side, 1 unit wide."""
+    parts = [
+        box_mesh((1.0, 0.8, 0.3)).hull,
+        box_mesh((1.0, 0.2, 1.1)).hull.moved(pose(t=[0, 0.3, 0.4])),
+        box_mesh((0.2, 0.6, 0.6)).hull.moved(pose(t=[0.4, -0.1, 0.3])),
+    ]
+    vertices, faces = union(parts)
+    return Mesh(vertices=vertices, faces=np.asarray(faces, np.int32))
 
 
 def box_mesh(size: Sequence[float] = (0.1, 0.1, 0.1), *, textured: bool = False) -> Mesh:

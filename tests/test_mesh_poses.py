@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from f3sr.backends.protocols import Axis, ProducedMesh, PromptedImage, ReadPose
-from f3sr.core.mesh import Mesh, union
+from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import Array, pose, quaternion_from_rotation, rotation_about, rotation_angle, transform
 from f3sr.io import sam3d
 from f3sr.mesh_poses.pose_by_mask import MaskedPhoto
@@ -17,20 +17,9 @@ from f3sr.mesh_poses.read_poses import is_clear, judged_readings
 from f3sr.scene import Geometry, Instance, Photo
 from f3sr.vision import rasterizer
 from folders import boxes, camera
-from scenes import box, box_mesh
+from scenes import box, box_mesh, chair
 
 RANDOM = np.random.default_rng(4)
-
-
-def chair() -> Mesh:
-    """Nothing of it is symmetric: a seat with a back, and an arm on one side, 1 unit wide."""
-    parts = [
-        box_mesh((1.0, 0.8, 0.3)).hull,
-        box_mesh((1.0, 0.2, 1.1)).hull.moved(pose(t=[0, 0.3, 0.4])),
-        box_mesh((0.2, 0.6, 0.6)).hull.moved(pose(t=[0.4, -0.1, 0.3])),
-    ]
-    vertices, faces = union(parts)
-    return Mesh(vertices=vertices, faces=np.asarray(faces, np.int32))
 
 
 def seen(yaw: float, *, hidden: bool = False) -> tuple[PromptedImage, Geometry, Array, Array]:

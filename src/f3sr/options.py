@@ -12,5 +12,6 @@ SKIPPABLE = (
 Part = Literal["assets", "geometry", "ground", "scene_graph", "background", "materials"]
 PARTS: tuple[str, ...] = get_args(Part)
 """Parts of a prompted-image folder that ``--ignore`` treats as absent."""
-ASSET_FRAMES = ("auto", "opencv", "opengl", "pytorch3d")
-"""Axes of posed GLBs that come without ``poses.json``, for ``--asset-frame``."""
+ASSET_FRAMES = ("auto", "opencv", "opengl", "pytorch3d", "unity", "blender", "unposed")
+"""How meshes and poses of ``assets/`` are read, for ``--asset-frame``: by the masks, in camera axes with a name, or
+without a pose. It also takes axes and conventions by their own names, see ``io/pose_conventions``."""

@@ -15,6 +15,7 @@ from f3sr.io.assets import PosedAsset, require_size
 from f3sr.io.inputs import Fillers, Inputs
 from f3sr.io.photo_hints import PhotoHints
 from f3sr.lifting.generators import ASSET_GENERATORS, DEFAULT_GENERATOR, SAVED
+from f3sr.mesh_poses.given_frames import MaskPlacer
 from f3sr.metrology.estimators import DEFAULT_ESTIMATOR, GEOMETRY_ESTIMATORS
 from f3sr.metrology.known_sizes import usual_size
 from f3sr.metrology.scene_scale import LengthClue, ScaleModel, SceneScale, scene_scale
@@ -58,6 +59,7 @@ def read_inputs(
             places=lambda folder: ASSET_GENERATORS.find(f"{SAVED}:{folder}"),
         ),
         hints=hints,
+        placer=MaskPlacer(),
     )
     hints = hints or PhotoHints()
     if not given.geometry.guessed_unit and not hints.known:

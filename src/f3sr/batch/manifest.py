@@ -15,7 +15,8 @@ from f3sr import settings
 from f3sr.batch.job import Job
 from f3sr.errors import InputError, reason, require_known
 from f3sr.files import limited_file, strict_json
-from f3sr.options import ASSET_FRAMES, PARTS, SKIPPABLE
+from f3sr.io.pose_conventions import require_asset_frame
+from f3sr.options import PARTS, SKIPPABLE
 from f3sr.pipeline import Config
 
 MAX_BYTES = 2_000_000_000
@@ -104,8 +105,8 @@ class BatchInputs:
         if "goals" in given:
             job = replace(job, goals=goals_of(given["goals"], where))
         if "asset-frame" in given:
-            frame = _text(given, "asset-frame", where, 20)
-            require_known(where, [frame], ASSET_FRAMES)
+            frame = _text(given, "asset-frame", where, 40)
+            require_asset_frame(where, frame)
             job = replace(job, asset_frame=frame)
         for column, known in (("skip", SKIPPABLE), ("ignore", PARTS)):
             if column in given:

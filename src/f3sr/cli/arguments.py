@@ -53,8 +53,9 @@ Axes = Annotated[
     str,
     arg(
         metavar="AXES",
-        help="Axes of posed GLBs that come without poses.json, of an input folder only: "
-        f"{', '.join(options.ASSET_FRAMES)}.",
+        help="How assets of an input folder are read: "
+        f"{', '.join(options.ASSET_FRAMES)}. "
+        "Or by axes of their own, as +x-y-z, or by a convention of poses.json, as wxyz/row/+x-z+y/pytorch3d.",
     ),
 ]
 MaybePixels = Annotated[float | None, arg(metavar="PX", help_behavior_hint=default_shown)]

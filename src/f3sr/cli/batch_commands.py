@@ -12,6 +12,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 from f3sr import options
 from f3sr.cli.arguments import Axes, DeviceName, Ignore, MaybeFile, MaybeOut, Name, PrecisionName, Skip, default_shown
 from f3sr.errors import F3srError, InputError, printable, require_known
+from f3sr.io.pose_conventions import require_asset_frame
 
 if TYPE_CHECKING:
     from f3sr.backends.model_choice import ModelChoice
@@ -100,7 +101,7 @@ def batch(
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
     require_known("--skip", _names(skip), options.SKIPPABLE)
     require_known("--ignore", _names(ignore), options.PARTS)
-    require_known("--asset-frame", [asset_frame], options.ASSET_FRAMES)
+    require_asset_frame("--asset-frame", asset_frame)
     _require("--jobs", jobs, 0, 10_000)
     _require("--timeout", timeout, 1, 604_800)
     _require("--retries", retries, 0, 100)

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from f3sr.backends.protocols import GeneratedAsset
 from f3sr.core.mesh import Mesh, surface_flaws
 from f3sr.core.transforms import Array, pose
 from f3sr.errors import InputError
 from f3sr.io import sam3d
 from f3sr.io.geometry import camera_frame
+from f3sr.io.given_meshes import GivenMeshes, PlacedMeshes
 from f3sr.io.input_folder import InputFolder
 from f3sr.io.mesh_files import load_mesh
 
@@ -55,17 +57,36 @@ class PosedAsset:
     """Whether a back end made it from its own mask, upright."""
 
 
-def read_assets(folder: InputFolder, masks: Mapping[int, str], frame: str) -> dict[int, PosedAsset]:
-    """One asset per object; ``masks`` gives each id's mask file name, ``frame`` the axes of GLBs without poses.json.
+Place = Callable[[GivenMeshes], PlacedMeshes]
+"""Where meshes stand, told by somebody who sees the masks."""
 
-    Raises InputError, which names the file, for a mesh that is missing, left over, broken or of an odd size."""
-    place = folder.path("assets")
+
+def read_assets(
+    folder: InputFolder, masks: Mapping[int, str], frame: str, place: Place | None = None
+) -> dict[int, PosedAsset]:
+    """One asset per object; ``masks`` gives each id's mask file name, ``frame`` is what ``--asset-frame`` says.
+
+    ``place`` tells what nobody declares; without it only what is certain is read. Raises InputError, which names the
+    file, for a mesh that is missing, left over, broken or of an odd size, and for a frame that nothing tells."""
     names = folder.names("assets")
-    given = folder.has("assets/poses.json")
-    assets, used = _sam3d_assets(folder, masks) if given else _posed_assets(folder, names, masks, frame)
+    by_poses = folder.has("assets/poses.json")
+    given, files = _with_poses(folder, masks, frame) if by_poses else _without_poses(folder, names, masks, frame)
+    used = {Path(file).name for file in files.values()}
     if extra := [n for n in names if Path(n).suffix.lower() in MESH_SUFFIXES and n not in used]:
         raise InputError(folder.path(f"assets/{extra[0]}"), found="a mesh of no mask", accepted=ONE_PER_MASK)
-    require_assets(folder, place, assets, masks)
+    placed = place(given) if place else _as_certain(folder, given, files)
+    for d in placed.decisions:
+        folder.decide(d.choice, d.reason, d.about, fallback=d.fallback)
+    assets = {
+        id: PosedAsset(
+            mesh=asset.mesh,
+            T_camera_object=asset.T_camera_object,
+            scale=asset.scale,
+            source=given.place if by_poses else folder.path(f"assets/{files[id]}"),
+        )
+        for id, asset in placed.assets.items()
+    }
+    require_assets(folder, folder.path("assets"), assets, masks)
     return assets
 
 
@@ -162,8 +183,8 @@ def _describe(folder: InputFolder, id: int, mesh: Mesh) -> None:
         folder.decide("kept as it is", f"the mesh has {flaws}", id)
 
 
-def _sam3d_assets(folder: InputFolder, masks: Mapping[int, str]) -> tuple[dict[int, PosedAsset], set[str]]:
-    """Assets by id, and the names of the files used."""
+def _with_poses(folder: InputFolder, masks: Mapping[int, str], frame: str) -> tuple[GivenMeshes, dict[int, str]]:
+    """The meshes of poses.json, and their files below assets/."""
     path = folder.path("assets/poses.json")
     document = folder.document("assets/poses.json", sam3d.Poses)
     by_mask = {p.mask: p for p in document.objects}
@@ -174,27 +195,23 @@ def _sam3d_assets(folder: InputFolder, masks: Mapping[int, str]) -> tuple[dict[i
         raise InputError(path, found=f"no asset for {', '.join(missing)}", accepted="one asset per mask")
     if extra := sorted(by_mask.keys() - names):
         raise InputError(path, found=f"assets for unknown masks {', '.join(extra)}", accepted="one asset per mask")
-    assets: dict[int, PosedAsset] = {}
-    for id, name in masks.items():
-        entry = by_mask[name]
-        mesh = _mesh(folder, id, entry.mesh)
-        R, t = entry.camera_pose()
-        assets[id] = PosedAsset(
-            mesh=mesh.with_vertices(mesh.vertices @ sam3d.LOCAL_FROM_GLB.T),
-            T_camera_object=pose(R, t),
-            scale=entry.uniform_scale,
-            source=path,
-        )
-    return assets, {Path(p.mesh).name for p in document.objects}
+    poses = {id: by_mask[name] for id, name in masks.items()}
+    given = GivenMeshes(
+        place=path,
+        meshes={id: _mesh(folder, id, p.mesh) for id, p in poses.items()},
+        poses=poses,
+        declared=document.declared,
+        frame=frame,
+    )
+    return given, {id: p.mesh for id, p in poses.items()}
 
 
-def _posed_assets(
+def _without_poses(
     folder: InputFolder, names: Sequence[str], masks: Mapping[int, str], frame: str
-) -> tuple[dict[int, PosedAsset], set[str]]:
-    """GLBs whose vertices already are in a camera frame, one per mask, found by the mask's stem or id."""
+) -> tuple[GivenMeshes, dict[int, str]]:
+    """One GLB per mask, found by the mask's stem or id, and its name."""
     files = [n for n in names if n.lower().endswith(".glb")]
-    assets: dict[int, PosedAsset] = {}
-    used: set[str] = set()
+    chosen = dict[int, str]()
     for id, mask in masks.items():
         own = [n for n in files if Path(n).stem == Path(mask).stem] or [n for n in files if _leading_id(n) == id]
         if len(own) != 1:
@@ -204,15 +221,30 @@ def _posed_assets(
                 found=found,
                 accepted="one posed GLB per mask, named by the mask's stem or id (or poses.json)",
             )
-        path = folder.path(f"assets/{own[0]}")
-        mesh = _mesh(folder, id, own[0])
-        vertices = mesh.vertices @ _posed_frame(path, mesh, frame).T
+        chosen[id] = own[0]
+    meshes = {id: _mesh(folder, id, name) for id, name in chosen.items()}
+    return GivenMeshes(place=folder.path("assets"), meshes=meshes, poses=None, declared=False, frame=frame), chosen
+
+
+def _as_certain(folder: InputFolder, given: GivenMeshes, files: Mapping[int, str]) -> PlacedMeshes:
+    """Assets where nobody sees the masks: poses by the documented convention, meshes in axes that are told or certain.
+
+    Raises InputError for all else."""
+    assets = dict[int, GeneratedAsset]()
+    for id, mesh in given.meshes.items():
+        if given.poses is not None:
+            entry = given.poses[id]
+            R, t = entry.camera_pose()
+            local = mesh.with_vertices(mesh.vertices @ sam3d.LOCAL_FROM_GLB.T)
+            assets[id] = GeneratedAsset(mesh=local, T_camera_object=pose(R, t), scale=entry.uniform_scale)
+            continue
+        path = folder.path(f"assets/{files[id]}")
+        vertices = mesh.vertices @ _posed_frame(path, mesh, given.frame).T
         center = (vertices.min(0) + vertices.max(0)) / 2
-        assets[id] = PosedAsset(
-            mesh=mesh.with_vertices(vertices - center), T_camera_object=pose(np.eye(3), center), scale=1.0, source=path
+        assets[id] = GeneratedAsset(
+            mesh=mesh.with_vertices(vertices - center), T_camera_object=pose(np.eye(3), center), scale=1.0
         )
-        used.add(own[0])
-    return assets, used
+    return PlacedMeshes(assets=assets)
 
 
 def _leading_id(name: str) -> int | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
 
@@ -43,12 +44,14 @@ from f3sr.io.geometry import (
     read_geometry,
     read_intrinsics,
 )
+from f3sr.io.given_meshes import MeshPlacer
 from f3sr.io.given_properties import MATERIALS, GivenProperties, read_properties
 from f3sr.io.images import as_rgb, open_image
 from f3sr.io.input_folder import InputFolder
 from f3sr.io.masks import read_instances, read_mask
 from f3sr.io.photo_hints import PhotoHints
-from f3sr.options import ASSET_FRAMES, PARTS
+from f3sr.io.pose_conventions import require_asset_frame
+from f3sr.options import PARTS
 from f3sr.report import Decision
 from f3sr.runtime.result_store import digest
 from f3sr.scene import Geometry, Instance, Photo, Predicate, Relation, SceneGraph
@@ -137,11 +140,13 @@ def read(
     fillers: Fillers | None = None,
     stand_ins: Fillers | None = None,
     hints: PhotoHints | None = None,
+    placer: MeshPlacer | None = None,
 ) -> Inputs:
     """Read and validate a prompted-image folder (docs: conventions).
 
-    ``ignore`` treats parts of PARTS as absent. ``asset_frame`` names the axes of GLBs without ``poses.json``: one of
-    ASSET_FRAMES. ``geometry_noise``: standard deviation of the depths [share of the distance], else measured.
+    ``ignore`` treats parts of PARTS as absent. ``asset_frame`` says how the assets are read, as ``--asset-frame``
+    takes it; ``placer`` tells what nobody says. ``geometry_noise``: standard deviation of the depths [share of the
+    distance], else measured.
     ``mask_overlap``: share of the smaller of two masks that may lie in both, .05 without it.
     ``fillers`` make parts that are absent, ``stand_ins`` those for which nobody named a filler: a fallback. Answers
     are validated as files are. ``hints`` are what a user knows of the camera, where geometry is made from the photo.
@@ -149,7 +154,7 @@ def read(
     """
     require_names("ignore", ignore)
     require_known("--ignore", ignore, PARTS)
-    require_known("--asset-frame", [asset_frame], ASSET_FRAMES)
+    require_asset_frame("--asset-frame", asset_frame)
     source = InputFolder(Path(folder))
     photo, told = _photo(source)
     instances = read_instances(source, photo, overlap=mask_overlap)
@@ -159,6 +164,7 @@ def read(
         fillers=fillers or Fillers(),
         stand_ins=stand_ins or Fillers(),
         hints=hints or PhotoHints(),
+        placer=placer,
     )
     instances = parts.labelled(photo, instances)
     ground_mask = parts.ground_mask(photo, instances)
@@ -206,6 +212,7 @@ class _Parts:
     fillers: Fillers
     stand_ins: Fillers
     hints: PhotoHints = field(default_factory=PhotoHints)
+    placer: MeshPlacer | None = None
     used: dict[str, Backend[Any]] = field(default_factory=dict[str, Backend[Any]])
 
     def has(self, part: str, *names: str) -> bool:
@@ -298,7 +305,8 @@ class _Parts:
         if self.stand_ins.places and has_unplaced_meshes(self.folder):
             places = self._standing_in(self.stand_ins.places(self.folder.path("assets")))
             return assets_of(self.folder, places, image, geometry, K, saved=True)
-        return read_assets(self.folder, {i.id: i.name for i in image.instances}, frame)
+        place = None if self.placer is None else partial(self.placer.place, image, geometry, K)
+        return read_assets(self.folder, {i.id: i.name for i in image.instances}, frame, place)
 
     def graph(self, image: PromptedImage, geometry: Geometry) -> SceneGraph | None:
         given = self.has("scene_graph", "scene_graph.json")

@@ -130,6 +130,11 @@ class Poses(BaseModel):
     convention: str = "sam-3d-objects"
     objects: list[AssetPose] = Field(min_length=1)
 
+    @property
+    def declared(self) -> bool:
+        """Whether the file names its convention itself."""
+        return "convention" in self.model_fields_set
+
     @field_validator("convention")
     @classmethod
     def _known(cls, value: str) -> str:

@@ -233,6 +233,14 @@ class PoseSearch:
         better = self.judged(self._at_its_depth(moved), found.side)
         return better if better.missed <= found.missed else found
 
+    def corrected(self, o: SceneObject) -> SceneObject:
+        """The object where its light silhouette fits best near a pose that it was given."""
+        config = self.config.orientations
+        fit = self._fit(outlined(o, config.max_faces), self.config.near, coarse=True)
+        least = fit.refined(np.zeros(6), iterations=config.iterations, free=EVERYTHING)
+        T, scale = fit.freedom.similarity(least.x)
+        return o.moved(T, scale=scale, stage=STAGE, reason="")
+
     def judged(self, o: SceneObject, side: int = 0) -> FoundPose:
         """The object where it stands, against mask, detail and depth."""
         light = outlined(o, self.config.max_faces)

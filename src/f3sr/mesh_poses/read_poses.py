@@ -8,13 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from f3sr.backends.protocols import ProducedMesh, ReadPose
+from f3sr.backends.protocols import ProducedMesh
+from f3sr.core.handedness import mirrored, rotation_of
 from f3sr.core.mesh import Mesh
+from f3sr.core.transforms import pose
+from f3sr.mesh_poses.candidate_places import CandidatePlaces
 from f3sr.mesh_poses.pose_by_mask import DEFAULT_SEARCH, FoundPose, MaskedPhoto, PoseSearch, PoseSearchConfig, unplaced
-from f3sr.scene import SceneObject
 from f3sr.vision.rasterizer import NEAR
 
 USABLE = 0.5
@@ -47,30 +50,68 @@ def judged_readings(
     """All readings that every mesh has a pose in, best first; a tie keeps their order."""
     names = [p.reading for p in next(iter(meshes.values())).poses]
     common = [n for n in names if all(any(p.reading == n for p in m.poses) for m in meshes.values())]
-    judged = [
-        JudgedReading(reading=name, poses={id: _judged(view, id, mesh, name, search) for id, mesh in meshes.items()})
-        for name in common
+    read = [[next(p for p in m.poses if p.reading == name) for m in meshes.values()] for name in common]
+    if not read:
+        return []
+    places = CandidatePlaces(
+        ids=tuple(meshes),
+        names=tuple(common),
+        R=np.array([[p.T_camera_mesh[:3, :3] for p in row] for row in read]),
+        t=np.array([[p.T_camera_mesh[:3, 3] for p in row] for row in read]),
+        scale=np.array([[p.scale for p in row] for row in read]),
+        own=np.tile(np.eye(3), (len(read), 1, 1)),
+    )
+    return judged(view, {id: m.mesh for id, m in meshes.items()}, places, search)
+
+
+def judged(
+    view: MaskedPhoto,
+    meshes: Mapping[int, Mesh],
+    places: CandidatePlaces,
+    search: PoseSearchConfig = DEFAULT_SEARCH,
+) -> list[JudgedReading]:
+    """Readings of files as they are, best first; a tie keeps their order."""
+    seekers = {id: Seeker(view=view, id=id, mesh=meshes[id], search=search) for id in places.ids}
+    readings = [
+        JudgedReading(reading=name, poses={id: seekers[id].found(places, k, v) for v, id in enumerate(places.ids)})
+        for k, name in enumerate(places.names)
     ]
-    return sorted(judged, key=lambda j: j.missed)
+    return sorted(readings, key=lambda j: j.missed)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Seeker:
+    """All that the readings of one file are compared with; where it is left-handed by a reading, it is mirrored."""
+
+    view: MaskedPhoto
+    id: int
+    mesh: Mesh
+    search: PoseSearchConfig
+
+    def found(self, places: CandidatePlaces, k: int, v: int, *, corrected: bool = False) -> FoundPose:
+        """The object, which is the ``v``-th, where reading ``k`` puts it, or where it then fits best nearby."""
+        R = places.R[k, v]
+        search = self._mirrored if np.linalg.det(R) < 0 else self._plain
+        T = self.view.camera.T_world_camera @ pose(rotation_of(R), places.t[k, v])
+        scale = float(places.scale[k, v])
+        o = replace(unplaced(search.instance, search.mesh), T_world_object=T, scale=scale)
+        if self.view.camera.to_camera(o.vertices_world)[:, 2].min() <= NEAR:  # behind the camera it misses everything
+            missed = self.search.orientations.missed(0, 0)
+            return FoundPose(object=o, side=0, iou=0.0, correlation=None, spread=0.0, missed=missed)
+        return search.judged(search.corrected(o) if corrected else o)
+
+    @cached_property
+    def _plain(self) -> PoseSearch:
+        return self._seen(self.mesh)
+
+    @cached_property
+    def _mirrored(self) -> PoseSearch:
+        return self._seen(mirrored(self.mesh))
+
+    def _seen(self, mesh: Mesh) -> PoseSearch:
+        return PoseSearch(mesh=mesh, instance=self.view.instances[self.id], view=self.view, config=self.search)
 
 
 def is_clear(judged: list[JudgedReading]) -> bool:
     """Whether the best reading shows what the masks show, and none of the others shows it as well."""
     return judged[0].iou >= USABLE and all(j.missed > judged[0].missed + CLEAR for j in judged[1:])
-
-
-def _judged(view: MaskedPhoto, id: int, produced: ProducedMesh, name: str, search: PoseSearchConfig) -> FoundPose:
-    """An object where a reading puts it; one behind the camera misses everything."""
-    read = next(p for p in produced.poses if p.reading == name)
-    o = at(view, id, produced.mesh, read)
-    if view.camera.to_camera(o.vertices_world)[:, 2].min() <= NEAR:
-        return FoundPose(
-            object=o, side=0, iou=0.0, correlation=None, spread=0.0, missed=search.orientations.missed(0, 0)
-        )
-    return PoseSearch(mesh=produced.mesh, instance=view.instances[id], view=view, config=search).judged(o)
-
-
-def at(view: MaskedPhoto, id: int, mesh: Mesh, read: ReadPose) -> SceneObject:
-    """An object in the world of the photo where a reading of its pose puts it."""
-    T = view.camera.T_world_camera @ read.T_camera_mesh
-    return replace(unplaced(view.instances[id], mesh), T_world_object=T, scale=read.scale)

@@ -1,0 +1,177 @@
+"""Complaints about frames and poses of generated meshes, each as a folder that f3sr must read (docs: importing)."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from f3sr.core.handedness import MIRROR
+from f3sr.core.transforms import pose, quaternion_from_rotation, rotation_about, transform
+from f3sr.errors import InputError
+from f3sr.io import inputs
+from f3sr.io.inputs import Inputs
+from f3sr.io.mesh_files import save_glb
+from f3sr.io.pose_conventions import ALL_AXES, CAMERAS, SAM3D, PoseConvention, SignedAxes, all_conventions, parsed
+from f3sr.mesh_poses.given_frames import MaskPlacer
+from f3sr.mesh_poses.reading_votes import VoteConfig
+from f3sr.photo_inputs import read_inputs
+from f3sr.scene import SceneObject
+from folders import camera, write_folder
+from scenes import box, chair
+
+DOCS = Path(__file__).parents[1] / "docs"
+
+
+def chairs() -> list[SceneObject]:
+    """Two chairs of .2 m, turned differently, on the table."""
+    mesh, found = chair(), list[SceneObject]()
+    for id, (x, yaw) in enumerate([(-0.12, 0.7), (0.13, -1.1)]):
+        T = pose(rotation_about([0, 0, 1], yaw), [x, 0.0, -0.2 * float(mesh.bounds[0, 2])])
+        like = box(id, size=(1, 1, 1), at=(0, 0, 0), label="chair")
+        found.append(replace(like, mesh=mesh, T_world_object=T, scale=0.2))
+    return found
+
+
+def written(folder: Path, by: PoseConvention, *, unit: float = 1.0, places: float = 1.0) -> None:
+    """A folder whose poses.json follows a convention that it does not name; a file's unit is 1/``unit``."""
+    things = chairs()
+    write_folder(folder, objects=things)
+    F, A, entries = by.camera.matrix, by.mesh.matrix, list[dict[str, object]]()
+    for o, mask in zip(things, sorted(p.name for p in (folder / "masks").iterdir()), strict=True):
+        T = camera().T_camera_world @ o.T_world_object
+        M = MIRROR if by.camera.mirrors else np.eye(3)
+        turned = F.T @ T[:3, :3] @ M
+        vertices = unit * o.mesh.vertices @ M @ A
+        save_glb(o.mesh.with_vertices(vertices), folder / f"assets/{o.id:02d}.glb")
+        wxyz = quaternion_from_rotation(turned.T if by.vectors == "row" else turned)
+        entries.append(
+            {
+                "mask": mask,
+                "mesh": f"{o.id:02d}.glb",
+                "rotation": (wxyz if by.order == "wxyz" else np.roll(wxyz, -1)).tolist(),
+                "translation": (places * F.T @ T[:3, 3]).tolist(),
+                "scale": [places * o.scale] * 3,
+            }
+        )
+    (folder / "assets/poses.json").write_text(json.dumps({"objects": entries}))
+
+
+def require_true(given: Inputs, *, within: float = 1e-3) -> None:
+    """Every vertex where it is in truth [m]; an order of vertices survives all readings."""
+    for o in chairs():
+        asset = given.assets[o.id]
+        found = transform(asset.T_camera_object, asset.scale * asset.mesh.vertices)
+        assert np.abs(found - camera().to_camera(o.vertices_world)).max() < within
+
+
+def test_a_y_up_glb_meets_a_pose_that_turns_z_up_axes(tmp_path: Path):
+    written(tmp_path / "in", SAM3D)
+    given = read_inputs(tmp_path / "in")
+    require_true(given)
+    assert any(SAM3D.name in d.choice for d in given.decisions)
+
+
+def test_a_mesh_saved_without_the_swap_of_axes_is_read(tmp_path: Path):
+    written(tmp_path / "in", replace(SAM3D, mesh=SignedAxes("+x+y+z")))
+    require_true(read_inputs(tmp_path / "in"))
+
+
+def test_rotations_of_rows_and_of_columns_are_told_apart(tmp_path: Path):
+    written(tmp_path / "in", replace(SAM3D, vectors="column"))
+    require_true(read_inputs(tmp_path / "in"))
+
+
+def test_poses_turned_for_three_js_are_read(tmp_path: Path):
+    three = PoseConvention("xyzw", "column", SignedAxes("+x+y+z"), CAMERAS["opengl"])
+    written(tmp_path / "in", three)
+    require_true(read_inputs(tmp_path / "in"))
+
+
+def test_poses_of_a_left_handed_program_are_read(tmp_path: Path):
+    written(tmp_path / "in", PoseConvention("xyzw", "column", SignedAxes("-x+y+z"), CAMERAS["unity"]))
+    require_true(read_inputs(tmp_path / "in"))
+
+
+def test_a_mirrored_file_is_turned_back(tmp_path: Path):
+    written(tmp_path / "in", replace(SAM3D, mesh=SignedAxes("-x-z+y")))
+    given = read_inputs(tmp_path / "in")
+    require_true(given)
+    assert all(asset.mesh.is_solid for asset in given.assets.values()), "triangles face outward"
+
+
+@pytest.mark.parametrize("unit", [100.0, 1000.0])
+def test_a_mesh_in_another_unit_than_its_place_is_scaled(tmp_path: Path, unit: float):
+    written(tmp_path / "in", SAM3D, unit=unit)
+    given = read_inputs(tmp_path / "in")
+    require_true(given)
+    assert any(f"meshes times {1 / unit:g}" in d.choice for d in given.decisions)
+
+
+def test_places_in_another_unit_than_the_depth_are_scaled(tmp_path: Path):
+    written(tmp_path / "in", SAM3D, places=1000.0)
+    given = read_inputs(tmp_path / "in")
+    require_true(given)
+    assert any("millimetres" in d.reason for d in given.decisions)
+
+
+@pytest.mark.parametrize("name", [*CAMERAS, "-y-x+z"])
+def test_meshes_posed_in_any_camera_axes_are_read(tmp_path: Path, name: str):
+    posed(tmp_path / "in", name)
+    given = read_inputs(tmp_path / "in")
+    require_true(given)
+    assert any(name in d.choice for d in given.decisions)
+
+
+def posed(folder: Path, name: str) -> None:
+    write_folder(folder, objects=chairs())
+    (folder / "assets/poses.json").unlink()
+    F = next(a.matrix for a in ALL_AXES if a == CAMERAS.get(name, SignedAxes(name)))
+    for o in chairs():
+        vertices = camera().to_camera(o.vertices_world) @ F
+        save_glb(o.mesh.with_vertices(vertices), folder / f"assets/{o.id:02d}.glb")
+
+
+def test_a_wrong_frame_of_the_user_is_kept_and_warned_of(tmp_path: Path):
+    posed(tmp_path / "in", "opencv")
+    with pytest.raises(InputError, match="--asset-frame"):
+        read_inputs(tmp_path / "in", asset_frame="opengl")  # behind the camera: no scene at all
+    told = read_inputs(tmp_path / "in", asset_frame="-x+y+z").decisions
+    assert any("looks wrong" in d.choice and "--asset-frame opencv" in d.reason for d in told)
+
+
+def test_meshes_in_their_own_frame_stand_where_the_masks_put_them(tmp_path: Path):
+    written(tmp_path / "in", SAM3D)
+    (tmp_path / "in/assets/poses.json").unlink()
+    given = read_inputs(tmp_path / "in")
+    for o in chairs():
+        asset = given.assets[o.id]
+        found = transform(asset.T_camera_object, asset.scale * asset.mesh.vertices)
+        assert np.linalg.norm(found - camera().to_camera(o.vertices_world), axis=1).max() < 0.03
+    assert any("meshes without a pose" in d.choice and d.fallback for d in given.decisions)
+
+
+def test_what_the_masks_do_not_decide_is_asked_for(tmp_path: Path):
+    written(tmp_path / "in", SAM3D)
+    doubtful = MaskPlacer(votes=VoteConfig(noise=1.0))  # no difference in cost is evidence
+    with pytest.raises(InputError, match=f"the masks show alike as {re.escape(SAM3D.name)}.*accepted: --asset-frame "):
+        inputs.read(tmp_path / "in", placer=doubtful)
+    require_true(read_inputs(tmp_path / "in", asset_frame=SAM3D.name))
+
+
+def test_names_of_conventions_are_read_back():
+    found = all_conventions()
+    assert len(found) == len({c.name for c in found}) == 864
+    assert all(parsed(c.name) == c for c in found)
+    assert found[0] == SAM3D
+
+
+def test_every_test_that_a_complaint_names_exists():
+    named = re.findall(r"`(test_\w+)`", (DOCS / "importing.md").read_text())
+    sources = "".join(p.read_text() for p in Path(__file__).parent.glob("test_*.py"))
+    assert len(named) >= 10
+    assert not [name for name in named if f"def {name}(" not in sources]
