@@ -44,8 +44,11 @@ class MaskPlacer:
 
     votes: VoteConfig = DEFAULT_VOTES
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def place(self, image: PromptedImage, geometry: Geometry, K: Array, given: GivenMeshes) -> PlacedMeshes:
-        """All meshes in OpenCV camera axes. Raises InputError where nothing decides."""
+        """All meshes in OpenCV camera axes. Raises InputError where nothing decides.
+
+        Absurd numbers in poses.json overflow here; what they lead to is refused as an asset of an odd size."""
         if given.frame == UNPOSED:
             return self._unposed(image, geometry, K, given, f"--asset-frame {UNPOSED}")
         view = MaskedPhoto.of(image, geometry, K)
