@@ -11,9 +11,9 @@ from f3sr.backends.protocols import ProducedMesh, PromptedImage
 from f3sr.core.transforms import Array
 from f3sr.errors import InputError
 from f3sr.generators.posed_assets import PosedMaker
-from f3sr.generators.worker_job import read_answer
 from f3sr.io.input_folder import InputFolder
 from f3sr.scene import Geometry
+from f3sr.workers.mesh_job import read_answer
 
 SUFFIXES = (".glb", ".json")
 ONE_EACH = "NN.glb and NN.json for every mask, NN its id"

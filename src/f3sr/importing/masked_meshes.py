@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from f3sr.errors import InputError
 from f3sr.files.bounds import MAX_OBJECTS
-from f3sr.generators.worker_job import WorkerAnswer, WorkerPose
 from f3sr.importing.found_meshes import FoundMesh, FoundMeshes
 from f3sr.importing.import_source import ImportSource, Masks
 from f3sr.importing.imported_folder import NOTE, as_json, grey, photo_name, require_own
@@ -25,6 +24,7 @@ from f3sr.runtime.atomic_folder import claimed
 from f3sr.scene import Photo
 from f3sr.segmentation.input_folder_writer import mask_name
 from f3sr.segmentation.selection import Selection, told_apart
+from f3sr.workers.mesh_job import MeshAnswer, WorkerPose
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -127,7 +127,7 @@ def _answer(id: int, found: FoundMesh, given: MaskedMeshes) -> bytes:
     if found.pose is not None and given.has_poses:
         p = found.pose
         pose = WorkerPose(convention="sam3d", rotation=p.rotation, translation=p.translation, scale=p.scale)
-    answer = WorkerAnswer(
+    answer = MeshAnswer(
         id=id, mesh=f"{id:02d}.glb", pose=pose, up=found.up, model=given.found.source[:200], licence=given.found.licence
     )
     return as_json(answer.model_dump(exclude={"seconds"}))
