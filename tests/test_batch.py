@@ -539,8 +539,9 @@ def test_a_goal_of_a_batch_is_filmed_and_a_film_that_fails_leaves_the_goal(
     with av.open(str(package.folder / filmed["film"])) as container:
         frames = [frame.time for frame in container.decode(video=0)]
     time = np.load(package.folder / filmed["folder"] / ROLLOUT)["time"]
-    opening = len(frames) - len(time)
-    assert abs(opening / 30 - FilmConfig().opening) < 1e-6 and abs(frames[-1] - opening / 30 - time[-1]) < 1e-6
+    still = len(frames) - len(time)
+    assert abs(still / 30 - FilmConfig().opening - FilmConfig().closing) < 1e-6
+    assert abs(frames[-1] - still / 30 - time[-1]) < 1e-6
     assert refused["state"] == "refused" and "film" not in refused
 
     def no_film(*_: Any) -> None:

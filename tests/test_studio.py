@@ -57,9 +57,10 @@ def test_a_goal_is_filmed_to_the_frame(package: Package, tmp_path: Path, capsys:
     time = np.load(tmp_path / "out" / ROLLOUT)["time"]
     with av.open(str(tmp_path / "out" / FILM)) as container:
         frames = [frame.time for frame in container.decode(video=0)]
-    opening = round(FilmConfig().opening * FPS)
-    assert told["film"]["frames"] == len(frames) == opening + len(time)
-    assert np.allclose(frames[opening:], opening / FPS + time, atol=1e-6), "film time is simulated time"
+    opening, closing = (round(still * FPS) for still in (FilmConfig().opening, FilmConfig().closing))
+    assert told["film"]["frames"] == len(frames) == opening + len(time) + closing
+    played = frames[opening : len(frames) - closing]
+    assert np.allclose(played, opening / FPS + time, atol=1e-6), "film time is simulated time"
 
 
 def test_without_a_film_there_is_none_and_it_can_be_made_later(
@@ -83,9 +84,9 @@ def test_slow_motion_has_more_frames_of_the_same_time(package: Package, rollout:
     time = np.load(copy / ROLLOUT)["time"]
     with av.open(str(copy / FILM)) as container:
         frames = [frame.time for frame in container.decode(video=0)]
-    opening = FilmConfig().opening
-    assert len(frames) == 4 * (round(opening * FPS) + len(time) - 1) + 1
-    assert frames[-1] == pytest.approx(4 * (opening + time[-1]), abs=0.05)
+    still = FilmConfig().opening + FilmConfig().closing
+    assert len(frames) == 4 * (round(still * FPS) + len(time) - 1) + 1
+    assert frames[-1] == pytest.approx(4 * (still + time[-1]), abs=0.05)
 
 
 def _no_plan(rollout: Path) -> None:

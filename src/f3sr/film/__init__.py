@@ -36,16 +36,18 @@ def make_film(
     *,
     slow: Fraction | float = 1,
     opening: float = 0.0,
+    closing: float = 0.0,
 ) -> Mapping[str, bytes]:
     """The bytes of film.mp4, film.png and player.html, by name; the same for the same rollout and pictures.
 
     ``scene`` is a package's. ``draw`` is called for every frame once, in order, with poses (N, 4, 4). ``slow`` is the
     factor of slow motion: the plan is played again with more samples, and every frame shows the speed. ``opening``
-    is how long the scene is first shown at rest [s]; after it, what starts elsewhere is lifted there. Raises
-    InputError if that gives another motion or a frame cannot be filmed, OutputError if the encoder fails.
+    is how long the scene is first shown at rest [s]; after it, what starts elsewhere is lifted there. ``closing`` is
+    how long the end stays [s]. Raises InputError if that gives another motion or a frame cannot be filmed,
+    OutputError if the encoder fails.
     """
     slow = factor(slow)
-    film = footage(scene, plan, rollout, verdict, slow, opening=opening)
+    film = footage(scene, plan, rollout, verdict, slow, opening=opening, closing=closing)
     drawn = film.rollout
     moments = moments_of(film.scenarios)
     kept: dict[int, Picture] = {}

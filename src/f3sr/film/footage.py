@@ -46,10 +46,18 @@ class Footage:
 
 
 def footage(
-    scene: Scene, plan: Plan, rollout: Rollout, verdict: Verdict, slow: Fraction, *, opening: float = 0.0
+    scene: Scene,
+    plan: Plan,
+    rollout: Rollout,
+    verdict: Verdict,
+    slow: Fraction,
+    *,
+    opening: float = 0.0,
+    closing: float = 0.0,
 ) -> Footage:
     """The film of a rollout: phases follow each other without a cut. What starts elsewhere is lifted there; in the
-    first phase only after an ``opening`` [s] that shows the scene of the photo at rest.
+    first phase only after an ``opening`` [s] that shows the scene of the photo at rest. The end stays for a
+    ``closing`` [s].
 
     Raises InputError where phases have other sample rates, or slow motion gives another motion."""
     shown, found, time, frame = list[Rollout](), list[Scenario](), 0.0, 0
@@ -78,15 +86,21 @@ def footage(
         )
         shown.append(part)
         time, frame = time + float(part.time[-1]), frame + len(part.time) - 1
+    if closing:
+        shown.append(_still(shown[-1], shown[-1].T_world_object[-1], closing))
     return Footage(rollout=_without_cuts(joined(shown)), scenarios=tuple(found))
 
 
 def _resting(scene: Scene, after: Rollout, seconds: float) -> Rollout:
     """The scene as it rests in the photo."""
-    steps = max(1, round(seconds * float(rate_of(after))))
-    rest = np.array([scene[int(id)].T_world_object for id in after.ids])
-    time = np.arange(steps + 1) / float(rate_of(after))
-    return replace(after, time=time, T_world_object=np.tile(rest, (steps + 1, 1, 1, 1)), contacts=after.contacts[:0])
+    return _still(after, np.array([scene[int(id)].T_world_object for id in after.ids]), seconds)
+
+
+def _still(like: Rollout, poses: Array, seconds: float) -> Rollout:
+    """Poses (n, 4, 4) that stay, at the rate of another rollout."""
+    steps = max(1, round(seconds * float(rate_of(like))))
+    time = np.arange(steps + 1) / float(rate_of(like))
+    return replace(like, time=time, T_world_object=np.tile(poses, (steps + 1, 1, 1, 1)), contacts=like.contacts[:0])
 
 
 def _lifted(before: Rollout, after: Rollout) -> Rollout:

@@ -37,8 +37,10 @@ class FilmConfig:
     """Slow-motion factor; where it is not 1 the picture says it."""
     still: Annotated[float, Interval(ge=0, le=1)] = 0.1
     """Least motion in the picture for which an object is drawn anew [px]. Engines creep and tremble at rest."""
-    opening: Annotated[float, Interval(ge=0, le=10)] = 0.4
-    """How long the film shows the scene of the photo before anything moves [s]."""
+    opening: Annotated[float, Interval(ge=0, le=10)] = 0.7
+    """How long the film shows the scene of the photo before anything moves [s]: it is looked at first."""
+    closing: Annotated[float, Interval(ge=0, le=10)] = 1.0
+    """How long the film shows the end [s]: what came of it is seen."""
     nudged: Annotated[float, Interval(ge=0, le=10)] = 1.5
     """Largest motion in the picture, over a whole film, of what keeps the photo's own pixels [px]."""
     render: RenderConfig = field(default_factory=RenderConfig)
@@ -91,7 +93,7 @@ class Studio:
         frames = FilmFrames(self, self.moving(played))
 
         files = make_film(self.scene, played.plan, played.rollout, played.verdict, frames.draw,
-            slow=slow, opening=self.config.opening)  # fmt: skip
+            slow=slow, opening=self.config.opening, closing=self.config.closing)  # fmt: skip
         width, height = self.scene.camera.width, self.scene.camera.height
         size = width + width % 2, height + height % 2  # films have even sides
         return Filmed(files=files, frames=frames.count, size=size, decisions=(*self.told, *self._beyond(played)))

@@ -30,7 +30,7 @@ FAR_ENOUGH: dict[Kind, float] = {
     "push_into": 0.8,
     "roll": 1.5,
     "drop": 0.8,
-    "lift_and_drop": 0.25,
+    "lift_and_drop": 0.6,
     "throw": 2.0,
     "bounce": 1.5,
     "launch_and_return": 1.5,
