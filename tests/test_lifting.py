@@ -354,6 +354,24 @@ def test_the_back_of_a_can_goes_on_from_its_sides_without_a_step():
         assert np.abs(colour_at(mesh, np.array([*at, 0.5 * high[2]])) - colour).max() < 40, angle
 
 
+def test_a_ball_has_no_seam_where_the_photo_ends():
+    """Its lower half is in shadow: where the photo ends, what is not seen goes on in the same colours."""
+    true = ball(FOOT, 0.05)
+    fit = found(fit_ball(seen(true), 0.0))
+    rows = np.flatnonzero(mask_of(true).any(1))
+    shade = np.clip((np.arange(CAMERA.height) - rows[0]) / (rows[-1] - rows[0]), 0, 1)
+    rgb = np.repeat((230 - 180 * shade)[:, None, None], CAMERA.width, 1) * np.ones(3)
+    mesh = textured(fit.solid, np.zeros(3), Photo(rgb=rgb.astype(np.uint8)), mask_of(true), CAMERA)
+    texture = mesh.materials[0].texture
+    assert texture is not None and mesh.uv is not None
+    height, width = texture.shape[:2]
+    x, y = (mesh.uv * [width, -height] + [0, height]).astype(int).T
+    colours = texture[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)].astype(float)
+    _, place = np.unique(np.round(mesh.vertices, 9), axis=0, return_inverse=True)
+    for k in np.flatnonzero(np.bincount(place.ravel()) > 1):
+        assert np.ptp(colours[place.ravel() == k], axis=0).max() < 25, mesh.vertices[place.ravel() == k][0]
+
+
 def test_the_same_mask_gives_the_same_mesh():
     first, again = (mesh_of(chosen_for(bowl(FOOT, 0.09, 0.05), "bowl").best.solid) for _ in range(2))
     assert first.vertices.tobytes() == again.vertices.tobytes() and first.faces.tobytes() == again.faces.tobytes()

@@ -129,16 +129,23 @@ def _split(solid: Solid, camera: Camera) -> tuple[Array, NDArray[np.int32], Arra
 
 def _by_symmetry(solid: Solid, camera: Camera) -> Iterator[_Likeness]:
     """Other places of a solid that look as its vertices: the back of a box as its front turned about the vertical, the
-    back of a solid of revolution as its front in a mirror, its underside as its top. A box has no print below."""
-    if not solid.symmetry:
-        return
+    back of a solid of revolution as its front in a mirror, its underside as its top. A box has no print below. What is
+    round below too has no edge where a seam would not be seen: beyond its outline the blurred copy goes on as it was."""
     vertices = solid.vertices
+    if not solid.symmetry or not _stands_flat(vertices):
+        return
     middle = (vertices.min(0) + vertices.max(0)) / 2
     if solid.symmetry == "box":
         yield _Likeness(vertices + 2 * (middle - vertices) * [1, 1, 0])
         return
     yield from _wrapped(vertices, middle, camera)
     yield _Likeness(vertices + 2 * (middle - vertices) * UP, flips=True)
+
+
+def _stands_flat(vertices: Array) -> bool:
+    """Whether it has an underside, more than a point."""
+    heights = vertices[:, 2]
+    return bool(np.count_nonzero(heights < heights.min() + 1e-6 * np.ptp(heights)) > 2)
 
 
 def _wrapped(vertices: Array, middle: Array, camera: Camera) -> Iterator[_Likeness]:
