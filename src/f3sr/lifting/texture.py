@@ -130,7 +130,7 @@ def _split(solid: Solid, camera: Camera) -> tuple[Array, NDArray[np.int32], Arra
 def _by_symmetry(solid: Solid, camera: Camera) -> Iterator[_Likeness]:
     """Other places of a solid that look as its vertices: the back of a box as its front turned about the vertical, the
     back of a solid of revolution as its front in a mirror, its underside as its top. A box has no print below. What is
-    round below too has no edge where a seam would not be seen: beyond its outline the blurred copy goes on as it was."""
+    round below too has no edge that would hide a seam: beyond its outline the blurred copy goes on as it was."""
     vertices = solid.vertices
     if not solid.symmetry or not _stands_flat(vertices):
         return
