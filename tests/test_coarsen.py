@@ -209,6 +209,13 @@ def test_what_is_known_of_parts_changes_nothing_under_other_limits_or_beside_oth
             assert all(np.array_equal(a.vertices, b.vertices) for a, b in zip(few, again, strict=True))
 
 
+def test_a_part_of_few_vertices_is_known_by_how_many_are_allowed():
+    ball = ConvexPart.hull_of(on_a_ball(120) / 3)
+    known = KnownParts(mesh_of(ball))
+    counts = [len(known.few(ball, most, UNBOUNDED).vertices) for most in (64, 32, 64)]
+    assert counts[1] <= 32 < counts[0] == counts[2] <= 64
+
+
 def test_a_whole_subtree_is_joined_where_that_is_worth_its_parts():
     """The first join alone loses more than a part is worth, both together less than two."""
     joins = (replace(FREE[0], loss=0.025), FREE[1])
