@@ -372,6 +372,26 @@ def test_a_ball_has_no_seam_where_the_photo_ends():
         assert np.ptp(colours[place.ravel() == k], axis=0).max() < 25, mesh.vertices[place.ravel() == k][0]
 
 
+def test_a_ball_in_the_light_from_above_is_no_brighter_at_its_rim_than_in_the_photo():
+    true = ball(FOOT, 0.05)
+    mask = mask_of(true)
+    rows, columns = (np.flatnonzero(mask.any(k)) for k in (1, 0))
+    y, x = np.mgrid[: CAMERA.height, : CAMERA.width]
+    down = (y - rows.mean()) / (0.5 * len(rows))
+    out = np.clip(down**2 + ((x - columns.mean()) / (0.5 * len(columns))) ** 2, 0, 1)
+    grey = np.clip(60 + 180 * (0.3 * np.sqrt(1 - out) + 0.35 * (1 - down)), 0, 255)
+    rgb = (grey[..., None] * np.ones(3)).astype(np.uint8)
+    fit = found(fit_ball(seen(true), 0.0))
+    mesh = textured(fit.solid, np.zeros(3), Photo(rgb=rgb), mask, CAMERA)
+    off = list[float]()
+    for point in (p for p in mesh.vertices if 0.002 < p[2] < 0.02):
+        (pixel,), _ = CAMERA.project(point[None])
+        u, v = np.clip(pixel.astype(int), 0, [CAMERA.width - 1, CAMERA.height - 1])
+        if mask[v, u]:
+            off.append(colour_at(mesh, point)[0] - grey[v, u])
+    assert len(off) > 50 and abs(float(np.mean(off))) < 6
+
+
 def test_the_same_mask_gives_the_same_mesh():
     first, again = (mesh_of(chosen_for(bowl(FOOT, 0.09, 0.05), "bowl").best.solid) for _ in range(2))
     assert first.vertices.tobytes() == again.vertices.tobytes() and first.faces.tobytes() == again.faces.tobytes()

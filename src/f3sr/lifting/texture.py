@@ -31,6 +31,8 @@ INSET = 0.004
 """Distance of texture coordinates from the border of their half: filters do not mix the two."""
 MARGIN = math.radians(3)
 """Angle by which less of a round side is spread over its back than the photo shows: whole faces are in it."""
+FLATTENED = 0.05
+"""Variance of places [blur's own] at which a slope of colours counts half: fewer places tell no slope."""
 EMPTY = 1e-3
 """Least weight of known colours around a pixel from which its colour is made."""
 
@@ -48,7 +50,7 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
     left, right = max(0, columns[0] - pad), min(photo.width, columns[-1] + 1 + pad)
     crop, known = photo.rgb[top:bottom, left:right], _own(mask[top:bottom, left:right])
     sharp = np.where(known[..., None], crop, _filled(crop, known))
-    soft = _blurred(crop, known, SOFT * longest)[0]
+    soft = _shaded(crop, known, SOFT * longest)
     if solid.symmetry != "box":  # round sides graze the rays at the mask's border: no edge where the photo ends
         share = _smooth(depth_inside(mask[top:bottom, left:right]) / (FADED * longest))[..., None]
         sharp = soft + share * (sharp - soft)
@@ -96,6 +98,25 @@ def _blurred(image: NDArray[np.uint8], known: NDArray[np.bool_], sigma: float) -
     colours = np.stack([smoothed(image[..., k] * known, sigma) for k in range(3)], axis=2)
     mean = image[known].mean(0)
     return np.where(weight[..., None] > 1e-9, colours / np.maximum(weight, 1e-9)[..., None], mean), weight
+
+
+def _shaded(image: NDArray[np.uint8], known: NDArray[np.bool_], sigma: float) -> Array:
+    """Planes fitted to the ``known`` colours under a Gaussian [px], at every pixel (h, w, 3): a mean alone would be
+    brighter than a border in shadow, as all it averages lies inside (normalized convolution of first order, Farneback
+    2002)."""
+    rows, columns = np.indices(known.shape).astype(float) / sigma
+    basis = np.stack([np.ones(known.shape), columns, rows], axis=-1)
+    second, first = np.empty((*known.shape, 3, 3)), np.empty((*known.shape, 3, 3))
+    for i, j in np.ndindex(3, 3):
+        second[..., i, j] = smoothed(basis[..., i] * basis[..., j] * known, sigma)
+        first[..., i, j] = smoothed(basis[..., i] * image[..., j] * known, sigma)
+    here = np.tile(np.eye(3), (*known.shape, 1, 1))  # about the pixel itself, where the plane's value is its constant
+    here[..., 1, 0], here[..., 2, 0] = -columns, -rows
+    second, first = here @ second @ np.swapaxes(here, -1, -2), here @ first
+    second += (FLATTENED * np.maximum(second[..., 0, 0], EMPTY))[..., None, None] * np.diag([0.0, 1.0, 1.0])
+    second[..., 0, 0] += 1e-9
+    own = np.quantile(image[known], [0.01, 0.99], axis=0)
+    return np.clip(np.linalg.solve(second, first)[..., 0, :], *own)
 
 
 @dataclass(frozen=True, eq=False)
