@@ -367,6 +367,13 @@ def test_the_released_package_is_the_released_scene(stack: Scene, tmp_path: Path
     assert release(read.scene.objects).D_max < 4 * (2 * RELEASE_MARGIN - DEFAULT_MARGIN.clearance)
 
 
+def test_a_package_tells_whose_colours_hold_the_light_of_the_photo(stack: Scene, tmp_path: Path) -> None:
+    first, *others = stack.objects
+    scene = replace(stack, objects=(replace(first, lifted=True), *others))
+    read = read_package(write_package(scene, tmp_path / "out")).scene
+    assert [o.lifted for o in read] == [True, *(False for _ in others)]
+
+
 def test_the_published_schema_is_current_and_holds(stack: Scene, tmp_path: Path) -> None:
     assert json.loads(SCHEMA.read_text()) == scene_schema(), "run: python tests/test_package.py"
     out = write_package(stack, tmp_path / "out")

@@ -116,7 +116,7 @@ def _shaded(image: NDArray[np.uint8], known: NDArray[np.bool_], sigma: float) ->
     second += (FLATTENED * np.maximum(second[..., 0, 0], EMPTY))[..., None, None] * np.diag([0.0, 1.0, 1.0])
     second[..., 0, 0] += 1e-9
     own = np.quantile(image[known], [0.01, 0.99], axis=0)
-    return np.clip(np.linalg.solve(second, first)[..., 0, :], *own)
+    return np.asarray(np.clip(np.linalg.solve(second, first)[..., 0, :], *own), float)
 
 
 @dataclass(frozen=True, eq=False)

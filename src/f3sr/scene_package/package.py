@@ -373,6 +373,7 @@ def _read_object(
         material_reason=record.material_reason,
         supports=tuple(Support(id=s.id, share=s.share) for s in record.supports),
         supported_by=record.supported_by,
+        lifted=record.lifted,
         motion=tuple(Motion(**m.model_dump()) for m in record.motion),
     )
 

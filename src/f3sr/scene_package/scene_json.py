@@ -212,6 +212,8 @@ class ObjectRecord(_SceneRecord):
     material_reason: Annotated[str, Field(max_length=2000)] = ""
     supports: tuple[SupportRecord, ...]
     supported_by: IdOrGround | None
+    lifted: bool = False
+    """Whether its mesh was made from its mask and the photo: its colours hold the photo's light."""
     motion: tuple[MotionRecord, ...]
     uncertainty: UncertaintyRecord | None = None
 
@@ -426,6 +428,7 @@ def _object(o: SceneObject, known: PoseUncertainty | None) -> dict[str, Any]:
         "material_reason": _well_formed(o.material_reason),
         "supports": [{"id": s.id, "share": float(s.share)} for s in o.supports],
         "supported_by": o.supported_by,
+        "lifted": o.lifted,
         "motion": [vars(m) for m in o.motion],
         "uncertainty": vars(known) if known else None,
     }
