@@ -48,7 +48,7 @@ def test_they_may_lie_elsewhere(folder: Path):
         (lambda a: (a / "05.json").unlink(), "05.glb: found a file of no mask|no 05.json"),
         (lambda a: (a / "05.glb").unlink(), "no 05.glb"),
         (lambda a: (a / "88.glb").write_bytes(b"x"), "88.glb: found a file of no mask"),
-        (lambda a: (a / "05.json").write_text('{"mesh": "../../x.glb"}'), "the mesh '../../x.glb'"),
+        (lambda a: (a / "05.json").write_text('{"mesh": "../../x.glb"}'), "GLB '../../x.glb'"),
         (lambda a: (a / "05.json").write_text('{"mesh": NaN}'), "no valid JSON"),
         (lambda a: (a / "05.glb").write_bytes(b"x"), "broken glTF"),
     ],
