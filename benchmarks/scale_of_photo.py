@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from f3sr.core.transforms import Array
 from f3sr.io.images import open_image
 from f3sr.io.inputs import Inputs
+from f3sr.lifting.lifted_assets import STRAY
 from f3sr.metrology.tight_box import box_sides
 from f3sr.photo_inputs import length_of, read_inputs
 from f3sr.scene import Scene
@@ -34,9 +35,8 @@ MOST = 0.05
 STRAYS = 3.0
 """Distance from the median depth, in robust standard deviations, of mixed pixels at a mask's border."""
 
-GAP, STRAY = 6, 0.1
-"""Pieces of a mask that lie apart [px] and hold at most this share of it are no part of the object: nobody measures
-them."""
+GAP = 6
+"""Gap [px] beyond which a small piece of a mask is no part of the object: nobody measures it."""
 
 
 def main() -> int:

@@ -21,7 +21,8 @@ from f3sr.importing.import_source import ImportSource
 from f3sr.importing.imported_folder import NOTE, write_imported
 from f3sr.io import inputs
 from f3sr.io.mesh_files import save_glb
-from f3sr.io.sam3d import CAMERAS, LOCAL_FROM_GLB
+from f3sr.io.pose_conventions import CAMERAS
+from f3sr.io.sam3d import LOCAL_FROM_GLB
 from f3sr.scene import SceneObject
 from f3sr.stages.assemble import as_given
 from f3sr.vision import rasterizer
@@ -53,7 +54,7 @@ def write_session(place: Path, objects: list[SceneObject], seen: Camera) -> Path
     relation = {"upper_mask_id": 5, "lower_mask_id": 2, "confidence": 0.9, "reason": "seen"}
     manifest = {"objects": listed, "support": {"scene_graph_support_relations": [relation]}}
     (place / fysiverse.MANIFEST).write_text(json.dumps(manifest))
-    w, x, y, z = quaternion_from_rotation(seen.T_world_camera[:3, :3] @ CAMERAS["OpenGL"])
+    w, x, y, z = quaternion_from_rotation(seen.T_world_camera[:3, :3] @ CAMERAS["opengl"].matrix)
     told = {
         "position": seen.center.tolist(),
         "quaternion_xyzw": [x, y, z, w],

@@ -88,14 +88,14 @@ def test_a_turn_that_fits_as_well_is_told():
 
 @pytest.mark.parametrize("order", ["wxyz", "xyzw"])
 @pytest.mark.parametrize("is_row", [True, False])
-@pytest.mark.parametrize("frame", list(sam3d.CAMERAS))
+@pytest.mark.parametrize("frame", list(sam3d.PRODUCERS_CAMERAS))
 @pytest.mark.parametrize("local", list(sam3d.LOCALS))
 def test_every_convention_is_read_from_the_masks(order: str, is_row: bool, frame: str, local: str):
     image, geometry, K, T_true = seen(0.7)
     mesh = in_file(chair(), "+y", 0.3)
     # x_camera = F Q A v + F t for the vertices v of the file: Q is the rotation that the producer writes down.
     R = T_true[:3, :3] @ rotation_about([0, 0, 1], -0.3) @ sam3d.LOCAL_FROM_GLB
-    F, A = sam3d.CAMERAS[frame], sam3d.LOCALS[local]
+    F, A = sam3d.PRODUCERS_CAMERAS[frame].matrix, sam3d.LOCALS[local].matrix
     Q = F.T @ R @ A.T
     w, x, y, z = quaternion_from_rotation(Q.T if is_row else Q)
     quaternion = [w, x, y, z] if order == "wxyz" else [x, y, z, w]

@@ -28,7 +28,8 @@ from f3sr.importing.posed_in_camera import centred, seen_by_photo
 from f3sr.io.assets import require_solidity
 from f3sr.io.geometry import camera_frame
 from f3sr.io.images import MIN_SIDE
-from f3sr.io.sam3d import CAMERAS, LOCAL_FROM_GLB
+from f3sr.io.pose_conventions import CAMERAS
+from f3sr.io.sam3d import LOCAL_FROM_GLB
 from f3sr.segmentation.ownership import bounds, disjoint, none_vanished
 
 UP_FROM_FILE = pose(LOCAL_FROM_GLB)
@@ -193,7 +194,7 @@ def _camera(file: Path, given: GlbCamera, width: int, height: int) -> Camera:
         raise InputError(file, found=found, accepted=f"the photo's, {width / height:.3f}")
     focal = height / 2 / math.tan(given.yfov / 2)
     K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
-    T: Array = UP_FROM_FILE @ given.T_file_camera @ pose(CAMERAS["OpenGL"])
+    T: Array = UP_FROM_FILE @ given.T_file_camera @ pose(CAMERAS["opengl"].matrix)
     return Camera(width=width, height=height, K=K, T_world_camera=T)
 
 

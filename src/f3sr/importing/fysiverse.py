@@ -22,7 +22,8 @@ from f3sr.importing.import_source import ImportSource
 from f3sr.io.images import open_image
 from f3sr.io.input_folder import InputFolder
 from f3sr.io.mesh_files import load_mesh
-from f3sr.io.sam3d import CAMERAS, LOCAL_FROM_GLB, UNIT
+from f3sr.io.pose_conventions import CAMERAS
+from f3sr.io.sam3d import LOCAL_FROM_GLB, UNIT
 
 MANIFEST = "results/final_scene_manifest.json"
 CAMERA = "results/3dgs_bg/manifest.json"
@@ -128,7 +129,7 @@ def _camera(place: InputFolder, photo: Path) -> Camera:
     x, y, z, w = given.quaternion_xyzw
     if abs(math.hypot(x, y, z, w) - 1) > UNIT:
         raise InputError(place.path(CAMERA), found="a quaternion that is no rotation", accepted="xyzw of length 1")
-    R = rotation_from_quaternion([w, x, y, z]) @ CAMERAS["OpenGL"]
+    R = rotation_from_quaternion([w, x, y, z]) @ CAMERAS["opengl"].matrix
     return Camera(width=width, height=height, K=K, T_world_camera=pose(R, given.position))
 
 

@@ -10,17 +10,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import product
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator
 
 from f3sr.backends.protocols import ReadPose
-from f3sr.core.transforms import Array, pose, rotation_from_quaternion
+from f3sr.core.transforms import Array, pose
+from f3sr.io.pose_conventions import CAMERAS, FILE_AXES, GLTF_FROM_Z_UP, Order, Vectors, rotation_as_read
 
-LOCAL_FROM_GLB = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+LOCAL_FROM_GLB = GLTF_FROM_Z_UP.matrix
 """A: vertices of the exported GLB back to the model's Z-up frame."""
-OPENCV_FROM_PYTORCH3D = np.diag([-1.0, -1, 1])
+OPENCV_FROM_PYTORCH3D = CAMERAS["pytorch3d"].matrix
 """F: PyTorch3D camera axes to OpenCV axes."""
 
 
@@ -28,9 +29,9 @@ UNIT = 0.01
 """How far from 1 the length of a quaternion may be."""
 EQUAL = 1e-4
 """Share by which the three scales of a pose may differ."""
-CAMERAS = {"PyTorch3D": OPENCV_FROM_PYTORCH3D, "OpenCV": np.eye(3), "OpenGL": np.diag([1.0, -1, -1])}
-"""Axes of cameras that producers use, each as the rotation to OpenCV axes."""
-LOCALS = {"Z-up": LOCAL_FROM_GLB, "file's": np.eye(3)}
+PRODUCERS_CAMERAS = {name: CAMERAS[name.lower()] for name in ("PyTorch3D", "OpenCV", "OpenGL")}
+"""Axes of cameras in which its poses are passed on."""
+LOCALS = {"Z-up": GLTF_FROM_Z_UP, "file's": FILE_AXES}
 """What a pose turns: the model's Z-up axes, or the mesh file's own."""
 
 
@@ -46,13 +47,11 @@ def readings(rotation: Sequence[float], translation: Sequence[float], scale: Seq
     if min(scale) <= 0 or max(scale) - min(scale) > EQUAL * max(scale):
         raise ValueError(f"the scale {[float(f'{v:.3g}') for v in scale]}")
     found = list[ReadPose]()
-    for (camera, F), (local, A), order, is_row in product(
-        CAMERAS.items(), LOCALS.items(), ("wxyz", "xyzw"), (True, False)
+    for (camera, F), (local, A), order, vectors in product(
+        PRODUCERS_CAMERAS.items(), LOCALS.items(), get_args(Order), get_args(Vectors)
     ):
-        wxyz = list(rotation) if order == "wxyz" else [rotation[3], *rotation[:3]]
-        R = rotation_from_quaternion(wxyz)
-        T = pose(F @ (R.T if is_row else R) @ A, F @ np.asarray(translation, float))
-        vectors = "row" if is_row else "column"
+        R = rotation_as_read(rotation, order, vectors)
+        T = pose(F.matrix @ R @ A.matrix, F.matrix @ np.asarray(translation, float))
         reading = f"quaternion {order}, {vectors} vectors, {local} axes, {camera} camera"
         found.append(ReadPose(reading=reading, T_camera_mesh=T, scale=size))
     return tuple(found)
@@ -119,7 +118,7 @@ class AssetPose(BaseModel):
 
     def camera_pose(self) -> tuple[Array, Array]:
         """Rotation (3, 3) and translation (3,) [m] of the local frame in OpenCV camera axes: F R(q)^T and F t."""
-        R = OPENCV_FROM_PYTORCH3D @ rotation_from_quaternion(self.rotation).T
+        R = OPENCV_FROM_PYTORCH3D @ rotation_as_read(self.rotation, "wxyz", "row")
         return R, OPENCV_FROM_PYTORCH3D @ np.asarray(self.translation)
 
 

@@ -18,6 +18,7 @@ from f3sr.scene import GROUND, Geometry, Instance
 from f3sr.vision.ground_camera import camera_over_ground
 from f3sr.vision.image_supports import below
 from f3sr.vision.regions import without_strays
+from f3sr.vision.silhouette import union_of
 
 FAR = 2.5
 """Distance of a hanging thing [camera heights] where nothing else is seen."""
@@ -70,10 +71,7 @@ class LiftedAssets:
 
 def _without_strays(instance: Instance, instances: tuple[Instance, ...]) -> NDArray[np.bool_]:
     """An object's mask without small pieces that belong to no body with the rest."""
-    others = np.zeros_like(instance.mask)
-    for other in instances:
-        if other.id != instance.id:
-            others |= other.mask
+    others = union_of((i.mask for i in instances if i.id != instance.id), instance.mask.shape)
     rows, columns = np.flatnonzero(instance.mask.any(1)), np.flatnonzero(instance.mask.any(0))
     gap = max(2, round(GAP * math.hypot(np.ptp(rows), np.ptp(columns))))
     return without_strays(instance.mask, others, gap=gap, share=STRAY)
@@ -100,13 +98,13 @@ def _from_below(instances: tuple[Instance, ...], under: Mapping[int, int]) -> li
 def _may_hide(instance: Instance, instances: tuple[Instance, ...], under: Mapping[int, int]) -> NDArray[np.bool_]:
     """Pixels (H, W) of what may stand before an object: its mask reaches farther down, or it is above the object; what
     is below the object is not."""
-    hidden = np.zeros_like(instance.mask)
-    for other in instances:
+
+    def may_hide(other: Instance) -> bool:
         above = instance.id in _beneath(other.id, under)
         lower = _bottom(other) > _bottom(instance) and other.id not in _beneath(instance.id, under)
-        if other.id != instance.id and (above or lower):
-            hidden |= other.mask
-    return hidden
+        return other.id != instance.id and (above or lower)
+
+    return union_of((other.mask for other in instances if may_hide(other)), instance.mask.shape)
 
 
 def _beneath(id: int, under: Mapping[int, int]) -> list[int]:
