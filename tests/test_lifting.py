@@ -15,6 +15,7 @@ from f3sr.core.transforms import UP, Array, pose
 from f3sr.lifting.balls import fit_ball
 from f3sr.lifting.boxes import fit_box, fit_carved
 from f3sr.lifting.choice import Choice, carries, choose
+from f3sr.lifting.cylinders import fit_cylinder
 from f3sr.lifting.fits import FittedShape
 from f3sr.lifting.hollows import fit_hollow
 from f3sr.lifting.many_starts import cost, refined
@@ -23,16 +24,18 @@ from f3sr.lifting.revolutions import fit_revolution
 from f3sr.lifting.silhouettes import fit_lying, fit_standing
 from f3sr.lifting.solids import BOX_FACES, CORNERS, Solid, is_stable, joined, revolved
 from f3sr.lifting.texture import textured
+from f3sr.lifting.unshaded import PhotoLight, SeenSolid, light_of
 from f3sr.metrology.camera_estimate import attitude
 from f3sr.photo_inputs import read_inputs
 from f3sr.pipeline import as_given
+from f3sr.rendering.textures import LINEAR, srgb
 from f3sr.scene import GROUND, Instance, Photo
 from f3sr.stages.align import align
 from f3sr.stages.assemble import assemble
 from f3sr.stages.level import level
 from f3sr.vision import rasterizer
 from f3sr.vision.image_supports import below
-from f3sr.vision.regions import without_strays
+from f3sr.vision.regions import shrunk, without_strays
 from folders import part_of_example
 
 PITCH = math.radians(35)
@@ -103,6 +106,25 @@ def test_a_can_has_a_flat_top_of_its_own_width():
     assert np.ptp(top[:, 0]) > 0.06
 
 
+@pytest.mark.parametrize(("radius", "height"), [(0.04, 0.12), (0.06, 0.06), (0.05, 0.2)])
+@pytest.mark.parametrize("hidden", [0.0, 0.4])
+def test_a_cylinder_keeps_its_edges_and_goes_on_where_it_is_hidden(radius: float, height: float, hidden: float):
+    """What stands before it hides the left part of its outline, the lower end included."""
+    true = can(FOOT, radius, height)
+    whole = mask_of(true)
+    columns = np.flatnonzero(whole.any(0))
+    before = np.zeros_like(whole)
+    before[:, : round(columns[0] + hidden * len(columns))] = hidden > 0
+    fit = found(fit_cylinder(Outlined.of(whole & ~before, CAMERA).behind(before), 0.0))
+    assert fit.overlap > 0.97
+    assert np.allclose(
+        np.ptp(fit.solid.vertices, axis=0), [2 * radius, 2 * radius, height], rtol=0.1 if hidden else 0.05
+    )
+    for end in (0, height):
+        rim = fit.solid.vertices[np.abs(fit.solid.vertices[:, 2] - end) < 0.05 * height]
+        assert np.ptp(rim[:, 0]) > 1.8 * radius
+
+
 def test_a_ball_is_round_at_both_ends():
     fit = found(fit_revolution(seen(ball(FOOT, 0.05)), 0.0))
     heights = fit.solid.vertices[:, 2]
@@ -141,7 +163,7 @@ def test_a_label_makes_a_ball_of_what_a_silhouette_leaves_open():
     true = ball(FOOT, 0.05)
     assert chosen_for(true, "tennis ball").best.family == "ball"
     assert chosen_for(true, "").best.family == "solid of revolution", "a ball rolls: no silhouette is enough for that"
-    assert chosen_for(can(FOOT, 0.04, 0.12), "can").best.family == "solid of revolution"
+    assert chosen_for(can(FOOT, 0.04, 0.12), "can").best.family == "cylinder"
 
 
 @pytest.mark.parametrize(("rim", "height"), [(0.08, 0.06), (0.12, 0.03), (0.05, 0.09)])
@@ -197,6 +219,7 @@ FITS = {
     "box": fit_box,
     "carved": fit_carved,
     "revolution": fit_revolution,
+    "cylinder": fit_cylinder,
     "standing": fit_standing,
     "lying": fit_lying,
     "hollow": lambda seen, floor: fit_hollow(seen, floor, aspect=1.0),
@@ -390,6 +413,63 @@ def test_a_ball_in_the_light_from_above_is_no_brighter_at_its_rim_than_in_the_ph
         if mask[v, u]:
             off.append(colour_at(mesh, point)[0] - grey[v, u])
     assert len(off) > 50 and abs(float(np.mean(off))) < 6
+
+
+SUN = np.array([0.5, -0.35, 0.8]) / np.linalg.norm([0.5, -0.35, 0.8])
+COLOURS = ((200, 60, 50), (90, 150, 70), (60, 80, 190))
+
+
+def lit_photo(shown: Sequence[SeenSolid], direct: float, sky: float) -> Photo:
+    """Solids of one colour each on a grey table, in the light of SUN and of an even sky; the table has no shadows."""
+    light = PhotoLight(np.array([0.0, direct, sky, 0.0]), SUN)
+    rgb = np.full((CAMERA.height, CAMERA.width, 3), 130, np.uint8)
+    for s, colour in zip(shown, COLOURS, strict=True):
+        bright = LINEAR[list(colour)] * light.on(s.normals)[..., None]
+        rgb[s.rows, s.columns][s.own] = np.round(255 * srgb(np.clip(bright, 0, 1)))[s.own]
+    return Photo(rgb=rgb)
+
+
+def on_a_table() -> list[SeenSolid]:
+    solids = (
+        ball([-0.15, 0.9, 0], 0.05),
+        can(FOOT, 0.045, 0.12),
+        block(np.array([0.22, 0.95, 0]), (0.1, 0.1, 0.08), 0.6),
+    )
+    return [SeenSolid.of(solid, mask_of(solid), CAMERA) for solid in solids]
+
+
+def test_the_light_is_taken_out_of_colours():
+    """Solids of one colour each have one colour all over then, and the found light is the true one."""
+    shown = on_a_table()
+    photo = lit_photo(shown, 0.6, 0.5)
+    light = light_of(shown, photo.rgb, None, CAMERA)
+    angle = math.degrees(math.acos(float(np.clip(light.direction @ SUN, -1, 1))))
+    assert angle < 15
+    for s in shown:
+        inner = shrunk(s.own, 2)
+        before = photo.rgb[s.rows, s.columns][inner].astype(float)
+        after = light.removed(photo.rgb, s)[s.rows, s.columns][inner].astype(float)
+        assert np.all(after.std(0) < 0.35 * before.std(0) + 1), (before.std(0), after.std(0))
+
+
+def test_without_shading_colours_stay_as_they_are():
+    shown = on_a_table()
+    rgb = np.full((CAMERA.height, CAMERA.width, 3), 130, np.uint8)
+    light = light_of(shown, rgb, None, CAMERA)
+    for s in shown:
+        assert np.abs(light.removed(rgb, s).astype(int) - rgb).max() < 10
+
+
+def test_print_is_no_shading():
+    """A can with a dark label about its middle: light from the side does not explain that."""
+    shown = on_a_table()
+    photo = lit_photo(shown, 0.6, 0.5)
+    rgb = photo.rgb.copy()
+    rows = slice(shown[1].rows.start + 30, shown[1].rows.start + 60)
+    rgb[rows, shown[1].columns][shown[1].mask[rows, shown[1].columns]] //= 3
+    plain, printed = (light_of(shown, image, None, CAMERA) for image in (photo.rgb, rgb))
+    assert math.degrees(math.acos(float(np.clip(plain.direction @ printed.direction, -1, 1)))) < 15
+    assert np.abs(plain.strength - printed.strength).max() < 0.25
 
 
 def test_the_same_mask_gives_the_same_mesh():

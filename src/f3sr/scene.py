@@ -190,8 +190,7 @@ class SceneObject:
     supported_by: int | None = None
     """Id of the main support in the forest; GROUND for the ground, None if unknown."""
     lifted: bool = False
-    """Whether its mesh was made from its own mask, upright: the mask tells nothing of its tilt or the camera, and its
-    colours hold the photo's light."""
+    """Whether its mesh was made from its own mask, upright: the mask tells nothing of its tilt or the camera."""
     motion: tuple[Motion, ...] = ()
     """What the stages did to it, in order."""
 

@@ -14,7 +14,8 @@ from f3sr.core.transforms import Array, pose
 from f3sr.lifting.choice import Choice, carries, choose
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.texture import textured
-from f3sr.scene import GROUND, Geometry, Instance
+from f3sr.lifting.unshaded import PhotoLight, SeenSolid, light_of
+from f3sr.scene import GROUND, Geometry, Instance, Photo
 from f3sr.vision.ground_camera import camera_over_ground
 from f3sr.vision.image_supports import below
 from f3sr.vision.regions import without_strays
@@ -43,7 +44,7 @@ class LiftedAssets:
         self.choices.clear()
         masks = {i.id: i.mask for i in image.instances}
         under = below(masks)
-        made = dict[int, GeneratedAsset]()
+        shown = dict[int, SeenSolid]()
         for instance in _from_below(image.instances, under):
             whole = _without_strays(instance, image.instances)
             seen = Outlined.of(whole, camera)
@@ -55,18 +56,23 @@ class LiftedAssets:
             loaded = instance.id in under.values()
             found = choose(instance, seen, carrier, distance=float(np.median(far)), loaded=loaded)
             self.choices[instance.id] = found
-            solid = found.best.solid
-            origin = np.array([*solid.vertices[:, :2].mean(0), solid.vertices[:, 2].min()])
-            mesh = textured(solid, origin, image.photo, whole, camera)
-            T_camera_object = camera.T_camera_world @ pose(t=origin)
-            made[instance.id] = GeneratedAsset(
-                mesh=mesh,
-                T_camera_object=T_camera_object,
-                told=found.told + _strays_told(instance.mask, whole),
-                fixed=found.fixed,
-                lifted=True,
-            )
-        return {i.id: made[i.id] for i in image.instances}
+            shown[instance.id] = SeenSolid.of(found.best.solid, whole, camera)
+        light = light_of(list(shown.values()), image.photo.rgb, image.ground_mask, camera)
+        return {i.id: _asset(i, self.choices[i.id], shown[i.id], image.photo, light) for i in image.instances}
+
+
+def _asset(instance: Instance, found: Choice, shown: SeenSolid, photo: Photo, light: PhotoLight) -> GeneratedAsset:
+    """The mesh of an object about its foot, with the photo's colours as they are without its light."""
+    vertices = shown.solid.vertices
+    origin = np.array([*vertices[:, :2].mean(0), vertices[:, 2].min()])
+    plain = Photo(rgb=light.removed(photo.rgb, shown))
+    return GeneratedAsset(
+        mesh=textured(shown.solid, origin, plain, shown.mask, shown.camera),
+        T_camera_object=shown.camera.T_camera_world @ pose(t=origin),
+        told=found.told + _strays_told(instance.mask, shown.mask),
+        fixed=found.fixed,
+        lifted=True,
+    )
 
 
 def _without_strays(instance: Instance, instances: tuple[Instance, ...]) -> NDArray[np.bool_]:

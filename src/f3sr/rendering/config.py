@@ -20,6 +20,8 @@ class LightConfig:
     """Most pixels of objects, and as many of the ground, to which the light is fitted."""
     least_gain: Annotated[float, Interval(ge=0, le=1)] = 0.02
     """Least share of the misfit by which a directed light must beat light without a direction."""
+    overhead: Annotated[float, Interval(ge=0, le=1)] = 0.0
+    """By how much of the misfit light from above is likelier than light along the ground. 0: the photo alone tells."""
 
 
 @settings

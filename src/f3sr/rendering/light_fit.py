@@ -114,6 +114,7 @@ def find_light(
         share = np.exp((wide.directions @ d - 1) / SPREAD**2)
         misfits.append(
             _fit(first, _bases(first, thin @ (share / share.sum()), thin_sky), groups).misfit
+            + config.overhead * (1 - d[2]) * len(first.group)
             if d[2] >= LEAST_HEIGHT
             else np.inf
         )
@@ -123,7 +124,8 @@ def find_light(
         maps = Maps.empty(disc(direction, angle, DIRECT), *ball, side)
         maps.cast(casters)
         direct = maps.arriving(evidence.points, evidence.normals).sum(1) / DIRECT
-        return _fit(evidence, _bases(evidence, direct, sky), groups)
+        fit = _fit(evidence, _bases(evidence, direct, sky), groups)
+        return replace(fit, misfit=fit.misfit + config.overhead * (1 - direction[2]) * len(evidence.group))
 
     direction, angle, best = _refined(start, fitted)
     n = max(len(evidence.group), 1)

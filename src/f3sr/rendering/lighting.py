@@ -49,12 +49,6 @@ def lit_as_photo(
     unexposed = np.tile(np.eye(3), (count, 1, 1))
     if not config.light.enabled or not count:
         return UNLIT, unexposed, ()
-    if all(o.lifted for o in scene):
-        return (
-            UNLIT,
-            unexposed,
-            ("light: meshes from masks have the photo's colours, light included; shown as they are",),
-        )
     evidence = _evidence(scene, scene.photo.rgb if background is None else background, things, ball, config)
     if not (evidence.group < count).any():
         return UNLIT, unexposed, ("light: no object can be compared with the photo; shown without",)

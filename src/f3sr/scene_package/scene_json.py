@@ -213,7 +213,7 @@ class ObjectRecord(_SceneRecord):
     supports: tuple[SupportRecord, ...]
     supported_by: IdOrGround | None
     lifted: bool = False
-    """Whether its mesh was made from its mask and the photo: its colours hold the photo's light."""
+    """Whether its mesh was made from its mask and the photo."""
     motion: tuple[MotionRecord, ...]
     uncertainty: UncertaintyRecord | None = None
 
