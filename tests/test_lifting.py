@@ -11,7 +11,7 @@ import pytest
 from f3sr import proxies
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh, signed_volume
-from f3sr.core.transforms import UP, Array, pose
+from f3sr.core.transforms import UP, Array, pose, rotation_about
 from f3sr.lifting.balls import fit_ball
 from f3sr.lifting.boxes import fit_box, fit_carved
 from f3sr.lifting.choice import Choice, carries, choose
@@ -28,8 +28,9 @@ from f3sr.lifting.unshaded import PhotoLight, SeenSolid, light_of
 from f3sr.metrology.camera_estimate import attitude
 from f3sr.photo_inputs import read_inputs
 from f3sr.pipeline import as_given
+from f3sr.rendering.renderer import Renderer, poses_at_rest
 from f3sr.rendering.textures import LINEAR, srgb
-from f3sr.scene import GROUND, Instance, Photo
+from f3sr.scene import GROUND, Instance, Photo, Scene, SceneObject
 from f3sr.stages.align import align
 from f3sr.stages.assemble import assemble
 from f3sr.stages.level import level
@@ -450,6 +451,32 @@ def test_the_light_is_taken_out_of_colours():
         before = photo.rgb[s.rows, s.columns][inner].astype(float)
         after = light.removed(photo.rgb, s)[s.rows, s.columns][inner].astype(float)
         assert np.all(after.std(0) < 0.35 * before.std(0) + 1), (before.std(0), after.std(0))
+
+
+def test_films_light_a_ball_alike_however_it_is_turned():
+    """Its colours come from the photo, whose light stays where it is."""
+    shown = on_a_table()
+    photo = lit_photo(shown, 0.6, 0.5)
+    light = light_of(shown, photo.rgb, None, CAMERA)
+    objects, middles = list[SceneObject](), list[Array]()
+    for k, s in enumerate(shown):
+        plain = Photo(rgb=light.removed(photo.rgb, s))
+        middles.append((s.solid.vertices.min(0) + s.solid.vertices.max(0)) / 2)
+        mesh = textured(s.solid, middles[k], plain, s.mask, CAMERA)
+        T = pose(t=middles[k])
+        objects.append(SceneObject(id=k, label="", mask_name="", mask=s.mask, mesh=mesh, T_world_object=T, lifted=True))
+    scene = Scene(photo=photo, camera=CAMERA, objects=tuple(objects))
+    table = np.full_like(photo.rgb, 130)
+    renderer = Renderer.of(scene, table)
+    at_rest = poses_at_rest(scene)
+    rest = renderer.frame(at_rest).astype(float)
+    inner = shrunk(shown[0].mask, 3)
+    assert np.abs(rest - photo.rgb)[inner].mean() < 5
+    for axis in (np.array([1.0, 0, 0]), np.array([0.6, 0, 0.8])):
+        turned = at_rest.copy()
+        turned[0] = pose(rotation_about(axis, np.pi), middles[0])
+        frame = renderer.frame(turned).astype(float)
+        assert np.abs(frame - rest)[inner].mean() < 6, axis
 
 
 def test_without_shading_colours_stay_as_they_are():

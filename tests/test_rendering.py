@@ -275,19 +275,6 @@ def test_the_light_of_a_picture_is_found_again() -> None:
     assert "found" in renderer.decisions[0]
 
 
-def test_colours_that_come_from_the_photo_are_not_lit_again() -> None:
-    """The same scene, lit from the side: its meshes made from masks are drawn as their textures are."""
-    scene = big_table()
-    light = Light(direction=np.array([0.6, 0, 0.8]), angle=0.15, direct=np.full(3, 0.8), sky=np.full(3, 0.4))
-    photo = Photo(rgb=lit(scene, light).drawn(at_rest(scene)))
-    lifted = replace(scene, photo=photo, objects=tuple(replace(o, lifted=True) for o in scene))
-    renderer = Renderer.of(lifted, plain(scene.camera))
-    assert "as they are" in renderer.decisions[0]
-    unlit = np.rint(255 * rasterizer.shade(rasterizer.render(scene.objects, scene.camera), scene.objects))
-    inside = ~grown(rasterizer.visible_ids(scene.objects, scene.camera) < 0, 2)
-    assert np.abs(renderer.frame(at_rest(scene)).astype(int) - unlit)[inside].mean() < 2
-
-
 def test_a_picture_without_shading_has_no_direction() -> None:
     scene = big_table()
     photo = Renderer.of(scene, plain(scene.camera), config=PLAIN).frame(at_rest(scene))
