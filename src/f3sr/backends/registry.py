@@ -106,10 +106,11 @@ class Kind(Generic[P]):
 
         Raises InputError where the name has none or several, BackendError where it cannot be imported or
         constructed, or lacks a method of the Protocol."""
-        known = self.names()
-        name, _, model = (spec, "", "") if spec in known else spec.partition(":")
+        all_offers = list(self._offers())
+        is_name = any(offer.name == spec for offer in all_offers)
+        name, _, model = (spec, "", "") if is_name else spec.partition(":")
         choice = replace(choice or ModelChoice(), model=model)
-        offers = [offer for offer in self._offers() if offer.name == name]
+        offers = [offer for offer in all_offers if offer.name == name]
         if not offers:
             raise self._unknown(name)
         if len(offers) > 1:
@@ -206,13 +207,14 @@ def _offered(group: str) -> Iterator[_Offer]:
 
 
 def _offers_of(package: metadata.Distribution, group: str) -> Iterator[_Offer]:
+    if group not in _text(package):  # nearly all: parsing their entry points takes most of the time
+        return
     try:
         points = [point for point in package.entry_points if point.group == group]
         name, version = (package.metadata["Name"], package.version) if points else ("", "")
     except Exception as error:  # others' files may hold anything
-        if group in _text(package):
-            problem = f"its entry points cannot be read ({type(error).__name__})"
-            yield _Offer(name="", source=_place(package), version="", load=_nothing, problem=problem)
+        problem = f"its entry points cannot be read ({type(error).__name__})"
+        yield _Offer(name="", source=_place(package), version="", load=_nothing, problem=problem)
         return
     for point in points:
         yield _Offer(

@@ -112,13 +112,12 @@ def rotation_between(a: ArrayLike, b: ArrayLike) -> Array:
 
 
 def rotation_from_quaternion(wxyz: ArrayLike) -> Array:
-    """Rotation matrix (3, 3) of a quaternion (w, x, y, z); it need not be normalised.
+    """Rotation matrices (..., 3, 3) of quaternions (..., 4), each w, x, y, z; they need not be normalised.
 
     Raises ValueError for a quaternion of length 0."""
     from scipy.spatial.transform import Rotation
 
-    w, x, y, z = np.asarray(wxyz, float)
-    return np.asarray(Rotation.from_quat([x, y, z, w]).as_matrix())
+    return np.asarray(Rotation.from_quat(np.asarray(wxyz, float)[..., [1, 2, 3, 0]]).as_matrix())
 
 
 def quaternion_from_rotation(R: Array) -> Array:

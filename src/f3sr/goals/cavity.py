@@ -61,11 +61,13 @@ def _surface(o: SceneObject) -> tuple[Array, Array, Array]:
     corners = np.concatenate([transform(o.T_world_object, q.vertices) for q in mujoco_model.body_of(o).parts])
     low, high = corners.min(0), corners.max(0)
     surface, hit = np.full((CELLS, CELLS), low[2]), np.zeros(1, np.int32)
+    x, y = (low[:2] + (high - low)[:2] * (np.arange(CELLS)[:, None] + 0.5) / CELLS).T
+    start, down = np.array([0.0, 0.0, high[2] + 1.0]), -UP
     for i, j in np.ndindex(CELLS, CELLS):
-        x, y = low[:2] + (high - low)[:2] * (np.array([i, j]) + 0.5) / CELLS
-        far = mujoco.mj_ray(model, data, np.array([x, y, high[2] + 1.0]), -UP, None, 1, -1, hit)
+        start[:2] = x[i], y[j]
+        far = mujoco.mj_ray(model, data, start, down, None, 1, -1, hit)
         if far >= 0 and model.geom_bodyid[hit[0]]:
-            surface[i, j] = max(high[2] + 1.0 - far, low[2])
+            surface[i, j] = max(start[2] - far, low[2])
     return surface, low, high
 
 

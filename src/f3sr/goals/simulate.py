@@ -192,12 +192,14 @@ class _Run:
 
     def _poses(self) -> Array:
         """(N, 4, 4), of what is free from its joint: ``xpos`` is one step old after ``mj_step``."""
+        bodies = slice(1, len(self.ids) + 1)
+        origins, quaternions = self.data.xpos[bodies].copy(), self.data.xquat[bodies].copy()
+        joints = self.model.body_jntadr[bodies]
+        free = joints >= 0
+        q = self.data.qpos[self.model.jnt_qposadr[joints[free]][:, None] + np.arange(7)]
+        origins[free], quaternions[free] = q[:, :3], q[:, 3:]
         poses = np.tile(np.eye(4), (len(self.ids), 1, 1))
-        for k in range(len(self.ids)):
-            b, at = k + 1, int(self.model.body_jntadr[k + 1])
-            q = None if at < 0 else self.data.qpos[int(self.model.jnt_qposadr[at]) :][:7]
-            quaternion, origin = (self.data.xquat[b], self.data.xpos[b]) if q is None else (q[3:], q[:3])
-            poses[k, :3, :3], poses[k, :3, 3] = rotation_from_quaternion(quaternion), origin
+        poses[:, :3, :3], poses[:, :3, 3] = rotation_from_quaternion(quaternions), origins
         return poses
 
 
@@ -225,28 +227,33 @@ class _Peaks:
 
     def __init__(self, model: Any, ids: Sequence[int]) -> None:
         self.body_of_geom, self.names = np.asarray(model.geom_bodyid), [GROUND, *ids]
-        n = len(self.names)
-        self.force, self.time = np.zeros(n * n), np.zeros(n * n)
+        self.times, self.felt = list[float](), list[tuple[Array, Array, Array]]()
 
     def feel(self, data: Any, time: float) -> None:
+        """Keep geoms (c, 2), normals (c, 3) and normal forces (c,) [N] of a step's contacts, for ``taken``."""
         rows = data.contact.efc_address
         active = rows >= 0
-        bodies = self.body_of_geom[data.contact.geom[active]]
-        pairs = bodies.min(1, initial=len(self.names)) * len(self.names) + bodies.max(1, initial=0)
-        force = np.maximum(data.efc_force[rows[active]], 0) * np.where(bodies[:, 0] <= bodies[:, 1], 1.0, -1.0)
-        forces = force[:, None] * data.contact.frame[active, :3]
-        sums = [np.bincount(pairs, f, len(self.force)) for f in forces.T]
-        felt = np.linalg.norm(sums, axis=0)
-        felt[pairs[force != 0]] = np.maximum(felt[pairs[force != 0]], TOUCH)
-        more = felt > self.force
-        self.force[more], self.time[more] = felt[more], time
+        self.times.append(time)
+        self.felt.append((data.contact.geom[active], data.contact.frame[active, :3], data.efc_force[rows[active]]))
 
     def taken(self) -> list[tuple[float, int, int, float]]:
         """Rows of CONTACT by time."""
-        n = len(self.names)
+        geoms, normals, pressing = (np.concatenate(parts) for parts in zip(*self.felt, strict=True))
+        step = np.repeat(np.arange(len(self.times)), [len(force) for _, _, force in self.felt])
+        bodies, n = self.body_of_geom[geoms], len(self.names)
+        pairs, pair = np.unique(np.minimum(*bodies.T) * n + np.maximum(*bodies.T), return_inverse=True)
+        force = np.maximum(pressing, 0) * np.where(bodies[:, 0] <= bodies[:, 1], 1.0, -1.0)
+        shape = len(self.times), len(pairs)
+        at = step * shape[1] + pair
+        sums = [np.bincount(at, f, math.prod(shape)) for f in (force[:, None] * normals).T]
+        felt = np.linalg.norm(sums, axis=0)
+        felt[at[force != 0]] = np.maximum(felt[at[force != 0]], TOUCH)
+        felt = felt.reshape(shape)
+        first = felt.argmax(0)
         rows = [
-            (float(self.time[k]), self.names[k // n], self.names[k % n], float(self.force[k]))
-            for k in np.flatnonzero(self.force)
+            (self.times[first[k]], self.names[pairs[k] // n], self.names[pairs[k] % n], float(felt[first[k], k]))
+            for k in np.flatnonzero(felt.any(0))
         ]
-        self.force[:] = 0
+        self.times.clear()
+        self.felt.clear()
         return sorted(rows)

@@ -255,7 +255,8 @@ def _tell_warm(folder: Path, film: bool) -> None:
 
 def _shares(modules: Sequence[str]) -> list[list[str]]:
     """What each of two processes compiles: about equal work, and in both the folders that are needed early first."""
-    second = {"contact", "metrics"}
+    groups = set(map(_group, modules))
+    second = {"contact", "metrics", *({"metrology"} if FILM in groups else ())}
     shares = ([m for m in modules if (_group(m) in second) == late] for late in (False, True))
     return [share for share in shares if share]
 
