@@ -73,7 +73,7 @@ FLOORS = (
     ("language", "report_page"),
     ("play", "delivery", "scene_samples", "photo_inputs"),
     ("film", "dataset", "agents"),
-    ("batch", "mcp_server"),
+    ("batch", "env", "mcp_server"),
     ("cli",),
     ("__main__",),
 )

@@ -75,16 +75,12 @@ class Studio:
         Raises InputError if a film file of the package is damaged or has another size than the photo.
         """
         config = config or FilmConfig()
-        background, told = _background(package)
-        support = package.support()
-        if support is None:
-            told += ("the package has no support.png: shadows fall on all below the horizon, near the objects",)
-        scene = replace(package.scene, ground_mask=support)
-        scene, background, kept = _limited(scene, background, package.kept_depth(), config.longest)
+        shown = PackagePictures.of(package, config.longest)
+        scene, told = shown.scene, shown.told
         width, height = scene.camera.width, scene.camera.height
         if (width, height) != (package.scene.camera.width, package.scene.camera.height):
             told += (f"filmed at {width}x{height}, as the photo is larger than {config.longest} pixels",)
-        renderer = Renderer.of(scene, background, config=config.render, kept=kept)
+        renderer = Renderer.of(scene, shown.background, config=config.render, kept=shown.kept)
         return cls(scene, renderer, config, (*told, *renderer.decisions))
 
     def film(self, played: Played) -> Filmed:
@@ -152,6 +148,29 @@ def film_played(package: Package, played: Played, config: FilmConfig | None = No
     ``played`` must be a goal of the same package. Raises InputError if a film file of the package is damaged.
     """
     return Studio.of(package, config).film(played)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PackagePictures:
+    """What pictures of a package begin with, at their size: its scene with the visible support as ground mask, the
+    completed photo (h, w, 3), and the depth (h, w) [m] of its pixels that may hide objects."""
+
+    scene: Scene
+    background: NDArray[np.uint8]
+    kept: NDArray[np.float32] | None
+    told: tuple[str, ...]
+    """Decisions for the user."""
+
+    @classmethod
+    def of(cls, package: Package, longest: int) -> Self:
+        """At most ``longest`` [px] wide or high. Raises InputError if a picture of the package is damaged."""
+        background, told = _background(package)
+        support = package.support()
+        if support is None:
+            told += ("the package has no support.png: shadows fall on all below the horizon, near the objects",)
+        scene = replace(package.scene, ground_mask=support)
+        scene, background, kept = _limited(scene, background, package.kept_depth(), longest)
+        return cls(scene=scene, background=background, kept=kept, told=told)
 
 
 def _background(package: Package) -> tuple[NDArray[np.uint8], tuple[str, ...]]:

@@ -15,13 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from f3sr.core.transforms import Array, rotation_from_quaternion, rotation_from_vector, turn_about
+from f3sr.core.transforms import Array, rotation_from_vector, turn_about
 from f3sr.files.bounds import Vector3
 from f3sr.goals.plan import Impulse, InitialConditions, Offset, Phase, Semantics, SimulationPlan, Velocity
 from f3sr.goals.rollout import CONTACT, Rollout
 from f3sr.physics import mujoco_model
 from f3sr.physics.contact_margin import ContactMargin
 from f3sr.physics.mujoco_model import PhysicsConfig, body_name, engine
+from f3sr.physics.mujoco_scene import poses_of
 from f3sr.scene import GROUND, Scene, SceneObject
 
 TOUCH = 1e-9
@@ -145,7 +146,8 @@ class _Run:
         pushes = [_Push.of(i, self._body(i.id), simulation.timestep) for i in phase.initial.impulses]
         pushes.sort(key=lambda p: p.first)
         kept = self._kept(phase)
-        times, poses, contacts = [0.0], [self._poses()], list[tuple[float, int, int, float]]()
+        times, poses = [0.0], [poses_of(self.model, self.data, len(self.ids))]
+        contacts = list[tuple[float, int, int, float]]()
         peaks = _Peaks(self.model, self.ids)
         for step in range(steps):
             for push in pushes:
@@ -160,7 +162,7 @@ class _Run:
             times.append((step + 1) * simulation.timestep)
             if not np.isfinite(self.data.qpos).all():
                 raise FloatingPointError(f"the simulation blew up after {times[-1]:.3f} s")
-            poses.append(self._poses())
+            poses.append(poses_of(self.model, self.data, len(self.ids)))
             contacts += peaks.taken()
             if until is not None and until(times[-1], self.data):
                 break
@@ -189,18 +191,6 @@ class _Run:
 
     def _body(self, id: int) -> int:
         return self.ids.index(id) + 1
-
-    def _poses(self) -> Array:
-        """(N, 4, 4), of what is free from its joint: ``xpos`` is one step old after ``mj_step``."""
-        bodies = slice(1, len(self.ids) + 1)
-        origins, quaternions = self.data.xpos[bodies].copy(), self.data.xquat[bodies].copy()
-        joints = self.model.body_jntadr[bodies]
-        free = joints >= 0
-        q = self.data.qpos[self.model.jnt_qposadr[joints[free]][:, None] + np.arange(7)]
-        origins[free], quaternions[free] = q[:, :3], q[:, 3:]
-        poses = np.tile(np.eye(4), (len(self.ids), 1, 1))
-        poses[:, :3, :3], poses[:, :3, 3] = rotation_from_quaternion(quaternions), origins
-        return poses
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

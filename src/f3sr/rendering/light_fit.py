@@ -240,7 +240,8 @@ def exposures_of_sums(above: Array, below: Array, count: NDArray[np.int64] | Arr
     gains = (above + prior * whole) / np.maximum(below + prior, 1e-12)
     # The exposure with the object's own brightness and the tint of all objects: clipping keeps others near it.
     grey = ((above + prior * whole).sum(1) / np.maximum((below + prior) @ whole, 1e-12))[:, None] * whole
-    return np.clip(gains, grey / MOST_TINT, grey * MOST_TINT)
+    # Of what the photo does not show there are no sums: it has the exposure of all objects.
+    return np.where(below.any(1, keepdims=True), np.clip(gains, grey / MOST_TINT, grey * MOST_TINT), whole)
 
 
 def with_shadows_of(evidence: Evidence, light: Light, maps: tuple[Maps, Maps], ground: int) -> tuple[Light, bool]:

@@ -14,6 +14,7 @@ from f3sr.rendering.canvas import Canvas, StillScene
 from f3sr.rendering.config import RenderConfig
 from f3sr.rendering.ground import ground_seen, light_shown
 from f3sr.rendering.layers import Things
+from f3sr.rendering.light import Light
 from f3sr.rendering.lighting import lit_as_photo
 from f3sr.rendering.shadow_maps import MARGIN
 from f3sr.rendering.still_photo import StillPhoto
@@ -109,6 +110,14 @@ class Renderer:
             background=np.ascontiguousarray(background),
             receives=ground_seen(camera, None, self.setting.ball),
             kept=_nothing(camera),
+        )
+        return Renderer(Canvas(setting), self.decisions)
+
+    def varied(self, light: Light, camera: Camera) -> Renderer:
+        """A renderer of the same objects in another light, from another place, over the same background: shadows are
+        as the light makes them."""
+        setting = replace(
+            self.setting, light=light, camera=camera, receives=ground_seen(camera, None, self.setting.ball)
         )
         return Renderer(Canvas(setting), self.decisions)
 
