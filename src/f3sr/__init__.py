@@ -45,6 +45,7 @@ _PUBLIC = {
     "evaluate": "f3sr.stages.evaluate",
     "example": "f3sr.example",
     "film_played": "f3sr.film.studio",
+    "load": "f3sr.scene_package.package",
     "read_inputs": "f3sr.photo_inputs",
     "read_package": "f3sr.scene_package.package",
     "reconstruct": "f3sr.pipeline",

@@ -165,8 +165,8 @@ class ObjectControl:
 
 SPEED, TURN = 1.0, 6.0
 """Velocities of an action of 1 [m/s, rad/s]."""
-SERVO = 0.05
-"""Time constant of the servo [s]."""
+SERVO = 0.01
+"""Time constant of the servo [s]: friction takes as much from its speed as it takes in this time."""
 STRONG = 5.0
 """Largest force of the servo [weights of the object]."""
 

@@ -25,7 +25,7 @@ class GripperConfig:
 
     opening: Length = 0.085
     """Largest distance between the pads [m]."""
-    pad: tuple[Length, Length, Length] = (0.022, 0.008, 0.045)
+    pad: tuple[Length, Length, Length] = (0.022, 0.008, 0.06)
     """Width, thickness and length of a finger [m]; the hand's frame is in the middle between two pads."""
     palm: tuple[Length, Length, Length] = (0.04, 0.11, 0.03)
     """Sides of the palm, which ends where the fingers begin [m]."""
@@ -95,9 +95,10 @@ def add_gripper(spec: Any, config: GripperConfig, position: Array) -> None:
             **contact_options(DEFAULT_PHYSICS, 0.0),
         )
     spec.add_exclude(bodyname1=FINGERS[0], bodyname2=FINGERS[1])
-    spec.add_equality(
-        type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY, name1=TARGET, name2=HAND, solref=WELD
-    )
+    weld = spec.add_equality(type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY, name1=TARGET, name2=HAND)
+    weld.solref = WELD
+    # Anchor, relative position and quaternion, weight of the turn: the two frames are one.
+    weld.data[:11] = [0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 1]
 
 
 STIFFNESS, DAMPING, ARMATURE = 8000.0, 60.0, 0.1
@@ -147,6 +148,7 @@ class Gripper:
 
     def aim(self, position: Array, quaternion: Array, opening: float) -> None:
         """Go to a pose as fast as its limits allow. A quaternion (4,) of no length keeps the axes."""
+        quaternion = np.clip(quaternion, -1, 1)
         length = float(np.linalg.norm(quaternion))
         turn = quaternion / length if length > 1e-6 else np.array(self.data.mocap_quat[self._target])
         self._aim = np.clip(position, self.low, self.high), turn, float(np.clip(opening, 0, self.config.opening))

@@ -34,7 +34,7 @@ class Randomization:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drawn:
+class ResetDraw:
     """What one reset drew: the index of the scene in the bank, and factors by object; the ground's friction is last."""
 
     scene: int
@@ -42,9 +42,9 @@ class Drawn:
     friction: tuple[float, ...]
 
 
-def draw(rng: np.random.Generator, scenes: int, objects: int, config: Randomization) -> Drawn:
+def draw(rng: np.random.Generator, scenes: int, objects: int, config: Randomization) -> ResetDraw:
     """Equal generators, equal draws."""
-    return Drawn(
+    return ResetDraw(
         scene=int(rng.integers(scenes)),
         mass=_factors(rng, objects, config.mass),
         friction=_factors(rng, objects + 1, config.friction),

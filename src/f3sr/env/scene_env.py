@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array
 from f3sr.env.controllers import Controller, GripperControl, ObjectControl
+from f3sr.env.episode_pictures import EpisodePictures
 from f3sr.env.goal_progress import GoalProgress, task_of
 from f3sr.env.gripper import GripperConfig
-from f3sr.env.pictures import Pictures
-from f3sr.env.resets import Drawn, Randomization, bank_of, draw
+from f3sr.env.resets import Randomization, ResetDraw, bank_of, draw
 from f3sr.errors import InputError
 from f3sr.files.bounds import FARTHEST
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, build_spec, engine
@@ -36,7 +36,7 @@ Observation = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class StagedScene:
     """One scene of the bank, compiled once; ``mass``, ``inertia`` and ``friction`` as the package has them."""
 
     scene: Scene
@@ -46,7 +46,7 @@ class Stage:
     inertia: Array
     friction: Array
 
-    def start(self, drawn: Drawn) -> None:
+    def start(self, drawn: ResetDraw) -> None:
         """At rest as the scene is, with the materials that were drawn."""
         mujoco, model, data = engine(), self.playable.model, self.playable.data
         n = len(self.playable.ids)
@@ -111,7 +111,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]]):
         active = self.task.active if self.task else None
         self._stages = [_staged(scene, config, control, active) for scene in bank_of(self.package, samples)]
         self._stage = self._stages[0]
-        self._pictures = Pictures(self.package, longest, config)
+        self._pictures = EpisodePictures(self.package, longest, config)
         self.action_space: spaces.Space[Any] = self._stage.controller.space
         self.observation_space: spaces.Space[Any] = spaces.Dict(self._spaces())
         self._taken = 0
@@ -197,7 +197,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]]):
             return 0.0
         return min(0.0, max(-1.0, min(j.relative if not j.met else 0.0 for j in self._progress.judged())))
 
-    def _progress_of(self, stage: Stage) -> GoalProgress:
+    def _progress_of(self, stage: StagedScene) -> GoalProgress:
         most, model = SAMPLES * self._steps, stage.playable.model
         return GoalProgress(scene=stage.scene, conditions=self._conditions, samples=most, model=model)
 
@@ -228,7 +228,7 @@ LONGEST_EPISODE = 600
 """[s]"""
 
 
-def _staged(scene: Scene, config: GripperConfig | None, control: str, active: int | None) -> Stage:
+def _staged(scene: Scene, config: GripperConfig | None, control: str, active: int | None) -> StagedScene:
     """A scene with what acts in it, compiled."""
     spec = build_spec(scene.objects, ground_friction=scene.ground.friction)
     if config is not None:
@@ -241,4 +241,4 @@ def _staged(scene: Scene, config: GripperConfig | None, control: str, active: in
     else:
         controller = ObjectControl.of(playable, scene, active)
     copies = (np.array(a) for a in (model.body_mass, model.body_inertia, model.geom_friction))
-    return Stage(scene, playable, controller, *copies)
+    return StagedScene(scene, playable, controller, *copies)

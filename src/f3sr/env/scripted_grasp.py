@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from f3sr.core.mesh import ConvexPart
+from f3sr.core.mesh import area_vectors
 from f3sr.core.transforms import UP, Array, quaternion_from_rotation, rotation_about, transform
 from f3sr.env.gripper import APPROACH, GripperConfig
 from f3sr.errors import InputError
@@ -20,6 +21,8 @@ FITS = 0.9
 """Share of the gripper's opening that an object's width may have."""
 CLEARANCE = 0.008
 """Room beside an open finger that nothing else may be in [m]."""
+FLOOR = 0.0015
+"""Least distance of finger tips from the floor, and of the palm from the object [m]."""
 LEVELS = 5
 """Heights that are looked at, from the lowest that the floor allows to the top."""
 OVER = 0.12
@@ -46,88 +49,77 @@ class Grasp:
 def grasp_of(scene: Scene, id: int, config: GripperConfig) -> Grasp | None:
     """The grasp nearest to the centre of mass whose fingers touch nothing else on their way; None where none fits.
 
-    Parts are cut at the height of the pads: there the object is at most ``FITS`` of the opening wide, and the band that
-    each open finger goes down is free of other objects and of the object's own upper parts."""
+    At the height of the pads the object is at most ``FITS`` of the opening wide, and the band that each open finger
+    goes down is free of other objects. What the pads touch first faces them: they would slide off a slope. Surfaces are
+    looked at as points, ``SPACING`` apart."""
     o = scene[id]
-    own, others = _corners(o), [c for other in scene if other.id != id for c in _corners(other)]
+    own, normals = _surface(o)
+    others = np.concatenate([np.zeros((0, 3)), *(_surface(other)[0] for other in scene if other.id != id)])
     center = transform(o.T_world_object, body_of(o).center[None])[0]
+    near = np.linalg.norm(others[:, :2] - center[:2], axis=1) < config.opening + float(np.ptp(own[:, :2], axis=0).max())
     half = config.pad[2] / 2
-    low, high = max(float(min(c[:, 2].min() for c in own)), 0.0), float(max(c[:, 2].max() for c in own))
-    deepest = max(low, CLEARANCE / 2) + half
-    heights = np.linspace(deepest, max(deepest, high - half / 3), LEVELS).tolist()
-    found = [
-        (abs(h - center[2]) + float(np.linalg.norm(g.place[:2] - center[:2])) + 0.2 * g.width, g)
-        for h in heights
-        for yaw in np.pi * np.arange(YAWS) / YAWS
-        if (g := _fitting(own, others, center, float(h), float(yaw), config)) is not None
-    ]
-    return min(found, key=lambda pair: pair[0])[1] if found else None
+    top = float(own[:, 2].max())
+    deepest = max(float(own[:, 2].min()) + half + FLOOR, top - half + FLOOR)  # pads above the floor, palm above the top
+    heights = np.linspace(deepest, max(deepest, top - half / 3), LEVELS)
+    places = ((float(h), float(yaw)) for h in heights for yaw in np.pi * np.arange(YAWS) / YAWS)
+    fitting = (_fitting(own, normals, others[near], center, *place, config) for place in places)
+    found = [grasp for grasp in fitting if grasp is not None]
+    return min(found, key=lambda g: float(np.linalg.norm(g.place - center)) + 0.2 * g.width, default=None)
 
 
 def _fitting(
-    own: list[Array], others: list[Array], center: Array, height: float, yaw: float, config: GripperConfig
+    own: Array, normals: Array, others: Array, center: Array, height: float, yaw: float, config: GripperConfig
 ) -> Grasp | None:
     x = np.array([np.cos(yaw), np.sin(yaw), 0.0])
     y = np.array([np.sin(yaw), -np.cos(yaw), 0.0])  # the hand points down: its y is turned over
-    bottom = height - config.pad[2] / 2
-    slab = _bands(own, center, x, y, bottom, config.pad[0] / 2)
-    if not len(slab):
+    bottom, reach = height - config.pad[2] / 2, config.pad[0] / 2
+    inside = _inside(own, center, x, bottom, reach)
+    between = (own[inside] - center) @ y
+    if not len(between):
         return None
-    left, right = float(slab.min()), float(slab.max())
-    width = right - left
+    width, middle = float(np.ptp(between)), float(between.min() + between.max()) / 2
     if not 0 < width <= FITS * config.opening:
         return None
-    middle = (left + right) / 2
-    place = np.array([*center[:2], height]) + middle * y
+    for sign in (-1, 1):  # weighted by area: normals are as long as their share of the surface
+        touched = sign * (between - middle) > width / 2 - TOUCHED
+        facing = normals[inside][touched].sum(0)
+        if sign * float(facing @ y) < FACING * float(np.linalg.norm(normals[inside][touched], axis=1).sum()):
+            return None
+    beside = np.abs(_along(others, center, x, y, bottom, reach + CLEARANCE) - middle)
     outer = config.opening / 2 + config.pad[1] + CLEARANCE
-    for side in (-1, 1):
-        finger = sorted((side * width / 2, side * outer))
-        for corners in others:
-            if _reaches(corners, place, x, y, bottom, config.pad[0] / 2 + CLEARANCE, finger):
-                return None
-    return Grasp(place=place, yaw=yaw, width=width)
+    palm = _along(others, center, x, y, height + config.pad[2] / 2, config.palm[0] / 2 + CLEARANCE)
+    if (beside < outer).any() or (np.abs(palm - middle) < config.palm[1] / 2 + CLEARANCE).any():
+        return None
+    return Grasp(place=np.array([*center[:2], height]) + middle * y, yaw=yaw, width=width)
 
 
-def _bands(parts: list[Array], center: Array, x: Array, y: Array, bottom: float, reach: float) -> Array:
-    """Ends along ``y`` of what parts have above ``bottom`` within ``reach`` of the middle along ``x``."""
-    found = list[float]()
-    for corners in parts:
-        clipped = _clipped(corners, np.array([0, 0, -1.0]), -bottom)
-        for sign in (-1, 1):
-            clipped = _clipped(clipped, sign * x, reach + sign * float(x @ center))
-        if len(clipped):
-            along = (clipped - center) @ y
-            found += [float(along.min()), float(along.max())]
-    return np.array(found)
+def _inside(points: Array, center: Array, x: Array, bottom: float, reach: float) -> NDArray[np.bool_]:
+    """Which points are above ``bottom`` and within ``reach`` of the centre along ``x``."""
+    return (points[:, 2] > bottom) & (np.abs((points - center) @ x) < reach)
 
 
-def _reaches(corners: Array, place: Array, x: Array, y: Array, bottom: float, reach: float, band: list[float]) -> bool:
-    """Whether a convex part is in the band that a finger goes down."""
-    clipped = _clipped(corners, np.array([0, 0, -1.0]), -bottom)
-    for sign in (-1, 1):
-        clipped = _clipped(clipped, sign * x, reach + sign * float(x @ place))
-    for sign, end in ((1, band[1]), (-1, -band[0])):
-        clipped = _clipped(clipped, sign * y, end + sign * float(y @ place))
-    return len(clipped) > 0
+def _along(points: Array, center: Array, x: Array, y: Array, bottom: float, reach: float) -> Array:
+    """Places along ``y``, from the centre, of such points."""
+    return ((points - center) @ y)[_inside(points, center, x, bottom, reach)]
 
 
-def _clipped(corners: Array, normal: Array, offset: float) -> Array:
-    """Corners (n, 3) of a convex body cut by ``normal . x <= offset``: those inside, and where pairs cross it."""
-    if not len(corners):
-        return corners
-    over = corners @ normal - offset
-    inside, outside = corners[over <= 0], corners[over > 0]
-    if not len(outside) or not len(inside):
-        return inside
-    a, b = over[over <= 0], over[over > 0]
-    share = a[:, None] / (a[:, None] - b[None])
-    crossing = inside[:, None] + share[..., None] * (outside[None] - inside[:, None])
-    return np.concatenate([inside, crossing.reshape(-1, 3)])
+def _surface(o: SceneObject) -> tuple[Array, Array]:
+    """Points (n, 3) on an object's convex parts in the world [m], and outward normals there, as long as twice the
+    surface that each stands for [m2]."""
+    from trimesh.remesh import subdivide_to_size
+
+    corners = list[Array]()
+    for part in body_of(o).parts:
+        vertices, faces = subdivide_to_size(part.vertices, part.faces, SPACING, max_iter=12)[:2]
+        corners.append(transform(o.T_world_object, vertices)[faces])
+    triangles = np.concatenate(corners)
+    return triangles.mean(1), area_vectors(triangles)
 
 
-def _corners(o: SceneObject) -> list[Array]:
-    parts: tuple[ConvexPart, ...] = body_of(o).parts
-    return [transform(o.T_world_object, part.vertices) for part in parts]
+TOUCHED, FACING = 0.003, 0.85
+"""Depth of what a pad touches first [m], and the least mean cosine between its normals and the pad's: 32 degrees."""
+SPACING = 0.005
+"""[m]"""
 
 
 def pick(
@@ -138,7 +130,7 @@ def pick(
     grasp = grasp_of(scene, id, config)
     if grasp is None:
         raise InputError("grasp", found=f"no place on object {id} for the gripper", accepted="a narrower, freer object")
-    top = max(float(c[:, 2].max()) for o in scene for c in _corners(o)) + config.pad[2] / 2
+    top = max(float(o.bounds_world[:, 2].max()) for o in scene) + config.pad[2] / 2
     over = np.array([*grasp.place[:2], max(grasp.place[2] + OVER, top + OVER / 4)])
     raised = grasp.place + lift * UP
     closed = max(0.0, grasp.width - 0.02)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from f3sr.core.camera import Camera
-from f3sr.core.transforms import Array
+from f3sr.core.transforms import Array, pose
 from f3sr.errors import InputError
 from f3sr.rendering.canvas import Canvas, StillScene
 from f3sr.rendering.config import RenderConfig
@@ -18,13 +19,17 @@ from f3sr.rendering.light import Light
 from f3sr.rendering.lighting import lit_as_photo
 from f3sr.rendering.shadow_maps import MARGIN
 from f3sr.rendering.still_photo import StillPhoto
-from f3sr.scene import Scene
+from f3sr.scene import Scene, SceneObject
 from f3sr.vision.regions import Mask
 from f3sr.vision.silhouette import union_of
 
 OTHER_LIGHT = (
     "shadows: the background is not lit as the photo is; drawn as the light makes them, not as the photo shows"
 )
+
+
+OUT_OF_SIGHT = 1e3
+"""Where the scene at rest has what the photo does not show [radii of the scene]: aside, above the ground."""
 
 
 class Renderer:
@@ -55,12 +60,14 @@ class Renderer:
         config: RenderConfig | None = None,
         *,
         kept: NDArray[np.float32] | None = None,
+        also: Sequence[SceneObject] = (),
     ) -> Renderer:
         """A renderer of the objects of a finished ``scene`` over ``background`` (h, w, 3) uint8 sRGB.
 
         The light is fitted to the photo with the scene at rest, for any ``camera`` (default: the photo's own). With
         the photo's camera, ``background`` is the photo completed behind its objects. ``kept`` (h, w) is then the depth
-        [m] of its pixels that may hide objects, inf elsewhere. Raises InputError if sizes do not agree.
+        [m] of its pixels that may hide objects, inf elsewhere. ``also`` are drawn after the scene's own objects: the
+        photo does not show them, and they tell nothing of its light. Raises InputError if sizes do not agree.
         """
         config = config or RenderConfig()
         view = camera or scene.camera
@@ -68,6 +75,10 @@ class Renderer:
         things = Things.of(scene.objects, config)
         ball = ball_around(scene)
         light, exposures, decisions = lit_as_photo(scene, background if camera is None else None, things, ball, config)
+        if also:
+            things = Things.of((*scene.objects, *also), config)
+            common = exposures.mean(0) if len(exposures) else np.eye(3)
+            exposures = np.concatenate([exposures, np.tile(common, (len(also), 1, 1))])
         setting = StillScene(
             camera=view,
             background=np.ascontiguousarray(background),
@@ -82,7 +93,9 @@ class Renderer:
         canvas = Canvas(setting)
         if camera is not None or not config.shadows.enabled:
             return cls(canvas, decisions)
-        light = canvas.light_left(poses_at_rest(scene))
+        away = pose(t=ball[0] + OUT_OF_SIGHT * ball[1] * np.array([1, 1, 0]))
+        at_rest = np.concatenate([poses_at_rest(scene), np.tile(away, (len(also), 1, 1))])
+        light = canvas.light_left(at_rest)
         objects = union_of([o.mask for o in scene.objects], background.shape[:2])
         shown, told = light_shown(light, scene.photo.rgb, background, objects)
         canvas.rests(light, shown)

@@ -28,6 +28,7 @@ from f3sr.io.images import as_rgb, encode_png, open_image
 from f3sr.io.masks import MAX_MASK_PIXELS
 from f3sr.io.mesh_files import load_mesh, load_part
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, PhysicsConfig
+from f3sr.physics.mujoco_scene import MujocoScene
 from f3sr.report import Report
 from f3sr.runtime.atomic_folder import claimed, recover
 from f3sr.scene import Excluded, Ground, Motion, Node, Photo, Relation, Scene, SceneGraph, SceneObject, Support
@@ -103,6 +104,10 @@ class Package:
         known = ((o.id, o.uncertainty) for o in self.document.objects)
         return {id: PoseUncertainty(**record.model_dump()) for id, record in known if record}
 
+    def mujoco(self) -> MujocoScene:
+        """MuJoCo's model and data, at rest: to step it, ``mujoco.mj_step(play.model, play.data)``."""
+        return MujocoScene.of(self.scene, ground_friction=self.scene.ground.friction)
+
     def background(self) -> NDArray[np.uint8] | None:
         """background.png (H, W, 3) uint8 sRGB, the photo completed behind its objects; None if the file is absent."""
         return self._picture(BACKGROUND, "RGB")
@@ -177,6 +182,11 @@ def write_package(
             claim.write(name, data)
         claim.replace()
     return out
+
+
+def load(folder: str | Path) -> Package:
+    """A package to play with: ``f3sr.load("out").mujoco()``. Raises InputError as ``read_package`` does."""
+    return read_package(Path(folder))
 
 
 def read_package(folder: Path) -> Package:

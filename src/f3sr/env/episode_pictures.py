@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.mesh import Material, Mesh
-from f3sr.core.transforms import Array, pose, rotation_from_vector
+from f3sr.core.transforms import Array, rotation_from_vector
 from f3sr.env.gripper import FINGERS, HAND, Block, GripperConfig, blocks
 from f3sr.env.resets import Randomization
 from f3sr.film.studio import PackagePictures
@@ -25,7 +25,7 @@ SIDES = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 
                   [0, 6, 4], [1, 5, 7], [1, 7, 3]], np.int32)  # fmt: skip
 
 
-class Pictures:
+class EpisodePictures:
     """Pictures of one package from the photo's camera, at most ``longest`` pixels wide or high; made on first use."""
 
     def __init__(self, package: Package, longest: int, gripper: GripperConfig | None) -> None:
@@ -51,9 +51,8 @@ class Pictures:
         scene = self._shown.scene
         free = max((o.id for o in scene), default=-1) + 1
         own = blocks(self._gripper) if self._gripper else ()
-        parts = (_drawable(free + k, scene, block) for k, block in enumerate(own))
-        whole = replace(scene, objects=(*scene.objects, *parts))
-        return Renderer.of(whole, self._shown.background, kept=self._shown.kept)
+        parts = [_drawable(free + k, scene, block) for k, block in enumerate(own)]
+        return Renderer.of(scene, self._shown.background, kept=self._shown.kept, also=parts)
 
     def vary(self, rng: np.random.Generator, config: Randomization) -> None:
         """Turn the light and move the camera as one reset draws; without, the photo's own."""
@@ -84,5 +83,4 @@ def _drawable(id: int, scene: Scene, block: Block) -> SceneObject:
     """A box of the gripper, which the photo does not show."""
     mesh = Mesh(vertices=CUBE * block.half + block.middle, faces=SIDES, materials=(Material(base_color=GREY),))
     mask = np.zeros((scene.camera.height, scene.camera.width), np.bool_)
-    far = pose(t=[0, 0, -100.0])
-    return SceneObject(id=id, label="", mask_name="", mask=mask, mesh=mesh, T_world_object=far)
+    return SceneObject(id=id, label="", mask_name="", mask=mask, mesh=mesh, T_world_object=np.eye(4))
