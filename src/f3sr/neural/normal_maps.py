@@ -54,7 +54,7 @@ class NormalNetwork(TorchScriptModel):
         model = self.network()
         try:
             with torch.inference_mode():
-                out = model(*(value.to(device) for value in inputs))
+                answer: Any = model(*(value.to(device) for value in inputs))
         except torch.OutOfMemoryError:
             raise
         except (RuntimeError, TypeError, ValueError) as error:
@@ -62,8 +62,7 @@ class NormalNetwork(TorchScriptModel):
             raise InputError(
                 self.name, found=found, accepted=f"{self.family.title}'s inputs, {_shapes(inputs)}"
             ) from error
-        if isinstance(out, list | tuple) and out:
-            out: Any = out[-1]
+        out: Any = answer[-1] if isinstance(answer, list | tuple) and answer else answer
         shape = tuple(getattr(out, "shape", ()))
         if not isinstance(out, torch.Tensor) or len(shape) != 4 or (shape[0], shape[2:]) != (1, side) or shape[1] < 3:
             found = f"an answer of shape {shape}" if shape else f"an answer of type {type(out).__name__}"

@@ -126,7 +126,7 @@ def _pairs(
 def _sides(places: NDArray[np.int64]) -> Array:
     """Places (n,) along one axis about their middle, -1 to 1."""
     low, high = float(places.min()), float(places.max())
-    return (places - (low + high) / 2) / max((high - low) / 2, 1)
+    return np.asarray((places - (low + high) / 2) / max((high - low) / 2, 1), np.float64)
 
 
 def _blocks(h: int, w: int) -> NDArray[np.int64]:
