@@ -2,8 +2,8 @@
 
 Every cell of the atlas shows one triangle, or two that share an edge. Corners lie on the middles of texels, so bilinear
 samples inside are the linear interpolation of the corners' colours in linear light. Cells have even sides and begin at
-even texels, and texels beside a triangle go on with its slopes. So a cell's samples stay in the cell, and keep their
-colour, at level 0 and at level 1.
+even texels, and texels beside a triangle go on with its slopes. So a cell's samples stay in the cell at level 0 and at
+level 1, where they keep their colour too, unless the slopes leave the range of colours.
 """
 
 from __future__ import annotations
