@@ -21,7 +21,7 @@ from f3sr.metrology.camera_estimate import attitude, estimate_camera
 from f3sr.metrology.ground_normal import ground_normal
 from f3sr.photo_inputs import read_inputs
 from f3sr.scene import Instance, Photo
-from f3sr.stages.assemble import assemble
+from f3sr.stages.assemble import as_given, assemble
 from f3sr.stages.level import level
 from folders import camera, write_folder
 
@@ -50,7 +50,7 @@ def test_the_median_is_the_plane_and_noise_of_pixels_goes(ground: bool):
     noisy /= np.linalg.norm(noisy, axis=2, keepdims=True)
     found = ground_normal(image(noisy, ground=ground))
     assert found is not None and math.acos(float(found.normal @ UP)) < math.radians(2)
-    assert 2 * ERROR <= found.error < 4 * ERROR, "two standard errors, the common one among them"
+    assert 2 * ERROR <= found.error < 6 * ERROR, "two standard errors, the common one among them"
     exact = ground_normal(image(np.broadcast_to(UP, (H, W, 3))))
     assert exact is not None and exact.error == pytest.approx(2 * ERROR)
 
@@ -72,12 +72,13 @@ def test_no_plane_is_no_evidence():
 
 
 def test_a_photo_that_shows_nothing_takes_the_tilt_of_the_normals():
-    grey = image(np.broadcast_to(UP, (H, W, 3)))
+    up = attitude(math.radians(55), math.radians(1))[:, 2]
+    grey = image(np.broadcast_to(up, (H, W, 3)))
     masks = [i.mask for i in grey.instances]
     without = estimate_camera(grey.photo.rgb, masks, grey.ground_mask)
     seen = estimate_camera(grey.photo.rgb, masks, grey.ground_mask, normal=ground_normal(grey))
     assert seen.normal_off is not None and math.degrees(seen.normal_off) < 2
-    assert math.acos(float(seen.up @ UP)) < 0.5 * math.acos(float(without.up @ UP))
+    assert math.acos(float(seen.up @ up)) < 0.2 * math.acos(float(without.up @ up))
     assert math.hypot(*seen.errors[1:]) < 0.7 * math.hypot(*without.errors[1:])
 
 
@@ -118,7 +119,7 @@ def test_a_geometry_without_normals_gets_them_and_level_weighs_them(folder: Path
     assert told in [d.choice for d in given.decisions]
     plain = read_inputs(folder)
     assert given.key != plain.key
-    (_, with_normals), (_, without) = (level(assemble(g)[0]) for g in (given, plain))
+    (_, with_normals), (_, without) = (level(assemble(as_given(g))[0]) for g in (given, plain))
     assert with_normals.fit is not None and without.fit is not None
     assert with_normals.fit.agreement == 1 and math.isfinite(with_normals.fit.tilt_error)
     assert not math.isfinite(without.fit.tilt_error), "an estimate alone does not know it"
@@ -128,7 +129,7 @@ def test_a_larger_common_error_has_less_say(folder: Path):
     errors = []
     for error in (ERROR, 3 * ERROR):
         given = read_inputs(folder, fillers=Fillers(normals=backend(Planted(error=error))))
-        fit = level(assemble(given)[0])[1].fit
+        fit = level(assemble(as_given(given))[0])[1].fit
         assert fit is not None
         errors.append(fit.tilt_error)
     assert errors[1] > errors[0]
