@@ -14,7 +14,7 @@ test: $(VENV)/.dev
 
 # Networks with random weights: torch is large, and only these tests need it. This version is the build for CPUs.
 test-models: $(VENV)/.models
-	$(BIN)/python -m pytest tests/test_neural.py tests/test_model_source.py tests/test_fitted_depth.py
+	$(BIN)/python -m pytest tests/test_neural.py tests/test_model_source.py tests/test_fitted_depth.py tests/test_normal_maps.py
 
 durations: $(VENV)/.dev
 	$(BIN)/python -m pytest -n 2 --dist worksteal --junitxml=$(OUT)/tests.xml

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from f3sr.background import complete_background
+from f3sr.core.srgb import linear, srgb
 from f3sr.core.transforms import Array, rotation_from_vector
 from f3sr.rendering import Renderer
-from f3sr.rendering.textures import linear, srgb
 from f3sr.runtime import kernels
 from f3sr.scene import Photo, Scene
 from f3sr.scene_package.package import is_package, read_package

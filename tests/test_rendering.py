@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Material, Mesh
+from f3sr.core.srgb import linear, srgb
 from f3sr.core.transforms import UP, Array, pose, rotation_from_vector
 from f3sr.errors import InputError
 from f3sr.rendering import LightConfig, RenderConfig, Renderer, ShadowConfig
@@ -23,7 +24,7 @@ from f3sr.rendering.evidence import Evidence
 from f3sr.rendering.light import Light
 from f3sr.rendering.shapes import smooth_normals
 from f3sr.rendering.surface_kernels import texture_at
-from f3sr.rendering.textures import linear, srgb, textures_of
+from f3sr.rendering.textures import textures_of
 from f3sr.scene import Photo, Scene, SceneObject
 from f3sr.vision import rasterizer
 from f3sr.vision.regions import grown

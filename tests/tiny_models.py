@@ -439,8 +439,63 @@ class TinyLama(torch.nn.Module):
 
 
 def lama(file: Path) -> Path:
+    return script(TinyLama(), file)
+
+
+class ColourNormals(torch.nn.Module):
+    """Omnidata's answer where a photo's colours are its normals."""
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        return image
+
+
+class ColourNormalsWithCamera(torch.nn.Module):
+    """DSINE's, a list whose last is best, with a channel of confidence."""
+
+    def forward(self, image: torch.Tensor, intrinsics: torch.Tensor) -> list[torch.Tensor]:
+        mean = torch.tensor([0.485, 0.456, 0.406])[:, None, None]
+        std = torch.tensor([0.229, 0.224, 0.225])[:, None, None]
+        colours = 2 * (image * std + mean) - 1
+        return [-colours, torch.cat([colours, intrinsics[:, :1, :1, None].expand_as(colours[:, :1])], 1)]
+
+
+class PixelRays(torch.nn.Module):
+    """Unit vectors against the rays through pixels, by the camera that it is given; pixel (0, 0) is a middle."""
+
+    def forward(self, image: torch.Tensor, intrinsics: torch.Tensor) -> list[torch.Tensor]:
+        height, width = image.shape[2], image.shape[3]
+        x = torch.arange(width).unsqueeze(0).expand(height, width).float()
+        y = torch.arange(height).unsqueeze(1).expand(height, width).float()
+        K = intrinsics[0]
+        rays = torch.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], torch.ones_like(x)])
+        return [(-rays / (rays * rays).sum(0, keepdim=True).sqrt()).unsqueeze(0)]
+
+
+class TinyNormals(torch.nn.Module):
+    """Sigmoid of a convolution with random weights."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.convolution = torch.nn.Conv2d(3, 3, 5, padding=2)
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        return torch.sigmoid(8 * self.convolution(image))
+
+
+class Constant(torch.nn.Module):
+    """One answer to everything."""
+
+    def __init__(self, answer: torch.Tensor) -> None:
+        super().__init__()
+        self.register_buffer("answer", answer)
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        return self.answer
+
+
+def script(module: torch.nn.Module, file: Path) -> Path:
     torch.manual_seed(0)
-    torch.jit.script(TinyLama()).save(str(file))
+    torch.jit.script(module).save(str(file))
     return file
 
 

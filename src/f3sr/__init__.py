@@ -30,6 +30,7 @@ _PUBLIC = {
     "FilmConfig": "f3sr.film.studio",
     "InputError": "f3sr.errors",
     "Inputs": "f3sr.io.inputs",
+    "NORMAL_ESTIMATORS": "f3sr.metrology.estimators",
     "Mesh": "f3sr.core.mesh",
     "OutputError": "f3sr.errors",
     "Package": "f3sr.scene_package.package",

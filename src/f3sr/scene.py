@@ -84,6 +84,8 @@ class Geometry:
     points: NDArray[np.float32]
     valid: NDArray[np.bool_]
     normals: NDArray[np.float32] | None = None
+    normals_error: float | None = None
+    """One standard error [rad] of what the normals may have wrong alike in all places; None: as good as the points'."""
     source: GeometrySource = "estimate"
     noise: float | None = None
     """Standard deviation of its depths [share of the distance], where a user gives it."""

@@ -21,6 +21,8 @@ class ModelChoice:
     """``auto`` is float32 on a CPU, and what the model's authors use elsewhere."""
     allow_downloads: bool = False
     """Whether weights may be fetched. Without it, only what is on this machine is used."""
+    axes: str = ""
+    """Axes of the normals that a network gives, as "rdf"; empty where they are to be found."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,6 +33,20 @@ class KnownFocal:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class EstimatedNormals:
+    """``values`` (h, w, 3): unit surface normals towards the camera, in camera axes, zero where unknown; h, w need not
+    be the photo's."""
+
+    values: NDArray[np.floating]
+    error: float
+    """One standard error [rad] of what may be wrong alike in all places, which no spread shows."""
+    told: str = ""
+    """What they rest on, and how their axes were found, for the report."""
+    warning: str = ""
+    """Why their axes are doubtful, for the report; empty where they are not."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class PromptedImage:
     """A photo and what is outlined in it."""
 
@@ -45,6 +59,8 @@ class PromptedImage:
     """By the user, by intrinsics.json or by EXIF; estimators may do without it."""
     camera_height: float | None = None
     """Of the camera above the ground [m], where the user gives it; likewise."""
+    normals: EstimatedNormals | None = None
+    """Of a network, only for estimators whose ``takes_normals`` is true."""
 
 
 Stroke = tuple[tuple[float, float], ...]
@@ -127,6 +143,15 @@ class GeometryEstimator(Protocol):
     """
 
     def estimate(self, image: PromptedImage) -> EstimatedGeometry: ...
+
+
+class NormalEstimator(Protocol):
+    """Surface normals of the photo: evidence of the camera, and the normals of a geometry that has none."""
+
+    def normals(self, image: PromptedImage, geometry: Geometry | None, K: Array | None) -> EstimatedNormals:
+        """Normals in camera axes. ``geometry`` with ``K`` (3, 3) [px of the photo] is there where points are known:
+        they tell axes and signs. It is asked without before a camera is found."""
+        ...
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -48,7 +48,9 @@ class Job:
     settings: Mapping[str, Any] = field(default_factory=dict[str, Any])
     """Settings that differ from the defaults, by dotted name."""
     backends: Mapping[str, str] = field(default_factory=dict[str, str])
-    """Names of back ends by option: geometry, assets, scene_graph, background."""
+    """Names of back ends by option: geometry, normals, assets, scene_graph, background."""
+    normals_axes: str = ""
+    """Axes of the normals that a network gives, as "rdf"; empty where they are to be found."""
     device: Device = "auto"
     precision: Precision = "auto"
     allow_downloads: bool = False
@@ -66,7 +68,12 @@ class Job:
     @property
     def choice(self) -> ModelChoice:
         """Of the back ends' models, without their names."""
-        return ModelChoice(device=self.device, precision=self.precision, allow_downloads=self.allow_downloads)
+        return ModelChoice(
+            device=self.device,
+            precision=self.precision,
+            allow_downloads=self.allow_downloads,
+            axes=self.normals_axes,
+        )
 
     @property
     def key(self) -> str:

@@ -21,7 +21,7 @@ from f3sr.goals.refusal import Refusal
 from f3sr.io.input_folder import INPUT_FOLDER
 from f3sr.io.inputs import Fillers
 from f3sr.lifting.generators import ASSET_GENERATORS
-from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS
+from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS, NORMAL_ESTIMATORS
 from f3sr.photo_inputs import read_inputs
 from f3sr.pipeline import Reconstruction
 from f3sr.play.goal_loop import Played, simulate_goal
@@ -60,6 +60,7 @@ def work(
     names = job.backends
     fillers = Fillers(
         geometry=GEOMETRY_ESTIMATORS.find(names["geometry"], job.choice) if "geometry" in names else None,
+        normals=NORMAL_ESTIMATORS.find(names["normals"], job.choice) if "normals" in names else None,
         assets=ASSET_GENERATORS.find(names["assets"], job.choice) if "assets" in names else None,
         scene_graph=SCENE_GRAPHERS.find(names["scene_graph"], job.choice) if "scene_graph" in names else None,
     )

@@ -49,6 +49,7 @@ Ignore = Annotated[
         f"{','.join(options.PARTS)}.",
     ),
 ]
+NormalAxes = Annotated[str, arg(metavar="AXES", help_behavior_hint=default_shown)]
 Axes = Annotated[
     str,
     arg(

@@ -10,7 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 from f3sr import options
-from f3sr.cli.arguments import Axes, DeviceName, Ignore, MaybeFile, MaybeOut, Name, PrecisionName, Skip, default_shown
+from f3sr.cli.arguments import (
+    Axes,
+    DeviceName,
+    Ignore,
+    MaybeFile,
+    MaybeOut,
+    Name,
+    NormalAxes,
+    PrecisionName,
+    Skip,
+    default_shown,
+)
 from f3sr.errors import F3srError, InputError, printable, require_known
 from f3sr.io.pose_conventions import require_asset_frame
 
@@ -53,6 +64,8 @@ def batch(
     ignore: Ignore = "",
     asset_frame: Axes = "auto",
     geometry: Name = None,
+    normals: Name = None,
+    normals_axes: NormalAxes = "",
     assets: Name = None,
     scene_graph: Name = None,
     background: Name = None,
@@ -78,6 +91,8 @@ def batch(
         film: Make films of goals too.
         ray: Run on the Ray cluster of this machine (auto) or at an address, instead of in processes of this command.
         geometry: Back end that estimates geometry where a folder has none.
+        normals: Back end that estimates surface normals where a geometry has none.
+        normals_axes: Axes of these normals, where photos do not tell them, as rdf.
         assets: Back end that generates meshes where a folder has none.
         scene_graph: Back end that proposes relations where a folder has none.
         background: Back end that completes photos behind the objects.
@@ -108,8 +123,11 @@ def batch(
     _require("--wait", wait, 0, 604_800)
     if memory:
         _require("--memory", memory, LEAST_MEMORY_GB, 100_000)
-    backends = {"geometry": geometry, "assets": assets, "scene_graph": scene_graph, "background": background}
+    backends = {"geometry": geometry, "normals": normals, "assets": assets}
+    backends |= {"scene_graph": scene_graph, "background": background}
     named = {kind: name for kind, name in backends.items() if name}
+    if normals_axes and not normals:
+        raise InputError("--normals-axes", found=normals_axes, accepted="together with --normals")
     slots = jobs or (0 if ray else usable_cores())
     share = memory or SHARE * usable_memory() / (slots or usable_cores())
     plan = RunPlan(
@@ -131,7 +149,8 @@ def batch(
         device=device,
         precision=precision,
         allow_downloads=allow_downloads,
-        backend_keys=_backend_keys(named, ModelChoice(device=device, precision=precision)),
+        normals_axes=normals_axes,
+        backend_keys=_backend_keys(named, ModelChoice(device=device, precision=precision, axes=normals_axes)),
         film=film,
         work=plan.work,
     )
@@ -314,10 +333,11 @@ def _backend_keys(named: Mapping[str, str], choice: ModelChoice) -> tuple[str, .
     from f3sr.backends.kinds import SCENE_GRAPHERS
     from f3sr.background.completers import BACKGROUND_COMPLETERS
     from f3sr.lifting.generators import ASSET_GENERATORS
-    from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS
+    from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS, NORMAL_ESTIMATORS
 
     kinds: dict[str, Any] = {
         "geometry": GEOMETRY_ESTIMATORS,
+        "normals": NORMAL_ESTIMATORS,
         "assets": ASSET_GENERATORS,
         "scene_graph": SCENE_GRAPHERS,
         "background": BACKGROUND_COMPLETERS,

@@ -25,7 +25,7 @@ from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.errors import printable
 from f3sr.exporters.protocol import EXPORTERS
 from f3sr.lifting.generators import ASSET_GENERATORS
-from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS
+from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS, NORMAL_ESTIMATORS
 from f3sr.models.model_endpoint import KEYS
 from f3sr.play.languages import LANGUAGES
 from f3sr.runtime import kernels
@@ -36,8 +36,8 @@ from f3sr.segmentation.segmenters import DETECTORS, GROUND_SEGMENTERS, SEGMENTER
 State = Literal["ok", "optional", "limited", "broken", "failed"]
 
 KINDS: tuple[Kind[Any], ...] = (
-    *(SEGMENTERS, DETECTORS, GROUND_SEGMENTERS, GEOMETRY_ESTIMATORS, ASSET_GENERATORS),
-    *(SCENE_GRAPHERS, BACKGROUND_COMPLETERS, LANGUAGES, EXPORTERS),
+    *(SEGMENTERS, DETECTORS, GROUND_SEGMENTERS, GEOMETRY_ESTIMATORS, NORMAL_ESTIMATORS),
+    *(ASSET_GENERATORS, SCENE_GRAPHERS, BACKGROUND_COMPLETERS, LANGUAGES, EXPORTERS),
 )
 LITTLE_MEMORY = 4.0
 """Memory [GB] that the largest stated scene, twenty objects of 200,000 triangles, needs."""

@@ -18,6 +18,7 @@ from f3sr.cli.arguments import (
     MaybeOut,
     MaybePixels,
     Name,
+    NormalAxes,
     PrecisionName,
 )
 from f3sr.cli.reconstruct_command import reconstruct
@@ -43,6 +44,8 @@ def photo(
     segmenter: Name = None,
     ground_segmenter: Name = None,
     geometry: Name = None,
+    normals: Name = None,
+    normals_axes: NormalAxes = "",
     assets: Name = None,
     background: Name = None,
     focal: MaybePixels = None,
@@ -69,6 +72,9 @@ def photo(
         segmenter: Back end that cuts objects out; ``f3sr doctor`` lists its names. Without it: grabcut.
         ground_segmenter: Back end that outlines what the objects stand on. Without it, colours around them tell.
         geometry: Back end that estimates geometry; ``f3sr doctor`` lists its names.
+        normals: Back end that estimates surface normals, as omnidata:FILE: they tell the tilt of the camera.
+        normals_axes: Their axes, where the photo does not tell them: right or left, down or up, forwards or backwards,
+            as rdf.
         assets: Back end that generates meshes; ``f3sr doctor`` lists its names.
         background: Back end that completes the photo behind the objects; ``f3sr doctor`` lists its names.
         focal: Focal length [px] of the upright photo. Without it: what EXIF and the picture tell.
@@ -104,6 +110,8 @@ def photo(
         folder,
         out=package,
         geometry=geometry,
+        normals=normals,
+        normals_axes=normals_axes,
         assets=assets,
         background=background,
         focal=focal,

@@ -19,6 +19,7 @@ from f3sr.cli.arguments import (
     MaybePixels,
     MaybeShare,
     Name,
+    NormalAxes,
     Out,
     PrecisionName,
     Skip,
@@ -41,6 +42,8 @@ def reconstruct(
     asset_frame: Axes = "auto",
     geometry_noise: MaybeShare = None,
     geometry: Name = None,
+    normals: Name = None,
+    normals_axes: NormalAxes = "",
     assets: Name = None,
     scene_graph: Name = None,
     labels: Name = None,
@@ -68,6 +71,10 @@ def reconstruct(
             it: measured for a sensor's depth, 0.01 for an estimate.
         geometry: Back end that estimates geometry where the folder has none; ``f3sr doctor`` lists its names. One with
             a model takes NAME:MODEL, a local file or folder, or a name on the hub.
+        normals: Back end that estimates surface normals, as omnidata:FILE, where the geometry has none: they tell the
+            tilt of the camera. ``f3sr doctor`` lists its names.
+        normals_axes: Axes of these normals, where the photo does not tell them: right or left, down or up, forwards or
+            backwards, as rdf.
         assets: Back end that generates meshes where the folder has none; ``f3sr doctor`` lists its names.
         scene_graph: Back end that proposes relations where the folder has none; ``f3sr doctor`` lists its names. Or a
             vision model, as openai:NAME.
@@ -98,7 +105,7 @@ def reconstruct(
     from f3sr.io.inputs import Fillers
     from f3sr.io.photo_hints import PhotoHints, known_of
     from f3sr.lifting.generators import ASSET_GENERATORS
-    from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS
+    from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS, NORMAL_ESTIMATORS
     from f3sr.photo_inputs import read_inputs
     from f3sr.runtime import atomic_folder, kernels
     from f3sr.runtime.progress import timed, words_to
@@ -110,9 +117,12 @@ def reconstruct(
     if package_folder.is_package(folder):
         raise InputError(folder, found=package_folder.PACKAGE, accepted=INPUT_FOLDER)
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
-    choice = ModelChoice(device=device, precision=precision, allow_downloads=allow_downloads)
+    if normals_axes and normals is None:
+        raise InputError("--normals-axes", found=normals_axes, accepted="together with --normals")
+    choice = ModelChoice(device=device, precision=precision, allow_downloads=allow_downloads, axes=normals_axes)
     fillers = Fillers(
         geometry=_backend(GEOMETRY_ESTIMATORS, geometry, choice),
+        normals=_backend(NORMAL_ESTIMATORS, normals, choice),
         assets=_backend(ASSET_GENERATORS, assets, choice),
         scene_graph=_backend(SCENE_GRAPHERS, scene_graph, choice),
         labels=_backend(LABELERS, labels, choice),

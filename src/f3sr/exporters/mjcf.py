@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from xml.etree import ElementTree as ET
 
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.core.mesh import Mesh
+from f3sr.core.mesh import Material, Mesh
 from f3sr.core.transforms import Array, quaternion_from_rotation
 from f3sr.exporters.collision_parts import collision_files, collision_path
+from f3sr.exporters.colour_atlas import AtlasConfig, ColourAtlas, bake_colours
 from f3sr.exporters.obj import to_obj
 from f3sr.io.gltf_writer import png_of
+from f3sr.io.images import encode_png
 from f3sr.physics.mujoco_model import (
     CONDIM,
     DEFAULT_PHYSICS,
@@ -35,18 +37,22 @@ LEAST_AREA = 1e-12
 """[m2]: faces of one material with less than this cannot be seen, and MuJoCo refuses a mesh of them."""
 
 
+@dataclass(frozen=True, kw_only=True)
 class Mjcf:
     """The ``Exporter`` of ``scene.xml`` with all that it names: visual meshes, textures and convex parts."""
 
+    atlas: AtlasConfig = field(default_factory=AtlasConfig)
     name = "mjcf"
 
     def files(self, scene: Scene, physics: PhysicsConfig) -> Iterator[tuple[str, bytes]]:
         for o in scene:
             yield from collision_files(o.id, body_of(o)).items()
-        yield from to_mjcf(scene, physics)
+        yield from to_mjcf(scene, physics, self.atlas)
 
 
-def to_mjcf(scene: Scene, config: PhysicsConfig = DEFAULT_PHYSICS) -> Iterator[tuple[str, bytes]]:
+def to_mjcf(
+    scene: Scene, config: PhysicsConfig = DEFAULT_PHYSICS, atlas: AtlasConfig | None = None
+) -> Iterator[tuple[str, bytes]]:
     """The visual meshes and textures of ``scene.xml``, then itself, each with its relative path.
 
     One at a time, for together they are large. It also names the convex parts of ``collision_files``, which belong
@@ -60,7 +66,7 @@ def to_mjcf(scene: Scene, config: PhysicsConfig = DEFAULT_PHYSICS) -> Iterator[t
     for o in scene:
         body = body_of(o)
         node = _body(world, body)
-        for look in _looks(o):
+        for look in _looks(o, atlas):
             yield from look.files
             _visual(asset, node, look)
         _collision(asset, node, body, o.id)
@@ -156,8 +162,9 @@ class _Look:
     rgb: Sequence[float]
 
 
-def _looks(o: SceneObject) -> Iterator[_Look]:
-    """One visual mesh per material in use. MuJoCo knows no vertex colours: their mean stands for them."""
+def _looks(o: SceneObject, atlas: AtlasConfig | None) -> Iterator[_Look]:
+    """One visual mesh per material in use. MuJoCo knows no vertex colours: they become a texture, where the material
+    has none. Else their mean stands for them."""
     mesh = o.mesh
     assert mesh.face_material is not None
     for k in np.unique(mesh.face_material):
@@ -165,21 +172,43 @@ def _looks(o: SceneObject) -> Iterator[_Look]:
         if _area(o.scale * mesh.vertices[faces]) < LEAST_AREA:
             continue
         material, stem = mesh.materials[k], f"visual/{o.id:02d}_{k:02d}"
-        files = [(f"{stem}.obj", _visual_obj(mesh, faces, o.scale).encode())]
-        texture = None if material.texture is None or mesh.uv is None else f"{stem}.png"
-        if texture is not None:
-            files.append((texture, png_of(material)))
-        mean = 1.0 if mesh.vertex_colors is None else mesh.vertex_colors[np.unique(faces)].mean(0) / 255
-        rgb = (np.asarray(material.base_color) * mean).tolist()
-        yield _Look(name=f"visual_{o.id:02d}_{k:02d}", files=files, mesh=f"{stem}.obj", texture=texture, rgb=rgb)
+        painted = None if material.texture is None or mesh.uv is None else material
+        baked, colour = (None, (1.0, 1.0, 1.0)) if mesh.vertex_colors is None else _baked(mesh, faces, painted, atlas)
+        png = encode_png(baked.texture) if baked else png_of(painted) if painted else None
+        files = [(f"{stem}.obj", _visual_obj(mesh, faces, o.scale, baked).encode())]
+        if png is not None:
+            files.append((f"{stem}.png", png))
+        yield _Look(
+            name=f"visual_{o.id:02d}_{k:02d}",
+            files=files,
+            mesh=f"{stem}.obj",
+            texture=None if png is None else f"{stem}.png",
+            rgb=(np.asarray(material.base_color) * colour).tolist(),
+        )
 
 
-def _visual_obj(mesh: Mesh, faces: NDArray[np.int32], scale: float) -> str:
+def _baked(
+    mesh: Mesh, faces: NDArray[np.int32], painted: Material | None, atlas: AtlasConfig | None
+) -> tuple[ColourAtlas | None, Sequence[float]]:
+    """The vertex colours of some faces as a texture, or as one colour: their own, or their mean under a texture."""
+    colours = mesh.vertex_colors
+    assert colours is not None
+    used = colours[np.unique(faces)]
+    if painted is None and (used != used[0]).any():
+        baked = bake_colours(mesh.vertices, faces, colours, atlas)
+        if baked is not None:
+            return baked, (1.0, 1.0, 1.0)
+    return None, (used.mean(0) / 255).tolist()
+
+
+def _visual_obj(mesh: Mesh, faces: NDArray[np.int32], scale: float, baked: ColourAtlas | None) -> str:
     """The chosen faces in metres; a vertex is repeated where there are fewer than the four MuJoCo wants."""
     used, inverse = np.unique(faces, return_inverse=True)
     used = np.concatenate([used, np.repeat(used[-1:], max(0, 4 - len(used)))])
-    uv = None if mesh.uv is None else mesh.uv[used]
-    return to_obj(scale * mesh.vertices[used], inverse.reshape(-1, 3).astype(np.int32), uv)
+    vertices, own = scale * mesh.vertices[used], inverse.reshape(-1, 3).astype(np.int32)
+    if baked is not None:
+        return to_obj(vertices, own, baked.uv, baked.uv_faces)
+    return to_obj(vertices, own, None if mesh.uv is None else mesh.uv[used])
 
 
 def _area(triangles: Array) -> float:

@@ -21,8 +21,16 @@ def part_to_obj(part: ConvexPart) -> str:
     return to_obj(part.vertices.astype(np.float32).astype(float), part.faces, digits=17)
 
 
-def to_obj(vertices: Array, faces: NDArray[np.int32], uv: Array | None = None, *, digits: int = 12) -> str:
-    """Vertices (n, 3), triangles (m, 3) and, per vertex, texture coordinates (n, 2) with v upwards."""
+def to_obj(
+    vertices: Array,
+    faces: NDArray[np.int32],
+    uv: Array | None = None,
+    uv_faces: NDArray[np.int32] | None = None,
+    *,
+    digits: int = 12,
+) -> str:
+    """Vertices (n, 3), triangles (m, 3) and texture coordinates (k, 2) with v upwards: those of the corners' rows
+    (m, 3), or of the vertices."""
     corners = (faces + 1).astype(np.int64)
     number = f"%.{digits}g"
     text = [*_rows(f"v {number} {number} {number}\n", vertices)]
@@ -30,7 +38,8 @@ def to_obj(vertices: Array, faces: NDArray[np.int32], uv: Array | None = None, *
         text += _rows("f %d %d %d\n", corners)
     else:
         text += _rows("vt %.9g %.9g\n", uv)
-        text += _rows("f %d/%d %d/%d %d/%d\n", np.repeat(corners, 2, axis=1))
+        shown = corners if uv_faces is None else (uv_faces + 1).astype(np.int64)
+        text += _rows("f %d/%d %d/%d %d/%d\n", np.stack([corners, shown], 2).reshape(-1, 6))
     return "".join(text)
 
 

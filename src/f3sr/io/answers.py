@@ -20,9 +20,11 @@ from f3sr.backends.protocols import (
     AssetGenerator,
     Detection,
     EstimatedGeometry,
+    EstimatedNormals,
     GeneratedAsset,
     GeometryEstimator,
     Labeler,
+    NormalEstimator,
     PromptedImage,
     SceneGrapher,
 )
@@ -43,6 +45,8 @@ MAX_RELATIONS = 10_000
 """Most relations of a kind that are given: every pair of a hundred objects, both ways."""
 MAX_REASON = 1000
 """Most characters of a relation's reason, which goes into the package and its report."""
+UNIT = 1e-3
+"""Largest difference of a normal's length from 1."""
 RIGID = 1e-4
 """Largest entry of R'R - 1 that a rotation may have: single precision and rounding in files leave less."""
 LABEL = re.compile(r"[a-z][a-z0-9' -]{0,38}[a-z0-9]")
@@ -72,6 +76,39 @@ def geometry_of(
     folder.decide(f"geometry: estimated by {where}{told and ': '}{told}", ABSENT, fallback=fallback)
     tell_stretch(folder, geometry, image.photo)
     return geometry, K
+
+
+def normals_of(
+    folder: InputFolder,
+    backend: Backend[NormalEstimator],
+    image: PromptedImage,
+    geometry: Geometry | None = None,
+    K: Array | None = None,
+) -> EstimatedNormals:
+    """The normals (h, w, 3) float32 that a back end estimates; ``geometry`` and K (3, 3) where points are known."""
+    where = str(backend)
+    answer = _typed(where, backend.asked(lambda b: b.normals(image, geometry, K)), EstimatedNormals)
+    values = _array(where, "values", answer.values, "f", ("h", "w", 3)).astype(np.float32)
+    lengths = np.linalg.norm(values, axis=2)
+    if not (np.isclose(lengths, 1, atol=UNIT) | (lengths == 0)).all():  # NaN is neither
+        worst = float(lengths[~np.isclose(lengths, 1, atol=UNIT)][0])
+        _refuse(where, f"a normal of length {worst:.3g}", "unit vectors, or zero where unknown")
+    error = _number(where, answer.error)
+    if not 0 <= error <= math.pi:
+        _refuse(where, f"an error of {error:g} rad", "0 to pi")
+    folder.digests[f"normals by {backend.key}"] = _digest(values, error)
+    told, warning = _told(where, answer.told), _told(where, answer.warning)
+    folder.decide(f"normals: estimated by {where}{told and ': '}{told}", "named by the user")
+    if warning:
+        folder.decide("normals: their axes are doubtful", warning, fallback=True)
+    return replace(answer, values=values, error=error)
+
+
+def with_normals(geometry: Geometry, normals: EstimatedNormals) -> Geometry:
+    """The geometry with normals of the whole photo, read at its own pixels."""
+    (h, w), (rows, columns) = geometry.valid.shape, normals.values.shape[:2]
+    at = ((np.arange(h) + 0.5) * rows / h).astype(int)[:, None], ((np.arange(w) + 0.5) * columns / w).astype(int)
+    return replace(geometry, normals=normals.values[at], normals_error=normals.error)
 
 
 def camera_of(folder: InputFolder, backend: Backend[GeometryEstimator], image: PromptedImage) -> Array:

@@ -18,6 +18,7 @@ from f3sr.backends.protocols import (
     GeometryEstimator,
     KnownFocal,
     Labeler,
+    NormalEstimator,
     PromptedImage,
     SceneGrapher,
 )
@@ -32,7 +33,9 @@ from f3sr.io.answers import (
     geometry_of,
     graph_of,
     labels_of,
+    normals_of,
     require_relation,
+    with_normals,
 )
 from f3sr.io.assets import ASSETS_ACCEPTED, PosedAsset, has_unplaced_meshes, read_assets, require_size
 from f3sr.io.exif import ExifError, focal_by_exif
@@ -117,6 +120,8 @@ class Fillers:
     assets: Backend[AssetGenerator] | None = None
     scene_graph: Backend[SceneGrapher] | None = None
     labels: Backend[Labeler] | None = None
+    normals: Backend[NormalEstimator] | None = None
+    """Asked where nothing measures the ground: no geometry, or one without normals."""
     places: Callable[[Path], Backend[AssetGenerator]] | None = None
     """For the folder's own meshes that tell no agreed pose: of their folder, the back end that places them."""
 
@@ -127,6 +132,7 @@ class Fillers:
             assets=self.assets and self.assets.telling(tell),
             scene_graph=self.scene_graph and self.scene_graph.telling(tell),
             labels=self.labels and self.labels.telling(tell),
+            normals=self.normals and self.normals.telling(tell),
         )
 
 
@@ -169,7 +175,9 @@ def read(
     instances = parts.labelled(photo, instances)
     ground_mask = parts.ground_mask(photo, instances)
     image = PromptedImage(photo=photo, instances=instances, ground_mask=ground_mask)
-    geometry, K = parts.geometry(parts.hinted(image, told))
+    seen = parts.shown(parts.hinted(image, told))
+    geometry, K = parts.geometry(seen)
+    geometry = parts.facing(seen, geometry, K)
     parts.require_taken(photo, geometry, K)
     if geometry_noise is not None:
         geometry = _with_noise(source, geometry, geometry_noise)
@@ -292,6 +300,24 @@ class _Parts:
         if not given:
             raise InputError(self.folder.root, found="no geometry", accepted=GEOMETRY_ACCEPTED)
         return read_geometry(self.folder, image.photo)
+
+    def shown(self, image: PromptedImage) -> PromptedImage:
+        """With a network's normals, where a camera is to be found by an estimator that takes them."""
+        found = not self.has("geometry", *GEOMETRY_FILES) or self.lacks_intrinsics
+        maker = self.fillers.geometry or self.stand_ins.geometry
+        if self.fillers.normals is None or not found or not getattr(maker and maker.made, "takes_normals", False):
+            return image
+        return replace(image, normals=normals_of(self.folder, self._standing_in(self.fillers.normals), image))
+
+    def facing(self, image: PromptedImage, geometry: Geometry, K: Array) -> Geometry:
+        """With a network's normals, where the geometry has none, and was not made by them."""
+        backend = self.fillers.normals
+        if backend is None or (image.normals is not None and geometry.guessed_unit):
+            return geometry
+        if geometry.normals is not None:
+            self.folder.decide(f"normals: as the geometry has them; {backend} is not asked", "it has normals")
+            return geometry
+        return with_normals(geometry, normals_of(self.folder, self._standing_in(backend), image, geometry, K))
 
     def assets(self, image: PromptedImage, geometry: Geometry, K: Array, frame: str) -> dict[int, PosedAsset]:
         given = self.has("assets", "assets")

@@ -20,6 +20,7 @@ from f3sr.metrology.edges import edge_points, line_segments
 from f3sr.metrology.ellipses import Ellipse, rims
 from f3sr.metrology.posterior import PosteriorSample, sampled, weighted
 from f3sr.settings import constants, settings
+from f3sr.vision.ground_plane import GroundNormal
 
 LONGEST = 1600
 """Longer side of the photo in which edges are sought [px]: more adds noise, not directions."""
@@ -90,6 +91,14 @@ class HorizonModel:
     """Width of the bound that ground lies below the horizon [longer image sides]."""
 
 
+@constants
+class GroundNormalModel:
+    """How a network's normal of the ground scatters about the vertical."""
+
+    strange: float = 0.1
+    """Share of normals that are no ground's: a slope, or a wrong answer. They are even over the half sphere."""
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CameraEstimate:
     """A camera's focal length [px] and attitude [rad]; its principal point is in the middle unless told.
@@ -105,6 +114,8 @@ class CameraEstimate:
     segments: int
     """Line segments that were weighed, as the next."""
     rims: int
+    normal_off: float | None = None
+    """Angle of the network's normal of the ground to ``up`` [rad], where there is one."""
 
     @property
     def up(self) -> Array:
@@ -130,6 +141,9 @@ class _CameraEvidence:
     directions: DirectionModel
     circles: RimModel
     horizon: HorizonModel
+    ground: GroundNormal | None
+    """By a network."""
+    slopes: GroundNormalModel
 
     def log_posterior(self, x: Array, *, turn: float, blur: float = 0.0) -> Array:
         """(t,) up to a constant, for cameras x (t, 3)."""
@@ -137,7 +151,7 @@ class _CameraEvidence:
         rotations = np.array([attitude(pitch, roll) for pitch, roll in x[:, 1:]])
         lines = log_likelihoods(self.segments, focals, rotations, self.directions, step=turn, blur=blur).sum(1)
         prior = -0.5 * (((x - self.means) / self.sigmas) ** 2).sum(1)
-        return lines + self._circular(focals, rotations) + self._below(x) + prior
+        return lines + self._circular(focals, rotations) + self._below(x) + self._upright(rotations, blur) + prior
 
     def _circular(self, focals: Array, rotations: Array) -> Array:
         """Log-likelihood (t,) of all rims as horizontal circles, over that of ellipses of any shape.
@@ -162,6 +176,16 @@ class _CameraEvidence:
             inlier = (1 - strange) / (2 * sigma**2) * np.exp(-0.5 * (unequal / sigma) ** 2)
             total += np.log1p(inlier / strange)  # other ellipses are even over the unit disk
         return total
+
+    def _upright(self, rotations: Array, blur: float) -> Array:
+        """Log-likelihood (t,) of the network's normal of the ground, over that of normals that are no ground's."""
+        if self.ground is None:
+            return np.zeros(len(rotations))
+        sigma = math.hypot(self.ground.error / 2, blur)
+        # 2 (1 - cos) is the squared angle where it matters.
+        far = (1 - rotations[:, :, 2] @ self.ground.normal) / sigma**2
+        strange = self.slopes.strange
+        return np.log1p((1 - strange) / strange / sigma**2 * np.exp(-far))
 
     def _below(self, x: Array) -> Array:
         """Log-likelihood (t,) of the horizon's place: ground is below it, and the camera above much of what stands."""
@@ -192,12 +216,14 @@ def estimate_camera(
     *,
     focal: KnownFocal | None = None,
     priors: CameraPriors | None = None,
+    normal: GroundNormal | None = None,
 ) -> CameraEstimate:
     """The camera of a photo (H, W, 3) with masks (H, W) of objects and of the ground.
 
-    ``focal`` is what somebody tells of the focal length, and of the principal point. The posterior is searched on a
+    ``focal`` is what somebody tells of the focal length, and of the principal point; ``normal`` is a network's normal
+    of the ground, in camera axes. The posterior is searched on a
     grid and then sampled; the samples' spread gives the errors."""
-    evidence, scale = _evidence(rgb, masks, ground, focal, priors or CameraPriors())
+    evidence, scale = _evidence(rgb, masks, ground, focal, priors or CameraPriors(), normal)
     found = _posterior(evidence)
     best = found.centre(WINDOW)
     f, pitch, roll = map(float, np.sqrt(np.diag(found.covariance(best))))
@@ -208,6 +234,7 @@ def estimate_camera(
         errors=(f, pitch, roll),
         segments=len(evidence.segments.sigmas),
         rims=len(evidence.rims),
+        normal_off=None if normal is None else _angle(normal.normal, attitude(float(best[1]), float(best[2]))[:, 2]),
     )
 
 
@@ -217,6 +244,7 @@ def _evidence(
     ground: NDArray[np.bool_] | None,
     focal: KnownFocal | None,
     priors: CameraPriors,
+    normal: GroundNormal | None,
 ) -> tuple[_CameraEvidence, float]:
     """What the photo shows, and its pixels per pixel of that."""
     scale = max(1.0, max(rgb.shape[:2]) / LONGEST)
@@ -247,7 +275,14 @@ def _evidence(
         directions=model,
         circles=RimModel(),
         horizon=HorizonModel(),
+        ground=normal,
+        slopes=GroundNormalModel(),
     ), scale
+
+
+def _angle(a: Array, b: Array) -> float:
+    """Between unit vectors (3,) [rad]."""
+    return math.acos(min(1.0, float(a @ b)))
 
 
 def _extent(mask: NDArray[np.bool_], side: float, centre: Array) -> tuple[float, float, float]:

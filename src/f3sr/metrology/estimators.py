@@ -1,8 +1,9 @@
-"""Estimators of geometry by name: ours, and what other packages add in the entry point group ``f3sr.geometry``."""
+"""Estimators of geometry and of normals by name: ours, and what other packages add in the entry point groups
+``f3sr.geometry`` and ``f3sr.normals``."""
 
 from __future__ import annotations
 
-from f3sr.backends.protocols import GeometryEstimator
+from f3sr.backends.protocols import GeometryEstimator, NormalEstimator
 from f3sr.backends.registry import Kind
 
 DEFAULT_ESTIMATOR = "metrology"
@@ -21,5 +22,13 @@ GEOMETRY_ESTIMATORS = Kind(
         "metric3d": "f3sr.metrology.worker_geometry:metric3d",
         "vggt": "f3sr.metrology.worker_geometry:vggt",
         "worker": "f3sr.metrology.worker_geometry:worker",
+    },
+)
+NORMAL_ESTIMATORS = Kind(
+    name="normals",
+    protocol=NormalEstimator,
+    built_in={
+        "omnidata": "f3sr.metrology.network_normals:OmnidataNormals",
+        "dsine": "f3sr.metrology.network_normals:DsineNormals",
     },
 )

@@ -34,6 +34,7 @@ class FittedDepth:
     """A GeometryEstimator of a depth network. Metric depths take K of the metrology, or the known focal length."""
 
     takes_model: ClassVar[bool] = True
+    takes_normals: ClassVar[bool] = True
     network_class: ClassVar[type[DepthNetwork]]
 
     def __init__(self, choice: ModelChoice | None = None, reference: GeometryEstimator | None = None) -> None:

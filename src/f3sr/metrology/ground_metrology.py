@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 from f3sr.backends.protocols import EstimatedGeometry, PromptedImage
 from f3sr.core.transforms import Array
 from f3sr.metrology.camera_estimate import CameraEstimate, CameraPriors, estimate_camera
+from f3sr.metrology.ground_normal import ground_normal
+from f3sr.vision.ground_plane import GroundNormal
 from f3sr.vision.silhouette import resample, union_of
 
 LONGEST = 512
@@ -27,19 +30,24 @@ class GroundMetrology:
     """Focal length, gravity and ground of one photo (Criminisi, Reid and Zisserman 2000); no network."""
 
     priors: CameraPriors = field(default_factory=CameraPriors)
+    takes_normals: ClassVar[bool] = True
 
     def estimate(self, image: PromptedImage) -> EstimatedGeometry:
         """The ground's points where the photo shows it; objects get none. K has its principal point in the middle,
         unless somebody tells it."""
         photo, masks = image.photo, [i.mask for i in image.instances]
-        camera = estimate_camera(photo.rgb, masks, image.ground_mask, focal=image.focal, priors=self.priors)
+        normal = ground_normal(image)
+        camera = estimate_camera(
+            photo.rgb, masks, image.ground_mask, focal=image.focal, priors=self.priors, normal=normal
+        )
         x, y = (image.focal and image.focal.centre) or (photo.width / 2, photo.height / 2)
         K = np.array([[camera.focal, 0, x], [0, camera.focal, y], [0, 0, 1]])
         height = image.camera_height or (ROOM if _shows_horizon(camera, K) else TABLE)
         h, w = (max(1, round(n * min(1, LONGEST / max(photo.rgb.shape[:2])))) for n in photo.rgb.shape[:2])
         points, seen = _plane(K, camera.up, height, (photo.width, photo.height), (w, h))
         valid = seen & ~resample(union_of((i.mask for i in image.instances), photo.rgb.shape[:2]), w, h)
-        return EstimatedGeometry(points=points, valid=valid, K=K, ground_only=True, told=_told(camera, image, height))
+        told = _told(camera, image, height, normal)
+        return EstimatedGeometry(points=points, valid=valid, K=K, ground_only=True, told=told)
 
 
 def _shows_horizon(camera: CameraEstimate, K: Array) -> bool:
@@ -59,13 +67,19 @@ def _plane(
     return rays * np.where(valid, depth, 0)[..., None], valid
 
 
-def _told(camera: CameraEstimate, image: PromptedImage, height: float) -> str:
+def _told(camera: CameraEstimate, image: PromptedImage, height: float, normal: GroundNormal | None) -> str:
     degrees = math.degrees
     f, pitch, roll = camera.errors
     known = f" (told by {image.focal.source})" if image.focal else ""
+    seen = ""
+    if normal is not None and camera.normal_off is not None:
+        error = degrees(normal.error) / 2
+        seen = f" and a network's normals of the ground, {degrees(camera.normal_off):.1f} +- {error:.1f} degrees off"
+    elif image.normals is not None:
+        seen = "; the network's normals show no plane where the ground is"
     over = "is, as given," if image.camera_height else "is taken to be"
     return (
         f"focal length {camera.focal:.0f} px +- {100 * f:.0f} %{known}, pitch {degrees(camera.pitch):.1f} +- "
         f"{degrees(pitch):.1f} and roll {degrees(camera.roll):.1f} +- {degrees(roll):.1f} degrees by {camera.segments} "
-        f"line segments and {camera.rims} rims; the camera {over} {height:g} m above the ground"
+        f"line segments and {camera.rims} rims{seen}; the camera {over} {height:g} m above the ground"
     )

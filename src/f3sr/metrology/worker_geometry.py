@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,8 @@ class WorkerGeometry:
 
     The camera is the one that somebody tells, else the model's own, else the metrology's. Metric depths stay. Scaled
     ones get the metrology's height of the camera, and relative ones are fitted to its ground plane."""
+
+    takes_normals: ClassVar[bool] = True
 
     def __init__(self, worker: GeometryWorker, reference: GeometryEstimator | None = None) -> None:
         self.worker = worker

@@ -1,42 +1,32 @@
-"""LaMa (Suvorov et al. 2022): the photo behind its objects, by a TorchScript file.
-
-A TorchScript file is a program: it is run only where the user names a local file, never one of the hub.
-"""
+"""LaMa (Suvorov et al. 2022): the photo behind its objects, by a TorchScript file."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.errors import InputError, one_line
-from f3sr.neural.model_loading import REMEDY, LocalModel, ModelFamily, torch_library
-from f3sr.neural.model_source import Weights, find_file
+from f3sr.errors import InputError
+from f3sr.neural.model_loading import REMEDY, ModelFamily, torch_library
+from f3sr.neural.torch_script import TorchScriptModel
 from f3sr.scene import Photo
 
 MULTIPLE = 8
 """Sides of the input are multiples of it [px]."""
 
 
-class LamaCompleter(LocalModel):
+class LamaCompleter(TorchScriptModel):
     """The BackgroundCompleter ``lama:FILE``."""
 
     family: ClassVar[ModelFamily] = ModelFamily(title="LaMa", gigabytes=4.0, packages={"torch": REMEDY})
-
-    def weights(self) -> Weights:
-        """The file. Raises InputError unless it is a local one."""
-        if not self.name or not Path(self.name).expanduser().is_file():
-            accepted = "lama:FILE, a local TorchScript file such as big-lama.pt, which you trust: it is a program"
-            raise InputError("lama", found=self.name or "no file", accepted=accepted)
-        return find_file(self.name, file="", title=self.family.title, allow_downloads=False)
+    script: ClassVar[tuple[str, str]] = ("lama", "big-lama.pt")
 
     def complete(self, photo: Photo, hole: NDArray[np.bool_], support: NDArray[np.bool_] | None) -> NDArray[np.uint8]:
         """The photo (H, W, 3) with the hole (H, W) by the network, and nothing else of it. The network sees the
         photo mirrored at its right and lower border, up to the next multiple of 8."""
         torch = torch_library(self.family.title)
-        model = self.loaded(self._read)
+        model = self.network()
         device, _ = self.place()
         pixels, mask = _padded(photo.rgb.astype(np.float32) / np.float32(255)), _padded(hole.astype(np.float32))
         with torch.inference_mode():
@@ -47,14 +37,6 @@ class LamaCompleter(LocalModel):
             raise InputError(self.name, found=found, accepted=f"{tuple(seen.shape)}, finite, as LaMa gives it")
         filled = (out[0].permute(1, 2, 0).clamp(0, 1).cpu().numpy() * 255).round().astype(np.uint8)
         return np.where(hole[..., None], filled[: photo.height, : photo.width], photo.rgb)
-
-    def _read(self, weights: Weights) -> Any:
-        torch = torch_library(self.family.title)
-        try:
-            return torch.jit.load(str(weights.path), map_location="cpu")
-        except (OSError, ValueError, RuntimeError) as error:
-            found = one_line(f"{type(error).__name__}: {error}")
-            raise InputError(weights.path, found=found, accepted="a TorchScript file of LaMa") from error
 
 
 def _padded(values: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
+from f3sr.core.srgb import srgb
 from f3sr.core.transforms import Array, transform
 from f3sr.rendering.config import RenderConfig
 from f3sr.rendering.layers import (
@@ -34,7 +35,7 @@ from f3sr.rendering.picture_kernels import (
 )
 from f3sr.rendering.shadow_kernels import note_changes
 from f3sr.rendering.surface_kernels import FrameGeometry, Lamps, mark_shadowed, shade, tile_depths
-from f3sr.rendering.textures import LINEAR, srgb
+from f3sr.rendering.textures import LINEAR
 from f3sr.vision import rasterizer
 
 CELL = 2

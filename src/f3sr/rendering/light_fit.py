@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from f3sr.core.srgb import srgb
 from f3sr.core.transforms import Array, rotation_about
 from f3sr.rendering.config import LightConfig
 from f3sr.rendering.evidence import FEW, Evidence
 from f3sr.rendering.fit_kernels import add_equations, sum_lit, sum_misfits
 from f3sr.rendering.light import DIRECT, Light, disc, even_sky
 from f3sr.rendering.shadow_maps import Caster, Maps
-from f3sr.rendering.textures import srgb
 from f3sr.vision import rasterizer
 
 CANDIDATES = 120

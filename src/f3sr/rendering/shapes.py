@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.mesh import Mesh, is_closed, signed_volume
+from f3sr.core.srgb import linear
 from f3sr.core.transforms import Array
 from f3sr.rendering.shadow_maps import Caster
 from f3sr.rendering.surface_kernels import Shapes, corner_normals
-from f3sr.rendering.textures import linear
 from f3sr.scene import SceneObject
 from f3sr.vision import rasterizer
 

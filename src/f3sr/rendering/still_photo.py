@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.background.membrane import membrane
+from f3sr.core.srgb import srgb
 from f3sr.core.transforms import Array
 from f3sr.rendering.canvas import Canvas
 from f3sr.rendering.ground import APART, DARK
-from f3sr.rendering.textures import LINEAR, srgb
+from f3sr.rendering.textures import LINEAR
 from f3sr.scene import Scene
 from f3sr.vision.regions import Mask, distance_to, grown
 from f3sr.vision.silhouette import union_of

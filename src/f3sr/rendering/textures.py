@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.mesh import Material, Mesh
+from f3sr.core.srgb import linear
 from f3sr.rendering.surface_kernels import Textures
 from f3sr.rendering.texture_kernels import border, halve, settle
 from f3sr.scene import SceneObject
@@ -15,16 +16,6 @@ from f3sr.vision import rasterizer
 
 WHITE = np.full((1, 1, 3), 255, np.uint8)
 """The texture of a material that has none: one white texel."""
-
-
-def linear(srgb: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Linear light in [0, 1] of sRGB values in [0, 1], of any shape (IEC 61966-2-1)."""
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-
-
-def srgb(light: NDArray[np.float64]) -> NDArray[np.float64]:
-    """sRGB values in [0, 1] of linear light in [0, 1], of any shape; the inverse of ``linear``."""
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 0) ** (1 / 2.4) - 0.055)
 
 
 LINEAR = rasterizer.fixed(linear(np.arange(256) / 255), np.float64)

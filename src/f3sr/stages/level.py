@@ -18,6 +18,7 @@ from f3sr.scene import Geometry, Ground, Scene, SceneObject
 from f3sr.settings import settings
 from f3sr.vision.ground_plane import (
     ALIKE,
+    LEAN,
     FocalLength,
     GroundNormal,
     GroundPlane,
@@ -93,7 +94,7 @@ def level(scene: Scene, config: LevelConfig | None = None) -> tuple[Scene, Level
     agree, normals, agreement = agreeing(normals, plane.normal)
     seen, decisions = None, list[Decision]()
     if agreement >= 0.5:  # fewer agree with it than not: no vote
-        seen = normal_of(points[agree], normals[agree])
+        seen = normal_of(points[agree], normals[agree], lean=_lean(scene.geometry))
         center = CENTER * max(scene.camera.width, scene.camera.height) / float(scene.camera.K[0, 0])
         focal = focal_length(points[agree], seen, center=center) if config.focal_sigma else None
         if focal:
@@ -210,6 +211,11 @@ def _ground_points(scene: Scene, rng: np.random.Generator) -> tuple[Array, Array
     lengths = np.linalg.norm(normals, axis=1)
     lengths[~(lengths > 0.5)] = np.nan
     return points, normals / lengths[:, None], source
+
+
+def _lean(geometry: Geometry | None) -> float:
+    """Two standard errors of the normals that are alike in all places [rad]."""
+    return LEAN if geometry is None or geometry.normals_error is None else 2 * geometry.normals_error
 
 
 def _lower_region(scene: Scene, geometry: Geometry) -> NDArray[np.bool_]:

@@ -132,13 +132,13 @@ def agreeing(normals: Array, normal: Array) -> tuple[NDArray[np.bool_], Array, f
     return agree, np.where(cosines[:, None] < 0, -normals, normals), share
 
 
-def normal_of(points: Array, normals: Array) -> GroundNormal:
+def normal_of(points: Array, normals: Array, *, lean: float = LEAN) -> GroundNormal:
     """The median of surface normals (n, 3) at points (n, 3). Its error is the spread of the medians of contiguous
-    groups, and ``LEAN``: what a network gets wrong in one place it may get wrong in all."""
+    groups, and ``lean``, two standard errors [rad]: what a network gets wrong in one place it may get wrong in all."""
     groups = _groups(*_axes(points)[:2])
     medians = np.array([_unit(np.median(normals[groups == k], axis=0)) for k in np.unique(groups)])
     error = float(np.linalg.norm(medians.std(0, ddof=1))) if len(medians) > 1 else np.inf
-    return GroundNormal(normal=_unit(np.median(normals, axis=0)), error=math.hypot(2 * error, LEAN))
+    return GroundNormal(normal=_unit(np.median(normals, axis=0)), error=math.hypot(2 * error, lean))
 
 
 def combined(one: GroundNormal, other: GroundNormal) -> GroundNormal:
