@@ -11,6 +11,7 @@ import pytest
 from f3sr import proxies
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh, signed_volume
+from f3sr.core.srgb import srgb
 from f3sr.core.transforms import UP, Array, pose, rotation_about
 from f3sr.lifting.balls import fit_ball
 from f3sr.lifting.boxes import fit_box, fit_carved
@@ -29,7 +30,7 @@ from f3sr.metrology.camera_estimate import attitude
 from f3sr.photo_inputs import read_inputs
 from f3sr.pipeline import as_given
 from f3sr.rendering.renderer import Renderer, poses_at_rest
-from f3sr.rendering.textures import LINEAR, srgb
+from f3sr.rendering.textures import LINEAR
 from f3sr.scene import GROUND, Instance, Photo, Scene, SceneObject
 from f3sr.stages.align import align
 from f3sr.stages.assemble import assemble

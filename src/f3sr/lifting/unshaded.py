@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import Mesh
+from f3sr.core.srgb import srgb
 from f3sr.core.transforms import UP, Array
 from f3sr.lifting.solids import Solid
 from f3sr.rendering.config import LightConfig, RenderConfig
@@ -19,7 +20,7 @@ from f3sr.rendering.evidence import Evidence, Samples, ground_points
 from f3sr.rendering.light_fit import find_light
 from f3sr.rendering.shadow_maps import Caster
 from f3sr.rendering.shapes import smooth_normals
-from f3sr.rendering.textures import LINEAR, srgb
+from f3sr.rendering.textures import LINEAR
 from f3sr.vision import rasterizer
 from f3sr.vision.regions import grown, shrunk
 from f3sr.vision.silhouette import union_of
