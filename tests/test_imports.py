@@ -71,7 +71,7 @@ FLOORS = (
     ("stages", "launches"),
     ("pipeline",),
     ("language", "report_page"),
-    ("play", "delivery", "scene_samples", "photo_inputs"),
+    ("play", "delivery", "scene_samples", "scene_export", "photo_inputs"),
     ("film", "dataset", "agents"),
     ("batch", "mcp_server"),
     ("cli",),

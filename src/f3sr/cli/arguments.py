@@ -49,6 +49,7 @@ Ignore = Annotated[
         f"{','.join(options.PARTS)}.",
     ),
 ]
+Formats = Annotated[str, arg(metavar="FORMATS", help_behavior_hint=default_shown)]
 Axes = Annotated[
     str,
     arg(

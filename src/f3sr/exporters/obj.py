@@ -21,16 +21,29 @@ def part_to_obj(part: ConvexPart) -> str:
     return to_obj(part.vertices.astype(np.float32).astype(float), part.faces, digits=17)
 
 
-def to_obj(vertices: Array, faces: NDArray[np.int32], uv: Array | None = None, *, digits: int = 12) -> str:
-    """Vertices (n, 3), triangles (m, 3) and, per vertex, texture coordinates (n, 2) with v upwards."""
-    corners = (faces + 1).astype(np.int64)
+def to_obj(
+    vertices: Array,
+    faces: NDArray[np.int32],
+    uv: Array | None = None,
+    *,
+    normals: NDArray[np.float32] | None = None,
+    digits: int = 12,
+) -> str:
+    """Vertices (n, 3), triangles (m, 3) and, per vertex, texture coordinates (n, 2) with v upwards.
+
+    ``normals`` (m, 3, 3) are those of the triangles' corners."""
+    corner = (faces + 1).astype(np.int64)
     number = f"%.{digits}g"
     text = [*_rows(f"v {number} {number} {number}\n", vertices)]
-    if uv is None:
-        text += _rows("f %d %d %d\n", corners)
-    else:
+    columns, form = [corner], "%d"
+    if uv is not None:
         text += _rows("vt %.9g %.9g\n", uv)
-        text += _rows("f %d/%d %d/%d %d/%d\n", np.repeat(corners, 2, axis=1))
+        columns, form = [*columns, corner], "%d/%d"
+    if normals is not None:
+        distinct, which = np.unique(normals.reshape(-1, 3), axis=0, return_inverse=True)
+        text += _rows("vn %.6g %.6g %.6g\n", distinct)
+        columns, form = [*columns, which.reshape(-1, 3) + 1], f"{form}/%d" if uv is not None else "%d//%d"
+    text += _rows(f"f {form} {form} {form}\n", np.stack(columns, axis=2).reshape(len(faces), -1))
     return "".join(text)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from f3sr.core.mesh import ConvexPart, area_vectors
 from f3sr.core.transforms import Array
@@ -134,7 +135,7 @@ def _set_shape(mesh: Any, vertices: Array, faces: Any) -> None:
     mesh.CreateSubdivisionSchemeAttr(usd.UsdGeom.Tokens.none)
 
 
-def _set_normals(mesh: Any, normals: Array, interpolation: str) -> None:
+def _set_normals(mesh: Any, normals: NDArray[Any], interpolation: str) -> None:
     """Unit normals (n, 3), each distinct one once."""
     usd = pxr()
     distinct, which = np.unique(normals.astype(np.float32), axis=0, return_inverse=True)

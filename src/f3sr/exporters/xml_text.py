@@ -19,3 +19,20 @@ def document(root: ET.Element, *, declared: bool = False) -> bytes:
 def numbers(values: float | Iterable[float] | Array) -> str:
     """Numbers at full precision."""
     return " ".join(repr(float(v)) for v in np.atleast_1d(np.asarray(values, float)))
+
+
+def inertia_of(inertia: Array) -> dict[str, str]:
+    """The six numbers of an inertia (3, 3) as URDF and SDF name them."""
+    axes = "xyz"
+    return {f"i{axes[i]}{axes[j]}": numbers(inertia[i, j]) for i in range(3) for j in range(i, 3)}
+
+
+def drake_proximity(collision: ET.Element, friction: float, attribute: str = "") -> None:
+    """Drake's contact properties of a collision; URDF has values as an ``attribute``, SDF as text."""
+    proximity = ET.SubElement(collision, "drake:proximity_properties")
+    for name in ("drake:mu_dynamic", "drake:mu_static"):
+        node = ET.SubElement(proximity, name)
+        if attribute:
+            node.set(attribute, numbers(friction))
+        else:
+            node.text = numbers(friction)
