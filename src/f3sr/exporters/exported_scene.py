@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array, quaternion_from_rotation
 from f3sr.exporters.export_names import export_name
-from f3sr.exporters.looks import Look, looks_of
+from f3sr.exporters.looks import ExportedLook, looks_of
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, Body, PhysicsConfig, body_of
 from f3sr.scene import GROUND, Scene, SceneObject
 
@@ -40,7 +40,7 @@ class ExportedObject:
         return body_of(self.object)
 
     @cached_property
-    def looks(self) -> tuple[Look, ...]:
+    def looks(self) -> tuple[ExportedLook, ...]:
         """Its visual mesh, one piece per material."""
         return looks_of(self.object)
 

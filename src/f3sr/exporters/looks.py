@@ -25,7 +25,7 @@ LEAST_AREA = 1e-12
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Look:
+class ExportedLook:
     """The faces of an object that share a material, in the object frame, metres; no vertex is unused."""
 
     number: int
@@ -73,7 +73,7 @@ class Look:
         return self.mesh.materials[self.number]
 
 
-def looks_of(o: SceneObject) -> tuple[Look, ...]:
+def looks_of(o: SceneObject) -> tuple[ExportedLook, ...]:
     """The visual mesh of an object, one piece per material in use."""
     return tuple(_looks(textured(o.mesh), o.scale))
 
@@ -83,7 +83,7 @@ def textured(mesh: Mesh) -> Mesh:
     return mesh
 
 
-def _looks(mesh: Mesh, scale: float) -> Iterator[Look]:
+def _looks(mesh: Mesh, scale: float) -> Iterator[ExportedLook]:
     assert mesh.face_material is not None
     shown = mesh.with_vertices(scale * mesh.vertices)
     for k in np.unique(mesh.face_material):
@@ -94,7 +94,7 @@ def _looks(mesh: Mesh, scale: float) -> Iterator[Look]:
         material = mesh.materials[k]
         mean = np.ones(3) if mesh.vertex_colors is None else mesh.vertex_colors[np.unique(faces)].mean(0) / 255
         r, g, b = (np.asarray(material.base_color) * mean).tolist()
-        yield Look(number=int(k), mesh=_part(shown, chosen), whole=shown, rgb=(r, g, b))
+        yield ExportedLook(number=int(k), mesh=_part(shown, chosen), whole=shown, rgb=(r, g, b))
 
 
 def _part(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:

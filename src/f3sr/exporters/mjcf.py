@@ -14,7 +14,7 @@ import numpy as np
 from f3sr.core.transforms import quaternion_from_rotation
 from f3sr.exporters.collision_parts import collision_files, collision_path
 from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
-from f3sr.exporters.looks import Look
+from f3sr.exporters.looks import ExportedLook
 from f3sr.exporters.mjcf_view import add_camera, add_keyframe, add_lamp, add_sky, add_view
 from f3sr.exporters.obj import to_obj
 from f3sr.exporters.xml_text import document, numbers
@@ -160,7 +160,7 @@ def add_object(asset: ET.Element, world: ET.Element, o: ExportedObject, path: Fi
         ET.SubElement(node, "geom", {"class": "collision"}, name=name, **attributes)
 
 
-def _visual_obj(look: Look) -> str:
+def _visual_obj(look: ExportedLook) -> str:
     """A vertex is repeated where there are fewer than the four MuJoCo wants."""
     n = len(look.vertices)
     rows = np.concatenate([np.arange(n), np.full(max(0, 4 - n), n - 1)])
@@ -168,7 +168,7 @@ def _visual_obj(look: Look) -> str:
     return to_obj(look.vertices[rows], look.faces, uv)
 
 
-def _visual(asset: ET.Element, node: ET.Element, look: Look, name: str, stem: str) -> None:
+def _visual(asset: ET.Element, node: ET.Element, look: ExportedLook, name: str, stem: str) -> None:
     """The mesh, texture and material of a look, and its geom."""
     ET.SubElement(asset, "mesh", name=name, file=f"{stem}.obj", inertia="shell")
     material = ET.SubElement(asset, "material", name=name, rgba=numbers([*look.rgb, 1]), specular="0")

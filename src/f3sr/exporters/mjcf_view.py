@@ -59,8 +59,8 @@ def add_sky(asset: ET.Element) -> None:
         builtin="gradient",
         rgb1="0.9 0.93 0.96",
         rgb2="0.6 0.67 0.75",
-        width="256",
-        height="256",
+        width="32",
+        height="32",
     )
 
 

@@ -7,14 +7,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from f3sr.exporters.exported_scene import ExportedObject
-from f3sr.exporters.looks import Look
+from f3sr.exporters.looks import ExportedLook
 from f3sr.exporters.obj import part_to_obj, to_obj
 
 MESHES = "meshes"
 """The folder of mesh files, relative to that of the object."""
 
 
-def visual_path(look: Look) -> str:
+def visual_path(look: ExportedLook) -> str:
     """Where a look's OBJ lies, relative to the object's folder."""
     return f"{MESHES}/visual_{look.number:02d}.obj"
 
@@ -39,7 +39,7 @@ def mesh_files(o: ExportedObject) -> Iterator[tuple[str, bytes]]:
         yield hull_path(k), part_to_obj(part).encode()
 
 
-def _mtl(name: str, look: Look) -> str:
+def _mtl(name: str, look: ExportedLook) -> str:
     """A dull material of the look's colour and texture."""
     color = " ".join(f"{c:.6g}" for c in np.clip(look.rgb, 0, 1))
     lines = [f"newmtl {name}", f"Ka {color}", f"Kd {color}", "Ks 0 0 0", "d 1", "illum 1"]

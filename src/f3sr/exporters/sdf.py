@@ -17,12 +17,14 @@ from f3sr.core.transforms import Array
 from f3sr.errors import printable
 from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
 from f3sr.exporters.obj_looks import hull_path, mesh_files, visual_path
-from f3sr.exporters.xml_text import document, drake_proximity, inertia_of, numbers
+from f3sr.exporters.xml_text import document, inertia_of, numbers
 from f3sr.scene import GRAVITY
 
 VERSION = "1.9"
 CAMERA_AXES = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 """Columns: our camera's axes (x right, y down, z forward) in those of SDF's cameras (x forward, y left, z up)."""
+GROUND_SIZE, GROUND_DEPTH = 40.0, 1.0
+"""Sides of the ground [m], as in scene.xml, and how deep it is solid."""
 NEAR, FAR = 0.01, 1000.0
 """Planes of the camera [m]."""
 
@@ -36,14 +38,20 @@ class Sdf:
         yield "scene.sdf", _world(exported)
         for o in exported.objects:
             yield f"{o.name}/model.config", _config(o)
-            yield f"{o.name}/model.sdf", _model(o)
+            yield f"{o.name}/model.sdf", _model_file(o)
             yield from ((f"{o.name}/{path}", data) for path, data in mesh_files(o))
 
 
-def _model(o: ExportedObject) -> bytes:
-    body = o.body
+def _model_file(o: ExportedObject) -> bytes:
     root = _sdf()
-    model = ET.SubElement(root, "model", name=o.name)
+    _add_model(root, o, "")
+    return document(root, declared=True)
+
+
+def _add_model(parent: ET.Element, o: ExportedObject, folder: str) -> ET.Element:
+    """The model of an object, its files in ``folder``, empty or with ``/`` at its end."""
+    body = o.body
+    model = ET.SubElement(parent, "model", name=o.name)
     if body.fixed:
         _add(model, "static", "true")
     link = ET.SubElement(model, "link", name="link")
@@ -55,36 +63,26 @@ def _model(o: ExportedObject) -> bytes:
         _add(moments, name, value)
     for look in o.looks:
         visual = ET.SubElement(link, "visual", name=f"visual_{look.number:02d}")
-        _add_mesh(visual, visual_path(look))
+        _add_mesh(visual, f"{folder}{visual_path(look)}")
         material = ET.SubElement(visual, "material")
         _add(material, "diffuse", numbers([*look.rgb, 1]))
         if look.png is not None:
             metal = ET.SubElement(ET.SubElement(material, "pbr"), "metal")
-            _add(metal, "albedo_map", visual_path(look).replace(".obj", ".png"))
+            _add(metal, "albedo_map", f"{folder}{visual_path(look)}".replace(".obj", ".png"))
             _add(metal, "roughness", "0.8")
             _add(metal, "metalness", "0")
     for k in range(len(body.parts)):
         collision = ET.SubElement(link, "collision", name=f"hull_{k:03d}")
-        ET.SubElement(_add_mesh(collision, hull_path(k)), "drake:declare_convex")
-        _add_surface(collision, body.friction, o.object.restitution)
-    return document(root, declared=True)
+        ET.SubElement(_add_mesh(collision, f"{folder}{hull_path(k)}"), "drake:declare_convex")
+        _add_friction(collision, body.friction[0])
+    return model
 
 
-def _add_surface(collision: ET.Element, friction: tuple[float, float, float], restitution: float) -> None:
-    """Friction and bounce, for the engines of Gazebo and for Drake."""
-    sliding, spinning, rolling = friction
-    surface = ET.SubElement(collision, "surface")
-    _add(ET.SubElement(surface, "bounce"), "restitution_coefficient", numbers(restitution))
-    told = ET.SubElement(surface, "friction")
-    for engine, (first, second) in {"ode": ("mu", "mu2"), "bullet": ("friction", "friction2")}.items():
-        node = ET.SubElement(told, engine)
-        _add(node, first, numbers(sliding))
-        _add(node, second, numbers(sliding))
-        if engine == "bullet":
-            _add(node, "rolling_friction", numbers(rolling))
-    torsional = ET.SubElement(told, "torsional")
-    _add(torsional, "coefficient", numbers(spinning))
-    drake_proximity(collision, sliding)
+def _add_friction(collision: ET.Element, sliding: float) -> None:
+    """What Gazebo's engines and Drake all read."""
+    ode = ET.SubElement(ET.SubElement(ET.SubElement(collision, "surface"), "friction"), "ode")
+    _add(ode, "mu", numbers(sliding))
+    _add(ode, "mu2", numbers(sliding))
 
 
 def _config(o: ExportedObject) -> bytes:
@@ -110,31 +108,30 @@ def _world(exported: ExportedScene) -> bytes:
     _add(lamp, "specular", "0.1 0.1 0.1 1")
     _add(lamp, "direction", "0.2 0.3 -1")
     _add(lamp, "cast_shadows", "true")
-    _add_ground(world, scene.ground.friction)
     _add_camera(world, scene.camera)
     for o in exported.objects:
-        include = ET.SubElement(world, "include")
-        _add(include, "uri", f"model://{o.name}")
-        _add(include, "name", o.name)
+        # Not included: every program looks for included models in other places, but for meshes beside the file.
         T = o.object.T_world_object
-        _add(include, "pose", numbers([*T[:3, 3], *rpy_of(T[:3, :3])]))
+        _add(_add_model(world, o, f"{o.name}/"), "pose", numbers([*T[:3, 3], *rpy_of(T[:3, :3])]))
+    _add_ground(world, scene.ground.friction)
     return document(root, declared=True)
 
 
 def _add_ground(world: ET.Element, friction: float) -> None:
-    """The plane z = 0."""
+    """The plane z = 0, for collisions the top of a box: Drake 1.51 crashes on a plane below many convex meshes."""
     model = ET.SubElement(world, "model", name="ground")
     _add(model, "static", "true")
     link = ET.SubElement(model, "link", name="link")
-    for kind in ("collision", "visual"):
-        node = ET.SubElement(link, kind, name=kind)
-        plane = ET.SubElement(ET.SubElement(node, "geometry"), "plane")
-        _add(plane, "normal", "0 0 1")
-        _add(plane, "size", "40 40")
-        if kind == "collision":
-            _add_surface(node, (friction, 0.0, 0.0), 0.0)
-        else:
-            _add(ET.SubElement(node, "material"), "diffuse", "0.8 0.8 0.8 1")
+    collision = ET.SubElement(link, "collision", name="collision")
+    _add(collision, "pose", numbers([0, 0, -GROUND_DEPTH / 2, 0, 0, 0]))
+    box = ET.SubElement(ET.SubElement(collision, "geometry"), "box")
+    _add(box, "size", numbers([GROUND_SIZE, GROUND_SIZE, GROUND_DEPTH]))
+    _add_friction(collision, friction)
+    visual = ET.SubElement(link, "visual", name="visual")
+    plane = ET.SubElement(ET.SubElement(visual, "geometry"), "plane")
+    _add(plane, "normal", "0 0 1")
+    _add(plane, "size", numbers([GROUND_SIZE, GROUND_SIZE]))
+    _add(ET.SubElement(visual, "material"), "diffuse", "0.8 0.8 0.8 1")
 
 
 def _add_camera(world: ET.Element, camera: Camera) -> None:

@@ -15,7 +15,7 @@ from xml.etree import ElementTree as ET
 from f3sr.core.transforms import Array, quaternion_from_rotation
 from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
 from f3sr.exporters.obj_looks import hull_path, mesh_files, visual_path
-from f3sr.exporters.xml_text import document, drake_proximity, inertia_of, numbers
+from f3sr.exporters.xml_text import document, inertia_of, numbers
 from f3sr.scene import GRAVITY
 
 ORIGIN = {"xyz": "0 0 0", "rpy": "0 0 0"}
@@ -61,7 +61,9 @@ def _urdf(o: ExportedObject) -> bytes:
         ET.SubElement(collision, "origin", ORIGIN)
         mesh = ET.SubElement(ET.SubElement(collision, "geometry"), "mesh", filename=hull_path(k), scale="1 1 1")
         ET.SubElement(mesh, "drake:declare_convex")
-        drake_proximity(collision, sliding, "value")
+        proximity = ET.SubElement(collision, "drake:proximity_properties")
+        ET.SubElement(proximity, "drake:mu_dynamic", value=numbers(sliding))
+        ET.SubElement(proximity, "drake:mu_static", value=numbers(sliding))
     return document(root, declared=True)
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from f3sr.core.mesh import ConvexPart, area_vectors
 from f3sr.core.transforms import Array
-from f3sr.exporters.looks import Look
+from f3sr.exporters.looks import ExportedLook
 from f3sr.exporters.usd_library import Material, Prim, Stage, pxr
 from f3sr.rendering.textures import linear
 
@@ -17,7 +17,7 @@ ROUGHNESS = 0.8
 """Of surfaces of which a photo tells no gloss."""
 
 
-def add_visual(stage: Stage, path: str, look: Look) -> Prim:
+def add_visual(stage: Stage, path: str, look: ExportedLook) -> Prim:
     """The mesh of a look at ``path``, without faces of no area: they have no normal."""
     usd = pxr()
     seen = np.linalg.norm(area_vectors(look.vertices[look.faces]), axis=1) > 0
@@ -56,7 +56,7 @@ def add_hull(stage: Stage, path: str, part: ConvexPart) -> Prim:
     return prim
 
 
-def add_surface(stage: Stage, path: str, look: Look, texture: str | None) -> Material:
+def add_surface(stage: Stage, path: str, look: ExportedLook, texture: str | None) -> Material:
     """The material of a look at ``path``. ``texture`` is the picture's path relative to the layer."""
     usd = pxr()
     material, surface = _preview_surface(stage, path)

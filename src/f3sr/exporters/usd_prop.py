@@ -9,7 +9,7 @@ import numpy as np
 import f3sr
 from f3sr.errors import printable
 from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
-from f3sr.exporters.looks import Look
+from f3sr.exporters.looks import ExportedLook
 from f3sr.exporters.usd_library import Material, Prim, Stage, new_stage, pxr, text_of
 from f3sr.exporters.usd_looks import add_hull, add_surface, add_visual
 from f3sr.exporters.wikidata_classes import class_of
@@ -25,7 +25,7 @@ def prop_path(o: ExportedObject) -> str:
     return f"{o.name}/{FOLDER}/{o.name}.usda"
 
 
-def texture_path(look: Look) -> str:
+def texture_path(look: ExportedLook) -> str:
     """Where the texture of a look lies, relative to its prop."""
     return f"textures/visual_{look.number:02d}.png"
 

@@ -25,14 +25,3 @@ def inertia_of(inertia: Array) -> dict[str, str]:
     """The six numbers of an inertia (3, 3) as URDF and SDF name them."""
     axes = "xyz"
     return {f"i{axes[i]}{axes[j]}": numbers(inertia[i, j]) for i in range(3) for j in range(i, 3)}
-
-
-def drake_proximity(collision: ET.Element, friction: float, attribute: str = "") -> None:
-    """Drake's contact properties of a collision; URDF has values as an ``attribute``, SDF as text."""
-    proximity = ET.SubElement(collision, "drake:proximity_properties")
-    for name in ("drake:mu_dynamic", "drake:mu_static"):
-        node = ET.SubElement(proximity, name)
-        if attribute:
-            node.set(attribute, numbers(friction))
-        else:
-            node.text = numbers(friction)
