@@ -81,7 +81,7 @@ def add_lamp(world: ET.Element) -> None:
 def add_camera(world: ET.Element, camera: Camera) -> None:
     """The photo's camera, its principal point included; MuJoCo has no skew.
 
-    MuJoCo's window reaches from ``-(w/2 - px)`` to ``w/2 + px`` pixels right of its axis, and alike upwards.
+    MuJoCo's window reaches from ``-(w/2 - px)`` to ``w/2 + px`` pixels right of its axis, and as far downwards.
     """
     R, K = camera.T_world_camera[:3, :3], camera.K
     ET.SubElement(
@@ -93,7 +93,7 @@ def add_camera(world: ET.Element, camera: Camera) -> None:
         resolution=f"{camera.width} {camera.height}",
         sensorsize=numbers([SENSOR, SENSOR * camera.height / camera.width]),
         focalpixel=numbers([K[0, 0], K[1, 1]]),
-        principalpixel=numbers([camera.width / 2 - K[0, 2], K[1, 2] - camera.height / 2]),
+        principalpixel=numbers([camera.width / 2 - K[0, 2], camera.height / 2 - K[1, 2]]),
     )
 
 
