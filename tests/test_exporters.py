@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -25,7 +24,7 @@ from f3sr.runtime.file_date import date_of
 from f3sr.scene_export import export_package, exporters_of
 from f3sr.scene_package.package import Package, read_package, write_package
 from foreign_packages import install
-from scenes import box, box_stack_scene, scene_of
+from labelled_boxes import labelled_boxes
 
 HOSTILE = [
     "../../x",
@@ -39,28 +38,11 @@ HOSTILE = [
     "a_1",
 ]
 FORMATS = ["glb", "mjcf", "sdf", "urdf"]
-TURNED = rotation_about([1.0, 2, 3], 0.7)
 
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory: pytest.TempPathFactory) -> Package:
-    """Three boxes, of which one is turned, one fixed, and labels are what people and attackers write."""
-    a, b, c = box_stack_scene(3)
-    objects = (
-        replace(a, label="Red Mug", mobility="fixed", restitution=0.3),
-        replace(b, label="../<x>", friction=0.3, rolling_friction=0.002),
-        box(12, size=(0.03, 0.06, 0.1), at=(0.3, 0.1, 0.2), R=TURNED, textured=True, label="", scale=0.1),
-    )
-    scene = replace(scene_of(*objects), camera=off_centre(scene_of(c).camera))
-    return read_package(write_package(scene, tmp_path_factory.mktemp("exports") / "table"))
-
-
-def off_centre(camera: Any) -> Any:
-    K = camera.K.copy()
-    K[0, 2] += 5
-    K[1, 2] -= 3
-    K[1, 1] *= 1.1
-    return replace(camera, K=K)
+    return read_package(write_package(labelled_boxes(), tmp_path_factory.mktemp("exports") / "table"))
 
 
 @pytest.fixture(scope="module")

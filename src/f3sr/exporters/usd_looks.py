@@ -42,7 +42,8 @@ def add_hull(stage: Stage, path: str, part: ConvexPart) -> Prim:
     """A convex collider at ``path``, which renderers leave out."""
     usd = pxr()
     mesh = usd.UsdGeom.Mesh.Define(stage, path)
-    _set_shape(mesh, part.vertices, part.faces)
+    # Last vertex first: validators take a hull with the visual mesh's very arrays for a copy left by mistake.
+    _set_shape(mesh, part.vertices[::-1], len(part.vertices) - 1 - part.faces)
     triangles = part.vertices[part.faces]
     normals, outward = area_vectors(triangles), triangles.mean(1) - part.centroid
     length, away = (np.linalg.norm(v, axis=1, keepdims=True) for v in (normals, outward))
