@@ -38,11 +38,11 @@ def export_package(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> Path:
-    """Write a package in some formats, each to the folder of its name in ``out``; returns the full path of ``out``.
+    """Write a package in some formats, a folder in ``out`` each; returns the full path of ``out``.
 
     ``export.json`` beside them gives every object's id, label and name. An older export there is replaced only with
-    ``overwrite``. Equal packages give equal bytes. Raises InputError for an unknown format, F3srError where a format
-    needs what is not installed, OutputError if ``out`` may not be written; then nothing is written.
+    ``overwrite``. Equal packages give equal bytes. Raises InputError for an unknown format and F3srError where a format
+    needs what is not installed. Raises OutputError if ``out`` may not be written. Then nothing is written.
     """
     found = exporters_of(formats)
     scene_file = package.folder / SCENE

@@ -1,4 +1,4 @@
-"""GLB: the whole scene as one binary glTF, Y up, metres; a node per object with its id and label in the extras."""
+"""GLB: the whole scene as one binary glTF, Y up, metres. A node per object has its id and label in the extras."""
 
 from __future__ import annotations
 

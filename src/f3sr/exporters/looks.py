@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from f3sr.core.mesh import Material, Mesh, area_vectors
 from f3sr.core.transforms import Array
 from f3sr.io.gltf_writer import png_of
-from f3sr.rendering.config import RenderConfig
-from f3sr.rendering.shapes import smooth_normals
 from f3sr.scene import SceneObject
 
 LEAST_AREA = 1e-12
@@ -53,6 +51,9 @@ class ExportedLook:
     @cached_property
     def normals(self) -> NDArray[np.float32]:
         """Unit normals (m, 3, 3) of the faces' corners, smooth across materials; sharp edges stay sharp."""
+        from f3sr.rendering.config import RenderConfig
+        from f3sr.rendering.shapes import smooth_normals  # of films: packages are written without
+
         return smooth_normals(self.whole, RenderConfig().crease)[self.whole.face_material == self.number]
 
     @cached_property

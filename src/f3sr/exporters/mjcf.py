@@ -67,7 +67,7 @@ def to_mjcf(exported: ExportedScene, path: FilePath) -> bytes:
     add_classes(root, exported.physics, scene.ground.friction)
     asset, world = ET.SubElement(root, "asset"), ET.SubElement(root, "worldbody")
     add_sky(asset)
-    add_lamp(world)
+    add_lamp(world, exported.bounds)
     add_camera(world, camera)
     add_ground(world, scene.ground.friction)
     for o in exported.objects:

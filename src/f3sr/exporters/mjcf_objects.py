@@ -93,7 +93,7 @@ def _scene(o: ExportedObject, exported: ExportedScene) -> bytes:
     ET.SubElement(
         asset, "material", name="ground", texture="ground", texuniform="true", texrepeat=numbers([size, size])
     )
-    add_lamp(world)
+    add_lamp(world, o.object.bounds_world)
     add_ground(world, exported.scene.ground.friction, material="ground")
     add_keyframe(root, [named_body(o)])
     return document(root)

@@ -20,6 +20,8 @@ LEAST_PICTURE, MOST_PICTURE = (640, 480), 16_384
 """Sides of the off-screen picture [px]: MuJoCo's defaults, and the most that graphics cards take."""
 SENSOR = 0.036
 """Width of the photo's sensor [m]; MuJoCo wants one, and only its ratio to the focal length shows."""
+LAMP = np.array([0.2, 0.3, -1.0])
+"""Where the lamp's light goes."""
 REST = "rest"
 """The keyframe of the package's state."""
 PHOTO = "photo"
@@ -31,9 +33,8 @@ def add_view(root: ET.Element, bounds: Array, forward: Array, picture: tuple[int
 
     ``picture`` is the size [px] that off-screen renderers may have.
     """
-    radius = float(np.linalg.norm(bounds[1] - bounds[0])) / 2
-    extent = radius / np.sin(FOVY / 2) / DISTANCE
-    ET.SubElement(root, "statistic", center=numbers(bounds.mean(0)), extent=numbers(float(extent)))
+    extent = _extent(bounds)
+    ET.SubElement(root, "statistic", center=numbers(bounds.mean(0)), extent=numbers(extent))
     visual = ET.SubElement(root, "visual")
     width, height = (min(max(a, b), MOST_PICTURE) for a, b in zip(picture, LEAST_PICTURE, strict=True))
     x, y, z = forward / np.linalg.norm(forward)
@@ -64,18 +65,23 @@ def add_sky(asset: ET.Element) -> None:
     )
 
 
-def add_lamp(world: ET.Element) -> None:
-    """A lamp far above, for shadows."""
+def add_lamp(world: ET.Element, bounds: Array) -> None:
+    """A lamp above the box ``bounds`` (2, 3) [m], for shadows; MuJoCo draws those around where it stands."""
     ET.SubElement(
         world,
         "light",
         name="lamp",
         directional="true",
-        pos="0 0 3",
-        dir="0.2 0.3 -1",
+        pos=numbers(bounds.mean(0) - _extent(bounds) * LAMP),
+        dir=numbers(LAMP),
         diffuse="0.5 0.5 0.5",
         specular="0.1 0.1 0.1",
     )
+
+
+def _extent(bounds: Array) -> float:
+    """What MuJoCo's free camera has to be told to see a box (2, 3) [m] whole."""
+    return float(np.linalg.norm(bounds[1] - bounds[0]) / 2 / np.sin(FOVY / 2) / DISTANCE)
 
 
 def add_camera(world: ET.Element, camera: Camera) -> None:

@@ -22,7 +22,7 @@ ROOT = "/scene"
 PHOTO, BACKGROUND = "photo", "background"
 """Pictures of the backplate: the photo, and the photo completed behind its objects."""
 SENSOR = 0.36
-"""Width of the camera's sensor [tenths of a metre], as USD measures it; only its ratio to the focal length shows."""
+"""Width of the camera's sensor [tenths of a metre], as USD measures it. Only its ratio to the focal length shows."""
 BEHIND = 1.5
 """Distance of the backplate [greatest depth of the objects]."""
 NEAR = 0.01

@@ -12,17 +12,22 @@ CODES: dict[str, str] = {
     "bottle": "Q80228",
     "bowl": "Q153988",
     "chair": "Q15026",
+    "cup": "Q81727",
+    "fork": "Q81881",
     "hammer": "Q25294",
+    "knife": "Q32489",
     "lemon": "Q1093742",
     "orange": "Q13191",
+    "plate": "Q57216",
     "spoon": "Q81895",
     "strawberry": "Q14458220",
     "table": "Q14748",
+    "vase": "Q191851",
 }
 """By the last word of a label."""
 
 
 def class_of(label: str) -> str:
-    """The code of the class that the last word of a label names; that of a physical object where none is known."""
+    """The code of what the last word of a label names, or of a physical object."""
     words = label.lower().split()
     return CODES.get(words[-1], PHYSICAL_OBJECT) if words else PHYSICAL_OBJECT
