@@ -18,6 +18,7 @@ from f3sr.core.transforms import Array, rotation_from_quaternion, transform
 from f3sr.exporters.export_names import export_name
 from f3sr.exporters.exported_scene import ExportedScene
 from f3sr.exporters.usd import Usd
+from f3sr.exporters.usd_variants import RUNTIMES
 from f3sr.exporters.wikidata_classes import PHYSICAL_OBJECT, class_of
 from f3sr.scene import Scene
 from f3sr.scene_export import export_package
@@ -179,6 +180,43 @@ def test_faces_without_area_are_left_out(tmp_path: Path) -> None:
     assert len(visual.GetFaceVertexCountsAttr().Get()) == 12
 
 
+# --- engines ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("runtime", RUNTIMES)
+def test_a_variant_adds_one_engine_s_schemas(runtime: str, package: Package, folder: Path) -> None:
+    prefixes = {"PhysX": "Physx", "Newton": "Newton", "MuJoCo": "Mjc"}
+    record = package.document.objects[1]
+    name = export_name(record.id, record.label)
+    stage = UsdCore.Stage.Open(str(folder / f"{name}/simready_usd/{name}.usda"))
+    stage.SetEditTarget(stage.GetSessionLayer())  # OpenUSD shares layers among stages
+    root = stage.GetDefaultPrim()
+    paths = ("colliders/hull_000", "materials/contact")
+
+    def foreign() -> set[str]:
+        applied = [s for p in paths for s in schemas(root.GetPrimAtPath(p))]
+        return {prefix for prefix in prefixes.values() if any(s.startswith(prefix) for s in applied)}
+
+    assert sorted(root.GetVariantSets().GetNames()) == sorted(RUNTIMES) and not foreign()
+    root.GetVariantSets().GetVariantSet(runtime).SetVariantSelection("Enabled")
+    assert foreign() == {prefixes[runtime]}
+    contact, hull = (root.GetPrimAtPath(p) for p in reversed(paths))
+    told = {
+        "PhysX": (contact, "physxMaterial:frictionCombineMode", "max"),
+        "Newton": (contact, "newton:rollingFriction", record.rolling_friction),
+        "MuJoCo": (contact, "mjc:rollingfriction", record.rolling_friction),
+    }
+    prim, attribute, value = told[runtime]
+    found = prim.GetAttribute(attribute).Get()
+    assert found == (value if isinstance(value, str) else pytest.approx(value))
+    assert "PhysicsCollisionAPI" in schemas(hull), "beside what the prop has"
+
+
+def schemas(prim: Any) -> list[str]:
+    """All that are applied, known to OpenUSD or not."""
+    return list(prim.GetMetadata("apiSchemas").GetAppliedItems())
+
+
 # --- labels -----------------------------------------------------------------------------------------------------
 
 
@@ -226,7 +264,7 @@ def test_nvidia_s_validator_passes_every_prop(folder: Path, tmp_path: Path) -> N
 
 def test_equal_scenes_give_equal_bytes(package: Package) -> None:
     first, again = (dict(Usd().files(ExportedScene.of(package.scene, date="2026-01-01"))) for _ in range(2))
-    assert first == again and len(first) == 1 + 1 + 3 * 2 + 2
+    assert first == again and len(first) == 1 + 1 + 3 * (1 + 1 + 3) + 2
 
 
 def test_a_prop_tells_what_it_is(folder: Path, package: Package) -> None:

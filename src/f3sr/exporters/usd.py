@@ -14,6 +14,7 @@ from f3sr.exporters.exported_scene import ExportedScene
 from f3sr.exporters.thumbnail import thumbnail_png
 from f3sr.exporters.usd_prop import FOLDER, prop_layer, prop_path, texture_path
 from f3sr.exporters.usd_scene import scene_layer, scene_pictures
+from f3sr.exporters.usd_variants import variant_files
 
 
 class Usd:
@@ -36,5 +37,6 @@ class Usd:
             for look in o.looks:
                 if look.png is not None:
                     yield f"{o.name}/{FOLDER}/{texture_path(look)}", look.png
+            yield from ((f"{o.name}/{FOLDER}/{path}", data) for path, data in variant_files(o, exported))
             picture = thumbnail_png(o.object, exported.scene.camera)
             yield f"{o.name}/{FOLDER}/.thumbs/256x256/{o.name}.usda.png", picture

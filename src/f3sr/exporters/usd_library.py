@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
@@ -11,7 +11,7 @@ from f3sr.runtime.extras import library
 
 MODULES = ("Gf", "Kind", "Sdf", "Tf", "Usd", "UsdGeom", "UsdLux", "UsdPhysics", "UsdSemantics", "UsdShade", "Vt")
 
-Stage = Prim = Material = Any
+Stage = Prim = Material = Layer = Any
 """Classes of OpenUSD, which carries no type information."""
 
 
@@ -35,13 +35,12 @@ def new_stage(root: str, *, kind: str) -> tuple[Stage, Prim]:
     return stage, prim
 
 
-def text_of(stage: Stage, references: Mapping[str, str] | None = None) -> bytes:
-    """The root layer as ``.usda``, the same for the same calls. ``references`` are files by the path of their prim."""
-    sdf = pxr().Sdf
-    layer = sdf.Layer.CreateAnonymous(".usda")
+def text_of(stage: Stage, add_files: Callable[[Layer], None]) -> bytes:
+    """The root layer as ``.usda``, the same for the same calls.
+
+    ``add_files`` adds what names other layers: a stage would look for them at once, before they are written."""
+    layer = pxr().Sdf.Layer.CreateAnonymous(".usda")
     layer.TransferContent(stage.GetRootLayer())
-    # A stage would look for the files at once, before they are written.
-    for path, file in (references or {}).items():
-        layer.GetPrimAtPath(path).referenceList.Prepend(sdf.Reference(file))
+    add_files(layer)
     text: str = layer.ExportToString()
     return text.encode()

@@ -12,6 +12,7 @@ from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
 from f3sr.exporters.looks import ExportedLook
 from f3sr.exporters.usd_library import Material, Prim, Stage, new_stage, pxr, text_of
 from f3sr.exporters.usd_looks import add_hull, add_surface, add_visual
+from f3sr.exporters.usd_variants import add_variants, variants_told
 from f3sr.exporters.wikidata_classes import class_of
 
 FOLDER = "simready_usd"
@@ -52,7 +53,7 @@ def prop_layer(o: ExportedObject, exported: ExportedScene) -> bytes:
     _label(contact.GetPrim(), "material", o.object.material)
     for k, part in enumerate(o.body.parts):
         bind_contact(add_hull(stage, f"{path}/colliders/hull_{k:03d}", part), contact)
-    return text_of(stage)
+    return text_of(stage, lambda layer: add_variants(layer, o.name))
 
 
 def add_contact_material(stage: Stage, path: str, friction: float, restitution: float) -> Material:
@@ -111,6 +112,7 @@ def _metadata(o: ExportedObject, exported: ExportedScene) -> dict[str, Any]:
         "asset_extents": pxr().Gf.Vec3f(*map(float, extents)),
         "mass": float(o.body.mass),
         "validation": {"profile": PROFILE, "profile_version": PROFILE_VERSION},
+        "Variants": {"Physics": variants_told(o.name)},
     }
     own = {
         "id": str(o.id),

@@ -12,7 +12,7 @@ from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, box_corners, quaternion_from_rotation
 from f3sr.errors import printable
 from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
-from f3sr.exporters.usd_library import Prim, Stage, new_stage, pxr, text_of
+from f3sr.exporters.usd_library import Layer, Prim, Stage, new_stage, pxr, text_of
 from f3sr.exporters.usd_looks import add_unlit_surface
 from f3sr.exporters.usd_prop import add_contact_material, bind_contact, prop_path
 from f3sr.io.images import encode_png
@@ -58,7 +58,15 @@ def scene_layer(exported: ExportedScene) -> bytes:
     _add_camera(stage, scene.camera)
     depth = max(scene.camera.to_camera(box_corners(exported.bounds))[:, 2].max(), 1.0)
     _add_backplate(stage, scene.camera, BEHIND * float(depth), completed=exported.background is not None)
-    return text_of(stage, {f"{ROOT}/objects/{o.name}": f"./{prop_path(o)}" for o in exported.objects})
+    return text_of(stage, lambda layer: _add_references(layer, exported))
+
+
+def _add_references(layer: Layer, exported: ExportedScene) -> None:
+    """The props that the objects are."""
+    sdf = pxr().Sdf
+    for o in exported.objects:
+        prim = layer.GetPrimAtPath(f"{ROOT}/objects/{o.name}")
+        prim.referenceList.Prepend(sdf.Reference(f"./{prop_path(o)}"))
 
 
 def _add_ground(stage: Stage, friction: float) -> None:
