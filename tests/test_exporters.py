@@ -252,12 +252,7 @@ def test_unknown_formats_and_missing_libraries_are_told_first(monkeypatch: pytes
         exporters_of(["urdf", "fbx"])
     with pytest.raises(InputError, match="found none"):
         exporters_of([])
-    from importlib import metadata
-
-    def absent(name: str) -> str:
-        raise metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(metadata, "version", absent)
+    monkeypatch.setattr("f3sr.exporters.usd.find_spec", lambda name: None)
     with pytest.raises(F3srError, match=r"usd needs package usd-core.*pip install 'f3sr\[usd\]'"):
         exporters_of(["usd"])
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from importlib import metadata
+from importlib.util import find_spec
 
 from f3sr.backends.model_choice import Need
 from f3sr.exporters.exported_scene import ExportedScene
@@ -23,11 +24,12 @@ class Usd:
     name = "usd"
 
     def needs(self) -> Sequence[Need]:
-        """OpenUSD's package."""
-        try:
-            return [Need(what="package usd-core", met=True, found=metadata.version("usd-core"))]
-        except metadata.PackageNotFoundError:
+        """OpenUSD, of whatever package."""
+        if find_spec("pxr") is None:
             return [Need(what="package usd-core", met=False, found="none", remedy="pip install 'f3sr[usd]'")]
+        packages = metadata.packages_distributions().get("pxr", [])
+        found = ", ".join(f"{name} {metadata.version(name)}" for name in sorted(set(packages)))
+        return [Need(what="package usd-core", met=True, found=found or "pxr of no package")]
 
     def files(self, exported: ExportedScene) -> Iterator[tuple[str, bytes]]:
         yield "scene.usda", scene_layer(exported)
