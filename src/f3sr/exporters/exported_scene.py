@@ -39,9 +39,10 @@ class ExportedObject:
         """Mass, centre, inertia, friction and convex parts, in the object frame."""
         return body_of(self.object)
 
-    @cached_property
+    @property
     def looks(self) -> tuple[ExportedLook, ...]:
-        """Its visual mesh, one piece per material."""
+        """Its visual mesh, one piece per material. It is large and made anew each time, so that a scene's are never
+        held together."""
         return looks_of(self.object)
 
     @cached_property
