@@ -401,7 +401,9 @@ def answer_of(package: Package, **changed: object) -> dict[str, Any]:
 
 def mass_in_xml(package: Package) -> float:
     """Of the soup can, as MuJoCo reads it."""
-    found = re.search(rf'name="object_{CAN:02d}".*?mass="([\d.e-]+)"', (package.folder / "scene.xml").read_text(), re.S)
+    found = re.search(
+        rf'name="[a-z_]+_{CAN:02d}" pos.*?mass="([\d.e-]+)"', (package.folder / "scene.xml").read_text(), re.S
+    )
     assert found
     return float(found[1])
 

@@ -23,20 +23,20 @@ from f3sr.cli.main import main
 from f3sr.core.mesh import Material
 from f3sr.core.transforms import pose
 from f3sr.errors import TRACEBACK, F3srError, InputError
+from f3sr.exporters.exported_scene import ExportedScene
 from f3sr.exporters.protocol import EXPORTERS
 from f3sr.goals.checks import PlanError
 from f3sr.goals.plan import TaskSpec
 from f3sr.io import inputs
 from f3sr.io.answers import checked_masks, checked_photo
 from f3sr.io.inputs import Fillers, Inputs
-from f3sr.physics.mujoco_model import DEFAULT_PHYSICS
 from f3sr.pipeline import reconstruct
 from f3sr.play.goal_loop import Played, simulate_goal
 from f3sr.play.languages import LANGUAGES, CheckedLanguage
 from f3sr.play.rule_based_language import Rules
 from f3sr.runtime.result_store import Store
 from f3sr.scene import Photo, Relation
-from f3sr.scene_package.package import read_package, write_package
+from f3sr.scene_package.package import WRITTEN, read_package, write_package
 from folders import write_folder
 from foreign_packages import install
 from scenes import box, scene_of
@@ -469,15 +469,19 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Any:
 # --- exporters ----------------------------------------------------------------------------------------------
 
 
-def test_a_package_holds_what_the_exporters_of_both_formats_give(package: Any, tmp_path: Path):
+def test_a_package_holds_what_the_exporters_of_both_formats_give(package: Any):
     scene = scene_of(box(0, size=(0.07, 0.07, 0.1), at=(0, 0, 0.05), label="can"))
-    for name in ("glb", "mjcf"):
-        found = EXPORTERS.find(name)
-        files = dict(found.made.files(scene, DEFAULT_PHYSICS))
-        assert found.made.name == name and files
-        assert all((package.folder / path).read_bytes() == data for path, data in files.items())
+    files = dict[str, bytes]()
+    for exporter in WRITTEN:
+        files |= exporter.files(ExportedScene.of(scene))
+    assert all((package.folder / path).read_bytes() == data for path, data in files.items())
     named = set(re.findall(r'file="([^"]+)"', files["scene.xml"].decode()))
-    assert named == files.keys() - {"scene.xml"} and any(name.startswith("collision/") for name in named)
+    assert named == files.keys() - {"scene.xml", "scene.glb"} and any(name.startswith("collision/") for name in named)
+
+
+def test_an_exporter_has_the_name_that_finds_it():
+    for name in EXPORTERS.names():
+        assert EXPORTERS.find(name).made.name == name
 
 
 # --- the whole way ------------------------------------------------------------------------------------------

@@ -28,7 +28,7 @@ from folders import write_folder
 
 def test_the_command_line_from_folder_to_numbers(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     out = tmp_path / "package"
-    assert main(["reconstruct", str(folder), "-o", str(out), "--skip", "refine"]) == 0
+    assert main(["reconstruct", str(folder), "-o", str(out), "--skip", "refine", "--export", "urdf"]) == 0
     printed = capsys.readouterr().out
     assert "direct composition" in printed and str(out) in printed
     assert {"scene.json", "scene.glb", "scene.xml", "report.json", "photo.png"} <= {p.name for p in out.iterdir()}
@@ -36,6 +36,8 @@ def test_the_command_line_from_folder_to_numbers(folder: Path, tmp_path: Path, c
         "overlay_after.png", "overlay_before.png", "render_after.png", "render_before.png", "sheet.png",
         "side_after.png", "side_before.png",
     ]  # fmt: skip
+    exported = json.loads((tmp_path / "package_export/export.json").read_text())
+    assert exported["formats"] == ["urdf"] and len(exported["objects"]) == 3 and "package_export" in printed
     document = json.loads((out / "scene.json").read_text())
     assert [o["id"] for o in document["objects"]] == [2, 5, 7]
 

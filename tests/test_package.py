@@ -25,6 +25,7 @@ from f3sr.core.mesh import ConvexPart, Material, Mesh
 from f3sr.core.transforms import pose, rotation_about, transform
 from f3sr.errors import InputError, OutputError
 from f3sr.exporters import mjcf
+from f3sr.exporters.export_names import export_name
 from f3sr.files.bounds import MAX_OBJECT_PARTS
 from f3sr.goals.launch_limits import limits_of
 from f3sr.goals.plan import SimulationPlan
@@ -435,7 +436,7 @@ def test_scene_xml_rests_in_plain_mujoco_from_any_folder(
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     for o in stack:
-        body = data.body(f"object_{o.id:02d}")
+        body = data.body(export_name(o.id, o.label))
         assert np.allclose(body.xpos, o.T_world_object[:3, 3], atol=1e-12)
         assert np.allclose(body.xmat.reshape(3, 3), o.T_world_object[:3, :3], atol=1e-12)
     start = data.xipos.copy()
@@ -451,6 +452,13 @@ def test_scene_xml_rests_in_plain_mujoco_from_any_folder(
     assert np.abs(data.xipos - landed).max() < 1e-5
 
 
+def labelled(name: str, scene: Scene) -> str:
+    """What scene.xml calls a geom of the product's own model."""
+    for o in scene:
+        name = name.replace(f"object_{o.id:02d}_", f"{export_name(o.id, o.label)}_")
+    return name
+
+
 def test_materials_are_the_same_in_the_package_scene_xml_and_goals(stack: Scene, tmp_path: Path) -> None:
     """Ten times as heavy, smooth, on a smooth ground: all three say so, with the reason."""
     slippery = [
@@ -464,7 +472,7 @@ def test_materials_are_the_same_in_the_package_scene_xml_and_goals(stack: Scene,
     ours = model_of(read, [declared(o) for o in read], SimulationPlan(duration=1.0, margin=0.0))
     assert np.allclose(theirs.body_mass, ours.body_mass, rtol=1e-12) and theirs.body_mass[1] > 5
     for geom in (ours.geom(k) for k in range(ours.ngeom)):
-        assert np.allclose(theirs.geom(geom.name).friction, geom.friction)
+        assert np.allclose(theirs.geom(labelled(geom.name, read)).friction, geom.friction)
     assert theirs.geom("ground").friction[0] == read.ground.friction == 0.05
     assert {(o.material, o.material_source, o.material_reason) for o in read} == {("steel", "given", "weighed")}
 
@@ -489,12 +497,12 @@ def test_scene_xml_is_the_model_of_the_product(stack: Scene, tmp_path: Path) -> 
     for name in ("body_mass", "body_inertia", "body_ipos", "body_pos", "body_quat"):
         assert np.allclose(getattr(theirs, name), getattr(ours, name), rtol=1e-9, atol=1e-12), name
     for k in range(ours.ngeom):
-        a, b = theirs.geom(ours.geom(k).name), ours.geom(k)
+        a, b = theirs.geom(labelled(ours.geom(k).name, scene)), ours.geom(k)
         for name in ("friction", "condim", "solref", "solimp", "margin", "pos", "contype", "priority"):
             assert np.allclose(getattr(a, name), getattr(b, name), atol=1e-7), name
-    visual = [k for k in range(theirs.ngeom) if theirs.geom(k).name.startswith("visual")]
+    visual = [k for k in range(theirs.ngeom) if "_visual_" in theirs.geom(k).name]
     assert all(not theirs.geom_contype[k] and not theirs.geom_conaffinity[k] for k in visual)
-    assert {int(theirs.geom_group[k]) for k in visual} == {2} and theirs.ntex == 2
+    assert {int(theirs.geom_group[k]) for k in visual} == {2} and theirs.ntex == 3, "two of boxes, and the sky"
 
 
 def test_scene_xml_shows_the_texture_upright(tmp_path: Path) -> None:
@@ -504,7 +512,9 @@ def test_scene_xml_shows_the_texture_upright(tmp_path: Path) -> None:
     model = mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
     texture = o.mesh.materials[0].texture
     assert texture is not None and o.mesh.uv is not None
-    assert np.array_equal(np.asarray(model.tex_data).reshape(texture.shape), texture)
+    start = int(model.tex("box_00_visual_00").adr[0])
+    shown = np.asarray(model.tex_data)[start : start + texture.size]
+    assert np.array_equal(shown.reshape(texture.shape), texture)
     corners = np.asarray(model.mesh_facetexcoord)[:12]
     shown = np.asarray(model.mesh_texcoord)[corners]
     assert np.allclose(shown, o.mesh.uv[o.mesh.faces] * [1, -1] + [0, 1], atol=1e-6)
@@ -517,7 +527,7 @@ def test_scene_xml_takes_tiny_and_degenerate_looks(tmp_path: Path) -> None:
     mesh = replace(mesh, faces=flat, face_material=material, materials=(Material(), Material(), Material()))
     out = write_package(scene_of(replace(box(0), mesh=mesh)), tmp_path / "out")
     model = mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
-    assert sum(model.geom(k).name.startswith("visual") for k in range(model.ngeom)) == 2
+    assert sum("_visual_" in model.geom(k).name for k in range(model.ngeom)) == 2
 
 
 def test_scene_glb_stands_upright_in_gltf_axes(stack: Scene, tmp_path: Path) -> None:

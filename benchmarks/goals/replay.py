@@ -52,7 +52,8 @@ def replayed_phase(package: Path, plan: dict[str, Any], ids: list[int], start: A
     spec.option.timestep = plan["simulation"]["timestep"]
     records = {o["id"]: o for o in json.loads((package / "scene.json").read_text())["objects"]}
     for made in plan["semantics"]:
-        body, was = spec.body(name(made["id"])), records[made["id"]]["density"]
+        body = next(b for b in spec.bodies if is_of(made["id"], b.name))
+        was = records[made["id"]]["density"]
         body.mass = made["density"] * (body.mass / was)
         body.fullinertia = made["density"] * (np.array(body.fullinertia) / was)
         for geom in (g for g in body.geoms if g.contype):
@@ -128,11 +129,12 @@ def damping_ratio(restitution: float) -> float:
 
 
 def number(model: Any, id: int) -> int:
-    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name(id))
+    return next(k for k in range(1, model.nbody) if is_of(id, model.body(k).name))
 
 
-def name(id: int) -> str:
-    return f"object_{id:02d}"
+def is_of(id: int, body: str) -> bool:
+    """Bodies are named ``red_mug_03``: the id ends the name."""
+    return body.rpartition("_")[2] == f"{id:02d}"
 
 
 if __name__ == "__main__":

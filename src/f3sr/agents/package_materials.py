@@ -10,12 +10,13 @@ from f3sr.agents.asks import Asks
 from f3sr.agents.role_answers import Estimate, ReasonerAnswer
 from f3sr.agents.scene_evidence import SceneEvidence
 from f3sr.errors import OutputError
+from f3sr.exporters.exported_scene import ExportedScene
 from f3sr.metrics.measures import measure
 from f3sr.models.model_client import Call
 from f3sr.play.trials import Trials
 from f3sr.runtime.atomic_folder import claimed
 from f3sr.scene import Scene, SceneObject
-from f3sr.scene_package.package import DEFAULT_PHYSICS, WRITTEN, Package
+from f3sr.scene_package.package import WRITTEN, Package
 from f3sr.scene_package.package_folder import ROLLOUTS, placed
 from f3sr.scene_package.scene_json import SceneDocument, to_document, to_json
 
@@ -76,8 +77,9 @@ def write_materials(package: Package, found: Estimated, calls: Sequence[Call], *
 
 def _files(package: Package, scene: Scene, calls: Sequence[Call]) -> Iterator[tuple[str, bytes]]:
     """Those that name materials; meshes and collision parts, in folders, stay."""
+    exported = ExportedScene.of(scene)
     for exporter in WRITTEN:
-        yield from ((name, data) for name, data in exporter.files(scene, DEFAULT_PHYSICS) if "/" not in name)
+        yield from ((name, data) for name, data in exporter.files(exported) if "/" not in name)
     yield "scene.json", to_json(_document(package, scene, calls))
 
 

@@ -50,6 +50,7 @@ Ignore = Annotated[
     ),
 ]
 NormalAxes = Annotated[str, arg(metavar="AXES", help_behavior_hint=default_shown)]
+Formats = Annotated[str, arg(metavar="FORMATS", help_behavior_hint=default_shown)]
 Axes = Annotated[
     str,
     arg(

@@ -16,6 +16,7 @@ import f3sr
 from f3sr.cli import (
     agent_commands,
     batch_commands,
+    export_command,
     goal_commands,
     import_command,
     photo_command,
@@ -53,6 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "segment": segment_command.segment,
         "import": import_command.import_scene,
         "reconstruct": reconstruct,
+        "export": export_command.export,
         "evaluate": evaluate,
         "simulate": goal_commands.simulate,
         "film": goal_commands.film,

@@ -11,6 +11,7 @@ from f3sr.cli.arguments import (
     Axes,
     DeviceName,
     Folder,
+    Formats,
     Ignore,
     Known,
     MaybeFile,
@@ -57,6 +58,7 @@ def reconstruct(
     precision: PrecisionName = "auto",
     allow_downloads: bool = False,
     config: MaybeFile = None,
+    export: Formats = "",
     overwrite: bool = False,
     json: bool = False,
 ) -> None:
@@ -92,10 +94,11 @@ def reconstruct(
         precision: Their numbers; auto is float32 on a CPU, what a model usually runs in elsewhere.
         allow_downloads: Fetch weights of such models from the hub where they are not on this machine.
         config: TOML file of settings; those it does not name stay as ``f3sr config`` prints them.
-        overwrite: Also replace a package that holds rollouts.
+        export: Formats to write the package in too, as for ``f3sr export``, into OUT_export.
+        overwrite: Also replace a package that holds rollouts, and an older export.
         json: Print one JSON object instead of text.
     """
-    from f3sr import pipeline, settings
+    from f3sr import pipeline, scene_export, settings
     from f3sr.backends.kinds import LABELERS, SCENE_GRAPHERS
     from f3sr.backends.model_choice import ModelChoice
     from f3sr.background.completers import BACKGROUND_COMPLETERS, DEFAULT_COMPLETER
@@ -114,6 +117,9 @@ def reconstruct(
 
     require_known("--skip", names_in(skip), options.SKIPPABLE)
     atomic_folder.recover(out)
+    if formats := names_in(export):
+        scene_export.exporters_of(formats)
+        scene_export.prepare_export(scene_export.beside(out), overwrite=overwrite)
     if package_folder.is_package(folder):
         raise InputError(folder, found=package_folder.PACKAGE, accepted=INPUT_FOLDER)
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
@@ -146,8 +152,14 @@ def reconstruct(
             given, chosen, skip=names_in(skip), background=completer, store=Store.default(), progress=progress
         )
         written = deliver(result, out, overwrite=overwrite, progress=progress)
+        exported = None
+        if formats:
+            exported = scene_export.export_package(
+                package.read_package(written), scene_export.beside(out), formats, overwrite=overwrite, progress=progress
+            )
     if json:
-        print(as_json({"package": str(written), "seconds": result.seconds, **columns_of(result.evaluation)}))
+        places = {"package": str(written), **({"export": str(exported)} if exported else {})}
+        print(as_json({**places, "seconds": result.seconds, **columns_of(result.evaluation)}))
         return
     for report in result.reports:
         for decision in report.fallbacks:
@@ -156,6 +168,8 @@ def reconstruct(
     console.print_measures(columns_of(result.evaluation))
     console.say(f"package:  {written}")
     console.say(f"report:   {written / package.PAGE}")
+    if exported:
+        console.say(f"export:   {exported}")
 
 
 def _backend(kind: Kind[P], name: str | None, choice: ModelChoice) -> Backend[P] | None:

@@ -1,12 +1,11 @@
-"""GLB: the whole scene as one binary glTF, Y up, metres; a node per object with its id and label in the extras."""
+"""GLB: the whole scene as one binary glTF, Y up, metres. A node per object has its id and label in the extras."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
+from f3sr.exporters.exported_scene import ExportedScene
 from f3sr.io.gltf_writer import scene_to_glb
-from f3sr.physics.mujoco_model import PhysicsConfig
-from f3sr.scene import Scene
 
 
 class Glb:
@@ -14,5 +13,5 @@ class Glb:
 
     name = "glb"
 
-    def files(self, scene: Scene, physics: PhysicsConfig) -> Iterator[tuple[str, bytes]]:
-        yield "scene.glb", scene_to_glb(scene.objects)
+    def files(self, exported: ExportedScene) -> Iterator[tuple[str, bytes]]:
+        yield "scene.glb", scene_to_glb(exported.scene.objects)

@@ -25,21 +25,25 @@ def to_obj(
     vertices: Array,
     faces: NDArray[np.int32],
     uv: Array | None = None,
-    uv_faces: NDArray[np.int32] | None = None,
     *,
+    normals: NDArray[np.float32] | None = None,
     digits: int = 12,
 ) -> str:
-    """Vertices (n, 3), triangles (m, 3) and texture coordinates (k, 2) with v upwards: those of the corners' rows
-    (m, 3), or of the vertices."""
-    corners = (faces + 1).astype(np.int64)
+    """Vertices (n, 3), triangles (m, 3) and, per vertex, texture coordinates (n, 2) with v upwards.
+
+    ``normals`` (m, 3, 3) are those of the triangles' corners."""
+    corner = (faces + 1).astype(np.int64)
     number = f"%.{digits}g"
     text = [*_rows(f"v {number} {number} {number}\n", vertices)]
-    if uv is None:
-        text += _rows("f %d %d %d\n", corners)
-    else:
+    columns, form = [corner], "%d"
+    if uv is not None:
         text += _rows("vt %.9g %.9g\n", uv)
-        shown = corners if uv_faces is None else (uv_faces + 1).astype(np.int64)
-        text += _rows("f %d/%d %d/%d %d/%d\n", np.stack([corners, shown], 2).reshape(-1, 6))
+        columns, form = [*columns, corner], "%d/%d"
+    if normals is not None:
+        distinct, which = np.unique(normals.reshape(-1, 3), axis=0, return_inverse=True)
+        text += _rows("vn %.6g %.6g %.6g\n", distinct)
+        columns, form = [*columns, which.reshape(-1, 3) + 1], f"{form}/%d" if uv is not None else "%d//%d"
+    text += _rows(f"f {form} {form} {form}\n", np.stack(columns, axis=2).reshape(len(faces), -1))
     return "".join(text)
 
 

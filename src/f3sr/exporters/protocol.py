@@ -9,8 +9,7 @@ from collections.abc import Iterator
 from typing import Protocol
 
 from f3sr.backends.registry import Kind
-from f3sr.physics.mujoco_model import PhysicsConfig
-from f3sr.scene import Scene
+from f3sr.exporters.exported_scene import ExportedScene
 
 
 class Exporter(Protocol):
@@ -21,11 +20,11 @@ class Exporter(Protocol):
         """What users call the format: lower case, as in the registry."""
         ...
 
-    def files(self, scene: Scene, physics: PhysicsConfig) -> Iterator[tuple[str, bytes]]:
+    def files(self, exported: ExportedScene) -> Iterator[tuple[str, bytes]]:
         """Every file with its path relative to the folder, with ``/``, one at a time: together they may be large.
 
-        World vertices [m] are ``T_world_object @ (scale * v)``, Z up. ``physics`` holds the engine's settings;
-        ``physics.mujoco_model.body_of`` gives masses, inertias and convex parts.
+        World vertices [m] are ``T_world_object @ v`` of the meshes in ``exported.objects``, Z up. Equal scenes give
+        equal bytes.
         """
         ...
 
@@ -33,5 +32,11 @@ class Exporter(Protocol):
 EXPORTERS = Kind(
     name="exporter",
     protocol=Exporter,
-    built_in={"glb": "f3sr.exporters.glb:Glb", "mjcf": "f3sr.exporters.mjcf:Mjcf"},
+    built_in={
+        "glb": "f3sr.exporters.glb:Glb",
+        "mjcf": "f3sr.exporters.mjcf_objects:MjcfObjects",
+        "sdf": "f3sr.exporters.sdf:Sdf",
+        "urdf": "f3sr.exporters.urdf:Urdf",
+        "usd": "f3sr.exporters.usd:Usd",
+    },
 )

@@ -17,6 +17,7 @@ from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, MassProperties, Mesh
 from f3sr.core.pose_uncertainty import PoseUncertainty
 from f3sr.errors import InputError
+from f3sr.exporters.exported_scene import ExportedScene
 from f3sr.exporters.glb import Glb
 from f3sr.exporters.mjcf import Mjcf
 from f3sr.exporters.protocol import Exporter
@@ -270,8 +271,9 @@ def package_files(
         mesh = o.mesh.with_vertices(o.scale * o.mesh.vertices)
         yield f"{MASKS}/{o.mask_name}", encode_png(255 * o.mask.astype(np.uint8))
         yield mesh_path(o.id), mesh_to_glb(mesh, name=f"object_{o.id:02d}")
+    exported = ExportedScene.of(scene, physics)
     for exporter in WRITTEN:
-        yield from exporter.files(scene, physics)
+        yield from exporter.files(exported)
     for name, picture in (pictures or {}).items():
         if not re.fullmatch(r"[\w-]+", name, flags=re.ASCII):
             raise ValueError(f"picture name {name!r}: only letters, digits, _ and - are accepted")

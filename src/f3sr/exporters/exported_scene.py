@@ -1,0 +1,105 @@
+"""What every exporter writes: one description of a scene and its objects, so that all formats say the same."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.core.transforms import Array, quaternion_from_rotation
+from f3sr.exporters.export_names import export_name
+from f3sr.exporters.looks import ExportedLook, looks_of
+from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, Body, PhysicsConfig, body_of
+from f3sr.scene import GROUND, Scene, SceneObject
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ExportedObject:
+    """An object in metres, scale baked in: how it looks and what physics needs."""
+
+    object: SceneObject
+    name: str
+    """What files, prims, links and bodies are called; ``export_names`` states the rule."""
+
+    @property
+    def id(self) -> int:
+        return self.object.id
+
+    @property
+    def label(self) -> str:
+        """As the package has it: any text."""
+        return self.object.label
+
+    @cached_property
+    def body(self) -> Body:
+        """Mass, centre, inertia, friction and convex parts, in the object frame."""
+        return body_of(self.object)
+
+    @property
+    def looks(self) -> tuple[ExportedLook, ...]:
+        """Its visual mesh, one piece per material. It is large and made anew each time, so that a scene's are never
+        held together."""
+        return looks_of(self.object)
+
+    @cached_property
+    def bounds(self) -> Array:
+        """Lowest and highest corner (2, 3) of its visual mesh in the object frame [m]."""
+        return self.object.scale * self.object.mesh.bounds
+
+    @cached_property
+    def principal_inertia(self) -> tuple[Array, Array]:
+        """Moments (3,) [kg m2], ascending, and the unit quaternion (4,) wxyz, w >= 0, of the frame of their axes."""
+        moments, axes = np.linalg.eigh(self.body.inertia)
+        axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])  # right-handed
+        quaternion = quaternion_from_rotation(axes)
+        return moments, quaternion if quaternion[0] >= 0 else -quaternion
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ExportedScene:
+    """A scene as exporters get it. ``objects`` are in the order of their ids."""
+
+    scene: Scene
+    objects: tuple[ExportedObject, ...]
+    physics: PhysicsConfig = DEFAULT_PHYSICS
+    background: NDArray[np.uint8] | None = None
+    """The photo completed behind its objects (H, W, 3) sRGB, where the package has it."""
+    mesh_files: Mapping[int, str] = field(default_factory=dict[int, str])
+    """Where the package keeps the mesh of an object, by id."""
+    date: str = ""
+    """Of the package, as YYYY-MM-DD; formats that want a date of their making state it."""
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        physics: PhysicsConfig = DEFAULT_PHYSICS,
+        *,
+        background: NDArray[np.uint8] | None = None,
+        mesh_files: Mapping[int, str] | None = None,
+        date: str = "",
+    ) -> Self:
+        """The scene with a name for every object."""
+        return cls(
+            scene=scene,
+            objects=tuple(ExportedObject(object=o, name=export_name(o.id, o.label)) for o in scene),
+            physics=physics,
+            background=background,
+            mesh_files=mesh_files or {},
+            date=date,
+        )
+
+    @cached_property
+    def names(self) -> Mapping[int, str]:
+        """Names by id, the ground included."""
+        return {GROUND: "ground", **{o.id: o.name for o in self.objects}}
+
+    @cached_property
+    def bounds(self) -> Array:
+        """Lowest and highest corner (2, 3) of all objects in the world [m]."""
+        corners = np.concatenate([o.object.bounds_world for o in self.objects])
+        return np.stack([corners.min(0), corners.max(0)])

@@ -1,0 +1,350 @@
+"""Exports: every format says the same as scene.json, whatever labels hold; other programs' readers are the judges."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+from f3sr.cli.main import main
+from f3sr.core.transforms import Array, rotation_about
+from f3sr.errors import F3srError, InputError, OutputError
+from f3sr.exporters.export_names import export_name, id_of
+from f3sr.exporters.exported_scene import ExportedScene
+from f3sr.exporters.thumbnail import SIDE, thumbnail
+from f3sr.runtime.file_date import date_of
+from f3sr.scene_export import export_package, exporters_of
+from f3sr.scene_package.package import Package, read_package, write_package
+from foreign_packages import install
+from labelled_boxes import labelled_boxes
+
+HOSTILE = [
+    "../../x",
+    "\"quotes\" & 'more'",
+    "<tag attr='1'>",
+    "x" * 300,
+    "",
+    "über\n\0\u202e日本",
+    "7 up",
+    "con",
+    "a_1",
+]
+FORMATS = ["glb", "mjcf", "sdf", "urdf"]
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Package:
+    return read_package(write_package(labelled_boxes(), tmp_path_factory.mktemp("exports") / "table"))
+
+
+@pytest.fixture(scope="module")
+def exported(package: Package, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export_package(package, tmp_path_factory.mktemp("exported") / "out", FORMATS)
+
+
+def records(package: Package) -> dict[str, Any]:
+    """scene.json's records by exported name."""
+    return {export_name(o.id, o.label): o for o in package.document.objects}
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+# --- names ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("label", HOSTILE)
+def test_names_are_safe_and_tell_their_id(label: str) -> None:
+    name = export_name(3, label)
+    assert re.fullmatch(r"[a-z][a-z0-9_]*_03", name) and len(name) <= 50
+    assert id_of(name) == 3
+    assert name == export_name(3, label)
+
+
+def test_names_differ_where_ids_do() -> None:
+    labels = [*HOSTILE, "a", "a_1", "a_1_02", "A 1", "a-1"]
+    names = [export_name(id, label) for id, label in enumerate(labels * 20)]
+    assert len(set(names)) == len(names) and [id_of(n) for n in names] == list(range(len(names)))
+    assert export_name(3, "Red  mug!") == "red_mug_03" and export_name(7, "Café") == "cafe_07"
+
+
+def test_the_index_leads_from_names_to_labels(package: Package, exported: Path) -> None:
+    index = json.loads((exported / "export.json").read_text())
+    assert index["formats"] == FORMATS
+    assert [(o["id"], o["label"]) for o in index["objects"]] == [(o.id, o.label) for o in package.scene]
+    assert [o["name"] for o in index["objects"]] == list(records(package))
+
+
+# --- one truth in every format ----------------------------------------------------------------------------------
+
+
+def test_principal_inertia_is_the_inertia(package: Package) -> None:
+    from f3sr.core.transforms import rotation_from_quaternion
+
+    for o in ExportedScene.of(package.scene).objects:
+        moments, quaternion = o.principal_inertia
+        R = rotation_from_quaternion(quaternion)
+        assert np.allclose(R @ np.diag(moments) @ R.T, o.body.inertia, rtol=1e-12, atol=1e-18)
+        assert np.isclose(np.linalg.det(R), 1) and (np.diff(moments) >= 0).all()
+
+
+def test_urdf_says_what_scene_json_says(package: Package, exported: Path) -> None:
+    poses = json.loads((exported / "urdf/poses.json").read_text())
+    assert [(o["id"], o["fixed"]) for o in poses["objects"]] == [(0, True), (1, False), (12, False)]
+    for place in poses["objects"]:
+        file = exported / "urdf" / place["urdf"]
+        record, link = records(package)[place["name"]], ET.parse(file).getroot().find("link")
+        assert link is not None
+        assert_inertial(link, record)
+        shapes = {kind: [m.get("filename", "") for m in link.iterfind(f"{kind}//mesh")] for kind in KINDS}
+        assert len(shapes["collision"]) == len(record.collision)
+        assert_meshes(file.parent, shapes, package.scene[record.id])
+        position = np.array(record.T_world_object)[:3, 3]
+        assert np.array_equal(place["position"], position)
+
+
+def test_sdf_says_what_scene_json_says(package: Package, exported: Path) -> None:
+    world = ET.parse(exported / "sdf/scene.sdf").getroot().find("world")
+    assert world is not None
+    for name, record in records(package).items():
+        alone = ET.parse(exported / f"sdf/{name}/model.sdf").getroot().find("model")
+        placed = world.find(f"model[@name='{name}']")
+        assert alone is not None and placed is not None
+        for model, folder in ((alone, exported / "sdf" / name), (placed, exported / "sdf")):
+            assert (model.findtext("static") == "true") == (record.mobility == "fixed")
+            link = model.find("link")
+            assert link is not None
+            assert float(link.findtext("inertial/mass", "")) == record.mass
+            moments = {i.tag: float(i.text or "") for i in link.iterfind("inertial/inertia/*")}
+            assert np.array_equal(inertia_matrix(moments), record.inertia)
+            assert floats(link.findtext("inertial/pose", ""))[:3] == list(record.center_of_mass)
+            shapes = {kind: [u.text or "" for u in link.iterfind(f"{kind}//uri")] for kind in KINDS}
+            assert_meshes(folder, shapes, package.scene[record.id])
+            assert {m.text for m in link.iter("mu")} == {repr(record.friction)}
+        x, y, z, *rpy = floats(placed.findtext("pose", ""))
+        T = np.array(record.T_world_object)
+        assert np.allclose(from_rpy(*rpy), T[:3, :3], atol=1e-12) and np.array_equal([x, y, z], T[:3, 3])
+
+
+def test_mjcf_objects_say_what_scene_json_says(package: Package, exported: Path) -> None:
+    whole = mujoco.MjModel.from_xml_path(str(exported / "mjcf/scene.xml"))
+    for name, record in records(package).items():
+        for file in (f"{name}/{name}.xml", f"{name}/scene.xml"):
+            model = mujoco.MjModel.from_xml_path(str(exported / "mjcf" / file))
+            for seen in (model, whole):
+                k = seen.body(name).id
+                assert seen.body_mass[k] == pytest.approx(record.mass, rel=1e-12)
+                axes = matrix_of(seen.body_iquat[k])
+                assert np.allclose(axes @ np.diag(seen.body_inertia[k]) @ axes.T, record.inertia, rtol=1e-9, atol=1e-15)
+        assert model.nkey == (record.mobility == "dynamic")
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        rotation = np.array(record.T_world_object)[:3, :3]
+        assert np.allclose(data.body(name).xmat.reshape(3, 3), rotation, atol=1e-12), "turned as in the scene"
+        corners = package.scene[record.id].mesh.vertices @ rotation.T
+        assert data.body(name).xpos[2] + corners[:, 2].min() == pytest.approx(0, abs=1e-9), "on the ground"
+
+
+def test_the_package_and_its_export_are_one_model(package: Package, exported: Path) -> None:
+    ours = mujoco.MjModel.from_xml_path(str(package.folder / "scene.xml"))
+    theirs = mujoco.MjModel.from_xml_path(str(exported / "mjcf/scene.xml"))
+    for name in ("body_mass", "body_pos", "body_quat", "geom_friction", "mesh_vert", "mesh_texcoord", "key_qpos"):
+        assert np.array_equal(getattr(ours, name), getattr(theirs, name)), name
+
+
+# --- the first sight --------------------------------------------------------------------------------------------
+
+
+def test_the_keyframe_is_the_package(package: Package) -> None:
+    model = mujoco.MjModel.from_xml_path(str(package.folder / "scene.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("rest").id)
+    mujoco.mj_forward(model, data)
+    for name, record in records(package).items():
+        assert np.allclose(data.body(name).xpos, np.array(record.T_world_object)[:3, 3], atol=1e-12)
+
+
+def test_the_viewer_sees_all_objects(package: Package) -> None:
+    """MuJoCo's free camera stands 1.5 extents away and sees 45 degrees of it."""
+    model = mujoco.MjModel.from_xml_path(str(package.folder / "scene.xml"))
+    reach = np.sin(np.radians(model.vis.global_.fovy / 2)) * 1.5 * model.stat.extent
+    corners = np.concatenate([o.vertices_world for o in package.scene])
+    away = np.linalg.norm(corners - model.stat.center, axis=1).max()
+    assert away <= reach * (1 + 1e-6) and away > 0.3 * reach, "all of it, and no speck"
+    a, e = np.radians([model.vis.global_.azimuth, model.vis.global_.elevation])
+    forward = package.scene.camera.T_world_camera[:3, 2]
+    assert np.allclose([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], forward)
+    assert model.vis.global_.offwidth >= package.scene.camera.width
+
+
+def test_the_camera_is_the_photo_s(package: Package) -> None:
+    """Points are where the photo has them in the window that MuJoCo's renderer gets."""
+    model = mujoco.MjModel.from_xml_path(str(package.folder / "scene.xml"))
+    camera, k = package.scene.camera, model.cam("photo").id
+    data, shown, view = mujoco.MjData(model), mujoco.MjvScene(model, maxgeom=100), mujoco.MjvCamera()
+    mujoco.mj_forward(model, data)
+    view.type, view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, k
+    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, view, mujoco.mjtCatBit.mjCAT_ALL, shown)
+    window = shown.camera[0]
+    left, right = window.frustum_center - window.frustum_width, window.frustum_center + window.frustum_width
+    left, right, bottom, top = np.array([left, right, window.frustum_bottom, window.frustum_top]) / window.frustum_near
+    points = np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3)) + np.array([0, 0, 0.1])
+    seen = (points - data.cam_xpos[k]) @ data.cam_xmat[k].reshape(3, 3)
+    x, y = seen[:, 0] / -seen[:, 2], seen[:, 1] / -seen[:, 2]
+    pixels = np.column_stack([camera.width * (x - left) / (right - left), camera.height * (top - y) / (top - bottom)])
+    assert np.allclose(pixels, camera.project(points)[0], atol=1e-3)
+
+
+def test_a_thumbnail_holds_all_of_the_object(package: Package) -> None:
+    for o in package.scene:
+        picture = thumbnail(o, package.scene.camera)
+        assert picture.shape == (SIDE, SIDE, 3)
+        drawn = (np.abs(picture.astype(int) - 235) > 12).any(2)
+        assert not (drawn[0].any() or drawn[-1].any() or drawn[:, 0].any() or drawn[:, -1].any())
+        rows, columns = np.flatnonzero(drawn.any(1)), np.flatnonzero(drawn.any(0))
+        assert max(np.ptp(rows), np.ptp(columns)) > 0.6 * SIDE, "and is not small"
+
+
+# --- the folder -------------------------------------------------------------------------------------------------
+
+
+def test_equal_packages_give_equal_bytes(package: Package, exported: Path, tmp_path: Path) -> None:
+    again = export_package(read_package(package.folder), tmp_path / "again", FORMATS)
+    assert tree(again) == tree(exported)
+
+
+def test_an_export_is_replaced_only_when_told(package: Package, tmp_path: Path) -> None:
+    out = export_package(package, tmp_path / "out", ["urdf", "glb"])
+    with pytest.raises(OutputError, match="only with --overwrite"):
+        export_package(package, out, ["urdf"])
+    assert (out / "glb").exists()
+    export_package(package, out, ["urdf"], overwrite=True)
+    assert sorted(p.name for p in out.iterdir()) == ["export.json", "urdf"]
+    (out / "notes.txt").write_text("mine")
+    with pytest.raises(OutputError, match=r"notes\.txt, which f3sr did not write"):
+        export_package(package, out, ["urdf"], overwrite=True)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other/x").write_text("mine")
+    with pytest.raises(OutputError, match="no f3sr export"):
+        export_package(package, tmp_path / "other", ["urdf"], overwrite=True)
+    with pytest.raises(OutputError, match="inside the package"):
+        export_package(package, package.folder / "export", ["urdf"])
+
+
+@pytest.mark.parametrize("index", ["[]", "{", '{"kind": "f3sr export"}', '{"kind": "f3sr export", "formats": "urdf"}'])
+def test_what_only_looks_like_an_export_stays(index: str, package: Package, tmp_path: Path) -> None:
+    (tmp_path / "export.json").write_text(index)
+    with pytest.raises(OutputError, match="no f3sr export"):
+        export_package(package, tmp_path, ["urdf"], overwrite=True)
+
+
+def test_unknown_formats_and_missing_libraries_are_told_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match="--format: found fbx; accepted: glb, mjcf, sdf, urdf, usd"):
+        exporters_of(["urdf", "fbx"])
+    with pytest.raises(InputError, match="found none"):
+        exporters_of([])
+    monkeypatch.setattr("f3sr.exporters.usd.find_spec", lambda name: None)
+    with pytest.raises(F3srError, match=r"usd needs package usd-core.*pip install 'f3sr\[usd\]'"):
+        exporters_of(["usd"])
+
+
+FOREIGN = """
+    class Bad:
+        name = "bad"
+
+        def files(self, exported):
+            yield "fine.txt", b"1"
+            yield {path!r}, b"2"
+"""
+
+
+@pytest.mark.parametrize("path", ["../x", "/etc/x", "a/../../x", "a\\x", "fine.txt", "", "./x", "x\0"])
+def test_exporters_of_others_write_inside_their_folder(
+    path: str, package: Package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points = {"f3sr.exporter": {"bad": "foreign_bad:Bad"}}
+    install(tmp_path / "site", monkeypatch, module="foreign_bad", source=FOREIGN.format(path=path), points=points)
+    monkeypatch.delitem(__import__("sys").modules, "foreign_bad", raising=False)
+    with pytest.raises(F3srError, match="yields the path"):
+        export_package(package, tmp_path / "out", ["bad"])
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_date_is_the_file_s_or_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "x"
+    file.write_text("")
+    os.utime(file, (86_400 * 365, 86_400 * 365))
+    assert date_of(file) == "1971-01-01"
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "0")
+    assert date_of(file) == "1970-01-01"
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "yesterday")
+    assert date_of(file) == "1971-01-01"
+
+
+def test_the_command_writes_beside_the_package(
+    package: Package, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = write_package(package.scene, tmp_path / "table")
+    command = ["export", str(copy), "--format", "urdf", "--json"]
+    assert main(command) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said == {"folder": str(tmp_path / "table_export"), "formats": ["urdf"]}
+    assert (tmp_path / "table_export/urdf/red_mug_00/red_mug_00.urdf").exists()
+    assert main(command) == 1 and "--overwrite" in capsys.readouterr().err
+
+
+# --- helpers ----------------------------------------------------------------------------------------------------
+
+KINDS = ("visual", "collision")
+
+
+def assert_inertial(link: ET.Element, record: Any) -> None:
+    inertial = link.find("inertial")
+    assert inertial is not None
+    mass, inertia, origin = (inertial.find(tag) for tag in ("mass", "inertia", "origin"))
+    assert mass is not None and inertia is not None and origin is not None
+    assert float(mass.get("value", "")) == record.mass
+    assert np.array_equal(inertia_matrix({k: float(v) for k, v in inertia.items()}), record.inertia)
+    assert floats(origin.get("xyz", "")) == list(record.center_of_mass)
+
+
+def assert_meshes(folder: Path, shapes: dict[str, list[str]], o: Any) -> None:
+    """Visual meshes together are the object's surface; every convex part is one of its own, and holds no other."""
+    loaded: Any = [trimesh.load_mesh(folder / path, process=False) for path in shapes["visual"]]
+    faces = np.concatenate([m.triangles for m in loaded])
+    wanted = (o.scale * o.mesh.vertices)[o.mesh.faces]
+    assert np.allclose(np.sort(faces.reshape(-1, 9), 0), np.sort(wanted.reshape(-1, 9), 0), atol=1e-9)
+    textured = o.mesh.materials[0].texture is not None
+    assert textured == all((folder / path).with_suffix(".png").exists() for path in shapes["visual"])
+    for path, part in zip(shapes["collision"], o.solids, strict=True):
+        hull: Any = trimesh.load_mesh(folder / path, process=False)
+        assert hull.is_watertight and hull.volume == pytest.approx(part.volume * o.scale**3, rel=1e-5)
+
+
+def inertia_matrix(named: dict[str, float]) -> Array:
+    x, y, z = (np.array([named[f"i{''.join(sorted(a + b))}"] for b in "xyz"]) for a in "xyz")
+    return np.stack([x, y, z])
+
+
+def floats(text: str) -> list[float]:
+    return [float(v) for v in text.split()]
+
+
+def from_rpy(roll: float, pitch: float, yaw: float) -> Array:
+    z, y, x = (rotation_about(axis, angle) for axis, angle in zip(np.eye(3)[::-1], (yaw, pitch, roll), strict=True))
+    return z @ y @ x
+
+
+def matrix_of(quaternion: Array) -> Array:
+    out = np.empty(9)
+    mujoco.mju_quat2Mat(out, quaternion)
+    return out.reshape(3, 3)
