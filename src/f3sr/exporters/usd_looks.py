@@ -1,4 +1,4 @@
-"""Visual meshes and materials in USD: UsdPreviewSurface with a texture, or with the colours of the vertices."""
+"""Visual meshes and materials in USD: UsdPreviewSurface with a texture or one colour."""
 
 from __future__ import annotations
 
@@ -25,16 +25,11 @@ def add_visual(stage: Stage, path: str, look: ExportedLook) -> Prim:
     mesh = usd.UsdGeom.Mesh.Define(stage, path)
     _set_shape(mesh, look.vertices, faces)
     _set_normals(mesh, normals, usd.UsdGeom.Tokens.faceVarying)
-    vertex = usd.UsdGeom.Tokens.vertex
     if look.uv is not None:
-        types = usd.Sdf.ValueTypeNames
-        st = usd.UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", types.TexCoord2fArray, vertex)
+        kind, vertex = usd.Sdf.ValueTypeNames.TexCoord2fArray, usd.UsdGeom.Tokens.vertex
+        st = usd.UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", kind, vertex)
         st.Set(usd.Vt.Vec2fArray.FromNumpy(look.uv.astype(np.float32)))
-    if look.uv is None and look.mesh.vertex_colors is not None:
-        colors = linear(look.mesh.vertex_colors / 255 * np.asarray(look.mesh.materials[look.number].base_color))
-        mesh.CreateDisplayColorPrimvar(vertex).Set(usd.Vt.Vec3fArray.FromNumpy(colors.astype(np.float32)))
-    else:
-        mesh.CreateDisplayColorPrimvar(usd.UsdGeom.Tokens.constant).Set([_color(look.mean_rgb)])
+    mesh.CreateDisplayColorPrimvar(usd.UsdGeom.Tokens.constant).Set([_color(look.mean_rgb)])
     return mesh.GetPrim()
 
 
@@ -67,10 +62,6 @@ def add_surface(stage: Stage, path: str, look: ExportedLook, texture: str | None
     if texture is not None:
         factor = _color(look.mesh.materials[look.number].base_color)
         diffuse.ConnectToSource(_texture(stage, path, texture, scale=factor), "rgb")
-    elif look.mesh.vertex_colors is not None:
-        reader = _reader(stage, f"{path}/colors", "UsdPrimvarReader_float3", "displayColor")
-        reader.CreateOutput("result", usd.Sdf.ValueTypeNames.Float3)
-        diffuse.ConnectToSource(reader.ConnectableAPI(), "result")
     else:
         diffuse.Set(_color(look.rgb))
     return material
@@ -102,7 +93,9 @@ def _texture(stage: Stage, path: str, file: str, *, scale: Any = None, wrap: str
     """What a shader connects to for the colours of a picture."""
     usd = pxr()
     types = usd.Sdf.ValueTypeNames
-    reader = _reader(stage, f"{path}/coordinates", "UsdPrimvarReader_float2", "st")
+    reader = usd.UsdShade.Shader.Define(stage, f"{path}/coordinates")
+    reader.CreateIdAttr("UsdPrimvarReader_float2")
+    reader.CreateInput("varname", types.String).Set("st")
     reader.CreateOutput("result", types.Float2)
     texture = usd.UsdShade.Shader.Define(stage, f"{path}/texture")
     texture.CreateIdAttr("UsdUVTexture")
@@ -115,14 +108,6 @@ def _texture(stage: Stage, path: str, file: str, *, scale: Any = None, wrap: str
     texture.CreateInput("st", types.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
     texture.CreateOutput("rgb", types.Float3)
     return texture.ConnectableAPI()
-
-
-def _reader(stage: Stage, path: str, id: str, primvar: str) -> Any:
-    usd = pxr()
-    reader = usd.UsdShade.Shader.Define(stage, path)
-    reader.CreateIdAttr(id)
-    reader.CreateInput("varname", usd.Sdf.ValueTypeNames.String).Set(primvar)
-    return reader
 
 
 def _set_shape(mesh: Any, vertices: Array, faces: Any) -> None:

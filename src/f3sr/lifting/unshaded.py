@@ -138,8 +138,9 @@ class PhotoLight:
 def light_of(
     shown: Sequence[SeenSolid], rgb: NDArray[np.uint8], ground: NDArray[np.bool_] | None, camera: Camera
 ) -> PhotoLight:
-    """The light that explains best how colours of the photo (H, W, 3) change over each solid, as if that had one colour
-    all over, and on the ``ground`` (H, W) between them with its shadows.
+    """The light that explains best how colours of the photo (H, W, 3) change over solids, as if each had one colour.
+
+    The ``ground`` (H, W) between them counts with the shadows that they cast on it.
 
     Print and stains are outliers of the fit, and its misfits are relative to each solid's own. See
     ``rendering.light_fit``."""
