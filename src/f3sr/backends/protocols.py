@@ -138,6 +138,8 @@ class GeneratedAsset:
     scale: float = 1.0
     told: str = ""
     """What it is, and what it might be, for the report."""
+    doubted: bool = False
+    """Whether its place may be wrong; ``told`` then says why."""
     fixed: str = ""
     """Why physics must not move it; empty where it may."""
     lifted: bool = False

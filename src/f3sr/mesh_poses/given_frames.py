@@ -14,13 +14,14 @@ import numpy as np
 from f3sr.backends.protocols import GeneratedAsset, ProducedMesh, PromptedImage
 from f3sr.core.handedness import in_axes, mirrored, rotation_of
 from f3sr.core.transforms import Array, pose
-from f3sr.errors import InputError
+from f3sr.errors import InputError, printable
 from f3sr.io.given_meshes import GivenMeshes, PlacedMeshes
 from f3sr.io.pose_conventions import ALL_AXES, CAMERAS, SAM3D, SignedAxes, all_conventions, camera_axes, parsed
 from f3sr.mesh_poses.candidate_places import CandidatePlaces
 from f3sr.mesh_poses.outline_votes import sieved
-from f3sr.mesh_poses.pose_by_mask import MaskedPhoto
-from f3sr.mesh_poses.posed_meshes import posed_meshes
+from f3sr.mesh_poses.pose_by_mask import DEFAULT_SEARCH, MaskedPhoto
+from f3sr.mesh_poses.posed_meshes import asset_of
+from f3sr.mesh_poses.poses_by_masks import poses_by_masks
 from f3sr.mesh_poses.reading_votes import DEFAULT_VOTES, VoteConfig, Votes, voted
 from f3sr.report import Decision
 from f3sr.scene import Geometry
@@ -68,13 +69,37 @@ class MaskPlacer:
     def _unposed(
         self, image: PromptedImage, geometry: Geometry, K: Array, given: GivenMeshes, reason: str
     ) -> PlacedMeshes:
+        """Where the masks put the meshes. InputError where they do not decide, unless the user takes the likeliest."""
+        view = MaskedPhoto.of(image, geometry, K)
         produced = {id: ProducedMesh(mesh=mesh) for id, mesh in given.meshes.items()}
-        assets = posed_meshes(image, geometry, K, produced)
+        ranked = poses_by_masks(view, produced, DEFAULT_SEARCH)
+        doubts = {id: doubt for id, p in ranked.items() if (doubt := p.doubt(self.votes))}
+        if doubts and given.frame != UNPOSED:
+            raise _undecided(given, view, doubts)
         what = "poses.json is not used: " if given.poses is not None else ""
         first = Decision(choice=f"assets: {what}meshes without a pose stand where their masks put them", reason=reason,
                          fallback=given.frame != UNPOSED)  # fmt: skip
-        each = (Decision(choice=a.told, reason="the mesh has no pose", about=id) for id, a in assets.items())
+        each = (
+            Decision(choice=p.told, reason=doubts.get(id, "the mesh has no pose"), about=id, fallback=id in doubts)
+            for id, p in ranked.items()
+        )
+        assets = {id: asset_of(view, p.object, p.told) for id, p in ranked.items()}
         return PlacedMeshes(assets=assets, decisions=(first, *each))
+
+
+def _undecided(given: GivenMeshes, view: MaskedPhoto, doubts: Mapping[int, str]) -> InputError:
+    named = [f"{_name(view, id)}: {doubt}" for id, doubt in list(doubts.items())[:NAMED]]
+    more = f" and {len(doubts) - NAMED} more" if len(doubts) > NAMED else ""
+    return InputError(
+        given.place,
+        found=f"no pose, and the masks do not decide it; {'; '.join(named)}{more}",
+        accepted=f"poses.json, or --asset-frame {UNPOSED}, which takes the likeliest poses",
+    )
+
+
+def _name(view: MaskedPhoto, id: int) -> str:
+    instance = view.instances[id]
+    return printable(f"object {id} ({instance.label or instance.name})")
 
 
 def _readings(given: GivenMeshes) -> CandidatePlaces:

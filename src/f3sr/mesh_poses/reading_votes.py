@@ -21,6 +21,7 @@ from f3sr.mesh_poses.candidate_places import CandidatePlaces
 from f3sr.mesh_poses.outline_votes import DEFAULT_OUTLINES, OutlineConfig, sieved
 from f3sr.mesh_poses.pose_by_mask import DEFAULT_SEARCH, MaskedPhoto, PoseSearchConfig
 from f3sr.mesh_poses.read_poses import Seeker
+from f3sr.scene import SceneObject
 from f3sr.settings import constants
 
 
@@ -88,11 +89,8 @@ class Votes:
 
     def apart(self, v: int, one: int, other: int) -> float:
         """Mean distance of the surfaces of the ``v``-th object by two readings [share of its diagonal]."""
-        from scipy.spatial import KDTree
-
         a, b = (self._placed(v, k) for k in (one, other))
-        size = float(self.places.scale[one, v]) * self.meshes[self.places.ids[v]].diagonal
-        return float(KDTree(a).query(b)[0].mean() + KDTree(b).query(a)[0].mean()) / 2 / size
+        return _apart(a, b) / (float(self.places.scale[one, v]) * self.meshes[self.places.ids[v]].diagonal)
 
     def _placed(self, v: int, k: int) -> Array:
         """Points (p, 3) of a surface where a reading puts it, in the camera."""
@@ -103,6 +101,19 @@ class Votes:
     def _points(self) -> list[Array]:
         chosen = (self.meshes[id] for id in self.places.ids)
         return [sample_surface(m.vertices, m.faces, self.config.samples) for m in chosen]
+
+
+def surfaces_apart(one: SceneObject, other: SceneObject, samples: int) -> float:
+    """Mean distance of two surfaces in the world [share of the first's size]."""
+    a, b = (sample_surface(o.vertices_world, o.mesh.faces, samples) for o in (one, other))
+    return _apart(a, b) / one.size
+
+
+def _apart(a: Array, b: Array) -> float:
+    """Mean distance of points (n, 3) to the nearest of others (m, 3), both ways."""
+    from scipy.spatial import KDTree
+
+    return float(KDTree(a).query(b)[0].mean() + KDTree(b).query(a)[0].mean()) / 2
 
 
 def voted(
