@@ -141,7 +141,7 @@ class HostedProducer:
         return ProducedMesh(
             mesh=made.mesh,
             up=self.service.up,
-            poses=() if made.pose is None else made.pose.readings,
+            pose=None if made.pose is None else made.pose.given,
             told=facts + (f", request {made.job}" if made.job else ""),
         )
 

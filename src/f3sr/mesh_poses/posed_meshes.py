@@ -1,16 +1,22 @@
-"""Meshes of a generator to assets in the camera's frame: given poses by their likeliest reading, others by masks."""
+"""Meshes of a generator to assets in the camera's frame: given poses by the reading that is meant, others by masks."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 from f3sr.backends.protocols import GeneratedAsset, ProducedMesh, PromptedImage
 from f3sr.core.transforms import Array
+from f3sr.io.pose_conventions import SAM3D, all_conventions
+from f3sr.mesh_poses.candidate_places import CandidatePlaces
+from f3sr.mesh_poses.placed_by_reading import asset_of, placed_by_reading
 from f3sr.mesh_poses.pose_by_mask import DEFAULT_SEARCH, MaskedPhoto, PoseSearchConfig
 from f3sr.mesh_poses.poses_by_masks import RankedPoses, poses_by_masks
-from f3sr.mesh_poses.read_poses import CLEAR, USABLE, JudgedReading, judged_readings
-from f3sr.scene import Geometry, SceneObject
+from f3sr.mesh_poses.reading_votes import Votes, voted
+from f3sr.scene import Geometry
+
+NAMED = 4
+"""Most other readings that a report names."""
 
 
 def posed_meshes(
@@ -23,42 +29,38 @@ def posed_meshes(
 ) -> Mapping[int, GeneratedAsset]:
     """Meshes of a generator, one per instance, where they stand in the photo. ``K`` (3, 3) in pixels of the photo.
 
-    Where all have poses, the reading is taken that fits the masks best. Where none fits, or poses are absent, masks
-    alone tell. Every asset says how it got its pose.
+    Where all have poses, the masks vote on how these are read. Where no reading fits, or poses are absent, masks alone
+    tell. Every asset says how it got its pose, and whether that is in doubt.
     """
     view = MaskedPhoto.of(image, geometry, K)
-    if all(m.poses for m in meshes.values()):
-        judged = judged_readings(view, meshes, search)
-        if judged and judged[0].iou >= USABLE:
-            return _as_read(view, judged, meshes)
+    poses = {id: m.pose for id, m in meshes.items() if m.pose is not None}
+    if len(poses) == len(meshes):
+        places = CandidatePlaces.of_poses(poses, all_conventions())
+        # A producer's scale is that of its own mesh file: the two have one unit.
+        votes = voted(view, {id: m.mesh for id, m in meshes.items()}, places, units=False, search=search)
+        if votes.usable:
+            return _as_read(view, votes, meshes)
     ranked = poses_by_masks(view, meshes, search)
     return {id: _by_mask(view, ranked[id], meshes[id].told) for id in ranked}
+
+
+def _as_read(view: MaskedPhoto, votes: Votes, meshes: Mapping[int, ProducedMesh]) -> Mapping[int, GeneratedAsset]:
+    """Assets by the likeliest reading; of readings that fit alike, the documented one."""
+    alike = [votes.places.names[k] for k in votes.alike]
+    taken = alike.index(SAM3D.name) if SAM3D.name in alike else 0
+    rivals = [votes.places.names[k] for k in (0, *votes.rivals) if k != taken and votes.differ(k, taken)]
+    told = f"pose as given ({alike[taken]}), mean IoU with the masks {votes.ious[taken]:.2f} once corrected"
+    if rivals:
+        told += f"; {', '.join(rivals[:NAMED])} would fit as well"
+    placed = placed_by_reading(view, votes.meshes, votes.places, taken)
+    told = "; ".join((told, *(f"{d.choice.removeprefix('assets: ')}: {d.reason}" for d in placed.decisions)))
+    return {
+        id: replace(asset, told="; ".join(filter(None, (meshes[id].told, told))), doubted=bool(rivals))
+        for id, asset in placed.assets.items()
+    }
 
 
 def _by_mask(view: MaskedPhoto, ranked: RankedPoses, told: str) -> GeneratedAsset:
     doubt = ranked.doubt()
     told = "; ".join(filter(None, (told, ranked.told, doubt)))
     return replace(asset_of(view, ranked.object, told), doubted=bool(doubt))
-
-
-def _as_read(
-    view: MaskedPhoto, judged: Sequence[JudgedReading], meshes: Mapping[int, ProducedMesh]
-) -> Mapping[int, GeneratedAsset]:
-    """Assets by the likeliest reading; of readings that fit alike, the one that the producer names first."""
-    alike = [j.reading for j in judged if j.missed <= judged[0].missed + CLEAR]
-    taken = next(p.reading for p in next(iter(meshes.values())).poses if p.reading in alike)
-    chosen = next(j for j in judged if j.reading == taken)
-    rest = ", ".join(name for name in alike if name != taken)
-    told = f"pose as given ({taken}), mean IoU with the masks {chosen.iou:.2f}{rest and f'; {rest} fits as well'}"
-    return {
-        id: asset_of(view, pose.object, "; ".join(filter(None, (meshes[id].told, told))))
-        for id, pose in chosen.poses.items()
-    }
-
-
-def asset_of(view: MaskedPhoto, o: SceneObject, told: str) -> GeneratedAsset:
-    """An object of the photo's world as an asset in the camera's frame."""
-    T = view.camera.T_camera_world @ o.T_world_object
-    return GeneratedAsset(mesh=o.mesh, T_camera_object=T, scale=o.scale, told=told)
-
-

@@ -20,7 +20,7 @@ from f3sr.core.transforms import Array
 from f3sr.mesh_poses.candidate_places import CandidatePlaces
 from f3sr.mesh_poses.outline_votes import DEFAULT_OUTLINES, OutlineConfig, sieved
 from f3sr.mesh_poses.pose_by_mask import DEFAULT_SEARCH, MaskedPhoto, PoseSearchConfig
-from f3sr.mesh_poses.read_poses import Seeker
+from f3sr.mesh_poses.pose_seeker import Seeker
 from f3sr.scene import SceneObject
 from f3sr.settings import constants
 
@@ -73,13 +73,18 @@ class Votes:
         """Whether any reading shows what the masks show."""
         return len(self.places) > 0 and float(self.ious[0]) >= self.config.usable
 
+    @property
+    def alike(self) -> list[int]:
+        """Indices of readings that fit as well as the best, which is the first; they are the first ones."""
+        margin = self.config.margin(len(self.places.ids))
+        return [k for k in range(len(self.places)) if self.costs[k] <= self.costs[0] + margin]
+
     @cached_property
     def rivals(self) -> list[int]:
         """Indices of readings that fit as well as the best, and differ visibly from it and from each other."""
-        margin = self.config.margin(len(self.places.ids))
         found = list[int]()
-        for k in range(1, len(self.places)):
-            if self.costs[k] <= self.costs[0] + margin and all(self.differ(k, other) for other in (0, *found)):
+        for k in self.alike[1:]:
+            if all(self.differ(k, other) for other in (0, *found)):
                 found.append(k)
         return found
 
