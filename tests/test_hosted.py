@@ -25,16 +25,18 @@ from PIL import Image
 from f3sr.backends.protocols import ProducedMesh, PromptedImage
 from f3sr.core.mesh import Mesh
 from f3sr.errors import F3srError, InputError, NoAnswerError
+from f3sr.generators.posed_assets import PosedAssets
 from f3sr.hosted import job_files
 from f3sr.hosted.cut_outs import cut_out_png, mask_png, photo_jpeg
 from f3sr.hosted.hosted_client import HostedLimits
 from f3sr.hosted.hosted_service import HostedService
 from f3sr.hosted.limited_http import LostReplyError, NotSentError, exchange
-from f3sr.hosted.mesh_producers import MESH_PRODUCERS, HostedProducer
+from f3sr.hosted.mesh_producers import HostedProducer
 from f3sr.hosted.service_key import ServiceKey, service_key
 from f3sr.hosted.services import SERVICES
 from f3sr.io.gltf_writer import mesh_to_glb
 from f3sr.io.pose_conventions import SAM3D, all_conventions
+from f3sr.lifting.generators import ASSET_GENERATORS
 from f3sr.mesh_poses.candidate_places import CandidatePlaces
 from f3sr.scene import Geometry, Instance, Photo
 from hosted_servers import API_ID, WIRES, Answer, LoopbackServer, Q, Wire, loopback_server, merged, sam3d_pose
@@ -843,12 +845,18 @@ def test_models_of_replicate_are_named_with_version_and_field(
 ) -> None:
     wire = WIRES["replicate"]
     bench.serve(wire)
-    made = MESH_PRODUCERS.find(f"replicate:{model}").made
-    assert isinstance(made, HostedProducer)
+    made = producer_of(f"replicate:{model}")
     producer = replace(made, service=replace(made.service, base_url=bench.api.url), limits=LIMITS)
     bench.run(wire, producer)
     body = bench.api.heard[0].json
     assert body["version"] == version and list(body["input"]) == [input]
+
+
+def producer_of(spec: str) -> HostedProducer:
+    """The producer that a user asks for."""
+    made = ASSET_GENERATORS.find(spec).made
+    assert isinstance(made, PosedAssets) and isinstance(made.producer, HostedProducer)
+    return made.producer
 
 
 # --- keys, addresses, names -----------------------------------------------------------------------------------------
@@ -858,13 +866,13 @@ def test_models_of_replicate_are_named_with_version_and_field(
 def test_every_service_is_found_by_its_name(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     variable = SERVICE[name].key_variable
     monkeypatch.setenv(variable or "UNUSED", KEY)
-    backend = MESH_PRODUCERS.find(name)
+    backend = ASSET_GENERATORS.find(name)
     assert not leaks(backend.told + backend.key + repr(backend.made)) and SERVICE[name].licence in backend.told
-    (need,) = (found.needs for found in MESH_PRODUCERS.examined() if found.name == name)
+    (need,) = (found.needs for found in ASSET_GENERATORS.examined() if found.name == name)
     assert need[0].met == bool(variable) and not leaks(repr(need))
     if variable:
         monkeypatch.delenv(variable)
-        (need,) = (found.needs for found in MESH_PRODUCERS.examined() if found.name == name)
+        (need,) = (found.needs for found in ASSET_GENERATORS.examined() if found.name == name)
         assert not need[0].met and variable in need[0].remedy
 
 
@@ -873,7 +881,7 @@ def test_every_service_is_found_by_its_name(name: str, monkeypatch: pytest.Monke
 )
 def test_a_model_that_cannot_be_one_is_refused(model: str) -> None:
     with pytest.raises(InputError, match="model of fal-trellis2"):
-        MESH_PRODUCERS.find(f"fal-trellis2:{model}")
+        ASSET_GENERATORS.find(f"fal-trellis2:{model}")
 
 
 @pytest.mark.parametrize(
@@ -881,20 +889,20 @@ def test_a_model_that_cannot_be_one_is_refused(model: str) -> None:
 )
 def test_an_address_that_cannot_be_one_is_refused(address: str) -> None:
     with pytest.raises(InputError, match="address of hunyuan-server"):
-        MESH_PRODUCERS.find(f"hunyuan-server:{address}")
+        ASSET_GENERATORS.find(f"hunyuan-server:{address}")
 
 
 def test_the_users_server_is_asked_where_the_user_says(bench: Bench) -> None:
     wire = WIRES[DIRECT]
     bench.serve(wire)
-    made = MESH_PRODUCERS.find(f"hunyuan-server:{bench.api.url}/").made
+    made = producer_of(f"hunyuan-server:{bench.api.url}/")
     assert len(made.produce(prompted(2), GEOMETRY, np.eye(3))) == 2
     assert bench.api.count("submit") == 2
 
 
 def test_without_an_address_or_a_key_nothing_is_sent(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="address of hunyuan-server"):
-        MESH_PRODUCERS.find(DIRECT).made.produce(prompted(1), GEOMETRY, np.eye(3))
+        producer_of(DIRECT).produce(prompted(1), GEOMETRY, np.eye(3))
     for value in ("", "short", "with space and more", "kéyкéyкéy"):
         monkeypatch.setenv("FAL_KEY", value)
         with pytest.raises(InputError, match="FAL_KEY") as raised:
