@@ -20,7 +20,13 @@ from f3sr.core.levenberg_marquardt import Local
 from f3sr.core.mesh import Mesh
 from f3sr.core.surface_samples import sample_surface
 from f3sr.core.transforms import Array, pose, rotation_angle
-from f3sr.mesh_poses.orientations import Orientation, OrientationConfig, local_minima, tried_orientations
+from f3sr.mesh_poses.orientations import (
+    Orientation,
+    OrientationConfig,
+    leaning_orientations,
+    local_minima,
+    tried_orientations,
+)
 from f3sr.scene import Geometry, Instance, Photo, SceneObject
 from f3sr.settings import constants
 from f3sr.vision import rasterizer
@@ -153,6 +159,8 @@ class PoseSearch:
         """Poses, best first; the first is the one to take."""
         wide = self._fit(outlined(self.start, self.config.orientations.max_faces), self.config.wide, coarse=True)
         rings = tried_orientations(self.start, wide, self.config.orientations)
+        if (along := self._measured_axis) is not None:
+            rings += leaning_orientations(self.start, wide, along, len(rings), self.config.orientations)
         near = self._promising(rings)
         first = sorted((self.judged(self._moved(wide, f), f.side) for f in near), key=lambda f: f.missed)
         best = _distinct(first)[: self.config.refined]
@@ -188,12 +196,25 @@ class PoseSearch:
     @property
     def _measured_scale(self) -> float:
         """The scale at which the mesh is spread as far as the surface that the geometry sees; 0 where it sees none."""
-        geometry = self.view.geometry
-        where = None if geometry is None else geometry.inside(self.instance.mask)
-        if geometry is None or where is None or np.count_nonzero(where) < GEOMETRY_PIXELS:
+        if (points := self._measured) is None:
             return 0.0
-        samples = sample_surface(self.mesh.vertices, self.mesh.faces, SAMPLES)
-        return _spread(geometry.points[where].astype(float)) / _spread(samples)
+        return _spread(points) / _spread(sample_surface(self.mesh.vertices, self.mesh.faces, SAMPLES))
+
+    @property
+    def _measured_axis(self) -> Array | None:
+        """The unit vector (3,) of the world along which the measured surface is longest: what leans lies along it."""
+        if (points := self._measured) is None:
+            return None
+        spread = np.linalg.eigh(np.cov(_drawn_in(points).T))[1]
+        return self.view.camera.T_world_camera[:3, :3] @ spread[:, -1]
+
+    @cached_property
+    def _measured(self) -> Array | None:
+        """What the geometry sees of the object (n, 3) in the camera; None for less than tells a distance."""
+        if (geometry := self.view.geometry) is None:
+            return None
+        points = geometry.points[geometry.inside(self.instance.mask)].astype(float)
+        return points if len(points) >= GEOMETRY_PIXELS else None
 
     @cached_property
     def _valid(self) -> Mask:
@@ -334,8 +355,13 @@ class PoseSearch:
 
 def _spread(points: Array) -> float:
     """Root of the mean squared distance of points (n, 3) from their mean, a few strays drawn in."""
+    return float(np.linalg.norm(_drawn_in(points).std(axis=0)))
+
+
+def _drawn_in(points: Array) -> Array:
+    """Points (n, 3) with the outermost at the others' border."""
     low, high = np.percentile(points, STRAYS, axis=0)
-    return float(np.linalg.norm(np.clip(points, low, high).std(axis=0)))
+    return np.clip(points, low, high)
 
 
 def _distinct(found: list[FoundPose]) -> list[FoundPose]:
