@@ -32,6 +32,9 @@ DOUBT = 0.02
 """Difference in what two poses miss below which neither is better."""
 ANOTHER = math.radians(20)
 """Turn from which on two poses are not the same, roughly."""
+APART = 0.05
+"""Mean distance of surfaces [share of the size] from which on two poses are two places: a pose that was searched may
+itself be off by less."""
 SHOWN = 0.75
 """IoU below which a pose does not show what the mask shows: generated meshes in their places miss less."""
 
@@ -132,7 +135,7 @@ class RankedPoses:
         if best.iou < SHOWN:
             return f"no pose shows what its mask shows (IoU {best.iou:.2f} at best)"
         fitting = (p for p in self.poses[1:] if p.missed <= best.missed + votes.margin(1))
-        rival = next((p for p in fitting if surfaces_apart(best.object, p.object, votes.samples) > votes.alike), None)
+        rival = next((p for p in fitting if surfaces_apart(best.object, p.object, votes.samples) > APART), None)
         if rival is None:
             return ""
         turn = math.degrees(turn_between(best, rival))
