@@ -155,7 +155,7 @@ def _taken(given: GivenMeshes, votes: Votes) -> int:
     """The reading to take. InputError where the masks do not decide: it names those that tie."""
     tied = [0, *votes.rivals]
     if len(tied) == 1:
-        return 0
+        return votes.likeliest
     if given.poses is None:
         # Axes that programs use are likelier than all others.
         usual = [k for k in tied if votes.places.names[k] in CAMERAS]

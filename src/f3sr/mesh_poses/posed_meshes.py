@@ -45,9 +45,9 @@ def posed_meshes(
 
 
 def _as_read(view: MaskedPhoto, votes: Votes, meshes: Mapping[int, ProducedMesh]) -> Mapping[int, GeneratedAsset]:
-    """Assets by the likeliest reading; of readings that fit alike, the documented one."""
+    """Assets by the documented reading, if it fits as well as any, else by the likeliest."""
     alike = [votes.places.names[k] for k in votes.alike]
-    taken = alike.index(SAM3D.name) if SAM3D.name in alike else 0
+    taken = alike.index(SAM3D.name) if SAM3D.name in alike else votes.likeliest
     rivals = [votes.places.names[k] for k in (0, *votes.rivals) if k != taken and votes.differ(k, taken)]
     told = f"pose as given ({alike[taken]}), mean IoU with the masks {votes.ious[taken]:.2f} once corrected"
     if rivals:
