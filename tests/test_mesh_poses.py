@@ -97,14 +97,15 @@ def require_found(
     assert not made.doubted
 
 
-@pytest.mark.parametrize("yaw", [1.5, -1.7])
-def test_what_points_at_the_camera_is_as_long_as_the_depths_say(yaw: float):
-    require_found(*seen(yaw, mesh=hammer()), hammer(), within=0.02)
+@pytest.mark.parametrize(("yaw", "tilt"), [(1.3, 0.35), (-1.8, -0.3)])
+def test_what_points_at_the_camera_is_as_long_as_the_depths_say(yaw: float, tilt: float):
+    """Seen from 20 degrees off its long axis; by its mask alone it is half as long."""
+    require_found(*seen(yaw, mesh=hammer(), tilt=tilt), hammer(), within=0.01)
 
 
 @pytest.mark.parametrize("tilt", [0.45, -0.45])
 def test_what_leans_is_found_by_its_depths(tilt: float):
-    require_found(*seen(0.8, mesh=hammer(), tilt=tilt), hammer(), within=0.02)
+    require_found(*seen(0.8, mesh=hammer(), tilt=tilt), hammer(), within=0.01)
 
 
 def test_a_mesh_that_cannot_show_its_mask_is_doubted():
