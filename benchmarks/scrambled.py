@@ -1,6 +1,6 @@
 """Imports whose conventions nobody tells: scenes of twenty real meshes, written as producers of any convention would.
 
-usage: python benchmarks/scrambled.py [--count N] [--first K] [--data PATH] [--out FILE]
+usage: python benchmarks/scrambled.py [--count N] [--first K] [--route NAME] [--data PATH] [--out FILE]
 Masks, photo and depth are drawn from the true places. The files then have random mesh axes (48, half of them mirrored),
 order and direction of the quaternion, camera axes, units, nested nodes and packing; most poses are off as a generator's
 are. The product reads the folder. An import is *right* where every surface lies within BOUND of where the written pose
@@ -140,8 +140,10 @@ class Producer:
     """Of poses: radians, and shares of size and place."""
 
 
-def producer(rng: np.random.Generator) -> Producer:
-    route = str(rng.choice(ROUTES, p=ROUTE_SHARES))
+def producer(rng: np.random.Generator, only: str | None = None) -> Producer:
+    """Of any route, or of one only."""
+    drawn = str(rng.choice(ROUTES, p=ROUTE_SHARES))
+    route = only or drawn
     axes = str(rng.choice([a.name for a in ALL_AXES]))
     camera = str(rng.choice(list(CAMERAS)))
     if route == "poses" and camera == "unity":
@@ -299,10 +301,10 @@ def apart(wanted: Array, vertices: Array, faces: Any, size: float) -> float:
     return float(KDTree(wanted).query(found)[0].mean() + KDTree(found).query(wanted)[0].mean()) / 2 / size
 
 
-def judged(meshes: Mapping[str, Mesh], seed: int, place: Path) -> dict[str, Any]:
+def judged(meshes: Mapping[str, Mesh], seed: int, place: Path, route: str | None = None) -> dict[str, Any]:
     """One import: what it was, and what became of it."""
     rng = np.random.default_rng([7, seed])
-    scene, made = true_scene(meshes, rng), producer(rng)
+    scene, made = true_scene(meshes, rng), producer(rng, route)
     wanted = write(place, scene, made, rng)
     began = time.process_time()
     told, off = "", 0.0
@@ -325,6 +327,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--count", type=int, default=1_000)
     parser.add_argument("--first", type=int, default=0, help="seed of the first")
+    parser.add_argument("--route", choices=ROUTES, help="all imports by this one")
     parser.add_argument("--data", type=Path, default=REPO.parent / "shared" / "data")
     parser.add_argument("--out", type=Path, default=Path("out/scrambled.jsonl"))
     args = parser.parse_args()
@@ -337,7 +340,7 @@ def main() -> int:
     with args.out.open("w") as lines:
         for seed in range(args.first, args.first + args.count):
             with tempfile.TemporaryDirectory() as place:
-                found.append(judged(meshes, seed, Path(place) / "input"))
+                found.append(judged(meshes, seed, Path(place) / "input", args.route))
             lines.write(json.dumps(found[-1]) + "\n")
             lines.flush()
     for route in (*ROUTES, "all"):

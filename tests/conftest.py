@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 hypothesis.settings.register_profile("no_deadline", deadline=None)
 hypothesis.settings.load_profile("no_deadline")
 
-from fixtures import browser, compiled, folder, given, shared_data, shared_folder, stages, whole  # noqa: E402, F401
+from fixtures import browser, compiled, folder, given, jobs, shared_data, shared_folder, stages, whole  # noqa: E402, F401
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:

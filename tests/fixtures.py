@@ -12,7 +12,7 @@ import pytest
 
 from f3sr.io import inputs
 from f3sr.pipeline import Reconstruction, reconstruct
-from f3sr.runtime import kernels
+from f3sr.runtime import cache_folder, kernels
 from f3sr.runtime.result_store import Store
 from folders import write_folder
 
@@ -33,6 +33,16 @@ def folder(tmp_path: Path) -> Path:
     """A valid tiny input folder."""
     write_folder(tmp_path / "input")
     return tmp_path / "input"
+
+
+@pytest.fixture
+def jobs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The folder of all job folders, in a cache of its own."""
+    monkeypatch.setenv("F3SR_CACHE_DIR", str(tmp_path / "cache"))
+    cache_folder.cache_folder.cache_clear()
+    yield tmp_path / "cache" / "workers"
+    monkeypatch.undo()
+    cache_folder.cache_folder.cache_clear()
 
 
 @pytest.fixture(scope="session")

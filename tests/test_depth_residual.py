@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from f3sr.core.transforms import transform
+from f3sr.core.levenberg_marquardt import Local
+from f3sr.core.transforms import Array, rotation_about, transform
 from f3sr.metrics.measures import full_silhouette
 from f3sr.scene import Geometry, Scene
 from f3sr.vision import rasterizer
 from f3sr.vision.depth_residual import DepthEvidence
+from f3sr.vision.motion_params import ObjectFreedom
 from scenes import box, scene_of
 
 
@@ -40,3 +42,26 @@ def test_nothing_in_common_is_no_evidence() -> None:
     scene = scene_of(box(1, at=(0, 0, 0.3)))
     found = evidence(scene).residual(box(1, at=(0.4, 0, 0.3)))
     assert found.pixels == 0 and found.size == np.inf
+
+
+def test_the_mismatch_has_the_derivatives_of_its_value() -> None:
+    """Of a box that the geometry sees turned otherwise: turns and growth, against differences."""
+    scene = scene_of(box(1, size=(0.3, 0.3, 0.3), at=(0, 0, 0.3), R=rotation_about([0.1, 0.2, 1], 0.2)))
+    seen = evidence(scene)
+    o = box(1, size=(0.3, 0.3, 0.3), at=(0, 0, 0.3))
+    middle = o.bounds_world.mean(0)
+    free = ObjectFreedom(anchor=middle, basis=scene.camera.T_world_camera[:3, :2], reach=np.ones(6))
+
+    def at(u: Array) -> Local:
+        T, s = free.similarity(u)
+        moved = o.moved(T, scale=s, stage="test", reason="")
+        return seen.mismatch(moved, free.velocities(u, scene.camera), most=1.0)
+
+    here, step = at(np.zeros(6)), 2e-3
+    for k in (2, 3, 4):
+        u = step * np.eye(6)[k]
+        difference = (at(u).value - at(-u).value) / (2 * step)
+        assert here.gradient[k] == pytest.approx(difference, rel=0.15, abs=2e-3)
+    assert np.linalg.eigvalsh(here.curvature).min() > -1e-9
+    true = seen.mismatch(scene[1], free.velocities(np.zeros(6), scene.camera), most=1.0)
+    assert true.value < 1e-4 < here.value

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,15 +25,16 @@ from f3sr.metrology.worker_geometry import WorkerGeometry
 from f3sr.neural.pixel_rays import rays
 from f3sr.photo_inputs import read_inputs
 from f3sr.pipeline import reconstruct
-from f3sr.runtime import cache_folder
 from f3sr.runtime.progress import words_to
 from f3sr.workers.geometry_worker import GeometryWorker
 from f3sr.workers.job_worker import WorkerModel
 from f3sr.workers.worker_process import WorkerError, WorkerLimits
 from folders import write_folder
+from worker_jobs import LIMITS, command_of
 
 SCRIPT = Path(__file__).parent / "scripted_geometry.py"
-LIMITS = WorkerLimits(wall_s=60, silence_s=30, folder_bytes=3_000_000_000)
+command = partial(command_of, SCRIPT)
+pytestmark = pytest.mark.usefixtures("jobs")
 NAMES = ("depth-anything-3", "unidepth", "metric3d", "vggt", "worker")
 
 
@@ -64,23 +64,6 @@ def image(given: Inputs) -> PromptedImage:
     return PromptedImage(
         photo=given.photo, instances=given.instances, ground_mask=given.ground_mask, focal=focal, camera_height=1.0
     )
-
-
-@pytest.fixture(autouse=True)
-def jobs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The folder of all job folders, in a cache of its own."""
-    monkeypatch.setenv("F3SR_CACHE_DIR", str(tmp_path / "cache"))
-    cache_folder.cache_folder.cache_clear()
-    yield tmp_path / "cache" / "workers"
-    monkeypatch.undo()
-    cache_folder.cache_folder.cache_clear()
-
-
-def command(source: Path, **options: object) -> str:
-    words = [sys.executable, str(SCRIPT), "--source", str(source)]
-    for name, value in options.items():
-        words += [f"--{name}", str(value)]
-    return shlex.join(words)
 
 
 def scripted(source: Path, *, limits: WorkerLimits = LIMITS, **options: object) -> GeometryWorker:

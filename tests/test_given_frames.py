@@ -22,7 +22,7 @@ from f3sr.mesh_poses.reading_votes import VoteConfig
 from f3sr.photo_inputs import read_inputs
 from f3sr.scene import SceneObject
 from folders import camera, write_folder
-from scenes import box, chair
+from scenes import box, box_mesh, chair
 
 DOCS = Path(__file__).parents[1] / "docs"
 
@@ -144,6 +144,15 @@ def test_a_wrong_frame_of_the_user_is_kept_and_warned_of(tmp_path: Path):
     assert any("looks wrong" in d.choice and "--asset-frame opencv" in d.reason for d in told)
 
 
+def test_a_wrong_convention_that_poses_json_declares_is_kept_and_warned_of(tmp_path: Path):
+    written(tmp_path / "in", replace(SAM3D, vectors="column"))
+    file = tmp_path / "in/assets/poses.json"
+    file.write_text(json.dumps({"convention": "sam-3d-objects", **json.loads(file.read_text())}))
+    told = read_inputs(tmp_path / "in").decisions
+    warnings = [d for d in told if "looks wrong" in d.choice]
+    assert len(warnings) == 1 and "wxyz/column" in warnings[0].reason
+
+
 def test_meshes_in_their_own_frame_stand_where_the_masks_put_them(tmp_path: Path):
     written(tmp_path / "in", SAM3D)
     (tmp_path / "in/assets/poses.json").unlink()
@@ -161,6 +170,16 @@ def test_what_the_masks_do_not_decide_is_asked_for(tmp_path: Path):
     with pytest.raises(InputError, match=f"the masks show alike as {re.escape(SAM3D.name)}.*accepted: --asset-frame "):
         inputs.read(tmp_path / "in", placer=doubtful)
     require_true(read_inputs(tmp_path / "in", asset_frame=SAM3D.name))
+
+
+def test_a_pose_that_the_masks_do_not_decide_is_asked_for(tmp_path: Path):
+    written(tmp_path / "in", SAM3D)
+    (tmp_path / "in/assets/poses.json").unlink()
+    save_glb(box_mesh((1.0, 0.02, 0.02)), tmp_path / "in/assets/01.glb")  # a stick, where the mask shows a chair
+    with pytest.raises(InputError, match=r"object 1 \(chair\): .*--asset-frame unposed"):
+        read_inputs(tmp_path / "in")
+    told = read_inputs(tmp_path / "in", asset_frame="unposed").decisions
+    assert [d.about for d in told if d.fallback and d.about is not None] == [1]
 
 
 def test_names_of_conventions_are_read_back():

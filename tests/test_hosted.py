@@ -25,15 +25,19 @@ from PIL import Image
 from f3sr.backends.protocols import ProducedMesh, PromptedImage
 from f3sr.core.mesh import Mesh
 from f3sr.errors import F3srError, InputError, NoAnswerError
+from f3sr.generators.posed_assets import PosedAssets
 from f3sr.hosted import job_files
 from f3sr.hosted.cut_outs import cut_out_png, mask_png, photo_jpeg
 from f3sr.hosted.hosted_client import HostedLimits
 from f3sr.hosted.hosted_service import HostedService
 from f3sr.hosted.limited_http import LostReplyError, NotSentError, exchange
-from f3sr.hosted.mesh_producers import MESH_PRODUCERS, HostedProducer
+from f3sr.hosted.mesh_producers import HostedProducer
 from f3sr.hosted.service_key import ServiceKey, service_key
 from f3sr.hosted.services import SERVICES
 from f3sr.io.gltf_writer import mesh_to_glb
+from f3sr.io.pose_conventions import SAM3D, all_conventions
+from f3sr.lifting.generators import ASSET_GENERATORS
+from f3sr.mesh_poses.candidate_places import CandidatePlaces
 from f3sr.scene import Geometry, Instance, Photo
 from hosted_servers import API_ID, WIRES, Answer, LoopbackServer, Q, Wire, loopback_server, merged, sam3d_pose
 
@@ -474,13 +478,13 @@ def test_meshes_come_and_a_second_run_asks_nobody(name: str, bench: Bench) -> No
         assert mesh.up == "+y" and len(mesh.mesh.faces) == 12
         assert name in mesh.told and SERVICE[name].licence in mesh.told
         assert (API_ID in mesh.told) == (name != DIRECT)
-        assert bool(mesh.poses) == (name == "fal-sam3d")
+        assert (mesh.pose is not None) == (name == "fal-sam3d")
     heard = len(bench.api.heard) + len(bench.files.heard)
     again = bench.run(wire)
     assert len(bench.api.heard) + len(bench.files.heard) == heard
     for id, mesh in made.items():
         assert np.array_equal(again[id].mesh.vertices, mesh.mesh.vertices)
-        assert [p.reading for p in again[id].poses] == [p.reading for p in mesh.poses]
+        assert again[id].pose == mesh.pose
 
 
 @pytest.mark.parametrize("name", WIRES)
@@ -707,7 +711,7 @@ def test_meshes_of_sam_3d_without_poses_are_taken(poses: str, bench: Bench) -> N
     else:
         result["metadata"] = [sam3d_pose(k, rotation=None, translation=None, scale=None) for k in range(2)]
     bench.api.replies["result"] = lambda n: _json(result)
-    assert [mesh.poses for mesh in bench.run(wire).values()] == [(), ()]
+    assert [mesh.pose for mesh in bench.run(wire).values()] == [None, None]
 
 
 def test_one_mask_takes_the_one_mesh(bench: Bench) -> None:
@@ -725,23 +729,20 @@ def test_poses_follow_their_index_and_the_convention_of_sam_3d(bench: Bench) -> 
     made = bench.run(wire)
     vertex = np.array([0.1, 0.2, 0.3])
     local = np.array([0.1, -0.3, 0.2])  # the export wrote (x, z, -y)
-    convention = "quaternion {}, row vectors, Z-up axes, PyTorch3D camera"
     turns = {
-        convention.format("wxyz"): np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]], float),  # 90 degrees about y
-        convention.format("xyzw"): np.array(
-            [[0, 0, 1], [0, -1, 0], [1, 0, 0]], float
-        ),  # (x, z) = half: 180 about x + z
+        "wxyz": np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]], float),  # 90 degrees about y
+        "xyzw": np.array([[0, 0, 1], [0, -1, 0], [1, 0, 0]], float),  # (x, z) = half: 180 about x + z
     }
     for k, mesh in enumerate(made.values()):
-        given = {p.reading: p for p in mesh.poses}
-        assert next(iter(given)) == convention.format("wxyz"), "the documented one comes first"
-        for name, R in turns.items():
-            reading = given[name]
+        assert mesh.pose is not None
+        places = CandidatePlaces.of_poses({k: mesh.pose}, all_conventions())
+        assert places.names[0] == SAM3D.name, "the documented one comes first"
+        for order, R in turns.items():
+            reading = places.names.index(replace(SAM3D, order=order).name)
             in_camera = (0.3 * local) @ R + [0.1 * k, 0.2, 1.5]
-            wanted = in_camera * [-1, -1, 1]
-            T = reading.T_camera_mesh
-            assert np.allclose(T[:3, :3] @ (reading.scale * vertex) + T[:3, 3], wanted)
-            assert np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3)) and np.linalg.det(T[:3, :3]) > 0
+            found = places.scale[reading, 0] * places.R[reading, 0] @ vertex + places.t[reading, 0]
+            assert np.allclose(found, in_camera * [-1, -1, 1])
+            assert np.linalg.det(places.R[reading, 0]) == pytest.approx(1)
 
 
 def test_sam_3d_gets_the_photo_and_a_mask_per_object(bench: Bench) -> None:
@@ -844,12 +845,18 @@ def test_models_of_replicate_are_named_with_version_and_field(
 ) -> None:
     wire = WIRES["replicate"]
     bench.serve(wire)
-    made = MESH_PRODUCERS.find(f"replicate:{model}").made
-    assert isinstance(made, HostedProducer)
+    made = producer_of(f"replicate:{model}")
     producer = replace(made, service=replace(made.service, base_url=bench.api.url), limits=LIMITS)
     bench.run(wire, producer)
     body = bench.api.heard[0].json
     assert body["version"] == version and list(body["input"]) == [input]
+
+
+def producer_of(spec: str) -> HostedProducer:
+    """The producer that a user asks for."""
+    made = ASSET_GENERATORS.find(spec).made
+    assert isinstance(made, PosedAssets) and isinstance(made.producer, HostedProducer)
+    return made.producer
 
 
 # --- keys, addresses, names -----------------------------------------------------------------------------------------
@@ -859,13 +866,13 @@ def test_models_of_replicate_are_named_with_version_and_field(
 def test_every_service_is_found_by_its_name(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     variable = SERVICE[name].key_variable
     monkeypatch.setenv(variable or "UNUSED", KEY)
-    backend = MESH_PRODUCERS.find(name)
+    backend = ASSET_GENERATORS.find(name)
     assert not leaks(backend.told + backend.key + repr(backend.made)) and SERVICE[name].licence in backend.told
-    (need,) = (found.needs for found in MESH_PRODUCERS.examined() if found.name == name)
+    (need,) = (found.needs for found in ASSET_GENERATORS.examined() if found.name == name)
     assert need[0].met == bool(variable) and not leaks(repr(need))
     if variable:
         monkeypatch.delenv(variable)
-        (need,) = (found.needs for found in MESH_PRODUCERS.examined() if found.name == name)
+        (need,) = (found.needs for found in ASSET_GENERATORS.examined() if found.name == name)
         assert not need[0].met and variable in need[0].remedy
 
 
@@ -874,7 +881,7 @@ def test_every_service_is_found_by_its_name(name: str, monkeypatch: pytest.Monke
 )
 def test_a_model_that_cannot_be_one_is_refused(model: str) -> None:
     with pytest.raises(InputError, match="model of fal-trellis2"):
-        MESH_PRODUCERS.find(f"fal-trellis2:{model}")
+        ASSET_GENERATORS.find(f"fal-trellis2:{model}")
 
 
 @pytest.mark.parametrize(
@@ -882,20 +889,20 @@ def test_a_model_that_cannot_be_one_is_refused(model: str) -> None:
 )
 def test_an_address_that_cannot_be_one_is_refused(address: str) -> None:
     with pytest.raises(InputError, match="address of hunyuan-server"):
-        MESH_PRODUCERS.find(f"hunyuan-server:{address}")
+        ASSET_GENERATORS.find(f"hunyuan-server:{address}")
 
 
 def test_the_users_server_is_asked_where_the_user_says(bench: Bench) -> None:
     wire = WIRES[DIRECT]
     bench.serve(wire)
-    made = MESH_PRODUCERS.find(f"hunyuan-server:{bench.api.url}/").made
+    made = producer_of(f"hunyuan-server:{bench.api.url}/")
     assert len(made.produce(prompted(2), GEOMETRY, np.eye(3))) == 2
     assert bench.api.count("submit") == 2
 
 
 def test_without_an_address_or_a_key_nothing_is_sent(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="address of hunyuan-server"):
-        MESH_PRODUCERS.find(DIRECT).made.produce(prompted(1), GEOMETRY, np.eye(3))
+        producer_of(DIRECT).produce(prompted(1), GEOMETRY, np.eye(3))
     for value in ("", "short", "with space and more", "kéyкéyкéy"):
         monkeypatch.setenv("FAL_KEY", value)
         with pytest.raises(InputError, match="FAL_KEY") as raised:

@@ -7,14 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from f3sr.backends.protocols import Axis, ProducedMesh, PromptedImage, ReadPose
-from f3sr.core.mesh import Mesh
-from f3sr.core.transforms import Array, pose, quaternion_from_rotation, rotation_about, rotation_angle, transform
-from f3sr.io import sam3d
-from f3sr.mesh_poses.pose_by_mask import MaskedPhoto
-from f3sr.mesh_poses.posed_meshes import AXES, posed_meshes, upright
-from f3sr.mesh_poses.read_poses import is_clear, judged_readings
-from f3sr.scene import Geometry, Instance, Photo
+from f3sr.backends.protocols import Axis, GivenPose, ProducedMesh, PromptedImage
+from f3sr.core.camera import Camera
+from f3sr.core.mesh import Mesh, union
+from f3sr.core.transforms import Array, pose, quaternion_from_rotation, rotation_about, transform
+from f3sr.io.pose_conventions import CAMERAS, FILE_AXES, GLTF_FROM_Z_UP, SignedAxes
+from f3sr.mesh_poses.pose_by_mask import FoundPose
+from f3sr.mesh_poses.posed_meshes import posed_meshes
+from f3sr.mesh_poses.poses_by_masks import AXES, RankedPoses, upright
+from f3sr.scene import Geometry, Instance, Photo, SceneObject
 from f3sr.vision import rasterizer
 from folders import boxes, camera
 from scenes import box, box_mesh, chair
@@ -22,12 +23,13 @@ from scenes import box, box_mesh, chair
 RANDOM = np.random.default_rng(4)
 
 
-def seen(yaw: float, *, hidden: bool = False) -> tuple[PromptedImage, Geometry, Array, Array]:
-    """A photo of a chair of .3 m with this yaw, the geometry, K and the chair's true pose in the camera."""
-    eye, mesh = camera(), chair()
-    T = pose(rotation_about([0, 0, 1], yaw), [0.0, 0.05, 0.0])
-    low = 0.3 * float(mesh.bounds[0, 2])
-    T[2, 3] = -low
+def seen(
+    yaw: float, *, hidden: bool = False, mesh: Mesh | None = None, tilt: float = 0.0
+) -> tuple[PromptedImage, Geometry, Array, Array]:
+    """A photo of a chair, or another mesh, of .3 m with this yaw, the geometry, K and its true pose in the camera."""
+    eye, mesh = camera(), mesh or chair()
+    T = pose(rotation_about([0, 0, 1], yaw) @ rotation_about([0, 1, 0], tilt), [0.0, 0.05, 0.0])
+    T[2, 3] = -0.3 * float((mesh.vertices @ T[:3, :3].T)[:, 2].min())
     true = replace(box(0, size=(1, 1, 1), at=(0, 0, 0)), mesh=mesh, T_world_object=T, scale=0.3)
     things = [true] + ([box(1, size=(0.08, 0.05, 0.12), at=(-0.06, -0.2, 0.06))] if hidden else [])
     fragments = rasterizer.render(things, eye)
@@ -78,6 +80,51 @@ def test_what_hides_a_part_does_not_move_it():
     assert np.linalg.norm(found - transform(T_true, 0.3 * chair().vertices), axis=1).max() < 0.03
 
 
+def hammer() -> Mesh:
+    """A long handle with a head at one end, which is no box's."""
+    parts = [box_mesh((1.0, 0.08, 0.08)).hull, box_mesh((0.14, 0.4, 0.1)).hull.moved(pose(t=[0.43, 0.06, 0.0]))]
+    vertices, faces = union(parts)
+    return Mesh(vertices=vertices, faces=np.asarray(faces, np.int32))
+
+
+def require_found(
+    image: PromptedImage, geometry: Geometry, K: Array, T_true: Array, mesh: Mesh, *, within: float
+) -> None:
+    """Every vertex by masks and depths alone, within a distance [m] of where it is."""
+    made = posed_meshes(image, geometry, K, {0: ProducedMesh(mesh=mesh, up="+z")})[0]
+    found = transform(made.T_camera_object, made.scale * made.mesh.vertices)
+    assert np.linalg.norm(found - transform(T_true, 0.3 * mesh.vertices), axis=1).max() < within
+    assert not made.doubted
+
+
+@pytest.mark.parametrize(("yaw", "tilt"), [(1.3, 0.35), (-1.8, -0.3)])
+def test_what_points_at_the_camera_is_as_long_as_the_depths_say(yaw: float, tilt: float):
+    """Seen from 20 degrees off its long axis; by its mask alone it is half as long."""
+    require_found(*seen(yaw, mesh=hammer(), tilt=tilt), hammer(), within=0.01)
+
+
+@pytest.mark.parametrize("tilt", [0.45, -0.45])
+def test_what_leans_is_found_by_its_depths(tilt: float):
+    require_found(*seen(0.8, mesh=hammer(), tilt=tilt), hammer(), within=0.01)
+
+
+def test_a_mesh_that_cannot_show_its_mask_is_doubted():
+    image, geometry, K, _ = seen(0.4, mesh=hammer())
+    made = posed_meshes(image, geometry, K, {0: ProducedMesh(mesh=chair(), up="+z")})[0]
+    assert made.doubted and "no pose shows what its mask shows" in made.told
+
+
+def test_two_places_that_fit_alike_are_a_doubt_where_surfaces_differ():
+    one = replace(box(0, size=(1, 1, 1), at=(0, 0, 0)), mesh=chair())
+    turned = replace(one, T_world_object=pose(rotation_about([0, 0, 1], 1.5)))
+    found = [
+        FoundPose(object=o, side=0, iou=0.9, correlation=None, spread=0.0, missed=missed)
+        for o, missed in ((one, 0.10), (one, 0.11), (turned, 0.12), (turned, 0.20))
+    ]
+    assert not RankedPoses(poses=(found[0], found[1], found[3]), object=one).doubt(), "the same, and one that is worse"
+    assert "two poses fit alike, 86 degrees apart" in RankedPoses(poses=tuple(found), object=one).doubt()
+
+
 def test_a_turn_that_fits_as_well_is_told():
     image, geometry, K, _ = seen(0.4, hidden=True)
     meshes = {0: ProducedMesh(mesh=chair(), up="+z"), 1: ProducedMesh(mesh=box_mesh((0.8, 0.5, 1.2)), up="+z")}
@@ -87,41 +134,40 @@ def test_a_turn_that_fits_as_well_is_told():
 
 
 @pytest.mark.parametrize("order", ["wxyz", "xyzw"])
-@pytest.mark.parametrize("is_row", [True, False])
-@pytest.mark.parametrize("frame", list(sam3d.PRODUCERS_CAMERAS))
-@pytest.mark.parametrize("local", list(sam3d.LOCALS))
-def test_every_convention_is_read_from_the_masks(order: str, is_row: bool, frame: str, local: str):
+@pytest.mark.parametrize("vectors", ["row", "column"])
+@pytest.mark.parametrize("frame", ["pytorch3d", "opencv", "blender"])
+@pytest.mark.parametrize("local", [GLTF_FROM_Z_UP, FILE_AXES])
+def test_every_convention_of_a_producer_is_read_from_the_masks(order: str, vectors: str, frame: str, local: SignedAxes):
     image, geometry, K, T_true = seen(0.7)
     mesh = in_file(chair(), "+y", 0.3)
     # x_camera = F Q A v + F t for the vertices v of the file: Q is the rotation that the producer writes down.
-    R = T_true[:3, :3] @ rotation_about([0, 0, 1], -0.3) @ sam3d.LOCAL_FROM_GLB
-    F, A = sam3d.PRODUCERS_CAMERAS[frame].matrix, sam3d.LOCALS[local].matrix
-    Q = F.T @ R @ A.T
-    w, x, y, z = quaternion_from_rotation(Q.T if is_row else Q)
-    quaternion = [w, x, y, z] if order == "wxyz" else [x, y, z, w]
-    poses = sam3d.readings(quaternion, F.T @ T_true[:3, 3], [0.3] * 3)
-    made = posed_meshes(image, geometry, K, {0: ProducedMesh(mesh=mesh, up="+y", poses=poses)})[0]
+    R = T_true[:3, :3] @ rotation_about([0, 0, 1], -0.3) @ GLTF_FROM_Z_UP.matrix
+    F, A = CAMERAS[frame].matrix, local.matrix
+    given = written(F.T @ R @ A.T, F.T @ T_true[:3, 3], 0.3, order=order, vectors=vectors)
+    made = posed_meshes(image, geometry, K, {0: ProducedMesh(mesh=mesh, up="+y", pose=given)})[0]
     found = transform(made.T_camera_object, made.scale * made.mesh.vertices)
     assert np.abs(found - transform(T_true, 0.3 * chair().vertices)).max() < 1e-6
-    judged = judged_readings(MaskedPhoto.of(image, geometry, K), {0: ProducedMesh(mesh=mesh, poses=poses)})
-    assert is_clear([judged[0], *(j for j in judged[1:] if not same(j.poses[0].object, judged[0].poses[0].object))])
 
 
-def same(a: object, b: object) -> bool:
-    T, S = (o.T_world_object for o in (a, b))
-    return bool(rotation_angle(T[:3, :3].T @ S[:3, :3]) < 1e-6 and np.allclose(T, S))
+def written(Q: Array, t: Array, scale: float, *, order: str = "wxyz", vectors: str = "row") -> GivenPose:
+    """A rotation of columns Q (3, 3) and a place t (3,), as a producer writes them."""
+    w, x, y, z = quaternion_from_rotation(Q.T if vectors == "row" else Q).tolist()
+    right, down, forward = t.tolist()
+    rotation = (w, x, y, z) if order == "wxyz" else (x, y, z, w)
+    return GivenPose(rotation=rotation, translation=(right, down, forward), scale=scale)
 
 
 def test_poses_that_show_nothing_of_the_masks_are_not_believed():
     image, geometry, K, T_true = seen(0.4)
-    wrong = ReadPose(reading="nonsense", T_camera_mesh=pose(t=[5.0, 0, 1]), scale=0.3)
-    made = posed_meshes(image, geometry, K, {0: ProducedMesh(mesh=chair(), up="+z", poses=(wrong,))})[0]
+    wrong = written(np.eye(3), np.array([5.0, 0, 1]), 0.3)
+    made = posed_meshes(image, geometry, K, {0: ProducedMesh(mesh=chair(), up="+z", pose=wrong)})[0]
     assert "pose by its mask" in made.told
     found = transform(made.T_camera_object, made.scale * made.mesh.vertices)
     assert np.linalg.norm(found - transform(T_true, 0.3 * chair().vertices), axis=1).max() < 0.02
 
 
-def test_without_depth_things_stand_on_what_is_below_them_in_the_picture():
+def on_a_ground() -> tuple[PromptedImage, Geometry, list[SceneObject], Camera]:
+    """Boxes before a camera that knows the ground only."""
     eye, things = camera(), boxes()
     ids = rasterizer.visible_ids(things, eye)
     rows, columns = np.indices(ids.shape) + 0.5
@@ -134,6 +180,11 @@ def test_without_depth_things_stand_on_what_is_below_them_in_the_picture():
         instances=tuple(Instance(id=o.id, label="", name=f"{o.id}.png", mask=ids == o.id) for o in things),
         ground_mask=ids == rasterizer.EMPTY,
     )
+    return image, geometry, things, eye
+
+
+def test_without_depth_things_stand_on_what_is_below_them_in_the_picture():
+    image, geometry, things, eye = on_a_ground()
     made = posed_meshes(image, geometry, eye.K, {o.id: ProducedMesh(mesh=o.mesh, up="+z") for o in things})
     for o in things:
         world = eye.T_world_camera @ made[o.id].T_camera_object
@@ -141,3 +192,20 @@ def test_without_depth_things_stand_on_what_is_below_them_in_the_picture():
         low, true = found.min(0)[2], o.bounds_world[0, 2]
         assert abs(low - true) < 0.006, f"{o.label} stands at {low:.3f} m instead of {true:.3f}"
         assert np.linalg.norm((found.min(0) + found.max(0)) / 2 - o.bounds_world.mean(0)) < 0.02
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.0, 1.6])
+def test_posed_meshes_stand_on_the_ground_where_nothing_else_is_known(factor: float):
+    """The unit of a producer's places is not that of a ground whose distance was guessed."""
+    image, geometry, things, eye = on_a_ground()
+    meshes = dict[int, ProducedMesh]()
+    for o in things:
+        T = eye.T_camera_world @ o.T_world_object
+        F = CAMERAS["pytorch3d"].matrix
+        given = written(F.T @ T[:3, :3] @ GLTF_FROM_Z_UP.matrix.T, factor * F.T @ T[:3, 3], factor * o.scale)
+        meshes[o.id] = ProducedMesh(mesh=o.mesh, pose=given)
+    made = posed_meshes(image, geometry, eye.K, meshes)
+    for o in things:
+        world = eye.T_world_camera @ made[o.id].T_camera_object
+        found = transform(world, made[o.id].scale * made[o.id].mesh.vertices)
+        assert np.abs(found.min(0) - o.bounds_world[0]).max() < 0.003

@@ -79,23 +79,6 @@ def test_assets_in_another_unit_come_to_the_depth_of_the_geometry(exact: Scene, 
     assert visible_iou(scene) > 0.98
 
 
-def test_a_wrong_quaternion_convention_is_warned_of(tmp_path):
-    import json
-
-    planks = [
-        box(k, size=(0.25, 0.03, 0.02), at=(0.1 * k - 0.1, 0, 0.01), R=rotation_about([0, 0, 1], 1.2 - 0.2 * k))
-        for k in range(3)
-    ]
-    write_folder(tmp_path / "input", objects=planks)
-    poses = tmp_path / "input/assets/poses.json"
-    document = json.loads(poses.read_text())
-    for o in document["objects"]:
-        o["rotation"] = [o["rotation"][0], *(-x for x in o["rotation"][1:])]
-    poses.write_text(json.dumps(document))
-    _, outcome = assemble(as_given(inputs.read(tmp_path / "input")))
-    assert any("looks wrong" in d.choice and "inverse rotation" in d.reason for d in outcome.decisions)
-
-
 # --- level --------------------------------------------------------------------------------------------------
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import shlex
 import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -21,13 +20,13 @@ from f3sr.generators import worker_assets
 from f3sr.io import inputs
 from f3sr.io.inputs import Inputs
 from f3sr.lifting.generators import ASSET_GENERATORS
-from f3sr.runtime import cache_folder
 from f3sr.workers.mesh_worker import MeshModel, MeshWorker
 from f3sr.workers.worker_process import WorkerError, WorkerLimits
 from folders import write_folder
+from worker_jobs import LIMITS, command_of
 
 SCRIPT = Path(__file__).parent / "scripted_worker.py"
-LIMITS = WorkerLimits(wall_s=60, silence_s=30, folder_bytes=3_000_000_000)
+command = partial(command_of, SCRIPT)
 Worker = Callable[..., MeshWorker]
 
 
@@ -48,25 +47,8 @@ def image(given: Inputs) -> PromptedImage:
 
 
 @pytest.fixture
-def jobs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The folder of all job folders, in a cache of its own."""
-    monkeypatch.setenv("F3SR_CACHE_DIR", str(tmp_path / "cache"))
-    cache_folder.cache_folder.cache_clear()
-    yield tmp_path / "cache" / "workers"
-    monkeypatch.undo()
-    cache_folder.cache_folder.cache_clear()
-
-
-@pytest.fixture
 def worker(source: Path, jobs: Path) -> Worker:
     return partial(scripted, source)
-
-
-def command(source: Path, **options: object) -> str:
-    words = [sys.executable, str(SCRIPT), "--source", str(source)]
-    for name, value in options.items():
-        words += [f"--{name}", str(value)]
-    return shlex.join(words)
 
 
 def scripted(source: Path, *, limits: WorkerLimits = LIMITS, **options: object) -> MeshWorker:

@@ -163,6 +163,8 @@ class GeneratedAsset:
     scale: float = 1.0
     told: str = ""
     """What it is, and what it might be, for the report."""
+    doubted: bool = False
+    """Whether its place may be wrong; ``told`` then says why."""
     fixed: str = ""
     """Why physics must not move it; empty where it may."""
     lifted: bool = False
@@ -172,13 +174,14 @@ class GeneratedAsset:
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class ReadPose:
-    """One reading of the pose that a producer gives: ``x_camera = T_camera_mesh (scale x)``, T (4, 4) rigid [m]."""
+@dataclass(frozen=True, kw_only=True)
+class GivenPose:
+    """A pose as its producer writes it: four numbers of a quaternion, a place, and the size of the mesh's unit there.
 
-    reading: str
-    """The convention that was assumed, as "quaternion wxyz, PyTorch3D camera"."""
-    T_camera_mesh: Array
+    Order, direction and axes are not agreed; masks decide how it is read (``io/pose_conventions``)."""
+
+    rotation: tuple[float, float, float, float]
+    translation: tuple[float, float, float]
     scale: float
 
 
@@ -189,8 +192,8 @@ class ProducedMesh:
     mesh: Mesh
     up: Axis | None = None
     """The axis of the file that points up; None where nobody tells."""
-    poses: tuple[ReadPose, ...] = ()
-    """Readings of its pose, the likeliest first; none where it has no pose. Masks decide between them."""
+    pose: GivenPose | None = None
+    """As the producer writes it; None where it gives none."""
     told: str = ""
     """Model, revision and licence, for the report."""
 

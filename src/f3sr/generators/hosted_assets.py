@@ -1,14 +1,16 @@
-"""Hosted services by name, their meshes posed in the photo (docs: hosted)."""
+"""Hosted services as generators: the meshes of each, posed in the photo (docs: hosted)."""
 
 from __future__ import annotations
 
 from f3sr.generators.posed_assets import PosedMaker
-from f3sr.hosted import mesh_producers
+from f3sr.hosted.mesh_producers import ProducerMaker
+from f3sr.hosted.services import SERVICES
 
-fal_sam3d = PosedMaker(mesh_producers.fal_sam3d)
-fal_trellis2 = PosedMaker(mesh_producers.fal_trellis2)
-fal_hunyuan = PosedMaker(mesh_producers.fal_hunyuan)
-replicate = PosedMaker(mesh_producers.replicate)
-meshy = PosedMaker(mesh_producers.meshy)
-tripo = PosedMaker(mesh_producers.tripo)
-hunyuan_server = PosedMaker(mesh_producers.hunyuan_server)
+_MAKERS = {s.name.replace("-", "_"): PosedMaker(ProducerMaker(s)) for s in SERVICES}
+
+
+def __getattr__(name: str) -> PosedMaker:
+    """The maker of a service, its name with underscores."""
+    if name not in _MAKERS:
+        raise AttributeError(f"module {__name__} has no {name}")
+    return _MAKERS[name]

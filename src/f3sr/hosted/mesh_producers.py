@@ -1,4 +1,4 @@
-"""Producers of meshes by services, by name: ``fal-sam3d``, ``fal-trellis2``, ``replicate`` and others."""
+"""Producers of meshes by services: ``fal-sam3d``, ``fal-trellis2``, ``replicate`` and others."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from f3sr.backends.model_choice import ModelChoice, Need
-from f3sr.backends.protocols import MeshProducer, ProducedMesh, PromptedImage
-from f3sr.backends.registry import Kind
+from f3sr.backends.protocols import ProducedMesh, PromptedImage
 from f3sr.core.transforms import Array
 from f3sr.errors import InputError, cut, printable
-from f3sr.hosted import services
 from f3sr.hosted.cut_outs import cut_out_png, data_uri_of, mask_png, photo_jpeg
 from f3sr.hosted.hosted_client import HostedClient, HostedLimits, Telling, require_address
 from f3sr.hosted.hosted_job import HostedJob, JobMesh
@@ -141,7 +139,7 @@ class HostedProducer:
         return ProducedMesh(
             mesh=made.mesh,
             up=self.service.up,
-            poses=() if made.pose is None else made.pose.readings,
+            pose=None if made.pose is None else made.pose.given,
             told=facts + (f", request {made.job}" if made.job else ""),
         )
 
@@ -174,27 +172,3 @@ def _name(instance: Instance) -> str:
 
 def _photo_digest(photo: Photo) -> str:
     return hashlib.sha256(repr(photo.rgb.shape).encode() + photo.rgb.tobytes()).hexdigest()
-
-
-fal_sam3d = ProducerMaker(services.FAL_SAM3D)
-fal_trellis2 = ProducerMaker(services.FAL_TRELLIS2)
-fal_hunyuan = ProducerMaker(services.FAL_HUNYUAN)
-replicate = ProducerMaker(services.REPLICATE)
-meshy = ProducerMaker(services.MESHY)
-tripo = ProducerMaker(services.TRIPO)
-hunyuan_server = ProducerMaker(services.HUNYUAN_SERVER)
-
-MESH_PRODUCERS = Kind(
-    name="mesh_producers",
-    protocol=MeshProducer,
-    built_in={
-        "fal-sam3d": "f3sr.hosted.mesh_producers:fal_sam3d",
-        "fal-trellis2": "f3sr.hosted.mesh_producers:fal_trellis2",
-        "fal-hunyuan": "f3sr.hosted.mesh_producers:fal_hunyuan",
-        "replicate": "f3sr.hosted.mesh_producers:replicate",
-        "meshy": "f3sr.hosted.mesh_producers:meshy",
-        "tripo": "f3sr.hosted.mesh_producers:tripo",
-        "hunyuan-server": "f3sr.hosted.mesh_producers:hunyuan_server",
-    },
-)
-"""Third parties' are in the entry point group ``f3sr.mesh_producers``."""

@@ -11,29 +11,38 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from f3sr.backends.protocols import GivenPose
 from f3sr.core.mesh import Mesh
-from f3sr.core.transforms import Array, transform
+from f3sr.core.transforms import Array
 from f3sr.io.geometry import MAX_FOCAL, MIN_FOCAL
-from f3sr.io.sam3d import AssetPose
+from f3sr.io.pose_conventions import all_conventions
+from f3sr.mesh_poses.candidate_places import CandidatePlaces
 from f3sr.vision.rasterizer import NEAR
+
+PIXEL = 1.0
+"""Mean error of sides [px] below which readings do not differ: masks are known to a pixel."""
 
 
 def fitted_focal(
-    meshes: Mapping[int, Mesh], poses: Mapping[int, AssetPose], masks: Mapping[int, NDArray[np.bool_]]
+    meshes: Mapping[int, Mesh], poses: Mapping[int, GivenPose], masks: Mapping[int, NDArray[np.bool_]]
 ) -> float | None:
     """The focal length [px], by the reading of the poses that leaves least; None where no reading gives one.
 
-    All by object id; masks (H, W), the principal point in their middle."""
+    Of readings that leave as little, the usual one. All by object id; masks (H, W), the principal point in their
+    middle."""
     sides = {id: _sides(mask) for id, mask in masks.items()}
+    hulls = {id: meshes[id].hull.vertices for id in masks}
+    places = CandidatePlaces.of_poses({id: poses[id] for id in masks}, all_conventions())
     found = [
         fit
-        for k in range(len(next(iter(poses.values())).readings))
-        if (fit := _fit({id: _slopes(meshes[id], poses[id], k) for id in masks}, sides)) is not None
+        for k in range(len(places))
+        if (fit := _fit({id: _slopes(hulls[id], places, k, v) for v, id in enumerate(masks)}, sides)) is not None
     ]
     height, width = next(iter(masks.values())).shape
     longest = max(height, width)
     usable = [(missed, f) for missed, f in found if MIN_FOCAL * longest <= f <= MAX_FOCAL * longest]
-    return min(usable)[1] if usable else None
+    least = min((missed for missed, _ in usable), default=0.0)
+    return next((f for missed, f in usable if missed <= least + PIXEL), None)
 
 
 def _fit(slopes: Mapping[int, Array | None], sides: Mapping[int, Array]) -> tuple[float, float] | None:
@@ -53,10 +62,9 @@ def _fit(slopes: Mapping[int, Array | None], sides: Mapping[int, Array]) -> tupl
     return float(np.mean(np.abs(y - f * x))), f
 
 
-def _slopes(mesh: Mesh, pose: AssetPose, reading: int) -> Array | None:
-    """Least and largest X / Z, then Y / Z (4,), of a mesh in the camera; None where it is not before it."""
-    read = pose.readings[reading]
-    p = transform(read.T_camera_mesh, read.scale * mesh.vertices)
+def _slopes(vertices: Array, places: CandidatePlaces, k: int, v: int) -> Array | None:
+    """Least and largest X / Z, then Y / Z (4,), of an object in the camera; None where it is not before it."""
+    p = vertices @ (places.scale[k, v] * places.R[k, v]).T + places.t[k, v]
     if p[:, 2].min() <= NEAR:
         return None
     slopes = p[:, :2] / p[:, 2:]

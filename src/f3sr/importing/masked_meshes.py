@@ -81,7 +81,7 @@ def _focal(
         if found.points is not None:
             raise InputError(known.source, found="a point map, which has its own", accepted="only without a point map")
         return known.pixels, ()
-    poses = {id: m.pose for id, m in meshes.items() if m.pose is not None}
+    poses = {id: m.pose.given for id, m in meshes.items() if m.pose is not None}
     if found.points is not None or found.photo.focal or len(poses) < len(meshes):
         return None, ()
     focal = fitted_focal({id: m.mesh for id, m in meshes.items()}, poses, masks)

@@ -8,53 +8,23 @@ so in column form the rotation is R(q)^T. Hence ``p_opencv = s F R(q)^T A v_glb 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from itertools import product
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator
 
-from f3sr.backends.protocols import ReadPose
-from f3sr.core.transforms import Array, pose
-from f3sr.io.pose_conventions import CAMERAS, FILE_AXES, GLTF_FROM_Z_UP, Order, Vectors, rotation_as_read
+from f3sr.backends.protocols import GivenPose
+from f3sr.core.transforms import Array
+from f3sr.io.pose_conventions import CAMERAS, GLTF_FROM_Z_UP, rotation_as_read
 
 LOCAL_FROM_GLB = GLTF_FROM_Z_UP.matrix
 """A: vertices of the exported GLB back to the model's Z-up frame."""
 OPENCV_FROM_PYTORCH3D = CAMERAS["pytorch3d"].matrix
 """F: PyTorch3D camera axes to OpenCV axes."""
-
-
 UNIT = 0.01
 """How far from 1 the length of a quaternion may be."""
 EQUAL = 1e-4
 """Share by which the three scales of a pose may differ."""
-PRODUCERS_CAMERAS = {name: CAMERAS[name.lower()] for name in ("PyTorch3D", "OpenCV", "OpenGL")}
-"""Axes of cameras in which its poses are passed on."""
-LOCALS = {"Z-up": GLTF_FROM_Z_UP, "file's": FILE_AXES}
-"""What a pose turns: the model's Z-up axes, or the mesh file's own."""
-
-
-def readings(rotation: Sequence[float], translation: Sequence[float], scale: Sequence[float]) -> tuple[ReadPose, ...]:
-    """What rotation (4,), translation (3,) and scale (3,) may mean for a GLB, SAM 3D Objects' convention first.
-
-    Producers that pass its poses on change the quaternion's order, its direction or the camera's axes.
-    Raises ValueError where the quaternion is no rotation or the scale no size."""
-    length = math.hypot(*rotation)
-    if abs(length - 1) > UNIT:
-        raise ValueError(f"a quaternion of length {length:.3g}")
-    size = sum(scale) / 3
-    if min(scale) <= 0 or max(scale) - min(scale) > EQUAL * max(scale):
-        raise ValueError(f"the scale {[float(f'{v:.3g}') for v in scale]}")
-    found = list[ReadPose]()
-    for (camera, F), (local, A), order, vectors in product(
-        PRODUCERS_CAMERAS.items(), LOCALS.items(), get_args(Order), get_args(Vectors)
-    ):
-        R = rotation_as_read(rotation, order, vectors)
-        T = pose(F.matrix @ R @ A.matrix, F.matrix @ np.asarray(translation, float))
-        reading = f"quaternion {order}, {vectors} vectors, {local} axes, {camera} camera"
-        found.append(ReadPose(reading=reading, T_camera_mesh=T, scale=size))
-    return tuple(found)
 
 
 def _unwrapped(value: Any) -> Any:
@@ -112,9 +82,10 @@ class AssetPose(BaseModel):
         return sum(self.scale) / 3
 
     @property
-    def readings(self) -> tuple[ReadPose, ...]:
-        """What the pose may mean for its GLB, the documented convention first."""
-        return readings(self.rotation, self.translation, self.scale)
+    def given(self) -> GivenPose:
+        """The pose alone."""
+        (w, x, y, z), (right, down, forward) = self.rotation, self.translation
+        return GivenPose(rotation=(w, x, y, z), translation=(right, down, forward), scale=self.uniform_scale)
 
     def camera_pose(self) -> tuple[Array, Array]:
         """Rotation (3, 3) and translation (3,) [m] of the local frame in OpenCV camera axes: F R(q)^T and F t."""

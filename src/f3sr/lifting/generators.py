@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from f3sr.backends.protocols import AssetGenerator
 from f3sr.backends.registry import Kind
+from f3sr.hosted.services import SERVICES
 
 DEFAULT_GENERATOR = "lifted"
 """Where a folder has no assets and nobody names another."""
@@ -20,12 +21,6 @@ ASSET_GENERATORS = Kind(
         "triposr": "f3sr.generators.worker_assets:triposr",
         "worker": "f3sr.generators.worker_assets:worker",
         SAVED: "f3sr.generators.saved_meshes:saved",
-        "fal-sam3d": "f3sr.generators.hosted_assets:fal_sam3d",
-        "fal-trellis2": "f3sr.generators.hosted_assets:fal_trellis2",
-        "fal-hunyuan": "f3sr.generators.hosted_assets:fal_hunyuan",
-        "replicate": "f3sr.generators.hosted_assets:replicate",
-        "meshy": "f3sr.generators.hosted_assets:meshy",
-        "tripo": "f3sr.generators.hosted_assets:tripo",
-        "hunyuan-server": "f3sr.generators.hosted_assets:hunyuan_server",
+        **{s.name: f"f3sr.generators.hosted_assets:{s.name.replace('-', '_')}" for s in SERVICES},
     },
 )

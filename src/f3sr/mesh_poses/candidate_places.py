@@ -8,6 +8,7 @@ from typing import Self
 
 import numpy as np
 
+from f3sr.backends.protocols import GivenPose
 from f3sr.core.transforms import Array
 from f3sr.io.pose_conventions import (
     Order,
@@ -17,7 +18,6 @@ from f3sr.io.pose_conventions import (
     camera_name,
     rotation_as_read,
 )
-from f3sr.io.sam3d import AssetPose
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -43,7 +43,7 @@ class CandidatePlaces:
         return len(self.names)
 
     @classmethod
-    def of_poses(cls, poses: Mapping[int, AssetPose], conventions: Sequence[PoseConvention]) -> Self:
+    def of_poses(cls, poses: Mapping[int, GivenPose], conventions: Sequence[PoseConvention]) -> Self:
         """Poses by each of some conventions."""
         ids = tuple(poses)
         kinds: set[tuple[Order, Vectors]] = {(c.order, c.vectors) for c in conventions}
@@ -58,7 +58,7 @@ class CandidatePlaces:
             names=tuple(c.name for c in conventions),
             R=np.einsum("kij,knjl,klm->knim", F, Q, A),
             t=np.einsum("kij,nj->kni", F, np.array([poses[id].translation for id in ids])),
-            scale=np.tile([poses[id].uniform_scale for id in ids], (len(conventions), 1)),
+            scale=np.tile([poses[id].scale for id in ids], (len(conventions), 1)),
             own=A,
         )
 

@@ -11,16 +11,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from f3sr.backends.protocols import GeneratedAsset, ProducedMesh, PromptedImage
-from f3sr.core.handedness import in_axes, mirrored, rotation_of
-from f3sr.core.transforms import Array, pose
-from f3sr.errors import InputError
+from f3sr.backends.protocols import GivenPose, ProducedMesh, PromptedImage
+from f3sr.core.transforms import Array
+from f3sr.errors import InputError, printable
 from f3sr.io.given_meshes import GivenMeshes, PlacedMeshes
 from f3sr.io.pose_conventions import ALL_AXES, CAMERAS, SAM3D, SignedAxes, all_conventions, camera_axes, parsed
+from f3sr.io.sam3d import AssetPose
 from f3sr.mesh_poses.candidate_places import CandidatePlaces
 from f3sr.mesh_poses.outline_votes import sieved
-from f3sr.mesh_poses.pose_by_mask import MaskedPhoto
-from f3sr.mesh_poses.posed_meshes import posed_meshes
+from f3sr.mesh_poses.placed_by_reading import about_its_middle, asset_of, placed_by_reading
+from f3sr.mesh_poses.pose_by_mask import DEFAULT_SEARCH, MaskedPhoto
+from f3sr.mesh_poses.poses_by_masks import poses_by_masks
 from f3sr.mesh_poses.reading_votes import DEFAULT_VOTES, VoteConfig, Votes, voted
 from f3sr.report import Decision
 from f3sr.scene import Geometry
@@ -32,10 +33,6 @@ WARNED = 0.15
 UNPOSED = "unposed"
 NAMED = 4
 """Most readings that a question names."""
-UNITS: Mapping[float, str] = {0.01: "centimetres", 0.001: "millimetres", 100.0: "hundreds", 1000.0: "thousands"}
-"""Units of places other than the geometry's, in its own."""
-WITHIN = 2.0
-"""Largest factor between depths of poses and of the geometry that is no other unit, and from one of UNITS."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -68,19 +65,47 @@ class MaskPlacer:
     def _unposed(
         self, image: PromptedImage, geometry: Geometry, K: Array, given: GivenMeshes, reason: str
     ) -> PlacedMeshes:
+        """Where the masks put the meshes. InputError where they do not decide, unless the user takes the likeliest."""
+        view = MaskedPhoto.of(image, geometry, K)
         produced = {id: ProducedMesh(mesh=mesh) for id, mesh in given.meshes.items()}
-        assets = posed_meshes(image, geometry, K, produced)
+        ranked = poses_by_masks(view, produced, DEFAULT_SEARCH)
+        doubts = {id: doubt for id, p in ranked.items() if (doubt := p.doubt(self.votes))}
+        if doubts and given.frame != UNPOSED:
+            raise _undecided(given, view, doubts)
         what = "poses.json is not used: " if given.poses is not None else ""
         first = Decision(choice=f"assets: {what}meshes without a pose stand where their masks put them", reason=reason,
                          fallback=given.frame != UNPOSED)  # fmt: skip
-        each = (Decision(choice=a.told, reason="the mesh has no pose", about=id) for id, a in assets.items())
+        each = (
+            Decision(choice=p.told, reason=doubts.get(id, "the mesh has no pose"), about=id, fallback=id in doubts)
+            for id, p in ranked.items()
+        )
+        assets = {id: asset_of(view, p.object, p.told) for id, p in ranked.items()}
         return PlacedMeshes(assets=assets, decisions=(first, *each))
+
+
+def _undecided(given: GivenMeshes, view: MaskedPhoto, doubts: Mapping[int, str]) -> InputError:
+    named = [f"{_name(view, id)}: {doubt}" for id, doubt in list(doubts.items())[:NAMED]]
+    more = f" and {len(doubts) - NAMED} more" if len(doubts) > NAMED else ""
+    return InputError(
+        given.place,
+        found=f"no pose, and the masks do not decide it; {'; '.join(named)}{more}",
+        accepted=f"poses.json, or --asset-frame {UNPOSED}, which takes the likeliest poses",
+    )
+
+
+def _name(view: MaskedPhoto, id: int) -> str:
+    instance = view.instances[id]
+    return printable(f"object {id} ({instance.label or instance.name})")
 
 
 def _readings(given: GivenMeshes) -> CandidatePlaces:
     if given.poses is not None:
-        return CandidatePlaces.of_poses(given.poses, all_conventions())
+        return CandidatePlaces.of_poses(_written(given.poses), all_conventions())
     return CandidatePlaces.of_frames(list(given.meshes), _usual_first())
+
+
+def _written(poses: Mapping[int, AssetPose]) -> Mapping[int, GivenPose]:
+    return {id: p.given for id, p in poses.items()}
 
 
 def _usual_first() -> list[SignedAxes]:
@@ -93,7 +118,7 @@ def _declared(given: GivenMeshes) -> CandidatePlaces | None:
     if given.frame == "auto":
         if given.poses is None or not given.declared:
             return None
-        return CandidatePlaces.of_poses(given.poses, [SAM3D])
+        return CandidatePlaces.of_poses(_written(given.poses), [SAM3D])
     if given.poses is None:
         if (axes := camera_axes(given.frame)) is None:
             raise InputError("--asset-frame", found=given.frame, accepted="camera axes, as there is no poses.json")
@@ -101,7 +126,7 @@ def _declared(given: GivenMeshes) -> CandidatePlaces | None:
     if (convention := parsed(given.frame)) is None:
         accepted = f"a convention such as {SAM3D.name}, as there is poses.json"
         raise InputError("--asset-frame", found=given.frame, accepted=accepted)
-    return CandidatePlaces.of_poses(given.poses, [convention])
+    return CandidatePlaces.of_poses(_written(given.poses), [convention])
 
 
 def _as_declared(
@@ -130,7 +155,7 @@ def _taken(given: GivenMeshes, votes: Votes) -> int:
     """The reading to take. InputError where the masks do not decide: it names those that tie."""
     tied = [0, *votes.rivals]
     if len(tied) == 1:
-        return 0
+        return votes.likeliest
     if given.poses is None:
         # Axes that programs use are likelier than all others.
         usual = [k for k in tied if votes.places.names[k] in CAMERAS]
@@ -156,26 +181,17 @@ def _placed(
 ) -> PlacedMeshes:
     """All meshes by one reading, in the geometry's unit."""
     decisions = [Decision(choice=f"assets: {what} {places.names[k]}", reason=reason)] if what else []
-    depths = [
-        view.distance(view.instances[id]) / float((_middle(given, places, k, v))[2])
-        for v, id in enumerate(places.ids)
-        if _middle(given, places, k, v)[2] > 0
-    ]
-    factor = _unit(float(np.median(depths))) if depths else 1.0
-    if factor != 1.0:
-        decisions.append(
-            Decision(
-                choice=f"assets: all places and sizes times {factor:g}",
-                reason=f"in {UNITS[factor]} they agree with the geometry's depths",
-            )
-        )
+    placed = placed_by_reading(view, given.meshes, places, k)
+    decisions += placed.decisions
     ratios = {float(f"{r:.3g}") for r in (places.scale[k] / _given_scales(given, places)).tolist()}
     if ratios - {1.0}:
         ratio = next(iter(ratios - {1.0}))
         decisions.append(
             Decision(choice=f"assets: meshes times {ratio:g}", reason="their unit is not that of their places")
         )
-    assets = {id: _asset(given, places, k, v, factor) for v, id in enumerate(places.ids)}
+    assets = placed.assets
+    if given.poses is None:
+        assets = {id: about_its_middle(a) for id, a in assets.items()}
     return PlacedMeshes(assets=assets, decisions=tuple(decisions))
 
 
@@ -183,31 +199,3 @@ def _given_scales(given: GivenMeshes, places: CandidatePlaces) -> Array:
     if given.poses is None:
         return np.ones(len(places.ids))
     return np.array([given.poses[id].uniform_scale for id in places.ids])
-
-
-def _middle(given: GivenMeshes, places: CandidatePlaces, k: int, v: int) -> Array:
-    """The middle (3,) of an object's box, in the camera."""
-    return places.scale[k, v] * places.R[k, v] @ given.meshes[places.ids[v]].bounds.mean(0) + places.t[k, v]
-
-
-def _unit(ratio: float) -> float:
-    """The unit of places by how many times nearer or farther the geometry sees them."""
-    if 1 / WITHIN <= ratio <= WITHIN:
-        return 1.0
-    return next((u for u in UNITS if 1 / WITHIN <= ratio / u <= WITHIN), 1.0)
-
-
-def _asset(given: GivenMeshes, places: CandidatePlaces, k: int, v: int, factor: float) -> GeneratedAsset:
-    """A mesh in the axes that its reading keeps it in, and its rotation and place in the camera."""
-    mesh, orthogonal, own = given.meshes[places.ids[v]], places.R[k, v], places.own[k]
-    mirrors = bool(np.linalg.det(orthogonal) < 0)
-    if mirrors == bool(np.linalg.det(own) < 0):
-        mesh, rotation = in_axes(mesh, own), orthogonal @ own.T
-    else:
-        mesh, rotation = mirrored(mesh) if mirrors else mesh, rotation_of(orthogonal)
-    scale = factor * float(places.scale[k, v])
-    t = factor * places.t[k, v]
-    if given.poses is None:  # posed in the camera: its own middle becomes its origin
-        middle = mesh.bounds.mean(0)
-        mesh, t = mesh.with_vertices(mesh.vertices - middle), t + scale * rotation @ middle
-    return GeneratedAsset(mesh=mesh, T_camera_object=pose(rotation, t), scale=scale)

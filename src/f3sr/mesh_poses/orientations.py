@@ -93,9 +93,26 @@ def tried_orientations(o: SceneObject, fit: ObjectFit, config: OrientationConfig
     """All yaws of an object, a ring for each side that may face down, the first as it came.
 
     Each has the shift and scale that fit its mask in closed form."""
+    return [_ring(o, fit, R, UP, side, config) for side, R in enumerate(_sides(o, config))]
+
+
+def leaning_orientations(
+    o: SceneObject, fit: ObjectFit, along: Array, first: int, config: OrientationConfig
+) -> list[list[Orientation]]:
+    """An object with its long axis, either way, along a unit vector (3,) of the world, and all turns about that.
+
+    Sides are counted from ``first``."""
+    long = principal_axes(o)[0]
+    starts = [rotation_between(sign * long, along) for sign in (1, -1)]
+    return [_ring(o, fit, R, along, first + k, config) for k, R in enumerate(starts)]
+
+
+def _ring(
+    o: SceneObject, fit: ObjectFit, R: Array, axis: Array, side: int, config: OrientationConfig
+) -> list[Orientation]:
+    """All turns about an axis of an object that is turned by R (3, 3) first."""
     count = max(1, round(2 * math.pi / config.step))
-    yaws = [rotation_about(UP, 2 * math.pi * k / count) for k in range(count)]
-    return [[_tried(o, fit, yaw @ R, side) for yaw in yaws] for side, R in enumerate(_sides(o, config))]
+    return [_tried(o, fit, rotation_about(axis, 2 * math.pi * k / count) @ R, side) for k in range(count)]
 
 
 def facet_turn(o: SceneObject, most: float) -> Array | None:

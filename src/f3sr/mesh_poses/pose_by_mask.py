@@ -8,7 +8,7 @@ rays no silhouette changes. What misses least of mask, detail and depth wins.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,25 +16,38 @@ import numpy as np
 
 from f3sr.backends.protocols import PromptedImage
 from f3sr.core.camera import Camera
+from f3sr.core.levenberg_marquardt import Local
 from f3sr.core.mesh import Mesh
+from f3sr.core.surface_samples import sample_surface
 from f3sr.core.transforms import Array, pose, rotation_angle
-from f3sr.mesh_poses.orientations import Orientation, OrientationConfig, local_minima, tried_orientations
+from f3sr.mesh_poses.orientations import (
+    Orientation,
+    OrientationConfig,
+    leaning_orientations,
+    local_minima,
+    tried_orientations,
+)
 from f3sr.scene import Geometry, Instance, Photo, SceneObject
 from f3sr.settings import constants
+from f3sr.vision import rasterizer
 from f3sr.vision.crop import sampled, window_around
 from f3sr.vision.decimated import outlined
-from f3sr.vision.depth_prior import GEOMETRY_PIXELS, GEOMETRY_SPREAD
+from f3sr.vision.depth_prior import GEOMETRY_PIXELS, GEOMETRY_SPREAD, sigma
 from f3sr.vision.depth_residual import DepthEvidence
 from f3sr.vision.ground_camera import camera_over_ground
 from f3sr.vision.motion_params import ObjectFreedom
 from f3sr.vision.occlusion import behind_the_photo
 from f3sr.vision.photometric import Appearance
-from f3sr.vision.silhouette import LossWeights, Mask, union_of
+from f3sr.vision.silhouette import LossWeights, Mask, Target, union_of
 from f3sr.vision.silhouette_fit import EVERYTHING, ObjectFit, object_fit
 
 STAGE = "assemble"
 NEIGHBOUR = math.radians(15)
 """Turn up to which one refinement covers two starts."""
+SAMPLES = 1_000
+"""Points of a mesh whose spread is compared with the geometry's."""
+STRAYS = (2, 98)
+"""Percentiles beyond which points are drawn in, along every axis: masks leak onto what lies behind."""
 
 
 @constants
@@ -55,6 +68,10 @@ class PoseSearchConfig:
     """Most faces of their meshes."""
     iterations: int = 10
     """Most steps of a refinement."""
+    rounds: int = 5
+    """Most refinements, each from where the last one ended: tilts of 60 degrees are within reach."""
+    gain: float = 0.02
+    """Least that a refinement gains of what is missed for another to follow."""
     upright: float = 0.8
     """Of what the best upright orientation misses, the most that one on another side may miss: generators give most
     objects upright."""
@@ -64,6 +81,8 @@ class PoseSearchConfig:
     """Reach of the refinement, likewise."""
     prior: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.01, 0.05, 0.05, 0.0)
     """Quadratic priors on shifts, yaw, tilts and scale, each over its reach: a tilt must show in the mask."""
+    measured: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.01, 0.01, 0.01, 0.0)
+    """Those where the geometry shows the object's surface, and so its tilt."""
 
 
 DEFAULT_SEARCH = PoseSearchConfig()
@@ -140,6 +159,8 @@ class PoseSearch:
         """Poses, best first; the first is the one to take."""
         wide = self._fit(outlined(self.start, self.config.orientations.max_faces), self.config.wide, coarse=True)
         rings = tried_orientations(self.start, wide, self.config.orientations)
+        if (along := self._measured_axis) is not None:
+            rings += leaning_orientations(self.start, wide, along, len(rings), self.config.orientations)
         near = self._promising(rings)
         first = sorted((self.judged(self._moved(wide, f), f.side) for f in near), key=lambda f: f.missed)
         best = _distinct(first)[: self.config.refined]
@@ -164,12 +185,36 @@ class PoseSearch:
         depth = self.view.distance(self.instance)
         rows, columns = np.nonzero(mask)
         seen = math.hypot(np.ptp(rows) + 1, np.ptp(columns) + 1) * depth / float(camera.K[0, 0])
-        scale = seen / self.mesh.diagonal
+        # Both are least sizes: what points away from the camera is short in the picture, what is hidden in both.
+        scale = max(seen / self.mesh.diagonal, self._measured_scale)
         ray = np.linalg.solve(camera.K, [columns.mean() + 0.5, rows.mean() + 0.5, 1.0])
         # The geometry shows the front: the middle is behind it by about a third of the size.
         middle = camera.T_world_camera[:3, :3] @ (ray * (depth + seen / 3)) + camera.center
         T = pose(np.eye(3), middle - scale * self.mesh.bounds.mean(0))
         return replace(unplaced(self.instance, self.mesh), T_world_object=T, scale=scale)
+
+    @property
+    def _measured_scale(self) -> float:
+        """The scale at which the mesh is spread as far as the surface that the geometry sees; 0 where it sees none."""
+        if (points := self._measured) is None:
+            return 0.0
+        return _spread(points) / _spread(sample_surface(self.mesh.vertices, self.mesh.faces, SAMPLES))
+
+    @property
+    def _measured_axis(self) -> Array | None:
+        """The unit vector (3,) of the world along which the measured surface is longest: what leans lies along it."""
+        if (points := self._measured) is None:
+            return None
+        spread = np.linalg.eigh(np.cov(_drawn_in(points).T))[1]
+        return self.view.camera.T_world_camera[:3, :3] @ spread[:, -1]
+
+    @cached_property
+    def _measured(self) -> Array | None:
+        """What the geometry sees of the object (n, 3) in the camera; None for less than tells a distance."""
+        if (geometry := self.view.geometry) is None:
+            return None
+        points = geometry.points[geometry.inside(self.instance.mask)].astype(float)
+        return points if len(points) >= GEOMETRY_PIXELS else None
 
     @cached_property
     def _valid(self) -> Mask:
@@ -203,10 +248,28 @@ class PoseSearch:
             reach=np.array([shift * o.size, shift * o.size, yaw, tilt, tilt, scale]),
         )
         resolution = self.config.orientations.resolution if coarse else self.config.resolution
-        return object_fit(
+        fit = object_fit(
             o, self._valid, self.view.camera, freedom,
-            resolution=resolution, weights=LossWeights(), prior=self.config.prior,
+            resolution=resolution, weights=LossWeights(),
+            prior=self.config.prior if coarse or self._depth is None else self.config.measured,
         )  # fmt: skip
+        if coarse or not (hidden := self._hidden(o, fit.camera)).any():
+            return fit
+        return replace(fit, target=Target.of(fit.target.mask, fit.target.valid & ~hidden, LossWeights()))
+
+    def _hidden(self, o: SceneObject, window: Camera) -> Mask:
+        """Where (h, w) an object would be behind what the geometry sees in others' masks: it is not missed there."""
+        if (geometry := self.view.geometry) is None or not self._others.any():
+            return np.zeros((window.height, window.width), np.bool_)
+        seen = np.where(geometry.valid, geometry.points[..., 2], np.float32(np.nan))
+        before = (1 - sigma(geometry)) * sampled(seen, self.view.camera, window, fill=np.nan)
+        others = sampled(self._others, self.view.camera, window, fill=False)
+        depth = rasterizer.render([o], window).depth
+        return others & np.isfinite(depth) & (depth > before)
+
+    @cached_property
+    def _others(self) -> Mask:
+        return union_of((i.mask for i in self.view.instances.values() if i.id != self.instance.id), self._valid.shape)
 
     def _moved(self, fit: ObjectFit, found: Orientation) -> SceneObject:
         """The object in an orientation that was tried."""
@@ -225,13 +288,38 @@ class PoseSearch:
         return o.moved(self.view.camera.homothety(k), scale=k, stage=STAGE, reason="")
 
     def _refined(self, found: FoundPose) -> FoundPose:
+        """The best pose near one: again from there while much is gained, for the reach of a fit is short."""
+        for _ in range(self.config.rounds):
+            better = self._nearby(found)
+            gain = found.missed - better.missed
+            found = better if gain >= 0 else found
+            if gain < self.config.gain:
+                break
+        return found
+
+    def _nearby(self, found: FoundPose) -> FoundPose:
         light = outlined(found.object, self.config.max_faces)
         fit = self._fit(light, self.config.near)
-        least = fit.refined(np.zeros(6), iterations=self.config.iterations, free=EVERYTHING)
+        least = fit.refined(
+            np.zeros(6), iterations=self.config.iterations, free=EVERYTHING, also=self._depths(light, fit)
+        )
         T, scale = fit.freedom.similarity(least.x)
         moved = found.object.moved(T, scale=scale, stage=STAGE, reason="")
-        better = self.judged(self._at_its_depth(moved), found.side)
-        return better if better.missed <= found.missed else found
+        return self.judged(self._at_its_depth(moved), found.side)
+
+    def _depths(self, o: SceneObject, fit: ObjectFit) -> Callable[[Array], Local] | None:
+        """What the geometry adds to a fit's objective: how far the surface deviates from its depths."""
+        depth = self._depth
+        if depth is None:
+            return None
+
+        def local(u: Array) -> Local:
+            T, scale = fit.freedom.similarity(u)
+            moved = o.moved(T, scale=scale, stage=STAGE, reason="")
+            deviation = depth.mismatch(moved, fit.freedom.velocities(u, fit.camera), most=GEOMETRY_SPREAD)
+            return deviation.weighted(self.config.orientations.depth)
+
+        return local
 
     def corrected(self, o: SceneObject) -> SceneObject:
         """The object where its light silhouette fits best near a pose that it was given."""
@@ -263,6 +351,17 @@ class PoseSearch:
         if upright is None or found[0].missed <= self.config.upright * upright.missed:
             return found
         return [upright, *(f for f in found if f is not upright)]
+
+
+def _spread(points: Array) -> float:
+    """Root of the mean squared distance of points (n, 3) from their mean, a few strays drawn in."""
+    return float(np.linalg.norm(_drawn_in(points).std(axis=0)))
+
+
+def _drawn_in(points: Array) -> Array:
+    """Points (n, 3) with the outermost at the others' border."""
+    low, high = np.percentile(points, STRAYS, axis=0)
+    return np.clip(points, low, high)
 
 
 def _distinct(found: list[FoundPose]) -> list[FoundPose]:

@@ -20,7 +20,8 @@ from f3sr.core.transforms import Array
 from f3sr.mesh_poses.candidate_places import CandidatePlaces
 from f3sr.mesh_poses.outline_votes import DEFAULT_OUTLINES, OutlineConfig, sieved
 from f3sr.mesh_poses.pose_by_mask import DEFAULT_SEARCH, MaskedPhoto, PoseSearchConfig
-from f3sr.mesh_poses.read_poses import Seeker
+from f3sr.mesh_poses.pose_seeker import Seeker
+from f3sr.scene import SceneObject
 from f3sr.settings import constants
 
 
@@ -44,8 +45,8 @@ class VoteConfig:
     """Mean IoU, once corrected, below which no reading shows what the masks show."""
     alike: float = 0.03
     """Largest distance of surfaces [share of an object's diagonal] at which two readings show the same object."""
-    samples: int = 400
-    """Points of a surface in that."""
+    samples: int = 2_000
+    """Points of a surface in that. Two samples of one surface are .014 apart; with 400 they were .03, as other ones."""
 
     def margin(self, objects: int) -> float:
         """Difference in cost from which on it is evidence."""
@@ -64,6 +65,8 @@ class Votes:
     """(k,) mean over objects."""
     ious: Array
     """(k,) mean IoU with the masks, once corrected."""
+    usual: Array
+    """(k,) the place of each in the order in which they were put to the vote: the usual ones first."""
     meshes: Mapping[int, Mesh]
     config: VoteConfig
 
@@ -72,13 +75,23 @@ class Votes:
         """Whether any reading shows what the masks show."""
         return len(self.places) > 0 and float(self.ious[0]) >= self.config.usable
 
+    @property
+    def alike(self) -> list[int]:
+        """Indices of readings that fit as well as the best, which is the first; they are the first ones."""
+        margin = self.config.margin(len(self.places.ids))
+        return [k for k in range(len(self.places)) if self.costs[k] <= self.costs[0] + margin]
+
+    @cached_property
+    def likeliest(self) -> int:
+        """Index of the most usual reading of those that fit as well as the best and show the same surfaces."""
+        return min((k for k in self.alike if k == 0 or not self.differ(k, 0)), key=lambda k: self.usual[k])
+
     @cached_property
     def rivals(self) -> list[int]:
         """Indices of readings that fit as well as the best, and differ visibly from it and from each other."""
-        margin = self.config.margin(len(self.places.ids))
         found = list[int]()
-        for k in range(1, len(self.places)):
-            if self.costs[k] <= self.costs[0] + margin and all(self.differ(k, other) for other in (0, *found)):
+        for k in self.alike[1:]:
+            if all(self.differ(k, other) for other in (0, *found)):
                 found.append(k)
         return found
 
@@ -88,11 +101,8 @@ class Votes:
 
     def apart(self, v: int, one: int, other: int) -> float:
         """Mean distance of the surfaces of the ``v``-th object by two readings [share of its diagonal]."""
-        from scipy.spatial import KDTree
-
         a, b = (self._placed(v, k) for k in (one, other))
-        size = float(self.places.scale[one, v]) * self.meshes[self.places.ids[v]].diagonal
-        return float(KDTree(a).query(b)[0].mean() + KDTree(b).query(a)[0].mean()) / 2 / size
+        return _apart(a, b) / (float(self.places.scale[one, v]) * self.meshes[self.places.ids[v]].diagonal)
 
     def _placed(self, v: int, k: int) -> Array:
         """Points (p, 3) of a surface where a reading puts it, in the camera."""
@@ -103,6 +113,19 @@ class Votes:
     def _points(self) -> list[Array]:
         chosen = (self.meshes[id] for id in self.places.ids)
         return [sample_surface(m.vertices, m.faces, self.config.samples) for m in chosen]
+
+
+def surfaces_apart(one: SceneObject, other: SceneObject, samples: int) -> float:
+    """Mean distance of two surfaces in the world [share of the first's size]."""
+    a, b = (sample_surface(o.vertices_world, o.mesh.faces, samples) for o in (one, other))
+    return _apart(a, b) / one.size
+
+
+def _apart(a: Array, b: Array) -> float:
+    """Mean distance of points (n, 3) to the nearest of others (m, 3), both ways."""
+    from scipy.spatial import KDTree
+
+    return float(KDTree(a).query(b)[0].mean() + KDTree(b).query(a)[0].mean()) / 2
 
 
 def voted(
@@ -125,6 +148,7 @@ def voted(
         places=entered.chosen(finished),
         costs=costs[finished],
         ious=ious[finished],
+        usual=np.array([places.names.index(entered.names[k]) for k in finished]),
         meshes=meshes,
         config=config,
     )

@@ -11,9 +11,8 @@ import numpy as np
 from annotated_types import Interval
 
 from f3sr.core.camera import Camera
-from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose, transform
+from f3sr.core.transforms import T_UP_FROM_CAMERA, Array
 from f3sr.files.bounds import MAX_FRICTION
-from f3sr.io import sam3d
 from f3sr.io.given_properties import MATERIALS, GivenProperties
 from f3sr.io.inputs import Inputs, PosedAsset
 from f3sr.language.grammar.materials import COMPACT, material_of, unknown_density
@@ -26,8 +25,6 @@ from f3sr.vision.silhouette import iou, resample
 
 NAMED = 8
 """Objects of unknown material that the report names, at most."""
-CONVENTION_MARGIN = 0.15
-"""Gain of mean mask IoU from which another pose convention gives a warning; true conventions win by more."""
 
 
 @settings
@@ -80,7 +77,7 @@ def assemble(
     config = config or AssembleConfig()
     camera = scene.camera
     objects = tuple(replace(o, parts=(o.mesh.hull,)) for o in scene)
-    decisions = [*told, *_check_convention(camera, objects)]
+    decisions = list(told)
     decisions += [d for o in objects if (d := _check_place(o, camera))]
     decisions.append(_told_of_materials(objects))
     decisions += [_told_of_fixed(o) for o in objects if o.mobility == "fixed"]
@@ -183,41 +180,6 @@ def _check_place(o: SceneObject, camera: Camera) -> Decision | None:
         about=o.id,
         fallback=True,
     )
-
-
-def _check_convention(camera: Camera, objects: tuple[SceneObject, ...]) -> list[Decision]:
-    """Warn when another known reading of the poses overlaps the masks far better (the declared one is kept)."""
-    declared = float(np.mean([_overlap(o.vertices_world, o, camera) for o in objects]))
-    best, name = declared, "declared"
-    for alternative, vertices in _other_readings(objects, camera).items():
-        mean = float(np.mean([_overlap(v, o, camera) for v, o in zip(vertices, objects, strict=True)]))
-        if mean > best:
-            best, name = mean, alternative
-    if best - declared <= CONVENTION_MARGIN:
-        return []
-    return [
-        Decision(
-            choice="the declared pose convention is kept, but looks wrong",
-            reason=f"mean silhouette IoU {declared:.2f}; {name} would give {best:.2f}",
-            fallback=True,
-        )
-    ]
-
-
-def _other_readings(objects: tuple[SceneObject, ...], camera: Camera) -> dict[str, list[Array]]:
-    """World vertices under the mistakes that are commonly made with these poses."""
-    flip = np.eye(4)
-    flip[:3, :3] = sam3d.OPENCV_FROM_PYTORCH3D
-    readings: dict[str, list[Array]] = {"the inverse rotation": [], "vertices without the GLB axis swap": [],
-                                        "camera axes without the PyTorch3D flip": []}  # fmt: skip
-    for o in objects:
-        T = camera.T_camera_world @ o.T_world_asset
-        inverse = T.copy()
-        inverse[:3, :3] = flip[:3, :3] @ (flip[:3, :3] @ T[:3, :3]).T
-        swapped = T @ pose(sam3d.LOCAL_FROM_GLB.T)
-        for name, pose_camera in zip(readings, (inverse, swapped, flip @ T), strict=True):
-            readings[name].append(transform(camera.T_world_camera @ pose_camera, o.mesh.vertices))
-    return readings
 
 
 def _overlap(vertices_world: Array, o: SceneObject, camera: Camera) -> float:

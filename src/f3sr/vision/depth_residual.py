@@ -8,10 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
+from f3sr.core.levenberg_marquardt import Local
+from f3sr.core.transforms import Array
 from f3sr.scene import Geometry, SceneObject
 from f3sr.vision import rasterizer
 from f3sr.vision.crop import sampled
 from f3sr.vision.silhouette import Mask
+
+SMALLEST = 1e-3
+"""Deviation of depth [share of the distance] below which the curvature of its absolute value does not grow."""
+GRAZING = 0.1
+"""Least cosine between a viewing ray and a surface's normal that is reckoned with: at 0 its depth is undefined."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -56,3 +63,42 @@ class DepthEvidence:
             size=float(np.median(np.abs(ratio))),
             pixels=len(ratio),
         )
+
+    def mismatch(self, o: SceneObject, velocities: Array, *, most: float) -> Local:
+        """Mean of |log(rendered / measured depth) - its median|, each at most ``most``, with derivatives by parameters
+        that move the surface by ``velocities`` (p, 3, 4) in camera axes.
+
+        Its distance along the rays is free, as the median is taken off. A pixel sees the plane n . x = d of a
+        triangle; as that moves by v, log depth changes by n . v / n . x. Absolute values have the curvature of
+        iteratively reweighted squares."""
+        fragments = rasterizer.render([o], self.camera)
+        both = np.isfinite(fragments.depth) & np.isfinite(self.depth)
+        p = len(velocities)
+        if not both.any():
+            return Local(value=most, gradient=np.zeros(p), curvature=np.zeros((p, p)))
+        z = fragments.depth[both]
+        ratio = np.log(z / self.depth[both])
+        off = ratio - np.median(ratio)
+        change = self._change(o, fragments.face[both], np.argwhere(both), z, velocities)
+        near = np.abs(off) < most
+        change = (change - change[:, near].mean(1, keepdims=True)) * near if near.any() else 0 * change
+        weight = 1 / np.maximum(np.abs(off), SMALLEST)
+        return Local(
+            value=float(np.minimum(np.abs(off), most).mean()),
+            gradient=change @ (weight * off) / len(off),
+            curvature=(change * weight) @ change.T / len(off),
+        )
+
+    def _change(
+        self, o: SceneObject, faces: NDArray[np.int32], pixels: NDArray[np.int64], z: Array, velocities: Array
+    ) -> Array:
+        """(p, n): how log depth changes in pixels (n, 2), row and column, that see some faces (n,) at z (n,)."""
+        y, x = pixels.T + 0.5
+        rays = np.linalg.solve(self.camera.K, np.stack([x, y, np.ones_like(x)]))  # (3, n)
+        corners = self.camera.to_camera(o.vertices_world)[o.mesh.faces[faces]]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).T
+        normals /= np.maximum(np.linalg.norm(normals, axis=0), 1e-30)
+        normals *= np.where((normals * rays).sum(0) < 0, -1.0, 1.0)
+        along = np.maximum((normals * rays).sum(0), GRAZING * np.linalg.norm(rays, axis=0))
+        moved = velocities @ np.concatenate([z * rays, np.ones((1, len(z)))])  # (p, 3, n)
+        return (moved * normals).sum(1) / (z * along)

@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
-from f3sr.backends.protocols import Axis, ProducedMesh, PromptedImage, ReadPose
+from f3sr.backends.protocols import Axis, GivenPose, ProducedMesh, PromptedImage
 from f3sr.core.transforms import Array
 from f3sr.errors import InputError
+from f3sr.files import strict_json
 from f3sr.io import sam3d
 from f3sr.io.mesh_files import load_mesh
 from f3sr.scene import Geometry, Instance
@@ -98,7 +99,7 @@ def read_answer(job: Path, id: int) -> ProducedMesh:
     if answer.id is not None and answer.id != id:
         raise InputError(file, found=f"an answer for object {answer.id}", accepted=f"one for object {id}")
     mesh = large_file(file, answer.mesh, ".glb", "a GLB", most=MAX_MESH_BYTES)
-    return ProducedMesh(mesh=load_mesh(mesh), up=answer.up, poses=_poses(file, answer.pose), told=answer.told)
+    return ProducedMesh(mesh=load_mesh(mesh), up=answer.up, pose=_pose(file, answer.pose), told=answer.told)
 
 
 def discard(job: Path, id: int) -> None:
@@ -117,13 +118,16 @@ def _asked(i: Instance) -> Mapping[str, Any]:
     return {"id": i.id, "label": i.label, "mask": f"masks/{i.id:02d}.png", "cutout": f"cutouts/{i.id:02d}.png"}
 
 
-def _poses(file: Path, pose: WorkerPose) -> tuple[ReadPose, ...]:
+def _pose(file: Path, pose: WorkerPose) -> GivenPose | None:
     if pose.convention == "none":
-        return ()
+        return None
     if pose.rotation is None or pose.translation is None or pose.scale is None:
         accepted = "rotation (wxyz), translation and scale with the convention sam3d"
         raise InputError(file, found="a pose that lacks a part", accepted=accepted)
     try:
-        return sam3d.readings(pose.rotation, pose.translation, pose.scale)
-    except ValueError as error:
-        raise InputError(file, found=str(error), accepted="the pose of SAM 3D Objects") from error
+        return sam3d.AssetPose(
+            mask=file.name, mesh=file.name, rotation=pose.rotation, translation=pose.translation, scale=pose.scale
+        ).given
+    except ValidationError as error:
+        found, _ = strict_json.problem(error, "a pose")
+        raise InputError(file, found=found, accepted="the pose of SAM 3D Objects") from error

@@ -73,7 +73,7 @@ class MeshWorker(JobWorker):
         except InputError:
             mesh_job.discard(job, id)  # the next run asks for it again
             raise
-        return made if made.up or made.poses else replace(made, up=self.up)
+        return made if made.up or made.pose else replace(made, up=self.up)
 
 
 def _words(name: str, said: Progressed, instances: Sequence[Instance]) -> str:
