@@ -50,6 +50,7 @@ def dense_box(id: int, x: float) -> SceneObject:
     return SceneObject(**{**{k: getattr(shown, k) for k in shown.__dataclass_fields__}, "mesh": mesh})
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="peak memory is read from Linux's /proc")
 def test_peak_memory_of_a_run_of_middling_size(compiled: Path, tmp_path: Path) -> None:
     objects = [dense_box(id, x) for id, x in enumerate((-0.21, -0.07, 0.07, 0.21))]

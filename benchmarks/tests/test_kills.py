@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 import kills
 from folders import write_folder
 
@@ -11,6 +13,7 @@ SKIPPED = ("align", "refine", "coarsen", "uncertainty", "evaluate", "inpaint")
 """Stages that no point of these is in, and that later ones do without."""
 
 
+@pytest.mark.slow
 def test_after_kill_9_a_whole_package_or_none_and_the_next_run_goes_on(compiled: Path, tmp_path: Path):
     write_folder(tmp_path / "input", perturb=0.05, seed=2)
     harness = kills.Kills(tmp_path / "input", tmp_path / "work", [compiled], SKIPPED)
