@@ -11,7 +11,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +29,7 @@ from f3sr.scene_package import package
 from f3sr.scene_package.package import read_package, write_package
 from folders import part_of_example
 from scenes import box_stack_scene
+from waiting import soon
 
 IN_PROC = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at threads and children in /proc")
 INTERRUPTED = "f3sr: interrupted; nothing was written\n"
@@ -82,15 +82,6 @@ def digests(package: Path) -> dict[str, str]:
     del report["seconds"]
     found["report.json"] = json.dumps(report).encode()
     return {name: hashlib.sha256(data).hexdigest() for name, data in found.items()}
-
-
-def soon(is_so: Callable[[], object], seconds: float) -> bool:
-    end = time.monotonic() + seconds
-    while not is_so():
-        if time.monotonic() > end:
-            return False
-        time.sleep(0.02)
-    return True
 
 
 # --- signals --------------------------------------------------------------------------------------------------
