@@ -19,9 +19,11 @@ from folders import camera, write_folder
 from scenes import box
 
 FACES, TEXTURE = 50_000, 1024
-PEAK_MB = 800
-"""Of the whole process with kernels loaded, not compiled, which takes 180 more: measured 720. One more picture of
-floats at the photo's size (72 MB), or a second copy of every texture and mesh, breaks it."""
+PEAK_MB = 680
+"""Of the whole process with kernels loaded, not compiled, which takes 180 more: measured 622 to 624. One more picture
+of floats at the photo's size (72 MB), or a second copy of every texture and mesh, breaks it."""
+RETURNED = {"MALLOC_ARENA_MAX": "1", "MALLOC_MMAP_THRESHOLD_": "1000000"}
+"""For glibc: what is freed goes back at once. Else the peak hangs on which thread frees when: 750 to 870 MB."""
 
 SCRIPT = """
 import sys
@@ -57,6 +59,7 @@ def test_peak_memory_of_a_run_of_middling_size(compiled: Path, tmp_path: Path) -
     write_folder(tmp_path / "input", perturb=0.02, objects=objects, eye=camera().resized(2000, 1500))
     env = {
         **os.environ,
+        **RETURNED,
         "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
         "F3SR_CACHE_DIR": str(tmp_path / "cache"),
     }
