@@ -224,7 +224,7 @@ def test_preparing_leaves_no_folder(tmp_path: Path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("megabytes", [60, 300, 450])
+@pytest.mark.parametrize("megabytes", [60, 300, 370])
 def test_little_memory_is_one_line(megabytes: int, cache: Path):
     """Where Python finds out. What a library does that finds out itself, as LLVM, is to abort."""
 
