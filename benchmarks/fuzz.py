@@ -207,7 +207,7 @@ def _load() -> None:
     """Everything a run imports and compiles, once, before the processes fork."""
     from f3sr.runtime import kernels
 
-    kernels.warm_up()
+    kernels.warm_up(film=False)
     own = ("f3sr.cli.main", "f3sr.pipeline", "f3sr.delivery", "f3sr.scene_package.package")
     for name in (*own, "trimesh", "mujoco", "manifold3d", "rich.table", "scipy.optimize", "scipy.spatial"):
         importlib.import_module(name)

@@ -94,16 +94,17 @@ def points(seed: int) -> list[Point]:
 
 
 class Kills:
-    """Kills runs on one folder of inputs. ``work`` is a new folder, ``kernels`` compiled ones to begin with."""
+    """Kills runs on one folder of inputs that leave out the stages ``skip``. ``work`` is a new folder, ``kernels``
+    compiled ones to begin with."""
 
-    def __init__(self, folder: Path, work: Path, kernels: Sequence[Path], options: Sequence[str] = ()) -> None:
-        self.folder, self.work, self.options = folder, work, tuple(options)
+    def __init__(self, folder: Path, work: Path, kernels: Sequence[Path], skip: Sequence[str] = ()) -> None:
+        self.folder, self.work, self.options = folder, work, _skipping(skip)
         self.cache = work / "cache"
         self.cache.mkdir(parents=True)
         for compiled in kernels:
             shutil.copytree(compiled, self.cache / compiled.name)
         self.new = self._reference("new", self.options)
-        self.old = self._reference("old", ("--skip", "align,settle,evaluate", "--ignore", "ground"))
+        self.old = self._reference("old", (*_skipping([*skip, "align", "settle", "evaluate"]), "--ignore", "ground"))
         self.stage_seconds = json.loads((self.work / "new" / "report.json").read_text())["seconds"]
 
     def trial(self, point: Point) -> Trial:
@@ -218,6 +219,10 @@ class Kills:
             *([f"left over: {p.name}" for p in copy.iterdir() if p.name != "out"]),
             *([f"left over: {p.name}" for p in cache.rglob("*.part")]),
         ]
+
+
+def _skipping(stages: Sequence[str]) -> tuple[str, ...]:
+    return ("--skip", ",".join(sorted(set(stages)))) if stages else ()
 
 
 def _missed(point: str, landed: str) -> bool:

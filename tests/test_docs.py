@@ -31,6 +31,7 @@ def test_the_bundled_example_is_whole() -> None:
     assert len(given.instances) == len(given.assets) == 10 and not [d for d in given.decisions if d.fallback]
 
 
+@pytest.mark.slow
 def test_the_examples_run(tmp_path: Path) -> None:
     stored = STORED.format(folder=str(tmp_path / "stages"), example=str(part_of_example(tmp_path / "part")))
     for name in ("README.md", "docs/python.md"):

@@ -11,7 +11,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from f3sr import example, settings
+from f3sr import settings
 from f3sr.errors import OutputError
 from f3sr.pipeline import Config
 from f3sr.report import Outcome
@@ -28,7 +27,9 @@ from f3sr.runtime.stage_runner import Runner
 from f3sr.scene import Scene
 from f3sr.scene_package import package
 from f3sr.scene_package.package import read_package, write_package
+from folders import part_of_example
 from scenes import box_stack_scene
+from waiting import soon
 
 IN_PROC = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at threads and children in /proc")
 INTERRUPTED = "f3sr: interrupted; nothing was written\n"
@@ -83,15 +84,6 @@ def digests(package: Path) -> dict[str, str]:
     return {name: hashlib.sha256(data).hexdigest() for name, data in found.items()}
 
 
-def soon(is_so: Callable[[], object], seconds: float) -> bool:
-    end = time.monotonic() + seconds
-    while not is_so():
-        if time.monotonic() > end:
-            return False
-        time.sleep(0.02)
-    return True
-
-
 # --- signals --------------------------------------------------------------------------------------------------
 
 
@@ -113,7 +105,8 @@ def test_ctrl_c_while_starting_ends_at_once_with_one_line(after: float, cache: P
 @IN_PROC
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_no_worker_outlives_a_run_that_is_ended(number: signal.Signals, cache: Path, tmp_path: Path):
-    process = start("reconstruct", example.folder(), "-o", tmp_path / "out", *TO_WORKERS, cache=cache)
+    part = part_of_example(tmp_path / "part")
+    process = start("reconstruct", part, "-o", tmp_path / "out", *TO_WORKERS, cache=cache)
     assert soon(lambda: grandchildren(process.pid), 60), "a worker forks a process for a mesh"
     workers = children(process.pid) + grandchildren(process.pid)
     process.send_signal(number)
@@ -122,7 +115,7 @@ def test_no_worker_outlives_a_run_that_is_ended(number: signal.Signals, cache: P
     if number != signal.SIGKILL:
         assert (process.returncode, errors) == (1, INTERRUPTED)
     assert soon(lambda: not any(map(runs, workers)), 2) and time.monotonic() - began < 2
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["cache"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["cache", "part"]
 
 
 @IN_PROC
@@ -231,7 +224,7 @@ def test_preparing_leaves_no_folder(tmp_path: Path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("megabytes", [60, 300, 450])
+@pytest.mark.parametrize("megabytes", [60, 300, 370])
 def test_little_memory_is_one_line(megabytes: int, cache: Path):
     """Where Python finds out. What a library does that finds out itself, as LLVM, is to abort."""
 
@@ -258,6 +251,7 @@ RIVAL = """
 import sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[3])
+from folders import part_of_example
 from scenes import box_stack_scene
 from f3sr.errors import OutputError
 from f3sr.scene_package.package import write_package
@@ -310,7 +304,7 @@ def test_damaged_kernel_files_are_told_once_and_made_anew(cache: Path):
     data[len(data) // 2] ^= 1
     files[1].write_bytes(data)
     told = "lambda step: print(step) if step.state == 'started' else None"
-    code = f"from f3sr.runtime import kernels; kernels.warm_up({told})"
+    code = f"from f3sr.runtime import kernels; kernels.warm_up({told}, film=False)"
     said = [
         subprocess.run(
             [sys.executable, "-c", code],

@@ -508,8 +508,8 @@ def test_any_characters_get_an_answer():
     ["push the cup ", "left ", "and ", "1 ", "a bit ", "one half ", "in it ", "give a a ", "to its ", "ﷺ"],
 )
 def test_work_is_bounded(unit: str):
-    start = time.perf_counter()
+    start = time.process_time()
     answer((unit * 300)[:300])
     answer("push " + (unit * 300)[:290])
     answer(unit * 100_000)
-    assert time.perf_counter() - start < 0.5
+    assert time.process_time() - start < 0.5

@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from http.client import HTTPConnection, HTTPResponse
+from http.client import HTTPConnection, HTTPException, HTTPResponse
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from f3sr.mask_page.mask_pictures import LONGEST_SIDE, mask_picture, shown_photo
 from f3sr.scene import Photo
 from f3sr.segmentation.selection import Selection, outlined
 from f3sr.segmentation.selection_json import FORMAT, PROMPTS, read_selection, selection_of
+from waiting import soon
 
 pytestmark = [pytest.mark.timeout(60), pytest.mark.filterwarnings("ignore::f3sr.errors.F3srWarning")]
 WIDTH, HEIGHT = 320, 200
@@ -127,6 +128,12 @@ class Served:
         status, told = self.post("open", {})
         assert status == 200
         return told["page"]
+
+    def answers(self) -> bool:
+        try:
+            return self.ask("GET", f"/{self.server.token}/")[0] == 200
+        except (OSError, HTTPException):  # too many connections
+            return False
 
     def lives(self) -> None:
         status, body, _ = self.ask("GET", f"/{self.server.token}/")
@@ -289,7 +296,8 @@ def test_a_slow_body_and_a_slow_head_end(served: Served, monkeypatch: pytest.Mon
                 ended = True
                 break
             time.sleep(0.02)
-        assert ended or raw.recv(100) == b""
+        with contextlib.suppress(ConnectionResetError):  # how its end shows where letters were left unread
+            assert ended or raw.recv(100) == b""
     assert time.monotonic() - start < 4
     served.lives()
 
@@ -312,16 +320,16 @@ def test_connections_are_bounded_and_come_free(served: Served, monkeypatch: pyte
     idle = [socket.create_connection((HOST, served.server.port), 5) for _ in range(MAX_CONNECTIONS + 5)]
     idle[-1].settimeout(5)
     assert idle[-1].recv(10) == b""  # at once
-    time.sleep(0.8)
+    assert soon(served.answers)
     served.lives()
     for one in idle:
         one.close()
 
 
 def test_each_kind_of_refusal_is_told_in_the_terminal(served: Served):
-    with pytest.warns(F3srWarning, match="^the page's server refused a request: no token$"):
+    with pytest.warns(F3srWarning, match="^the page's server refused a request: no token$") as told:
         assert served.ask("GET", "/x/")[0] == 404
-        time.sleep(0.05)
+        assert soon(lambda: len(told)), "after the answer, from a thread of the server"
 
 
 # --- drawing --------------------------------------------------------------------------------------------------------
@@ -474,7 +482,8 @@ def test_cancel_ends_with_nothing(served: Served):
 
 
 def test_a_page_that_closes_ends_it_unless_it_comes_back(tmp_path: Path):
-    served = Served(tmp_path / "masks", reload_s=0.3)
+    reload_s = 0.6
+    served = Served(tmp_path / "masks", reload_s=reload_s)
 
     def stay() -> socket.socket:
         raw = socket.create_connection((HOST, served.server.port), 5)
@@ -482,13 +491,12 @@ def test_a_page_that_closes_ends_it_unless_it_comes_back(tmp_path: Path):
         assert raw.recv(10)
         return raw
 
-    time.sleep(0.5)  # nobody has opened the page yet
+    time.sleep(1.2 * reload_s)  # nobody has opened the page yet
     assert served.thread.is_alive()
     first = stay()
-    time.sleep(0.5)
     first.close()
     second = stay()  # a reload
-    time.sleep(0.5)
+    time.sleep(1.2 * reload_s)
     assert served.thread.is_alive()
     second.close()
     assert served.ended() is None

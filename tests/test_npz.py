@@ -72,11 +72,11 @@ def test_a_hostile_archive_is_one_line_and_costs_nothing(case: str, tmp_path: Pa
     file, (spoil, found) = tmp_path / "a.npz", HOSTILE[case]
     np.savez_compressed(file, first=np.arange(9.0), x=np.arange(3.0), last=np.arange(9.0))
     spoil(file, "x")
-    before, start = peak(), time.perf_counter()
+    before, start = peak(), time.process_time()
     with warnings.catch_warnings(), pytest.raises(InputError) as caught:
         warnings.simplefilter("error")
         npz.read(file, {"x": npz.Wanted(kinds="f", shape=("n",), most=1000)})
-    assert time.perf_counter() - start < 1 and peak() - before < 50e6
+    assert time.process_time() - start < 1 and peak() - before < 50e6
     message = str(caught.value)
     assert message.startswith(f"{file}: found ") and found in caught.value.found and len(message) < 700
     assert "x (n,) of floats" in caught.value.accepted

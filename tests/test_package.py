@@ -919,18 +919,18 @@ def test_a_spoiled_file_of_a_package_is_refused_at_once(name: str, stack: Scene,
     change, found = FILES[name]
     out = write_package(stack, tmp_path / "out")
     change(out)
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(InputError, match=found):
         read_package(out)
-    assert time.perf_counter() - start < 2
+    assert time.process_time() - start < 2
 
 
 def test_a_part_named_often_is_read_once(stack: Scene, tmp_path: Path) -> None:
     out = write_package(stack, tmp_path / "out")
     spoiled(out, repeated(MAX_OBJECT_PARTS))
-    start = time.perf_counter()
+    start = time.process_time()
     parts = read_package(out).scene[0].parts
-    assert len(parts) == MAX_OBJECT_PARTS and len(set(map(id, parts))) == 1 and time.perf_counter() - start < 2
+    assert len(parts) == MAX_OBJECT_PARTS and len(set(map(id, parts))) == 1 and time.process_time() - start < 2
 
 
 def test_missing_and_linked_files_are_refused_by_name(stack: Scene, tmp_path: Path) -> None:

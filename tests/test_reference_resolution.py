@@ -287,10 +287,10 @@ def test_a_target_is_another_object():
 
 def test_many_objects_are_refused_in_time():
     scene = replace(table(), objects=tuple(thing(id, "cup", at=(0, 0, 0)) for id in range(300)), graph=SceneGraph())
-    start = time.perf_counter()
+    start = time.process_time()
     found = resolve("cup " * 70, scene)
     assert isinstance(found, Refusal) and isinstance(resolve("cup on cup on cup on cup", scene), Refusal)
-    assert time.perf_counter() - start < 5
+    assert time.process_time() - start < 5
 
 
 # --- colours ------------------------------------------------------------------------------------------------------

@@ -51,6 +51,11 @@ def test_quaternions_round_trip_as_wxyz(omega):
     assert np.allclose(rotation_from_quaternion(q), R, atol=1e-9)
 
 
+def test_many_quaternions_give_the_matrices_of_each():
+    q = np.random.default_rng(0).normal(size=(5, 4))
+    assert np.array_equal(rotation_from_quaternion(q), [rotation_from_quaternion(one) for one in q])
+
+
 def test_quarter_turn_has_its_textbook_quaternion():
     half = np.sqrt(0.5)
     assert np.allclose(quaternion_from_rotation(rotation_about([0, 0, 1], np.pi / 2)), [half, 0, 0, half])

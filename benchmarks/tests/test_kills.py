@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 import kills
 from folders import write_folder
 
+SKIPPED = ("align", "refine", "coarsen", "uncertainty", "evaluate", "inpaint")
+"""Stages that no point of these is in, and that later ones do without."""
 
+
+@pytest.mark.slow
 def test_after_kill_9_a_whole_package_or_none_and_the_next_run_goes_on(compiled: Path, tmp_path: Path):
     write_folder(tmp_path / "input", perturb=0.05, seed=2)
-    harness = kills.Kills(tmp_path / "input", tmp_path / "work", [compiled], ("--skip", "align,refine,evaluate"))
+    harness = kills.Kills(tmp_path / "input", tmp_path / "work", [compiled], SKIPPED)
     points = [kills.Point("level:20"), kills.Point("storing:3"), kills.Point("rename2:1", old=True)]
     trials = [harness.trial(point) for point in points]
     assert [trial.faults for trial in trials] == [[]] * 3, "\n".join(map(kills.show, trials))

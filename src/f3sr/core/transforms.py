@@ -112,7 +112,7 @@ def rotation_between(a: ArrayLike, b: ArrayLike) -> Array:
 
 
 def rotation_from_quaternion(wxyz: ArrayLike) -> Array:
-    """Rotation matrices (..., 3, 3) of quaternions (..., 4), each w, x, y, z; they need not be normalised.
+    """Rotation matrix (3, 3) of a quaternion (w, x, y, z), or (n, 3, 3) of (n, 4); they need not be normalised.
 
     Raises ValueError for a quaternion of length 0."""
     from scipy.spatial.transform import Rotation

@@ -7,7 +7,6 @@ from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from f3sr.core.transforms import Array
 from f3sr.vision.regions import parts_of
@@ -49,6 +48,8 @@ class EdgePoints:
 def edge_points(rgb: NDArray[np.uint8]) -> EdgePoints:
     """Local maxima of the gradient along itself, in the channel where it is largest (Canny 1986, without hysteresis);
     a parabola through three values gives the place."""
+    from scipy import ndimage
+
     gx, gy, size = _gradient(rgb)
     rows, columns = np.nonzero(size > max(LEAST_GRADIENT, OVER_MEDIAN * float(np.median(size))))
     here = size[rows, columns]
@@ -102,6 +103,8 @@ class _Chain:
 
 def _gradient(rgb: NDArray[np.uint8]) -> tuple[NDArray[np.float32], ...]:
     """Of the channel where it is largest: along x, along y and its size, each (h, w)."""
+    from scipy import ndimage
+
     best: tuple[NDArray[Any], ...] | None = None
     for channel in range(3):
         values = rgb[..., channel].astype(np.float32)

@@ -6,7 +6,6 @@ from collections.abc import Collection, Iterable
 from itertools import combinations
 
 import numpy as np
-from scipy.special import ndtr
 
 from f3sr.scene import Predicate, Relation
 from f3sr.stages.relate.known import Known, leads
@@ -74,6 +73,8 @@ SYMMETRIC: frozenset[Predicate] = frozenset({"next_to", "touching", "overlaps_2d
 
 def _ordered(a: int, b: int, known: Known) -> tuple[float, int, int, str] | None:
     """Confidence, the one in front, the one behind, evidence."""
+    from scipy.special import ndtr
+
     common, config = known.common(a, b), known.config
     if common and len(common.first_seen) >= ENOUGH:
         seen, nearer = float(common.first_seen.mean()), float(np.median(common.ratio))

@@ -6,7 +6,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import nnls
 
 from f3sr.core.transforms import Array
 from f3sr.scene import GROUND, Support
@@ -48,6 +47,8 @@ class Carried:
     @property
     def supports(self) -> tuple[Support, ...]:
         """Shares by the lever: weights w >= 0 of the patches' middles whose mean is nearest the middle of mass."""
+        from scipy.optimize import nnls
+
         if len(self.patches) == 1:
             return (Support(id=self.patches[0].id),)
         middles = np.stack([p.points[:, :2].mean(0) for p in self.patches])

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from f3sr.contact import polytopes
 from f3sr.contact.compounds import Compound, placed
@@ -113,10 +113,13 @@ def _millimetres(distance: float) -> str:
 @dataclass(frozen=True, eq=False)
 class _Cloud:
     points: Array
-    tree: KDTree
+    tree: Any
+    """A ``scipy.spatial.KDTree`` of the points."""
 
 
 def _cloud(known: Known, id: int) -> _Cloud:
+    from scipy.spatial import KDTree
+
     s = known.surfaces[id]
     points = sample_surface(s.vertices, s.faces, SAMPLES)
     return _Cloud(points, KDTree(points))

@@ -6,7 +6,6 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 
 from f3sr.core.transforms import Array
 from f3sr.scene import GROUND, SceneObject
@@ -128,6 +127,8 @@ def likelihood(chosen: Candidate, found: Iterable[Candidate], *, beside: Collect
 
 def order_cost(common: Common | None, k: float, config: RelateConfig) -> float:
     """How badly an object moved by k along its rays agrees with who is seen where it overlaps another one."""
+    from scipy.special import ndtr
+
     if common is None or not len(common.ratio):
         return 0.0
     in_front = np.clip(ndtr((common.ratio - np.log(k)) / config.order_sigma), WRONG, 1 - WRONG)
