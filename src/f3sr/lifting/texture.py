@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from f3sr.background.membrane import membrane
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, Material, Mesh, area_vectors
 from f3sr.core.transforms import UP, Array
@@ -49,7 +50,7 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
     top, bottom = max(0, rows[0] - pad), min(photo.height, rows[-1] + 1 + pad)
     left, right = max(0, columns[0] - pad), min(photo.width, columns[-1] + 1 + pad)
     crop, known = photo.rgb[top:bottom, left:right], _own(mask[top:bottom, left:right])
-    sharp = np.where(known[..., None], crop, _filled(crop, known))
+    sharp = membrane((crop * known[..., None]).astype(np.float32), known)
     soft = _shaded(crop, known, SOFT * longest)
     if solid.symmetry != "box":  # round sides graze the rays at the mask's border: no edge where the photo ends
         share = _smooth(depth_inside(mask[top:bottom, left:right]) / (FADED * longest))[..., None]
@@ -79,25 +80,6 @@ def _own(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The mask (h, w) without its border; all of one that is hardly more than a border."""
     inner = shrunk(mask, ERODED)
     return inner if inner.sum() > 0.5 * mask.sum() else mask
-
-
-def _filled(image: NDArray[np.uint8], known: NDArray[np.bool_]) -> Array:
-    """Colours (h, w, 3) around the ``known`` ones (h, w): blurred ever more with the distance from them."""
-    sigma, filled, left = 1.0, image.astype(float), ~known
-    while left.any():
-        colours, weight = _blurred(image, known, sigma)
-        now = left & (weight > EMPTY)
-        filled[now] = colours[now]
-        left, sigma = left & ~now, 2 * sigma
-    return filled
-
-
-def _blurred(image: NDArray[np.uint8], known: NDArray[np.bool_], sigma: float) -> tuple[Array, Array]:
-    """Mean of the ``known`` colours (h, w, 3) under a Gaussian [px], and their weight (h, w)."""
-    weight = smoothed(known, sigma)
-    colours = np.stack([smoothed(image[..., k] * known, sigma) for k in range(3)], axis=2)
-    mean = image[known].mean(0)
-    return np.where(weight[..., None] > 1e-9, colours / np.maximum(weight, 1e-9)[..., None], mean), weight
 
 
 def _shaded(image: NDArray[np.uint8], known: NDArray[np.bool_], sigma: float) -> Array:
