@@ -15,8 +15,9 @@ from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, Material, Mesh, area_vectors
 from f3sr.core.transforms import UP, Array
 from f3sr.lifting.solids import Solid
+from f3sr.lifting.unshaded import SeenSolid
 from f3sr.scene import Photo
-from f3sr.vision.regions import depth_inside, shrunk, smoothed
+from f3sr.vision.regions import shrunk, smoothed
 
 LONGEST = 1024
 """Longer side of the photo's part of a texture [px]."""
@@ -26,8 +27,8 @@ GRAZING = math.cos(math.radians(78))
 """Least cosine between a face's normal and the ray to the camera for the photo to show it: else print smears."""
 SOFT = 0.12
 """Standard deviation of the blur where the photo shows nothing [longer side of the mask]: no print is seen there."""
-FADED = 0.06
-"""Width of the border in which the photo goes over into its blurred copy [longer side of the mask]."""
+FADED = 0.47
+"""Cosine between a normal and the ray to the camera below which the photo goes over into its blurred copy."""
 INSET = 0.004
 """Distance of texture coordinates from the border of their half: filters do not mix the two."""
 MARGIN = math.radians(3)
@@ -52,8 +53,10 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
     crop, known = photo.rgb[top:bottom, left:right], _own(mask[top:bottom, left:right])
     sharp = membrane((crop * known[..., None]).astype(np.float32), known)
     soft = _shaded(crop, known, SOFT * longest)
-    if solid.symmetry != "box":  # round sides graze the rays at the mask's border: no edge where the photo ends
-        share = _smooth(depth_inside(mask[top:bottom, left:right]) / (FADED * longest))[..., None]
+    if solid.symmetry != "box":  # no edge where round sides turn away and the photo ends
+        facing = SeenSolid.of(solid, mask, camera).facing
+        beside = (rows[0] - top, bottom - rows[-1] - 1), (columns[0] - left, right - columns[-1] - 1)
+        share = _smooth(np.pad(facing, beside, mode="edge") / FADED)[..., None]
         sharp = soft + share * (sharp - soft)
     image = Image.fromarray(np.concatenate([sharp, soft], axis=1).astype(np.uint8))
     if (scale := LONGEST / max(right - left, bottom - top)) < 1:

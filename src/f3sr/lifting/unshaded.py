@@ -93,6 +93,15 @@ class SeenSolid:
         nearest: Any = distance_transform_edt(~known, return_distances=False, return_indices=True)
         return normals[tuple(nearest)]
 
+    @property
+    def facing(self) -> Array:
+        """(h, w) cosine between the normals and the rays to the camera."""
+        h, w = self.own.shape
+        x, y = np.meshgrid(np.arange(w) + self.columns.start + 0.5, np.arange(h) + self.rows.start + 0.5)
+        rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(self.camera.K).T
+        towards = -rays @ self.camera.T_world_camera[:3, :3].T
+        return (self.normals * towards).sum(2) / np.linalg.norm(towards, axis=2)
+
     def samples(self, group: int, colours: Array, step: int) -> Samples:
         """Some of the photo's ``colours`` (H, W, 3) on the solid, which is white here."""
         inner = shrunk(self.own, BORDER) & (self._drawn.face >= 0)
