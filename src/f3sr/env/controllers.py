@@ -75,7 +75,7 @@ class GripperControl:
             data=playable.data,
             config=config,
             low=np.array([*(low[:2] - AROUND), floor]),
-            high=high + np.array([AROUND, AROUND, max(AROUND, ABOVE)]),
+            high=high + AROUND,
         )
         return cls(gripper, poses, np.zeros(8 if poses else 7))
 

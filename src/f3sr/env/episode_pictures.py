@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from f3sr.core.mesh import Material, Mesh
+from f3sr.core.mesh import ConvexPart, Material, Mesh
 from f3sr.core.transforms import Array, rotation_from_vector
 from f3sr.env.gripper import FINGERS, HAND, Block, GripperConfig, blocks
 from f3sr.env.resets import Randomization
@@ -21,8 +21,6 @@ from f3sr.scene_package.package import Package
 GREY = (0.18, 0.18, 0.2)
 """Colour of the gripper."""
 CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
-SIDES = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6],
-                  [0, 6, 4], [1, 5, 7], [1, 7, 3]], np.int32)  # fmt: skip
 
 
 class EpisodePictures:
@@ -81,6 +79,7 @@ class EpisodePictures:
 
 def _drawable(id: int, scene: Scene, block: Block) -> SceneObject:
     """A box of the gripper, which the photo does not show."""
-    mesh = Mesh(vertices=CUBE * block.half + block.middle, faces=SIDES, materials=(Material(base_color=GREY),))
+    hull = ConvexPart.hull_of(CUBE * block.half + block.middle)
+    mesh = Mesh(vertices=hull.vertices, faces=hull.faces, materials=(Material(base_color=GREY),))
     mask = np.zeros((scene.camera.height, scene.camera.width), np.bool_)
     return SceneObject(id=id, label="", mask_name="", mask=mask, mesh=mesh, T_world_object=np.eye(4))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -80,6 +79,4 @@ MAX_BANK = MAX_OBJECTS
 
 def _of_package(own: Scene, sample: Scene) -> Scene:
     """The package's scene with the poses and shapes of a sample: pictures and the photo stay the package's."""
-    objects: Sequence[object] = sample.objects
-    assert len(objects) == len(own.objects)
     return replace(own, objects=sample.objects, ground=sample.ground)

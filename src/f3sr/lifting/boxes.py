@@ -66,15 +66,12 @@ def _fitted(seen: Outlined, floor: float, equal: float, spare: float = 0.0) -> F
         return centre + size * (local + (x[:, :1] * side + x[:, 1:2] * away)[:, None])
 
     def residuals(x: Array) -> Array:
-        points = corners(x)
-        pixels, depth = seen.camera.project(points.reshape(-1, 3))
-        reached = (pixels.reshape(*points.shape[:2], 2) @ directions.T).max(1)
+        reached, depth = seen.reached(corners(x), directions)
         unequal = x[:, 2:5] - x[:, 2:5].mean(1, keepdims=True)
         off = reached - wanted
         off = off / np.where(off > 0, beyond, scatter)
         all_of_them = np.concatenate([off, equal * unequal], axis=1)
-        before = depth.reshape(points.shape[:2]).min(1) > 0.05 * size
-        return np.where(before[:, None], all_of_them, BEHIND_CAMERA)
+        return np.where((depth > 0.05 * size)[:, None], all_of_them, BEHIND_CAMERA)
 
     yaws = np.pi / 2 * np.arange(YAWS) / YAWS
     x = np.array([[0, 0.3, math.log(0.7), math.log(0.7 * d), math.log(0.5), yaw] for yaw in yaws for d in DEPTHS])

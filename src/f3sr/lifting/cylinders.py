@@ -50,13 +50,10 @@ def fit_cylinder(seen: Outlined, floor: float) -> FittedShape | None:
         )
 
     def residuals(x: Array) -> Array:
-        points = rings(x)
-        pixels, depth = seen.camera.project(points.reshape(-1, 3))
-        reached = (pixels.reshape(*points.shape[:2], 2) @ directions.T).max(1)
+        reached, depth = seen.reached(rings(x), directions)
         unlikely = np.column_stack([ALIKE * x[:, 3], UPRIGHT * x[:, 4]])
         all_of_them = np.concatenate([(reached - wanted) / scatter, unlikely], axis=1)
-        before = depth.reshape(points.shape[:2]).min(1) > 0.05 * size
-        return np.where(before[:, None], all_of_them, BEHIND_CAMERA)
+        return np.where((depth > 0.05 * size)[:, None], all_of_them, BEHIND_CAMERA)
 
     starts = np.array([[0.0, y, math.log(0.35), math.log(h), 0.0] for h in HEIGHTS for y in (-0.4, 0.0)])
     found, costs = refined(residuals, starts, iterations=40)

@@ -172,6 +172,13 @@ class Outlined:
         excess = 0.5 * np.abs(directions).sum(1) - 0.5
         return directions[shown], (reached.max(0) - excess)[shown], scatter[shown]
 
+    def reached(self, points: Array, directions: Array) -> tuple[Array, Array]:
+        """How far shapes of points (s, n, 3) reach along directions (d, 2) in the picture (s, d) [px], and the least depth
+        of each (s,) [m]."""
+        pixels, depth = self.camera.project(points.reshape(-1, 3))
+        reached = (pixels.reshape(*points.shape[:2], 2) @ directions.T).max(1)
+        return reached, depth.reshape(points.shape[:2]).min(1)
+
     def rays(self, pixels: Array) -> Array:
         """Directions (n, 3) in the world through pixels (n, 2), of depth 1."""
         K = self.camera.K

@@ -18,7 +18,7 @@ from f3sr.lifting.solids import Solid
 from f3sr.rendering.config import LightConfig, RenderConfig
 from f3sr.rendering.evidence import Evidence, Samples, ground_points
 from f3sr.rendering.light_fit import find_light
-from f3sr.rendering.shadow_maps import Caster
+from f3sr.rendering.shadow_maps import MARGIN, Caster
 from f3sr.rendering.shapes import smooth_normals
 from f3sr.rendering.textures import LINEAR
 from f3sr.vision import rasterizer
@@ -93,25 +93,25 @@ class SeenSolid:
         nearest: Any = distance_transform_edt(~known, return_distances=False, return_indices=True)
         return normals[tuple(nearest)]
 
-    @property
-    def facing(self) -> Array:
-        """(h, w) cosine between the normals and the rays to the camera."""
+    @cached_property
+    def _rays(self) -> Array:
+        """(h, w, 3) in the world, through pixel centres, of depth 1."""
         h, w = self.own.shape
         x, y = np.meshgrid(np.arange(w) + self.columns.start + 0.5, np.arange(h) + self.rows.start + 0.5)
         rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(self.camera.K).T
-        towards = -rays @ self.camera.T_world_camera[:3, :3].T
-        return (self.normals * towards).sum(2) / np.linalg.norm(towards, axis=2)
+        return rays @ self.camera.T_world_camera[:3, :3].T
 
-    def samples(self, group: int, colours: Array, step: int) -> Samples:
-        """Some of the photo's ``colours`` (H, W, 3) on the solid, which is white here."""
-        inner = shrunk(self.own, BORDER) & (self._drawn.face >= 0)
-        pixels = np.argwhere(inner)[::step]
-        at = tuple(pixels.T)
-        rays = np.column_stack([pixels[:, ::-1] + [self.columns.start, self.rows.start] + 0.5, np.ones(len(pixels))])
-        points = self._drawn.depth[at][:, None] * (rays @ np.linalg.inv(self.camera.K).T)
-        world = points @ self.camera.T_world_camera[:3, :3].T + self.camera.center
-        seen = colours[self.rows, self.columns][at]
-        return np.full(len(pixels), group), np.ones_like(seen), seen, world, self.normals[at]
+    @property
+    def facing(self) -> Array:
+        """(h, w) cosine between the normals and the rays to the camera."""
+        return -(self.normals * self._rays).sum(2) / np.linalg.norm(self._rays, axis=2)
+
+    def samples(self, group: int, rgb: NDArray[np.uint8], step: int) -> Samples:
+        """Some of the photo's colours (H, W, 3) on the solid, which is white here."""
+        at = tuple(np.argwhere(shrunk(self.own, BORDER) & (self._drawn.face >= 0))[::step].T)
+        world = self._drawn.depth[at][:, None] * self._rays[at] + self.camera.center
+        seen = LINEAR[rgb[self.rows, self.columns][at]]
+        return np.full(len(seen), group), np.ones_like(seen), seen, world, self.normals[at]
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,16 +130,16 @@ class PhotoLight:
         z = normals[..., 2]
         return even + direct * np.maximum(normals @ self.direction, 0) + (sky * (1 + z) + below * (1 - z)) / 2
 
-    def without(self, shown: SeenSolid, colours: Array) -> Array:
-        """(n, 3) linear colours of the mask's pixels, in rows, from those of the photo (H, W, 3)."""
+    def without(self, shown: SeenSolid, rgb: NDArray[np.uint8]) -> Array:
+        """(n, 3) linear colours of the mask's pixels, in rows, from the photo (H, W, 3)."""
         light = np.maximum(self.on(shown.normals), DARKEST)
-        own = colours[shown.rows, shown.columns][shown.own]
+        own = LINEAR[rgb[shown.rows, shown.columns][shown.own]]
         return self.exposure * own / light[shown.own][:, None]
 
     def removed(self, rgb: NDArray[np.uint8], shown: SeenSolid) -> NDArray[np.uint8]:
         """The photo (H, W, 3) with the colours of one solid as they would be in even light."""
         changed = rgb.copy()
-        plain = srgb(np.clip(self.without(shown, LINEAR[rgb]), 0, 1))
+        plain = srgb(np.clip(self.without(shown, rgb), 0, 1))
         changed[shown.rows, shown.columns][shown.own] = np.round(255 * plain)
         return changed
 
@@ -153,41 +153,40 @@ def light_of(
 
     Print and stains are outliers of the fit, and its misfits are relative to each solid's own. See
     ``rendering.light_fit``."""
-    colours = LINEAR[rgb]
     corners = np.concatenate([s.solid.vertices for s in shown])
     middle = (corners.min(0) + corners.max(0)) / 2
     radius = max(float(np.linalg.norm(np.ptp(corners, axis=0))) / 2, 1e-3)
     step = max(1, sum(int(s.own.sum()) for s in shown) // LIGHT.samples)
-    parts = [s.samples(k, colours, step) for k, s in enumerate(shown)]
-    parts.append(_ground_samples(shown, colours, ground, camera, middle, REACH * radius))
+    parts = [s.samples(k, rgb, step) for k, s in enumerate(shown)]
+    parts.append(_ground_samples(shown, rgb, ground, camera, middle, REACH * radius))
     evidence = Evidence.of(parts)
     casters = [
         Caster(rasterizer.fixed(s.solid.vertices, np.float64), rasterizer.fixed(s.solid.faces, np.int32), closed=True)
         for s in shown
     ]
-    ball = middle, 1.6 * radius
+    ball = middle, MARGIN * radius
     found = find_light(evidence, casters, ball=ball, objects=len(shown), side=MAP_SIDE, config=LIGHT)
     light = found.light
     strength = np.array([part[0] for part in (light.even, light.direct, light.sky, light.below)])
     plain = PhotoLight(strength, light.direction)
-    white = max(float(np.quantile(plain.without(s, colours), BRIGHTEST)) for s in shown)
+    white = max(float(np.quantile(plain.without(s, rgb), BRIGHTEST)) for s in shown)
     return replace(plain, exposure=min(1.0, 1 / max(white, 1e-9)))
 
 
 def _ground_samples(
     shown: Sequence[SeenSolid],
-    colours: Array,
+    rgb: NDArray[np.uint8],
     ground: NDArray[np.bool_] | None,
     camera: Camera,
     middle: Array,
     reach: float,
 ) -> Samples:
     """Some of the ground's colours within ``reach`` [m] of the ``middle`` (3,), as if it were white."""
-    seen = np.ones(colours.shape[:2], np.bool_) if ground is None else ground
+    seen = np.ones(rgb.shape[:2], np.bool_) if ground is None else ground
     pixels = np.argwhere(seen & ~grown(union_of((s.mask for s in shown), seen.shape), BORDER))
     points = ground_points(camera, pixels)
     near = np.linalg.norm(points[:, :2] - middle[:2], axis=1) < reach  # NaN, above the horizon, is not
     step = max(1, np.count_nonzero(near) // LIGHT.samples)
     pixels, points = pixels[near][::step], points[near][::step]
     whole = np.ones((len(pixels), 3))
-    return np.full(len(pixels), len(shown)), whole, colours[tuple(pixels.T)], points, whole * UP
+    return np.full(len(pixels), len(shown)), whole, LINEAR[rgb[tuple(pixels.T)]], points, whole * UP
