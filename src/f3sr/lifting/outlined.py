@@ -173,8 +173,9 @@ class Outlined:
         return directions[shown], (reached.max(0) - excess)[shown], scatter[shown]
 
     def reached(self, points: Array, directions: Array) -> tuple[Array, Array]:
-        """How far shapes of points (s, n, 3) reach along directions (d, 2) in the picture (s, d) [px], and the least depth
-        of each (s,) [m]."""
+        """How far shapes of points (s, n, 3) reach along directions (d, 2) of the picture: (s, d) [px].
+
+        And the least depth of each shape (s,) [m]."""
         pixels, depth = self.camera.project(points.reshape(-1, 3))
         reached = (pixels.reshape(*points.shape[:2], 2) @ directions.T).max(1)
         return reached, depth.reshape(points.shape[:2]).min(1)
