@@ -13,6 +13,7 @@ from f3sr.lifting.boxes import COMPACT_MASK, fit_box, fit_carved
 from f3sr.lifting.cylinders import fit_cylinder
 from f3sr.lifting.fits import FittedShape
 from f3sr.lifting.hollows import fit_hollow
+from f3sr.lifting.outline_fit import fitted_to_outline
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.revolutions import fit_revolution
 from f3sr.lifting.silhouettes import fit_hanging, fit_lying, fit_standing
@@ -111,7 +112,7 @@ def choose(instance: Instance, seen: Outlined, carrier: Choice | None, *, distan
     ranked = sorted(fitted, key=lambda fit: -_score(fit, instance.label, seen, loaded=loaded))
     best = ranked[0]
     return Choice(
-        best=best,
+        best=fitted_to_outline(best, seen),
         runner_up=ranked[1] if len(ranked) > 1 else None,
         top=_top(best),
         fixed=fixed,

@@ -1,0 +1,104 @@
+"""Solids warped until their outline is the mask's: families are simpler than the things that they stand for."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.core.transforms import UP, Array
+from f3sr.lifting.fits import FittedShape
+from f3sr.lifting.outlined import Outlined
+from f3sr.vision.regions import depth_inside, grown, interpolated, shrunk, smoothed
+
+WIDTHS = (0.15, 0.15, 0.08, 0.08, 0.05, 0.05)
+"""Standard deviations of the smoothing of the displacement, step after step [size of the mask]: the whole before its
+parts. Finer outlines are noise in masks from a few strokes."""
+FARTHEST = 3.0
+"""Largest displacement of a step, in its smoothing widths: what is farther belongs to another part."""
+FOLD = 0.3
+"""Least area that a step leaves of any part of the picture: at 0 it folds."""
+SLIDE = 3.0
+"""Most that a level face moves in its plane, in displacements across the view: a low camera reads metres from a few
+rows."""
+LEVEL = 1e-3
+"""Distance from the lowest and the highest point up to which points belong to a level face [height of the solid]."""
+
+
+def fitted_to_outline(fit: FittedShape, seen: Outlined) -> FittedShape:
+    """A shape whose outline meets the mask's wherever nothing may hide it.
+
+    A smooth displacement of the picture moves the solid, front and back alike. Points keep their depth, but a level
+    top stays level, and an underside on its support: things stand on both. Each step smooths the distance between both
+    outlines along the shape's normals (non-rigid registration of signed distance fields, from coarse to fine). Of all
+    steps the best overlap stays.
+    """
+    solid = fit.solid
+    size = math.sqrt(float(seen.mask.sum()))
+    groups = [solid.vertices, *solid.pieces, *([] if solid.rim is None else [solid.rim])]
+    ends = np.cumsum([len(g) for g in groups])[:-1]
+    points = np.concatenate(groups)
+    floor, top = float(solid.vertices[:, 2].min()), float(solid.vertices[:, 2].max())
+    near = LEVEL * (top - floor)
+    below, above = points[:, 2] <= floor + near, points[:, 2] >= top - near
+    wanted, hidden = depth_inside(seen.mask), grown(~seen.valid, 2)
+    best, overlap = points, fit.overlap
+    for width in WIDTHS:
+        shown = seen.silhouette(points[: len(solid.vertices)], solid.faces)
+        shift = _displacement(shown, wanted, hidden, width * size)
+        while (area := _least_area(shift, shown)) < FOLD:
+            shift = shift / (2 - area)
+        points = _moved(points, below, above, floor, shift, seen)
+        reached = seen.overlap(points[: len(solid.vertices)], solid.faces)
+        if reached > overlap:
+            best, overlap = points, reached
+    vertices, *rest = np.split(best, ends)
+    warped = replace(
+        solid,
+        vertices=vertices,
+        pieces=tuple(rest[: len(solid.pieces)]),
+        rim=None if solid.rim is None else rest[-1],
+    )
+    return replace(fit, solid=warped, overlap=overlap)
+
+
+def _displacement(shown: NDArray[np.bool_], wanted: Array, hidden: NDArray[np.bool_], sigma: float) -> Array:
+    """Displacements (h, w, 2) [px] that bring the outline of what is ``shown`` (h, w) to where the signed distance
+    ``wanted`` (h, w) is 0, smoothed over ``sigma`` [px]; outlines where things are ``hidden`` (h, w) tell nothing."""
+    own = depth_inside(shown)
+    outline = shown & ~shrunk(shown, 1) & ~hidden
+    inward = np.stack(np.gradient(own)[::-1], axis=-1)[outline]
+    inward /= np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-6)
+    reach = np.clip((wanted - own)[outline], -FARTHEST * sigma, FARTHEST * sigma)
+    moves = np.zeros((*shown.shape, 2))
+    moves[outline] = -reach[:, None] * inward
+    weight = smoothed(outline, sigma)
+    total = np.stack([smoothed(moves[..., k], sigma) for k in (0, 1)], axis=-1)
+    return total / np.maximum(weight, 1e-4 * max(float(weight.max()), 1e-30))[..., None]
+
+
+def _least_area(shift: Array, shown: NDArray[np.bool_]) -> float:
+    """Of a pixel of what is ``shown`` (h, w), displaced with its neighbours."""
+    (xy, xx), (yy, yx) = (np.gradient(shift[..., k]) for k in (0, 1))
+    return float(((1 + xx) * (1 + yy) - xy * yx).min(initial=1.0, where=shown))
+
+
+def _moved(
+    points: Array, below: NDArray[np.bool_], above: NDArray[np.bool_], floor: float, shift: Array, seen: Outlined
+) -> Array:
+    """Points (n, 3) displaced in the picture, at their depths; those ``below`` (n,), and those that would be under the
+    ``floor`` [m], on it, and those ``above`` (n,) at one height."""
+    camera = seen.camera
+    pixels, depth = camera.project(points)
+    rays = seen.rays(pixels + np.column_stack([interpolated(shift[..., k], pixels) for k in (0, 1)]))
+    moved = camera.center + depth[:, None] * rays
+    height = moved[:, 2].copy()
+    height[above] = np.median(moved[above, 2])
+    height[below | (height < floor)] = floor
+    level = moved * [1, 1, 0] + height[:, None] * UP
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slide = camera.center + rays * ((height - camera.center[2]) / rays[:, 2])[:, None] - level
+        slide *= np.minimum(1, SLIDE * np.linalg.norm(moved - points, axis=1) / np.linalg.norm(slide, axis=1))[:, None]
+    return level + np.where(np.isfinite(slide), slide, 0)
