@@ -380,10 +380,11 @@ def test_the_back_of_a_can_goes_on_from_its_sides_without_a_step():
         assert np.abs(colour_at(mesh, np.array([*at, 0.5 * high[2]])) - colour).max() < 40, angle
 
 
-def test_a_ball_has_no_seam_where_the_photo_ends():
+@pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 1.3), (1, 1.3, 1)])
+def test_a_ball_has_no_seam_where_the_photo_ends(shape: tuple[float, float, float]):
     """Its lower half is in shadow: where the photo ends, what is not seen goes on in the same colours."""
-    true = ball(FOOT, 0.05)
-    fit = found(fit_ball(seen(true), 0.0))
+    true = Solid(vertices=(ball(FOOT, 0.05).vertices - FOOT) * shape + FOOT, faces=ball(FOOT, 0.05).faces)
+    fit = fitted_to_outline(found(fit_ball(seen(true), 0.0)), seen(true))
     rows = np.flatnonzero(mask_of(true).any(1))
     shade = np.clip((np.arange(CAMERA.height) - rows[0]) / (rows[-1] - rows[0]), 0, 1)
     rgb = np.repeat((230 - 180 * shade)[:, None, None], CAMERA.width, 1) * np.ones(3)

@@ -35,6 +35,8 @@ MARGIN = math.radians(3)
 """Angle by which less of a round side is spread over its back than the photo shows: whole faces are in it."""
 FLATTENED = 0.05
 """Variance of places [blur's own] at which a slope of colours counts half: fewer places tell no slope."""
+FLAT = 0.3
+"""Least width of an underside with an edge, over the whole solid's."""
 EMPTY = 1e-3
 """Least weight of known colours around a pixel from which its colour is made."""
 
@@ -149,9 +151,9 @@ def _by_symmetry(solid: Solid, camera: Camera) -> Iterator[_Likeness]:
 
 
 def _stands_flat(vertices: Array) -> bool:
-    """Whether it has an underside, more than a point."""
-    heights = vertices[:, 2]
-    return bool(np.count_nonzero(heights < heights.min() + 1e-6 * np.ptp(heights)) > 2)
+    """Whether its underside has an edge."""
+    low = vertices[:, 2] < vertices[:, 2].min() + 1e-3 * np.ptp(vertices[:, 2])
+    return bool((np.ptp(vertices[low, :2], axis=0) > FLAT * np.ptp(vertices[:, :2], axis=0)).all())
 
 
 def _wrapped(vertices: Array, middle: Array, camera: Camera) -> Iterator[_Likeness]:
