@@ -399,6 +399,17 @@ def test_a_ball_has_no_seam_where_the_photo_ends(shape: tuple[float, float, floa
         assert np.ptp(colours[place.ravel() == k], axis=0).max() < 25, mesh.vertices[place.ravel() == k][0]
 
 
+def test_the_back_of_a_warped_box_looks_as_its_front_to_the_very_edge():
+    """Its mask is that of a box that leans. What is hidden looks as the vertices opposite, none across an edge."""
+    upright = block(FOOT, (0.12, 0.1, 0.15), 0.6)
+    leaning = Solid(vertices=upright.vertices + 0.15 * upright.vertices[:, 2:] * [1, 0, 0], faces=BOX_FACES)
+    outlined = seen(leaning)
+    warped = fitted_to_outline(found(fit_box(outlined, 0.0)), outlined)
+    mesh = textured(warped.solid, np.zeros(3), Photo(rgb=np.zeros((480, 640, 3), np.uint8)), mask_of(leaning), CAMERA)
+    assert mesh.uv is not None
+    assert len(np.unique(np.round(mesh.uv, 6), axis=0)) < 0.6 * len(warped.solid.vertices)
+
+
 def test_a_ball_in_the_light_from_above_is_no_brighter_at_its_rim_than_in_the_photo():
     true = ball(FOOT, 0.05)
     mask = mask_of(true)
@@ -416,7 +427,7 @@ def test_a_ball_in_the_light_from_above_is_no_brighter_at_its_rim_than_in_the_ph
         u, v = np.clip(pixel.astype(int), 0, [CAMERA.width - 1, CAMERA.height - 1])
         if mask[v, u]:
             off.append(colour_at(mesh, point)[0] - grey[v, u])
-    assert len(off) > 50 and abs(float(np.mean(off))) < 6
+    assert len(off) > 50 and abs(float(np.median(off))) < 6
 
 
 SUN = np.array([0.5, -0.35, 0.8]) / np.linalg.norm([0.5, -0.35, 0.8])

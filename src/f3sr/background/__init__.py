@@ -107,6 +107,17 @@ class PatchMatch:
         return rgb
 
 
+def from_patches(rgb: NDArray[np.uint8], hole: Mask, *, apart: Mask) -> NDArray[np.uint8] | None:
+    """A picture (h, w, 3) sRGB with its ``hole`` (h, w) filled from the rest, but for what is ``apart`` (h, w); None
+    where that has no whole patch."""
+    completed = complete(_logarithms(rgb), hole, CompletionConfig(), apart=apart)
+    if completed is None:
+        return None
+    filled = rgb.copy()
+    filled[hole] = _colours(completed[hole])
+    return filled
+
+
 def widened(masks: Sequence[Mask], margin: float) -> Mask:
     """All masks (h, w), at least one, and what is as near as a share of the longer side."""
     shape = masks[0].shape

@@ -33,6 +33,8 @@ class Solid:
     """Corners (n, 3) of the opening of what is hollow."""
     symmetry: Symmetry = ""
     """That of a box about its middle, or of a solid of revolution: the back looks as the front."""
+    form: Array | None = None
+    """Its vertices (n, 3) where it has that symmetry; None where ``vertices`` have it."""
 
 
 TIPS = 0.2

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from f3sr.background import from_patches
 from f3sr.background.membrane import membrane
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, Material, Mesh, area_vectors
@@ -17,7 +18,8 @@ from f3sr.core.transforms import UP, Array
 from f3sr.lifting.solids import Solid
 from f3sr.lifting.unshaded import SeenSolid
 from f3sr.scene import Photo
-from f3sr.vision.regions import shrunk, smoothed
+from f3sr.vision import rasterizer
+from f3sr.vision.regions import grown, opened, shrunk, smoothed
 
 LONGEST = 1024
 """Longer side of the photo's part of a texture [px]."""
@@ -35,6 +37,8 @@ MARGIN = math.radians(3)
 """Angle by which less of a round side is spread over its back than the photo shows: whole faces are in it."""
 FLATTENED = 0.05
 """Variance of places [blur's own] at which a slope of colours counts half: fewer places tell no slope."""
+COVERED = 3
+"""Half the width of what hides a part of a solid [px]: less is the error of an outline."""
 FLAT = 0.3
 """Least width of an underside with an edge, over the whole solid's."""
 EMPTY = 1e-3
@@ -45,15 +49,17 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
     """A solid about ``origin`` (3,), in world axes, its texture the photo inside the mask (H, W).
 
     The texture has two halves, both seen from the camera: the photo, and a blurred copy. Faces that the photo does not
-    show look as those that it shows and that are the same by the solid's symmetry; else as the blurred copy. Outside
-    the mask its colours go on softly, so nothing of other objects is seen."""
+    show look as those that it shows and that are the same by the solid's symmetry; else as what is before them in the
+    photo. Along the rays, where that would smear, they look as the blurred copy. What hides a part of the solid is
+    replaced by patches of the part that is seen; else its colours go on softly beyond the mask."""
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     longest = max(len(rows), len(columns))
     pad = 2 + math.ceil(0.1 * longest)
     top, bottom = max(0, rows[0] - pad), min(photo.height, rows[-1] + 1 + pad)
     left, right = max(0, columns[0] - pad), min(photo.width, columns[-1] + 1 + pad)
     crop, known = photo.rgb[top:bottom, left:right], _own(mask[top:bottom, left:right])
-    sharp = membrane((crop * known[..., None]).astype(np.float32), known)
+    window = camera.cropped(left, top, right - left, bottom - top)
+    sharp = _continued(crop, known, _hidden(solid, mask[top:bottom, left:right], window))
     soft = _shaded(crop, known, SOFT * longest)
     if solid.symmetry != "box":  # no edge where round sides turn away and the photo ends
         facing = SeenSolid.of(solid, mask, camera).facing
@@ -73,6 +79,23 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
         materials=(Material(texture=np.asarray(image)),),
         pieces=tuple(ConvexPart.hull_of(corners - origin) for corners in solid.pieces),
     )
+
+
+def _hidden(solid: Solid, mask: NDArray[np.bool_], window: Camera) -> NDArray[np.bool_]:
+    """What the mask (h, w) lacks of the solid's silhouette in a ``window`` of the photo; nothing where that is only the
+    error of an outline."""
+    shape = rasterizer.silhouette(window.to_camera(solid.vertices), solid.faces, window.K, window.width, window.height)
+    beyond = shape & ~mask
+    return beyond & (opened(beyond, COVERED) if beyond.any() else beyond).any()
+
+
+def _continued(crop: NDArray[np.uint8], known: NDArray[np.bool_], hidden: NDArray[np.bool_]) -> Array:
+    """The ``known`` colours (h, w, 3), where they are ``hidden`` patches of them, and softly on around both."""
+    if hidden.any():
+        whole = known | grown(hidden, ERODED + 1)
+        patched = from_patches(crop, whole & ~known, apart=~whole)
+        crop, known = (crop, known) if patched is None else (patched, whole)
+    return membrane((crop * known[..., None]).astype(np.float32), known)
 
 
 def _smooth(share: Array) -> Array:
@@ -124,7 +147,8 @@ class _Likeness:
 def _split(solid: Solid, camera: Camera) -> tuple[Array, NDArray[np.int32], Array, NDArray[np.bool_]]:
     """Vertices (n, 3), faces (m, 3), the points (n, 3) as which they look, and whether each (n,) is blurred: vertices
     between faces of different looks are there twice."""
-    likenesses = [_Likeness(solid.vertices), *_by_symmetry(solid, camera)]
+    behind = _Likeness(solid.vertices, flips=True)
+    likenesses = [_Likeness(solid.vertices), *_by_symmetry(solid, camera), behind]
     chosen = np.full(len(solid.faces), len(likenesses))
     for k in reversed(range(len(likenesses))):
         chosen[likenesses[k].facing(solid.faces, camera) >= GRAZING] = k
@@ -137,17 +161,27 @@ def _split(solid: Solid, camera: Camera) -> tuple[Array, NDArray[np.int32], Arra
 
 def _by_symmetry(solid: Solid, camera: Camera) -> Iterator[_Likeness]:
     """Other places of a solid that look as its vertices: the back of a box as its front turned about the vertical, the
-    back of a solid of revolution as its front in a mirror, its underside as its top. A box has no print below. What is
-    round below too has no edge that would hide a seam: beyond its outline the blurred copy goes on as it was."""
-    vertices = solid.vertices
-    if not solid.symmetry or not _stands_flat(vertices):
+    back of a solid of revolution as its front in a mirror, undersides as tops. What is round below too has no edge that
+    would hide a seam."""
+    form = solid.vertices if solid.form is None else solid.form
+    if not solid.symmetry or not _stands_flat(form):
         return
-    middle = (vertices.min(0) + vertices.max(0)) / 2
+    middle = (form.min(0) + form.max(0)) / 2
     if solid.symmetry == "box":
-        yield _Likeness(vertices + 2 * (middle - vertices) * [1, 1, 0])
-        return
-    yield from _wrapped(vertices, middle, camera)
-    yield _Likeness(vertices + 2 * (middle - vertices) * UP, flips=True)
+        yield _Likeness(_on_surface(solid, form + 2 * (middle - form) * [1, 1, 0]))
+    else:
+        yield from (_Likeness(_on_surface(solid, points), flips=True) for points in _wrapped(form, middle, camera))
+    yield _Likeness(_on_surface(solid, form + 2 * (middle - form) * UP), flips=True)
+
+
+def _on_surface(solid: Solid, points: Array) -> Array:
+    """Points (n, 3) of a solid's symmetric form, moved as its nearest vertex."""
+    from scipy.spatial import KDTree
+
+    if solid.form is None:
+        return points
+    nearest = KDTree(solid.form).query(points)[1]
+    return points + (solid.vertices - solid.form)[nearest]
 
 
 def _stands_flat(vertices: Array) -> bool:
@@ -156,7 +190,7 @@ def _stands_flat(vertices: Array) -> bool:
     return bool((np.ptp(vertices[low, :2], axis=0) > FLAT * np.ptp(vertices[:, :2], axis=0)).all())
 
 
-def _wrapped(vertices: Array, middle: Array, camera: Camera) -> Iterator[_Likeness]:
+def _wrapped(vertices: Array, middle: Array, camera: Camera) -> Iterator[Array]:
     """The half about the vertical through ``middle`` (3,) that the photo shows, spread in a mirror over the rest."""
     towards = camera.center - middle
     level = float(np.hypot(*towards[:2]))
@@ -169,4 +203,4 @@ def _wrapped(vertices: Array, middle: Array, camera: Camera) -> Iterator[_Likene
     rest = np.sign(angle) * seen * (np.pi - np.abs(angle)) / (np.pi - seen)
     angle = front + np.where(np.abs(angle) > seen, rest, angle)
     around = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), off[:, 2]])
-    yield _Likeness(middle + around, flips=True)
+    yield middle + around
