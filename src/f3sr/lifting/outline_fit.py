@@ -70,7 +70,8 @@ def _displacement(shown: NDArray[np.bool_], wanted: Array, hidden: NDArray[np.bo
     ``wanted`` (h, w) is 0, smoothed over ``sigma`` [px]; outlines where things are ``hidden`` (h, w) tell nothing."""
     own = depth_inside(shown)
     outline = shown & ~shrunk(shown, 1) & ~hidden
-    inward = np.stack(np.gradient(own)[::-1], axis=-1)[outline]
+    down, right = np.gradient(own)
+    inward = np.stack([right, down], axis=-1)[outline]
     inward /= np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-6)
     reach = np.clip((wanted - own)[outline], -FARTHEST * sigma, FARTHEST * sigma)
     moves = np.zeros((*shown.shape, 2))

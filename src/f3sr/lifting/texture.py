@@ -12,6 +12,7 @@ from PIL import Image
 
 from f3sr.background import from_patches
 from f3sr.background.membrane import membrane
+from f3sr.background.patchmatch import Picture
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, Material, Mesh, area_vectors
 from f3sr.core.transforms import UP, Array
@@ -89,7 +90,7 @@ def _hidden(solid: Solid, mask: NDArray[np.bool_], window: Camera) -> NDArray[np
     return beyond & (opened(beyond, COVERED) if beyond.any() else beyond).any()
 
 
-def _continued(crop: NDArray[np.uint8], known: NDArray[np.bool_], hidden: NDArray[np.bool_]) -> Array:
+def _continued(crop: NDArray[np.uint8], known: NDArray[np.bool_], hidden: NDArray[np.bool_]) -> Picture:
     """The ``known`` colours (h, w, 3), where they are ``hidden`` patches of them, and softly on around both."""
     if hidden.any():
         whole = known | grown(hidden, ERODED + 1)
