@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
+import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -15,11 +18,15 @@ import pytest
 import trimesh
 
 from f3sr.cli.main import main
-from f3sr.core.transforms import Array, rotation_about
+from f3sr.core.corner_normals import corner_normals
+from f3sr.core.mesh import Mesh
+from f3sr.core.transforms import Array, box_corners, rotation_about
 from f3sr.errors import F3srError, InputError, OutputError
 from f3sr.exporters.export_names import export_name, id_of
 from f3sr.exporters.exported_scene import ExportedScene
+from f3sr.exporters.glb import T_CAMERA_GLTF, T_YUP_ZUP, scene_to_glb, with_normals
 from f3sr.exporters.thumbnail import SIDE, thumbnail
+from f3sr.importing.glb_nodes import read_glb_scene
 from f3sr.runtime.file_date import date_of
 from f3sr.scene_export import export_package, exporters_of
 from f3sr.scene_package.package import Package, read_package, write_package
@@ -202,6 +209,68 @@ def test_the_camera_is_the_photo_s(package: Package) -> None:
     x, y = seen[:, 0] / -seen[:, 2], seen[:, 1] / -seen[:, 2]
     pixels = np.column_stack([camera.width * (x - left) / (right - left), camera.height * (top - y) / (top - bottom)])
     assert np.allclose(pixels, camera.project(points)[0], atol=1e-3)
+
+
+def test_the_glb_has_smooth_normals_with_sharp_edges(package: Package, exported: Path) -> None:
+    loaded = trimesh.load_scene(exported / "glb/scene.glb", process=False)
+    for o in package.scene:
+        mesh = loaded.geometry[next(name for name in loaded.geometry if name.startswith(f"object_{o.id:02d}"))]
+        normals = np.asarray(mesh.vertex_normals)[mesh.faces]
+        assert np.allclose(normals, corner_normals(o.mesh), atol=2e-3)
+
+
+def test_a_round_mesh_keeps_its_vertices_in_the_glb() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    mesh = Mesh(vertices=np.array(ball.vertices), faces=np.array(ball.faces, np.int32))
+    split, normals = with_normals(mesh)
+    assert len(split.vertices) == len(mesh.vertices) and np.allclose(normals, split.vertices, atol=0.03)
+    assert np.array_equal(split.vertices[split.faces], mesh.vertices[mesh.faces])
+    flat = Mesh(vertices=np.zeros((3, 3)), faces=np.array([[0, 1, 2]], np.int32))
+    assert np.array_equal(with_normals(flat)[1], np.tile([0, 0, 1], (3, 1)))
+
+
+@pytest.mark.parametrize("offset", [(0, 0), (9, -4)])
+def test_the_glb_s_camera_is_the_photo_s(package: Package, tmp_path: Path, offset: tuple[float, float]) -> None:
+    """Read by the importer of other programs' files."""
+    camera = package.scene.camera
+    K = camera.K.copy()
+    K[:2, 2] = np.array([camera.width, camera.height]) / 2 + offset
+    given = replace(camera, K=K)
+    (tmp_path / "scene.glb").write_bytes(scene_to_glb(replace(package.scene, camera=given)))
+    (found,) = read_glb_scene(tmp_path / "scene.glb").cameras
+    fy = given.height / 2 / np.tan(found.yfov / 2)
+    assert found.aspect is not None
+    fx = fy * given.width / given.height / found.aspect
+    lens = np.array([[fx, 0, given.width / 2], [0, fy, given.height / 2], [0, 0, 1]])
+    seen = replace(given, K=lens, T_world_camera=np.linalg.inv(T_YUP_ZUP) @ found.T_file_camera @ T_CAMERA_GLTF)
+    corners = np.concatenate([box_corners(o.bounds_world) for o in package.scene])
+    off = np.linalg.norm(seen.project(corners)[0] - given.project(corners)[0], axis=1).max()
+    node = json_of(tmp_path / "scene.glb")["nodes"][-1]["extras"]
+    assert off <= node["farthest_from_the_photo_px"] + 1e-6 and (off < 1e-6) == (offset == (0, 0))
+    exact = replace(given, K=np.array(node["K"]), T_world_camera=np.linalg.inv(T_YUP_ZUP) @ node["T_gltf_camera"])
+    assert np.allclose(exact.project(corners)[0], given.project(corners)[0])
+
+
+def test_the_khronos_validator_has_no_finding(exported: Path) -> None:
+    """It runs where its npm package is: GLTF_VALIDATOR names the folder that holds node_modules."""
+    place = os.environ.get("GLTF_VALIDATOR")
+    if not place or shutil.which("node") is None:
+        pytest.skip("npm's gltf-validator is not installed, or GLTF_VALIDATOR does not name its folder")
+    told = subprocess.run(
+        ["node", "-e", VALIDATE, exported / "glb/scene.glb"], cwd=place, capture_output=True, text=True, check=True
+    )
+    assert json.loads(told.stdout) == []
+
+
+VALIDATE = """
+require("gltf-validator").validateBytes(new Uint8Array(require("fs").readFileSync(process.argv[1])))
+  .then(report => console.log(JSON.stringify(report.issues.messages.filter(m => m.severity < 2))))
+"""
+
+
+def json_of(glb: Path) -> dict[str, Any]:
+    data = glb.read_bytes()
+    return json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
 
 
 def test_a_thumbnail_holds_all_of_the_object(package: Package) -> None:
