@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from gymnasium.utils.env_checker import check_env  # noqa: E402
 
 import f3sr  # noqa: E402
 from f3sr.core.transforms import UP  # noqa: E402
-from f3sr.env import ID  # noqa: E402
+from f3sr.env import ID, resets  # noqa: E402
 from f3sr.env.goal_progress import GoalProgress  # noqa: E402
 from f3sr.env.gripper import GripperConfig  # noqa: E402
 from f3sr.env.resets import Randomization  # noqa: E402
@@ -218,6 +219,26 @@ def test_a_bank_of_samples_starts_episodes_elsewhere(package: Package, tmp_path:
     assert env.reset(options={"scene": 1})[1]["scene"] == 1
     with pytest.raises(InputError, match="scene 7"):
         env.reset(options={"scene": 7})
+
+
+def test_too_many_samples_are_refused(package: Package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for k in range(3):
+        (tmp_path / str(k)).mkdir()
+        (tmp_path / str(k) / "scene.json").touch()
+    monkeypatch.setattr(resets, "MAX_BANK", 2)
+    with pytest.raises(InputError, match="3 samples; accepted: at most 2"):
+        env_of(package, samples=tmp_path)
+
+
+def test_the_examples_of_the_page_run(package: Package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every Python block, in a folder that holds a package ``out``; the grasp's own assertion holds."""
+    page = Path(__file__).parents[1] / "docs/environments.md"
+    blocks = re.findall(r"^```python\n(.*?)^```", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+    assert len(blocks) == 2 and any("pick(" in block for block in blocks)
+    (tmp_path / "out").symlink_to(package.folder)
+    monkeypatch.chdir(tmp_path)
+    for block in blocks:
+        exec(compile(block, str(page), "exec"), {})
 
 
 def test_a_package_gives_its_mujoco_model(package: Package) -> None:

@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
+import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -15,11 +18,15 @@ import pytest
 import trimesh
 
 from f3sr.cli.main import main
-from f3sr.core.transforms import Array, rotation_about
+from f3sr.core.corner_normals import corner_normals
+from f3sr.core.mesh import Mesh
+from f3sr.core.transforms import Array, box_corners, pose, rotation_about, transform
 from f3sr.errors import F3srError, InputError, OutputError
 from f3sr.exporters.export_names import export_name, id_of
 from f3sr.exporters.exported_scene import ExportedScene
+from f3sr.exporters.glb import T_CAMERA_GLTF, T_YUP_ZUP, scene_to_glb, with_normals
 from f3sr.exporters.thumbnail import SIDE, thumbnail
+from f3sr.importing.glb_nodes import read_glb_scene
 from f3sr.runtime.file_date import date_of
 from f3sr.scene_export import export_package, exporters_of
 from f3sr.scene_package.package import Package, read_package, write_package
@@ -37,7 +44,7 @@ HOSTILE = [
     "con",
     "a_1",
 ]
-FORMATS = ["glb", "mjcf", "sdf", "urdf"]
+FORMATS = ["glb", "mjcf", "robosuite", "sdf", "urdf"]
 
 
 @pytest.fixture(scope="module")
@@ -204,6 +211,159 @@ def test_the_camera_is_the_photo_s(package: Package) -> None:
     assert np.allclose(pixels, camera.project(points)[0], atol=1e-3)
 
 
+def test_the_glb_has_smooth_normals_with_sharp_edges(package: Package, exported: Path) -> None:
+    loaded = trimesh.load_scene(exported / "glb/scene.glb", process=False)
+    for o in package.scene:
+        mesh = loaded.geometry[next(name for name in loaded.geometry if name.startswith(f"object_{o.id:02d}"))]
+        normals = np.asarray(mesh.vertex_normals)[mesh.faces]
+        assert np.allclose(normals, corner_normals(o.mesh), atol=2e-3)
+
+
+def test_a_round_mesh_keeps_its_vertices_in_the_glb() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    mesh = Mesh(vertices=np.array(ball.vertices), faces=np.array(ball.faces, np.int32))
+    split, normals = with_normals(mesh)
+    assert len(split.vertices) == len(mesh.vertices) and np.allclose(normals, split.vertices, atol=0.03)
+    assert np.array_equal(split.vertices[split.faces], mesh.vertices[mesh.faces])
+    flat = Mesh(vertices=np.zeros((3, 3)), faces=np.array([[0, 1, 2]], np.int32))
+    assert np.array_equal(with_normals(flat)[1], np.tile([0, 0, 1], (3, 1)))
+
+
+@pytest.mark.parametrize("offset", [(0, 0), (9, -4)])
+def test_the_glb_s_camera_is_the_photo_s(package: Package, tmp_path: Path, offset: tuple[float, float]) -> None:
+    """Read by the importer of other programs' files."""
+    camera = package.scene.camera
+    K = camera.K.copy()
+    K[:2, 2] = np.array([camera.width, camera.height]) / 2 + offset
+    given = replace(camera, K=K)
+    (tmp_path / "scene.glb").write_bytes(scene_to_glb(replace(package.scene, camera=given)))
+    (found,) = read_glb_scene(tmp_path / "scene.glb").cameras
+    fy = given.height / 2 / np.tan(found.yfov / 2)
+    assert found.aspect is not None
+    fx = fy * given.width / given.height / found.aspect
+    lens = np.array([[fx, 0, given.width / 2], [0, fy, given.height / 2], [0, 0, 1]])
+    seen = replace(given, K=lens, T_world_camera=np.linalg.inv(T_YUP_ZUP) @ found.T_file_camera @ T_CAMERA_GLTF)
+    corners = np.concatenate([box_corners(o.bounds_world) for o in package.scene])
+    off = np.linalg.norm(seen.project(corners)[0] - given.project(corners)[0], axis=1).max()
+    node = json_of(tmp_path / "scene.glb")["nodes"][-1]["extras"]
+    assert off <= node["farthest_from_the_photo_px"] + 1e-6 and (off < 1e-6) == (offset == (0, 0))
+    exact = replace(given, K=np.array(node["K"]), T_world_camera=np.linalg.inv(T_YUP_ZUP) @ node["T_gltf_camera"])
+    assert np.allclose(exact.project(corners)[0], given.project(corners)[0])
+
+
+def test_the_khronos_validator_has_no_finding(exported: Path) -> None:
+    """It runs where its npm package is: GLTF_VALIDATOR names the folder that holds node_modules."""
+    place = os.environ.get("GLTF_VALIDATOR")
+    if not place or shutil.which("node") is None:
+        pytest.skip("npm's gltf-validator is not installed, or GLTF_VALIDATOR does not name its folder")
+    told = subprocess.run(
+        ["node", "-e", VALIDATE, exported / "glb/scene.glb"], cwd=place, capture_output=True, text=True, check=True
+    )
+    assert json.loads(told.stdout) == []
+
+
+VALIDATE = """
+require("gltf-validator").validateBytes(new Uint8Array(require("fs").readFileSync(process.argv[1])))
+  .then(report => console.log(JSON.stringify(report.issues.messages.filter(m => m.severity < 2))))
+"""
+
+
+def json_of(glb: Path) -> dict[str, Any]:
+    data = glb.read_bytes()
+    return json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+
+
+def test_robosuite_objects_say_what_scene_json_says(package: Package, exported: Path) -> None:
+    for o in ExportedScene.of(package.scene).objects:
+        file = exported / "robosuite_objects" / o.name / "model.xml"
+        model = mujoco.MjModel.from_xml_path(str(file))
+        body = model.body("object").id
+        record = records(package)[o.name]
+        assert model.body_mass[body] == pytest.approx(record.mass, rel=1e-12)
+        assert np.allclose(np.sort(model.body_inertia[body]), o.principal_inertia[0], rtol=1e-9)
+        groups = [
+            (model.geom(k).name, int(model.geom_group[k]), bool(model.geom_contype[k])) for k in range(model.ngeom)
+        ]
+        touching = [name for name, _, touches in groups if touches]
+        assert len(touching) == len(o.body.parts) and all(group == (not touches) for _, group, touches in groups)
+        assert all(g.get("group") for g in ET.parse(file).iter("geom")), "robosuite reads it from every geom"
+
+
+def test_robosuite_objects_rest_on_their_bottom_site(package: Package, exported: Path) -> None:
+    """Turned about z as samplers turn them; the sites and the region are the box around all that touches."""
+    for o in ExportedScene.of(package.scene).objects:
+        spec = mujoco.MjSpec.from_file(str(exported / "robosuite_objects" / o.name / "model.xml"))
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1])
+        outer = spec.body("object").parent
+        bottom, top, radius = (spec.site(f"{n}_site").pos for n in ("bottom", "top", "horizontal_radius"))
+        outer.add_freejoint()
+        outer.pos, outer.quat = -np.array(bottom), [np.cos(0.3), 0, 0, np.sin(0.3)]
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        corners = np.concatenate([transform(T_of(data, k), mesh_of(model, k)) for k in touching(model)])
+        assert corners[:, 2].min() == pytest.approx(0, abs=1e-6)
+        assert corners[:, 2].max() <= top[2] - bottom[2] + 1e-6
+        assert np.linalg.norm(corners[:, :2], axis=1).max() <= radius[0] + 1e-6 == radius[1] + 1e-6
+        region = model.geom("reg_bbox")
+        assert np.allclose([region.size[2], -region.size[2]], [top[2], bottom[2]])
+        start = data.qpos.copy()
+        for _ in range(1000):
+            mujoco.mj_step(model, data)
+        assert np.abs(data.qpos - start).max() < 1e-3, o.name
+
+
+def touching(model: Any) -> list[int]:
+    """Mesh geoms that touch."""
+    return [k for k in range(model.ngeom) if model.geom_contype[k] and model.geom_dataid[k] >= 0]
+
+
+def mesh_of(model: Any, geom: int) -> Array:
+    mesh = model.geom_dataid[geom]
+    start = model.mesh_vertadr[mesh]
+    return np.asarray(model.mesh_vert[start : start + model.mesh_vertnum[mesh]], float)
+
+
+def T_of(data: Any, geom: int) -> Array:
+    return pose(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom])
+
+
+LOAD = """
+import sys
+import mujoco, numpy as np
+from robosuite.models.arenas import TableArena
+from robosuite.models.objects import MujocoXMLObject
+from robosuite.models.tasks import Task
+from robosuite.utils.placement_samplers import UniformRandomSampler
+for file in sys.argv[1:]:
+    thing = MujocoXMLObject(file, name="thing", duplicate_collision_geoms=False)
+    arena = TableArena()
+    arena.set_origin([0, 0, 0])
+    sampler = UniformRandomSampler(
+        "places", [thing], [-.3, .3], [-.3, .3], None, reference_pos=(0, 0, 0.8), rng=np.random.default_rng(0)
+    )
+    model = Task(arena, [], [thing]).get_model()
+    data = mujoco.MjData(model)
+    at = model.joint("thing_joint0").qposadr[0]
+    data.qpos[at : at + 7] = np.concatenate(sampler.sample()["thing"][:2])
+    start = data.qpos.copy()
+    for _ in range(1000):
+        mujoco.mj_step(model, data)
+    print(float(np.abs(data.qpos - start).max()))
+"""
+
+
+def test_robosuite_loads_and_places_its_objects(exported: Path) -> None:
+    """In an environment of its own: ROBOSUITE_PYTHON names its Python."""
+    python = os.environ.get("ROBOSUITE_PYTHON")
+    if not python:
+        pytest.skip("ROBOSUITE_PYTHON does not name a Python with robosuite")
+    files = sorted((exported / "robosuite_objects").glob("*/model.xml"))
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    told = subprocess.run([python, "-c", LOAD, *files], env=environment, capture_output=True, text=True, check=True)
+    assert len(files) == 3 and all(float(line) < 1e-3 for line in told.stdout.splitlines()[-3:])
+
+
 def test_a_thumbnail_holds_all_of_the_object(package: Package) -> None:
     for o in package.scene:
         picture = thumbnail(o, package.scene.camera)
@@ -248,7 +408,7 @@ def test_what_only_looks_like_an_export_stays(index: str, package: Package, tmp_
 
 
 def test_unknown_formats_and_missing_libraries_are_told_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(InputError, match="--format: found fbx; accepted: glb, mjcf, sdf, urdf, usd"):
+    with pytest.raises(InputError, match="--format: found fbx; accepted: glb, mjcf, robosuite, sdf, urdf, usd"):
         exporters_of(["urdf", "fbx"])
     with pytest.raises(InputError, match="found none"):
         exporters_of([])

@@ -28,7 +28,7 @@ from f3sr.film.player import LARGEST_REST
 from f3sr.film.slow_motion import factor, finer, rate_of
 from f3sr.film.strip import Title, strip
 from f3sr.film.timeline import pairs_of
-from f3sr.film.video import even, yuv420
+from f3sr.film.video import BT709, even, yuv420
 from f3sr.goals.plan import Contact
 from f3sr.goals.verify import verify
 from f3sr.scene import GROUND
@@ -153,7 +153,7 @@ def test_colours_come_back():
         [[[0, 0, 0], [255] * 3, [255, 0, 0], [0, 255, 0], [0, 0, 255]], rng.integers(0, 256, (59, 3))]
     )
     chart = np.kron(colors.reshape(8, 8, 3), np.ones((16, 16, 1))).astype(np.uint8)
-    exact = rgb_of(yuv420(chart)).astype(int)
+    exact = rgb_of(yuv420(chart, BT709)).astype(int)
     assert np.abs(exact - chart).max() <= 2  # what eight bits of limited range can hold
     shown = decoded(encode([chart] * 3, 30).data)[1].astype(int)
     inner = np.kron(np.ones((8, 8)), np.pad(np.ones((8, 8)), 4)) > 0

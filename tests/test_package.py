@@ -536,10 +536,15 @@ def test_scene_glb_stands_upright_in_gltf_axes(stack: Scene, tmp_path: Path) -> 
     assert len(loaded.graph.nodes_geometry) == 3
     for mesh, o in zip(sorted(loaded.dump(), key=lambda m: m.metadata["node"]), stack, strict=True):
         x, y, z = np.asarray(mesh.vertices).T
-        assert np.allclose(np.stack([x, -z, y], axis=1), o.vertices_world, atol=1e-6)
+        shown = np.stack([x, -z, y], axis=1)[np.asarray(mesh.faces)]
+        assert np.allclose(shown, o.vertices_world[o.mesh.faces], atol=1e-6), "the same corners, in their order"
+    nodes = glb_tree(out)["nodes"]
+    assert [n["extras"] for n in nodes if "mesh" in n] == [{"id": o.id, "label": o.label} for o in stack]
+
+
+def glb_tree(out: Path) -> dict[str, Any]:
     data = (out / "scene.glb").read_bytes()
-    tree = json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])
-    assert [n["extras"] for n in tree["nodes"]] == [{"id": o.id, "label": o.label} for o in stack]
+    return json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])
 
 
 @pytest.mark.parametrize("label", HOSTILE)
@@ -552,8 +557,7 @@ def test_labels_are_text_and_nothing_else(label: str, tmp_path: Path) -> None:
     assert stored == (label if label != "\ud800" else "?")
     mujoco.MjModel.from_xml_path(str(out / "scene.xml"))
     trimesh.load_scene(out / "scene.glb")
-    data = (out / "scene.glb").read_bytes()
-    node = json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])["nodes"][0]
+    node = glb_tree(out)["nodes"][0]
     assert node["name"].startswith("object_03") and node["name"].isascii() and len(node["name"]) < 80
 
 

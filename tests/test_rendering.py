@@ -13,6 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
+from f3sr.core.corner_normals import corner_normals
 from f3sr.core.mesh import Material, Mesh
 from f3sr.core.srgb import linear, srgb
 from f3sr.core.transforms import UP, Array, pose, rotation_from_vector
@@ -22,7 +23,6 @@ from f3sr.rendering.canvas import Canvas
 from f3sr.rendering.colour_mix import colour_mix
 from f3sr.rendering.evidence import Evidence
 from f3sr.rendering.light import Light
-from f3sr.rendering.shapes import smooth_normals
 from f3sr.rendering.surface_kernels import texture_at
 from f3sr.rendering.textures import textures_of
 from f3sr.scene import Photo, Scene, SceneObject
@@ -206,7 +206,7 @@ def test_a_ball_shows_the_cosine() -> None:
     light = Light(direction=direction, angle=0.01, even=np.full(3, 0.1), direct=np.full(3, 0.7))
     drawn = lit(scene, light).drawn(at_rest(scene))
     fragments = rasterizer.render(scene.objects, scene.camera)
-    normals = smooth_normals(scene.objects[0].mesh, 0.7)[fragments.face]
+    normals = corner_normals(scene.objects[0].mesh, 0.7)[fragments.face]
     n = (normals * fragments.bary[..., None]).sum(2)
     cosine = n @ direction
     facing = (fragments.ids == 0) & (n @ (scene.camera.center - [0, 0, 0.3]) > 0.6)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -58,10 +59,18 @@ def export_package(
         for exporter in found:
             with timed(f"export {exporter.name}", progress):
                 for path, data in _files(exporter, exported):
-                    claim.write(f"{exporter.name}/{path}", data)
+                    claim.write(f"{_folder(exporter)}/{path}", data)
         claim.write(INDEX, dump_json(_index(exported, found, sha)))
         claim.replace()
     return place
+
+
+def _folder(exporter: Backend[Exporter]) -> str:
+    """Where its files go: an exporter may have a ``folder`` that is not its name."""
+    folder = getattr(exporter.made, "folder", exporter.name)
+    if not isinstance(folder, str) or re.fullmatch(r"\w[\w.-]*", folder) is None:
+        raise BackendError(f"{exporter}: has the folder {folder!r}; accepted: a plain name")
+    return folder
 
 
 def exporters_of(formats: Sequence[str]) -> list[Backend[Exporter]]:
@@ -110,6 +119,7 @@ def _index(exported: ExportedScene, found: Sequence[Backend[Exporter]], sha: str
         "f3sr": f3sr.__version__,
         "scene_sha256": sha,
         "formats": [exporter.name for exporter in found],
+        "folders": [_folder(exporter) for exporter in found],
         "objects": [
             {"id": o.id, "label": o.label, "name": o.name, "mass": o.body.mass, "fixed": o.body.fixed}
             for o in exported.objects
@@ -121,17 +131,17 @@ def _require_replaceable(out: Path, *, overwrite: bool) -> None:
     """Raises OutputError unless an export may take the place ``out``."""
     if not os.path.lexists(out) or (out.is_dir() and not any(out.iterdir())):
         return
-    formats = _formats_in(out)
-    if formats is None:
+    folders = _folders_in(out)
+    if folders is None:
         raise OutputError(f"{out}: is there already and no f3sr export; give a new or empty folder with -o")
-    if strangers := sorted(p.name for p in out.iterdir() if p.name not in {INDEX, *formats}):
+    if strangers := sorted(p.name for p in out.iterdir() if p.name not in {INDEX, *folders}):
         raise OutputError(f"{out}: holds {strangers[0]}, which f3sr did not write; move it away first")
     if not overwrite:
         raise OutputError(f"{out}: holds an export; it is replaced only with --overwrite")
 
 
-def _formats_in(out: Path) -> list[str] | None:
-    """The formats that an export holds, None for anything else."""
+def _folders_in(out: Path) -> list[str] | None:
+    """The folders that an export holds, None for anything else."""
     index = out / INDEX
     try:
         if index.is_symlink() or not index.is_file():
@@ -141,4 +151,5 @@ def _formats_in(out: Path) -> list[str] | None:
         return None
     if not isinstance(tree, dict) or tree.get("kind") != MARK or not isinstance(tree.get("formats"), list):
         return None
-    return [name for name in tree["formats"] if isinstance(name, str)]
+    folders = tree.get("folders", tree["formats"])
+    return [name for name in folders if isinstance(name, str)] if isinstance(folders, list) else None

@@ -23,11 +23,26 @@ AROUND = 0.3
 """How far beyond the objects it may go, aside and up [m]."""
 
 
+POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+VELOCITIES = ("vx", "vy", "vz", "wx", "wy", "wz")
+"""Names of the numbers of a pose and of a velocity, linear before angular."""
+
+
 class Controller(Protocol):
     """Turns actions into physics."""
 
     @property
     def space(self) -> spaces.Box: ...
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """What every number of an action is."""
+        ...
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """What every number of ``state`` is."""
+        ...
 
     @property
     def state(self) -> Array:
@@ -88,6 +103,14 @@ class GripperControl:
         return spaces.Box(np.array(low), np.array(high), dtype=np.float64)
 
     @property
+    def action_names(self) -> tuple[str, ...]:
+        return self.state_names if self.by_pose else (*VELOCITIES, "opening_rate")
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return (*POSE, "opening")
+
+    @property
     def state(self) -> Array:
         return self.gripper.state
 
@@ -134,6 +157,14 @@ class ObjectControl:
     @property
     def space(self) -> spaces.Box:
         return spaces.Box(-1.0, 1.0, (6,), np.float64)
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        return VELOCITIES
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return ()
 
     @property
     def state(self) -> Array:

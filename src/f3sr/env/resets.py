@@ -58,16 +58,18 @@ def _factors(rng: np.random.Generator, count: int, share: float) -> tuple[float,
 def bank_of(package: Package, samples: str | Path | None) -> tuple[Scene, ...]:
     """The scene of a package, and those of a folder of samples that `f3sr sample` wrote of it.
 
-    Raises InputError for a folder without packages, and for samples of another scene."""
+    Raises InputError for a folder without packages or with more than ``MAX_BANK``, and for samples of another scene."""
     if samples is None:
         return (package.scene,)
     folder = Path(samples)
     found = sorted(f.parent for f in folder.glob("*/scene.json")) if folder.is_dir() else []
     if not found:
         raise InputError(folder, found="no package in it", accepted="a folder that `f3sr sample PACKAGE -o` wrote")
-    scenes = [read_package(f).scene for f in found[:MAX_BANK]]
+    if len(found) > MAX_BANK:
+        raise InputError(folder, found=f"{len(found)} samples", accepted=f"at most {MAX_BANK}: each has its own model")
+    scenes = [read_package(f).scene for f in found]
     wanted = [(o.id, o.label) for o in package.scene]
-    for f, scene in zip(found, scenes, strict=False):
+    for f, scene in zip(found, scenes, strict=True):
         if [(o.id, o.label) for o in scene] != wanted:
             raise InputError(f, found="other objects than the package's", accepted=f"samples of {package.folder}")
     return (package.scene, *(_of_package(package.scene, scene) for scene in scenes))

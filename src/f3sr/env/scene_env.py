@@ -144,7 +144,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]]):
             raise InputError("options", found=f"scene {index!r}", accepted=f"0 to {len(self._stages) - 1}")
         self._stage, self._taken = self._stages[index], 0
         self._stage.start(drawn)
-        if self._pictures_wanted:
+        if self.pictures_wanted:
             self._pictures.vary(self.np_random, self._randomization)
         self._progress = self._progress_of(self._stage)
         self._progress.add(self.playable.data, self.playable.states())
@@ -178,18 +178,25 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]]):
 
     def render(self) -> NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """The photo's view now (h, w, 3), the gripper included."""
-        return self._picture() if self.render_mode == "rgb_array" else None
+        return self.picture() if self.render_mode == "rgb_array" else None
 
     def judged(self) -> Sequence[Any]:
         """Every condition of the goal as it stands (``goals.conditions.Judged``), in words too."""
         return self._progress.judged()
 
     @property
-    def _pictures_wanted(self) -> bool:
+    def pictures_wanted(self) -> bool:
+        """Whether episodes have pictures, observed or rendered."""
         return self._observed != "state" or self.render_mode is not None
 
-    def _picture(self) -> NDArray[np.uint8]:
+    def picture(self) -> NDArray[np.uint8]:
+        """The photo's view now (h, w, 3), the gripper included; (h, w) is ``picture_size``."""
         return self._pictures.drawn(self.playable.poses(), self.controller.poses())
+
+    @property
+    def picture_size(self) -> tuple[int, int]:
+        """Height and width of pictures [px]."""
+        return self._pictures.size
 
     def _margin(self) -> float:
         """Least relative margin of what is not met, from -1 to 0; 0 where all is met."""
@@ -209,7 +216,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]]):
             found["velocities"] = spaces.Box(-FARTHEST, FARTHEST, (n, 6), np.float64)
             found["controller"] = spaces.Box(-FARTHEST, FARTHEST, self.controller.state.shape, np.float64)
         if self._observed != "state":
-            height, width = self._pictures.size
+            height, width = self.picture_size
             found["picture"] = spaces.Box(0, 255, (height, width, 3), np.uint8)
         return found
 
@@ -220,7 +227,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]]):
             found["velocities"] = self.playable.velocities()
             found["controller"] = self.controller.state
         if self._observed != "state":
-            found["picture"] = self._picture()
+            found["picture"] = self.picture()
         return found
 
 

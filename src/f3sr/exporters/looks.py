@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from f3sr.core.corner_normals import corner_normals
 from f3sr.core.mesh import Material, Mesh, area_vectors
 from f3sr.core.transforms import Array
 from f3sr.exporters.colour_atlas import bake_colours
@@ -51,10 +52,7 @@ class ExportedLook:
     @cached_property
     def normals(self) -> NDArray[np.float32]:
         """Unit normals (m, 3, 3) of the faces' corners, smooth across materials; sharp edges stay sharp."""
-        from f3sr.rendering.config import RenderConfig
-        from f3sr.rendering.shapes import smooth_normals  # of films: packages are written without
-
-        return smooth_normals(self.whole, RenderConfig().crease)[self.whole.face_material == self.number]
+        return corner_normals(self.whole)[self.whole.face_material == self.number]
 
     @cached_property
     def png(self) -> bytes | None:

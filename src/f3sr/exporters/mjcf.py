@@ -169,10 +169,15 @@ def _visual_obj(look: ExportedLook) -> str:
 
 
 def _visual(asset: ET.Element, node: ET.Element, look: ExportedLook, name: str, stem: str) -> None:
-    """The mesh, texture and material of a look, and its geom."""
+    """A look and its geom."""
+    add_look(asset, look, name, stem)
+    ET.SubElement(node, "geom", {"class": "visual"}, name=name, type="mesh", mesh=name, material=name)
+
+
+def add_look(asset: ET.Element, look: ExportedLook, name: str, stem: str) -> None:
+    """The mesh, texture and material of a look, all of one name."""
     ET.SubElement(asset, "mesh", name=name, file=f"{stem}.obj", inertia="shell")
     material = ET.SubElement(asset, "material", name=name, rgba=numbers([*look.rgb, 1]), specular="0")
     if look.png is not None:
         ET.SubElement(asset, "texture", name=name, type="2d", file=f"{stem}.png")
         material.set("texture", name)
-    ET.SubElement(node, "geom", {"class": "visual"}, name=name, type="mesh", mesh=name, material=name)

@@ -35,6 +35,7 @@ EXPORTERS = Kind(
     built_in={
         "glb": "f3sr.exporters.glb:Glb",
         "mjcf": "f3sr.exporters.mjcf_objects:MjcfObjects",
+        "robosuite": "f3sr.exporters.robosuite:Robosuite",
         "sdf": "f3sr.exporters.sdf:Sdf",
         "urdf": "f3sr.exporters.urdf:Urdf",
         "usd": "f3sr.exporters.usd:Usd",

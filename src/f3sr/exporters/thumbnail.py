@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
+from f3sr.core.corner_normals import corner_normals
 from f3sr.core.transforms import Array, pose
 from f3sr.io.images import encode_png, resized
-from f3sr.rendering.config import RenderConfig
-from f3sr.rendering.shapes import smooth_normals
 from f3sr.scene import SceneObject
 from f3sr.vision import rasterizer
 
@@ -40,7 +39,7 @@ def thumbnail(o: SceneObject, camera: Camera) -> NDArray[np.uint8]:
     fragments = rasterizer.render([o], view)
     covered = fragments.ids != rasterizer.EMPTY
     colors = rasterizer.shade(fragments, [o])[covered]
-    normals = smooth_normals(o.mesh, RenderConfig().crease)[fragments.face[covered]]
+    normals = corner_normals(o.mesh)[fragments.face[covered]]
     normal = np.einsum("ij,ijk->ik", fragments.bary[covered], normals)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
     toward = o.T_world_object[:3, :3].T @ view.T_world_camera[:3, 2]

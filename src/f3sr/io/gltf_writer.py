@@ -1,4 +1,4 @@
-"""Binary glTF: meshes with their appearance, and whole scenes."""
+"""Binary glTF: meshes with their appearance, nodes and cameras."""
 
 from __future__ import annotations
 
@@ -16,13 +16,12 @@ from numpy.typing import NDArray
 from f3sr.core.mesh import Material, Mesh
 from f3sr.core.transforms import Array
 from f3sr.io.images import encode_png
-from f3sr.scene import SceneObject
 
-T_YUP_ZUP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-"""From the world (Z up) to glTF's axes (Y up)."""
-
-FLOAT, UINT8, UINT32 = 5126, 5121, 5125
+FLOAT, UINT8, UINT16, UINT32 = 5126, 5121, 5123, 5125
 """glTF's component types."""
+COMPONENT = {np.float32: FLOAT, np.uint8: UINT8, np.uint16: UINT16, np.uint32: UINT32}
+SHORT = 0xFFFF
+"""Most vertices that indices of two bytes reach: glTF keeps the highest one for itself."""
 VERTEX_BUFFER, INDEX_BUFFER = 34962, 34963
 """glTF's targets of buffer views."""
 LINEAR_REPEAT = {"magFilter": 9729, "minFilter": 9729, "wrapS": 10497, "wrapT": 10497}
@@ -33,16 +32,6 @@ def mesh_to_glb(mesh: Mesh, *, name: str = "mesh") -> bytes:
     """One mesh in its own frame: no axis flip, faces and vertices in their order, vertices as float32."""
     glb = GlbBuilder()
     glb.add_node(name, mesh=glb.add_mesh(mesh, name))
-    return glb.to_bytes()
-
-
-def scene_to_glb(objects: Iterable[SceneObject]) -> bytes:
-    """The whole scene in metres, Y up: one node per object, its id and label in the node's extras."""
-    glb = GlbBuilder()
-    for o in objects:
-        name = safe_name(f"object_{o.id:02d}_{o.label}")
-        mesh = glb.add_mesh(o.mesh.with_vertices(o.scale * o.mesh.vertices), name)
-        glb.add_node(name, mesh=mesh, T=T_YUP_ZUP @ o.T_world_object, extras={"id": o.id, "label": o.label})
     return glb.to_bytes()
 
 
@@ -57,17 +46,24 @@ class GlbBuilder:
 
     def __init__(self) -> None:
         self._tree: dict[str, list[Any]] = {
-            k: [] for k in ("nodes", "meshes", "materials", "textures", "images", "accessors", "bufferViews")
+            k: [] for k in ("nodes", "meshes", "cameras", "materials", "textures", "images", "accessors", "bufferViews")
         }
         self._chunks: list[bytes] = []
         self._offset = 0
         self._materials: dict[int, int] = {}
 
     def add_node(
-        self, name: str, *, mesh: int, T: Array | None = None, extras: Mapping[str, Any] | None = None
+        self,
+        name: str,
+        *,
+        mesh: int | None = None,
+        camera: int | None = None,
+        T: Array | None = None,
+        extras: Mapping[str, Any] | None = None,
     ) -> None:
-        """A root node that shows the mesh of index ``mesh`` under the transform T (4, 4)."""
-        node: dict[str, Any] = {"name": name, "mesh": mesh}
+        """A root node with the mesh or the camera of that index under the transform T (4, 4)."""
+        node: dict[str, Any] = {"name": name}
+        node |= {key: index for key, index in (("mesh", mesh), ("camera", camera)) if index is not None}
         if T is not None:
             # glTF stores matrices by columns.
             node["matrix"] = T.T.ravel().tolist()
@@ -75,15 +71,24 @@ class GlbBuilder:
             node["extras"] = dict(extras)
         self._tree["nodes"].append(node)
 
-    def add_mesh(self, mesh: Mesh, name: str) -> int:
+    def add_camera(self, name: str, *, yfov: float, aspect: float, near: float) -> int:
+        """Index of a new perspective camera: opening angle from top to bottom [rad], width over height of the window,
+        and distance of the near plane [m]. It sees to infinity."""
+        perspective = {"yfov": yfov, "aspectRatio": aspect, "znear": near}
+        self._tree["cameras"].append({"name": name, "type": "perspective", "perspective": perspective})
+        return len(self._tree["cameras"]) - 1
+
+    def add_mesh(self, mesh: Mesh, name: str, normals: NDArray[np.float32] | None = None) -> int:
         """Index of a new glTF mesh, one primitive per run of faces of one material.
 
+        ``normals`` (n, 3), unit, are those of the vertices; without, readers shade every face for itself.
         An untextured mesh carries its base colour in its vertex colours and has no material: that is what all
         readers, trimesh included, agree on.
         """
         textured = any(m.texture is not None for m in mesh.materials)
         primitives = [
-            self._primitive(mesh, faces, mesh.materials[index], textured=textured) for index, faces in _runs(mesh)
+            self._primitive(mesh, normals, faces, mesh.materials[index], textured=textured)
+            for index, faces in _runs(mesh)
         ]
         self._tree["meshes"].append({"name": name, "primitives": primitives})
         return len(self._tree["meshes"]) - 1
@@ -110,7 +115,13 @@ class GlbBuilder:
         )
 
     def _primitive(
-        self, mesh: Mesh, faces: NDArray[np.int32] | None, material: Material, *, textured: bool
+        self,
+        mesh: Mesh,
+        normals: NDArray[np.float32] | None,
+        faces: NDArray[np.int32] | None,
+        material: Material,
+        *,
+        textured: bool,
     ) -> dict[str, Any]:
         """One primitive: ``faces`` of one material, or all of the mesh when None."""
         if faces is None:
@@ -119,6 +130,8 @@ class GlbBuilder:
             used, inverse = np.unique(faces, return_inverse=True)
             local = inverse.reshape(-1, 3)
         attributes = {"POSITION": self._accessor(mesh.vertices[used].astype(np.float32), "VEC3", bounds=True)}
+        if normals is not None:
+            attributes["NORMAL"] = self._accessor(normals[used], "VEC3")
         colors = None if mesh.vertex_colors is None else mesh.vertex_colors[used]
         primitive: dict[str, Any] = {"attributes": attributes, "mode": 4}
         if textured:
@@ -133,7 +146,8 @@ class GlbBuilder:
             rgba = np.full((len(used), 4), 255, np.uint8)
             rgba[:, :3] = colors
             attributes["COLOR_0"] = self._accessor(rgba, "VEC4")
-        primitive["indices"] = self._accessor(local.astype(np.uint32).ravel(), "SCALAR", target=INDEX_BUFFER)
+        index = np.uint16 if len(used) <= SHORT else np.uint32
+        primitive["indices"] = self._accessor(local.astype(index).ravel(), "SCALAR", target=INDEX_BUFFER)
         return primitive
 
     def _material(self, material: Material) -> int:
@@ -153,7 +167,7 @@ class GlbBuilder:
         return self._materials[key]
 
     def _accessor(self, values: NDArray[Any], kind: str, *, bounds: bool = False, target: int = VERTEX_BUFFER) -> int:
-        component = {"f": FLOAT, "u": UINT8 if values.dtype == np.uint8 else UINT32}[values.dtype.kind]
+        component = COMPONENT[values.dtype.type]
         accessor: dict[str, Any] = {"bufferView": self._view(values.tobytes(), target), "type": kind}
         accessor |= {"componentType": component, "count": len(values)}
         if component == UINT8:

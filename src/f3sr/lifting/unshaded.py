@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
+from f3sr.core.corner_normals import corner_normals
 from f3sr.core.mesh import Mesh
 from f3sr.core.srgb import srgb
 from f3sr.core.transforms import UP, Array
 from f3sr.lifting.solids import Solid
-from f3sr.rendering.config import LightConfig, RenderConfig
+from f3sr.rendering.config import LightConfig
 from f3sr.rendering.evidence import Evidence, Samples, ground_points
 from f3sr.rendering.light_fit import find_light
 from f3sr.rendering.shadow_maps import MARGIN, Caster
-from f3sr.rendering.shapes import smooth_normals
 from f3sr.rendering.textures import LINEAR
 from f3sr.vision import rasterizer
 from f3sr.vision.regions import grown, shrunk
@@ -29,7 +29,6 @@ BORDER = 3
 """Pixels from a mask's border that are left out: colours mix there, and the solid's normals are least sure."""
 LIGHT = LightConfig(overhead=0.05)
 """Colours are unknown here, and print passes for light from the side: lamps and windows are rarely low."""
-CREASE = RenderConfig().crease
 MAP_SIDE = 192
 """Side of a light's shadow map [texel]."""
 REACH = 1.5
@@ -83,7 +82,7 @@ class SeenSolid:
         from scipy.ndimage import distance_transform_edt
 
         drawn = self._drawn
-        corners = smooth_normals(Mesh(vertices=self.solid.vertices, faces=self.solid.faces), CREASE)
+        corners = corner_normals(Mesh(vertices=self.solid.vertices, faces=self.solid.faces))
         normals = np.einsum("hwk,hwkc->hwc", drawn.bary, corners[np.maximum(drawn.face, 0)], dtype=float)
         lengths = np.linalg.norm(normals, axis=2)
         known = (drawn.face >= 0) & (lengths > 0)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 from annotated_types import Interval
 
+from f3sr.core.corner_normals import CREASE
 from f3sr.settings import settings
 
 
@@ -46,7 +47,7 @@ class RenderConfig:
     """Samples along each side of a pixel."""
     near: Annotated[float, Interval(gt=0, le=1)] = 0.01
     """Distance of the near plane [m]. What is nearer to the camera is not drawn."""
-    crease: Annotated[float, Interval(ge=0, le=3.1416)] = 0.7
+    crease: Annotated[float, Interval(ge=0, le=3.1416)] = CREASE
     """Least angle between triangles at which their common edge is seen [rad]."""
     shadows: ShadowConfig = field(default_factory=ShadowConfig)
     light: LightConfig = field(default_factory=LightConfig)

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from f3sr.core.corner_normals import corner_normals
 from f3sr.core.mesh import Mesh, is_closed, signed_volume
 from f3sr.core.srgb import linear
 from f3sr.core.transforms import Array
 from f3sr.rendering.shadow_maps import Caster
-from f3sr.rendering.surface_kernels import Shapes, corner_normals
+from f3sr.rendering.surface_kernels import Shapes
 from f3sr.scene import SceneObject
 from f3sr.vision import rasterizer
 
@@ -29,7 +30,7 @@ def shapes_of(objects: Sequence[SceneObject], *, crease: float) -> Shapes:
         faces=_joined([m.faces + k for m, k in zip(meshes, vertex, strict=False)], np.int32, 3),
         object=_joined([np.full(len(m.faces), k) for k, m in enumerate(meshes)], np.int32),
         slot=_joined([np.asarray(m.face_material) + k for m, k in zip(meshes, slot, strict=False)], np.int32),
-        normals=_joined([smooth_normals(m, crease) for m in meshes], np.float32, 3, 3),
+        normals=_joined([corner_normals(m, crease) for m in meshes], np.float32, 3, 3),
         flat=_joined([_flat_normals(m) for m in meshes], np.float32, 3),
         uv=_joined([np.zeros((len(m.vertices), 2)) if m.uv is None else m.uv for m in meshes], np.float32, 2),
         colors=_joined([_vertex_colors(m) for m in meshes], np.float32, 3),
@@ -39,26 +40,6 @@ def shapes_of(objects: Sequence[SceneObject], *, crease: float) -> Shapes:
 def _joined(arrays: Sequence[NDArray[Any]], dtype: Any, *shape: int) -> NDArray[Any]:
     """Some arrays of rows of a ``shape``, one after the other, as kernels take them."""
     return rasterizer.fixed(np.concatenate([np.empty((0, *shape), dtype), *arrays]), dtype)
-
-
-def smooth_normals(mesh: Mesh, crease: float) -> NDArray[np.float32]:
-    """Unit normals (m, 3, 3) of all faces' corners, in the mesh's frame; edges beyond ``crease`` [rad] stay sharp."""
-    places, place = mesh.weld
-    faces = place[mesh.faces]
-    # Vertex to faces, as compressed rows: corners sorted by their vertex, ``first[v]`` where those of v begin. Corner i
-    # is of face i // 3.
-    order = np.argsort(faces.ravel(), kind="stable")
-    first = np.searchsorted(faces.ravel()[order], np.arange(len(places) + 1))
-    out = np.empty((len(faces), 3, 3), np.float32)
-    corner_normals(
-        rasterizer.fixed(places, np.float64),
-        rasterizer.fixed(faces, np.int32),
-        rasterizer.fixed(first, np.int64),
-        rasterizer.fixed(order // 3, np.int64),
-        float(np.cos(crease)),
-        out,
-    )
-    return out
 
 
 def _flat_normals(mesh: Mesh) -> Array:

@@ -415,43 +415,6 @@ def seen_at(
 
 
 @kernel
-def corner_normals(
-    vertices: NDArray[Any],
-    faces: NDArray[Any],
-    first: NDArray[Any],
-    around: NDArray[Any],
-    crease: float,
-    out: NDArray[Any],
-) -> None:
-    """Normals (m, 3, 3) of the corners of welded ``faces``: the mean, by area, of the faces around that turn away by
-    less than the cosine ``crease``. Faces around vertex v are ``around[first[v] : first[v + 1]]``."""
-    # Cross products, as long as twice the face's area: their plain sum is the mean by area.
-    flat = np.empty((len(faces), 3))
-    for f in range(len(faces)):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        x0, y0, z0 = vertices[a, 0], vertices[a, 1], vertices[a, 2]
-        x1, y1, z1 = vertices[b, 0] - x0, vertices[b, 1] - y0, vertices[b, 2] - z0
-        x2, y2, z2 = vertices[c, 0] - x0, vertices[c, 1] - y0, vertices[c, 2] - z0
-        flat[f, 0], flat[f, 1], flat[f, 2] = y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2
-    for f in range(len(faces)):
-        x, y, z = flat[f, 0], flat[f, 1], flat[f, 2]
-        length = np.sqrt(x * x + y * y + z * z)
-        for k in range(3):
-            v = faces[f, k]
-            # Only faces around the corner's own vertex count, and only against this face: a crease stays sharp on both
-            # sides.
-            sx, sy, sz = x, y, z
-            for i in range(first[v], first[v + 1]):
-                g = around[i]
-                gx, gy, gz = flat[g, 0], flat[g, 1], flat[g, 2]
-                other = np.sqrt(gx * gx + gy * gy + gz * gz)
-                if g != f and x * gx + y * gy + z * gz > crease * length * other:
-                    sx, sy, sz = sx + gx, sy + gy, sz + gz
-            norm = max(np.sqrt(sx * sx + sy * sy + sz * sz), 1e-30)
-            out[f, k, 0], out[f, k, 1], out[f, k, 2] = sx / norm, sy / norm, sz / norm
-
-
-@kernel
 def tile_depths(
     nearness: NDArray[Any], side: int, top: int, bottom: int, left: int, right: int, out: NDArray[Any]
 ) -> None:
