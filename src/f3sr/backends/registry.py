@@ -19,7 +19,6 @@ from typing import Any, Generic, Self, TypeVar, cast
 import f3sr
 from f3sr.backends.model_choice import ModelChoice, Need
 from f3sr.errors import F3srError, InputError, one_line, unforeseen
-from f3sr.runtime.kept_imports import kept_imports
 
 P = TypeVar("P")
 T = TypeVar("T")
@@ -160,8 +159,7 @@ class Kind(Generic[P]):
     def _loaded(self, offer: _Offer, choice: ModelChoice) -> Backend[P]:
         what = f"{self.name} back end {offer.name} from {offer.source}"
         try:
-            with kept_imports():
-                maker = offer.load()
+            maker = offer.load()
             takes_model = getattr(maker, "takes_model", False) is True
             if choice.model and not takes_model:
                 accepted = f"{offer.name} without a model"
