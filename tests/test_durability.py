@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -60,8 +61,11 @@ def heed() -> None:
 
 
 def children(pid: int) -> list[int]:
-    found = [p.read_text().split() for p in Path(f"/proc/{pid}/task").glob("*/children")]
-    return [int(child) for line in found for child in line]
+    found = list[int]()
+    for file in Path(f"/proc/{pid}/task").glob("*/children"):
+        with suppress(OSError):  # a thread that has ended since
+            found += map(int, file.read_text().split())
+    return found
 
 
 def grandchildren(pid: int) -> list[int]:

@@ -21,8 +21,8 @@ from f3sr.metrology.known_sizes import usual_size
 from f3sr.metrology.scene_scale import LengthClue, ScaleModel, SceneScale, scene_scale
 from f3sr.metrology.tight_box import box_sides, seen_length
 from f3sr.report import Decision
-from f3sr.runtime.result_store import digest
 from f3sr.runtime.kept_imports import kept_imports
+from f3sr.runtime.result_store import digest
 from f3sr.scene import Instance
 
 NAMED = 8
