@@ -259,7 +259,7 @@ from folders import part_of_example
 from scenes import box_stack_scene
 from f3sr.errors import OutputError
 from f3sr.scene_package.package import write_package
-for _ in range(12):
+for _ in range(6):
     try:
         write_package(box_stack_scene(int(sys.argv[1])), Path(sys.argv[2]))
         print("wrote")
@@ -276,7 +276,7 @@ def test_rivals_for_one_place_never_break_it(tmp_path: Path):
         for n in (1, 2, 3)
     ]
     said = [line for rival in rivals for line in rival.communicate()[0].splitlines()]
-    assert [rival.returncode for rival in rivals] == [0, 0, 0] and len(said) == 36
+    assert [rival.returncode for rival in rivals] == [0, 0, 0] and len(said) == 18
     assert set(said) <= {"wrote", f"{out}: another run is writing it right now"} and "wrote" in said
     assert len(read_package(out).scene.objects) in (1, 2, 3)
     assert [p.name for p in out.parent.iterdir()] == ["out"]
@@ -302,7 +302,7 @@ def test_seeds_threads_and_places_change_no_byte(cache: Path, compiled: Path, tm
 
 
 def test_damaged_kernel_files_are_told_once_and_made_anew(cache: Path):
-    files = sorted(cache.glob("kernels-*/f3sr.vision.rasterizer.*.kernel"))
+    files = sorted(cache.glob("kernels-*/f3sr.vision.*.kernel"), key=lambda file: file.stat().st_size)
     files[0].write_bytes(files[0].read_bytes()[:1000])
     data = bytearray(files[1].read_bytes())
     data[len(data) // 2] ^= 1
