@@ -16,8 +16,8 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 # As the command has it. Two processes with two threads each wait for each other: a fifth of the processor time.
 os.environ.update(ONE_THREAD)
-# glibc keeps what is freed, in the processes that start from here: a twentieth of the time went into pages that came and
-# went.
+# glibc keeps what is freed, in the processes that start from here: a twentieth of the time went into pages that came
+# and went.
 os.environ.update({"MALLOC_TRIM_THRESHOLD_": "2000000000", "MALLOC_MMAP_THRESHOLD_": "1000000000"})
 
 import hypothesis  # noqa: E402
