@@ -31,6 +31,7 @@ hypothesis.settings.register_profile("no_deadline", deadline=None)
 hypothesis.settings.load_profile("no_deadline")
 
 from fixtures import browser, compiled, folder, given, jobs, shared_data, shared_folder, stages, whole  # noqa: E402, F401
+from processor_time import pytest_runtest_setup, pytest_runtest_teardown  # noqa: E402, F401
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
