@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import gc
 import importlib
+import io
 import json
 import os
 import resource
@@ -205,12 +207,15 @@ def summary(verdicts: list[Verdict], seed: int, seconds: float) -> dict[str, Any
 
 def _load() -> None:
     """Everything a run imports and compiles, once, before the processes fork."""
+    import f3sr.cli.main
     from f3sr.runtime import kernels
 
     kernels.warm_up(film=False)
-    own = ("f3sr.cli.main", "f3sr.pipeline", "f3sr.delivery", "f3sr.scene_package.package")
-    for name in (*own, "trimesh", "mujoco", "manifold3d", "rich.table", "scipy.optimize", "scipy.spatial"):
+    with contextlib.redirect_stderr(io.StringIO()):  # a command that is refused has imported what it would need
+        f3sr.cli.main.main(["reconstruct", "/nowhere/input", "-o", "/nowhere/out"])
+    for name in ("f3sr.scene_package.package", "trimesh", "mujoco", "manifold3d", "rich.table", "scipy.optimize"):
         importlib.import_module(name)
+    gc.freeze()  # a collection in a run would copy all pages that it shares with this process
 
 
 def _forget_cache_folder() -> None:

@@ -36,7 +36,7 @@ def main() -> None:
     import f3sr.cli.main
 
     sys.argv[1:] = sys.argv[3:]
-    f3sr.cli.main.run()
+    sys.exit(f3sr.cli.main.run())
 
 
 def _noted(work: Callable[..., Any], name: str, notes: int, calls: int) -> Callable[..., Any]:

@@ -42,15 +42,15 @@ class Scripted:
 
 def competent(package: Package, goal: str) -> Mapping[str, Any]:
     """What a model would answer that plans as the rules do, for every role."""
-    return answers_of(_planned(package, goal))
+    return answers_of(played_by_rules(package, goal).plan)
 
 
 @cache
-def _planned(package: Package, goal: str) -> Plan:
-    """The rules' plan: many tests ask for that of one package, which never changes."""
+def played_by_rules(package: Package, goal: str) -> Played:
+    """A goal as the rules play it: many tests ask for that of one package, which never changes."""
     played = simulate_goal(package, goal)
     assert isinstance(played, Played), played
-    return played.plan
+    return played
 
 
 def answers_of(plan: Plan) -> Mapping[str, Any]:

@@ -183,7 +183,7 @@ def test_a_fitted_row_differs_only_in_the_picture(given: inputs.Inputs):
 def test_a_result_whose_camera_was_not_aligned_is_foreign(
     given: inputs.Inputs, stages: Store, skip: list[str], foreign: bool
 ):
-    result = reconstruct(given, skip=["refine", "settle", *skip], store=stages)
+    result = reconstruct(given, skip=["refine", "settle", "uncertainty", "inpaint", *skip], store=stages)
     found = result.evaluation
     assert found is not None and found.direct_fitted is not None
     assert (found.result_fitted is not None) == foreign == (not result.provenance["camera_aligned"])

@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[1]
 
 
 STORED = """
-import functools, pathlib, f3sr, f3sr.example
+import functools, os, pathlib, f3sr, f3sr.example
 f3sr.example.folder = lambda: pathlib.Path({example!r})
 f3sr.Store.default = lambda: f3sr.Store(pathlib.Path({folder!r}))
 f3sr.reconstruct = functools.partial(f3sr.reconstruct, store=f3sr.Store.default())
@@ -34,21 +34,23 @@ def test_the_bundled_example_is_whole() -> None:
 @pytest.mark.slow
 def test_the_examples_run(tmp_path: Path) -> None:
     stored = STORED.format(folder=str(tmp_path / "stages"), example=str(part_of_example(tmp_path / "part")))
+    script = [stored]
     for name in ("README.md", "docs/python.md"):
         blocks = re.findall(r"^```python\n(.*?)^```", (ROOT / name).read_text(), flags=re.DOTALL | re.MULTILINE)
         assert blocks
         place = tmp_path / Path(name).stem
         place.mkdir()
-        done = subprocess.run(
-            [sys.executable, "-W", "error::SyntaxWarning", "-c", "\n".join([stored, *blocks])],
-            cwd=place,
-            env=os.environ | {"PYTHONPATH": str(ROOT / "src")},
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.returncode == 0, f"{name}: {done.stderr}"
-        assert (place / "out/table/scene.xml").exists()
+        script.append(f"os.chdir({str(place)!r}); exec(compile({''.join(blocks)!r}, {name!r}, 'exec'), {{}})")
+    done = subprocess.run(
+        [sys.executable, "-W", "error::SyntaxWarning", "-c", "\n".join(script)],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT / "src")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert all((tmp_path / name / "out/table/scene.xml").exists() for name in ("README", "python"))
 
 
 PAGES = sorted(str(p.relative_to(ROOT)) for p in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])

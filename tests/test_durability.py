@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -60,8 +61,11 @@ def heed() -> None:
 
 
 def children(pid: int) -> list[int]:
-    found = [p.read_text().split() for p in Path(f"/proc/{pid}/task").glob("*/children")]
-    return [int(child) for line in found for child in line]
+    found = list[int]()
+    for file in Path(f"/proc/{pid}/task").glob("*/children"):
+        with suppress(OSError):  # a thread that has ended since
+            found += map(int, file.read_text().split())
+    return found
 
 
 def grandchildren(pid: int) -> list[int]:
@@ -103,8 +107,9 @@ def test_ctrl_c_while_starting_ends_at_once_with_one_line(after: float, cache: P
 
 
 @IN_PROC
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_no_worker_outlives_a_run_that_is_ended(number: signal.Signals, cache: Path, tmp_path: Path):
+    """Ctrl-C is sent in the tests above and below; all three signals are heard by one thread."""
     part = part_of_example(tmp_path / "part")
     process = start("reconstruct", part, "-o", tmp_path / "out", *TO_WORKERS, cache=cache)
     assert soon(lambda: grandchildren(process.pid), 60), "a worker forks a process for a mesh"
@@ -255,7 +260,7 @@ from folders import part_of_example
 from scenes import box_stack_scene
 from f3sr.errors import OutputError
 from f3sr.scene_package.package import write_package
-for _ in range(12):
+for _ in range(6):
     try:
         write_package(box_stack_scene(int(sys.argv[1])), Path(sys.argv[2]))
         print("wrote")
@@ -272,7 +277,7 @@ def test_rivals_for_one_place_never_break_it(tmp_path: Path):
         for n in (1, 2, 3)
     ]
     said = [line for rival in rivals for line in rival.communicate()[0].splitlines()]
-    assert [rival.returncode for rival in rivals] == [0, 0, 0] and len(said) == 36
+    assert [rival.returncode for rival in rivals] == [0, 0, 0] and len(said) == 18
     assert set(said) <= {"wrote", f"{out}: another run is writing it right now"} and "wrote" in said
     assert len(read_package(out).scene.objects) in (1, 2, 3)
     assert [p.name for p in out.parent.iterdir()] == ["out"]
@@ -298,7 +303,7 @@ def test_seeds_threads_and_places_change_no_byte(cache: Path, compiled: Path, tm
 
 
 def test_damaged_kernel_files_are_told_once_and_made_anew(cache: Path):
-    files = sorted(cache.glob("kernels-*/f3sr.vision.rasterizer.*.kernel"))
+    files = sorted(cache.glob("kernels-*/f3sr.vision.*.kernel"), key=lambda file: file.stat().st_size)
     files[0].write_bytes(files[0].read_bytes()[:1000])
     data = bytearray(files[1].read_bytes())
     data[len(data) // 2] ^= 1

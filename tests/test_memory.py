@@ -20,9 +20,9 @@ from scenes import box
 
 FACES, TEXTURE = 50_000, 1024
 PEAK_MB = 680
-"""Of the whole process with kernels loaded, not compiled, which takes 180 more: measured 622 to 624. One more picture
+"""Of the whole process with kernels loaded, not compiled, which takes 180 more: measured 629 to 633. One more picture
 of floats at the photo's size (72 MB), or a second copy of every texture and mesh, breaks it."""
-RETURNED = {"MALLOC_ARENA_MAX": "1", "MALLOC_MMAP_THRESHOLD_": "1000000"}
+RETURNED = {"MALLOC_ARENA_MAX": "1", "MALLOC_MMAP_THRESHOLD_": "4000000", "MALLOC_TRIM_THRESHOLD_": "131072"}
 """For glibc: what is freed goes back at once. Else the peak hangs on which thread frees when: 750 to 870 MB."""
 
 SCRIPT = """

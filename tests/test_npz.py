@@ -7,6 +7,7 @@ import resource
 import sys
 import time
 import warnings
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +45,11 @@ def test_what_numpy_writes_comes_back(save, tmp_path: Path) -> None:
 
 def test_seventy_thousand_arrays_come_back(tmp_path: Path) -> None:
     """More than a zip's first directory counts: scenes of hundreds of objects have as many in the cache."""
-    np.savez(tmp_path / "a.npz", **{f"vertices/{k}": np.array(k) for k in range(70_000)})
+    np.save(tmp_path / "0.npy", np.array(0))
+    head = (tmp_path / "0.npy").read_bytes()[:-8]
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:  # numpy's own writer takes four times as long
+        for k in range(70_000):
+            archive.writestr(f"vertices/{k}.npy", head + k.to_bytes(8, sys.byteorder))
     with (tmp_path / "a.npz").open("rb") as stream:
         found = npz.read_all(stream, "a.npz")
     assert len(found) == 70_000 and int(found["vertices/69999"]) == 69_999

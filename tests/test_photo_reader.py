@@ -18,6 +18,7 @@ from PIL import Image
 from f3sr.backends.protocols import PromptedImage
 from f3sr.errors import NoAnswerError
 from f3sr.scene import Geometry, Instance, Photo
+from folders import part_of_example
 from goal_scene import goal_scene
 from model_servers import Asked, Reply, model_server
 
@@ -40,9 +41,8 @@ def key(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def unnamed(tmp_path: Path) -> Iterator[Path]:
-    """The example with masks that only have numbers."""
-    folder = tmp_path / "photo"
-    shutil.copytree(EXAMPLE, folder)
+    """A part of the example, with masks that only have numbers."""
+    folder = part_of_example(tmp_path / "photo")
     for mask in sorted((folder / "masks").iterdir()):
         mask.rename(mask.with_name(re.match(r"\d+", mask.name)[0] + ".png"))  # type: ignore[index]
     poses = folder / "assets/poses.json"

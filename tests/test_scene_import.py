@@ -221,14 +221,14 @@ def test_a_composed_glb_comes_back_as_its_camera_sees_it(name: str, real: Laid, 
     assert [item.label for item in written.left_out] == (["ground"] if "ground" in name else [])
 
 
-def test_a_composed_glb_in_camera_axes(real: Laid, tmp_path: Path):
-    file = outputs.write_composed(real, tmp_path / "scene.glb", camera=False, ground=False, frame="camera")
-    outputs.write_photo(real, tmp_path / "photo.png")
+def test_a_composed_glb_in_camera_axes(laid: Laid, tmp_path: Path):
+    file = outputs.write_composed(laid, tmp_path / "scene.glb", camera=False, ground=False, frame="camera")
+    outputs.write_photo(laid, tmp_path / "photo.png")
     written = imported(file, tmp_path / "in", photo=tmp_path / "photo.png", asset_frame="opengl",
-                       focal=float(real.camera.K[0, 0]))  # fmt: skip
+                       focal=float(laid.camera.K[0, 0]))  # fmt: skip
     given = f3sr.read_inputs(written.folder)
-    require_equal(given, real, up_to_scale=True)
-    require_masks(given, real)
+    require_equal(given, laid, up_to_scale=True)
+    require_masks(given, laid)
 
 
 def test_the_camera_of_a_composed_glb_is_fitted_to_masks(real: Laid, tmp_path: Path):

@@ -231,11 +231,11 @@ def test_samples_rest_and_meet_the_masks_and_repeat(pile: Scene):
     covariances = Information.of(pile, UncertaintyConfig()).conditional()
     settle = settling(Config())
 
-    def drawn(seed: int) -> list[Sample]:
+    def drawn(seed: int, tries: int) -> list[Sample]:
         scenes = draw(pile, covariances, settle, SamplingConfig(), seed=seed)
-        return [s for s in itertools.islice(scenes, 3) if isinstance(s, Sample)]
+        return [s for s in itertools.islice(scenes, tries) if isinstance(s, Sample)]
 
-    samples = drawn(0)
+    samples = drawn(0, 3)
     assert len(samples) >= 2
     best = visible_iou(pile)
     for s in samples:
@@ -244,8 +244,9 @@ def test_samples_rest_and_meet_the_masks_and_repeat(pile: Scene):
         assert s.measures.D_max_cm <= 0.1
     places = [[o.T_world_object for o in s.scene] for s in samples]
     assert np.ptp(np.array(places), axis=0).max() > 1e-5
-    np.testing.assert_array_equal(places, [[o.T_world_object for o in s.scene] for s in drawn(0)])
-    assert not np.array_equal(places[0], [o.T_world_object for o in drawn(1)[0].scene])
+    again = [[o.T_world_object for o in s.scene] for s in drawn(0, 2)]
+    np.testing.assert_array_equal(places[: len(again)], again)
+    assert again and not np.array_equal(places[0], [o.T_world_object for o in drawn(1, 1)[0].scene])
 
 
 def test_what_falls_is_no_sample(pile: Scene):

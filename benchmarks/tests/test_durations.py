@@ -7,16 +7,19 @@ from pathlib import Path
 import durations
 
 RUN = """<testsuites><testsuite time="90">
-<testcase classname="tests.test_a" name="test_quick" time="0.25"/>
-<testcase classname="tests.test_a" name="test_slow[1|2]" time="1.5"/>
-<testcase classname="benchmarks.tests.test_b" name="test_slower" time="2"/>
+<testcase classname="tests.test_a" name="test_quick" time="9"><properties>
+<property name="processor_s" value="0.25"/></properties></testcase>
+<testcase classname="tests.test_a" name="test_slow[1|2]" time="9"><properties>
+<property name="other" value="7"/><property name="processor_s" value="1.5"/></properties></testcase>
+<testcase classname="benchmarks.tests.test_b" name="test_slower" time="2"><properties>
+<property name="processor_s" value="2"/></properties></testcase>
 </testsuite></testsuites>"""
 
 
 def test_files_are_summed_and_tests_are_sorted(tmp_path: Path) -> None:
     (tmp_path / "run.xml").write_text(RUN)
     page = durations.page(tmp_path / "run.xml")
-    assert "3 tests in 1.5 minutes." in page
+    assert "3 tests in 1.5 minutes, 4 s of processor time." in page
     rows = [line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("| `")]
     files, tests = rows[:2], rows[2:]
     assert files == [["`benchmarks/tests/test_b.py`", "2.0"], ["`tests/test_a.py`", "1.8"]]

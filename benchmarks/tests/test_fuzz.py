@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-CASES = 21
-"""Of seed 7: four are accepted, and take most of the time."""
+CASES = 15
+"""Of seed 7: two are accepted, in posed meshes and in a full folder, and take most of the time."""
 FUZZ = Path(__file__).parents[1] / "fuzz.py"
 
 
@@ -22,4 +22,4 @@ def test_mutated_folders_are_refused_in_one_line_or_give_a_valid_package(tmp_pat
     summary = json.loads(done.stdout)
     assert done.returncode == 0 and not summary["findings"], done.stderr
     assert summary["cases"] == CASES
-    assert min(summary["verdicts"][kind] for kind in ("accepted", "rejected")) >= 4  # it tries both
+    assert summary["verdicts"]["accepted"] >= 2 and summary["verdicts"]["rejected"] >= 8  # it tries both

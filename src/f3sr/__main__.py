@@ -4,6 +4,7 @@ import os
 from contextlib import suppress
 
 from f3sr.runtime import signals
+from f3sr.runtime.kept_imports import kept_imports
 from f3sr.runtime.machine import ONE_THREAD
 
 
@@ -18,8 +19,8 @@ def _code() -> int:
         signals.watch()
         for name, threads in ONE_THREAD.items():
             os.environ.setdefault(name, threads)
-        from f3sr.cli import main
-
+        with kept_imports():
+            from f3sr.cli import main
         return main.run()
     except Exception as error:  # no memory or no threads for the libraries
         from f3sr.errors import printable, unforeseen

@@ -21,6 +21,7 @@ from f3sr.metrology.known_sizes import usual_size
 from f3sr.metrology.scene_scale import LengthClue, ScaleModel, SceneScale, scene_scale
 from f3sr.metrology.tight_box import box_sides, seen_length
 from f3sr.report import Decision
+from f3sr.runtime.kept_imports import kept_imports
 from f3sr.runtime.result_store import digest
 from f3sr.scene import Instance
 
@@ -46,6 +47,12 @@ def read_inputs(
     simple solid is fitted to every mask. Both are fallbacks in the report. Then known lengths, usual sizes of labelled
     objects and the camera's height tell the unit (docs: metrology). Raises InputError and BackendError likewise.
     """
+    with kept_imports():
+        stand_ins = Fillers(
+            geometry=GEOMETRY_ESTIMATORS.find(DEFAULT_ESTIMATOR),
+            assets=ASSET_GENERATORS.find(DEFAULT_GENERATOR),
+            places=lambda folder: ASSET_GENERATORS.find(f"{SAVED}:{folder}"),
+        )
     given = inputs.read(
         folder,
         ignore=ignore,
@@ -53,11 +60,7 @@ def read_inputs(
         geometry_noise=geometry_noise,
         mask_overlap=mask_overlap,
         fillers=fillers,
-        stand_ins=Fillers(
-            geometry=GEOMETRY_ESTIMATORS.find(DEFAULT_ESTIMATOR),
-            assets=ASSET_GENERATORS.find(DEFAULT_GENERATOR),
-            places=lambda folder: ASSET_GENERATORS.find(f"{SAVED}:{folder}"),
-        ),
+        stand_ins=stand_ins,
         hints=hints,
         placer=MaskPlacer(),
     )

@@ -180,16 +180,20 @@ def _light_around(view: _SmallPhoto, weight: Array) -> Array:
     cell = LIGHT_CELL * max(h, w)
     y, x = np.mgrid[:h, :w] / cell
     colours = np.clip(view.colour / COLOUR_CELL, -COLOURS, COLOURS) + COLOURS
+    # The grid has the colours that the photo has: nothing is read beyond, and nothing would come from there.
+    # An even first one: halves are rounded to even places.
+    first, last = 2 * np.floor(colours.min((0, 1)) / 2), np.ceil(colours.max((0, 1)))
     # (4, h w): every pixel's place in the grid of row, column and two colours.
-    at = np.stack([y.ravel(), x.ravel(), *colours.reshape(-1, 2).T])
-    shape = (int(h / cell) + 2, int(w / cell) + 2, 2 * COLOURS + 1, 2 * COLOURS + 1)
+    at = np.stack([y.ravel(), x.ravel(), *(colours - first).reshape(-1, 2).T])
+    shape = (int(h / cell) + 2, int(w / cell) + 2, *(last - first + 1).astype(int).tolist())
     flat = np.ravel_multi_index(tuple(np.rint(at).astype(int)), shape)
 
     def blurred(values: Array) -> Array:
         # Splat, blur, slice: the bilateral grid. Two widths in colour: the like decide, others only where these are
         # few.
         grid = np.bincount(flat, values.ravel(), minlength=int(np.prod(shape))).reshape(shape)
-        narrow, wide = (gaussian_filter(grid, BLUR[:2] + 2 * (c,), mode="constant") for c in BLUR[2:])
+        near = gaussian_filter(grid, BLUR[:2], axes=(0, 1), mode="constant")
+        narrow, wide = (gaussian_filter(near, c, axes=(2, 3), mode="constant") for c in BLUR[2:])
         return map_coordinates(narrow + OTHERS * wide, at, order=1).reshape(h, w)
 
     count = blurred(weight)

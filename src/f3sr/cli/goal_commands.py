@@ -24,6 +24,7 @@ from f3sr.cli.arguments import (
 )
 from f3sr.errors import F3srError, InputError, MissedError, OutputError, RefusedError, printable
 from f3sr.runtime.daemon_thread import begun
+from f3sr.runtime.kept_imports import kept_imports
 from f3sr.runtime.progress import silent
 
 if TYPE_CHECKING:
@@ -76,14 +77,14 @@ def simulate(
         overwrite: Also replace an older rollout.
         json: Print one JSON object instead of text.
     """
-    from f3sr.goals.refusal import Refusal
-    from f3sr.play import rollout_folder
-    from f3sr.play.languages import LANGUAGES, CheckedLanguage
-    from f3sr.play.telling import telling
-    from f3sr.runtime import kernels
-    from f3sr.runtime.atomic_folder import recover
-    from f3sr.scene_package.package import read_package
-
+    with kept_imports():
+        from f3sr.goals.refusal import Refusal
+        from f3sr.play import rollout_folder
+        from f3sr.play.languages import LANGUAGES, CheckedLanguage
+        from f3sr.play.telling import telling
+        from f3sr.runtime import kernels
+        from f3sr.runtime.atomic_folder import recover
+        from f3sr.scene_package.package import read_package
     recover(*(place for place in (package, out, plan) if place))
     _require_goals(goals, plan)
     spoken = CheckedLanguage(LANGUAGES.find(language)) if language else None

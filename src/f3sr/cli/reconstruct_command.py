@@ -26,6 +26,7 @@ from f3sr.cli.arguments import (
     Skip,
 )
 from f3sr.errors import InputError, require_known
+from f3sr.runtime.kept_imports import kept_imports
 
 if TYPE_CHECKING:
     from f3sr.backends.model_choice import ModelChoice
@@ -98,23 +99,23 @@ def reconstruct(
         overwrite: Also replace a package that holds rollouts, and an older export.
         json: Print one JSON object instead of text.
     """
-    from f3sr import pipeline, scene_export, settings
-    from f3sr.backends.kinds import LABELERS, SCENE_GRAPHERS
-    from f3sr.backends.model_choice import ModelChoice
-    from f3sr.background.completers import BACKGROUND_COMPLETERS, DEFAULT_COMPLETER
-    from f3sr.cli import console
-    from f3sr.delivery import deliver
-    from f3sr.io.input_folder import INPUT_FOLDER
-    from f3sr.io.inputs import Fillers
-    from f3sr.io.photo_hints import PhotoHints, known_of
-    from f3sr.lifting.generators import ASSET_GENERATORS
-    from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS, NORMAL_ESTIMATORS
-    from f3sr.photo_inputs import read_inputs
-    from f3sr.runtime import atomic_folder, kernels
-    from f3sr.runtime.progress import timed, words_to
-    from f3sr.runtime.result_store import Store
-    from f3sr.scene_package import package, package_folder
-
+    with kept_imports():
+        from f3sr import pipeline, scene_export, settings
+        from f3sr.backends.kinds import LABELERS, SCENE_GRAPHERS
+        from f3sr.backends.model_choice import ModelChoice
+        from f3sr.background.completers import BACKGROUND_COMPLETERS, DEFAULT_COMPLETER
+        from f3sr.cli import console
+        from f3sr.delivery import deliver
+        from f3sr.io.input_folder import INPUT_FOLDER
+        from f3sr.io.inputs import Fillers
+        from f3sr.io.photo_hints import PhotoHints, known_of
+        from f3sr.lifting.generators import ASSET_GENERATORS
+        from f3sr.metrology.estimators import GEOMETRY_ESTIMATORS, NORMAL_ESTIMATORS
+        from f3sr.photo_inputs import read_inputs
+        from f3sr.runtime import atomic_folder, kernels
+        from f3sr.runtime.progress import timed, words_to
+        from f3sr.runtime.result_store import Store
+        from f3sr.scene_package import package, package_folder
     require_known("--skip", names_in(skip), options.SKIPPABLE)
     atomic_folder.recover(out)
     if formats := names_in(export):

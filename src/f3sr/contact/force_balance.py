@@ -177,24 +177,27 @@ class Balance:
         ``still``: no tilt at all.
         """
         from scipy.optimize import linprog
-        from scipy.sparse import csc_array, hstack
 
-        upright, lean = self.weights(center)
+        equations, upright = self._equations[center]
         n = self.wrenches.shape[1]
         reach = 0.0 if still else STEEPEST
-        # Unknowns: n forces along cone edges, then the tilt's two tangents. Maximise u . tilt under balance:
-        # wrenches f = upright + lean tilt.
-        solution = linprog(
-            np.r_[np.zeros(n), -u],
-            A_eq=hstack([self.wrenches, csc_array(-lean)], format="csc"),
-            b_eq=upright,
-            bounds=np.array([[0, np.inf]] * n + [[-reach, reach]] * 2),
-            method="highs",
-        )
+        bounds = np.empty((n + 2, 2))
+        bounds[:n], bounds[n:] = (0, np.inf), (-reach, reach)
+        # Maximise u . tilt.
+        solution = linprog(np.r_[np.zeros(n), -u], A_eq=equations, b_eq=upright, bounds=bounds, method="highs")
         if solution.status != 0:
             return None
         tilt = solution.x[n:]
         return tilt, float(u @ tilt)
+
+    @cached_property
+    def _equations(self) -> list[tuple[Any, Array]]:
+        """By set of centres: the sparse (6 n, k e + 2) of forces along edges and of the tilt's two tangents, and (6 n,)
+        what they give, ``wrenches f = upright + lean tilt``."""
+        from scipy.sparse import csc_array, hstack
+
+        weights = [self.weights(c) for c in range(self.choices)]
+        return [(hstack([self.wrenches, csc_array(-lean)], format="csc"), upright) for upright, lean in weights]
 
     def moving(self) -> frozenset[int]:
         """Which bodies move under untilted gravity, with one set of centres or another."""

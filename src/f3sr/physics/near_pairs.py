@@ -121,10 +121,9 @@ class NearPairs:
 
     def _travel(self, qpos: Array, since: Array) -> float:
         """The longest way [m] of any point of a body between two states: the shift and the chord of the turn."""
-        p, q = qpos.reshape(-1, 7), since.reshape(-1, 7)
-        shift = np.sqrt(((p[:, :3] - q[:, :3]) ** 2).sum(1))
+        squares = (qpos - since).reshape(-1, 7) ** 2
         # |q - q'| of unit quaternions is twice the sine of a quarter of the turn: the chord is at most twice that.
-        turn = np.sqrt(((p[:, 3:] - q[:, 3:]) ** 2).sum(1))
+        shift, turn = np.sqrt(np.add.reduceat(squares, (0, 3), axis=1)).T
         return float((shift + 2 * self._radii * turn).max(initial=0.0))
 
 

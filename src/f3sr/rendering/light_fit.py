@@ -120,7 +120,14 @@ def find_light(
         )
     start = wide.directions[int(np.argmin(misfits))]
 
+    known = dict[tuple[bytes, float], Fit]()
+
     def fitted(direction: Array, angle: float) -> Fit:
+        if (fit := known.get((direction.tobytes(), angle))) is None:
+            fit = known[direction.tobytes(), angle] = fitted_anew(direction, angle)
+        return fit
+
+    def fitted_anew(direction: Array, angle: float) -> Fit:
         maps = Maps.empty(disc(direction, angle, DIRECT), *ball, side)
         maps.cast(casters)
         direct = maps.arriving(evidence.points, evidence.normals).sum(1) / DIRECT
