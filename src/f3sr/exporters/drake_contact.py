@@ -1,0 +1,23 @@
+"""What Drake is told of contacts: areas touch, not points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from f3sr.exporters.xml_text import numbers
+
+MODULUS = 1e8
+"""Hydroelastic modulus [Pa]. A box of 1 kg on 10 cm2 sinks in by a few micrometres; with 1e7 fruit rolls."""
+DISSIPATION = 1.0
+"""Of Hunt and Crossley [s/m]: nothing bounces."""
+DRAKE_CONTACT: Mapping[str, str | None] = MappingProxyType(
+    {
+        "compliant_hydroelastic": None,
+        "hydroelastic_modulus": numbers(MODULUS),
+        "hunt_crossley_dissipation": numbers(DISSIPATION),
+    }
+)
+"""Elements of ``drake:proximity_properties`` with their values.
+
+Drake's other model makes one contact of a pair of convex shapes, at a point: what stands on a face rocks and turns."""
