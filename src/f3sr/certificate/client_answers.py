@@ -88,7 +88,9 @@ class FindingsAnswer(BaseModel):
     """Files that it looked at."""
 
 
-def read_answer(job: Path, kind: type[ReleaseAnswer] | type[FindingsAnswer]) -> ReleaseAnswer | FindingsAnswer | Missing:
+def read_answer(
+    job: Path, kind: type[ReleaseAnswer] | type[FindingsAnswer]
+) -> ReleaseAnswer | FindingsAnswer | Missing:
     """The answer in a job folder. Raises InputError naming the file."""
     file = job / ANSWER
     accepted = "the answer of a client"

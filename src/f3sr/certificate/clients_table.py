@@ -9,8 +9,8 @@ from types import MappingProxyType
 from typing import Literal
 
 SCRIPTS = Path(__file__).parent / "clients"
-Given = Literal["scene.xml", "urdf", "sdf", "usd", "mjcf", "scene.glb"]
-"""Files of the package, and formats of ``f3sr export``."""
+Given = Literal["scene.xml", "scene.glb", "urdf", "sdf", "usd", "usd props", "mjcf"]
+"""Files of the package, and of the formats of ``f3sr export``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +26,11 @@ class Client:
     """The command that brings it."""
     cannot: str = ""
     """Of an engine: what of the package it does not read or do."""
+
+    @property
+    def format(self) -> str:
+        """The format of ``f3sr export`` that it is given, or the package's own file."""
+        return self.given.partition(" ")[0]
 
     @property
     def path(self) -> Path:
@@ -106,7 +111,7 @@ VALIDATORS = _table(
         name="simready",
         title="NVIDIA simready-validate, Robotics-Prop 4.0.0",
         script="validate_simready.py",
-        given="usd",
+        given="usd props",
         install="pip install simready-validate simready-foundation-tier-core",
     ),
     Client(

@@ -38,8 +38,7 @@ class CertificateConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectVerdict:
-    """How an object fared in an engine. Lengths in m, angles in rad; None where a number was not finite or is not told.
-    """
+    """How an object fared in an engine: m and rad; None where a number was not finite or is not told."""
 
     drift: float | None
     """Farthest way of its centre of mass."""

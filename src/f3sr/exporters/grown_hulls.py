@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.optimize import nnls
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from f3sr.core.mesh import ConvexPart, qhull
 from f3sr.core.transforms import Array
@@ -39,7 +39,7 @@ def grown(part: ConvexPart, by: float) -> ConvexPart:
 
 def _without_twins(corners: Array) -> Array:
     """Of corners (n, 3) nearer to each other than ``LEAST_EDGE``, one."""
-    later = sorted({j for _, j in cKDTree(corners).query_pairs(LEAST_EDGE)})
+    later = sorted({j for _, j in KDTree(corners).query_pairs(LEAST_EDGE)})
     return np.delete(corners, later, axis=0) if len(corners) - len(later) >= 4 else corners
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from client_job import Job
 from mujoco_state import body_of, states_from
 
@@ -18,7 +20,14 @@ def main() -> None:
     state = mjx.put_data(host, data)
     every = max(1, round(job.interval / host.opt.timestep))
     job.say("compiling")
-    advance = jax.jit(lambda s: jax.lax.fori_loop(0, every, lambda _, x: mjx.step(model, x), s))
+
+    def step(_: Any, state: Any) -> Any:
+        return mjx.step(model, state)
+
+    def interval(state: Any) -> Any:
+        return jax.lax.fori_loop(0, every, step, state)
+
+    advance = jax.jit(interval)
     samples = [states_from(host, data.qpos, data.xpos, data.xquat, job.names)]
     for _ in range(round(job.seconds / host.opt.timestep / every)):
         state = advance(state)

@@ -16,7 +16,6 @@ def main() -> None:
         for error in context.Validate(stage):
             severity = "error" if "Error" in str(error.GetType()) else "warning"
             findings.append({"severity": severity, "file": file, "text": f"{error.GetName()}: {error.GetMessage()}"})
-        job.say(file.rpartition("/")[2])
     job.answer_findings(packages=["usd-core"], findings=findings, checked=len(job.files))
 
 
