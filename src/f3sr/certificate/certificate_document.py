@@ -20,7 +20,7 @@ SCHEMA_VERSION = 1
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObjectRow:
+class CertifiedObject:
     """An object in an engine."""
 
     id: int
@@ -46,7 +46,7 @@ class EngineRow:
     seconds: float = 0.0
     """Wall time of the engine [s], loading and compiling included."""
     notes: Sequence[str] = ()
-    objects: Sequence[ObjectRow] = ()
+    objects: Sequence[CertifiedObject] = ()
 
     def count(self, *verdicts: str) -> int:
         """How many objects have one of these verdicts."""
@@ -97,7 +97,7 @@ class Certificate:
         """What stands against it: failures, and clients that were named and gave no answer."""
         found = [f"{row.client.title}: {_told(row)}" for row in self.engines if self._counts(row)]
         found += [f"{row.client.title}: {_faults(row)}" for row in self.validators if self._counts(row)]
-        return found or ([] if self.passed_engines else ["no engine released it"])
+        return found or (["no engine released it"] if self.engines and not self.passed_engines else [])
 
     @property
     def passed_engines(self) -> int:
@@ -106,6 +106,9 @@ class Certificate:
     @property
     def verdict(self) -> str:
         """In one line."""
+        if not self.engines:
+            passed = sum(row.state in ("passed", "warned") for row in self.validators)
+            return f"{passed} of {len(self.validators)} validators pass"
         asked = [row for row in self.engines if row.state not in ("not installed", "no answer")]
         rests = f"at rest in {self.passed_engines} of {len(asked)} engines"
         rolls = sorted({f"{o.id} {o.label}".strip() for e in self.engines for o in e.objects if _rolls(o)})
@@ -117,7 +120,7 @@ class Certificate:
         return row.state in ("no answer", "not installed") and row.client.name in self.named
 
 
-def _rolls(o: ObjectRow) -> bool:
+def _rolls(o: CertifiedObject) -> bool:
     return o.verdict.verdict == "rolls"
 
 
@@ -164,7 +167,7 @@ def _engine(row: EngineRow) -> dict[str, Any]:
     }
 
 
-def _object(o: ObjectRow) -> dict[str, Any]:
+def _object(o: CertifiedObject) -> dict[str, Any]:
     v = o.verdict
     return {
         "id": o.id,

@@ -13,8 +13,8 @@ from typing import Any
 from f3sr.certificate.certificate_document import (
     KIND,
     Certificate,
+    CertifiedObject,
     EngineRow,
-    ObjectRow,
     ValidatorRow,
     as_plain,
 )
@@ -191,7 +191,7 @@ def _engine_row(
     if fault := answer.fault(list(released), moving, round(config.seconds / INTERVAL) + 1):
         return EngineRow(client=client, state="no answer", reason=f"its answer has {fault}", seconds=seconds)
     rows = [
-        ObjectRow(
+        CertifiedObject(
             id=o.id,
             label=o.label,
             name=name,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
 
@@ -45,8 +45,13 @@ class ExportedObject:
 
     @cached_property
     def colliders(self) -> tuple[ConvexPart, ...]:
-        """The body's parts, grown by the margin: what touches in programs that have none."""
-        return tuple(grown(part, self.margin) for part in self.body.parts)
+        """The body's parts, grown by the margin: what touches in programs that have none.
+
+        Of corners in single precision, as files hold them: a package and what is read of it give the same."""
+        return tuple(
+            grown(replace(part, vertices=part.vertices.astype(np.float32).astype(float)), self.margin)
+            for part in self.body.parts
+        )
 
     @property
     def looks(self) -> tuple[ExportedLook, ...]:

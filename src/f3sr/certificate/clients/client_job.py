@@ -2,7 +2,7 @@
 
 These scripts are started by file and run in the environment of an engine or a validator, which need not have f3sr.
 
-    job = Job.from_arguments()
+    job = ClientJob.from_arguments()
     engine = job.library("engine")            # or the answer is that it is missing
     ...
     job.answer_release(...)
@@ -24,7 +24,7 @@ PROTOCOL = 1
 REQUEST, ANSWER = "request.json", "answer.json"
 
 
-class Job:
+class ClientJob:
     """A job folder: ``request`` as read, the answer by the methods."""
 
     def __init__(self, folder: Path) -> None:
@@ -42,7 +42,7 @@ class Job:
         """Time between two samples of a release [s]."""
 
     @classmethod
-    def from_arguments(cls) -> Job:
+    def from_arguments(cls) -> ClientJob:
         parser = argparse.ArgumentParser()
         parser.add_argument("--job", type=Path, required=True)
         return cls(parser.parse_args().job)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from client_job import Job
+from client_job import ClientJob
 
 TIMESTEP = 0.002
 """[s], that of the package: a discrete plant has no default."""
 
 
 def main() -> None:
-    job = Job.from_arguments()
+    job = ClientJob.from_arguments()
     job.library("pydrake")
     plants = job.library("pydrake.multibody.plant")
     parsing = job.library("pydrake.multibody.parsing")

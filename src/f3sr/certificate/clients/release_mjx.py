@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from client_job import Job
+from client_job import ClientJob
 from mujoco_state import body_of, states_from
 
 
 def main() -> None:
-    job = Job.from_arguments()
+    job = ClientJob.from_arguments()
     mujoco = job.library("mujoco")
     jax = job.library("jax")
     mjx = job.library("mujoco.mjx")

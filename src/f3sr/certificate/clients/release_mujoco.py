@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from client_job import Job
+from client_job import ClientJob
 from mujoco_state import body_of, depths, state_of
 
 
 def main() -> None:
-    job = Job.from_arguments()
+    job = ClientJob.from_arguments()
     mujoco = job.library("mujoco")
     model = mujoco.MjModel.from_xml_path(job.file)
     data = mujoco.MjData(model)

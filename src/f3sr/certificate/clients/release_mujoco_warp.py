@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from client_job import Job
+from client_job import ClientJob
 from mujoco_state import body_of, states_from
 
 ROOM = 4
@@ -12,7 +12,7 @@ LEAST = 256
 
 
 def main() -> None:
-    job = Job.from_arguments()
+    job = ClientJob.from_arguments()
     mujoco = job.library("mujoco")
     warp = job.library("warp")
     mjw = job.library("mujoco_warp")

@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from client_job import Job
+from client_job import ClientJob
 
 TIMESTEP = 0.002
 """[s], that of the package."""
 
 
 def main() -> None:
-    job = Job.from_arguments()
+    job = ClientJob.from_arguments()
     warp = job.library("warp")
     newton = job.library("newton")
     warp.config.quiet = True

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from client_job import Job
+from client_job import ClientJob
 from mujoco_state import rotation
 
 
 def main() -> None:
-    job = Job.from_arguments()
+    job = ClientJob.from_arguments()
     p = job.library("pybullet")
     file = Path(job.file)
     world = json.loads(file.read_text())

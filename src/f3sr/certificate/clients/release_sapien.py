@@ -8,17 +8,21 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
-from client_job import Job
+from client_job import ClientJob
 from mujoco_state import rotation
+
+ITERATIONS = 32
+"""Of positions, as in the PhysX variant of the export to USD: with SAPIEN's 10 bodies creep and turn."""
 
 
 def main() -> None:
-    job = Job.from_arguments()
+    job = ClientJob.from_arguments()
     sapien = job.library("sapien")
     physx = job.library("sapien.physx")
     file = Path(job.file)
     world = json.loads(file.read_text())
     physx.set_scene_config(gravity=np.array(world["gravity"], np.float32))
+    physx.set_body_config(solver_position_iterations=ITERATIONS)
     scene = sapien.Scene([physx.PhysxCpuSystem()])
     timestep = world["timestep"]
     scene.set_timestep(timestep)
@@ -44,7 +48,7 @@ def main() -> None:
                         deepest[name] = max(deepest[name], depth)
     job.answer_release(
         packages=["sapien"],
-        settings="its default contact offset and iterations",
+        settings=f"{ITERATIONS} position iterations",
         timestep=timestep,
         bodies={o["name"]: _body(physx, bodies[o["name"]]) for o in world["objects"] if not o["fixed"]},
         samples=samples,

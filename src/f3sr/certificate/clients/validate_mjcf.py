@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from client_job import Job
+from client_job import ClientJob
 
 SEVERITY = {"ERROR": "error", "WARN": "warning", "INFO": "note"}
 
 
 def main() -> None:
-    job = Job.from_arguments()
+    job = ClientJob.from_arguments()
     doctor, mujoco = job.library("mjcf_doctor"), job.library("mujoco")
     findings = list[dict[str, str]]()
     for file in job.files:

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from client_job import Job
+from client_job import ClientJob
 
 PROFILE, VERSION = "Robotics-Prop", "4.0.0"
 PASSED = f"[PASSED] {PROFILE} v{VERSION}"
@@ -14,7 +14,7 @@ OPTIONAL = "optional feature"
 
 
 def main() -> None:
-    job = Job.from_arguments()
+    job = ClientJob.from_arguments()
     program = Path(sys.executable).with_name("simready-validate")
     if not program.exists():
         job.library("simready_validate_is_not_installed")

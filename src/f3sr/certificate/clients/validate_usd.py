@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from client_job import Job
+from client_job import ClientJob
 
 
 def main() -> None:
-    job = Job.from_arguments()
+    job = ClientJob.from_arguments()
     usd, validation = job.library("pxr.Usd"), job.library("pxr.UsdValidation")
     validators = validation.ValidationRegistry().GetOrLoadAllValidators()
     context = validation.ValidationContext(validators)
