@@ -148,7 +148,7 @@ def test_grown_parts_hold_the_part_and_have_no_more_corners() -> None:
 def test_corners_that_are_one_become_one() -> None:
     """Drake refuses the slivers between corners that are nanometres apart."""
     corners = body_of(box(0, size=(0.1, 0.2, 0.3))).parts[0].vertices
-    part = ConvexPart.hull_of(np.concatenate([corners, corners[:1] + 1e-7 * np.sign(corners[:1])]))
+    part = ConvexPart.hull_of(np.concatenate([corners, corners[:1] + 1e-7 * np.sign(corners[:1]) * [1, -1, 0]]))
     assert len(part.vertices) == 9 and len(grown(part, 1e-4).vertices) == 8
 
 
@@ -223,6 +223,16 @@ def test_a_client_that_misbehaves_is_one_row(fault: str, package: Package, tmp_p
     assert bool(made.problems) == (state != "passed"), "it was named: then no answer is a problem"
     assert json.loads((tmp_path / "out" / DOCUMENT).read_text())["engines"][0]["state"] == state
     assert row.client.title in (tmp_path / "out" / PAGE).read_text()
+
+
+def test_an_interpreter_may_be_named_from_here(
+    package: Package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The client runs in a folder of its own."""
+    fake(tmp_path, package, "")
+    monkeypatch.chdir(tmp_path)
+    programs = {"sapien": "./engine"}
+    assert certify(package, "out", clients=["sapien"], programs=programs, config=SHORT).engines[0].state == "passed"
 
 
 def test_a_client_that_hangs_is_ended(package: Package, tmp_path: Path) -> None:

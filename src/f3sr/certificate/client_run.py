@@ -49,9 +49,11 @@ def run_client(
     """Ask a client. ``program``: the interpreter of its environment, else this one, or node for a script of node's.
 
     ``deadline``: wall time [s]. Raises no error of the client."""
-    found = program or ("node" if client.runs_in_node else sys.executable)
-    if shutil.which(found) is None:
-        return ClientOutcome(missing=f"no program {printable(found)}")
+    wanted = program or ("node" if client.runs_in_node else sys.executable)
+    place = shutil.which(wanted)
+    if place is None:
+        return ClientOutcome(missing=f"no program {printable(wanted)}")
+    found = str(Path(place).absolute())  # links stay: an environment's interpreter is one
     command = [found, str(client.path)] if client.runs_in_node else [found, "-E", str(client.path)]
     with tempfile.TemporaryDirectory(prefix="f3sr-certify-") as place:
         job = Path(place)
