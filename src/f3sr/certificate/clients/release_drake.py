@@ -44,9 +44,10 @@ def main() -> None:
             for body in (contact.bodyA_index(), contact.bodyB_index()):
                 if name := owners.get(body):
                     deepest[name] = max(deepest[name], contact.point_pair().depth)
+    model, solver = plant.get_contact_model().name, plant.get_discrete_contact_approximation().name
     job.answer_release(
         packages=["drake"],
-        settings=f"{plant.get_contact_model().name}, {plant.get_discrete_contact_approximation().name}; stiction {STICTION:g} m/s",
+        settings=f"{model}, {solver}, stiction {STICTION:g} m/s",
         timestep=TIMESTEP,
         bodies={name: _body(context, link) for name, link in links.items() if link.get_mass(context) > 0},
         samples=samples,
