@@ -7,10 +7,11 @@ from types import MappingProxyType
 
 from f3sr.exporters.xml_text import numbers
 
-MODULUS = 1e10
-"""Hydroelastic modulus [Pa], that of hard wood or glass fibre: with 1e8 fruit rolls over the edges of its facets."""
-DISSIPATION = 1.0
-"""Of Hunt and Crossley [s/m]: nothing bounces."""
+MODULUS = 1e9
+"""Hydroelastic modulus [Pa], that of soft wood. With 1e8 fruit rolls over its facets' edges, with 1e10 the smallest
+overlaps throw thin things."""
+DISSIPATION = 100.0
+"""Of Hunt and Crossley [s/m]: what overlaps parts at no more than a centimetre a second."""
 DRAKE_CONTACT: Mapping[str, str | None] = MappingProxyType(
     {
         "compliant_hydroelastic": None,
