@@ -4,7 +4,7 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= out
 
-.PHONY: demo test test-models durations check bench bench-agents docs clean
+.PHONY: demo test test-models durations check bench bench-agents certify docs clean
 
 demo: $(VENV)/.core
 	$(BIN)/f3sr demo -o $(OUT)/demo --overwrite
@@ -37,6 +37,19 @@ bench: $(VENV)/.dev
 bench-agents: $(VENV)/.dev
 	$(BIN)/python benchmarks/goals/agents.py $(addprefix --model ,$(MODEL))
 
+# The example in other people's engines and validators, each group in an environment of its own. MJX is left out: it
+# does not compile scenes of a hundred hulls in a quarter of an hour. Khronos' validator comes with npm, not with pip.
+ENGINES    := build/certify
+CLIENTS    := mujoco,mujoco-warp,newton,pybullet,drake,sapien,simready,usd,mjcf-doctor
+IN_CLASSIC := pybullet drake mjcf-doctor
+IN_WARP    := mujoco-warp newton
+certify: $(VENV)/.usd $(ENGINES)/classic/.done $(ENGINES)/warp/.done $(ENGINES)/sapien/.done $(ENGINES)/simready/.done
+	$(BIN)/f3sr reconstruct src/f3sr/example/tabletop -o $(OUT)/certified
+	$(BIN)/f3sr certify $(OUT)/certified -o $(OUT)/certificate --overwrite --engines $(CLIENTS) --deadline 1800 \
+		$(foreach name,$(IN_CLASSIC),--python $(name)=$(ENGINES)/classic/bin/python) \
+		$(foreach name,$(IN_WARP),--python $(name)=$(ENGINES)/warp/bin/python) \
+		--python sapien=$(ENGINES)/sapien/bin/python --python simready=$(ENGINES)/simready/bin/python
+
 docs: $(VENV)/.docs
 	$(BIN)/mkdocs build --strict
 
@@ -50,6 +63,19 @@ $(VENV)/.core: pyproject.toml | $(VENV)/bin/python
 $(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/python -m pip install -q -e ".[dev]"
 	@touch $@ $(VENV)/.core
+
+$(VENV)/.usd: pyproject.toml | $(VENV)/.core
+	$(BIN)/python -m pip install -q -e ".[usd]"
+	@touch $@
+
+$(ENGINES)/classic/.done: PACKAGES := mujoco pybullet drake mjcf-doctor
+$(ENGINES)/warp/.done: PACKAGES := "newton[sim]" pillow
+$(ENGINES)/sapien/.done: PACKAGES := sapien==3.0.3
+$(ENGINES)/simready/.done: PACKAGES := simready-validate simready-foundation-tier-core
+$(ENGINES)/%/.done:
+	$(PYTHON) -m venv $(ENGINES)/$*
+	$(ENGINES)/$*/bin/python -m pip install -q $(PACKAGES)
+	@touch $@
 
 $(VENV)/.models: pyproject.toml | $(VENV)/.dev
 	$(BIN)/python -m pip install -q torch==2.13.0

@@ -476,7 +476,9 @@ def test_a_package_holds_what_the_exporters_of_both_formats_give(package: Any):
         files |= exporter.files(ExportedScene.of(scene))
     assert all((package.folder / path).read_bytes() == data for path, data in files.items())
     named = set(re.findall(r'file="([^"]+)"', files["scene.xml"].decode()))
-    assert named == files.keys() - {"scene.xml", "scene.glb"} and any(name.startswith("collision/") for name in named)
+    exact = {name for name in files if re.fullmatch(r"collision/\d+/\d+\.obj", name)}
+    assert named == files.keys() - {"scene.xml", "scene.glb"} - exact and any("_grown" in name for name in named)
+    assert len(exact) == sum("_grown" in name for name in named), "scene.json names the exact parts"
 
 
 def test_an_exporter_has_the_name_that_finds_it():

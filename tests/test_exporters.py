@@ -25,8 +25,10 @@ from f3sr.errors import F3srError, InputError, OutputError
 from f3sr.exporters.export_names import export_name, id_of
 from f3sr.exporters.exported_scene import ExportedScene
 from f3sr.exporters.glb import T_CAMERA_GLTF, T_YUP_ZUP, scene_to_glb, with_normals
+from f3sr.exporters.grown_hulls import grown
 from f3sr.exporters.thumbnail import SIDE, thumbnail
 from f3sr.importing.glb_nodes import read_glb_scene
+from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.runtime.file_date import date_of
 from f3sr.scene_export import export_package, exporters_of
 from f3sr.scene_package.package import Package, read_package, write_package
@@ -158,7 +160,9 @@ def test_mjcf_objects_say_what_scene_json_says(package: Package, exported: Path)
         rotation = np.array(record.T_world_object)[:3, :3]
         assert np.allclose(data.body(name).xmat.reshape(3, 3), rotation, atol=1e-12), "turned as in the scene"
         corners = package.scene[record.id].mesh.vertices @ rotation.T
-        assert data.body(name).xpos[2] + corners[:, 2].min() == pytest.approx(0, abs=1e-9), "on the ground"
+        gap = data.body(name).xpos[2] + corners[:, 2].min()
+        clearance = DEFAULT_MARGIN.clearance
+        assert clearance - 1e-8 <= gap <= 1.5 * clearance, "grown corners reach the ground, which is grown too"
 
 
 def test_the_package_and_its_export_are_one_model(package: Package, exported: Path) -> None:
@@ -485,9 +489,12 @@ def assert_meshes(folder: Path, shapes: dict[str, list[str]], o: Any) -> None:
     assert np.allclose(np.sort(faces.reshape(-1, 9), 0), np.sort(wanted.reshape(-1, 9), 0), atol=1e-9)
     textured = o.mesh.materials[0].texture is not None
     assert textured == all((folder / path).with_suffix(".png").exists() for path in shapes["visual"])
+    scale = np.diag([o.scale, o.scale, o.scale, 1.0])
     for path, part in zip(shapes["collision"], o.solids, strict=True):
         hull: Any = trimesh.load_mesh(folder / path, process=False)
-        assert hull.is_watertight and hull.volume == pytest.approx(part.volume * o.scale**3, rel=1e-5)
+        wanted = grown(part.moved(scale), DEFAULT_MARGIN.body)
+        assert hull.is_watertight and hull.volume == pytest.approx(wanted.volume, rel=1e-5)
+        assert hull.volume > part.volume * o.scale**3
 
 
 def inertia_matrix(named: dict[str, float]) -> Array:

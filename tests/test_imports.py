@@ -73,7 +73,7 @@ FLOORS = (
     ("language", "report_page"),
     ("play", "delivery", "scene_samples", "scene_export", "photo_inputs"),
     ("film", "dataset", "agents"),
-    ("batch", "env", "mcp_server"),
+    ("batch", "env", "certificate", "mcp_server"),
     ("cli",),
     ("__main__",),
 )

@@ -18,9 +18,11 @@ from f3sr.core.mesh import Material
 from f3sr.core.transforms import Array, rotation_from_quaternion, transform
 from f3sr.exporters.export_names import export_name
 from f3sr.exporters.exported_scene import ExportedScene
+from f3sr.exporters.grown_hulls import grown
 from f3sr.exporters.usd import Usd
 from f3sr.exporters.usd_variants import RUNTIMES
 from f3sr.exporters.wikidata_classes import PHYSICAL_OBJECT, class_of
+from f3sr.physics.contact_margin import DEFAULT_MARGIN
 from f3sr.scene import Scene
 from f3sr.scene_export import export_package
 from f3sr.scene_package.package import Package, read_package, write_package
@@ -87,7 +89,8 @@ def test_hulls_and_surfaces_are_those_of_the_package(package: Package, stage: An
         hulls = meshes(prim, "colliders")
         assert len(hulls) == len(record.collision)
         for hull, part in zip(hulls, o.solids, strict=True):
-            assert np.allclose(hull.GetPointsAttr().Get()[::-1], part.vertices, atol=1e-7)
+            wanted = grown(part, DEFAULT_MARGIN.body)
+            assert np.allclose(hull.GetPointsAttr().Get()[::-1], wanted.vertices, atol=1e-7)
             assert hull.GetPurposeAttr().Get() == "guide"
             assert UsdPhysics.MeshCollisionAPI(hull.GetPrim()).GetApproximationAttr().Get() == "convexHull"
             binding = UsdShade.MaterialBindingAPI(hull.GetPrim())

@@ -44,6 +44,7 @@ _PUBLIC = {
     "SceneObject": "f3sr.scene",
     "Store": "f3sr.runtime.result_store",
     "Studio": "f3sr.film.studio",
+    "certify": "f3sr.certificate.certification",
     "deliver": "f3sr.delivery",
     "evaluate": "f3sr.stages.evaluate",
     "example": "f3sr.example",

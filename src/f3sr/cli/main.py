@@ -16,6 +16,7 @@ import f3sr
 from f3sr.cli import (
     agent_commands,
     batch_commands,
+    certify_command,
     export_command,
     goal_commands,
     import_command,
@@ -55,6 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "import": import_command.import_scene,
         "reconstruct": reconstruct,
         "export": export_command.export,
+        "certify": certify_command.certify,
         "evaluate": evaluate,
         "simulate": goal_commands.simulate,
         "film": goal_commands.film,

@@ -13,6 +13,11 @@ def collision_path(id: int, part: int) -> str:
     return f"collision/{id:02d}/{part:02d}.obj"
 
 
+def grown_path(id: int, part: int) -> str:
+    """Where the same part lies, grown by the contact margin for ``scene.xml``."""
+    return f"collision/{id:02d}/{part:02d}_grown.obj"
+
+
 def collision_files(id: int, body: Body) -> Mapping[str, bytes]:
     """The convex parts of a body, object frame, metres, by their paths."""
     return {collision_path(id, k): part_to_obj(part).encode() for k, part in enumerate(body.parts)}

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, quaternion_from_rotation
 from f3sr.exporters.export_names import export_name
+from f3sr.exporters.grown_hulls import grown
 from f3sr.exporters.looks import ExportedLook, looks_of
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, Body, PhysicsConfig, body_of
 from f3sr.scene import GROUND, Scene, SceneObject
@@ -24,6 +26,8 @@ class ExportedObject:
     object: SceneObject
     name: str
     """What files, prims, links and bodies are called; ``export_names`` states the rule."""
+    margin: float = DEFAULT_PHYSICS.margin
+    """Contact margin with which the scene was settled [m]."""
 
     @property
     def id(self) -> int:
@@ -38,6 +42,16 @@ class ExportedObject:
     def body(self) -> Body:
         """Mass, centre, inertia, friction and convex parts, in the object frame."""
         return body_of(self.object)
+
+    @cached_property
+    def colliders(self) -> tuple[ConvexPart, ...]:
+        """The body's parts, grown by the margin: what touches in programs that have none.
+
+        Of corners in single precision, as files hold them: a package and what is read of it give the same."""
+        return tuple(
+            grown(replace(part, vertices=part.vertices.astype(np.float32).astype(float)), self.margin)
+            for part in self.body.parts
+        )
 
     @property
     def looks(self) -> tuple[ExportedLook, ...]:
@@ -86,12 +100,19 @@ class ExportedScene:
         """The scene with a name for every object."""
         return cls(
             scene=scene,
-            objects=tuple(ExportedObject(object=o, name=export_name(o.id, o.label)) for o in scene),
+            objects=tuple(
+                ExportedObject(object=o, name=export_name(o.id, o.label), margin=physics.margin) for o in scene
+            ),
             physics=physics,
             background=background,
             mesh_files=mesh_files or {},
             date=date,
         )
+
+    @property
+    def ground_height(self) -> float:
+        """Height of what touches of the ground [m]: it is grown as the bodies are."""
+        return self.physics.margin
 
     @cached_property
     def names(self) -> Mapping[int, str]:

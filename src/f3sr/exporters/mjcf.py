@@ -1,6 +1,7 @@
 """MJCF: the scene as a MuJoCo file, the model of ``mujoco_model.build_spec`` with textured visual meshes.
 
-Bodies and their free joints have the names of ``export_names``. MuJoCo 3.3 and later read it.
+Bodies and their free joints have the names of ``export_names``. MuJoCo 3.3 and later read it. Its convex parts are
+``grown_hulls``: it has no contact margin, which MJX refuses and other importers drop.
 """
 
 from __future__ import annotations
@@ -12,11 +13,11 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from f3sr.core.transforms import quaternion_from_rotation
-from f3sr.exporters.collision_parts import collision_files, collision_path
+from f3sr.exporters.collision_parts import collision_files, grown_path
 from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
 from f3sr.exporters.looks import ExportedLook
 from f3sr.exporters.mjcf_view import add_camera, add_keyframe, add_lamp, add_sky, add_view
-from f3sr.exporters.obj import to_obj
+from f3sr.exporters.obj import part_to_obj, to_obj
 from f3sr.exporters.xml_text import document, numbers
 from f3sr.physics.mujoco_model import (
     CONDIM,
@@ -47,13 +48,15 @@ class Mjcf:
     def files(self, exported: ExportedScene) -> Iterator[tuple[str, bytes]]:
         for o in exported.objects:
             yield from collision_files(o.id, o.body).items()
+            for k, part in enumerate(o.colliders):
+                yield f"{in_package(o, 'collision', k)}.obj", part_to_obj(part).encode()
             yield from visual_files(o, in_package)
         yield "scene.xml", to_mjcf(exported, in_package)
 
 
 def in_package(o: ExportedObject, kind: str, k: int) -> str:
-    """Where a package keeps its files."""
-    return f"visual/{o.id:02d}_{k:02d}" if kind == "visual" else collision_path(o.id, k).removesuffix(".obj")
+    """Where a package keeps the files that ``scene.xml`` names."""
+    return f"visual/{o.id:02d}_{k:02d}" if kind == "visual" else grown_path(o.id, k).removesuffix(".obj")
 
 
 def to_mjcf(exported: ExportedScene, path: FilePath) -> bytes:
@@ -69,7 +72,7 @@ def to_mjcf(exported: ExportedScene, path: FilePath) -> bytes:
     add_sky(asset)
     add_lamp(world, exported.bounds)
     add_camera(world, camera)
-    add_ground(world, scene.ground.friction)
+    add_ground(world, exported)
     for o in exported.objects:
         add_object(asset, world, o, path)
     add_keyframe(root, [named_body(o) for o in exported.objects])
@@ -118,7 +121,7 @@ def add_classes(root: ET.Element, config: PhysicsConfig, ground_friction: float)
         rgba="0.5 0.6 0.8 0.5",
     )
     visual = ET.SubElement(default, "default", {"class": "visual"})
-    # Visual geoms touch nothing; their friction is stated all the same, so that no geom carries MuJoCo's default of 1.
+    # Visual geoms touch nothing; these are stated all the same, so that no geom carries MuJoCo's defaults.
     ET.SubElement(
         visual,
         "geom",
@@ -127,12 +130,15 @@ def add_classes(root: ET.Element, config: PhysicsConfig, ground_friction: float)
         conaffinity="0",
         mass="0",
         friction=numbers(ground_contact_friction(ground_friction)),
+        solref=numbers(config.solref),
     )
 
 
-def add_ground(world: ET.Element, friction: float, **attributes: str) -> None:
-    """The ground plane z = 0."""
+def add_ground(world: ET.Element, exported: ExportedScene, **attributes: str) -> None:
+    """The ground plane, where bodies touch it."""
+    friction, height = exported.scene.ground.friction, numbers([0, 0, exported.ground_height])
     plane = ET.SubElement(world, "geom", {"class": "collision"}, name=GROUND_NAME, type="plane", size="20 20 0.1")
+    plane.set("pos", height)
     plane.attrib |= {
         "friction": numbers(ground_contact_friction(friction)),
         "group": "0",

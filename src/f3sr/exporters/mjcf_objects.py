@@ -53,17 +53,17 @@ def in_assets(_: ExportedObject, kind: str, k: int) -> str:
 
 
 def standing_alone(o: ExportedObject) -> ExportedObject:
-    """The object above the origin, its lowest convex part on z = 0, turned as in the scene."""
+    """The object above the origin, at rest on the ground, turned as in the scene."""
     T = o.object.T_world_object.copy()
     T[:3, 3] = 0
-    T[2, 3] = -min(transform(T, part.vertices)[:, 2].min() for part in o.body.parts)
+    T[2, 3] = o.margin - min(transform(T, part.vertices)[:, 2].min() for part in o.colliders)
     middle = transform(T, o.bounds.mean(0)[None])[0]
     T[:2, 3] = -middle[:2]
     return replace(o, object=replace(o.object, T_world_object=T))
 
 
 def _collision_files(o: ExportedObject) -> Iterator[tuple[str, bytes]]:
-    for k, part in enumerate(o.body.parts):
+    for k, part in enumerate(o.colliders):
         yield f"{in_assets(o, 'collision', k)}.obj", part_to_obj(part).encode()
 
 
@@ -94,6 +94,6 @@ def _scene(o: ExportedObject, exported: ExportedScene) -> bytes:
         asset, "material", name="ground", texture="ground", texuniform="true", texrepeat=numbers([size, size])
     )
     add_lamp(world, o.object.bounds_world)
-    add_ground(world, exported.scene.ground.friction, material="ground")
+    add_ground(world, exported, material="ground")
     add_keyframe(root, [named_body(o)])
     return document(root)

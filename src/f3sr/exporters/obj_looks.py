@@ -35,7 +35,7 @@ def mesh_files(o: ExportedObject) -> Iterator[tuple[str, bytes]]:
         yield f"{stem}.mtl", _mtl(name, look).encode()
         if look.png is not None:
             yield f"{stem}.png", look.png
-    for k, part in enumerate(o.body.parts):
+    for k, part in enumerate(o.colliders):
         yield hull_path(k), part_to_obj(part).encode()
 
 

@@ -15,6 +15,7 @@ import f3sr
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array
 from f3sr.errors import printable
+from f3sr.exporters.drake_contact import DRAKE_CONTACT
 from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
 from f3sr.exporters.obj_looks import hull_path, mesh_files, visual_path
 from f3sr.exporters.xml_text import document, inertia_of, numbers
@@ -74,15 +75,18 @@ def _add_model(parent: ET.Element, o: ExportedObject, folder: str) -> ET.Element
     for k in range(len(body.parts)):
         collision = ET.SubElement(link, "collision", name=f"hull_{k:03d}")
         ET.SubElement(_add_mesh(collision, f"{folder}{hull_path(k)}"), "drake:declare_convex")
-        _add_friction(collision, body.friction[0])
+        _add_contact(collision, body.friction[0])
     return model
 
 
-def _add_friction(collision: ET.Element, sliding: float) -> None:
-    """What Gazebo's engines and Drake all read."""
+def _add_contact(collision: ET.Element, sliding: float) -> None:
+    """Friction, which Gazebo's engines and Drake all read, and what makes areas touch in Drake."""
     ode = ET.SubElement(ET.SubElement(ET.SubElement(collision, "surface"), "friction"), "ode")
     _add(ode, "mu", numbers(sliding))
     _add(ode, "mu2", numbers(sliding))
+    drake = ET.SubElement(collision, "drake:proximity_properties")
+    for name, value in DRAKE_CONTACT.items():
+        ET.SubElement(drake, f"drake:{name}").text = value
 
 
 def _config(o: ExportedObject) -> bytes:
@@ -113,20 +117,20 @@ def _world(exported: ExportedScene) -> bytes:
         # Not included: every program looks for included models in other places, but for meshes beside the file.
         T = o.object.T_world_object
         _add(_add_model(world, o, f"{o.name}/"), "pose", numbers([*T[:3, 3], *rpy_of(T[:3, :3])]))
-    _add_ground(world, scene.ground.friction)
+    _add_ground(world, exported)
     return document(root, declared=True)
 
 
-def _add_ground(world: ET.Element, friction: float) -> None:
+def _add_ground(world: ET.Element, exported: ExportedScene) -> None:
     """The plane z = 0, for collisions the top of a box: Drake 1.51 crashes on a plane below many convex meshes."""
     model = ET.SubElement(world, "model", name="ground")
     _add(model, "static", "true")
     link = ET.SubElement(model, "link", name="link")
     collision = ET.SubElement(link, "collision", name="collision")
-    _add(collision, "pose", numbers([0, 0, -GROUND_DEPTH / 2, 0, 0, 0]))
+    _add(collision, "pose", numbers([0, 0, exported.ground_height - GROUND_DEPTH / 2, 0, 0, 0]))
     box = ET.SubElement(ET.SubElement(collision, "geometry"), "box")
     _add(box, "size", numbers([GROUND_SIZE, GROUND_SIZE, GROUND_DEPTH]))
-    _add_friction(collision, friction)
+    _add_contact(collision, exported.scene.ground.friction)
     visual = ET.SubElement(link, "visual", name="visual")
     plane = ET.SubElement(ET.SubElement(visual, "geometry"), "plane")
     _add(plane, "normal", "0 0 1")

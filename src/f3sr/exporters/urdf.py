@@ -1,8 +1,8 @@
 """URDF: every object as a robot of one link, in a folder of its own with scale baked in, and ``poses.json``.
 
 Metres, Z up; the link's frame is the object frame. Every convex part is a collision of its own. Paths are relative.
-Friction is stated for PyBullet (``contact``) and for Drake (``drake:proximity_properties``). URDF holds one body:
-``poses.json`` says where each stands in the scene.
+Contacts are stated for PyBullet (``contact``) and for Drake (``drake:proximity_properties``). URDF holds one body:
+``poses.json`` says where each stands in the scene, and ``ground.urdf`` is what they stand on.
 """
 
 from __future__ import annotations
@@ -12,13 +12,21 @@ from collections.abc import Iterator
 from typing import Any
 from xml.etree import ElementTree as ET
 
+import numpy as np
+
 from f3sr.core.transforms import Array, quaternion_from_rotation
+from f3sr.exporters.drake_contact import DRAKE_CONTACT
 from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
 from f3sr.exporters.obj_looks import hull_path, mesh_files, visual_path
 from f3sr.exporters.xml_text import document, inertia_of, numbers
+from f3sr.physics.mujoco_model import GROUND_NAME, ground_contact_friction
 from f3sr.scene import GRAVITY
 
 ORIGIN = {"xyz": "0 0 0", "rpy": "0 0 0"}
+GROUND = "ground.urdf"
+"""Beside ``poses.json``."""
+GROUND_SIZE, GROUND_DEPTH = 40.0, 1.0
+"""Sides of the ground [m], as in scene.xml, and how deep it is solid."""
 
 
 class Urdf:
@@ -28,6 +36,7 @@ class Urdf:
 
     def files(self, exported: ExportedScene) -> Iterator[tuple[str, bytes]]:
         yield "poses.json", json.dumps(_poses(exported), indent=1, allow_nan=False).encode() + b"\n"
+        yield GROUND, _ground(exported)
         for o in exported.objects:
             yield f"{o.name}/{o.name}.urdf", _urdf(o)
             yield from ((f"{o.name}/{path}", data) for path, data in mesh_files(o))
@@ -39,9 +48,8 @@ def _urdf(o: ExportedObject) -> bytes:
     link = ET.SubElement(root, "link", name=o.name)
     sliding, spinning, rolling = body.friction
     contact = ET.SubElement(link, "contact")
-    ET.SubElement(contact, "lateral_friction", value=numbers(sliding))
-    ET.SubElement(contact, "spinning_friction", value=numbers(spinning))
-    ET.SubElement(contact, "rolling_friction", value=numbers(rolling))
+    for tag, value in bullet_friction(sliding, spinning, rolling).items():
+        ET.SubElement(contact, tag, value=numbers(value))
     ET.SubElement(contact, "restitution", value=numbers(o.object.restitution))
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "origin", xyz=numbers(body.center), rpy="0 0 0")
@@ -64,7 +72,40 @@ def _urdf(o: ExportedObject) -> bytes:
         proximity = ET.SubElement(collision, "drake:proximity_properties")
         ET.SubElement(proximity, "drake:mu_dynamic", value=numbers(sliding))
         ET.SubElement(proximity, "drake:mu_static", value=numbers(sliding))
+        for name, value in DRAKE_CONTACT.items():
+            ET.SubElement(proximity, f"drake:{name}", {} if value is None else {"value": value})
     return document(root, declared=True)
+
+
+def _ground(exported: ExportedScene) -> bytes:
+    """The ground as a box: PyBullet grows what lies on its planes by a millimetre."""
+    root = ET.Element("robot", {"name": GROUND_NAME, "xmlns:drake": "http://drake.mit.edu"})
+    link = ET.SubElement(root, "link", name=GROUND_NAME)
+    contact = ET.SubElement(link, "contact")
+    for tag, value in bullet_friction(*ground_contact_friction(exported.scene.ground.friction)).items():
+        ET.SubElement(contact, tag, value=numbers(value))
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "origin", ORIGIN)
+    ET.SubElement(inertial, "mass", value="1")
+    ET.SubElement(inertial, "inertia", inertia_of(np.eye(3)))
+    collision = ET.SubElement(link, "collision", name=GROUND_NAME)
+    middle = [0.0, 0.0, exported.ground_height - GROUND_DEPTH / 2]
+    ET.SubElement(collision, "origin", xyz=numbers(middle), rpy="0 0 0")
+    box = ET.SubElement(ET.SubElement(collision, "geometry"), "box")
+    box.set("size", numbers([GROUND_SIZE, GROUND_SIZE, GROUND_DEPTH]))
+    return document(root, declared=True)
+
+
+def bullet_friction(sliding: float, spinning: float, rolling: float) -> dict[str, float]:
+    """What two equal bodies state so that PyBullet finds between them what is given: it multiplies sliding frictions,
+    and adds each body's spinning and rolling friction times the other's sliding one."""
+    own = float(np.sqrt(sliding))
+    other = 2 * own if own > 0 else 1.0
+    return {
+        "lateral_friction": own,
+        "spinning_friction": spinning / other,
+        "rolling_friction": rolling / other,
+    }
 
 
 def _poses(exported: ExportedScene) -> dict[str, Any]:
@@ -74,7 +115,8 @@ def _poses(exported: ExportedScene) -> dict[str, Any]:
         "up": "z",
         "quaternion": "xyzw",
         "gravity": [0.0, 0.0, -GRAVITY],
-        "ground": {"height": 0.0, "friction": float(exported.scene.ground.friction)},
+        "timestep": exported.physics.timestep,
+        "ground": {"height": 0.0, "friction": float(exported.scene.ground.friction), "urdf": GROUND},
         "objects": [
             {
                 "id": o.id,
@@ -82,6 +124,8 @@ def _poses(exported: ExportedScene) -> dict[str, Any]:
                 "name": o.name,
                 "urdf": f"{o.name}/{o.name}.urdf",
                 "fixed": o.body.fixed,
+                "friction": float(o.object.friction),
+                "restitution": float(o.object.restitution),
                 "position": list(map(float, o.object.T_world_object[:3, 3])),
                 "orientation": _xyzw(o.object.T_world_object[:3, :3]),
             }

@@ -51,7 +51,7 @@ def prop_layer(o: ExportedObject, exported: ExportedScene) -> bytes:
         _bind(add_visual(stage, f"{path}/geometry/{name}", look), material)
     contact = add_contact_material(stage, f"{path}/materials/contact", o.body.friction[0], o.object.restitution)
     _label(contact.GetPrim(), "material", o.object.material)
-    for k, part in enumerate(o.body.parts):
+    for k, part in enumerate(o.colliders):
         bind_contact(add_hull(stage, f"{path}/colliders/hull_{k:03d}", part), contact)
     return text_of(stage, lambda layer: add_variants(layer, o.name))
 

@@ -50,7 +50,7 @@ def scene_layer(exported: ExportedScene) -> bytes:
     physics.CreateGravityDirectionAttr(usd.Gf.Vec3f(0, 0, -1))
     physics.CreateGravityMagnitudeAttr(GRAVITY)
     usd.UsdGeom.Scope.Define(stage, f"{ROOT}/materials")
-    _add_ground(stage, scene.ground.friction)
+    _add_ground(stage, exported)
     usd.UsdLux.DomeLight.Define(stage, f"{ROOT}/sky").CreateIntensityAttr(1.0)
     usd.UsdGeom.Xform.Define(stage, f"{ROOT}/objects")
     for o in exported.objects:
@@ -69,17 +69,19 @@ def _add_references(layer: Layer, exported: ExportedScene) -> None:
         prim.referenceList.Prepend(sdf.Reference(f"./{prop_path(o)}"))
 
 
-def _add_ground(stage: Stage, friction: float) -> None:
-    """The plane z = 0, for collisions only: the backplate shows what the objects stand on."""
+def _add_ground(stage: Stage, exported: ExportedScene) -> None:
+    """The plane where bodies touch, for collisions only: the backplate shows what the objects stand on."""
     usd = pxr()
     plane = usd.UsdGeom.Plane.Define(stage, f"{ROOT}/ground")
     plane.CreateAxisAttr(usd.UsdGeom.Tokens.z)
     plane.CreateWidthAttr(GROUND_SIZE)
     plane.CreateLengthAttr(GROUND_SIZE)
+    plane.AddTranslateOp().Set(usd.Gf.Vec3d(0, 0, exported.ground_height))
     half = GROUND_SIZE / 2
     plane.CreateExtentAttr([usd.Gf.Vec3f(-half, -half, 0), usd.Gf.Vec3f(half, half, 0)])
     plane.CreatePurposeAttr(usd.UsdGeom.Tokens.guide)
     usd.UsdPhysics.CollisionAPI.Apply(plane.GetPrim())
+    friction = exported.scene.ground.friction
     bind_contact(plane.GetPrim(), add_contact_material(stage, f"{ROOT}/materials/ground", friction, 0.0))
 
 

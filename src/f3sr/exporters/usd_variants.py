@@ -41,15 +41,13 @@ class EngineExtras:
 def extras_of(o: ExportedObject, exported: ExportedScene) -> Mapping[str, EngineExtras]:
     """What each engine is told of an object."""
     _, spinning, rolling = o.body.friction
-    margin = float(exported.physics.margin)
     return {
-        # A contact takes the larger friction, as in the package. Bodies at rest are two margins apart.
+        # A contact takes the larger friction, as in the package.
         "PhysX": EngineExtras(
             body=["PhysxRigidBodyAPI"],
             of_body={"physxRigidBody:solverPositionIterationCount": ("int", POSITION_ITERATIONS)},
             collider=["PhysxCollisionAPI", "PhysxConvexHullCollisionAPI"],
             of_collider={
-                "physxCollision:restOffset": ("float", margin),
                 "physxConvexHullCollision:hullVertexLimit": ("int", HULL_VERTICES),
             },
             material=["PhysxMaterialAPI"],
@@ -57,7 +55,6 @@ def extras_of(o: ExportedObject, exported: ExportedScene) -> Mapping[str, Engine
         ),
         "Newton": EngineExtras(
             collider=["NewtonCollisionAPI", "NewtonMeshCollisionAPI"],
-            of_collider={"newton:contactMargin": ("float", margin)},
             material=["NewtonMaterialAPI"],
             of_material={
                 "newton:torsionalFriction": ("float", spinning),

@@ -144,6 +144,10 @@ class SceneLayout:
         """Whether it rolls whichever way."""
         return all(self.rolls(id, np.array([np.cos(a), np.sin(a), 0.0])) for a in np.linspace(0, np.pi, 4, False))
 
+    def can_roll(self, id: int) -> bool:
+        """Whether it rolls some way, as balls, fruit and what lies on a round side."""
+        return any(self.rolls(id, np.array([np.cos(a), np.sin(a), 0.0])) for a in np.linspace(0, np.pi, 12, False))
+
     def rolls(self, id: int, direction: Array) -> bool:
         """Whether it is round seen across a horizontal direction: about its middle as far to every side."""
         corners = self.corners(id) - self.span(id).mean(0)

@@ -58,8 +58,17 @@ class Progressed:
     state: str
 
 
-def run_worker(command: Sequence[str], job: Path, limits: WorkerLimits, told: Callable[[Progressed], None]) -> None:
-    """Run ``COMMAND... --job JOB`` to its end. Raises WorkerError where it fails, hangs or writes too much."""
+def run_worker(
+    command: Sequence[str],
+    job: Path,
+    limits: WorkerLimits,
+    told: Callable[[Progressed], None],
+    *,
+    resumable: bool = True,
+) -> None:
+    """Run ``COMMAND... --job JOB`` to its end. Raises WorkerError where it fails, hangs or writes too much.
+
+    ``resumable``: whether a next run goes on in the job folder, which the error then names."""
     launched = [sys.executable, "-I", worker_launcher.__file__, str(os.getpid()), *command, "--job", str(job)]
     with signals.undone(lambda: _started(launched, job), _ended) as process:
         try:
@@ -68,7 +77,8 @@ def run_worker(command: Sequence[str], job: Path, limits: WorkerLimits, told: Ca
             _ended(process)
     if problem or process.returncode:
         ended = problem or f"it ended with exit code {process.returncode}"
-        raise WorkerError(f"worker {command[0]}: {ended}; {_last_words(job)}")
+        words = [ended, *_last_words(job), *([f"the next run goes on in {job}"] if resumable else [])]
+        raise WorkerError(f"worker {command[0]}: {'; '.join(words)}")
 
 
 def _started(command: Sequence[str], job: Path) -> subprocess.Popen[bytes]:
@@ -159,11 +169,10 @@ def _write_log(job: Path, tail: bytes) -> None:
         (job / LOG).write_bytes(tail)
 
 
-def _last_words(job: Path) -> str:
-    """The last line that the worker wrote on stderr, and where the rest is."""
+def _last_words(job: Path) -> list[str]:
+    """The last line that the worker wrote on stderr, where it wrote any."""
     try:
         lines = (job / LOG).read_text(errors="replace").strip().splitlines()
     except OSError:
         lines = []
-    said = f"its last words: {cut(printable(lines[-1].strip()), SHOWN)}; " if lines else ""
-    return f"{said}the next run goes on in {job}"
+    return [f"its last words: {cut(printable(lines[-1].strip()), SHOWN)}"] if lines else []
