@@ -50,8 +50,9 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
     """A solid about ``origin`` (3,), in world axes, its texture the photo inside the mask (H, W).
 
     The texture has two halves, both seen from the camera: the photo, and a blurred copy. Faces that the photo does not
-    show look as those that are the same by the solid's symmetry. Others look as what is before them in the photo. Along the rays, where that would smear, they look as the blurred copy. What hides a part of the solid is
-    replaced by patches of the part that is seen; else its colours go on softly beyond the mask."""
+    show look as those that are the same by the solid's symmetry. Others look as what is before them in the photo.
+    Along the rays, where that would smear, they look as the blurred copy. What hides a part of the solid is replaced by
+    patches of the part that is seen; else its colours go on softly beyond the mask."""
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     longest = max(len(rows), len(columns))
     pad = 2 + math.ceil(0.1 * longest)
