@@ -60,8 +60,12 @@ def replayed_phase(package: Path, plan: dict[str, Any], ids: list[int], start: A
             geom.friction = [made["friction"], 0.005, made["rolling_friction"]]
             if made["restitution"] > math.exp(-2):
                 geom.solref, geom.priority = [-4e4, -400 * damping_ratio(made["restitution"])], 1
+    for mesh in spec.meshes:  # scene.xml has no margin: its ground and parts are grown by it
+        mesh.file = mesh.file.replace("_grown.", ".")
     for geom in (g for g in spec.geoms if g.contype):
         geom.margin = plan["simulation"]["margin"]
+        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+            geom.pos = 0, 0, 0
     model = spec.compile()
     package_state, data = mujoco.MjData(model), mujoco.MjData(model)
     if start is not None:
