@@ -87,7 +87,7 @@ def _hidden(solid: Solid, mask: NDArray[np.bool_], window: Camera) -> NDArray[np
     error of an outline."""
     shape = rasterizer.silhouette(window.to_camera(solid.vertices), solid.faces, window.K, window.width, window.height)
     beyond = shape & ~mask
-    return beyond & (opened(beyond, COVERED) if beyond.any() else beyond).any()
+    return beyond & opened(beyond, COVERED).any()
 
 
 def _continued(crop: NDArray[np.uint8], known: NDArray[np.bool_], hidden: NDArray[np.bool_]) -> Picture:
