@@ -4,16 +4,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array
 from f3sr.lifting.fits import FittedShape, anchored, horizontal
-from f3sr.lifting.many_starts import BEHIND_CAMERA, refined
+from f3sr.lifting.inner_edges import InnerCorner, inner_corner
+from f3sr.lifting.many_starts import BEHIND_CAMERA, gaussian, refined
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.solids import BOX_FACES, CORNERS, Solid, carved, common, finer, mirrored, subdivided
 
+LEAN = math.radians(2.0)
+"""Standard deviation of a box's lean aside: of real boxes, and of the camera's own error. As metrology.directions.
+Along the view nothing tells it."""
+ARC = 4
+"""Corners of the outline of a box, seen from above, for each of its rounded edges."""
+ROUNDINGS = (-1.0, 1.0)
+"""Roundings at which a fit starts, as logits of the radius over half the shorter side: .27 and .73."""
+ROUNDED_CELLS = 5
+"""Cells along the edges of a rounded box's faces, which are smaller."""
+LOGIT = 2.0
+"""Standard deviation of the logit of the rounding."""
 YAWS = 9
 """Turns of a box at which its fit starts, over a quarter turn."""
 DEPTHS = (0.4, 1.0, 2.2)
@@ -39,50 +53,127 @@ TURNS, SHIFTS = np.radians([-8, -4, 0, 4, 8]), (-0.06, 0.0, 0.06)
 """Turns [rad] and shifts [sides of the box] of its planes of symmetry that are tried: the box is of a convex hull."""
 
 
-def fit_box(seen: Outlined, floor: float) -> FittedShape | None:
-    """A box on the height ``floor`` [m]: its outline touches the lines that the mask's touches, in all directions."""
-    fit = _fitted(seen, floor, EQUAL)
-    return fit and replace(fit, solid=replace(subdivided(fit.solid), symmetry="box"))
+RING_CORNERS = np.repeat([[-1, -1], [1, -1], [1, 1], [-1, 1]], ARC, axis=0)
+RING_TURNS = np.pi * np.concatenate([1 + k / 2 + np.linspace(0, 0.5, ARC) for k in range(4)])
+RING_ARCS = np.column_stack([np.cos(RING_TURNS), np.sin(RING_TURNS)])
+"""The outline of a rounded box from above, counterclockwise: (4 ARC, 2) corners of the box, and directions from the
+centres of its edges' arcs."""
 
 
-def _fitted(seen: Outlined, floor: float, equal: float, spare: float = 0.0) -> FittedShape | None:
-    """A box whose corners are in the order of CORNERS. ``equal`` is how alike its edges are before the outline tells:
-    an inverse standard deviation, as EQUAL. Its outline may reach beyond the mask's above by ``spare`` [size of the
-    mask], beside it by half of that, and not below it, where it stands."""
-    anchor = anchored(seen, floor)
-    if anchor is None:
-        return None
-    centre, size = anchor
-    away = horizontal(seen, centre)
-    side = np.array([-away[1], away[0], 0])
-    directions, wanted, scatter = seen.support
-    beyond = np.hypot(scatter, spare * math.sqrt(float(seen.mask.sum())) * (1 - directions[:, 1]) / 2)
+def fit_boxes(seen: Outlined, floor: float) -> list[FittedShape]:
+    """A box on the height ``floor`` [m], and one with rounded upright edges: their outlines touch the lines that the
+    mask's touches, in all directions."""
+    model = _BoxModel.of(seen, floor)
+    if model is None:
+        return []
+    x = model.fitted()
+    rounded = replace(model, rounded=True)
+    round_edged = rounded.shape(rounded.with_rounding(x))
+    solid = replace(subdivided(round_edged.solid, ROUNDED_CELLS), symmetry="box")
+    return [_with_inner_edges(model, x), replace(round_edged, solid=solid)]
 
-    def corners(x: Array) -> Array:
-        """(s, 8, 3) of boxes x (s, 6): shifts, logarithms of the edges, both in sizes, and yaw."""
+
+def _with_inner_edges(model: _BoxModel, x: Array) -> FittedShape:
+    """The box of parameters (7,), whose inner edges are where the photo has them."""
+    seen = model.seen
+    inner = inner_corner(seen, model.corners(x[None])[0])
+    if inner is None:
+        return replace(model.shape(x), solid=replace(subdivided(model.shape(x).solid), symmetry="box"))
+    box = model.corners(model.refined(x, inner)[None])[0]
+    form, made = (subdivided(Solid(vertices=c, faces=BOX_FACES)) for c in (box, inner.moved(box, seen)))
+    return FittedShape.of("box", replace(made, symmetry="box", form=form.vertices), seen)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _BoxModel:
+    """Boxes that stand on a plane about ``centre`` (3,), in units of the object's ``size`` [m]: parameters (s, 7) are
+    shifts along ``side`` and ``away`` (3,), logarithms of the edges, yaw, and the lean of the upright edges aside.
+
+    ``equal`` is how alike the edges are before the outline tells: an inverse standard deviation, as EQUAL. The outline
+    may reach beyond the mask's above by ``spare`` [size of the mask], beside it by half of that, and not below it,
+    where it stands. Rounded boxes have one parameter more: the logit of their upright edges' radius over half the
+    shorter side."""
+
+    seen: Outlined
+    centre: Array
+    size: float
+    away: Array
+    equal: float = EQUAL
+    spare: float = 0.0
+    rounded: bool = False
+
+    @classmethod
+    def of(cls, seen: Outlined, floor: float, equal: float = EQUAL, spare: float = 0.0) -> Self | None:
+        """For a mask whose foot is on the height ``floor`` [m]; None where that is beyond the horizon."""
+        anchor = anchored(seen, floor)
+        if anchor is None:
+            return None
+        centre, size = anchor
+        return cls(seen=seen, centre=centre, size=size, away=horizontal(seen, centre), equal=equal, spare=spare)
+
+    def corners(self, x: Array) -> Array:
+        """(s, 8, 3) in the order of CORNERS; of rounded boxes (s, 8 ARC, 3), one ring above the other."""
+        side = np.array([-self.away[1], self.away[0], 0])
         c, n = np.cos(x[:, 5, None]), np.sin(x[:, 5, None])
-        u, v, w = np.moveaxis(CORNERS * np.exp(x[:, None, 2:5]), 2, 0)
+        u, v, w = np.moveaxis(self._upright(x), 2, 0)
         local = np.stack([c * u - n * v, n * u + c * v, w], 2)
-        return centre + size * (local + (x[:, :1] * side + x[:, 1:2] * away)[:, None])
+        shift = (x[:, :1] * side + x[:, 1:2] * self.away)[:, None]
+        return self.centre + self.size * (local + shift + w[..., None] * x[:, 6, None, None] * side)
 
-    def residuals(x: Array) -> Array:
-        reached, depth = seen.reached(corners(x), directions)
+    def _upright(self, x: Array) -> Array:
+        """Corners (s, n, 3) in the box's own axes, in sizes."""
+        edges = np.exp(x[:, None, 2:5])
+        if not self.rounded:
+            return CORNERS * edges
+        radius = 0.5 * edges[..., :2].min(2, keepdims=True) / (1 + np.exp(-x[:, 7, None, None]))
+        flat = RING_CORNERS * (edges[..., :2] / 2 - radius) + RING_ARCS * radius
+        ring = np.concatenate([flat, np.zeros_like(flat[..., :1])], axis=2)
+        return np.concatenate([ring, ring + edges * [0, 0, 1]], axis=1)
+
+    def residuals(self, x: Array) -> Array:
+        """(s, m) in standard errors."""
+        directions, wanted, scatter = self.seen.support
+        extent = math.sqrt(float(self.seen.mask.sum()))
+        beyond = np.hypot(scatter, self.spare * extent * (1 - directions[:, 1]) / 2)
+        reached, depth = self.seen.reached(self.corners(x), directions)
         unequal = x[:, 2:5] - x[:, 2:5].mean(1, keepdims=True)
         off = reached - wanted
         off = off / np.where(off > 0, beyond, scatter)
-        all_of_them = np.concatenate([off, equal * unequal], axis=1)
-        return np.where((depth > 0.05 * size)[:, None], all_of_them, BEHIND_CAMERA)
+        unlikely = [self.equal * unequal, gaussian(x[:, 6:7] / LEAN), gaussian(x[:, 7:] / LOGIT)]
+        all_of_them = np.concatenate([off, *unlikely], axis=1)
+        return np.where((depth > 0.05 * self.size)[:, None], all_of_them, BEHIND_CAMERA)
 
-    yaws = np.pi / 2 * np.arange(YAWS) / YAWS
-    x = np.array([[0, 0.3, math.log(0.7), math.log(0.7 * d), math.log(0.5), yaw] for yaw in yaws for d in DEPTHS])
-    x = _onto_bounds(seen, x, corners, size)
-    for kept, iterations in ((STARTS, 8), (STARTS, 40)):
-        x, costs = refined(residuals, x, iterations=iterations)
-        x = x[np.argsort(costs, kind="stable")[:kept]]
-    fitted = [Solid(vertices=points, faces=BOX_FACES) for points in corners(x)]
-    overlaps = [seen.overlap(made.vertices, made.faces) for made in fitted]
-    best = int(np.argmax(overlaps))
-    return FittedShape(family="box", solid=fitted[best], overlap=overlaps[best])
+    def fitted(self) -> Array:
+        """The parameters (7,) of the box that overlaps most, of those that local searches end at."""
+        yaws = np.pi / 2 * np.arange(YAWS) / YAWS
+        starts = [[0, 0.3, math.log(0.7), math.log(0.7 * d), math.log(0.5), yaw, 0] for yaw in yaws for d in DEPTHS]
+        x = _onto_bounds(self.seen, np.array(starts), self.corners, self.size)
+        for kept, iterations in ((STARTS, 8), (STARTS, 40)):
+            x, costs = refined(self.residuals, x, iterations=iterations)
+            x = x[np.argsort(costs, kind="stable")[:kept]]
+        return x[int(np.argmax([self.shape(one).overlap for one in x]))]
+
+    def refined(self, x: Array, inner: InnerCorner) -> Array:
+        """Parameters (7,) from ``x``, whose corner inside the outline is where the photo has it too."""
+
+        def residuals(x: Array) -> Array:
+            corners = self.corners(x)[:, inner.index]
+            pixels, _ = self.seen.camera.project(corners)
+            return np.concatenate([self.residuals(x), (pixels - inner.pixel) / inner.sigma], axis=1)
+
+        return refined(residuals, x[None], iterations=40)[0][0]
+
+    def shape(self, x: Array) -> FittedShape:
+        """The box of parameters (7,), or the rounded one of (8,)."""
+        faces = _ring_faces(4 * ARC) if self.rounded else BOX_FACES
+        made = Solid(vertices=self.corners(x[None])[0], faces=faces)
+        return FittedShape.of("rounded box" if self.rounded else "box", made, self.seen)
+
+    def with_rounding(self, x: Array) -> Array:
+        """The parameters (8,) of the rounded box that overlaps most, from those (7,) of a sharp one."""
+        starts = np.array([[*x, rounding] for rounding in ROUNDINGS])
+        found, _ = refined(self.residuals, starts, iterations=40)
+        return found[int(np.argmax([self.shape(one).overlap for one in found]))]
 
 
 def _onto_bounds(seen: Outlined, x: Array, corners: Callable[[Array], Array], size: float) -> Array:
@@ -105,13 +196,28 @@ def _onto_bounds(seen: Outlined, x: Array, corners: Callable[[Array], Array], si
     return x
 
 
+def _ring_faces(n: int) -> NDArray[np.int32]:
+    """Outward triangles between two rings of ``n`` corners, the lower first, both from the right to the left as seen
+    from outside, and over their convex ends."""
+    k = np.arange(n)
+    following, fan = (k + 1) % n, np.arange(1, n - 1)
+    first = np.zeros(n - 2, int)
+    return np.concatenate([
+        np.column_stack([k, following, n + following]),
+        np.column_stack([k, n + following, n + k]),
+        np.column_stack([first, fan + 1, fan]),
+        np.column_stack([n + first, n + fan, n + fan + 1]),
+    ]).astype(np.int32)  # fmt: skip
+
+
 def fit_carved(seen: Outlined, floor: float) -> FittedShape | None:
     """The box of the mask's convex hull, cut by the cone of the mask, and by its mirror images: a chair, a table."""
-    hull = _fitted(replace(seen, mask=seen.convex), floor, COMPACT, SPARE)
-    if hull is None:
+    model = _BoxModel.of(replace(seen, mask=seen.convex), floor, equal=COMPACT, spare=SPARE)
+    if model is None:
         return None
-    box = hull.solid.vertices
-    solid = carved(hull.solid, seen.possible, seen.camera)
+    hull = model.shape(model.fitted()).solid
+    box = hull.vertices
+    solid = carved(hull, seen.possible, seen.camera)
     if solid is None:
         return None
     fit = FittedShape.of("carved box", solid, seen)

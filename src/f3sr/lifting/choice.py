@@ -9,7 +9,7 @@ import numpy as np
 
 from f3sr.core.transforms import UP, Array
 from f3sr.lifting.balls import fit_ball
-from f3sr.lifting.boxes import COMPACT_MASK, fit_box, fit_carved
+from f3sr.lifting.boxes import COMPACT_MASK, fit_boxes, fit_carved
 from f3sr.lifting.cylinders import fit_cylinder
 from f3sr.lifting.fits import FittedShape
 from f3sr.lifting.hollows import fit_hollow
@@ -20,7 +20,8 @@ from f3sr.lifting.silhouettes import fit_hanging, fit_lying, fit_standing
 from f3sr.lifting.solids import Solid, is_stable
 from f3sr.scene import Instance
 
-PRIOR = {"ball": 0.03, "box": 0.03, "carved box": -0.05, "cylinder": 0.03, "solid of revolution": 0.02,
+PRIOR = {"ball": 0.03, "box": 0.03, "rounded box": 0.01, "carved box": -0.05, "cylinder": 0.03,
+         "solid of revolution": 0.02,
          "bowl or cup": 0.02,
          "bowl or cup upside down": -0.02,
          "standing silhouette": -0.01, "lying silhouette": -0.01}  # fmt: skip
@@ -41,7 +42,7 @@ HANGS, ASIDE = 0.4, 0.05
 over."""
 MOST = 0.5
 """Share of an underside that is on the carrier at least."""
-RIGID = ("ball", "cylinder", "solid of revolution", "bowl or cup", "bowl or cup upside down", "box")
+RIGID = ("ball", "cylinder", "solid of revolution", "bowl or cup", "bowl or cup upside down", "box", "rounded box")
 """Families that rest upright by their form, though a ball may roll."""
 SPREAD_OUT = 0.2
 """Loss of score of what is longer on the ground than it looks, times the square of the ratio's logarithm. A low camera
@@ -65,6 +66,8 @@ FRUIT = {"lemon", "lime", "pear", "strawberry", "tomato", "potato", "avocado", "
 """Words of labels that name things without a flat underside."""
 WORDS = {
     "box": ("box", "brick", "book", "cube", "crate", "carton", "speaker", "cabinet", "drawer", "block"),
+    "rounded box": ("box", "brick", "book", "crate", "speaker", "block", "can", "tin", "soap", "sponge", "phone",
+                    "remote", "toaster", "suitcase"),
     "bowl or cup": tuple(HOLLOWS),
     "ball": ("ball", "baseball", "softball", "basketball", "football", "globe", "marble", "apple", "orange",
              "tangerine", "grapefruit", "peach", "plum", "nectarine", "onion", "melon"),
@@ -160,7 +163,7 @@ def candidates(label: str, seen: Outlined, floor: float) -> list[FittedShape]:
     aspects = [HOLLOWS[word] for word in words_of(label) if word in HOLLOWS]
     found = [
         fit_ball(seen, floor) if "ball" in named(label) else None,
-        fit_box(seen, floor),
+        *fit_boxes(seen, floor),
         fit_carved(seen, floor),
         *(fit_hollow(seen, floor, aspect=aspects[-1], upside_down=over) for over in (False, True) if aspects),
         fit_cylinder(seen, floor),

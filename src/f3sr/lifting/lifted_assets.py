@@ -47,7 +47,7 @@ class LiftedAssets:
         shown = dict[int, SeenSolid]()
         for instance in _from_below(image.instances, under):
             whole = _without_strays(instance, image.instances)
-            seen = Outlined.of(whole, camera)
+            seen = Outlined.of(whole, camera, image.photo.rgb)
             carrier = self.choices.get(under[instance.id])
             if carrier is not None and not carries(seen, carrier):
                 carrier, under = None, {**under, instance.id: GROUND}

@@ -42,10 +42,12 @@ class Outlined:
     """(h, w): the window's pixels that lie in the photo."""
     places: tuple[NDArray[np.int64], NDArray[np.int64]]
     """Rows (h,) and columns (w,) of the photo that the window shows."""
+    colours: NDArray[np.uint8] | None = None
+    """(h, w, 3) sRGB of the photo there, where it is known."""
 
     @classmethod
-    def of(cls, mask: NDArray[np.bool_], camera: Camera) -> Outlined:
-        """A mask (H, W) of the photo, which nothing hides. It has a pixel."""
+    def of(cls, mask: NDArray[np.bool_], camera: Camera, rgb: NDArray[np.uint8] | None = None) -> Outlined:
+        """A mask (H, W) of the photo, ``rgb`` (H, W, 3), which nothing hides. It has a pixel."""
         rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
         top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
         margin = math.ceil(MARGIN * max(bottom - top, right - left)) + 2
@@ -57,7 +59,8 @@ class Outlined:
         inside = ((y >= 0) & (y < mask.shape[0]))[:, None] & ((x >= 0) & (x < mask.shape[1]))
         places = np.clip(y, 0, mask.shape[0] - 1), np.clip(x, 0, mask.shape[1] - 1)
         shown = mask[places[0]][:, places[1]] & inside
-        return cls(mask=shown, valid=inside, camera=window, inside=inside, places=places)
+        colours = None if rgb is None else rgb[places[0]][:, places[1]]
+        return cls(mask=shown, valid=inside, camera=window, inside=inside, places=places, colours=colours)
 
     def behind(self, hidden: NDArray[np.bool_]) -> Outlined:
         """The same mask, where pixels (H, W) of the photo may be ``hidden`` by what stands before it."""
