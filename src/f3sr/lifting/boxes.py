@@ -15,11 +15,13 @@ from f3sr.lifting.fits import FittedShape, anchored, horizontal
 from f3sr.lifting.inner_edges import InnerCorner, inner_corner
 from f3sr.lifting.many_starts import BEHIND_CAMERA, gaussian, refined
 from f3sr.lifting.outlined import Outlined
-from f3sr.lifting.solids import BOX_FACES, CORNERS, Solid, carved, common, finer, mirrored, subdivided
+from f3sr.lifting.solids import BOX_FACES, CELLS, CORNERS, Solid, carved, common, finer, mirrored, subdivided
 
 LEAN = math.radians(2.0)
 """Standard deviation of a box's lean aside: of real boxes, and of the camera's own error. As metrology.directions.
 Along the view nothing tells it."""
+ASIDE = 6
+"""Which parameter the lean is."""
 ARC = 4
 """Corners of the outline of a box, seen from above, for each of its rounded edges."""
 ROUNDINGS = (-1.0, 1.0)
@@ -68,20 +70,16 @@ def fit_boxes(seen: Outlined, floor: float) -> list[FittedShape]:
         return []
     x = model.fitted()
     rounded = replace(model, rounded=True)
-    round_edged = rounded.shape(rounded.with_rounding(x))
-    solid = replace(subdivided(round_edged.solid, ROUNDED_CELLS), symmetry="box")
-    return [_with_inner_edges(model, x), replace(round_edged, solid=solid)]
+    return [_with_inner_edges(model, x), rounded.shape(rounded.with_rounding(x))]
 
 
 def _with_inner_edges(model: _BoxModel, x: Array) -> FittedShape:
     """The box of parameters (7,), whose inner edges are where the photo has them."""
-    seen = model.seen
-    inner = inner_corner(seen, model.corners(x[None])[0])
+    inner = inner_corner(model.seen, model.corners(x[None])[0])
     if inner is None:
-        return replace(model.shape(x), solid=replace(subdivided(model.shape(x).solid), symmetry="box"))
-    box = model.corners(model.refined(x, inner)[None])[0]
-    form, made = (subdivided(Solid(vertices=c, faces=BOX_FACES)) for c in (box, inner.moved(box, seen)))
-    return FittedShape.of("box", replace(made, symmetry="box", form=form.vertices), seen)
+        return model.shape(x)
+    x = model.refined(x, inner)
+    return model.shape(x, inner.moved(model.corners(x[None])[0], model.seen))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -118,7 +116,7 @@ class _BoxModel:
         u, v, w = np.moveaxis(self._upright(x), 2, 0)
         local = np.stack([c * u - n * v, n * u + c * v, w], 2)
         shift = (x[:, :1] * side + x[:, 1:2] * self.away)[:, None]
-        return self.centre + self.size * (local + shift + w[..., None] * x[:, 6, None, None] * side)
+        return self.centre + self.size * (local + shift + w[..., None] * x[:, ASIDE, None, None] * side)
 
     def _upright(self, x: Array) -> Array:
         """Corners (s, n, 3) in the box's own axes, in sizes."""
@@ -139,7 +137,7 @@ class _BoxModel:
         unequal = x[:, 2:5] - x[:, 2:5].mean(1, keepdims=True)
         off = reached - wanted
         off = off / np.where(off > 0, beyond, scatter)
-        unlikely = [self.equal * unequal, gaussian(x[:, 6:7] / LEAN), gaussian(x[:, 7:] / LOGIT)]
+        unlikely = [self.equal * unequal, gaussian(x[:, ASIDE, None] / LEAN), gaussian(x[:, 7:] / LOGIT)]
         all_of_them = np.concatenate([off, *unlikely], axis=1)
         return np.where((depth > 0.05 * self.size)[:, None], all_of_them, BEHIND_CAMERA)
 
@@ -163,10 +161,16 @@ class _BoxModel:
 
         return refined(residuals, x[None], iterations=40)[0][0]
 
-    def shape(self, x: Array) -> FittedShape:
-        """The box of parameters (7,), or the rounded one of (8,)."""
-        faces = _ring_faces(4 * ARC) if self.rounded else BOX_FACES
-        made = Solid(vertices=self.corners(x[None])[0], faces=faces)
+    def shape(self, x: Array, corners: Array | None = None) -> FittedShape:
+        """The box of parameters (7,), or the rounded one of (8,), with its ``corners`` (n, 3) where they are others."""
+        upright = x * np.where(np.arange(len(x)) == ASIDE, 0.0, 1.0)
+        box = Solid(
+            vertices=self.corners(x[None])[0] if corners is None else corners,
+            faces=_ring_faces(4 * ARC) if self.rounded else BOX_FACES,
+            symmetry="box",
+            form=self.corners(upright[None])[0],
+        )
+        made = subdivided(box, ROUNDED_CELLS if self.rounded else CELLS)
         return FittedShape.of("rounded box" if self.rounded else "box", made, self.seen)
 
     def with_rounding(self, x: Array) -> Array:
@@ -215,9 +219,8 @@ def fit_carved(seen: Outlined, floor: float) -> FittedShape | None:
     model = _BoxModel.of(replace(seen, mask=seen.convex), floor, equal=COMPACT, spare=SPARE)
     if model is None:
         return None
-    hull = model.shape(model.fitted()).solid
-    box = hull.vertices
-    solid = carved(hull, seen.possible, seen.camera)
+    box = model.corners(model.fitted()[None])[0]
+    solid = carved(Solid(vertices=box, faces=BOX_FACES), seen.possible, seen.camera)
     if solid is None:
         return None
     fit = FittedShape.of("carved box", solid, seen)

@@ -44,6 +44,8 @@ MOST = 0.5
 """Share of an underside that is on the carrier at least."""
 RIGID = ("ball", "cylinder", "solid of revolution", "bowl or cup", "bowl or cup upside down", "box", "rounded box")
 """Families that rest upright by their form, though a ball may roll."""
+EDGED = ("box", "rounded box", "carved box", "cylinder")
+"""Families with sharp edges, which no fruit has."""
 SPREAD_OUT = 0.2
 """Loss of score of what is longer on the ground than it looks, times the square of the ratio's logarithm. A low camera
 reads metres from few rows, and what points along the view is rare. 1.4 times: .02, 2 times: .1, 3.4 times: .3."""
@@ -190,6 +192,8 @@ def _score(fit: FittedShape, label: str, seen: Outlined, *, loaded: bool) -> flo
     family = fit.family.removesuffix(" upside down")
     if family in named(label):
         score += SURE if family in ("bowl or cup", "ball") else LABELLED
+    if fit.family in EDGED and not FRUIT.isdisjoint(words_of(label)):
+        score -= SURE
     if (loaded or fit.family not in RIGID) and not is_stable(fit.solid):
         score -= TIPPY
     if fit.family == "carved box" and seen.solidity > COMPACT_MASK:

@@ -47,19 +47,28 @@ BOX_FACES = np.array(
 
 
 def subdivided(solid: Solid, cells: int = CELLS) -> Solid:
-    """Every triangle in ``cells`` squared ones; flat as before."""
+    """Every triangle, and those of its form, in ``cells`` squared ones; flat as before."""
     barycentric = np.array([(i, j) for i in range(cells + 1) for j in range(cells + 1 - i)], float) / cells
     index = {(i, j): k for k, (i, j) in enumerate((i, j) for i in range(cells + 1) for j in range(cells + 1 - i))}
     small = [(index[i, j], index[i + 1, j], index[i, j + 1]) for i in range(cells) for j in range(cells - i)]
     small += [
         (index[i + 1, j], index[i + 1, j + 1], index[i, j + 1]) for i in range(cells) for j in range(cells - 1 - i)
     ]
-    a, b, c = (solid.vertices[solid.faces[:, k]][:, None] for k in range(3))
-    u, v = barycentric[:, 0, None], barycentric[:, 1, None]
-    points = (a + u * (b - a) + v * (c - a)).reshape(-1, 3)
+
+    def divided(vertices: Array) -> Array:
+        a, b, c = (vertices[solid.faces[:, k]][:, None] for k in range(3))
+        u, v = barycentric[:, 0, None], barycentric[:, 1, None]
+        return (a + u * (b - a) + v * (c - a)).reshape(-1, 3)
+
+    points = divided(solid.vertices)
     faces = (np.array(small) + len(barycentric) * np.arange(len(solid.faces))[:, None, None]).reshape(-1, 3)
     _, first, inverse = np.unique(np.round(points, 9), axis=0, return_index=True, return_inverse=True)
-    return Solid(vertices=points[first], faces=inverse.reshape(-1)[faces].astype(np.int32))
+    return replace(
+        solid,
+        vertices=points[first],
+        faces=inverse.reshape(-1)[faces].astype(np.int32),
+        form=None if solid.form is None else divided(solid.form)[first],
+    )
 
 
 def revolved(centre: Array, profile: Array, sectors: int = SECTORS) -> Solid:
