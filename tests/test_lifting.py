@@ -10,12 +10,12 @@ import pytest
 
 from f3sr import proxies
 from f3sr.core.camera import Camera
-from f3sr.core.mesh import Mesh, signed_volume
+from f3sr.core.mesh import ConvexPart, Mesh, signed_volume
 from f3sr.core.srgb import srgb
 from f3sr.core.transforms import UP, Array, pose, rotation_about
 from f3sr.lifting.balls import fit_ball
-from f3sr.lifting.boxes import fit_box, fit_carved
-from f3sr.lifting.choice import Choice, carries, choose
+from f3sr.lifting.boxes import fit_boxes, fit_carved
+from f3sr.lifting.choice import EDGED, Choice, carries, choose
 from f3sr.lifting.cylinders import fit_cylinder
 from f3sr.lifting.fits import FittedShape
 from f3sr.lifting.hollows import fit_hollow
@@ -85,6 +85,14 @@ def seen(solid: Solid) -> Outlined:
     return Outlined.of(mask_of(solid), CAMERA)
 
 
+def fit_box(outlined: Outlined, floor: float) -> FittedShape | None:
+    return next(iter(fit_boxes(outlined, floor)), None)
+
+
+def fit_rounded(outlined: Outlined, floor: float) -> FittedShape | None:
+    return next((fit for fit in fit_boxes(outlined, floor) if fit.family == "rounded box"), None)
+
+
 def found(fit: FittedShape | None) -> FittedShape:
     assert fit is not None
     return fit
@@ -98,6 +106,77 @@ def test_a_box_is_found_by_its_outline(size: tuple[float, ...], yaw: float):
     assert fit.overlap > 0.98
     assert np.allclose(np.ptp(fit.solid.vertices, axis=0), np.ptp(true.vertices, axis=0), rtol=0.12)
     assert np.linalg.norm(fit.solid.vertices.mean(0) - true.vertices.mean(0)) < 0.01
+
+
+def tin(foot: Array, size: Sequence[float], yaw: float, rounding: float) -> Solid:
+    """A box with rounded upright edges, their radius a share of half its shorter side."""
+    radius = rounding * min(size[:2]) / 2
+    turns = np.pi * np.concatenate([1 + k / 2 + np.linspace(0, 0.5, 12) for k in range(4)])
+    middles = np.repeat([[-1, -1], [1, -1], [1, 1], [-1, 1]], 12, axis=0) * (np.array(size[:2]) / 2 - radius)
+    ring = middles + radius * np.column_stack([np.cos(turns), np.sin(turns)])
+    c, s = math.cos(yaw), math.sin(yaw)
+    points = np.concatenate([np.column_stack([ring @ [[c, s], [-s, c]], np.full(48, z)]) for z in (0, size[2])])
+    hull = ConvexPart.hull_of(points + foot)
+    return Solid(vertices=hull.vertices, faces=hull.faces)
+
+
+@pytest.mark.parametrize("rounding", [0.55, 0.75])
+@pytest.mark.parametrize("yaw", [0.3, 0.8])
+def test_a_tin_has_rounded_edges(rounding: float, yaw: float):
+    true = tin(FOOT, (0.1, 0.06, 0.085), yaw, rounding)
+    choice = chosen_for(true, "potted meat can")
+    assert choice.best.family == "rounded box"
+    extents = np.ptp(found(fit_rounded(seen(true), 0.0)).solid.vertices, axis=0)
+    assert np.allclose(extents, np.ptp(true.vertices, axis=0), rtol=0.12)
+    sharp = chosen_for(block(FOOT, (0.1, 0.06, 0.085), yaw), "potted meat can")
+    assert sharp.best.family == "box"
+
+
+def test_nothing_that_fruit_are_has_edges():
+    for true in (can(FOOT, 0.03, 0.06), block(FOOT, (0.06, 0.06, 0.05), 0.5), ball(FOOT, 0.03)):
+        assert chosen_for(true, "lemon").best.family not in EDGED
+
+
+TILTED = CAMERA.moved(
+    CAMERA.T_world_camera @ pose(rotation_about([1, 0, 0], math.radians(2.5)) @ rotation_about([0, 0, 1], 0.02))
+)
+"""A camera that a photo's edges tell 2.5 degrees too steep, and a little rolled."""
+
+
+@pytest.mark.parametrize("yaw", [0.5, 0.9])
+def test_the_inner_edges_of_a_box_are_where_the_photo_has_them(yaw: float):
+    true = block(FOOT, (0.1, 0.1, 0.1), yaw)
+    mask, rgb = mask_of(true), faces_painted(true)
+    near = np.argmin(np.where(CORNERS[:, 2] == 1, np.linalg.norm(true.vertices - CAMERA.center, axis=1), np.inf))
+    corner = CAMERA.project(true.vertices[None, near])[0][0]
+
+    def error(colours: np.ndarray | None) -> float:
+        fit = found(fit_box(Outlined.of(mask, TILTED, colours), 0.0))
+        assert fit.overlap > 0.96
+        top = fit.solid.vertices[fit.solid.vertices[:, 2] > fit.solid.vertices[:, 2].max() - 1e-6]
+        nearest = top[np.argmin(np.linalg.norm(top - TILTED.center, axis=1))]
+        return float(np.linalg.norm(TILTED.project(nearest[None])[0][0] - corner))
+
+    assert error(rgb) < 1.5
+    assert error(None) > 2.5
+
+
+def test_a_box_of_one_colour_keeps_the_edges_of_its_outline():
+    true = block(FOOT, (0.1, 0.1, 0.1), 0.6)
+    mask = mask_of(true)
+    noise = np.random.default_rng(0).integers(118, 138, (*mask.shape, 3)).astype(np.uint8)
+    plain, told = (found(fit_box(Outlined.of(mask, TILTED, c), 0.0)).solid.vertices for c in (noise, None))
+    assert np.allclose(plain, told, atol=1e-9)
+
+
+def faces_painted(box: Solid) -> np.ndarray:
+    """A photo (h, w, 3) of a box: each of its sides has a colour."""
+    rgb = np.full((CAMERA.height, CAMERA.width, 3), 128, np.uint8)
+    colours = np.random.default_rng(3).integers(30, 220, (6, 3))
+    for side in np.argsort(-np.linalg.norm(box.vertices[box.faces[::2]].mean(1) - CAMERA.center, axis=1)):
+        part = Solid(vertices=box.vertices, faces=box.faces[2 * side : 2 * side + 2])
+        rgb[mask_of(part)] = colours[side]
+    return rgb
 
 
 def test_a_can_has_a_flat_top_of_its_own_width():
@@ -380,6 +459,15 @@ def test_the_back_of_a_can_goes_on_from_its_sides_without_a_step():
         assert np.abs(colour_at(mesh, np.array([*at, 0.5 * high[2]])) - colour).max() < 40, angle
 
 
+def texels(mesh: Mesh) -> Array:
+    """The texture's colour (n, 3) at every vertex."""
+    texture = mesh.materials[0].texture
+    assert texture is not None and mesh.uv is not None
+    height, width = texture.shape[:2]
+    x, y = (mesh.uv * [width, -height] + [0, height]).astype(int).T
+    return texture[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)].astype(float)
+
+
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 1.3), (1, 1.3, 1)])
 def test_a_ball_has_no_seam_where_the_photo_ends(shape: tuple[float, float, float]):
     """Its lower half is in shadow: where the photo ends, what is not seen goes on in the same colours."""
@@ -389,14 +477,31 @@ def test_a_ball_has_no_seam_where_the_photo_ends(shape: tuple[float, float, floa
     shade = np.clip((np.arange(CAMERA.height) - rows[0]) / (rows[-1] - rows[0]), 0, 1)
     rgb = np.repeat((230 - 180 * shade)[:, None, None], CAMERA.width, 1) * np.ones(3)
     mesh = textured(fit.solid, np.zeros(3), Photo(rgb=rgb.astype(np.uint8)), mask_of(true), CAMERA)
-    texture = mesh.materials[0].texture
-    assert texture is not None and mesh.uv is not None
-    height, width = texture.shape[:2]
-    x, y = (mesh.uv * [width, -height] + [0, height]).astype(int).T
-    colours = texture[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)].astype(float)
+    colours = texels(mesh)
+    assert np.ptp(colours[mesh.faces], axis=1).max() < 35
     _, place = np.unique(np.round(mesh.vertices, 9), axis=0, return_inverse=True)
     for k in np.flatnonzero(np.bincount(place.ravel()) > 1):
-        assert np.ptp(colours[place.ravel() == k], axis=0).max() < 25, mesh.vertices[place.ravel() == k][0]
+        assert np.ptp(colours[place.ravel() == k], axis=0).max() < 12
+
+
+def test_print_on_a_ball_goes_on_in_a_mirror_and_is_nowhere_seen_along_the_rays():
+    """A dot in the middle is in the middle of the back too; a ring at 80 degrees from the camera is left out."""
+    true = ball(FOOT, 0.05)
+    solid = found(fit_ball(seen(true), 0.0)).solid
+    middle = (solid.vertices.min(0) + solid.vertices.max(0)) / 2
+    towards = (CAMERA.center - middle) / np.linalg.norm(CAMERA.center - middle)
+    (pixel,), _ = CAMERA.project(middle[None])
+    y, x = np.mgrid[: CAMERA.height, : CAMERA.width] + 0.5
+    out = np.hypot(x - pixel[0], y - pixel[1]) / math.sqrt(mask_of(true).sum() / np.pi)
+    rgb = np.full((*out.shape, 3), 120, np.uint8)
+    rgb[out < 0.15], rgb[(out > 0.95) & (out < 0.98)] = 250, 0
+    mesh = textured(solid, np.zeros(3), Photo(rgb=rgb), mask_of(true), CAMERA)
+    off = mesh.vertices - middle
+    angle = np.degrees(np.arccos(np.clip(off @ towards / np.linalg.norm(off, axis=1), -1, 1)))
+    shown = texels(mesh)[:, 0]
+    assert shown[angle < 5].min() > 200
+    assert shown[angle > 170].min() > 200
+    assert (np.abs(shown[(angle > 60) & (angle < 140)] - 120) < 30).all()
 
 
 def test_the_back_of_a_warped_box_looks_as_its_front_to_the_very_edge():

@@ -26,6 +26,8 @@ ARC = 4
 """Corners of the outline of a box, seen from above, for each of its rounded edges."""
 ROUNDINGS = (-1.0, 1.0)
 """Roundings at which a fit starts, as logits of the radius over half the shorter side: .27 and .73."""
+ROUNDER = 0.01
+"""Gain of IoU from which on edges are rounded: among rounded boxes are all others."""
 ROUNDED_CELLS = 5
 """Cells along the edges of a rounded box's faces, which are smaller."""
 LOGIT = 2.0
@@ -63,14 +65,16 @@ centres of its edges' arcs."""
 
 
 def fit_boxes(seen: Outlined, floor: float) -> list[FittedShape]:
-    """A box on the height ``floor`` [m], and one with rounded upright edges: their outlines touch the lines that the
-    mask's touches, in all directions."""
+    """A box on the height ``floor`` [m], and one with rounded upright edges where that fits better.
+
+    Their outlines touch the lines that the mask's touches, in all directions."""
     model = _BoxModel.of(seen, floor)
     if model is None:
         return []
     x = model.fitted()
     rounded = replace(model, rounded=True)
-    return [_with_inner_edges(model, x), rounded.shape(rounded.with_rounding(x))]
+    tin = rounded.shape(rounded.with_rounding(x))
+    return [_with_inner_edges(model, x), *([tin] if tin.overlap > model.shape(x).overlap + ROUNDER else [])]
 
 
 def _with_inner_edges(model: _BoxModel, x: Array) -> FittedShape:

@@ -28,8 +28,11 @@ SHOWN = 0.6
 """Least share of the edges that is not hidden."""
 DARK = 8
 """Added to colours before their logarithm: below it is noise."""
-DISTINCT = 4.0
-"""Least height of the edges' contrast there, over its spread in the region searched: less is print or noise."""
+PENALTY = 0.15
+"""Share of the largest contrast that a corner one standard deviation off loses, times two."""
+CONSISTENT = 0.6
+"""Least length of the mean of the differences along the edges, over their root mean square: print differs in all
+directions, and noise of one colour reaches .4."""
 SIGMA = 1.0
 """Standard error of the corner [px]."""
 
@@ -79,13 +82,10 @@ def inner_corner(seen: Outlined, box: Array) -> InnerCorner | None:
     steps = np.linspace(-reach, reach, 2 * math.ceil(reach / 0.75) + 1)
     offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     offsets = offsets[np.hypot(*offsets.T) <= reach]
-    contrast = _contrast(seen.mask, colours, pixels[index] + offsets, ends)
-    if contrast is None:
-        return None
-    noise = max(1e-6, 1.4826 * float(np.median(np.abs(contrast - np.median(contrast)))))
-    weighed = (contrast - float(np.median(contrast))) / noise - ((offsets / (EXPECTED * size)) ** 2).sum(1) / 2
-    best = int(np.argmax(weighed))
-    if contrast[best] - np.median(contrast) < DISTINCT * noise:
+    contrast, consistency = _contrast(seen.mask, colours, pixels[index] + offsets, ends)
+    likely = contrast / max(1e-9, float(contrast.max())) - PENALTY * ((offsets / (EXPECTED * size)) ** 2).sum(1) / 2
+    best = int(np.argmax(likely))
+    if consistency[best] < CONSISTENT:
         return None
     return InnerCorner(index, pixels[index] + offsets[best], SIGMA)
 
@@ -98,9 +98,10 @@ def _inside(pixels: Array, index: int) -> float:
     return float(-(sides[:, :2] @ pixels[index] + sides[:, 2]).max())
 
 
-def _contrast(mask: NDArray[np.bool_], colours: Array, corners: Array, ends: Array) -> Array | None:
-    """Difference (n,) of ``colours`` (h, w, 3) across the edges from each of the ``corners`` (n, 2) to the ``ends``
-    (3, 2), mean over their lengths in the ``mask`` (h, w); None where too much of them is hidden."""
+def _contrast(mask: NDArray[np.bool_], colours: Array, corners: Array, ends: Array) -> tuple[Array, Array]:
+    """Length (n,) of the mean difference of ``colours`` (h, w, 3) across the edges from each of the ``corners`` (n, 2)
+    to the ``ends`` (3, 2), in the ``mask`` (h, w), and that over the differences' root mean square. Both are 0 where
+    too much of the edges is hidden."""
     t = (np.arange(SAMPLES) + 0.5) / SAMPLES
     along = ends[None] - corners[:, None]
     lengths = np.linalg.norm(along, axis=2)
@@ -108,12 +109,14 @@ def _contrast(mask: NDArray[np.bool_], colours: Array, corners: Array, ends: Arr
     points = corners[:, None, None] + t[:, None] * along[:, :, None]
     sides = [(points + s * BESIDE * across[:, :, None]).reshape(-1, 2) for s in (-1, 1)]
     shown = np.logical_and.reduce([_at(mask, side) for side in sides]).reshape(points.shape[:3])
-    if shown.mean() < SHOWN:
-        return None
     low, high = (np.stack([interpolated(colours[..., k], side) for k in range(3)], axis=-1) for side in sides)
     difference = (high - low).reshape(*points.shape[:3], 3) * shown[..., None]
-    means = np.linalg.norm(difference.sum(2) / np.maximum(shown.sum(2), 1)[..., None], axis=-1)
-    return (lengths * means).sum(1) / np.maximum(lengths.sum(1), 1e-9)
+    counts = np.maximum(shown.sum(2), 1)
+    means = np.linalg.norm(difference.sum(2) / counts[..., None], axis=-1)
+    sizes = np.sqrt((difference**2).sum((2, 3)) / counts)
+    mean, size = ((lengths * edges).sum(1) / np.maximum(lengths.sum(1), 1e-9) for edges in (means, sizes))
+    enough = shown.mean((1, 2)) >= SHOWN
+    return np.where(enough, mean, 0.0), np.where(enough, mean / np.maximum(size, 1e-9), 0.0)
 
 
 def _at(mask: NDArray[np.bool_], pixels: Array) -> NDArray[np.bool_]:

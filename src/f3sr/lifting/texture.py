@@ -16,6 +16,7 @@ from f3sr.background.patchmatch import Picture
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, Material, Mesh, area_vectors
 from f3sr.core.transforms import UP, Array
+from f3sr.lifting.round_texture import round_texture
 from f3sr.lifting.solids import Solid
 from f3sr.lifting.unshaded import SeenSolid
 from f3sr.scene import Photo
@@ -40,10 +41,6 @@ FLATTENED = 0.05
 """Variance of places [blur's own] at which a slope of colours counts half: fewer places tell no slope."""
 COVERED = 3
 """Half the width of what hides a part of a solid [px]: less is the error of an outline."""
-CAP = math.radians(55)
-"""Angle from the camera within which round things look as the photo; farther round, print is seen along the rays."""
-NEIGHBOURS = 4
-"""Vertices between which a point of a round surface is interpolated."""
 FLAT = 0.3
 """Least width of an underside with an edge, over the whole solid's."""
 EMPTY = 1e-3
@@ -55,8 +52,8 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
 
     The texture has two halves, both seen from the camera: the photo, and a blurred copy. Faces that the photo does not
     show look as those that are the same by the solid's symmetry. Others look as what is before them in the photo.
-    Along the rays, where that would smear, they look as the blurred copy. Balls and fruit look as the part nearest to
-    the camera all around. What hides a part of the solid is replaced by
+    Along the rays, where that would smear, they look as the blurred copy. Balls and fruit have a texture of their
+    own. What hides a part of the solid is replaced by
     patches of the part that is seen; else its colours go on softly beyond the mask."""
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     longest = max(len(rows), len(columns))
@@ -67,6 +64,11 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
     window = camera.cropped(left, top, right - left, bottom - top)
     sharp = _continued(crop, known, _hidden(solid, mask[top:bottom, left:right], window))
     soft = _shaded(crop, known, SOFT * longest)
+    if solid.symmetry == "round" and not _stands_flat(solid.vertices if solid.form is None else solid.form):
+        worn = round_texture(solid, sharp, soft, window)
+        material = Material(texture=np.rint(worn.picture).astype(np.uint8))
+        uv = np.column_stack([worn.uv[:, 0], 1 - worn.uv[:, 1]])
+        return Mesh(vertices=worn.vertices - origin, faces=worn.faces, uv=uv, materials=(material,))
     if solid.symmetry != "box":  # no edge where round sides turn away and the photo ends
         facing = SeenSolid.of(solid, mask, camera).facing
         beside = (rows[0] - top, bottom - rows[-1] - 1), (columns[0] - left, right - columns[-1] - 1)
@@ -153,8 +155,6 @@ class _Likeness:
 def _split(solid: Solid, camera: Camera) -> tuple[Array, NDArray[np.int32], Array, NDArray[np.bool_]]:
     """Vertices (n, 3), faces (m, 3), the points (n, 3) as which they look, and whether each (n,) is blurred: vertices
     between faces of different looks are there twice."""
-    if solid.symmetry == "round" and not _stands_flat(solid.vertices if solid.form is None else solid.form):
-        return solid.vertices, solid.faces, _from_cap(solid.vertices, camera), np.zeros(len(solid.vertices), np.bool_)
     behind = _Likeness(solid.vertices, flips=True)
     likenesses = [_Likeness(solid.vertices), *_by_symmetry(solid, camera), behind]
     chosen = np.full(len(solid.faces), len(likenesses))
@@ -165,27 +165,6 @@ def _split(solid: Solid, camera: Camera) -> tuple[Array, NDArray[np.int32], Arra
     vertex, kind = places // kinds, places % kinds
     looks = np.stack([*(likeness.points for likeness in likenesses), solid.vertices])[kind, vertex]
     return solid.vertices[vertex], faces.reshape(-1, 3).astype(np.int32), looks, kind == kinds - 1
-
-
-def _from_cap(vertices: Array, camera: Camera) -> Array:
-    """Points (n, 3) as which the vertices of a round surface look: those around the point nearest to the camera as
-    themselves, all others as these in a mirror, larger. No seam, and nothing as it is seen along the rays."""
-    from scipy.spatial import KDTree
-
-    middle = (vertices.min(0) + vertices.max(0)) / 2
-    off = vertices - middle
-    radii = np.linalg.norm(off, axis=1)
-    towards = (camera.center - middle) / np.linalg.norm(camera.center - middle)
-    directions = off / radii[:, None]
-    angle = np.arccos(np.clip(directions @ towards, -1, 1))
-    across = directions - (directions @ towards)[:, None] * towards
-    across /= np.maximum(np.linalg.norm(across, axis=1), 1e-9)[:, None]
-    looked = CAP * (np.pi - angle) / (np.pi - CAP)
-    there = np.cos(looked)[:, None] * towards + np.sin(looked)[:, None] * across
-    distances, nearest = KDTree(directions).query(there, k=NEIGHBOURS)
-    weights = 1 / np.maximum(distances, 1e-6)
-    reach = (weights * radii[nearest]).sum(1) / weights.sum(1)
-    return np.where((angle > CAP)[:, None], middle + reach[:, None] * there, vertices)
 
 
 def _by_symmetry(solid: Solid, camera: Camera) -> Iterator[_Likeness]:

@@ -1,0 +1,128 @@
+"""Textures of balls and fruit: what is round has no face that the photo shows as a whole."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from f3sr.background.patchmatch import Picture
+from f3sr.core.camera import Camera
+from f3sr.core.transforms import Array
+from f3sr.lifting.solids import Solid
+from f3sr.vision.regions import interpolated
+
+CAP = math.radians(55)
+"""Angle from the camera within which print looks as in the photo; farther round, it is seen along the rays."""
+EXTENT = math.radians(120)
+"""Angle from its middle that each half of a texture covers: faces across the border are whole in both."""
+NEIGHBOURS = 4
+"""Vertices between which a point of the surface is interpolated."""
+COARSE = 96
+"""Side of the grid on which places in the photo are computed; between they are interpolated [texels]."""
+LARGEST = 512
+"""Side of each half at most [px]."""
+
+
+@dataclass(frozen=True, eq=False)
+class RoundTexture:
+    """A picture (n, 2 n, 3) of the half that the camera sees and the other, and a surface that wears it: ``vertices``
+    (m, 3) [m], ``faces`` (k, 3), and ``uv`` (m, 2) with v downward. Vertices on the border of the halves are twice."""
+
+    picture: Picture
+    vertices: Array
+    faces: NDArray[np.int32]
+    uv: Array
+
+
+def round_texture(solid: Solid, sharp: Picture, soft: Array, window: Camera) -> RoundTexture:
+    """Of a solid that is star-shaped about its middle, from a part of the photo (h, w, 3), as it is and blurred, in the
+    ``window`` that shows it.
+
+    Soft colours are those of the pixel on whose ray a point lies, before it or behind. Print around the point nearest
+    to the camera goes on over the rest in a mirror, larger. So neither is seen along the rays, and there is no seam."""
+    surface = _StarShaped.of(solid, window)
+    n = min(LARGEST, max(COARSE, 2 * max(sharp.shape[:2])))
+    halves = [_half(surface, sharp, soft, window, n, back=back) for back in (False, True)]
+    angles = surface.angles(surface.directions)
+    backward = np.cos(angles)[solid.faces].mean(1) < 0
+    places, faces = np.unique(2 * solid.faces.astype(np.int64) + backward[:, None], return_inverse=True)
+    vertex, half = places // 2, places % 2
+    across = surface.across(surface.directions[vertex])
+    radius = np.where(half == 1, np.pi - angles[vertex], angles[vertex]) / EXTENT
+    uv = (1 + radius[:, None] * across) / 2
+    return RoundTexture(
+        picture=np.concatenate(halves, axis=1),
+        vertices=solid.vertices[vertex],
+        faces=faces.reshape(-1, 3).astype(np.int32),
+        uv=np.column_stack([(uv[:, 0] + half) / 2, uv[:, 1]]),
+    )
+
+
+def _half(surface: _StarShaped, sharp: Picture, soft: Array, window: Camera, n: int, *, back: bool) -> Picture:
+    """One half (n, n, 3): azimuthal equidistant about the point nearest to the camera, or about that opposite."""
+    places = np.linspace(-1, 1, COARSE)
+    x, y = np.meshgrid(places, places)
+    angle = np.minimum(np.hypot(x, y) * EXTENT, np.pi)
+    angle = np.pi - angle if back else angle
+    turn = np.arctan2(y, x)
+    own, _ = window.project(surface.points(surface.turned(angle, turn)))
+    nearer = np.where(angle > CAP, CAP * (np.pi - angle) / (np.pi - CAP), angle)
+    print_at, _ = window.project(surface.points(surface.turned(nearer, turn)))
+    rows, columns = np.meshgrid(*2 * [(np.arange(n) + 0.5) * COARSE / n], indexing="ij")
+    at = np.column_stack([columns.ravel(), rows.ravel()])
+
+    def fine(pixels: Array) -> Array:
+        return np.column_stack([interpolated(pixels[:, k].reshape(COARSE, COARSE), at) for k in (0, 1)])
+
+    own, print_at = fine(own), fine(print_at)
+    channels = [
+        interpolated(soft[..., k], own) + interpolated(sharp[..., k] - soft[..., k], print_at) for k in range(3)
+    ]
+    return np.clip(np.stack(channels, axis=-1), 0, 255).astype(np.float32).reshape(n, n, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class _StarShaped:
+    """A surface of which every ray from the ``middle`` (3,) meets one point: unit ``directions`` (n, 3), distances
+    ``radii`` (n,) [m]. The rows of ``axes`` (3, 3) are to the right, down, as the camera sees it, and towards it."""
+
+    middle: Array
+    directions: Array
+    radii: Array
+    axes: Array
+
+    @classmethod
+    def of(cls, solid: Solid, camera: Camera) -> _StarShaped:
+        middle = (solid.vertices.min(0) + solid.vertices.max(0)) / 2
+        off = solid.vertices - middle
+        radii = np.maximum(np.linalg.norm(off, axis=1), 1e-12)
+        towards = (camera.center - middle) / np.linalg.norm(camera.center - middle)
+        down = camera.T_world_camera[:3, 1] - (camera.T_world_camera[:3, 1] @ towards) * towards
+        down /= np.linalg.norm(down)
+        return cls(middle, off / radii[:, None], radii, np.stack([np.cross(towards, down), down, towards]))
+
+    def angles(self, directions: Array) -> Array:
+        """From the ray to the camera (n,) [rad]."""
+        return np.arccos(np.clip(directions @ self.axes[2], -1, 1))
+
+    def across(self, directions: Array) -> Array:
+        """Unit vectors (n, 2) to the right and down, as the camera sees directions (n, 3)."""
+        flat = directions @ self.axes[:2].T
+        return flat / np.maximum(np.linalg.norm(flat, axis=1), 1e-12)[:, None]
+
+    def turned(self, angle: Array, turn: Array) -> Array:
+        """Directions (n, 3) at an angle from the ray to the camera, in a ``turn`` about it [rad]."""
+        local = np.stack([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)], axis=-1)
+        return local.reshape(-1, 3) @ self.axes
+
+    def points(self, directions: Array) -> Array:
+        """Points (n, 3) of the surface in unit directions (n, 3)."""
+        from scipy.spatial import KDTree
+
+        distances, nearest = KDTree(self.directions).query(directions, k=NEIGHBOURS)
+        weights = 1 / np.maximum(distances, 1e-9)
+        reach = (weights * self.radii[nearest]).sum(1) / weights.sum(1)
+        return self.middle + reach[:, None] * directions
