@@ -11,11 +11,14 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from f3sr.cli import main
+from f3sr.goals.plan import Velocity
+from f3sr.play.telling import launch_told
 from f3sr.scene_package.package import Package
 from goal_scene import goal_package
 
@@ -245,3 +248,13 @@ def test_an_interrupted_call_leaves_nothing_half_written(package: Package, tmp_p
     assert process.stderr is not None and b"interrupted" in process.stderr.read()
     for folder in (tmp_path / "out").iterdir():
         assert {p.name for p in folder.iterdir()} == {"plan.json", "rollout.npz", "verdict.json"}, folder
+
+
+@pytest.mark.parametrize(("kind", "linear", "thrown"), [
+    ("push_into", (1.0, 0.0, 2.0), True), ("push_into", (1.0, 0.0, 0.0), False), ("throw_into", (1.0, 0.0, 2.0), False)
+])  # fmt: skip
+def test_a_push_that_becomes_a_throw_is_told(kind: str, linear: tuple[float, float, float], thrown: bool):
+    initial = SimpleNamespace(offsets=(), velocities=(Velocity(id=0, linear=linear),), impulses=())
+    phase: Any = SimpleNamespace(task=SimpleNamespace(kind=kind), initial=initial, semantics=())
+    assert ("thrown" in launch_told(phase)) is thrown
+    assert ("63 degrees up" in launch_told(phase)) is (linear[2] > 0)

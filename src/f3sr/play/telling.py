@@ -12,6 +12,12 @@ from f3sr.goals.refusal import Refusal
 from f3sr.play.goal_loop import Played
 
 
+ALONG_GROUND = ("slide", "push_into", "roll")
+"""Kinds of tasks that are no throws."""
+FLIES = 5.0
+"""Angle above the ground [deg] from which on what is set off flies."""
+
+
 def telling(
     goal: str, played: Played | Refusal, place: Path | None, seconds: float, *, replayed: bool
 ) -> dict[str, Any]:
@@ -27,7 +33,7 @@ def telling(
             {
                 "interpretation": phase.task.interpretation,
                 "assumptions": list(phase.task.assumptions),
-                "launch": _launch(phase),
+                "launch": launch_told(phase),
                 "conditions": [
                     {"met": c.met, "margin": c.margin, "unit": c.unit, "said": c.said}
                     for c in played.verdict.conditions
@@ -47,7 +53,7 @@ def telling(
     }
 
 
-def _launch(phase: Phase) -> str:
+def launch_told(phase: Phase) -> str:
     """How the active object is set off, in words."""
     initial = phase.initial
     said = [
@@ -55,9 +61,13 @@ def _launch(phase: Phase) -> str:
         for o in initial.offsets
     ]
     for v in initial.velocities:
-        spin = float(np.linalg.norm(v.angular))
+        spin, up = float(np.linalg.norm(v.angular)), np.degrees(np.arctan2(v.linear[2], np.hypot(*v.linear[:2])))
+        flies = phase.task.kind in ALONG_GROUND and up > FLIES
         said.append(
-            f"off at {np.linalg.norm(v.linear):.2f} m/s" + (f", turning at {spin:.1f} rad/s" if spin > 0.01 else "")
+            f"off at {np.linalg.norm(v.linear):.2f} m/s"
+            + (f", {up:.0f} degrees up" if up > FLIES else "")
+            + (f", turning at {spin:.1f} rad/s" if spin > 0.01 else "")
+            + (" (thrown: something is in the way along the ground)" if flies else "")
         )
     masses = {s.id: s.mass for s in phase.semantics}
     blows = [i for i in initial.impulses if not i.duration]
