@@ -11,7 +11,6 @@ from f3sr.goals.plan import Phase
 from f3sr.goals.refusal import Refusal
 from f3sr.play.goal_loop import Played
 
-
 ALONG_GROUND = ("slide", "push_into", "roll")
 """Kinds of tasks that are no throws."""
 FLIES = 5.0
