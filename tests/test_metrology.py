@@ -32,8 +32,8 @@ from f3sr.metrology.ground_metrology import GroundMetrology
 from f3sr.metrology.known_sizes import table, usual_size
 from f3sr.metrology.posterior import sampled, weighted
 from f3sr.metrology.scene_scale import LengthClue, ScaleModel, scene_scale
-from f3sr.metrology.tight_box import CORNERS, box_sides, seen_length
-from f3sr.photo_inputs import length_of, read_inputs
+from f3sr.metrology.tight_box import box_sides
+from f3sr.photo_inputs import read_inputs
 from f3sr.scene import Photo
 from folders import HEIGHT, WIDTH, camera, to_depth, write_folder
 
@@ -358,9 +358,23 @@ def test_without_clues_the_unit_is_the_usual_height():
 
 
 def test_a_known_length_decides_and_usual_ones_have_no_say():
-    scale = scene_scale([clue(2.0, 0.5, given=True), clue(1.0, 1.0), clue(1.0, 1.0)])
-    assert scale.factor == pytest.approx(0.25, rel=0.01)
-    assert scale.error == pytest.approx(ScaleModel().shape, rel=0.05)
+    scale = scene_scale([clue(2.0, 0.5, 0.0, given=True), clue(1.0, 1.0), clue(1.0, 1.0)])
+    assert scale.factor == pytest.approx(0.25, rel=1e-3)
+    assert scale.error == pytest.approx(math.hypot(math.sqrt(2) * ScaleModel().shape, ScaleModel().common), rel=0.01)
+
+
+def test_a_known_length_decides_however_high_the_camera_is_usually():
+    assert scene_scale([clue(1.0, 20.0, given=True)]).factor == pytest.approx(20, rel=1e-3)
+
+
+def test_one_shape_that_is_wrong_does_not_move_the_unit_of_three_known_lengths():
+    scale = scene_scale([clue(1.0, 0.5, given=True), clue(1.0, 0.51, given=True), clue(1.0, 1.2, given=True)])
+    assert scale.factor == pytest.approx(0.51, rel=1e-3)
+
+
+def test_two_known_lengths_that_disagree_meet_in_the_middle():
+    scale = scene_scale([clue(1.0, 0.5, given=True), clue(1.0, 0.6, given=True)])
+    assert scale.factor == pytest.approx(math.sqrt(0.3), rel=1e-3)
 
 
 def test_one_strange_size_does_not_move_the_unit():
@@ -384,14 +398,6 @@ def test_the_sides_of_a_turned_box():
     corners = np.array(np.meshgrid([0, 0.3], [0, 0.2], [0, 0.05])).reshape(3, -1).T
     R = rotation_about([1, 0, 0], 0.7) @ rotation_about([0, 0, 1], 0.4)
     np.testing.assert_allclose(box_sides(corners @ R.T + [1, 2, 3]), [0.3, 0.2, 0.05], rtol=1e-9)
-
-
-def test_an_outline_tells_the_length_of_a_rod_across_the_view():
-    mask = np.zeros((100, 200), bool)
-    mask[48:52, 30:170] = True
-    length = seen_length(mask, np.diag([200.0, 200, 1]), 2.0)
-    assert length == pytest.approx(CORNERS * 140 / 200 * 2, rel=0.01)
-    assert seen_length(mask.T, np.diag([200.0, 200, 1]), 2.0) == pytest.approx(length, rel=0.01)
 
 
 def test_the_table_of_usual_sizes_is_sound():
@@ -438,9 +444,8 @@ def longest(inputs: Inputs, id: int) -> float:
 
 def test_a_known_length_scales_the_scene_and_keeps_the_picture(folder: Path):
     plain, known = read(folder, "geometry"), read(folder, "geometry", known={"tall box": 1.0})
-    assert longest(known, 7) == pytest.approx(1.0, rel=0.3)  # mesh and outline weigh alike
+    assert longest(known, 7) == pytest.approx(1.0, rel=1e-3)
     factor = longest(known, 7) / longest(plain, 7)
-    assert factor == pytest.approx(1.0 / length_of(plain, plain.instances[-1]), rel=0.02)
     for id in plain.assets:
         one, other = plain.assets[id], known.assets[id]
         np.testing.assert_allclose(other.T_camera_object[:3, 3], factor * one.T_camera_object[:3, 3])
@@ -448,6 +453,15 @@ def test_a_known_length_scales_the_scene_and_keeps_the_picture(folder: Path):
     np.testing.assert_allclose(known.geometry.points, factor * plain.geometry.points, rtol=1e-5)
     assert known.key != plain.key and (known.K == plain.K).all()
     assert said(known, "tall box (7) is 1 m") and said(plain, "unknown unit")
+
+
+def test_pixels_that_lie_apart_make_no_object_longer(folder: Path):
+    clean = read(folder, "geometry", known={"tall box": 0.3}).assets[7].scale
+    file = next((folder / "masks").glob("07*"))
+    mask = np.array(Image.open(file).convert("L"))
+    mask[2:6, 2:6] = 255
+    Image.fromarray(mask).save(file)
+    assert read(folder, "geometry", known={"tall box": 0.3}).assets[7].scale == pytest.approx(clean, rel=0.01)
 
 
 def test_an_id_names_an_object_too(folder: Path):

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from f3sr.core.transforms import transform
 from f3sr.io import inputs
 from f3sr.io.assets import PosedAsset, require_size
 from f3sr.io.inputs import Fillers, Inputs
@@ -18,12 +16,11 @@ from f3sr.lifting.generators import ASSET_GENERATORS, DEFAULT_GENERATOR, SAVED
 from f3sr.mesh_poses.given_frames import MaskPlacer
 from f3sr.metrology.estimators import DEFAULT_ESTIMATOR, GEOMETRY_ESTIMATORS
 from f3sr.metrology.known_sizes import usual_size
-from f3sr.metrology.scene_scale import LengthClue, ScaleModel, SceneScale, scene_scale
-from f3sr.metrology.tight_box import box_sides, seen_length
+from f3sr.metrology.scene_scale import LengthClue, SceneScale, scene_scale
+from f3sr.metrology.tight_box import box_sides
 from f3sr.report import Decision
 from f3sr.runtime.kept_imports import kept_imports
 from f3sr.runtime.result_store import digest
-from f3sr.scene import Instance
 
 NAMED = 8
 """Most clues that a decision names."""
@@ -86,8 +83,8 @@ def _in_metres(given: Inputs, hints: PhotoHints) -> Inputs:
 def _given_clues(given: Inputs, lengths: dict[int, float]) -> Iterator[LengthClue]:
     for i in given.instances:
         if i.id in lengths:
-            name, found = i.label or f"object {i.id}", length_of(given, i)
-            yield LengthClue(id=i.id, name=name, found=found, true=lengths[i.id], sigma=ScaleModel().known, given=True)
+            name, found = i.label or f"object {i.id}", length_of(given.assets[i.id])
+            yield LengthClue(id=i.id, name=name, found=found, true=lengths[i.id], given=True)
 
 
 def _usual_clues(given: Inputs) -> Iterator[LengthClue]:
@@ -96,17 +93,16 @@ def _usual_clues(given: Inputs) -> Iterator[LengthClue]:
         inner = i.mask[CUT:-CUT, CUT:-CUT]
         size = usual_size(i.label)
         if size and np.count_nonzero(inner) == np.count_nonzero(i.mask):
-            yield LengthClue(id=i.id, name=i.label, found=length_of(given, i), true=size.metres, sigma=size.spread)
+            found = length_of(given.assets[i.id])
+            yield LengthClue(id=i.id, name=i.label, found=found, true=size.metres, sigma=size.spread)
 
 
-def length_of(given: Inputs, instance: Instance) -> float:
-    """An object's longest side, as its mesh and as its outline have it, the geometric mean of both.
+def length_of(asset: PosedAsset) -> float:
+    """The longest side of the tightest box around an object's mesh, in the scene's unit.
 
-    A lifted mesh may be too deep, an outline is foreshortened: both together are off least (docs: metrology)."""
-    asset = given.assets[instance.id]
-    vertices = transform(asset.T_camera_object, asset.scale * asset.mesh.vertices)
-    depth = float(vertices[:, 2].min() + vertices[:, 2].max()) / 2
-    return math.sqrt(float(box_sides(vertices)[0]) * seen_length(instance.mask, given.K, depth))
+    The mesh's outline is the mask's. The mask's own greatest width adds nothing but its errors: it is a diagonal of
+    boxes, foreshortened where things lie, and pixels that lie apart widen it."""
+    return float(asset.scale * box_sides(asset.mesh.vertices)[0])
 
 
 def _scaled(given: Inputs, factor: float) -> Inputs:
