@@ -1,10 +1,10 @@
 """The unit of a scene from one photo: by usual sizes of labelled objects, and by one known length.
 
 usage: python benchmarks/scale_of_photo.py [NAME ...] [--data PATH]
-Rendered scenes: our distances of objects over the true ones, by labels alone. In them and in depth frames each object in
-turn is the known one: our distances of the others over the true ones, or our depths over the sensor's. A known length is
-that of the object's scan where there is one. Else the sensor's points tell it; their error is measured on the scanned
-ones. Exit codes: 0 all bounds hold, 1 one does not.
+Rendered scenes: our distances of objects over the true ones, by labels alone. In them and in depth frames each object
+in turn is the known one: our distances of the others over the true ones, or our depths over the sensor's. A known
+length is that of the object's scan where there is one. Else the sensor's points tell it; their error is measured on
+the scanned ones. Exit codes: 0 all bounds hold, 1 one does not.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import argparse
 import json
 import math
 import sys
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,6 +51,8 @@ SCANNED = {
     "uoc_table_1": {0: "mustard_bottle", 4: "cracker_box", 6: "potted_meat_can"},
 }
 """Objects of frames without labels that are YCB's, by sight."""
+LABELS, RENDERED, FRAMES = "rendered, by labels", "rendered, each known in turn", "depth frames, each known in turn"
+SENSOR, LARGEST = "the sensor's lengths of scanned things", "depth frames, the largest known"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,38 +76,29 @@ def main() -> int:
         print(f"skipped: no such data in {args.data}")
         return 0
     scans = _Scans(args.data / "objects")
-    rendered, frames, largest, sensor, labels = (list[float]() for _ in range(5))
+    errors = defaultdict[str, list[float]](list)
     for folder in folders:
         given = read_inputs(folder, ignore=("geometry", "assets"))
-        (unit,) = [d for d in given.decisions if "unit" in d.choice]
-        if (folder / "truth.json").exists():
+        rendered = (folder / "truth.json").exists()
+        if rendered:
             off, lengths = _rendered(folder, given, scans)
-            labels.append(median(off.values()))
-            print(f"{folder.name}: distances {100 * labels[-1]:+.1f} % by labels; {unit.choice}")
+            (unit,) = [d for d in given.decisions if "unit" in d.choice]
+            errors[LABELS].append(median(off.values()))
+            print(f"{folder.name}: distances {100 * errors[LABELS][-1]:+.1f} % by labels; {unit.choice}")
         else:
-            off, lengths, errors = _frame(folder, given, scans)
-            sensor += errors
+            off, lengths, measured = _frame(folder, given, scans)
+            errors[SENSOR] += measured
         known = _each_known(given, off, lengths)
-        told = ", ".join(f"{k.name} {100 * k.error:+.1f}" for k in known)
         best = max(known, key=lambda k: k.pixels)
+        told = ", ".join(f"{k.name} {100 * k.error:+.1f}" for k in known)
         print(f"{folder.name}: error [%] by the length of: {told}; largest: {best.name}", flush=True)
-        errors = [k.error for k in known]
-        if (folder / "truth.json").exists():
-            rendered += errors
-        else:
-            frames += errors
-            largest.append(best.error)
-    for what, errors in (
-        ("by labels", labels),
-        ("rendered, each known in turn", rendered),
-        ("depth frames, each known in turn", frames),
-        ("the sensor's lengths of scanned things", sensor),
-        ("depth frames, the largest known", largest),
-    ):
-        if errors:
-            print(f"{what} ({len(errors)}): {_summary(errors)}")
-    held = not largest or median(map(abs, largest)) <= MOST
-    print(f"bound: {100 * MOST:.0f} % by the largest, {'held' if held else 'missed'}")
+        errors[RENDERED if rendered else FRAMES] += [k.error for k in known]
+        errors[LARGEST] += [] if rendered else [best.error]
+    for what, found in errors.items():
+        if found:
+            print(f"{what} ({len(found)}): {_summary(found)}")
+    held = not errors[LARGEST] or median(map(abs, errors[LARGEST])) <= MOST
+    print(f"bound: {100 * MOST:.0f} % by the largest in depth frames, {'held' if held else 'missed'}")
     return int(not held)
 
 
