@@ -14,8 +14,8 @@ import json
 import math
 import sys
 from collections import defaultdict
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from itertools import combinations
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -28,6 +28,7 @@ from f3sr.io.images import open_image
 from f3sr.io.inputs import Inputs
 from f3sr.io.mesh_files import load_mesh
 from f3sr.lifting.lifted_assets import STRAY
+from f3sr.metrology.scene_scale import LengthClue, scene_scale
 from f3sr.metrology.tight_box import box_sides, rectangle_sides
 from f3sr.photo_inputs import length_of, read_inputs
 from f3sr.stages.assemble import as_given
@@ -52,17 +53,8 @@ SCANNED = {
 }
 """Objects of frames without labels that are YCB's, by sight."""
 LABELS, RENDERED, FRAMES = "rendered, by labels", "rendered, each known in turn", "depth frames, each known in turn"
+THREE = "rendered, three known together"
 SENSOR, LARGEST = "the sensor's lengths of scanned things", "depth frames, the largest known"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Known:
-    """One object whose length is known."""
-
-    name: str
-    pixels: int
-    error: float
-    """Of the scale by it: logarithm of the others' distances over the true ones."""
 
 
 def main() -> int:
@@ -75,7 +67,7 @@ def main() -> int:
     if not folders:
         print(f"skipped: no such data in {args.data}")
         return 0
-    scans = _Scans(args.data / "objects")
+    scans = args.data / "objects"
     errors = defaultdict[str, list[float]](list)
     for folder in folders:
         given = read_inputs(folder, ignore=("geometry", "assets"))
@@ -88,12 +80,17 @@ def main() -> int:
         else:
             off, lengths, measured = _frame(folder, given, scans)
             errors[SENSOR] += measured
-        known = _each_known(given, off, lengths)
-        best = max(known, key=lambda k: k.pixels)
-        told = ", ".join(f"{k.name} {100 * k.error:+.1f}" for k in known)
-        print(f"{folder.name}: error [%] by the length of: {told}; largest: {best.name}", flush=True)
-        errors[RENDERED if rendered else FRAMES] += [k.error for k in known]
-        errors[LARGEST] += [] if rendered else [best.error]
+        names = {i.id: i.label or str(i.id) for i in given.instances}
+        pixels = {i.id: np.count_nonzero(i.mask) for i in given.instances}
+        each = {id: _by_lengths(given, off, lengths, [id]) for id in lengths}
+        best = max(each, key=lambda id: pixels[id])
+        told = ", ".join(f"{names[id]} {100 * error:+.1f}" for id, error in each.items())
+        print(f"{folder.name}: error [%] by the length of: {told}; largest: {names[best]}", flush=True)
+        errors[RENDERED if rendered else FRAMES] += each.values()
+        if rendered:
+            errors[THREE] += [_by_lengths(given, off, lengths, three) for three in combinations(lengths, 3)]
+        else:
+            errors[LARGEST].append(each[best])
     for what, found in errors.items():
         if found:
             print(f"{what} ({len(found)}): {_summary(found)}")
@@ -110,28 +107,19 @@ def _summary(errors: list[float]) -> str:
     )
 
 
-@dataclass(frozen=True)
-class _Scans:
-    """Longest sides [m] of the scans of a folder, which are of true size."""
-
-    folder: Path
-
-    def length(self, name: str) -> float:
-        return float(box_sides(load_mesh(self.folder / f"{name}.glb").vertices)[0])
+def _scan_length(scans: Path, name: str) -> float:
+    """The longest side [m] of a scan, which is of true size."""
+    return float(box_sides(load_mesh(scans / f"{name}.glb").vertices)[0])
 
 
-def _each_known(given: Inputs, off: Mapping[int, float], lengths: Mapping[int, float]) -> list[Known]:
-    """The error of the scale by each length [m]; ``off`` is the logarithm of our distances over the true ones."""
-    found = list[Known]()
-    for i in given.instances:
-        rest = [d for id, d in off.items() if id != i.id and math.isfinite(d)]
-        if i.id in lengths and rest:
-            error = math.log(lengths[i.id] / length_of(given.assets[i.id])) + median(rest)
-            found.append(Known(name=i.label or str(i.id), pixels=int(np.count_nonzero(i.mask)), error=error))
-    return found
+def _by_lengths(given: Inputs, off: Mapping[int, float], lengths: Mapping[int, float], ids: Collection[int]) -> float:
+    """The scale's error if the lengths [m] of some objects are known: logarithm of the others' distances over the true
+    ones. ``off`` holds the logarithms of our distances over the true ones, by id."""
+    clues = [LengthClue(id=id, name="", found=length_of(given.assets[id]), true=lengths[id], given=True) for id in ids]
+    return math.log(scene_scale(clues).factor) + median(d for id, d in off.items() if id not in ids)
 
 
-def _rendered(folder: Path, given: Inputs, scans: _Scans) -> tuple[dict[int, float], dict[int, float]]:
+def _rendered(folder: Path, given: Inputs, scans: Path) -> tuple[dict[int, float], dict[int, float]]:
     """Logarithms of our distances of objects' centres over the true ones, and their true lengths [m], by id."""
     truth = json.loads((folder / "truth.json").read_text())
     eye = np.array(truth["T_world_camera"])[:3, 3]
@@ -141,11 +129,11 @@ def _rendered(folder: Path, given: Inputs, scans: _Scans) -> tuple[dict[int, flo
         middle = asset.T_camera_object @ [*(asset.scale * asset.mesh.bounds.mean(0)), 1]
         true = np.array(known["T_world_object"])[:3, 3] - eye
         off[id] = math.log(np.linalg.norm(middle[:3]) / np.linalg.norm(true))
-        lengths[id] = scans.length(known["model"])
+        lengths[id] = _scan_length(scans, known["model"])
     return off, lengths
 
 
-def _frame(folder: Path, given: Inputs, scans: _Scans) -> tuple[dict[int, float], dict[int, float], list[float]]:
+def _frame(folder: Path, given: Inputs, scans: Path) -> tuple[dict[int, float], dict[int, float], list[float]]:
     """Logarithms of our depths of objects over the sensor's, and the objects' lengths [m], by id; and logarithms of the
     sensor's lengths of scanned objects over the scans'."""
     meta, source = (json.loads((folder / f"{name}.json").read_text()) for name in ("intrinsics", "source"))
@@ -157,13 +145,14 @@ def _frame(folder: Path, given: Inputs, scans: _Scans) -> tuple[dict[int, float]
     for o in scene:
         ours = rasterizer.render([o], scene.camera).depth
         both = o.mask & np.isfinite(ours) & (depth > 0)
-        off[o.id] = float(np.median(np.log(ours[both] / depth[both]))) if both.any() else math.nan
+        if both.any():
+            off[o.id] = float(np.median(np.log(ours[both] / depth[both])))
         others = np.any([other.mask for other in scene if other.id != o.id], axis=0)
         points = _points(depth, without_strays(o.mask, others, gap=GAP, share=STRAY), np.array(meta["K"]))
         if len(points) < LEAST or _is_cut(o.mask):
             continue
         measured = _measured(points, source["ground_plane_camera"])
-        lengths[o.id] = scans.length(scanned[o.id]) if o.id in scanned else measured
+        lengths[o.id] = _scan_length(scans, scanned[o.id]) if o.id in scanned else measured
         if o.id in scanned:
             errors.append(math.log(measured / lengths[o.id]))
     return off, lengths, errors
