@@ -148,17 +148,17 @@ def _frame(folder: Path, given: Inputs, scans: Path) -> tuple[dict[int, float], 
         if both.any():
             off[o.id] = float(np.median(np.log(ours[both] / depth[both])))
         others = np.any([other.mask for other in scene if other.id != o.id], axis=0)
-        points = _points(depth, without_strays(o.mask, others, gap=GAP, share=STRAY), np.array(meta["K"]))
+        points = sensor_points(depth, without_strays(o.mask, others, gap=GAP, share=STRAY), np.array(meta["K"]))
         if len(points) < LEAST or _is_cut(o.mask):
             continue
-        measured = _measured(points, source["ground_plane_camera"])
+        measured = measured_length(points, source["ground_plane_camera"])
         lengths[o.id] = _scan_length(scans, scanned[o.id]) if o.id in scanned else measured
         if o.id in scanned:
             errors.append(math.log(measured / lengths[o.id]))
     return off, lengths, errors
 
 
-def _measured(points: Array, plane: Mapping[str, Any]) -> float:
+def measured_length(points: Array, plane: Mapping[str, Any]) -> float:
     """The longest side [m] of the tightest upright box on the sensor's ``plane`` around points (n, 3).
 
     Points of one side are a bent sheet, whose own tightest box leans: a plush of .37 m would be .42 m long."""
@@ -167,7 +167,7 @@ def _measured(points: Array, plane: Mapping[str, Any]) -> float:
     return max(float(upright[:, 2].max() + plane["offset_m"]), *rectangle_sides(upright[:, :2]))
 
 
-def _points(depth: Array, mask: NDArray[np.bool_], K: Array) -> Array:
+def sensor_points(depth: Array, mask: NDArray[np.bool_], K: Array) -> Array:
     """The sensor's points (n, 3) in a mask, without strays and without pixels that hang between two surfaces."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
