@@ -17,9 +17,10 @@ from f3sr.lifting.many_starts import BEHIND_CAMERA, gaussian, refined
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.solids import BOX_FACES, CELLS, CORNERS, Solid, carved, common, finer, mirrored, subdivided
 
-LEAN = math.radians(2.0)
-"""Standard deviation of a box's lean aside: of real boxes, and of the camera's own error. As metrology.directions.
-Along the view nothing tells it."""
+LEAN = math.radians(0.7)
+"""Standard deviation of a box's lean aside, of real boxes and of the camera's error: 2 degrees, as
+``metrology.directions`` has it, less by the root of 8, as so many directions meet one corner and share its error. Along
+the view nothing tells a lean."""
 ASIDE = 6
 """Which parameter the lean is."""
 ARC = 4
