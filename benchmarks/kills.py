@@ -95,10 +95,17 @@ def points(seed: int) -> list[Point]:
 
 class Kills:
     """Kills runs on one folder of inputs that leave out the stages ``skip``. ``work`` is a new folder, ``kernels``
-    compiled ones to begin with."""
+    compiled ones to begin with. ``popen`` starts a run, as ``subprocess.Popen`` does."""
 
-    def __init__(self, folder: Path, work: Path, kernels: Sequence[Path], skip: Sequence[str] = ()) -> None:
-        self.folder, self.work, self.options = folder, work, _skipping(skip)
+    def __init__(
+        self,
+        folder: Path,
+        work: Path,
+        kernels: Sequence[Path],
+        skip: Sequence[str] = (),
+        popen: type[subprocess.Popen[Any]] = subprocess.Popen,
+    ) -> None:
+        self.folder, self.work, self.options, self.popen = folder, work, _skipping(skip), popen
         self.cache = work / "cache"
         self.cache.mkdir(parents=True)
         for compiled in kernels:
@@ -147,7 +154,7 @@ class Kills:
         self, point: str, out: Path, cache: Path, options: tuple[str, ...], notes: int = 1
     ) -> subprocess.Popen[bytes]:
         command = [sys.executable, str(HERE / "killed_cli.py"), point, str(notes), "reconstruct", str(self.folder)]
-        return subprocess.Popen(
+        return self.popen(
             [*command, "-o", str(out), *options],
             env={**os.environ, "F3SR_CACHE_DIR": str(cache)},
             stdout=(self.work / "log").open("w"),
@@ -193,9 +200,10 @@ class Kills:
             return "a package that is neither the old nor the new one"
         _copied(out, self.work / "looked")  # reading a package tidies up beside it, which is for the next run
         command = [sys.executable, "-c", CHECK, str(self.work / "looked")]
-        done = subprocess.run(command, check=False, capture_output=True, text=True)
-        if done.returncode:
-            return f"a broken package: {done.stderr.strip().splitlines()[-1]}"
+        check = self.popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        _, errors = check.communicate()
+        if check.returncode:
+            return f"a broken package: {errors.strip().splitlines()[-1]}"
         return "new" if found == self.new else "old"
 
     def _finish(self, trial: Trial, place: Path) -> None:

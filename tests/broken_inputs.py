@@ -671,13 +671,13 @@ table from the messages themselves: `python tests/broken_inputs.py` writes it an
 
 def table(messages: dict[str, str]) -> str:
     """The page of docs from the messages by case."""
-    rows = [f"| {name} | {_cell(text)} |\n" for name, text in messages.items()]
-    return HEAD + "".join(rows)
+    return HEAD + "".join(row(name, text) for name, text in messages.items())
 
 
-def _cell(text: str) -> str:
+def row(name: str, text: str) -> str:
+    """The line of a case."""
     text = re.sub("x{20,}", "x...x", text.removeprefix("f3sr: ").replace("|", "\\|"))
-    return f"`{text}`"
+    return f"| {name} | `{text}` |\n"
 
 
 def broken(name: str, place: Path) -> list[str]:

@@ -6,7 +6,6 @@ import copy
 import io
 import json
 import re
-import subprocess
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -18,6 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageDraw
 
+import forked
 from f3sr.agents.model_language import AgentConfig, Direct, Roles
 from f3sr.agents.played_by_model import simulate_with_models
 from f3sr.agents.role_answers import PlannerAnswer
@@ -373,9 +373,9 @@ def test_without_the_extra_a_model_is_one_line_and_rules_work(package: Package, 
     gone = "import sys; sys.modules.update(dict.fromkeys(['pydantic_ai', 'openai', 'anthropic', 'mcp', 'httpx2']))"
     code = f"{gone}; import f3sr.__main__ as m; m.run()"
     base = [sys.executable, "-c", code, "simulate", str(package.folder), GOAL, "--no-film", "-o", str(tmp_path / "out")]
-    found = subprocess.run([*base, "--model", "openai:x"], capture_output=True, text=True, check=False)
+    found = forked.run([*base, "--model", "openai:x"])
     assert found.returncode == 2 and "pip install 'f3sr[llm]'" in found.stderr and found.stderr.count("\n") == 1
-    assert subprocess.run(base, capture_output=True, text=True, check=False).returncode == 0
+    assert forked.run(base).returncode == 0
 
 
 # --- materials of a package ---------------------------------------------------------------------------------------

@@ -21,9 +21,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+import forked
 from f3sr.backends.model_choice import ModelChoice
 from f3sr.backends.registry import Kind
-from f3sr.batch import ray_address, runs, scene_job
+from f3sr.batch import ray_address, runs, scene_job, supervisor
 from f3sr.batch.attempt import attempt
 from f3sr.batch.driver import LOST, Driver, Event, keyed
 from f3sr.batch.executors import Ended
@@ -44,9 +45,16 @@ from f3sr.runtime import signals
 from f3sr.runtime.progress import silent
 from goal_scene import goal_package
 from stub_batches import LIMITS, batch, packages, write_stub, write_stubs
+from waiting import children, grandchildren, is_running, soon
 
 pytest.importorskip("pyarrow", reason="no pyarrow: pip install 'f3sr[dataset]'")
 TESTS = Path(__file__).parent
+
+
+@pytest.fixture(autouse=True)
+def quick_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Workers are forks of a process that has imported f3sr, and live on as any worker."""
+    monkeypatch.setattr(supervisor, "started", forked.started)
 
 
 def records(dataset: Path) -> dict[str, Any]:
@@ -222,7 +230,7 @@ def test_after_a_kill_of_the_driver_the_next_run_does_the_rest(tmp_path: Path) -
     batch(inputs, tmp_path / "calm")
     out = tmp_path / "out"
     for after in (2, 7):
-        driver = subprocess.Popen(
+        driver = forked.Popen(
             [sys.executable, str(TESTS / "stub_batches.py"), str(inputs), str(out)],
             stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
         )  # fmt: skip
@@ -230,13 +238,10 @@ def test_after_a_kill_of_the_driver_the_next_run_does_the_rest(tmp_path: Path) -
         seen = 0
         while seen < after and (line := driver.stdout.readline()):
             seen += line.startswith(("done", "known"))
-        workers = children(driver.pid)
+        workers = children(driver.pid) + grandchildren(driver.pid)
         driver.kill()
         driver.wait()
-        deadline = time.monotonic() + 5
-        while any(Path(f"/proc/{pid}").exists() for pid in workers) and time.monotonic() < deadline:
-            time.sleep(0.02)
-        assert workers and not any(Path(f"/proc/{pid}").exists() for pid in workers)
+        assert workers and soon(lambda workers=workers: not any(map(is_running, workers)), 5)
         with pytest.raises(OutputError, match="its list may lack jobs"):
             prune(Dataset.read(out))
         for folder in out.glob("scenes/*/*"):
@@ -245,11 +250,6 @@ def test_after_a_kill_of_the_driver_the_next_run_does_the_rest(tmp_path: Path) -
     assert tally.counts["known"] >= 7 and tally.jobs == 12 and not tally.counts["failed"]
     assert packages(out) == packages(tmp_path / "calm")
     assert prune(Dataset.read(out)).packages == 0
-
-
-def children(pid: int) -> list[int]:
-    found = [int(c) for f in Path(f"/proc/{pid}/task").glob("*/children") for c in f.read_text().split()]
-    return [*found, *(grandchild for child in found for grandchild in children(child))]
 
 
 def test_a_full_disk_is_waited_for(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+import forked
 from f3sr.errors import F3srWarning
 from f3sr.runtime.cache_files import read_sealed, write_sealed, write_whole
 from f3sr.runtime.cache_folder import cache_folder, within
@@ -55,7 +56,7 @@ def as_seen_by_all(place: Path) -> None:
 
 
 def run(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False)
+    return forked.run([sys.executable, "-c", code, *arguments])
 
 
 # --- which one ------------------------------------------------------------------------------------------------------
@@ -320,6 +321,6 @@ assert not [o for o in opened if "cache" in o[1] and "__pycache__" not in o[1] a
 assert not [o for o in opened if o[0] == "os.mkdir"], opened
 assert kernels.kernel_folder.cache_info().currsize == 0
 """
-    done = run(code)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert not list((place / "home").iterdir()) and not list((place / "tmp").iterdir())

@@ -11,14 +11,15 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import forked
 from f3sr import settings
 from f3sr.errors import OutputError
 from f3sr.pipeline import Config
@@ -30,7 +31,7 @@ from f3sr.scene_package import package
 from f3sr.scene_package.package import read_package, write_package
 from folders import part_of_example
 from scenes import box_stack_scene
-from waiting import soon
+from waiting import children, grandchildren, is_running, soon
 
 IN_PROC = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks at threads and children in /proc")
 INTERRUPTED = "f3sr: interrupted; nothing was written\n"
@@ -45,10 +46,12 @@ def cache(tmp_path: Path, compiled: Path) -> Path:
     return tmp_path / "cache"
 
 
-def start(*arguments: str | Path, cache: Path, **more: Any) -> subprocess.Popen[str]:
-    """The command, by which no signal is ignored, as would be where the tests run in the background."""
+def start(*arguments: str | Path, cache: Path, fresh: bool = False, **more: Any) -> subprocess.Popen[str]:
+    """The command, by which no signal is ignored, as would be where the tests run in the background.
+
+    ``fresh``: a new interpreter, where its start is what is tested; else a fork of one that has imported f3sr."""
     usual = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "preexec_fn": heed}
-    return subprocess.Popen(
+    return (subprocess.Popen if fresh else forked.Popen)(
         [sys.executable, "-m", "f3sr", *map(str, arguments)],
         env={**os.environ, "F3SR_CACHE_DIR": str(cache), **more.pop("env", {})},
         **{**usual, **more},
@@ -58,25 +61,6 @@ def start(*arguments: str | Path, cache: Path, **more: Any) -> subprocess.Popen[
 def heed() -> None:
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
-
-
-def children(pid: int) -> list[int]:
-    found = list[int]()
-    for file in Path(f"/proc/{pid}/task").glob("*/children"):
-        with suppress(OSError):  # a thread that has ended since
-            found += map(int, file.read_text().split())
-    return found
-
-
-def grandchildren(pid: int) -> list[int]:
-    return [grandchild for child in children(pid) for grandchild in children(child)]
-
-
-def runs(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 def digests(package: Path) -> dict[str, str]:
@@ -94,7 +78,7 @@ def digests(package: Path) -> dict[str, str]:
 @IN_PROC
 @pytest.mark.parametrize("after", [0.0, 0.1, 0.3, 1.0])
 def test_ctrl_c_while_starting_ends_at_once_with_one_line(after: float, cache: Path, tmp_path: Path):
-    process = start("demo", "-o", tmp_path / "out", cache=cache)
+    process = start("demo", "-o", tmp_path / "out", cache=cache, fresh=True)
     tasks = Path(f"/proc/{process.pid}/task")
     assert soon(lambda: len(list(tasks.iterdir())) > 1, 60), "a second thread waits for signals"
     assert after or "numpy" not in Path(f"/proc/{process.pid}/maps").read_text(), "before anything heavy is imported"
@@ -119,7 +103,7 @@ def test_no_worker_outlives_a_run_that_is_ended(number: signal.Signals, cache: P
     _, errors = process.communicate()
     if number != signal.SIGKILL:
         assert (process.returncode, errors) == (1, INTERRUPTED)
-    assert soon(lambda: not any(map(runs, workers)), 2) and time.monotonic() - began < 2
+    assert soon(lambda: not any(map(is_running, workers)), 2) and time.monotonic() - began < 2
     assert sorted(p.name for p in tmp_path.iterdir()) == ["cache", "part"]
 
 
@@ -135,7 +119,7 @@ def test_a_signal_during_compilation_ends_all_compilers_at_once(number: signal.S
     _, errors = process.communicate()
     if number != signal.SIGKILL:
         assert (process.returncode, errors) == (1, INTERRUPTED)
-    assert soon(lambda: not any(map(runs, compilers)), 2) and time.monotonic() - began < 2
+    assert soon(lambda: not any(map(is_running, compilers)), 2) and time.monotonic() - began < 2
     assert not (tmp_path / "out").exists()
 
 
@@ -157,7 +141,7 @@ def test_nohup_is_respected(cache: Path):
     def ignore() -> None:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
-    process = start("config", cache=cache, preexec_fn=ignore)
+    process = start("config", cache=cache, fresh=True, preexec_fn=ignore)
     time.sleep(0.3)
     process.send_signal(signal.SIGHUP)
     process.communicate()
@@ -188,10 +172,7 @@ def test_a_full_disk_behind_the_output_is_told(cache: Path):
 
 def test_a_full_disk_leaves_the_old_package(cache: Path, tmp_path: Path, folder: Path):
     """A limit on the size of files stands for the disk: every larger write fails, in the package as in the cache."""
-
-    def small_files() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (4000, 4000))
-
+    small_files = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (4000, 4000))
     place = tmp_path / "place"
     write_package(box_stack_scene(), place / "out")
     before = digests(place / "out")
@@ -237,7 +218,7 @@ def test_little_memory_is_one_line(megabytes: int, cache: Path):
         resource.setrlimit(resource.RLIMIT_AS, (megabytes << 20, megabytes << 20))
 
     alone = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    process = start("config", cache=cache, preexec_fn=little, env={"F3SR_TRACEBACK": "", **alone})
+    process = start("config", cache=cache, fresh=True, preexec_fn=little, env={"F3SR_TRACEBACK": "", **alone})
     _, errors = process.communicate()
     assert process.returncode == 1 and errors.startswith("f3sr: ") and errors.count("\n") == 1, errors
 
@@ -245,9 +226,9 @@ def test_little_memory_is_one_line(megabytes: int, cache: Path):
 def test_no_threads_are_one_line(cache: Path):
     """Root may start as many as it wants, so it becomes somebody; the watch over signals is the first thread."""
     code = "import threading, f3sr.__main__ as m; threading.Thread.start = lambda _: 1 / 0; m.run()"
-    done = subprocess.run([sys.executable, "-c", code], env={**os.environ, "F3SR_TRACEBACK": ""}, capture_output=True)
+    done = forked.run([sys.executable, "-c", code], env={**os.environ, "F3SR_TRACEBACK": ""})
     assert done.returncode == 1
-    assert done.stderr.startswith(b"f3sr: unforeseen ZeroDivisionError") and done.stderr.count(b"\n") == 1
+    assert done.stderr.startswith("f3sr: unforeseen ZeroDivisionError") and done.stderr.count("\n") == 1
 
 
 # --- rivals ----------------------------------------------------------------------------------------------------
@@ -273,7 +254,7 @@ def test_rivals_for_one_place_never_break_it(tmp_path: Path):
     out = tmp_path / "place" / "out"
     command = [sys.executable, "-c", RIVAL]
     rivals = [
-        subprocess.Popen([*command, str(n), str(out), str(Path(__file__).parent)], stdout=subprocess.PIPE, text=True)
+        forked.Popen([*command, str(n), str(out), str(Path(__file__).parent)], stdout=subprocess.PIPE, text=True)
         for n in (1, 2, 3)
     ]
     said = [line for rival in rivals for line in rival.communicate()[0].splitlines()]
@@ -293,7 +274,8 @@ def test_seeds_threads_and_places_change_no_byte(cache: Path, compiled: Path, tm
         names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
         env = dict.fromkeys(names, threads) | {"PYTHONHASHSEED": str(k)}
         (tmp_path / f"cwd_{k}").mkdir()
-        process = start("reconstruct", folder, "-o", f"name {k}", cache=other, env=env, cwd=tmp_path / f"cwd_{k}")
+        place = tmp_path / f"cwd_{k}"
+        process = start("reconstruct", folder, "-o", f"name {k}", cache=other, fresh=True, env=env, cwd=place)
         assert process.communicate()[1] == "" and process.returncode == 0
         found.append(digests(tmp_path / f"cwd_{k}" / f"name {k}"))
     assert found[0] == found[1] and len(found[0]) > 10
@@ -311,13 +293,7 @@ def test_damaged_kernel_files_are_told_once_and_made_anew(cache: Path):
     told = "lambda step: print(step) if step.state == 'started' else None"
     code = f"from f3sr.runtime import kernels; kernels.warm_up({told}, film=False)"
     said = [
-        subprocess.run(
-            [sys.executable, "-c", code],
-            env={**os.environ, "F3SR_CACHE_DIR": str(cache)},
-            check=True,
-            capture_output=True,
-            text=True,
-        ).stdout
+        forked.run([sys.executable, "-c", code], env={**os.environ, "F3SR_CACHE_DIR": str(cache)}, check=True).stdout
         for _ in range(2)
     ]
     assert "2 damaged files" in said[0] and said[1] == "kernels: ...\n"

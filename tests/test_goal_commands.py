@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 
+import forked
 from f3sr.cli import main
 from f3sr.goals.plan import Velocity
 from f3sr.play.telling import launch_told
@@ -240,7 +241,7 @@ def test_an_interrupted_call_leaves_nothing_half_written(package: Package, tmp_p
         str(tmp_path / "out"),
         "--no-film",
     ]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    process = forked.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
     while process.poll() is None and not (tmp_path / "out" / "2").exists():
         time.sleep(0.02)
     process.send_signal(signal.SIGTERM)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from numba import njit
 
+import forked
 from f3sr.contact.sort_order import sort_order
 from f3sr.runtime import kernels
 from f3sr.runtime.daemon_thread import begun
@@ -40,7 +41,7 @@ for module in [name for name in sys.modules if name.startswith("f3sr.")]:
 
 
 def test_each_kernel_is_compiled_ahead_with_one_type(compiled: Path):
-    told = subprocess.run([sys.executable, "-c", COUNTED], check=True, capture_output=True, text=True).stdout
+    told = forked.run([sys.executable, "-c", COUNTED], check=True).stdout
     found = {name: int(count) for name, count in map(str.split, told.splitlines())}
     assert {name: found.get(name) for name in called_from_python()} == dict.fromkeys(called_from_python(), 1)
 

@@ -8,7 +8,6 @@ import sys
 import time
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 from queue import SimpleQueue
 from threading import Event
 
@@ -16,6 +15,7 @@ import manifold3d as mf
 import numpy as np
 import pytest
 
+import forked
 from f3sr import proxies
 from f3sr.contact import compounds
 from f3sr.contact.polytopes import Polytope
@@ -31,7 +31,9 @@ from f3sr.proxies.parts import SHEET, several, subject_of, thickened
 from f3sr.proxies.simplify import simplified_outward
 from f3sr.proxies.surface import NearestTriangles, samples_of, surroundings
 from f3sr.proxies.worker import ProxyWorker
+from f3sr.runtime import subprocesses
 from f3sr.runtime.machine import ONE_THREAD
+from waiting import children, grandchildren, is_running, soon
 
 QUICK = ProxyConfig(tolerance=0.012, max_parts=24, cuts=CutConfig(target_faces=600, samples=2000, surplus=1.5))
 GREEDY = ProxyConfig(tolerance=0.0005, max_parts=256, cuts=CutConfig(samples=100_000))
@@ -124,12 +126,19 @@ def bowl(cache):
     return decompose(BOWL, QUICK, cache_dir=cache)
 
 
+@pytest.fixture(autouse=True)
+def quick_start(monkeypatch):
+    """Workers are forks of a process that has imported f3sr, and live on as any worker."""
+    monkeypatch.setattr(worker, "started", forked.started)
+
+
 @pytest.fixture
 def no_subprocess(monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("a subprocess was started")
 
     monkeypatch.setattr(subprocess, "Popen", refuse)
+    monkeypatch.setattr(worker, "started", refuse)
 
 
 # One hull
@@ -474,16 +483,6 @@ def same_parts(one, other):
     return all(a.vertices.tobytes() == b.vertices.tobytes() for a, b in zip(one.parts, other.parts, strict=True))
 
 
-def children(pid):
-    found = [p.read_text().split() for p in Path(f"/proc/{pid}/task").glob("*/children")]
-    return [int(child) for line in found for child in line]
-
-
-def is_gone(pid):
-    stat = Path(f"/proc/{pid}/stat")
-    return not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] == "Z"
-
-
 @pytest.fixture
 def at_work():
     """A worker that has split a mesh, with its answer."""
@@ -550,20 +549,18 @@ def test_a_worker_that_is_called_off_is_killed_at_once_with_its_work():
         began = time.monotonic()
         with pytest.raises(CancelledError):
             waiting.result()
-    while not all(map(is_gone, ours)):
-        time.sleep(0.01)
+    assert soon(lambda: not any(map(is_running, ours)))
     assert len(ours) == 2 and time.monotonic() - began < 2
 
 
 def test_what_is_made_beside_a_block_ends_with_it():
     with decomposing([BOWL, BOWL], GREEDY) as made:
-        while not (ours := [grandchild for child in children(os.getpid()) for grandchild in children(child)]):
+        while not (ours := grandchildren(os.getpid())):
             time.sleep(0.01)
     began = time.monotonic()
     with pytest.raises(CancelledError):
         made()
-    while not all(map(is_gone, ours)):
-        time.sleep(0.01)
+    assert soon(lambda: not any(map(is_running, ours)))
     assert time.monotonic() - began < 2
 
 
@@ -639,8 +636,9 @@ def test_a_crash_leaves_one_hull_and_says_so(tmp_path, monkeypatch):
     assert distance_outside(proxy, surface_points(L_SHAPE)).max() < 1e-7
 
 
-def test_a_large_mesh_reaches_the_worker_and_its_answer_us(tmp_path):
-    """More than a pipe holds, to a worker that starts slowly."""
+def test_a_large_mesh_reaches_the_worker_and_its_answer_us(tmp_path, monkeypatch):
+    """More than a pipe holds, to a worker that starts as a new interpreter does: slowly."""
+    monkeypatch.setattr(worker, "started", subprocesses.started)
     vertices, faces = L_SHAPE.vertices, L_SHAPE.faces
     for _ in range(5):
         from trimesh.remesh import subdivide

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import time
 from collections import Counter
@@ -13,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import forked
 from f3sr.backends.model_choice import ModelChoice
 from f3sr.backends.protocols import PromptedImage
 from f3sr.errors import F3srError, InputError
@@ -145,7 +145,7 @@ def test_a_worker_ends_with_f3sr(source: Path, tmp_path: Path, jobs: Path):
     """kill -9 of the process that started it."""
     hanging = command(source, fault="hang", at=5)
     arguments = [sys.executable, "-m", "f3sr", "reconstruct", str(source), "-o", str(tmp_path / "out")]
-    process = subprocess.Popen([*arguments, "--ignore", "assets", "--assets", f"worker:{hanging}"])
+    process = forked.Popen([*arguments, "--ignore", "assets", "--assets", f"worker:{hanging}"])
     try:
         wait_for(running)
         process.kill()

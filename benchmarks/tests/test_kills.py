@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+import forked
 import kills
 from folders import write_folder
 
@@ -16,7 +17,7 @@ SKIPPED = ("align", "refine", "coarsen", "uncertainty", "evaluate", "inpaint")
 @pytest.mark.slow
 def test_after_kill_9_a_whole_package_or_none_and_the_next_run_goes_on(compiled: Path, tmp_path: Path):
     write_folder(tmp_path / "input", perturb=0.05, seed=2)
-    harness = kills.Kills(tmp_path / "input", tmp_path / "work", [compiled], SKIPPED)
+    harness = kills.Kills(tmp_path / "input", tmp_path / "work", [compiled], SKIPPED, forked.Popen)
     points = [kills.Point("level:20"), kills.Point("storing:3"), kills.Point("rename2:1", old=True)]
     trials = [harness.trial(point) for point in points]
     assert [trial.faults for trial in trials] == [[]] * 3, "\n".join(map(kills.show, trials))

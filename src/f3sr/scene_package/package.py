@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -281,10 +282,16 @@ def package_files(
     yield "report.json", dump_json(report or _report((), {}, {}))
     if page is not None:
         yield PAGE, page()
-    yield SCHEMA_FILE, dump_json(scene_schema())
+    yield SCHEMA_FILE, _schema_file()
     provenance = {"f3sr": f3sr.__version__, **provenance}
     document = to_document(scene, direct=direct, uncertainty=uncertainty or {}, metrics=metrics, provenance=provenance)
     yield "scene.json", to_json(document)
+
+
+@cache
+def _schema_file() -> bytes:
+    """The same in all packages; it takes longer to make than the rest of a small one."""
+    return dump_json(scene_schema())
 
 
 def _report(
