@@ -354,8 +354,8 @@ def test_many_starts_reach_the_same_minimum():
     assert np.abs(x[np.argmin(costs)] - target).max() < 1e-3
 
 
-LIFTED = ("02_letter_block", "03_bowl", "04_orange", "05_book", "06_dotted_mug")
-"""Half of the example: things of every kind of fit, one of them in another."""
+LIFTED = ("03_bowl", "04_orange", "05_book", "06_dotted_mug")
+"""A part of the example: things of every kind of fit, one of them in another."""
 
 
 @pytest.fixture(scope="module")

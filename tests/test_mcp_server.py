@@ -4,29 +4,25 @@ from __future__ import annotations
 
 import io
 import os
-import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import pytest
 from PIL import Image
 
+import forked
 from f3sr.errors import InputError
 from f3sr.mcp_server.allowed_root import AllowedRoot
 from f3sr.mcp_server.scene_tools import SceneTools
 from folders import write_folder
 from goal_scene import CAN, goal_package, goal_scene
 
-pytest.importorskip("mcp", reason="the extra llm is not installed")
-
-import anyio
-from mcp import Client
-from mcp.client.stdio import StdioServerParameters
-
-from f3sr.mcp_server.server import make_server
+if find_spec("mcp") is None:  # to import it takes a second in every process that collects
+    pytest.skip("the extra llm is not installed", allow_module_level=True)
 
 TOOLS = {"reconstruct", "list_objects", "simulate", "verdict", "film", "key_frames"}
 
@@ -42,6 +38,10 @@ def root(tmp_path: Path) -> Iterator[Path]:
 
 def asked(root: Path, *calls: tuple[str, dict[str, Any]]) -> list[Any]:
     """The results of some calls, in one session with the server in this process."""
+    import anyio
+    from mcp import Client
+
+    from f3sr.mcp_server.server import make_server
 
     async def talk() -> list[Any]:
         async with Client(make_server(SceneTools(AllowedRoot.of(root)))) as client:
@@ -75,6 +75,9 @@ def test_a_client_plays_a_goal_with_every_tool(root: Path) -> None:
 
 def test_the_server_lists_its_tools_over_standard_input_and_output(root: Path) -> None:
     """As an agent starts it: nothing but the protocol is on its output."""
+    import anyio
+    from mcp import Client
+    from mcp.client.stdio import StdioServerParameters
 
     async def talk() -> tuple[set[str], Any]:
         server = StdioServerParameters(
@@ -149,9 +152,7 @@ def test_a_root_must_be_there(tmp_path: Path) -> None:
 def test_without_the_package_one_line_says_what_to_install(tmp_path: Path) -> None:
     gone = "import sys; sys.modules['mcp'] = None; sys.modules['mcp.server.mcpserver'] = None"
     code = f"{gone}; import f3sr.__main__ as m; m.run()"
-    found = subprocess.run(
-        [sys.executable, "-c", code, "mcp", "--root", str(tmp_path)], capture_output=True, text=True, check=False
-    )
+    found = forked.run([sys.executable, "-c", code, "mcp", "--root", str(tmp_path)])
     assert found.returncode == 2 and found.stderr.count("\n") == 1 and "pip install 'f3sr[llm]'" in found.stderr
 
 

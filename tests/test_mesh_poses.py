@@ -61,7 +61,7 @@ def test_upright_brings_an_axis_up(up: Axis):
     ("up", "turn", "told", "yaw"),
     [
         *(("+y", 0.0, True, 0.4), ("+y", 2.0, True, -2.1), ("+z", -1.2, True, 0.4), ("-x", 3.0, True, -2.1)),
-        *(("+y", 0.0, False, -2.1), ("+y", 2.0, False, 0.4), ("+z", -1.2, False, -2.1)),
+        *(("+y", 2.0, False, 0.4), ("+z", -1.2, False, -2.1)),
     ],
 )
 def test_the_pose_is_found_whatever_the_axes_of_the_file(up: Axis, turn: float, told: bool, yaw: float):
@@ -136,10 +136,16 @@ def test_a_turn_that_fits_as_well_is_told():
     assert "it fits as well" not in made[0].told
 
 
-@pytest.mark.parametrize("order", ["wxyz", "xyzw"])
-@pytest.mark.parametrize("vectors", ["row", "column"])
-@pytest.mark.parametrize("frame", ["pytorch3d", "opencv", "blender"])
-@pytest.mark.parametrize("local", [GLTF_FROM_Z_UP, FILE_AXES])
+CONVENTIONS = [
+    (order, vectors, frame, (GLTF_FROM_Z_UP, FILE_AXES)[(i + j + k) % 2])
+    for i, order in enumerate(("wxyz", "xyzw"))
+    for j, vectors in enumerate(("row", "column"))
+    for k, frame in enumerate(("pytorch3d", "opencv", "blender"))
+]
+"""Half of all: every choice meets every other one."""
+
+
+@pytest.mark.parametrize(("order", "vectors", "frame", "local"), CONVENTIONS)
 def test_every_convention_of_a_producer_is_read_from_the_masks(order: str, vectors: str, frame: str, local: SignedAxes):
     image, geometry, K, T_true = seen(0.7)
     mesh = in_file(chair(), "+y", 0.3)
@@ -197,7 +203,7 @@ def test_without_depth_things_stand_on_what_is_below_them_in_the_picture():
         assert np.linalg.norm((found.min(0) + found.max(0)) / 2 - o.bounds_world.mean(0)) < 0.02
 
 
-@pytest.mark.parametrize("factor", [0.7, 1.0, 1.6])
+@pytest.mark.parametrize("factor", [0.7, 1.6])
 def test_posed_meshes_stand_on_the_ground_where_nothing_else_is_known(factor: float):
     """The unit of a producer's places is not that of a ground whose distance was guessed."""
     image, geometry, things, eye = on_a_ground()

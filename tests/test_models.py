@@ -8,6 +8,7 @@ import json
 import logging
 import time
 from dataclasses import replace
+from importlib.util import find_spec
 from typing import Annotated, Any, Literal
 
 import pytest
@@ -17,7 +18,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from f3sr.errors import InputError
 from model_servers import Asked, ModelServer, Reply, Script, model_server
 
-pytest.importorskip("pydantic_ai", reason="the extra llm is not installed")
+if find_spec("pydantic_ai") is None:  # to import it takes half a second in every process that collects
+    pytest.skip("the extra llm is not installed", allow_module_level=True)
 
 from f3sr.models.model_client import ModelClient, ModelConfig, ModelError
 from f3sr.models.model_endpoint import model_endpoint

@@ -8,6 +8,7 @@ import json
 import re
 import shutil
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,8 @@ from folders import part_of_example
 from goal_scene import goal_scene
 from model_servers import Asked, Reply, model_server
 
-pytest.importorskip("pydantic_ai", reason="the extra llm is not installed")
+if find_spec("pydantic_ai") is None:  # to import it takes half a second in every process that collects
+    pytest.skip("the extra llm is not installed", allow_module_level=True)
 
 from f3sr.agents.image_edit import ImageEdit, aligned, image_edit
 from f3sr.agents.photo_reader import labeler, scene_grapher

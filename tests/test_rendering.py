@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -323,7 +324,7 @@ def test_a_frame_does_not_depend_on_those_before() -> None:
     light = Light(direction=np.array([0.6, 0, 0.8]), angle=0.1, direct=np.ones(3), sky=np.full(3, 0.3))
     setting = replace(renderer.setting, light=light)
     film = Canvas(setting)
-    frames = walk(40)
+    frames = walk(20)
     for T in [*frames, *frames[::7]]:
         assert np.array_equal(film.drawn(T), Canvas(setting).drawn(T))
 
@@ -359,6 +360,7 @@ def test_the_photo_stays_as_it_is_where_it_was_not_completed() -> None:
     assert np.array_equal(renderer.frame(at_rest(scene))[outside], photo[outside])
 
 
+@cache
 def shadowed() -> tuple[Scene, NDArray[np.bool_], NDArray[np.bool_]]:
     """``big_table`` in a photo whose shadows are redder than the light's, ground beside its objects, and the
     part of it in shadow."""
@@ -423,10 +425,11 @@ def test_a_background_in_another_light_says_nothing_of_the_photos_shadows() -> N
 BALL_ONLY = np.array([False, True, False])
 
 
-def photographed(ball_at: Array | None = None) -> tuple[Scene, Renderer, Callable[[Array], NDArray[np.uint8]]]:
+@cache
+def photographed(*ball_at: float) -> tuple[Scene, Renderer, Callable[[Array], NDArray[np.uint8]]]:
     """``big_table``, its renderer, and photos of it at any poses: greener than its meshes and darker to the left."""
     scene = big_table()
-    if ball_at is not None:
+    if ball_at:
         poses = at_rest(scene)
         poses[1, :3, 3] = ball_at
         scene = scene_of([o.mesh for o in scene.objects], list(poses), scene.camera)
@@ -463,7 +466,7 @@ def test_beside_what_moves_a_film_shows_the_photo_itself() -> None:
 
 
 def test_what_a_moving_object_uncovers_has_the_photos_colours_of_what_rests() -> None:
-    scene, renderer, photo = photographed(np.array([-0.05, -0.25, 0.1]))  # the ball stands before the box
+    scene, renderer, photo = photographed(-0.05, -0.25, 0.1)  # the ball stands before the box
     ids = rasterizer.visible_ids(scene.objects, scene.camera)
     without = rasterizer.visible_ids((scene.objects[0], scene.objects[2]), scene.camera)
     hidden = (ids == 1) & (without == 0) & ~grown(ids != 1, 2)

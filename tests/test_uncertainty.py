@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import binomtest
 
 import f3sr
 from f3sr.cli.main import main
@@ -270,6 +269,8 @@ def test_what_falls_is_no_sample(pile: Scene):
 @pytest.mark.parametrize(("met", "count"), [(3, 5), (0, 7), (20, 20), (17, 20)])
 def test_the_interval_of_a_success_rate_is_wilsons(met: int, count: int):
     rate = SuccessRate(met=met, count=count, missed={})
+    from scipy.stats import binomtest
+
     low, high = binomtest(met, count).proportion_ci(0.9, method="wilson")
     assert rate.interval == (pytest.approx(low, abs=1e-4), pytest.approx(high, abs=1e-4))
 
