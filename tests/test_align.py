@@ -157,9 +157,7 @@ def test_a_tilted_box_is_stood_on_its_facet() -> None:
     assert found.T_world_object[2, 2] == pytest.approx(1, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("axis", "degrees"), [("z", 90), ("z", 180), ("z", 270), ("x", 180), ("y", 180)], ids=lambda v: str(v)
-)
+@pytest.mark.parametrize(("axis", "degrees"), [("z", 90), ("z", 180), ("x", 180), ("y", 180)], ids=lambda v: str(v))
 @pytest.mark.parametrize("has_detail", [True, False], ids=["painted", "plain"])
 def test_an_object_that_came_the_wrong_way_round_is_found_in_every_orientation(
     axis: str, degrees: float, has_detail: bool

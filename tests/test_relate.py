@@ -187,11 +187,10 @@ def test_supports_of_scenes_at_rest_as_they_are_and_with_the_noise_of_generated_
     for m in scenes:
         mains = {(o.id, o.supported_by) for o in relate(m.scene)[0]}
         exact += len(mains - m.supports)
-        for k in range(2):
-            scene, _ = relate(made.jittered(m.scene, np.random.default_rng(k)))
-            disturbed += len({(o.id, o.supported_by) for o in scene} - m.supports)
-            true, found = true + len(m.supports), found + len(supports(scene))
-            hit += len(supports(scene) & m.supports)
+        scene, _ = relate(made.jittered(m.scene, np.random.default_rng(0)))
+        disturbed += len({(o.id, o.supported_by) for o in scene} - m.supports)
+        true, found = true + len(m.supports), found + len(supports(scene))
+        hit += len(supports(scene) & m.supports)
     assert exact <= 0.05 * true and disturbed <= 0.1 * true
     assert hit >= 0.85 * found and hit >= 0.75 * true
 
