@@ -84,6 +84,9 @@ def main(argv: Sequence[str] | None = None) -> int:
                 args=arguments[1:],
             )
             return 0
+        if arguments and (command := commands.get(arguments[0])):  # alone: tyro would look at all commands first
+            tyro.cli(command, prog=f"f3sr {arguments[0]}", args=arguments[1:])
+            return 0
         tyro.extras.subcommand_cli_from_dict(
             commands,
             prog="f3sr",
