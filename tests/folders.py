@@ -176,11 +176,15 @@ PART = ("01_tomato_tin", "06_dotted_mug", "09_lemon")
 
 
 def part_of_example(folder: Path, part: Collection[str] = PART) -> Path:
-    """The bundled folder with the masks and assets of some objects alone."""
+    """The bundled folder with the masks and assets of some objects alone, and pictures of half its size."""
     shutil.copytree(example.folder(), folder)
     for mask in (folder / "masks").iterdir():
         if mask.stem not in part:
             mask.unlink()
+    for file in (folder / "image.jpg", folder / "ground.png", *(folder / "masks").iterdir()):
+        picture = Image.open(file)
+        sampling = Image.Resampling.BOX if file.suffix == ".jpg" else Image.Resampling.NEAREST
+        picture.resize((picture.width // 2, picture.height // 2), sampling).save(file, quality=95)
     poses = json.loads((folder / "assets/poses.json").read_text())
     poses["objects"] = [o for o in poses["objects"] if Path(o["mask"]).stem in part]
     (folder / "assets/poses.json").write_text(json.dumps(poses))

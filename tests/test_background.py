@@ -264,9 +264,9 @@ def shadowed(depth: float, softness: float, grain: float = 0.0) -> tuple[Pixels,
     return rgb, mask, np.where(mask, 0, dark)
 
 
-@pytest.mark.parametrize("softness", [2.0, 6.0])
-@pytest.mark.parametrize("depth", [0.25, 0.6])
-@pytest.mark.parametrize("grain", [0.0, 0.04])
+@pytest.mark.parametrize(
+    ("softness", "depth", "grain"), [(2.0, 0.25, 0.0), (2.0, 0.6, 0.04), (6.0, 0.25, 0.04), (6.0, 0.6, 0.0)]
+)
 def test_a_soft_shadow_is_found(softness: float, depth: float, grain: float) -> None:
     rgb, mask, dark = shadowed(depth, softness, grain)
     found = complete_background(Photo(rgb=rgb), [mask]).replaced

@@ -291,7 +291,7 @@ def test_damaged_kernel_files_are_told_once_and_made_anew(cache: Path):
     data[len(data) // 2] ^= 1
     files[1].write_bytes(data)
     told = "lambda step: print(step) if step.state == 'started' else None"
-    code = f"from f3sr.runtime import kernels; kernels.warm_up({told}, film=False)"
+    code = f"from f3sr.runtime import kernels\nwith kernels.compiling() as compilers: compilers.finish({told})"
     said = [
         forked.run([sys.executable, "-c", code], env={**os.environ, "F3SR_CACHE_DIR": str(cache)}, check=True).stdout
         for _ in range(2)
