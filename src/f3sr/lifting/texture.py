@@ -21,7 +21,7 @@ from f3sr.lifting.solids import Solid
 from f3sr.lifting.unshaded import SeenSolid
 from f3sr.scene import Photo
 from f3sr.vision import rasterizer
-from f3sr.vision.regions import grown, opened, shrunk, smoothed
+from f3sr.vision.regions import grown, interpolated, opened, shrunk, smoothed
 
 LONGEST = 1024
 """Longer side of the photo's part of a texture [px]."""
@@ -31,6 +31,8 @@ GRAZING = math.cos(math.radians(78))
 """Least cosine between a face's normal and the ray to the camera for the photo to show it: else print smears."""
 SOFT = 0.12
 """Standard deviation of the blur where the photo shows nothing [longer side of the mask]: no print is seen there."""
+FINE = 5.0
+"""Standard deviation of that blur in the pixels in which it is computed."""
 FADED = 0.47
 """Cosine between a normal and the ray to the camera below which the photo goes over into its blurred copy."""
 INSET = 0.004
@@ -122,19 +124,35 @@ def _shaded(image: NDArray[np.uint8], known: NDArray[np.bool_], sigma: float) ->
     """Planes fitted to the ``known`` colours under a Gaussian [px], at every pixel (h, w, 3): a mean alone would be
     brighter than a border in shadow, as all it averages lies inside (normalized convolution of first order, Farneback
     2002)."""
-    rows, columns = np.indices(known.shape).astype(float) / sigma
-    basis = np.stack([np.ones(known.shape), columns, rows], axis=-1)
-    second, first = np.empty((*known.shape, 3, 3)), np.empty((*known.shape, 3, 3))
+    k = max(1, int(sigma / FINE))
+    weight, colours = (
+        _reduced(known.astype(float)[..., None], k)[..., 0],
+        _reduced(np.where(known[..., None], image, 0.0), k),
+    )
+    rows, columns = (np.indices(weight.shape) + 0.5) * k / sigma
+    basis = np.stack([np.ones(weight.shape), columns, rows], axis=-1)
+    second, first = np.empty((*weight.shape, 3, 3)), np.empty((*weight.shape, 3, 3))
     for i, j in np.ndindex(3, 3):
-        second[..., i, j] = smoothed(basis[..., i] * basis[..., j] * known, sigma)
-        first[..., i, j] = smoothed(basis[..., i] * image[..., j] * known, sigma)
-    here = np.tile(np.eye(3), (*known.shape, 1, 1))  # about the pixel itself, where the plane's value is its constant
+        first[..., i, j] = smoothed(basis[..., i] * colours[..., j], sigma / k)
+        if j >= i:
+            second[..., i, j] = second[..., j, i] = smoothed(basis[..., i] * basis[..., j] * weight, sigma / k)
+    here = np.tile(np.eye(3), (*weight.shape, 1, 1))  # about the pixel itself: the plane's value there is its constant
     here[..., 1, 0], here[..., 2, 0] = -columns, -rows
     second, first = here @ second @ np.swapaxes(here, -1, -2), here @ first
     second += (FLATTENED * np.maximum(second[..., 0, 0], EMPTY))[..., None, None] * np.diag([0.0, 1.0, 1.0])
     second[..., 0, 0] += 1e-9
-    own = np.quantile(image[known], [0.01, 0.99], axis=0)
-    return np.asarray(np.clip(np.linalg.solve(second, first)[..., 0, :], *own), float)
+    soft = np.linalg.solve(second, first)[..., 0, :]
+    y, x = (np.indices(known.shape).reshape(2, -1) + 0.5) / k
+    at = np.column_stack([x, y])
+    whole = np.stack([interpolated(soft[..., c], at).reshape(known.shape) for c in range(3)], axis=-1)
+    return np.asarray(np.clip(whole, *np.quantile(image[known], [0.01, 0.99], axis=0)), float)
+
+
+def _reduced(image: Array, k: int) -> Array:
+    """Means over squares of ``k`` pixels of an image (h, w, c), which is 0 beyond its border."""
+    h, w = (-(-n // k) for n in image.shape[:2])
+    padded = np.pad(image, ((0, h * k - image.shape[0]), (0, w * k - image.shape[1]), (0, 0)))
+    return np.asarray(padded.reshape(h, k, w, k, -1).mean((1, 3)), float)
 
 
 @dataclass(frozen=True, eq=False)
