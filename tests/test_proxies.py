@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 import forked
-from f3sr import proxies
 from f3sr.contact import compounds
 from f3sr.contact.polytopes import Polytope
 from f3sr.core.mesh import ConvexPart, Mesh, solid_properties
@@ -30,6 +29,7 @@ from f3sr.proxies.hulls import distinct, hull_of
 from f3sr.proxies.parts import SHEET, several, subject_of, thickened
 from f3sr.proxies.simplify import simplified_outward
 from f3sr.proxies.surface import NearestTriangles, samples_of, surroundings
+from f3sr.proxies.unit_frame import TURNS, in_unit_frame
 from f3sr.proxies.worker import ProxyWorker
 from f3sr.runtime import subprocesses
 from f3sr.runtime.machine import ONE_THREAD
@@ -379,7 +379,7 @@ def test_points_without_repetitions_are_all_points():
 
 
 def test_what_is_looked_at_late_changes_no_join(monkeypatch):
-    bowl = proxies._normalised(BOWL)[:2]
+    bowl = in_unit_frame(BOWL)[:2]
     late = several(*bowl, QUICK)
     monkeypatch.setattr(joins, "FEW", 1)
     early = several(*bowl, QUICK)
@@ -388,7 +388,7 @@ def test_what_is_looked_at_late_changes_no_join(monkeypatch):
 
 
 def test_open_space_ends_at_walls_and_narrow_slots():
-    vertices, faces, _ = proxies._normalised(crate())
+    vertices, faces, _ = in_unit_frame(crate())
     around = surroundings(vertices, faces)
     up = np.array([[0, 0, 1.0]])
     floor = np.array([[0.0, 0.0, vertices[:, 2].min() + 0.05 / crate().diagonal]])
@@ -399,7 +399,7 @@ def test_open_space_ends_at_walls_and_narrow_slots():
 
 def test_the_excess_is_what_a_lid_stands_off():
     mesh = crate()
-    vertices, faces, _ = proxies._normalised(mesh)
+    vertices, faces, _ = in_unit_frame(mesh)
     around = surroundings(vertices, faces)
     hull = ConvexPart.hull_of(vertices)
     found = excess([hull], NearestTriangles.on(vertices, faces), around, 0.03)
@@ -417,12 +417,13 @@ def test_distances_to_a_surface_are_exact():
 
 
 def test_only_what_faces_the_opening_is_a_floor():
-    vertices, faces, _ = proxies._normalised(mug())
+    vertices, faces, T = in_unit_frame(mug())
     subject = subject_of(vertices, faces, ConvexPart.hull_of(vertices), ProxyConfig())
     heavy = subject.samples.weight > 2
-    assert heavy.any() and (subject.samples.normals[heavy, 2] > 0.8).all()
+    up = T[2, :3] / np.linalg.norm(T[2, :3])
+    assert heavy.any() and (subject.samples.normals[heavy] @ up > 0.8).all()
     bar = box_mesh((1, 0.2, 0.2))
-    vertices, faces, _ = proxies._normalised(bar)
+    vertices, faces, _ = in_unit_frame(bar)
     plain = subject_of(vertices, faces, ConvexPart.hull_of(vertices), ProxyConfig())
     assert (plain.samples.weight == 1).all()
 
@@ -445,6 +446,32 @@ def test_unit_and_place_do_not_matter(cache, bowl, no_subprocess):
     assert np.allclose(proxy.excess.at, 1000 * np.array(bowl.excess.at) + [300, -20, 7], atol=1e-4)
     for part, same in zip(proxy.parts, bowl.parts, strict=True):
         assert np.allclose(part.vertices, 1000 * same.vertices + [300, -20, 7], atol=1e-4)
+
+
+def lopsided():
+    """A box of 1 x .8 x .5 with a pit that is nowhere in its middle: no turn maps it onto itself."""
+    return mesh_of(mf.Manifold.cube((1, 0.8, 0.5)) - mf.Manifold.cube((0.7, 0.4, 0.5)).translate((0.05, 0.3, 0.1)))
+
+
+@pytest.fixture(scope="module")
+def pit(cache):
+    return decompose(lopsided(), QUICK, cache_dir=cache)
+
+
+def test_axes_and_order_of_a_file_do_not_matter(cache, pit, no_subprocess):
+    """The same asset, its axes permuted and turned round, vertices and triangles in another order, is the same cache
+    entry: its parts lie where they did."""
+    mesh, rng = lopsided(), np.random.default_rng(0)
+    assert pit.method == "cuts" and len(pit.parts) > 2
+    for A in TURNS:
+        order = rng.permutation(len(mesh.vertices))
+        faces = np.argsort(order)[rng.permutation(mesh.faces)]
+        stored = Mesh(vertices=(mesh.vertices @ A.T)[order], faces=np.roll(faces, rng.integers(3), axis=1))
+        proxy = decompose(stored, QUICK, cache_dir=cache)
+        assert np.allclose(np.array(proxy.excess.at) @ A, pit.excess.at, atol=1e-12)
+        assert np.allclose(A.T @ proxy.solid.inertia @ A, pit.solid.inertia, atol=1e-12)
+        for part, same in zip(proxy.parts, pit.parts, strict=True):
+            assert np.allclose(part.vertices @ A, same.vertices, atol=1e-12)
 
 
 def test_the_same_bytes_twice(tmp_path):
@@ -476,7 +503,7 @@ def test_a_worker_over_its_wall_limit_is_killed(tmp_path):
 
 
 def split(worker, mesh):
-    return worker.split(*proxies._normalised(mesh)[:2])
+    return worker.split(*in_unit_frame(mesh)[:2])
 
 
 def same_parts(one, other):
@@ -573,8 +600,8 @@ def test_what_fails_beside_a_block_is_raised_where_the_result_is_asked_for(no_su
 def test_workers_fork_with_everything_imported_and_before_any_thread():
     code = """
 import os, sys
-from test_proxies import L_SHAPE, QUICK, proxies, several, worker
-mesh = proxies._normalised(L_SHAPE)[:2]
+from test_proxies import L_SHAPE, QUICK, in_unit_frame, several, worker
+mesh = in_unit_frame(L_SHAPE)[:2]
 before = set(sys.modules)
 worker.load()
 assert len(os.listdir("/proc/self/task")) == 1

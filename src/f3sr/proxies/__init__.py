@@ -4,7 +4,7 @@ A mesh that is nearly its own hull gets one part. Others are cut by planes, exac
 when the hulls of the pieces have a small stand-off from the reachable surface everywhere. Then neighbours are joined
 where that costs nothing. Finally every hull is simplified outward, to a polytope of few of its own facet planes. A
 process with limits on its time does this. All lengths inside are shares of the mesh's size (the diagonal of its
-bounding box). So the result does not depend on the asset's unit.
+bounding box), and axes are the mesh's own. So the result does not depend on the unit, axes or order of its file.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from f3sr.proxies.joins import Join
 from f3sr.proxies.parts import FittedParts, as_given, nearly_convex, one_hull
 from f3sr.proxies.store import key_of, packed, unpacked
 from f3sr.proxies.surface import Faces
+from f3sr.proxies.unit_frame import in_unit_frame
 from f3sr.proxies.worker import ProxyWorker
 from f3sr.report import Decision
 from f3sr.runtime.cache_folder import within
@@ -39,8 +40,6 @@ __all__ = ["Excess", "Join", "Proxy", "ProxyConfig", "check", "decompose", "deco
 
 INFLATION_LIMIT = 1.4
 """Ratio of the volume of the parts to that of the mesh above which a decision names the object."""
-GRID = 2.0**-26
-"""Normalised vertices are rounded to this step, so that the asset's unit and place change no byte."""
 
 Method = Literal["hull", "cuts", "hull-fallback", "given"]
 STICKS_OUT = 1e-6
@@ -132,7 +131,7 @@ def decompose_all(
 
 def split(mesh: Mesh, config: ProxyConfig | None = None) -> int:
     """How many parts a worker of its own finds; RuntimeError with the reason where it finds none."""
-    vertices, faces, _ = _normalised(mesh)
+    vertices, faces, _ = in_unit_frame(mesh)
     with ProxyWorker(config or ProxyConfig()) as worker:
         outcome = worker.split(vertices, faces)
     if not outcome.fitted:
@@ -154,7 +153,7 @@ def check(mesh: Mesh, name: str) -> None:
 
 def _decomposed(mesh: Mesh, worker: ProxyWorker, cache_dir: Path | None, about: int | None) -> Proxy:
     """The parts of a mesh in its frame and unit, from the cache or made anew."""
-    vertices, faces, T_mesh_unit = _normalised(mesh)
+    vertices, faces, T_mesh_unit = in_unit_frame(mesh)
     if mesh.pieces and (proxy := _given(mesh, vertices, faces, T_mesh_unit)).outside <= STICKS_OUT:
         return _in_frame(proxy, T_mesh_unit, about)
     store, key = Store(cache_dir or within("proxies"), share=0.1), key_of(vertices, faces, worker.config)
@@ -187,21 +186,11 @@ def _in_frame(proxy: Proxy, T_mesh_unit: Array, about: int | None) -> Proxy:
     )
 
 
-def _normalised(mesh: Mesh) -> tuple[Array, Faces, Array]:
-    """Welded vertices about their box's centre, in units of its diagonal; faces; and the map back (4, 4)."""
-    center, size = mesh.bounds.mean(0), mesh.diagonal
-    rounded = np.round((mesh.vertices - center) / size / GRID) * GRID + 0.0
-    vertices, faces = Mesh(vertices=rounded, faces=mesh.faces).welded
-    T = np.diag([size, size, size, 1.0])
-    T[:3, 3] = center
-    return vertices, faces, T
-
-
 def _in_mesh(solid: MassProperties, T_mesh_unit: Array) -> MassProperties:
-    """The solid under a scale and a shift."""
-    k = float(T_mesh_unit[0, 0])
-    center = transform(T_mesh_unit, solid.center[None])[0]
-    return MassProperties(volume=k**3 * solid.volume, center=center, inertia=k**5 * solid.inertia)
+    """The solid under a scale, a turn and a shift."""
+    k = float(np.linalg.norm(T_mesh_unit[0, :3]))
+    R, center = T_mesh_unit[:3, :3] / k, transform(T_mesh_unit, solid.center[None])[0]
+    return MassProperties(volume=k**3 * solid.volume, center=center, inertia=k**5 * R @ solid.inertia @ R.T)
 
 
 def _decompose_unit(vertices: Array, faces: Faces, worker: ProxyWorker) -> Proxy:
