@@ -18,16 +18,28 @@ from f3sr.errors import InputError
 from f3sr.io import inputs
 from f3sr.io.inputs import Inputs
 from f3sr.io.mesh_files import save_glb
-from f3sr.io.pose_conventions import ALL_AXES, CAMERAS, SAM3D, PoseConvention, SignedAxes, all_conventions, parsed
+from f3sr.io.pose_conventions import (
+    ALL_AXES,
+    CAMERAS,
+    FILE_AXES,
+    SAM3D,
+    PoseConvention,
+    SignedAxes,
+    all_conventions,
+    parsed,
+)
 from f3sr.mesh_poses import given_frames
 from f3sr.mesh_poses.given_frames import MaskPlacer
 from f3sr.mesh_poses.reading_votes import VoteConfig
 from f3sr.photo_inputs import read_inputs
-from f3sr.scene import SceneObject
+from f3sr.scene import Scene, SceneObject
+from f3sr.stages.assemble import as_given
 from folders import camera, write_folder
 from scenes import box, box_mesh, chair
 
 DOCS = Path(__file__).parents[1] / "docs"
+THREE_JS = PoseConvention("xyzw", "column", FILE_AXES, CAMERAS["opengl"])
+UNITY = PoseConvention("xyzw", "column", SignedAxes("-x+y+z"), CAMERAS["unity"])
 
 
 def chairs() -> list[SceneObject]:
@@ -90,13 +102,12 @@ def test_rotations_of_rows_and_of_columns_are_told_apart(tmp_path: Path):
 
 
 def test_poses_turned_for_three_js_are_read(tmp_path: Path):
-    three = PoseConvention("xyzw", "column", SignedAxes("+x+y+z"), CAMERAS["opengl"])
-    written(tmp_path / "in", three)
+    written(tmp_path / "in", THREE_JS)
     require_true(read_inputs(tmp_path / "in"))
 
 
 def test_poses_of_a_left_handed_program_are_read(tmp_path: Path):
-    written(tmp_path / "in", PoseConvention("xyzw", "column", SignedAxes("-x+y+z"), CAMERAS["unity"]))
+    written(tmp_path / "in", UNITY)
     require_true(read_inputs(tmp_path / "in"))
 
 
@@ -105,6 +116,35 @@ def test_a_mirrored_file_is_turned_back(tmp_path: Path):
     given = read_inputs(tmp_path / "in")
     require_true(given)
     assert all(asset.mesh.is_solid for asset in given.assets.values()), "triangles face outward"
+
+
+@pytest.mark.parametrize("by", [replace(SAM3D, order="xyzw"), THREE_JS, UNITY], ids=["fal", "three.js", "unity"])
+def test_whoever_writes_a_pose_down_gives_the_same_scene_to_the_digit(tmp_path: Path, by: PoseConvention):
+    """A pile magnifies a difference in the last digit to a millimetre, so there must be none."""
+    scenes = list[Scene]()
+    for name, convention in (("ours", SAM3D), ("theirs", by)):
+        by_program(tmp_path / name, convention)
+        given = read_inputs(tmp_path / name)
+        require_true(given)
+        scenes.append(as_given(given))
+    for ours, theirs in zip(*scenes, strict=True):
+        assert ours.T_world_object.tobytes() == theirs.T_world_object.tobytes()
+        assert ours.scale == theirs.scale
+        assert ours.mesh.vertices.tobytes() == theirs.mesh.vertices.tobytes()
+        assert np.array_equal(ours.mesh.faces, theirs.mesh.faces)
+
+
+def by_program(folder: Path, by: PoseConvention) -> None:
+    """The Y-up files of SAM 3D Objects, and poses as a program writes them that holds files and camera its own way."""
+    written(folder, SAM3D)
+    document = json.loads((folder / "assets/poses.json").read_text())
+    for o, entry in zip(chairs(), document["objects"], strict=True):
+        T = camera().T_camera_world @ o.T_world_object
+        Q = by.camera.matrix.T @ T[:3, :3] @ SAM3D.mesh.matrix @ by.mesh.matrix.T
+        wxyz = quaternion_from_rotation(Q.T if by.vectors == "row" else Q)
+        entry["rotation"] = (wxyz if by.order == "wxyz" else np.roll(wxyz, -1)).tolist()
+        entry["translation"] = (by.camera.matrix.T @ T[:3, 3]).tolist()
+    (folder / "assets/poses.json").write_text(json.dumps(document))
 
 
 @pytest.mark.parametrize("unit", [100.0, 1000.0])

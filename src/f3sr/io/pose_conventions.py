@@ -17,6 +17,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from f3sr.core.handedness import MIRROR
 from f3sr.core.transforms import Array, rotation_from_quaternion
 from f3sr.errors import InputError
 from f3sr.options import ASSET_FRAMES
@@ -65,6 +66,8 @@ CAMERAS: dict[str, SignedAxes] = {
     "blender": SignedAxes("+x-z+y"),
 }
 """Camera axes that have a name. Unity's are left-handed; "blender" is a camera's frame turned from Y-up to Z-up."""
+Y_UP = ("opengl", "unity")
+"""Cameras of programs whose poses turn Y-up meshes. Those of SAM 3D Objects and Blender turn Z-up ones."""
 FILE_AXES = SignedAxes("+x+y+z")
 GLTF_FROM_Z_UP = SignedAxes("+x-z+y")
 """The mesh of a glTF file, Y-up, whose pose turns Z-up axes."""
@@ -83,6 +86,13 @@ class PoseConvention:
     def name(self) -> str:
         """As an option takes it: "wxyz/row/+x-z+y/pytorch3d"."""
         return SEPARATOR.join((self.order, self.vectors, self.mesh.name, camera_name(self.camera)))
+
+    @property
+    def own(self) -> Array:
+        """The axes (3, 3) in which an object is kept, from those of its file: those that its pose turns, right-handed
+        and Z-up. So they are the same whichever program wrote the pose down."""
+        handed = (MIRROR if self.camera.mirrors else np.eye(3)) @ self.mesh.matrix
+        return GLTF_FROM_Z_UP.matrix @ handed if camera_name(self.camera) in Y_UP else handed
 
 
 SAM3D = PoseConvention("wxyz", "row", GLTF_FROM_Z_UP, CAMERAS["pytorch3d"])

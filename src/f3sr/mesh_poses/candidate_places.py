@@ -37,7 +37,7 @@ class CandidatePlaces:
     scale: Array
     """(k, n), of that unit per unit of the file."""
     own: Array
-    """(k, 3, 3): the axes in which an object is kept, from those of its file; they may mirror."""
+    """(k, 3, 3): the axes in which an object is kept, from those of its file; they mirror where R does."""
 
     def __len__(self) -> int:
         return len(self.names)
@@ -59,7 +59,7 @@ class CandidatePlaces:
             R=np.einsum("kij,knjl,klm->knim", F, Q, A),
             t=np.einsum("kij,nj->kni", F, np.array([poses[id].translation for id in ids])),
             scale=np.tile([poses[id].scale for id in ids], (len(conventions), 1)),
-            own=A,
+            own=np.stack([c.own for c in conventions]),
         )
 
     @classmethod

@@ -9,10 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from statistics import median
 
-import numpy as np
-
 from f3sr.backends.protocols import GeneratedAsset
-from f3sr.core.handedness import in_axes, mirrored, rotation_of
+from f3sr.core.handedness import in_axes
 from f3sr.core.mesh import Mesh
 from f3sr.core.transforms import pose, transform
 from f3sr.io.given_meshes import PlacedMeshes
@@ -94,11 +92,7 @@ def _onto_the_ground(
 
 def _asset(mesh: Mesh, places: CandidatePlaces, k: int, v: int, factor: float) -> GeneratedAsset:
     """A mesh in the axes that its reading keeps it in, and its rotation and place in the camera."""
-    orthogonal, own = places.R[k, v], places.own[k]
-    mirrors = bool(np.linalg.det(orthogonal) < 0)
-    if mirrors == bool(np.linalg.det(own) < 0):
-        mesh, rotation = in_axes(mesh, own), orthogonal @ own.T
-    else:
-        mesh, rotation = mirrored(mesh) if mirrors else mesh, rotation_of(orthogonal)
     scale = factor * float(places.scale[k, v])
-    return GeneratedAsset(mesh=mesh, T_camera_object=pose(rotation, factor * places.t[k, v]), scale=scale)
+    own = places.own[k]
+    T = pose(places.R[k, v] @ own.T, factor * places.t[k, v])
+    return GeneratedAsset(mesh=in_axes(mesh, own), T_camera_object=T, scale=scale)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,7 +12,7 @@ import numpy as np
 from annotated_types import Interval
 
 from f3sr.core.camera import Camera
-from f3sr.core.transforms import T_UP_FROM_CAMERA, Array
+from f3sr.core.transforms import T_UP_FROM_CAMERA, Array, pose
 from f3sr.files.bounds import MAX_FRICTION
 from f3sr.io.given_properties import MATERIALS, GivenProperties
 from f3sr.io.inputs import Inputs, PosedAsset
@@ -23,6 +24,9 @@ from f3sr.settings import settings
 from f3sr.vision import rasterizer
 from f3sr.vision.silhouette import iou, resample
 
+POSE_GRID = 2.0**-32
+"""Step to which poses are rounded: .2 nm, and scales to as many binary digits. Digits beyond depend on how a program
+writes a pose down, and a pile magnifies them to a millimetre."""
 NAMED = 8
 """Objects of unknown material that the report names, at most."""
 
@@ -51,7 +55,7 @@ class Assembled(Outcome):
 
 def as_given(inputs: Inputs) -> Scene:
     """The inputs as a scene, nothing checked or moved: the photo, its camera at the origin, objects where their assets'
-    poses say, without proxies."""
+    poses say, to ``POSE_GRID``, without proxies."""
     camera = Camera(width=inputs.photo.width, height=inputs.photo.height, K=inputs.K, T_world_camera=T_UP_FROM_CAMERA)
     return Scene(
         photo=inputs.photo,
@@ -104,8 +108,8 @@ def _given_object(instance: Instance, asset: PosedAsset, camera: Camera, given: 
         mask_name=instance.name,
         mask=instance.mask,
         mesh=asset.mesh,
-        T_world_object=camera.T_world_camera @ asset.T_camera_object,
-        scale=asset.scale,
+        T_world_object=camera.T_world_camera @ _rounded(asset.T_camera_object),
+        scale=_in_digits(asset.scale),
         lifted=asset.lifted,
     )
     if known := material_of(o.label):
@@ -126,6 +130,18 @@ def _given_object(instance: Instance, asset: PosedAsset, camera: Camera, given: 
     else:
         reasons += [o.material_reason] if o.material_reason else []
     return replace(o, **given.properties, material_reason="; ".join(reasons))
+
+
+def _rounded(T: Array) -> Array:
+    """A rigid transform (4, 4) to the digits that count; still rigid."""
+    rounded = np.round(T / POSE_GRID) * POSE_GRID + 0.0  # no -0
+    R = rounded[:3, :3]
+    return pose(R @ (3 * np.eye(3) - R.T @ R) / 2, rounded[:3, 3])  # Newton's step to the nearest rotation: 1e-19 off
+
+
+def _in_digits(scale: float) -> float:
+    mantissa, exponent = math.frexp(scale)
+    return math.ldexp(round(mantissa / POSE_GRID) * POSE_GRID, exponent)
 
 
 def _told_of_materials(objects: Sequence[SceneObject]) -> Decision:
