@@ -4,7 +4,8 @@ usage: python benchmarks/producers.py [NAME ...] [--producers NAME ...] [--place
 A real worker process (``scripted_producer.py``) answers; its meshes are placed by the product. With ``--placed`` only
 that is measured: how far surfaces are from the folder's own assets [% of their size], at worst and in the mean, and the
 visible IoU of the assets as they are placed. Else scenes are reconstructed too, and the referee measures them beside
-the folder with its own poses. Bounds: with poses within POSED of the folder's own, without LEAST in the mean.
+the folder with its own poses; ``apart_mm`` is the largest distance of a vertex from where it then lies.
+Bounds: with poses within POSED of the folder's own, without LEAST in the mean.
 Exit codes: 0 all bounds hold, 1 one does not.
 """
 
@@ -20,6 +21,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+import numpy as np
 from scipy.spatial import KDTree
 
 from f3sr import pipeline
@@ -31,6 +33,7 @@ from f3sr.io.inputs import Fillers, Inputs
 from f3sr.lifting.generators import ASSET_GENERATORS
 from f3sr.metrics.measures import mean_over_masks, visible_ious
 from f3sr.photo_inputs import read_inputs
+from f3sr.scene import Scene
 from f3sr.stages.assemble import as_given
 from process import run
 from run import REPO
@@ -72,12 +75,18 @@ def _samples(asset: PosedAsset) -> Array:
     return transform(asset.T_camera_object, asset.scale * points)
 
 
-def refereed(given: Inputs, folder: Path, out: Path) -> dict[str, float]:
-    """The scene of some inputs, by the independent referee."""
-    deliver(pipeline.reconstruct(given), out, overwrite=True)
+def refereed(made: pipeline.Reconstruction, folder: Path, out: Path) -> dict[str, float]:
+    """A scene by the independent referee."""
+    deliver(made, out, overwrite=True)
     referee = folder.parents[2] / "referee" / "evaluate.py"
     found: Mapping[str, Any] = run([referee, folder, out], out.with_suffix(".referee.log")).answer
     return {name: float(found[name]) for name in ("mIoU_visible", "N_cross", "centre_pct", "support_recall")}
+
+
+def apart_mm(one: Scene, other: Scene) -> float:
+    """How far vertices of two scenes of the same objects are apart, at most [mm]."""
+    pairs = zip(one, other, strict=True)
+    return 1000 * max(float(np.linalg.norm(a.vertices_world - b.vertices_world, axis=1).max()) for a, b in pairs)
 
 
 def main() -> int:
@@ -96,12 +105,15 @@ def main() -> int:
     args.out.mkdir(parents=True, exist_ok=True)
     rows = dict[str, list[dict[str, float]]]()
     for folder in folders:
-        own = read_inputs(folder)
+        own, own_made = read_inputs(folder), None
         for producer in [*([] if args.placed else [OWN]), *args.producers]:
             given = own if producer == OWN else produced(folder, producer)
             row = placed(given, own)
             if not args.placed:
-                row |= refereed(given, folder, args.out / f"{folder.name}_{producer.replace(' ', '_')}")
+                made = pipeline.reconstruct(given)
+                own_made = own_made or made
+                row |= refereed(made, folder, args.out / f"{folder.name}_{producer.replace(' ', '_')}")
+                row["apart_mm"] = apart_mm(made.scene, own_made.scene)
             rows.setdefault(producer, []).append(row)
             told = ", ".join(f"{name} {value:.4g}" for name, value in row.items())
             print(f"{folder.name} {producer}: {told}", flush=True)
