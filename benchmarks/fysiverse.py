@@ -131,7 +131,7 @@ def main() -> int:
         if not args.again:
             composition = fysiverse.read(ImportSource(path=session))
             folder = write_imported(args.out / "inputs" / session.name, composition, drawn(composition))
-            reconstruct(folder, package)
+            reconstruct(folder, package, environment={"F3SR_CACHE_DIR": str(args.out.resolve() / "cache")})
         if not package.is_dir():
             print(f"{session.name}: no package", flush=True)
             continue
