@@ -13,9 +13,10 @@ import numpy as np
 
 from f3sr.core.mesh import ConvexPart, Mesh, mass_properties, union
 from f3sr.core.transforms import Array
-from f3sr.proxies import GRID, Excess, ProxyConfig, fit
+from f3sr.proxies import Excess, ProxyConfig, fit
 from f3sr.proxies.parts import FittedParts, decimated, nearly_convex, one_hull
 from f3sr.proxies.surface import PROBE, Faces, NearestTriangles, surroundings
+from f3sr.proxies.unit_frame import GRID
 from f3sr.scene import Scene
 from f3sr.stages.decompose import Decomposed, ProxyFit
 
