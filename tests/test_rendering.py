@@ -497,6 +497,22 @@ def test_a_shadow_that_comes_darkens_the_photo_as_it_darkens_the_drawn_object() 
     assert shown[1] / shown[0] == pytest.approx(drawn[1] / drawn[0], abs=0.02)
 
 
+def test_a_shadow_that_the_photo_does_not_have_leaves_nothing_bright() -> None:
+    scene, _, photo = photographed(0.15, 0.0, 0.5)  # the ball shades the box when drawn
+    ids, away = rasterizer.visible_ids(scene.objects, scene.camera), at_rest(scene)
+    away[1, :3, 3] += [0, -40.0, 0]
+    box = (ids == 0) & ~grown(ids == 1, 6)
+    shaded = box & (np.abs(photo(at_rest(scene)).astype(int) - photo(away)).max(2) > 10)
+    assert shaded.sum() > 100
+    rgb = scene.photo.rgb.copy()
+    rgb[box] = photo(away)[box]
+    scene = replace(scene, photo=Photo(rgb=rgb))
+    still = Renderer.of(scene, plain(scene.camera)).beside_photo(scene, BALL_ONLY)
+    assert still is not None
+    brighter = still.frame(away)[shaded].astype(int) - rgb[shaded]
+    assert np.abs(brighter).mean() < 5, brighter.mean()
+
+
 def test_a_frame_beside_the_photo_does_not_depend_on_those_before() -> None:
     scene, renderer, _ = photographed()
     still = renderer.beside_photo(scene, BALL_ONLY)

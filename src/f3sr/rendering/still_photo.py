@@ -23,6 +23,8 @@ RATIOS = 0.05, 4.0
 """What drawn light may change of the photo's, and what drawn colours may be off: beyond, two surfaces are compared."""
 
 
+VANISHED = 1e-6
+"""Factor on the size of what moves for the picture without it and its shadows."""
 BLENDED = 0.3, 0.7
 """Between what moves and what rests, as a share of the way, where the photo's ground goes over into the completed."""
 
@@ -43,7 +45,8 @@ class StillPhoto:
 
     A pixel keeps the photo's colour if no moving object is seen there, now or in the photo. It is multiplied by the
     drawn light now over that at rest: shadows still come and go. What was hidden by a moving object is drawn, in the
-    photo's colours of the same object around it."""
+    photo's colours of the same object around it. Where a drawn shadow leaves, a resting object gets no brighter than
+    in those colours: the photo's own shadow was elsewhere, or weaker."""
 
     canvas: Canvas
     photo: NDArray[np.uint8]
@@ -55,15 +58,19 @@ class StillPhoto:
     shed: NDArray[np.float32]
     """(h, w) share of the completed ground in what is shown: 1 beside what moves, 0 beside what rests, where the photo
     has shadows that may be of either."""
+    shaded: Mask
+    """(h, w) where what moves casts a drawn shadow at rest."""
     continued: tuple[Continued, ...]
 
     @classmethod
     def of(cls, canvas: Canvas, scene: Scene, moving: Mask) -> Self:
         """``moving`` (N,): which of the scene's objects move in the film."""
         poses = np.array([o.T_world_object for o in scene.objects]).reshape(-1, 4, 4)
-        at_rest = canvas.drawn(poses)
-        shape = at_rest.shape[:2]
         chosen = tuple(np.flatnonzero(moving).tolist())
+        alone = poses.copy()
+        alone[list(chosen), :3, :3] *= VANISHED
+        without, at_rest = canvas.drawn(alone), canvas.drawn(poses)
+        shape = at_rest.shape[:2]
         theirs = union_of([scene.objects[k].mask for k in chosen], shape)
         others = union_of([o.mask for k, o in enumerate(scene.objects) if k not in chosen], shape)
         completed = (canvas.setting.background != scene.photo.rgb).any(2) & ~others
@@ -76,6 +83,7 @@ class StillPhoto:
             moving=chosen,
             uncovered=uncovered,
             shed=shed,
+            shaded=(without != at_rest).any(2),
             continued=(),
         )
         return replace(still, continued=tuple(still._continued(scene)))
@@ -97,6 +105,9 @@ class StillPhoto:
             seen = (share > 0) & covered[part.window]
             shown = picture[part.window]
             shown[seen] = _times(shown[seen], part.ratio[seen] ** share[seen][:, None])
+            lit = (share == 1) & relit[part.window] & self.shaded[part.window]
+            alike = _times(drawn[part.window][lit], part.ratio[lit])
+            shown[lit] = np.minimum(shown[lit], np.maximum(self.photo[part.window][lit], alike))
         return picture
 
     def _continued(self, scene: Scene) -> Iterator[Continued]:
@@ -104,9 +115,11 @@ class StillPhoto:
         for k, thing in enumerate(scene.objects):
             if k in self.moving:
                 continue
-            known = (self.canvas.cover((k,)) == whole) & thing.mask & ~self.uncovered
+            own = (self.canvas.cover((k,)) == whole) & thing.mask & ~self.uncovered
+            known = own & ~self.shaded
             window = self.canvas.window(k)
-            if not known.any() or not (grown(known, 2 * APART) & self.uncovered).any():
+            near = grown(own, 2 * APART) & (self.uncovered | self.shaded)
+            if not known.any() or not near.any():
                 continue
             logs = np.log(_ratio(self.photo[window], self.at_rest[window])).astype(np.float32)
             yield Continued(k, window, np.exp(membrane(logs * known[window][..., None], known[window])))
@@ -130,6 +143,6 @@ def _ratio(now: NDArray[np.uint8], before: NDArray[np.uint8]) -> Array:
     return (lit[now] / lit[before]).clip(*RATIOS)
 
 
-def _times(picture: NDArray[np.uint8], ratio: Array) -> NDArray[np.uint8]:
+def _times(picture: NDArray[np.uint8], ratio: Array | NDArray[np.float32]) -> NDArray[np.uint8]:
     """A picture (..., 3) in sRGB under so many times its light."""
     return np.rint(255 * srgb((LINEAR[picture] * ratio).clip(0, 1))).astype(np.uint8)
