@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array
 from f3sr.lifting.fits import FittedShape, anchored, horizontal
-from f3sr.lifting.inner_edges import InnerCorner, inner_corner
+from f3sr.lifting.inner_edges import SIGMA, InnerCorner, inner_corner
 from f3sr.lifting.many_starts import BEHIND_CAMERA, gaussian, refined
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.solids import BOX_FACES, CELLS, CORNERS, Solid, carved, common, finer, mirrored, subdivided
@@ -162,7 +162,7 @@ class _BoxModel:
         def residuals(x: Array) -> Array:
             corners = self.corners(x)[:, inner.index]
             pixels, _ = self.seen.camera.project(corners)
-            return np.concatenate([self.residuals(x), (pixels - inner.pixel) / inner.sigma], axis=1)
+            return np.concatenate([self.residuals(x), (pixels - inner.pixel) / SIGMA], axis=1)
 
         return refined(residuals, x[None], iterations=40)[0][0]
 
@@ -186,7 +186,7 @@ class _BoxModel:
 
 
 def _onto_bounds(seen: Outlined, x: Array, corners: Callable[[Array], Array], size: float) -> Array:
-    """Boxes x (s, 6) of given proportions and yaw, moved and scaled so that their pictures have the mask's bounds."""
+    """Boxes x (s, 7) of given proportions and yaw, moved and scaled so that their pictures have the mask's bounds."""
     left, top, right, bottom = seen.bounds
     steep = abs(seen.camera.T_world_camera[2, 2]) + 0.05  # sine of the pitch: pixels up are metres away over it
     for _ in range(3):

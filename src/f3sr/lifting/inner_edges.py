@@ -18,6 +18,8 @@ EXPECTED = 0.04
 """Standard deviation of the corner about where the outline's box has it [size of the mask]: the camera's error."""
 FARTHEST = 2.5
 """Reach of the search [standard deviations]."""
+STEP = 0.75
+"""Largest step of the search [px]."""
 BESIDE = 1.5
 """Distance from an edge of the pixels on both sides that are compared [px]."""
 SAMPLES = 24
@@ -44,9 +46,7 @@ class InnerCorner:
     index: int
     """In the order of CORNERS."""
     pixel: Array
-    """(2,) [px of the window]."""
-    sigma: float
-    """Standard error [px]."""
+    """(2,) [px of the window], with the standard error ``SIGMA``."""
 
     def moved(self, box: Array, seen: Outlined) -> Array:
         """A ``box`` (8, 3) whose corner moved in its level face to where the photo has it, as far as that is near."""
@@ -79,7 +79,7 @@ def inner_corner(seen: Outlined, box: Array) -> InnerCorner | None:
         return None
     ends = pixels[np.flatnonzero(np.abs(CORNERS - CORNERS[index]).sum(1) == 1)]
     reach = max(2.0, FARTHEST * EXPECTED * size)
-    steps = np.linspace(-reach, reach, 2 * math.ceil(reach / 0.75) + 1)
+    steps = np.linspace(-reach, reach, 2 * math.ceil(reach / STEP) + 1)
     offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     offsets = offsets[np.hypot(*offsets.T) <= reach]
     contrast, consistency = _contrast(seen.mask, colours, pixels[index] + offsets, ends)
@@ -87,7 +87,7 @@ def inner_corner(seen: Outlined, box: Array) -> InnerCorner | None:
     best = int(np.argmax(likely))
     if consistency[best] < CONSISTENT:
         return None
-    return InnerCorner(index, pixels[index] + offsets[best], SIGMA)
+    return InnerCorner(index, pixels[index] + offsets[best])
 
 
 def _inside(pixels: Array, index: int) -> float:

@@ -60,7 +60,7 @@ def fitted_to_outline(fit: FittedShape, seen: Outlined) -> FittedShape:
         vertices=vertices,
         pieces=tuple(rest[: len(solid.pieces)]),
         rim=None if solid.rim is None else rest[-1],
-        form=solid.vertices if solid.form is None else solid.form,
+        form=solid.symmetric,
     )
     return replace(fit, solid=warped, overlap=overlap)
 

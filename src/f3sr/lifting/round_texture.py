@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,9 @@ from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array
 from f3sr.lifting.solids import Solid
 from f3sr.vision.regions import interpolated
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 CAP = math.radians(55)
 """Angle from the camera within which print looks as in the photo; farther round, it is seen along the rays."""
@@ -104,6 +109,12 @@ class _StarShaped:
         down /= np.linalg.norm(down)
         return cls(middle, off / radii[:, None], radii, np.stack([np.cross(towards, down), down, towards]))
 
+    @cached_property
+    def _tree(self) -> KDTree:
+        from scipy.spatial import KDTree
+
+        return KDTree(self.directions)
+
     def angles(self, directions: Array) -> Array:
         """From the ray to the camera (n,) [rad]."""
         return np.arccos(np.clip(directions @ self.axes[2], -1, 1))
@@ -120,9 +131,7 @@ class _StarShaped:
 
     def points(self, directions: Array) -> Array:
         """Points (n, 3) of the surface in unit directions (n, 3)."""
-        from scipy.spatial import KDTree
-
-        distances, nearest = KDTree(self.directions).query(directions, k=NEIGHBOURS)
+        distances, nearest = self._tree.query(directions, k=NEIGHBOURS)
         weights = 1 / np.maximum(distances, 1e-9)
         reach = (weights * self.radii[nearest]).sum(1) / weights.sum(1)
         return self.middle + reach[:, None] * directions

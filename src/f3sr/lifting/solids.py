@@ -36,6 +36,11 @@ class Solid:
     form: Array | None = None
     """Its vertices (n, 3) where it has that symmetry; None where ``vertices`` have it."""
 
+    @property
+    def symmetric(self) -> Array:
+        """Its vertices (n, 3) where it has its symmetry."""
+        return self.vertices if self.form is None else self.form
+
 
 TIPS = 0.2
 """Least distance of the centre of mass from the base's border, over its height: less tips at a tilt of 11 degrees."""

@@ -54,9 +54,9 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
 
     The texture has two halves, both seen from the camera: the photo, and a blurred copy. Faces that the photo does not
     show look as those that are the same by the solid's symmetry. Others look as what is before them in the photo.
-    Along the rays, where that would smear, they look as the blurred copy. Balls and fruit have a texture of their
-    own. What hides a part of the solid is replaced by
-    patches of the part that is seen; else its colours go on softly beyond the mask."""
+    Along the rays, where that would smear, they look as the blurred copy. Balls and fruit have a texture of their own.
+    What hides a part of the solid is replaced by patches of the part that is seen; else its colours go on softly beyond
+    the mask."""
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
     longest = max(len(rows), len(columns))
     pad = 2 + math.ceil(0.1 * longest)
@@ -66,7 +66,7 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
     window = camera.cropped(left, top, right - left, bottom - top)
     sharp = _continued(crop, known, _hidden(solid, mask[top:bottom, left:right], window))
     soft = _shaded(crop, known, SOFT * longest)
-    if solid.symmetry == "round" and not _stands_flat(solid.vertices if solid.form is None else solid.form):
+    if solid.symmetry == "round" and not _stands_flat(solid.symmetric):
         worn = round_texture(solid, sharp, soft, window)
         material = Material(texture=np.rint(worn.picture).astype(np.uint8))
         uv = np.column_stack([worn.uv[:, 0], 1 - worn.uv[:, 1]])
@@ -188,7 +188,7 @@ def _split(solid: Solid, camera: Camera) -> tuple[Array, NDArray[np.int32], Arra
 def _by_symmetry(solid: Solid, camera: Camera) -> Iterator[_Likeness]:
     """Other places of a solid that look as its vertices: the back of a box as its front turned about the vertical, the
     back of a solid of revolution as its front in a mirror, undersides as tops."""
-    form = solid.vertices if solid.form is None else solid.form
+    form = solid.symmetric
     if not solid.symmetry:
         return
     middle = (form.min(0) + form.max(0)) / 2
