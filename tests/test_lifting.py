@@ -26,6 +26,7 @@ from f3sr.lifting.revolutions import fit_revolution
 from f3sr.lifting.silhouettes import fit_lying, fit_standing
 from f3sr.lifting.solids import BOX_FACES, CORNERS, Solid, is_stable, joined, revolved
 from f3sr.lifting.texture import textured
+from f3sr.lifting.turned_texture import quilted
 from f3sr.lifting.unshaded import PhotoLight, SeenSolid, light_of
 from f3sr.metrology.camera_estimate import attitude
 from f3sr.photo_inputs import read_inputs
@@ -457,6 +458,33 @@ def test_the_back_of_a_can_goes_on_from_its_sides_without_a_step():
     for angle, colour in ((200, red), (160, red), (120, red), (60, blue), (20, blue), (-20, blue)):
         at = [middle[0] + radius * math.cos(math.radians(angle)), middle[1] + radius * math.sin(math.radians(angle))]
         assert np.abs(colour_at(mesh, np.array([*at, 0.5 * high[2]])) - colour).max() < 40, angle
+
+
+def test_print_goes_round_a_can_and_is_nowhere_a_mirror_image():
+    """Columns of a label get brighter to the right in five panels: so they do all around, but at seams."""
+    true = can(FOOT, 0.06, 0.15)
+    mask = mask_of(true)
+    columns = np.flatnonzero(mask.any(0))
+    across = np.clip(np.arange(mask.shape[1]) - columns[0], 0, len(columns) - 1) / len(columns)
+    rgb = np.repeat(np.tile(60 + 150 * (5 * across % 1), (mask.shape[0], 1))[..., None], 3, axis=2).astype(np.uint8)
+    mesh = textured(found(fit_cylinder(seen(true), 0.0)).solid, np.zeros(3), Photo(rgb=rgb), mask, CAMERA)
+    texture = mesh.materials[0].texture
+    assert texture is not None
+    row = texture[len(texture) // 3, :, 0].astype(float)
+    rises = np.diff(row)
+    assert (rises > 0).mean() > 0.75 and (row[:30].std() > 30 and row[-30:].std() > 30)
+
+
+def test_a_seam_runs_where_copies_differ_least():
+    rng = np.random.default_rng(3)
+    known = np.repeat(rng.uniform(0, 255, (20, 60, 1)), 3, axis=2)
+    known[:, [1, -2]] = 128.0
+    made = quilted(known, 160)
+    assert made.shape == (20, 160, 3) and np.array_equal(made[:, 8:52], known[:, 8:52])
+    halves = np.zeros((4, 50, 3))
+    halves[:, 25:] = 200.0
+    steps = np.abs(np.diff(np.pad(quilted(halves, 150), ((0, 0), (0, 1), (0, 0)), mode="wrap")[..., 0], axis=1))
+    assert (steps[0] > 100).sum() == 2, "a thing with two halves stays one"
 
 
 def texels(mesh: Mesh) -> Array:

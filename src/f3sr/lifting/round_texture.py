@@ -8,10 +8,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from f3sr.background.patchmatch import Picture
 from f3sr.core.camera import Camera
+from f3sr.core.mesh import Material, Mesh
 from f3sr.core.transforms import Array
 from f3sr.lifting.solids import Solid
 from f3sr.vision.regions import interpolated
@@ -31,20 +31,11 @@ LARGEST = 512
 """Side of each half at most [px]."""
 
 
-@dataclass(frozen=True, eq=False)
-class RoundTexture:
-    """A picture (n, 2 n, 3) of the half that the camera sees and the other, and a surface that wears it: ``vertices``
-    (m, 3) [m], ``faces`` (k, 3), and ``uv`` (m, 2) with v downward. Vertices on the border of the halves are twice."""
+def round_texture(solid: Solid, sharp: Picture, soft: Array, window: Camera) -> Mesh:
+    """A solid in the world that is star-shaped about its middle, its colours from a part of the photo (h, w, 3), as it
+    is and blurred, in the ``window`` that shows it.
 
-    picture: Picture
-    vertices: Array
-    faces: NDArray[np.int32]
-    uv: Array
-
-
-def round_texture(solid: Solid, sharp: Picture, soft: Array, window: Camera) -> RoundTexture:
-    """Of a solid that is star-shaped about its middle, from a part of the photo (h, w, 3), as it is and blurred, in the
-    ``window`` that shows it.
+    The picture has two halves: what the camera sees, and the other. Vertices on their border are there twice.
 
     Soft colours are those of the pixel on whose ray a point lies, before it or behind. Print around the point nearest
     to the camera goes on over the rest in a mirror, larger. So neither is seen along the rays, and there is no seam."""
@@ -58,11 +49,12 @@ def round_texture(solid: Solid, sharp: Picture, soft: Array, window: Camera) -> 
     across = surface.across(surface.directions[vertex])
     radius = np.where(half == 1, np.pi - angles[vertex], angles[vertex]) / EXTENT
     uv = (1 + radius[:, None] * across) / 2
-    return RoundTexture(
-        picture=np.concatenate(halves, axis=1),
+    picture = np.rint(np.concatenate(halves, axis=1)).astype(np.uint8)
+    return Mesh(
         vertices=solid.vertices[vertex],
         faces=faces.reshape(-1, 3).astype(np.int32),
-        uv=np.column_stack([(uv[:, 0] + half) / 2, uv[:, 1]]),
+        uv=np.column_stack([(uv[:, 0] + half) / 2, 1 - uv[:, 1]]),
+        materials=(Material(texture=picture),),
     )
 
 

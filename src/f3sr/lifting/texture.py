@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from f3sr.core.mesh import ConvexPart, Material, Mesh, area_vectors
 from f3sr.core.transforms import UP, Array
 from f3sr.lifting.round_texture import round_texture
 from f3sr.lifting.solids import Solid
+from f3sr.lifting.turned_texture import turned_texture
 from f3sr.lifting.unshaded import SeenSolid
 from f3sr.scene import Photo
 from f3sr.vision import rasterizer
@@ -37,8 +38,6 @@ FADED = 0.47
 """Cosine between a normal and the ray to the camera below which the photo goes over into its blurred copy."""
 INSET = 0.004
 """Distance of texture coordinates from the border of their half: filters do not mix the two."""
-MARGIN = math.radians(3)
-"""Angle by which less of a round side is spread over its back than the photo shows: whole faces are in it."""
 FLATTENED = 0.05
 """Variance of places [blur's own] at which a slope of colours counts half: fewer places tell no slope."""
 COVERED = 3
@@ -53,8 +52,8 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
     """A solid about ``origin`` (3,), in world axes, its texture the photo inside the mask (H, W).
 
     The texture has two halves, both seen from the camera: the photo, and a blurred copy. Faces that the photo does not
-    show look as those that are the same by the solid's symmetry. Others look as what is before them in the photo.
-    Along the rays, where that would smear, they look as the blurred copy. Balls and fruit have a texture of their own.
+    show look as those that are the same by a box's symmetry. Others look as what is before them in the photo. Along the
+    rays, where that would smear, they look as the blurred copy. What is round has a texture of its own.
     What hides a part of the solid is replaced by patches of the part that is seen; else its colours go on softly beyond
     the mask."""
     rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
@@ -66,11 +65,9 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
     window = camera.cropped(left, top, right - left, bottom - top)
     sharp = _continued(crop, known, _hidden(solid, mask[top:bottom, left:right], window))
     soft = _shaded(crop, known, SOFT * longest)
-    if solid.symmetry == "round" and not _stands_flat(solid.symmetric):
-        worn = round_texture(solid, sharp, soft, window)
-        material = Material(texture=np.rint(worn.picture).astype(np.uint8))
-        uv = np.column_stack([worn.uv[:, 0], 1 - worn.uv[:, 1]])
-        return Mesh(vertices=worn.vertices - origin, faces=worn.faces, uv=uv, materials=(material,))
+    if solid.symmetry == "round":
+        worn = (turned_texture if _stands_flat(solid.symmetric) else round_texture)(solid, sharp, soft, window)
+        return replace(worn, vertices=worn.vertices - origin)
     if solid.symmetry != "box":  # no edge where round sides turn away and the photo ends
         facing = SeenSolid.of(solid, mask, camera).facing
         beside = (rows[0] - top, bottom - rows[-1] - 1), (columns[0] - left, right - columns[-1] - 1)
@@ -174,7 +171,7 @@ def _split(solid: Solid, camera: Camera) -> tuple[Array, NDArray[np.int32], Arra
     """Vertices (n, 3), faces (m, 3), the points (n, 3) as which they look, and whether each (n,) is blurred: vertices
     between faces of different looks are there twice."""
     behind = _Likeness(solid.vertices, flips=True)
-    likenesses = [_Likeness(solid.vertices), *_by_symmetry(solid, camera), behind]
+    likenesses = [_Likeness(solid.vertices), *_by_symmetry(solid), behind]
     chosen = np.full(len(solid.faces), len(likenesses))
     for k in reversed(range(len(likenesses))):
         chosen[likenesses[k].facing(solid.faces, camera) >= GRAZING] = k
@@ -185,18 +182,14 @@ def _split(solid: Solid, camera: Camera) -> tuple[Array, NDArray[np.int32], Arra
     return solid.vertices[vertex], faces.reshape(-1, 3).astype(np.int32), looks, kind == kinds - 1
 
 
-def _by_symmetry(solid: Solid, camera: Camera) -> Iterator[_Likeness]:
-    """Other places of a solid that look as its vertices: the back of a box as its front turned about the vertical, the
-    back of a solid of revolution as its front in a mirror, undersides as tops."""
-    form = solid.symmetric
-    if not solid.symmetry:
-        return
-    middle = (form.min(0) + form.max(0)) / 2
+def _by_symmetry(solid: Solid) -> Iterator[_Likeness]:
+    """Other places of a box that look as its vertices: its back as its front turned about the vertical, its underside
+    as its top."""
     if solid.symmetry == "box":
-        yield _Likeness(_on_surface(solid, form + 2 * (middle - form) * [1, 1, 0]))
-    else:
-        yield from (_Likeness(_on_surface(solid, points), flips=True) for points in _wrapped(form, middle, camera))
-    yield _Likeness(_on_surface(solid, form + 2 * (middle - form) * UP), flips=True)
+        form = solid.symmetric
+        across = form.min(0) + form.max(0) - 2 * form
+        yield _Likeness(_on_surface(solid, form + across * [1, 1, 0]))
+        yield _Likeness(_on_surface(solid, form + across * UP), flips=True)
 
 
 def _on_surface(solid: Solid, points: Array) -> Array:
@@ -213,19 +206,3 @@ def _stands_flat(vertices: Array) -> bool:
     """Whether its underside has an edge."""
     low = vertices[:, 2] < vertices[:, 2].min() + 1e-3 * np.ptp(vertices[:, 2])
     return bool((np.ptp(vertices[low, :2], axis=0) > FLAT * np.ptp(vertices[:, :2], axis=0)).all())
-
-
-def _wrapped(vertices: Array, middle: Array, camera: Camera) -> Iterator[Array]:
-    """The half about the vertical through ``middle`` (3,) that the photo shows, spread in a mirror over the rest."""
-    towards = camera.center - middle
-    level = float(np.hypot(*towards[:2]))
-    if level * 2 < abs(towards[2]):
-        return  # seen from above: the side is hardly shown
-    seen = math.acos(min(0.9, GRAZING * float(np.linalg.norm(towards)) / level)) - MARGIN
-    off = vertices - middle
-    radius, front = np.hypot(off[:, 0], off[:, 1]), math.atan2(towards[1], towards[0])
-    angle = (np.arctan2(off[:, 1], off[:, 0]) - front + np.pi) % (2 * np.pi) - np.pi
-    rest = np.sign(angle) * seen * (np.pi - np.abs(angle)) / (np.pi - seen)
-    angle = front + np.where(np.abs(angle) > seen, rest, angle)
-    around = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), off[:, 2]])
-    yield middle + around
