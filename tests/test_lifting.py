@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+import trimesh
 
 from f3sr import proxies
 from f3sr.core.camera import Camera
@@ -686,6 +687,36 @@ def test_a_ball_is_warped_to_the_outline_of_what_is_nearly_a_ball(shape: tuple[f
     assert abs(warped.solid.vertices[:, 2].min()) < 1e-9
     volume = [signed_volume(s.vertices, s.faces) for s in (warped.solid, true)]
     assert volume[0] == pytest.approx(volume[1], rel=0.25)
+
+
+def test_a_ball_whose_mask_lacks_its_lower_part_gets_no_spike():
+    """Its lowest point stayed on the support while all around it moved up with the outline."""
+    mask = mask_of(ball(FOOT, 0.05))
+    rows = np.flatnonzero(mask.any(1))
+    mask[rows[0] + round(0.75 * len(rows)) :] = False
+    outlined = Outlined.of(mask, CAMERA)
+    made = fitted_to_outline(found(fit_ball(outlined, 0.0)), outlined).solid
+    assert abs(made.vertices[:, 2].min()) < 1e-9
+    hull = trimesh.convex.convex_hull(made.vertices)
+    assert signed_volume(made.vertices, made.faces) > 0.99 * hull.volume
+
+
+def test_the_near_wall_of_a_pan_may_hide_what_is_in_it():
+    """A ball in it is as large as it is, though its lower part is not seen."""
+    true = bowl(FOOT, 0.12, 0.08)
+    pan = mask_of(true)
+    instance = Instance(id=0, label="pan", name="00.png", mask=pan)
+    wall = choose(instance, seen(true), None, distance=1.0, loaded=True).near_wall(pan, CAMERA)
+    pixels, _ = CAMERA.project(FOOT + np.array([[0, 0, 0.08], [0, -0.12, 0.08]]))
+    (x, y), (_, edge) = pixels.round().astype(int)
+    assert not wall[y, x], "the inside hides nothing"
+    assert np.array_equal(wall[edge + 8 :], pan[edge + 8 :]) and wall.any(), "all below the rim's near edge does"
+    first = ball(FOOT + np.array([0, -0.05, 0.005]), 0.03)
+    shown = mask_of(first) & ~wall
+    assert 0.5 < shown.sum() / mask_of(first).sum() < 0.85
+    outlined = Outlined.of(shown, CAMERA).behind(wall)
+    made = fitted_to_outline(found(fit_ball(outlined, 0.005)), outlined).solid
+    assert np.ptp(made.vertices, axis=0) == pytest.approx([0.06, 0.06, 0.06], rel=0.08)
 
 
 @pytest.mark.parametrize("true", [block(FOOT, (0.1, 0.07, 0.15), 0.5), can(FOOT, 0.04, 0.12), bowl(FOOT, 0.08, 0.06)])

@@ -6,7 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from f3sr.core.camera import Camera
 from f3sr.core.transforms import UP, Array
 from f3sr.lifting.balls import fit_ball
 from f3sr.lifting.boxes import COMPACT_MASK, fit_boxes, fit_carved
@@ -19,6 +21,7 @@ from f3sr.lifting.revolutions import fit_revolution
 from f3sr.lifting.silhouettes import fit_hanging, fit_lying, fit_standing
 from f3sr.lifting.solids import Solid, is_stable
 from f3sr.scene import Instance
+from f3sr.vision import rasterizer
 
 PRIOR = {"ball": 0.03, "box": 0.03, "rounded box": 0.01, "carved box": -0.05, "cylinder": 0.03,
          "solid of revolution": 0.02,
@@ -97,6 +100,16 @@ class Choice:
     def distance(self, centre: Array) -> float:
         """Of the shape's middle from a point (3,) [m]."""
         return float(np.linalg.norm(self.best.solid.vertices.mean(0) - centre))
+
+    def near_wall(self, mask: NDArray[np.bool_], camera: Camera) -> NDArray[np.bool_]:
+        """Pixels (H, W) of its ``mask`` that may hide what is in it: those outside of its opening. What is not hollow
+        hides nothing."""
+        rim = self.best.solid.rim
+        if rim is None:
+            return np.zeros_like(mask)
+        fan = np.array([[0, k, k + 1] for k in range(1, len(rim) - 1)], np.int32)
+        height, width = mask.shape
+        return mask & ~rasterizer.silhouette(camera.to_camera(rim), fan, camera.K, width, height)
 
     @property
     def told(self) -> str:

@@ -51,7 +51,9 @@ class LiftedAssets:
             carrier = self.choices.get(under[instance.id])
             if carrier is not None and not carries(seen, carrier):
                 carrier, under = None, {**under, instance.id: GROUND}
-            seen = seen.behind(_may_hide(instance, image.instances, under))
+            walls = [self.choices[id].near_wall(masks[id], camera) for id in _beneath(instance.id, under)]
+            hidden = union_of(walls, whole.shape) | _may_hide(instance, image.instances, under)
+            seen = seen.behind(hidden)
             far = [self.choices[id].distance(camera.center) for id in self.choices] or [camera.center[2] * FAR]
             loaded = instance.id in under.values()
             found = choose(instance, seen, carrier, distance=float(np.median(far)), loaded=loaded)
