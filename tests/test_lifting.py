@@ -16,7 +16,7 @@ from f3sr.core.srgb import srgb
 from f3sr.core.transforms import UP, Array, pose, rotation_about
 from f3sr.lifting.balls import fit_ball
 from f3sr.lifting.boxes import fit_boxes, fit_carved
-from f3sr.lifting.choice import EDGED, Choice, carries, choose
+from f3sr.lifting.choice import EDGED, Choice, carries, choose, head
 from f3sr.lifting.cylinders import fit_cylinder
 from f3sr.lifting.fits import FittedShape
 from f3sr.lifting.hollows import fit_hollow
@@ -132,6 +132,24 @@ def test_a_tin_has_rounded_edges(rounding: float, yaw: float):
     assert np.allclose(extents, np.ptp(true.vertices, axis=0), rtol=0.12)
     sharp = chosen_for(block(FOOT, (0.1, 0.06, 0.085), yaw), "potted meat can")
     assert sharp.best.family == "box"
+
+
+@pytest.mark.parametrize(
+    ("label", "word"),
+    [
+        ("tomato_soup_can", "can"),
+        ("Lemon juice bottle", "bottle"),
+        ("a bowl of apples", "bowl"),
+        ("apple box", "box"),
+        ("glass bowl", "bowl"),
+        ("tomatoes", "tomato"),
+        ("cup with a spoon", "cup"),
+        ("thing", ""),
+    ],
+)
+def test_a_label_names_by_its_head_noun(label: str, word: str):
+    """A tomato soup can was kept from being a can: fruit has no edges."""
+    assert head(label) == word
 
 
 def test_nothing_that_fruit_are_has_edges():

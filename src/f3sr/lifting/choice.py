@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import UP, Array
+from f3sr.language.grammar.normaliser import words_of
+from f3sr.language.grammar.nouns import singular
 from f3sr.lifting.balls import fit_ball
 from f3sr.lifting.boxes import COMPACT_MASK, fit_boxes, fit_carved
 from f3sr.lifting.cylinders import fit_cylinder
@@ -66,9 +68,9 @@ HOLLOWS = {
     **dict.fromkeys(("pot", "wok", "basin"), 1.0),
     **dict.fromkeys(("cup", "mug", "bucket", "bin", "glass", "teacup", "planter"), 2.0),
 }  # fmt: skip
-"""Words of labels that name hollow things, and the usual ratio of their height to the radius of their rim."""
+"""Names of hollow things, and the usual ratio of their height to the radius of their rim."""
 FRUIT = {"lemon", "lime", "pear", "strawberry", "tomato", "potato", "avocado", "mango", "kiwi", "egg"}
-"""Words of labels that name things without a flat underside."""
+"""Names of things without a flat underside."""
 WORDS = {
     "box": ("box", "brick", "book", "cube", "crate", "carton", "speaker", "cabinet", "drawer", "block"),
     "rounded box": ("box", "brick", "book", "crate", "speaker", "block", "can", "tin", "soap", "sponge", "phone",
@@ -84,6 +86,8 @@ WORDS = {
     "standing silhouette": ("person", "plant", "toy", "doll", "bear", "tree", "lamp"),
     "carved box": ("chair", "table", "desk", "bench", "stool", "sofa", "couch", "shelf", "armchair", "airplane", "car"),
 }  # fmt: skip
+KNOWN = FRUIT.union(*WORDS.values())
+PREPOSITIONS = {"of", "with", "without", "in", "on", "from", "for", "under", "behind"}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -175,14 +179,14 @@ def _top_outline(solid: Solid) -> Array | None:
 
 def candidates(label: str, seen: Outlined, floor: float) -> list[FittedShape]:
     """The fit of every family on the height ``floor`` [m]."""
-    aspects = [HOLLOWS[word] for word in words_of(label) if word in HOLLOWS]
+    name = head(label)
     found = [
         fit_ball(seen, floor) if "ball" in named(label) else None,
         *fit_boxes(seen, floor),
         fit_carved(seen, floor),
-        *(fit_hollow(seen, floor, aspect=aspects[-1], upside_down=over) for over in (False, True) if aspects),
+        *(fit_hollow(seen, floor, aspect=HOLLOWS[name], upside_down=over) for over in (False, True) if name in HOLLOWS),
         fit_cylinder(seen, floor),
-        fit_revolution(seen, floor, is_round=not FRUIT.isdisjoint(words_of(label))),
+        fit_revolution(seen, floor, is_round=name in FRUIT),
         fit_standing(seen, floor),
         fit_lying(seen, floor),
     ]
@@ -190,14 +194,19 @@ def candidates(label: str, seen: Outlined, floor: float) -> list[FittedShape]:
 
 
 def named(label: str) -> list[str]:
-    """Families that a label names by one of its words."""
-    words = words_of(label)
-    return [family for family, names in WORDS.items() if any(word in names for word in words)]
+    """Families that a label names."""
+    name = head(label)
+    return [family for family, names in WORDS.items() if name in names]
 
 
-def words_of(label: str) -> list[str]:
-    """The words of a label, in lower case."""
-    return label.lower().replace("-", " ").replace("_", " ").split()
+def head(label: str) -> str:
+    """The word of a label that says what a thing is; empty where none is known.
+
+    English puts the head noun last, but for what follows a preposition: a ``tomato soup can`` is a can, a ``bowl of
+    apples`` a bowl."""
+    words = [singular(word) for word in words_of(label)]
+    end = next((k for k, word in enumerate(words) if word in PREPOSITIONS), len(words))
+    return next((word for word in reversed(words[:end]) if word in KNOWN), "")
 
 
 def _score(fit: FittedShape, label: str, seen: Outlined, *, loaded: bool) -> float:
@@ -205,7 +214,7 @@ def _score(fit: FittedShape, label: str, seen: Outlined, *, loaded: bool) -> flo
     family = fit.family.removesuffix(" upside down")
     if family in named(label):
         score += SURE if family in ("bowl or cup", "ball") else LABELLED
-    if fit.family in EDGED and not FRUIT.isdisjoint(words_of(label)):
+    if fit.family in EDGED and head(label) in FRUIT:
         score -= SURE
     if (loaded or fit.family not in RIGID) and not is_stable(fit.solid):
         score -= TIPPY
