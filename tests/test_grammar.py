@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import re
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, get_args
 
@@ -371,16 +372,15 @@ def answer(text: str) -> Named | Refusal:
     return found if isinstance(found, Refusal) else resolve_request(found[0], table())
 
 
-@pytest.mark.parametrize(("text", "request_"), UNDERSTOOD.items())
-def test_goals_are_understood(text: str, request_: Request):
-    assert understood(text) == request_
+def test_goals_are_understood():
+    assert {text: understood(text) for text in UNDERSTOOD} == UNDERSTOOD
 
 
-@pytest.mark.parametrize(("text", "reason"), REFUSED.items(), ids=lambda t: repr(t[:40]))
-def test_goals_are_refused_with_the_reason(text: str, reason: str):
-    found = answer(text)
-    assert isinstance(found, Refusal) and found.reason == reason
-    assert found.message.isprintable() and 20 < len(found.message) < 400
+def test_goals_are_refused_with_the_reason():
+    found = {text: answer(text) for text in REFUSED}
+    assert {text: refusal.reason for text, refusal in found.items() if isinstance(refusal, Refusal)} == REFUSED
+    messages = [refusal.message for refusal in found.values() if isinstance(refusal, Refusal)]
+    assert [message for message in messages if not (message.isprintable() and 20 < len(message) < 400)] == []
 
 
 def test_the_tables_cover_every_kind():
@@ -410,13 +410,20 @@ def test_goals_mean_objects(text: str, ids: tuple[int, int | None]):
 SAMPLE = tuple(UNDERSTOOD)
 
 
-@pytest.mark.parametrize("text", SAMPLE)
-def test_case_and_punctuation_change_nothing(text: str):
-    expected = UNDERSTOOD[text]
-    assert understood(text.upper()) == expected
-    assert understood(f"  {text.capitalize()}!!") == expected
-    assert understood(text.replace(" the ", ' "the" ')) == expected
-    assert understood(re.sub(r" (?=to the left|so that|and )", ", ", text) + ".") == expected
+@pytest.mark.parametrize(
+    "changed",
+    [
+        str.upper,
+        lambda text: f"  {text.capitalize()}!!",
+        lambda text: text.replace(" the ", ' "the" '),
+        lambda text: re.sub(r" (?=to the left|so that|and )", ", ", text) + ".",
+        lambda text: text.replace("the ", ""),
+        lambda text: text.replace("the ", "my "),
+    ],
+    ids=["upper case", "exclaimed", "quoted", "commas", "no articles", "other articles"],
+)
+def test_case_punctuation_and_articles_change_nothing(changed: Callable[[str], str]):
+    assert {text: understood(changed(text)) for text in SAMPLE} == UNDERSTOOD
 
 
 @pytest.mark.parametrize("before", ["please ", "Can you ", "could you please ", "Hey, ", "I want you to "])
@@ -426,12 +433,6 @@ def test_padding_changes_nothing(before: str):
             continue
         assert understood(before + text) == UNDERSTOOD[text]
         assert understood(f"{before}{text}, please. Thank you!") == UNDERSTOOD[text]
-
-
-@pytest.mark.parametrize("text", SAMPLE)
-def test_articles_change_nothing(text: str):
-    assert understood(text.replace("the ", "")) == UNDERSTOOD[text]
-    assert understood(text.replace("the ", "my ")) == UNDERSTOOD[text]
 
 
 @pytest.mark.parametrize("text", [t for t in SAMPLE if "left" in t])

@@ -62,9 +62,9 @@ def test_two_part_names_and_plurals_are_told_from_words():
     assert fit(["pringles"], ["chips", "can"]) == 2 and fit(["crackers"], ["cracker", "box"]) == 1
 
 
-@pytest.mark.parametrize("line", lexicon().synonyms, ids=lambda line: min(line))
-def test_names_of_one_thing_find_each_other(line: frozenset[str]):
-    assert all(fit([a], ["red", b]) in (0, 2) for a in line for b in line)
+def test_names_of_one_thing_find_each_other():
+    pairs = [(a, b) for line in lexicon().synonyms for a in line for b in line]
+    assert [pair for pair in pairs if fit([pair[0]], ["red", pair[1]]) not in (0, 2)] == []
 
 
 def test_every_word_of_a_closed_set_is_used():
@@ -75,17 +75,17 @@ def test_every_word_of_a_closed_set_is_used():
     assert set(lexicon().colours) == set(BASIC)
 
 
-@pytest.mark.parametrize("form", sorted(form for form in lexicon().forms if canonical(form) == form))
-def test_every_form_of_a_verb_is_a_verb(form: str):
-    found = understand(f"{form} the red cup into the bowl")
-    if isinstance(found, Refusal):
-        assert found.reason not in ("other", "negation", "language") and "has no verb" not in found.message
+def test_every_form_of_a_verb_is_a_verb():
+    forms = sorted(form for form in lexicon().forms if canonical(form) == form)
+    answers = {form: understand(f"{form} the red cup into the bowl") for form in forms}
+    refused = {form: found for form, found in answers.items() if isinstance(found, Refusal)}
+    no_verb = {"other", "negation", "language"}
+    assert [f for f, found in refused.items() if found.reason in no_verb or "has no verb" in found.message] == []
 
 
-@pytest.mark.parametrize("word", sorted(lexicon().other_verbs))
-def test_no_other_verb_is_acted_on(word: str):
-    found = understand(f"push the red cup left and {word} it")
-    assert isinstance(found, Refusal) and found.reason == "other"
+def test_no_other_verb_is_acted_on():
+    answers = {word: understand(f"push the red cup left and {word} it") for word in sorted(lexicon().other_verbs)}
+    assert [w for w, found in answers.items() if not (isinstance(found, Refusal) and found.reason == "other")] == []
 
 
 @pytest.mark.parametrize(
