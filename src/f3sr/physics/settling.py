@@ -102,7 +102,7 @@ class SettleResult:
     """(carried, carrier) ids, the ground GROUND, to the net upward force between them [N]; empty when ``exploded``."""
 
 
-def _even_spec(objects: Sequence[SceneObject], config: PhysicsConfig) -> MjSpec:
+def even_spec(objects: Sequence[SceneObject], config: PhysicsConfig) -> MjSpec:
     """The same model with the release protocol's masses, spread evenly over the parts, its friction, and its margin,
     which is wider, so that a push like the protocol's comes first."""
     spec = empty_spec(config, RELEASE_MARGIN, ground_friction=RELEASE_FRICTION[0])
@@ -128,7 +128,7 @@ def settle(
     near = NearPairs(build_spec(objects, config, ground_friction=ground_friction), config)
     checks = {near: settling.check_time}
     if settling.rest.even_masses:
-        checks[NearPairs(_even_spec(objects, config), config, RELEASE_MARGIN)] = settling.release_time
+        checks[NearPairs(even_spec(objects, config), config, RELEASE_MARGIN)] = settling.release_time
     for check in checks:
         check.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # a reset would hide a blow-up
     run, model = _Settling(near, settling), near.model
@@ -145,7 +145,7 @@ def settle(
         if calm or run.exploded or run.seconds >= settling.time_limit or _creeps(history):
             break
     return SettleResult(
-        T_world_object={o.id: o.T_world_object if run.exploded else _pose_of(model, data, o) for o in objects},
+        T_world_object={o.id: o.T_world_object if run.exploded else pose_of(model, data, o) for o in objects},
         at_rest=calm and not run.exploded,
         exploded=run.exploded,
         seconds=run.seconds,
@@ -326,7 +326,7 @@ class _Snapshot:
         return cls(data.xipos.copy(), data.xmat.copy().reshape(-1, 3, 3))
 
 
-def _pose_of(model: MjModel, data: MjData, o: SceneObject) -> Array:
+def pose_of(model: MjModel, data: MjData, o: SceneObject) -> Array:
     """The pose (4, 4) of an object's body."""
     if o.mobility == "fixed":
         return o.T_world_object

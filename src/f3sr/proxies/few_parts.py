@@ -26,6 +26,7 @@ from f3sr.core.surface_samples import sample_surface
 from f3sr.core.transforms import UP, Array, transform
 from f3sr.physics.mujoco_model import solid_of
 from f3sr.proxies.collapse import Bounds
+from f3sr.proxies.flats import flattened
 from f3sr.proxies.hulls import beyond, planes, qhull_of
 from f3sr.proxies.joins import FELT, NEXT_TO, Join
 from f3sr.proxies.known_parts import KnownParts, box_of, hull_of
@@ -51,6 +52,9 @@ NEARER = 1e-4
 ends."""
 MUCH_NEARER = (1, 2, 4, 8)
 """The same in units of ``NEARER``, the first that is possible, where there are too many parts or vertices."""
+FLAT = 2e-5
+"""Distance [m] behind the plane of a flat up to which vertices are moved onto it: bodies of some hundred grams sink as
+deep into a contact, so they touch there anyway."""
 REFUSALS = 12
 """Most joins of an object that are refused as its parts stand off too much."""
 SAMPLES = 1200
@@ -333,9 +337,9 @@ class _Fewer:
 
     def _of_few_vertices(self, part: ConvexPart, nearer: float = NEARER) -> ConvexPart | None:
         """A hull of few vertices that holds a part and comes hardly nearer to other bodies; None where that is none."""
-        if len(part.vertices) <= self._limits.vertices:
-            return part
         allowed = self._gaps(part) - nearer
+        if len(part.vertices) <= self._limits.vertices:
+            return self._flattened(part, allowed)
         normals, offsets = self._separating(part, allowed)
         contacts, tried = self._contacts / self._size, set[tuple[float, bytes]]()
         for farthest, radius in product(FARTHEST, KEPT):
@@ -346,8 +350,13 @@ class _Fewer:
             tried.add((farthest, kept.tobytes()))
             few = self._known.few(part, self._limits.vertices, near)
             if len(few.vertices) <= self._limits.vertices and self._is_free(few, allowed):
-                return few
+                return self._flattened(few, allowed)
         return None
+
+    def _flattened(self, part: ConvexPart, allowed: Array) -> ConvexPart:
+        """A part with exactly plane flats, where that is as far from other bodies as ``allowed`` (n + 1,) [m]."""
+        flat = flattened(part, FLAT / self._o.scale)
+        return flat if flat is part or self._is_free(flat, allowed) else part
 
     def _separating(self, part: ConvexPart, allowed: Array) -> tuple[Array, Array]:
         """Planes (asset frame, normalised), normals (k, 3) and offsets (k,), that separate a part from other bodies."""
