@@ -531,8 +531,9 @@ def test_a_ball_has_no_seam_where_the_photo_ends(shape: tuple[float, float, floa
         assert np.ptp(colours[place.ravel() == k], axis=0).max() < 12
 
 
-def test_print_on_a_ball_goes_on_in_a_mirror_and_is_nowhere_seen_along_the_rays():
-    """A dot in the middle is in the middle of the back too; a ring at 80 degrees from the camera is left out."""
+def test_print_on_a_ball_is_faint_behind_and_is_nowhere_seen_along_the_rays():
+    """A dot in the middle is in the middle of the back too, but faint. A ring at 80 degrees from the camera is left
+    out."""
     true = ball(FOOT, 0.05)
     solid = found(fit_ball(seen(true), 0.0)).solid
     middle = (solid.vertices.min(0) + solid.vertices.max(0)) / 2
@@ -547,7 +548,7 @@ def test_print_on_a_ball_goes_on_in_a_mirror_and_is_nowhere_seen_along_the_rays(
     angle = np.degrees(np.arccos(np.clip(off @ towards / np.linalg.norm(off, axis=1), -1, 1)))
     shown = texels(mesh)[:, 0]
     assert shown[angle < 5].min() > 200
-    assert shown[angle > 170].min() > 200
+    assert 140 < shown[angle > 170].min() <= shown[angle > 170].max() < 180, "120 is plain, 250 the dot"
     assert (np.abs(shown[(angle > 60) & (angle < 140)] - 120) < 30).all()
 
 

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 CAP = math.radians(55)
 """Angle from the camera within which print looks as in the photo; farther round, it is seen along the rays."""
+INVENTED = 0.2
+"""Share of print that is left where the photo shows none: it tells that a thing is not smooth, but blotches of light
+and shade that the photo has on one side would be none on another."""
 EXTENT = math.radians(120)
 """Angle from its middle that each half of a texture covers: faces across the border are whole in both."""
 NEIGHBOURS = 4
@@ -38,7 +41,8 @@ def round_texture(solid: Solid, sharp: Picture, soft: Array, window: Camera) -> 
     The picture has two halves: what the camera sees, and the other. Vertices on their border are there twice.
 
     Soft colours are those of the pixel on whose ray a point lies, before it or behind. Print around the point nearest
-    to the camera goes on over the rest in a mirror, larger. So neither is seen along the rays, and there is no seam."""
+    to the camera goes on over the rest in a mirror, larger and faint. So neither is seen along the rays, and there is
+    no seam."""
     surface = _StarShaped.of(solid, window)
     n = min(LARGEST, max(COARSE, 2 * max(sharp.shape[:2])))
     halves = [_half(surface, sharp, soft, window, n, back=back) for back in (False, True)]
@@ -75,8 +79,10 @@ def _half(surface: _StarShaped, sharp: Picture, soft: Array, window: Camera, n: 
         return np.column_stack([interpolated(pixels[:, k].reshape(COARSE, COARSE), at) for k in (0, 1)])
 
     own, print_at = fine(own), fine(print_at)
+    turned = np.clip((interpolated(angle, at) - CAP) / (np.pi / 2 - CAP), 0, 1)
+    share = 1 - (1 - INVENTED) * turned * turned * (3 - 2 * turned)
     channels = [
-        interpolated(soft[..., k], own) + interpolated(sharp[..., k] - soft[..., k], print_at) for k in range(3)
+        interpolated(soft[..., k], own) + share * interpolated(sharp[..., k] - soft[..., k], print_at) for k in range(3)
     ]
     return np.clip(np.stack(channels, axis=-1), 0, 255).astype(np.float32).reshape(n, n, 3)
 
