@@ -116,7 +116,8 @@ def test_urdf_says_what_scene_json_says(package: Package, exported: Path) -> Non
         assert_inertial(link, record)
         shapes = {kind: [m.get("filename", "") for m in link.iterfind(f"{kind}//mesh")] for kind in KINDS}
         assert len(shapes["collision"]) == len(record.collision)
-        assert_meshes(file.parent, shapes, package.scene[record.id])
+        assert {m.get("scale") for m in link.iterfind("collision//mesh")} == {"0.001 0.001 0.001"}
+        assert_meshes(file.parent, shapes, package.scene[record.id], hull_unit=1e-3)
         position = np.array(record.T_world_object)[:3, 3]
         assert np.array_equal(place["position"], position)
 
@@ -481,7 +482,7 @@ def assert_inertial(link: ET.Element, record: Any) -> None:
     assert floats(origin.get("xyz", "")) == list(record.center_of_mass)
 
 
-def assert_meshes(folder: Path, shapes: dict[str, list[str]], o: Any) -> None:
+def assert_meshes(folder: Path, shapes: dict[str, list[str]], o: Any, *, hull_unit: float = 1.0) -> None:
     """Visual meshes together are the object's surface; every convex part is one of its own, and holds no other."""
     loaded: Any = [trimesh.load_mesh(folder / path, process=False) for path in shapes["visual"]]
     faces = np.concatenate([m.triangles for m in loaded])
@@ -493,8 +494,9 @@ def assert_meshes(folder: Path, shapes: dict[str, list[str]], o: Any) -> None:
     for path, part in zip(shapes["collision"], o.solids, strict=True):
         hull: Any = trimesh.load_mesh(folder / path, process=False)
         wanted = grown(part.moved(scale), DEFAULT_MARGIN.body)
-        assert hull.is_watertight and hull.volume == pytest.approx(wanted.volume, rel=1e-5)
-        assert hull.volume > part.volume * o.scale**3
+        volume = hull.volume * hull_unit**3
+        assert hull.is_watertight and volume == pytest.approx(wanted.volume, rel=1e-5)
+        assert volume > part.volume * o.scale**3
 
 
 def inertia_matrix(named: dict[str, float]) -> Array:

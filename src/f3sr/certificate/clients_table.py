@@ -76,7 +76,7 @@ ENGINES = _table(
         title="Newton",
         script="release_newton.py",
         given="scene.xml",
-        install="pip install 'newton[sim]' pillow",
+        install="pip install 'newton[sim]' pillow trimesh",
         cannot="restitution and the photo's camera; tells no penetration",
     ),
     Client(

@@ -1,6 +1,7 @@
 """URDF: every object as a robot of one link, in a folder of its own with scale baked in, and ``poses.json``.
 
-Metres, Z up; the link's frame is the object frame. Every convex part is a collision of its own. Paths are relative.
+Metres, Z up; the link's frame is the object frame. Every convex part is a collision of its own, in ``HULL_UNIT``.
+Paths are relative.
 Contacts are stated for PyBullet (``contact``) and for Drake (``drake:proximity_properties``). URDF holds one body:
 ``poses.json`` says where each stands in the scene, and ``ground.urdf`` is what they stand on.
 """
@@ -27,6 +28,9 @@ GROUND = "ground.urdf"
 """Beside ``poses.json``."""
 GROUND_SIZE, GROUND_DEPTH = 40.0, 1.0
 """Sides of the ground [m], as in scene.xml, and how deep it is solid."""
+HULL_UNIT = 1e-3
+"""Unit of the files of convex parts [m], which URDF's ``scale`` states: PhysX drops every corner that is within .0007
+units of a file of the rest of a hull, before it scales. Of hulls in metres it dropped half of the corners."""
 
 
 class Urdf:
@@ -39,7 +43,7 @@ class Urdf:
         yield GROUND, _ground(exported)
         for o in exported.objects:
             yield f"{o.name}/{o.name}.urdf", _urdf(o)
-            yield from ((f"{o.name}/{path}", data) for path, data in mesh_files(o))
+            yield from ((f"{o.name}/{path}", data) for path, data in mesh_files(o, hull_unit=HULL_UNIT))
 
 
 def _urdf(o: ExportedObject) -> bytes:
@@ -67,7 +71,8 @@ def _urdf(o: ExportedObject) -> bytes:
     for k in range(len(body.parts)):
         collision = ET.SubElement(link, "collision", name=f"hull_{k:03d}")
         ET.SubElement(collision, "origin", ORIGIN)
-        mesh = ET.SubElement(ET.SubElement(collision, "geometry"), "mesh", filename=hull_path(k), scale="1 1 1")
+        mesh = ET.SubElement(ET.SubElement(collision, "geometry"), "mesh", filename=hull_path(k))
+        mesh.set("scale", numbers([HULL_UNIT] * 3))
         ET.SubElement(mesh, "drake:declare_convex")
         proximity = ET.SubElement(collision, "drake:proximity_properties")
         ET.SubElement(proximity, "drake:mu_dynamic", value=numbers(sliding))
