@@ -18,6 +18,9 @@ from f3sr.exporters.looks import ExportedLook, looks_of
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, Body, PhysicsConfig, body_of
 from f3sr.scene import GROUND, Scene, SceneObject
 
+GROUND_SIZE, GROUND_DEPTH = 40.0, 1.0
+"""Sides of the ground [m], and how deep it is solid."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ExportedObject:
@@ -113,6 +116,11 @@ class ExportedScene:
     def ground_height(self) -> float:
         """Height of what touches of the ground [m]: it is grown as the bodies are."""
         return self.physics.margin
+
+    @property
+    def ground_middle(self) -> tuple[float, float, float]:
+        """The middle of the ground [m] where it is a box: engines find fewer contacts of a hull with a plane."""
+        return 0.0, 0.0, self.ground_height - GROUND_DEPTH / 2
 
     @cached_property
     def names(self) -> Mapping[int, str]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from f3sr.core.transforms import quaternion_from_rotation
 from f3sr.exporters.collision_parts import collision_files, grown_path
-from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
+from f3sr.exporters.exported_scene import GROUND_DEPTH, GROUND_SIZE, ExportedObject, ExportedScene
 from f3sr.exporters.looks import ExportedLook
 from f3sr.exporters.mjcf_view import add_camera, add_keyframe, add_lamp, add_sky, add_view
 from f3sr.exporters.obj import part_to_obj, to_obj
@@ -135,12 +135,13 @@ def add_classes(root: ET.Element, config: PhysicsConfig, ground_friction: float)
 
 
 def add_ground(world: ET.Element, exported: ExportedScene, **attributes: str) -> None:
-    """The ground plane, where bodies touch it."""
-    friction, height = exported.scene.ground.friction, numbers([0, 0, exported.ground_height])
-    plane = ET.SubElement(world, "geom", {"class": "collision"}, name=GROUND_NAME, type="plane", size="20 20 0.1")
-    plane.set("pos", height)
-    plane.attrib |= {
-        "friction": numbers(ground_contact_friction(friction)),
+    """The ground as a box. Of a mesh on a plane MuJoCo keeps corners only that are far from each other, and bodies
+    tremble as those change."""
+    box = ET.SubElement(world, "geom", {"class": "collision"}, name=GROUND_NAME, type="box")
+    box.attrib |= {
+        "size": numbers([GROUND_SIZE / 2, GROUND_SIZE / 2, GROUND_DEPTH / 2]),
+        "pos": numbers(exported.ground_middle),
+        "friction": numbers(ground_contact_friction(exported.scene.ground.friction)),
         "group": "0",
         "rgba": numbers([*GREY, 1]),
         **attributes,

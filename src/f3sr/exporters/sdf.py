@@ -16,7 +16,7 @@ from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array
 from f3sr.errors import printable
 from f3sr.exporters.drake_contact import DRAKE_CONTACT
-from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
+from f3sr.exporters.exported_scene import GROUND_DEPTH, GROUND_SIZE, ExportedObject, ExportedScene
 from f3sr.exporters.obj_looks import hull_path, mesh_files, visual_path
 from f3sr.exporters.xml_text import document, inertia_of, numbers
 from f3sr.scene import GRAVITY
@@ -24,8 +24,6 @@ from f3sr.scene import GRAVITY
 VERSION = "1.9"
 CAMERA_AXES = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 """Columns: our camera's axes (x right, y down, z forward) in those of SDF's cameras (x forward, y left, z up)."""
-GROUND_SIZE, GROUND_DEPTH = 40.0, 1.0
-"""Sides of the ground [m], as in scene.xml, and how deep it is solid."""
 NEAR, FAR = 0.01, 1000.0
 """Planes of the camera [m]."""
 
@@ -127,7 +125,7 @@ def _add_ground(world: ET.Element, exported: ExportedScene) -> None:
     _add(model, "static", "true")
     link = ET.SubElement(model, "link", name="link")
     collision = ET.SubElement(link, "collision", name="collision")
-    _add(collision, "pose", numbers([0, 0, exported.ground_height - GROUND_DEPTH / 2, 0, 0, 0]))
+    _add(collision, "pose", numbers([*exported.ground_middle, 0, 0, 0]))
     box = ET.SubElement(ET.SubElement(collision, "geometry"), "box")
     _add(box, "size", numbers([GROUND_SIZE, GROUND_SIZE, GROUND_DEPTH]))
     _add_contact(collision, exported.scene.ground.friction)

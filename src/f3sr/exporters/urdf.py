@@ -17,7 +17,7 @@ import numpy as np
 
 from f3sr.core.transforms import Array, quaternion_from_rotation
 from f3sr.exporters.drake_contact import DRAKE_CONTACT
-from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
+from f3sr.exporters.exported_scene import GROUND_DEPTH, GROUND_SIZE, ExportedObject, ExportedScene
 from f3sr.exporters.obj_looks import hull_path, mesh_files, visual_path
 from f3sr.exporters.xml_text import document, inertia_of, numbers
 from f3sr.physics.mujoco_model import GROUND_NAME, ground_contact_friction
@@ -26,8 +26,6 @@ from f3sr.scene import GRAVITY
 ORIGIN = {"xyz": "0 0 0", "rpy": "0 0 0"}
 GROUND = "ground.urdf"
 """Beside ``poses.json``."""
-GROUND_SIZE, GROUND_DEPTH = 40.0, 1.0
-"""Sides of the ground [m], as in scene.xml, and how deep it is solid."""
 HULL_UNIT = 1e-3
 """Unit of the files of convex parts [m], which URDF's ``scale`` states: PhysX drops every corner that is within .0007
 units of a file of the rest of a hull, before it scales. Of hulls in metres it dropped half of the corners."""
@@ -94,8 +92,7 @@ def _ground(exported: ExportedScene) -> bytes:
     ET.SubElement(inertial, "mass", value="1")
     ET.SubElement(inertial, "inertia", inertia_of(np.eye(3)))
     collision = ET.SubElement(link, "collision", name=GROUND_NAME)
-    middle = [0.0, 0.0, exported.ground_height - GROUND_DEPTH / 2]
-    ET.SubElement(collision, "origin", xyz=numbers(middle), rpy="0 0 0")
+    ET.SubElement(collision, "origin", xyz=numbers(exported.ground_middle), rpy="0 0 0")
     box = ET.SubElement(ET.SubElement(collision, "geometry"), "box")
     box.set("size", numbers([GROUND_SIZE, GROUND_SIZE, GROUND_DEPTH]))
     return document(root, declared=True)

@@ -11,7 +11,7 @@ import f3sr
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, box_corners, quaternion_from_rotation
 from f3sr.errors import printable
-from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
+from f3sr.exporters.exported_scene import GROUND_SIZE, ExportedObject, ExportedScene
 from f3sr.exporters.usd_library import Layer, Prim, Stage, new_stage, pxr, text_of
 from f3sr.exporters.usd_looks import add_unlit_surface
 from f3sr.exporters.usd_prop import add_contact_material, bind_contact, prop_path
@@ -27,8 +27,6 @@ BEHIND = 1.5
 """Distance of the backplate [greatest depth of the objects]."""
 NEAR = 0.01
 """Distance of the camera's near plane [m]."""
-GROUND_SIZE = 40.0
-"""Side of the ground [m], as in scene.xml."""
 FLIP = np.diag([1.0, -1, -1, 1])
 """From USD's camera axes (y up, looks along -z) to ours."""
 
