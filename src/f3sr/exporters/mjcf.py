@@ -12,9 +12,9 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from f3sr.core.transforms import quaternion_from_rotation
+from f3sr.core.transforms import Array, quaternion_from_rotation
 from f3sr.exporters.collision_parts import collision_files, grown_path
-from f3sr.exporters.exported_scene import GROUND_DEPTH, GROUND_SIZE, ExportedObject, ExportedScene
+from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
 from f3sr.exporters.looks import ExportedLook
 from f3sr.exporters.mjcf_view import add_camera, add_keyframe, add_lamp, add_sky, add_view
 from f3sr.exporters.obj import part_to_obj, to_obj
@@ -72,7 +72,7 @@ def to_mjcf(exported: ExportedScene, path: FilePath) -> bytes:
     add_sky(asset)
     add_lamp(world, exported.bounds)
     add_camera(world, camera)
-    add_ground(world, exported)
+    add_ground(world, exported, exported.bounds)
     for o in exported.objects:
         add_object(asset, world, o, path)
     add_keyframe(root, [named_body(o) for o in exported.objects])
@@ -134,13 +134,14 @@ def add_classes(root: ET.Element, config: PhysicsConfig, ground_friction: float)
     )
 
 
-def add_ground(world: ET.Element, exported: ExportedScene, **attributes: str) -> None:
-    """The ground as a box. Of a mesh on a plane MuJoCo keeps corners only that are far from each other, and bodies
-    tremble as those change."""
+def add_ground(world: ET.Element, exported: ExportedScene, bounds: Array, **attributes: str) -> None:
+    """The ground under what lies within ``bounds`` (2, 3) [m], as a box. Of a mesh on a plane MuJoCo keeps corners only
+    that are far from each other, and bodies tremble as those change."""
+    ground = exported.ground_under(bounds)
     box = ET.SubElement(world, "geom", {"class": "collision"}, name=GROUND_NAME, type="box")
     box.attrib |= {
-        "size": numbers([GROUND_SIZE / 2, GROUND_SIZE / 2, GROUND_DEPTH / 2]),
-        "pos": numbers(exported.ground_middle),
+        "size": numbers([side / 2 for side in ground.sides]),
+        "pos": numbers(ground.middle),
         "friction": numbers(ground_contact_friction(exported.scene.ground.friction)),
         "group": "0",
         "rgba": numbers([*GREY, 1]),

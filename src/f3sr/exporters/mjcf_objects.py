@@ -94,6 +94,6 @@ def _scene(o: ExportedObject, exported: ExportedScene) -> bytes:
         asset, "material", name="ground", texture="ground", texuniform="true", texrepeat=numbers([size, size])
     )
     add_lamp(world, o.object.bounds_world)
-    add_ground(world, exported, material="ground")
+    add_ground(world, exported, o.object.bounds_world, material="ground")
     add_keyframe(root, [named_body(o)])
     return document(root)

@@ -16,7 +16,7 @@ from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array
 from f3sr.errors import printable
 from f3sr.exporters.drake_contact import DRAKE_CONTACT
-from f3sr.exporters.exported_scene import GROUND_DEPTH, GROUND_SIZE, ExportedObject, ExportedScene
+from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
 from f3sr.exporters.obj_looks import hull_path, mesh_files, visual_path
 from f3sr.exporters.xml_text import document, inertia_of, numbers
 from f3sr.scene import GRAVITY
@@ -120,19 +120,21 @@ def _world(exported: ExportedScene) -> bytes:
 
 
 def _add_ground(world: ET.Element, exported: ExportedScene) -> None:
-    """The plane z = 0, for collisions the top of a box: Drake 1.51 crashes on a plane below many convex meshes."""
+    """Its top, for collisions a box: Drake 1.51 crashes on a plane below many convex meshes."""
+    ground = exported.ground_under(exported.bounds)
     model = ET.SubElement(world, "model", name="ground")
     _add(model, "static", "true")
     link = ET.SubElement(model, "link", name="link")
     collision = ET.SubElement(link, "collision", name="collision")
-    _add(collision, "pose", numbers([*exported.ground_middle, 0, 0, 0]))
+    _add(collision, "pose", numbers([*ground.middle, 0, 0, 0]))
     box = ET.SubElement(ET.SubElement(collision, "geometry"), "box")
-    _add(box, "size", numbers([GROUND_SIZE, GROUND_SIZE, GROUND_DEPTH]))
+    _add(box, "size", numbers(ground.sides))
     _add_contact(collision, exported.scene.ground.friction)
     visual = ET.SubElement(link, "visual", name="visual")
+    _add(visual, "pose", numbers([*ground.middle[:2], 0, 0, 0, 0]))
     plane = ET.SubElement(ET.SubElement(visual, "geometry"), "plane")
     _add(plane, "normal", "0 0 1")
-    _add(plane, "size", numbers([GROUND_SIZE, GROUND_SIZE]))
+    _add(plane, "size", numbers(ground.sides[:2]))
     _add(ET.SubElement(visual, "material"), "diffuse", "0.8 0.8 0.8 1")
 
 

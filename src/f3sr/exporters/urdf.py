@@ -17,7 +17,7 @@ import numpy as np
 
 from f3sr.core.transforms import Array, quaternion_from_rotation
 from f3sr.exporters.drake_contact import DRAKE_CONTACT
-from f3sr.exporters.exported_scene import GROUND_DEPTH, GROUND_SIZE, ExportedObject, ExportedScene
+from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
 from f3sr.exporters.obj_looks import hull_path, mesh_files, visual_path
 from f3sr.exporters.xml_text import document, inertia_of, numbers
 from f3sr.physics.mujoco_model import GROUND_NAME, ground_contact_friction
@@ -92,9 +92,10 @@ def _ground(exported: ExportedScene) -> bytes:
     ET.SubElement(inertial, "mass", value="1")
     ET.SubElement(inertial, "inertia", inertia_of(np.eye(3)))
     collision = ET.SubElement(link, "collision", name=GROUND_NAME)
-    ET.SubElement(collision, "origin", xyz=numbers(exported.ground_middle), rpy="0 0 0")
+    ground = exported.ground_under(exported.bounds)
+    ET.SubElement(collision, "origin", xyz=numbers(ground.middle), rpy="0 0 0")
     box = ET.SubElement(ET.SubElement(collision, "geometry"), "box")
-    box.set("size", numbers([GROUND_SIZE, GROUND_SIZE, GROUND_DEPTH]))
+    box.set("size", numbers(ground.sides))
     return document(root, declared=True)
 
 

@@ -11,7 +11,7 @@ import f3sr
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, box_corners, quaternion_from_rotation
 from f3sr.errors import printable
-from f3sr.exporters.exported_scene import GROUND_SIZE, ExportedObject, ExportedScene
+from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
 from f3sr.exporters.usd_library import Layer, Prim, Stage, new_stage, pxr, text_of
 from f3sr.exporters.usd_looks import add_unlit_surface
 from f3sr.exporters.usd_prop import add_contact_material, bind_contact, prop_path
@@ -72,10 +72,13 @@ def _add_ground(stage: Stage, exported: ExportedScene) -> None:
     usd = pxr()
     plane = usd.UsdGeom.Plane.Define(stage, f"{ROOT}/ground")
     plane.CreateAxisAttr(usd.UsdGeom.Tokens.z)
-    plane.CreateWidthAttr(GROUND_SIZE)
-    plane.CreateLengthAttr(GROUND_SIZE)
-    plane.AddTranslateOp().Set(usd.Gf.Vec3d(0, 0, exported.ground_height))
-    half = GROUND_SIZE / 2
+    ground = exported.ground_under(exported.bounds)
+    x, y, _ = ground.middle
+    side, _, _ = ground.sides
+    plane.CreateWidthAttr(side)
+    plane.CreateLengthAttr(side)
+    plane.AddTranslateOp().Set(usd.Gf.Vec3d(x, y, exported.ground_height))
+    half = side / 2
     plane.CreateExtentAttr([usd.Gf.Vec3f(-half, -half, 0), usd.Gf.Vec3f(half, half, 0)])
     plane.CreatePurposeAttr(usd.UsdGeom.Tokens.guide)
     usd.UsdPhysics.CollisionAPI.Apply(plane.GetPrim())
