@@ -22,8 +22,7 @@ GROUND_REACH, LEAST_GROUND = 4.0, 4.0
 """Sides of the ground as a multiple of the diagonal of what stands on it, and at least [m]. Engines of single precision
 know contacts to some 1e-7 of its size: on 40 m lemons drifted by 2 mm."""
 GROUND_DEPTH = 0.1
-"""How deep the ground is solid [m]. Drake's pressure grows from the surface of a shape to its middle, so that a deep
-ground is soft: on 1 m a bottle tipped."""
+"""How deep the ground is solid [m]: nothing on it is so fast that it falls through."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from f3sr.core.transforms import Array, quaternion_from_rotation
-from f3sr.exporters.drake_contact import DRAKE_CONTACT
+from f3sr.exporters.drake_contact import depth_of, drake_contact
 from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
 from f3sr.exporters.obj_looks import hull_path, mesh_files, visual_path
 from f3sr.exporters.xml_text import document, inertia_of, numbers
@@ -66,7 +66,7 @@ def _urdf(o: ExportedObject) -> bytes:
             ET.SubElement(material, "color", rgba=numbers([*look.rgb, 1]))
         else:
             ET.SubElement(material, "texture", filename=visual_path(look).replace(".obj", ".png"))
-    for k in range(len(body.parts)):
+    for k, part in enumerate(o.colliders):
         collision = ET.SubElement(link, "collision", name=f"hull_{k:03d}")
         ET.SubElement(collision, "origin", ORIGIN)
         mesh = ET.SubElement(ET.SubElement(collision, "geometry"), "mesh", filename=hull_path(k))
@@ -75,7 +75,7 @@ def _urdf(o: ExportedObject) -> bytes:
         proximity = ET.SubElement(collision, "drake:proximity_properties")
         ET.SubElement(proximity, "drake:mu_dynamic", value=numbers(sliding))
         ET.SubElement(proximity, "drake:mu_static", value=numbers(sliding))
-        for name, value in DRAKE_CONTACT.items():
+        for name, value in drake_contact(depth_of(part)).items():
             ET.SubElement(proximity, f"drake:{name}", {} if value is None else {"value": value})
     return document(root, declared=True)
 
