@@ -64,8 +64,8 @@ def replayed_phase(package: Path, plan: dict[str, Any], ids: list[int], start: A
         mesh.file = mesh.file.replace("_grown.", ".")
     for geom in (g for g in spec.geoms if g.contype):
         geom.margin = plan["simulation"]["margin"]
-        if geom.name == "ground":  # a box, for programs without a margin
-            geom.type, geom.size, geom.pos = mujoco.mjtGeom.mjGEOM_PLANE, [20, 20, 0.1], [0, 0, 0]
+        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+            geom.pos = 0, 0, 0
     model = spec.compile()
     package_state, data = mujoco.MjData(model), mujoco.MjData(model)
     if start is not None:
