@@ -69,7 +69,7 @@ $(VENV)/.usd: pyproject.toml | $(VENV)/.core
 	@touch $@
 
 $(ENGINES)/classic/.done: PACKAGES := mujoco pybullet drake mjcf-doctor
-$(ENGINES)/warp/.done: PACKAGES := "newton[sim]" pillow
+$(ENGINES)/warp/.done: PACKAGES := "newton[sim]" pillow trimesh
 $(ENGINES)/sapien/.done: PACKAGES := sapien==3.0.3
 $(ENGINES)/simready/.done: PACKAGES := simready-validate simready-foundation-tier-core
 $(ENGINES)/%/.done:

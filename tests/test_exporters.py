@@ -19,11 +19,12 @@ import trimesh
 
 from f3sr.cli.main import main
 from f3sr.core.corner_normals import corner_normals
-from f3sr.core.mesh import Mesh
+from f3sr.core.mesh import ConvexPart, Mesh
 from f3sr.core.transforms import Array, box_corners, pose, rotation_about, transform
 from f3sr.errors import F3srError, InputError, OutputError
+from f3sr.exporters.drake_contact import STIFFNESS
 from f3sr.exporters.export_names import export_name, id_of
-from f3sr.exporters.exported_scene import ExportedScene
+from f3sr.exporters.exported_scene import GROUND_DEPTH, ExportedScene
 from f3sr.exporters.glb import T_CAMERA_GLTF, T_YUP_ZUP, scene_to_glb, with_normals
 from f3sr.exporters.grown_hulls import grown
 from f3sr.exporters.thumbnail import SIDE, thumbnail
@@ -34,6 +35,7 @@ from f3sr.scene_export import export_package, exporters_of
 from f3sr.scene_package.package import Package, read_package, write_package
 from foreign_packages import install
 from labelled_boxes import labelled_boxes
+from scenes import box, scene_of
 
 HOSTILE = [
     "../../x",
@@ -46,6 +48,7 @@ HOSTILE = [
     "con",
     "a_1",
 ]
+DRAKE = "http://drake.mit.edu"
 FORMATS = ["glb", "mjcf", "robosuite", "sdf", "urdf"]
 
 
@@ -116,7 +119,8 @@ def test_urdf_says_what_scene_json_says(package: Package, exported: Path) -> Non
         assert_inertial(link, record)
         shapes = {kind: [m.get("filename", "") for m in link.iterfind(f"{kind}//mesh")] for kind in KINDS}
         assert len(shapes["collision"]) == len(record.collision)
-        assert_meshes(file.parent, shapes, package.scene[record.id])
+        assert {m.get("scale") for m in link.iterfind("collision//mesh")} == {"0.001 0.001 0.001"}
+        assert_meshes(file.parent, shapes, package.scene[record.id], hull_unit=1e-3)
         position = np.array(record.T_world_object)[:3, 3]
         assert np.array_equal(place["position"], position)
 
@@ -170,6 +174,59 @@ def test_the_package_and_its_export_are_one_model(package: Package, exported: Pa
     theirs = mujoco.MjModel.from_xml_path(str(exported / "mjcf/scene.xml"))
     for name in ("body_mass", "body_pos", "body_quat", "geom_friction", "mesh_vert", "mesh_texcoord", "key_qpos"):
         assert np.array_equal(getattr(ours, name), getattr(theirs, name)), name
+
+
+@pytest.mark.parametrize("far", [0.0, 30.0])
+def test_all_formats_have_one_ground_around_their_objects(tmp_path: Path, far: float) -> None:
+    """Also of objects far from the origin and from each other."""
+    scene = scene_of(box(0, at=(far, 5, 0.05)), box(1, at=(2 * far, 5, 0.05)))
+    out = export_package(
+        read_package(write_package(scene, tmp_path / "table")), tmp_path / "out", ["mjcf", "sdf", "urdf"]
+    )
+    model = mujoco.MjModel.from_xml_path(str(out / "mjcf/scene.xml"))
+    middle, sides = model.geom("ground").pos, 2 * model.geom("ground").size
+    sdf = ET.parse(out / "sdf/scene.sdf").find("world/model[@name='ground']/link/collision")
+    urdf = ET.parse(out / "urdf/ground.urdf").find("link/collision")
+    origin, shape = (None, None) if urdf is None else (urdf.find("origin"), urdf.find("geometry/box"))
+    assert sdf is not None and origin is not None and shape is not None
+    assert floats(sdf.findtext("pose", ""))[:3] == floats(origin.get("xyz", "")) == pytest.approx(list(middle))
+    assert floats(sdf.findtext("geometry/box/size", "")) == floats(shape.get("size", "")) == pytest.approx(list(sides))
+    corners = np.concatenate([o.bounds_world for o in scene])[:, :2]
+    assert (np.abs(corners - middle[:2]) < sides[:2] / 2 - 1.5).all(), "something may roll before it falls off"
+    assert middle[2] + sides[2] / 2 == pytest.approx(DEFAULT_MARGIN.body)
+    alone = mujoco.MjModel.from_xml_path(str(out / "mjcf/box_01/scene.xml"))
+    assert np.allclose(alone.geom("ground").pos[:2], 0, atol=1e-6), "an object alone stands above the origin"
+
+
+def test_all_surfaces_are_equally_stiff_in_drake(package: Package, exported: Path) -> None:
+    """Boxes and the ground: pressure in the middle over half of the least side."""
+    wanted = {
+        o.name: np.ptp(o.colliders[0].vertices, axis=0).min() / 2 for o in ExportedScene.of(package.scene).objects
+    }
+    for model in ET.parse(exported / "sdf/scene.sdf").iterfind("world/model"):
+        name = model.get("name", "")
+        for collision in model.iterfind("link/collision"):
+            modulus = float(collision.findtext(f"{{{DRAKE}}}proximity_properties/{{{DRAKE}}}hydroelastic_modulus", ""))
+            half = wanted.get(name, GROUND_DEPTH / 2)
+            assert modulus / half == pytest.approx(STIFFNESS, rel=1e-5), name
+
+
+def test_a_can_on_the_ground_of_scene_xml_comes_to_rest(tmp_path: Path) -> None:
+    """Its bottom is flat to a micrometre, as that of a scan. On a plane it trembles for good, at .1 mrad/s: MuJoCo
+    changes between corners."""
+    turns, noise = 2 * np.pi * np.arange(16) / 16, np.random.default_rng(1).normal(size=16)
+    bottom = np.column_stack([0.02 * np.cos(turns), 0.02 * np.sin(turns), 1e-6 * noise])
+    can = ConvexPart.hull_of(np.concatenate([bottom, bottom * [1.5, 1.5, 0] + [0, 0, 0.1]]))
+    mesh = Mesh(vertices=can.vertices, faces=can.faces)
+    o = replace(box(0), mesh=mesh, parts=(can,), T_world_object=pose(t=[0, 0, DEFAULT_MARGIN.clearance]))
+    model = mujoco.MjModel.from_xml_path(str(write_package(scene_of(o), tmp_path / "can") / "scene.xml"))
+    data = mujoco.MjData(model)
+    velocities = np.empty((1000, 6))
+    for row in velocities:
+        mujoco.mj_step(model, data)
+        row[:] = data.qvel
+    assert np.abs(velocities[500:]).mean() < 1e-6
+    assert data.body("box_00").xpos[2] == pytest.approx(DEFAULT_MARGIN.clearance, abs=1e-4)
 
 
 # --- the first sight --------------------------------------------------------------------------------------------
@@ -481,7 +538,7 @@ def assert_inertial(link: ET.Element, record: Any) -> None:
     assert floats(origin.get("xyz", "")) == list(record.center_of_mass)
 
 
-def assert_meshes(folder: Path, shapes: dict[str, list[str]], o: Any) -> None:
+def assert_meshes(folder: Path, shapes: dict[str, list[str]], o: Any, *, hull_unit: float = 1.0) -> None:
     """Visual meshes together are the object's surface; every convex part is one of its own, and holds no other."""
     loaded: Any = [trimesh.load_mesh(folder / path, process=False) for path in shapes["visual"]]
     faces = np.concatenate([m.triangles for m in loaded])
@@ -493,8 +550,9 @@ def assert_meshes(folder: Path, shapes: dict[str, list[str]], o: Any) -> None:
     for path, part in zip(shapes["collision"], o.solids, strict=True):
         hull: Any = trimesh.load_mesh(folder / path, process=False)
         wanted = grown(part.moved(scale), DEFAULT_MARGIN.body)
-        assert hull.is_watertight and hull.volume == pytest.approx(wanted.volume, rel=1e-5)
-        assert hull.volume > part.volume * o.scale**3
+        volume = hull.volume * hull_unit**3
+        assert hull.is_watertight and volume == pytest.approx(wanted.volume, rel=1e-5)
+        assert volume > part.volume * o.scale**3
 
 
 def inertia_matrix(named: dict[str, float]) -> Array:

@@ -15,8 +15,8 @@ import numpy as np
 from f3sr.core.transforms import transform
 from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
 from f3sr.exporters.mjcf import (
+    add_box,
     add_classes,
-    add_ground,
     add_object,
     add_options,
     named_body,
@@ -37,7 +37,14 @@ class MjcfObjects:
     name = "mjcf"
 
     def files(self, exported: ExportedScene) -> Iterator[tuple[str, bytes]]:
-        yield "scene.xml", to_mjcf(exported, lambda o, kind, k: f"{o.name}/{ASSETS}/{in_assets(o, kind, k)}")
+        yield (
+            "scene.xml",
+            to_mjcf(
+                exported,
+                lambda o, kind, k: f"{o.name}/{ASSETS}/{in_assets(o, kind, k)}",
+                lambda world, exported: add_box(world, exported, exported.bounds),
+            ),
+        )
         for o in exported.objects:
             for path, data in (*visual_files(o, in_assets), *_collision_files(o)):
                 yield f"{o.name}/{ASSETS}/{path}", data
@@ -94,6 +101,6 @@ def _scene(o: ExportedObject, exported: ExportedScene) -> bytes:
         asset, "material", name="ground", texture="ground", texuniform="true", texrepeat=numbers([size, size])
     )
     add_lamp(world, o.object.bounds_world)
-    add_ground(world, exported, material="ground")
+    add_box(world, exported, o.object.bounds_world, material="ground")
     add_keyframe(root, [named_body(o)])
     return document(root)

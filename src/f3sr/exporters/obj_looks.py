@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,8 +25,9 @@ def hull_path(k: int) -> str:
     return f"{MESHES}/hull_{k:03d}.obj"
 
 
-def mesh_files(o: ExportedObject) -> Iterator[tuple[str, bytes]]:
-    """All mesh files of an object with their paths, in the object frame, metres."""
+def mesh_files(o: ExportedObject, *, hull_unit: float = 1.0) -> Iterator[tuple[str, bytes]]:
+    """All mesh files of an object with their paths, in the object frame: looks in metres, convex parts in units of
+    ``hull_unit`` [m]."""
     for look in o.looks:
         path = visual_path(look)
         stem = path.removesuffix(".obj")
@@ -36,7 +38,7 @@ def mesh_files(o: ExportedObject) -> Iterator[tuple[str, bytes]]:
         if look.png is not None:
             yield f"{stem}.png", look.png
     for k, part in enumerate(o.colliders):
-        yield hull_path(k), part_to_obj(part).encode()
+        yield hull_path(k), part_to_obj(replace(part, vertices=part.vertices / hull_unit)).encode()
 
 
 def _mtl(name: str, look: ExportedLook) -> str:

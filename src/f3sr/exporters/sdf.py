@@ -15,7 +15,7 @@ import f3sr
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array
 from f3sr.errors import printable
-from f3sr.exporters.drake_contact import DRAKE_CONTACT
+from f3sr.exporters.drake_contact import depth_of, drake_contact
 from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
 from f3sr.exporters.obj_looks import hull_path, mesh_files, visual_path
 from f3sr.exporters.xml_text import document, inertia_of, numbers
@@ -24,8 +24,6 @@ from f3sr.scene import GRAVITY
 VERSION = "1.9"
 CAMERA_AXES = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 """Columns: our camera's axes (x right, y down, z forward) in those of SDF's cameras (x forward, y left, z up)."""
-GROUND_SIZE, GROUND_DEPTH = 40.0, 1.0
-"""Sides of the ground [m], as in scene.xml, and how deep it is solid."""
 NEAR, FAR = 0.01, 1000.0
 """Planes of the camera [m]."""
 
@@ -72,20 +70,20 @@ def _add_model(parent: ET.Element, o: ExportedObject, folder: str) -> ET.Element
             _add(metal, "albedo_map", f"{folder}{visual_path(look)}".replace(".obj", ".png"))
             _add(metal, "roughness", "0.8")
             _add(metal, "metalness", "0")
-    for k in range(len(body.parts)):
+    for k, part in enumerate(o.colliders):
         collision = ET.SubElement(link, "collision", name=f"hull_{k:03d}")
         ET.SubElement(_add_mesh(collision, f"{folder}{hull_path(k)}"), "drake:declare_convex")
-        _add_contact(collision, body.friction[0])
+        _add_contact(collision, body.friction[0], depth_of(part))
     return model
 
 
-def _add_contact(collision: ET.Element, sliding: float) -> None:
-    """Friction, which Gazebo's engines and Drake all read, and what makes areas touch in Drake."""
+def _add_contact(collision: ET.Element, sliding: float, depth: float) -> None:
+    """Friction, which Gazebo's engines and Drake all read, and what makes areas touch in Drake; ``depth`` as there."""
     ode = ET.SubElement(ET.SubElement(ET.SubElement(collision, "surface"), "friction"), "ode")
     _add(ode, "mu", numbers(sliding))
     _add(ode, "mu2", numbers(sliding))
     drake = ET.SubElement(collision, "drake:proximity_properties")
-    for name, value in DRAKE_CONTACT.items():
+    for name, value in drake_contact(depth).items():
         ET.SubElement(drake, f"drake:{name}").text = value
 
 
@@ -122,19 +120,21 @@ def _world(exported: ExportedScene) -> bytes:
 
 
 def _add_ground(world: ET.Element, exported: ExportedScene) -> None:
-    """The plane z = 0, for collisions the top of a box: Drake 1.51 crashes on a plane below many convex meshes."""
+    """Its top, for collisions a box: Drake 1.51 crashes on a plane below many convex meshes."""
+    ground = exported.ground_under(exported.bounds)
     model = ET.SubElement(world, "model", name="ground")
     _add(model, "static", "true")
     link = ET.SubElement(model, "link", name="link")
     collision = ET.SubElement(link, "collision", name="collision")
-    _add(collision, "pose", numbers([0, 0, exported.ground_height - GROUND_DEPTH / 2, 0, 0, 0]))
+    _add(collision, "pose", numbers([*ground.middle, 0, 0, 0]))
     box = ET.SubElement(ET.SubElement(collision, "geometry"), "box")
-    _add(box, "size", numbers([GROUND_SIZE, GROUND_SIZE, GROUND_DEPTH]))
-    _add_contact(collision, exported.scene.ground.friction)
+    _add(box, "size", numbers(ground.sides))
+    _add_contact(collision, exported.scene.ground.friction, ground.sides[2] / 2)
     visual = ET.SubElement(link, "visual", name="visual")
+    _add(visual, "pose", numbers([*ground.middle[:2], 0, 0, 0, 0]))
     plane = ET.SubElement(ET.SubElement(visual, "geometry"), "plane")
     _add(plane, "normal", "0 0 1")
-    _add(plane, "size", numbers([GROUND_SIZE, GROUND_SIZE]))
+    _add(plane, "size", numbers(ground.sides[:2]))
     _add(ET.SubElement(visual, "material"), "diffuse", "0.8 0.8 0.8 1")
 
 

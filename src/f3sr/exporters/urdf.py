@@ -1,6 +1,7 @@
 """URDF: every object as a robot of one link, in a folder of its own with scale baked in, and ``poses.json``.
 
-Metres, Z up; the link's frame is the object frame. Every convex part is a collision of its own. Paths are relative.
+Metres, Z up; the link's frame is the object frame. Every convex part is a collision of its own, in ``HULL_UNIT``.
+Paths are relative.
 Contacts are stated for PyBullet (``contact``) and for Drake (``drake:proximity_properties``). URDF holds one body:
 ``poses.json`` says where each stands in the scene, and ``ground.urdf`` is what they stand on.
 """
@@ -15,7 +16,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from f3sr.core.transforms import Array, quaternion_from_rotation
-from f3sr.exporters.drake_contact import DRAKE_CONTACT
+from f3sr.exporters.drake_contact import depth_of, drake_contact
 from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
 from f3sr.exporters.obj_looks import hull_path, mesh_files, visual_path
 from f3sr.exporters.xml_text import document, inertia_of, numbers
@@ -25,8 +26,9 @@ from f3sr.scene import GRAVITY
 ORIGIN = {"xyz": "0 0 0", "rpy": "0 0 0"}
 GROUND = "ground.urdf"
 """Beside ``poses.json``."""
-GROUND_SIZE, GROUND_DEPTH = 40.0, 1.0
-"""Sides of the ground [m], as in scene.xml, and how deep it is solid."""
+HULL_UNIT = 1e-3
+"""Unit of the files of convex parts [m], which URDF's ``scale`` states: PhysX drops every corner that is within .0007
+units of a file of the rest of a hull, before it scales. Of hulls in metres it dropped half of the corners."""
 
 
 class Urdf:
@@ -39,7 +41,7 @@ class Urdf:
         yield GROUND, _ground(exported)
         for o in exported.objects:
             yield f"{o.name}/{o.name}.urdf", _urdf(o)
-            yield from ((f"{o.name}/{path}", data) for path, data in mesh_files(o))
+            yield from ((f"{o.name}/{path}", data) for path, data in mesh_files(o, hull_unit=HULL_UNIT))
 
 
 def _urdf(o: ExportedObject) -> bytes:
@@ -64,15 +66,16 @@ def _urdf(o: ExportedObject) -> bytes:
             ET.SubElement(material, "color", rgba=numbers([*look.rgb, 1]))
         else:
             ET.SubElement(material, "texture", filename=visual_path(look).replace(".obj", ".png"))
-    for k in range(len(body.parts)):
+    for k, part in enumerate(o.colliders):
         collision = ET.SubElement(link, "collision", name=f"hull_{k:03d}")
         ET.SubElement(collision, "origin", ORIGIN)
-        mesh = ET.SubElement(ET.SubElement(collision, "geometry"), "mesh", filename=hull_path(k), scale="1 1 1")
+        mesh = ET.SubElement(ET.SubElement(collision, "geometry"), "mesh", filename=hull_path(k))
+        mesh.set("scale", numbers([HULL_UNIT] * 3))
         ET.SubElement(mesh, "drake:declare_convex")
         proximity = ET.SubElement(collision, "drake:proximity_properties")
         ET.SubElement(proximity, "drake:mu_dynamic", value=numbers(sliding))
         ET.SubElement(proximity, "drake:mu_static", value=numbers(sliding))
-        for name, value in DRAKE_CONTACT.items():
+        for name, value in drake_contact(depth_of(part)).items():
             ET.SubElement(proximity, f"drake:{name}", {} if value is None else {"value": value})
     return document(root, declared=True)
 
@@ -89,10 +92,10 @@ def _ground(exported: ExportedScene) -> bytes:
     ET.SubElement(inertial, "mass", value="1")
     ET.SubElement(inertial, "inertia", inertia_of(np.eye(3)))
     collision = ET.SubElement(link, "collision", name=GROUND_NAME)
-    middle = [0.0, 0.0, exported.ground_height - GROUND_DEPTH / 2]
-    ET.SubElement(collision, "origin", xyz=numbers(middle), rpy="0 0 0")
+    ground = exported.ground_under(exported.bounds)
+    ET.SubElement(collision, "origin", xyz=numbers(ground.middle), rpy="0 0 0")
     box = ET.SubElement(ET.SubElement(collision, "geometry"), "box")
-    box.set("size", numbers([GROUND_SIZE, GROUND_SIZE, GROUND_DEPTH]))
+    box.set("size", numbers(ground.sides))
     return document(root, declared=True)
 
 

@@ -27,8 +27,6 @@ BEHIND = 1.5
 """Distance of the backplate [greatest depth of the objects]."""
 NEAR = 0.01
 """Distance of the camera's near plane [m]."""
-GROUND_SIZE = 40.0
-"""Side of the ground [m], as in scene.xml."""
 FLIP = np.diag([1.0, -1, -1, 1])
 """From USD's camera axes (y up, looks along -z) to ours."""
 
@@ -74,10 +72,13 @@ def _add_ground(stage: Stage, exported: ExportedScene) -> None:
     usd = pxr()
     plane = usd.UsdGeom.Plane.Define(stage, f"{ROOT}/ground")
     plane.CreateAxisAttr(usd.UsdGeom.Tokens.z)
-    plane.CreateWidthAttr(GROUND_SIZE)
-    plane.CreateLengthAttr(GROUND_SIZE)
-    plane.AddTranslateOp().Set(usd.Gf.Vec3d(0, 0, exported.ground_height))
-    half = GROUND_SIZE / 2
+    ground = exported.ground_under(exported.bounds)
+    x, y, _ = ground.middle
+    side, _, _ = ground.sides
+    plane.CreateWidthAttr(side)
+    plane.CreateLengthAttr(side)
+    plane.AddTranslateOp().Set(usd.Gf.Vec3d(x, y, exported.ground_height))
+    half = side / 2
     plane.CreateExtentAttr([usd.Gf.Vec3f(-half, -half, 0), usd.Gf.Vec3f(half, half, 0)])
     plane.CreatePurposeAttr(usd.UsdGeom.Tokens.guide)
     usd.UsdPhysics.CollisionAPI.Apply(plane.GetPrim())
