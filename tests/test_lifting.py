@@ -714,7 +714,7 @@ def test_a_ball_whose_mask_lacks_its_lower_part_gets_no_spike():
     rows = np.flatnonzero(mask.any(1))
     mask[rows[0] + round(0.75 * len(rows)) :] = False
     outlined = Outlined.of(mask, CAMERA)
-    made = fitted_to_outline(found(fit_ball(outlined, 0.0)), outlined).solid
+    made = fitted_to_outline(found(fit_ball(outlined, 0.0)), outlined, on_a_point=True).solid
     assert abs(made.vertices[:, 2].min()) < 1e-9
     hull = trimesh.convex.convex_hull(made.vertices)
     assert signed_volume(made.vertices, made.faces) > 0.99 * hull.volume
@@ -734,7 +734,7 @@ def test_the_near_wall_of_a_pan_may_hide_what_is_in_it():
     shown = mask_of(first) & ~wall
     assert 0.5 < shown.sum() / mask_of(first).sum() < 0.85
     outlined = Outlined.of(shown, CAMERA).behind(wall)
-    made = fitted_to_outline(found(fit_ball(outlined, 0.005)), outlined).solid
+    made = fitted_to_outline(found(fit_ball(outlined, 0.005)), outlined, on_a_point=True).solid
     assert np.ptp(made.vertices, axis=0) == pytest.approx([0.06, 0.06, 0.06], rel=0.08)
 
 

@@ -134,7 +134,7 @@ def choose(instance: Instance, seen: Outlined, carrier: Choice | None, *, distan
     ranked = sorted(fitted, key=lambda fit: -_score(fit, instance.label, seen, loaded=loaded))
     best = ranked[0]
     return Choice(
-        best=fitted_to_outline(best, seen),
+        best=fitted_to_outline(best, seen, on_a_point=best.family == "ball" or head(instance.label) in FRUIT),
         runner_up=ranked[1] if len(ranked) > 1 else None,
         top=_top(best),
         fixed=fixed,

@@ -27,12 +27,12 @@ LEVEL = 1e-3
 """Distance from the lowest and the highest point up to which points belong to a level face [height of the solid]."""
 
 
-def fitted_to_outline(fit: FittedShape, seen: Outlined) -> FittedShape:
+def fitted_to_outline(fit: FittedShape, seen: Outlined, *, on_a_point: bool = False) -> FittedShape:
     """A shape whose outline meets the mask's wherever nothing may hide it.
 
     A smooth displacement of the picture moves the solid, front and back alike. Points keep their depth, but a level
-    top stays level, and an underside on its support: things stand on both. What has but a lowest point is brought to
-    its support as a whole, along the rays. Each step smooths the distance between both outlines along the shape's
+    top stays level, and an underside on its support: things stand on both. What rests ``on_a_point`` is brought to its
+    support as a whole, along the rays. Each step smooths the distance between both outlines along the shape's
     normals (non-rigid registration of signed distance fields, from coarse to fine). Of all steps the best overlap
     stays.
     """
@@ -44,7 +44,8 @@ def fitted_to_outline(fit: FittedShape, seen: Outlined) -> FittedShape:
     floor, top = float(solid.vertices[:, 2].min()), float(solid.vertices[:, 2].max())
     near = LEVEL * (top - floor)
     below, above = points[:, 2] <= floor + near, points[:, 2] >= top - near
-    pointed = np.count_nonzero(below) < 3
+    if on_a_point:
+        below[:] = False
     wanted, hidden = depth_inside(seen.mask), grown(~seen.valid, 2)
     best, overlap = points, fit.overlap
     for width in WIDTHS:
@@ -52,11 +53,11 @@ def fitted_to_outline(fit: FittedShape, seen: Outlined) -> FittedShape:
         shift = _displacement(shown, wanted, hidden, width * size)
         while (area := _least_area(shift, shown)) < FOLD:
             shift = shift / (2 - area)
-        points = _moved(points, below & ~pointed, above, -np.inf if pointed else floor, shift, seen)
+        points = _moved(points, below, above, -np.inf if on_a_point else floor, shift, seen)
         reached = seen.overlap(points[: len(solid.vertices)], solid.faces)
         if reached > overlap:
             best, overlap = points, reached
-    if pointed:
+    if on_a_point:
         centre = seen.camera.center
         best = centre + (floor - centre[2]) / (best[: len(solid.vertices), 2].min() - centre[2]) * (best - centre)
     vertices, *rest = np.split(best, ends)
