@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -492,6 +493,24 @@ def test_print_goes_round_a_can_and_is_nowhere_a_mirror_image():
     row = texture[len(texture) // 3, :, 0].astype(float)
     rises = np.diff(row)
     assert (rises > 0).mean() > 0.75 and (row[:30].std() > 30 and row[-30:].std() > 30)
+
+
+def test_the_upper_end_of_a_can_is_the_photos_also_where_it_is_seen_from_low():
+    """Its lid became plain as soon as it moved."""
+    low = replace(CAMERA, T_world_camera=pose(attitude(math.radians(10), 0.0).T, [0, 0, 0.25]))
+    true = can(FOOT, 0.06, 0.1)
+    K, w, h = low.K, low.width, low.height
+    mask = rasterizer.silhouette(low.to_camera(true.vertices), true.faces, K, w, h)
+    rgb = np.full((h, w, 3), 200, np.uint8)
+    pixels, _ = low.project(FOOT + np.array([[0, 0, 0.1]]) + 0.06 * np.array([[-1, 0, 0], [1, 0, 0]]))
+    top = int(np.flatnonzero(mask.any(1))[0])
+    rim = round(float(pixels[:, 1].mean()))
+    assert 4 < 2 * (rim - top) < 30, "a narrow ellipse"
+    rgb[: 2 * rim - top] = 40
+    mesh = textured(replace(true, symmetry="round"), np.zeros(3), Photo(rgb=rgb), mask, low)
+    colours, above = texels(mesh)[:, 0], mesh.vertices[:, 2] > 0.0999
+    inner = above & (np.hypot(*(mesh.vertices - FOOT)[:, :2].T) < 0.03)
+    assert inner.any() and colours[inner].max() < 90
 
 
 def test_a_seam_runs_where_copies_differ_least():

@@ -22,8 +22,9 @@ from f3sr.vision.regions import interpolated, smoothed
 
 LEVEL = math.cos(math.radians(45))
 """Least vertical part of a face's unit normal for it to belong to an end."""
-SHOWN = math.cos(math.radians(70))
-"""Least cosine between a normal and the ray to the camera for the photo to show print."""
+SHOWN, END_SHOWN = math.cos(math.radians(70)), math.cos(math.radians(85))
+"""Least cosine between a normal and the ray to the camera for the photo to show the side's print, and the upper end:
+that is there once, and smeared it is still nearer to what the photo shows than a plain one."""
 LEAST = math.radians(50)
 """Least angle of the side that the photo shows for its print to go on around it."""
 OVERLAP = 0.08
@@ -50,12 +51,12 @@ def turned_texture(solid: Solid, sharp: Picture, soft: Array, window: Camera) ->
     without what is in them."""
     unrolled = _Unrolled.of(solid, window)
     height, width = unrolled.shape
-    colours, shown = unrolled.colours(sharp, window)
+    colours, facing = unrolled.colours(sharp, window)
     blurred, _ = unrolled.colours(soft, window)
     picture = np.zeros((height, width, 3))
     side, upper, lower = unrolled.parts
-    picture[side] = strip = _around(colours[side], blurred[side], shown[side], unrolled.columns)
-    picture[upper], known = _upper(colours[upper], shown[upper], strip[0].mean(0))
+    picture[side] = strip = _around(colours[side], blurred[side], facing[side] >= SHOWN, unrolled.columns)
+    picture[upper], known = _upper(colours[upper], facing[upper] >= END_SHOWN, strip[0].mean(0))
     alike = known and unrolled.radii[0] >= WIDE * unrolled.radii[1]
     picture[lower] = _ringed(picture[upper], lower) if alike else strip[-1].mean(0)
     return Mesh(
@@ -153,8 +154,9 @@ class _Unrolled:
         normals = np.einsum("hwk,hwkc->hwc", bary, corners[face], dtype=float)
         return points, normals / np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-12)
 
-    def colours(self, image: Array | Picture, window: Camera) -> tuple[Array, NDArray[np.bool_]]:
-        """Colours (h, w, 3) of a part of the photo at every texel, and whether (h, w) the photo shows that."""
+    def colours(self, image: Array | Picture, window: Camera) -> tuple[Array, Array]:
+        """Colours (h, w, 3) of a part of the photo at every texel, and the cosine (h, w) between the normal there and
+        the ray to the camera; -1 where the solid itself is before it."""
         points, normals = self._surface
         flat = points.reshape(-1, 3)
         pixels, depth = window.project(flat)
@@ -170,7 +172,7 @@ class _Unrolled:
         size = float(np.ptp(solid.vertices, axis=0).max())
         hidden = (depth > before[y, x] + OCCLUDED * size).reshape(self.shape)
         colours = np.stack([interpolated(image[..., k], pixels) for k in range(3)], axis=-1)
-        return colours.reshape(*self.shape, 3), (facing >= SHOWN) & ~hidden
+        return colours.reshape(*self.shape, 3), np.where(hidden, -1.0, facing)
 
 
 def _around(colours: Array, blurred: Array, shown: NDArray[np.bool_], columns: int) -> Array:
