@@ -26,7 +26,7 @@ from f3sr.lifting.outline_fit import fitted_to_outline
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.revolutions import fit_revolution
 from f3sr.lifting.silhouettes import fit_lying, fit_standing
-from f3sr.lifting.solids import BOX_FACES, CORNERS, Solid, is_stable, joined, revolved
+from f3sr.lifting.solids import BOX_FACES, CORNERS, Solid, is_stable, joined, revolved, subdivided
 from f3sr.lifting.texture import textured
 from f3sr.lifting.turned_texture import quilted
 from f3sr.lifting.unshaded import PhotoLight, SeenSolid, light_of
@@ -478,6 +478,25 @@ def test_the_back_of_a_can_goes_on_from_its_sides_without_a_step():
     for angle, colour in ((200, red), (160, red), (120, red), (60, blue), (20, blue), (-20, blue)):
         at = [middle[0] + radius * math.cos(math.radians(angle)), middle[1] + radius * math.sin(math.radians(angle))]
         assert np.abs(colour_at(mesh, np.array([*at, 0.5 * high[2]])) - colour).max() < 40, angle
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7])
+def test_sides_of_a_box_that_no_photo_shows_look_as_its_front(yaw: float):
+    """Seen straight on, a box shows its front and its top. Its other sides were a blur of both."""
+    turn = pose(rotation_about([0, 0, 1], yaw), [0, 0, 0])
+    camera = replace(CAMERA, T_world_camera=turn @ CAMERA.T_world_camera)
+    foot, size = turn[:3, :3] @ [0, 0.85, 0], np.array([0.1, 0.06, 0.15])
+    true = block(foot, size, yaw)
+    K, w, h = camera.K, camera.width, camera.height
+    mask = rasterizer.silhouette(camera.to_camera(true.vertices), true.faces, K, w, h)
+    edge, _ = camera.project((foot + turn[:3, :3] @ [0, -0.03, 0.15])[None])
+    rgb = np.full((h, w, 3), (30, 30, 200), np.uint8)
+    rgb[: round(float(edge[0, 1]))] = 200, 30, 30
+    solid = replace(subdivided(true), symmetry="box")
+    mesh = textured(solid, np.zeros(3), Photo(rgb=rgb), mask, camera)
+    for side in (-1, 1):
+        at = foot + turn[:3, :3] @ [side * 0.05, 0.0225, 0.13125]
+        assert np.abs(colour_at(mesh, at) - [30, 30, 200]).max() < 40
 
 
 def test_print_goes_round_a_can_and_is_nowhere_a_mirror_image():

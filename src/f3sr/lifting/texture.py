@@ -183,13 +183,28 @@ def _split(solid: Solid, camera: Camera) -> tuple[Array, NDArray[np.int32], Arra
 
 
 def _by_symmetry(solid: Solid) -> Iterator[_Likeness]:
-    """Other places of a box that look as its vertices: its back as its front turned about the vertical, its underside
-    as its top."""
+    """Other places of a box that look as its vertices: its back as its front turned about the vertical, where no side
+    is seen as its front a quarter round, and its underside as its top."""
     if solid.symmetry == "box":
         form = solid.symmetric
         across = form.min(0) + form.max(0) - 2 * form
         yield _Likeness(_on_surface(solid, form + across * [1, 1, 0]))
+        yield from (_Likeness(_on_surface(solid, points)) for points in _quarter_turns(form, solid.faces))
         yield _Likeness(_on_surface(solid, form + across * UP), flips=True)
+
+
+def _quarter_turns(form: Array, faces: NDArray[np.int32]) -> Iterator[Array]:
+    """Vertices (n, 3) of an upright box a quarter about the vertical, either way, stretched to its other side."""
+    across = area_vectors(form[faces])[:, :2]
+    doubled = (across @ [1, 1j]) ** 2  # sides a quarter round are opposite, then alike
+    yaw = float(np.angle((doubled**2).sum())) / 4
+    axes = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
+    flat = form[:, :2] @ axes.T
+    middle, size = (flat.min(0) + flat.max(0)) / 2, np.ptp(flat, axis=0)
+    share = (flat - middle) / size
+    for way in (1, -1):
+        turned = middle + np.column_stack([-way * share[:, 1], way * share[:, 0]]) * size
+        yield np.column_stack([turned @ axes, form[:, 2]])
 
 
 def _on_surface(solid: Solid, points: Array) -> Array:
