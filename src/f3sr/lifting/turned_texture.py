@@ -32,7 +32,7 @@ OVERLAP = 0.08
 DENSITY = 1.3
 """Texels per pixel of the photo, where the side faces the camera."""
 LARGEST = 1024
-"""Longer side of the picture at most [px]."""
+"""Longer side of the picture at most, but for what goes beyond the cut [px]."""
 GAP = 2
 """Texels around each part: filters do not mix them."""
 OCCLUDED = 0.03
@@ -89,40 +89,29 @@ class _Unrolled:
         form, faces = solid.symmetric, solid.faces
         middle = (form.min(0) + form.max(0)) / 2
         towards = camera.center - middle
-        front = math.atan2(towards[1], towards[0])
-        off = form - middle
-        radius = np.hypot(off[:, 0], off[:, 1])
-        normals = area_vectors(form[faces])
-        steep = normals[:, 2] / np.maximum(np.linalg.norm(normals, axis=1), 1e-30)
-        part = np.where(steep > LEVEL, UPPER, np.where(steep < -LEVEL, LOWER, SIDE))
-        angle = ((np.arctan2(off[:, 1], off[:, 0]) - front + np.pi) % (2 * np.pi))[faces]  # pi is the front
-        angle = np.where((np.ptp(angle, axis=1) > np.pi)[:, None] & (angle < np.pi), angle + 2 * np.pi, angle)
-        tip = radius[faces] < 1e-6 * radius.max()
-        angle = np.where(tip, (angle * ~tip).sum(1, keepdims=True) / np.maximum(1, (~tip).sum(1, keepdims=True)), angle)
-        across = off[:, :2] @ np.array([[-math.sin(front), math.cos(front)], [math.cos(front), math.sin(front)]]).T
+        front = towards[:2] / max(float(np.linalg.norm(towards[:2])), 1e-12)
+        across = (form - middle)[:, :2] @ np.array([[-front[1], front[0]], front]).T  # aside, and to the camera
+        depth = (form[:, 2].max() - form[:, 2])[faces]
+        part, angle = _part_of(form, faces), _angles(across, faces)
+        reach = [float(np.hypot(*across[faces[part == k]].T).max(initial=1e-9)) for k in range(3)]
+        tall, around, widest = float(depth.max()), 2 * np.pi * reach[SIDE], max(reach[1:])
+        pixel = float(np.linalg.norm(towards)) / float(camera.K[0, 0])
+        texel = max(pixel / DENSITY, around / LARGEST, (tall + 2 * widest) / LARGEST)
 
-        pixel = float(np.linalg.norm(towards)) / float(camera.K[0, 0]) / DENSITY  # [m/texel]
-        reach = [float(radius[faces[part == k]].max(initial=1e-9)) for k in range(3)]
-        tall = float(np.ptp(off[:, 2]))
-        largest = max(2 * np.pi * max(reach) + 2 * np.pi * reach[SIDE] / 8, tall + 2 * max(reach[1:]))
-        pixel = max(pixel, largest / LARGEST)
-        columns = max(16, math.ceil(2 * np.pi * reach[SIDE] / pixel))
+        columns, rows = max(16, math.ceil(around / texel)), max(4, math.ceil(tall / texel))
         beyond = math.ceil(max(0.0, float(angle.max()) - 2 * np.pi) * columns / (2 * np.pi)) + GAP
-        rows = max(4, math.ceil(tall / pixel))
-        discs = [max(4, math.ceil(2 * r / pixel)) for r in reach[1:]]
-
-        sizes = [(rows, columns + beyond), *((d, d) for d in discs)]
-        lefts = [0, 0, discs[0] + GAP]
-        tops = [0, rows + GAP, rows + GAP]
-        places = np.empty((*faces.shape, 2))
-        on_side = part == SIDE
-        z = off[:, 2][faces]
-        places[on_side] = np.stack([angle / (2 * np.pi) * columns, (z.max() - z) / max(tall, 1e-12) * rows], axis=-1)[
-            on_side
-        ]
+        upper, lower = (max(4, math.ceil(2 * r / texel)) for r in reach[1:])
+        below = rows + GAP
+        parts = (
+            (slice(0, rows), slice(0, columns + beyond)),
+            (slice(below, below + upper), slice(0, upper)),
+            (slice(below, below + lower), slice(upper + GAP, upper + GAP + lower)),
+        )
+        places = np.stack([angle / (2 * np.pi) * columns, depth / max(tall, 1e-12) * rows], axis=-1)
         for k in (UPPER, LOWER):
-            flat = (across[faces] / reach[k] + 1) / 2 * discs[k - 1]
-            places[part == k] = (flat + np.array([lefts[k], tops[k]]))[part == k]
+            (high, left), size = (s.start for s in parts[k]), parts[k][0].stop - parts[k][0].start
+            disc = (across[faces] / reach[k] + 1) / 2 * size + np.array([left, high])
+            places = np.where((part == k)[:, None, None], disc, places)
         corners = np.column_stack([faces.ravel(), np.repeat(part, 3), np.rint(64 * places.reshape(-1, 2))])
         _, first, index = np.unique(corners.astype(np.int64), axis=0, return_index=True, return_inverse=True)
         return cls(
@@ -130,11 +119,8 @@ class _Unrolled:
             vertex=faces.ravel()[first].astype(np.int64),
             faces=index.reshape(-1, 3).astype(np.int32),
             places=places.reshape(-1, 2)[first],
-            shape=(rows + GAP + max(discs), max(columns + beyond, sum(discs) + GAP)),
-            parts=tuple(
-                (slice(top, top + h), slice(left, left + w))
-                for top, left, (h, w) in zip(tops, lefts, sizes, strict=True)
-            ),
+            shape=(below + max(upper, lower), max(columns + beyond, upper + GAP + lower)),
+            parts=parts,
             columns=columns,
             radii=(reach[UPPER], reach[LOWER]),
         )
@@ -173,6 +159,24 @@ class _Unrolled:
         hidden = (depth > before[y, x] + OCCLUDED * size).reshape(self.shape)
         colours = np.stack([interpolated(image[..., k], pixels) for k in range(3)], axis=-1)
         return colours.reshape(*self.shape, 3), np.where(hidden, -1.0, facing)
+
+
+def _part_of(form: Array, faces: NDArray[np.int32]) -> NDArray[np.int64]:
+    """The part (m,) that every face belongs to."""
+    normals = area_vectors(form[faces])
+    steep = normals[:, 2] / np.maximum(np.linalg.norm(normals, axis=1), 1e-30)
+    return np.where(steep > LEVEL, UPPER, np.where(steep < -LEVEL, LOWER, SIDE))
+
+
+def _angles(across: Array, faces: NDArray[np.int32]) -> Array:
+    """Angles (m, 3) of the faces' corners about the axis, from the back [rad]: pi is the front, and faces that reach
+    over the back go beyond 2 pi. ``across`` (n, 2) are aside, and to the camera. The axis has its neighbours' mean."""
+    angle = (np.arctan2(*across.T) + np.pi)[faces]
+    angle = np.where((np.ptp(angle, axis=1) > np.pi)[:, None] & (angle < np.pi), angle + 2 * np.pi, angle)
+    radius = np.hypot(*across.T)[faces]
+    off_axis = radius > 1e-6 * radius.max()
+    mean = (angle * off_axis).sum(1, keepdims=True) / np.maximum(1, off_axis.sum(1, keepdims=True))
+    return np.where(off_axis, angle, mean)
 
 
 def _around(colours: Array, blurred: Array, shown: NDArray[np.bool_], columns: int) -> Array:
