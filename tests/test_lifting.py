@@ -11,6 +11,7 @@ import pytest
 import trimesh
 
 from f3sr import proxies
+from f3sr.backends.protocols import PromptedImage
 from f3sr.core.camera import Camera
 from f3sr.core.mesh import ConvexPart, Mesh, signed_volume
 from f3sr.core.srgb import srgb
@@ -21,6 +22,7 @@ from f3sr.lifting.choice import EDGED, Choice, carries, choose, head
 from f3sr.lifting.cylinders import fit_cylinder
 from f3sr.lifting.fits import FittedShape
 from f3sr.lifting.hollows import fit_hollow
+from f3sr.lifting.lifted_assets import LiftedAssets
 from f3sr.lifting.many_starts import cost, refined
 from f3sr.lifting.outline_fit import fitted_to_outline
 from f3sr.lifting.outlined import Outlined
@@ -35,7 +37,7 @@ from f3sr.photo_inputs import read_inputs
 from f3sr.pipeline import as_given
 from f3sr.rendering.renderer import Renderer, poses_at_rest
 from f3sr.rendering.textures import LINEAR
-from f3sr.scene import GROUND, Instance, Photo, Scene, SceneObject
+from f3sr.scene import GROUND, Geometry, Instance, Photo, Scene, SceneObject
 from f3sr.stages.align import align
 from f3sr.stages.assemble import assemble
 from f3sr.stages.level import level
@@ -390,6 +392,23 @@ def test_a_photo_and_masks_are_enough_and_the_report_says_so(lifted):
     assert any("geometry" in d.choice for d in told) and any("assets" in d.choice for d in told)
     assert {d.about for d in lifted.decisions if d.choice.startswith("mesh: ")} == {i.id for i in lifted.instances}
     assert lifted.geometry.source == "ground"
+
+
+def test_things_each_of_which_seems_below_the_other_are_lifted(monkeypatch: pytest.MonkeyPatch):
+    """In a ring none is lifted before all that is below it."""
+    monkeypatch.setattr("f3sr.lifting.lifted_assets.below", lambda masks: {0: 1, 1: 0})
+    masks = [mask_of(block(FOOT + np.array([x, 0, 0]), (0.1, 0.07, 0.15), 0.3)) for x in (-0.1, 0.1)]
+    y, x = np.mgrid[: CAMERA.height, : CAMERA.width] + 0.5
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(CAMERA.K).T
+    down = rays @ CAMERA.T_world_camera[2, :3]
+    valid = (down < -0.05) & ~masks[0] & ~masks[1]
+    points = rays * np.where(valid, -CAMERA.center[2] / np.where(valid, down, -1), 1)[..., None]
+    image = PromptedImage(
+        photo=Photo(rgb=np.full((*valid.shape, 3), 128, np.uint8)),
+        instances=tuple(Instance(id=k, label="", name=f"{k:02d}.png", mask=mask) for k, mask in enumerate(masks)),
+    )
+    geometry = Geometry(points=points.astype(np.float32), valid=valid, source="ground")
+    assert LiftedAssets().generate(image, geometry, CAMERA.K).keys() == {0, 1}
 
 
 def test_alignment_neither_tilts_lifted_things_nor_moves_the_camera(lifted):

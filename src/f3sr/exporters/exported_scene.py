@@ -27,7 +27,7 @@ GROUND_DEPTH = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class GroundBox:
-    """The ground as a box: its middle and its sides, (x, y, z) [m]. Engines find fewer contacts with a plane."""
+    """The ground as a box: its middle and its sides, (x, y, z) [m]. docs/exporting.md says who has a plane instead."""
 
     middle: tuple[float, float, float]
     sides: tuple[float, float, float]

@@ -51,7 +51,8 @@ class LiftedAssets:
             carrier = self.choices.get(under[instance.id])
             if carrier is not None and not carries(seen, carrier):
                 carrier, under = None, {**under, instance.id: GROUND}
-            walls = [self.choices[id].near_wall(masks[id], camera) for id in _beneath(instance.id, under)]
+            done = [id for id in _beneath(instance.id, under) if id in self.choices]  # all, but in a ring
+            walls = [self.choices[id].near_wall(masks[id], camera) for id in done]
             hidden = union_of(walls, whole.shape) | _may_hide(instance, image.instances, under)
             seen = seen.behind(hidden)
             far = [self.choices[id].distance(camera.center) for id in self.choices] or [camera.center[2] * FAR]

@@ -14,7 +14,7 @@ from f3sr.core.camera import Camera
 from f3sr.core.mesh import Material, Mesh
 from f3sr.core.transforms import Array
 from f3sr.lifting.solids import Solid
-from f3sr.vision.regions import interpolated
+from f3sr.vision.regions import interpolated, smooth_step
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
@@ -79,8 +79,7 @@ def _half(surface: _StarShaped, sharp: Picture, soft: Array, window: Camera, n: 
         return np.column_stack([interpolated(pixels[:, k].reshape(COARSE, COARSE), at) for k in (0, 1)])
 
     own, print_at = fine(own), fine(print_at)
-    turned = np.clip((interpolated(angle, at) - CAP) / (np.pi / 2 - CAP), 0, 1)
-    share = 1 - (1 - INVENTED) * turned * turned * (3 - 2 * turned)
+    share = 1 - (1 - INVENTED) * smooth_step((interpolated(angle, at) - CAP) / (np.pi / 2 - CAP))
     channels = [
         interpolated(soft[..., k], own) + share * interpolated(sharp[..., k] - soft[..., k], print_at) for k in range(3)
     ]

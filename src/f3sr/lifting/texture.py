@@ -22,7 +22,7 @@ from f3sr.lifting.turned_texture import turned_texture
 from f3sr.lifting.unshaded import SeenSolid
 from f3sr.scene import Photo
 from f3sr.vision import rasterizer
-from f3sr.vision.regions import grown, interpolated, opened, shrunk, smoothed
+from f3sr.vision.regions import grown, interpolated, opened, shrunk, smooth_step, smoothed
 
 LONGEST = 1024
 """Longer side of the photo's part of a texture [px]."""
@@ -71,7 +71,7 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
     if solid.symmetry != "box":  # no edge where round sides turn away and the photo ends
         facing = SeenSolid.of(solid, mask, camera).facing
         beside = (rows[0] - top, bottom - rows[-1] - 1), (columns[0] - left, right - columns[-1] - 1)
-        share = _smooth(np.pad(facing, beside, mode="edge") / FADED)[..., None]
+        share = smooth_step(np.pad(facing, beside, mode="edge") / FADED)[..., None]
         sharp = soft + share * (sharp - soft)
     image = Image.fromarray(np.concatenate([sharp, soft], axis=1).astype(np.uint8))
     if (scale := LONGEST / max(right - left, bottom - top)) < 1:
@@ -103,12 +103,6 @@ def _continued(crop: NDArray[np.uint8], known: NDArray[np.bool_], hidden: NDArra
         patched = from_patches(crop, whole & ~known, apart=~whole)
         crop, known = (crop, known) if patched is None else (patched, whole)
     return membrane((crop * known[..., None]).astype(np.float32), known)
-
-
-def _smooth(share: Array) -> Array:
-    """A step from 0 to 1 without a kink."""
-    t = np.clip(share, 0, 1)
-    return t * t * (3 - 2 * t)
 
 
 def _own(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -51,8 +50,11 @@ def turned_texture(solid: Solid, sharp: Picture, soft: Array, window: Camera) ->
     without what is in them."""
     unrolled = _Unrolled.of(solid, window)
     height, width = unrolled.shape
-    colours, facing = unrolled.colours(sharp, window)
-    blurred, _ = unrolled.colours(soft, window)
+    pixels, facing = unrolled.shown(window)
+    colours, blurred = (
+        np.stack([interpolated(image[..., k], pixels).reshape(height, width) for k in range(3)], axis=-1)
+        for image in (sharp, soft)
+    )
     picture = np.zeros((height, width, 3))
     side, upper, lower = unrolled.parts
     picture[side] = strip = _around(colours[side], blurred[side], facing[side] >= SHOWN, unrolled.columns)
@@ -125,7 +127,6 @@ class _Unrolled:
             radii=(reach[UPPER], reach[LOWER]),
         )
 
-    @cached_property
     def _surface(self) -> tuple[Array, Array]:
         """Points (h, w, 3) of the surface at every texel, and unit normals; between parts those of the nearest."""
         from scipy.ndimage import distance_transform_edt
@@ -140,10 +141,10 @@ class _Unrolled:
         normals = np.einsum("hwk,hwkc->hwc", bary, corners[face], dtype=float)
         return points, normals / np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-12)
 
-    def colours(self, image: Array | Picture, window: Camera) -> tuple[Array, Array]:
-        """Colours (h, w, 3) of a part of the photo at every texel, and the cosine (h, w) between the normal there and
-        the ray to the camera; -1 where the solid itself is before it."""
-        points, normals = self._surface
+    def shown(self, window: Camera) -> tuple[Array, Array]:
+        """Pixels (h w, 2) of a part of the photo that show the texels, and the cosine (h, w) between the normal there
+        and the ray to the camera; -1 where the solid itself is before it."""
+        points, normals = self._surface()
         flat = points.reshape(-1, 3)
         pixels, depth = window.project(flat)
         towards = window.center - points
@@ -157,8 +158,7 @@ class _Unrolled:
         x, y = (np.clip(pixels[:, k].astype(int), 0, n - 1) for k, n in ((0, window.width), (1, window.height)))
         size = float(np.ptp(solid.vertices, axis=0).max())
         hidden = (depth > before[y, x] + OCCLUDED * size).reshape(self.shape)
-        colours = np.stack([interpolated(image[..., k], pixels) for k in range(3)], axis=-1)
-        return colours.reshape(*self.shape, 3), np.where(hidden, -1.0, facing)
+        return pixels, np.where(hidden, -1.0, facing)
 
 
 def _part_of(form: Array, faces: NDArray[np.int32]) -> NDArray[np.int64]:

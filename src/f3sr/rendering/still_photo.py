@@ -16,7 +16,7 @@ from f3sr.rendering.canvas import Canvas
 from f3sr.rendering.ground import APART, DARK
 from f3sr.rendering.textures import LINEAR
 from f3sr.scene import Scene
-from f3sr.vision.regions import Mask, distance_to, grown
+from f3sr.vision.regions import Mask, distance_to, grown, smooth_step
 from f3sr.vision.silhouette import union_of
 
 RATIOS = 0.05, 4.0
@@ -133,8 +133,7 @@ def _nearness(theirs: Mask, others: Mask) -> NDArray[np.float32]:
         return np.ones(theirs.shape, np.float32)
     to_theirs, to_others = distance_to(theirs), distance_to(others)
     share = (to_others / np.maximum(to_theirs + to_others, 1)).astype(np.float32)
-    t = np.clip((share - BLENDED[0]) / (BLENDED[1] - BLENDED[0]), 0, 1)
-    return (t * t * (3 - 2 * t)).astype(np.float32)
+    return smooth_step((share - BLENDED[0]) / (BLENDED[1] - BLENDED[0])).astype(np.float32)
 
 
 def _ratio(now: NDArray[np.uint8], before: NDArray[np.uint8]) -> Array:

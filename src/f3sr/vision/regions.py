@@ -101,6 +101,12 @@ def interpolated(image: NDArray[Any], pixels: NDArray[np.float64]) -> NDArray[np
     return np.asarray(map_coordinates(image, at, order=1, mode="nearest"), np.float64)
 
 
+def smooth_step(share: NDArray[Any]) -> NDArray[Any]:
+    """A step from 0 at 0 to 1 at 1 without a kink, of any shape and precision."""
+    t = np.clip(share, 0, 1)
+    return t * t * (3 - 2 * t)
+
+
 def smoothed(image: NDArray[Any], sigma: float | tuple[float, float]) -> NDArray[np.float64]:
     """An image (h, w) under a Gaussian [px]."""
     from scipy.ndimage import gaussian_filter
