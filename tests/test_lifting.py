@@ -43,7 +43,7 @@ from f3sr.stages.assemble import assemble
 from f3sr.stages.level import level
 from f3sr.vision import rasterizer
 from f3sr.vision.image_supports import below
-from f3sr.vision.regions import shrunk, without_strays
+from f3sr.vision.regions import grown, shrunk, without_strays
 from folders import part_of_example
 
 PITCH = math.radians(35)
@@ -630,7 +630,7 @@ def test_a_ball_in_the_light_from_above_is_no_brighter_at_its_rim_than_in_the_ph
     grey = np.clip(60 + 180 * (0.3 * np.sqrt(1 - out) + 0.35 * (1 - down)), 0, 255)
     rgb = (grey[..., None] * np.ones(3)).astype(np.uint8)
     fit = found(fit_ball(seen(true), 0.0))
-    mesh = textured(fit.solid, np.zeros(3), Photo(rgb=rgb), mask, CAMERA)
+    mesh = textured(replace(fit.solid, symmetry=""), np.zeros(3), Photo(rgb=rgb), mask, CAMERA)
     off = list[float]()
     for point in (p for p in mesh.vertices if 0.002 < p[2] < 0.02):
         (pixel,), _ = CAMERA.project(point[None])
@@ -646,11 +646,11 @@ COLOURS = ((200, 60, 50), (90, 150, 70), (60, 80, 190))
 
 def lit_photo(shown: Sequence[SeenSolid], direct: float, sky: float) -> Photo:
     """Solids of one colour each on a grey table, in the light of SUN and of an even sky; the table has no shadows."""
-    light = PhotoLight(np.array([0.0, direct, sky, 0.0]), SUN)
+    light = PhotoLight.of(np.array([0.0, direct, sky, 0.0]), SUN, 0.0, [], (FOOT, 1.0))
     rgb = np.full((CAMERA.height, CAMERA.width, 3), 130, np.uint8)
     for s, colour in zip(shown, COLOURS, strict=True):
-        bright = LINEAR[list(colour)] * light.on(s.normals)[..., None]
-        rgb[s.rows, s.columns][s.own] = np.round(255 * srgb(np.clip(bright, 0, 1)))[s.own]
+        bright = LINEAR[list(colour)] * light.on(s.points[s.own], s.normals[s.own])[:, None]
+        rgb[s.rows, s.columns][s.own] = np.round(255 * srgb(np.clip(bright, 0, 1)))
     return Photo(rgb=rgb)
 
 
@@ -709,6 +709,28 @@ def test_without_shading_colours_stay_as_they_are():
     light = light_of(shown, rgb, None, CAMERA)
     for s in shown:
         assert np.abs(light.removed(rgb, s).astype(int) - rgb).max() < 10
+
+
+def test_light_that_neighbours_throw_on_a_ball_is_not_its_own():
+    """A ball darker towards its foot, as in a dark pan: most of that goes, and print stays."""
+    shown = on_a_table()
+    photo = lit_photo(shown, 0.6, 0.5)
+    shown[0] = SeenSolid.of(replace(shown[0].solid, symmetry="round"), shown[0].mask, CAMERA)
+    own, z = shown[0].own, shown[0].normals[shown[0].own][:, 2]
+    taken = photo.rgb.copy()
+    there = taken[shown[0].rows, shown[0].columns]
+    there[own] = np.round(there[own] * np.exp(0.8 * np.minimum(z, 0))[:, None])
+    dots = own & (np.indices(own.shape).sum(0) % 12 < 2)
+    there[dots] //= 3
+    light = light_of(shown, taken, None, CAMERA)
+    after = light.removed(taken, shown[0])[shown[0].rows, shown[0].columns].astype(float)
+    plain = shrunk(own, 2) & ~grown(dots, 1)
+    was, is_now = (
+        c[plain & (shown[0].normals[..., 2] < -0.5)].mean() / c[plain & (shown[0].normals[..., 2] > 0.5)].mean()
+        for c in (there.astype(float), after)
+    )
+    assert was < 0.45 and is_now > 0.7, (was, is_now)
+    assert after[dots & shrunk(own, 2)].mean() < 0.6 * after[plain].mean()
 
 
 def test_print_is_no_shading():

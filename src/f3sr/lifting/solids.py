@@ -19,6 +19,8 @@ SECTORS = 40
 """Sides of a solid of revolution."""
 CELLS = 8
 """Cells along each edge of a box's faces: textures are projected at their corners."""
+FLAT = 0.3
+"""Least width of an underside with an edge, over the whole solid's."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -40,6 +42,13 @@ class Solid:
     def symmetric(self) -> Array:
         """Its vertices (n, 3) where it has its symmetry."""
         return self.vertices if self.form is None else self.form
+
+    @property
+    def stands_flat(self) -> bool:
+        """Whether its underside has an edge."""
+        low = self.symmetric[:, 2] < self.symmetric[:, 2].min() + 1e-3 * np.ptp(self.symmetric[:, 2])
+        whole = np.ptp(self.symmetric[:, :2], axis=0)
+        return bool((np.ptp(self.symmetric[low, :2], axis=0) > FLAT * whole).all())
 
 
 TIPS = 0.2

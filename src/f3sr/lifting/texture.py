@@ -42,8 +42,6 @@ FLATTENED = 0.05
 """Variance of places [blur's own] at which a slope of colours counts half: fewer places tell no slope."""
 COVERED = 3
 """Half the width of what hides a part of a solid [px]: less is the error of an outline."""
-FLAT = 0.3
-"""Least width of an underside with an edge, over the whole solid's."""
 EMPTY = 1e-3
 """Least weight of known colours around a pixel from which its colour is made."""
 
@@ -64,9 +62,10 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
     crop, known = photo.rgb[top:bottom, left:right], _own(mask[top:bottom, left:right])
     window = camera.cropped(left, top, right - left, bottom - top)
     sharp = _continued(crop, known, _hidden(solid, mask[top:bottom, left:right], window))
-    soft = _shaded(crop, known, SOFT * longest)
+    rolls = solid.symmetry == "round" and not solid.stands_flat
+    soft = _shaded(crop, known, SOFT * longest, level=rolls)
     if solid.symmetry == "round":
-        worn = (turned_texture if _stands_flat(solid.symmetric) else round_texture)(solid, sharp, soft, window)
+        worn = (round_texture if rolls else turned_texture)(solid, sharp, soft, window)
         return replace(worn, vertices=worn.vertices - origin)
     if solid.symmetry != "box":  # no edge where round sides turn away and the photo ends
         facing = SeenSolid.of(solid, mask, camera).facing
@@ -111,10 +110,10 @@ def _own(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return inner if inner.sum() > 0.5 * mask.sum() else mask
 
 
-def _shaded(image: NDArray[np.uint8], known: NDArray[np.bool_], sigma: float) -> Array:
+def _shaded(image: NDArray[np.uint8], known: NDArray[np.bool_], sigma: float, *, level: bool) -> Array:
     """Planes fitted to the ``known`` colours under a Gaussian [px], at every pixel (h, w, 3): a mean alone would be
     brighter than a border in shadow, as all it averages lies inside (normalized convolution of first order, Farneback
-    2002)."""
+    2002). ``level``: means all the same, of what has no side in shadow."""
     k = max(1, int(sigma / FINE))
     weight, colours = (
         _reduced(known.astype(float)[..., None], k)[..., 0],
@@ -130,7 +129,8 @@ def _shaded(image: NDArray[np.uint8], known: NDArray[np.bool_], sigma: float) ->
     here = np.tile(np.eye(3), (*weight.shape, 1, 1))  # about the pixel itself: the plane's value there is its constant
     here[..., 1, 0], here[..., 2, 0] = -columns, -rows
     second, first = here @ second @ np.swapaxes(here, -1, -2), here @ first
-    second += (FLATTENED * np.maximum(second[..., 0, 0], EMPTY))[..., None, None] * np.diag([0.0, 1.0, 1.0])
+    flat = (1 / EMPTY if level else FLATTENED) * np.maximum(second[..., 0, 0], EMPTY)
+    second += flat[..., None, None] * np.diag([0.0, 1.0, 1.0])
     second[..., 0, 0] += 1e-9
     soft = np.linalg.solve(second, first)[..., 0, :]
     y, x = (np.indices(known.shape).reshape(2, -1) + 0.5) / k
@@ -209,9 +209,3 @@ def _on_surface(solid: Solid, points: Array) -> Array:
         return points
     nearest = KDTree(solid.form).query(points)[1]
     return points + (solid.vertices - solid.form)[nearest]
-
-
-def _stands_flat(vertices: Array) -> bool:
-    """Whether its underside has an edge."""
-    low = vertices[:, 2] < vertices[:, 2].min() + 1e-3 * np.ptp(vertices[:, 2])
-    return bool((np.ptp(vertices[low, :2], axis=0) > FLAT * np.ptp(vertices[:, :2], axis=0)).all())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,8 +19,9 @@ from f3sr.core.transforms import UP, Array
 from f3sr.lifting.solids import Solid
 from f3sr.rendering.config import LightConfig
 from f3sr.rendering.evidence import Evidence, Samples, ground_points
+from f3sr.rendering.light import DIRECT, disc, even_sky
 from f3sr.rendering.light_fit import find_light
-from f3sr.rendering.shadow_maps import MARGIN, Caster
+from f3sr.rendering.shadow_maps import MARGIN, Caster, Maps
 from f3sr.rendering.textures import LINEAR
 from f3sr.vision import rasterizer
 from f3sr.vision.regions import grown, shrunk
@@ -29,6 +31,8 @@ BORDER = 3
 """Pixels from a mask's border that are left out: colours mix there, and the solid's normals are least sure."""
 LIGHT = LightConfig(overhead=0.05)
 """Colours are unknown here, and print passes for light from the side: lamps and windows are rarely low."""
+SKY = 64
+"""Lights that stand for the sky: between few, shadows show as steps in colours."""
 MAP_SIDE = 192
 """Side of a light's shadow map [texel]."""
 REACH = 1.5
@@ -36,6 +40,12 @@ REACH = 1.5
 DARKEST = 0.3
 """Least share of the open ground's light by which a colour is divided: darker places hold little but noise and light
 that other things throw."""
+OWN_LIGHT = 1e-3
+"""Weight of even light beside all that is seen of a thing: normals that the photo hardly shows tell no curve."""
+FAINTEST = 1e-3
+"""Least linear colour, and least misfit of its logarithm, that are told from none."""
+ROUNDS = 6
+"""Rounds of weights of that fit."""
 BRIGHTEST = 0.99
 """Share of the colours that no division makes brighter than white."""
 
@@ -100,6 +110,18 @@ class SeenSolid:
         rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(self.camera.K).T
         return rays @ self.camera.T_world_camera[:3, :3].T
 
+    @cached_property
+    def points(self) -> Array:
+        """(h, w, 3) of the solid's front in the world; beyond its outline at the depth of the nearest place on it."""
+        from scipy.ndimage import distance_transform_edt
+
+        drawn = self._drawn
+        known = drawn.face >= 0
+        if not known.any():
+            return self.camera.center + np.zeros_like(self._rays)
+        nearest: Any = distance_transform_edt(~known, return_distances=False, return_indices=True)
+        return self.camera.center + drawn.depth[tuple(nearest)][..., None] * self._rays
+
     @property
     def facing(self) -> Array:
         """(h, w) cosine between the normals and the rays to the camera."""
@@ -121,19 +143,34 @@ class PhotoLight:
     strength: Array
     """(4,) even, direct, sky, below: on open level ground they sum to 1."""
     direction: Array
+    shaded: tuple[Maps, Maps]
+    """What the solids hide from the direct light, and from the sky."""
     exposure: float = 1.0
 
-    def on(self, normals: Array) -> Array:
-        """(...,) the light on surfaces with unit normals (..., 3) that nothing shades, 1 on open level ground."""
-        even, direct, sky, below = self.strength
-        z = normals[..., 2]
-        return even + direct * np.maximum(normals @ self.direction, 0) + (sky * (1 + z) + below * (1 - z)) / 2
+    @classmethod
+    def of(
+        cls, strength: Array, direction: Array, angle: float, casters: Sequence[Caster], ball: tuple[Array, float]
+    ) -> Self:
+        """From the ``direction`` within an ``angle`` [rad], hidden by ``casters`` in a ``ball`` (middle (3,), radius
+        [m])."""
+        maps = [Maps.empty(lights, *ball, MAP_SIDE) for lights in (disc(direction, angle, DIRECT), even_sky(SKY))]
+        for m in maps:
+            m.cast(casters)
+        return cls(strength, direction, (maps[0], maps[1]))
+
+    def on(self, points: Array, normals: Array) -> Array:
+        """(n,) the light at points (n, 3) of surfaces with unit normals (n, 3), 1 on open level ground."""
+        direct, sky = (m.arriving(points, normals).mean(1) for m in self.shaded)
+        return np.column_stack([np.ones(len(points)), direct, 2 * sky, (1 - normals[:, 2]) / 2]) @ self.strength
 
     def without(self, shown: SeenSolid, rgb: NDArray[np.uint8]) -> Array:
         """(n, 3) linear colours of the mask's pixels, in rows, from the photo (H, W, 3)."""
-        light = np.maximum(self.on(shown.normals), DARKEST)
-        own = LINEAR[rgb[shown.rows, shown.columns][shown.own]]
-        return self.exposure * own / light[shown.own][:, None]
+        normals = shown.normals[shown.own]
+        light = np.maximum(self.on(shown.points[shown.own], normals), DARKEST)
+        plain = self.exposure * LINEAR[rgb[shown.rows, shown.columns][shown.own]] / light[:, None]
+        if shown.solid.symmetry != "round" or shown.solid.stands_flat:
+            return plain
+        return plain / light_of_its_own(normals, plain, shown.facing[shown.own])[:, None]
 
     def removed(self, rgb: NDArray[np.uint8], shown: SeenSolid) -> NDArray[np.uint8]:
         """The photo (H, W, 3) with the colours of one solid as they would be in even light."""
@@ -167,9 +204,29 @@ def light_of(
     found = find_light(evidence, casters, ball=ball, objects=len(shown), side=MAP_SIDE, config=LIGHT)
     light = found.light
     strength = np.array([part[0] for part in (light.even, light.direct, light.sky, light.below)])
-    plain = PhotoLight(strength, light.direction)
+    plain = PhotoLight.of(strength, light.direction, light.angle, casters, ball)
     white = max(float(np.quantile(plain.without(s, rgb), BRIGHTEST)) for s in shown)
     return replace(plain, exposure=min(1.0, 1 / max(white, 1e-9)))
+
+
+def light_of_its_own(normals: Array, colours: Array, facing: Array) -> Array:
+    """(n,) by how much linear colours (n, 3) of one round thing are brighter, 1 in the mean of their logarithms, where
+    its unit normals (n, 3) turn: light that its neighbours throw or take, as fruit and balls have no brighter side.
+
+    Irradiance is a function of second order of the normal (Ramamoorthi and Hanrahan 2001). Its logarithm is fitted.
+    Print is an outlier, and borders tell least: weights are the cosines ``facing`` (n,) the camera."""
+    x, y, z = normals.T
+    basis = np.column_stack([np.ones(len(x)), x, y, z, x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1])
+    bright = np.log(np.maximum(colours.mean(1), FAINTEST))
+    weight = seen = np.maximum(facing, 0)
+    fitted = np.full(len(x), np.average(bright, weights=seen + 1e-9))
+    prior = np.diag([0.0, *8 * [OWN_LIGHT * float(seen.sum())]])
+    for _ in range(ROUNDS):
+        off = bright - fitted
+        weight = seen / (1 + (off / max(float(np.average(np.abs(off), weights=seen + 1e-9)), FAINTEST)) ** 2)
+        weighted = basis * weight[:, None]
+        fitted = basis @ np.linalg.solve(weighted.T @ basis + prior + 1e-9 * np.eye(9), weighted.T @ bright)
+    return np.exp(np.clip(fitted - fitted.mean(), math.log(DARKEST), -math.log(DARKEST)))
 
 
 def _ground_samples(
