@@ -21,7 +21,8 @@ from f3sr.lifting.boxes import fit_boxes, fit_carved
 from f3sr.lifting.choice import EDGED, Choice, carries, choose, head
 from f3sr.lifting.cylinders import fit_cylinder
 from f3sr.lifting.fits import FittedShape
-from f3sr.lifting.hollows import fit_hollow
+from f3sr.lifting.hollows import Usual, fit_hollow
+from f3sr.lifting.inner_edges import near_rim
 from f3sr.lifting.lifted_assets import LiftedAssets
 from f3sr.lifting.many_starts import cost, refined
 from f3sr.lifting.outline_fit import fitted_to_outline
@@ -273,7 +274,7 @@ def test_a_label_makes_a_ball_of_what_a_silhouette_leaves_open():
 
 @pytest.mark.parametrize(("rim", "height"), [(0.08, 0.06), (0.12, 0.03), (0.05, 0.09)])
 def test_a_bowl_is_hollow_and_its_pieces_hold_it(rim: float, height: float):
-    fit = found(fit_hollow(seen(bowl(FOOT, rim, height)), 0.0, aspect=height / rim))
+    fit = found(fit_hollow(seen(bowl(FOOT, rim, height)), 0.0, usual=Usual(height / rim, 0.06)))
     assert fit.overlap > 0.95
     assert np.allclose(np.ptp(fit.solid.vertices, axis=0)[:2], 2 * rim, rtol=0.08)
     mesh = mesh_of(fit.solid)
@@ -314,7 +315,7 @@ def test_a_pan_keeps_its_handle():
     handle = block(FOOT + np.array([0.17, 0, 0.03]), (0.2, 0.03, 0.015), 0.0)
     pan = joined(bowl(FOOT, 0.1, 0.04), handle)
     assert pan is not None
-    fit = found(fit_hollow(seen(pan), 0.0, aspect=0.4))
+    fit = found(fit_hollow(seen(pan), 0.0, usual=Usual(0.4, 0.06)))
     assert fit.overlap > 0.93
     assert np.ptp(fit.solid.vertices[:, 0]) > 0.34
 
@@ -327,8 +328,8 @@ FITS = {
     "cylinder": fit_cylinder,
     "standing": fit_standing,
     "lying": fit_lying,
-    "hollow": lambda seen, floor: fit_hollow(seen, floor, aspect=1.0),
-    "upside down": lambda seen, floor: fit_hollow(seen, floor, aspect=1.0, upside_down=True),
+    "hollow": lambda seen, floor: fit_hollow(seen, floor, usual=Usual(1.0, 0.06)),
+    "upside down": lambda seen, floor: fit_hollow(seen, floor, usual=Usual(1.0, 0.06), upside_down=True),
 }
 
 
@@ -811,10 +812,39 @@ def test_the_near_wall_of_a_pan_may_hide_what_is_in_it():
     assert np.array_equal(wall[edge + 8 :], pan[edge + 8 :]) and wall.any(), "all below the rim's near edge does"
     first = ball(FOOT + np.array([0, -0.05, 0.005]), 0.03)
     shown = mask_of(first) & ~wall
-    assert 0.5 < shown.sum() / mask_of(first).sum() < 0.85
+    assert 0.4 < shown.sum() / mask_of(first).sum() < 0.85
     outlined = Outlined.of(shown, CAMERA).behind(wall)
     made = fitted_to_outline(found(fit_ball(outlined, 0.005)), outlined, on_a_point=True).solid
     assert np.ptp(made.vertices, axis=0) == pytest.approx([0.06, 0.06, 0.06], rel=0.08)
+
+
+def test_the_near_rim_of_a_pan_is_where_the_photo_has_it():
+    """The outline is as well that of a pan whose rim is lower: only colours inside it tell."""
+    true = bowl(FOOT, 0.12, 0.06)
+    pan = mask_of(true)
+    turns = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    rim = FOOT + np.column_stack([0.12 * np.cos(turns), 0.12 * np.sin(turns), np.full(60, 0.06)])
+    fan = np.array([[0, k, k + 1] for k in range(1, 59)], np.int32)
+    opening = rasterizer.silhouette(CAMERA.to_camera(rim), fan, CAMERA.K, CAMERA.width, CAMERA.height)
+    rgb = np.full((CAMERA.height, CAMERA.width, 3), 170, np.uint8)
+    rgb[pan], rgb[pan & opening] = 90, 40
+    edge = CAMERA.project(rim)[0][:, 1].max()
+    for colours in (rgb, np.full_like(rgb, 90)):
+        outlined = Outlined.of(pan, CAMERA, colours)
+        fit = found(fit_hollow(outlined, 0.0, usual=Usual(0.3, 0.03)))
+        assert fit.solid.rim is not None
+        low = fit.solid.rim - np.array([0, 0, 0.012])  # by some pixels
+        near = near_rim(outlined, low)
+        if colours is not rgb:
+            assert near is None
+            continue
+        assert near is not None
+        there = replace(fit, solid=replace(fit.solid, rim=low))
+        made = fitted_to_outline(there, outlined, near_rim=near)
+        assert made.solid.rim is not None
+        off = (CAMERA.project(r)[0][:, 1].max() - edge for r in (low, made.solid.rim))
+        assert abs(next(off)) > 4 > 1.5 > abs(next(off))
+        assert made.overlap > 0.96
 
 
 @pytest.mark.parametrize("true", [block(FOOT, (0.1, 0.07, 0.15), 0.5), can(FOOT, 0.04, 0.12), bowl(FOOT, 0.08, 0.06)])
@@ -842,7 +872,7 @@ def test_a_warp_ignores_the_outline_of_what_stands_before(hidden: float):
 def test_the_pieces_of_a_bowl_are_warped_with_its_surface():
     """A corner of a piece stays at the vertex where it is."""
     outlined = seen(bowl(FOOT, 0.08, 0.06))
-    fit = found(fit_hollow(outlined, 0.0, aspect=0.5))
+    fit = found(fit_hollow(outlined, 0.0, usual=Usual(0.5, 0.06)))
     wide = Outlined.of(mask_of(bowl(FOOT, 0.088, 0.06)), CAMERA)
     warped = fitted_to_outline(FittedShape.of(fit.family, fit.solid, wide), wide)
     assert warped.overlap > 0.98 > wide.overlap(fit.solid.vertices, fit.solid.faces)

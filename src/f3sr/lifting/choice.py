@@ -16,7 +16,8 @@ from f3sr.lifting.balls import fit_ball
 from f3sr.lifting.boxes import COMPACT_MASK, fit_boxes, fit_carved
 from f3sr.lifting.cylinders import fit_cylinder
 from f3sr.lifting.fits import FittedShape
-from f3sr.lifting.hollows import fit_hollow
+from f3sr.lifting.hollows import Usual, fit_hollow
+from f3sr.lifting.inner_edges import near_rim
 from f3sr.lifting.outline_fit import fitted_to_outline
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.revolutions import fit_revolution
@@ -62,13 +63,14 @@ FIXED = ("person", "man", "woman", "child", "people", "tree", "chandelier", "cur
 """Words of labels whose things are no rigid bodies, or hold to what is not in the scene."""
 
 HOLLOWS = {
-    **dict.fromkeys(("plate", "saucer", "tray"), 0.2),
-    **dict.fromkeys(("pan", "frypan", "skillet"), 0.4),
-    **dict.fromkeys(("bowl", "dish", "basket"), 0.8),
-    **dict.fromkeys(("pot", "wok", "basin"), 1.0),
-    **dict.fromkeys(("cup", "mug", "bucket", "bin", "glass", "teacup", "planter"), 2.0),
-}  # fmt: skip
-"""Names of hollow things, and the usual ratio of their height to the radius of their rim."""
+    **dict.fromkeys(("plate", "saucer", "tray"), Usual(height=0.2, wall=0.03)),
+    **dict.fromkeys(("pan", "frypan", "skillet"), Usual(height=0.4, wall=0.025)),
+    **dict.fromkeys(("bowl", "dish", "basket"), Usual(height=0.8, wall=0.045)),
+    **dict.fromkeys(("pot", "wok", "basin"), Usual(height=1.0, wall=0.025)),
+    **dict.fromkeys(("bucket", "bin", "planter"), Usual(height=2.0, wall=0.025)),
+    **dict.fromkeys(("cup", "mug", "teacup", "glass"), Usual(height=2.0, wall=0.08)),
+}
+"""Names of hollow things: the wall of a pan is 3 mm thick at a radius of 13 cm, that of a mug 3.5 mm at 4.2 cm."""
 FRUIT = {"lemon", "lime", "pear", "strawberry", "tomato", "potato", "avocado", "mango", "kiwi", "egg"}
 """Names of things without a flat underside."""
 WORDS = {
@@ -133,8 +135,12 @@ def choose(instance: Instance, seen: Outlined, carrier: Choice | None, *, distan
         fitted = [fit_hanging(seen, distance)]
     ranked = sorted(fitted, key=lambda fit: -_score(fit, instance.label, seen, loaded=loaded))
     best = ranked[0]
+    rim = best.solid.rim
+    on_a_point = best.family == "ball" or head(instance.label) in FRUIT
     return Choice(
-        best=fitted_to_outline(best, seen, on_a_point=best.family == "ball" or head(instance.label) in FRUIT),
+        best=fitted_to_outline(
+            best, seen, on_a_point=on_a_point, near_rim=None if rim is None else near_rim(seen, rim)
+        ),
         runner_up=ranked[1] if len(ranked) > 1 else None,
         top=_top(best),
         fixed=fixed,
@@ -184,7 +190,7 @@ def candidates(label: str, seen: Outlined, floor: float) -> list[FittedShape]:
         fit_ball(seen, floor) if "ball" in named(label) else None,
         *fit_boxes(seen, floor),
         fit_carved(seen, floor),
-        *(fit_hollow(seen, floor, aspect=HOLLOWS[name], upside_down=over) for over in (False, True) if name in HOLLOWS),
+        *(fit_hollow(seen, floor, usual=HOLLOWS[name], upside_down=over) for over in (False, True) if name in HOLLOWS),
         fit_cylinder(seen, floor),
         fit_revolution(seen, floor, is_round=name in FRUIT),
         fit_standing(seen, floor),

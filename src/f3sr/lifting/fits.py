@@ -11,6 +11,10 @@ from f3sr.core.transforms import UP, Array
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.solids import Solid
 
+SLIDE = 3.0
+"""Most that a level face moves in its plane, in displacements across the view: a low camera reads metres from a few
+rows."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FittedShape:

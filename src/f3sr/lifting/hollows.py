@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,17 +27,24 @@ RINGS = 8
 SHAPE, SPREAD = (0.2, 0.4), (0.6, 0.8, 0.4)
 """A bowl before its picture tells: the logit of its base's radius over the rim's, the logarithm of the power by which
 it widens; and standard deviations, that of the logarithm of height over radius first."""
-WALL = 0.06
-"""Thickness of the wall, as a share of the rim's radius."""
+THINNEST = 0.002
+"""Least thickness of a wall [m]: thinner convex parts make contact solvers unstable."""
 SECTORS, FACETS = 14, 3
 """Convex pieces around the wall, and facets of the surface in each: a piece reaches .025 radii into the hollow."""
 BULGE = 0.05
 """Largest distance that a wall's inside bends from its chord in one piece [radius of the rim]."""
 
 
-def fit_hollow(seen: Outlined, floor: float, *, aspect: float, upside_down: bool = False) -> FittedShape | None:
+class Usual(NamedTuple):
+    """What a kind of hollow things usually measures, over the radius of its rim."""
+
+    height: float
+    wall: float
+
+
+def fit_hollow(seen: Outlined, floor: float, *, usual: Usual, upside_down: bool = False) -> FittedShape | None:
     """A bowl, plate, pan or cup on the height ``floor`` [m], with handles: its outline touches the lines that the
-    mask's touches, in all directions. ``aspect`` is the usual ratio of its height to the radius of its rim."""
+    mask's touches, in all directions. Its wall is no thinner than 2 mm."""
     anchor = anchored(seen, floor)
     if anchor is None:
         return None
@@ -49,7 +57,7 @@ def fit_hollow(seen: Outlined, floor: float, *, aspect: float, upside_down: bool
     away = horizontal(seen, centre)
     side = np.array([-away[1], away[0], 0])
     directions, wanted, scatter = body.support
-    middle, spread = np.array([math.log(aspect), *SHAPE]), np.array(SPREAD)
+    middle, spread = np.array([math.log(usual.height), *SHAPE]), np.array(SPREAD)
 
     def foot(x: Array) -> Array:
         return centre + size * (x[0] * side + x[1] * away)
@@ -68,7 +76,7 @@ def fit_hollow(seen: Outlined, floor: float, *, aspect: float, upside_down: bool
     start = np.array([[0.0, -0.3, math.log(0.5), *middle]])
     x = refined(lambda x: np.array([residual(one) for one in x]), start, iterations=40)[0][0]
     outer = profile(x)
-    hollowed = _hollowed(outer)
+    hollowed = _hollowed(outer, usual.wall)
     solid = replace(
         revolved(foot(x), hollowed, sectors=SECTORS * FACETS),
         pieces=_pieces(foot(x), outer, hollowed),
@@ -97,11 +105,12 @@ def _bowl(rim: float, height: float, base: float, power: float) -> Array:
     return np.concatenate([[[0, 0]], np.column_stack([radii, height * t]), [[0, height]]])
 
 
-def _hollowed(profile: Array) -> Array:
-    """A profile with an inside: from its widest height, walls of one thickness, and a floor of that."""
+def _hollowed(profile: Array, wall: float) -> Array:
+    """A profile with an inside: from its widest height, walls of one thickness, and a floor of that: a
+    share ``wall`` of the rim's radius."""
     rim = int(np.argmax(profile[:, 0]))
     outer = profile[: rim + 1]
-    wall = WALL * float(outer[-1, 0])
+    wall = max(wall * float(outer[-1, 0]), THINNEST)
     inner = outer[1:][outer[1:, 1] > wall][::-1] - [wall, 0]
     inner = inner[inner[:, 0] > wall]
     if len(inner) < 2:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.core.transforms import UP, Array
-from f3sr.lifting.fits import FittedShape
+from f3sr.lifting.fits import SLIDE, FittedShape
+from f3sr.lifting.inner_edges import NearRim
 from f3sr.lifting.outlined import Outlined
 from f3sr.vision.regions import depth_inside, grown, interpolated, shrunk, smoothed
 
@@ -20,21 +21,20 @@ FARTHEST = 3.0
 """Largest displacement of a step, in its smoothing widths: what is farther belongs to another part."""
 FOLD = 0.3
 """Least area that a step leaves of any part of the picture: at 0 it folds."""
-SLIDE = 3.0
-"""Most that a level face moves in its plane, in displacements across the view: a low camera reads metres from a few
-rows."""
 LEVEL = 1e-3
 """Distance from the lowest and the highest point up to which points belong to a level face [height of the solid]."""
 
 
-def fitted_to_outline(fit: FittedShape, seen: Outlined, *, on_a_point: bool = False) -> FittedShape:
+def fitted_to_outline(
+    fit: FittedShape, seen: Outlined, *, on_a_point: bool = False, near_rim: NearRim | None = None
+) -> FittedShape:
     """A shape whose outline meets the mask's wherever nothing may hide it.
 
     A smooth displacement of the picture moves the solid, front and back alike. Points keep their depth, but a level
     top stays level, and an underside on its support: things stand on both. What rests ``on_a_point`` is brought to its
     support as a whole, along the rays. Each step smooths the distance between both outlines along the shape's
-    normals (non-rigid registration of signed distance fields, from coarse to fine). Of all steps the best overlap
-    stays.
+    normals (non-rigid registration of signed distance fields, from coarse to fine). The ``near_rim`` of what is hollow
+    pulls as the outline does. Of all steps that stays whose outline and rim leave least between them and the picture's.
     """
     solid = fit.solid
     size = math.sqrt(float(seen.mask.sum()))
@@ -47,16 +47,26 @@ def fitted_to_outline(fit: FittedShape, seen: Outlined, *, on_a_point: bool = Fa
     if on_a_point:
         below[:] = False
     wanted, hidden = depth_inside(seen.mask), grown(~seen.valid, 2)
+
+    def rim_off(points: Array) -> tuple[Array, Array]:
+        rim = points[len(points) - len(solid.rim) :] if solid.rim is not None and near_rim is not None else None
+        nothing = np.zeros((0, 2)), np.zeros((0, 2))
+        return nothing if rim is None or near_rim is None else near_rim.residuals(rim, seen)
+
+    def left(points: Array, overlap: float) -> float:
+        return 1 - overlap + float(np.linalg.norm(rim_off(points)[1], axis=1).sum()) / size**2
+
     best, overlap = points, fit.overlap
+    least = left(points, overlap)
     for width in WIDTHS:
         shown = seen.silhouette(points[: len(solid.vertices)], solid.faces)
-        shift = _displacement(shown, wanted, hidden, width * size)
+        shift = _displacement(shown, wanted, hidden, rim_off(points), width * size)
         while (area := _least_area(shift, shown)) < FOLD:
             shift = shift / (2 - area)
         points = _moved(points, below, above, -np.inf if on_a_point else floor, shift, seen)
         reached = seen.overlap(points[: len(solid.vertices)], solid.faces)
-        if reached > overlap:
-            best, overlap = points, reached
+        if left(points, reached) < least:
+            best, overlap, least = points, reached, left(points, reached)
     if on_a_point:
         centre = seen.camera.center
         best = centre + (floor - centre[2]) / (best[: len(solid.vertices), 2].min() - centre[2]) * (best - centre)
@@ -71,18 +81,25 @@ def fitted_to_outline(fit: FittedShape, seen: Outlined, *, on_a_point: bool = Fa
     return replace(fit, solid=warped, overlap=overlap)
 
 
-def _displacement(shown: NDArray[np.bool_], wanted: Array, hidden: NDArray[np.bool_], sigma: float) -> Array:
+def _displacement(
+    shown: NDArray[np.bool_], wanted: Array, hidden: NDArray[np.bool_], inner: tuple[Array, Array], sigma: float
+) -> Array:
     """Displacements (h, w, 2) [px] that bring the outline of what is ``shown`` (h, w) to where the signed distance
-    ``wanted`` (h, w) is 0, smoothed over ``sigma`` [px]; outlines where things are ``hidden`` (h, w) tell nothing."""
+    ``wanted`` (h, w) is 0, and points ``inner`` (n, 2) by their own displacements (n, 2), smoothed over ``sigma`` [px].
+    Outlines where things are ``hidden`` (h, w) tell nothing."""
     own = depth_inside(shown)
     outline = shown & ~shrunk(shown, 1) & ~hidden
     down, right = np.gradient(own)
     inward = np.stack([right, down], axis=-1)[outline]
     inward /= np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-6)
     reach = np.clip((wanted - own)[outline], -FARTHEST * sigma, FARTHEST * sigma)
-    moves = np.zeros((*shown.shape, 2))
+    moves, told = np.zeros((*shown.shape, 2)), outline.astype(float)
     moves[outline] = -reach[:, None] * inward
-    weight = smoothed(outline, sigma)
+    places, lengths = inner[0].astype(int), np.linalg.norm(inner[1], axis=1, keepdims=True)
+    at = np.clip(places[:, 1], 0, shown.shape[0] - 1), np.clip(places[:, 0], 0, shown.shape[1] - 1)
+    np.add.at(moves, at, inner[1] * np.minimum(1, FARTHEST * sigma / np.maximum(lengths, 1e-9)))
+    np.add.at(told, at, 1.0)
+    weight = smoothed(told, sigma)
     total = np.stack([smoothed(moves[..., k], sigma) for k in (0, 1)], axis=-1)
     return total / np.maximum(weight, 1e-4 * max(float(weight.max()), 1e-30))[..., None]
 
