@@ -274,7 +274,7 @@ def test_a_label_makes_a_ball_of_what_a_silhouette_leaves_open():
 
 @pytest.mark.parametrize(("rim", "height"), [(0.08, 0.06), (0.12, 0.03), (0.05, 0.09)])
 def test_a_bowl_is_hollow_and_its_pieces_hold_it(rim: float, height: float):
-    fit = found(fit_hollow(seen(bowl(FOOT, rim, height)), 0.0, usual=Usual(height / rim, 0.06)))
+    fit = found(fit_hollow(seen(bowl(FOOT, rim, height)), 0.0, usual=Usual(height / rim, 0.55, 0.06)))
     assert fit.overlap > 0.95
     assert np.allclose(np.ptp(fit.solid.vertices, axis=0)[:2], 2 * rim, rtol=0.08)
     mesh = mesh_of(fit.solid)
@@ -315,7 +315,7 @@ def test_a_pan_keeps_its_handle():
     handle = block(FOOT + np.array([0.17, 0, 0.03]), (0.2, 0.03, 0.015), 0.0)
     pan = joined(bowl(FOOT, 0.1, 0.04), handle)
     assert pan is not None
-    fit = found(fit_hollow(seen(pan), 0.0, usual=Usual(0.4, 0.06)))
+    fit = found(fit_hollow(seen(pan), 0.0, usual=Usual(0.4, 0.55, 0.06)))
     assert fit.overlap > 0.93
     assert np.ptp(fit.solid.vertices[:, 0]) > 0.34
 
@@ -328,8 +328,8 @@ FITS = {
     "cylinder": fit_cylinder,
     "standing": fit_standing,
     "lying": fit_lying,
-    "hollow": lambda seen, floor: fit_hollow(seen, floor, usual=Usual(1.0, 0.06)),
-    "upside down": lambda seen, floor: fit_hollow(seen, floor, usual=Usual(1.0, 0.06), upside_down=True),
+    "hollow": lambda seen, floor: fit_hollow(seen, floor, usual=Usual(1.0, 0.55, 0.06)),
+    "upside down": lambda seen, floor: fit_hollow(seen, floor, usual=Usual(1.0, 0.55, 0.06), upside_down=True),
 }
 
 
@@ -647,7 +647,7 @@ COLOURS = ((200, 60, 50), (90, 150, 70), (60, 80, 190))
 
 def lit_photo(shown: Sequence[SeenSolid], direct: float, sky: float) -> Photo:
     """Solids of one colour each on a grey table, in the light of SUN and of an even sky; the table has no shadows."""
-    light = PhotoLight.of(np.array([0.0, direct, sky, 0.0]), SUN, 0.0, [], (FOOT, 1.0))
+    light = PhotoLight.of(np.array([0.0, direct, sky, 0.15]), SUN, 0.0, [], (FOOT, 1.0))
     rgb = np.full((CAMERA.height, CAMERA.width, 3), 130, np.uint8)
     for s, colour in zip(shown, COLOURS, strict=True):
         bright = LINEAR[list(colour)] * light.on(s.points[s.own], s.normals[s.own])[:, None]
@@ -831,7 +831,7 @@ def test_the_near_rim_of_a_pan_is_where_the_photo_has_it():
     edge = CAMERA.project(rim)[0][:, 1].max()
     for colours in (rgb, np.full_like(rgb, 90)):
         outlined = Outlined.of(pan, CAMERA, colours)
-        fit = found(fit_hollow(outlined, 0.0, usual=Usual(0.3, 0.03)))
+        fit = found(fit_hollow(outlined, 0.0, usual=Usual(0.3, 0.55, 0.03)))
         assert fit.solid.rim is not None
         low = fit.solid.rim - np.array([0, 0, 0.012])  # by some pixels
         near = near_rim(outlined, low)
@@ -872,7 +872,7 @@ def test_a_warp_ignores_the_outline_of_what_stands_before(hidden: float):
 def test_the_pieces_of_a_bowl_are_warped_with_its_surface():
     """A corner of a piece stays at the vertex where it is."""
     outlined = seen(bowl(FOOT, 0.08, 0.06))
-    fit = found(fit_hollow(outlined, 0.0, usual=Usual(0.5, 0.06)))
+    fit = found(fit_hollow(outlined, 0.0, usual=Usual(0.5, 0.55, 0.06)))
     wide = Outlined.of(mask_of(bowl(FOOT, 0.088, 0.06)), CAMERA)
     warped = fitted_to_outline(FittedShape.of(fit.family, fit.solid, wide), wide)
     assert warped.overlap > 0.98 > wide.overlap(fit.solid.vertices, fit.solid.faces)

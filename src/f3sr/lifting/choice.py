@@ -63,14 +63,15 @@ FIXED = ("person", "man", "woman", "child", "people", "tree", "chandelier", "cur
 """Words of labels whose things are no rigid bodies, or hold to what is not in the scene."""
 
 HOLLOWS = {
-    **dict.fromkeys(("plate", "saucer", "tray"), Usual(height=0.2, wall=0.03)),
-    **dict.fromkeys(("pan", "frypan", "skillet"), Usual(height=0.4, wall=0.025)),
-    **dict.fromkeys(("bowl", "dish", "basket"), Usual(height=0.8, wall=0.045)),
-    **dict.fromkeys(("pot", "wok", "basin"), Usual(height=1.0, wall=0.025)),
-    **dict.fromkeys(("bucket", "bin", "planter"), Usual(height=2.0, wall=0.025)),
-    **dict.fromkeys(("cup", "mug", "teacup", "glass"), Usual(height=2.0, wall=0.08)),
+    **dict.fromkeys(("plate", "saucer", "tray"), Usual(height=0.2, base=0.6, wall=0.03)),
+    **dict.fromkeys(("pan", "frypan", "skillet"), Usual(height=0.4, base=0.72, wall=0.025)),
+    **dict.fromkeys(("bowl", "dish", "basket"), Usual(height=0.8, base=0.5, wall=0.045)),
+    **dict.fromkeys(("pot", "wok", "basin"), Usual(height=1.0, base=0.8, wall=0.025)),
+    **dict.fromkeys(("bucket", "bin", "planter"), Usual(height=2.0, base=0.75, wall=0.025)),
+    **dict.fromkeys(("cup", "mug", "teacup", "glass"), Usual(height=2.0, base=0.8, wall=0.08)),
 }
-"""Names of hollow things: the wall of a pan is 3 mm thick at a radius of 13 cm, that of a mug 3.5 mm at 4.2 cm."""
+"""Names of hollow things. A pan: radius 13 cm, that of its level base 9.5, 5 high, its wall 3 mm thick. A mug: radius
+4.2 cm, that of its base 3.4, 8.5 high, its wall 3.5 mm thick."""
 FRUIT = {"lemon", "lime", "pear", "strawberry", "tomato", "potato", "avocado", "mango", "kiwi", "egg"}
 """Names of things without a flat underside."""
 WORDS = {

@@ -24,9 +24,9 @@ ROOT = 6
 """Length of a handle's root within the body [px of the window]."""
 RINGS = 8
 """Rings of a bowl's outside."""
-SHAPE, SPREAD = (0.2, 0.4), (0.6, 0.8, 0.4)
-"""A bowl before its picture tells: the logit of its base's radius over the rim's, the logarithm of the power by which
-it widens; and standard deviations, that of the logarithm of height over radius first."""
+WIDENS, SPREAD = 0.4, (0.6, 0.8, 0.4)
+"""The logarithm of the power by which it widens, before its picture tells; and standard deviations of the logarithm of
+height over radius, of the logit of the base's radius over the rim's, and of the former."""
 THINNEST = 0.002
 """Least thickness of a wall [m]: thinner convex parts make contact solvers unstable."""
 SECTORS, FACETS = 14, 3
@@ -39,6 +39,7 @@ class Usual(NamedTuple):
     """What a kind of hollow things usually measures, over the radius of its rim."""
 
     height: float
+    base: float
     wall: float
 
 
@@ -57,7 +58,10 @@ def fit_hollow(seen: Outlined, floor: float, *, usual: Usual, upside_down: bool 
     away = horizontal(seen, centre)
     side = np.array([-away[1], away[0], 0])
     directions, wanted, scatter = body.support
-    middle, spread = np.array([math.log(usual.height), *SHAPE]), np.array(SPREAD)
+    middle, spread = (
+        np.array([math.log(usual.height), math.log(usual.base / (1 - usual.base)), WIDENS]),
+        np.array(SPREAD),
+    )
 
     def foot(x: Array) -> Array:
         return centre + size * (x[0] * side + x[1] * away)

@@ -29,8 +29,9 @@ from f3sr.vision.silhouette import union_of
 
 BORDER = 3
 """Pixels from a mask's border that are left out: colours mix there, and the solid's normals are least sure."""
-LIGHT = LightConfig(overhead=0.05)
-"""Colours are unknown here, and print passes for light from the side: lamps and windows are rarely low."""
+LIGHT = LightConfig(overhead=0.05, typical=20.0)
+"""Colours are unknown here, and print passes for light from the side: lamps and windows are rarely low, and light comes
+from all around too."""
 SKY = 64
 """Lights that stand for the sky: between few, shadows show as steps in colours."""
 MAP_SIDE = 192

@@ -23,6 +23,9 @@ class LightConfig:
     """Least share of the misfit by which a directed light must beat light without a direction."""
     overhead: Annotated[float, Interval(ge=0, le=1)] = 0.0
     """By how much of the misfit light from above is likelier than light along the ground. 0: the photo alone tells."""
+    typical: Annotated[float, Interval(ge=0, le=1000)] = 0.0
+    """What usual strengths of direct light, sky and ground weigh beside those that the photo tells, per sample: clear
+    evidence wins. 0: the photo alone tells."""
 
 
 @settings

@@ -47,6 +47,9 @@ SHADOW_RANGE = (0.0, 1.6)
 EVIDENT = 0.05
 """Spread of what is hidden from ground samples above which their shadows are measured."""
 
+TYPICAL = np.array([0.0, 0.5, 0.35, 0.15])
+"""Strengths of light in rooms: half from one side, the rest from above all around and from the table."""
+
 DEFAULT = Light(
     direction=np.array([-0.28, 0.24, 0.93]) / np.linalg.norm([-0.28, 0.24, 0.93]),
     angle=float(np.radians(15.0)),
@@ -139,6 +142,8 @@ def find_light(
     # Fits are sums over n samples.
     directed = undirected.misfit - best.misfit >= config.least_gain * n and best.strength[1] > 0
     chosen = best if directed else undirected
+    if config.typical:
+        chosen = _fit(evidence, chosen.bases, groups, typical=config.typical, rounds=3 * ROUNDS)
     light = _light(chosen.strength, direction if directed else DEFAULT.direction, angle if directed else DEFAULT.angle)
     lit = chosen.lit(evidence) / _on_open_ground(chosen.strength, light.direction)
     return FittedLight(light, directed, best.misfit / n, undirected.misfit / n, lit)
@@ -188,10 +193,11 @@ def _bases(evidence: Evidence, direct: Array, sky: Array) -> Array:
     return np.column_stack([np.ones(len(sky)), direct, sky, 0.5 - 0.5 * evidence.normals[:, 2]])
 
 
-def _fit(evidence: Evidence, bases: Array, groups: int) -> Fit:
+def _fit(evidence: Evidence, bases: Array, groups: int, *, typical: float = 0.0, rounds: int = ROUNDS) -> Fit:
     """Strengths >= 0 for all samples and exposures per group, by alternating weighted least squares.
 
-    Residuals are weighted as sRGB shows them, and by their group's spread; iterations give outliers less weight."""
+    Residuals are weighted as sRGB shows them, and by their group's spread; iterations give outliers less weight.
+    ``typical``: weight of ``TYPICAL`` strengths, per sample, in squares of mean misfits."""
     from scipy.optimize import nnls
 
     e, bases = evidence, rasterizer.fixed(bases, np.float64)
@@ -201,7 +207,7 @@ def _fit(evidence: Evidence, bases: Array, groups: int) -> Fit:
     count = np.bincount(e.group, minlength=groups)
     above = sums_of(e.photo, e.group, groups)
     misfit = np.inf
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         below, misfits = np.zeros((groups, 3)), np.zeros(groups)
         sum_lit(e.group, e.albedo, bases, strength, below)
         # Exposures first, for the strengths of the last round; then new strengths under these exposures.
@@ -216,6 +222,9 @@ def _fit(evidence: Evidence, bases: Array, groups: int) -> Fit:
         # min s'Gs - 2 t's over s >= 0 as least squares for nnls: with G = R'R it is |R s - R'^-1 t|^2. The ridge keeps
         # G positive definite where a column is 0.
         gram += np.tril(gram, -1).T
+        prior = typical * len(e.group) * bases.any(0)
+        gram += np.diag(prior)
+        target += prior * TYPICAL
         root = np.linalg.cholesky(gram + 1e-9 * np.trace(gram) * np.eye(4)).T
         strength = nnls(root, np.linalg.solve(root.T, target))[0]
         # Exposures hold the scale: light times 2 and exposure times 1/2 are the same picture.
