@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +62,8 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
     left, right = max(0, columns[0] - pad), min(photo.width, columns[-1] + 1 + pad)
     crop, known = photo.rgb[top:bottom, left:right], _own(mask[top:bottom, left:right])
     window = camera.cropped(left, top, right - left, bottom - top)
-    sharp = _continued(crop, known, _hidden(solid, mask[top:bottom, left:right], window))
+    sides = _sides(solid, window)
+    sharp = _continued(crop, known, _hidden(sides >= 0, mask[top:bottom, left:right]), sides)
     rolls = solid.symmetry == "round" and not solid.stands_flat
     soft = _shaded(crop, known, SOFT * longest, level=rolls)
     if solid.symmetry == "round":
@@ -87,20 +89,46 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
     )
 
 
-def _hidden(solid: Solid, mask: NDArray[np.bool_], window: Camera) -> NDArray[np.bool_]:
-    """What the mask (h, w) lacks of the solid's silhouette in a ``window`` of the photo; nothing where that is only the
-    error of an outline."""
-    shape = rasterizer.silhouette(window.to_camera(solid.vertices), solid.faces, window.K, window.width, window.height)
+def _sides(solid: Solid, window: Camera) -> NDArray[np.int64]:
+    """Which side of a box (h, w) is seen in a ``window`` of the photo, -1 beyond the solid; 0 on what is no box."""
+    face = rasterizer.rasterize(
+        window.to_camera(solid.vertices),
+        solid.faces,
+        np.zeros(len(solid.faces), np.int32),
+        window.K,
+        window.width,
+        window.height,
+    ).face
+    if solid.symmetry != "box":
+        return np.where(face >= 0, 0, -1)
+    x, y, z = area_vectors(solid.symmetric[solid.faces]).T
+    quarter = np.round((np.arctan2(y, x) - _yaw(solid.symmetric, solid.faces)) / (np.pi / 2)).astype(int) % 4
+    side = np.where(np.abs(z) > np.hypot(x, y), 4 + (z < 0), quarter)
+    return np.where(face >= 0, side[np.maximum(face, 0)], -1)
+
+
+def _hidden(shape: NDArray[np.bool_], mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """What the mask (h, w) lacks of the solid's silhouette (h, w); nothing where that is only the error of an
+    outline."""
     beyond = shape & ~mask
     return beyond & opened(beyond, COVERED).any()
 
 
-def _continued(crop: NDArray[np.uint8], known: NDArray[np.bool_], hidden: NDArray[np.bool_]) -> Picture:
-    """The ``known`` colours (h, w, 3), where they are ``hidden`` patches of them, and softly on around both."""
+def _continued(
+    crop: NDArray[np.uint8], known: NDArray[np.bool_], hidden: NDArray[np.bool_], sides: NDArray[np.int64]
+) -> Picture:
+    """The ``known`` colours (h, w, 3), where they are ``hidden`` patches of them, each of the same of the ``sides``
+    (h, w), and softly on around both."""
+    from scipy.ndimage import distance_transform_edt
+
     if hidden.any():
-        whole = known | grown(hidden, ERODED + 1)
-        patched = from_patches(crop, whole & ~known, apart=~whole)
-        crop, known = (crop, known) if patched is None else (patched, whole)
+        nearest: Any = distance_transform_edt(sides < 0, return_distances=False, return_indices=True)
+        everywhere, hole = sides[tuple(nearest)], grown(hidden, ERODED + 1) & ~known
+        for side in np.unique(everywhere[hole]):
+            here = everywhere == side
+            patched = from_patches(crop, hole & here, apart=~(here & (known | hole)))
+            if patched is not None:
+                crop, known = patched, known | (hole & here)
     return membrane((crop * known[..., None]).astype(np.float32), known)
 
 
@@ -189,9 +217,7 @@ def _by_symmetry(solid: Solid) -> Iterator[_Likeness]:
 
 def _quarter_turns(form: Array, faces: NDArray[np.int32]) -> Iterator[Array]:
     """Vertices (n, 3) of an upright box a quarter about the vertical, either way, stretched to its other side."""
-    across = area_vectors(form[faces])[:, :2]
-    doubled = (across @ [1, 1j]) ** 2  # sides a quarter round are opposite, then alike
-    yaw = float(np.angle((doubled**2).sum())) / 4
+    yaw = _yaw(form, faces)
     axes = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
     flat = form[:, :2] @ axes.T
     middle, size = (flat.min(0) + flat.max(0)) / 2, np.ptp(flat, axis=0)
@@ -199,6 +225,12 @@ def _quarter_turns(form: Array, faces: NDArray[np.int32]) -> Iterator[Array]:
     for way in (1, -1):
         turned = middle + np.column_stack([-way * share[:, 1], way * share[:, 0]]) * size
         yield np.column_stack([turned @ axes, form[:, 2]])
+
+
+def _yaw(form: Array, faces: NDArray[np.int32]) -> float:
+    """Angle of an upright box (n, 3) about the vertical, up to quarter turns [rad]."""
+    doubled = (area_vectors(form[faces])[:, :2] @ [1, 1j]) ** 2  # sides a quarter round are opposite, then alike
+    return float(np.angle((doubled**2).sum())) / 4
 
 
 def _on_surface(solid: Solid, points: Array) -> Array:
