@@ -25,6 +25,7 @@ from f3sr.lifting.silhouettes import fit_hanging, fit_lying, fit_standing
 from f3sr.lifting.solids import Solid, is_stable
 from f3sr.scene import Instance
 from f3sr.vision import rasterizer
+from f3sr.vision.regions import shrunk
 
 PRIOR = {"ball": 0.03, "box": 0.03, "rounded box": 0.01, "carved box": -0.05, "cylinder": 0.03,
          "solid of revolution": 0.02,
@@ -57,6 +58,8 @@ SPREAD_OUT = 0.2
 reads metres from few rows, and what points along the view is rare. 1.4 times: .02, 2 times: .1, 3.4 times: .3."""
 TIPPY = 0.1
 """Loss of score of a shape that would tip over where it is."""
+RIM = 0.02
+"""Error of a rim in the picture [size of the mask]."""
 CUT = 0.1
 """Share of the mask's outline on the photo's border from which an object counts as cut."""
 FIXED = ("person", "man", "woman", "child", "people", "tree", "chandelier", "curtain", "window", "door", "wall")
@@ -109,14 +112,15 @@ class Choice:
         return float(np.linalg.norm(self.best.solid.vertices.mean(0) - centre))
 
     def near_wall(self, mask: NDArray[np.bool_], camera: Camera) -> NDArray[np.bool_]:
-        """Pixels (H, W) of its ``mask`` that may hide what is in it: those outside of its opening. What is not hollow
-        hides nothing."""
+        """Pixels (H, W) of its ``mask`` that may hide what is in it: those outside of its opening, whose edge is known
+        to a few pixels. What is not hollow hides nothing."""
         rim = self.best.solid.rim
         if rim is None:
             return np.zeros_like(mask)
         fan = np.array([[0, k, k + 1] for k in range(1, len(rim) - 1)], np.int32)
         height, width = mask.shape
-        return mask & ~rasterizer.silhouette(camera.to_camera(rim), fan, camera.K, width, height)
+        opening = rasterizer.silhouette(camera.to_camera(rim), fan, camera.K, width, height)
+        return mask & ~shrunk(opening, math.ceil(RIM * math.sqrt(float(mask.sum()))))
 
     @property
     def told(self) -> str:

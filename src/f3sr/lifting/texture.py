@@ -43,6 +43,8 @@ FLATTENED = 0.05
 """Variance of places [blur's own] at which a slope of colours counts half: fewer places tell no slope."""
 COVERED = 3
 """Half the width of what hides a part of a solid [px]: less is the error of an outline."""
+UNUSUAL = 2.0
+"""Distance of a colour from the median, over the median distance, at which it counts a quarter."""
 EMPTY = 1e-3
 """Least weight of known colours around a pixel from which its colour is made."""
 
@@ -65,7 +67,7 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
     sides = _sides(solid, window)
     sharp = _continued(crop, known, _hidden(sides >= 0, mask[top:bottom, left:right]), sides)
     rolls = solid.symmetry == "round" and not solid.stands_flat
-    soft = _shaded(crop, known, SOFT * longest, level=rolls)
+    soft = _shaded(crop, _usual(crop, known) if rolls else known.astype(float), SOFT * longest, level=rolls)
     if solid.symmetry == "round":
         worn = (round_texture if rolls else turned_texture)(solid, sharp, soft, window)
         return replace(worn, vertices=worn.vertices - origin)
@@ -138,14 +140,24 @@ def _own(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return inner if inner.sum() > 0.5 * mask.sum() else mask
 
 
-def _shaded(image: NDArray[np.uint8], known: NDArray[np.bool_], sigma: float, *, level: bool) -> Array:
-    """Planes fitted to the ``known`` colours under a Gaussian [px], at every pixel (h, w, 3): a mean alone would be
-    brighter than a border in shadow, as all it averages lies inside (normalized convolution of first order, Farneback
-    2002). ``level``: means all the same, of what has no side in shadow."""
+def _usual(image: NDArray[np.uint8], known: NDArray[np.bool_]) -> Array:
+    """Weights (h, w) of the ``known`` colours: what is far from their median is print or a leaf, which the other side
+    need not have (Cauchy weights)."""
+    colours = image[known].astype(float)
+    off = np.linalg.norm(colours - np.median(colours, axis=0), axis=1)
+    weights = np.zeros(known.shape)
+    weights[known] = 1 / (1 + (off / (UNUSUAL * max(float(np.median(off)), 1.0))) ** 2) ** 2
+    return weights
+
+
+def _shaded(image: NDArray[np.uint8], weights: Array, sigma: float, *, level: bool) -> Array:
+    """Planes fitted to colours with ``weights`` (h, w) under a Gaussian [px], at every pixel (h, w, 3): a mean alone
+    would be brighter than a border in shadow, as all it averages lies inside (normalized convolution of first order,
+    Farneback 2002). ``level``: means all the same, of what has no side in shadow."""
     k = max(1, int(sigma / FINE))
     weight, colours = (
-        _reduced(known.astype(float)[..., None], k)[..., 0],
-        _reduced(np.where(known[..., None], image, 0.0), k),
+        _reduced(weights[..., None], k)[..., 0],
+        _reduced(weights[..., None] * image, k),
     )
     rows, columns = (np.indices(weight.shape) + 0.5) * k / sigma
     basis = np.stack([np.ones(weight.shape), columns, rows], axis=-1)
@@ -161,10 +173,10 @@ def _shaded(image: NDArray[np.uint8], known: NDArray[np.bool_], sigma: float, *,
     second += flat[..., None, None] * np.diag([0.0, 1.0, 1.0])
     second[..., 0, 0] += 1e-9
     soft = np.linalg.solve(second, first)[..., 0, :]
-    y, x = (np.indices(known.shape).reshape(2, -1) + 0.5) / k
+    y, x = (np.indices(weights.shape).reshape(2, -1) + 0.5) / k
     at = np.column_stack([x, y])
-    whole = np.stack([interpolated(soft[..., c], at).reshape(known.shape) for c in range(3)], axis=-1)
-    return np.asarray(np.clip(whole, *np.quantile(image[known], [0.01, 0.99], axis=0)), float)
+    whole = np.stack([interpolated(soft[..., c], at).reshape(weights.shape) for c in range(3)], axis=-1)
+    return np.asarray(np.clip(whole, *np.quantile(image[weights > 0], [0.01, 0.99], axis=0)), float)
 
 
 def _reduced(image: Array, k: int) -> Array:
