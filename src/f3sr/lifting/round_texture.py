@@ -19,8 +19,9 @@ from f3sr.vision.regions import interpolated, smooth_step
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
 
-CAP = math.radians(55)
-"""Angle from the camera within which print looks as in the photo; farther round, it is seen along the rays."""
+CAP, LIMB, BACK = np.radians([55, 80, 100])
+"""Angles from the camera up to which a texture is the photo, the photo a little blurred, as print is along the rays
+there, and goes over into what is invented."""
 INVENTED = 0.2
 """Share of print that is left where the photo shows none: it tells that a thing is not smooth, but blotches of light
 and shade that the photo has on one side would be none on another."""
@@ -30,13 +31,15 @@ NEIGHBOURS = 4
 """Vertices between which a point of the surface is interpolated."""
 COARSE = 96
 """Side of the grid on which places in the photo are computed; between they are interpolated [texels]."""
-LARGEST = 512
+DENSITY = 4
+"""Texels of each half, over the longer side of the photo's part: two per pixel where it faces the camera."""
+LARGEST = 1024
 """Side of each half at most [px]."""
 
 
-def round_texture(solid: Solid, sharp: Picture, soft: Array, window: Camera) -> Mesh:
+def round_texture(solid: Solid, sharp: Picture, limb: Array, soft: Array, window: Camera) -> Mesh:
     """A solid in the world that is star-shaped about its middle, its colours from a part of the photo (h, w, 3), as it
-    is and blurred, in the ``window`` that shows it.
+    is, a little blurred, and blurred without print, in the ``window`` that shows it.
 
     The picture has two halves: what the camera sees, and the other. Vertices on their border are there twice.
 
@@ -44,8 +47,8 @@ def round_texture(solid: Solid, sharp: Picture, soft: Array, window: Camera) -> 
     to the camera goes on over the rest in a mirror, larger and faint. So neither is seen along the rays, and there is
     no seam."""
     surface = _StarShaped.of(solid, window)
-    n = min(LARGEST, max(COARSE, 2 * max(sharp.shape[:2])))
-    halves = [_half(surface, sharp, soft, window, n, back=back) for back in (False, True)]
+    n = min(LARGEST, max(COARSE, DENSITY * max(sharp.shape[:2])))
+    halves = [_half(surface, (sharp, limb, soft), window, n, back=back) for back in (False, True)]
     angles = surface.angles(surface.directions)
     backward = np.cos(angles)[solid.faces].mean(1) < 0
     places, faces = np.unique(2 * solid.faces.astype(np.int64) + backward[:, None], return_inverse=True)
@@ -62,7 +65,7 @@ def round_texture(solid: Solid, sharp: Picture, soft: Array, window: Camera) -> 
     )
 
 
-def _half(surface: _StarShaped, sharp: Picture, soft: Array, window: Camera, n: int, *, back: bool) -> Picture:
+def _half(surface: _StarShaped, photo: tuple[Picture, Array, Array], window: Camera, n: int, *, back: bool) -> Picture:
     """One half (n, n, 3): azimuthal equidistant about the point nearest to the camera, or about that opposite."""
     places = np.linspace(-1, 1, COARSE)
     x, y = np.meshgrid(places, places)
@@ -78,11 +81,15 @@ def _half(surface: _StarShaped, sharp: Picture, soft: Array, window: Camera, n: 
     def fine(pixels: Array) -> Array:
         return np.column_stack([interpolated(pixels[:, k].reshape(COARSE, COARSE), at) for k in (0, 1)])
 
-    own, print_at = fine(own), fine(print_at)
-    share = 1 - (1 - INVENTED) * smooth_step((interpolated(angle, at) - CAP) / (np.pi / 2 - CAP))
-    channels = [
-        interpolated(soft[..., k], own) + share * interpolated(sharp[..., k] - soft[..., k], print_at) for k in range(3)
-    ]
+    own, print_at, angle = fine(own), fine(print_at), interpolated(angle, at)
+    blurred = smooth_step((angle - CAP) / (LIMB - CAP))
+    unseen = smooth_step((angle - LIMB) / (BACK - LIMB))
+    channels = list[Array]()
+    for k in range(3):
+        sharp, limb, soft = (image[..., k] for image in photo)
+        seen = (1 - blurred) * interpolated(sharp, own, cubic=True) + blurred * interpolated(limb, own)
+        invented = interpolated(soft, own) + INVENTED * interpolated(sharp - soft, print_at)
+        channels.append((1 - unseen) * seen + unseen * invented)
     return np.clip(np.stack(channels, axis=-1), 0, 255).astype(np.float32).reshape(n, n, 3)
 
 

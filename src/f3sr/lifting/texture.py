@@ -23,10 +23,16 @@ from f3sr.lifting.turned_texture import turned_texture
 from f3sr.lifting.unshaded import SeenSolid
 from f3sr.scene import Photo
 from f3sr.vision import rasterizer
-from f3sr.vision.regions import grown, interpolated, opened, shrunk, smooth_step, smoothed
+from f3sr.vision.regions import distance_to, grown, interpolated, opened, shrunk, smooth_step, smoothed
 
 LONGEST = 1024
 """Longer side of the photo's part of a texture [px]."""
+FINER = 2.0
+"""Texels per pixel of the photo at most: what draws the texture interpolates once more."""
+LIMB = 0.03
+"""Standard deviation of the blur where the photo shows a round side along the rays [longer side of the mask]."""
+SHADED = 0.04
+"""Width around what hides a part of a solid that it darkens or tints [longer side of the mask]."""
 ERODED = 2
 """Width of the mask's border whose colours are mixed with what is behind [px]."""
 GRAZING = math.cos(math.radians(78))
@@ -69,7 +75,11 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
     rolls = solid.symmetry == "round" and not solid.stands_flat
     soft = _shaded(crop, _usual(crop, known) if rolls else known.astype(float), SOFT * longest, level=rolls)
     if solid.symmetry == "round":
-        worn = (round_texture if rolls else turned_texture)(solid, sharp, soft, window)
+        if rolls:
+            limb = _shaded(crop, known.astype(float), LIMB * longest, level=True)
+            worn = round_texture(solid, sharp, limb, soft, window)
+        else:
+            worn = turned_texture(solid, sharp, soft, window)
         return replace(worn, vertices=worn.vertices - origin)
     if solid.symmetry != "box":  # no edge where round sides turn away and the photo ends
         facing = SeenSolid.of(solid, mask, camera).facing
@@ -77,8 +87,9 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
         share = smooth_step(np.pad(facing, beside, mode="edge") / FADED)[..., None]
         sharp = soft + share * (sharp - soft)
     image = Image.fromarray(np.concatenate([sharp, soft], axis=1).astype(np.uint8))
-    if (scale := LONGEST / max(right - left, bottom - top)) < 1:
-        image = image.resize((round(image.width * scale), round(image.height * scale)), Image.Resampling.BOX)
+    scale = min(FINER, LONGEST / max(right - left, bottom - top))
+    filtered = Image.Resampling.BICUBIC if scale > 1 else Image.Resampling.BOX
+    image = image.resize((round(image.width * scale), round(image.height * scale)), filtered)
     vertices, faces, looks, is_soft = _split(solid, camera)
     pixels, _ = camera.project(looks)
     uv = np.clip((pixels - [left, top]) / [right - left, bottom - top], INSET, 1 - INSET)
@@ -125,13 +136,28 @@ def _continued(
 
     if hidden.any():
         nearest: Any = distance_transform_edt(sides < 0, return_distances=False, return_indices=True)
-        everywhere, hole = sides[tuple(nearest)], grown(hidden, ERODED + 1) & ~known
-        for side in np.unique(everywhere[hole]):
-            here = everywhere == side
-            patched = from_patches(crop, hole & here, apart=~(here & (known | hole)))
-            if patched is not None:
-                crop, known = patched, known | (hole & here)
+        longest = max(np.ptp(np.argwhere(known), axis=0))
+        everywhere, hole = sides[tuple(nearest)], grown(hidden, max(ERODED + 1, round(SHADED * longest)))
+        told = known & ~hole
+        for side in np.unique(everywhere[hole & (known | grown(hidden, ERODED + 1))]):
+            here = (everywhere == side) & (known | grown(hidden, ERODED + 1))
+            if not (told & here).any():
+                continue
+            patched = from_patches(crop, hole & here, apart=~here)
+            crop = _plain(crop, hole & here, told & here, SOFT * longest) if patched is None else patched
+            known = known | here
     return membrane((crop * known[..., None]).astype(np.float32), known)
+
+
+def _plain(
+    crop: NDArray[np.uint8], hole: NDArray[np.bool_], known: NDArray[np.bool_], reach: float
+) -> NDArray[np.uint8]:
+    """A picture (h, w, 3) with the usual colour of what is ``known`` (h, w) in a ``hole`` (h, w), into which colours
+    around it go over within a ``reach`` [px]."""
+    around = membrane((crop * known[..., None]).astype(np.float32), known)
+    share = np.exp(-distance_to(known) / reach)[..., None]
+    usual = np.median(crop[known], axis=0)
+    return np.where(hole[..., None], np.rint(usual + share * (around - usual)), crop).astype(np.uint8)
 
 
 def _own(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -28,7 +28,7 @@ LEAST = math.radians(50)
 """Least angle of the side that the photo shows for its print to go on around it."""
 OVERLAP = 0.08
 """Width of the band in which a copy's seam is sought, over what the photo shows."""
-DENSITY = 1.3
+DENSITY = 2.0
 """Texels per pixel of the photo, where the side faces the camera."""
 LARGEST = 1024
 """Longer side of the picture at most, but for what goes beyond the cut [px]."""
@@ -52,7 +52,7 @@ def turned_texture(solid: Solid, sharp: Picture, soft: Array, window: Camera) ->
     height, width = unrolled.shape
     pixels, facing = unrolled.shown(window)
     colours, blurred = (
-        np.stack([interpolated(image[..., k], pixels).reshape(height, width) for k in range(3)], axis=-1)
+        np.stack([interpolated(image[..., k], pixels, cubic=True).reshape(height, width) for k in range(3)], axis=-1)
         for image in (sharp, soft)
     )
     picture = np.zeros((height, width, 3))

@@ -93,12 +93,13 @@ def depth_inside(mask: Mask) -> NDArray[np.float64]:
     return np.where(mask, np.minimum(inner, sum(mask.shape)) - 0.5, 0.5 - outer)
 
 
-def interpolated(image: NDArray[Any], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Values of an image (h, w) at pixels (n, 2), bilinear, of the nearest border beyond."""
+def interpolated(image: NDArray[Any], pixels: NDArray[np.float64], *, cubic: bool = False) -> NDArray[np.float64]:
+    """Values of an image (h, w) at pixels (n, 2), bilinear, of the nearest border beyond. ``cubic`` splines keep
+    details that a second interpolation would blur."""
     from scipy.ndimage import map_coordinates
 
     at = [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5]
-    return np.asarray(map_coordinates(image, at, order=1, mode="nearest"), np.float64)
+    return np.asarray(map_coordinates(image, at, order=3 if cubic else 1, mode="nearest"), np.float64)
 
 
 def smooth_step(share: NDArray[Any]) -> NDArray[Any]:
