@@ -25,7 +25,7 @@ ROOT = 6
 RINGS = 8
 """Rings of a bowl's outside."""
 WIDENS, SPREAD = 0.4, (0.6, 0.8, 0.4)
-"""The logarithm of the power by which it widens, before its picture tells; and standard deviations of the logarithm of
+"""The logarithm of the power by which it widens, before its picture tells. Standard deviations: of the logarithm of
 height over radius, of the logit of the base's radius over the rim's, and of the former."""
 THINNEST = 0.002
 """Least thickness of a wall [m]: thinner convex parts make contact solvers unstable."""

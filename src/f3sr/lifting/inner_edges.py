@@ -108,8 +108,8 @@ class NearRim:
 
 
 def near_rim(seen: Outlined, rim: Array) -> NearRim | None:
-    """Where colours differ most, and alike, across the near half of a ``rim`` (n, 3) that is moved down or up in the
-    picture, its ends less; None where no edge is seen, or only the outline.
+    """Where colours differ most, and alike, across the near half of a ``rim`` (n, 3). None where no edge is seen, or
+    only the outline. The rim is moved down or up in the picture, its ends less.
 
     No outline tells that: below the near rim the mask goes on with the outside of the wall."""
     if seen.colours is None:
