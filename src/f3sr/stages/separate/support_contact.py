@@ -148,7 +148,7 @@ def _contact_scale(layout: Placement, id: int, config: SeparateConfig, underside
     unlikely both are, as the square of standard deviations.
 
     It is the most likely one: k has the least (log k / sigma)^2 + height(k)^2 / variance within its bound. The variance
-    is that of lifts by the picture, and above the support also that of the ``underside`` [m2]; on another object a
+    is that of lifts by the picture. Above the support that of the ``underside`` [m2] is added. On another object a
     third term holds it in place. Over the ground height(k) is linear.
     """
     sigma, position = layout.depth_sigma[id], _position_variance(layout, id)
