@@ -22,6 +22,8 @@ import numpy as np
 
 import baseline
 import tables
+from f3sr.film.footage import LIFTING
+from f3sr.film.studio import FilmConfig
 
 sys.path.append(str(Path(__file__).resolve().parent / "goals"))
 import asked
@@ -86,7 +88,7 @@ def row(goal: Mapping[str, Any], package: Path, out: Path) -> dict[str, Any]:
         "film_s": told["film"]["seconds"],
         "frames": len(shown),
         "of_3_s": long,
-        "in_time": len(shown) == len(time) and float(np.abs(np.array(shown) - time).max()) < float(FRAME_S) / 100,
+        "in_time": len(shown) == frames_of(plan_of(out), len(time)) and are_even(shown),
         "same_bytes": again.code == 0 and all((out / name).read_bytes() == before for name, before in data.items()),
         "MB": round(sum(map(len, data.values())) / 1e6, 2),
     }
@@ -94,14 +96,32 @@ def row(goal: Mapping[str, Any], package: Path, out: Path) -> dict[str, Any]:
 
 def of_three_seconds(played: Path, package: Path) -> float:
     """Seconds that a film of the same plan takes when it is played for 3 s."""
-    plan = json.loads((played / "plan.json").read_text())
+    plan = plan_of(played)
     plan["phases"][0]["simulation"]["duration"] = 3.0
     edited, out = played.with_name(played.name + ".plan.json"), played.with_name(played.name + "-3s")
     edited.write_text(json.dumps(plan))
     again = asked.ask(["simulate", package, "--plan", edited, "-o", out, "--json", "--overwrite"])
     film = again.answer["goals"][0]["film"]
-    assert film["frames"] == 91, film
+    assert film["frames"] == frames_of(plan, 91), film
     return film["seconds"]
+
+
+def plan_of(played: Path) -> dict[str, Any]:
+    return json.loads((played / "plan.json").read_text())
+
+
+def frames_of(plan: Mapping[str, Any], samples: int) -> int:
+    """Frames that show a rollout: one each of its samples, which phases share at their ends, and those that stand
+    still at the beginning and the end or lift an object to where a phase starts."""
+    lifts = sum(bool(phase["initial"]["offsets"]) for phase in plan["phases"])
+    config = FilmConfig()
+    around = [config.opening, config.closing, *[LIFTING] * lifts]
+    return samples - len(plan["phases"]) + 1 + sum(round(seconds / FRAME_S) for seconds in around)
+
+
+def are_even(shown: Sequence[float]) -> bool:
+    """Whether frame k is shown at k frames."""
+    return float(np.abs(np.array(shown) - np.arange(len(shown)) * float(FRAME_S)).max()) < float(FRAME_S) / 100
 
 
 def frame_times(film: Path) -> list[float]:

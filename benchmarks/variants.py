@@ -17,7 +17,7 @@ from f3sr.io import inputs
 from f3sr.metrics.measures import full_silhouette, image_agreement
 from f3sr.scene import Scene
 from f3sr.stages.align import AlignConfig, align
-from f3sr.stages.align.config import AppearanceConfig, DepthConfig, FacetConfig, TiltConfig
+from f3sr.stages.align.config import AppearanceConfig, DepthConfig, FacetConfig, OrientationConfig, TiltConfig
 from f3sr.stages.assemble import as_given, assemble
 from f3sr.stages.level import level
 from f3sr.vision.occlusion import nearer_objects, visible_region
@@ -47,12 +47,14 @@ VARIANTS: Mapping[str, Step] = {
         appearance=AppearanceConfig(enabled=False),
         facets=FacetConfig(enabled=False),
         depth=DepthConfig(enabled=False),
+        orientations=OrientationConfig(enabled=False),
     ),
     "ours, no camera": _configured(camera=False),
     "ours, no tilt": _configured(tilt=TiltConfig(enabled=False)),
     "ours, no detail": _configured(appearance=AppearanceConfig(enabled=False)),
     "ours, no facets": _configured(facets=FacetConfig(enabled=False)),
     "ours, no geometry": _configured(depth=DepthConfig(enabled=False)),
+    "ours, no orientations": _configured(orientations=OrientationConfig(enabled=False)),
 }
 """By name; another switch of ``AlignConfig`` is another line. ``report`` (``staged.py``) has four bounded freedoms, no
 occlusion and no extension; ``skip align-objects`` is its row without differentiable rendering."""

@@ -17,6 +17,8 @@ from f3sr.vision.depth_prior import depth_errors
 IOU_OF_SHIFT = 4.0
 """IoU that a shift across the viewing rays costs, per size of an object: 8 / pi per diameter of a disc, whose box has a
 diagonal of 1.6 diameters. A sensor sees shifts along the rays; they count the same."""
+IOU_OF_GAP = 2.0
+"""Loss of visible IoU allowed per closed gap, in sizes of the object above it: half of what a shift by it may cost."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -19,7 +19,7 @@ from f3sr.contact.undersides import FootingConfig
 from f3sr.contact.vertical_gap import Meeting, meeting
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import UP, Array, pose, transform
-from f3sr.metrics.contact_groups import SettledScene, groups_of
+from f3sr.metrics.contact_groups import IOU_OF_GAP, SettledScene, groups_of
 from f3sr.metrics.measures import visible_ious
 from f3sr.physics.contact_margin import DEFAULT_MARGIN, TOUCHING, ContactMargin
 from f3sr.proxies import trim
@@ -32,8 +32,6 @@ TRIES = 2
 """Maximum attempts to lower an object whose move makes its group fail. Then the others go down without it."""
 STEPS = 24
 """Maximum number of contacts that are cut free, one by one, while one object is lowered."""
-WORTH = 2.0
-"""Loss of visible IoU allowed per closed gap, in sizes of the object above it."""
 
 
 @constants
@@ -154,7 +152,7 @@ def _better(
             reason += f", and object {_named(restless)} does not come to rest"
         if apart:
             reason += f", and object {_named(apart)}, which was not settled with it, is touched"
-        allowed = max(config.loss, WORTH * _closed(before, after, group & changed))
+        allowed = max(config.loss, IOU_OF_GAP * _closed(before, after, group & changed))
         is_better = not restless and not apart and loss <= allowed
         verdict = "accepted" if is_better else "rolled back"
         choice = f"colliders cut back of object {_named(group & changed)}: {verdict}"

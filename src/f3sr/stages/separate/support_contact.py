@@ -9,6 +9,8 @@ import numpy as np
 
 from f3sr.contact.compounds import Compound, free_travel, smallest_shift
 from f3sr.core.transforms import UP, Array, pose
+from f3sr.metrics.contact_groups import IOU_OF_GAP
+from f3sr.metrics.measures import visible_ious
 from f3sr.scene import GROUND, Scene
 from f3sr.stages.separate.config import PICTURE_SIGMA, UNDERSIDE_SIGMA, SeparateConfig
 from f3sr.stages.separate.placement import Placement
@@ -29,21 +31,49 @@ RAY_STEPS = 10
 
 
 def seat(layout: Placement, config: SeparateConfig) -> None:
-    """Bring each object with its subtree into contact with its support, supports first."""
+    """Bring each object with its subtree into contact with its support, supports first.
+
+    Its mesh meets the support, or lacks some of its underside where a sensor's depth and the picture show that."""
     for id in layout.scene.supports_first:
         if layout.scene[id].supported_by is None:
             layout.move(layout.scene.subtree(id), max(0.0, config.clearance - layout.lowest(id)) * UP)
             continue
-        k, unlikely = _contact_scale(layout, id, config)
+        underside = _short_underside(layout, id, config)
+        k, unlikely = _contact_scale(layout, id, config, underside)
         if config.max_ray_scale and unlikely > SURPRISE**2 and layout.carriers(id):
             aside, less_so = _aside(layout, id, config)
             if less_so < unlikely:
                 layout.move(layout.scene.subtree(id), np.append(aside, 0.0))
-                k, _ = _contact_scale(layout, id, config)
-        layout.along_rays(layout.scene.subtree(id), k)
-        above = gap(layout.bodies[id], id, layout, config)
-        layout.missing[id] = _missing_underside(layout, id, above)
-        layout.move(layout.scene.subtree(id), (layout.missing[id] - above) * UP)
+                k, _ = _contact_scale(layout, id, config, underside)
+        _lower(layout, id, config, k, underside)
+
+
+def _lower(layout: Placement, id: int, config: SeparateConfig, k: float, underside: float) -> None:
+    """Move a body with its subtree along its viewing rays by ``k`` and then onto its support.
+
+    Of the height at which it hangs, it goes down by what is no lack of an ``underside`` of that variance [m2]."""
+    layout.along_rays(layout.scene.subtree(id), k)
+    above = gap(layout.bodies[id], id, layout, config)
+    layout.missing[id] = max(0.0, above) * underside / (underside + _position_variance(layout, id))
+    layout.move(layout.scene.subtree(id), (layout.missing[id] - above) * UP)
+
+
+def _short_underside(layout: Placement, id: int, config: SeparateConfig) -> float:
+    """Variance [m2] of the hidden underside of a body that shows to be short; 0 where it may well meet its support.
+
+    Only a sensor knows distances better than undersides are known. The underside is short where the picture speaks for
+    it: lowering the body by what it would lack loses more of its visible IoU than the gap is worth."""
+    if not layout.scene.has_measured_depth:
+        return 0.0
+    members, start = layout.scene.subtree(id), layout.saved()
+    variance = (UNDERSIDE_SIGMA * layout.scene[id].size) ** 2
+    _lower(layout, id, config, _contact_scale(layout, id, config, variance)[0], variance)
+    missing, hanging = layout.missing[id], visible_ious(layout.moved_scene())
+    layout.move(members, -missing * UP)
+    lowered = visible_ious(layout.moved_scene())
+    layout.restore(start)
+    loss = float(np.mean([hanging[k] - lowered[k] for k in members]))
+    return variance if loss > IOU_OF_GAP * missing / layout.scene[id].size else 0.0
 
 
 def _aside(layout: Placement, id: int, config: SeparateConfig) -> tuple[Array, float]:
@@ -79,22 +109,9 @@ def _aside(layout: Placement, id: int, config: SeparateConfig) -> tuple[Array, f
     return best, least
 
 
-def _missing_underside(layout: Placement, id: int, above: float) -> float:
-    """Of the height [m] at which a body hangs over its support, what its generated underside most likely lacks."""
-    if above <= 0:
-        return 0.0
-    position, underside = _height_variances(layout, id)
-    return above * underside / (position + underside)
-
-
-def _height_variances(layout: Placement, id: int) -> tuple[float, float]:
-    """Variances [m2] of a body's height, known by the picture, and of its hidden underside.
-
-    Only a body that hangs over its support can lack some of its underside, and only a sensor knows distances better
-    than undersides are known.
-    """
-    position = PICTURE_SIGMA**2 / max(float(layout.picture(id)[2, 2]), LEAST_LOSS)
-    return position, (UNDERSIDE_SIGMA * layout.scene[id].size) ** 2 if layout.scene.has_measured_depth else 0.0
+def _position_variance(layout: Placement, id: int) -> float:
+    """Variance [m2] of a body's height, known by the picture."""
+    return PICTURE_SIGMA**2 / max(float(layout.picture(id)[2, 2]), LEAST_LOSS)
 
 
 def gap(body: Compound, id: int, layout: Placement, config: SeparateConfig) -> float:
@@ -126,15 +143,15 @@ def grounded(scene: Scene, config: SeparateConfig) -> Scene:
     return replace(scene, objects=objects, camera=scene.camera.moved(T @ scene.camera.T_world_camera))
 
 
-def _contact_scale(layout: Placement, id: int, config: SeparateConfig) -> tuple[float, float]:
+def _contact_scale(layout: Placement, id: int, config: SeparateConfig, underside: float) -> tuple[float, float]:
     """The k by which the body is moved along its viewing rays before it is lifted or lowered onto its support, and how
     unlikely both are, as the square of standard deviations.
 
     It is the most likely one: k has the least (log k / sigma)^2 + height(k)^2 / variance within its bound. The variance
-    is that of lifts by the picture and of the underside; on another object a third term holds it in place. Over the
-    ground height(k) is linear.
+    is that of lifts by the picture. Above the support that of the ``underside`` [m2] is added. On another object a
+    third term holds it in place. Over the ground height(k) is linear.
     """
-    sigma, (position, underside) = layout.depth_sigma[id], _height_variances(layout, id)
+    sigma, position = layout.depth_sigma[id], _position_variance(layout, id)
     C, body = layout.scene.camera.center, layout.bodies[id]
     on_the_ground = layout.scene[id].supported_by == GROUND
     slide = 0.0 if on_the_ground else layout.distance(id) / (SLIDE_SIGMA * layout.scene[id].size)
