@@ -38,7 +38,7 @@ bench-agents: $(VENV)/.dev
 	$(BIN)/python benchmarks/goals/agents.py $(addprefix --model ,$(MODEL))
 
 # The example in other people's engines and validators, each group in an environment of its own. MJX is left out: it
-# does not compile scenes of a hundred hulls in a quarter of an hour. Khronos' validator comes with npm, not with pip.
+# does not compile scenes of many hulls. Khronos' validator comes with npm, not with pip.
 ENGINES    := build/certify
 CLIENTS    := mujoco,mujoco-warp,newton,pybullet,drake,sapien,simready,usd,mjcf-doctor
 IN_CLASSIC := pybullet drake mjcf-doctor

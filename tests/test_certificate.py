@@ -145,6 +145,20 @@ def test_grown_parts_hold_the_part_and_have_no_more_corners() -> None:
         assert away.max() <= SHARPEST * 1.6e-4 + 1e-9
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_flats_of_grown_parts_are_plane(seed: int) -> None:
+    """An engine finds contacts face by face: an orange on a pan's flat of several faces trembles."""
+    rng = np.random.default_rng(seed)
+    angles = np.sort(rng.uniform(0, 2 * np.pi, 12))
+    top = np.stack([0.05 * np.cos(angles), 0.04 * np.sin(angles), np.full(12, 0.004)], axis=1)
+    tilted = rotation_about(np.array([1.0, 0, 0]), 0.3)
+    below = rng.normal(size=(20, 3)) * 0.01 - [0, 0, 0.04]
+    bigger = grown(ConvexPart.hull_of(np.concatenate([top, below]) @ tilted.T), 1.6e-4)
+    heights = np.sort((bigger.vertices @ tilted)[:, 2])
+    assert np.ptp(heights[-12:]) < 1e-12
+    assert heights[-1] == pytest.approx(0.004 + 1.6e-4, abs=1e-12)
+
+
 def test_corners_that_are_one_become_one() -> None:
     """Drake refuses the slivers between corners that are nanometres apart."""
     corners = body_of(box(0, size=(0.1, 0.2, 0.3))).parts[0].vertices

@@ -7,16 +7,20 @@ falls when another program starts.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.spatial import KDTree
 
-from f3sr.core.mesh import ConvexPart, qhull
+from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array
+from f3sr.proxies.flats import facets
 
 SHARPEST = 2.0
 """How far a corner moves at most [margins]: a box's moves by 1.7, that of a blade would move by any number."""
-ON_FACET = 1e-6
-"""Distance from a facet at which a corner belongs to it [size of the part]."""
+BEHIND = 0.125
+"""Distance behind a facet up to which a corner belongs to it [margins]: .02 mm, as flats of delivered parts."""
+ROUNDING = 1e-6
+"""Of a move [margins]."""
 LEAST_EDGE = 1e-6
 """Distance [m] below which two corners are one: Drake refuses the slivers between them."""
 
@@ -24,17 +28,20 @@ LEAST_EDGE = 1e-6
 def grown(part: ConvexPart, by: float) -> ConvexPart:
     """The part [m] whose facets lie ``by`` [m] further out, with no more corners than it has.
 
-    Every corner moves the shortest way that moves all its facets so far. Where edges are so sharp that it would move
-    further than ``SHARPEST`` times ``by``, it and its facets stay behind.
+    Every corner moves the shortest way that moves its facets at least so far, and its flats, of four corners or more,
+    exactly so far: engines see several faces in what is not quite plane. Flats become plane within ``BEHIND``, and none
+    of them lies further out than ``by``: overlaps would kick. No corner moves further than ``SHARPEST`` times ``by``.
+    Where edges are too sharp for that, facets stay behind, small flats bend.
     """
-    corners = _without_twins(part.vertices)
-    planes = np.unique(np.round(qhull(corners).equations, 12), axis=0)
-    size = float(np.linalg.norm(np.ptp(corners, axis=0)))
-    touching = np.abs(corners @ planes[:, :3].T + planes[:, 3]) < ON_FACET * size
-    moves = np.array([_shortest(planes[facets, :3]) for facets in touching])
-    lengths = np.linalg.norm(moves, axis=1, keepdims=True)
-    moves *= np.minimum(1.0, SHARPEST / np.maximum(lengths, 1.0))
-    return ConvexPart.hull_of(corners + by * moves)
+    whole = ConvexPart.hull_of(_without_twins(part.vertices))
+    planes, touching = (np.array(each) for each in zip(*facets(whole, BEHIND * by), strict=True))
+    behind = np.where(touching, -planes[:, 3:] - planes[:, :3] @ whole.vertices.T, 0) / by
+    wanted = 1 + behind - behind.max(1, keepdims=True)
+    flat = touching.sum(1) > 3
+    moves = [
+        _move(planes[on, :3], wanted[on, corner], np.flatnonzero(flat[on])) for corner, on in enumerate(touching.T)
+    ]
+    return ConvexPart.hull_of(whole.vertices + by * np.array(moves))
 
 
 def _without_twins(corners: Array) -> Array:
@@ -43,14 +50,46 @@ def _without_twins(corners: Array) -> Array:
     return np.delete(corners, later, axis=0) if len(corners) - len(later) >= 4 else corners
 
 
-def _shortest(normals: Array) -> Array:
-    """The shortest d (3,) with ``normals @ d >= 1``, by least distance programming (Lawson and Hanson, chapter 23).
+def _move(normals: Array, wanted: Array, flats: NDArray[np.intp]) -> Array:
+    """The way (3,) of a corner of facets with ``normals`` (k, 3), which move ``wanted`` (k,) along them.
 
-    Zero where there is none: the corner of a sheet lies on both of its sides."""
-    E = np.vstack([normals.T, np.ones(len(normals))])
+    ``flats`` move exactly so far, if they can; the largest come first."""
+    kept, near = np.zeros(len(normals), np.bool_), np.zeros(3)
+    for flat in flats:
+        kept[flat] = True
+        way = _shortest(normals, np.where(kept, wanted, 0), kept)
+        if way is None or np.linalg.norm(way) > SHARPEST:
+            kept[flat] = False
+        else:
+            near = way
+    far = _shortest(normals, wanted, kept)
+    return near if far is None else _reaching(near, far)  # the corner of a sheet lies on both of its sides
+
+
+def _reaching(near: Array, far: Array) -> Array:
+    """The point (3,) on the way from ``near`` to ``far``, as far on as lies within ``SHARPEST`` of the origin."""
+    way = far - near
+    a, b, c = way @ way, near @ way, near @ near - SHARPEST**2
+    return far if far @ far <= SHARPEST**2 else near + way * (np.sqrt(b * b - a * c) - b) / a
+
+
+def _shortest(normals: Array, wanted: Array, kept: NDArray[np.bool_]) -> Array | None:
+    """The shortest d (3,) with ``normals @ d >= wanted``, and equal to it for those ``kept``. None where there is none.
+
+    Least distance programming with equalities (Lawson and Hanson, chapters 20 and 23)."""
+    equal, others = normals[kept], normals[~kept]
+    onto = np.linalg.pinv(equal, rcond=ROUNDING)
+    fixed = onto @ wanted[kept]
+    free = np.eye(3) - onto @ equal
+    lacking = wanted[~kept] - others @ fixed
+    if np.abs(equal @ fixed - wanted[kept]).max(initial=0) > ROUNDING:
+        return None
+    if lacking.max(initial=0) <= ROUNDING:
+        return fixed
+    E = np.vstack([(others @ free).T, lacking])
     f = np.array([0.0, 0, 0, 1])
     multipliers, residual = nnls(E, f)
-    if residual < ON_FACET:
-        return np.zeros(3)
+    if residual < ROUNDING:
+        return None
     r = E @ multipliers - f
-    return -r[:3] / r[3]
+    return fixed - free @ r[:3] / r[3]

@@ -26,8 +26,8 @@ def flattened(part: ConvexPart, within: float) -> ConvexPart:
     none passes the plane of another flat. The part itself if all of that is so already."""
     planes = [np.zeros((0, 4)) for _ in part.vertices]
     ways = np.zeros_like(part.vertices)
-    for plane, on in _flats(part, within):
-        for v in np.flatnonzero(on):
+    for plane, on in facets(part, within):
+        for v in np.flatnonzero(on) if on.sum() > 3 else ():
             both = np.concatenate([planes[v], plane[None]])
             way = np.linalg.pinv(both[:, :3]) @ -(both[:, :3] @ part.vertices[v] + both[:, 3])
             if len(both) <= 3 and np.linalg.norm(way) <= within:
@@ -37,8 +37,10 @@ def flattened(part: ConvexPart, within: float) -> ConvexPart:
     return ConvexPart.hull_of(part.vertices + ways)
 
 
-def _flats(part: ConvexPart, within: float) -> Iterator[tuple[Array, NDArray[np.bool_]]]:
-    """Plane (4,), n . x + d = 0 with a unit normal, and vertices (n,) of every flat; those of large faces first."""
+def facets(part: ConvexPart, within: float) -> Iterator[tuple[Array, NDArray[np.bool_]]]:
+    """Plane (4,), n . x + d = 0 with an outward unit normal, and the vertices (n,) at most ``within`` behind it.
+
+    Faces of which a larger one's facet has all vertices are part of it. Those of large faces come first."""
     across = area_vectors(part.vertices[part.faces])
     areas = np.linalg.norm(across, axis=1)
     left = areas > 0
@@ -49,5 +51,4 @@ def _flats(part: ConvexPart, within: float) -> Iterator[tuple[Array, NDArray[np.
         on = heights >= heights.max() - within
         left &= ~on[part.faces].all(1)
         left[largest] = False
-        if on.sum() > 3:
-            yield np.array([*normal, -heights.max()]), on
+        yield np.array([*normal, -heights.max()]), on
