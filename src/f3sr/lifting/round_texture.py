@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from scipy.spatial import KDTree
 
 CAP, LIMB, BACK = np.radians([55, 80, 100])
-"""Angles from the camera up to which a texture is the photo, the photo a little blurred, as print is along the rays
-there, and goes over into what is invented."""
+"""Angles from the camera up to which a texture is the photo, then the photo a little blurred, then goes over into what
+is invented. Print is along the rays at the limb."""
 INVENTED = 0.2
 """Share of print that is left where the photo shows none: it tells that a thing is not smooth, but blotches of light
 and shade that the photo has on one side would be none on another."""
