@@ -38,14 +38,13 @@ LARGEST = 1024
 
 
 def round_texture(solid: Solid, sharp: Picture, limb: Array, soft: Array, window: Camera) -> Mesh:
-    """A solid in the world that is star-shaped about its middle, its colours from a part of the photo (h, w, 3), as it
-    is, a little blurred, and blurred without print, in the ``window`` that shows it.
+    """A solid in the world that is star-shaped about its middle, in the ``window`` that shows it. Its colours (h, w, 3)
+    are a part of the photo: as it is, a little blurred, and blurred without print.
 
     The picture has two halves: what the camera sees, and the other. Vertices on their border are there twice.
 
-    Soft colours are those of the pixel on whose ray a point lies, before it or behind. Print around the point nearest
-    to the camera goes on over the rest in a mirror, larger and faint. So neither is seen along the rays, and there is
-    no seam."""
+    Colours are those of the pixel on whose ray a point lies, before it or behind. Print around the point nearest to the
+    camera goes on over the other side in a mirror, larger and faint. So there is no seam."""
     surface = _StarShaped.of(solid, window)
     n = min(LARGEST, max(COARSE, DENSITY * max(sharp.shape[:2])))
     halves = [_half(surface, (sharp, limb, soft), window, n, back=back) for back in (False, True)]
