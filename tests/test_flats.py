@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from f3sr.contact.undersides import FootingConfig
+from f3sr.core.flats import flattened
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, pose
 from f3sr.physics.release import release
 from f3sr.physics.settling import RestConfig, settle
 from f3sr.proxies.few_parts import FLAT, with_few_parts
-from f3sr.proxies.flats import flattened
 from f3sr.proxies.hulls import beyond, planes
 from f3sr.scene import SceneObject
 from f3sr.stages.coarsen import CoarsenConfig

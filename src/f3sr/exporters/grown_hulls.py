@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.spatial import KDTree
 
+from f3sr.core.flats import facets
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array
-from f3sr.proxies.flats import facets
 
 SHARPEST = 2.0
 """How far a corner moves at most [margins]: a box's moves by 1.7, that of a blade would move by any number."""

@@ -21,12 +21,12 @@ from f3sr.contact.footing import footing_again, supplied
 from f3sr.contact.polytopes import Polytope
 from f3sr.contact.static_bodies import center_of
 from f3sr.contact.undersides import FootingConfig
+from f3sr.core.flats import flattened
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.surface_samples import sample_surface
 from f3sr.core.transforms import UP, Array, transform
 from f3sr.physics.mujoco_model import solid_of
 from f3sr.proxies.collapse import Bounds
-from f3sr.proxies.flats import flattened
 from f3sr.proxies.hulls import beyond, planes, qhull_of
 from f3sr.proxies.joins import FELT, NEXT_TO, Join
 from f3sr.proxies.known_parts import KnownParts, box_of, hull_of
