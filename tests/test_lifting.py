@@ -32,10 +32,11 @@ from f3sr.lifting.silhouettes import fit_lying, fit_standing
 from f3sr.lifting.solids import BOX_FACES, CORNERS, Solid, is_stable, joined, revolved, subdivided
 from f3sr.lifting.texture import textured
 from f3sr.lifting.turned_texture import quilted
-from f3sr.lifting.unshaded import PhotoLight, SeenSolid, light_of
+from f3sr.lifting.unshaded import LIGHT, PhotoLight, SeenSolid, light_of
 from f3sr.metrology.camera_estimate import attitude
 from f3sr.photo_inputs import read_inputs
 from f3sr.pipeline import as_given
+from f3sr.rendering.light_fit import TYPICAL
 from f3sr.rendering.renderer import Renderer, poses_at_rest
 from f3sr.rendering.textures import LINEAR
 from f3sr.scene import GROUND, Geometry, Instance, Photo, Scene, SceneObject
@@ -678,6 +679,17 @@ def test_the_light_is_taken_out_of_colours():
         assert np.all(after.std(0) < 0.35 * before.std(0) + 1), (before.std(0), after.std(0))
 
 
+@pytest.mark.parametrize(("weight", "least", "most"), [(0.0, 0.05, 1.0), (1e3, 0.0, 0.02)])
+def test_usual_light_decides_where_it_weighs_more_than_the_photo(
+    weight: float, least: float, most: float, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("f3sr.lifting.unshaded.LIGHT", replace(LIGHT, typical=weight))
+    shown = on_a_table()
+    light = light_of(shown, lit_photo(shown, 0.3, 0.8).rgb, None, CAMERA)
+    off = np.abs(light.strength / light.strength.sum() - TYPICAL / TYPICAL.sum()).max()
+    assert least <= off <= most
+
+
 def test_films_light_a_ball_alike_however_it_is_turned():
     """Its colours come from the photo, whose light stays where it is."""
     shown = on_a_table()
@@ -861,7 +873,7 @@ def test_the_near_rim_of_a_pan_is_where_the_photo_has_it():
             continue
         assert near is not None
         there = replace(fit, solid=replace(fit.solid, rim=low))
-        made = fitted_to_outline(there, outlined, near_rim=near)
+        made = fitted_to_outline(there, outlined)
         assert made.solid.rim is not None
         off = (CAMERA.project(r)[0][:, 1].max() - edge for r in (low, made.solid.rim))
         assert abs(next(off)) > 4 > 1.5 > abs(next(off))

@@ -17,7 +17,6 @@ from f3sr.lifting.boxes import COMPACT_MASK, fit_boxes, fit_carved
 from f3sr.lifting.cylinders import fit_cylinder
 from f3sr.lifting.fits import FittedShape
 from f3sr.lifting.hollows import Usual, fit_hollow
-from f3sr.lifting.inner_edges import near_rim
 from f3sr.lifting.outline_fit import fitted_to_outline
 from f3sr.lifting.outlined import Outlined
 from f3sr.lifting.revolutions import fit_revolution
@@ -140,12 +139,8 @@ def choose(instance: Instance, seen: Outlined, carrier: Choice | None, *, distan
         fitted = [fit_hanging(seen, distance)]
     ranked = sorted(fitted, key=lambda fit: -_score(fit, instance.label, seen, loaded=loaded))
     best = ranked[0]
-    rim = best.solid.rim
-    on_a_point = best.family == "ball" or head(instance.label) in FRUIT
     return Choice(
-        best=fitted_to_outline(
-            best, seen, on_a_point=on_a_point, near_rim=None if rim is None else near_rim(seen, rim)
-        ),
+        best=fitted_to_outline(best, seen, on_a_point=best.family == "ball" or head(instance.label) in FRUIT),
         runner_up=ranked[1] if len(ranked) > 1 else None,
         top=_top(best),
         fixed=fixed,

@@ -116,16 +116,16 @@ def near_rim(seen: Outlined, rim: Array) -> NearRim | None:
         return None
     corners = seen.camera.project(rim)[0]
     lengths = np.linalg.norm(np.diff(corners, axis=0, append=corners[:1]), axis=1)
-    along = np.repeat(np.arange(len(rim)), counts := np.maximum(1, lengths.astype(int)))
-    along = along + (np.arange(len(along)) - np.repeat(np.cumsum(counts) - counts, counts)) / counts[along]
+    counts = np.maximum(1, lengths.astype(int))  # one a pixel
+    along = np.concatenate([corner + np.arange(n) / n for corner, n in enumerate(counts)])
     pixels = _along(corners, along)
+    tangents = np.gradient(pixels, axis=0)
     low, high = float(corners[:, 1].min()), float(corners[:, 1].max())
     share = 2 * (pixels[:, 1] - low) / max(high - low, 1e-9) - 1
     near = share > NEAR
-    along, pixels, share = along[near], pixels[near], share[near]
+    along, pixels, share, tangents = along[near], pixels[near], share[near], tangents[near]
     if len(along) < SAMPLES:
         return None
-    tangents = np.gradient(pixels, axis=0)
     across = np.column_stack([-tangents[:, 1], tangents[:, 0]]) / np.linalg.norm(tangents, axis=1, keepdims=True)
     size = math.sqrt(float(seen.mask.sum()))
     reach = FARTHEST * EXPECTED * size

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from f3sr.core.transforms import UP, Array
 from f3sr.lifting.fits import SLIDE, FittedShape
-from f3sr.lifting.inner_edges import NearRim
+from f3sr.lifting.inner_edges import near_rim
 from f3sr.lifting.outlined import Outlined
 from f3sr.vision.regions import depth_inside, grown, interpolated, shrunk, smoothed
 
@@ -24,17 +24,19 @@ FOLD = 0.3
 LEVEL = 1e-3
 """Distance from the lowest and the highest point up to which points belong to a level face [height of the solid]."""
 
+NO_EDGE = np.zeros((0, 2)), np.zeros((0, 2))
+"""No points of an inner edge, and no ways."""
 
-def fitted_to_outline(
-    fit: FittedShape, seen: Outlined, *, on_a_point: bool = False, near_rim: NearRim | None = None
-) -> FittedShape:
+
+def fitted_to_outline(fit: FittedShape, seen: Outlined, *, on_a_point: bool = False) -> FittedShape:
     """A shape whose outline meets the mask's wherever nothing may hide it.
 
     A smooth displacement of the picture moves the solid, front and back alike. Points keep their depth, but a level
     top stays level, and an underside on its support: things stand on both. What rests ``on_a_point`` is brought to its
     support as a whole, along the rays. Each step smooths the distance between both outlines along the shape's
-    normals (non-rigid registration of signed distance fields, from coarse to fine). The ``near_rim`` of what is hollow
-    pulls as the outline does. Of all steps that stays whose outline and rim leave least between them and the picture's.
+    normals (non-rigid registration of signed distance fields, from coarse to fine). Where the photo shows the near rim
+    of what is hollow, that pulls as the outline does. Of all steps that stays whose outline and rim leave least between
+    them and the picture's.
     """
     solid = fit.solid
     size = math.sqrt(float(seen.mask.sum()))
@@ -47,26 +49,26 @@ def fitted_to_outline(
     if on_a_point:
         below[:] = False
     wanted, hidden = depth_inside(seen.mask), grown(~seen.valid, 2)
+    rim = None if solid.rim is None else near_rim(seen, solid.rim)
 
-    def rim_off(points: Array) -> tuple[Array, Array]:
-        rim = points[len(points) - len(solid.rim) :] if solid.rim is not None and near_rim is not None else None
-        nothing = np.zeros((0, 2)), np.zeros((0, 2))
-        return nothing if rim is None or near_rim is None else near_rim.residuals(rim, seen)
+    def inner_edge(points: Array) -> tuple[Array, Array]:
+        return NO_EDGE if rim is None else rim.residuals(np.split(points, ends)[-1], seen)
 
-    def left(points: Array, overlap: float) -> float:
-        return 1 - overlap + float(np.linalg.norm(rim_off(points)[1], axis=1).sum()) / size**2
+    def left(edge: tuple[Array, Array], overlap: float) -> float:
+        return 1 - overlap + float(np.linalg.norm(edge[1], axis=1).sum()) / size**2
 
-    best, overlap = points, fit.overlap
-    least = left(points, overlap)
+    best, overlap, edge = points, fit.overlap, inner_edge(points)
+    least = left(edge, overlap)
     for width in WIDTHS:
         shown = seen.silhouette(points[: len(solid.vertices)], solid.faces)
-        shift = _displacement(shown, wanted, hidden, rim_off(points), width * size)
+        shift = _displacement(shown, wanted, hidden, edge, width * size)
         while (area := _least_area(shift, shown)) < FOLD:
             shift = shift / (2 - area)
         points = _moved(points, below, above, -np.inf if on_a_point else floor, shift, seen)
         reached = seen.overlap(points[: len(solid.vertices)], solid.faces)
-        if left(points, reached) < least:
-            best, overlap, least = points, reached, left(points, reached)
+        edge = inner_edge(points)
+        if (still := left(edge, reached)) < least:
+            best, overlap, least = points, reached, still
     if on_a_point:
         centre = seen.camera.center
         best = centre + (floor - centre[2]) / (best[: len(solid.vertices), 2].min() - centre[2]) * (best - centre)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array
+from f3sr.vision import rasterizer
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -42,6 +43,13 @@ class Solid:
     def symmetric(self) -> Array:
         """Its vertices (n, 3) where it has its symmetry."""
         return self.vertices if self.form is None else self.form
+
+    def drawn(self, camera: Camera) -> rasterizer.Fragments:
+        """What a camera sees of it alone."""
+        ids = np.zeros(len(self.faces), np.int32)
+        return rasterizer.rasterize(
+            camera.to_camera(self.vertices), self.faces, ids, camera.K, camera.width, camera.height
+        )
 
     @property
     def stands_flat(self) -> bool:

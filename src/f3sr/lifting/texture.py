@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +21,7 @@ from f3sr.lifting.solids import Solid
 from f3sr.lifting.turned_texture import turned_texture
 from f3sr.lifting.unshaded import SeenSolid
 from f3sr.scene import Photo
-from f3sr.vision import rasterizer
-from f3sr.vision.regions import distance_to, grown, interpolated, opened, shrunk, smooth_step, smoothed
+from f3sr.vision.regions import distance_to, grown, interpolated, nearest_in, opened, shrunk, smooth_step, smoothed
 
 LONGEST = 1024
 """Longer side of the photo's part of a texture [px]."""
@@ -104,14 +102,7 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
 
 def _sides(solid: Solid, window: Camera) -> NDArray[np.int64]:
     """Which side of a box (h, w) is seen in a ``window`` of the photo, -1 beyond the solid; 0 on what is no box."""
-    face = rasterizer.rasterize(
-        window.to_camera(solid.vertices),
-        solid.faces,
-        np.zeros(len(solid.faces), np.int32),
-        window.K,
-        window.width,
-        window.height,
-    ).face
+    face = solid.drawn(window).face
     if solid.symmetry != "box":
         return np.where(face >= 0, 0, -1)
     x, y, z = area_vectors(solid.symmetric[solid.faces]).T
@@ -132,15 +123,12 @@ def _continued(
 ) -> Picture:
     """The ``known`` colours (h, w, 3), where they are ``hidden`` patches of them, each of the same of the ``sides``
     (h, w), and softly on around both."""
-    from scipy.ndimage import distance_transform_edt
-
     if hidden.any():
-        nearest: Any = distance_transform_edt(sides < 0, return_distances=False, return_indices=True)
         longest = max(np.ptp(np.argwhere(known), axis=0))
-        everywhere, hole = sides[tuple(nearest)], grown(hidden, max(ERODED + 1, round(SHADED * longest)))
-        told = known & ~hole
-        for side in np.unique(everywhere[hole & (known | grown(hidden, ERODED + 1))]):
-            here = (everywhere == side) & (known | grown(hidden, ERODED + 1))
+        whole, hole = known | grown(hidden, ERODED + 1), grown(hidden, max(ERODED + 1, round(SHADED * longest)))
+        side_of, told = sides[nearest_in(sides >= 0)], known & ~hole
+        for side in np.unique(side_of[hole & whole]):
+            here = whole & (side_of == side)
             if not (told & here).any():
                 continue
             patched = from_patches(crop, hole & here, apart=~here)

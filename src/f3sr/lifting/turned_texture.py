@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,7 @@ from f3sr.core.mesh import Material, Mesh, area_vectors
 from f3sr.core.transforms import Array
 from f3sr.lifting.solids import Solid
 from f3sr.vision import rasterizer
-from f3sr.vision.regions import interpolated, smoothed
+from f3sr.vision.regions import interpolated, nearest_in, smoothed
 
 LEVEL = math.cos(math.radians(45))
 """Least vertical part of a face's unit normal for it to belong to an end."""
@@ -129,13 +128,11 @@ class _Unrolled:
 
     def _surface(self) -> tuple[Array, Array]:
         """Points (h, w, 3) of the surface at every texel, and unit normals; between parts those of the nearest."""
-        from scipy.ndimage import distance_transform_edt
-
         h, w = self.shape
         flat = np.column_stack([self.places, np.ones(len(self.places))])
         drawn = rasterizer.rasterize(flat, self.faces, np.zeros(len(self.faces), np.int32), np.eye(3), w, h)
-        nearest: Any = distance_transform_edt(drawn.face < 0, return_distances=False, return_indices=True)
-        face, bary = drawn.face[tuple(nearest)], drawn.bary[tuple(nearest)]
+        nearest = nearest_in(drawn.face >= 0)
+        face, bary = drawn.face[nearest], drawn.bary[nearest]
         corners = corner_normals(Mesh(vertices=self.solid.vertices, faces=self.solid.faces))
         points = np.einsum("hwk,hwkc->hwc", bary, self.solid.vertices[self.solid.faces][face])
         normals = np.einsum("hwk,hwkc->hwc", bary, corners[face], dtype=float)
@@ -150,10 +147,7 @@ class _Unrolled:
         towards = window.center - points
         facing = (normals * towards).sum(2) / np.linalg.norm(towards, axis=2)
         solid = self.solid
-        drawn = rasterizer.rasterize(
-            window.to_camera(solid.vertices), solid.faces, np.zeros(len(solid.faces), np.int32), window.K,
-            window.width, window.height,
-        )  # fmt: skip
+        drawn = solid.drawn(window)
         before = np.where(drawn.face >= 0, drawn.depth, np.inf)
         x, y = (np.clip(pixels[:, k].astype(int), 0, n - 1) for k, n in ((0, window.width), (1, window.height)))
         size = float(np.ptp(solid.vertices, axis=0).max())

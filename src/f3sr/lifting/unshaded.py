@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from f3sr.rendering.light_fit import find_light
 from f3sr.rendering.shadow_maps import MARGIN, Caster, Maps
 from f3sr.rendering.textures import LINEAR
 from f3sr.vision import rasterizer
-from f3sr.vision.regions import grown, shrunk
+from f3sr.vision.regions import grown, nearest_in, shrunk
 from f3sr.vision.silhouette import union_of
 
 BORDER = 3
@@ -81,17 +81,11 @@ class SeenSolid:
     @cached_property
     def _drawn(self) -> rasterizer.Fragments:
         h, w = self.own.shape
-        view = self.camera.cropped(self.columns.start, self.rows.start, w, h)
-        faces = self.solid.faces
-        return rasterizer.rasterize(
-            view.to_camera(self.solid.vertices), faces, np.zeros(len(faces), np.int32), view.K, w, h
-        )
+        return self.solid.drawn(self.camera.cropped(self.columns.start, self.rows.start, w, h))
 
     @cached_property
     def normals(self) -> Array:
         """(h, w, 3) of the solid's front, unit; beyond its outline those of the nearest place on it."""
-        from scipy.ndimage import distance_transform_edt
-
         drawn = self._drawn
         corners = corner_normals(Mesh(vertices=self.solid.vertices, faces=self.solid.faces))
         normals = np.einsum("hwk,hwkc->hwc", drawn.bary, corners[np.maximum(drawn.face, 0)], dtype=float)
@@ -100,8 +94,7 @@ class SeenSolid:
         if not known.any():
             return np.broadcast_to(UP, normals.shape)
         normals /= np.maximum(lengths, 1e-12)[..., None]
-        nearest: Any = distance_transform_edt(~known, return_distances=False, return_indices=True)
-        return normals[tuple(nearest)]
+        return normals[nearest_in(known)]
 
     @cached_property
     def _rays(self) -> Array:
@@ -114,14 +107,11 @@ class SeenSolid:
     @cached_property
     def points(self) -> Array:
         """(h, w, 3) of the solid's front in the world; beyond its outline at the depth of the nearest place on it."""
-        from scipy.ndimage import distance_transform_edt
-
         drawn = self._drawn
         known = drawn.face >= 0
         if not known.any():
             return self.camera.center + np.zeros_like(self._rays)
-        nearest: Any = distance_transform_edt(~known, return_distances=False, return_indices=True)
-        return self.camera.center + drawn.depth[tuple(nearest)][..., None] * self._rays
+        return self.camera.center + drawn.depth[nearest_in(known)][..., None] * self._rays
 
     @property
     def facing(self) -> Array:
@@ -131,9 +121,8 @@ class SeenSolid:
     def samples(self, group: int, rgb: NDArray[np.uint8], step: int) -> Samples:
         """Some of the photo's colours (H, W, 3) on the solid, which is white here."""
         at = tuple(np.argwhere(shrunk(self.own, BORDER) & (self._drawn.face >= 0))[::step].T)
-        world = self._drawn.depth[at][:, None] * self._rays[at] + self.camera.center
         seen = LINEAR[rgb[self.rows, self.columns][at]]
-        return np.full(len(seen), group), np.ones_like(seen), seen, world, self.normals[at]
+        return np.full(len(seen), group), np.ones_like(seen), seen, self.points[at], self.normals[at]
 
 
 @dataclass(frozen=True, eq=False)

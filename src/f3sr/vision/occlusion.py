@@ -10,6 +10,7 @@ from f3sr.core.transforms import Array
 from f3sr.scene import Geometry, Scene, SceneObject
 from f3sr.vision import rasterizer
 from f3sr.vision.depth_prior import sigma
+from f3sr.vision.regions import nearest_in
 from f3sr.vision.silhouette import Mask, resample, union_of
 
 RESOLUTION = 384
@@ -50,8 +51,6 @@ def behind_the_photo(o: SceneObject, others: Iterable[SceneObject], geometry: Ge
     Before it is what is nearer than the object's own nearest pixel by more than the geometry's error. Where an object
     stands on another, depth goes on without a step.
     """
-    from scipy.ndimage import distance_transform_edt
-
     mine = geometry.inside(o.mask)
     sure = _inner(mine)
     hidden = np.zeros_like(mine)
@@ -59,8 +58,7 @@ def behind_the_photo(o: SceneObject, others: Iterable[SceneObject], geometry: Ge
         around = _around(mine)
         depth = geometry.points[..., 2][around]
         rest = geometry.inside(union_of((p.mask for p in others), o.mask.shape))[around]
-        nearest = np.asarray(distance_transform_edt(~sure[around], return_distances=False, return_indices=True))
-        hidden[around] = rest & (depth < (1 - sigma(geometry)) * depth[tuple(nearest)])
+        hidden[around] = rest & (depth < (1 - sigma(geometry)) * depth[nearest_in(sure[around])])
     return resample(hidden, o.mask.shape[1], o.mask.shape[0])
 
 

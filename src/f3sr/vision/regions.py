@@ -87,6 +87,14 @@ def shrunk(mask: Mask, steps: int) -> Mask:
     return np.asarray(binary_erosion(mask, iterations=steps), np.bool_)
 
 
+def nearest_in(mask: Mask) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Row and column (h, w) of the pixel of a mask, which has one, that is nearest to every pixel."""
+    from scipy.ndimage import distance_transform_edt
+
+    rows, columns = np.asarray(distance_transform_edt(~mask, return_distances=False, return_indices=True))
+    return rows, columns
+
+
 def depth_inside(mask: Mask) -> NDArray[np.float64]:
     """Distance (h, w) [px] of every pixel's centre to the mask's outline, negative outside the mask."""
     inner, outer = distance_to(~mask).astype(float), distance_to(mask).astype(float)
