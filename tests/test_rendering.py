@@ -17,13 +17,14 @@ from f3sr.core.camera import Camera
 from f3sr.core.corner_normals import corner_normals
 from f3sr.core.mesh import Material, Mesh
 from f3sr.core.srgb import linear, srgb
-from f3sr.core.transforms import UP, Array, pose, rotation_from_vector
+from f3sr.core.transforms import UP, Array, pose, rotation_from_vector, transform
 from f3sr.errors import InputError
 from f3sr.rendering import LightConfig, RenderConfig, Renderer, ShadowConfig
 from f3sr.rendering.canvas import Canvas
 from f3sr.rendering.colour_mix import colour_mix
 from f3sr.rendering.evidence import Evidence
 from f3sr.rendering.light import Light
+from f3sr.rendering.still_photo import StillPhoto
 from f3sr.rendering.surface_kernels import texture_at
 from f3sr.rendering.textures import textures_of
 from f3sr.scene import Photo, Scene, SceneObject
@@ -478,6 +479,31 @@ def test_what_a_moving_object_uncovers_has_the_photos_colours_of_what_rests() ->
     truth = photo(away)[hidden].astype(int)
     shown, drawn = (np.abs(picture[hidden] - truth).mean() for picture in (still.frame(away), renderer.frame(away)))
     assert shown < 0.5 * drawn, (shown, drawn)
+
+
+def test_what_is_uncovered_has_no_colours_of_another_side() -> None:
+    """The photo is as drawn, but that the upright sides of a box are redder. What stood on the box shaded all its top:
+    only there the light of the sides may not be asked."""
+    scene = big_table()
+    light = Light(direction=np.array([0.5, 0, 0.87]), angle=0.2, direct=np.full(3, 0.6), sky=np.full(3, 0.4))
+    canvas, rest, away = lit(scene, light), at_rest(scene), at_rest(scene)
+    away[2, :3, 3] += [0, -40.0, 0]
+    drawn, truth = canvas.drawn(rest), canvas.drawn(away)
+    ids, without = (rasterizer.visible_ids(objects, scene.camera) for objects in (scene.objects, scene.objects[:2]))
+    top = scene.objects[0].mesh.vertices[scene.objects[0].mesh.vertices[:, 2] > 0]
+    corners = transform(rest[0], np.unique(top, axis=0)[[0, 1, 3, 2]])
+    upper = rasterizer.silhouette(
+        scene.camera.to_camera(corners), np.array([[0, 1, 2], [0, 2, 3]], np.int32), scene.camera.K,
+        scene.camera.width, scene.camera.height,
+    )  # fmt: skip
+    sides, hidden = (ids == 0) & ~grown(upper, 1), (ids == 2) & (without == 0) & upper & ~grown(without != 0, 2)
+    assert sides.sum() > 200 and hidden.sum() > 50
+    photo = drawn.copy()
+    photo[sides] = np.rint(255 * srgb(linear(drawn[sides] / 255) * [1.6, 0.6, 0.6]).clip(0, 1))
+    scene = replace(scene, photo=Photo(rgb=photo))
+    still = StillPhoto.of(canvas, scene, np.array([False, False, True]))
+    off = np.abs(still.frame(away)[hidden].astype(int) - truth[hidden]).mean()
+    assert off < 6, off
 
 
 def test_a_shadow_that_comes_darkens_the_photo_as_it_darkens_the_drawn_object() -> None:

@@ -29,6 +29,9 @@ SURPLUS = (1.4, 1.9, 2.7, 4.0, 6.0)
 SPINS = (6.0, -6.0, 12.0, -12.0)
 """Rotation [rad/s] about the vertical, of what is to fall over and roll: it keeps it as a rotation about its own axis.
 """
+BOWLED = 1.6
+"""Fastest that something is rolled on a clear way to a target [m/s]: faster, a ball climbs what it meets by its spin.
+"""
 CLEAR = 0.005
 """Least distance [m] before the target at which a push ends."""
 
@@ -120,11 +123,15 @@ def rolling(s: LaunchContext) -> Launches:
     slow = GRAVITY * s.layout.scene[s.active].rolling_friction / max(s.height, 1e-3)
     if s.target is not None and s.task.way not in ("towards", "away-from"):
         start = max(0.35, math.sqrt(2 * slow * gap) * 1.4) * s.hard
+        clear = s.pool is None and _met_first(s, direction) == s.target
         for factor in (1.0, 1.5, 2.2, 3.2, 4.5, 6.5):
-            v = factor * start * direction
-            yield [s.thrown(v, angular=s.rolling(v), seconds=min(4.5, gap / (factor * start) + 2.0))]
+            speed = factor * start
+            if clear and speed > BOWLED * s.hard:
+                return
+            v = speed * direction
+            yield [s.thrown(v, angular=s.rolling(v), seconds=min(LONG, gap / speed + 2.0))]
             if factor > 2 and s.pool is not None:
-                yield from _hopping(s, direction, factor * start)
+                yield from _hopping(s, direction, speed)
         return
     yield from _rolling_far(s, direction)
 

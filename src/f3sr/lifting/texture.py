@@ -49,6 +49,10 @@ COVERED = 3
 """Half the width of what hides a part of a solid [px]: less is the error of an outline."""
 UNUSUAL = 2.0
 """Distance of a colour from the median, over the median distance, at which it counts a quarter."""
+ALIKE = 24
+"""Side of the cells in which colours are counted [levels of 255]: shade and noise of one ink share a cell or two."""
+TOP = 4
+"""Number of a box's top among its sides; upright ones have smaller numbers."""
 EMPTY = 1e-3
 """Least weight of known colours around a pixel from which its colour is made."""
 
@@ -107,7 +111,7 @@ def _sides(solid: Solid, window: Camera) -> NDArray[np.int64]:
         return np.where(face >= 0, 0, -1)
     x, y, z = area_vectors(solid.symmetric[solid.faces]).T
     quarter = np.round((np.arctan2(y, x) - _yaw(solid.symmetric, solid.faces)) / (np.pi / 2)).astype(int) % 4
-    side = np.where(np.abs(z) > np.hypot(x, y), 4 + (z < 0), quarter)
+    side = np.where(np.abs(z) > np.hypot(x, y), TOP + (z < 0), quarter)
     return np.where(face >= 0, side[np.maximum(face, 0)], -1)
 
 
@@ -122,17 +126,21 @@ def _continued(
     crop: NDArray[np.uint8], known: NDArray[np.bool_], hidden: NDArray[np.bool_], sides: NDArray[np.int64]
 ) -> Picture:
     """The ``known`` colours (h, w, 3), where they are ``hidden`` patches of them, each of the same of the ``sides``
-    (h, w), and softly on around both."""
+    (h, w), and softly on around both. Of a side that is hidden for the most part patches would be the same few again
+    and again: it has its usual colour."""
     if hidden.any():
         longest = max(np.ptp(np.argwhere(known), axis=0))
         whole, hole = known | grown(hidden, ERODED + 1), grown(hidden, max(ERODED + 1, round(SHADED * longest)))
         side_of, told = sides[nearest_in(sides >= 0)], known & ~hole
         for side in np.unique(side_of[hole & whole]):
             here = whole & (side_of == side)
-            if not (told & here).any():
+            lost, own = hole & here, told & here
+            # A side of which nothing is told has the colour of the others that are as upright.
+            alike = own if own.any() else told & ((side_of < TOP) == (side < TOP))
+            if not alike.any():
                 continue
-            patched = from_patches(crop, hole & here, apart=~here)
-            crop = _plain(crop, hole & here, told & here, SOFT * longest) if patched is None else patched
+            patched = from_patches(crop, lost, apart=~here) if lost.sum() <= own.sum() else None
+            crop = _plain(crop, lost, alike, SOFT * longest) if patched is None else patched
             known = known | here
     return membrane((crop * known[..., None]).astype(np.float32), known)
 
@@ -144,8 +152,15 @@ def _plain(
     around it go over within a ``reach`` [px]."""
     around = membrane((crop * known[..., None]).astype(np.float32), known)
     share = np.exp(-distance_to(known) / reach)[..., None]
-    usual = np.median(crop[known], axis=0)
+    usual = _commonest(crop[known])
     return np.where(hole[..., None], np.rint(usual + share * (around - usual)), crop).astype(np.uint8)
+
+
+def _commonest(colours: NDArray[np.uint8]) -> Array:
+    """The colour (3,) that most of some (n, 3) are near to: a median of two inks would be neither."""
+    cells, cell, count = np.unique(colours // ALIKE, axis=0, return_inverse=True, return_counts=True)
+    near = np.abs(cells.astype(int) - cells[count.argmax()]).max(1) <= 1
+    return np.asarray(colours[near[cell.ravel()]].mean(0), float)
 
 
 def _own(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

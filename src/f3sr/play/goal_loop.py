@@ -17,7 +17,7 @@ from f3sr.goals.scene_layout import SceneLayout
 from f3sr.goals.sequence import scene_after, simulate
 from f3sr.goals.verify import Verdict, verify
 from f3sr.play.rule_based_language import Rules
-from f3sr.play.trials import IN_FRAME, OverlapError, Trials, in_frame, phase_of, rating, sure
+from f3sr.play.trials import OverlapError, Trials, in_sight, phase_of, rating, sure
 from f3sr.scene import Scene
 from f3sr.scene_package.package import Package
 
@@ -139,7 +139,7 @@ class _Search:
         return phase_of(task, semantics, tried.launch), tried
 
     def _try(self, task: TaskSpec) -> None:
-        """One reading: launches until one meets the goal with margin in the frame, or none is left."""
+        """One reading: launches until one meets the goal with margin in sight, or none is left."""
         semantics = tuple(self.language.reason(task, self.scene))
         checks.require(checks.semantics_faults(semantics, self.scene), of="semantics")
         semantics, layout = self._lasting(semantics), SceneLayout(self.scene)
@@ -181,14 +181,14 @@ class _Search:
         return None
 
     def _keep(self, task: TaskSpec, semantics: Sequence[Semantics], one: Tried, layout: SceneLayout) -> None:
-        rated = rating(one, layout, task.active)
-        if self.best is None or rated > rating(self.best[2], layout, self.best[0].active):
+        rated = rating(one, layout, task)
+        if self.best is None or rated > rating(self.best[2], layout, self.best[0]):
             self.best = (task, semantics, one)
 
 
 def _is_best(one: Tried, layout: SceneLayout, task: TaskSpec) -> bool:
-    """Whether no better launch is sought: met with margin, in the frame, without side effects."""
-    return sure(one) and not one.verdict.side_effects and in_frame(one, layout, task.active) >= IN_FRAME
+    """Whether no better launch is sought: met with margin, in sight, without side effects."""
+    return sure(one) and not one.verdict.side_effects and in_sight(one, layout, task)
 
 
 def scene_sha(package: Package) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from f3sr.core.transforms import transform
+from f3sr.core.transforms import Array, transform
 from f3sr.goals.checks import LONGEST
 from f3sr.goals.language_protocol import Launch, Tried
 from f3sr.goals.plan import Phase, Semantics, SimulationPlan, TaskSpec
@@ -36,7 +36,7 @@ RUNAWAY, WHIRL = 2.0, 400.0
 SURE = 0.03
 """Relative margin from which on a plan that meets its conditions is not bettered."""
 IN_FRAME = 0.5
-"""Share of the active object that is to be in the photo's frame when the goal is met."""
+"""Share of the active object that the photo is to show when the goal is met, and at the end."""
 OVERLAP = 1e-3
 """Deepest overlap with which something may start elsewhere [m]."""
 REST, DRIFT = 0.25, 5e-4
@@ -183,22 +183,31 @@ def sure(tried: Tried) -> bool:
     return tried.verdict.met and min(graded, default=1.0) >= SURE
 
 
-def in_frame(tried: Tried, layout: SceneLayout, active: int) -> float:
-    """Share of the active object in the photo's frame at the last event of the goal."""
+def in_sight(tried: Tried, layout: SceneLayout, task: TaskSpec) -> bool:
+    """Whether the photo would show the active object when the goal is met, and at the end.
+
+    At the end others may hide it where it is to be inside one."""
     times = [c.time for c in tried.verdict.conditions if c.time is not None]
     time = max(times, default=float(tried.rollout.time[-1]))
     sample = int(np.argmin(np.abs(tried.rollout.time - time)))
-    start = layout.scene[active].T_world_object
-    moved = tried.rollout.poses(active)[sample] @ np.linalg.inv(start)
-    return layout.scene.camera.share_in_frame(transform(moved, layout.corners(active)))
+    met, end = (_moved(tried, layout, task.active, k) for k in (sample, -1))
+    if layout.scene.camera.share_in_frame(met) < IN_FRAME:
+        return False
+    return any(c.type == "inside" for c in task.conditions) or layout.in_view(task.active, end) >= IN_FRAME
 
 
-def rating(tried: Tried, layout: SceneLayout, active: int) -> tuple[bool, int, bool, bool, float]:
-    """Better is more: met, fewer side effects, in the frame, sure, with more margin."""
+def _moved(tried: Tried, layout: SceneLayout, id: int, sample: int) -> Array:
+    """The corners (n, 3) of an object in a sample of a rollout, in the world [m]."""
+    start = layout.scene[id].T_world_object
+    return transform(tried.rollout.poses(id)[sample] @ np.linalg.inv(start), layout.corners(id))
+
+
+def rating(tried: Tried, layout: SceneLayout, task: TaskSpec) -> tuple[bool, int, bool, bool, float]:
+    """Better is more: met, fewer side effects, in sight, sure, with more margin."""
     return (
         tried.verdict.met,
         -len(tried.verdict.side_effects),
-        in_frame(tried, layout, active) >= IN_FRAME,
+        in_sight(tried, layout, task),
         sure(tried),
         min(tried.verdict.margin, 10 * SURE),
     )

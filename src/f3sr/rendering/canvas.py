@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -37,6 +38,7 @@ from f3sr.rendering.shadow_kernels import note_changes
 from f3sr.rendering.surface_kernels import FrameGeometry, Lamps, mark_shadowed, shade, tile_depths
 from f3sr.rendering.textures import LINEAR
 from f3sr.vision import rasterizer
+from f3sr.vision.regions import parts_alike
 
 CELL = 2
 """Side of the cells that the ground's shadows are drawn in [px]: shadows are soft, and half as fine is enough."""
@@ -52,6 +54,8 @@ QUIET = 12
 """Frames without motion after which an object is drawn with those that stay."""
 HIDES = 1.03
 """How much farther than what the background shows something is that it hides: geometry from one photo is no better."""
+LEAST_SIDE = 0.01
+"""Share of an object's pixels that a side of it has at least: less is a bump."""
 BANDS = 4
 """Bands of rows per thread that are coloured: what is dear lies together."""
 
@@ -162,6 +166,21 @@ class Canvas:
             height, width = found[window].shape
             found[window] = samples.reshape(height, side, width, side).sum((1, 3))
         return found
+
+    def sides(self, k: int) -> NDArray[np.int32]:
+        """(h, w) numbers of the sides of an object in its window of the last frame, -1 where it is not seen.
+
+        Neighbours are of one side where their faces turn by less than a crease; what is too small to be one is 0."""
+        s, step = self.setting, self.setting.config.samples
+        rows, columns = self.window(k)
+        row, column = (slice(step * part.start, step * part.stop, step) for part in (rows, columns))
+        face = self._drawn.face[row, column]
+        first, last = s.things.first_face[k : k + 2]
+        mine = (face >= first) & (face < last)
+        normal = np.where(mine[..., None], s.things.shapes.flat[np.maximum(face, 0)], 0)
+        sides = parts_alike(mine, normal, math.cos(s.config.crease))
+        small = np.bincount(sides[mine], minlength=1) < LEAST_SIDE * np.count_nonzero(mine)
+        return np.where(mine, np.where(small[sides], 0, sides), -1)
 
     def window(self, k: int) -> tuple[slice, slice]:
         """Rows and columns of pixels in which an object may be seen in the last frame."""

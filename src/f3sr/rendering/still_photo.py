@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -31,7 +31,9 @@ BLENDED = 0.3, 0.7
 
 @dataclass(frozen=True, eq=False)
 class Continued:
-    """How far the photo's colours are from those drawn of a resting object, spread over where the photo hides it."""
+    """How far the photo's colours are from those drawn of a resting object, spread over where the photo hides it.
+
+    Each side of the object has its own: how wrong the light is depends on where a side faces."""
 
     index: int
     window: tuple[slice, slice]
@@ -69,7 +71,9 @@ class StillPhoto:
         chosen = tuple(np.flatnonzero(moving).tolist())
         alone = poses.copy()
         alone[list(chosen), :3, :3] *= VANISHED
-        without, at_rest = canvas.drawn(alone), canvas.drawn(poses)
+        without = canvas.drawn(alone)
+        sides = {k: canvas.sides(k) for k in range(len(poses)) if k not in chosen}
+        at_rest = canvas.drawn(poses)
         shape = at_rest.shape[:2]
         theirs = union_of([scene.objects[k].mask for k in chosen], shape)
         others = union_of([o.mask for k, o in enumerate(scene.objects) if k not in chosen], shape)
@@ -86,7 +90,7 @@ class StillPhoto:
             shaded=(without != at_rest).any(2),
             continued=(),
         )
-        return replace(still, continued=tuple(still._continued(scene)))
+        return replace(still, continued=tuple(still._continued(scene, sides, without)))
 
     def frame(self, poses: Array) -> NDArray[np.uint8]:
         """The picture (h, w, 3) with the objects at ``poses`` (N, 4, 4)."""
@@ -110,19 +114,34 @@ class StillPhoto:
             shown[lit] = np.minimum(shown[lit], np.maximum(self.photo[part.window][lit], alike))
         return picture
 
-    def _continued(self, scene: Scene) -> Iterator[Continued]:
+    def _continued(
+        self, scene: Scene, sides: Mapping[int, NDArray[np.int32]], without: NDArray[np.uint8]
+    ) -> Iterator[Continued]:
+        """``sides`` (h, w): of every resting object in its window, -1 beside it; ``without`` (h, w, 3) is drawn. Both
+        are without what moves."""
         whole = self.canvas.setting.config.samples**2
-        for k, thing in enumerate(scene.objects):
-            if k in self.moving:
-                continue
-            own = (self.canvas.cover((k,)) == whole) & thing.mask & ~self.uncovered
-            known = own & ~self.shaded
+        for k, side in sides.items():
             window = self.canvas.window(k)
-            near = grown(own, 2 * APART) & (self.uncovered | self.shaded)
-            if not known.any() or not near.any():
+            photo, at_rest, left = self.photo[window], self.at_rest[window], without[window]
+            seen = (self.canvas.cover((k,))[window] == whole) & scene.objects[k].mask[window]
+            own, shaded = seen & ~self.uncovered[window], self.shaded[window]
+            near = grown(own, 2 * APART) & (self.uncovered[window] | shaded) & (side >= 0)
+            if not own.any() or not near.any():
                 continue
-            logs = np.log(_ratio(self.photo[window], self.at_rest[window])).astype(np.float32)
-            yield Continued(k, window, np.exp(membrane(logs * known[window][..., None], known[window])))
+            # Only where all of a side is in their shadow do the photo's shadow and the drawn one count.
+            clear = own & ~(shaded & np.isin(side, side[own & ~shaded]))
+            brightest = _times(left, _over_sides(_ratio(photo, at_rest), side, clear))
+            relit = np.minimum(_times(photo, _ratio(left, at_rest)), np.maximum(photo, brightest))
+            yield Continued(k, window, _over_sides(_ratio(relit, left), side, own))
+
+
+def _over_sides(ratio: Array, side: NDArray[np.int32], known: Mask) -> NDArray[np.float32]:
+    """A ratio (h, w, 3) where it is ``known`` (h, w), spread over the rest of each ``side`` (h, w); 1 elsewhere."""
+    logs, spread = np.log(ratio).astype(np.float32), np.zeros(ratio.shape, np.float32)
+    for number in np.unique(side[known]):
+        here = side == number
+        spread[here] = membrane(logs * (known & here)[..., None], known & here)[here]
+    return np.exp(spread)
 
 
 def _nearness(theirs: Mask, others: Mask) -> NDArray[np.float32]:

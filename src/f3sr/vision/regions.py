@@ -129,3 +129,22 @@ def parts_of(mask: Mask, *, diagonal: bool = False) -> NDArray[np.int32]:
     from scipy.ndimage import label
 
     return np.asarray(cast(Any, label(mask, np.ones((3, 3)) if diagonal else None))[0], np.int32)
+
+
+def parts_alike(mask: Mask, unit: NDArray[Any], least: float) -> NDArray[np.int32]:
+    """(h, w) numbers from 1 of the parts of a mask, 0 outside: neighbours are connected where their ``unit`` vectors
+    (h, w, 3) have a cosine of more than ``least``."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    place = np.full(mask.shape, -1, np.int32)
+    place[mask] = np.arange(np.count_nonzero(mask))
+    pairs = list[NDArray[np.int32]]()
+    for a, b in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
+        joined = mask[a] & mask[b] & ((unit[a] * unit[b]).sum(-1) > least)
+        pairs.append(np.stack([place[a][joined], place[b][joined]]))
+    rows, columns = np.concatenate(pairs, axis=1)
+    graph = coo_array((np.ones(len(rows), np.bool_), (rows, columns)), shape=(place.max() + 1,) * 2)
+    parts = np.zeros(mask.shape, np.int32)
+    parts[mask] = 1 + connected_components(graph, directed=False)[1] if mask.any() else 0
+    return parts
