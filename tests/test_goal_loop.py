@@ -330,10 +330,23 @@ def test_long_pushes_are_played_or_refused(package: Package, far: float) -> None
         assert found.reason in ("impossible", "amount")
 
 
+def test_a_ball_bounces_off_what_it_is_rolled_at(package: Package) -> None:
+    """Without restitution it stayed at the can, or climbed it by its spin."""
+    found = played(package, "roll the ball into the soup can")
+    ball = way(found, BALL, package.scene)
+    start, end = ball[0], ball[-1]
+    can = way(found, CAN, package.scene)[0]
+    nearest = np.linalg.norm((ball - can)[:, :2], axis=1).min()
+    assert found.verdict.met and np.linalg.norm((end - can)[:2]) > nearest + 0.03
+    assert ball[:, 2].max() - start[2] < 0.005
+    (velocity,) = found.plan.phases[0].initial.velocities
+    assert np.linalg.norm(velocity.linear) <= 1.6
+
+
 def test_what_is_bumped_moves(package: Package) -> None:
     found = played(package, "bump the ball into the soup can")
     moved = way(found, CAN, package.scene)
-    assert found.verdict.met and np.linalg.norm(moved[-1] - moved[0]) > 0.005
+    assert found.verdict.met and np.linalg.norm(moved - moved[0], axis=1).max() > 0.005
 
 
 @pytest.mark.parametrize(("goal", "reason"), REFUSED.items())

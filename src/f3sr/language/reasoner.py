@@ -1,6 +1,7 @@
 """The Reasoner by rules: what every object of a scene is to physics, as its package says.
 
-Restitution counts only for what flies or rolls: bouncing contacts are soft, and a pile that rests on them would sink.
+Restitution counts only for what is sent at something: bouncing contacts are soft, and a pile that rests on them would
+sink.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ from f3sr.goals.plan import Kind, Semantics, TaskSpec
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import Scene, SceneObject
 
-FLYING: set[Kind] = {"drop", "throw", "bounce", "launch_and_return", "roll"}
-"""Kinds in which the active object meets things at speed, through the air or as it rolls."""
+FLYING: set[Kind] = {"drop", "throw", "bounce", "launch_and_return", "roll", "push_into"}
+"""Kinds in which the active object meets things at speed, through the air or along the ground."""
 
 
 def semantics_of(task: TaskSpec, scene: Scene) -> tuple[Semantics, ...]:

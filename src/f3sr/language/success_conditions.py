@@ -145,7 +145,9 @@ def _roll(m: Meant, layout: SceneLayout) -> list[Reading]:
     least = math.pi / 4 if m.direction is None or layout.rolls(m.active, m.direction) else FELL
 
     def turned(way: float) -> p.Rolled:
-        return p.Rolled(a=m.active, at_least=min(max(0.5 * way / radius, least), 100.0))
+        # Nothing rolls by more than its way over its radius.
+        most = min(max(way / radius, math.pi / 4), 100.0)
+        return p.Rolled(a=m.active, at_least=min(max(0.5 * way / radius, least), most))
 
     if m.request.preposition == "off" and m.target is not None:
         return [((p.Off(a=m.active, b=m.target), turned(radius)), "")]
