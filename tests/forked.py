@@ -25,6 +25,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from f3sr.runtime import result_store
 from f3sr.runtime.machine import ONE_THREAD
 
 PR_SET_CHILD_SUBREAPER = 36
@@ -188,6 +189,7 @@ if __name__ == "__main__":
 
     for name in LOADED:
         importlib.import_module(name)
+    result_store.code_version()  # of what is imported, whatever is edited from here on
     gc.collect()
     gc.freeze()  # a collection in a fork would copy all pages that it shares with this process
     assert len([*Path("/proc/self/task").iterdir()]) == 1, "a thread, which a fork would not have"

@@ -90,21 +90,21 @@ class Store:
         room = self.share * limit_bytes()
         for file, status in sorted(_files(folder), key=lambda pair: -pair[1].st_mtime_ns):
             room -= status.st_size
-            if room < 0 or (file.suffix == PART and is_orphan(file)):
+            if room < 0 or (file.endswith(PART) and is_orphan(Path(file))):
                 with contextlib.suppress(OSError):
-                    file.unlink()
+                    Path(file).unlink()
 
 
 def _file(folder: Path, key: str) -> Path:
     return folder / f"{key}.npz"
 
 
-def _files(folder: Path) -> list[tuple[Path, os.stat_result]]:
-    """Results in the folder, finished or not."""
-    found: list[tuple[Path, os.stat_result]] = []
+def _files(folder: Path) -> list[tuple[str, os.stat_result]]:
+    """Paths of results in the folder, finished or not: texts, as every ``save`` looks at thousands of them."""
+    found: list[tuple[str, os.stat_result]] = []
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             if entry.name.endswith((".npz", PART)):
                 with contextlib.suppress(OSError):
-                    found.append((Path(entry.path), entry.stat()))
+                    found.append((entry.path, entry.stat()))
     return found
