@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -33,7 +35,21 @@ def goal_scene() -> Scene:
 
 
 def goal_package(folder: Path, scene: Scene | None = None) -> Package:
-    return read_package(write_package(scene or goal_scene(), folder))
+    """The package of a scene, in a new folder. That of ``goal_scene()``, which many tests ask for, is written once."""
+    if scene is not None:
+        return read_package(write_package(scene, folder))
+    for name, data in _written().items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
+    return read_package(folder)
+
+
+@cache
+def _written() -> dict[str, bytes]:
+    """Files of the package of ``goal_scene()`` by their paths in it."""
+    with TemporaryDirectory() as place:
+        folder = write_package(goal_scene(), Path(place) / "package")
+        return {str(f.relative_to(folder)): f.read_bytes() for f in sorted(folder.rglob("*")) if f.is_file()}
 
 
 def _thing(id: int, label: str, mesh: Mesh, at: Sequence[float], *, on: int = GROUND) -> SceneObject:

@@ -45,7 +45,7 @@ ONCE = AgentConfig(solver=False, repairs=0)
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory: pytest.TempPathFactory) -> Package:
-    return goal_package(tmp_path_factory.mktemp("agents") / "package", goal_scene())
+    return goal_package(tmp_path_factory.mktemp("agents") / "package")
 
 
 def played(package: Package, agent: str, model: Scripted, goal: str = GOAL, config: AgentConfig = ONCE) -> Any:
@@ -411,7 +411,7 @@ def mass_in_xml(package: Package) -> float:
 def test_estimates_go_into_the_package_and_its_exports(
     tmp_path: Path, keys: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    package = goal_package(tmp_path / "package", goal_scene())
+    package = goal_package(tmp_path / "package")
     before = package.scene[CAN]
     answer = json.dumps(answer_of(package, density=2 * before.density, friction=0.7))
     mass = mass_in_xml(package)
@@ -433,7 +433,7 @@ def test_estimates_go_into_the_package_and_its_exports(
 def test_a_package_with_rollouts_keeps_its_materials(
     tmp_path: Path, keys: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    package = goal_package(tmp_path / "package", goal_scene())
+    package = goal_package(tmp_path / "package")
     assert main(["simulate", str(package.folder), GOAL, "--no-film"]) == 0
     kept = (package.folder / "scene.json").read_bytes()
     with model_server([json.dumps(answer_of(package, density=900.0))]) as server:
@@ -446,7 +446,7 @@ def test_a_package_with_rollouts_keeps_its_materials(
 
 @pytest.mark.parametrize("reply", ["{}", '{"schema_version": 1, "objects": []}', "HTTP 500"])
 def test_without_properties_a_package_stays_as_it_is(tmp_path: Path, keys: str, reply: str) -> None:
-    package = goal_package(tmp_path / "package", goal_scene())
+    package = goal_package(tmp_path / "package")
     before = {p: p.read_bytes() for p in package.folder.rglob("*") if p.is_file()}
     with model_server([Reply(status=401, text="no") if reply == "HTTP 500" else reply]) as server:
         assert main(["materials", str(package.folder), "--model", f"openai:eye@{server.url}/v1"]) == 1

@@ -12,7 +12,7 @@ from f3sr.cli.main import main
 from f3sr.language.grammar.parser import understand
 from f3sr.language.grammar.request import Request
 from f3sr.play.conversation import Conversation, Wish
-from goal_scene import goal_package, goal_scene
+from goal_scene import goal_package
 from laid_table import table
 
 
@@ -97,7 +97,7 @@ def test_a_refused_goal_is_forgotten() -> None:
 def test_a_talk_on_the_command_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    package = goal_package(tmp_path / "package", goal_scene())
+    package = goal_package(tmp_path / "package")
     lines = [
         "push the wooden block 5 cm to the left",
         "slower",

@@ -31,7 +31,7 @@ TOOLS = {"reconstruct", "list_objects", "simulate", "verdict", "film", "key_fram
 def root(tmp_path: Path) -> Iterator[Path]:
     folder = tmp_path / "root"
     folder.mkdir()
-    goal_package(folder / "scene", goal_scene())
+    goal_package(folder / "scene")
     (tmp_path / "secret").write_text("secret")
     yield folder
 

@@ -21,7 +21,7 @@ from f3sr.play.goal_loop import Played, replay_plan, simulate_goal
 from f3sr.scene import GROUND
 from f3sr.scene_package.package import Package
 from film_scene import given, unlit
-from goal_scene import BALL, BLOCK, CAN, LID, goal_package, goal_scene
+from goal_scene import BALL, BLOCK, CAN, LID, goal_package
 from plans import plan_of
 from scenes import box, box_stack_scene, scene_of
 
@@ -31,7 +31,7 @@ BACK = "push the wooden block 5 cm to the left, then back to the right by 5 cm"
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory: pytest.TempPathFactory) -> Package:
-    return goal_package(tmp_path_factory.mktemp("sequence") / "package", goal_scene())
+    return goal_package(tmp_path_factory.mktemp("sequence") / "package")
 
 
 @cache

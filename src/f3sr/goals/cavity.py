@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -32,8 +33,18 @@ class Cavity:
     """Of a disc of the same area [m]."""
 
 
+_KNOWN: WeakKeyDictionary[SceneObject, Cavity | None] = WeakKeyDictionary()
+"""Of objects that are in use: every reading of a goal, and every role of a model, asks for all of a scene."""
+
+
 def cavity_of(o: SceneObject) -> Cavity | None:
     """None where hardly any water stays."""
+    if o not in _KNOWN:
+        _KNOWN[o] = _cavity_of(o)
+    return _KNOWN[o]
+
+
+def _cavity_of(o: SceneObject) -> Cavity | None:
     surface, low, high = _surface(o)
     deep = _flooded(surface) - surface
     height = float(high[2] - low[2])

@@ -56,7 +56,6 @@ class SceneLayout:
         self._bodies: dict[int, Body] = {}
         self._corners: dict[int, Array] = {}
         self._polytopes: dict[int, Compound] = {}
-        self._pools: dict[int, Cavity | None] = {}
         self._others: dict[int, Array] = {}
 
     @cached_property
@@ -199,9 +198,7 @@ class SceneLayout:
 
     def pool(self, id: int) -> Cavity | None:
         """What of it would hold water; None where that is too little for things to lie in."""
-        if id not in self._pools:
-            self._pools[id] = cavity_of(self.scene[id])
-        return self._pools[id]
+        return cavity_of(self.scene[id])
 
     def spots(self, id: int) -> list[Array]:
         """Places (2,) on an object where nothing else stands, the nearest to its middle first."""

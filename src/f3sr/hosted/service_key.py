@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cache, cached_property
 
 from f3sr.errors import InputError
 
@@ -25,7 +26,7 @@ class ServiceKey:
     def redacted(self, text: str) -> str:
         """A text without the key and without its parts, plain or escaped as in URLs and JSON, in any case."""
         end, kept = 0, list[str]()
-        for start, stop in _merged(span for part in self._parts() for span in _spans(part, text)):
+        for start, stop in _merged(found.span() for part in self._parts for found in part.finditer(text)):
             kept += [text[end:start], CUT]
             end = stop
         return "".join(kept) + text[end:]
@@ -34,15 +35,12 @@ class ServiceKey:
         """Whether a text holds the key or a part of it."""
         return self.redacted(text) != text
 
-    def _parts(self) -> set[str]:
-        """All that are long enough to tell."""
+    @cached_property
+    def _parts(self) -> list[re.Pattern[str]]:
+        """Patterns of all parts that are long enough to tell. Every text of a server is searched for each."""
         size = min(PART, len(self.value) // 2)
-        return {self.value[k : k + size] for k in range(len(self.value) - size + 1)} if self.value else set()
-
-
-def _spans(part: str, text: str) -> Iterator[tuple[int, int]]:
-    """Where a part of a key is in a text."""
-    return (found.span() for found in re.finditer("".join(map(_forms, part)), text, flags=re.IGNORECASE))
+        parts = {self.value[k : k + size] for k in range(len(self.value) - size + 1)} if self.value else set[str]()
+        return [re.compile("".join(map(_forms, part)), re.IGNORECASE) for part in parts]
 
 
 def _merged(spans: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
@@ -56,6 +54,7 @@ def _merged(spans: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
     return merged
 
 
+@cache
 def _forms(character: str) -> str:
     """The pattern of a character as it is, after a backslash, or as %41 or \\u0041."""
     return rf"(?:\\?{re.escape(character)}|%{ord(character):02x}|\\u{ord(character):04x})"
