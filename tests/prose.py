@@ -14,6 +14,7 @@ import re
 import sys
 from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -68,6 +69,7 @@ def _blocks(text: str) -> Iterator[str]:
         yield " ".join(plain.replace("*", "").split())
 
 
+@cache
 def pages() -> dict[str, str]:
     """Path to source of README and all pages written by hand."""
     found = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -91,15 +93,18 @@ def _docstrings(node: ast.Module | ast.ClassDef | ast.FunctionDef, private: bool
 
 def long_sentences(limit: int, where: str = "") -> list[tuple[int, str, str]]:
     """(words, place, sentence) of what is longer than ``limit``, in places that begin with ``where``."""
-    found: list[tuple[int, str, str]] = []
-    for name, source in pages().items():
-        found += [(words(s), name, s) for block in page_text(source) for s in sentences(block) if words(s) > limit]
+    return [row for row in _counted() if row[0] > limit and row[1].startswith(where)]
+
+
+@cache
+def _counted() -> list[tuple[int, str, str]]:
+    """(words, place, sentence) of all pages and docstrings."""
+    blocks = [(name, block) for name, source in pages().items() for block in page_text(source)]
     for path in sorted((ROOT / "src").rglob("*.py")):
         name = str(path.relative_to(ROOT))
         for line, text in docstrings(path.read_text()):
-            for block in _blocks(text):
-                found += [(words(s), f"{name}:{line}", s) for s in sentences(block) if words(s) > limit]
-    return [row for row in found if row[1].startswith(where)]
+            blocks += [(f"{name}:{line}", block) for block in _blocks(text)]
+    return [(words(s), place, s) for place, block in blocks for s in sentences(block)]
 
 
 def main() -> None:
