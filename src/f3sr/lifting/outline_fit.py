@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,13 @@ from f3sr.vision.regions import depth_inside, grown, interpolated, shrunk, smoot
 WIDTHS = (0.15, 0.15, 0.08, 0.08, 0.05, 0.05)
 """Standard deviations of the smoothing of the displacement, step after step [size of the mask]: the whole before its
 parts. Finer outlines are noise in masks from a few strokes."""
+AFFINE = 2
+"""Steps before those, in which the whole is stretched and sheared: straight edges stay straight, hidden ones too."""
+STIFF = 0.01
+"""Weight of no stretch beside all of the outline that is seen: a part of one tells little of the rest."""
+REGULAR = 0.97
+"""Overlap with the mask above which what has a symmetry is not bent: the rest is about half a pixel of a mask 60 wide,
+as masks are wrong. A bent cube stands askew, a dented ball rolls in curves."""
 FARTHEST = 3.0
 """Largest displacement of a step, in its smoothing widths: what is farther belongs to another part."""
 FOLD = 0.3
@@ -31,12 +39,13 @@ NO_EDGE = np.zeros((0, 2)), np.zeros((0, 2))
 def fitted_to_outline(fit: FittedShape, seen: Outlined, *, on_a_point: bool = False) -> FittedShape:
     """A shape whose outline meets the mask's wherever nothing may hide it.
 
-    A smooth displacement of the picture moves the solid, front and back alike. Points keep their depth, but a level
-    top stays level, and an underside on its support: things stand on both. What rests ``on_a_point`` is brought to its
-    support as a whole, along the rays. Each step smooths the distance between both outlines along the shape's
-    normals (non-rigid registration of signed distance fields, from coarse to fine). Where the photo shows the near rim
-    of what is hollow, that pulls as the outline does. Of all steps that stays whose outline and rim leave least between
-    them and the picture's.
+    A smooth displacement of the picture moves the solid, front and back alike. What is full and has a symmetry is moved
+    by an affine one first, and by no other where that explains the mask. Points keep their depth, but a level top stays
+    level, and an underside on its support: things stand on both. What rests ``on_a_point`` is brought to its support as
+    a whole, along the rays. Each step smooths the distance between both outlines along the shape's normals (non-rigid
+    registration of signed distance fields, from coarse to fine). Where the photo shows the near rim of what is hollow,
+    that pulls as the outline does. Of all steps that stays whose outline and rim leave least between them and the
+    picture's.
     """
     solid = fit.solid
     size = math.sqrt(float(seen.mask.sum()))
@@ -59,9 +68,13 @@ def fitted_to_outline(fit: FittedShape, seen: Outlined, *, on_a_point: bool = Fa
 
     best, overlap, edge = points, fit.overlap, inner_edge(points)
     least = left(edge, overlap)
-    for width in WIDTHS:
+    regular = solid.symmetry != "" and solid.rim is None
+    for width in (*[math.inf] * AFFINE * regular, *WIDTHS):
+        if regular and overlap > REGULAR:
+            break
         shown = seen.silhouette(points[: len(solid.vertices)], solid.faces)
-        shift = _displacement(shown, wanted, hidden, edge, width * size)
+        pulls = _Pulls.of(shown, wanted, hidden, edge, min(width, WIDTHS[0]) * size)
+        shift = pulls.affine(size) if width == math.inf else pulls.smooth(width * size)
         while (area := _least_area(shift, shown)) < FOLD:
             shift = shift / (2 - area)
         points = _moved(points, below, above, -np.inf if on_a_point else floor, shift, seen)
@@ -83,27 +96,68 @@ def fitted_to_outline(fit: FittedShape, seen: Outlined, *, on_a_point: bool = Fa
     return replace(fit, solid=warped, overlap=overlap)
 
 
-def _displacement(
-    shown: NDArray[np.bool_], wanted: Array, hidden: NDArray[np.bool_], inner: tuple[Array, Array], sigma: float
-) -> Array:
-    """Displacements (h, w, 2) [px] that bring the outline of what is ``shown`` (h, w) to where the signed distance
-    ``wanted`` (h, w) is 0, and points ``inner`` (n, 2) by their own displacements (n, 2), smoothed over ``sigma`` [px].
-    Outlines where things are ``hidden`` (h, w) tell nothing."""
-    own = depth_inside(shown)
-    outline = shown & ~shrunk(shown, 1) & ~hidden
-    down, right = np.gradient(own)
-    inward = np.stack([right, down], axis=-1)[outline]
-    inward /= np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-6)
-    reach = np.clip((wanted - own)[outline], -FARTHEST * sigma, FARTHEST * sigma)
-    moves, told = np.zeros((*shown.shape, 2)), outline.astype(float)
-    moves[outline] = -reach[:, None] * inward
-    places, lengths = inner[0].astype(int), np.linalg.norm(inner[1], axis=1, keepdims=True)
-    at = np.clip(places[:, 1], 0, shown.shape[0] - 1), np.clip(places[:, 0], 0, shown.shape[1] - 1)
-    np.add.at(moves, at, inner[1] * np.minimum(1, FARTHEST * sigma / np.maximum(lengths, 1e-9)))
-    np.add.at(told, at, 1.0)
-    weight = smoothed(told, sigma)
-    total = np.stack([smoothed(moves[..., k], sigma) for k in (0, 1)], axis=-1)
-    return total / np.maximum(weight, 1e-4 * max(float(weight.max()), 1e-30))[..., None]
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Pulls:
+    """What pulls at a solid in a picture of ``shape`` (h, w)."""
+
+    shape: tuple[int, ...]
+    places: NDArray[np.int64]
+    """(n, 2) rows and columns."""
+    moves: Array
+    """(n, 2) displacements [px], x first."""
+    inward: Array
+    """(n, 2) unit normals of the outline, along which alone it tells; 0 of an inner edge."""
+
+    @classmethod
+    def of(
+        cls,
+        shown: NDArray[np.bool_],
+        wanted: Array,
+        hidden: NDArray[np.bool_],
+        inner: tuple[Array, Array],
+        sigma: float,
+    ) -> Self:
+        """The outline of what is ``shown`` (h, w) to where the signed distance ``wanted`` (h, w) is 0, by its normals,
+        and points ``inner`` (n, 2) by their own displacements (n, 2), all as far as they belong to parts of a size
+        ``sigma`` [px]. Outlines where things are ``hidden`` (h, w) tell nothing."""
+        own = depth_inside(shown)
+        outline = shown & ~shrunk(shown, 1) & ~hidden
+        down, right = np.gradient(own)
+        inward = np.stack([right, down], axis=-1)[outline]
+        inward /= np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-6)
+        reach = np.clip((wanted - own)[outline], -FARTHEST * sigma, FARTHEST * sigma)
+        lengths = np.linalg.norm(inner[1], axis=1, keepdims=True)
+        edge = inner[1] * np.minimum(1, FARTHEST * sigma / np.maximum(lengths, 1e-9))
+        at = np.clip(inner[0].astype(int)[:, ::-1], 0, np.array(shown.shape) - 1)
+        return cls(
+            shape=shown.shape,
+            places=np.concatenate([np.argwhere(outline), at]),
+            moves=np.concatenate([-reach[:, None] * inward, edge]),
+            inward=np.concatenate([inward, np.zeros_like(edge)]),
+        )
+
+    def smooth(self, sigma: float) -> Array:
+        """Displacements (h, w, 2) [px]: their means under a Gaussian [px]."""
+        moves, told = np.zeros((*self.shape, 2)), np.zeros(self.shape)
+        rows, columns = self.places.T
+        np.add.at(moves, (rows, columns), self.moves)
+        np.add.at(told, (rows, columns), 1.0)
+        weight = smoothed(told, sigma)
+        total = np.stack([smoothed(moves[..., k], sigma) for k in (0, 1)], axis=-1)
+        return total / np.maximum(weight, 1e-4 * max(float(weight.max()), 1e-30))[..., None]
+
+    def affine(self, size: float) -> Array:
+        """Displacements (h, w, 2) [px] by an affine map for the outline of what is so large [px]: least squares of
+        distances along its normals (point to line, Chen and Medioni 1992)."""
+        rows, columns = self.places.T
+        middle = np.array([columns.mean(), rows.mean()]) if len(rows) else np.zeros(2)
+        about = np.column_stack([(columns - middle[0]) / size, (rows - middle[1]) / size, np.ones(len(rows))])
+        terms = (about[:, :, None] * self.inward[:, None, :]).reshape(len(rows), 6)
+        stiff = STIFF * max(len(rows), 1) * np.diag([1.0, 1.0, 1.0, 1.0, 1e-3, 1e-3])
+        along = (self.moves * self.inward).sum(1)
+        solved = np.linalg.solve(terms.T @ terms + stiff, terms.T @ along).reshape(3, 2)
+        y, x = np.indices(self.shape)
+        return np.stack([(x - middle[0]) / size, (y - middle[1]) / size, np.ones(self.shape)], axis=-1) @ solved
 
 
 def _least_area(shift: Array, shown: NDArray[np.bool_]) -> float:
