@@ -22,10 +22,9 @@ from PIL import Image
 import caches
 import process
 from run import REPO
+from segmentation import loose_box
 
 OBJECTS = 8
-LOOSE = 5
-"""Boxes are so many pixels larger than what is seen, at every side."""
 MOST = 1.5
 """Longest time of boxes, over that of the given folder: median over scenes, wall clock and processor."""
 
@@ -63,13 +62,8 @@ def timed(folder: Path, out: Path, kernels: Path) -> dict[str, Any]:
 
 def box(mask: Path) -> str:
     """The option of a loose box around a mask, with the label in the file's name."""
-    seen = np.asarray(Image.open(mask)) > 0
-    rows, columns = (np.flatnonzero(seen.any(axis)) for axis in (1, 0))
-    height, width = seen.shape
-    left, top = max(columns[0] - LOOSE, 0), max(rows[0] - LOOSE, 0)
-    right, bottom = min(columns[-1] + 1 + LOOSE, width), min(rows[-1] + 1 + LOOSE, height)
-    label = mask.stem.partition("_")[2].replace("_", " ")
-    return f"--box={left},{top},{right},{bottom}:{label}"
+    sides = ",".join(map(str, loose_box(np.asarray(Image.open(mask)) > 0)))
+    return f"--box={sides}:{mask.stem.partition('_')[2].replace('_', ' ')}"
 
 
 def judge(rows: Mapping[str, dict[str, Any]]) -> bool:
