@@ -345,6 +345,24 @@ def test_every_shape_is_a_closed_solid_on_its_support(family: str, floor: float)
     assert fit.overlap > 0.8
 
 
+def test_what_something_before_it_cuts_in_two_is_one_body_that_stands():
+    mask = mask_of(can(FOOT, 0.08, 0.3))
+    rows = np.flatnonzero(mask.any(1))
+    hidden = np.zeros_like(mask)
+    hidden[rows[-1] - len(rows) // 3 : rows[-1] - len(rows) // 5] = True  # the larger part ends above the floor
+    fit = found(fit_standing(Outlined.of(mask & ~hidden, CAMERA).behind(hidden), 0.0))
+    assert float(fit.solid.vertices[:, 2].min()) == pytest.approx(0, abs=2e-3)
+    assert fit.overlap > 0.9
+
+
+def test_a_silhouette_whose_feet_are_lost_does_not_stand():
+    mask = mask_of(can(FOOT, 0.08, 0.3))
+    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+    mask[rows[-1] - len(rows) // 4 :] = False
+    mask[rows[-1] - 6 : rows[-1], columns.mean().astype(int) + np.arange(6)] = True
+    assert fit_standing(Outlined.of(mask, CAMERA), 0.0) is None
+
+
 def test_what_lies_is_stable():
     fit = found(fit_lying(seen(block(FOOT, (0.25, 0.03, 0.02), 0.4)), 0.0))
     assert is_stable(fit.solid)

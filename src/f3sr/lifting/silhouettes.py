@@ -18,13 +18,17 @@ GRID = 72
 """Cells of the longer side of an inflated silhouette."""
 HOLE = 0.02
 """Share of a mask below which a hole in it is a flaw of the mask: the ring of a handle is larger."""
+PART = 0.02
+"""Share of a mask from which on a part apart is the same body's: things before the object cut it in two."""
+REACHES = 0.02
+"""Largest gap below what stands, as a share of its height: what ends higher would fall."""
 FLAT = (0.08, 0.16, 0.24, 0.32, 0.4)
 """Shares of a lying body's height that are cut off below until it rests: real things lie on more than a line."""
 
 
 def fit_standing(seen: Outlined, floor: float) -> FittedShape | None:
     """The silhouette inflated about the vertical sheet that faces the camera, every row by half its width, cut at the
-    floor. The sheet stands behind the mask's foot by half the foot's width."""
+    floor. The sheet stands behind the mask's foot by half the foot's width. None if nothing of it reaches the floor."""
     anchor = anchored(seen, floor)
     if anchor is None:
         return None
@@ -34,7 +38,15 @@ def fit_standing(seen: Outlined, floor: float) -> FittedShape | None:
     through = centre + radius * away
     solid = inflated_mask(seen, -away, through, by_rows=True)
     solid = solid and clipped(solid, floor)
-    return solid and FittedShape.of("standing silhouette", solid, seen)
+    if solid is None or _gap(solid, floor) > REACHES:
+        return None
+    return FittedShape.of("standing silhouette", solid, seen)
+
+
+def _gap(solid: Solid, floor: float) -> float:
+    """How far it ends above the ``floor`` [its height]."""
+    heights = solid.vertices[:, 2]
+    return float((heights.min() - floor) / max(np.ptp(heights), 1e-12))
 
 
 def fit_lying(seen: Outlined, floor: float) -> FittedShape | None:
@@ -91,7 +103,7 @@ def lying_at(seen: Outlined, point: Array) -> Solid | None:
 
 
 def inflated_mask(seen: Outlined, normal: Array, through: Array, *, by_rows: bool = False) -> Solid | None:
-    """The mask on the sheet of ``normal`` (3,), inflated by half its local width to both sides."""
+    """The mask, all its parts, on the sheet of ``normal`` (3,), inflated by half its local width to both sides."""
     left, top, right, bottom = seen.bounds
     shape = without_small_holes(seen.mask, HOLE)
     signed = depth_inside(shape)
@@ -104,7 +116,7 @@ def inflated_mask(seen: Outlined, normal: Array, through: Array, *, by_rows: boo
     labels = parts_of(inside)
     if not labels.any():
         return None
-    inside = labels == 1 + int(np.argmax(np.bincount(labels.ravel())[1:]))
+    inside &= (np.bincount(labels.ravel()) >= PART * inside.sum())[labels]
     down, right = (np.asarray(g) for g in np.gradient(smoothed(signed, 1.0)))
     slope = np.stack([interpolated(g, grid.reshape(-1, 2)).reshape(x.shape) for g in (right, down)], -1)
     steep = np.maximum(np.linalg.norm(slope, axis=2, keepdims=True), 0.3)
