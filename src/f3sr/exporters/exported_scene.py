@@ -10,6 +10,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from f3sr.contact.stable_facets import resting_turn
 from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, quaternion_from_rotation
 from f3sr.exporters.export_names import export_name
@@ -58,14 +59,28 @@ class ExportedObject:
         return body_of(self.object)
 
     @cached_property
-    def colliders(self) -> tuple[ConvexPart, ...]:
-        """The body's parts, grown by the margin: what touches in programs that have none.
+    def parts(self) -> tuple[ConvexPart, ...]:
+        """The body's convex parts, their corners in single precision, as files hold them: a package and what is read of
+        it give the same."""
+        return tuple(replace(p, vertices=p.vertices.astype(np.float32).astype(float)) for p in self.body.parts)
 
-        Of corners in single precision, as files hold them: a package and what is read of it give the same."""
-        return tuple(
-            grown(replace(part, vertices=part.vertices.astype(np.float32).astype(float)), self.margin)
-            for part in self.body.parts
-        )
+    @cached_property
+    def standing(self) -> Array:
+        """R (3, 3) from the object frame to the world, z up, as the object rests alone on level ground.
+
+        It is turned from its pose in the scene, where it may lean, onto the nearest facet of its hull that carries it.
+        """
+        leaning = self.object.T_world_object[:3, :3]
+        hull = ConvexPart.hull_of(np.concatenate([part.vertices for part in self.parts]))
+        turn = resting_turn(hull, self.body.center, leaning, max_tilt=np.pi)
+        return leaning if turn is None else turn @ leaning
+
+    @cached_property
+    def colliders(self) -> tuple[ConvexPart, ...]:
+        """Its parts, grown by the margin: what touches in programs that have none."""
+        down = -self.standing[2]
+        footing = np.array([*down, -max((part.vertices @ down).max() for part in self.parts)])
+        return tuple(grown(part, self.margin, footing) for part in self.parts)
 
     @property
     def looks(self) -> tuple[ExportedLook, ...]:

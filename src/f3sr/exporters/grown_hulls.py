@@ -23,18 +23,24 @@ ROUNDING = 1e-6
 """Of a move [margins]."""
 LEAST_EDGE = 1e-6
 """Distance [m] below which two corners are one: Drake refuses the slivers between them."""
+NO_FOOTING = np.array([0, 0, 0, -np.inf])
+"""Of a part without a body: no corner is in it."""
 
 
-def grown(part: ConvexPart, by: float) -> ConvexPart:
+def grown(part: ConvexPart, by: float, footing: Array = NO_FOOTING) -> ConvexPart:
     """The part [m] whose facets lie ``by`` [m] further out, with no more corners than it has.
 
     Every corner moves the shortest way that moves its facets at least so far, and its flats, of four corners or more,
     exactly so far: engines see several faces in what is not quite plane. Flats become plane within ``BEHIND``, and none
     of them lies further out than ``by``: overlaps would kick. No corner moves further than ``SHARPEST`` times ``by``.
-    Where edges are too sharp for that, facets stay behind, small flats bend.
+    Where edges are too sharp for that, facets stay behind, flats bend: of two that meet, the smaller one, unless it
+    lies in ``footing`` (4,), the plane n . x + d = 0 on which the body can stand.
     """
     whole = ConvexPart.hull_of(_without_twins(part.vertices))
     planes, touching = (np.array(each) for each in zip(*facets(whole, BEHIND * by), strict=True))
+    off_footing = whole.vertices @ footing[:3] + footing[3] < -BEHIND * by
+    first = np.argsort((touching & off_footing).any(1), kind="stable")
+    planes, touching = planes[first], touching[first]
     behind = np.where(touching, -planes[:, 3:] - planes[:, :3] @ whole.vertices.T, 0) / by
     wanted = 1 + behind - behind.max(1, keepdims=True)
     flat = touching.sum(1) > 3
@@ -53,7 +59,7 @@ def _without_twins(corners: Array) -> Array:
 def _move(normals: Array, wanted: Array, flats: NDArray[np.intp]) -> Array:
     """The way (3,) of a corner of facets with ``normals`` (k, 3), which move ``wanted`` (k,) along them.
 
-    ``flats`` move exactly so far, if they can; the largest come first."""
+    ``flats`` move exactly so far, if they can, the first ones before others."""
     kept, near = np.zeros(len(normals), np.bool_), np.zeros(3)
     for flat in flats:
         kept[flat] = True

@@ -1,7 +1,8 @@
 """MJCF for users: the whole scene, and every object as a model of its own in the layout of MuJoCo Menagerie.
 
-``scene.xml`` is the package's, with its files in the folders of the objects. ``mug_03/mug_03.xml`` is one body on
-z = 0, turned as in the scene. ``mug_03/scene.xml`` puts it on a ground.
+``scene.xml`` is the package's, with its files in the folders of the objects. ``mug_03/mug_03.xml`` is one body that
+stands on z = 0 alone, turned as in the scene, or as little as it takes to stand. ``mug_03/scene.xml`` puts it on a
+ground.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from f3sr.core.transforms import transform
+from f3sr.core.transforms import pose, transform
 from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
 from f3sr.exporters.mjcf import (
     add_box,
@@ -60,9 +61,8 @@ def in_assets(_: ExportedObject, kind: str, k: int) -> str:
 
 
 def standing_alone(o: ExportedObject) -> ExportedObject:
-    """The object above the origin, at rest on the ground, turned as in the scene."""
-    T = o.object.T_world_object.copy()
-    T[:3, 3] = 0
+    """The object above the origin, at rest on the ground: turned from the scene's pose as far as it takes to stand."""
+    T = pose(o.standing)
     T[2, 3] = o.margin - min(transform(T, part.vertices)[:, 2].min() for part in o.colliders)
     middle = transform(T, o.bounds.mean(0)[None])[0]
     T[:2, 3] = -middle[:2]

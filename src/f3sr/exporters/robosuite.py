@@ -13,8 +13,6 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from f3sr.contact.stable_facets import resting_turn
-from f3sr.core.mesh import ConvexPart
 from f3sr.core.transforms import Array, pose, quaternion_from_rotation, transform
 from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
 from f3sr.exporters.mjcf import add_look, visual_files
@@ -54,13 +52,9 @@ def _in_assets(_: ExportedObject, kind: str, k: int) -> str:
 def upright(o: ExportedObject) -> tuple[Array, Array, float]:
     """T (4, 4) from the object's frame to the middle of its box, as it rests alone.
 
-    Half the sides (3,) of that box [m], and the largest distance of any point from its vertical axis [m], come with it.
-
-    It is turned from its pose in the scene, where it may lean, onto the nearest facet of its hull that carries it."""
-    hull = ConvexPart.hull_of(np.concatenate([part.vertices for part in o.body.parts]))
-    leaning = o.object.T_world_object[:3, :3]
-    turn = resting_turn(hull, o.body.center, leaning, max_tilt=np.pi)
-    R = leaning if turn is None else turn @ leaning
+    Half the sides (3,) of that box [m], and the largest distance of any point from its vertical axis [m], come with
+    it."""
+    R = o.standing
     points = np.concatenate([o.object.scale * o.object.mesh.vertices, *(part.vertices for part in o.body.parts)]) @ R.T
     low, high = points.min(0), points.max(0)
     middle = (low + high) / 2
