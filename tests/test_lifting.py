@@ -592,6 +592,23 @@ def texels(mesh: Mesh) -> Array:
     return texture[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)].astype(float)
 
 
+def test_what_is_regular_stays_so_where_that_explains_the_mask():
+    """A sphere half a pixel too small is not bent at all, and a box that is too small is stretched as a whole."""
+    outlined = seen(ball(FOOT, 0.0605))
+    fit = FittedShape.of("ball", ball(FOOT, 0.06), outlined)
+    assert 0.97 < fit.overlap < 0.99
+    assert np.array_equal(fitted_to_outline(fit, outlined, regular=True).solid.vertices, fit.solid.vertices)
+    assert fitted_to_outline(fit, outlined).overlap > fit.overlap + 0.005
+    outlined = seen(block(FOOT, (0.2, 0.16, 0.1), 0.4))
+    fit = FittedShape.of("box", block(FOOT, (0.188, 0.15, 0.094), 0.4), outlined)
+    stretched = fitted_to_outline(fit, outlined, regular=True)
+    assert fit.overlap < 0.94 and stretched.overlap > 0.97
+    before, after = (CAMERA.project(s.vertices)[0] for s in (fit.solid, stretched.solid))
+    terms = np.column_stack([before, np.ones(len(before))])
+    bent = after - terms @ np.linalg.lstsq(terms, after, rcond=None)[0]
+    assert np.abs(bent).max() < 1.0
+
+
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 1, 1.3), (1, 1.3, 1)])
 def test_a_ball_has_no_seam_where_the_photo_ends(shape: tuple[float, float, float]):
     """Its lower half is in shadow: where the photo ends, what is not seen goes on in the same colours."""
@@ -767,6 +784,24 @@ def test_a_side_of_a_box_that_is_hidden_for_the_most_part_has_its_commonest_colo
     assert len(colours) > 10 and np.median(colours[:, 1]) < 60, np.median(colours, axis=0)
 
 
+def test_what_hides_a_part_of_a_ball_leaves_no_second_print():
+    """A black word near what is hidden: patches of it came out below when the ball rolled."""
+    true = found(fit_ball(seen(ball(FOOT, 0.06)), 0.0)).solid
+    mask = mask_of(true)
+    rows, columns = np.indices(mask.shape)
+    bottom, middle = np.flatnonzero(mask.any(1))[-1], int(columns[mask].mean())
+    size = int(np.ptp(rows[mask]))
+    rgb = np.full((CAMERA.height, CAMERA.width, 3), (180, 220, 40), np.uint8)
+    before = rows > bottom - 0.25 * size
+    rgb[(np.abs(columns - middle) < 0.3 * size) & (np.abs(rows - bottom + 0.42 * size) < 0.07 * size)] = 10
+    mesh = textured(true, np.zeros(3), Photo(rgb=rgb), mask & ~before, CAMERA)
+    pixels = CAMERA.project(mesh.vertices)[0]
+    front = ((CAMERA.center - mesh.vertices) * (mesh.vertices - mesh.vertices.mean(0))).sum(1) > 0
+    hidden = mesh.vertices[front & (pixels[:, 1] > bottom - 0.12 * size)]
+    colours = np.array([colour_at(mesh, point) for point in hidden])
+    assert len(colours) > 10 and (colours[:, 1] > 150).mean() > 0.95, colours[:, 1].min()
+
+
 def test_without_shading_colours_stay_as_they_are():
     shown = on_a_table()
     rgb = np.full((CAMERA.height, CAMERA.width, 3), 130, np.uint8)
@@ -844,7 +879,7 @@ def test_a_ball_is_warped_to_the_outline_of_what_is_nearly_a_ball(shape: tuple[f
     outlined = seen(true)
     fit = found(fit_ball(outlined, 0.0))
     warped = fitted_to_outline(fit, outlined)
-    assert fit.overlap < 0.96 < 0.97 < warped.overlap
+    assert fit.overlap < 0.96 < 0.985 < warped.overlap
     assert warped.overlap == outlined.overlap(warped.solid.vertices, warped.solid.faces)
     assert abs(warped.solid.vertices[:, 2].min()) < 1e-9
     volume = [signed_volume(s.vertices, s.faces) for s in (warped.solid, true)]

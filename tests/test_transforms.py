@@ -94,3 +94,11 @@ def test_moving_world_and_camera_together_changes_no_pixel(omega, t):
     before, _ = camera().project(points)
     after, _ = camera(T_world_camera=T).project(transform(T, points))
     assert np.allclose(before, after, atol=1e-6)
+
+
+def test_the_angle_of_nearly_no_rotation_is_as_exact_as_its_matrix() -> None:
+    """Matrices of many products are off by 1e-9: an arc cosine made 5e-5 rad of that."""
+    assert rotation_angle((1 - 1e-9) * np.eye(3)) == 0
+    for angle in (1e-9, 1e-5, 1.0, np.pi - 1e-6, np.pi):
+        R = (1 + 1e-9) * rotation_about(np.array([0.6, 0.0, 0.8]), angle)
+        assert rotation_angle(R) == pytest.approx(angle, rel=1e-6)

@@ -129,5 +129,7 @@ def quaternion_from_rotation(R: Array) -> Array:
 
 
 def rotation_angle(R: Array) -> float:
-    """The angle [rad], from 0 to pi, of a rotation matrix (3, 3)."""
-    return float(np.arccos(np.clip((np.trace(R) - 1) / 2, -1, 1)))
+    """The angle [rad], from 0 to pi, of a rotation matrix (3, 3), as exact as that near 0 too: an arc cosine turns an
+    error of 1e-9 into 4e-5 rad."""
+    sine = np.linalg.norm([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2
+    return float(np.arctan2(sine, (np.trace(R) - 1) / 2))

@@ -52,6 +52,8 @@ RIGID = ("ball", "cylinder", "solid of revolution", "bowl or cup", "bowl or cup 
 """Families that rest upright by their form, though a ball may roll."""
 EDGED = ("box", "rounded box", "carved box", "cylinder")
 """Families with sharp edges, which no fruit has."""
+REGULAR = ("ball", "box", "rounded box", "cylinder")
+"""Families of which one sees that they are bent."""
 SPREAD_OUT = 0.2
 """Loss of score of what is longer on the ground than it looks, times the square of the ratio's logarithm. A low camera
 reads metres from few rows, and what points along the view is rare. 1.4 times: .02, 2 times: .1, 3.4 times: .3."""
@@ -140,7 +142,12 @@ def choose(instance: Instance, seen: Outlined, carrier: Choice | None, *, distan
     ranked = sorted(fitted, key=lambda fit: -_score(fit, instance.label, seen, loaded=loaded))
     best = ranked[0]
     return Choice(
-        best=fitted_to_outline(best, seen, on_a_point=best.family == "ball" or head(instance.label) in FRUIT),
+        best=fitted_to_outline(
+            best,
+            seen,
+            on_a_point=best.family == "ball" or head(instance.label) in FRUIT,
+            regular=best.family in REGULAR,
+        ),
         runner_up=ranked[1] if len(ranked) > 1 else None,
         top=_top(best),
         fixed=fixed,

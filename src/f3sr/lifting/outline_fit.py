@@ -22,8 +22,8 @@ AFFINE = 2
 """Steps before those, in which the whole is stretched and sheared: straight edges stay straight, hidden ones too."""
 STIFF = 0.01
 """Weight of no stretch beside all of the outline that is seen: a part of one tells little of the rest."""
-REGULAR = 0.97
-"""Overlap with the mask above which what has a symmetry is not bent: the rest is about half a pixel of a mask 60 wide,
+ENOUGH = 0.97
+"""Overlap with the mask above which what is regular is not bent: the rest is about half a pixel of a mask 60 wide,
 as masks are wrong. A bent cube stands askew, a dented ball rolls in curves."""
 FARTHEST = 3.0
 """Largest displacement of a step, in its smoothing widths: what is farther belongs to another part."""
@@ -36,11 +36,13 @@ NO_EDGE = np.zeros((0, 2)), np.zeros((0, 2))
 """No points of an inner edge, and no ways."""
 
 
-def fitted_to_outline(fit: FittedShape, seen: Outlined, *, on_a_point: bool = False) -> FittedShape:
+def fitted_to_outline(
+    fit: FittedShape, seen: Outlined, *, on_a_point: bool = False, regular: bool = False
+) -> FittedShape:
     """A shape whose outline meets the mask's wherever nothing may hide it.
 
-    A smooth displacement of the picture moves the solid, front and back alike. What is full and has a symmetry is moved
-    by an affine one first, and by no other where that explains the mask. Points keep their depth, but a level top stays
+    A smooth displacement of the picture moves the solid, front and back alike. What is ``regular`` is moved by an
+    affine one first, and by no other where that explains the mask. Points keep their depth, but a level top stays
     level, and an underside on its support: things stand on both. What rests ``on_a_point`` is brought to its support as
     a whole, along the rays. Each step smooths the distance between both outlines along the shape's normals (non-rigid
     registration of signed distance fields, from coarse to fine). Where the photo shows the near rim of what is hollow,
@@ -68,13 +70,14 @@ def fitted_to_outline(fit: FittedShape, seen: Outlined, *, on_a_point: bool = Fa
 
     best, overlap, edge = points, fit.overlap, inner_edge(points)
     least = left(edge, overlap)
-    regular = solid.symmetry != "" and solid.rim is None
+    foot, head = seen.camera.project(solid.vertices.mean(0) + np.outer([0.0, top - floor], UP))[0]
+    up = (head - foot) / max(float(np.linalg.norm(head - foot)), 1e-9)
     for width in (*[math.inf] * AFFINE * regular, *WIDTHS):
-        if regular and overlap > REGULAR:
+        if regular and overlap > ENOUGH:
             break
         shown = seen.silhouette(points[: len(solid.vertices)], solid.faces)
         pulls = _Pulls.of(shown, wanted, hidden, edge, min(width, WIDTHS[0]) * size)
-        shift = pulls.affine(size) if width == math.inf else pulls.smooth(width * size)
+        shift = pulls.affine(size, up) if width == math.inf else pulls.smooth(width * size)
         while (area := _least_area(shift, shown)) < FOLD:
             shift = shift / (2 - area)
         points = _moved(points, below, above, -np.inf if on_a_point else floor, shift, seen)
@@ -146,18 +149,23 @@ class _Pulls:
         total = np.stack([smoothed(moves[..., k], sigma) for k in (0, 1)], axis=-1)
         return total / np.maximum(weight, 1e-4 * max(float(weight.max()), 1e-30))[..., None]
 
-    def affine(self, size: float) -> Array:
+    def affine(self, size: float, up: Array) -> Array:
         """Displacements (h, w, 2) [px] by an affine map for the outline of what is so large [px]: least squares of
-        distances along its normals (point to line, Chen and Medioni 1992)."""
+        distances along its normals (point to line, Chen and Medioni 1992). Nothing comes to lean against ``up`` (2,),
+        a unit vector of the picture: what leans falls."""
         rows, columns = self.places.T
         middle = np.array([columns.mean(), rows.mean()]) if len(rows) else np.zeros(2)
-        about = np.column_stack([(columns - middle[0]) / size, (rows - middle[1]) / size, np.ones(len(rows))])
-        terms = (about[:, :, None] * self.inward[:, None, :]).reshape(len(rows), 6)
-        stiff = STIFF * max(len(rows), 1) * np.diag([1.0, 1.0, 1.0, 1.0, 1e-3, 1e-3])
-        along = (self.moves * self.inward).sum(1)
-        solved = np.linalg.solve(terms.T @ terms + stiff, terms.T @ along).reshape(3, 2)
+        axes = np.array([[-up[1], up[0]], up])  # across, and up
+        across, upward = ((np.column_stack([columns, rows]) - middle) @ axes.T / size).T
+        aside, along = (self.inward @ axes.T).T
+        terms = np.column_stack([aside * across, aside, along * across, along * upward, along])
+        stiff = STIFF * max(len(rows), 1) * np.diag([1.0, 1e-3, 1.0, 1.0, 1e-3])
+        told = (self.moves * self.inward).sum(1)
+        wider, right, shear, taller, higher = np.linalg.solve(terms.T @ terms + stiff, terms.T @ told)
         y, x = np.indices(self.shape)
-        return np.stack([(x - middle[0]) / size, (y - middle[1]) / size, np.ones(self.shape)], axis=-1) @ solved
+        across, upward = np.moveaxis(np.stack([x - middle[0], y - middle[1]], axis=-1) @ axes.T / size, -1, 0)
+        moved = np.stack([wider * across + right, shear * across + taller * upward + higher], axis=-1)
+        return np.asarray(moved @ axes, float)
 
 
 def _least_area(shift: Array, shown: NDArray[np.bool_]) -> float:

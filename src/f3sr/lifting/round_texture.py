@@ -25,6 +25,11 @@ is invented. Print is along the rays at the limb."""
 INVENTED = 0.2
 """Share of print that is left where the photo shows none: it tells that a thing is not smooth, but blotches of light
 and shade that the photo has on one side would be none on another."""
+LEVELS = 1.0
+"""Least size of a detail [of 255 levels]: below it is rounding."""
+FINE = 4.0
+"""Size of details, in the median of the seen ones, that is halved where the photo shows none: grain goes on, the edge
+of a leaf does not."""
 EXTENT = math.radians(120)
 """Angle from its middle that each half of a texture covers: faces across the border are whole in both."""
 NEIGHBOURS = 4
@@ -44,7 +49,7 @@ def round_texture(solid: Solid, sharp: Picture, limb: Array, soft: Array, window
     The picture has two halves: what the camera sees, and the other. Vertices on their border are there twice.
 
     Colours are those of the pixel on whose ray a point lies, before it or behind. Print around the point nearest to the
-    camera goes on over the other side in a mirror, larger and faint. So there is no seam."""
+    camera goes on over the other side in a mirror, larger and faint, with its grain. So there is no seam."""
     surface = _StarShaped.of(solid, window)
     n = min(LARGEST, max(COARSE, DENSITY * max(sharp.shape[:2])))
     halves = [_half(surface, (sharp, limb, soft), window, n, back=back) for back in (False, True)]
@@ -83,13 +88,20 @@ def _half(surface: _StarShaped, photo: tuple[Picture, Array, Array], window: Cam
     own, print_at, angle = fine(own), fine(print_at), interpolated(angle, at)
     blurred = smooth_step((angle - CAP) / (LIMB - CAP))
     unseen = smooth_step((angle - LIMB) / (BACK - LIMB))
-    channels = list[Array]()
+    channels, grain_of = list[Array](), _grain(photo[0] - photo[1])
     for k in range(3):
-        sharp, limb, soft = (image[..., k] for image in photo)
+        sharp, limb, soft, grain = (image[..., k] for image in (*photo, grain_of))
         seen = (1 - blurred) * interpolated(sharp, own, cubic=True) + blurred * interpolated(limb, own)
-        invented = interpolated(soft, own) + INVENTED * interpolated(sharp - soft, print_at)
+        invented = interpolated(soft, own) + interpolated(INVENTED * (limb - soft) + grain, print_at, cubic=True)
         channels.append((1 - unseen) * seen + unseen * invented)
     return np.clip(np.stack(channels, axis=-1), 0, 255).astype(np.float32).reshape(n, n, 3)
+
+
+def _grain(details: Array) -> Array:
+    """Details (h, w, 3) without those that stand out (Cauchy weights)."""
+    size = np.linalg.norm(details, axis=2, keepdims=True)
+    usual = float(np.median(np.append(size[size > LEVELS], LEVELS)))
+    return np.asarray(details / (1 + (size / (FINE * usual)) ** 2), float)
 
 
 @dataclass(frozen=True, eq=False)

@@ -73,12 +73,13 @@ def textured(solid: Solid, origin: Array, photo: Photo, mask: NDArray[np.bool_],
     crop, known = photo.rgb[top:bottom, left:right], _own(mask[top:bottom, left:right])
     window = camera.cropped(left, top, right - left, bottom - top)
     sides = _sides(solid, window)
-    sharp = _continued(crop, known, _hidden(sides >= 0, mask[top:bottom, left:right]), sides)
     rolls = solid.symmetry == "round" and not solid.stands_flat
+    hidden = _hidden(sides >= 0, mask[top:bottom, left:right])
+    sharp = _continued(crop, known, hidden, sides, printed=not rolls)
     soft = _shaded(crop, _usual(crop, known) if rolls else known.astype(float), SOFT * longest, level=rolls)
     if solid.symmetry == "round":
         if rolls:
-            limb = _shaded(crop, known.astype(float), LIMB * longest, level=True)
+            limb = _shaded(sharp, (known | hidden).astype(float), LIMB * longest, level=True)
             worn = round_texture(solid, sharp, limb, soft, window)
         else:
             worn = turned_texture(solid, sharp, soft, window)
@@ -123,11 +124,16 @@ def _hidden(shape: NDArray[np.bool_], mask: NDArray[np.bool_]) -> NDArray[np.boo
 
 
 def _continued(
-    crop: NDArray[np.uint8], known: NDArray[np.bool_], hidden: NDArray[np.bool_], sides: NDArray[np.int64]
+    crop: NDArray[np.uint8],
+    known: NDArray[np.bool_],
+    hidden: NDArray[np.bool_],
+    sides: NDArray[np.int64],
+    *,
+    printed: bool,
 ) -> Picture:
     """The ``known`` colours (h, w, 3), where they are ``hidden`` patches of them, each of the same of the ``sides``
     (h, w), and softly on around both. Of a side that is hidden for the most part patches would be the same few again
-    and again: it has its usual colour."""
+    and again: it has its commonest colour, as has what is not ``printed`` all over: a ball has its print once."""
     if hidden.any():
         longest = max(np.ptp(np.argwhere(known), axis=0))
         whole, hole = known | grown(hidden, ERODED + 1), grown(hidden, max(ERODED + 1, round(SHADED * longest)))
@@ -139,7 +145,7 @@ def _continued(
             alike = own if own.any() else told & ((side_of < TOP) == (side < TOP))
             if not alike.any():
                 continue
-            patched = from_patches(crop, lost, apart=~here) if lost.sum() <= own.sum() else None
+            patched = from_patches(crop, lost, apart=~here) if printed and lost.sum() <= own.sum() else None
             crop = _plain(crop, lost, alike, SOFT * longest) if patched is None else patched
             known = known | here
     return membrane((crop * known[..., None]).astype(np.float32), known)
@@ -179,7 +185,7 @@ def _usual(image: NDArray[np.uint8], known: NDArray[np.bool_]) -> Array:
     return weights
 
 
-def _shaded(image: NDArray[np.uint8], weights: Array, sigma: float, *, level: bool) -> Array:
+def _shaded(image: Picture | NDArray[np.uint8], weights: Array, sigma: float, *, level: bool) -> Array:
     """Planes fitted to colours with ``weights`` (h, w) under a Gaussian [px], at every pixel (h, w, 3): a mean alone
     would be brighter than a border in shadow, as all it averages lies inside (normalized convolution of first order,
     Farneback 2002). ``level``: means all the same, of what has no side in shadow."""
