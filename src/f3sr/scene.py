@@ -179,7 +179,7 @@ class SceneObject:
     rolling_friction: float = 0.001
     """[m]"""
     restitution: float = 0.0
-    """Coefficient of restitution in [0, 1]; only rollouts use it, of what flies (docs: physics)."""
+    """Coefficient of restitution in [0, 1]; only rollouts use it, of what is sent at something (docs: physics)."""
     damping: float = 0.0
     """Rate of velocity loss [1/s]; only rollouts use it."""
     structure: Structure = "solid"

@@ -54,16 +54,16 @@ def estimate_faults(estimates: Sequence[Estimate], scene: Scene) -> Iterator[str
     if [e.id for e in estimates] != ids:
         yield f"properties of objects {[e.id for e in estimates][:12]}; accepted: of {ids}, in this order"
         return
-    semantics = [semantics_of(e, scene, flying=False) for e in estimates]
+    semantics = [semantics_of(e, scene, at_speed=False) for e in estimates]
     yield from checks.semantics_faults(semantics, scene)
 
 
-def semantics_of(estimate: Estimate, scene: Scene, *, flying: bool) -> Semantics:
-    """A model's properties of an object; restitution counts only for what flies, as for the rules."""
+def semantics_of(estimate: Estimate, scene: Scene, *, at_speed: bool) -> Semantics:
+    """A model's properties of an object; restitution counts only at speed, as for the rules."""
     o = scene[estimate.id]
     return Semantics(
         **estimate.model_dump(exclude={"restitution"}),
-        restitution=estimate.restitution if flying else 0.0,
+        restitution=estimate.restitution if at_speed else 0.0,
         mass=body_of(o).mass * estimate.density / o.density,
         damping=o.damping,
         mobility=o.mobility,

@@ -20,7 +20,7 @@ from f3sr.goals import checks
 from f3sr.goals.language_protocol import Launch, Planned, Tried
 from f3sr.goals.plan import Semantics, TaskSpec
 from f3sr.goals.refusal import Refusal
-from f3sr.language.reasoner import flying
+from f3sr.language.reasoner import at_speed
 from f3sr.language.reference_resolution import names
 from f3sr.play.rule_based_language import Rules
 from f3sr.scene import Scene
@@ -83,7 +83,7 @@ class _ModelLanguage:
         if not now.estimates:
             now.estimates = self._estimated(now)
         self.notes = tuple(answer_checks.disagreements(now.estimates, now.scene))
-        return [answer_checks.semantics_of(e, scene, flying=e.id in flying(task)) for e in now.estimates]
+        return [answer_checks.semantics_of(e, scene, at_speed=e.id in at_speed(task)) for e in now.estimates]
 
     def build(
         self, task: TaskSpec, semantics: Sequence[Semantics], scene: Scene, tried: Sequence[Tried]
@@ -192,7 +192,7 @@ class Direct(_ModelLanguage):
             estimates = {e.id: e for e in answer.objects}
             for phase in answer.phases:
                 answer_checks.require(answer_checks.task_faults(phase.task, now.scene))
-                semantics = [answer_checks.semantics_of(e, now.scene, flying=False) for e in estimates.values()]
+                semantics = [answer_checks.semantics_of(e, now.scene, at_speed=False) for e in estimates.values()]
                 launch = answer_checks.launch_of(phase.initial, phase.duration, now.scene)
                 answer_checks.require(checks.launch_faults(launch, phase.task, semantics, now.scene))
 

@@ -47,7 +47,7 @@ def estimated(scene: Scene, model: Asks, name: str) -> Estimated:
 
     parts = [*SceneEvidence.of(scene, crops=CROPS).parts, "There is no goal: estimate what the objects are."]
     estimates = model.ask("reasoner", prompts.REASONER, parts, ReasonerAnswer, suits).objects
-    wanted = [answer_checks.semantics_of(e, scene, flying=False) for e in estimates]
+    wanted = [answer_checks.semantics_of(e, scene, at_speed=False) for e in estimates]
     steady = Trials(scene).steady(wanted)
     kept = tuple(s.id for s, asked in zip(steady, wanted, strict=True) if s != asked)
     made = [_made_of(scene[e.id], e, name) for e in estimates if e.id not in kept]

@@ -84,7 +84,7 @@ def _shortest(normals: Array, wanted: Array, kept: NDArray[np.bool_]) -> Array |
 
     Least distance programming with equalities (Lawson and Hanson, chapters 20 and 23)."""
     equal, others = normals[kept], normals[~kept]
-    onto = _pseudo_inverse(equal)
+    onto = np.linalg.pinv(equal, rcond=ROUNDING)
     fixed = onto @ wanted[kept]
     lacking = wanted[~kept] - others @ fixed
     if np.abs(equal @ fixed - wanted[kept]).max(initial=0) > ROUNDING:
@@ -99,11 +99,3 @@ def _shortest(normals: Array, wanted: Array, kept: NDArray[np.bool_]) -> Array |
         return None
     r = E @ multipliers - f
     return fixed - free @ r[:3] / r[3]
-
-
-def _pseudo_inverse(A: Array) -> Array:
-    """(3, k) of (k, 3), as ``np.linalg.pinv``, which takes twice as long around a decomposition of this size."""
-    u, s, vt = np.linalg.svd(A, full_matrices=False)
-    large = s > ROUNDING * s.max(initial=0)
-    inverse = np.where(large, 1 / np.where(large, s, 1), 0)
-    return vt.T @ (inverse[:, None] * u.T)

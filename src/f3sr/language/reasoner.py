@@ -12,18 +12,18 @@ from f3sr.goals.plan import Kind, Semantics, TaskSpec
 from f3sr.physics.mujoco_model import body_of
 from f3sr.scene import Scene, SceneObject
 
-FLYING: set[Kind] = {"drop", "throw", "bounce", "launch_and_return", "roll", "push_into"}
+AT_SPEED: set[Kind] = {"drop", "throw", "bounce", "launch_and_return", "roll", "push_into"}
 """Kinds in which the active object meets things at speed, through the air or along the ground."""
 
 
 def semantics_of(task: TaskSpec, scene: Scene) -> tuple[Semantics, ...]:
     """The physical properties of every object for a task, in the scene's order."""
-    return tuple(declared(o) if o.id in flying(task) else at_rest(o) for o in scene)
+    return tuple(declared(o) if o.id in at_speed(task) else at_rest(o) for o in scene)
 
 
-def flying(task: TaskSpec) -> frozenset[int]:
+def at_speed(task: TaskSpec) -> frozenset[int]:
     """What meets things at speed in a task."""
-    return frozenset({task.active}) if task.kind in FLYING else frozenset()
+    return frozenset({task.active}) if task.kind in AT_SPEED else frozenset()
 
 
 def at_rest(o: SceneObject) -> Semantics:

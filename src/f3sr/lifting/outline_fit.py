@@ -72,12 +72,13 @@ def fitted_to_outline(
     least = left(edge, overlap)
     foot, head = seen.camera.project(solid.vertices.mean(0) + np.outer([0.0, top - floor], UP))[0]
     up = (head - foot) / max(float(np.linalg.norm(head - foot)), 1e-9)
-    for width in (*[math.inf] * AFFINE * regular, *WIDTHS):
+    steps = [(WIDTHS[0], True)] * AFFINE * regular + [(width, False) for width in WIDTHS]
+    for width, whole in steps:
         if regular and overlap > ENOUGH:
             break
         shown = seen.silhouette(points[: len(solid.vertices)], solid.faces)
-        pulls = _Pulls.of(shown, wanted, hidden, edge, min(width, WIDTHS[0]) * size)
-        shift = pulls.affine(size, up) if width == math.inf else pulls.smooth(width * size)
+        pulls = _Pulls.of(shown, wanted, hidden, edge, width * size)
+        shift = pulls.affine(size, up) if whole else pulls.smooth(width * size)
         while (area := _least_area(shift, shown)) < FOLD:
             shift = shift / (2 - area)
         points = _moved(points, below, above, -np.inf if on_a_point else floor, shift, seen)

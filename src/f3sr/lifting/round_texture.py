@@ -52,7 +52,8 @@ def round_texture(solid: Solid, sharp: Picture, limb: Array, soft: Array, window
     camera goes on over the other side in a mirror, larger and faint, with its grain. So there is no seam."""
     surface = _StarShaped.of(solid, window)
     n = min(LARGEST, max(COARSE, DENSITY * max(sharp.shape[:2])))
-    halves = [_half(surface, (sharp, limb, soft), window, n, back=back) for back in (False, True)]
+    invented = INVENTED * (limb - soft) + _grain(sharp - limb)
+    halves = [_half(surface, (sharp, limb, soft, invented), window, n, back=back) for back in (False, True)]
     angles = surface.angles(surface.directions)
     backward = np.cos(angles)[solid.faces].mean(1) < 0
     places, faces = np.unique(2 * solid.faces.astype(np.int64) + backward[:, None], return_inverse=True)
@@ -69,7 +70,9 @@ def round_texture(solid: Solid, sharp: Picture, limb: Array, soft: Array, window
     )
 
 
-def _half(surface: _StarShaped, photo: tuple[Picture, Array, Array], window: Camera, n: int, *, back: bool) -> Picture:
+def _half(
+    surface: _StarShaped, photo: tuple[Picture, Array, Array, Array], window: Camera, n: int, *, back: bool
+) -> Picture:
     """One half (n, n, 3): azimuthal equidistant about the point nearest to the camera, or about that opposite."""
     places = np.linspace(-1, 1, COARSE)
     x, y = np.meshgrid(places, places)
@@ -88,12 +91,12 @@ def _half(surface: _StarShaped, photo: tuple[Picture, Array, Array], window: Cam
     own, print_at, angle = fine(own), fine(print_at), interpolated(angle, at)
     blurred = smooth_step((angle - CAP) / (LIMB - CAP))
     unseen = smooth_step((angle - LIMB) / (BACK - LIMB))
-    channels, grain_of = list[Array](), _grain(photo[0] - photo[1])
+    channels = list[Array]()
     for k in range(3):
-        sharp, limb, soft, grain = (image[..., k] for image in (*photo, grain_of))
+        sharp, limb, soft, invented = (image[..., k] for image in photo)
         seen = (1 - blurred) * interpolated(sharp, own, cubic=True) + blurred * interpolated(limb, own)
-        invented = interpolated(soft, own) + interpolated(INVENTED * (limb - soft) + grain, print_at, cubic=True)
-        channels.append((1 - unseen) * seen + unseen * invented)
+        behind = interpolated(soft, own) + interpolated(invented, print_at, cubic=True)
+        channels.append((1 - unseen) * seen + unseen * behind)
     return np.clip(np.stack(channels, axis=-1), 0, 255).astype(np.float32).reshape(n, n, 3)
 
 

@@ -164,7 +164,7 @@ class _Search:
                     met = self.trials.rollouts
 
     def _lasting(self, semantics: Sequence[Semantics]) -> tuple[Semantics, ...]:
-        """With which the scene rests; only restitution may differ from phase to phase, as it counts for what flies."""
+        """With which the scene rests; only restitution may differ from phase to phase, as it counts at speed alone."""
         if not self.materials:
             return self.trials.steady(semantics)
         made = zip(self.materials, semantics, strict=True)

@@ -139,8 +139,11 @@ def _over_sides(ratio: Array, side: NDArray[np.int32], known: Mask) -> NDArray[n
     """A ratio (h, w, 3) where it is ``known`` (h, w), spread over the rest of each ``side`` (h, w); 1 elsewhere."""
     logs, spread = np.log(ratio).astype(np.float32), np.zeros(ratio.shape, np.float32)
     for number in np.unique(side[known]):
-        here = side == number
-        spread[here] = membrane(logs * (known & here)[..., None], known & here)[here]
+        rows, columns = (np.flatnonzero((side == number).any(axis)) for axis in (1, 0))
+        box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+        here = side[box] == number
+        told = known[box] & here
+        spread[box][here] = membrane(logs[box] * told[..., None], told)[here]
     return np.exp(spread)
 
 
