@@ -36,8 +36,10 @@ from f3sr.lifting.unshaded import LIGHT, PhotoLight, SeenSolid, light_of
 from f3sr.metrology.camera_estimate import attitude
 from f3sr.photo_inputs import read_inputs
 from f3sr.pipeline import as_given
+from f3sr.rendering.evidence import ground_points
 from f3sr.rendering.light_fit import TYPICAL
 from f3sr.rendering.renderer import Renderer, poses_at_rest
+from f3sr.rendering.shadow_maps import Caster
 from f3sr.rendering.textures import LINEAR
 from f3sr.scene import GROUND, Geometry, Instance, Photo, Scene, SceneObject
 from f3sr.stages.align import align
@@ -46,6 +48,7 @@ from f3sr.stages.level import level
 from f3sr.vision import rasterizer
 from f3sr.vision.image_supports import below
 from f3sr.vision.regions import grown, shrunk, without_strays
+from f3sr.vision.silhouette import union_of
 from folders import part_of_example
 
 PITCH = math.radians(35)
@@ -679,12 +682,22 @@ def test_a_ball_in_the_light_from_above_is_no_brighter_at_its_rim_than_in_the_ph
 
 SUN = np.array([0.5, -0.35, 0.8]) / np.linalg.norm([0.5, -0.35, 0.8])
 COLOURS = ((200, 60, 50), (90, 150, 70), (60, 80, 190))
+TABLE = np.full((CAMERA.height, CAMERA.width, 3), 130, np.uint8)
 
 
 def lit_photo(shown: Sequence[SeenSolid], direct: float, sky: float) -> Photo:
-    """Solids of one colour each on a grey table, in the light of SUN and of an even sky; the table has no shadows."""
-    light = PhotoLight.of(np.array([0.0, direct, sky, 0.15]), SUN, 0.0, [], (FOOT, 1.0))
-    rgb = np.full((CAMERA.height, CAMERA.width, 3), 130, np.uint8)
+    """Solids of one colour each on a grey table with their shadows, in the light of SUN and of an even sky."""
+    strength = np.array([0.0, direct, sky, 0.15])
+    light = PhotoLight.of(strength, SUN, 0.0, [], (FOOT, 1.0))
+    casters = [Caster(s.solid.vertices, s.solid.faces, closed=True) for s in shown]
+    shaded = PhotoLight.of(strength, SUN, math.radians(5), casters, (FOOT, 0.6))
+    rgb = TABLE.copy()
+    pixels = np.argwhere(np.ones(TABLE.shape[:2], np.bool_))
+    points = ground_points(CAMERA, pixels)
+    near = np.linalg.norm(points - FOOT, axis=1) < 0.5
+    here = shaded.on(points[near], np.tile(UP, (np.count_nonzero(near), 1)))
+    open_table = float(strength @ [1, SUN[2], 1, 0])
+    rgb[tuple(pixels[near].T)] = np.round(255 * srgb(LINEAR[130] * np.minimum(here / open_table, 1)))[:, None]
     for s, colour in zip(shown, COLOURS, strict=True):
         bright = LINEAR[list(colour)] * light.on(s.points[s.own], s.normals[s.own])[:, None]
         rgb[s.rows, s.columns][s.own] = np.round(255 * srgb(np.clip(bright, 0, 1)))
@@ -704,7 +717,7 @@ def test_the_light_is_taken_out_of_colours():
     """Solids of one colour each have one colour all over then, and the found light is the true one."""
     shown = on_a_table()
     photo = lit_photo(shown, 0.6, 0.5)
-    light = light_of(shown, photo.rgb, None, CAMERA)
+    light = light_of(shown, photo.rgb, TABLE, CAMERA)
     angle = math.degrees(math.acos(float(np.clip(light.direction @ SUN, -1, 1))))
     assert angle < 15
     for s in shown:
@@ -714,13 +727,24 @@ def test_the_light_is_taken_out_of_colours():
         assert np.all(after.std(0) < 0.35 * before.std(0) + 1), (before.std(0), after.std(0))
 
 
+def test_shadows_on_the_ground_tell_the_light_of_things_full_of_print():
+    """Random colours all over three solids tell nothing of it."""
+    shown = on_a_table()
+    rgb = lit_photo(shown, 0.6, 0.5).rgb
+    anywhere = union_of((s.mask for s in shown), TABLE.shape[:2])[..., None]
+    print_ = np.random.default_rng(0).integers(20, 230, TABLE.shape).astype(np.uint8)
+    for table, found in ((rgb, True), (TABLE, False)):
+        light = light_of(shown, np.where(anywhere, print_, table), TABLE, CAMERA)
+        assert (math.degrees(math.acos(float(np.clip(light.direction @ SUN, -1, 1)))) < 10) is found
+
+
 @pytest.mark.parametrize(("weight", "least", "most"), [(0.0, 0.05, 1.0), (1e3, 0.0, 0.02)])
 def test_usual_light_decides_where_it_weighs_more_than_the_photo(
     weight: float, least: float, most: float, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr("f3sr.lifting.unshaded.LIGHT", replace(LIGHT, typical=weight))
     shown = on_a_table()
-    light = light_of(shown, lit_photo(shown, 0.3, 0.8).rgb, None, CAMERA)
+    light = light_of(shown, lit_photo(shown, 0.3, 0.8).rgb, TABLE, CAMERA)
     off = np.abs(light.strength / light.strength.sum() - TYPICAL / TYPICAL.sum()).max()
     assert least <= off <= most
 
@@ -729,7 +753,7 @@ def test_films_light_a_ball_alike_however_it_is_turned():
     """Its colours come from the photo, whose light stays where it is."""
     shown = on_a_table()
     photo = lit_photo(shown, 0.6, 0.5)
-    light = light_of(shown, photo.rgb, None, CAMERA)
+    light = light_of(shown, photo.rgb, TABLE, CAMERA)
     objects, middles = list[SceneObject](), list[Array]()
     for k, s in enumerate(shown):
         plain = Photo(rgb=light.removed(photo.rgb, s))
@@ -805,7 +829,7 @@ def test_what_hides_a_part_of_a_ball_leaves_no_second_print():
 def test_without_shading_colours_stay_as_they_are():
     shown = on_a_table()
     rgb = np.full((CAMERA.height, CAMERA.width, 3), 130, np.uint8)
-    light = light_of(shown, rgb, None, CAMERA)
+    light = light_of(shown, rgb, TABLE, CAMERA)
     for s in shown:
         assert np.abs(light.removed(rgb, s).astype(int) - rgb).max() < 10
 
@@ -821,7 +845,7 @@ def test_light_that_neighbours_throw_on_a_ball_is_not_its_own():
     there[own] = np.round(there[own] * np.exp(0.8 * np.minimum(z, 0))[:, None])
     dots = own & (np.indices(own.shape).sum(0) % 12 < 2)
     there[dots] //= 3
-    light = light_of(shown, taken, None, CAMERA)
+    light = light_of(shown, taken, TABLE, CAMERA)
     after = light.removed(taken, shown[0])[shown[0].rows, shown[0].columns].astype(float)
     plain = shrunk(own, 2) & ~grown(dots, 1)
     was, is_now = (
@@ -839,7 +863,7 @@ def test_print_is_no_shading():
     rgb = photo.rgb.copy()
     rows = slice(shown[1].rows.start + 30, shown[1].rows.start + 60)
     rgb[rows, shown[1].columns][shown[1].mask[rows, shown[1].columns]] //= 3
-    plain, printed = (light_of(shown, image, None, CAMERA) for image in (photo.rgb, rgb))
+    plain, printed = (light_of(shown, image, TABLE, CAMERA) for image in (photo.rgb, rgb))
     assert math.degrees(math.acos(float(np.clip(plain.direction @ printed.direction, -1, 1)))) < 15
     assert np.abs(plain.strength - printed.strength).max() < 0.25
 

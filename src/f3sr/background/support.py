@@ -24,8 +24,12 @@ ENOUGH = 0.01
 def support_of(scene: Scene, hole: Mask) -> Mask:
     """Pixels (H, W) of a levelled scene's support, where ``hole`` (H, W) hides it too: table tops are convex, and
     stay so in perspective. All below the horizon, where neither geometry nor a ground mask tell more."""
-    below = faces_ground(scene.camera)
-    known, seen = _seen(scene)
+    return support_behind(*_seen(scene), hole, scene.camera)
+
+
+def support_behind(known: Mask, seen: Mask, hole: Mask, camera: Camera) -> Mask:
+    """The same, from pixels (H, W) of which something tells what they show, and of these what shows the support."""
+    below = faces_ground(camera)
     seen = _connected(seen & below & ~hole, hole)
     if seen.mean() < ENOUGH:
         return below

@@ -36,7 +36,7 @@ FELL = math.radians(150)
 NEARLY = 0.9
 """Share of a height said that something falls at least: it may end on its side."""
 STIRS, STIRS_BY = 0.03, 0.006
-"""The same for what something is only pushed into, and in any case [m]."""
+"""The same for what is too heavy to be moved so far by what runs into it, and in any case [m]."""
 HOPS = 0.03
 """Share of its size that the active object rises at least when it bounces off the ground on its way."""
 SEEN = 0.25
@@ -135,8 +135,15 @@ def _bumped(conditions: Conditions, m: Meant, layout: SceneLayout) -> list[Readi
     if m.request.outcomes or target == GROUND or layout.scene[target].mobility == "fixed":
         return [(conditions, "")]
     touches = next(k for k, c in enumerate(conditions) if c.type == "contact")
-    moves = p.Displaced(a=target, at_least=max(STIRS * layout.size(target), STIRS_BY), after=touches)
-    return [((*conditions, moves), ""), (conditions, "it may not move what it meets")]
+    little, hardly = (
+        p.Displaced(a=target, at_least=max(share * layout.size(target), STIRS_BY), after=touches)
+        for share in (MOVES_A_LITTLE, STIRS)
+    )
+    return [
+        ((*conditions, little), ""),
+        ((*conditions, hardly), "it may hardly move what it meets"),
+        (conditions, "it may not move what it meets"),
+    ]
 
 
 def _roll(m: Meant, layout: SceneLayout) -> list[Reading]:

@@ -10,6 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from f3sr.backends.protocols import GeneratedAsset, PromptedImage
+from f3sr.background import BackgroundConfig, complete_background, widened
+from f3sr.background.support import support_behind
+from f3sr.core.camera import Camera
 from f3sr.core.transforms import Array, pose
 from f3sr.lifting.choice import Choice, carries, choose
 from f3sr.lifting.outlined import Outlined
@@ -60,8 +63,17 @@ class LiftedAssets:
             found = choose(instance, seen, carrier, distance=float(np.median(far)), loaded=loaded)
             self.choices[instance.id] = found
             shown[instance.id] = SeenSolid.of(found.best.solid, whole, camera)
-        light = light_of(list(shown.values()), image.photo.rgb, image.ground_mask, camera)
+        light = light_of(list(shown.values()), image.photo.rgb, _background(image, camera), camera)
         return {i.id: _asset(i, self.choices[i.id], shown[i.id], image.photo, light) for i in image.instances}
+
+
+def _background(image: PromptedImage, camera: Camera) -> NDArray[np.uint8]:
+    """The photo (H, W, 3) behind the objects and their shadows."""
+    masks = [i.mask for i in image.instances]
+    hole = widened(masks, BackgroundConfig().margin)
+    known = np.full(hole.shape, image.ground_mask is not None)
+    seen = known if image.ground_mask is None else image.ground_mask
+    return complete_background(image.photo, masks, support=support_behind(known, seen, hole, camera)).rgb
 
 
 def _asset(instance: Instance, found: Choice, shown: SeenSolid, photo: Photo, light: PhotoLight) -> GeneratedAsset:

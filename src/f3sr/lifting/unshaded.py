@@ -18,14 +18,13 @@ from f3sr.core.srgb import srgb
 from f3sr.core.transforms import UP, Array
 from f3sr.lifting.solids import Solid
 from f3sr.rendering.config import LightConfig
-from f3sr.rendering.evidence import Evidence, Samples, ground_points
+from f3sr.rendering.evidence import REACH, Evidence, Samples, of_shaded_ground
 from f3sr.rendering.light import DIRECT, disc, even_sky
 from f3sr.rendering.light_fit import find_light
 from f3sr.rendering.shadow_maps import MARGIN, Caster, Maps
 from f3sr.rendering.textures import LINEAR
 from f3sr.vision import rasterizer
-from f3sr.vision.regions import grown, nearest_in, shrunk
-from f3sr.vision.silhouette import union_of
+from f3sr.vision.regions import nearest_in, shrunk
 
 BORDER = 3
 """Pixels from a mask's border that are left out: colours mix there, and the solid's normals are least sure."""
@@ -36,8 +35,6 @@ SKY = 64
 """Lights that stand for the sky: between few, shadows show as steps in colours."""
 MAP_SIDE = 192
 """Side of a light's shadow map [texel]."""
-REACH = 1.5
-"""How far from the middle of the solids ground is looked at, in their radius."""
 DARKEST = 0.3
 """Least share of the open ground's light by which a colour is divided: darker places hold little but noise and light
 that other things throw."""
@@ -171,11 +168,10 @@ class PhotoLight:
 
 
 def light_of(
-    shown: Sequence[SeenSolid], rgb: NDArray[np.uint8], ground: NDArray[np.bool_] | None, camera: Camera
+    shown: Sequence[SeenSolid], rgb: NDArray[np.uint8], background: NDArray[np.uint8], camera: Camera
 ) -> PhotoLight:
-    """The light that explains best how colours of the photo (H, W, 3) change over solids, as if each had one colour.
-
-    The ``ground`` (H, W) between them counts with the shadows that they cast on it.
+    """The light that explains best how colours of the photo (H, W, 3) change over solids, as if each had one colour,
+    and how dark their shadows are on the ground, beside the completed ``background`` (H, W, 3).
 
     Print and stains are outliers of the fit, and its misfits are relative to each solid's own. See
     ``rendering.light_fit``."""
@@ -184,7 +180,17 @@ def light_of(
     radius = max(float(np.linalg.norm(np.ptp(corners, axis=0))) / 2, 1e-3)
     step = max(1, sum(int(s.own.sum()) for s in shown) // LIGHT.samples)
     parts = [s.samples(k, rgb, step) for k, s in enumerate(shown)]
-    parts.append(_ground_samples(shown, rgb, ground, camera, middle, REACH * radius))
+    parts.append(
+        of_shaded_ground(
+            rgb,
+            background,
+            [s.mask for s in shown],
+            camera=camera,
+            middle=middle,
+            reach=REACH * radius,
+            samples=LIGHT.samples,
+        )
+    )
     evidence = Evidence.of(parts)
     casters = [
         Caster(rasterizer.fixed(s.solid.vertices, np.float64), rasterizer.fixed(s.solid.faces, np.int32), closed=True)
@@ -217,22 +223,3 @@ def light_of_its_own(normals: Array, colours: Array, facing: Array) -> Array:
         weighted = basis * weight[:, None]
         fitted = basis @ np.linalg.solve(weighted.T @ basis + prior + 1e-9 * np.eye(9), weighted.T @ bright)
     return np.exp(np.clip(fitted - fitted.mean(), math.log(DARKEST), -math.log(DARKEST)))
-
-
-def _ground_samples(
-    shown: Sequence[SeenSolid],
-    rgb: NDArray[np.uint8],
-    ground: NDArray[np.bool_] | None,
-    camera: Camera,
-    middle: Array,
-    reach: float,
-) -> Samples:
-    """Some of the ground's colours within ``reach`` [m] of the ``middle`` (3,), as if it were white."""
-    seen = np.ones(rgb.shape[:2], np.bool_) if ground is None else ground
-    pixels = np.argwhere(seen & ~grown(union_of((s.mask for s in shown), seen.shape), BORDER))
-    points = ground_points(camera, pixels)
-    near = np.linalg.norm(points[:, :2] - middle[:2], axis=1) < reach  # NaN, above the horizon, is not
-    step = max(1, np.count_nonzero(near) // LIGHT.samples)
-    pixels, points = pixels[near][::step], points[near][::step]
-    whole = np.ones((len(pixels), 3))
-    return np.full(len(pixels), len(shown)), whole, LINEAR[rgb[tuple(pixels.T)]], points, whole * UP

@@ -92,7 +92,12 @@ def evidence_of(
     inner = {k: pixels for k, patch in enumerate(patches) if len(pixels := patch.inner()) >= FEW}
     # Every step-th row and column keeps one in step^2 pixels.
     step = max(1, int((sum(map(len, inner.values())) / samples) ** 0.5))
-    parts = [_of_ground(scene, background, ball, samples)]
+    masks = [o.mask for o in scene.objects]
+    middle, reach = ball[0], REACH * ball[1]
+    shaded = of_shaded_ground(
+        scene.photo.rgb, background, masks, camera=scene.camera, middle=middle, reach=reach, samples=samples
+    )
+    parts = [shaded]
     for k, pixels in inner.items():
         kept = (pixels % step == 0).all(1)
         chosen = pixels[kept] if np.count_nonzero(kept) >= FEW else pixels
@@ -176,15 +181,24 @@ def ground_points(camera: Camera, pixels: NDArray[np.int64]) -> Array:
     return camera.center + far[:, None] * rays
 
 
-def _of_ground(scene: Scene, background: NDArray[np.uint8], ball: tuple[Array, float], samples: int) -> Samples:
-    """Ground that was completed, outside the objects: there alone photo and background differ."""
-    photo = scene.photo.rgb
+def of_shaded_ground(
+    photo: NDArray[np.uint8],
+    background: NDArray[np.uint8],
+    masks: Sequence[Mask],
+    *,
+    camera: Camera,
+    middle: Array,
+    reach: float,
+    samples: int,
+) -> Samples:
+    """At most about ``samples`` of the ground that was completed, outside objects (``masks`` (h, w)): there alone the
+    photo (h, w, 3) and the ``background`` (h, w, 3) differ. Within ``reach`` [m] of the ``middle`` (3,)."""
     changed = np.any(photo != background, axis=2)
-    pixels = np.argwhere(changed & ~grown(union_of([o.mask for o in scene.objects], changed.shape), APART))
-    points = ground_points(scene.camera, pixels)
+    pixels = np.argwhere(changed & ~grown(union_of(masks, changed.shape), APART))
+    points = ground_points(camera, pixels)
     # NaN compares as False: pixels above the horizon drop out here.
-    near = np.linalg.norm(points[:, :2] - ball[0][:2], axis=1) < REACH * ball[1]
+    near = np.linalg.norm(points[:, :2] - middle[:2], axis=1) < reach
     step = max(1, int(np.ceil(np.count_nonzero(near) / samples)))
     pixels, points = pixels[near][::step], points[near][::step]
-    group, up = np.full(len(pixels), len(scene.objects)), np.tile(UP, (len(pixels), 1))
+    group, up = np.full(len(pixels), len(masks)), np.tile(UP, (len(pixels), 1))
     return group, LINEAR[background[tuple(pixels.T)]], LINEAR[photo[tuple(pixels.T)]], points, up
