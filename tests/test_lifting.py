@@ -868,6 +868,20 @@ def test_print_is_no_shading():
     assert np.abs(plain.strength - printed.strength).max() < 0.25
 
 
+def test_a_tapered_side_has_no_steps():
+    """Where a row of cells ends one before the next, the side had a ledge of 26 degrees and more."""
+    cone = revolved(FOOT, np.array([[0, 0], [0.05, 0], [0.03, 0.2], [0, 0.2]]), sectors=64)
+    solid = found(fit_standing(seen(cone), 0.0)).solid
+    corners = solid.vertices[solid.faces]
+    middles, normals = corners.mean(1), np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    side = (middles[:, 2] > 0.02) & (middles[:, 2] < 0.17)
+    out = middles[side] - (solid.vertices.min(0) + solid.vertices.max(0)) / 2
+    out[:, 2] = 0.1 * np.linalg.norm(out[:, :2], axis=1)
+    areas = np.linalg.norm(normals[side], axis=1)
+    cosines = (out * normals[side]).sum(1) / np.maximum(areas * np.linalg.norm(out, axis=1), 1e-12)
+    assert areas[cosines < math.cos(math.radians(20))].sum() < 0.005 * areas.sum()
+
+
 def test_the_same_mask_gives_the_same_mesh():
     first, again = (mesh_of(chosen_for(bowl(FOOT, 0.09, 0.05), "bowl").best.solid) for _ in range(2))
     assert first.vertices.tobytes() == again.vertices.tobytes() and first.faces.tobytes() == again.faces.tobytes()

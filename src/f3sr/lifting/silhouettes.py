@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ from f3sr.vision.regions import depth_inside, grown, interpolated, parts_of, smo
 
 GRID = 72
 """Cells of the longer side of an inflated silhouette."""
+SMOOTHINGS = 20
+"""Passes of Taubin's filter, outwards and inwards in turn."""
 HOLE = 0.02
 """Share of a mask below which a hole in it is a flaw of the mask: the ring of a handle is larger."""
 PART = 0.02
@@ -120,16 +123,28 @@ def inflated_mask(seen: Outlined, normal: Array, through: Array, *, by_rows: boo
     down, right = (np.asarray(g) for g in np.gradient(smoothed(signed, 1.0)))
     slope = np.stack([interpolated(g, grid.reshape(-1, 2)).reshape(x.shape) for g in (right, down)], -1)
     steep = np.maximum(np.linalg.norm(slope, axis=2, keepdims=True), 0.3)
-    rim = inside & grown(~inside, 1)
-    grid = np.where(rim[..., None], grid - np.clip(depth, -step, step)[..., None] * slope / steep**2, grid)
+    to_rim = np.where(inside & grown(~inside, 1), np.clip(depth, -step, step), 0)
+    grid = grid - to_rim[..., None] * slope / steep**2
     sheet = seen.on_plane(grid.reshape(-1, 2), normal, float(normal @ through)).reshape(*grid.shape[:2], 3)
     if not np.isfinite(sheet[inside]).all():
         return None
-    half = _half_widths(inside) * step if by_rows else _half_thickness(np.where(inside, np.maximum(depth, 0), 0), step)
+    if by_rows:
+        half = _half_widths(inside, depth / step, (grid[..., 0] - columns[0]) / step) * step
+    else:
+        half = _half_thickness(np.where(inside, np.maximum(depth, 0), 0), step, depth - to_rim)
     half = np.maximum(half, 0.1 * step) * seen.metres_per_pixel(through)
     offset = half[..., None] * normal
     solid = inflated(sheet + offset, sheet - offset, inside)
-    return solid if len(solid.faces) >= 8 else None
+    return _without_ripples(solid) if len(solid.faces) >= 8 else None
+
+
+def _without_ripples(solid: Solid) -> Solid:
+    """Smoothed without shrinking (Taubin 1995): cells of the grid show as steps where front and back meet."""
+    import trimesh
+
+    mesh = trimesh.Trimesh(solid.vertices, solid.faces, process=False)
+    smooth = trimesh.smoothing.filter_taubin(mesh, iterations=SMOOTHINGS)
+    return replace(solid, vertices=np.asarray(smooth.vertices, float))
 
 
 def _set_down(seen: Outlined, solid: Solid, floor: float) -> Solid | None:
@@ -150,21 +165,31 @@ def _set_down(seen: Outlined, solid: Solid, floor: float) -> Solid | None:
     return Solid(vertices=seen.camera.center + k * (flat.vertices - seen.camera.center), faces=flat.faces)
 
 
-def _half_widths(inside: NDArray[np.bool_]) -> Array:
-    """Half the thickness (h, w) of a body whose every row of a grid is round, in cells."""
+def _half_widths(inside: NDArray[np.bool_], depth: Array, x: Array) -> Array:
+    """Half the thickness (h, w) of a body whose every row of a grid is round, at places ``x`` (h, w) along it.
+
+    A row ends where ``depth``, the distance to the outline, is none: between the cells. All in cells."""
     half = np.zeros(inside.shape)
-    for row, out in zip(inside, half, strict=True):
+    for row, far, place, out in zip(inside, depth, x, half, strict=True):
         ends = np.flatnonzero(np.diff(np.pad(row, 1).astype(np.int8)))
         for a, b in zip(ends[::2], ends[1::2], strict=True):
-            x = np.arange(a, b)
-            out[a:b] = np.sqrt((x - a + 0.5) * (b - 0.5 - x))
-    return np.where(inside, smoothed(half, (1.5, 0.5)), 0)
+            left, right = a - _beyond(far[a], far[a - 1]), b - 1 + _beyond(far[b - 1], far[b])
+            out[a:b] = np.sqrt(np.maximum((place[a:b] - left) * (right - place[a:b]), 0))
+    return half
 
 
-def _half_thickness(depth: Array, step: float) -> Array:
-    """Half the thickness (h, w) of a body with round cross-sections, for distances ``depth`` to its outline."""
+def _beyond(last: float, next: float) -> float:
+    """How far beyond the last cell of a row its outline lies [cells], from the depths there and in the next one."""
+    return float(np.clip(last / max(last - next, 0.3), -1, 1))
+
+
+def _half_thickness(depth: Array, step: float, left: Array) -> Array:
+    """Half the thickness (h, w) of a body with round cross-sections, for distances ``depth`` to its outline.
+
+    ``left`` (h, w) are those that are left after what is near the outline was moved onto it."""
     widest = _local_maximum(depth, step)
-    return np.sqrt(np.maximum(0, depth * (2 * widest - depth)))
+    left = np.maximum(left, 0)
+    return np.sqrt(np.maximum(0, left * (2 * widest - left)))
 
 
 def _local_maximum(depth: Array, step: float) -> Array:

@@ -117,7 +117,8 @@ def revolved(centre: Array, profile: Array, sectors: int = SECTORS) -> Solid:
 def inflated(front: Array, back: Array, inside: NDArray[np.bool_]) -> Solid:
     """Two sheets over a grid, ``front`` and ``back`` (h, w, 3), with a wall along the border of ``inside`` (h, w).
 
-    Cells all of whose corners are inside become surface. Rows go down and columns to the right as the front is seen."""
+    Cells all of whose corners are inside become surface, and half cells between two of them: without, borders would be
+    stairs. Rows go down and columns to the right as the front is seen."""
     cells = _without_pinches(inside[:-1, :-1] & inside[1:, :-1] & inside[:-1, 1:] & inside[1:, 1:])
     padded = np.pad(cells, 1)
     used = padded[:-1, :-1] | padded[:-1, 1:] | padded[1:, :-1] | padded[1:, 1:]
@@ -125,14 +126,31 @@ def inflated(front: Array, back: Array, inside: NDArray[np.bool_]) -> Solid:
     index = np.cumsum(used.ravel()).reshape(used.shape) - 1
     r, c = np.nonzero(cells)
     a, b, d, e = index[r, c], index[r, c + 1], index[r + 1, c], index[r + 1, c + 1]
-    sheet = np.concatenate([np.column_stack([a, d, b]), np.column_stack([b, d, e])])
-    # The border's edges, with the surface on their left: no cell has them the other way.
-    edges = np.concatenate([np.column_stack(pair) for pair in ((a, d), (d, e), (e, b), (b, a))])
+    sheet = np.concatenate([np.column_stack([a, d, b]), np.column_stack([b, d, e]), *_half_cells(inside, cells, index)])
+    # The border's edges, with the surface on their left: no triangle has them the other way.
+    edges = np.concatenate([sheet[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
     forward, reverse = edges @ [n, 1], edges @ [1, n]
     start, end = edges[~np.isin(forward, reverse)].T
     walls = [np.column_stack([start, start + n, end]), np.column_stack([end, start + n, end + n])]
     faces = np.concatenate([sheet, sheet[:, ::-1] + n, *walls])
     return Solid(vertices=np.concatenate([front[used], back[used]]), faces=faces.astype(np.int32))
+
+
+def _half_cells(
+    inside: NDArray[np.bool_], cells: NDArray[np.bool_], index: NDArray[np.int64]
+) -> list[NDArray[np.int64]]:
+    """Triangles (n, 3) of cells with one corner outside, for each of the four, both of whose legs are sides of whole
+    cells."""
+    whole = np.pad(cells, 1)
+    corners = {(0, 0): inside[:-1, :-1], (1, 0): inside[1:, :-1], (1, 1): inside[1:, 1:], (0, 1): inside[:-1, 1:]}
+    found = list[NDArray[np.int64]]()
+    for down, right in corners:  # the one outside; legs meet in the opposite one
+        three = np.all([there for at, there in corners.items() if at != (down, right)], axis=0)
+        beside = whole[2:, 1:-1] if down == 0 else whole[:-2, 1:-1]
+        across = whole[1:-1, 2:] if right == 0 else whole[1:-1, :-2]
+        r, c = np.nonzero(three & ~cells & beside & across)
+        found.append(np.column_stack([index[r + i, c + j] for i, j in corners if (i, j) != (down, right)]))
+    return found
 
 
 def _without_pinches(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
