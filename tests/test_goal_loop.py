@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from f3sr.core.transforms import Array, pose
+from f3sr.core.mesh import ConvexPart
+from f3sr.core.transforms import Array, pose, transform
 from f3sr.errors import InputError, OutputError
 from f3sr.goals.checks import PlanError, faults_of
 from f3sr.goals.language_protocol import Launch, Planned, Tried
@@ -419,6 +420,30 @@ def test_what_is_not_met_is_said_with_the_best_that_was_found(package: Package) 
 def test_assumptions_are_said_and_only_then(package: Package) -> None:
     assert any("direction" in a for a in played(package, "knock over the cereal box").plan.phases[0].task.assumptions)
     assert not played(package, "push the cereal box 10 cm to the left").plan.phases[0].task.assumptions
+
+
+def test_of_ways_to_fall_one_is_taken_that_the_photo_shows(tmp_path: Path) -> None:
+    """Beside the border, before a wall: the first way ends with half of the carton outside."""
+    scene = goal_scene()
+    wall = box(1, size=(0.05, 0.3, 0.25), label="wall")
+    wall = replace(wall, T_world_object=pose(t=(0.26, 0, 0.125)), parts=(ConvexPart.hull_of(wall.mesh.vertices),))
+    carton = replace(scene[CARTON], T_world_object=pose(t=(0.38, 0, 0.1)))
+    beside = goal_package(tmp_path / "package", replace(scene, objects=(carton, replace(wall, mobility="fixed"))))
+    layout, found = SceneLayout(beside.scene), played(beside, "knock over the cereal box")
+    fallen = found.rollout.poses(CARTON)[-1] @ np.linalg.inv(carton.T_world_object)
+    seen = layout.in_view(CARTON, transform(fallen, layout.corners(CARTON)))
+    assert found.verdict.met and seen >= layout.in_view(CARTON, layout.corners(CARTON)) > 0.7
+
+
+def test_what_lies_is_not_offered_to_be_knocked_over() -> None:
+    scene = goal_scene()
+    for side, size, offered in (("can", (0.066, 0.1, 0.066), False), ("box on edge", (0.3, 0.06, 0.2), True)):
+        thing = box(CARTON, size=size, label=side)
+        parts = (ConvexPart.hull_of(thing.mesh.vertices),)
+        (entry,) = menu(
+            replace(scene, objects=(replace(thing, T_world_object=pose(t=(0, 0, size[2] / 2)), parts=parts),))
+        )
+        assert ("knock over" in entry.verbs) is offered, side
 
 
 def test_the_menu_names_every_object_and_what_it_can_do(package: Package) -> None:

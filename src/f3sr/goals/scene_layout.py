@@ -19,6 +19,8 @@ from f3sr.vision.rasterizer import render
 ROUND = 0.24
 """Share by which the radii of what rolls differ at most: an octagon's differ by .08, a square's by .3."""
 
+LONG = 1.5
+"""How much longer than high, and higher than deep, things are that lie and that stand on an edge."""
 VIEW = 256
 """Longer side of the picture in which objects hide others [px]: places of things that fall are no nearer."""
 
@@ -142,6 +144,19 @@ class SceneLayout:
     def is_ball(self, id: int) -> bool:
         """Whether it rolls whichever way."""
         return all(self.rolls(id, np.array([np.cos(a), np.sin(a), 0.0])) for a in np.linspace(0, np.pi, 4, False))
+
+    def lies(self, id: int) -> bool:
+        """Whether it is long, and its long axis nearly level: a bottle on its side. A box on a long side is no such
+        thing, for it is higher than deep."""
+        flat = self.hull(id)
+        sides = np.diff(flat, axis=0, append=flat[:1])
+        along = sides[np.linalg.norm(sides, axis=1) > 0]
+        axes = along / np.linalg.norm(along, axis=1)[:, None]
+        widths = np.array([np.ptp(flat @ [-y, x]) for x, y in axes])
+        narrow = float(widths.min())
+        x, y = axes[int(widths.argmin())]
+        height = float(np.ptp(self.span(id)[:, 2]))
+        return float(np.ptp(flat @ [x, y])) > LONG * height and height < LONG * narrow
 
     def can_roll(self, id: int) -> bool:
         """Whether it rolls some way, as balls, fruit and what lies on a round side."""

@@ -45,7 +45,7 @@ def _verbs(id: int, layout: SceneLayout) -> tuple[str, ...]:
     around = [np.array([np.cos(a), np.sin(a), 0.0]) for a in np.linspace(0, np.pi, 8, endpoint=False)]
     possible = {
         "push": can_be_pushed(id, layout),
-        "knock over": not layout.is_ball(id) and float(sides[2]) > FLAT * float(sides[:2].min()),
+        "knock over": not layout.is_ball(id) and not layout.lies(id) and sides[2] > FLAT * sides[:2].min(),
         "roll": any(layout.rolls(id, u) for u in around),
         "push off": scene[id].supported_by not in (None, -1),
         "drop": not scene.children(id),

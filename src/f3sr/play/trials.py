@@ -35,8 +35,9 @@ RUNAWAY, WHIRL = 2.0, 400.0
 """Times the limit of speeds, and turning [rad/s], from which on something was thrown by a contact: the trial ends."""
 SURE = 0.03
 """Relative margin from which on a plan that meets its conditions is not bettered."""
-IN_FRAME = 0.5
-"""Share of the active object that the photo is to show when the goal is met, and at the end."""
+IN_SIGHT = 0.9
+"""Share of the active object that the photo is to show when the goal is met, and at the end: what fell over may have an
+end behind another."""
 OVERLAP = 1e-3
 """Deepest overlap with which something may start elsewhere [m]."""
 REST, DRIFT = 0.25, 5e-4
@@ -184,16 +185,23 @@ def sure(tried: Tried) -> bool:
 
 
 def in_sight(tried: Tried, layout: SceneLayout, task: TaskSpec) -> bool:
-    """Whether the photo would show the active object when the goal is met, and at the end.
+    """Whether the photo would show nearly all of the active object when the goal is met, and at the end."""
+    return _sight(tried, layout, task) == 1.0
+
+
+def _sight(tried: Tried, layout: SceneLayout, task: TaskSpec) -> float:
+    """How much of it the photo would show, in tenths of what it is to show: no more than at the start.
 
     At the end others may hide it where it is to be inside one."""
     times = [c.time for c in tried.verdict.conditions if c.time is not None]
     time = max(times, default=float(tried.rollout.time[-1]))
     sample = int(np.argmin(np.abs(tried.rollout.time - time)))
-    met, end = (_moved(tried, layout, task.active, k) for k in (sample, -1))
-    if layout.scene.camera.share_in_frame(met) < IN_FRAME:
-        return False
-    return any(c.type == "inside" for c in task.conditions) or layout.in_view(task.active, end) >= IN_FRAME
+    start, met, end = (_moved(tried, layout, task.active, k) for k in (0, sample, -1))
+    share = layout.scene.camera.share_in_frame(met)
+    if not any(c.type == "inside" for c in task.conditions):
+        share = min(share, layout.in_view(task.active, end))
+    wanted = min(layout.in_view(task.active, start), IN_SIGHT)
+    return 1.0 if share >= wanted else round(share / wanted, 1)
 
 
 def _moved(tried: Tried, layout: SceneLayout, id: int, sample: int) -> Array:
@@ -202,12 +210,12 @@ def _moved(tried: Tried, layout: SceneLayout, id: int, sample: int) -> Array:
     return transform(tried.rollout.poses(id)[sample] @ np.linalg.inv(start), layout.corners(id))
 
 
-def rating(tried: Tried, layout: SceneLayout, task: TaskSpec) -> tuple[bool, int, bool, bool, float]:
-    """Better is more: met, fewer side effects, in sight, sure, with more margin."""
+def rating(tried: Tried, layout: SceneLayout, task: TaskSpec) -> tuple[bool, int, float, bool, float]:
+    """Better is more: met, fewer side effects, more in sight, sure, with more margin."""
     return (
         tried.verdict.met,
         -len(tried.verdict.side_effects),
-        in_sight(tried, layout, task),
+        _sight(tried, layout, task),
         sure(tried),
         min(tried.verdict.margin, 10 * SURE),
     )
