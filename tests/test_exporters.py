@@ -185,7 +185,10 @@ def test_all_formats_have_one_ground_around_their_objects(tmp_path: Path, far: f
     model = mujoco.MjModel.from_xml_path(str(out / "mjcf/scene.xml"))
     middle, sides = model.geom("ground").pos, 2 * model.geom("ground").size
     sdf = ET.parse(out / "sdf/scene.sdf").find("world/model[@name='ground']/link/collision")
-    urdf = ET.parse(out / "urdf/ground.urdf").find("link/collision")
+    robot = ET.parse(out / "urdf/ground.urdf")
+    urdf, joint = robot.find("link[@name='ground']/collision"), robot.find("joint[@type='fixed']")
+    ends = [] if joint is None else [e.get("link") for e in joint if e.tag in ("parent", "child")]
+    assert ends == ["world", "ground"], "a free ground falls with all that stands on it"
     origin, shape = (None, None) if urdf is None else (urdf.find("origin"), urdf.find("geometry/box"))
     assert sdf is not None and origin is not None and shape is not None
     assert floats(sdf.findtext("pose", ""))[:3] == floats(origin.get("xyz", "")) == pytest.approx(list(middle))
