@@ -208,7 +208,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Package:
 FAULTS = {
     "": ("passed", ""),
     "print('boom', file=sys.stderr); sys.exit(3)": ("no answer", "exit code 3; its last words: boom"),
-    "os.kill(os.getpid(), 11)": ("no answer", "exit code -11"),
+    "os.kill(os.getpid(), 11)": ("no answer", "it was killed by SIGSEGV"),
     "sys.exit(0)": ("no answer", "answer.json"),
     "answer['samples'][0] = {}": ("no answer", "a sample without"),
     "answer['samples'] = answer['samples'][:-1]": ("no answer", "3 samples, not 4"),

@@ -155,6 +155,11 @@ def test_a_grasp_is_as_wide_as_what_is_between_its_pads(package: Package) -> Non
             assert np.allclose(hand.reshape(3, 3)[:, 2], -UP, atol=1e-9)
 
 
+def test_a_grasp_of_what_the_scene_has_not_names_its_objects(package: Package) -> None:
+    with pytest.raises(InputError, match="grasp: found object 99; accepted: one of 0, 1"):
+        next(pick(package.scene, 99, GripperConfig(), rate=RATE))
+
+
 def test_pictures_show_the_gripper_and_are_the_photo_without(package: Package) -> None:
     env = env_of(package, observation="both", render_mode="rgb_array")
     seen, _ = env.reset(seed=0)
