@@ -78,7 +78,7 @@ def test_every_job_ends_with_its_result_or_its_reason(tmp_path: Path) -> None:
     found = records(tmp_path / "out")
     assert [r.status for r in found.values()] == ["done"] * 4 + ["failed"] * 3 + ["done"]
     assert found["x10"].attempts == 1 and "found fail = bad" in found["x10"].reason
-    assert found["x11"].attempts == 2 and found["x11"].reason.startswith("killed by SIGABRT")
+    assert found["x11"].attempts == 2 and found["x11"].reason.startswith("was killed by SIGABRT")
     assert "unforeseen KeyError" in found["x12"].reason
     assert found["x13"].attempts == 2 and found["x13"].package is not None
     counts = Counter(e.state for e in events)

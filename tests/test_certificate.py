@@ -208,7 +208,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Package:
 FAULTS = {
     "": ("passed", ""),
     "print('boom', file=sys.stderr); sys.exit(3)": ("no answer", "exit code 3; its last words: boom"),
-    "os.kill(os.getpid(), 11)": ("no answer", "exit code -11"),
+    "os.kill(os.getpid(), 11)": ("no answer", "it was killed by SIGSEGV"),
     "sys.exit(0)": ("no answer", "answer.json"),
     "answer['samples'][0] = {}": ("no answer", "a sample without"),
     "answer['samples'] = answer['samples'][:-1]": ("no answer", "3 samples, not 4"),
@@ -279,6 +279,21 @@ def test_mujoco_releases_a_package_and_the_page_has_every_row(stack: Package, tm
     for o in stack.scene:
         assert f"<bdi>{o.id} {o.label}</bdi>" in page
     assert all(name in page for name in MEANINGS) and "MuJoCo" in page and "<script src" not in page
+
+
+def test_a_client_named_twice_is_asked_once_and_the_page_lists_those_not_asked(stack: Package, tmp_path: Path) -> None:
+    made = certify(stack, tmp_path / "out", clients=["mujoco", "mujoco"], config=SHORT)
+    assert [row.client.name for row in made.engines] == ["mujoco"]
+    silent = (tmp_path / "out" / PAGE).read_text().partition('id="silent"')[2].partition("</section>")[0]
+    assert silent.count("not asked") == len(CLIENTS) - 1 and "pip install drake" in silent
+
+
+def test_a_validator_without_its_program_says_which_one(stack: Package, tmp_path: Path) -> None:
+    pytest.importorskip("pxr")
+    if Path(sys.executable).with_name("simready-validate").exists():
+        pytest.skip("simready-validate is installed")
+    (row,) = certify(stack, tmp_path / "out", clients=["simready"], config=SHORT).validators
+    assert (row.state, row.reason) == ("not installed", "No program simready-validate beside its Python")
 
 
 def test_labels_of_attackers_are_text(package: Package, tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import re
 import warnings
 from pathlib import Path
@@ -153,6 +155,11 @@ def test_a_grasp_is_as_wide_as_what_is_between_its_pads(package: Package) -> Non
             assert np.allclose(hand.reshape(3, 3)[:, 2], -UP, atol=1e-9)
 
 
+def test_a_grasp_of_what_the_scene_has_not_names_its_objects(package: Package) -> None:
+    with pytest.raises(InputError, match="grasp: found object 99; accepted: one of 0, 1"):
+        next(pick(package.scene, 99, GripperConfig(), rate=RATE))
+
+
 def test_pictures_show_the_gripper_and_are_the_photo_without(package: Package) -> None:
     env = env_of(package, observation="both", render_mode="rgb_array")
     seen, _ = env.reset(seed=0)
@@ -172,13 +179,42 @@ def test_light_and_camera_differ_from_reset_to_reset(package: Package) -> None:
 
 
 @pytest.mark.parametrize(
-    "action", [np.full(7, np.nan), np.full(7, np.inf), np.zeros(6), np.zeros((7, 1)), np.array(["a"] * 7)], ids=str
+    "action",
+    [np.full(7, np.nan), np.full(7, np.inf), np.zeros(6), np.zeros((7, 1)), np.array(["a"] * 7), "up", None],
+    ids=str,
 )
 def test_actions_of_another_kind_are_refused(package: Package, action: Any) -> None:
     env = env_of(package)
     env.reset(seed=0)
-    with pytest.raises((InputError, ValueError)):
+    with pytest.raises(InputError, match=r"action: found .*; accepted: finite values of shape \(7,\)"):
         env.step(action)
+
+
+def test_an_episode_has_a_start_and_an_end(package: Package) -> None:
+    env = env_of(package, seconds=0.1)
+    still = np.zeros(7)
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(still)
+    env.reset(seed=0)
+    assert [env.step(still)[3] for _ in range(2)] == [False, True]
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(still)
+    env.reset(seed=0)
+    assert not env.step(still)[3]
+
+
+@pytest.mark.parametrize("options", [3, {"scnee": 0}, {"scene": 0.0}, {"scene": True}], ids=str)
+def test_options_of_a_reset_are_checked(package: Package, options: Any) -> None:
+    with pytest.raises(InputError, match="options"):
+        env_of(package).reset(options=options)
+
+
+def test_a_copy_is_an_environment_of_its_own(package: Package) -> None:
+    env = env_of(package, "push the can 10 cm to the left", control="pose", seconds=1)
+    for copied in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
+        own, other = (each.reset(seed=4)[0]["poses"] for each in (env, copied))
+        assert np.array_equal(own, other) and copied.playable is not env.playable
+        assert (copied.goal, copied.action_space) == (env.goal, env.action_space)
 
 
 @pytest.mark.parametrize("scale", [1e3, 1e300])
@@ -200,6 +236,15 @@ def test_large_actions_are_limited(package: Package, scale: float) -> None:
         ({"seconds": float("nan")}, "seconds"),
         ({"render_mode": "human"}, "render_mode"),
         ({"control": "pose", "gripper": False}, "control"),
+        ({"control": "torque"}, "control: found 'torque'; accepted: 'velocity', 'pose'"),
+        ({"observation": "rgb"}, "observation: found 'rgb'; accepted: 'state', 'pictures', 'both'"),
+        ({"reward": "dense"}, "reward: found 'dense'; accepted: 'success', 'margin'"),
+        ({"goal": 3}, "goal: found 3"),
+        ({"gripper": {"opening": 0.1}}, "gripper: found .*GripperConfig"),
+        ({"randomization": {"mass": 0.3}}, "randomization: found .*Randomization"),
+        ({"seconds": "ten"}, "seconds: found 'ten'"),
+        ({"longest": 0}, "longest: found 0; accepted: 16 to 4096"),
+        ({"longest": 64.5}, "longest: found 64.5"),
         ({"samples": "/nowhere"}, "no package"),
     ],
 )

@@ -175,6 +175,16 @@ def test_the_package_and_its_export_are_one_model(package: Package, exported: Pa
         assert np.array_equal(getattr(ours, name), getattr(theirs, name)), name
 
 
+def test_the_lamp_leaves_no_specks_on_the_ground(exported: Path) -> None:
+    """MuJoCo's shadow map has its axes along x and across it. It moves depths by 1.5 texels of the steeper slope. Where
+    a lamp leans along both axes, neighbours differ by the sum of two slopes, and level ground shades itself."""
+    light = mujoco.MjModel.from_xml_path(str(exported / "mjcf/scene.xml")).light("lamp")
+    slopes = np.abs(light.dir[:2] / light.dir[2])
+    assert slopes.max() > 0.2 and slopes.sum() < 1.5 * slopes.max() - 0.1
+    sdf = ET.parse(exported / "sdf/scene.sdf").findtext("world/light/direction", "")
+    assert np.allclose(floats(sdf) / np.linalg.norm(floats(sdf)), light.dir, atol=1e-6)
+
+
 @pytest.mark.parametrize("far", [0.0, 30.0])
 def test_all_formats_have_one_ground_around_their_objects(tmp_path: Path, far: float) -> None:
     """Also of objects far from the origin and from each other."""
@@ -185,7 +195,10 @@ def test_all_formats_have_one_ground_around_their_objects(tmp_path: Path, far: f
     model = mujoco.MjModel.from_xml_path(str(out / "mjcf/scene.xml"))
     middle, sides = model.geom("ground").pos, 2 * model.geom("ground").size
     sdf = ET.parse(out / "sdf/scene.sdf").find("world/model[@name='ground']/link/collision")
-    urdf = ET.parse(out / "urdf/ground.urdf").find("link/collision")
+    robot = ET.parse(out / "urdf/ground.urdf")
+    urdf, joint = robot.find("link[@name='ground']/collision"), robot.find("joint[@type='fixed']")
+    ends = [] if joint is None else [e.get("link") for e in joint if e.tag in ("parent", "child")]
+    assert ends == ["world", "ground"], "a free ground falls with all that stands on it"
     origin, shape = (None, None) if urdf is None else (urdf.find("origin"), urdf.find("geometry/box"))
     assert sdf is not None and origin is not None and shape is not None
     assert floats(sdf.findtext("pose", ""))[:3] == floats(origin.get("xyz", "")) == pytest.approx(list(middle))

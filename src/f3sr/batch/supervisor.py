@@ -19,6 +19,7 @@ from f3sr.batch.job import Job
 from f3sr.batch.job_process import JobRequest
 from f3sr.dataset.record import Failure
 from f3sr.errors import F3srError, one_line
+from f3sr.runtime.process_end import how_it_ended
 from f3sr.runtime.subprocesses import started
 
 POLL_S = 0.1
@@ -122,8 +123,7 @@ class Worker:
         code = process.wait()
         words = self.words()
         self.close()
-        how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-        return f"the worker {how}" + (f": {words}" if words else "")
+        return f"the worker {how_it_ended(code)}" + (f": {words}" if words else "")
 
     def words(self) -> str:
         """The last line that the worker or a job wrote to stderr."""
@@ -195,10 +195,8 @@ class _Attempt:
     def _ended(self, reply: dict[str, Any]) -> Answer:
         self.pid = 0
         if self.result is None and not self.failure:
-            code = reply["code"]
-            how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
             words = self.worker.words()
-            self.failure, self.reason = "crash", how + (f": {words}" if words else "")
+            self.failure, self.reason = "crash", how_it_ended(reply["code"]) + (f": {words}" if words else "")
         return Answer(
             failure=self.failure,
             reason=self.reason,

@@ -8,6 +8,7 @@ import numpy as np
 
 import f3sr
 from f3sr.certificate.certificate_document import Certificate
+from f3sr.certificate.clients_table import CLIENTS
 from f3sr.report_page.formatting import counted, length, listed, number
 from f3sr.web.document import WEB, document
 
@@ -22,9 +23,12 @@ MEANINGS = {
 
 
 def certificate_page(certificate: Certificate) -> bytes:
-    """The page of a certificate: every engine with every object, every validator, and what was not installed."""
+    """The page of a certificate: every engine with every object, every validator, and who was not asked or gave no
+    answer."""
     asked = [row for row in certificate.engines if row.objects]
-    silent = [row for row in (*certificate.engines, *certificate.validators) if row.reason]
+    rows = (*certificate.engines, *certificate.validators)
+    silent = [row for row in rows if row.reason]
+    names = {row.client.name for row in rows}
     return document(
         HERE / "templates" / "certificate.html",
         {
@@ -33,6 +37,7 @@ def certificate_page(certificate: Certificate) -> bytes:
             "engines": asked,
             "validators": [row for row in certificate.validators if not row.reason],
             "silent": silent,
+            "unasked": [client for client in CLIENTS.values() if client.name not in names],
             "meanings": MEANINGS,
             "degrees": _degrees,
             "counted": counted,

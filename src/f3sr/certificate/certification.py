@@ -98,7 +98,7 @@ def _certificate(
     deadline: float,
     progress: Progress,
 ) -> Certificate:
-    asked = list(clients) or list(CLIENTS)
+    asked = list(dict.fromkeys(clients)) or list(CLIENTS)
     released = _released(package)
     with tempfile.TemporaryDirectory(prefix="f3sr-certify-") as folder:
         files, lacking = _files(package, Path(folder) / "exports", [CLIENTS[name] for name in asked], progress)

@@ -19,8 +19,8 @@ def export(
 
     Args:
         package: What ``f3sr reconstruct`` wrote.
-        format: Formats, comma separated without spaces: mjcf, sdf, urdf, glb, and usd with the extra ``usd``.
-            ``f3sr doctor`` lists those of other packages too.
+        format: Formats, comma separated without spaces: mjcf, robosuite, sdf, urdf, glb, and usd with the extra
+            ``usd``. ``f3sr doctor`` lists those of other packages too.
         out: A new folder for them: it gets a folder per format, and export.json. Without it, PACKAGE_export.
         overwrite: Also replace an older export.
         json: Print one JSON object instead of text.

@@ -5,20 +5,29 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from f3sr.core.transforms import Array
 from f3sr.env.controllers import Controller, GripperControl, ObjectControl
+from f3sr.env.environment_arguments import (
+    Control,
+    Observed,
+    Reward,
+    require_action,
+    require_arguments,
+    require_scene,
+)
 from f3sr.env.episode_pictures import EpisodePictures
 from f3sr.env.goal_progress import GoalProgress, task_of
 from f3sr.env.gripper import GripperConfig
 from f3sr.env.resets import Randomization, ResetDraw, bank_of, draw
-from f3sr.errors import InputError
 from f3sr.files.bounds import FARTHEST
 from f3sr.physics.mujoco_model import DEFAULT_PHYSICS, build_spec, engine
 from f3sr.physics.mujoco_scene import MujocoScene
@@ -65,7 +74,7 @@ class StagedScene:
         mujoco.mj_forward(model, data)
 
 
-class SceneEnv(gymnasium.Env[Observation, NDArray[Any]]):
+class SceneEnv(gymnasium.Env[Observation, NDArray[Any]], EzPickle):
     """Objects of a package at rest, a gripper above them, and a goal.
 
     ``observation``: "state" gives ``poses`` (N, 7), position [m] and quaternion (w, x, y, z), ``velocities`` (N, 6)
@@ -74,7 +83,8 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]]):
     ``gripper``, actions are velocities of the goal's object. ``reward`` is 1 where the goal is met ("success"), or
     grows with the least margin of its conditions ("margin"). An episode ends there, and is truncated after ``seconds``.
 
-    Equal seeds give equal episodes, to the bit. Raises InputError for a bad package, goal or size.
+    Equal seeds give equal episodes, to the bit. A copy, or what was pickled, is made anew from the package's folder and
+    begins with a reset. Raises InputError for a bad package or argument.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": RATE}  # noqa: RUF012 - Gymnasium's own
@@ -85,21 +95,26 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]]):
         goal: str = "",
         *,
         gripper: bool | GripperConfig = True,
-        control: Literal["velocity", "pose"] = "velocity",
-        observation: Literal["state", "pictures", "both"] = "state",
-        reward: Literal["success", "margin"] = "success",
+        control: Control = "velocity",
+        observation: Observed = "state",
+        reward: Reward = "success",
         seconds: float = 10.0,
         samples: str | Path | None = None,
         randomization: Randomization | None = None,
         longest: int = 320,
         render_mode: str | None = None,
     ) -> None:
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise InputError("render_mode", found=repr(render_mode), accepted="None or 'rgb_array'")
-        if not 0 < seconds <= LONGEST_EPISODE:
-            raise InputError("seconds", found=f"{seconds:g}", accepted=f"more than 0, at most {LONGEST_EPISODE}")
-        if control == "pose" and not gripper:
-            raise InputError("control", found="'pose' without a gripper", accepted="'velocity'")
+        require_arguments(
+            goal=goal,
+            gripper=gripper,
+            control=control,
+            observation=observation,
+            reward=reward,
+            seconds=seconds,
+            randomization=randomization,
+            longest=longest,
+            render_mode=render_mode,
+        )
         self.package = package if isinstance(package, Package) else read_package(Path(package))
         self.render_mode, self.goal = render_mode, goal
         self.task = task_of(self.package.scene, goal) if goal else None
@@ -114,9 +129,23 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]]):
         self._pictures = EpisodePictures(self.package, longest, config)
         self.action_space: spaces.Space[Any] = self._stage.controller.space
         self.observation_space: spaces.Space[Any] = spaces.Dict(self._spaces())
-        self._taken = 0
+        self._taken = self._steps  # no episode goes on before the first reset
         self._progress = self._progress_of(self._stage)
         self._potential = 0.0
+        EzPickle.__init__(
+            self,
+            self.package.folder.absolute(),
+            goal,
+            gripper=gripper,
+            control=control,
+            observation=observation,
+            reward=reward,
+            seconds=seconds,
+            samples=samples,
+            randomization=randomization,
+            longest=longest,
+            render_mode=render_mode,
+        )
 
     @property
     def scene(self) -> Scene:
@@ -139,9 +168,7 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]]):
         """Draw a scene of the bank and materials. ``options`` may name the ``scene``, an index of the bank."""
         super().reset(seed=seed)
         drawn = draw(self.np_random, len(self._stages), len(self.package.scene.objects), self._randomization)
-        index = (options or {}).get("scene", drawn.scene)
-        if not (isinstance(index, int) and 0 <= index < len(self._stages)):
-            raise InputError("options", found=f"scene {index!r}", accepted=f"0 to {len(self._stages) - 1}")
+        index = require_scene(options, drawn.scene, len(self._stages))
         self._stage, self._taken = self._stages[index], 0
         self._stage.start(drawn)
         if self.pictures_wanted:
@@ -152,12 +179,11 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]]):
         return self._observation(), {"scene": index, "goal": self.goal}
 
     def step(self, action: NDArray[Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Act for 50 ms. Raises InputError for an action of another shape or that is not finite."""
-        commanded = np.asarray(action, np.float64)
-        if commanded.shape != self.action_space.shape or not np.isfinite(commanded).all():
-            raise InputError(
-                "action", found=f"{action!r}", accepted=f"finite values of shape {self.action_space.shape}"
-            )
+        """Act for 50 ms. Raises InputError for an action of another shape or that is not finite, and Gymnasium's
+        ResetNeeded before the first reset and after the end of an episode's time."""
+        commanded = require_action(action, self.action_space.shape)
+        if self._taken >= self._steps:
+            raise ResetNeeded("no episode goes on: reset() begins the next one")
         mujoco, play, controller = engine(), self.playable, self.controller
         model, data = play.model, play.data
         dt = SAMPLE * model.opt.timestep
@@ -229,10 +255,6 @@ class SceneEnv(gymnasium.Env[Observation, NDArray[Any]]):
         if self._observed != "state":
             found["picture"] = self.picture()
         return found
-
-
-LONGEST_EPISODE = 600
-"""[s]"""
 
 
 def _staged(scene: Scene, config: GripperConfig | None, control: str, active: int | None) -> StagedScene:

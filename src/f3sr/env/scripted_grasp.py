@@ -51,7 +51,9 @@ def grasp_of(scene: Scene, id: int, config: GripperConfig) -> Grasp | None:
 
     At the height of the pads the object is at most ``FITS`` of the opening wide, and the band that each open finger
     goes down is free of other objects. What the pads touch first faces them: they would slide off a slope. Surfaces are
-    looked at as points, ``SPACING`` apart."""
+    looked at as points, ``SPACING`` apart. Raises InputError for an unknown id."""
+    if id not in (known := [o.id for o in scene]):
+        raise InputError("grasp", found=f"object {id}", accepted=f"one of {', '.join(map(str, known))}")
     o = scene[id]
     own, normals = _surface(o)
     others = np.concatenate([np.zeros((0, 3)), *(_surface(other)[0] for other in scene if other.id != id)])
@@ -126,7 +128,7 @@ def pick(
     scene: Scene, id: int, config: GripperConfig, *, rate: int, lift: float = 0.1, hold: float = 1.0
 ) -> Iterator[Array]:
     """Actions (8,) of an environment with ``control="pose"``, ``rate`` a second: over the object, down, close, up by
-    ``lift`` [m], and hold for ``hold`` [s]. Raises InputError where no grasp fits."""
+    ``lift`` [m], and hold for ``hold`` [s]. Raises InputError for an unknown id and where no grasp fits."""
     grasp = grasp_of(scene, id, config)
     if grasp is None:
         raise InputError("grasp", found=f"no place on object {id} for the gripper", accepted="a narrower, freer object")

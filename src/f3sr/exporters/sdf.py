@@ -17,6 +17,7 @@ from f3sr.core.transforms import Array
 from f3sr.errors import printable
 from f3sr.exporters.drake_contact import depth_of, drake_contact
 from f3sr.exporters.exported_scene import ExportedObject, ExportedScene
+from f3sr.exporters.mjcf_view import LAMP
 from f3sr.exporters.obj_looks import hull_path, mesh_files, visual_path
 from f3sr.exporters.xml_text import document, inertia_of, numbers
 from f3sr.scene import GRAVITY
@@ -108,7 +109,7 @@ def _world(exported: ExportedScene) -> bytes:
     _add(lamp, "pose", "0 0 3 0 0 0")
     _add(lamp, "diffuse", "0.8 0.8 0.8 1")
     _add(lamp, "specular", "0.1 0.1 0.1 1")
-    _add(lamp, "direction", "0.2 0.3 -1")
+    _add(lamp, "direction", numbers(LAMP))
     _add(lamp, "cast_shadows", "true")
     _add_camera(world, scene.camera)
     for o in exported.objects:

@@ -26,6 +26,8 @@ from f3sr.scene import GRAVITY
 ORIGIN = {"xyz": "0 0 0", "rpy": "0 0 0"}
 GROUND = "ground.urdf"
 """Beside ``poses.json``."""
+WORLD = "world"
+"""URDF's name of what never moves."""
 HULL_UNIT = 1e-3
 """Unit of the files of convex parts [m], which URDF's ``scale`` states: PhysX drops every corner that is within .0007
 units of a file of the rest of a hull, before it scales. Of hulls in metres it dropped half of the corners."""
@@ -81,8 +83,13 @@ def _urdf(o: ExportedObject) -> bytes:
 
 
 def _ground(exported: ExportedScene) -> bytes:
-    """The ground as a box: PyBullet grows what lies on its planes by a millimetre."""
+    """The ground as a box: PyBullet grows what lies on its planes by a millimetre. It is fixed to URDF's link
+    ``world``, which PyBullet, Drake and ROS take for what never moves."""
     root = ET.Element("robot", {"name": GROUND_NAME, "xmlns:drake": "http://drake.mit.edu"})
+    ET.SubElement(root, "link", name=WORLD)
+    joint = ET.SubElement(root, "joint", name=f"{GROUND_NAME}_to_{WORLD}", type="fixed")
+    ET.SubElement(joint, "parent", link=WORLD)
+    ET.SubElement(joint, "child", link=GROUND_NAME)
     link = ET.SubElement(root, "link", name=GROUND_NAME)
     contact = ET.SubElement(link, "contact")
     for tag, value in bullet_friction(*ground_contact_friction(exported.scene.ground.friction)).items():

@@ -20,6 +20,7 @@ from typing import IO
 from f3sr.errors import F3srError, cut, printable
 from f3sr.files import strict_json
 from f3sr.runtime import signals
+from f3sr.runtime.process_end import how_it_ended
 from f3sr.workers import worker_launcher
 
 POLL_S = 0.2
@@ -76,7 +77,7 @@ def run_worker(
         finally:
             _ended(process)
     if problem or process.returncode:
-        ended = problem or f"it ended with exit code {process.returncode}"
+        ended = problem or f"it {how_it_ended(process.returncode)}"
         words = [ended, *_last_words(job), *([f"the next run goes on in {job}"] if resumable else [])]
         raise WorkerError(f"worker {command[0]}: {'; '.join(words)}")
 

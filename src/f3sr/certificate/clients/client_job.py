@@ -18,7 +18,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 PROTOCOL = 1
 REQUEST, ANSWER = "request.json", "answer.json"
@@ -52,8 +52,12 @@ class ClientJob:
         try:
             return importlib.import_module(module)
         except ImportError as error:
-            self._write({"missing": f"{error}"[:200]})
-            raise SystemExit(0) from None
+            self.end_without(str(error))
+
+    def end_without(self, reason: str) -> NoReturn:
+        """Answer what the environment lacks; the process ends well."""
+        self._write({"missing": reason[:200]})
+        raise SystemExit(0)
 
     def say(self, state: str) -> None:
         """Progress, for the user."""

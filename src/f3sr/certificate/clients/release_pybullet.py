@@ -28,7 +28,7 @@ def main() -> None:
     p.setTimeStep(timestep)
     p.setPhysicsEngineParameter(numSolverIterations=ITERATIONS)
     flags = p.URDF_USE_INERTIA_FROM_FILE | p.URDF_INITIALIZE_SAT_FEATURES
-    p.loadURDF(str(file.parent / world["ground"]["urdf"]), useFixedBase=True, flags=flags)
+    p.loadURDF(str(file.parent / world["ground"]["urdf"]), flags=flags)
     bodies, inertial = dict[str, int](), dict[str, tuple[Any, Any]]()
     for o in world["objects"]:
         body = p.loadURDF(

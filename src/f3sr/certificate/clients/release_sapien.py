@@ -27,8 +27,9 @@ def main() -> None:
     timestep = world["timestep"]
     scene.set_timestep(timestep)
     bodies = {o["name"]: _loaded(scene, sapien, file.parent / o["urdf"], o, job.folder) for o in world["objects"]}
-    ground = {"fixed": True, "name": "ground", "position": [0, 0, 0], "orientation": [0, 0, 0, 1], "restitution": 0}
-    _loaded(scene, sapien, file.parent / world["ground"]["urdf"], {**ground, **world["ground"]}, job.folder)
+    ground = world["ground"]
+    loader = _loader(scene, ground["friction"], restitution=0)
+    loader.load(str(file.parent / ground["urdf"]))
 
     def sample() -> dict[str, list[float]]:
         return {name: [*map(float, e.pose.p), *map(float, e.pose.q)] for name, e in bodies.items()}
@@ -58,14 +59,19 @@ def main() -> None:
 
 def _loaded(scene: Any, sapien: Any, urdf: Path, o: dict[str, Any], folder: Path) -> Any:
     """The one link of a URDF as an actor, with the friction that SAPIEN takes from its loader, not from the file."""
-    loader = scene.create_urdf_loader()
-    loader.set_material(o["friction"], o["friction"], o["restitution"])
+    loader = _loader(scene, o["friction"], o["restitution"])
     _, actors, _ = loader.parse(str(_without_looks(urdf, folder)))
     (builder,) = actors
     builder.set_physx_body_type("kinematic" if o["fixed"] else "dynamic")
     x, y, z, w = o["orientation"]
     builder.set_initial_pose(sapien.Pose(o["position"], [w, x, y, z]))
     return builder.build(name=o["name"])
+
+
+def _loader(scene: Any, friction: float, restitution: float) -> Any:
+    loader = scene.create_urdf_loader()
+    loader.set_material(friction, friction, restitution)
+    return loader
 
 
 def _without_looks(urdf: Path, folder: Path) -> Path:

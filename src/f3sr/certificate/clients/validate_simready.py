@@ -17,7 +17,7 @@ def main() -> None:
     job = ClientJob.from_arguments()
     program = Path(sys.executable).with_name("simready-validate")
     if not program.exists():
-        job.library("simready_validate_is_not_installed")
+        job.end_without("No program simready-validate beside its Python")
     assets = job.folder / "assets.txt"
     assets.write_text("\n".join(job.files))
     job.say(f"{len(job.files)} props")
