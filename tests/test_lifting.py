@@ -32,7 +32,7 @@ from f3sr.lifting.silhouettes import fit_lying, fit_standing
 from f3sr.lifting.solids import BOX_FACES, CORNERS, Solid, is_stable, joined, revolved, subdivided
 from f3sr.lifting.texture import textured
 from f3sr.lifting.turned_texture import quilted
-from f3sr.lifting.unshaded import LIGHT, PhotoLight, SeenSolid, light_of
+from f3sr.lifting.unshaded import LIGHT, PhotoLight, SeenSolid, light_of, placed_as_seen
 from f3sr.metrology.camera_estimate import attitude
 from f3sr.photo_inputs import read_inputs
 from f3sr.pipeline import as_given
@@ -854,6 +854,20 @@ def test_light_that_neighbours_throw_on_a_ball_is_not_its_own():
     )
     assert was < 0.45 and is_now > 0.7, (was, is_now)
     assert after[dots & shrunk(own, 2)].mean() < 0.6 * after[plain].mean()
+
+
+def test_a_shadow_that_lies_a_little_off_leaves_no_seam():
+    """Its edge is two pixels aside in the model: there colours were 2.5 times too bright. Fine print stays as it is."""
+    rows, columns = np.indices((80, 80))
+    mask = np.hypot(rows - 40, columns - 40) < 38
+    print_ = np.where(columns % 3 == 0, 0.3, 0.5)
+    bright = (print_ * np.where(rows < 42, 1.0, 0.4))[mask]
+    model = np.where(rows < 40, 1.0, 0.4)[mask]
+    light = placed_as_seen(model, bright, mask)
+    off, before = (bright / x / print_[mask] for x in (light, model))
+    assert before.max() > 2.4 and off.max() < 1.6
+    even = np.ones(np.count_nonzero(mask))
+    assert np.abs(placed_as_seen(even, bright, mask) - 1).max() < 1e-9, "where the model has no shadow, nothing changes"
 
 
 def test_print_is_no_shading():

@@ -10,6 +10,7 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from f3sr.core.camera import Camera
 from f3sr.core.corner_normals import corner_normals
@@ -38,6 +39,8 @@ MAP_SIDE = 192
 DARKEST = 0.3
 """Least share of the open ground's light by which a colour is divided: darker places hold little but noise and light
 that other things throw."""
+EDGE = 0.05
+"""How far a shadow on a solid may lie off that in the photo, in roots of the mask's area."""
 OWN_LIGHT = 1e-3
 """Weight of even light beside all that is seen of a thing: normals that the photo hardly shows tell no curve."""
 FAINTEST = 1e-3
@@ -154,6 +157,8 @@ class PhotoLight:
         """(n, 3) linear colours of the mask's pixels, in rows, from the photo (H, W, 3)."""
         normals = shown.normals[shown.own]
         light = np.maximum(self.on(shown.points[shown.own], normals), DARKEST)
+        bright = LINEAR[rgb[shown.rows, shown.columns][shown.own]].mean(1)
+        light = placed_as_seen(light, bright, shown.own)
         plain = self.exposure * LINEAR[rgb[shown.rows, shown.columns][shown.own]] / light[:, None]
         if shown.solid.symmetry != "round" or shown.solid.stands_flat:
             return plain
@@ -167,11 +172,36 @@ class PhotoLight:
         return changed
 
 
+def placed_as_seen(light: Array, bright: Array, mask: NDArray[np.bool_]) -> Array:
+    """The ``light`` (n,) on the pixels of a mask (h, w), in rows, with its edges where the photo has them.
+
+    A shadow on a solid lies a little off that in the photo, as solids are guessed. Divided by it, ``bright`` (n,), the
+    photo's brightness, has a seam. Any light nearby is as likely; the one is taken under which colours differ least
+    from those around. Medians keep the photo's edges and drop what is narrower: print stays."""
+    reach = EDGE * math.sqrt(len(light))
+    nearby = 2 * max(1, round(reach)) + 1
+    field = np.zeros(mask.shape)
+
+    def over(values: Array, outside: float) -> Array:
+        field[:] = outside
+        field[mask] = values
+        return field
+
+    weight = ndimage.gaussian_filter(mask.astype(float), (wide := 4 * reach))[mask]
+    plain = np.log(np.maximum(bright, FAINTEST) / light)
+    around = ndimage.gaussian_filter(over(plain, 0), wide)[mask] / weight
+    least = ndimage.minimum_filter(over(light, np.inf), nearby)[mask]
+    most = ndimage.maximum_filter(over(light, -np.inf), nearby)[mask]
+    coarse = ndimage.median_filter(over(bright, 0)[nearest_in(mask)], nearby)[mask]
+    return np.clip(coarse / np.exp(around), least, most)
+
+
 def light_of(
     shown: Sequence[SeenSolid], rgb: NDArray[np.uint8], background: NDArray[np.uint8], camera: Camera
 ) -> PhotoLight:
-    """The light that explains best how colours of the photo (H, W, 3) change over solids, as if each had one colour,
-    and how dark their shadows are on the ground, beside the completed ``background`` (H, W, 3).
+    """The light that explains best how colours of the photo (H, W, 3) change over solids, as if each had one colour.
+
+    Their shadows on the ground count too: the photo beside the completed ``background`` (H, W, 3).
 
     Print and stains are outliers of the fit, and its misfits are relative to each solid's own. See
     ``rendering.light_fit``."""
