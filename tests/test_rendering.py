@@ -6,10 +6,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numba import njit
 from numpy.typing import NDArray
 
@@ -24,6 +26,7 @@ from f3sr.rendering.canvas import Canvas
 from f3sr.rendering.colour_mix import colour_mix
 from f3sr.rendering.evidence import Evidence
 from f3sr.rendering.light import Light
+from f3sr.rendering.picture_kernels import ground_light
 from f3sr.rendering.still_photo import StillPhoto
 from f3sr.rendering.surface_kernels import texture_at
 from f3sr.rendering.textures import textures_of
@@ -653,3 +656,13 @@ def test_the_colours_of_another_camera_are_found() -> None:
 
 def test_where_no_colours_are_mixed_nothing_is_made_of_it() -> None:
     assert colour_mix(*seen_by_another_camera(np.diag([0.8, 1.0, 1.3]), noise=0.2), objects=4, side=0.01) is None
+
+
+@given(*(st.floats(0.03, 1.0) for _ in range(4)))
+def test_a_new_shadow_is_never_darker_than_it_is_drawn(rest: float, shown: float, a: float, b: float) -> None:
+    """Where the model has a deep shadow at rest and the photo none, channels lost most of their light: cyan ground."""
+    light: Any = cast(Any, ground_light).py_func
+    stays, left = max(rest, a), max(rest, a) * b
+    before, now = light(stays, stays, rest, shown), light(left, stays, rest, shown)
+    assert light(rest, rest, rest, shown) == pytest.approx(shown)
+    assert 0 <= now <= before + 1e-12 and before - now <= (stays - left) + 1e-12

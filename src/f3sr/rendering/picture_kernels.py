@@ -139,14 +139,16 @@ def ground_light(left: Any, stays: Any, rest: Any, shown: Any) -> Any:
     """The factor on the background's light at a ground pixel.
 
     Three shares of light arrive: ``left`` now, ``stays`` if only lights hidden at rest too count as hidden, ``rest`` at
-    rest. ``shown`` is the factor in the photo, which includes the photo's own shadows. The first bracket blends from
-    ``shown`` at rest to the drawn shadow, by the square of the share of darkness that stays. The last factor adds new
-    shadows."""
+    rest. ``shown`` is the factor in the photo, which includes the photo's own shadows. It is blended to the drawn
+    shadow by the square of the share of darkness that stays. New shadows take their share of what is left of the light.
+    Where the photo is brighter than the drawn shadow they take no more than is drawn: little is left there to tell
+    shares."""
     # share: how much of the darkness at rest is still there. At rest stays = left = rest, so share is 1 and the result
     # is ``shown``: the photo itself. Once an object has left, stays is 1 and share 0: the clean background under new
     # shadows.
     share = (1 - stays) / (1 - rest) if rest < 1 else np.float32(0)
-    return (stays + (shown - rest) * share * share) * (left / stays)
+    beyond = (shown - rest) * share * share
+    return left + beyond if beyond > 0 else (stays + beyond) * (left / stays)
 
 
 @kernel
