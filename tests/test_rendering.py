@@ -27,7 +27,7 @@ from f3sr.rendering.colour_mix import colour_mix
 from f3sr.rendering.evidence import Evidence
 from f3sr.rendering.light import Light
 from f3sr.rendering.picture_kernels import ground_light
-from f3sr.rendering.still_photo import StillPhoto
+from f3sr.rendering.still_photo import StillPhoto, light_ratio
 from f3sr.rendering.surface_kernels import texture_at
 from f3sr.rendering.textures import textures_of
 from f3sr.scene import Photo, Scene, SceneObject
@@ -666,3 +666,12 @@ def test_a_new_shadow_is_never_darker_than_it_is_drawn(rest: float, shown: float
     before, now = light(stays, stays, rest, shown), light(left, stays, rest, shown)
     assert light(rest, rest, rest, shown) == pytest.approx(shown)
     assert 0 <= now <= before + 1e-12 and before - now <= (stays - left) + 1e-12
+
+
+def test_a_shadow_on_a_red_thing_has_the_ratio_of_red_in_all_channels() -> None:
+    """Its green and blue are a few levels. Table that the photo shows there turned cyan."""
+    before, now = np.array([[111, 12, 14]], np.uint8), np.array([[70, 11, 11]], np.uint8)
+    ratio = light_ratio(now, before)[0]
+    assert ratio[0] == pytest.approx(0.38, abs=0.03) and np.abs(ratio - ratio[0]).max() < 0.1
+    grey = np.full((1, 3), 120, np.uint8)
+    assert light_ratio(grey, grey + np.uint8(30))[0] == pytest.approx(linear(120 / 255) / linear(150 / 255))

@@ -19,6 +19,9 @@ from f3sr.scene import Scene
 from f3sr.vision.regions import Mask, distance_to, grown, smooth_step
 from f3sr.vision.silhouette import union_of
 
+BRIGHT_ENOUGH = 0.03
+"""Linear light from which on a channel has a ratio of its own: ten levels of eight bits around it change it by a half.
+"""
 RATIOS = 0.05, 4.0
 """What drawn light may change of the photo's, and what drawn colours may be off: beyond, two surfaces are compared."""
 
@@ -100,7 +103,7 @@ class StillPhoto:
         relit = (changed[..., 0] | changed[..., 1] | changed[..., 2]).astype(np.bool_) & ~covered
         picture = self.photo.copy()
         picture[covered] = drawn[covered]
-        picture[relit] = _times(self.photo[relit], _ratio(drawn[relit], self.at_rest[relit]))
+        picture[relit] = _times(self.photo[relit], light_ratio(drawn[relit], self.at_rest[relit]))
         shed = (self.shed > 0) & ~covered
         share = self.shed[shed][:, None]
         picture[shed] = np.rint(picture[shed] + share * (drawn[shed].astype(np.float32) - picture[shed]))
@@ -131,7 +134,7 @@ class StillPhoto:
             # Only where all of a side is in their shadow do the photo's shadow and the drawn one count.
             clear = own & ~(shaded & np.isin(side, side[own & ~shaded]))
             brightest = _times(left, _over_sides(_ratio(photo, at_rest), side, clear))
-            relit = np.minimum(_times(photo, _ratio(left, at_rest)), np.maximum(photo, brightest))
+            relit = np.minimum(_times(photo, light_ratio(left, at_rest)), np.maximum(photo, brightest))
             yield Continued(k, window, _over_sides(_ratio(relit, left), side, own))
 
 
@@ -162,6 +165,16 @@ def _ratio(now: NDArray[np.uint8], before: NDArray[np.uint8]) -> Array:
     """Linear light (..., 3) of one picture over that of another."""
     lit = LINEAR.clip(DARK)
     return (lit[now] / lit[before]).clip(*RATIOS)
+
+
+def light_ratio(now: NDArray[np.uint8], before: NDArray[np.uint8]) -> Array:
+    """The same of two pictures of one surface in different light.
+
+    Of a dark channel eight bits tell little: it has nearly the ratio of all. Else a shadow on a red thing would take red
+    alone, and so it would from the table where the model is larger than the thing."""
+    whole = LINEAR[now].sum(-1, keepdims=True).clip(DARK) / LINEAR[before].sum(-1, keepdims=True).clip(DARK)
+    told = (LINEAR[before] / BRIGHT_ENOUGH).clip(0, 1)
+    return (told * _ratio(now, before) + (1 - told) * whole).clip(*RATIOS)
 
 
 def _times(picture: NDArray[np.uint8], ratio: Array | NDArray[np.float32]) -> NDArray[np.uint8]:
