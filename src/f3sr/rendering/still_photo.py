@@ -170,8 +170,8 @@ def _ratio(now: NDArray[np.uint8], before: NDArray[np.uint8]) -> Array:
 def light_ratio(now: NDArray[np.uint8], before: NDArray[np.uint8]) -> Array:
     """The same of two pictures of one surface in different light.
 
-    Of a dark channel eight bits tell little: it has nearly the ratio of all. Else a shadow on a red thing would take red
-    alone, and so it would from the table where the model is larger than the thing."""
+    Of a dark channel eight bits tell little: it has nearly the ratio of all. Else a shadow on a red thing would take
+    red alone, and so it would from the table where the model is larger than the thing."""
     whole = LINEAR[now].sum(-1, keepdims=True).clip(DARK) / LINEAR[before].sum(-1, keepdims=True).clip(DARK)
     told = (LINEAR[before] / BRIGHT_ENOUGH).clip(0, 1)
     return (told * _ratio(now, before) + (1 - told) * whole).clip(*RATIOS)
