@@ -20,7 +20,7 @@ ROUND = 0.24
 """Share by which the radii of what rolls differ at most: an octagon's differ by .08, a square's by .3."""
 
 LONG = 1.5
-"""How much longer than high, and higher than deep, things are that lie and that stand on an edge."""
+"""Factor by which what lies is longer than high. What is as much higher than deep stands on an edge."""
 VIEW = 256
 """Longer side of the picture in which objects hide others [px]: places of things that fall are no nearer."""
 
