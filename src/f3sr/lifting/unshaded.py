@@ -25,7 +25,7 @@ from f3sr.rendering.light_fit import find_light
 from f3sr.rendering.shadow_maps import MARGIN, Caster, Maps
 from f3sr.rendering.textures import LINEAR
 from f3sr.vision import rasterizer
-from f3sr.vision.regions import nearest_in, shrunk
+from f3sr.vision.regions import interpolated, nearest_in, shrunk
 
 BORDER = 3
 """Pixels from a mask's border that are left out: colours mix there, and the solid's normals are least sure."""
@@ -41,6 +41,8 @@ DARKEST = 0.3
 that other things throw."""
 EDGE = 0.05
 """How far a shadow on a solid may lie off that in the photo, in roots of the mask's area."""
+MOST_REACH = 8
+"""The same [px] beyond which a coarser picture tells where its edges are: medians take the fourth power of it."""
 OWN_LIGHT = 1e-3
 """Weight of even light beside all that is seen of a thing: normals that the photo hardly shows tell no curve."""
 FAINTEST = 1e-3
@@ -157,9 +159,8 @@ class PhotoLight:
         """(n, 3) linear colours of the mask's pixels, in rows, from the photo (H, W, 3)."""
         normals = shown.normals[shown.own]
         light = np.maximum(self.on(shown.points[shown.own], normals), DARKEST)
-        bright = LINEAR[rgb[shown.rows, shown.columns][shown.own]].mean(1)
-        light = placed_as_seen(light, bright, shown.own)
-        plain = self.exposure * LINEAR[rgb[shown.rows, shown.columns][shown.own]] / light[:, None]
+        seen = LINEAR[rgb[shown.rows, shown.columns][shown.own]]
+        plain = self.exposure * seen / placed_as_seen(light, seen.mean(1), shown.own)[:, None]
         if shown.solid.symmetry != "round" or shown.solid.stands_flat:
             return plain
         return plain / light_of_its_own(normals, plain, shown.facing[shown.own])[:, None]
@@ -180,13 +181,19 @@ def placed_as_seen(light: Array, bright: Array, mask: NDArray[np.bool_]) -> Arra
     from those around. Medians keep the photo's edges and drop what is narrower: print stays."""
     reach = EDGE * math.sqrt(len(light))
     nearby = 2 * max(1, round(reach)) + 1
-    field = np.zeros(mask.shape)
 
     def over(values: Array, outside: float) -> Array:
-        field[:] = outside
+        field = np.full(mask.shape, outside, np.float64)
         field[mask] = values
         return field
 
+    step = math.ceil(reach / MOST_REACH)
+    few = mask[::step, ::step]
+    if step > 1 and few.any():
+        coarse, its_bright = (over(values, 0)[::step, ::step] for values in (light, bright))
+        coarse[few] = placed_as_seen(coarse[few], its_bright[few], few) / coarse[few]
+        rows, columns = np.nonzero(mask)
+        return light * interpolated(coarse[nearest_in(few)], np.column_stack([columns, rows]) / step + 0.5)
     weight = ndimage.gaussian_filter(mask.astype(float), (wide := 4 * reach))[mask]
     plain = np.log(np.maximum(bright, FAINTEST) / light)
     around = ndimage.gaussian_filter(over(plain, 0), wide)[mask] / weight
