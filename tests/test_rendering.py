@@ -658,7 +658,7 @@ def test_where_no_colours_are_mixed_nothing_is_made_of_it() -> None:
     assert colour_mix(*seen_by_another_camera(np.diag([0.8, 1.0, 1.3]), noise=0.2), objects=4, side=0.01) is None
 
 
-@given(*(st.floats(0.03, 1.0) for _ in range(4)))
+@given(st.floats(0.03, 1.0, exclude_max=True), *(st.floats(0.03, 1.0) for _ in range(3)))
 def test_a_new_shadow_is_never_darker_than_it_is_drawn(rest: float, shown: float, a: float, b: float) -> None:
     """Where the model has a deep shadow at rest and the photo none, channels lost most of their light: cyan ground."""
     light: Any = cast(Any, ground_light).py_func
@@ -666,6 +666,12 @@ def test_a_new_shadow_is_never_darker_than_it_is_drawn(rest: float, shown: float
     before, now = light(stays, stays, rest, shown), light(left, stays, rest, shown)
     assert light(rest, rest, rest, shown) == pytest.approx(shown)
     assert 0 <= now <= before + 1e-12 and before - now <= (stays - left) + 1e-12
+
+
+@given(st.floats(0.03, 1.0), st.floats(0.03, 1.0))
+def test_where_nothing_is_hidden_at_rest_the_ground_keeps_the_light_that_arrives(left: float, shown: float) -> None:
+    """Nothing drawn there explains how dark the photo is: it is no shadow that an object could take away with it."""
+    assert cast(Any, ground_light).py_func(left, 1.0, 1.0, shown) == pytest.approx(left)
 
 
 def test_a_shadow_on_a_red_thing_has_the_ratio_of_red_in_all_channels() -> None:
