@@ -27,8 +27,11 @@ from f3sr.runtime import kernels  # noqa: E402
 
 sys.path.insert(0, str(Path(__file__).parent))
 # No example has a deadline in wall time: other programs run on the machine. pytest-timeout ends what hangs.
-hypothesis.settings.register_profile("no_deadline", deadline=None)
-hypothesis.settings.load_profile("no_deadline")
+# ``make test`` draws the same examples each time: a change fails by what it changed. ``--hypothesis-profile=search``
+# looks for new ones; what it finds becomes an ``@example`` of its test.
+hypothesis.settings.register_profile("same", deadline=None, derandomize=True)
+hypothesis.settings.register_profile("search", deadline=None, max_examples=1000)
+hypothesis.settings.load_profile("same")
 
 from fixtures import browser, compiled, folder, given, jobs, shared_data, shared_folder, stages, whole  # noqa: E402, F401
 from processor_time import pytest_runtest_setup, pytest_runtest_teardown  # noqa: E402, F401

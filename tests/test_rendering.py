@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from numba import njit
 from numpy.typing import NDArray
@@ -668,6 +668,7 @@ def test_a_new_shadow_is_never_darker_than_it_is_drawn(rest: float, shown: float
     assert 0 <= now <= before + 1e-12 and before - now <= (stays - left) + 1e-12
 
 
+@example(1.0, 0.5)
 @given(st.floats(0.03, 1.0), st.floats(0.03, 1.0))
 def test_where_nothing_is_hidden_at_rest_the_ground_keeps_the_light_that_arrives(left: float, shown: float) -> None:
     """Nothing drawn there explains how dark the photo is: it is no shadow that an object could take away with it."""
