@@ -71,7 +71,7 @@ FLOORS = (
     ("stages", "launches", "lifting"),
     ("pipeline",),
     ("language", "report_page"),
-    ("play", "delivery", "scene_samples", "scene_export", "photo_inputs"),
+    ("play", "delivery", "scene_samples", "scene_export", "photo_inputs", "edits"),
     ("film", "dataset", "agents"),
     ("batch", "env", "certificate", "mcp_server"),
     ("cli",),

@@ -15,3 +15,5 @@ PARTS: tuple[str, ...] = get_args(Part)
 ASSET_FRAMES = ("auto", "opencv", "opengl", "pytorch3d", "unity", "blender", "unposed")
 """How meshes and poses of ``assets/`` are read, for ``--asset-frame``: by the masks, in camera axes with a name, or
 without a pose. It also takes axes and conventions by their own names, see ``io/pose_conventions``."""
+EDIT = "edit"
+"""What a user changes in a finished scene, in motions and reports beside the stages."""

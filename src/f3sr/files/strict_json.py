@@ -58,8 +58,8 @@ def _no_number(name: str) -> Any:
     raise ValueError(f"{name} is no JSON number")
 
 
-def problem(error: ValidationError, fields: str) -> tuple[str, str]:
-    """What a document holds, and what is accepted, of the first thing that is wrong with it."""
+def problem(error: ValidationError, fields: str, page: str = "docs/conventions.md") -> tuple[str, str]:
+    """What a document holds, and what is accepted, of the first thing that is wrong with it. ``page`` describes it."""
     first = error.errors(include_url=False)[0]
     where, message = ".".join(map(str, first["loc"])) or "the document", first["msg"]
     if first["type"] == "missing":
@@ -68,7 +68,7 @@ def problem(error: ValidationError, fields: str) -> tuple[str, str]:
         found, _, accepted = message.removeprefix("Value error, ").partition("; accepted: ")
         return f"{where}: {found}", accepted or f"an object with {fields}"
     if first["type"] == "extra_forbidden":
-        return f"an unknown {where} = {first['input']!r:.60}", "the fields that docs/conventions.md names"
+        return f"an unknown {where} = {first['input']!r:.60}", f"the fields that {page} names"
     if first["type"] in ("model_type", "dict_type"):
         return f"{where} = {first['input']!r:.60}", "an object" if first["loc"] else f"an object with {fields}"
     wanted = re.sub(r"^(Input should be|(Value|List|Tuple|String) should have) | after validation", "", message)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from f3sr.metrics.measures import Details, Gap, ObjectMeasures, visible_ious
-from f3sr.options import SKIPPABLE
+from f3sr.options import EDIT, SKIPPABLE
 from f3sr.report_page.formatting import counted, length, name_of
 from f3sr.report_page.page_data import PageData, look_alike
 from f3sr.scene import SceneObject
@@ -108,6 +108,8 @@ def _lean(a: SceneObject, b: SceneObject) -> float:
 
 
 def _skipped(page: PageData) -> list[str]:
-    """Stages without a report."""
+    """Stages without a report; an edited package has that of its stages elsewhere."""
+    if EDIT in page.result.scenes:
+        return []
     done = {*(x.stage for x in page.result.outcomes), *(["evaluate"] if page.result.evaluation else []), *PARTS}
     return [name for name in SKIPPABLE if name not in done]

@@ -40,6 +40,7 @@ from f3sr.scene_package.package_folder import (
     MASKS,
     PAGE,
     PHOTO,
+    REPORT,
     SCENE,
     SUPPORT,
     is_package,
@@ -279,7 +280,7 @@ def package_files(
         if not re.fullmatch(r"[\w-]+", name, flags=re.ASCII):
             raise ValueError(f"picture name {name!r}: only letters, digits, _ and - are accepted")
         yield f"pictures/{name}.png", encode_png(picture)
-    yield "report.json", dump_json(report or _report((), {}, {}))
+    yield REPORT, dump_json(report or _report((), {}, {}))
     if page is not None:
         yield PAGE, page()
     yield SCHEMA_FILE, _schema_file()

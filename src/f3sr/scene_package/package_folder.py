@@ -15,16 +15,18 @@ from f3sr.scene_package.scene_json import SCHEMA_FILE
 
 SCENE = "scene.json"
 PHOTO = "photo.png"
-PAGE = "report.html"
+PAGE, REPORT = "report.html", "report.json"
 BACKGROUND, SUPPORT, KEPT = "background.png", "support.png", "kept_depth.npz"
 MASKS = "masks"
 PACKAGE = "an f3sr package"
 """What is accepted where a package is asked for."""
+EDITS, UNEDITED = "edits.json", "unedited"
+"""What a user changed in a package, and the package before that."""
 ROLLOUTS = "rollouts"
 """The one folder of a package that goals may write into."""
 TOP_LEVEL = {
-    *(SCENE, SCHEMA_FILE, "scene.glb", "scene.xml", "report.json", PAGE, PHOTO, BACKGROUND, SUPPORT, KEPT),
-    *(MASKS, "meshes", "collision", "visual", "pictures", ROLLOUTS),
+    *(SCENE, SCHEMA_FILE, "scene.glb", "scene.xml", REPORT, PAGE, PHOTO, BACKGROUND, SUPPORT, KEPT),
+    *(MASKS, "meshes", "collision", "visual", "pictures", ROLLOUTS, EDITS, UNEDITED),
 }
 """Everything that a package holds."""
 

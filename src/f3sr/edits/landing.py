@@ -1,0 +1,156 @@
+"""How objects come to rest where an edit put them: on what is below, apart from what they overlap, settled, closed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from f3sr.contact.compounds import collide, free_travel, smallest_horizontal_move, smallest_shift
+from f3sr.core.transforms import UP
+from f3sr.edits.placing import Put, bodies_in_place
+from f3sr.metrics.contact_groups import SettledScene, groups_of
+from f3sr.pipeline import Config, with_shared_settings
+from f3sr.scene import GROUND, Scene, SceneObject, Support
+from f3sr.stages.close import close
+from f3sr.stages.separate import separate
+from f3sr.stages.settle import settle
+
+MEETINGS = 3
+"""Most times that what is met on the way joins what settles."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Landed:
+    """A scene in which what an edit put somewhere has come to rest."""
+
+    scene: Scene
+    restless: frozenset[int]
+    """Ids of objects that do not rest."""
+    moving: frozenset[int]
+    """Ids of all that may have moved; the others are the very same values."""
+
+
+def editing(config: Config) -> Config:
+    """Settings with which edits come to rest: no object changes its size or its distance to reach its support."""
+    shared = with_shared_settings(config)
+    return replace(shared, separate=replace(shared.separate, max_ray_scale=0.0))
+
+
+def land(before: Scene, put: Put, config: Config, *, closes: bool = True) -> Landed:
+    """Bring what was put somewhere to rest: only it is parted from the others, then it settles with all it touches.
+
+    ``before`` is the scene at rest before the edit, with the same ids. ``config`` is that of ``editing``."""
+    free = frozenset(id for id in put.placed if put.scene[id].mobility == "dynamic")
+    scene = put.scene
+    for id in put.roots:
+        if id in free:
+            o = scene[id]
+            asked = put.on if id == put.roots[0] else None
+            scene = scene.with_objects(_carried(scene, id) if asked is None else _on(o, asked))
+    held = put.placed - free
+    scene = scene.with_objects(*(_standing(scene, id, config) for id in sorted(held)))
+    free |= _overlapped(scene, held)
+    parted = scene
+    if free:
+        parted, _ = separate(_holding(scene, free), config.separate, ground=False, margin=False)
+        parted = _released(parted, scene)
+    apart = config.separate.contact.apart
+    of_interest = free | held | put.touched
+    moving = frozenset(id for g in groups_of(before, parted, apart) if g & of_interest for id in g)
+    state = SettledScene(scene=parted, restless=frozenset())
+    for _ in range(MEETINGS):
+        state = settled(state.scene, moving, config)
+        met = frozenset(id for g in groups_of(state.scene, state.scene, apart) if g & moving for id in g)
+        if met <= moving:
+            break
+        moving |= met
+    if closes:
+        state = _closed(state, moving, config)
+    unknown = frozenset(id for g in groups_of(state.scene, state.scene, apart) if g & moving for id in g) - moving
+    return Landed(scene=state.scene, restless=state.restless | unknown, moving=moving)
+
+
+def settled(scene: Scene, moving: Collection[int], config: Config) -> SettledScene:
+    """The scene after some objects have settled; the others are held, and stay the same values."""
+    rested, told = settle(_holding(scene, moving), config.settle)
+    return SettledScene(scene=scene.with_objects(*_those(rested, scene, moving)), restless=told.restless & set(moving))
+
+
+def _closed(state: SettledScene, moving: Collection[int], config: Config) -> SettledScene:
+    """The same with gaps below what moved closed."""
+    restless = state.restless
+
+    def at_rest(part: Scene) -> SettledScene:
+        rested, told = settle(part, config.settle)
+        return SettledScene(scene=rested, restless=told.restless)
+
+    closed, _ = close(_holding(state.scene, moving), config.close, settled=at_rest, restless=restless)
+    return SettledScene(scene=state.scene.with_objects(*_those(closed, state.scene, moving)), restless=restless)
+
+
+def _holding(scene: Scene, free: Collection[int]) -> Scene:
+    """The scene with all objects fixed but some."""
+    return scene.with_objects(
+        *(replace(o, mobility="fixed") for o in scene if o.id not in free and o.mobility == "dynamic")
+    )
+
+
+def _released(held: Scene, scene: Scene) -> Scene:
+    """``held`` with every object as free as it is in ``scene``, and what was held the same value."""
+    return scene.with_objects(*_those(held, scene, [o.id for o in scene if held[o.id].mobility == "dynamic"]))
+
+
+def _those(now: Scene, scene: Scene, ids: Collection[int]) -> list[SceneObject]:
+    return [replace(now[id], mobility=scene[id].mobility) for id in sorted(ids)]
+
+
+def _overlapped(scene: Scene, ids: Collection[int]) -> frozenset[int]:
+    """Ids of what can move and overlaps some objects that cannot."""
+    bodies = bodies_in_place(scene) if ids else {}
+    return frozenset(
+        o.id
+        for o in scene
+        if o.mobility == "dynamic" and any(o.id != id and collide(bodies[id], bodies[o.id]) for id in ids)
+    )
+
+
+def _carried(scene: Scene, id: int) -> SceneObject:
+    """An object with what is below it as its support: what it is lifted out of, else what it meets first when lowered.
+
+    It is lifted out of what it overlaps where that is the shorter way out; else it lies beside it."""
+    bodies = bodies_in_place(scene)
+    body = bodies[id]
+    above = {k: b for k, b in bodies.items() if k != id and k not in _resting_on(scene, id)}
+    rises = dict[int, float]()
+    for k, other in above.items():
+        if collide(body, other):
+            rise = smallest_shift(body, other, UP)
+            if rise <= float(np.linalg.norm(smallest_horizontal_move(body, other))):
+                rises[k] = rise
+    if rises:
+        return _on(scene[id], max(rises, key=lambda k: (rises[k], -k)))
+    drops = {k: free_travel(body, other, -UP) for k, other in above.items() if not collide(body, other)}
+    drops[GROUND] = max(0.0, body.lowest)
+    return _on(scene[id], min(drops, key=lambda k: (drops[k], k)))
+
+
+def _standing(scene: Scene, id: int, config: Config) -> SceneObject:
+    """A fixed object with what it touches below as its support; None where it hangs."""
+    bodies = bodies_in_place(scene)
+    reach = config.settle.physics.contact.reach
+    drops = {k: free_travel(bodies[id], b, -UP) for k, b in bodies.items() if k not in _resting_on(scene, id)}
+    drops[GROUND] = bodies[id].lowest
+    below = min(drops, key=lambda k: (drops[k], k))
+    if drops[below] <= reach:
+        return _on(scene[id], below)
+    return replace(scene[id], supported_by=None, supports=())
+
+
+def _resting_on(scene: Scene, id: int) -> set[int]:
+    return {id, *scene.subtree(id)}
+
+
+def _on(o: SceneObject, id: int) -> SceneObject:
+    return replace(o, supported_by=id, supports=(Support(id=id),))
