@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -114,6 +114,7 @@ def reconstruct(
     background: Backend[BackgroundCompleter] | None = None,
     store: Store | None = None,
     progress: Progress = silent,
+    seen: Callable[[str, Scene], object] = lambda stage, scene: None,
 ) -> Reconstruction:
     """Turn validated inputs into a scene at rest (equation 3; docs: method).
 
@@ -122,7 +123,7 @@ def reconstruct(
     and ``coarsen``. ``store`` holds results of earlier runs: a stage with equal inputs, settings and code is read
     instead of run.
     ``background`` completes the photo behind the objects instead of f3sr's own method. ``progress`` receives one line
-    of text per event. Equal arguments give equal scenes. Raises InputError for arguments of another kind.
+    of text per event, ``seen`` the scene after every stage, by name. Equal arguments give equal scenes. Raises InputError for arguments of another kind.
     """
     require_kind("inputs", inputs, Inputs, accepted="f3sr.read_inputs(...)")
     require_names("skip", skip)
@@ -132,7 +133,7 @@ def reconstruct(
         skip = {*skip, "refine"}
     if "settle" in skip:
         skip = {*skip, "close", "coarsen"}
-    run = Runner(inputs.key, skip=skip, skippable=SKIPPABLE, store=store, progress=progress)
+    run = Runner(inputs.key, skip=skip, skippable=SKIPPABLE, store=store, progress=progress, seen=seen)
     at_rest = partial(_rested, config=config.settle)
     again = partial(_made_again, config=config, closes="close" not in skip)
 

@@ -6,6 +6,7 @@
   const LEAST = 4; // CSS pixels that a drag must have to be a box, and pixels of its sides
   const NEAR = { mouse: 9, pen: 14, touch: 24 }; // CSS pixels from a corner that still take it
   const MOST_POINTS = 1000; // of a stroke
+  const FRAMED = parent !== window; // in another page of the same server, which goes on once this one has saved
   const NO_SERVER = "The program in the terminal does not answer. If it has ended, nothing more can be saved here.";
 
   const post = async (name, value) => {
@@ -495,6 +496,7 @@
     $("done-command").hidden = !command;
     $("done").hidden = false;
     $("done").focus();
+    if (FRAMED) parent.postMessage("f3sr: outlined", location.origin);
   };
   $("save").addEventListener("click", async () => {
     $("save").disabled = true;
@@ -547,6 +549,7 @@
   };
 
   $("where").textContent = `Will be saved in ${given.folder}`;
+  for (const id of ["cancel", "where"]) $(id).hidden = FRAMED;
   stay();
   show();
   if (marks.objects.length || marks.ground.inside.length) ask();

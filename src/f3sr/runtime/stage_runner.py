@@ -28,10 +28,18 @@ class Runner:
     any later one is stored."""
 
     def __init__(
-        self, key: str, *, skip: Collection[str], skippable: Sequence[str], store: Store | None, progress: Progress
+        self,
+        key: str,
+        *,
+        skip: Collection[str],
+        skippable: Sequence[str],
+        store: Store | None,
+        progress: Progress,
+        seen: Callable[[str, Scene], object] = lambda stage, scene: None,
     ) -> None:
+        """``seen`` is called with the scene after every stage that was not skipped, as soon as it is there."""
         require_known("--skip", skip, skippable)
-        self.skip, self.store, self.progress = frozenset(skip), store, progress
+        self.skip, self.store, self.progress, self.seen = frozenset(skip), store, progress, seen
         self.key = digest(key, code_version())
         self.outcomes: list[Outcome] = []
         """Of every stage that was not skipped."""
@@ -66,6 +74,7 @@ class Runner:
             return scene, kind()
         self.scenes[kind.stage] = result[0]
         self.outcomes.append(result[1])
+        self.seen(kind.stage, result[0])
         return result
 
     def value(self, name: str, work: Callable[[], T], form: Form[T], config: Any) -> T | None:

@@ -7,8 +7,9 @@
  *  strips (first points of its lines).
  *  `look(fromPhoto)` says what is to be seen now: camera {width, height, K, T}, poses (4x4 each), shade, colors {grid,
  *  path, glow}, and, where wanted, parts (instead of meshes), grid, lights and passed (points of the path that are behind).
- *  `turns`: what keys turn by, [right, down]. `painted()` is called after every picture. */
-function view3d(canvas, data, { look, turns, painted = () => {} }) {
+ *  `turns`: what keys turn by, [right, down]. `painted()` is called after every picture. An object without a pose is not
+ *  shown. `grab(x, y)` may take over a pointer that goes down there: it returns {move(ray), end()} or null. */
+function view3d(canvas, data, { look, turns, painted = () => {}, grab = () => null }) {
   const gl = canvas.getContext("webgl2", { alpha: true, antialias: true, premultipliedAlpha: true });
   if (!gl) return null;
 
@@ -215,6 +216,7 @@ function view3d(canvas, data, { look, turns, painted = () => {} }) {
   };
   const set = (values) => { for (const [name, value] of Object.entries(values)) gl.uniform1f(place[name], value); };
   const paintMeshes = ({ poses, parts }, before) => meshes.forEach((both, i) => {
+    if (!poses[i]) return;
     const mesh = (parts && both.parts) || both.mesh;
     gl.uniformMatrix4fv(place.model, true, poses[i]);
     gl.uniform3f(place.middle, ...mesh.box.slice(0, 3));
@@ -275,6 +277,13 @@ function view3d(canvas, data, { look, turns, painted = () => {} }) {
     return w > 0 ? [(0.5 + x / w / 2) * canvas.clientWidth, (0.5 - y / w / 2) * canvas.clientHeight] : null;
   };
 
+  /** The ray through a place of the canvas (CSS pixels): origin and direction in the world. */
+  const ray = (x, y) => {
+    const { camera } = now(), T = orbit ? orbitPose(orbit) : camera.T, { K, width, height } = camera;
+    const a = (x / canvas.clientWidth * width - K[2]) / K[0], b = (y / canvas.clientHeight * height - K[5]) / K[4];
+    return { origin: column(T, 3), direction: add(add(column(T, 2), column(T, 0), a), column(T, 1), b) };
+  };
+
   /** Index of the object at a place of the canvas (CSS pixels), -1 for none. */
   let picking = null;
   const pick = (x, y) => {
@@ -304,12 +313,20 @@ function view3d(canvas, data, { look, turns, painted = () => {} }) {
   // --- hands --------------------------------------------------------------------------------------------------
 
   const pointers = new Map();
+  let held = null; // what `grab` took over: {id, move, end}
+  const placeOf = (e) => {
+    const box = canvas.getBoundingClientRect();
+    return [e.clientX - box.left, e.clientY - box.top];
+  };
   canvas.addEventListener("pointerdown", (e) => {
     canvas.setPointerCapture(e.pointerId);
     canvas.focus({ preventScroll: true });
+    const taken = e.button === 0 && !e.shiftKey && !pointers.size && !held ? grab(...placeOf(e)) : null;
+    if (taken) return void (held = { id: e.pointerId, ...taken });
     pointers.set(e.pointerId, [e.clientX, e.clientY]);
   });
   canvas.addEventListener("pointermove", (e) => {
+    if (held?.id === e.pointerId) return held.move(ray(...placeOf(e)));
     const before = pointers.get(e.pointerId);
     if (!before) return;
     const now = [e.clientX, e.clientY], dx = now[0] - before[0], dy = now[1] - before[1], h = canvas.clientHeight;
@@ -323,7 +340,13 @@ function view3d(canvas, data, { look, turns, painted = () => {} }) {
     }
     pointers.set(e.pointerId, now);
   });
-  for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (e) => pointers.delete(e.pointerId));
+  for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (e) => {
+    pointers.delete(e.pointerId);
+    if (held?.id !== e.pointerId) return;
+    const { end } = held;
+    held = null;
+    end();
+  });
   canvas.addEventListener("contextmenu", (e) => e.preventDefault());
   canvas.addEventListener("wheel", (e) => {
     if (document.activeElement !== canvas) return; // the page scrolls on
@@ -342,7 +365,7 @@ function view3d(canvas, data, { look, turns, painted = () => {} }) {
   new ResizeObserver(draw).observe(canvas);
 
   return {
-    cell, from, pick, draw, middleOf,
+    cell, from, pick, draw, middleOf, ray,
     get busy() { return pointers.size > 0; },
     get fromPhoto() { return orbit === null; },
     get loaded() { return loaded === textures.length; },

@@ -1,0 +1,198 @@
+"""A job's folder: what is asked, how it stands, and the events that its process adds.
+
+A job lives as long as its process holds the lock of ``run.lock``. That is known after any server's end, and no other
+process that got the same number is taken for it.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import re
+import secrets
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from f3sr.errors import InputError, OutputError, reason
+from f3sr.files import strict_json
+from f3sr.runtime.atomic_file import write_whole
+from f3sr.studio.job_options import JobOptions, options_of
+
+State = Literal["queued", "running", "done", "failed", "cancelled"]
+RECORD, EVENTS, LOCK, WORDS, PICTURES = "job.json", "events.jsonl", "run.lock", "words.txt", "pictures"
+ID = re.compile(r"[0-9]{13}-[0-9a-f]{8}")
+"""Milliseconds since 1970 and a random number: sorted by name is sorted by time."""
+MAX_RECORD = 200_000
+"""Bytes of job.json."""
+MAX_EVENTS = 20_000_000
+"""Bytes of events that are read: a job writes some ten thousand."""
+LOOKS, LOOK_S = 20, 0.05
+"""How often a process tries to get the lock of a job, and the pause between [s]: a server that looks has it too."""
+SHOWN_STAGES = {"level": "level", "align": "align", "describe": "rest"}
+"""Stages after which the scene is drawn over the photo, and what the picture is called."""
+MAX_STARTS = 3
+"""Times that a job is begun: one that ends its process each time is not tried for ever."""
+
+
+class JobRecord(BaseModel):
+    """job.json."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    version: Literal[1] = 1
+    kind: Annotated[str, Field(max_length=40)]
+    options: dict[str, Any]
+    state: State = "queued"
+    problem: Annotated[str, Field(max_length=2000)] = ""
+    """One line, where it failed."""
+    starts: Annotated[int, Field(ge=0, le=1000)] = 0
+    """How often it was begun."""
+    result: dict[str, Any] = {}
+
+
+@dataclass(frozen=True)
+class JobFolder:
+    """One job on disk."""
+
+    folder: Path
+
+    @classmethod
+    def new(cls, jobs: Path, options: JobOptions) -> Self:
+        """A queued job. Raises OutputError where it cannot be written."""
+        try:
+            jobs.mkdir(exist_ok=True)
+            job = cls(jobs / f"{int(time.time() * 1000):013d}-{secrets.token_hex(4)}")
+            job.pictures.mkdir(parents=True)
+        except OSError as error:
+            raise OutputError(f"{jobs}: no job can be kept there ({reason(error)})") from error
+        job.keep(JobRecord(kind=options.kind, options=options.model_dump(exclude_none=True)))
+        return job
+
+    @property
+    def id(self) -> str:
+        return self.folder.name
+
+    @property
+    def project(self) -> Path:
+        """The folder of the project that the job belongs to."""
+        return self.folder.parent.parent
+
+    @property
+    def pictures(self) -> Path:
+        return self.folder / PICTURES
+
+    @property
+    def words(self) -> Path:
+        """What the process printed."""
+        return self.folder / WORDS
+
+    @property
+    def record(self) -> JobRecord:
+        """Raises InputError for a damaged one."""
+        tree = strict_json.read(self.folder / RECORD, most=MAX_RECORD, accepted="what the studio wrote there")
+        try:
+            return JobRecord.model_validate(tree)
+        except ValidationError as error:
+            found, wanted = strict_json.problem(error, ", ".join(JobRecord.model_fields))
+            raise InputError(self.folder / RECORD, found=found, accepted=wanted) from None
+
+    @property
+    def options(self) -> JobOptions:
+        """Checked again. Raises InputError."""
+        record = self.record
+        return options_of(record.kind, record.options)
+
+    def keep(self, record: JobRecord) -> None:
+        write_whole(self.folder / RECORD, record.model_dump_json(indent=1).encode())
+
+    def told(self) -> dict[str, Any]:
+        """For the page."""
+        record = self.record
+        return {"id": self.id, **record.model_dump(include={"kind", "state", "problem", "result"})}
+
+    # --- events ------------------------------------------------------------------------------------------------------
+
+    def tell(self, event: str, **values: Any) -> None:
+        """Add an event. A full disk loses it, and nothing else."""
+        line = json.dumps({"event": event, **values}, allow_nan=False).encode() + b"\n"
+        with suppress(OSError), (self.folder / EVENTS).open("a+b") as opened:
+            if opened.seek(0, os.SEEK_END) and opened.seek(-1, os.SEEK_END) >= 0 and opened.read(1) != b"\n":
+                line = b"\n" + line  # what a full disk cut stays a line of its own
+            opened.write(line)
+
+    def events(self, after: int = 0) -> list[dict[str, Any]]:
+        """Events from number ``after`` on; a last line that is being written is left for the next time."""
+        try:
+            with (self.folder / EVENTS).open("rb") as opened:
+                lines = opened.read(MAX_EVENTS).split(b"\n")[:-1]
+        except FileNotFoundError:
+            return []
+        return [self._event(line) for line in lines[max(0, after) :]]
+
+    @staticmethod
+    def _event(line: bytes) -> dict[str, Any]:
+        """A line that a full disk cut is an event without meaning: numbers stay."""
+        with suppress(ValueError):
+            if isinstance(tree := json.loads(line), dict):
+                return tree
+        return {"event": "lost"}
+
+    # --- life --------------------------------------------------------------------------------------------------------
+
+    @property
+    def pid(self) -> int | None:
+        """Of the process that does the job now; None where nobody does."""
+        try:
+            with (self.folder / LOCK).open("rb") as opened:
+                try:
+                    fcntl.flock(opened, fcntl.LOCK_SH | fcntl.LOCK_NB)
+                except OSError:
+                    text = opened.read(20)
+                    return int(text) if text.isdigit() else 0
+        except FileNotFoundError:
+            pass
+        return None
+
+    @contextmanager
+    def lived(self) -> Iterator[None]:
+        """While this process does the job. Raises OutputError where another one does."""
+        with (self.folder / LOCK).open("ab") as opened:
+            if not any(_locked(opened) for _ in range(LOOKS)):
+                raise OutputError(f"{self.folder}: another process does this job")
+            opened.truncate(0)
+            opened.write(str(os.getpid()).encode())
+            opened.flush()
+            yield
+
+
+def _locked(opened: IO[bytes]) -> bool:
+    """Whether the file is locked now, for this process alone; a moment later where a server looks at it."""
+    try:
+        fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        time.sleep(LOOK_S)
+        return False
+    return True
+
+
+def jobs_in(folder: Path) -> list[JobFolder]:
+    """All jobs of a project that can be read, the oldest first."""
+    with suppress(OSError):
+        names = sorted(entry.name for entry in os.scandir(folder) if ID.fullmatch(entry.name))
+        return [job for name in names if _is_readable(job := JobFolder(folder / name))]
+    return []
+
+
+def _is_readable(job: JobFolder) -> bool:
+    try:
+        job.options  # noqa: B018 - it raises
+    except (InputError, OSError):
+        return False
+    return True

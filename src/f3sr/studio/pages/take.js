@@ -1,0 +1,41 @@
+// The step in which the scene is taken away: downloads, other formats, the certificate.
+import { $, ask, busy, element, say } from "./ask.js";
+
+const checks = (place, names, chosen) => $(place).replaceChildren(...names.map((c) => element("label", { class: "check", title: c.found || "" },
+  element("input", { type: "checkbox", name: place, value: c.name, checked: c.met && chosen(c.name), disabled: !c.met }), ` ${c.name}`, c.met ? null : element("small", { text: ` ${c.found}` }))));
+const chosen = (place) => [...$(place).querySelectorAll("input:checked")].map((c) => c.value);
+
+const follow = async (project, kind, options, done) => {
+  $("take-state").className = "";
+  $("take-state").textContent = "…";
+  const ended = await project.job(kind, options, (event) => {
+    if (event.event === "step" && event.state !== "done") $("take-state").textContent = `${event.name} …`;
+  });
+  $("take-state").className = ended.state === "failed" ? "bad" : "";
+  $("take-state").textContent = ended.state === "done" ? done(ended.result) : ended.problem || ended.state;
+  say($("take-state").textContent);
+};
+
+export const take = {
+  begin(project) {
+    checks("formats", project.state.choices.formats, (name) => ["usd", "urdf", "sdf", "mjcf"].includes(name));
+    checks("engines", project.state.choices.engines, () => true);
+    $("take-package").href = "package.zip";
+    $("take-export").href = "export.zip";
+    $("export-form").addEventListener("submit", (e) => {
+      e.preventDefault();
+      busy($("export-start"), () => follow(project, "export", { formats: chosen("formats") }, () => "The export is ready to be downloaded."));
+    });
+    $("certify-form").addEventListener("submit", (e) => {
+      e.preventDefault();
+      busy($("certify-start"), () => follow(project, "certify", { engines: chosen("engines") }, () => "The certificate is below."));
+    });
+  },
+  changed(project) {
+    $("take-none").hidden = project.state.scene;
+    $("take-work").hidden = !project.state.scene;
+    $("take-export").hidden = !project.state.exported;
+    $("certificate-frame").hidden = !project.state.certified;
+    if (project.state.certified) $("certificate-frame").src = `${project.state.framed}certificate/certificate.html`;
+  },
+};

@@ -1,0 +1,181 @@
+"""The studio's web server: its address, its password, and its life."""
+
+from __future__ import annotations
+
+import ipaddress
+import json
+import os
+import secrets
+import socket
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from f3sr.errors import F3srError, InputError, OutputError, reason
+from f3sr.mask_page.loopback_server import HOST, TOKEN_BYTES
+from f3sr.runtime.atomic_file import write_whole
+from f3sr.runtime.extras import library
+from f3sr.studio.access_control import AddressSecrets
+from f3sr.web.browser import shown_in_browser
+
+if TYPE_CHECKING:
+    from uvicorn import Server
+
+ADDRESS = "address.json"
+"""In the workspace, for its owner alone: a server that is started again has the address that open pages know."""
+EVERYWHERE = ("0.0.0.0", "::", "")
+PASSWORD = "F3SR_STUDIO_PASSWORD"
+"""Environment variable of the password that ``--host`` needs."""
+LEAST_PASSWORD = 8
+"""Characters of a password."""
+MAX_HEAD = 64_000
+"""Bytes of a request before its body."""
+GRACE_S = 3
+"""How long requests in hand may take when the server ends [s]; jobs go on without it."""
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine reaches a host's name or number."""
+    if host == "localhost":
+        return True
+    with suppress(ValueError):
+        return ipaddress.ip_address(host).is_loopback
+    return False
+
+
+def require_password(host: str) -> str:
+    """The password for a host that other machines reach, from the environment or the terminal; empty for this one.
+
+    Raises InputError for one that is too short, or where none can be asked for.
+    """
+    if is_loopback(host):
+        return ""
+    password = os.environ.get(PASSWORD, "")
+    if not password and sys.stdin.isatty():
+        from getpass import getpass
+
+        password = getpass(f"Password for pages on {host}: ")
+    if len(password) < LEAST_PASSWORD:
+        found = f"{len(password)} characters" if password else "none"
+        raise InputError("the password", found=found, accepted=f"{LEAST_PASSWORD} or more, in {PASSWORD}")
+    return password
+
+
+def listening(host: str, port: int | None, folder: Path) -> tuple[socket.socket, AddressSecrets]:
+    """A socket that listens, and the secrets of its address: those of the server before, where its port is free.
+
+    Raises F3srError where the host or the port cannot be had.
+    """
+    known = _known(folder / ADDRESS) if is_loopback(host) else {}
+    for wanted in dict.fromkeys((port if port is not None else known.get("port", 0), port or 0)):
+        try:
+            made = socket.create_server((host, wanted), family=_family(host), backlog=64)
+            break
+        except OSError as error:
+            problem = F3srError(f"{host}:{wanted}: cannot be listened on ({reason(error)})")
+    else:
+        raise problem
+    is_same = made.getsockname()[1] == known.get("port")
+    token = str(known["token"]) if is_same else secrets.token_urlsafe(TOKEN_BYTES)
+    if is_loopback(host):
+        _keep(folder / ADDRESS, {"port": made.getsockname()[1], "token": token})
+    return made, AddressSecrets(token=token)
+
+
+def names_server(host: str, port: int) -> Callable[[str], bool]:
+    """Whether a Host header names this server. A page elsewhere cannot give its own name to this machine (DNS
+    rebinding): names are those of the machine, and numbers have no names."""
+    names = {host, "localhost", HOST} if is_loopback(host) else {host, socket.gethostname(), socket.getfqdn()}
+
+    def named(header: str) -> bool:
+        name, _, number = header.rpartition(":")
+        if number != str(port) and not (name == "" and port == 80):
+            return False
+        if name in names:
+            return True
+        with suppress(ValueError):
+            return host in EVERYWHERE and bool(ipaddress.ip_address(name.strip("[]")))
+        return False
+
+    return named
+
+
+def server_of(app: Any) -> Server:
+    """A server of the application, not running yet."""
+    uvicorn = library("uvicorn", extra="studio", why="the studio")
+    from f3sr.studio.bounded_connections import BoundedConnection
+
+    config = uvicorn.Config(
+        app,
+        http=BoundedConnection,
+        ws="none",
+        lifespan="off",
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        h11_max_incomplete_event_size=MAX_HEAD,
+        timeout_graceful_shutdown=GRACE_S,
+    )
+    return uvicorn.Server(config)
+
+
+def run(app: Any, made: socket.socket, *, opened: Callable[[], object] = lambda: None) -> None:
+    """Serve the application until Ctrl-C or a signal. ``opened`` is called once it answers."""
+    server = server_of(app)
+    with suppress(KeyboardInterrupt), _told(server, opened):
+        server.run(sockets=[made])
+
+
+def address(host: str, made: socket.socket, word: str) -> str:
+    """Of the first page."""
+    name = HOST if host in EVERYWHERE else f"[{host}]" if ":" in host else host
+    return f"http://{name}:{made.getsockname()[1]}/{word}"
+
+
+def show(place: str, once: str, *, open_browser: bool, tell: Callable[[str], object]) -> None:
+    """Open the address that counts once in the user's browser, and tell the one that stays."""
+    shown = open_browser and shown_in_browser(once)
+    tell(f"{'the studio is open at' if shown else 'open this page in a browser:'} {place}")
+
+
+@contextmanager
+def _told(server: Server, opened: Callable[[], object]) -> Iterator[None]:
+    """Call ``opened`` once the server has started."""
+    ended = threading.Event()
+
+    def wait() -> None:
+        while not ended.wait(0.02):
+            if server.started:
+                opened()
+                return
+
+    thread = threading.Thread(target=wait, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def _family(host: str) -> socket.AddressFamily:
+    return socket.AF_INET6 if ":" in host else socket.AF_INET
+
+
+def _known(file: Path) -> dict[str, Any]:
+    """Port and token of the server before; empty where they are not known, or others could read them."""
+    with suppress(OSError, ValueError):
+        if file.stat().st_mode & 0o077 == 0 and not file.is_symlink():
+            known = json.loads(file.read_text()[:10_000])
+            if type(known["port"]) is int and 0 < known["port"] < 65536 and len(known["token"]) > TOKEN_BYTES:
+                return known
+    return {}
+
+
+def _keep(file: Path, value: dict[str, Any]) -> None:
+    """For its owner alone; a full disk costs the address, not the server."""
+    with suppress(OutputError):
+        write_whole(file, json.dumps(value).encode(), mode=0o600)
