@@ -189,6 +189,8 @@ def _free_of_crossings(
         applied = apply_edit(before.scene, edit, number, config, closes=closes)
         if not applied.done:
             return applied, before.measures, before.details
+        if _measures_alike(before.scene, applied.scene):
+            return applied, before.measures, before.details
         measures, details = _measured(applied.scene)
         if measures.N_cross <= before.measures.N_cross:
             if not closes:
@@ -203,6 +205,16 @@ def _free_of_crossings(
 
 def _measured(scene: Scene) -> tuple[Measures, Details]:
     return measure_with_details(scene, of_meshes=begun(MeshMeasures.of, scene).result)
+
+
+def _measures_alike(a: Scene, b: Scene) -> bool:
+    """Whether all measures of two scenes are equal: they know neither labels nor materials."""
+    shape = ("mesh", "T_world_object", "parts", "footing")
+    return len(a.objects) == len(b.objects) and all(
+        (p.id, p.scale, p.mobility) == (q.id, q.scale, q.mobility)
+        and all(getattr(p, name) is getattr(q, name) for name in shape)
+        for p, q in zip(a, b, strict=True)
+    )
 
 
 def _restless(applied: Applied, was: Measures, now: Measures, number: int) -> list[Decision]:
