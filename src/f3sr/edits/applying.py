@@ -139,6 +139,9 @@ def _asked(there: Put, landed: Landed, edit: Edit, number: int) -> Decision:
     resting = f"rests on {_carriers(now)}" if now.mobility == "dynamic" else "is fixed"
     if there.note:
         return Decision(choice=f"edit {number}: {there.note}", reason=resting, about=edit.id, fallback=True)
+    if (sunk := -float(now.bounds_world[0, 2])) > TOLD:
+        choice = f"edit {number}: {edit.kind} as asked, {_length(sunk)} into the ground"
+        return Decision(choice=choice, reason=resting, about=edit.id, fallback=True)
     if np.linalg.norm(off) <= TOLD and turn <= TOLD_TURN:
         return Decision(choice=f"edit {number}: {edit.kind} as asked", reason=resting, about=edit.id)
     choice = f"edit {number}: moved to rest, {_where(off, turn)} where it was put"

@@ -12,7 +12,7 @@ from f3sr.edits.applying import Applied, apply_edit, refused
 from f3sr.edits.edit_list import MAX_EDITS, Edit
 from f3sr.edits.landing import editing
 from f3sr.edits.unedited import Unedited, read_edited
-from f3sr.errors import InputError, require_kind
+from f3sr.errors import InputError, OutputError, require_kind
 from f3sr.metrics.measures import Details, Measures, MeshMeasures, measure_with_details
 from f3sr.options import EDIT
 from f3sr.pipeline import Config
@@ -20,7 +20,8 @@ from f3sr.report import Decision, Measure, Report
 from f3sr.runtime.daemon_thread import begun
 from f3sr.runtime.progress import Progress, silent, timed
 from f3sr.scene import Scene
-from f3sr.scene_package.package import Package
+from f3sr.scene_package.package import Package, faults
+from f3sr.scene_package.scene_json import to_document
 
 REST = 0.1
 """Largest travel of a centre of mass in 5 s of undamped physics [cm] that counts as rest."""
@@ -187,6 +188,8 @@ def _free_of_crossings(
     crossings = 0
     for closes in (True, False):
         applied = apply_edit(before.scene, edit, number, config, closes=closes)
+        if applied.done and (fault := _unwritable(applied.scene)):
+            applied = refused(before.scene, edit, number, fault)
         if not applied.done:
             return applied, before.measures, before.details
         if _measures_alike(before.scene, applied.scene):
@@ -201,6 +204,18 @@ def _free_of_crossings(
         crossings = measures.N_cross
     why = f"it would end in {crossings} crossings of surfaces, with no free place near"
     return refused(before.scene, edit, number, why), before.measures, before.details
+
+
+def _unwritable(scene: Scene) -> str:
+    """Why no package may hold a scene; nothing where one may."""
+    for o in scene:
+        if fault := next(faults(o, scene.camera), None):
+            return f"object {o.id} would be one {fault}"
+    try:
+        to_document(scene, direct=None, uncertainty={}, metrics={}, provenance={})
+    except OutputError as error:
+        return str(error)
+    return ""
 
 
 def _measured(scene: Scene) -> tuple[Measures, Details]:
