@@ -204,8 +204,10 @@ def _where(off: Array, turn: float) -> str:
     beside, up = float(np.linalg.norm(off[:2])), float(off[2])
     parts = [f"{_length(abs(up))} {'above' if up > 0 else 'below'}"] if abs(up) > TOLD else []
     parts += [f"{_length(beside)} beside"] if beside > TOLD or not parts else []
-    turns = f", turned by {math.degrees(turn):.0f} degrees" if turn > TOLD_TURN else ""
-    return " and ".join(parts) + turns + (" from" if turns else "")
+    if turn <= TOLD_TURN:
+        return " and ".join(parts)
+    degrees = round(math.degrees(turn))
+    return f"{' and '.join(parts)}, turned by {degrees} degree{'s' * (degrees != 1)} from"
 
 
 def _length(meters: float) -> str:
