@@ -13,6 +13,7 @@ import hashlib
 import json
 import math
 import statistics
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -50,6 +51,7 @@ def main() -> None:
         "median_s": statistics.median(seconds),
         "p90_s": float(np.percentile(seconds, 90)),
         "worst_s": max(seconds),
+        "median_processor_s": statistics.median(row["processor_seconds"] for row in rows),
         "crossings": sum(row["N_cross"] for row in rows),
         "restless_untold": sum(row["D_max_cm"] > REST and not row["told"] for row in rows),
         "restless": sum(row["D_max_cm"] > REST for row in rows),
@@ -70,8 +72,9 @@ def edited(folder: Path, count: int, seed: int) -> dict[str, Any]:
     print(f"{folder.name}: {session.scene.summary}")
     rows, digests = list[dict[str, Any]](), [digest_of(session)]
     for k in range(count):
+        start = time.process_time()
         outcome = session.add(random_edit(session.scene, KINDS[k % len(KINDS)], rng))
-        rows.append(row := row_of(outcome))
+        rows.append(row := {**row_of(outcome), "processor_seconds": time.process_time() - start})
         print(line_of(row), flush=True)
         digests.append(digest_of(session) if k >= count - 2 else "")
     session.undo()

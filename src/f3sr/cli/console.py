@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from f3sr.report import Report
 from f3sr.runtime import signals
 from f3sr.runtime.progress import Progress, Step, silent
 
@@ -63,6 +64,14 @@ def _with_a_clock() -> Generator[Progress]:
                 bar.console.print(Text(str(step)))
 
         yield tell
+
+
+def say_fallbacks(reports: Iterable[Report]) -> None:
+    """A line for every fallback of some stages."""
+    for report in reports:
+        for decision in report.fallbacks:
+            about = f" (object {decision.about})" if decision.about is not None else ""
+            say(f"fallback in {report.stage}{about}: {decision.choice}; {decision.reason}")
 
 
 def print_measures(columns: Mapping[str, Mapping[str, float]]) -> None:

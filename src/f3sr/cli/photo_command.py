@@ -56,6 +56,7 @@ def photo(
     precision: PrecisionName = "auto",
     allow_downloads: bool = False,
     config: MaybeFile = None,
+    edits: MaybeFile = None,
     overwrite: bool = False,
     open: bool = True,
     json: bool = False,
@@ -86,6 +87,7 @@ def photo(
         precision: Their numbers; auto is float32 on a CPU, what a model usually runs in elsewhere.
         allow_downloads: Fetch weights of such models from the hub where they are not on this machine.
         config: TOML file of settings; those it does not name stay as ``f3sr config`` prints them.
+        edits: edits.json, as an edited package holds it: what was changed by hand is changed again.
         overwrite: Also replace a package that holds rollouts.
         open: Open page and report in a browser.
         json: Print one JSON object instead of text.
@@ -102,7 +104,7 @@ def photo(
     if given and (segment or ground_segmenter):
         option = "--segment" if segment else "--ground-segmenter"
         raise InputError(option, found=f"the folder {photo.name}, which has masks", accepted="a photo")
-    package = prepare_output(package, inputs=folder, overwrite=overwrite)
+    package = prepare_output(package, inputs=folder, overwrite=overwrite, edits=edits is not None)
     if not given:
         choice = ModelChoice(device=device, precision=precision, allow_downloads=allow_downloads)
         _outlined(photo, folder, box, segment, segmenter, ground_segmenter, choice, open=open, json=json)
@@ -122,6 +124,7 @@ def photo(
         precision=precision,
         allow_downloads=allow_downloads,
         config=config,
+        edits=edits,
         overwrite=overwrite,
         json=json,
     )

@@ -59,6 +59,7 @@ def reconstruct(
     precision: PrecisionName = "auto",
     allow_downloads: bool = False,
     config: MaybeFile = None,
+    edits: MaybeFile = None,
     export: Formats = "",
     overwrite: bool = False,
     json: bool = False,
@@ -95,6 +96,7 @@ def reconstruct(
         precision: Their numbers; auto is float32 on a CPU, what a model usually runs in elsewhere.
         allow_downloads: Fetch weights of such models from the hub where they are not on this machine.
         config: TOML file of settings; those it does not name stay as ``f3sr config`` prints them.
+        edits: edits.json, as an edited package holds it: what was changed by hand is changed again.
         export: Formats to write the package in too, as for ``f3sr export``, into OUT_export.
         overwrite: Also replace a package that holds rollouts, and an older export.
         json: Print one JSON object instead of text.
@@ -106,6 +108,7 @@ def reconstruct(
         from f3sr.background.completers import BACKGROUND_COMPLETERS, DEFAULT_COMPLETER
         from f3sr.cli import console
         from f3sr.delivery import deliver
+        from f3sr.edits import deliver_edited, read_edits
         from f3sr.io.input_folder import INPUT_FOLDER
         from f3sr.io.inputs import Fillers
         from f3sr.io.photo_hints import PhotoHints, known_of
@@ -123,6 +126,7 @@ def reconstruct(
         scene_export.prepare_export(scene_export.beside(out), overwrite=overwrite)
     if package_folder.is_package(folder):
         raise InputError(folder, found=package_folder.PACKAGE, accepted=INPUT_FOLDER)
+    wanted = read_edits(edits) if edits else None
     chosen = settings.read(config, pipeline.Config()) if config else pipeline.Config()
     if normals_axes and normals is None:
         raise InputError("--normals-axes", found=normals_axes, accepted="together with --normals")
@@ -147,12 +151,18 @@ def reconstruct(
                 fillers=fillers.telling(words_to(progress)),
                 hints=hints,
             )
-        package.prepare_output(out, inputs=folder, overwrite=overwrite)
+        package.prepare_output(out, inputs=folder, overwrite=overwrite, edits=wanted is not None)
         compilers.begin(progress)
         result = pipeline.reconstruct(
             given, chosen, skip=names_in(skip), background=completer, store=Store.default(), progress=progress
         )
-        written = deliver(result, out, overwrite=overwrite, progress=progress)
+        reports, columns = list(result.reports), columns_of(result.evaluation)
+        if wanted is None:
+            written = deliver(result, out, overwrite=overwrite, progress=progress)
+        else:
+            written, session = deliver_edited(result, wanted, out, overwrite=overwrite, progress=progress)
+            reports.append(session.report)
+            columns["edited"] = session.outcome.measures.as_dict()
         exported = None
         if formats:
             exported = scene_export.export_package(
@@ -160,13 +170,10 @@ def reconstruct(
             )
     if json:
         places = {"package": str(written), **({"export": str(exported)} if exported else {})}
-        print(as_json({**places, "seconds": result.seconds, **columns_of(result.evaluation)}))
+        print(as_json({**places, "seconds": result.seconds, **columns}))
         return
-    for report in result.reports:
-        for decision in report.fallbacks:
-            about = f" (object {decision.about})" if decision.about is not None else ""
-            console.say(f"fallback in {report.stage}{about}: {decision.choice}; {decision.reason}")
-    console.print_measures(columns_of(result.evaluation))
+    console.say_fallbacks(reports)
+    console.print_measures(columns)
     console.say(f"package:  {written}")
     console.say(f"report:   {written / package.PAGE}")
     if exported:

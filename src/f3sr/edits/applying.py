@@ -21,7 +21,7 @@ from f3sr.edits.edit_list import (
     SupportEdit,
     TurnEdit,
 )
-from f3sr.edits.landing import Landed, land, settled
+from f3sr.edits.landing import Effort, Landed, land, settled
 from f3sr.edits.placing import Put, put, turned, without
 from f3sr.files.bounds import MAX_DENSITY, MAX_OBJECT, MIN_DENSITY, MIN_OBJECT
 from f3sr.metrics.contact_groups import groups_of
@@ -51,11 +51,11 @@ class Applied:
     """False where the edit was not applied: the scene is the one of before."""
 
 
-def apply_edit(scene: Scene, edit: Edit, number: int, config: Config, *, closes: bool = True) -> Applied:
+def apply_edit(scene: Scene, edit: Edit, number: int, config: Config, effort: Effort) -> Applied:
     """The scene after an edit, the ``number``-th of its list. ``config`` is that of ``landing.editing``.
 
     Objects that do not touch what the edit moves, before or after, stay the very same values. An edit that does not
-    fit the scene leaves it as it is: its decision, a fallback, says why. ``closes``: gaps below what moved are closed.
+    fit the scene leaves it as it is: its decision, a fallback, says why.
     """
     if fault := _fault(scene, edit):
         return refused(scene, edit, number, fault)
@@ -68,12 +68,12 @@ def apply_edit(scene: Scene, edit: Edit, number: int, config: Config, *, closes:
         said = Decision(choice=f"edit {number}: fixed where it is", reason="given", about=edit.id)
         return Applied(scene=_described(held, config), decisions=(said,), given=frozenset({edit.id}))
     if isinstance(edit, MaterialEdit):
-        return _made_of(scene, edit, number, config)
+        return _made_of(scene, edit, number, config, effort)
     if isinstance(edit, ReleaseEdit):
-        return _let_go(scene, edit, number, config, closes=closes)
+        return _let_go(scene, edit, number, config, effort)
     if isinstance(edit, DeleteEdit):
-        return _taken_out(scene, edit, number, config, closes=closes)
-    return _moved(scene, edit, number, config, closes=closes)
+        return _taken_out(scene, edit, number, config, effort)
+    return _moved(scene, edit, number, config, effort)
 
 
 def refused(scene: Scene, edit: Edit, number: int, why: str) -> Applied:
@@ -120,10 +120,10 @@ def _described(scene: Scene, config: Config) -> Scene:
 
 
 def _moved(
-    scene: Scene, edit: MoveEdit | TurnEdit | ScaleEdit | SupportEdit, number: int, config: Config, *, closes: bool
+    scene: Scene, edit: MoveEdit | TurnEdit | ScaleEdit | SupportEdit, number: int, config: Config, effort: Effort
 ) -> Applied:
     there = put(scene, edit, number)
-    landed = land(scene, there, config, closes=closes)
+    landed = land(scene, there, config, effort)
     decisions = [_asked(there, landed, edit, number)]
     if isinstance(edit, SupportEdit) and edit.on not in landed.scene[edit.id].carriers:
         choice = f"edit {number}: does not stay on {name_of(edit.on)}; rests on {_carriers(landed.scene[edit.id])}"
@@ -139,6 +139,9 @@ def _asked(there: Put, landed: Landed, edit: Edit, number: int) -> Decision:
     resting = f"rests on {_carriers(now)}" if now.mobility == "dynamic" else "is fixed"
     if there.note:
         return Decision(choice=f"edit {number}: {there.note}", reason=resting, about=edit.id, fallback=True)
+    if (sunk := -float(now.bounds_world[0, 2])) > TOLD:
+        choice = f"edit {number}: {edit.kind} as asked, {_length(sunk)} into the ground"
+        return Decision(choice=choice, reason=resting, about=edit.id, fallback=True)
     if np.linalg.norm(off) <= TOLD and turn <= TOLD_TURN:
         return Decision(choice=f"edit {number}: {edit.kind} as asked", reason=resting, about=edit.id)
     choice = f"edit {number}: moved to rest, {_where(off, turn)} where it was put"
@@ -157,10 +160,10 @@ def _others(was: Scene, landed: Landed, number: int, *, but: Collection[int], ve
     return found
 
 
-def _taken_out(scene: Scene, edit: DeleteEdit, number: int, config: Config, *, closes: bool) -> Applied:
+def _taken_out(scene: Scene, edit: DeleteEdit, number: int, config: Config, effort: Effort) -> Applied:
     there, gone = without(scene, edit.id), scene[edit.id]
     before = replace(scene, objects=tuple(scene[o.id] for o in there.scene))
-    landed = land(before, there, config, closes=closes)
+    landed = land(before, there, config, effort)
     reason = f"deleted by edit {number}"
     excluded = (*landed.scene.excluded, Excluded(mask=gone.mask_name, reason=reason))
     landed = replace(landed, scene=replace(landed.scene, excluded=excluded))
@@ -169,13 +172,13 @@ def _taken_out(scene: Scene, edit: DeleteEdit, number: int, config: Config, *, c
     return _applied(landed, there, decisions, number, config)
 
 
-def _let_go(scene: Scene, edit: ReleaseEdit, number: int, config: Config, *, closes: bool) -> Applied:
+def _let_go(scene: Scene, edit: ReleaseEdit, number: int, config: Config, effort: Effort) -> Applied:
     free = scene.with_objects(replace(scene[edit.id], mobility="dynamic"))
     there = Put(scene=free, placed=frozenset({edit.id}), roots=(edit.id,))
     if scene[edit.id].supported_by is not None and (stays := _staying(free, edit.id, config)):
         said = Decision(choice=f"edit {number}: released, rests as it is", reason="given", about=edit.id)
         return Applied(scene=_described(stays, config), decisions=(said,), given=there.placed)
-    landed = land(free, there, config, closes=closes)
+    landed = land(free, there, config, effort)
     decisions = [_asked(there, landed, edit, number)]
     decisions += _others(free, landed, number, but={edit.id}, verb="moved")
     return _applied(landed, there, decisions, number, config)
@@ -201,8 +204,10 @@ def _where(off: Array, turn: float) -> str:
     beside, up = float(np.linalg.norm(off[:2])), float(off[2])
     parts = [f"{_length(abs(up))} {'above' if up > 0 else 'below'}"] if abs(up) > TOLD else []
     parts += [f"{_length(beside)} beside"] if beside > TOLD or not parts else []
-    turns = f", turned by {math.degrees(turn):.0f} degrees" if turn > TOLD_TURN else ""
-    return " and ".join(parts) + turns + (" from" if turns else "")
+    if turn <= TOLD_TURN:
+        return " and ".join(parts)
+    degrees = round(math.degrees(turn))
+    return f"{' and '.join(parts)}, turned by {degrees} degree{'s' * (degrees != 1)} from"
 
 
 def _length(meters: float) -> str:
@@ -216,7 +221,7 @@ def _carriers(o: SceneObject) -> str:
 # --- materials ----------------------------------------------------------------------------------------------------
 
 
-def _made_of(scene: Scene, edit: MaterialEdit, number: int, config: Config) -> Applied:
+def _made_of(scene: Scene, edit: MaterialEdit, number: int, config: Config, effort: Effort) -> Applied:
     o = scene[edit.id]
     density = edit.density if edit.mass is None else edit.mass / _volume(o)
     said = dict[str, str]()
@@ -236,7 +241,7 @@ def _made_of(scene: Scene, edit: MaterialEdit, number: int, config: Config) -> A
         return Applied(scene=_described(stays, config), decisions=(given,))
     group = _group(made, o.id, config)
     there = Put(scene=made, placed=frozenset(), roots=(), touched=group)
-    landed = land(made, there, config)
+    landed = land(made, there, config, effort)
     decisions = [given, *_others(made, landed, number, but=(), verb="moved")]
     return _applied(landed, there, decisions, number, config)
 

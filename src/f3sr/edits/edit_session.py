@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
 from f3sr.edits.applying import Applied, apply_edit, refused
 from f3sr.edits.edit_list import MAX_EDITS, Edit
-from f3sr.edits.landing import editing
+from f3sr.edits.landing import Effort, editing
 from f3sr.edits.unedited import Unedited, read_edited
-from f3sr.errors import InputError, require_kind
+from f3sr.errors import InputError, OutputError, require_kind
 from f3sr.metrics.measures import Details, Measures, MeshMeasures, measure_with_details
 from f3sr.options import EDIT
 from f3sr.pipeline import Config
@@ -20,10 +20,13 @@ from f3sr.report import Decision, Measure, Report
 from f3sr.runtime.daemon_thread import begun
 from f3sr.runtime.progress import Progress, silent, timed
 from f3sr.scene import Scene
-from f3sr.scene_package.package import Package
+from f3sr.scene_package.package import Package, faults
+from f3sr.scene_package.scene_json import to_document
 
 REST = 0.1
 """Largest travel of a centre of mass in 5 s of undamped physics [cm] that counts as rest."""
+EFFORTS = (Effort(), Effort(again=2), Effort(closes=False, again=2))
+"""In this order until the scene rests and nothing crosses."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -164,7 +167,7 @@ def _measured_base(scene: Scene) -> EditOutcome:
 def _outcome(before: EditOutcome, edit: Edit, number: int, config: Config) -> EditOutcome:
     """The state after an edit; the one of before where the edit would make surfaces cross."""
     start = time.perf_counter()
-    applied, measures, details = _free_of_crossings(before, edit, number, config)
+    applied, measures, details = _tried(before, edit, number, config)
     known = {o.id: o for o in before.scene}
     return EditOutcome(
         number=number,
@@ -172,7 +175,7 @@ def _outcome(before: EditOutcome, edit: Edit, number: int, config: Config) -> Ed
         scene=applied.scene,
         measures=measures,
         details=details,
-        decisions=(*applied.decisions, *_restless(applied, before.measures, measures, number)),
+        decisions=(*applied.decisions, *_restless(applied, measures, number)),
         moved=frozenset(o.id for o in applied.scene if o is not known[o.id]),
         given=(before.given | applied.given) & {o.id for o in applied.scene},
         done=applied.done,
@@ -180,33 +183,56 @@ def _outcome(before: EditOutcome, edit: Edit, number: int, config: Config) -> Ed
     )
 
 
-def _free_of_crossings(
-    before: EditOutcome, edit: Edit, number: int, config: Config
-) -> tuple[Applied, Measures, Details]:
-    """The edit applied; without closing gaps where surfaces cross by it; not at all where they cross even then."""
+def _tried(before: EditOutcome, edit: Edit, number: int, config: Config) -> tuple[Applied, Measures, Details]:
+    """The edit applied with the first effort that leaves the scene at rest and free of crossings, else with that after
+    which it moves least; not at all where surfaces cross by all of them."""
+    best: tuple[Applied, Measures, Details] | None = None
     crossings = 0
-    for closes in (True, False):
-        applied = apply_edit(before.scene, edit, number, config, closes=closes)
-        if not applied.done:
+    for effort in EFFORTS:
+        applied = apply_edit(before.scene, edit, number, config, effort)
+        if applied.done and (fault := _unwritable(applied.scene)):
+            applied = refused(before.scene, edit, number, fault)
+        if not applied.done or _measures_alike(before.scene, applied.scene):
             return applied, before.measures, before.details
         measures, details = _measured(applied.scene)
-        if measures.N_cross <= before.measures.N_cross:
-            if not closes:
-                said = f"edit {number}: gaps below what moved are not closed"
-                told = Decision(choice=said, reason=f"{crossings} crossings of surfaces then", fallback=True)
-                applied = replace(applied, decisions=(*applied.decisions, told))
-            return applied, measures, details
-        crossings = measures.N_cross
+        if measures.N_cross > before.measures.N_cross:
+            crossings = measures.N_cross
+        elif best is None or measures.D_max_cm < best[1].D_max_cm:
+            best = applied, measures, details
+        if best and best[1].D_max_cm <= max(REST, before.measures.D_max_cm):
+            return best
     why = f"it would end in {crossings} crossings of surfaces, with no free place near"
-    return refused(before.scene, edit, number, why), before.measures, before.details
+    return best or (refused(before.scene, edit, number, why), before.measures, before.details)
+
+
+def _unwritable(scene: Scene) -> str:
+    """Why no package may hold a scene; nothing where one may."""
+    for o in scene:
+        if fault := next(faults(o, scene.camera), None):
+            return f"object {o.id} would be one {fault}"
+    try:
+        to_document(scene, direct=None, uncertainty={}, metrics={}, provenance={})
+    except OutputError as error:
+        return str(error)
+    return ""
 
 
 def _measured(scene: Scene) -> tuple[Measures, Details]:
     return measure_with_details(scene, of_meshes=begun(MeshMeasures.of, scene).result)
 
 
-def _restless(applied: Applied, was: Measures, now: Measures, number: int) -> list[Decision]:
-    if not applied.done or now.D_max_cm <= max(REST, was.D_max_cm):
+def _measures_alike(a: Scene, b: Scene) -> bool:
+    """Whether all measures of two scenes are equal: they know neither labels nor materials."""
+    shape = ("mesh", "T_world_object", "parts", "footing")
+    return len(a.objects) == len(b.objects) and all(
+        (p.id, p.scale, p.mobility) == (q.id, q.scale, q.mobility)
+        and all(getattr(p, name) is getattr(q, name) for name in shape)
+        for p, q in zip(a, b, strict=True)
+    )
+
+
+def _restless(applied: Applied, now: Measures, number: int) -> list[Decision]:
+    if not applied.done or now.D_max_cm <= REST:
         return []
     choice = f"edit {number}: the scene is not at rest"
     reason = f"released without damping, an object moves {now.D_max_cm:.2f} cm in 5 s"

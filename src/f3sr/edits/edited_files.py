@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, ClassVar
 
 from pydantic import JsonValue
 
-from f3sr.edits.edit_list import edits_digest, edits_json
+from f3sr.delivery import deliver
+from f3sr.edits.edit_list import Edit, edits_digest, edits_json
 from f3sr.edits.edit_session import EditSession
 from f3sr.edits.unedited import BEHIND
 from f3sr.options import EDIT
@@ -18,8 +20,9 @@ from f3sr.pipeline import Reconstruction
 from f3sr.report import Measure, Outcome
 from f3sr.report_page import report_page
 from f3sr.runtime.atomic_folder import claimed
+from f3sr.runtime.progress import Progress, silent, timed
 from f3sr.scene import Scene
-from f3sr.scene_package.package import package_files
+from f3sr.scene_package.package import package_files, read_package
 from f3sr.scene_package.package_folder import EDITS, PAGE, SCENE, UNEDITED, placed, require_replaceable
 from f3sr.scene_package.scene_json import ObjectRecord, SceneDocument, to_document, to_json
 from f3sr.stages.evaluate import Evaluation
@@ -38,16 +41,38 @@ class EditsApplied(Outcome):
         return self.numbers
 
 
-def write_edited(session: EditSession, out: str | Path, *, overwrite: bool = False) -> Path:
+def write_edited(
+    session: EditSession, out: str | Path, *, overwrite: bool = False, progress: Progress = silent
+) -> Path:
     """Write the edited package to ``out``, which may be the session's own folder, and return the folder's full path.
 
     Raises OutputError if ``out`` is not an f3sr package, or is one with rollouts without ``overwrite``."""
     folder = placed(Path(out))
-    with claimed(folder, lambda folder: require_replaceable(folder, overwrite=overwrite)) as claim:
+    with (
+        timed("package", progress),
+        claimed(folder, lambda folder: require_replaceable(folder, overwrite=overwrite, edits=True)) as claim,
+    ):
         for name, data in edited_files(session):
             claim.write(name, data)
         claim.replace()
     return folder
+
+
+def deliver_edited(
+    result: Reconstruction,
+    edits: Sequence[Edit],
+    out: str | Path,
+    *,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> tuple[Path, EditSession]:
+    """Write a reconstruction with edits as a package, and return the folder's full path and the session.
+
+    The edits are those of the package that ``deliver`` writes, read again: the poses are the same to the bit."""
+    with TemporaryDirectory(prefix="f3sr-") as made:
+        package = read_package(deliver(result, Path(made) / "package", progress=progress))
+        session = EditSession(package, edits, config=result.config, progress=progress)
+    return write_edited(session, out, overwrite=overwrite, progress=progress), session
 
 
 def edited_files(session: EditSession) -> Iterator[tuple[str, bytes]]:

@@ -21,6 +21,16 @@ MEETINGS = 3
 """Most times that what is met on the way joins what settles."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Effort:
+    """What is done so that a scene rests: another one is tried where that fails."""
+
+    closes: bool = True
+    """Gaps below what moved are closed."""
+    again: int = 0
+    """Times that everything settles once more in the end: what creeps or rolls slowly needs longer."""
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Landed:
     """A scene in which what an edit put somewhere has come to rest."""
@@ -38,7 +48,7 @@ def editing(config: Config) -> Config:
     return replace(shared, separate=replace(shared.separate, max_ray_scale=0.0))
 
 
-def land(before: Scene, put: Put, config: Config, *, closes: bool = True) -> Landed:
+def land(before: Scene, put: Put, config: Config, effort: Effort) -> Landed:
     """Bring what was put somewhere to rest: only it is parted from the others, then it settles with all it touches.
 
     ``before`` is the scene at rest before the edit, with the same ids. ``config`` is that of ``editing``."""
@@ -66,8 +76,10 @@ def land(before: Scene, put: Put, config: Config, *, closes: bool = True) -> Lan
         if met <= moving:
             break
         moving |= met
-    if closes:
+    if effort.closes:
         state = _closed(state, moving, config)
+    for _ in range(effort.again):
+        state = settled(state.scene, moving, config)
     unknown = frozenset(id for g in groups_of(state.scene, state.scene, apart) if g & moving for id in g) - moving
     return Landed(scene=state.scene, restless=state.restless | unknown, moving=moving)
 

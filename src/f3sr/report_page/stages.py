@@ -29,7 +29,8 @@ class StageSheet:
 
 def stages(page: PageData) -> list[StageSheet]:
     found: list[StageSheet] = []
-    before: Scene | None = None
+    first, start = next(iter(page.result.scenes.items()), ("", None))
+    before = None if first == page.result.reports[0].stage else start  # an edited package is a scene already
     for report in page.result.reports:
         after = page.result.scenes.get(report.stage, page.result.scene)
         found.append(_sheet(report, page, before, after))

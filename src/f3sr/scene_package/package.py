@@ -337,12 +337,12 @@ def _read_objects(folder: Path, document: SceneDocument, camera: Camera) -> tupl
 
 
 def _require_sound(folder: Path, o: SceneObject, camera: Camera, name: str) -> None:
-    if fault := next(_faults(o, camera), None):
+    if fault := next(faults(o, camera), None):
         found, _, accepted = fault.partition("; accepted: ")
         raise InputError(folder / "scene.json", found=f"{name} {o.id} {found}", accepted=accepted)
 
 
-def _faults(o: SceneObject, camera: Camera) -> Iterator[str]:
+def faults(o: SceneObject, camera: Camera) -> Iterator[str]:
     """What no object is that a photo shows and physics can move: its mesh, its parts and its body must fit together."""
     size = o.scale * o.mesh.diagonal
     if not MIN_OBJECT <= size <= MAX_OBJECT:

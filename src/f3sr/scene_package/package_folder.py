@@ -61,10 +61,11 @@ def is_package(folder: Path) -> bool:
     return isinstance(provenance, dict) and "f3sr" in provenance
 
 
-def prepare_output(out: Path, *, inputs: Path | None = None, overwrite: bool = False) -> Path:
+def prepare_output(out: Path, *, inputs: Path | None = None, overwrite: bool = False, edits: bool = False) -> Path:
     """Tidy up after an interrupted run, and refuse early a place that a package may not take.
 
-    ``inputs`` is the folder a run reads: neither may lie inside the other. Returns the full path of ``out``.
+    ``inputs`` is the folder a run reads: neither may lie inside the other. ``edits``: whether the new package has edits
+    of its own. Returns the full path of ``out``.
     Raises OutputError; makes no folder that stays.
     """
     out = placed(out)
@@ -72,7 +73,7 @@ def prepare_output(out: Path, *, inputs: Path | None = None, overwrite: bool = F
         source = Path(inputs).resolve()
         if out.is_relative_to(source) or source.is_relative_to(out):
             raise OutputError(f"{out}: the output and the input folder {source} may not hold one another")
-    return atomic_folder.check(out, lambda out: require_replaceable(out, overwrite=overwrite))
+    return atomic_folder.check(out, lambda out: require_replaceable(out, overwrite=overwrite, edits=edits))
 
 
 def _is_no_folder(path: Path) -> bool:
@@ -112,8 +113,8 @@ def placed(out: Path, *, rollout: bool = False) -> Path:
     return full
 
 
-def require_replaceable(out: Path, *, overwrite: bool) -> None:
-    """Raises OutputError unless a package may take the place ``out``."""
+def require_replaceable(out: Path, *, overwrite: bool, edits: bool = False) -> None:
+    """Raises OutputError unless a package may take the place ``out``; one without ``edits`` takes no edited one's."""
     if not os.path.lexists(out) or _is_empty(out):
         return
     if not is_package(out):
@@ -123,6 +124,9 @@ def require_replaceable(out: Path, *, overwrite: bool) -> None:
     rollouts = out / ROLLOUTS
     if rollouts.is_dir() and not _is_empty(rollouts) and not overwrite:
         raise OutputError(f"{out}: holds rollouts; a package with rollouts is replaced only with --overwrite")
+    if (out / EDITS).exists() and not overwrite and not edits:
+        kept = f"--edits {out / EDITS} applies them again, --overwrite drops them"
+        raise OutputError(f"{out}: holds edits; {kept}")
 
 
 def _package_around(folder: Path) -> Path | None:
