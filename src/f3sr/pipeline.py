@@ -123,7 +123,8 @@ def reconstruct(
     and ``coarsen``. ``store`` holds results of earlier runs: a stage with equal inputs, settings and code is read
     instead of run.
     ``background`` completes the photo behind the objects instead of f3sr's own method. ``progress`` receives one line
-    of text per event, ``seen`` the scene after every stage, by name. Equal arguments give equal scenes. Raises InputError for arguments of another kind.
+    of text per event, ``seen`` the scene after every stage, by name. Equal arguments give equal scenes. Raises
+    InputError for arguments of another kind.
     """
     require_kind("inputs", inputs, Inputs, accepted="f3sr.read_inputs(...)")
     require_names("skip", skip)

@@ -24,6 +24,7 @@ from f3sr.cli import (
     photo_command,
     sample_command,
     segment_command,
+    studio_command,
 )
 from f3sr.cli.arguments import Axes, Folder, Ignore, MaybeFile, Out
 from f3sr.cli.reconstruct_command import as_json, columns_of, names_in, reconstruct
@@ -52,6 +53,7 @@ F3SR_WORKER_SAM3D or F3SR_WORKER_GEOMETRY; `f3sr doctor` lists them and the keys
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     commands: dict[str, Callable[..., Any]] = {
+        "studio": studio_command.studio,
         "photo": photo_command.photo,
         "segment": segment_command.segment,
         "import": import_command.import_scene,

@@ -55,6 +55,8 @@ class AddressSecrets:
     """Opens further addresses; empty where only the terminal's counts."""
     once: str = field(default_factory=lambda: secrets.token_urlsafe(TOKEN_BYTES))
     """Leads to the page once: a browser's command line, which every user of the machine can list, gets this one."""
+    first: str = ""
+    """The page, below the secret word, that the user sees first."""
     framed: str = field(default_factory=lambda: secrets.token_urlsafe(TOKEN_BYTES))
     """Opens nothing but files of packages: a document from there can read its own address."""
     _sessions: list[str] = field(default_factory=list[str])
@@ -130,7 +132,7 @@ class AccessControl:
         is_login = self.login is not None and not slash and word in ("", "login")
         is_framed = self.secrets.frames(word) and rest.startswith(FRAMES) and method == "GET"
         if method == "GET" and not rest and self.secrets.takes_once(word):
-            return _moved(f"/{self.secrets.token}/")
+            return _moved(f"/{self.secrets.token}/{self.secrets.first}")
         if not (is_login or is_framed or (slash and self.secrets.opens(word))):
             raise nothing
         if method == "POST" and _all(scope, b"origin") != [f"{scope['scheme']}://{hosts[0]}"]:

@@ -8,13 +8,17 @@ from dataclasses import dataclass
 from functools import cached_property
 from http import HTTPStatus
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+from fastapi import FastAPI
+from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, Field
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import FileResponse, Response, StreamingResponse
 
 from f3sr.errors import F3srError, InputError, one_line, unforeseen
 from f3sr.mask_page.loopback_server import BEAT_S, json_reply
-from f3sr.runtime.extras import library
 from f3sr.studio.access_control import FRAMED, FRAMES, AddressSecrets
 from f3sr.studio.choices import choices
 from f3sr.studio.job_options import ReconstructOptions
@@ -25,11 +29,6 @@ from f3sr.studio.project_pictures import masks, photo, thumbnail
 from f3sr.studio.service_clients import ServiceClients
 from f3sr.studio.workspace import Project, Workspace
 from f3sr.web.document import WEB, environment
-
-if TYPE_CHECKING:
-    from fastapi import FastAPI
-    from starlette.requests import Request
-    from starlette.responses import Response
 
 HERE = Path(__file__).parent
 PAGES = {file.name: file for file in (*sorted((HERE / "pages").iterdir()), WEB / "page.css", WEB / "view3d.js")}
@@ -86,9 +85,8 @@ class StudioApp:
 
     @cached_property
     def app(self) -> FastAPI:
-        fastapi = library("fastapi", extra="studio", why="the studio")
-        app: FastAPI = fastapi.FastAPI(docs_url=None, redoc_url=None, openapi_url=None, redirect_slashes=False)
-        app.add_exception_handler(fastapi.exceptions.RequestValidationError, _misshapen)
+        app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None, redirect_slashes=False)
+        app.add_exception_handler(RequestValidationError, _misshapen)
         app.add_exception_handler(F3srError, _problem)
         app.add_exception_handler(OSError, _problem)
         for method, path, route in self._routes():
@@ -107,7 +105,7 @@ class StudioApp:
         yield "POST", "/p/{id}/delete", self.delete
         for name, drawn in (("photo", photo), ("thumb", thumbnail), ("masks", masks)):
             yield "GET", f"/p/{{id}}/{name}.jpg", self._drawn(drawn)
-        yield "GET", "/p/{id}/outline/", self._served("outline")
+        yield "GET", "/p/{id}/outline/", self.outline
         yield "GET", "/p/{id}/outline/photo.jpg", self._served("outline/photo")
         yield "GET", "/p/{id}/outline/alive", self.alive
         for name in OUTLINE_POSTS:
@@ -151,7 +149,7 @@ class StudioApp:
 
     async def from_photo(self, request: Request, name: str = "photo") -> dict[str, str]:
         data = await request.body()
-        return {"id": (await _in_thread(lambda: self.workspace.create_photo(name[:200], data))).id}
+        return {"id": (await run_in_threadpool(lambda: self.workspace.create_photo(name[:200], data))).id}
 
     def from_example(self, asked: NothingAsked) -> dict[str, str]:
         return {"id": self.workspace.create_example().id}
@@ -180,10 +178,14 @@ class StudioApp:
     def understand(self, id: str, asked: GoalAsked) -> Response:
         return self._call(id, "understand", asked.model_dump_json().encode())
 
+    def outline(self, id: str) -> Response:
+        """The page that outlines objects: a document with a policy of its own."""
+        answer = self._call(id, "outline")
+        answer.headers["Content-Security-Policy"] = FRAMED
+        return answer
+
     def alive(self, id: str) -> Response:
         """An open connection, which tells the page that the studio is there."""
-        from starlette.responses import StreamingResponse
-
         self.workspace.project(id)
         return StreamingResponse(_beats(), media_type="text/plain")
 
@@ -208,7 +210,7 @@ class StudioApp:
     def _asked(self, name: str) -> Callable[..., Any]:
         async def answer(id: str, request: Request) -> Response:
             body = await request.body()
-            return await _in_thread(lambda: self._call(id, name, body))
+            return await run_in_threadpool(lambda: self._call(id, name, body))
 
         return answer
 
@@ -253,8 +255,6 @@ class StudioApp:
 
     def zipped(self, id: str, name: str) -> Response:
         """A package or an export as a ZIP file, made while it is sent."""
-        from starlette.responses import StreamingResponse
-
         files = self._files(self.workspace.project(id))
         called, parts = files.zipped(name)
         headers = {"Content-Disposition": f'attachment; filename="{called}"'}
@@ -276,12 +276,6 @@ class StudioApp:
         return choices()
 
 
-async def _in_thread(work: Callable[[], Any]) -> Any:
-    from starlette.concurrency import run_in_threadpool
-
-    return await run_in_threadpool(work)
-
-
 async def _beats() -> Any:
     """A sign of life every ``BEAT_S``, until the page goes."""
     while True:
@@ -294,14 +288,10 @@ def _html(page: str) -> Response:
 
 
 def _answer(body: bytes, kind: str, status: int = 200) -> Response:
-    from starlette.responses import Response
-
     return Response(body, status_code=status, headers={"Content-Type": kind})
 
 
 def _file(file: Path) -> Response:
-    from starlette.responses import FileResponse
-
     return FileResponse(file, media_type=KINDS.get(file.suffix, "application/octet-stream"))
 
 

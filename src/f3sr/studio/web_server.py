@@ -19,7 +19,6 @@ from f3sr.mask_page.loopback_server import HOST, TOKEN_BYTES
 from f3sr.runtime.atomic_file import write_whole
 from f3sr.runtime.extras import library
 from f3sr.studio.access_control import AddressSecrets
-from f3sr.web.browser import shown_in_browser
 
 if TYPE_CHECKING:
     from uvicorn import Server
@@ -129,16 +128,10 @@ def run(app: Any, made: socket.socket, *, opened: Callable[[], object] = lambda:
         server.run(sockets=[made])
 
 
-def address(host: str, made: socket.socket, word: str) -> str:
-    """Of the first page."""
+def address(host: str, made: socket.socket, path: str) -> str:
+    """Of a page."""
     name = HOST if host in EVERYWHERE else f"[{host}]" if ":" in host else host
-    return f"http://{name}:{made.getsockname()[1]}/{word}"
-
-
-def show(place: str, once: str, *, open_browser: bool, tell: Callable[[str], object]) -> None:
-    """Open the address that counts once in the user's browser, and tell the one that stays."""
-    shown = open_browser and shown_in_browser(once)
-    tell(f"{'the studio is open at' if shown else 'open this page in a browser:'} {place}")
+    return f"http://{name}:{made.getsockname()[1]}/{path}"
 
 
 @contextmanager

@@ -5,7 +5,7 @@ const WORDS = {
   read: "read the input", assemble: "put the objects into one frame", level: "find gravity and ground", align: "align camera and objects with the masks",
   relate: "find what stands on what", decompose: "cover meshes with convex parts", separate: "take objects apart", settle: "let everything come to rest",
   close: "close gaps", refine: "stand up what fell, align again", coarsen: "use fewer convex parts", describe: "describe the scene",
-  uncertainty: "estimate how well poses are known", evaluate: "measure", inpaint: "complete the photo behind the objects", write: "write the package",
+  uncertainty: "estimate how well poses are known", evaluate: "measure", inpaint: "complete the photo behind the objects", kernels: "compile kernels", pictures: "draw pictures", package: "write the package",
 };
 const TITLES = { level: "As it came", align: "Aligned", rest: "At rest" };
 const OPTIONS = { geometry: "run-geometry", assets: "run-assets", background: "run-background", known: "run-known", focal: "run-focal", camera_height: "run-height" };
@@ -37,7 +37,7 @@ const heard = (project) => (event) => {
     else say(words);
   } else if (event.event === "picture") {
     const title = TITLES[event.name] || event.name;
-    $("run-pictures").append(element("figure", {}, element("img", { src: `jobs/${job}/pictures/${event.file}`, alt: `${title}: the scene over the photo` }), element("figcaption", { text: title })));
+    $("run-pictures").append(element("figure", {}, element("img", { src: `jobs/${job}/pictures/${event.file}`, alt: `${title}: the scene over the photo` }), element("figcaption", { text: `${title}. Blue: mask and scene agree. Red: mask alone. Green: scene alone.` })));
   } else if (event.event === "decision" && event.fallback) {
     $("run-told").append(element("li", {}, element("b", { text: event.choice }), ` ${event.reason}`));
   }
@@ -58,6 +58,7 @@ const follow = async (project, id) => {
     job = null;
     $("run-start").hidden = false;
     for (const place of ["run-cancel", "run-progress"]) $(place).hidden = true;
+    run.changed(project);
   }
 };
 
