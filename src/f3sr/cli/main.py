@@ -47,7 +47,8 @@ Exit codes: 0 done, 1 any other error, 2 bad input, 3 a goal was refused, 4 a go
 
 Environment: F3SR_CACHE_DIR is where results are stored, F3SR_CACHE_LIMIT_GB their largest size (default 5).
 F3SR_TRACEBACK=1 shows where an unforeseen error arose. F3SR_WORKER_NAME is the command of a worker, as
-F3SR_WORKER_SAM3D or F3SR_WORKER_GEOMETRY; `f3sr doctor` lists them and the keys of services."""
+F3SR_WORKER_SAM3D or F3SR_WORKER_GEOMETRY; `f3sr doctor` lists them and the keys of services. F3SR_STUDIO_PASSWORD is
+the password of a studio that other machines reach."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -97,7 +97,7 @@ def page(drawing: Drawing) -> bytes:
     """The document of the page, the same for every photo of a name."""
     return document(
         HERE / "templates" / "mask_page.html",
-        {"name": drawing.file.name},
+        {"name": drawing.name or drawing.file.name},
         styles=(WEB / "page.css", HERE / "mask_page.css"),
         scripts=tuple(HERE / name for name in SCRIPTS),
         served=True,

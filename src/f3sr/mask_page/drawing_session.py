@@ -40,6 +40,8 @@ class Drawing:
     folder: Path
     """Where the masks go; a full path."""
     segmenter: Backend[Segmenter]
+    name: str = ""
+    """What the page calls the photo; without it, the file's name."""
     after: str = ""
     """What follows once it is saved: one sentence for the page."""
     command: str = ""
@@ -123,7 +125,7 @@ class DrawingSession:
                 "revision": revision,
                 "selection": selection_form(selection),
                 "photo": {"width": d.photo.width, "height": d.photo.height, "shown": [width, height]},
-                "name": d.file.name,
+                "name": d.name or d.file.name,
                 "folder": str(d.folder),
             }
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
-from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.http.h11_impl import H11Protocol, RequestResponseCycle
 
 MAX_CONNECTIONS = 64
 """Open at once: a browser opens six a page."""
@@ -30,11 +30,11 @@ class BoundedConnection(H11Protocol):
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        before = self.cycle
+        before: RequestResponseCycle | None = self.cycle
         super().data_received(data)
         if self.cycle is not before:
             self._head_is_here()
-        elif self.cycle is None or self.cycle.response_complete:  # a head has begun
+        elif before is None or before.response_complete:  # a head has begun
             self._expect_head()
 
     def _expect_head(self) -> None:

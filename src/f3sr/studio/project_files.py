@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, cast
 
 from f3sr.errors import F3srError, InputError
 from f3sr.files import strict_json
@@ -133,7 +133,7 @@ class ProjectFiles:
 def _zip(folders: dict[str, Path]) -> Iterator[bytes]:
     """A ZIP file of folders by their name in it, piece by piece: no copy of a large package on a full disk."""
     pieces = _Pieces()
-    with zipfile.ZipFile(pieces, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
+    with zipfile.ZipFile(cast(IO[bytes], pieces), "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
         for inside, folder in folders.items():
             for file in sorted(folder.rglob("*")):
                 if file.is_symlink() or not file.is_file():

@@ -123,6 +123,7 @@ def _outlining(project: Project) -> DrawingSession:
         file=project.photo,
         folder=folder,
         segmenter=SEGMENTERS.find(DEFAULT_SEGMENTER),
+        name=project.name,
         after=AFTER,
     )
     file = folder / PROMPTS

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from http import HTTPStatus
@@ -164,10 +164,10 @@ class StudioApp:
         return files.state() | {"jobs": jobs, "framed": framed, "choices": self.choices}
 
     def delete(self, id: str, asked: NothingAsked) -> dict[str, Any]:
-        project = self.workspace.project(id)
+        project = self.workspace.found(id)
         self.queue.cancel_all(project)
         self.clients.end(project.folder)
-        self.workspace.delete(id)
+        self.workspace.delete(project)
         return {}
 
     # --- the project's process ---------------------------------------------------------------------------------------
@@ -276,7 +276,7 @@ class StudioApp:
         return choices()
 
 
-async def _beats() -> Any:
+async def _beats() -> AsyncIterator[bytes]:
     """A sign of life every ``BEAT_S``, until the page goes."""
     while True:
         yield b"."

@@ -9,7 +9,7 @@ import secrets
 import socket
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -69,14 +69,7 @@ def listening(host: str, port: int | None, folder: Path) -> tuple[socket.socket,
     Raises F3srError where the host or the port cannot be had.
     """
     known = _known(folder / ADDRESS) if is_loopback(host) else {}
-    for wanted in dict.fromkeys((port if port is not None else known.get("port", 0), port or 0)):
-        try:
-            made = socket.create_server((host, wanted), family=_family(host), backlog=64)
-            break
-        except OSError as error:
-            problem = F3srError(f"{host}:{wanted}: cannot be listened on ({reason(error)})")
-    else:
-        raise problem
+    made = _bound(host, port if port is not None else int(known.get("port", 0)), or_any=port is None)
     is_same = made.getsockname()[1] == known.get("port")
     token = str(known["token"]) if is_same else secrets.token_urlsafe(TOKEN_BYTES)
     if is_loopback(host):
@@ -135,7 +128,7 @@ def address(host: str, made: socket.socket, path: str) -> str:
 
 
 @contextmanager
-def _told(server: Server, opened: Callable[[], object]) -> Iterator[None]:
+def _told(server: Server, opened: Callable[[], object]) -> Generator[None]:
     """Call ``opened`` once the server has started."""
     ended = threading.Event()
 
@@ -152,6 +145,16 @@ def _told(server: Server, opened: Callable[[], object]) -> Iterator[None]:
     finally:
         ended.set()
         thread.join()
+
+
+def _bound(host: str, port: int, *, or_any: bool) -> socket.socket:
+    """A socket that listens on the port, ``or_any`` other one where that is taken."""
+    try:
+        return socket.create_server((host, port), family=_family(host), backlog=64)
+    except OSError as error:
+        if or_any and port:
+            return _bound(host, 0, or_any=False)
+        raise F3srError(f"{host}:{port}: cannot be listened on ({reason(error)})") from error
 
 
 def _family(host: str) -> socket.AddressFamily:
