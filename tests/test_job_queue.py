@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ import pytest
 import forked
 from f3sr.errors import F3srError, InputError, OutputError
 from f3sr.io.images import encode_png
-from f3sr.studio import job_record
+from f3sr.studio import job_queue, job_record
 from f3sr.studio.job_queue import JobQueue, QueueConfig
 from f3sr.studio.job_record import EVENTS, LOCK, MAX_STARTS, RECORD, JobFolder, jobs_in
 from f3sr.studio.workspace import Project, Workspace
@@ -27,12 +28,14 @@ from stub_studio_work import FILES
 from waiting import is_running, soon
 
 WORKER = "stub_studio_work"
+forking = SimpleNamespace(Popen=forked.Popen, DEVNULL=subprocess.DEVNULL)
 ENDED = {"done", "failed", "cancelled"}
 
 
 @pytest.fixture
-def place(tmp_path: Path) -> Path:
-    """A workspace's folder with one project, closed."""
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A workspace's folder with one project, closed. Processes of jobs that a test's own queue starts are forked."""
+    monkeypatch.setattr(job_queue, "subprocess", forking)
     workspace = Workspace(tmp_path / "workspace")
     workspace.create_photo("a.png", encode_png(np.zeros((16, 16, 3), np.uint8)))
     workspace.close()
@@ -215,15 +218,16 @@ def test_a_job_that_died_with_its_server_begins_again_and_not_for_ever(place: Pa
 
 
 def test_a_cancelled_job_is_not_begun_again_by_the_next_server(place: Path):
-    with opened(place) as (queue, project):
-        job = asked(queue, project, "deaf; step 60")
-        assert soon(lambda: "deaf" in names(job))
-        pid = job.pid
-        queue._ended.set()  # as a server that is killed now
-        queue._thread.join()
-        queue.cancel(job)
-        assert pid and is_running(pid) and job.record.asked_to_end
-    with opened(place) as (_, project):
+    workspace = Workspace(place)
+    queue = JobQueue(workspace, worker=WORKER)
+    job = asked(queue, workspace.listed()[0], "deaf; step 60")
+    assert soon(lambda: "deaf" in names(job))
+    pid = job.pid
+    queue.close()
+    queue.cancel(job)  # and it is killed before it could look whether the job ends
+    workspace.close()
+    assert pid and is_running(pid) and job.record.state == "running"
+    with opened(place):
         assert ended(job)["state"] == "cancelled" and not is_running(pid) and job.record.starts == 1
 
 

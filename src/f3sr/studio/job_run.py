@@ -44,6 +44,7 @@ def _limit(job: JobFolder, wall_s: float, memory_bytes: int) -> None:
     timer.daemon = True
     timer.start()
     signal.setitimer(signal.ITIMER_REAL, wall_s + PATIENCE_S)  # compiled code may let no other thread run
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     _, most = resource.getrlimit(resource.RLIMIT_DATA)
     limit = memory_bytes if most == resource.RLIM_INFINITY else min(memory_bytes, most)
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
