@@ -24,7 +24,7 @@ from f3sr.runtime.machine import ONE_THREAD
 from f3sr.runtime.process_end import how_it_ended
 from f3sr.settings import settings
 from f3sr.studio.job_options import options_of
-from f3sr.studio.job_record import ID, MAX_STARTS, JobFolder, JobRecord, State, ended, jobs_in
+from f3sr.studio.job_record import ID, MAX_STARTS, JobFolder, JobStanding, State, ended, jobs_in
 from f3sr.studio.workspace import Project, Workspace
 
 POLL_S = 0.1
@@ -50,7 +50,7 @@ class QueueConfig:
 
 
 @dataclass(eq=False)
-class _Running:
+class _Followed:
     """A job that is being done. ``process`` is None where an earlier server started it."""
 
     job: JobFolder
@@ -75,8 +75,8 @@ class JobQueue:
         self.config, self.worker = config or QueueConfig(), worker
         self._lock, self._ended = threading.RLock(), threading.Event()
         self._waiting = list[JobFolder]()
-        self._running = dict[str, _Running]()
-        self._unkept = dict[str, tuple[JobFolder, JobRecord]]()
+        self._running = dict[str, _Followed]()
+        self._unkept = dict[str, tuple[JobFolder, JobStanding]]()
         """How jobs ended, as long as a full disk keeps it from their records."""
         for project in workspace.listed():
             recover_all(project.folder)
@@ -148,7 +148,7 @@ class JobQueue:
     def _taken_over(self, job: JobFolder) -> None:
         """A job as an earlier server left it."""
         record = job.record
-        running = _Running(job, None, time.monotonic() if record.asked_to_end else None)
+        running = _Followed(job, None, time.monotonic() if record.asked_to_end else None)
         if record.state == "queued":
             self._waiting.append(job)
         elif record.state == "running" and job.pid is not None:
@@ -165,7 +165,7 @@ class JobQueue:
             process = self._process(job)
         except (OSError, InputError, OutputError) as error:
             return self._end(job, "failed", f"it could not be started: {error}")
-        self._running[job.id] = _Running(job, process)
+        self._running[job.id] = _Followed(job, process)
 
     def _process(self, job: JobFolder) -> subprocess.Popen[bytes]:
         """In a session of its own: neither the server's end nor Ctrl-C in its terminal reaches it."""
@@ -182,7 +182,7 @@ class JobQueue:
                 stderr=words,
             )
 
-    def _look_at(self, running: _Running) -> None:
+    def _look_at(self, running: _Followed) -> None:
         """Whether a job has ended, or must."""
         if running.process:
             is_over = os.waitid(os.P_PID, running.process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
@@ -199,7 +199,7 @@ class JobQueue:
             elif not running.signalled:
                 running.signal(signal.SIGTERM)
 
-    def _finish(self, running: _Running, code: int | None) -> None:
+    def _finish(self, running: _Followed, code: int | None) -> None:
         """The state of a job whose process is gone."""
         job = running.job
         recover_all(job.project)
@@ -224,7 +224,7 @@ class JobQueue:
         with suppress(InputError):  # a damaged record keeps no state, and is not listed
             self._keep(job, job.record.model_copy(update={"state": state, "problem": one_line(problem)}))
 
-    def _keep(self, job: JobFolder, record: JobRecord) -> None:
+    def _keep(self, job: JobFolder, record: JobStanding) -> None:
         """How a job ended. On a full disk it is tried again until there is room, or the job is gone."""
         self._unkept.pop(job.id, None)
         try:

@@ -44,7 +44,7 @@ MAX_STARTS = 3
 """Times that a job is begun: one that ends its process each time is not tried for ever."""
 
 
-class JobRecord(BaseModel):
+class JobStanding(BaseModel):
     """job.json."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -78,7 +78,7 @@ class JobFolder:
             job.spare.write_bytes(bytes(SPARE_BYTES))
         except OSError as error:
             raise OutputError(f"{jobs}: no job can be kept there ({reason(error)})") from error
-        job.keep(JobRecord(kind=options.kind, options=options.model_dump(exclude_none=True)))
+        job.keep(JobStanding(kind=options.kind, options=options.model_dump(exclude_none=True)))
         return job
 
     @property
@@ -105,13 +105,13 @@ class JobFolder:
         return self.folder / SPARE
 
     @property
-    def record(self) -> JobRecord:
+    def record(self) -> JobStanding:
         """Raises InputError for a damaged one."""
         tree = strict_json.read(self.folder / RECORD, most=MAX_RECORD, accepted="what the studio wrote there")
         try:
-            return JobRecord.model_validate(tree)
+            return JobStanding.model_validate(tree)
         except ValidationError as error:
-            found, wanted = strict_json.problem(error, ", ".join(JobRecord.model_fields))
+            found, wanted = strict_json.problem(error, ", ".join(JobStanding.model_fields))
             raise InputError(self.folder / RECORD, found=found, accepted=wanted) from None
 
     @property
@@ -120,7 +120,7 @@ class JobFolder:
         record = self.record
         return options_of(record.kind, record.options)
 
-    def keep(self, record: JobRecord) -> None:
+    def keep(self, record: JobStanding) -> None:
         """Replace job.json. Raises OutputError; the older one is then still there."""
         data = record.model_dump_json(indent=1).encode()
         try:
@@ -214,7 +214,7 @@ class JobFolder:
             os.close(lock)
 
 
-def ended(record: JobRecord, end: dict[str, Any]) -> JobRecord:
+def ended(record: JobStanding, end: dict[str, Any]) -> JobStanding:
     """The record of a job that told its end. What is misshapen in that is left out."""
     result, problem = end.get("result"), end.get("problem")
     return record.model_copy(
