@@ -51,6 +51,8 @@ class Request:
     environment: dict[str, str]
     process_group: int
     """Of the caller, or 0 for one of its own."""
+    session: bool
+    """Whether it has a session of its own, and then a group."""
     descriptors: list[int]
     """Their numbers in the process: 0, 1, 2 and those that are passed."""
     first: Any
@@ -67,12 +69,13 @@ class _Forked(subprocess.Popen[Any]):
     ) -> None:  # fmt: skip
         assert args[0] == sys.executable and close_fds and not shell
         streams = [given if given != -1 else k for k, given in enumerate((p2cread, c2pwrite, errwrite))]
-        process_group = more[-1]
+        session, process_group = more[-2:]
         request = Request(
             command=list(map(str, args[1:])),
             folder=str(cwd or Path.cwd()),
             environment=dict(env or os.environ),
             process_group=os.getpgrp() if process_group == -1 else process_group,
+            session=session,
             descriptors=[0, 1, 2, *pass_fds],
             first=preexec_fn,
         )
@@ -132,7 +135,7 @@ def serve(channel: socket.socket) -> Request:
         if not between:
             if os.fork():
                 os._exit(0)
-            os.setpgid(0, request.process_group)
+            os.setsid() if request.session else os.setpgid(0, request.process_group)
             os.write(tell, str(os.getpid()).encode())
             for unused in (mouth, told, tell, channel.detach()):
                 os.close(unused)

@@ -74,6 +74,7 @@ FLOORS = (
     ("play", "delivery", "scene_samples", "scene_export", "photo_inputs"),
     ("film", "dataset", "agents", "edits"),
     ("batch", "env", "certificate", "mcp_server"),
+    ("studio",),
     ("cli",),
     ("__main__",),
 )

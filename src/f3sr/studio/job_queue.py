@@ -19,17 +19,20 @@ from typing import Annotated, Any
 from annotated_types import Interval
 
 from f3sr.errors import F3srError, InputError, OutputError, cut, one_line
+from f3sr.runtime.atomic_folder import recover_all
 from f3sr.runtime.machine import ONE_THREAD
 from f3sr.runtime.process_end import how_it_ended
 from f3sr.settings import settings
 from f3sr.studio.job_options import options_of
-from f3sr.studio.job_record import ID, MAX_STARTS, JobFolder, State, jobs_in
+from f3sr.studio.job_record import ID, MAX_STARTS, JobFolder, JobStanding, State, ended, jobs_in
 from f3sr.studio.workspace import Project, Workspace
 
 POLL_S = 0.1
 """How often the queue looks at its jobs [s]."""
-GRACE_S = 2.0
-"""How long a cancelled job may tidy up [s]."""
+GRACE_S = 1.8
+"""How long a cancelled job may tidy up [s]: signals.PATIENCE_S and a little, and all is over in two seconds."""
+WORKER = "f3sr.studio.job_work"
+"""The module whose ``work`` does jobs."""
 
 
 @settings
@@ -47,24 +50,36 @@ class QueueConfig:
 
 
 @dataclass(eq=False)
-class _Running:
+class _Followed:
     """A job that is being done. ``process`` is None where an earlier server started it."""
 
     job: JobFolder
     process: subprocess.Popen[bytes] | None
     asked_to_end: float | None = field(default=None)
     """When it was cancelled [s of the monotonic clock]."""
+    signalled: bool = False
+
+    def signal(self, number: signal.Signals) -> None:
+        """To the process and all that it started. One that an earlier server started may not have its number yet."""
+        if pid := self.process.pid if self.process else self.job.pid:
+            self.signalled = True
+            with suppress(OSError):
+                os.killpg(pid, number)
 
 
 class JobQueue:
     """Starts jobs and follows them, in a thread of its own."""
 
-    def __init__(self, workspace: Workspace, config: QueueConfig | None = None) -> None:
-        self.config = config or QueueConfig()
+    def __init__(self, workspace: Workspace, config: QueueConfig | None = None, *, worker: str = WORKER) -> None:
+        """``worker`` is the module that does jobs, in their processes."""
+        self.config, self.worker = config or QueueConfig(), worker
         self._lock, self._ended = threading.RLock(), threading.Event()
         self._waiting = list[JobFolder]()
-        self._running = dict[str, _Running]()
+        self._running = dict[str, _Followed]()
+        self._unkept = dict[str, tuple[JobFolder, JobStanding]]()
+        """How jobs ended, as long as a full disk keeps it from their records."""
         for project in workspace.listed():
+            recover_all(project.folder)
             for job in jobs_in(project.jobs):
                 self._taken_over(job)
         self._waiting.sort(key=lambda job: job.id)
@@ -105,7 +120,9 @@ class JobQueue:
                 self._end(job, "cancelled")
             elif (running := self._running.get(job.id)) and running.asked_to_end is None:
                 running.asked_to_end = time.monotonic()
-                _signal(job, signal.SIGTERM)
+                with suppress(OutputError, InputError):
+                    job.keep(job.record.model_copy(update={"asked_to_end": True}))
+                running.signal(signal.SIGTERM)
 
     def cancel_all(self, project: Project) -> None:
         """End all jobs of a project, and wait until no process of theirs is left."""
@@ -121,6 +138,8 @@ class JobQueue:
     def _follow(self) -> None:
         while not self._ended.wait(POLL_S):
             with self._lock:
+                for job, record in list(self._unkept.values()):
+                    self._keep(job, record)
                 for running in list(self._running.values()):
                     self._look_at(running)
                 while self._waiting and len(self._running) < self.config.parallel:
@@ -128,56 +147,65 @@ class JobQueue:
 
     def _taken_over(self, job: JobFolder) -> None:
         """A job as an earlier server left it."""
-        state = job.record.state
-        if state == "queued":
+        record = job.record
+        running = _Followed(job, None, time.monotonic() if record.asked_to_end else None)
+        if record.state == "queued":
             self._waiting.append(job)
-        elif state == "running" and job.pid is not None:
-            self._running[job.id] = _Running(job, None)
-        elif state == "running":
-            self._finish(_Running(job, None), None)
+        elif record.state == "running" and job.pid is not None:
+            self._running[job.id] = running
+        elif record.state == "running":
+            self._finish(running, None)
 
     def _start(self, job: JobFolder) -> None:
-        record = job.record
-        if record.starts >= MAX_STARTS:
-            return self._end(job, "failed", f"its process ended {MAX_STARTS} times")
         try:
+            record = job.record
+            if record.starts >= MAX_STARTS:
+                return self._end(job, "failed", f"its process ended {MAX_STARTS} times")
             job.keep(record.model_copy(update={"state": "running", "starts": record.starts + 1}))
             process = self._process(job)
-        except (OSError, OutputError) as error:
+        except (OSError, InputError, OutputError) as error:
             return self._end(job, "failed", f"it could not be started: {error}")
-        self._running[job.id] = _Running(job, process)
+        self._running[job.id] = _Followed(job, process)
 
     def _process(self, job: JobFolder) -> subprocess.Popen[bytes]:
         """In a session of its own: neither the server's end nor Ctrl-C in its terminal reaches it."""
-        limits = (str(self.config.wall_s), str(int(self.config.memory_gb * 1e9)))
+        limits = [str(self.config.wall_s), str(int(self.config.memory_gb * 1e9))]
         environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-        with job.words.open("wb") as words:
+        with job.locked() as lock, job.words.open("wb") as words:
             return subprocess.Popen(
-                [sys.executable, "-m", "f3sr.studio.job_run", str(job.folder), *limits],
+                [sys.executable, "-m", "f3sr.studio.job_run", str(job.folder), self.worker, *limits, str(lock)],
                 env=environment,
+                pass_fds=[lock],
                 start_new_session=True,
                 stdin=subprocess.DEVNULL,
                 stdout=words,
                 stderr=words,
             )
 
-    def _look_at(self, running: _Running) -> None:
+    def _look_at(self, running: _Followed) -> None:
         """Whether a job has ended, or must."""
-        code = running.process.poll() if running.process else None
-        is_over = code is not None if running.process else running.job.pid is None
+        if running.process:
+            is_over = os.waitid(os.P_PID, running.process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+        else:
+            is_over = running.job.pid is None
         if is_over:
             del self._running[running.job.id]
-            self._finish(running, code)
-        elif running.asked_to_end is not None and time.monotonic() - running.asked_to_end > GRACE_S:
-            _signal(running.job, signal.SIGKILL)
+            if running.process:  # not waited for yet, so its number is still its group's: what it started ends too
+                running.signal(signal.SIGKILL)
+            self._finish(running, running.process.wait() if running.process else None)
+        elif running.asked_to_end is not None:
+            if time.monotonic() - running.asked_to_end > GRACE_S:
+                running.signal(signal.SIGKILL)
+            elif not running.signalled:
+                running.signal(signal.SIGTERM)
 
-    def _finish(self, running: _Running, code: int | None) -> None:
+    def _finish(self, running: _Followed, code: int | None) -> None:
         """The state of a job whose process is gone."""
         job = running.job
-        last = next((e for e in reversed(job.events()) if e.get("event") == "ended"), None)
-        if last is not None:
-            state: State = "done" if last.get("state") == "done" else "failed"
-            self._end(job, state, str(last.get("problem", "")), last.get("result"))
+        recover_all(job.project)
+        if (end := job.end) is not None:
+            with suppress(InputError):
+                self._keep(job, ended(job.record, end))
         elif running.asked_to_end is not None:
             self._end(job, "cancelled")
         elif code is None:  # nobody knows why: an earlier server's
@@ -186,23 +214,21 @@ class JobQueue:
             self._end(job, "failed", self._why(job, code))
 
     def _why(self, job: JobFolder, code: int) -> str:
-        if code == -signal.SIGALRM:
-            return f"it took longer than {self.config.wall_s:g} s"
         words = ""
         with suppress(OSError):
             lines = job.words.read_bytes()[-4000:].decode(errors="replace").strip().splitlines()
             words = f": {one_line(lines[-1])[:300]}" if lines else ""
         return f"its process {how_it_ended(code)}{words}"
 
-    def _end(self, job: JobFolder, state: State, problem: str = "", result: Any = None) -> None:
-        """A full disk keeps no state: the next server finds out again."""
-        told = result if isinstance(result, dict) else {}
-        with suppress(OutputError, InputError):
-            job.keep(job.record.model_copy(update={"state": state, "problem": one_line(problem), "result": told}))
+    def _end(self, job: JobFolder, state: State, problem: str = "") -> None:
+        with suppress(InputError):  # a damaged record keeps no state, and is not listed
+            self._keep(job, job.record.model_copy(update={"state": state, "problem": one_line(problem)}))
 
-
-def _signal(job: JobFolder, number: signal.Signals) -> None:
-    """To a job's process and all that it started."""
-    if pid := job.pid:
-        with suppress(OSError):
-            os.killpg(pid, number)
+    def _keep(self, job: JobFolder, record: JobStanding) -> None:
+        """How a job ended. On a full disk it is tried again until there is room, or the job is gone."""
+        self._unkept.pop(job.id, None)
+        try:
+            job.keep(record)
+        except OutputError:
+            if job.folder.is_dir():
+                self._unkept[job.id] = job, record

@@ -1,7 +1,8 @@
 """A job's folder: what is asked, how it stands, and the events that its process adds.
 
-A job lives as long as its process holds the lock of ``run.lock``. That is known after any server's end, and no other
-process that got the same number is taken for it.
+A job lives as long as a process holds the lock of ``run.lock``. The server takes it and hands it down to the process
+that it starts, so there is no moment without it. That is known after any server's end, and no other process that got
+the same number is taken for it.
 """
 
 from __future__ import annotations
@@ -12,36 +13,38 @@ import os
 import re
 import secrets
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from f3sr.errors import InputError, OutputError, reason
+from f3sr.errors import InputError, OutputError, one_line, reason
 from f3sr.files import strict_json
 from f3sr.runtime.atomic_file import write_whole
 from f3sr.studio.job_options import JobOptions, options_of
 
 State = Literal["queued", "running", "done", "failed", "cancelled"]
 RECORD, EVENTS, LOCK, WORDS, PICTURES = "job.json", "events.jsonl", "run.lock", "words.txt", "pictures"
+SPARE, SPARE_BYTES = "spare", 16_384
+"""A file that gives up its room [bytes] for the last event or the record: each takes one block of the disk or two."""
+ENDED = "ended"
+"""The event after which none comes."""
 ID = re.compile(r"[0-9]{13}-[0-9a-f]{8}")
 """Milliseconds since 1970 and a random number: sorted by name is sorted by time."""
 MAX_RECORD = 200_000
 """Bytes of job.json."""
 MAX_EVENTS = 20_000_000
 """Bytes of events that are read: a job writes some ten thousand."""
-LOOKS, LOOK_S = 20, 0.05
-"""How often a process tries to get the lock of a job, and the pause between [s]: a server that looks has it too."""
 SHOWN_STAGES = {"level": "level", "align": "align", "describe": "rest"}
 """Stages after which the scene is drawn over the photo, and what the picture is called."""
 MAX_STARTS = 3
 """Times that a job is begun: one that ends its process each time is not tried for ever."""
 
 
-class JobRecord(BaseModel):
+class JobStanding(BaseModel):
     """job.json."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -54,6 +57,8 @@ class JobRecord(BaseModel):
     """One line, where it failed."""
     starts: Annotated[int, Field(ge=0, le=1000)] = 0
     """How often it was begun."""
+    asked_to_end: bool = False
+    """Cancelled while it ran: a server that starts now ends it, and does not begin it once more."""
     result: dict[str, Any] = {}
 
 
@@ -70,9 +75,10 @@ class JobFolder:
             jobs.mkdir(exist_ok=True)
             job = cls(jobs / f"{int(time.time() * 1000):013d}-{secrets.token_hex(4)}")
             job.pictures.mkdir(parents=True)
+            job.spare.write_bytes(bytes(SPARE_BYTES))
         except OSError as error:
             raise OutputError(f"{jobs}: no job can be kept there ({reason(error)})") from error
-        job.keep(JobRecord(kind=options.kind, options=options.model_dump(exclude_none=True)))
+        job.keep(JobStanding(kind=options.kind, options=options.model_dump(exclude_none=True)))
         return job
 
     @property
@@ -94,13 +100,18 @@ class JobFolder:
         return self.folder / WORDS
 
     @property
-    def record(self) -> JobRecord:
+    def spare(self) -> Path:
+        """Room for how the job ended, given up for it on a full disk."""
+        return self.folder / SPARE
+
+    @property
+    def record(self) -> JobStanding:
         """Raises InputError for a damaged one."""
         tree = strict_json.read(self.folder / RECORD, most=MAX_RECORD, accepted="what the studio wrote there")
         try:
-            return JobRecord.model_validate(tree)
+            return JobStanding.model_validate(tree)
         except ValidationError as error:
-            found, wanted = strict_json.problem(error, ", ".join(JobRecord.model_fields))
+            found, wanted = strict_json.problem(error, ", ".join(JobStanding.model_fields))
             raise InputError(self.folder / RECORD, found=found, accepted=wanted) from None
 
     @property
@@ -109,23 +120,51 @@ class JobFolder:
         record = self.record
         return options_of(record.kind, record.options)
 
-    def keep(self, record: JobRecord) -> None:
-        write_whole(self.folder / RECORD, record.model_dump_json(indent=1).encode())
+    def keep(self, record: JobStanding) -> None:
+        """Replace job.json. Raises OutputError; the older one is then still there."""
+        data = record.model_dump_json(indent=1).encode()
+        try:
+            write_whole(self.folder / RECORD, data)
+        except OutputError:
+            if not self._spared():
+                raise
+            write_whole(self.folder / RECORD, data)
 
     def told(self) -> dict[str, Any]:
-        """For the page."""
+        """For the page. A job that has told its end has ended, also where a full disk keeps that from its record."""
         record = self.record
+        if record.state == "running" and (end := self.end):
+            record = ended(record, end)
         return {"id": self.id, **record.model_dump(include={"kind", "state", "problem", "result"})}
 
     # --- events ------------------------------------------------------------------------------------------------------
 
     def tell(self, event: str, **values: Any) -> None:
-        """Add an event. A full disk loses it, and nothing else."""
+        """Add an event. A full disk loses it, and nothing else; the last one has room of its own."""
         line = json.dumps({"event": event, **values}, allow_nan=False).encode() + b"\n"
+        if not self._added(line) and event == ENDED and self._spared():
+            self._added(line)
+
+    def _added(self, line: bytes) -> bool:
         with suppress(OSError), (self.folder / EVENTS).open("a+b") as opened:
             if opened.seek(0, os.SEEK_END) and opened.seek(-1, os.SEEK_END) >= 0 and opened.read(1) != b"\n":
                 line = b"\n" + line  # what a full disk cut stays a line of its own
             opened.write(line)
+            opened.flush()
+            return True
+        return False
+
+    def _spared(self) -> bool:
+        """Whether there was room to give up."""
+        with suppress(OSError):
+            self.spare.unlink()
+            return True
+        return False
+
+    @property
+    def end(self) -> dict[str, Any] | None:
+        """The event with which the job ended; None where it told of none."""
+        return next((event for event in reversed(self.events()) if event.get("event") == ENDED), None)
 
     def events(self, after: int = 0) -> list[dict[str, Any]]:
         """Events from number ``after`` on; a last line that is being written is left for the next time."""
@@ -161,25 +200,30 @@ class JobFolder:
         return None
 
     @contextmanager
-    def lived(self) -> Iterator[None]:
-        """While this process does the job. Raises OutputError where another one does."""
-        with (self.folder / LOCK).open("ab") as opened:
-            if not any(_locked(opened) for _ in range(LOOKS)):
-                raise OutputError(f"{self.folder}: another process does this job")
-            opened.truncate(0)
-            opened.write(str(os.getpid()).encode())
-            opened.flush()
-            yield
+    def locked(self) -> Generator[int]:
+        """A descriptor for the process that is to do the job. Raises OutputError where one does it already."""
+        lock = os.open(self.folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        try:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                raise OutputError(f"{self.folder}: another process does this job") from None
+            os.truncate(lock, 0)  # the number of an earlier process
+            yield lock
+        finally:
+            os.close(lock)
 
 
-def _locked(opened: IO[bytes]) -> bool:
-    """Whether the file is locked now, for this process alone; a moment later where a server looks at it."""
-    try:
-        fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        time.sleep(LOOK_S)
-        return False
-    return True
+def ended(record: JobStanding, end: dict[str, Any]) -> JobStanding:
+    """The record of a job that told its end. What is misshapen in that is left out."""
+    result, problem = end.get("result"), end.get("problem")
+    return record.model_copy(
+        update={
+            "state": "done" if end.get("state") == "done" else "failed",
+            "problem": one_line(problem) if isinstance(problem, str) else "",
+            "result": result if isinstance(result, dict) else {},
+        }
+    )
 
 
 def jobs_in(folder: Path) -> list[JobFolder]:

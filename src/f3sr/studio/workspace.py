@@ -46,7 +46,7 @@ EXAMPLE = "Example"
 Origin = Literal["photo", "example", "input folder", "package"]
 
 
-class _Record(BaseModel):
+class _ProjectRecord(BaseModel):
     """project.json."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -204,7 +204,9 @@ class Workspace:
         if sum(1 for entry in os.scandir(places) if _is_id(entry.name)) >= MOST_PROJECTS:
             raise OutputError(f"{places}: has {MOST_PROJECTS} projects; delete some")
         shown = _shown_name(name)
-        record = _Record.model_validate({"name": shown, "origin": origin, "created": time.time(), "photo": photo})
+        record = _ProjectRecord.model_validate(
+            {"name": shown, "origin": origin, "created": time.time(), "photo": photo}
+        )
         folder = places / f"{NEW}{_slug(shown)}-{secrets.token_hex(4)}"
         try:
             folder.mkdir()
@@ -244,13 +246,13 @@ def _shown_name(name: str) -> str:
     return kept[:100] or "Scene"
 
 
-def _record(file: Path) -> _Record:
+def _record(file: Path) -> _ProjectRecord:
     accepted = "what the studio wrote there"
     tree = strict_json.read(file, most=MAX_RECORD, accepted=accepted)
     try:
-        return _Record.model_validate(tree)
+        return _ProjectRecord.model_validate(tree)
     except ValidationError as error:
-        found, wanted = strict_json.problem(error, ", ".join(_Record.model_fields))
+        found, wanted = strict_json.problem(error, ", ".join(_ProjectRecord.model_fields))
         raise InputError(file, found=found, accepted=wanted) from None
 
 
