@@ -11,14 +11,13 @@ from http.client import HTTPConnection, HTTPResponse
 from pathlib import Path
 from typing import Any
 
-from waiting import soon
-
 from f3sr.studio import web_server
 from f3sr.studio.access_control import AccessControl, AddressSecrets
 from f3sr.studio.job_queue import JobQueue, QueueConfig
 from f3sr.studio.service_clients import ServiceClients
 from f3sr.studio.studio_app import StudioApp
 from f3sr.studio.workspace import Workspace
+from waiting import soon
 
 
 @dataclass(eq=False)

@@ -14,11 +14,10 @@ import pytest
 
 pytest.importorskip("uvicorn", reason="the extra studio is not installed")
 
-from waiting import soon
-
 from f3sr.mask_page.loopback_server import RequestRefusedError
 from f3sr.studio import access_control, bounded_connections, web_server
 from f3sr.studio.access_control import AccessControl, AddressSecrets
+from waiting import soon
 
 
 @dataclass(eq=False)

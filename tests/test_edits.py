@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 
 from f3sr.cli.main import main
-from f3sr.core.pose_uncertainty import PoseUncertainty
 from f3sr.core.transforms import rotation_angle
 from f3sr.delivery import deliver
 from f3sr.edits import (
@@ -30,40 +28,17 @@ from f3sr.edits.edit_list import MAX_EDITS, edits_digest
 from f3sr.errors import InputError, OutputError
 from f3sr.physics.mujoco_model import body_of
 from f3sr.pipeline import Reconstruction
-from f3sr.scene import GROUND, Scene, SceneObject, Support
+from f3sr.scene import GROUND, Scene, SceneObject
 from f3sr.scene_package.package import Package, read_package, write_package
-from f3sr.stages.settle import settle
-from f3sr.vision import rasterizer
-from scenes import box, scene_of
+from resting_boxes import resting_boxes
 
-MARGIN = 3.2e-4
-"""[m] between bodies at rest."""
 NEAR = 1e-3
 """[m] by which physics moves what rests where it is put."""
 
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory: pytest.TempPathFactory) -> Package:
-    """A box (1) on a box (0), one (2) far from both, and one (3) beside them, at rest; the photo shows them."""
-    objects = (
-        box(0, size=(0.12, 0.12, 0.08), at=(0, 0, 0.04 + MARGIN), label="crate"),
-        replace(
-            box(1, size=(0.06, 0.06, 0.06), at=(0.01, 0, 0.11 + 2 * MARGIN), label="cube"),
-            supports=(Support(id=0),),
-            supported_by=0,
-        ),
-        box(2, size=(0.1, 0.06, 0.05), at=(0.3, 0.1, 0.025 + MARGIN), label="brick"),
-        box(3, size=(0.05, 0.05, 0.09), at=(-0.2, 0, 0.045 + MARGIN), label="tall box"),
-    )
-    scene, rested = settle(scene_of(*objects))
-    assert rested.at_rest
-    camera = replace(scene.camera.resized(320, 240), T_world_camera=scene.camera.T_world_camera)
-    photo = replace(scene.photo, rgb=np.zeros((240, 320, 3), np.uint8))
-    seen = rasterizer.render(scene.objects, camera)
-    scene = replace(scene, camera=camera, photo=photo, objects=tuple(replace(o, mask=seen.ids == o.id) for o in scene))
-    known = {o.id: PoseUncertainty.of(np.eye(7) * 1e-6, np.eye(7) * 1e-6, np.array([0.0, 1, 0])) for o in scene}
-    folder = tmp_path_factory.mktemp("packages") / "table"
-    return read_package(write_package(scene, folder, uncertainty=known, metrics={"mIoU": 0.5}))
+    return resting_boxes(tmp_path_factory.mktemp("packages") / "table")
 
 
 @pytest.fixture(scope="module")

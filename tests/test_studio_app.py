@@ -16,11 +16,11 @@ import pytest
 pytest.importorskip("fastapi", reason="the extra studio is not installed")
 
 from PIL import Image
-from studio_server import StudioServer, studio
-from test_edits import package  # noqa: F401 - a fixture
-from waiting import soon
+from resting_boxes import resting_boxes
 
-from f3sr.scene_package.package import Package, read_package
+from f3sr.scene_package.package import read_package
+from studio_server import StudioServer, studio
+from waiting import soon
 
 
 @pytest.fixture(scope="module")
@@ -31,8 +31,9 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StudioServer]:
 
 
 @pytest.fixture(scope="module")
-def scene(server: StudioServer, package: Package) -> str:  # noqa: F811
+def scene(server: StudioServer, tmp_path_factory: pytest.TempPathFactory) -> str:
     """The address of a project with a scene."""
+    package = resting_boxes(tmp_path_factory.mktemp("packages") / "table")
     status, made = server.post("projects/folder", {"folder": str(package.folder)})
     assert status == 200
     return f"p/{made['id']}/"
@@ -80,7 +81,8 @@ def test_what_is_no_photo_is_refused_in_one_line_and_leaves_nothing(server: Stud
 
 
 @pytest.mark.parametrize(
-    "name", ["../../etc/passwd", "/etc/passwd.png", "a/b\\c.png", "\u202egnp.exe", "x" * 5000, "%00", "", "....", "a b.png"]
+    "name",
+    ["../../etc/passwd", "/etc/passwd.png", "a/b\\c.png", "\u202egnp.exe", "x" * 5000, "%00", "", "....", "a b.png"],
 )
 def test_a_hostile_name_is_a_name_only(server: StudioServer, name: str) -> None:
     from urllib.parse import quote
@@ -170,7 +172,7 @@ def test_boxes_become_masks_by_way_of_the_project_s_process(server: StudioServer
     status, opened = server.post(f"{place}outline/open")
     assert status == 200 and opened["photo"]["width"] == 160
     box = {"box": [48, 38, 112, 92], "inside": [], "outside": [], "label": "red thing"}
-    selection = opened["selection"] | {"objects": [box]}
+    selection = opened["selection"] | {"prompts": [box]}
     asked = {"page": opened["page"], "revision": 1, "selection": selection}
     status, told = server.post(f"{place}outline/outline", asked)
     assert status == 200 and len(told["masks"]) == 1, told
@@ -181,7 +183,7 @@ def test_boxes_become_masks_by_way_of_the_project_s_process(server: StudioServer
     status, opened = server.post(f"{place}outline/open")  # the page again: it begins with what was saved
     assert server.get(f"{place}outline/")[0] == 200
     status, opened = server.post(f"{place}outline/open")
-    assert status == 200 and opened["selection"]["objects"][0]["label"] == "red thing"
+    assert status == 200 and opened["selection"]["prompts"][0]["label"] == "red thing"
     server.post(f"{place}delete")
 
 
@@ -289,7 +291,7 @@ def test_a_job_that_no_page_asks_for_is_not_begun(
 
 
 def test_requests_of_another_shape_get_one_line(server: StudioServer, scene: str) -> None:
-    for value in ([], {"goal": 7}, {"goal": "x", "more": 1}, "x", None and {}):
+    for value in ([], {"goal": 7}, {"goal": "x", "more": 1}, "x", None):
         status, told = server.post(f"{scene}goals/understand", value)
         assert status == 422 and "\n" not in told["problem"] and "Traceback" not in told["problem"]
     assert server.get(f"{scene}jobs/nothing")[0] == 422

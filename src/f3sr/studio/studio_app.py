@@ -167,7 +167,7 @@ class StudioApp:
         project = self.workspace.found(id)
         self.queue.cancel_all(project)
         self.clients.end(project.folder)
-        self.workspace.delete(project)
+        self.workspace.delete(id)
         return {}
 
     # --- the project's process ---------------------------------------------------------------------------------------

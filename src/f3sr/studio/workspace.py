@@ -12,7 +12,7 @@ import secrets
 import shutil
 import time
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -141,11 +141,15 @@ class Workspace:
         return sorted(found, key=lambda p: (-p.created, p.id))
 
     def project(self, id: str) -> Project:
-        """A project by its id. Raises InputError where there is none, or it cannot be read."""
+        """A project by its id. Raises InputError where there is none, F3srError where it cannot be read."""
+        return read_project(self.found(id).folder)
+
+    def found(self, id: str) -> Project:
+        """The same, also of one that cannot be read: it has its problem."""
         folder = self.folder / PROJECTS / id if _is_id(id) else None
         if folder is None or not folder.is_dir() or folder.is_symlink():
             raise InputError("the project", found=cut(repr(id[:80])), accepted="one of the workspace's")
-        return read_project(folder)
+        return _read(folder)
 
     def create_photo(self, name: str, data: bytes) -> Project:
         """A project that begins with a photo, of which ``data`` is the file. Raises InputError for what is no photo."""
@@ -185,11 +189,13 @@ class Workspace:
         write_whole(project.folder / RECORD, record.model_dump_json(indent=1).encode())
 
     def delete(self, id: str) -> None:
-        """Take a project away: first out of sight, then from the disk."""
-        if not _is_id(id) or not (folder := self.folder / PROJECTS / id).is_dir():
-            raise InputError("the project", found=cut(repr(id[:80])), accepted="one of the workspace's")
-        gone = folder.with_name(f"{GONE}{id}-{secrets.token_hex(4)}")
-        folder.rename(gone)
+        """Take a project away: first out of sight, then from the disk. Raises InputError where there is none."""
+        project = self.found(id)
+        gone = project.folder.with_name(f"{GONE}{project.id}-{secrets.token_hex(4)}")
+        try:
+            project.folder.rename(gone)
+        except OSError as error:
+            raise OutputError(f"{project.folder}: cannot be deleted ({reason(error)})") from error
         shutil.rmtree(gone, ignore_errors=True)
 
     def _copied(self, name: str, origin: Origin, source: Path, inside: str) -> Project:
@@ -198,7 +204,7 @@ class Workspace:
         return _read(self._at(folder))
 
     @contextmanager
-    def _made(self, name: str, origin: Origin, photo: str = "") -> Iterator[Path]:
+    def _made(self, name: str, origin: Origin, photo: str = "") -> Generator[Path]:
         """A folder that becomes a project if the block ends well, and vanishes otherwise."""
         places = self.folder / PROJECTS
         if sum(1 for entry in os.scandir(places) if _is_id(entry.name)) >= MOST_PROJECTS:
