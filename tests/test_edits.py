@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -55,8 +56,7 @@ def session_after(package: Package, *edits: Mapping[str, Any]) -> EditSession:
     """A session with edits of objects by the labels that they have then."""
     session = EditSession(package)
     for given in edits:
-        values = dict(given)
-        session.add(edit(values.pop("kind"), session.scene, values.pop("id"), **values))
+        session.add(edit(scene=session.scene, **given))
     return session
 
 
@@ -301,7 +301,7 @@ def test_edits_are_applied_in_order(package: Package):
 
 # --- undo, bytes ------------------------------------------------------------------------------------------------------
 
-SEVERAL = (
+SEVERAL: tuple[dict[str, Any], ...] = (
     {"kind": "move", "id": 2, "by": (0.02, 0.0, 0.1)},
     {"kind": "scale", "id": 0, "factor": 1.2},
     {"kind": "delete", "id": 3},
@@ -313,8 +313,7 @@ def test_undo_gives_the_bytes_of_before(package: Package, tmp_path: Path):
     session, states = EditSession(package), list[dict[str, bytes]]()
     for given in SEVERAL:
         states.append(dict(edited_files(session)))
-        values = dict(given)
-        session.add(edit(values.pop("kind"), session.scene, values.pop("id"), **values))
+        session.add(edit(scene=session.scene, **given))
     last = dict(edited_files(session))
     assert dict(edited_files(EditSession(package, session.edits))) == last
 
@@ -483,6 +482,29 @@ def test_an_edited_package_without_its_past_is_refused(package: Package, tmp_pat
     folder = write_edited(session_after(package, {"kind": "label", "id": 2, "to": "a"}), tmp_path / "edited")
     (folder / "unedited" / "scene.json").unlink()
     with pytest.raises(InputError, match="unedited"):
+        EditSession.open(folder)
+
+
+@pytest.mark.parametrize("name", ["report.html", "unedited", "edits.json", "unedited/report.json"])
+def test_no_link_leads_out_of_an_edited_package(package: Package, tmp_path: Path, name: str):
+    """Its files are copied to where it is written: a stranger's package must not fetch others of the user's."""
+    folder = write_edited(session_after(package, {"kind": "label", "id": 2, "to": "a"}), tmp_path / "edited")
+    if name == "report.html":
+        shutil.rmtree(folder / "unedited")
+        (folder / "edits.json").unlink()
+    elsewhere = tmp_path / "elsewhere"
+    (folder / name).rename(elsewhere)
+    (folder / name).symlink_to(elsewhere)
+    with pytest.raises(InputError, match=r"leaves the package|outside"):
+        EditSession.open(folder)
+
+
+@pytest.mark.parametrize("text", ["[]", '{"stages": 1}', '{"a": 1e999}', "{"])
+def test_a_report_that_cannot_go_on_is_one_clear_error(package: Package, tmp_path: Path, text: str):
+    folder = tmp_path / "package"
+    shutil.copytree(package.folder, folder)
+    (folder / "report.json").write_text(text)
+    with pytest.raises(InputError, match=r"report\.json: found .*; accepted: the report\.json of an f3sr package"):
         EditSession.open(folder)
 
 

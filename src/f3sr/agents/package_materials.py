@@ -17,7 +17,7 @@ from f3sr.play.trials import Trials
 from f3sr.runtime.atomic_folder import claimed
 from f3sr.scene import Scene, SceneObject
 from f3sr.scene_package.package import WRITTEN, Package
-from f3sr.scene_package.package_folder import ROLLOUTS, placed
+from f3sr.scene_package.package_folder import EDITS, ROLLOUTS, placed
 from f3sr.scene_package.scene_json import SceneDocument, to_document, to_json
 
 CROPS = 24
@@ -62,12 +62,16 @@ def _made_of(o: SceneObject, e: Estimate, model: str) -> SceneObject:
 
 def write_materials(package: Package, found: Estimated, calls: Sequence[Call], *, overwrite: bool = False) -> None:
     """Write the properties into the package's folder, all files or none. Raises OutputError for a package with
-    rollouts, which belong to the scene as it was, unless ``overwrite`` says so."""
+    rollouts, which belong to the scene as it was, unless ``overwrite`` says so; and for an edited package."""
 
     def allowed(folder: object) -> None:
         if not overwrite and (package.folder / ROLLOUTS).is_dir():
             said = "holds rollouts, which belong to the scene as it is; changed only with --overwrite"
             raise OutputError(f"{package.folder}: {said}")
+        if (package.folder / EDITS).exists():
+            raise OutputError(
+                f"{package.folder}: holds edits, the next of which would undo this; estimate before editing"
+            )
 
     with claimed(placed(package.folder), allowed) as claim:
         for name, data in _files(package, found.scene, calls):

@@ -128,7 +128,7 @@ def _moved(
     if isinstance(edit, SupportEdit) and edit.on not in landed.scene[edit.id].carriers:
         choice = f"edit {number}: does not stay on {name_of(edit.on)}; rests on {_carriers(landed.scene[edit.id])}"
         decisions.append(Decision(choice=choice, reason="it slid or fell off there", about=edit.id, fallback=True))
-    decisions += _others(there.scene, landed, number, but={edit.id}, verb="moved")
+    decisions += _others(there.scene, landed, number, but=edit.id)
     return _applied(landed, there, decisions, number, config)
 
 
@@ -148,12 +148,15 @@ def _asked(there: Put, landed: Landed, edit: Edit, number: int) -> Decision:
     return Decision(choice=choice, reason=f"it {resting}", about=edit.id, fallback=True)
 
 
-def _others(was: Scene, landed: Landed, number: int, *, but: Collection[int], verb: str) -> list[Decision]:
+def _others(
+    was: Scene, landed: Landed, number: int, *, but: int | None = None, fallen: Collection[int] = ()
+) -> list[Decision]:
     """Objects that came to move by an edit of another one."""
     found = list[Decision]()
-    for id in sorted(landed.moving - set(but)):
+    for id in sorted(landed.moving - {but}):
         off, turn = _off(was[id], landed.scene[id]), turned(was[id], landed.scene[id])
         if np.linalg.norm(off) > TOLD or turn > TOLD_TURN:
+            verb = "fell" if id in fallen else "moved"
             choice = f"edit {number}: {verb} too, to {_where(off, turn)} where it was"
             reason = f"it rests on {_carriers(landed.scene[id])}"
             found.append(Decision(choice=choice, reason=reason, about=id, fallback=True))
@@ -168,7 +171,7 @@ def _taken_out(scene: Scene, edit: DeleteEdit, number: int, config: Config, effo
     excluded = (*landed.scene.excluded, Excluded(mask=gone.mask_name, reason=reason))
     landed = replace(landed, scene=replace(landed.scene, excluded=excluded))
     decisions = [Decision(choice=f"edit {number}: object {edit.id} {gone.label!r} deleted", reason="given")]
-    decisions += _others(before, landed, number, but=(), verb="fell")
+    decisions += _others(before, landed, number, fallen=there.placed)
     return _applied(landed, there, decisions, number, config)
 
 
@@ -180,7 +183,7 @@ def _let_go(scene: Scene, edit: ReleaseEdit, number: int, config: Config, effort
         return Applied(scene=_described(stays, config), decisions=(said,), given=there.placed)
     landed = land(free, there, config, effort)
     decisions = [_asked(there, landed, edit, number)]
-    decisions += _others(free, landed, number, but={edit.id}, verb="moved")
+    decisions += _others(free, landed, number, but=edit.id)
     return _applied(landed, there, decisions, number, config)
 
 
@@ -242,7 +245,7 @@ def _made_of(scene: Scene, edit: MaterialEdit, number: int, config: Config, effo
     group = _group(made, o.id, config)
     there = Put(scene=made, placed=frozenset(), roots=(), touched=group)
     landed = land(made, there, config, effort)
-    decisions = [given, *_others(made, landed, number, but=(), verb="moved")]
+    decisions = [given, *_others(made, landed, number)]
     return _applied(landed, there, decisions, number, config)
 
 

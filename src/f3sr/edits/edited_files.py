@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -93,7 +93,7 @@ def edited_files(session: EditSession) -> Iterator[tuple[str, bytes]]:
         provenance={},
         report=_report(session),
         pictures=pictures_of(reconstruction.direct, session.scene),
-        page=partial(report_page, reconstruction) if edits or PAGE not in files else lambda: files[PAGE],
+        page=_page(session, reconstruction),
     )
     yield from (file for file in made if file[0] != SCENE)
     yield SCENE, to_json(document)
@@ -149,6 +149,14 @@ def _as_reconstruction(session: EditSession) -> Reconstruction:
             result=outcome.measures, direct=None, result_details=outcome.details, direct_details=None
         ),
     )
+
+
+def _page(session: EditSession, reconstruction: Reconstruction) -> Callable[[], bytes] | None:
+    """What makes report.html: the edits' own, or without edits that of the package, where it has one."""
+    kept = session.unedited.files.get(PAGE)
+    if session.edits:
+        return partial(report_page, reconstruction)
+    return None if kept is None else lambda: kept
 
 
 def _some(scene: Scene, like: Scene) -> Scene:

@@ -11,7 +11,7 @@ from typing import Any, Self
 from f3sr.edits.edit_list import Edit, read_edits
 from f3sr.errors import InputError
 from f3sr.files import limited_file, strict_json
-from f3sr.scene_package.package import Package, read_package
+from f3sr.scene_package.package import Package, inside, read_package
 from f3sr.scene_package.package_folder import (
     BACKGROUND,
     EDITS,
@@ -24,6 +24,7 @@ from f3sr.scene_package.package_folder import (
     SUPPORT,
     UNEDITED,
 )
+from f3sr.scene_package.scene_json import dump_json
 
 BEHIND = (BACKGROUND, SUPPORT, KEPT)
 """The photo completed behind the objects: no edit changes it."""
@@ -46,7 +47,7 @@ class Unedited:
         names = [SCENE, PHOTO, *(f"{MASKS}/{o.mask}" for o in document.objects)]
         names += [path for o in document.objects for path in (o.mesh, *o.collision)]
         names += [name for name in (*BEHIND, REPORT, PAGE) if (folder / name).is_file()]
-        files = {name: limited_file.read(folder / name) for name in dict.fromkeys(names)}
+        files = {name: limited_file.read(inside(folder, name)) for name in dict.fromkeys(names)}
         return cls(package=package, files=files, report=_report(folder / REPORT, files.get(REPORT)))
 
     @property
@@ -60,7 +61,7 @@ def read_edited(folder: Path) -> tuple[Package, tuple[Edit, ...]]:
     package = read_package(folder)
     if not (folder / EDITS).exists():
         return package, ()
-    return read_package(folder / UNEDITED), read_edits(folder / EDITS)
+    return read_package(inside(folder, UNEDITED)), read_edits(inside(folder, EDITS))
 
 
 def _report(file: Path, data: bytes | None) -> Mapping[str, Any]:
@@ -69,6 +70,7 @@ def _report(file: Path, data: bytes | None) -> Mapping[str, Any]:
     accepted = "the report.json of an f3sr package"
     try:
         tree = strict_json.loads(data)
+        dump_json(tree)  # 1e999 is a number that cannot be written again
     except ValueError as error:
         raise InputError(file, found=f"no valid JSON ({error})", accepted=accepted) from error
     fits = isinstance(tree, dict) and isinstance(tree.get("stages", []), list)

@@ -129,7 +129,7 @@ class Package:
         if not file.exists():
             return None
         wanted = {"depth": npz.Wanted(dtype=np.dtype(np.float32), shape=shape)}
-        depth = npz.read(_inside(self.folder, KEPT), wanted)["depth"]
+        depth = npz.read(inside(self.folder, KEPT), wanted)["depth"]
         if not (depth >= NEAREST_KEPT).all():
             found = f"a depth of {depth[~(depth >= NEAREST_KEPT)][0]:.3g} m"
             raise InputError(file, found=found, accepted=f"{NEAREST_KEPT} m or more")
@@ -200,7 +200,7 @@ def read_package(folder: Path) -> Package:
     folder = Path(folder)
     recover(folder)
     require_package(folder)
-    document = _read_document(_inside(folder, SCENE))
+    document = _read_document(inside(folder, SCENE))
     size = document.camera.width, document.camera.height
     photo = Photo(rgb=_read_image(folder, PHOTO, size, "RGB"))
     ground = document.ground
@@ -400,7 +400,7 @@ def _read_object(
 
 def _read_image(folder: Path, path: str, size: tuple[int, int], mode: str) -> NDArray[np.uint8]:
     """An image of the package, (height, width) or (height, width, 3), of the camera's size."""
-    opened = open_image(_inside(folder, path))
+    opened = open_image(inside(folder, path))
     image = np.asarray(opened) if mode == opened.mode else as_rgb(opened)
     if mode == "L" and image.ndim == 3:
         image = image.max(axis=2)
@@ -413,7 +413,8 @@ def _read_image(folder: Path, path: str, size: tuple[int, int], mode: str) -> ND
     return image
 
 
-def _inside(folder: Path, path: str) -> Path:
+def inside(folder: Path, path: str) -> Path:
+    """A file of a package by its relative path. Raises InputError for one that a link, or ``..``, leads out of it."""
     file = folder / path
     try:
         inside = file.resolve().is_relative_to(folder.resolve())
@@ -425,7 +426,7 @@ def _inside(folder: Path, path: str) -> Path:
 
 
 def _read_mesh(folder: Path, path: str) -> Mesh:
-    mesh = load_mesh(_inside(folder, path))
+    mesh = load_mesh(inside(folder, path))
     require_solidity(folder / path, mesh)
     return mesh
 
@@ -436,7 +437,7 @@ DENT = 1e-4
 
 def _read_part(folder: Path, path: str) -> ConvexPart:
     """As it is written, so that physics is the same to the bit; the hull of what is not convex."""
-    mesh = load_part(_inside(folder, path), max_bytes=MAX_PART_BYTES)
+    mesh = load_part(inside(folder, path), max_bytes=MAX_PART_BYTES)
     try:
         part, hull = ConvexPart(vertices=mesh.vertices, faces=mesh.faces), mesh.hull
         return part if abs(part.volume - hull.volume) <= DENT * hull.volume else hull
