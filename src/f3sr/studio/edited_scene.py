@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,16 @@ import numpy as np
 from f3sr.core.transforms import Array
 from f3sr.edits import EditSession, edit_of, edits_json, read_edits, write_edited
 from f3sr.edits.edit_list import Edit
+from f3sr.edits.unedited import read_edited
 from f3sr.errors import F3srError, InputError
+from f3sr.files import strict_json
 from f3sr.io.images import encode_png
 from f3sr.physics.mujoco_model import body_of
 from f3sr.runtime.atomic_file import write_whole
+from f3sr.runtime.daemon_thread import begun
 from f3sr.scene import Scene, SceneObject
-from f3sr.scene_package.package import SCENE
+from f3sr.scene_package.package import SCENE, Package, read_package
+from f3sr.scene_package.package_folder import REPORT
 from f3sr.studio.workspace import Project
 from f3sr.vision.pictures import Backdrop
 from f3sr.web.document import clean
@@ -26,23 +31,32 @@ MOST_FACES = 20_000
 """Triangles of one mesh in the view: eight of them turn with 15 frames a second without a graphics card."""
 TEXTURE = 512
 """Longest side of a texture in the view [px]."""
+MAX_REPORT = 50_000_000
+"""Bytes of report.json."""
 LONGEST = 1024
 """Longest side of the picture of masks [px]."""
 
 
 class EditedScene:
-    """The scene of a project's package with the project's edits, which count where both differ."""
+    """The scene of a project's package with the project's edits, which count where both differ.
+
+    A package is shown as soon as it is read. The session, which makes every scene between its edits again, is there for
+    the first change.
+    """
 
     def __init__(self, project: Project) -> None:
+        """Raises InputError for a damaged package or list."""
         self.project = project
         self._file = project.package / SCENE
         self._read = self._file.stat().st_mtime_ns
-        self._session = EditSession.open(project.package)
-        self._written = self._session.edits
+        package = read_package(project.package)
+        base, self._written = read_edited(project.package)
         given = read_edits(project.edits) if project.edits.exists() else self._written
-        if given != self._written:
-            self._session = EditSession(self._session.unedited.package, given)
         self._seconds = 0.0
+        self._views = dict[bool, dict[str, Any]]()
+        self._opening = begun(lambda: EditSession(base, given))
+        self._as_written = package if given == self._written else None
+        """The package, while no change has needed the session."""
 
     def is_old(self) -> bool:
         """Whether another package has taken its place."""
@@ -57,103 +71,140 @@ class EditedScene:
         if not outcome.done:  # a list keeps what a later scene may allow; a page says at once that it is not so
             self._session.undo()
             raise F3srError("; ".join(f"{d.choice}: {d.reason}" for d in outcome.decisions))
-        self._seconds = outcome.seconds
-        self._keep()
+        self._changed(outcome.seconds)
 
     def undo(self) -> None:
         self._session.undo()
-        self._seconds = 0.0
-        self._keep()
+        self._changed(0.0)
 
     def redo(self) -> None:
         self._session.redo()
-        self._seconds = 0.0
-        self._keep()
+        self._changed(0.0)
 
     def save(self) -> None:
         """Write the package where edits are not in it yet."""
-        if self._session.edits == self._written:
+        if self._as_written is not None or self._session.edits == self._written:
             return
         write_edited(self._session, self.project.package)
         self._written = self._session.edits
         self._read = self._file.stat().st_mtime_ns
 
-    def _keep(self) -> None:
-        """The list of edits, at once: with it everything can be made again."""
+    @property
+    def _session(self) -> EditSession:
+        return self._opening.result()
+
+    def _changed(self, seconds: float) -> None:
+        """Keep the list of edits at once: with it everything can be made again."""
+        self._seconds, self._as_written = seconds, None
         write_whole(self.project.edits, edits_json(self._session.edits))
 
-    # --- for the page ------------------------------------------------------------------------------------------------
+    # --- for the page -----------------------------------------------------------------------------------------------
 
     @property
     def scene(self) -> Scene:
-        return self._session.scene
+        return self._as_written.scene if self._as_written else self._session.scene
 
-    @cached_property
+    @property
     def view(self) -> dict[str, Any]:
-        """All that ``view3d.js`` reads and that no edit changes: meshes, their parts and textures, the ids of masks."""
-        scene, textures = self._session.unedited.package.scene, TextureIndex(TEXTURE)
-        corners = np.concatenate([o.bounds_world for o in scene])
-        return {
-            "bounds": [*corners.min(0).tolist(), *corners.max(0).tolist()],
-            "objects": [
-                {
-                    "id": o.id,
-                    "mesh": packed_mesh(lightened(o.mesh, MOST_FACES), textures.index),
-                    "parts": packed_parts(o.colliders),
-                }
-                for o in scene
-            ],
-            "textures": textures.uris,
-            "masks": [o.id for o in scene],
-        }
+        """All that ``view3d.js`` reads and that no edit changes: meshes, their parts and textures, the ids of masks.
 
-    @cached_property
+        ``meshes`` tells whose: those of an edited package have their sizes in them, those of a session in the poses."""
+        own = self._as_written is not None and bool(self._written)
+        if own not in self._views:
+            self._views[own] = _view(self.scene if own else self._base) | {"meshes": own}
+        return self._views[own]
+
+    @property
     def labels(self) -> bytes:
         """PNG of the photo's masks: the place of an object in ``masks`` plus 1, in red and 256 times in green."""
-        scene = self._session.unedited.package.scene
-        wanted = Backdrop.of(scene, LONGEST).wanted
+        masks = self.view["masks"]
+        wanted = Backdrop.of(self.scene if self.view["meshes"] else self._base, LONGEST).wanted
         numbers = np.zeros(wanted.shape, np.uint16)
-        for k, o in enumerate(scene, 1):
-            numbers[wanted == o.id] = k
+        for k, id in enumerate(masks, 1):
+            numbers[wanted == id] = k
         return encode_png(np.stack([numbers & 255, numbers >> 8, np.zeros_like(numbers)], -1).astype(np.uint8))
 
     def state(self) -> dict[str, Any]:
         """All that edits change."""
-        session, scene = self._session, self.scene
-        known = {o.id: o for o in session.outcome.details.objects}
+        shown = self._as_written
         return {
-            "camera": packed_camera(scene.camera),
-            "objects": [
-                _told(o, known[o.id].IoU_visible if o.id in known else None, self._decisions(o)) for o in scene
-            ],
-            "measures": session.outcome.measures.as_dict(),
-            "edits": [edit_in_words(e) for e in session.edits],
-            "undo": session.can_undo,
-            "redo": session.can_redo,
-            "told": [{"choice": d.choice, "reason": d.reason} for d in session.outcome.decisions],
+            "meshes": self.view["meshes"],
+            "camera": packed_camera(self.scene.camera),
+            **(self._of_package(shown) if shown else self._of_session()),
             "seconds": self._seconds,
         }
 
-    def _decisions(self, o: SceneObject) -> list[dict[str, Any]]:
-        """What stages and edits decided about an object, in order."""
-        edits = [
-            {"stage": "edit", "choice": d.choice, "reason": d.reason, "fallback": d.fallback}
-            for d in self._session.report.decisions
-            if d.about == o.id
-        ]
-        return [*self._of_stages.get(o.id, []), *edits]
+    @property
+    def _base(self) -> Scene:
+        """Before all edits."""
+        if self._as_written is not None and not self._written:
+            return self._as_written.scene
+        return self._session.unedited.package.scene
 
-    @cached_property
-    def _of_stages(self) -> dict[int, list[dict[str, Any]]]:
-        """By object: what the report says that stages decided about it."""
-        found = dict[int, list[dict[str, Any]]]()
-        for stage in self._session.unedited.report.get("stages", []):
-            for d in stage.get("decisions", []):
-                if d.get("about") is not None:
-                    told = {key: clean(str(d.get(key, ""))) for key in ("choice", "reason")}
-                    row = {"stage": clean(str(stage.get("stage", ""))), **told, "fallback": d.get("fallback") is True}
-                    found.setdefault(d["about"], []).append(row)
-        return found
+    def _of_package(self, package: Package) -> dict[str, Any]:
+        decisions = _decisions(_report(package))
+        return {
+            "objects": [_told(o, None, decisions.get(o.id, [])) for o in package.scene],
+            "measures": package.document.metrics,
+            "edits": [edit_in_words(e) for e in self._written],
+            "undo": bool(self._written),
+            "redo": False,
+            "told": [],
+        }
+
+    def _of_session(self) -> dict[str, Any]:
+        session, outcome = self._session, self._session.outcome
+        stages = [*session.unedited.report.get("stages", []), asdict(session.report)]
+        decisions, known = _decisions(stages), {o.id: o.IoU_visible for o in outcome.details.objects}
+        return {
+            "objects": [_told(o, known.get(o.id), decisions.get(o.id, [])) for o in session.scene],
+            "measures": outcome.measures.as_dict(),
+            "edits": [edit_in_words(e) for e in session.edits],
+            "undo": session.can_undo,
+            "redo": session.can_redo,
+            "told": [{"choice": d.choice, "reason": d.reason} for d in outcome.decisions],
+        }
+
+
+def _view(scene: Scene) -> dict[str, Any]:
+    textures = TextureIndex(TEXTURE)
+    corners = np.concatenate([o.bounds_world for o in scene])
+    return {
+        "bounds": [*corners.min(0).tolist(), *corners.max(0).tolist()],
+        "objects": [
+            {
+                "id": o.id,
+                "mesh": packed_mesh(lightened(o.mesh, MOST_FACES), textures.index),
+                "parts": packed_parts(o.colliders),
+            }
+            for o in scene
+        ],
+        "textures": textures.uris,
+        "masks": [o.id for o in scene],
+    }
+
+
+def _report(package: Package) -> Sequence[Any]:
+    """The stages of report.json; none where it is absent or damaged."""
+    try:
+        tree = strict_json.read(package.folder / REPORT, most=MAX_REPORT, accepted="the report of a package")
+    except InputError:
+        return ()
+    stages = tree.get("stages") if isinstance(tree, dict) else None
+    return stages if isinstance(stages, list) else ()
+
+
+def _decisions(stages: Sequence[Any]) -> dict[int, list[dict[str, Any]]]:
+    """By object: what stages decided about it, in order. Reports may come from others: another shape is left out."""
+    found = dict[int, list[dict[str, Any]]]()
+    for stage in (s for s in stages if isinstance(s, dict)):
+        decisions = stage.get("decisions")
+        for d in decisions if isinstance(decisions, list | tuple) else ():
+            if isinstance(d, dict) and type(d.get("about")) is int:
+                told = {key: clean(str(d.get(key, ""))) for key in ("choice", "reason")}
+                row = {"stage": clean(str(stage.get("stage", ""))), **told, "fallback": d.get("fallback") is True}
+                found.setdefault(d["about"], []).append(row)
+    return found
 
 
 def edit_in_words(edit: Edit) -> str:

@@ -22,6 +22,7 @@ const changed = async (path, value, words) => {
   try {
     complain(null);
     state = await ask(path, value);
+    if (state.meshes !== data.meshes) await open(); // the sizes of an edited package are in its meshes
     $("edit-state").textContent = `At rest again in ${seconds(state.seconds)}.`;
     say($("edit-state").textContent);
   } catch (error) {
@@ -238,7 +239,8 @@ export const scene = {
   async shown() {
     $("scene-none").hidden = project.state.scene;
     $("scene-work").hidden = !project.state.scene;
-    if (project.state.scene && scene.version !== project.state.version) await open();
+    if (!project.state.scene) return;
+    if (scene.version !== project.state.version) await open();
     view?.draw();
   },
   get view() { return view; },
