@@ -13,7 +13,7 @@ from typing import Any
 
 from f3sr.errors import F3srError
 from f3sr.runtime.atomic_folder import claimed
-from f3sr.studio.job_options import JobOptions
+from f3sr.studio.job_options import JobOptions, PlayOptions
 from f3sr.studio.job_record import JobFolder
 from f3sr.studio.workspace import Project
 
@@ -23,8 +23,8 @@ FILES = 5
 
 def work(job: JobFolder, options: JobOptions, project: Project) -> dict[str, Any]:
     """As ``f3sr.studio.job_work.work``."""
-    assert hasattr(options, "goal")
-    for deed in str(options.goal).split(";"):
+    assert isinstance(options, PlayOptions)
+    for deed in options.goal.split(";"):
         name, *said = deed.split()
         DEEDS[name](job, project, *said)
     return {"by": os.getpid()}

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -43,7 +43,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @contextlib.contextmanager
-def opened(place: Path, **limits: Any) -> Iterator[tuple[JobQueue, Project]]:
+def opened(place: Path, **limits: Any) -> Generator[tuple[JobQueue, Project]]:
     workspace = Workspace(place)
     queue = JobQueue(workspace, QueueConfig(**limits), worker=WORKER)
     project = workspace.listed()[0]
@@ -200,12 +200,12 @@ def test_a_job_is_done_once_wherever_its_server_is_killed(place: Path, point: st
 
 
 def test_a_job_that_died_with_its_server_begins_again_and_not_for_ever(place: Path):
+    (folder,) = (place / "projects").iterdir()
     for start in range(1, MAX_STARTS + 1):
         goals = ["write some 0.05; step 60"] if start == 1 else []
         command = [sys.executable, "-m", "stub_studio_server", str(place), *goals]
         with forked.Popen(command, stdout=subprocess.PIPE, process_group=0) as server:
             assert server.stdout and server.stdout.readline()
-            (folder,) = (place / "projects").iterdir()
             (job,) = jobs_in(folder / "jobs")
             assert soon(lambda job=job, start=start: names(job).count("wrote") > FILES * (start - 1) + 2)
             server.kill()
@@ -213,6 +213,7 @@ def test_a_job_that_died_with_its_server_begins_again_and_not_for_ever(place: Pa
             os.killpg(job.pid, signal.SIGKILL)
         assert job.record.starts == start and job.record.state == "running"
     with opened(place) as (_, project):
+        (job,) = jobs_in(project.jobs)
         assert ended(job)["problem"] == f"its process ended {MAX_STARTS} times"
         assert {p.name for p in project.folder.iterdir()} <= {"project.json", "photo.png", "package", "jobs"}
 

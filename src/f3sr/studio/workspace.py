@@ -6,7 +6,6 @@ Nothing outside the workspace is changed, and no name from outside becomes a pat
 from __future__ import annotations
 
 import fcntl
-import os
 import re
 import secrets
 import shutil
@@ -26,7 +25,7 @@ from f3sr.files import strict_json
 from f3sr.io.input_folder import INPUT_FOLDER
 from f3sr.runtime.atomic_file import write_whole
 from f3sr.scene_package.package_folder import PACKAGE, is_package
-from f3sr.segmentation.input_folder_writer import MASKS, PNG, read_photo
+from f3sr.segmentation.input_folder_writer import MASKS, MAX_PHOTO_BYTES, PNG, read_photo
 
 PROJECTS, RECORD, LOCK = "projects", "project.json", "workspace.lock"
 NEW, GONE = ".new-", ".gone-"
@@ -38,8 +37,8 @@ SLUG = 40
 MOST_PROJECTS = 1000
 MAX_RECORD = 100_000
 """Bytes of project.json."""
-MAX_FILES, MAX_BYTES = 20_000, 20_000_000_000
-"""Files of a folder that is copied, and their bytes together."""
+MAX_FILES, MAX_BYTES, MAX_DEPTH = 20_000, 20_000_000_000, 20
+"""Files and folders of a folder that is copied, their bytes together, and how deep one lies in another."""
 JPEG = b"\xff\xd8\xff"
 EXAMPLE = "Example"
 
@@ -136,20 +135,16 @@ class Workspace:
 
     def listed(self) -> list[Project]:
         """All projects, the newest first. One that cannot be read has its problem, and hides no other."""
-        names = [entry.name for entry in os.scandir(self.folder / PROJECTS) if _is_id(entry.name)]
-        found = [_read(self.folder / PROJECTS / name) for name in names]
+        found = map(_read, filter(_is_project, (self.folder / PROJECTS).iterdir()))
         return sorted(found, key=lambda p: (-p.created, p.id))
 
     def project(self, id: str) -> Project:
         """A project by its id. Raises InputError where there is none, F3srError where it cannot be read."""
-        return read_project(self.found(id).folder)
+        return read_project(self._folder(id))
 
     def found(self, id: str) -> Project:
         """The same, also of one that cannot be read: it has its problem."""
-        folder = self.folder / PROJECTS / id if _is_id(id) else None
-        if folder is None or not folder.is_dir() or folder.is_symlink():
-            raise InputError("the project", found=cut(repr(id[:80])), accepted="one of the workspace's")
-        return _read(folder)
+        return _read(self._folder(id))
 
     def create_photo(self, name: str, data: bytes) -> Project:
         """A project that begins with a photo, of which ``data`` is the file. Raises InputError for what is no photo."""
@@ -157,6 +152,8 @@ class Workspace:
         file = "photo.png" if data.startswith(PNG) else "photo.jpg" if data.startswith(JPEG) else ""
         if not file:
             raise InputError(cut(name), found="another kind of file" if data else "nothing", accepted=accepted)
+        if len(data) > MAX_PHOTO_BYTES:
+            raise InputError(cut(name), found=f"{len(data):,} bytes", accepted=f"at most {MAX_PHOTO_BYTES:,} bytes")
         with self._made(Path(name).stem, "photo", photo=file) as folder:
             (folder / file).write_bytes(data)
             try:
@@ -190,13 +187,19 @@ class Workspace:
 
     def delete(self, id: str) -> None:
         """Take a project away: first out of sight, then from the disk. Raises InputError where there is none."""
-        project = self.found(id)
-        gone = project.folder.with_name(f"{GONE}{project.id}-{secrets.token_hex(4)}")
+        folder = self._folder(id)
+        gone = folder.with_name(f"{GONE}{id}-{secrets.token_hex(4)}")
         try:
-            project.folder.rename(gone)
+            folder.rename(gone)
         except OSError as error:
-            raise OutputError(f"{project.folder}: cannot be deleted ({reason(error)})") from error
+            raise OutputError(f"{folder}: cannot be deleted ({reason(error)})") from error
         shutil.rmtree(gone, ignore_errors=True)
+
+    def _folder(self, id: str) -> Path:
+        """Of a project, damaged or not. Raises InputError where there is none."""
+        if _is_id(id) and _is_project(folder := self.folder / PROJECTS / id):
+            return folder
+        raise InputError("the project", found=cut(repr(id[:80])), accepted="one of the workspace's")
 
     def _copied(self, name: str, origin: Origin, source: Path, inside: str) -> Project:
         with self._made(name, origin) as folder:
@@ -207,7 +210,7 @@ class Workspace:
     def _made(self, name: str, origin: Origin, photo: str = "") -> Generator[Path]:
         """A folder that becomes a project if the block ends well, and vanishes otherwise."""
         places = self.folder / PROJECTS
-        if sum(1 for entry in os.scandir(places) if _is_id(entry.name)) >= MOST_PROJECTS:
+        if sum(map(_is_project, places.iterdir())) >= MOST_PROJECTS:
             raise OutputError(f"{places}: has {MOST_PROJECTS} projects; delete some")
         shown = _shown_name(name)
         record = _ProjectRecord.model_validate(
@@ -241,6 +244,11 @@ def _is_id(name: str) -> bool:
     return len(name) <= LONGEST_ID and ID.fullmatch(name) is not None
 
 
+def _is_project(folder: Path) -> bool:
+    """A link may lead anywhere, so it is none."""
+    return _is_id(folder.name) and folder.is_dir() and not folder.is_symlink()
+
+
 def _slug(name: str) -> str:
     plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode().lower()
     return re.sub(r"[^a-z0-9]+", "-", plain).strip("-")[:SLUG].strip("-") or "scene"
@@ -268,7 +276,7 @@ def _read(folder: Path) -> Project:
     except F3srError as error:
         return Project(folder, problem=str(error))
     photo = folder / record.photo if record.photo else None
-    return Project(folder, record.name, record.created, photo, record.options)
+    return Project(folder, _shown_name(record.name), record.created, photo, record.options)
 
 
 def _copy(source: Path, target: Path) -> None:
@@ -276,16 +284,16 @@ def _copy(source: Path, target: Path) -> None:
     left = [MAX_FILES, MAX_BYTES]
 
     def ignored(folder: str, names: list[str]) -> list[str]:
-        away = list[str]()
+        place, away = Path(folder), list[str]()
         for name in names:
-            file = Path(folder) / name
+            file = place / name
             if file.is_symlink() or not (file.is_file() or file.is_dir()):
                 away.append(name)
-            elif file.is_file():
+            else:
                 left[0] -= 1
                 left[1] -= file.stat().st_size
-        if min(left) < 0:
-            found = f"more than {MAX_FILES:,} files or {MAX_BYTES // 10**9} GB"
+        if min(left) < 0 or len(place.relative_to(source).parts) > MAX_DEPTH:
+            found = f"more than {MAX_FILES:,} files, {MAX_BYTES // 10**9} GB or {MAX_DEPTH} folders in each other"
             raise InputError(source, found=found, accepted="one scene's folder")
         return away
 
