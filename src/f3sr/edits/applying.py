@@ -244,7 +244,7 @@ def _made_of(scene: Scene, edit: MaterialEdit, number: int, config: Config, effo
         return Applied(scene=_described(stays, config), decisions=(given,))
     group = _group(made, o.id, config)
     there = Put(scene=made, placed=frozenset(), roots=(), touched=group)
-    landed = land(made, there, config, effort)
+    landed = land(made, there, config, replace(effort, closes=False))
     decisions = [given, *_others(made, landed, number)]
     return _applied(landed, there, decisions, number, config)
 

@@ -29,9 +29,10 @@ class StageSheet:
 
 def stages(page: PageData) -> list[StageSheet]:
     found: list[StageSheet] = []
+    reports = page.result.reports
     first, start = next(iter(page.result.scenes.items()), ("", None))
-    before = None if first == page.result.reports[0].stage else start  # an edited package is a scene already
-    for report in page.result.reports:
+    before = None if first in [r.stage for r in reports] else start  # an edited package is a scene already
+    for report in reports:
         after = page.result.scenes.get(report.stage, page.result.scene)
         found.append(_sheet(report, page, before, after))
         before = after
