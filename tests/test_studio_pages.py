@@ -18,7 +18,8 @@ from studio_server import StudioServer, studio
 KNOWN = "GPU stall due to ReadPixels"
 """What Chromium says of its own pictures."""
 SHARES = """(i) => {
-    const box = document.querySelector("#scene-view").getBoundingClientRect(), at = window.studio.STEPS.scene.view.middleOf(i);
+    const box = document.querySelector("#scene-view").getBoundingClientRect();
+    const at = window.studio.STEPS.scene.view.middleOf(i);
     return [at[0] / box.width, at[1] / box.height];
 }"""
 """Where an object is in the view, as shares of its size: there the photo shows it too."""
