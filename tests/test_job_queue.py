@@ -22,14 +22,13 @@ from f3sr.errors import F3srError, InputError, OutputError
 from f3sr.io.images import encode_png
 from f3sr.studio import job_queue, job_record
 from f3sr.studio.job_queue import JobQueue, QueueConfig
-from f3sr.studio.job_record import EVENTS, LOCK, MAX_STARTS, RECORD, JobFolder, jobs_in
+from f3sr.studio.job_record import ENDS, EVENTS, LOCK, MAX_STARTS, RECORD, SPARE, JobFolder, jobs_in
 from f3sr.studio.workspace import Project, Workspace
 from stub_studio_work import FILES
 from waiting import is_running, soon
 
 WORKER = "stub_studio_work"
 forking = SimpleNamespace(Popen=forked.Popen, DEVNULL=subprocess.DEVNULL)
-ENDED = {"done", "failed", "cancelled"}
 
 
 @pytest.fixture
@@ -67,7 +66,7 @@ def state(job: JobFolder) -> str:
 
 def ended(job: JobFolder, seconds: float = 30) -> dict[str, Any]:
     """What a job tells once it has ended, by its record."""
-    assert soon(lambda: job.record.state in ENDED, seconds=seconds)
+    assert soon(lambda: job.record.state in ENDS, seconds=seconds)
     return job.told()
 
 
@@ -256,7 +255,7 @@ def test_a_full_disk_keeps_no_end_from_being_told(place: Path, monkeypatch: pyte
     kept, full = job_record.write_whole, [True]
 
     def write(file: Path, data: bytes) -> None:
-        if full[0] and json.loads(data)["state"] in ENDED:
+        if full[0] and json.loads(data)["state"] in ENDS:
             raise OutputError(f"{file}: cannot be written (no space left on device)")
         kept(file, data)
 
@@ -267,6 +266,23 @@ def test_a_full_disk_keeps_no_end_from_being_told(place: Path, monkeypatch: pyte
         assert first.told()["problem"] == "it is full" and first.record.state == second.record.state == "running"
         full[0] = False
         assert [ended(job)["state"] for job in (first, second)] == ["failed", "done"]
+
+
+def test_a_job_that_a_full_disk_keeps_from_starting_says_so(place: Path, monkeypatch: pytest.MonkeyPatch):
+    """The room that a job keeps for its end is not spent on its start."""
+    kept, room = job_record.write_whole, list[bool]()
+
+    def write(file: Path, data: bytes) -> None:
+        room.append(not (file.parent / SPARE).exists())
+        if json.loads(data)["state"] != "queued" and not room[-1]:
+            raise OutputError(f"{file}: cannot be written (no space left on device)")
+        kept(file, data)
+
+    monkeypatch.setattr(job_record, "write_whole", write)
+    with opened(place) as (queue, project):
+        told = ended(asked(queue, project, "step 0"))
+        assert told["state"] == "failed" and told["problem"].startswith("it could not be started: ")
+        assert told["problem"].endswith("(no space left on device)") and room == [False, False, False, True]
 
 
 def test_a_full_disk_for_events_leaves_the_reason(place: Path):
