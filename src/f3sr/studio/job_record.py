@@ -12,6 +12,7 @@ import json
 import os
 import re
 import secrets
+import shutil
 import time
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
@@ -131,6 +132,12 @@ class JobFolder:
             if record.state not in ENDS or not self._spared():
                 raise
             write_whole(self.folder / RECORD, data)
+
+    def delete(self) -> None:
+        """Take the job off the disk: first out of the list."""
+        with suppress(OSError):
+            (self.folder / RECORD).unlink()
+            shutil.rmtree(self.folder)
 
     def told(self) -> dict[str, Any]:
         """For the page. A job that has told its end has ended, also where a full disk keeps that from its record."""

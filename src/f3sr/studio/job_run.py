@@ -52,6 +52,8 @@ def _limit(job: JobFolder, wall_s: float, memory_bytes: int) -> None:
 
 def _done(job: JobFolder, worker: str) -> int:
     try:
+        if job.events():
+            job.tell("again")
         recover_all(job.project)  # what a killed job left half way between two states
         work = importlib.import_module(worker).work
         job.tell("ended", state="done", result=work(job, job.options, read_project(job.project)))
