@@ -146,8 +146,16 @@ class JobQueue:
                     self._keep(job, record)
                 for running in list(self._running.values()):
                     self._look_at(running)
-                while self._waiting and len(self._running) < self.config.parallel:
-                    self._start(self._waiting.pop(0))
+                while job := self._next():
+                    self._waiting.remove(job)
+                    self._start(job)
+
+    def _next(self) -> JobFolder | None:
+        """The first job that may begin. Of a project one runs at a time: they read and write the same files."""
+        busy = {running.job.project for running in self._running.values()}
+        if len(self._running) >= self.config.parallel:
+            return None
+        return next((job for job in self._waiting if job.project not in busy), None)
 
     def _taken_over(self, job: JobFolder) -> None:
         """A job as an earlier server left it."""
