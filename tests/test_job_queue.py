@@ -22,14 +22,13 @@ from f3sr.errors import F3srError, InputError, OutputError
 from f3sr.io.images import encode_png
 from f3sr.studio import job_queue, job_record
 from f3sr.studio.job_queue import JobQueue, QueueConfig
-from f3sr.studio.job_record import EVENTS, LOCK, MAX_STARTS, RECORD, JobFolder, jobs_in
+from f3sr.studio.job_record import ENDS, EVENTS, LOCK, MAX_STARTS, RECORD, SPARE, JobFolder, jobs_in
 from f3sr.studio.workspace import Project, Workspace
 from stub_studio_work import FILES
 from waiting import is_running, soon
 
 WORKER = "stub_studio_work"
 forking = SimpleNamespace(Popen=forked.Popen, DEVNULL=subprocess.DEVNULL)
-ENDED = {"done", "failed", "cancelled"}
 
 
 @pytest.fixture
@@ -67,7 +66,7 @@ def state(job: JobFolder) -> str:
 
 def ended(job: JobFolder, seconds: float = 30) -> dict[str, Any]:
     """What a job tells once it has ended, by its record."""
-    assert soon(lambda: job.record.state in ENDED, seconds=seconds)
+    assert soon(lambda: job.record.state in ENDS, seconds=seconds)
     return job.told()
 
 
@@ -94,6 +93,19 @@ def test_jobs_are_done_one_after_another_and_no_more_wait_than_may(place: Path):
         order = [job.folder.joinpath(EVENTS).stat().st_mtime_ns for job in (running, later[0], later[2])]
         assert order == sorted(order)
         asked(queue, project, "step 0")
+
+
+def test_jobs_of_two_projects_run_beside_each_other_those_of_one_do_not(place: Path):
+    workspace = Workspace(place)
+    other = workspace.create_photo("b.png", encode_png(np.zeros((16, 16, 3), np.uint8)))
+    workspace.close()
+    with opened(place, parallel=3) as (queue, _):
+        project = next(p for p in workspace.listed() if p.id != other.id)
+        first, second = asked(queue, project, "step 60"), asked(queue, project, "step 0")
+        assert ended(asked(queue, other, "step 0"))["state"] == "done"
+        assert (state(first), state(second)) == ("running", "queued")
+        queue.cancel(first)
+        assert ended(second)["state"] == "done"
 
 
 @pytest.mark.parametrize(
@@ -194,7 +206,8 @@ def test_a_job_is_done_once_wherever_its_server_is_killed(place: Path, point: st
     with opened(place) as (_, project):
         told = [ended(job) for job in (first, second)]
         assert [one["state"] for one in told] == ["done", "done"]
-        assert names(first).count("ended") == 1 and names(first).count("step") == 2 and first.record.starts == 1
+        assert names(first).count("ended") == 1 and names(first).count("step") == 2
+        assert "again" not in names(first)
         assert {file.read_text() for file in project.package.iterdir()} == {"whole"}
         assert second.folder.joinpath(EVENTS).stat().st_mtime_ns >= first.folder.joinpath(EVENTS).stat().st_mtime_ns
 
@@ -214,6 +227,7 @@ def test_a_job_that_died_with_its_server_begins_again_and_not_for_ever(place: Pa
         assert job.record.starts == start and job.record.state == "running"
     with opened(place) as (_, project):
         (job,) = jobs_in(project.jobs)
+        assert names(job).count("again") == MAX_STARTS - 1
         assert ended(job)["problem"] == f"its process ended {MAX_STARTS} times"
         assert {p.name for p in project.folder.iterdir()} <= {"project.json", "photo.png", "package", "jobs"}
 
@@ -256,7 +270,7 @@ def test_a_full_disk_keeps_no_end_from_being_told(place: Path, monkeypatch: pyte
     kept, full = job_record.write_whole, [True]
 
     def write(file: Path, data: bytes) -> None:
-        if full[0] and json.loads(data)["state"] in ENDED:
+        if full[0] and json.loads(data)["state"] in ENDS:
             raise OutputError(f"{file}: cannot be written (no space left on device)")
         kept(file, data)
 
@@ -267,6 +281,23 @@ def test_a_full_disk_keeps_no_end_from_being_told(place: Path, monkeypatch: pyte
         assert first.told()["problem"] == "it is full" and first.record.state == second.record.state == "running"
         full[0] = False
         assert [ended(job)["state"] for job in (first, second)] == ["failed", "done"]
+
+
+def test_a_job_that_a_full_disk_keeps_from_starting_says_so(place: Path, monkeypatch: pytest.MonkeyPatch):
+    """The room that a job keeps for its end is not spent on its start."""
+    kept, room = job_record.write_whole, list[bool]()
+
+    def write(file: Path, data: bytes) -> None:
+        room.append(not (file.parent / SPARE).exists())
+        if json.loads(data)["state"] != "queued" and not room[-1]:
+            raise OutputError(f"{file}: cannot be written (no space left on device)")
+        kept(file, data)
+
+    monkeypatch.setattr(job_record, "write_whole", write)
+    with opened(place) as (queue, project):
+        told = ended(asked(queue, project, "step 0"))
+        assert told["state"] == "failed" and told["problem"].startswith("it could not be started: ")
+        assert told["problem"].endswith("(no space left on device)") and room == [False, False, False, True]
 
 
 def test_a_full_disk_for_events_leaves_the_reason(place: Path):
@@ -289,6 +320,18 @@ def test_a_damaged_job_ends_no_queue(place: Path):
         assert [job.id for job in queue.jobs(project)] == [first.id, third.id]
     with opened(place) as (queue, project):
         assert ended(asked(queue, project, "step 0"))["state"] == "done"
+
+
+def test_jobs_that_ended_long_ago_are_taken_away(place: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(job_queue, "KEPT", 2)
+    with opened(place) as (queue, project):
+        running = asked(queue, project, "step 60")
+        waiting = [asked(queue, project, "step 0") for _ in range(5)]
+        for job in waiting[:4]:
+            queue.cancel(job)
+        last = asked(queue, project, "step 0")
+        assert queue.jobs(project) == [running, *waiting[2:], last]
+        assert {entry.name for entry in project.jobs.iterdir()} == {job.id for job in queue.jobs(project)}
 
 
 @pytest.mark.parametrize("id", ["", ".", "..", "../../x", "a/b", "1" * 13 + "-" + "0" * 8, "\0", "1" * 10**5])

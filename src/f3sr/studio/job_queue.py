@@ -24,13 +24,15 @@ from f3sr.runtime.machine import ONE_THREAD
 from f3sr.runtime.process_end import how_it_ended
 from f3sr.settings import settings
 from f3sr.studio.job_options import options_of
-from f3sr.studio.job_record import ID, MAX_STARTS, JobFolder, JobStanding, State, ended, jobs_in
+from f3sr.studio.job_record import ENDS, ID, MAX_STARTS, JobFolder, JobStanding, State, ended, jobs_in
 from f3sr.studio.workspace import Project, Workspace
 
 POLL_S = 0.1
 """How often the queue looks at its jobs [s]."""
 GRACE_S = 1.8
 """How long a cancelled job may tidy up [s]: signals.PATIENCE_S and a little, and all is over in two seconds."""
+KEPT = 50
+"""Jobs of a project that have ended and stay on disk: pages show the last few."""
 WORKER = "f3sr.studio.job_work"
 """The module whose ``work`` does jobs."""
 
@@ -97,6 +99,8 @@ class JobQueue:
         with self._lock:
             if len(self._waiting) >= self.config.waiting:
                 raise F3srError(f"{len(self._waiting)} jobs wait already; try again when one is done")
+            for old in [job for job in jobs_in(project.jobs) if job.record.state in ENDS][:-KEPT]:
+                old.delete()
             job = JobFolder.new(project.jobs, checked)
             self._waiting.append(job)
             return job
@@ -142,8 +146,16 @@ class JobQueue:
                     self._keep(job, record)
                 for running in list(self._running.values()):
                     self._look_at(running)
-                while self._waiting and len(self._running) < self.config.parallel:
-                    self._start(self._waiting.pop(0))
+                while job := self._next():
+                    self._waiting.remove(job)
+                    self._start(job)
+
+    def _next(self) -> JobFolder | None:
+        """The first job that may begin. Of a project one runs at a time: they read and write the same files."""
+        busy = {running.job.project for running in self._running.values()}
+        if len(self._running) >= self.config.parallel:
+            return None
+        return next((job for job in self._waiting if job.project not in busy), None)
 
     def _taken_over(self, job: JobFolder) -> None:
         """A job as an earlier server left it."""

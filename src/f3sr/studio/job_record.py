@@ -12,6 +12,7 @@ import json
 import os
 import re
 import secrets
+import shutil
 import time
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
@@ -27,6 +28,8 @@ from f3sr.runtime.atomic_file import write_whole
 from f3sr.studio.job_options import JobOptions, options_of
 
 State = Literal["queued", "running", "done", "failed", "cancelled"]
+ENDS = ("done", "failed", "cancelled")
+"""States that do not change any more."""
 RECORD, EVENTS, LOCK, WORDS, PICTURES = "job.json", "events.jsonl", "run.lock", "words.txt", "pictures"
 SPARE, SPARE_BYTES = "spare", 16_384
 """A file that gives up its room [bytes] for the last event or the record: each takes one block of the disk or two."""
@@ -126,9 +129,15 @@ class JobFolder:
         try:
             write_whole(self.folder / RECORD, data)
         except OutputError:
-            if not self._spared():
+            if record.state not in ENDS or not self._spared():
                 raise
             write_whole(self.folder / RECORD, data)
+
+    def delete(self) -> None:
+        """Take the job off the disk: first out of the list."""
+        with suppress(OSError):
+            (self.folder / RECORD).unlink()
+            shutil.rmtree(self.folder)
 
     def told(self) -> dict[str, Any]:
         """For the page. A job that has told its end has ended, also where a full disk keeps that from its record."""

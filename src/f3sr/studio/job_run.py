@@ -8,6 +8,7 @@ import resource
 import signal
 import sys
 import threading
+from contextlib import suppress
 from pathlib import Path
 
 from f3sr.errors import F3srError, one_line, unforeseen
@@ -18,6 +19,9 @@ from f3sr.studio.workspace import read_project
 
 PATIENCE_S = 10.0
 """Time [s] beyond its limit after which a process that could not tell of it is ended all the same."""
+
+OOM_SCORE = "500"
+"""As if the process had half of the machine's memory more than it has."""
 
 
 def main(folder: Path, worker: str, wall_s: float, memory_bytes: int, lock: int) -> int:
@@ -45,6 +49,8 @@ def _limit(job: JobFolder, wall_s: float, memory_bytes: int) -> None:
     timer.start()
     signal.setitimer(signal.ITIMER_REAL, wall_s + PATIENCE_S)  # compiled code may let no other thread run
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    with suppress(OSError):  # where memory ends, the system is to end this process and not the server
+        Path("/proc/self/oom_score_adj").write_text(OOM_SCORE)
     _, most = resource.getrlimit(resource.RLIMIT_DATA)
     limit = memory_bytes if most == resource.RLIM_INFINITY else min(memory_bytes, most)
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
@@ -52,6 +58,8 @@ def _limit(job: JobFolder, wall_s: float, memory_bytes: int) -> None:
 
 def _done(job: JobFolder, worker: str) -> int:
     try:
+        if job.events():
+            job.tell("again")
         recover_all(job.project)  # what a killed job left half way between two states
         work = importlib.import_module(worker).work
         job.tell("ended", state="done", result=work(job, job.options, read_project(job.project)))

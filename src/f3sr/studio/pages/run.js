@@ -24,9 +24,15 @@ const options = () => {
   return given;
 };
 
+const clear = () => {
+  done = 0;
+  for (const place of ["run-stages", "run-told", "run-pictures"]) $(place).replaceChildren();
+};
+
 const heard = (project) => (event) => {
   const stages = $("run-stages");
   if (event.event === "step" && event.state === "told") $("run-state").textContent = event.name;
+  else if (event.event === "again") clear();
   else if (event.event === "step") {
     const id = `stage-${event.name.replace(/\W/g, "-")}`;
     const line = $(id) || stages.appendChild(element("li", { id }));
@@ -45,8 +51,7 @@ const heard = (project) => (event) => {
 
 const follow = async (project, id) => {
   job = id;
-  done = 0;
-  for (const place of ["run-stages", "run-told", "run-pictures"]) $(place).replaceChildren();
+  clear();
   $("run-start").hidden = true;
   $("run-next").hidden = true;
   for (const place of ["run-cancel", "run-progress"]) $(place).hidden = false;
