@@ -185,6 +185,14 @@ def test_what_a_deleted_object_carried_falls_to_what_is_below(package: Package):
     assert all(0 not in (r.subject, r.object) for r in outcome.scene.graph.relations)
 
 
+def test_a_fixed_object_hangs_where_its_support_is_deleted(package: Package):
+    session = session_after(package, {"kind": "fix", "id": 1}, {"kind": "delete", "id": 0})
+    require_rest(session.outcome)
+    assert np.array_equal(session.scene[1].T_world_object, package.scene[1].T_world_object)
+    assert session.scene[1].supported_by is None
+    assert not told(session.outcome)
+
+
 def test_the_last_object_is_not_deleted(package: Package):
     session = session_after(package, *({"kind": "delete", "id": id} for id in (0, 1, 2, 3)))
     assert not session.outcome.done
@@ -315,8 +323,6 @@ def test_undo_gives_the_bytes_of_before(package: Package, tmp_path: Path):
         states.append(dict(edited_files(session)))
         session.add(edit(scene=session.scene, **given))
     last = dict(edited_files(session))
-    assert dict(edited_files(EditSession(package, session.edits))) == last
-
     folder = write_edited(session, tmp_path / "edited")
     assert (folder / "edits.json").read_bytes() == edits_json(session.edits)
     again = EditSession.open(folder)
@@ -324,13 +330,14 @@ def test_undo_gives_the_bytes_of_before(package: Package, tmp_path: Path):
     write_edited(again, folder)
     assert {str(f.relative_to(folder)): f.read_bytes() for f in folder.rglob("*") if f.is_file()} == last
     for state in reversed(states):
-        for each in (session, again):
-            each.undo()
-            assert dict(edited_files(each)) == state
-    for each in (session, again):
-        while each.can_redo:
-            each.redo()
-        assert dict(edited_files(each)) == last
+        session.undo()
+        assert dict(edited_files(session)) == state
+    while again.can_undo:
+        again.undo()
+    assert dict(edited_files(again)) == states[0]
+    while again.can_redo:
+        again.redo()
+    assert dict(edited_files(again)) == last
 
 
 def test_a_new_edit_forgets_what_was_undone(package: Package):
@@ -476,6 +483,23 @@ def test_the_command_edits_a_package_and_goes_on(package: Package, tmp_path: Pat
 
     assert main(["edit", str(out / "unedited"), "--edits", str(first), "-o", str(out)]) == 0
     assert [o.id for o in read_package(out).scene] == [0, 1, 2, 3]
+
+
+def test_a_run_with_edits_keeps_them_and_one_without_is_refused(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    out, quick = tmp_path / "out", ["--skip", "align,refine,uncertainty,inpaint"]
+    assert main(["reconstruct", str(folder), "-o", str(out), *quick]) == 0
+    o = read_package(out).scene.objects[0]
+    wanted = tmp_path / "edits.json"
+    wanted.write_bytes(edits_json([edit_of({"kind": "label", "id": o.id, "label": o.label, "to": "thing"})]))
+    assert main(["edit", str(out), "-o", str(tmp_path / "edited"), "--edits", str(wanted)]) == 0
+    assert main(["reconstruct", str(folder), "-o", str(out), *quick, "--edits", str(wanted), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["edited"]["n"] == len(read_package(out).scene.objects)
+    assert (out / "scene.json").read_bytes() == (tmp_path / "edited" / "scene.json").read_bytes()
+    assert main(["reconstruct", str(folder), "-o", str(out), *quick]) == 1
+    assert f"holds edits; --edits {out / 'edits.json'} applies them again" in capsys.readouterr().err
+    assert read_package(out).scene[o.id].label == "thing"
 
 
 def test_an_edited_package_without_its_past_is_refused(package: Package, tmp_path: Path):

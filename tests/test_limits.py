@@ -95,6 +95,13 @@ LIMITS = {
         ("principal point and skew [longer image sides]", "files.bounds.MAX_PRINCIPAL"),
         ("rounding of rotations and unit vectors", "files.bounds.ROUNDING"),
     ],
+    "Edits": [
+        ("edits of a list", "edits.edit_list.MAX_EDITS"),
+        ("size of edits.json [bytes]", "edits.edit_list.MAX_EDITS_BYTES"),
+        ("shift along an axis [m]", "edits.edit_list.MAX_MOVE"),
+        ("length of an axis of turning, at least", "edits.edit_list.MIN_AXIS"),
+        ("factor on a size, either way", "edits.edit_list.MAX_FACTOR"),
+    ],
     "Plans and rollouts": [
         ("time step [s], at least", "goals.plan.MIN_TIMESTEP"),
         ("steps of a rollout", "goals.plan.MAX_STEPS"),

@@ -30,15 +30,15 @@ MAX_EDITS = 500
 """Most edits of a list: one by one they take minutes."""
 MAX_EDITS_BYTES = 1_000_000
 """Largest file: 500 edits with labels of 300 characters take 300 kB."""
-FARTHEST_MOVE = 100.0
+MAX_MOVE = 100.0
 """Largest shift of an edit along an axis [m]."""
-LEAST_AXIS = 1e-3
+MIN_AXIS = 1e-3
 """Least length of an axis of turning: below it the direction is rounding."""
 MAX_FACTOR = 20.0
 """Largest factor on a size, and 1 over the least."""
 PAGE = "docs/editing.md"
 
-Shift = Annotated[float, Field(strict=True, ge=-FARTHEST_MOVE, le=FARTHEST_MOVE, allow_inf_nan=False)]
+Shift = Annotated[float, Field(strict=True, ge=-MAX_MOVE, le=MAX_MOVE, allow_inf_nan=False)]
 Component = Annotated[float, Field(strict=True, ge=-1, le=1, allow_inf_nan=False)]
 Degrees = Annotated[float, Field(strict=True, ge=-360, le=360, allow_inf_nan=False)]
 Factor = Annotated[float, Field(strict=True, ge=1 / MAX_FACTOR, le=MAX_FACTOR, allow_inf_nan=False)]
@@ -73,8 +73,8 @@ class TurnEdit(_EditRecord):
 
     @model_validator(mode="after")
     def _has_an_axis(self) -> Self:
-        if sum(c * c for c in self.axis) < LEAST_AXIS**2:
-            raise ValueError(f"axis {list(self.axis)}; accepted: a direction of length {LEAST_AXIS} or more")
+        if sum(c * c for c in self.axis) < MIN_AXIS**2:
+            raise ValueError(f"axis {list(self.axis)}; accepted: a direction of length {MIN_AXIS} or more")
         return self
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -115,7 +115,14 @@ def _released(held: Scene, scene: Scene) -> Scene:
 
 
 def _those(now: Scene, scene: Scene, ids: Collection[int]) -> list[SceneObject]:
-    return [replace(now[id], mobility=scene[id].mobility) for id in sorted(ids)]
+    """Some objects as they are now, as free as in ``scene``; the very values of there where nothing has changed."""
+    changed = (replace(now[id], mobility=scene[id].mobility) for id in sorted(ids))
+    return [scene[o.id] if _is_same(o, scene[o.id]) else o for o in changed]
+
+
+def _is_same(a: SceneObject, b: SceneObject) -> bool:
+    names = [f.name for f in fields(a) if f.name != "supports"]
+    return a.supports == b.supports and all(getattr(a, name) is getattr(b, name) for name in names)
 
 
 def _overlapped(scene: Scene, ids: Collection[int]) -> frozenset[int]:

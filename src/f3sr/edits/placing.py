@@ -89,8 +89,9 @@ def _less(o: SceneObject, id: int) -> SceneObject:
     kept = tuple(s for s in o.supports if s.id != id)
     total = sum(s.share for s in kept)
     supports = tuple(replace(s, share=s.share / total) for s in kept) if total else ()
-    main = supports[0].id if supports else GROUND
-    return replace(o, supports=supports or (Support(id=GROUND),), supported_by=main)
+    if not supports and o.mobility == "dynamic":
+        supports = (Support(id=GROUND),)
+    return replace(o, supports=supports, supported_by=supports[0].id if supports else None)
 
 
 def _riders(scene: Scene, id: int) -> tuple[int, ...]:
