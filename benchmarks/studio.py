@@ -31,7 +31,8 @@ LOOSE = 3
 """By which boxes are wider than the given masks [px], on every side."""
 PATIENCE_MS = 300_000
 FRAMES_PER_SECOND = """async () => {
-    const { view } = window.studio.STEPS.scene, canvas = document.getElementById("scene-view"), gl = canvas.getContext("webgl2");
+    const { view } = window.studio.STEPS.scene, canvas = document.getElementById("scene-view");
+    const gl = canvas.getContext("webgl2");
     const pixel = new Uint8Array(4), start = performance.now();
     let count = 0;
     while (performance.now() - start < 3000) {

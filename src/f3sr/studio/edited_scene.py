@@ -27,8 +27,8 @@ from f3sr.web.document import clean
 from f3sr.web.light_mesh import lightened
 from f3sr.web.packed import TextureIndex, packed_camera, packed_mesh, packed_parts
 
-MOST_FACES = 20_000
-"""Triangles of one mesh in the view: eight of them turn with 15 frames a second without a graphics card."""
+FACES, FACES_EACH = 64_000, (2_000, 20_000)
+"""Triangles of all meshes in the view, and fewest and most of one: without a graphics card they turn smoothly."""
 TEXTURE = 512
 """Longest side of a texture in the view [px]."""
 MAX_REPORT = 50_000_000
@@ -169,12 +169,13 @@ class EditedScene:
 def _view(scene: Scene) -> dict[str, Any]:
     textures = TextureIndex(TEXTURE)
     corners = np.concatenate([o.bounds_world for o in scene])
+    faces = int(np.clip(FACES // len(scene.objects), *FACES_EACH))
     return {
         "bounds": [*corners.min(0).tolist(), *corners.max(0).tolist()],
         "objects": [
             {
                 "id": o.id,
-                "mesh": packed_mesh(lightened(o.mesh, MOST_FACES), textures.index),
+                "mesh": packed_mesh(lightened(o.mesh, faces), textures.index),
                 "parts": packed_parts(o.colliders),
             }
             for o in scene

@@ -2,7 +2,7 @@
 import { $, ask, busy, element, say } from "./ask.js";
 
 const checks = (place, names, chosen) => $(place).replaceChildren(...names.map((c) => element("label", { class: "check", title: c.found || "" },
-  element("input", { type: "checkbox", name: place, value: c.name, checked: c.met && chosen(c.name), disabled: !c.met }), ` ${c.name}`, c.met ? null : element("small", { text: ` ${c.found}` }))));
+  element("input", { type: "checkbox", name: place, value: c.name, checked: c.met && chosen(c.name), disabled: !c.met }), ` ${c.name}`, element("small", { text: c.found }))));
 const chosen = (place) => [...$(place).querySelectorAll("input:checked")].map((c) => c.value);
 
 const follow = async (project, kind, options, done) => {
