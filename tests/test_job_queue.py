@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Generator
 from pathlib import Path
@@ -244,6 +246,21 @@ def test_a_cancelled_job_is_not_begun_again_by_the_next_server(place: Path):
     assert pid and is_running(pid) and job.record.state == "running"
     with opened(place):
         assert ended(job)["state"] == "cancelled" and not is_running(pid) and job.record.starts == 1
+
+
+def test_who_looks_at_a_job_keeps_nobody_from_doing_it(place: Path):
+    """A look takes the lock for a moment. One that is held says that another process does the job."""
+    with opened(place) as (queue, project):
+        job = asked(queue, project, "step 0")
+        ended(job)
+    with job.locked(), pytest.raises(OutputError, match="another process does this job"), job.locked():
+        pass
+    with (job.folder / LOCK).open("rb") as look:
+        fcntl.flock(look, fcntl.LOCK_SH)
+        threading.Timer(0.05, look.close).start()
+        with job.locked():
+            assert job.pid == 0
+    assert job.pid is None
 
 
 def test_a_process_with_a_recycled_number_is_not_taken_for_the_job(place: Path):
