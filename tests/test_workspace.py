@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import shutil
@@ -9,6 +10,7 @@ import signal
 import struct
 import subprocess
 import sys
+import threading
 import zlib
 from pathlib import Path
 
@@ -21,7 +23,7 @@ import forked
 from f3sr.errors import F3srError, InputError, OutputError
 from f3sr.io.images import encode_png
 from f3sr.studio import workspace as workspace_module
-from f3sr.studio.workspace import ID, LONGEST_ID, PROJECTS, RECORD, Workspace
+from f3sr.studio.workspace import ID, LOCK, LONGEST_ID, PROJECTS, RECORD, Workspace
 from waiting import soon
 
 PHOTO = encode_png(np.zeros((16, 24, 3), np.uint8))
@@ -201,6 +203,15 @@ def test_two_servers_have_no_workspace_together(space: Workspace):
         Workspace(space.folder)
     space.close()
     Workspace(space.folder).close()
+
+
+def test_a_process_that_a_killed_server_was_starting_is_waited_for(space: Workspace):
+    """Until it is another program, it has the lock of the workspace too."""
+    space.close()
+    with (space.folder / LOCK).open("rb") as inherited:
+        fcntl.flock(inherited, fcntl.LOCK_EX)
+        threading.Timer(0.1, inherited.close).start()
+        Workspace(space.folder).close()
 
 
 def test_a_workspace_that_cannot_be_made_is_one_line(tmp_path: Path):

@@ -25,6 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from f3sr.errors import InputError, OutputError, one_line, reason
 from f3sr.files import strict_json
 from f3sr.runtime.atomic_file import write_whole
+from f3sr.runtime.file_lock import is_taken
 from f3sr.studio.job_options import JobOptions, options_of
 
 State = Literal["queued", "running", "done", "failed", "cancelled"]
@@ -43,8 +44,6 @@ MAX_EVENTS = 20_000_000
 """Bytes of events that are read: a job writes some ten thousand."""
 SHOWN_STAGES = {"level": "level", "align": "align", "describe": "rest"}
 """Stages after which the scene is drawn over the photo, and what the picture is called."""
-LOOKS, LOOK_S = 10, 0.02
-"""How often the lock of a job is tried, and the pause after it [s]: who asks for ``pid`` has it for a moment."""
 MAX_STARTS = 3
 """Times that a job is begun: one that ends its process each time is not tried for ever."""
 
@@ -215,22 +214,12 @@ class JobFolder:
         """A descriptor for the process that is to do the job. Raises OutputError where one does it already."""
         lock = os.open(self.folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         try:
-            if not any(_is_taken(lock) for _ in range(LOOKS)):
+            if not is_taken(lock):
                 raise OutputError(f"{self.folder}: another process does this job")
             os.truncate(lock, 0)  # the number of an earlier process
             yield lock
         finally:
             os.close(lock)
-
-
-def _is_taken(lock: int) -> bool:
-    """Whether the lock is this process's now; where it is not, a moment later."""
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        time.sleep(LOOK_S)
-        return False
-    return True
 
 
 def ended(record: JobStanding, end: dict[str, Any]) -> JobStanding:

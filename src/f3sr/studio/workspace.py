@@ -5,7 +5,6 @@ Nothing outside the workspace is changed, and no name from outside becomes a pat
 
 from __future__ import annotations
 
-import fcntl
 import re
 import secrets
 import shutil
@@ -24,6 +23,7 @@ from f3sr.errors import F3srError, InputError, OutputError, cut, reason
 from f3sr.files import strict_json
 from f3sr.io.input_folder import INPUT_FOLDER
 from f3sr.runtime.atomic_file import write_whole
+from f3sr.runtime.file_lock import is_taken
 from f3sr.scene_package.package_folder import PACKAGE, is_package
 from f3sr.segmentation.input_folder_writer import MASKS, MAX_PHOTO_BYTES, PNG, read_photo
 
@@ -118,11 +118,9 @@ class Workspace:
             self._lock: IO[bytes] | None = (self.folder / LOCK).open("ab")
         except OSError as error:
             raise OutputError(f"{self.folder}: no workspace can be made there ({reason(error)})") from error
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        if not is_taken(self._lock.fileno()):
             self._lock.close()
-            raise OutputError(f"{self.folder}: another studio is open there; close it, or give --workspace") from None
+            raise OutputError(f"{self.folder}: another studio is open there; close it, or give --workspace")
         for left in (self.folder / PROJECTS).glob(".*"):
             if left.name.startswith((NEW, GONE)):
                 shutil.rmtree(left, ignore_errors=True)
