@@ -139,8 +139,9 @@ def row_of(outcome: EditOutcome) -> dict[str, Any]:
 def line_of(row: Mapping[str, Any]) -> str:
     told = "; ".join(row["told"])
     return (
-        f"  {row['kind']:8} {row['id']:3} {row['seconds']:5.2f} s  N {row['N_cross']}  D {row['D_max_cm']:.3f} cm"
-        f"  gap {row['gap_pct']:.2f} %  mIoU_visible {row['mIoU_visible']:.3f}  {told}"
+        f"  {row['kind']:8} {row['id']:3} {row['seconds']:5.2f} s, of processors {row['processor_seconds']:5.2f}"
+        f"  N {row['N_cross']}  D {row['D_max_cm']:.3f} cm  gap {row['gap_pct']:.2f} %"
+        f"  mIoU_visible {row['mIoU_visible']:.3f}  {told}"
     )
 
 

@@ -307,6 +307,25 @@ def test_edits_are_applied_in_order(package: Package):
     assert "fell" in told(other.outcomes[1])
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_after_random_edits_nothing_crosses_and_what_does_not_rest_is_told(package: Package, seed: int):
+    rng, session = np.random.default_rng(seed), EditSession(package)
+    for _ in range(5):
+        before = session.scene
+        id = int(rng.choice([o.id for o in before]))
+        by, axis = (tuple(map(float, rng.uniform(-1, 1, 3) * size)) for size in (0.2, 1.0))
+        asked = (
+            edit("move", before, id, by=by),
+            edit("turn", before, id, axis=axis, degrees=float(rng.uniform(-180, 180))),
+            edit("support", before, id, on=int(rng.choice([GROUND, *(o.id for o in before if o.id != id)]))),
+        )
+        outcome = session.add(asked[rng.integers(3)])
+        assert outcome.measures.N_cross == 0
+        assert outcome.measures.D_max_cm < 0.1 or "not at rest" in told(outcome)
+        assert outcome.done or outcome.scene is before
+        assert all((outcome.scene[o.id] is o) == (o.id not in outcome.moved) for o in before)
+
+
 # --- undo, bytes ------------------------------------------------------------------------------------------------------
 
 SEVERAL: tuple[dict[str, Any], ...] = (

@@ -104,6 +104,7 @@ def test_masks_that_are_there_need_no_page(photo: Path, calls: Calls, tmp_path: 
         (["--box", "1,2,3:mug"], 2, "--box: found 1,2,3:mug; accepted: X0,Y0,X1,Y1"),
         (["--box", "9,2,3,4:mug"], 2, "left, top, right, bottom"),
         (["--box", "1,1,5,5", "--segmenter", "magic"], 2, "segmentation back end: found 'magic'"),
+        (["--edits", "{photo}"], 2, "a list of edits, version 1"),
         (["-o", "{photo}"], 1, "my table.png"),
         (["-o", "{folder}"], 1, "accepted: a new or empty folder, or an f3sr package"),
     ],

@@ -94,6 +94,7 @@ def photo(
     """
     from f3sr.backends.model_choice import ModelChoice
     from f3sr.cli import console
+    from f3sr.edits.edit_list import read_edits
     from f3sr.scene_package.package import PAGE
     from f3sr.scene_package.package_folder import prepare_output
     from f3sr.web.browser import shown_in_browser
@@ -104,6 +105,8 @@ def photo(
     if given and (segment or ground_segmenter):
         option = "--segment" if segment else "--ground-segmenter"
         raise InputError(option, found=f"the folder {photo.name}, which has masks", accepted="a photo")
+    if edits:
+        read_edits(edits)  # before anything is drawn
     package = prepare_output(package, inputs=folder, overwrite=overwrite, edits=edits is not None)
     if not given:
         choice = ModelChoice(device=device, precision=precision, allow_downloads=allow_downloads)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,10 +21,9 @@ from f3sr.edits.edit_list import (
     SupportEdit,
     TurnEdit,
 )
-from f3sr.edits.landing import Effort, Landed, land, settled
+from f3sr.edits.landing import Effort, Landed, land, settled, touching
 from f3sr.edits.placing import Put, put, turned, without
 from f3sr.files.bounds import MAX_DENSITY, MAX_OBJECT, MIN_DENSITY, MIN_OBJECT
-from f3sr.metrics.contact_groups import groups_of
 from f3sr.physics.mujoco_model import solid_of
 from f3sr.pipeline import Config
 from f3sr.report import Decision
@@ -35,6 +34,8 @@ TOLD = 1e-3
 """Distance [m] from where an edit put an object from which on that is told: contact margins move it by a third."""
 TOLD_TURN = math.radians(1)
 """Turn [rad] against the edit's pose from which on that is told."""
+SAID_OF = {"density": ("mass ", "density "), "friction": ("friction ",)}
+"""How parts of a reason begin that tell of a property."""
 STAYS_TURN = 1e-3
 """Turn [rad] below which an object that was at rest counts as still so, as is."""
 
@@ -242,24 +243,17 @@ def _made_of(scene: Scene, edit: MaterialEdit, number: int, config: Config, effo
         return Applied(scene=_described(made, config), decisions=(given,))
     if stays := _staying(made, o.id, config):
         return Applied(scene=_described(stays, config), decisions=(given,))
-    group = _group(made, o.id, config)
+    group = touching({o.id}, config, made, made)
     there = Put(scene=made, placed=frozenset(), roots=(), touched=group)
     landed = land(made, there, config, replace(effort, closes=False))
     decisions = [given, *_others(made, landed, number)]
     return _applied(landed, there, decisions, number, config)
 
 
-def _reason(before: str, said: dict[str, str], source: str) -> str:
+def _reason(before: str, said: Mapping[str, str], source: str) -> str:
     """Why the properties are what they are, without what older edits said of the same ones."""
-    names: dict[str, Callable[[str], bool]] = {
-        "density": lambda part: part.startswith(("mass ", "density ")),
-        "friction": lambda part: part.startswith("friction "),
-    }
-    kept = [
-        part
-        for part in before.split("; ")
-        if part and not (" given by edit " in part and any(names[name](part) for name in said))
-    ]
+    again = tuple(start for name in said for start in SAID_OF[name])
+    kept = [p for p in before.split("; ") if p and not (" given by edit " in p and p.startswith(again))]
     return "; ".join([*kept, *(f"{value} {source}" for value in said.values())])
 
 
@@ -268,22 +262,17 @@ def _volume(o: SceneObject) -> float:
     return solid_of(o)[0].volume * o.scale**3
 
 
-def _group(scene: Scene, id: int, config: Config) -> frozenset[int]:
-    """Ids of what an object touches, and of what that touches."""
-    groups = groups_of(scene, scene, config.settle.physics.contact.apart)
-    return next(frozenset(g) for g in groups if id in g)
-
-
 def _rests_on_level_ground_alone(scene: Scene, id: int, config: Config) -> bool:
-    """Whether only the level ground acts on an object: then neither mass nor friction decides how it rests."""
+    """Whether an object touches level ground at most: then neither mass nor friction decides how anything rests."""
     o = scene[id]
-    return o.mobility == "fixed" or (o.carriers == [GROUND] and len(_group(scene, id, config)) == 1)
+    is_alone = len(touching({id}, config, scene, scene)) == 1
+    return is_alone and (o.mobility == "fixed" or o.carriers == [GROUND])
 
 
 def _staying(scene: Scene, id: int, config: Config) -> Scene | None:
     """The scene as it is, with the loads that physics finds, where an object and all it touches rest within a contact
     margin of their poses; None where they do not."""
-    group = _group(scene, id, config)
+    group = touching({id}, config, scene, scene)
     after = settled(scene, sorted(k for k in group if scene[k].mobility == "dynamic"), config)
     margin = config.settle.physics.contact.body
     stays = not after.restless and all(

@@ -17,7 +17,7 @@ from f3sr.stages.close import close
 from f3sr.stages.separate import separate
 from f3sr.stages.settle import settle
 
-MEETINGS = 3
+MEETINGS = 2
 """Most times that what is met on the way joins what settles."""
 
 
@@ -52,36 +52,45 @@ def land(before: Scene, put: Put, config: Config, effort: Effort) -> Landed:
     """Bring what was put somewhere to rest: only it is parted from the others, then it settles with all it touches.
 
     ``before`` is the scene at rest before the edit, with the same ids. ``config`` is that of ``editing``."""
-    free = frozenset(id for id in put.placed if put.scene[id].mobility == "dynamic")
-    scene = put.scene
-    for id in put.roots:
-        if id in free:
-            o = scene[id]
-            asked = put.on if id == put.roots[0] else None
-            scene = scene.with_objects(_carried(scene, id) if asked is None else _on(o, asked))
-    held = put.placed - free
-    scene = scene.with_objects(*(_standing(scene, id, config) for id in sorted(held)))
-    free |= _overlapped(scene, held)
-    parted = scene
-    if free:
-        parted, _ = separate(_holding(scene, free), config.separate, ground=False, margin=False)
-        parted = _released(parted, scene)
-    apart = config.separate.contact.apart
-    of_interest = free | held | put.touched
-    moving = frozenset(id for g in groups_of(before, parted, apart) if g & of_interest for id in g)
-    state = SettledScene(scene=parted, restless=frozenset())
+    parted, involved = _parted(put, config)
+    moving = touching(involved | put.touched, config, before, parted)
+    state = settled(parted, moving, config)
     for _ in range(MEETINGS):
-        state = settled(state.scene, moving, config)
-        met = frozenset(id for g in groups_of(state.scene, state.scene, apart) if g & moving for id in g)
-        if met <= moving:
+        met = touching(moving, config, state.scene, state.scene)
+        if met == moving:
             break
-        moving |= met
+        moving = met
+        state = settled(state.scene, moving, config)
     if effort.closes:
         state = _closed(state, moving, config)
     for _ in range(effort.again):
         state = settled(state.scene, moving, config)
-    unknown = frozenset(id for g in groups_of(state.scene, state.scene, apart) if g & moving for id in g) - moving
+    unknown = touching(moving, config, state.scene, state.scene) - moving
     return Landed(scene=state.scene, restless=state.restless | unknown, moving=moving)
+
+
+def touching(ids: Collection[int], config: Config, before: Scene, after: Scene) -> frozenset[int]:
+    """Some ids, and those of all that touches them in one of two scenes, and that touches that, and so on."""
+    groups = groups_of(before, after, config.settle.physics.contact.apart)
+    return frozenset(id for g in groups if g.intersection(ids) for id in g)
+
+
+def _parted(put: Put, config: Config) -> tuple[Scene, frozenset[int]]:
+    """The scene with what was put somewhere on what is below it, apart from all others; and ids of what was moved.
+
+    What is fixed stays where it was put, and what it overlaps gives way."""
+    free = frozenset(id for id in put.placed if put.scene[id].mobility == "dynamic")
+    scene, held = put.scene, put.placed - free
+    for id in put.roots:
+        if id in free:
+            asked = put.on if id == put.roots[0] else None
+            scene = scene.with_objects(_carried(scene, id) if asked is None else _on(scene[id], asked))
+    scene = scene.with_objects(*(_standing(scene, id, config) for id in sorted(held)))
+    free |= _overlapped(scene, held)
+    if not free:
+        return scene, held
+    parted, _ = separate(_holding(scene, free), config.separate, ground=False, margin=False)
+    return _released(parted, scene), free | held
 
 
 def settled(scene: Scene, moving: Collection[int], config: Config) -> SettledScene:
