@@ -481,9 +481,8 @@ def test_what_is_carved_is_as_deep_as_wide_has_legs_and_covers_the_mask(yaw: flo
     assert volume < 0.5 * wide * deep * high, "there is air between the legs"
 
 
-@pytest.mark.parametrize("yaw", [0.3, 0.9])
-def test_of_all_mirror_images_the_best_is_taken_though_few_are_intersected(yaw: float, monkeypatch: pytest.MonkeyPatch):
-    true = table(np.array([0.1, 3.2, 0]), (0.8, 0.6, 0.5), yaw)
+def test_of_all_mirror_images_the_best_is_taken_though_few_are_intersected(monkeypatch: pytest.MonkeyPatch):
+    true = table(np.array([0.1, 3.2, 0]), (0.8, 0.6, 0.5), 0.3)
     mask = rasterizer.silhouette(LOW.to_camera(true.vertices), true.faces, LOW.K, LOW.width, LOW.height)
     seen, tried = Outlined.of(mask, LOW), list[FittedShape]()
 
